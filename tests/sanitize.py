@@ -34,7 +34,7 @@ SETTINGS = {
 # The C library frees thread-local memory by a synchronization that the sanitizer does not see.
 SUPPRESSIONS = "race:_dl_deallocate_tls\n"
 PRELOADED = {"address": ("libasan.so", "libubsan.so", "libstdc++.so.6"), "threads": ("libtsan.so", "libstdc++.so.6")}
-PYTEST = ["-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
+PYTEST = ["-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-m", "not long"]
 # Tests of interrupts and of the command, which start processes, are omitted.
 COMMANDS = {
     "address": [

@@ -115,7 +115,7 @@ def test_resume_options_are_passed(folder, capsys, monkeypatch, end):
     assert capsys.readouterr().out == ""
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -122,12 +122,14 @@ def imported_packages():
             yield from ((path.relative_to(PACKAGE).as_posix(), name.partition(".")[0]) for name in names)
 
 
+@pytest.mark.long
 def test_imported_packages_are_declared():
     found = {package for _, package in imported_packages()} - sys.stdlib_module_names
     assert found - CORE <= set(EXTRAS)
     assert {"numba", "xarray", "matplotlib", "pydantic", "click", "tqdm", "zarr", "h5netcdf"} <= found
 
 
+@pytest.mark.long
 def test_modules_with_extras_are_imported_lazily():
     """Otherwise these packages would be requirements of the importing modules."""
     found = {}

@@ -91,6 +91,7 @@ def test_interrupt_where_exceptions_are_dropped(folder):
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "coadjoint: interrupted\n")
 
 
+@pytest.mark.long
 def test_late_interrupt_is_ignored(folder):
     late = "import atexit\natexit.register(lambda: " + KILL.format(name="SIGINT") + ")\nimport os, signal, sys\n"
     done = run_python(late + RUN.format(target="run.nc"))

@@ -79,6 +79,7 @@ def module_of_page(scheme, folder, monkeypatch):
     return module
 
 
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler is installed")
 def test_the_implicit_scheme_in_cpp_is_gauss_legendre(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))

@@ -46,7 +46,7 @@ def turning(broken):
     return step
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("place", [0, 2, 4])
 @pytest.mark.parametrize("h", [0.1, -0.1])
 def test_a_defect_in_one_state_of_a_sample_fails_every_row(place, h):
@@ -68,7 +68,7 @@ def test_a_defect_in_one_state_of_a_sample_fails_every_row(place, h):
     assert np.argmax(deviations) == place and np.delete(deviations, place).max() < 1e-12
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("h", [0.1, -0.1])
 @pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2), co.ExplicitRungeKutta("rk4"), turning(True)])
 def test_bounds_do_not_depend_on_the_number_of_states(method, h, monkeypatch):
@@ -95,7 +95,7 @@ def test_bounds_do_not_depend_on_the_number_of_states(method, h, monkeypatch):
         assert other.value == pytest.approx(row.value, rel=1e-9) and other.bound == pytest.approx(row.bound, rel=1e-9)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("h", [0.1, -0.1])
 @pytest.mark.parametrize("at_the_given", [True, False])
 def test_a_defect_at_the_given_step_or_at_larger_ones_alone_fails(at_the_given, h):
@@ -116,7 +116,7 @@ def test_a_defect_at_the_given_step_or_at_larger_ones_alone_fails(at_the_given, 
     assert all((length == h) == at_the_given and length / h >= 1.0 for length in lengths)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("h", [0.1, -0.1])
 @pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2)], ids=str)
 def test_the_order_of_single_steps_is_one_less_than_the_power_of_their_errors(method, h):
@@ -282,7 +282,7 @@ def test_the_natural_time_is_that_of_the_fastest_change():
         assert natural_time(spinning, np.array(x)) == pytest.approx(0.25, rel=1e-3)
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize("h", [0.1, -0.1, 1e-6, 5.0])
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(2), co.Splitting(order=6)], ids=repr)
 def test_a_study_has_the_errors_of_its_runs(method, h):

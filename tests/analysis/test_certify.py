@@ -86,7 +86,7 @@ def test_a_function_with_true_and_false_claims():
     assert [row.key for row in certified(euler, order=1, properties=SPLIT).failures] == ["poisson", "casimir |x|^2"]
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("step", [0.1, -0.1])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_forward_and_backward_and_both_signs(step, sign):
@@ -295,7 +295,7 @@ def test_slopes_are_those_of_the_smallest_steps_above_round_off():
     assert abs(found.value - 4) < 1e-9
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.SphericalMidpoint()], ids=repr)
 @pytest.mark.parametrize("step", [0.1, -0.1])
 def test_schemes_of_a_driven_system_are_symmetric(method, step):

@@ -206,7 +206,7 @@ def remaining_of(system, generator, term, starts, count):
     return np.max(np.abs(np.concatenate(after))) / np.max(np.abs(np.concatenate(before)))
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("order", [2, 4])
 def test_what_a_corrector_leaves_is_measured_along_all_motions(sign, order):

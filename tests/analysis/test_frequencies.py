@@ -25,7 +25,7 @@ def random_lines(seed: int, count: int) -> tuple[np.ndarray, ...]:
             return t, w, 10.0 ** -np.linspace(0.0, 6.0, count), rng.uniform(0.0, 2 * np.pi, count)
 
 
-@pytest.mark.thinned(12)
+@pytest.mark.thinned(24)
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("count", [1, 2, 4, 6])
 def test_lines_over_six_decades(seed: int, count: int) -> None:
@@ -185,7 +185,7 @@ def test_uncertainty_covers_white_noise() -> None:
     assert np.mean(np.abs(z) < 2) > 0.93
 
 
-@pytest.mark.thinned(8)
+@pytest.mark.thinned(48)
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("complex_signal", [False, True])
 @pytest.mark.parametrize("power", [1, 3, 5])

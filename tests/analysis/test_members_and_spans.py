@@ -183,7 +183,7 @@ def member_of(result: Any, m: int) -> Any:
     return np.asarray(result)[m : m + 1]
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(12)
 @each_entry
 def test_an_ensemble_is_its_members(name, kind):
     """To the bit, since the runs are."""

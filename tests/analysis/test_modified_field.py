@@ -63,7 +63,7 @@ class Kahan(co.methods.StepMethod):
         return x + linear_solve(matrix, h * field[:, None])[:, 0]
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("name", ALGEBRAS)
 def test_midpoint_rule_has_its_known_series(name: str, sign: int) -> None:
@@ -112,7 +112,7 @@ def test_iterated_schemes_have_one_order_more_than_iterations(stages: int) -> No
         assert found.first_error == min(m + 1, 2 * stages) == scheme.order
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("name", ALGEBRAS)
 def test_gauss_keeps_quadratic_invariants_at_every_order(name: str, sign: int) -> None:
@@ -212,7 +212,7 @@ def test_splitting_has_the_formula_of_so3() -> None:
     assert difference == square * square * factor, "up to a Casimir"
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "A3,7", "A4,7"])
 def test_splittings_are_poisson_with_hamiltonians(name: str, sign: int) -> None:

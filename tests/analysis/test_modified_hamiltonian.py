@@ -188,7 +188,7 @@ def test_order_eight_in_many_digits(name):
         assert slope_of(defects) > 8.4 and defects[0] > 1e-25, defects
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize("order", [1, 2, 4, "blanes_moan4", "processed", "composition"])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_rational_rotations(order, sign):

@@ -31,7 +31,7 @@ def test_a_clock_and_a_turn_about_the_momentum(monkeypatch, sign, x0):
     assert fast.period == pytest.approx(turned.period, rel=1e-7) == turned.modified_period
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(18)
 @pytest.mark.parametrize("turn", [3.0, -3.0])
 @pytest.mark.parametrize("sign", [-1, 1])
 @pytest.mark.parametrize("seed", range(3))

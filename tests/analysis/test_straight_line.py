@@ -37,7 +37,7 @@ NOISE: dict[str, tuple[Callable[[np.random.Generator], np.ndarray], tuple[float,
 }
 
 
-@pytest.mark.thinned(8)
+@pytest.mark.thinned(16)
 @pytest.mark.parametrize("kind", NOISE)
 @pytest.mark.parametrize("slope", [0.0, -2.5])
 def test_two_uncertainties_hold_the_slope(kind: str, slope: float) -> None:

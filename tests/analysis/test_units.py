@@ -69,7 +69,7 @@ def plain_rows(name, method):
     return rows_of(name, method, 1.0, 1.0)
 
 
-@pytest.mark.thinned(15)
+@pytest.mark.thinned(45)
 @pytest.mark.parametrize("units", UNITS, ids=["large", "small"])
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", ALGEBRAS)
@@ -89,7 +89,7 @@ def test_units_change_no_verdict_and_scale_every_bound(name, method, units):
             assert 2.0**-5 < scaled[key].bound / (unit.get(key, 1.0) * row.bound) < 2.0**5, key
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("units", UNITS, ids=["large", "small"])
 @pytest.mark.parametrize("name", ["so(3)", "e(2)"])
 def test_single_steps_have_the_same_errors_in_other_units(name, units):
@@ -106,7 +106,7 @@ def test_single_steps_have_the_same_errors_in_other_units(name, units):
     np.testing.assert_allclose(scaled.errors, plain.errors, rtol=1 / 8)
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("units", UNITS, ids=["large", "small"])
 @pytest.mark.parametrize("name", ALGEBRAS)
 def test_references_in_other_units_are_the_same_motion(name, units):

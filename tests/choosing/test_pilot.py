@@ -32,7 +32,7 @@ def exact(t0, t, x0=X0):
     return BODY.exact(x0, np.exp(t) - math.exp(t0))
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("t0", [0.0, 1.25, -0.75])
 @pytest.mark.parametrize("span", [1.5, -1.5])
 def test_reference_is_the_exact_motion(t0, span):
@@ -52,7 +52,7 @@ def test_reference_is_the_exact_motion(t0, span):
     assert pilot.speed == pytest.approx(max(speeds) / np.linalg.norm(X0), rel=0.1)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("t0", [2.0, -3.0])
 @pytest.mark.parametrize("span", [0.5, -0.5])
 def test_choice_depends_on_the_time(t0, span):
@@ -180,7 +180,7 @@ def test_natural_step_is_the_largest_accurate_halving(span):
     assert h == span or 2 * abs(h) * rate > pilots.MAX_INITIAL_ANGLE or apart(2 * h) > pilots.STEP_AGREEMENT
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("start", [0.0, 1e-12, 1e-300])
 @pytest.mark.parametrize("span", [10.0, -10.0])
 def test_natural_step_from_a_tiny_start(start, span):

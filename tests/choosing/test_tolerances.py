@@ -29,7 +29,7 @@ def systems():
     }
 
 
-@pytest.mark.thinned(24)
+@pytest.mark.thinned(48)
 @pytest.mark.parametrize("name", list(systems()))
 @pytest.mark.parametrize("accuracy", [1e-3, 1e-6, 1e-9, 1e-11])
 @pytest.mark.parametrize("direction", [1.0, -1.0])

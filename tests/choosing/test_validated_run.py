@@ -156,7 +156,7 @@ def test_group_elements_do_not_depend_on_sample_size(count):
         assert np.array_equal(ready.run(x0, SPAN, attitude=elements[2]).attitude[0], elements[2])
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("method", [None, co.Splitting(order=6), co.Taylor(tolerance=1e-9)], ids=str)
 @pytest.mark.parametrize("span", [(3.0, 43.0), (40.0, 0.0)])
 def test_own_choice_keeps_settings_and_arguments(method, span):

@@ -65,6 +65,7 @@ def test_rows_contain_criterion_and_measurement(reproduction: Reproduction) -> N
         assert "nan" not in row.measured
 
 
+@pytest.mark.long
 def test_rows_follow_the_order_of_the_paper(reproduction: Reproduction) -> None:
     keys = [row.key for row in reproduction.table]
     order = [

@@ -523,7 +523,7 @@ def runs_to_continue():
     yield "one of them", fluid, W[1], co.IsospectralGauss(1), {"watch": False}
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(30)
 @pytest.mark.parametrize(("direction", "rows"), [(1, None), (-1, 1)])
 @pytest.mark.parametrize(
     ("system", "x0", "method", "options"), [pytest.param(*run, id=name) for name, *run in runs_to_continue()]

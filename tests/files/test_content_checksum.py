@@ -168,7 +168,7 @@ def single_changes(found):
         yield name, found.assign_attrs({name: f"{found.attrs[name]} "})
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("suffix", ENGINE)
 @pytest.mark.parametrize("command", COMMANDS)
 def test_changed_files_of_the_command_are_refused(tmp_path, monkeypatch, command, suffix):

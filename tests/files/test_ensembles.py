@@ -547,7 +547,7 @@ def test_interrupt_returns_the_partial_ensemble(tmp_path, monkeypatch):
     np.testing.assert_array_equal(partial.x[:, :8], co.integrate(BODY, X[:8], (0, 1), 0.125).x)
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError, MemoryError, SystemExit])
 @pytest.mark.parametrize("blocks", [0, 1, 2])
 def test_temporary_archive_remains_for_partial_results(tmp_path, monkeypatch, error, blocks):

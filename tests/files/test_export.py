@@ -51,7 +51,7 @@ RUNS = {
 }  # fmt: skip
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(18)
 @pytest.mark.parametrize("suffix", [".nc", ".zarr"])
 @pytest.mark.parametrize("name", RUNS)
 def test_rebuilt_runs_have_the_same_bits(name, suffix, tmp_path):

@@ -28,7 +28,7 @@ def sol():
     return co.integrate(fluid, fluid.random(1, degrees=(1, 1)), (7.5, 8.5), 0.125)
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(9)
 @pytest.mark.parametrize("names", ["fixed", "variable"])
 @pytest.mark.parametrize(("version", "index"), [(2, "whole"), (2, "absent"), (3, "whole"), (3, "absent"), (3, "null")])
 def test_runs_are_read_with_any_index_and_text_type(tmp_path, sol, version, index, names):
@@ -102,7 +102,7 @@ def longer_and_shorter(packed, packer):
     return [bytes(codec.encode(other)) for other in (content + b"\0", content[:-1])]
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize(("version", "packer"), PACKERS, ids=str)
 def test_wrong_chunk_lengths_are_refused(tmp_path, version, packer):
     """Numbers and text of every type and shape, with any codecs; chunks at an edge are stored in full."""

@@ -81,7 +81,7 @@ def check_same(found, sol):
             assert same_bits(getattr(found.events, name), getattr(sol.events, name)), name
 
 
-@pytest.mark.thinned(22)
+@pytest.mark.thinned(44)
 @pytest.mark.filterwarnings("ignore::zarr.errors.UnstableSpecificationWarning")
 @pytest.mark.filterwarnings("ignore:Consolidated metadata")
 @pytest.mark.parametrize("way", WAYS)
@@ -183,7 +183,7 @@ class CreatingFolder:
         return os.mkdir, (str(self.folder),)
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(12)
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
     "codecs",

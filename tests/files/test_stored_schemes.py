@@ -61,7 +61,7 @@ def fields_of(method):
     return {field.name: getattr(method, field.name) for field in fields(method)}
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize(("name", "parameter"), [(n, p) for n in registry.names() for p in registry.parameters_of(n)])
 def test_scheme_parameters_are_stored(name, parameter, tmp_path):
     def make(**arguments):

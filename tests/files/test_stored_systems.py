@@ -213,7 +213,7 @@ OTHERS = {
 LONGER = [("sphere_euler", "rotation"), ("double_spherical_pendulum", "masses")]
 
 
-@pytest.mark.thinned(14)
+@pytest.mark.thinned(28)
 @pytest.mark.parametrize(
     ("name", "parameter"),
     long_where(LONGER, [(name, p) for name, make in ready_made_systems().items() for p in parameters(make)]),

@@ -50,7 +50,7 @@ ERRORS = {
 }
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize(("size", "number"), [(1, 0), (1, 6), (2, 1), (3, 1), (3, 2), (4, 0), (7, 0)])
 @pytest.mark.parametrize(("name", "error"), [("a37", "full"), ("torus", "plain"), ("a37", "missing")])
 def test_members_of_an_unwritten_block_are_named(tmp_path, monkeypatch, size, number, name, error):

@@ -99,7 +99,7 @@ def test_event_functions_are_not_stored():
         rebuild(ended.to_xarray())
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("terminal", [False, True])
 @pytest.mark.parametrize("first", [True, False])
 def test_loaded_crossings_have_their_names(tmp_path, first, terminal):

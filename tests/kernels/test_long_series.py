@@ -30,7 +30,7 @@ def norm_of(system):
     return float(action.constants[action.constant[0]])
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("members", [1, 7])
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_up_to_the_limit_a_flow_is_exact_and_beyond_it_is_refused(members, direction):

@@ -23,7 +23,7 @@ START, STEP = 10.0, 0.25
 # The functions of runs read the entry max(0, 4 t - 39) of three: 1 at the start, and beyond them from t = 10.5 on.
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(18)
 @pytest.mark.parametrize("place", [3, 4, -4])
 @pytest.mark.parametrize(
     ("function", "how"),

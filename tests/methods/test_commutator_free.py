@@ -74,7 +74,7 @@ def test_local_order_in_forty_digits(order, algebra):
     assert abs(slope - order - 1) < 0.1
 
 
-@pytest.mark.thinned(12)
+@pytest.mark.thinned(24)
 @pytest.mark.parametrize("order", SCHEMES)
 @pytest.mark.parametrize("algebra", ALGEBRAS, ids=str)
 @pytest.mark.parametrize("sign", [1, -1])

@@ -87,6 +87,7 @@ def test_what_it_asks_of_the_kernels_is_lent_to_it(step):
         timer.cancel()
 
 
+@pytest.mark.long
 def test_another_process_finds_what_was_compiled(step, monkeypatch):
     def refused(*given):
         raise AssertionError("compiled again")

@@ -95,7 +95,7 @@ def test_runs_have_the_order_and_keep_what_the_base_keeps(base) -> None:
         assert co.integrate(system, x0, (0, 50), 0.25, method).drift()["|x|^2"] < 1e-13
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize("base", [base for base in BASES if getattr(base, "rotation", "exact") == "exact"], ids=str)
 @pytest.mark.parametrize("order", [2, 4])
 def test_steps_of_a_driven_system_have_the_order_and_are_symmetric(base, order) -> None:

@@ -41,6 +41,7 @@ def test_float_coefficients_are_the_rounded_multiprecision_ones(family, stages):
             assert np.max(error) <= bound
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("stages", COUNTS)
 @pytest.mark.parametrize(("family", "degree"), [(gauss_legendre, 2), (radau, 2)])
 def test_simplifying_conditions(family, degree, stages):

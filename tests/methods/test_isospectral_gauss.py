@@ -163,6 +163,7 @@ def test_the_order_is_twice_the_stages(stages: int) -> None:
     assert abs(np.log2(errors[0] / errors[1]) - 2 * stages) < 0.3
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("stages", [2, 3])
 @pytest.mark.parametrize(("kind", "n"), [("gl", 3), ("so", 5), ("u", 5)])
 def test_slow_iterations_come_to_their_end(kind: str, n: int, stages: int) -> None:
@@ -209,7 +210,7 @@ def test_the_tangent_of_two_layers_takes_matrices_and_coordinates(stages) -> Non
     assert np.array_equal(after, scheme.step(system, W, 0.5, 0.25))
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize("scheme", [co.IsospectralGauss(1), co.IsospectralGauss(2), co.CommutatorFree(3)], ids=str)
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize("h", [0.3, -0.3])

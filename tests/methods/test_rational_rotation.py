@@ -85,7 +85,7 @@ def one(dim):
     return np.eye(dim)
 
 
-@pytest.mark.thinned(14)
+@pytest.mark.thinned(28)
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("method", METHODS)
 def test_poisson_in_40_digits(name, method):
@@ -104,7 +104,7 @@ def test_poisson_in_40_digits(name, method):
         assert np.max(np.abs(exact.steps(x0, mpmath.mpf(h), 1) - x)) > 1e-8  # it is another map
 
 
-@pytest.mark.thinned(14)
+@pytest.mark.thinned(28)
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("method", METHODS)
 def test_compiled_and_plain_reading_agree(name, method):

@@ -56,7 +56,7 @@ def walked(system, method, x, steps, direction=1.0, rho=None):
     return np.array(states), np.array(lengths), rho
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_steps_can_be_taken_back(name, direction):
@@ -74,7 +74,7 @@ def test_steps_can_be_taken_back(name, direction):
     assert np.ptp(np.abs(lengths)) > 0.01 * np.abs(lengths).max()
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("end", [3.0, -3.0])
 def test_the_compiled_steps_are_those_of_the_reading(name, end):

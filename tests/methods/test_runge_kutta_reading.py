@@ -103,7 +103,7 @@ def test_lemma_3_1_order_is_min_m_p(name, freeze, s, m):
     assert abs(local_order(system, x0, method) - method.order) < 0.02
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize(("s", "m"), [(s, m) for s in (1, 2, 3) for m in range(1, 2 * s + 1)])
 def test_function_iteration_has_order_min_m_plus_1_p(s, m):
     system, x0 = systems()["cubic"]
@@ -112,7 +112,7 @@ def test_function_iteration_has_order_min_m_plus_1_p(s, m):
     assert abs(local_order(system, x0, method) - method.order) < 0.02
 
 
-@pytest.mark.thinned(14)
+@pytest.mark.thinned(28)
 @pytest.mark.parametrize("name", ["cubic", "so(4)", "sl(2)", "A3,7", "driven", "quadratic J"])
 @pytest.mark.parametrize(
     "method", [GAUSS(1), GAUSS(2), GAUSS(3), ITERATED(2), EXPLICIT("runge2"), EXPLICIT("rk4")], ids=repr
@@ -201,7 +201,7 @@ def can_serve(method, system):
     return True
 
 
-@pytest.mark.thinned(12)
+@pytest.mark.thinned(24)
 @pytest.mark.parametrize(("name", "method"), long_where(everywhere()[1::2], everywhere()))
 def test_tangent_is_the_derivative_of_the_step(name, method):
     """Central differences in 50 digits with e = 1e-15 are exact to 1e-28; the tangent itself rounds like the step."""

@@ -116,6 +116,7 @@ def test_the_classical_method_is_the_one_that_is_built_in():
         assert own.stats.steps == 40 and own.stats.evaluations == 40
 
 
+@pytest.mark.long
 def test_ensembles_batches_and_threads_are_the_members_alone():
     system = SYSTEMS["e(3), full"]
     x0 = start_of(system) * RNG.uniform(0.5, 1.5, (11, 1))

@@ -61,7 +61,7 @@ def own_steps(sol):
     return np.ravel(sol.stats.evaluations)[0] // sol.method.order
 
 
-@pytest.mark.thinned(10)
+@pytest.mark.thinned(20)
 @pytest.mark.parametrize("name", list(systems()))
 @pytest.mark.parametrize("projected", [True, False])
 @pytest.mark.parametrize("t", [2.0, -2.0])

@@ -38,6 +38,7 @@ def test_defects_cover_every_folder():
     assert not [name for name, count in Counter((d.folder, d.name) for d in defects()).items() if count > 1]
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("folder", sorted({*FOLDERS, "command"}))
 def test_each_defect_can_be_planted(folder):
     for defect in defects():

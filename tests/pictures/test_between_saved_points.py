@@ -32,7 +32,7 @@ def styles(axes):
     return {line.get_linestyle() for line in axes.lines if len(line.get_xdata()) > 1}
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("span", [(0.0, 60.0), (60.0, 0.0)])
 @pytest.mark.parametrize("every", [20, 50, 600])
 def test_chords_stay_by_the_motion_however_sparse_the_saved_points_are(span, every):

@@ -64,7 +64,7 @@ def limits_of(axes: Any) -> np.ndarray:
     return np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])
 
 
-@pytest.mark.thinned(12)
+@pytest.mark.thinned(36)
 @pytest.mark.parametrize("lost", [np.nan, 1e80, -1e80, np.inf])
 @pytest.mark.parametrize("bad", [0, 1, 2])
 @pytest.mark.parametrize("system", [BODY, BARE, HYPERBOLIC], ids=["sphere", "no surface", "surface without bounds"])

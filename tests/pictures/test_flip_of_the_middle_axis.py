@@ -31,7 +31,7 @@ def half_period(inertia, x0):
         return float(2 * mpmath.ellipk(k2) / mpmath.sqrt(rate2))
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize(
     ("inertia", "x0"),
     [

@@ -439,6 +439,7 @@ def test_group_elements_do_not_change_crossings(system):
     np.testing.assert_array_equal(beside.events.x, alone.events.x)
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("why", ["a part of a step fails", "a function is undefined"])
 @pytest.mark.parametrize("until", [None, 9])
 @pytest.mark.parametrize("way", [1.0, -1.0])

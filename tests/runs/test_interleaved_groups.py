@@ -118,7 +118,7 @@ def test_interrupt_returns_finished_members(monkeypatch, done):
             assert np.isnan(found.x[:, m]).all() and np.isnan(found.energy[:, m]).all()
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("method", METHODS, ids=str)
 @pytest.mark.parametrize("way", [1.0, -1.0])
 @pytest.mark.parametrize("resumed", [False, True])

@@ -107,7 +107,7 @@ def driven():
 STEPPED = {"g": True, "t": 2.5, "attitude": "coadjoint", "inputs": np.array([0.4, -0.3, 0.6, 0.2, 0.1, -0.5])}
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("pair", pairs(STEPPED), ids=lambda pair: " and ".join(sorted(pair)))
 def test_options_of_steppers(pair):
     """The motion is x' = J(x) (grad H + inputs) from the given time, with constant spatial momentum."""

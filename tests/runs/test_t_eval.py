@@ -140,7 +140,7 @@ def test_output_times_do_not_change_events():
     assert np.array_equal(seen.x, co.integrate(BODY, X, (0, 40), STEP, t_eval=times).x)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.Taylor(12), co.Taylor(tolerance=1e-9)], ids=str)
 @pytest.mark.parametrize("end", [80.0, -80.0])
 def test_terminal_event_between_output_times(method, end):

@@ -105,7 +105,7 @@ def bound(H):
     return co.LiePoissonSystem(co.algebras.so(3), H).hamiltonian
 
 
-@pytest.mark.thinned(16)
+@pytest.mark.thinned(32)
 @pytest.mark.parametrize("first", KINDS)
 @pytest.mark.parametrize("second", KINDS)
 def test_every_kind_and_every_other(first, second):

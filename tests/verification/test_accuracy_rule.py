@@ -41,7 +41,7 @@ def is_wasteful(error: float, choice: co.Choice, span: float) -> bool:
     return far_below and coarser < choice.accuracy / 3 and not explained
 
 
-@pytest.mark.thinned(8)
+@pytest.mark.thinned(24)
 @pytest.mark.parametrize("accuracy", ACCURACIES)
 @pytest.mark.parametrize("name", written_out())
 def test_accuracy_is_reached_without_waste(name, accuracy):

@@ -194,7 +194,7 @@ def test_memory_holds_one_chunk_of_points(tmp_path, monkeypatch, method, members
 LATER = [(17, 29), (17, 18), (40, 400), (170, 1000), (1000, 1001), (999, 2000)]
 
 
-@pytest.mark.thinned(36)
+@pytest.mark.thinned(72)
 @pytest.mark.parametrize(("steps", "later"), LATER)
 @pytest.mark.parametrize("every", [1, 7, 50])
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8, tolerance=1e-9)], ids=str)

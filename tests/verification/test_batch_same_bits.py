@@ -66,7 +66,7 @@ def same(one, other):
     return np.array_equal(one, other, equal_nan=True)
 
 
-@pytest.mark.thinned(44)
+@pytest.mark.thinned(176)
 @pytest.mark.parametrize(("scheme", "name"), PAIRS)
 def test_member_of_a_batch_equals_its_single_run(scheme, name, monkeypatch):
     method, systems = schemes()[scheme], BATCHES[name]()

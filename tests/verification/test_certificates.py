@@ -43,7 +43,7 @@ def fourteen() -> dict[str, Case]:
 PAIRS = [(s, c) for c, case in fourteen().items() for s, method in schemes().items() if serves(method, case.system)]
 
 
-@pytest.mark.thinned(117)
+@pytest.mark.thinned(234)
 @pytest.mark.parametrize(("scheme", "case"), PAIRS)
 def test_every_declared_property_holds(scheme, case):
     system, x0, _ = fourteen()[case]

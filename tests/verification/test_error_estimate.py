@@ -24,7 +24,7 @@ def check_estimate(sol: co.Solution, exact: np.ndarray, largest: float) -> None:
     )
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(18)
 @pytest.mark.parametrize("methods", [None, co.Splitting(order=6), co.GaussLegendre(3)], ids=str)
 @pytest.mark.parametrize("name", written_out())
 def test_estimate_on_explicit_systems(name, methods):
@@ -54,7 +54,7 @@ def plain_field(system: co.LiePoissonSystem):
     return field
 
 
-@pytest.mark.thinned(8)
+@pytest.mark.thinned(16)
 @pytest.mark.parametrize("time", [6.0, -3.0])
 @pytest.mark.parametrize("name", ALGEBRAS)
 def test_estimate_on_random_systems(name, time):

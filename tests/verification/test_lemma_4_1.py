@@ -62,7 +62,7 @@ def test_second_order_composes_first_order_and_adjoint(case):
     assert np.max(np.abs(half[1](half[0](x)) - whole(x))) <= roundoff(x)
 
 
-@pytest.mark.thinned(10)
+@pytest.mark.thinned(20)
 @pytest.mark.parametrize("parts", ["auto", "coordinates"])
 @pytest.mark.parametrize("case", list(cases()))
 def test_second_order_symmetric_and_lie_poisson(case, parts):

@@ -79,7 +79,7 @@ def test_quadratic_invariants_of_gauss_follow_brouwer(case, stages):
         assert run.drift()[name] <= walk(run, size, 16 * system.dim * stages), name
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.Splitting(order=2, compensated=True)])
 @pytest.mark.parametrize("case", ["so(3), diagonal", "so(3), full, axes turned"])
 def test_rotations_follow_brouwer(case, method):

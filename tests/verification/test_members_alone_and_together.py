@@ -45,7 +45,7 @@ def test_time_dependent_observables_of_members(members, span):
     np.testing.assert_allclose(whole.observed["clock"], whole.x[..., 0] + 10.0 * whole.t[:, None], rtol=0, atol=1e-13)
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("name", ["so(3)", "so(4)", "e(3)"])
 @pytest.mark.parametrize("members", [2, 5, 9])
 def test_variable_steps_in_pieces(tmp_path, name, members):
@@ -123,7 +123,7 @@ def test_zero_at_a_step_is_one_crossing(method, direction, sense):
     assert run.events.t.tolist() == wanted and run.events.direction.tolist() == [int(sense)] * len(wanted)
 
 
-@pytest.mark.thinned(7)
+@pytest.mark.thinned(14)
 @pytest.mark.parametrize("N", [31, 32, 33, 34, 35, 47, 64, 65, 66, 67, 70])
 @pytest.mark.parametrize("kind", ["so", "u"])
 def test_matrix_steps_of_odd_sizes(kind, N):

@@ -90,7 +90,7 @@ def distance(method, case, count, times, states):
     return float(np.sqrt(np.mean(np.abs(found - states) ** 2)))
 
 
-@pytest.mark.thinned(34)
+@pytest.mark.thinned(68)
 @pytest.mark.parametrize(("scheme", "name"), long_where(LONGER, SOME))
 def test_order_between_the_steps(scheme, name):
     method, case, (times, states) = schemes()[scheme], all_cases()[name], exact(name)

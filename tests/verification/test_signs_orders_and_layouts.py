@@ -102,7 +102,7 @@ def test_compiled_steps_for_both_signs_and_directions(scheme, algebra):
     assert np.max(np.abs(ends[0] - ends[2])) > 0.05 * STEP
 
 
-@pytest.mark.thinned(8)
+@pytest.mark.thinned(16)
 @pytest.mark.parametrize("scheme", WITHOUT_ALGEBRA)
 @pytest.mark.parametrize("seed", range(2))
 def test_compiled_steps_where_j_is_a_function(scheme, seed):
@@ -266,6 +266,7 @@ def test_linear_stages_pivot_for_each_member(stages, freeze):
         np.testing.assert_allclose(end, expected, rtol=0, atol=2.0**12 * rounding(system, expected))
 
 
+@pytest.mark.thinned(18)
 @pytest.mark.parametrize("algebra", ["so(3)", "so(4)", "A4,7", "sl(2)"])
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_run_in_one_call_or_in_many(scheme, algebra, monkeypatch, capfd):
