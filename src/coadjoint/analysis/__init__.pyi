@@ -1,13 +1,13 @@
 # Public names of `co.analysis`; lazy_loader and type checkers read this file.
 
-from .checks.growth import Growth as Growth
-from .checks.growth import growth as growth
-from .checks.slope import Slope as Slope
-from .checks.slope import slope as slope
+from .fits import Growth as Growth
+from .fits import OrderFit as OrderFit
+from .fits import Slope as Slope
+from .fits import fit_order as fit_order
+from .fits import growth as growth
+from .fits import slope as slope
 from .frequencies import Combinations as Combinations
 from .line_drift import line_drift as line_drift
-from .order import OrderFit as OrderFit
-from .order import fit_order as fit_order
 from .periods import Period as Period
 from .periods import period as period
 from .phase import phase_error as phase_error

@@ -298,10 +298,6 @@ class Run:
             message += ", or make the vectors orthonormal more often: give a smaller renormalize_every"
         return IntegrationError(message, step=step, time=when, residual=residual, partial=partial)
 
-    def solution_to(self, saved_points: int) -> Solution:
-        """Return the solution of the first `saved_points` saved points."""
-        return self._solution(saved_points, None)
-
     def _solution(self, saved_points: int, observed: Observed | None) -> Solution:
         return Solution(record_of_run(self, saved_points, observed))
 

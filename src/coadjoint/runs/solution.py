@@ -92,14 +92,9 @@ class Solution(RunAttributes):
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            record = self.record
-            if name in SOLUTION_FIELDS:
-                fields = record.__dict__  # read directly, since an attribute of the record costs two calls more
-                if name not in fields and name in record.functions:
-                    fields[name] = record.functions[name](record)
-                if name in fields:
-                    self.__dict__[name] = fields[name]
-                    return fields[name]
+            if name in SOLUTION_FIELDS and name in self.record:
+                value = self.__dict__[name] = getattr(self.record, name)
+                return value
             # If the computation of an attribute failed, raise that error.
             if hasattr(type(self), name):
                 return object.__getattribute__(self, name)
