@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.analysis import order, phase, rotations
+from coadjoint.analysis import fits, phase, rotations
 from coadjoint.methods import registry
 from coadjoint.pictures.level_surface import level_surface
 from coadjoint.systems.matrices.streams import Weights
@@ -280,7 +280,7 @@ CALLS = {
     "a step": (STEP, {"x": X, "t": 0.0}),
     "group": (STEP.group, {"x": X, "t": 0.0, "attitude": None}),
     "tangent": (STEP.tangent, {"x": X, "t": 0.0}),
-    "fit_order": (order.fit_order, {"steps": [0.4, 0.2, 0.1], "errors": [0.16, 0.04, 0.01], "floor": 0.0}),
+    "fit_order": (fits.fit_order, {"steps": [0.4, 0.2, 0.1], "errors": [0.16, 0.04, 0.01], "floor": 0.0}),
     "phase_error": (phase.phase_error, {"system": BODY, "x0": X, "t": [1.0], "x": [X]}),
     "defect_of_tangent": (co.analysis.defect_of_tangent, {"P": EYE, "before": J(X), "after": J(X), "operations": 1}),
     "poisson_defect": (co.analysis.poisson_defect, {"step": STEP, "x": X, "operations": 1}),
