@@ -12,6 +12,7 @@ import pytest
 import coadjoint as co
 from coadjoint.files.archives.resume import archive_run
 from coadjoint.files.records.records import record_of
+from coadjoint.methods.forced import check_supports
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.systems.batch import Batch
@@ -87,7 +88,7 @@ def cases():
 
 def serves_all(method, system):
     try:
-        PreparedRun(system, method, STEP).loops(STEP)
+        check_supports(system[0] if isinstance(system, Batch) else system, method)
     except (ValueError, TypeError):
         return False
     return True
