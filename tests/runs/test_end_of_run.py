@@ -11,6 +11,7 @@ from coadjoint.runs import prepared_run
 from coadjoint.runs.final_state import FinalStateRun
 from methods.own_schemes import Failing, Interpreted
 from random_runs.cases import case_of
+from verification.systems_under_test import all_cases
 
 pytestmark = pytest.mark.filterwarnings("ignore:the steps of:RuntimeWarning")
 BODY = co.systems.rigid_body((1, 2, 3))
@@ -55,6 +56,16 @@ def test_calls_are_independent(method, monkeypatch):
     assert all(np.array_equal(*pair) for pair in zip(found, expected, strict=True))
     # Arrays that were returned are not written to again.
     assert len({each.ctypes.data for each in found}) == len(calls)
+
+
+@pytest.mark.parametrize("case", ["so(5), body", "sphere", "so(4), diagonal", "e(3), heavy top"])
+def test_a_state_outside_the_algebra_of_matrices_is_projected_as_in_runs(case):
+    system, x0, _ = all_cases()[case]
+    method = co.CommutatorFree(4)
+    prepared, step = co.prepare(system, method, 0.1), co.stepper(system, method, -0.1)
+    for x in x0 + 0.25 * np.eye(len(x0)):
+        assert np.array_equal(prepared.end(x, (0.0, 0.3)), prepared.run(x, (0.0, 0.3)).x[-1])
+        assert np.array_equal(step(x), prepared.run(x, (0.0, -0.1)).x[-1])
 
 
 def test_states_in_any_form():

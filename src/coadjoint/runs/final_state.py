@@ -17,6 +17,8 @@ from coadjoint.runs.loops import SystemLoops
 from coadjoint.runs.memory_estimate import check_run_memory
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times, span_of, times_between
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.system_checks import unforced
 from coadjoint.validation import are_finite
 
 if TYPE_CHECKING:
@@ -108,7 +110,9 @@ class FinalStateRun:
         """Allocate the arrays for this step, if the run is that of a single vector."""
         prepared, self._member_batch, self._h = self._prepared, None, times.h
         loops = prepared.loops(times.h)
-        if not isinstance(loops, SystemLoops) or loops.rows or prepared.carries:
+        # Matrices are projected onto their algebra when they are read.
+        matrices = isinstance(unforced(prepared.system), MatrixSystem)
+        if not isinstance(loops, SystemLoops) or matrices or loops.rows or prepared.carries:
             return
         plan = loops.plan(1, 2, 0, 1)
         check_run_memory(plan.layout, Times(times.t0, times.h, 1, 1), 1)

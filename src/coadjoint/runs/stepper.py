@@ -50,6 +50,7 @@ class Stepper:
         self.h = read_number(h, "h")
         if self.h == 0.0:
             raise ValueError(f"h is {self.h!r}; it must not be zero")
+        self._span = (0.0, self.h)
         if not isinstance(system, ForcedSystem):
             check_one_system(system)
         check_supports(system, method)
@@ -90,6 +91,8 @@ class Stepper:
         ndarray
             Momentum in the shape of x; bitwise equal to the first step of `integrate`.
         """
+        if self._inputs is None and not inputs and type(t) is float and t == 0.0:
+            return self._prepared_with(False).end(x, self._span)
         return np.asarray(self._advance(x, t, False, None, inputs).x[-1])
 
     def both(
