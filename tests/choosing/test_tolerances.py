@@ -5,14 +5,14 @@ import pytest
 
 import coadjoint as co
 from coadjoint.choosing import tolerances
-from coadjoint.choosing.accuracy import SCHEMES
 from coadjoint.choosing.candidates import supported_candidates
 from coadjoint.choosing.pilot import Pilot
 from coadjoint.methods.protocol.own_steps import reaching
+from coadjoint.methods.suggested_scheme import candidate_schemes
 
 pytestmark = pytest.mark.thinned(3)
 
-OWN = [method for method in SCHEMES if method.own_steps]
+OWN = [method for method in candidate_schemes() if method.own_steps]
 
 
 def systems():
