@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.analysis.end_error import finer_run
 from coadjoint.analysis.fits import fit_order, straight_line
 from coadjoint.analysis.lyapunov import LyapunovExponents
 from coadjoint.analysis.periods import period
@@ -177,7 +178,7 @@ def test_what_is_left_by_the_order_is_what_a_finer_run_leaves():
     for method in schemes:
         for times in (1.5, 2.5):
             steps = 160
-            finer = method.finer(steps, times)
+            finer = finer_run(method, steps, times)
             own, better = (
                 co.integrate(body, x0, (0.0, 8.0), 8.0 / count, scheme).x[-1]
                 for scheme, count in ((method, steps), (finer.method, finer.steps))

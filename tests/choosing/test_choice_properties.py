@@ -10,9 +10,11 @@ import pytest
 import coadjoint as co
 from coadjoint.choosing import accuracy as choosing
 from coadjoint.choosing import system_cache
-from coadjoint.choosing.accuracy import PROCESSED, SCHEMES, Choice
+from coadjoint.choosing.accuracy import Choice
 from coadjoint.choosing.pilot import Growth
 from coadjoint.choosing.system_cache import loops_of
+from coadjoint.choosing.unreached import rounded_up
+from coadjoint.methods.suggested_scheme import candidate_schemes
 
 BODY = co.systems.rigid_body(inertia=(1.0, 2.0, 3.0))
 SO4 = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic([1.0, 0.5, 0.3, 0.2, 0.7, 0.9]), sign=-1)
@@ -134,8 +136,8 @@ ROUND_NUMBERS = [1.0, 9.99e-7, 1.0000001e-9, 2.5e-9, 2.51e-13, 9.91e-3, 1e-16]
 
 @pytest.mark.parametrize("value", [*ROUND_NUMBERS, *10.0 ** np.linspace(-17, -1, 40)])
 def test_least_accuracy_is_rounded_up_to_two_digits(value):
-    assert value <= float(choosing._rounded_up(value)) * (1.0 + 2.0**-50) <= 1.1 * value * (1.0 + 2.0**-48)
-    assert re.fullmatch(r"\d\.\de[+-]\d\d", choosing._rounded_up(value))
+    assert value <= float(rounded_up(value)) * (1.0 + 2.0**-50) <= 1.1 * value * (1.0 + 2.0**-48)
+    assert re.fullmatch(r"\d\.\de[+-]\d\d", rounded_up(value))
 
 
 @pytest.mark.parametrize(
@@ -156,7 +158,7 @@ def test_methods_accept_names_mappings_and_schemes(written, schemes):
 
 @pytest.mark.parametrize("processed", [False, True])
 def test_default_schemes_depend_on_dimension(processed):
-    known = (*SCHEMES, *PROCESSED) if processed else SCHEMES
+    known = candidate_schemes(processed)
     limits = {each.largest for each in known if np.isfinite(each.largest)}
     for dim in (3, 64, *(int(limit) + more for limit in limits for more in (-1, 0, 1))):
         found = choosing._schemes(None, processed, dim)

@@ -5,13 +5,14 @@ import pytest
 
 import coadjoint as co
 from coadjoint.choosing import tolerances
-from coadjoint.choosing.accuracy import SCHEMES
 from coadjoint.choosing.candidates import supported_candidates
 from coadjoint.choosing.pilot import Pilot
+from coadjoint.methods.protocol.own_steps import reaching
+from coadjoint.methods.suggested_scheme import candidate_schemes
 
 pytestmark = pytest.mark.thinned(3)
 
-OWN = [method for method in SCHEMES if method.own_steps]
+OWN = [method for method in candidate_schemes() if method.own_steps]
 
 
 def systems():
@@ -76,7 +77,7 @@ def test_order_grows_with_accuracy():
         assert orders == sorted(orders) and orders[0] < 14 and orders[-1] >= 20
     assert co.Taylor(tolerance=0.1).reaching(system, 1e-30).tolerance == 1e-18
     with pytest.raises(TypeError, match="no tolerance"):
-        co.Splitting().reaching(system, 1e-6)
+        reaching(co.Splitting(), system, 1e-6)
 
 
 def test_expensive_variable_steps_get_one_trial(monkeypatch):

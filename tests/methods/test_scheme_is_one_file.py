@@ -1,4 +1,4 @@
-"""A scheme is one file: what this library has beside those that it builds on is named nowhere else in its sources."""
+"""A scheme is one file, and outside `methods/` none is named: other layers ask for schemes by a purpose."""
 
 import ast
 import inspect
@@ -11,7 +11,7 @@ from coadjoint.methods import registry
 from served import served
 
 SOURCE = Path(co.__file__).parent
-# What choices, references and the experiments of the paper are made with.
+# What other schemes, candidates and references are made of, in `methods/`.
 BUILT_ON = {"Splitting", "Composition", "GaussLegendre", "Taylor", "ExplicitRungeKutta"}
 BESIDE = sorted(set(registry.names()) - BUILT_ON)
 
@@ -43,8 +43,14 @@ def test_no_other_file_names_it(name, used):
     assert {path for path, names in used.items() if name in names} <= {own}
 
 
+@pytest.mark.parametrize("name", sorted(BUILT_ON))
+def test_no_file_of_another_layer_names_it(name, used):
+    assert {path for path, names in used.items() if name in names and SOURCE / "methods" not in path.parents} == set()
+
+
 def test_the_search_finds_what_is_named(used):
-    assert SOURCE / "choosing" / "accuracy.py" in {path for path, names in used.items() if "Taylor" in names}
+    found = {path for path, names in used.items() if "Taylor" in names}
+    assert found == {SOURCE / "methods" / name for name in ("taylor.py", "suggested_scheme.py")}
     assert len(BESIDE) >= 7
 
 

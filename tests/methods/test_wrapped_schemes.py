@@ -1,7 +1,7 @@
 """Schemes that wrap another one: each member of the protocol follows from the base, or is listed here as different.
 
-Wrappers are found among the subclasses of `Method`, members on `Method` itself, fields on `Properties`, and bases in
-the registry, so that a new one of each is compared without a change here.
+Wrappers are found among the subclasses of `Method`, members on `Method` and its capabilities, fields on `Properties`,
+and bases in the registry, so that a new one of each is compared without a change here.
 """
 
 from __future__ import annotations
@@ -15,14 +15,24 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.analysis.checks.poisson import _carried
+from coadjoint.analysis.end_error import finer_run
 from coadjoint.kernels.tangents import Frame
 from coadjoint.methods import FlowMethod, Properties, RungeKuttaMethod
 from coadjoint.methods.forced import TANGENT_METHODS, Forced
 from coadjoint.methods.formal.formal_numbers import is_short
 from coadjoint.methods.numerics.projection import casimirs_restored, polynomial_casimirs
+from coadjoint.methods.protocol.automatic_choices import settled, with_compensation
 from coadjoint.methods.protocol.composed import ComposedFlows, Substeps
+from coadjoint.methods.protocol.composing import Composable
+from coadjoint.methods.protocol.flow_method import flows_of
 from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.protocol.newton import took_newton
+from coadjoint.methods.protocol.own_steps import OwnSteps
+from coadjoint.methods.protocol.power_series import PowerSeries
+from coadjoint.methods.protocol.restored import RestoresInvariants, restored
 from coadjoint.methods.protocol.stepped_method import SteppedMethod
+from coadjoint.methods.protocol.tangents import CompiledTangents, VariedTangents, tangent_by, tangent_loop
 from coadjoint.methods.symmetrized import PairOfFlows, PairOfTableaux
 from coadjoint.rounding import UNIT_ROUNDOFF
 from verification.systems_under_test import Case, all_cases, cases
@@ -114,51 +124,57 @@ def test_every_scheme_around_a_base_is_compared():
 # below or elsewhere, or are listed as different.
 BY_RULE = {
     "failures", "largest", "compensates", "order", "explicit", "symmetric", "offered", "own_steps", "known_to",
-    "fractions", "restored", "with_compensation", "tangent_by", "took_newton", "finer", "settled", "properties", "work",
+    "fractions", "restored", "tangent_by", "finer", "properties", "work",
 }  # fmt: skip
-BY_NUMBERS = {"step", "tangent", "tangent_on", "tangent_loop", "formal_step", "loop", "compiled", "program", "swept"}
+BY_NUMBERS = {"step", "tangent", "tangent_loop", "formal_step", "loop", "compiled", "program", "expanded"}
 DIFFERENT = {
     "instead": "names what to compose in place of a base; a wrapper is composed inside",
     "tables_of_any_step": "tables of a wrapper are made for each step anew",
     "symmetrized": "a wrapper is symmetrized inside",
     "composed": "tests/methods/test_composition.py",
     "reaching": "a wrapper has no tolerance of its own",
-    "look_ahead": "changes no number",
     "examples": "belongs to the class",
 }
 
 
 def test_every_member_of_the_protocol_is_compared_or_listed():
-    public = {name for name in vars(Method) if not name.startswith("_")}
+    kinds = (Method, CompiledTangents, VariedTangents, PowerSeries, OwnSteps, Composable, RestoresInvariants)
+    public = {name for kind in kinds for name in vars(kind) if not name.startswith("_")}
     assert public == BY_RULE | BY_NUMBERS | DIFFERENT.keys()
 
 
 def expected(wrapper: type[Method], base: Method) -> dict[str, Any]:
     """Return the members of a wrapped base that are no functions."""
-    same = ("failures", "largest", "compensates", "order", "explicit", "symmetric", "own_steps", "known_to")
+    same = ("failures", "largest", "compensates", "order", "explicit", "symmetric", "own_steps")
     found = {name: getattr(base, name) for name in same}
+    series = base.expanded if isinstance(base.expanded, PowerSeries) else None
+    if series is not None:
+        found["known_to"] = series.known_to
     found |= {"fractions": (1.0,), "offered": False}
     even = base.order + base.order % 2
     if wrapper in (co.Composition, ComposedFlows, Substeps):
         fractions = EXACT if wrapper is ComposedFlows else ROUNDED
         own = 0.0 if all(map(is_short, fractions)) else UNIT_ROUNDOFF
         found["fractions"] = tuple(outer * inner for outer in fractions for inner in base.fractions)
-        found |= {"known_to": max(own, base.known_to), "offered": wrapper is co.Composition}
+        found["offered"] = wrapper is co.Composition
+        if series is not None:
+            found["known_to"] = max(own, series.known_to)
     elif wrapper is PairOfFlows:
         found |= {"order": even, "symmetric": True}
     elif wrapper is PairOfTableaux:
         # Collocation is exact as a polynomial; the pair has a tableau, whose roots are rounded to many digits.
         found |= {"order": even, "symmetric": True, "explicit": False, "known_to": base._rational[1]}
     elif wrapper is co.Projected:
-        found |= {"explicit": False, "symmetric": False, "compensates": False, "known_to": 0.0, "own_steps": False}
+        found |= {"explicit": False, "symmetric": False, "compensates": False, "own_steps": False}
         found |= {"offered": True}
     elif wrapper is co.ReversibleSteps:
         no_step = {"UNDEFINED": co.methods.reversible_steps.NO_STEP_MESSAGE}
-        found |= {"failures": no_step | dict(base.failures), "own_steps": True, "known_to": 0.0, "offered": True}
+        found |= {"failures": no_step | dict(base.failures), "own_steps": True, "offered": True}
         found |= {"symmetric": False, "compensates": False}
     elif wrapper is Forced:
-        found |= {"order": min(2, base.order), "compensates": False, "known_to": 0.0, "own_steps": False}
-        found |= {"largest": np.inf}  # it is made by runs, after a scheme was chosen
+        found |= {"order": min(2, base.order), "compensates": False, "own_steps": False}
+    if wrapper in (co.Projected, co.ReversibleSteps, Forced):
+        found.pop("known_to", None)  # their steps are no power series
     return found
 
 
@@ -168,6 +184,7 @@ def test_what_a_wrapper_says_of_itself_follows_from_the_base(wrapper, name):
     scheme = BUILT[wrapper](base)
     wanted = expected(wrapper, base)
     assert {key: getattr(scheme, key) for key in wanted} == wanted
+    assert hasattr(scheme, "known_to") == (wrapper not in (co.Projected, co.ReversibleSteps, Forced))
 
 
 @cache
@@ -257,37 +274,36 @@ def test_what_depends_on_a_system_follows_from_the_base(wrapper, name):
     own = system.with_forces(DAMPED[0]) if wrapper is Forced else system
     if served(scheme, own) is None:
         return
-    restored = scheme.restored(own)
+    invariants = restored(scheme, own)
     if wrapper in (co.Composition, ComposedFlows, Substeps):
-        assert restored == base.restored(system)
+        assert invariants == restored(base, system)
     elif wrapper is co.Projected:
-        assert restored == polynomial_casimirs(system)
+        assert invariants == polynomial_casimirs(system)
     else:
-        assert restored is None
+        assert invariants is None
     for memory in (np.zeros((2, 6)), np.ones((2, 6)), np.eye(6)[1:3]):
         if wrapper in (co.Composition, Substeps):
-            assert scheme.took_newton(memory) == base.took_newton(memory)
+            assert took_newton(scheme, memory) == took_newton(base, memory)
         elif wrapper is PairOfTableaux:
-            assert scheme.took_newton(memory) == bool(memory[:, 0].any())
+            assert took_newton(scheme, memory) == bool(memory[:, 0].any())
         else:
-            assert not scheme.took_newton(memory), "each step of the base begins anew, or there are no iterations"
-    better = scheme.with_compensation()
+            assert not took_newton(scheme, memory), "each step of the base begins anew, or there are no iterations"
+    better = with_compensation(scheme)
     if wrapper in (co.Composition, ComposedFlows, PairOfFlows):
-        inner = base.with_compensation()
+        inner = with_compensation(base)
         assert better == (None if inner is None else dataclasses.replace(scheme, base=inner))
     else:
         assert better is None
     coordinates = [0, system.dim - 1]
     try:
-        settled = base.settled(system, coordinates)
+        fixed = settled(base, system, coordinates)
     except TypeError:
         with pytest.raises(TypeError):
-            scheme.settled(system, coordinates)
+            settled(scheme, system, coordinates)
     else:
-        kept = wrapper in (Forced, PairOfTableaux)  # inputs settle a base before the forces; a tableau has no choice
-        assert scheme.settled(system, coordinates) == (scheme if kept else dataclasses.replace(scheme, base=settled))
+        assert settled(scheme, system, coordinates) == dataclasses.replace(scheme, base=fixed)
     for steps, times in ((7, 1.5), (400, 3.5)):
-        finer = scheme.finer(steps, times)
+        finer = finer_run(scheme, steps, times)
         if wrapper is co.ReversibleSteps:
             assert finer.method == co.ReversibleSteps(base, STRIDE / times)
             assert finer.steps >= steps and finer.left == pytest.approx(times**-scheme.order, rel=1e-12)
@@ -314,7 +330,7 @@ def test_work_is_that_of_the_base_as_often_as_it_is_taken(wrapper, name):
     elif wrapper is co.Projected:
         # A way back to each invariant: of energy and Casimirs, at least a quarter of a rotation for each.
         back = found.cost(rounds, evaluations) - cost
-        assert 0.25 * (1 + len(scheme.restored(system))) <= back <= 4.0 * (1 + len(scheme.restored(system)))
+        assert 0.25 * (1 + len(restored(scheme, system))) <= back <= 4.0 * (1 + len(restored(scheme, system)))
     else:
         # Neighbouring flows are merged, and a fixed part of a step is counted once.
         times = 2 if wrapper in (PairOfFlows, PairOfTableaux) else 3
@@ -324,7 +340,7 @@ def test_work_is_that_of_the_base_as_often_as_it_is_taken(wrapper, name):
         assert found.in_a_crowd == one.in_a_crowd
         assert (found.compensated is None) == (one.compensated is None)
         if found.compensated is not None:
-            assert found.compensated().cost(1.0, 1.0) == scheme.with_compensation().work(system).cost(1.0, 1.0)
+            assert found.compensated().cost(1.0, 1.0) == with_compensation(scheme).work(system).cost(1.0, 1.0)
 
 
 WHOLE = [b for b, base in bases().items() if base.symmetric]
@@ -347,9 +363,9 @@ def test_a_composition_of_one_whole_step_is_the_base_to_the_bit(name):
     size = np.abs(base.tangent(system, x0, 0.5, H)[1]).max() * np.abs(vectors).max()
     bound = 64 * len(x0) * UNIT_ROUNDOFF * size  # products of matrices in another order
     for method in (scheme, base):
-        along = method.tangent_on(system, x0, 0.5, H, vectors)
+        along = _carried(method, system, x0, 0.5, H, vectors)
         np.testing.assert_allclose(along, base.tangent(system, x0, 0.5, H)[1] @ vectors, rtol=0, atol=bound)
-    assert scheme.tangent_by(system, x0, 0.5, H) == base.tangent_by(system, x0, 0.5, H)
+    assert tangent_by(scheme, system, x0, 0.5, H) == tangent_by(base, system, x0, 0.5, H)
     attitude = False if base.properties(system).attitude == "none" else "coadjoint"
     runs = [co.integrate(system, x0, (0.5, 2.0), H, each, attitude=attitude) for each in (scheme, base)]
     for part in ("x", "energy", "attitude"):
@@ -361,17 +377,17 @@ def test_a_composition_of_one_whole_step_is_the_base_to_the_bit(name):
         runs[1].stats.iterations,
     )
     frame = Frame(np.eye(system.dim)[:2].copy(), 4)
-    assert (scheme.tangent_loop(system, H, frame) is None) == (base.tangent_loop(system, H, frame) is None)
+    assert (tangent_loop(scheme, system, H, frame) is None) == (tangent_loop(base, system, H, frame) is None)
     try:
         wanted_program = base.program(system)
     except TypeError:
-        for ask in (scheme.swept, lambda: scheme.program(system)):
+        for ask in (lambda: flows_of(scheme), lambda: scheme.program(system)):
             with pytest.raises(TypeError):
                 ask()
     else:
         for found, wanted in zip(scheme.program(system).rows, wanted_program.rows, strict=True):
             same(found, wanted)
-        assert list(scheme.swept().sweeps()) == list(base.swept().sweeps())
+        assert list(flows_of(scheme).sweeps()) == list(flows_of(base).sweeps())
 
 
 @pytest.mark.parametrize("name", WHOLE)
@@ -385,32 +401,41 @@ def test_a_composition_is_its_substeps(name):
         y, own = base.tangent(system, x, t, fraction * H)
         x, P, t = y, own @ P, t + fraction * H
     size = np.abs(x0).max()
-    tolerance = 1e-13 if base.tangent_by(system, x0, 0.5, H) != "differences" else 1e-7
+    tolerance = 1e-13 if tangent_by(base, system, x0, 0.5, H) != "differences" else 1e-7
     np.testing.assert_allclose(scheme.step(system, np.asarray(x0), 0.5, H), x, rtol=0, atol=1e-13 * size)
     np.testing.assert_allclose(scheme.tangent(system, np.asarray(x0), 0.5, H)[1], P, rtol=0, atol=tolerance)
 
 
+@dataclasses.dataclass(frozen=True)
+class Varied(co.GaussLegendre, VariedTangents):
+    """A scheme whose derivative is computed in a given way."""
+
+    way: str = ""
+    offered: ClassVar[bool] = False
+
+    def tangent_by(self, system, x, t, h):
+        return self.way
+
+
 @pytest.mark.parametrize("way", TANGENT_METHODS)
-def test_the_least_exact_factor_names_the_derivative_of_a_forced_step(way, monkeypatch):
+def test_the_least_exact_factor_names_the_derivative_of_a_forced_step(way):
     system, x0, _ = cases()["so(3), diagonal"]
-    base = co.GaussLegendre(2)
-    monkeypatch.setattr(co.GaussLegendre, "tangent_by", lambda *given: way)
+    base = Varied(2, way=way)
     forced = system.with_forces(DAMPED[0])
-    own = Forced(base).tangent_by(forced, x0, 0.0, H)
+    own = tangent_by(Forced(base), forced, x0, 0.0, H)
     force = co.methods.forced.Forced(base)._with_tangent(forced, x0, 0.0, H)[2]
     assert TANGENT_METHODS.index(own) == max(map(TANGENT_METHODS.index, force)) >= TANGENT_METHODS.index(way)
 
 
 @pytest.mark.parametrize("wrapper", [co.Projected, co.ReversibleSteps])
 @pytest.mark.parametrize("way", TANGENT_METHODS)
-def test_how_a_derivative_is_found_passes_through(wrapper, way, monkeypatch):
+def test_how_a_derivative_is_found_passes_through(wrapper, way):
     system, x0, _ = cases()["so(3), diagonal"]
-    monkeypatch.setattr(co.GaussLegendre, "tangent_by", lambda *given: way)
-    base = co.GaussLegendre(2)
-    found = BUILT[wrapper](base).tangent_by(system, x0, 0.0, H)
+    base = Varied(2, way=way)
+    found = tangent_by(BUILT[wrapper](base), system, x0, 0.0, H)
     # Reversible steps have lengths that depend on the state; of iterated stages no complex step can be taken.
     assert found == (way if wrapper is co.Projected else "differences")
-    assert co.Composition(base, EXACT).tangent_by(system, x0, 0.0, H) == way
+    assert tangent_by(co.Composition(base, EXACT), system, x0, 0.0, H) == way
 
 
 @pytest.mark.parametrize("name", [b for b, base in bases().items() if not base.own_steps])

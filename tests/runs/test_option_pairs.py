@@ -39,13 +39,13 @@ def test_options_of_choices(monkeypatch, world):
     """An attitude costs more, given schemes are used, processed schemes are candidates."""
     system, x0 = WORLDS[world].systems[0], WORLDS[world].x0[:2]
     assert optional(co.choose, "system", "x0", "t_span", "accuracy") == set(CHOICES)
-    among, fits = [], accuracy._fit_candidates
+    among, fits = [], accuracy._first_trials
 
     def recorded(pilot, candidates, wanted):
         among[:] = [one.method for one in candidates]
         return fits(pilot, candidates, wanted)
 
-    monkeypatch.setattr(accuracy, "_fit_candidates", recorded)
+    monkeypatch.setattr(accuracy, "_first_trials", recorded)
 
     def chosen(names):
         return co.choose(system, x0, (0.0, 5.0), 1e-4, **{name: CHOICES[name] for name in names})

@@ -9,6 +9,7 @@ import numpy as np
 import coadjoint as co
 from coadjoint.kernels.tangents import Frame, stretch_logarithms, vectors_in
 from coadjoint.methods.protocol.flow_method import FlowMethod
+from coadjoint.methods.protocol.tangents import tangent_loop
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.run import Run
@@ -21,7 +22,7 @@ NEVER = 2**40
 
 def run_with(system: Any, method: Any, x0: Any, times: Times, vectors: np.ndarray, every: int = NEVER) -> Run:
     """Run the given number of steps with these tangent vectors (k, n)."""
-    loop = method.tangent_loop(system, times.h, Frame(vectors, every))
+    loop = tangent_loop(method, system, times.h, Frame(vectors, every))
     run = Run(
         system,
         method,

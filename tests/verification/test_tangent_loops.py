@@ -11,6 +11,7 @@ import pytest
 import coadjoint as co
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.tangents import Frame
+from coadjoint.methods.protocol.tangents import tangent_loop
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import start_of
@@ -79,7 +80,7 @@ def test_tangents_of_every_scheme_and_system(scheme, case):
 def test_schemes_with_tangent_loops():
     for name, method in schemes().items():
         system = witnesses(method, "e(3), heavy top")[0].system
-        loop = method.tangent_loop(system, 0.1, Frame(np.eye(system.dim), 1))
+        loop = tangent_loop(method, system, 0.1, Frame(np.eye(system.dim), 1))
         assert (loop is not None) == has_loop(method), name
 
 
@@ -206,7 +207,7 @@ def test_run_with_tangents_resumes_from_its_state(scheme):
     """Also between two orthonormalizations."""
     method, (system, x0, _) = schemes()[scheme], all_cases()["e(3), heavy top"]
     times, crowd = Times(0.25, 0.1, 12, 12).with_saved_steps([12]), x0 * np.linspace(0.9, 1.1, 4)[:, None]
-    loop = method.tangent_loop(system, 0.1, Frame(np.eye(6)[::-1].copy(), 5))
+    loop = tangent_loop(method, system, 0.1, Frame(np.eye(6)[::-1].copy(), 5))
     loops, start = energy_loops([system], method, 0.1, [loop]), start_of(system, method, crowd, False)
     whole = Run(system, method, loops, times, start, False)
     whole.advance()

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.protocol.own_steps import FinerRun, OwnSteps
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution
@@ -22,6 +24,8 @@ ROUNDOFF_FACTOR = 16.0
 MAX_SAVED_POINTS = 256
 WHOLE_STEP_TOLERANCE = 2.0**-40  # relative tolerance for a whole number of steps
 MAX_SAVED_NUMBERS = 2**22
+# With fewer steps the error may not scale with the order; a finer run takes at least this many more.
+FEW_STEPS = 20
 
 
 def error_at_end(solution: Solution) -> NDArray[np.float64]:
@@ -58,6 +62,18 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
     return np.maximum(np.sqrt(squares / np.maximum(counts, 1)), UNIT_ROUNDOFF)
 
 
+def finer_run(method: Method, steps: int, times: float) -> FinerRun:
+    """Return the scheme and number of steps of a more accurate run than one of `steps` >= 1 steps.
+
+    The number of steps grows by the factor `times`; if the scheme chooses its own steps, they shrink by it. Its `left`
+    is the remaining fraction of the error according to the order.
+    """
+    if method.own_steps and isinstance(method, OwnSteps):
+        return method.finer(steps, times)
+    count = math.ceil(times * (steps + FEW_STEPS))
+    return FinerRun(method, count, (steps / count) ** method.order)
+
+
 def _distances(
     solution: Solution,
     starts: NDArray[np.float64],
@@ -67,7 +83,7 @@ def _distances(
     refinement: float,
 ) -> NDArray[np.float64]:
     """Return the relative distances of end states from those of a finer run, corrected for the error of that run."""
-    finer = solution.method.finer(steps, refinement)
+    finer = finer_run(solution.method, steps, refinement)
     points = max(2, min(MAX_SAVED_POINTS, MAX_SAVED_NUMBERS // starts.shape[1]))
     every = -(-finer.steps // points)
     plan = Times(solution.t_span[0], time / finer.steps, finer.steps, every)

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.numerics.short_orbit import MIN_STEPS, RELATIVE_STEP, STEPS, orbit_overflow_error, rate_at
+from coadjoint.methods.suggested_scheme import reference_scheme
 from coadjoint.runs.integrate import integrate
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
@@ -22,7 +22,7 @@ def short_motion(system: LiePoissonSystem, start: Floats, count: int = STEPS) ->
     rate = rate_at(system, start)
     spacing = RELATIVE_STEP / rate
     try:
-        states = integrate(system, start, (0.0, count * spacing), spacing, GaussLegendre(3), watch=False).x
+        states = integrate(system, start, (0.0, count * spacing), spacing, reference_scheme(6), watch=False).x
     except IntegrationError as error:
         if error.partial is None or len(error.partial.x) <= MIN_STEPS:
             raise orbit_overflow_error(start, spacing) from None

@@ -1,4 +1,16 @@
-"""Choice of a scheme and a step for a given accuracy, by trial runs and counted work, without timing."""
+"""Choice of a scheme and a step for a given accuracy, by trial runs and counted work, without timing.
+
+`_choose` takes these steps in order; one that leaves no scheme raises an error that names a remedy.
+
+1. Candidates: the given schemes, or those that `candidate_schemes` offers and that support system and attitude.
+2. Pilot: a reference over a window at the start of the motion of at most four members, and its rounding.
+3. Rounding of every scheme: no accuracy is reached if it grows to half the size of the motion.
+4. First trials: schemes that choose their own steps run once over the window, which limits the cost of all others.
+5. Constant steps: fitted by trials, cheapest prediction first; schemes that are predicted to be too expensive are not.
+6. Own steps: tolerances are fitted, at most to the lowest cost so far.
+7. Rounding of each fit: summed with compensation if that is needed and allowed; fits that round too much are dropped.
+8. Confirmation: the cheapest fit is run over the window again and corrected, until it remains the cheapest.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +29,12 @@ from coadjoint.choosing.member_sample import sample_of
 from coadjoint.choosing.pilot import Pilot
 from coadjoint.choosing.roundoff import least_roundoff
 from coadjoint.choosing.tolerances import extrapolated_fit, first_tolerance_trial, fit_of_tolerance
+from coadjoint.choosing.unreached import below_rounding, none_reached, too_expensive
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
-from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
-from coadjoint.methods.splitting import Splitting
-from coadjoint.methods.taylor import Taylor
+from coadjoint.methods.suggested_scheme import candidate_schemes, reference_scheme
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import span_of
 from coadjoint.short_repr import short
@@ -41,15 +52,7 @@ TRIAL_COST_FACTOR = 1.5
 # Smallest target of the error, which is used as a divisor.
 MIN_GOAL = 2.0**-1000
 
-
-# The first two series with a constant step predict the cost of the others; for other kinds the first scheme does.
-SCHEMES: tuple[Method, ...] = (
-    Taylor(tolerance=1e-9),
-    *(Taylor(p) for p in (16, 8, 20, 12, 24, 14, 10, 6)),
-    *(GaussLegendre(s) for s in (8, 6, 12, 10, 4, 3, 2)),
-    *(Splitting(order=p) for p in (10, 8, 6, 4, 2)),
-)
-PROCESSED: tuple[Method, ...] = tuple(Splitting(scheme=f"blanes_casas_murua{p}") for p in (10, 8, 6))
+FirstTrials = list[tuple[Candidate, Fit | None]]
 
 
 @dataclass(frozen=True)
@@ -184,24 +187,17 @@ def _choose(
     system: System, x0: Any, span: tuple[float, float], wanted: float, attitude: Any, methods: Any, processed: bool
 ) -> Choice:
     t0, t1 = span
-    momenta = start_of(system, GaussLegendre(2), x0, False).momenta
-    candidates = supported_candidates(
-        system, _schemes(methods, processed, system.dim), x0, attitude, strict=methods is not None
-    )
+    momenta = start_of(system, reference_scheme(4), x0, False).momenta
+    schemes = _schemes(methods, processed, system.dim)
+    candidates = supported_candidates(system, schemes, x0, attitude, strict=methods is not None)
     if t0 == t1:
         return Choice(candidates[0].method, 1.0, wanted, 0.0, 0.0, 0.0)
     pilot = Pilot(system, sample_of(system, momenta, t0, t1 - t0), t0, t1 - t0, wanted)
-    if least_roundoff(pilot) >= ROUNDING_SHARE:
-        raise _no_accuracy_error(candidates, abs(t1 - t0))
-    fits = _fit_candidates(pilot, candidates, wanted)
-    if not fits:
-        raise ValueError(
-            f"no step of {_scheme_text(candidates)} reaches the accuracy {wanted:g} over the time {abs(t1 - t0):g} at "
-            "an acceptable cost; ask for a larger error, or for a shorter time"
-        )
-    accurate = [adjusted for each in fits if (adjusted := _with_acceptable_roundoff(each, wanted)) is not None]
-    if not accurate:
-        raise _unreachable_error(fits, candidates, wanted, abs(t1 - t0))
+    _check_rounding(pilot, candidates)
+    first_trials = _first_trials(pilot, candidates, wanted)
+    fits = _fits_of_constant_steps(pilot, candidates, wanted, first_trials)
+    fits += _fits_of_own_steps(pilot, wanted, first_trials, fits)
+    accurate = _fits_with_acceptable_roundoff(pilot, candidates, wanted, fits)
     best, *others = _confirmed_cheapest(accurate, wanted)
     return replace(_choice_of_fit(best, wanted), others=tuple(_choice_of_fit(each, wanted) for each in others))
 
@@ -215,8 +211,7 @@ def _read_accuracy(accuracy: Any) -> float:
 
 def _schemes(methods: Any, processed: bool, dim: int) -> tuple[Method, ...]:
     if methods is None:
-        default_schemes = (*SCHEMES, *PROCESSED) if processed else SCHEMES
-        return tuple(each for each in default_schemes if dim <= each.largest)
+        return tuple(each for each in candidate_schemes(processed) if dim <= each.largest)
     rule = "it must be one or more schemes such as Splitting(order=4)"
     single = isinstance(methods, Method | str | Mapping)
     schemes = tuple(
@@ -236,33 +231,39 @@ def _target_error(candidate: Candidate, wanted: float) -> float:
     return max(wanted / (SAFETY_FACTOR * max(1.0, candidate.method.order / MODERATE_ORDER) ** 2), MIN_GOAL)
 
 
-def _fit_candidates(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[Fit]:
-    """Fit the schemes that may be the best; those with variable steps get a first trial, and are fitted last."""
-    least = least_roundoff(pilot)
+def _check_rounding(pilot: Pilot, candidates: Sequence[Candidate]) -> None:
+    """Raise ValueError if the rounding error of every scheme reaches half the size of the motion."""
+    if least_roundoff(pilot) >= ROUNDING_SHARE:
+        raise none_reached(candidates, abs(pilot.span))
+
+
+def _first_trials(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> FirstTrials:
+    """Return the schemes that choose their own steps, each with a first trial; None if it fails."""
+    return [
+        (each, first_tolerance_trial(pilot, each, _target_error(each, wanted)))
+        for each in candidates
+        if each.method.own_steps
+    ]
+
+
+def _fits_of_constant_steps(
+    pilot: Pilot,
+    candidates: Sequence[Candidate],
+    wanted: float,
+    first_trials: FirstTrials,
+) -> list[Fit]:
+    """Fit the schemes with constant steps that may be the best."""
     goal_of = partial(_target_error, wanted=wanted)
-    pending = [each for each in candidates if not each.method.own_steps]
-    first_trials = [
-        (each, first_tolerance_trial(pilot, each, goal_of(each))) for each in candidates if each.method.own_steps
-    ]
-    extrapolated = [
-        extrapolated_fit(first_trial, goal_of(each)) for each, first_trial in first_trials if first_trial is not None
-    ]
-    cheapest = min(extrapolated, key=lambda first_trial: first_trial.cost, default=None)
-    predictor = StepPredictor(goal_of, cheapest)
+    extrapolated = [extrapolated_fit(trial, goal_of(each)) for each, trial in first_trials if trial is not None]
+    cheapest = min(extrapolated, key=lambda trial: trial.cost, default=None)
     # The first trial is not exact.
     variable_step_cost = math.inf if cheapest is None else TRIAL_COST_FACTOR * cheapest.cost
-    fits = list[Fit]()
-
-    def lowest_cost() -> float:
-        """Return the least cost among fits with acceptable rounding."""
-        return min(
-            (each.cost for each in fits if _with_acceptable_roundoff(each, wanted) is not None), default=math.inf
-        )
-
+    predictor, least = StepPredictor(goal_of, cheapest), least_roundoff(pilot)
+    pending, fits = [each for each in candidates if not each.method.own_steps], list[Fit]()
     while pending:
         candidate = pending.pop(0)
         # Fits with too much rounding do not exclude other schemes, but limit the cost of their trials.
-        if predictor.cost_lower_bound(candidate) > min(variable_step_cost, lowest_cost()):
+        if predictor.cost_lower_bound(candidate) > min(variable_step_cost, _lowest_cost(fits, wanted)):
             continue
         limit = min([variable_step_cost, *(each.cost for each in fits)])
         result = fit(pilot, candidate, goal_of(candidate), limit, predictor.predict_steps(candidate))
@@ -275,11 +276,39 @@ def _fit_candidates(pilot: Pilot, candidates: Sequence[Candidate], wanted: float
             if ROUNDING_SHARE * wanted < result.roundoff <= least:
                 # All other schemes have as much rounding.
                 break
-    for candidate, first_trial in first_trials:
-        result = fit_of_tolerance(pilot, candidate, goal_of(candidate), lowest_cost(), first_trial)
-        if result is not None:
-            fits.append(result)
     return fits
+
+
+def _fits_of_own_steps(pilot: Pilot, wanted: float, first_trials: FirstTrials, fits: Sequence[Fit]) -> list[Fit]:
+    """Fit the tolerances of the schemes that choose their own steps; `fits` are those of constant steps."""
+    found = list[Fit]()
+    for candidate, trial in first_trials:
+        limit = _lowest_cost([*fits, *found], wanted)
+        result = fit_of_tolerance(pilot, candidate, _target_error(candidate, wanted), limit, trial)
+        if result is not None:
+            found.append(result)
+    return found
+
+
+def _lowest_cost(fits: Sequence[Fit], wanted: float) -> float:
+    """Return the least cost among fits with acceptable rounding."""
+    return min((each.cost for each in fits if _with_acceptable_roundoff(each, wanted) is not None), default=math.inf)
+
+
+def _fits_with_acceptable_roundoff(
+    pilot: Pilot, candidates: Sequence[Candidate], wanted: float, fits: Sequence[Fit]
+) -> list[Fit]:
+    """Return the fits with acceptable rounding; raise ValueError if there are none."""
+    time = abs(pilot.span)
+    if not fits:
+        raise too_expensive(candidates, wanted, time)
+    accurate = [adjusted for each in fits if (adjusted := _with_acceptable_roundoff(each, wanted)) is not None]
+    if not accurate:
+        compensated = [(each, each.candidate.compensated()) for each in fits]
+        adjusted_fits = [replace(each, candidate=candidate) for each, candidate in compensated if candidate is not None]
+        reachable = min(each.roundoff for each in (*fits, *adjusted_fits)) / ROUNDING_SHARE
+        raise below_rounding(candidates, wanted, time, reachable)
+    return accurate
 
 
 def _confirmed_cheapest(accurate: Sequence[Fit], wanted: float) -> list[Fit]:
@@ -302,37 +331,6 @@ def _with_acceptable_roundoff(fitted: Fit, wanted: float) -> Fit | None:
         return None
     adjusted = replace(fitted, candidate=compensated)
     return adjusted if adjusted.roundoff <= ROUNDING_SHARE * wanted else None
-
-
-def _unreachable_error(fits: Sequence[Fit], candidates: Sequence[Candidate], wanted: float, time: float) -> ValueError:
-    all_fits = [
-        *fits,
-        *(replace(each, candidate=c) for each in fits if (c := each.candidate.compensated()) is not None),
-    ]
-    reachable = min(each.roundoff for each in all_fits) / ROUNDING_SHARE
-    if not reachable < 1.0:
-        return _no_accuracy_error(candidates, time)
-    return ValueError(
-        f"accuracy {wanted:g} is below what float64 reaches with {_scheme_text(candidates)} over the time {time:g}; "
-        f"with rounding, {_rounded_up(reachable)} is the least; ask for that, or for a shorter time"
-    )
-
-
-def _no_accuracy_error(candidates: Sequence[Candidate], time: float) -> ValueError:
-    return ValueError(
-        f"no accuracy is reached in float64 with {_scheme_text(candidates)} over the time {time:g}: small changes "
-        "of the initial state grow to the size of the motion; take a shorter time"
-    )
-
-
-def _rounded_up(value: float) -> str:
-    """Format a number with two digits, rounded up."""
-    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return f"{math.ceil(value / unit) * unit:.1e}"
-
-
-def _scheme_text(candidates: Sequence[Candidate]) -> str:
-    return str(candidates[0].method) if len(candidates) == 1 else "any scheme"
 
 
 def _choice_of_fit(fitted: Fit, wanted: float) -> Choice:

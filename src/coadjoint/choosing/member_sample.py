@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.choosing.pilot import short_run
-from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.suggested_scheme import reference_scheme
 from coadjoint.systems.system_checks import System
 
 # Number of members in a pilot, and of the members from which they are selected.
 SAMPLE_SIZE = 4
 MAX_SCREENED = 256
-SCREENING_SCHEME = GaussLegendre(2)
+SCREENING_SCHEME = reference_scheme(4)
 # Steps in the time in which the fastest member moves by its own size, and their total number.
 STEPS_PER_SIZE = 8
 SCREENING_STEPS = 128

@@ -10,15 +10,16 @@ from numpy.typing import NDArray
 
 from coadjoint.choosing.system_cache import loops_of
 from coadjoint.long_operations import note_progress
-from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.protocol.newton import took_newton
+from coadjoint.methods.suggested_scheme import reference_scheme
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import with_group
 from coadjoint.runs.times import Times
 from coadjoint.systems.system_checks import System
 
-REFERENCE = GaussLegendre(8)
+REFERENCE = reference_scheme(16)
 # Points of a window at which errors are measured; many divisors, so that runs of any number of steps share some.
 POINTS = 240
 # Largest number of refinements of the reference; relative changes above UNCONVERGED_CHANGE that stop decreasing
@@ -163,7 +164,7 @@ class Pilot:
             return None
         step_count = steps * len(self.momenta)
         iterations, evaluations = int(run.state["iterations"].sum()), int(run.state["evaluations"].sum())
-        newton = method.took_newton(run.state["memory"])
+        newton = took_newton(method, run.state["memory"])
         return Trial(steps, self.growth_of(run.saved["x"]), iterations / step_count, evaluations / step_count, newton)
 
     def growth_of(self, states: NDArray[np.float64], motion: NDArray[np.float64] | None = None) -> Growth:

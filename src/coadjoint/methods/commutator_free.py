@@ -15,6 +15,7 @@ from coadjoint.methods.numerics.orbits import MatrixOrbit, VectorOrbit, orbit_of
 from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.tangents import VariedTangents
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system_checks import System
@@ -66,7 +67,7 @@ SCHEMES = {
 
 
 @dataclass(frozen=True)
-class CommutatorFree(CompiledStepMethod):
+class CommutatorFree(CompiledStepMethod, VariedTangents):
     """Commutator-free Lie group method: explicit, stays on the coadjoint orbit, keeps every Casimir; no Poisson map.
 
     A step transforms the momentum by exponentials ``exp(h sign D_k)``, each k a combination of gradients of H at stages

@@ -7,23 +7,18 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.protocol.composed import Composed
+from coadjoint.methods.protocol.composing import Composable, composed
 from coadjoint.methods.protocol.method import Method, Representation, check_base
-from coadjoint.program.numbers import Number
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.system_checks import System
 from coadjoint.validation import read_finite
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.kernels.tangents import Frame
-    from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
-    from coadjoint.program.sweeps import Swept
-    from coadjoint.program.table import Program
 
 LARGEST_SUM = 1000.0
 MOST_SUBSTEPS = 1000
@@ -31,7 +26,7 @@ CUBE_ROOT_OF_2 = 1.2599210498948732  # literal, since ** calls pow of the C libr
 
 
 @dataclass(frozen=True)
-class Composition(Composed):
+class Composition(Composed, Composable):
     """One step of the base at each fraction c_1 h, c_2 h, ... of the step: a higher order from a symmetric base.
 
     Choose it for your own coefficients, or for a base other than `Splitting`, such as `GaussLegendre`. A composition
@@ -82,7 +77,7 @@ class Composition(Composed):
     @cached_property
     def expanded(self) -> Method:
         """The composition in the form of the family of the base: one table of flows, or substeps."""
-        return self.base.composed(self.coefficients)
+        return composed(self.base, self.coefficients)
 
     @property
     def innermost(self) -> Method:
@@ -91,47 +86,20 @@ class Composition(Composed):
 
     def composed(self, coefficients: Sequence[float]) -> Method:
         """Return the composition of this composition."""
-        return self.expanded.composed(coefficients)
-
-    def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
-        return self.expanded.program(system, group=group, number=number)
-
-    def swept(self) -> Swept:
-        return self.expanded.swept()
+        return composed(self.expanded, coefficients)
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop of the base, composed."""
         return self.expanded.compiled(system, h, representation)
 
-    def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
-        return self.expanded.tangent_loop(system, h, frame)
-
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
         return self.expanded.step(system, x, t, h)
-
-    def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
-        return self.expanded.formal_step(system, x, h)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         return self.expanded.tangent(system, x, t, h)
 
-    def tangent_on(self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]) -> NDArray[Any]:
-        return self.expanded.tangent_on(system, x, t, h, vectors)
-
-    def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
-        """Return the way of the base."""
-        return self.base.tangent_by(system, x, t, h)
-
     def work(self, system: System, group: Representation = None) -> Work:
         return self.expanded.work(system, group)
-
-    def took_newton(self, memory: NDArray[np.float64]) -> bool:
-        """Return whether the base needed Newton's method."""
-        return self.expanded.took_newton(memory)
-
-    def look_ahead(self, systems: Sequence[System]) -> None:
-        """Prepare the base for many systems."""
-        self.base.look_ahead(systems)
 
     @classmethod
     def examples(cls) -> Sequence[Method]:

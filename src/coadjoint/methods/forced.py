@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +10,8 @@ from numpy.typing import NDArray
 
 from coadjoint.methods.protocol.method import Method, Representation, check_base, declared_properties
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.tangents import tangent_by
+from coadjoint.methods.protocol.wrapper import Wrapper
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
@@ -55,7 +56,7 @@ def check_direction(system: Any, h: float) -> None:
 
 
 @dataclass(frozen=True)
-class Forced(Method):
+class Forced(Wrapper):
     """A scheme for a system with forces, as a symmetric splitting: order two, or one if the scheme has order one.
 
     A step consists of the half flows of the forces in their order, a step of the base for the Hamiltonian part, and the
@@ -95,21 +96,6 @@ class Forced(Method):
     def order(self) -> int:
         """At most two, the order of the symmetric splitting."""
         return min(2, self.base.order)
-
-    @property
-    def explicit(self) -> bool:
-        """As for the base; damping along orbits still iterates."""
-        return self.base.explicit
-
-    @property
-    def symmetric(self) -> bool:
-        """As for the base."""
-        return self.base.symmetric
-
-    @property
-    def failures(self) -> Mapping[str, str]:  # type: ignore[override]
-        """Those of the base."""
-        return self.base.failures
 
     def properties(self, system: Any) -> Properties:
         """Return the properties of the base on the Hamiltonian part, without those that the forces break."""
@@ -165,7 +151,7 @@ class Forced(Method):
 
         for force in system.forces:
             chain_tangent(force, t)
-        by.append(self.base.tangent_by(plain, y, t, h))
+        by.append(tangent_by(self.base, plain, y, t, h))
         y, derivative = self.base.tangent(plain, y, t, h)
         P = derivative @ P
         for force in reversed(system.forces):
@@ -175,7 +161,3 @@ class Forced(Method):
     def work(self, system: Any, group: Representation = None) -> Work:
         """Return the work of the base; forces are not counted."""
         return self.base.work(system.system, group)
-
-    def look_ahead(self, systems: Sequence[Any]) -> None:
-        """Prepare the base for many systems."""
-        self.base.look_ahead([system.system for system in systems])

@@ -19,6 +19,7 @@ from coadjoint.methods.numerics.isospectral_stages import (
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.stepped_method import SteppedMethod
+from coadjoint.methods.protocol.tangents import VariedTangents
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
@@ -33,7 +34,7 @@ MOST_STAGES = 8
 
 
 @dataclass(frozen=True)
-class IsospectralGauss(SteppedMethod):
+class IsospectralGauss(SteppedMethod, VariedTangents):
     """Isospectral Gauss methods for matrices: Poisson maps that keep the whole spectrum; implicit, of order 2 s.
 
     ``V_i = 1 + h sum_j a_ij P_j V_j``, ``U_i = 1 - h sum_j a_ij U_j P_j``, ``M_i = V_i W U_i``, ``P_i = stream(M_i)``,

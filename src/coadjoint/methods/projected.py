@@ -16,9 +16,10 @@ from coadjoint.methods.numerics.projection import (
     project_with_tangent,
     restored_invariants,
 )
-from coadjoint.methods.protocol.composed import WithBase, with_settled_base
 from coadjoint.methods.protocol.method import Method, Representation, check_base
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.restored import RestoresInvariants
+from coadjoint.methods.protocol.wrapper import Wrapper
 from coadjoint.program.numbers import Number
 from coadjoint.systems.system_checks import System
 
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Projected(WithBase):
+class Projected(Wrapper, RestoresInvariants):
     """A scheme with a projection: after each step, energy and polynomial Casimirs get their initial values again.
 
     A step z of the base becomes ``y = z + sum_a lambda_a grad C_a(z)``, where every C_a has the value that it had at
@@ -72,11 +73,6 @@ class Projected(WithBase):
 
     def __post_init__(self) -> None:
         check_base(self.base, "Projected", "ExplicitRungeKutta('rk4')")
-
-    @property
-    def order(self) -> int:
-        """That of the base."""
-        return self.base.order
 
     @classmethod
     def examples(cls) -> Sequence[Projected]:
@@ -137,20 +133,8 @@ class Projected(WithBase):
         start = np.asarray(x, dtype=np.float64)
         return project_with_tangent(system, start, *self.base.tangent(system, start, t, h), float(t))
 
-    def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
-        """Return the way of the base."""
-        return self.base.tangent_by(system, x, t, h)
-
-    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
-        """Return the projection of the settled base."""
-        return with_settled_base(self, system, coordinates)
-
     def work(self, system: System, group: Representation = None) -> Work:
         """Return the work of the base, and of a projection."""
         from coadjoint.methods.protocol.cost_model import work_of_projection
 
         return work_of_projection(self.base.work(system), 1 + len(self.restored(system)))
-
-    def look_ahead(self, systems: Sequence[System]) -> None:
-        """Prepare the base for many systems."""
-        self.base.look_ahead(systems)

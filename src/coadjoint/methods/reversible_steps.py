@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.numerics.taylor_series import TOO_MANY_STEPS_MESSAGE
-from coadjoint.methods.protocol.composed import with_settled_base
-from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Representation, check_base
+from coadjoint.methods.protocol.method import Method, Representation, check_base
+from coadjoint.methods.protocol.own_steps import SIZE_SAMPLES, FinerRun, OwnSteps
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.wrapper import Wrapper
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -36,7 +37,7 @@ MOST_STEPS = 10**7
 
 
 @dataclass(frozen=True)
-class ReversibleSteps(Method):
+class ReversibleSteps(Wrapper, OwnSteps):
     """A symmetric scheme whose step length follows the speed of the motion, in a reversible way.
 
     The controller of Hairer and Soederlind: with the speed Q(x) of the motion, step n has the length stride / rho_n,
@@ -116,24 +117,9 @@ class ReversibleSteps(Method):
         return True
 
     @property
-    def order(self) -> int:
-        """That of the base, in powers of the stride."""
-        return self.base.order
-
-    @property
-    def explicit(self) -> bool:
-        """As for the base."""
-        return self.base.explicit
-
-    @property
     def failures(self) -> Mapping[str, str]:  # type: ignore[override]
         """Those of the base, and a vanishing speed."""
         return {"UNDEFINED": NO_STEP_MESSAGE} | dict(self.base.failures)
-
-    @property
-    def largest(self) -> float:  # type: ignore[override]
-        """As for the base."""
-        return self.base.largest
 
     @classmethod
     def examples(cls) -> Sequence[ReversibleSteps]:
@@ -214,34 +200,13 @@ class ReversibleSteps(Method):
             residual=0.0,
         )
 
-    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return the motion over h and its derivative, by complex steps or differences."""
-        from coadjoint.methods.protocol.step_derivatives import derivative_of
-
-        result = derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))
-        return result.value, result.derivative
-
-    def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
-        """Return how the derivative is computed."""
-        from coadjoint.methods.protocol.step_derivatives import derivative_of
-
-        return derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64)).by
-
     def finer(self, steps: int, times: float) -> FinerRun:
         """Return a run with a shorter stride, whose output points only sample the size of the motion."""
         return FinerRun(replace(self, stride=self.stride / times), max(steps, SIZE_SAMPLES), times**-self.order)
 
-    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
-        """Return the steps of the settled base."""
-        return with_settled_base(self, system, coordinates)
-
     def work(self, system: System, group: Representation = None) -> Work:
         """Return the work of a step of the base."""
         return self.base.work(system, group)
-
-    def look_ahead(self, systems: Sequence[System]) -> None:
-        """Prepare the base for many systems."""
-        self.base.look_ahead(systems)
 
 
 def _speed_of_terms(terms: Sequence[Any]) -> Polynomial:

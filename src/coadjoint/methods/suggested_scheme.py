@@ -1,8 +1,9 @@
-"""The default scheme of runs, and the suggested scheme for a system, if no accuracy is given."""
+"""Schemes for a purpose: the default of runs, the suggestion for a system, references, and candidates for a choice."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from typing import Any, cast
 
 from coadjoint.methods.gauss_legendre import GaussLegendre
@@ -14,12 +15,38 @@ from coadjoint.systems.system_checks import System, check_one_system, unforced
 
 PREFERRED_SCHEMES: tuple[Method, ...] = (Splitting(order=4), GaussLegendre(stages=3))
 """Tried in this order."""
+DEFAULT_SCHEME: Method = Splitting()
+"""For systems of vectors."""
+ANY_TOLERANCE = 1e-9
+"""Of a candidate, whose tolerance is chosen."""
 
 
 def default_scheme(system: Any) -> Method:
     """Return the scheme of a run for which none is given, for systems with or without forces."""
     plain = unforced(system)
-    return suggested_scheme(cast(System, plain)) if isinstance(plain, MatrixSystem) else Splitting()
+    return suggested_scheme(cast(System, plain)) if isinstance(plain, MatrixSystem) else DEFAULT_SCHEME
+
+
+def reference_scheme(order: int) -> Method:
+    """Return the scheme of this even order for numerical references: symplectic, symmetric, and for every system."""
+    return GaussLegendre(order // 2)
+
+
+@cache
+def candidate_schemes(processed: bool = False) -> tuple[Method, ...]:
+    """Return the schemes from which `choose` selects by default, with processed splittings at the end if requested.
+
+    The first one chooses its own steps; the next two, at constant steps, predict the cost of others of their family.
+    """
+    from coadjoint.methods.taylor import Taylor
+
+    return (
+        Taylor(tolerance=ANY_TOLERANCE),
+        *(Taylor(p) for p in (16, 8, 20, 12, 24, 14, 10, 6)),
+        *(GaussLegendre(s) for s in (8, 6, 12, 10, 4, 3, 2)),
+        *(Splitting(order=p) for p in (10, 8, 6, 4, 2)),
+        *(Splitting(scheme=f"blanes_casas_murua{p}") for p in (10, 8, 6) if processed),
+    )
 
 
 def suggested_scheme(system: System) -> Method:

@@ -11,11 +11,13 @@ import numpy as np
 
 from coadjoint.methods.composition import Composition
 from coadjoint.methods.numerics.stages import Coefficients
-from coadjoint.methods.protocol.composed import HIGHEST_ORDER, FlowsOfBase, WithBase
+from coadjoint.methods.protocol.composed import HIGHEST_ORDER, FlowsOfBase
+from coadjoint.methods.protocol.composing import symmetrized
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
+from coadjoint.methods.protocol.wrapper import Wrapper
 from coadjoint.program.numbers import Number
 from coadjoint.program.sweeps import Sweep
 from coadjoint.short_repr import short
@@ -70,7 +72,7 @@ def even_order(base: Method, order: int, jump: str = "triple") -> Method:
         raise TypeError(f"base is {short(base)}; give a scheme such as Splitting(order=1)")
     target = read_integer(order, "order", 2, HIGHEST_ORDER)
     read_choice(jump, "jump", SIDE_STEPS)
-    method = base if base.symmetric else base.symmetrized()
+    method = base if base.symmetric else symmetrized(base)
     if target % 2 or target < method.order:
         raise ValueError(f"order is {target}; from {base} it is even, and {method.order} or more")
     for current in range(method.order, target, 2):
@@ -124,7 +126,7 @@ class PairOfFlows(FlowsOfBase):
 
 
 @dataclass(frozen=True)
-class PairOfTableaux(WithBase, RungeKuttaMethod):
+class PairOfTableaux(Wrapper, RungeKuttaMethod):
     """A Runge-Kutta method over half a step, then its adjoint over the other half.
 
     The adjoint ends where a backward step of the base starts: X_i = x + sum_j (out_j - mix_ij) L_j. It is implicit.

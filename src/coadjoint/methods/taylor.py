@@ -29,7 +29,8 @@ from coadjoint.methods.protocol.cost_model import (
     work_of_operations,
     work_of_own_steps,
 )
-from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Representation
+from coadjoint.methods.protocol.method import Method, Representation
+from coadjoint.methods.protocol.own_steps import SIZE_SAMPLES, FinerRun, OwnSteps
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
 from coadjoint.systems.system_checks import System, check_vector_states
@@ -54,7 +55,7 @@ _OPERATIONS: WeakKeyDictionary[System, dict[bool, Operations]] = WeakKeyDictiona
 
 
 @dataclass(frozen=True)
-class Taylor(CompiledStepMethod):
+class Taylor(CompiledStepMethod, OwnSteps):
     """The Taylor series of the motion, and a projection that keeps energy and Casimirs at their initial values.
 
     Choose it for accuracy: for a given error it mostly needs the least work, and `choose` then selects it. It is not a
@@ -238,9 +239,8 @@ class Taylor(CompiledStepMethod):
         return replace(self, order=min(ORDERS, key=cost), tolerance=bounded)
 
     def finer(self, steps: int, times: float) -> FinerRun:
-        """Return the same series with a much smaller tolerance, if it has one."""
-        if self.tolerance is None:
-            return super().finer(steps, times)
+        """Return the same series with a much smaller tolerance."""
+        assert self.tolerance is not None
         tolerance = max(self.tolerance / (TOLERANCE_REDUCTION * times), LEAST_TOLERANCE)
         finer = replace(self, order=min(self.order + 2, MAX_ORDER), tolerance=tolerance)
         return FinerRun(finer, max(steps, SIZE_SAMPLES), min(0.5, tolerance / self.tolerance))

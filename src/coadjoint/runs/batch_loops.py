@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import CompiledLoop, MemberBatch
+from coadjoint.methods.protocol.automatic_choices import split_jointly
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.batch_rows import MemberTables, Tables, split_members
 from coadjoint.runs.loops import Loops, as_rows, unit_row
@@ -57,7 +58,7 @@ class BatchLoops(Loops):
     def __init__(self, batch: Batch, method: Method, h: float, representations: Sequence[Representation]) -> None:
         from coadjoint.kernels.tables import balance_tables, watch_tables
 
-        method.look_ahead(list(batch))
+        split_jointly(method, list(batch))
         names = list(batch[0].casimirs)
         prepared: list[CompiledLoop] = []
         watches: list[CompiledTables] = []

@@ -16,6 +16,7 @@ from coadjoint.errors import unknown_name
 from coadjoint.kernels.input_tables import InputsNotLocated, InputTables
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import MemberBatch
+from coadjoint.methods.protocol.automatic_choices import settled
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.batch_loops import in_rounds
 from coadjoint.runs.batch_rows import MemberTables, Tables, split_members
@@ -163,7 +164,7 @@ class Inputs:
     def settled(self, method: Method) -> Method:
         """Return the scheme with its automatic choices made explicit, valid for any linear term."""
         coordinates = np.sort(self._input_indices[self._input_indices < len(self._linear)])
-        return method.settled(self._unforced, coordinates.tolist()) if len(coordinates) else method
+        return settled(method, self._unforced, coordinates.tolist()) if len(coordinates) else method
 
     def system_at(self, values: Floats) -> Any:
         """Return the system with these values, (m,)."""

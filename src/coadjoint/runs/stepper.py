@@ -13,6 +13,7 @@ from coadjoint.long_operations import long_operation
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import check_supports, effective_scheme
 from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.protocol.tangents import tangent_by
 from coadjoint.methods.registry import read_method
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution
@@ -217,7 +218,7 @@ class Stepper:
             The first two are exact to round-off; differences have about nine digits.
         """
         method, system = self._scheme(inputs)
-        return method.tangent_by(system, *self._validated_point(x, t), self.h)
+        return tangent_by(method, system, *self._validated_point(x, t), self.h)
 
     def _scheme(self, inputs: Mapping[str, Any]) -> tuple[Method, Any]:
         """Return the scheme and the system of a step with these inputs, for evaluation in Python."""

@@ -14,6 +14,7 @@ from coadjoint.kernels.tangents import Frame, stretch_logarithms
 from coadjoint.long_operations import note_progress
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.protocol.tangents import tangent_by, tangent_loop
 from coadjoint.runs.batch_loops import in_rounds
 from coadjoint.runs.batch_rows import MemberTables
 from coadjoint.runs.loops import Loops, SystemLoops, as_rows
@@ -55,7 +56,7 @@ def stretching(
     for m, member in enumerate(systems):
         try:
             method.properties(member)
-            prepared.append(method.tangent_loop(member, times.h, frame))
+            prepared.append(tangent_loop(method, member, times.h, frame))
         except (TypeError, ValueError) as error:
             if not isinstance(system, Batch):
                 raise
@@ -95,7 +96,7 @@ def _step_by_step(
         failed = _follow(member, method, times, states, frame, logarithms[:, m])
         if failed:
             run.mark_failed(m, failed, "PARALLEL")
-    by = method.tangent_by(systems[0], start.momenta[0], times.t0, times.h)
+    by = tangent_by(method, systems[0], start.momenta[0], times.t0, times.h)
     return Stretching(logarithms, by, run)
 
 
@@ -165,7 +166,7 @@ def _warn_once(scheme: type) -> None:
 def energy_loops(systems: Sequence[System], method: Method, h: float, prepared: Sequence[CompiledLoop | None]) -> Loops:
     """Return loops that track the energy only, for one system or one for each member.
 
-    `prepared` are those of `Method.tangent_loop`; None uses the loop without tangent vectors.
+    `prepared` are those of `tangent_loop`; None uses the loop without tangent vectors.
     """
     loops = [SystemLoops(member, method, h, None, {}, loop) for member, loop in zip(systems, prepared, strict=True)]
     return loops[0] if len(loops) == 1 else IndividualLoops(loops)

@@ -19,8 +19,8 @@ from coadjoint.analysis.backward_error.modified_hamiltonian import (
 )
 from coadjoint.analysis.short_motion import short_motion
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.suggested_scheme import reference_scheme
 from coadjoint.runs.integrate import integrate
 from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.hamiltonians.polynomial_form import polynomial_of
@@ -107,7 +107,7 @@ class Corrector:
             return states
         rows = states.reshape(-1, n)
         # One step of order four over h^p has an error far below the next term, h^(p + 2).
-        run = integrate(self._flow, rows, (0.0, duration), abs(duration), GaussLegendre(2), watch=False)
+        run = integrate(self._flow, rows, (0.0, duration), abs(duration), reference_scheme(4), watch=False)
         return np.asarray(run.x[-1]).reshape(states.shape)
 
 

@@ -23,6 +23,7 @@ from coadjoint.analysis.backward_error.scheme_terms import (
     symbols_of,
 )
 from coadjoint.long_operations import long_operation
+from coadjoint.methods.protocol.flow_method import flows_of
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.optional_packages import need
@@ -264,13 +265,14 @@ def modified_hamiltonian(
     order = read_integer(
         order, "order", 1, MAX_POWER, why="the words in the free algebra double in number with each power"
     )
-    program = scheme.program(system)
+    flows = flows_of(scheme)
+    program = flows.program(system)
     if system.hamiltonian.timed:
         raise ValueError(
             f"the Hamiltonian of {system.name} depends on time, so no function of x is conserved; "
             "a modified Hamiltonian needs an autonomous system"
         )
-    sweeps, after = exact_sweeps(scheme.swept())
+    sweeps, after = exact_sweeps(flows)
     H = polynomial_of(system.hamiltonian)
     if H is None:
         if symbols is not False:

@@ -14,7 +14,10 @@ from coadjoint.analysis.fits import Slope, slope_of_defects
 from coadjoint.analysis.poisson_defect import defect_of_tangent
 from coadjoint.errors import IntegrationError
 from coadjoint.long_operations import note_progress
+from coadjoint.methods.protocol.flow_method import FlowMethod
+from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.step_derivatives import AGREEMENT, derivative_of
+from coadjoint.methods.protocol.tangents import tangent_by
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
@@ -129,13 +132,23 @@ def _directional_defect(subject: Subject, x: NDArray[np.float64], h: float) -> t
     after = subject.run(x, h, 1)
     y = after.x[-1]
     note_progress(f"derivatives of a step along {DIRECTIONS} directions")
-    forward = method.tangent_on(system, x, 0.0, h, _apply_structure(system, x, a))
-    back = method.tangent_on(system, y, h, -h, _apply_structure(system, y, b))
-    exact = method.tangent_by(system, x, 0.0, h) != "differences"
+    forward = _carried(method, system, x, 0.0, h, _apply_structure(system, x, a))
+    back = _carried(method, system, y, h, -h, _apply_structure(system, y, b))
+    exact = tangent_by(method, system, x, 0.0, h) != "differences"
     defect = n * float(np.sqrt(np.mean((b.T @ forward + (a.T @ back).T) ** 2)))
     operations = (max(after.stats.evaluations, MIN_OPERATIONS) + 4) * n
     relative = 64 * UNIT_ROUNDOFF * operations if exact else DIFFERENCE_FLOOR
     return defect, relative * (_mean_size(forward, n) + _mean_size(back, n)), exact
+
+
+def _carried(
+    method: Method, system: Any, x: NDArray[np.float64], t: float, h: float, vectors: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return tangent vectors (n, k) after a step; flows carry them without the whole derivative."""
+    form = method.expanded
+    if isinstance(form, FlowMethod):
+        return form.tangent_on(system, x, t, h, vectors)
+    return np.asarray(method.tangent(system, x, t, h)[1] @ vectors)
 
 
 def _apply_structure(system: Any, x: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -185,7 +198,7 @@ def tangent(subject: Subject, x: NDArray[np.float64], h: float) -> Tangent:
     """Return the derivative of a step of length h at x, from time 0, in the most accurate way available."""
     method, system = subject.method, subject.system
     try:
-        by = method.tangent_by(system, x, 0.0, h)
+        by = tangent_by(method, system, x, 0.0, h)
         P = np.asarray(method.tangent(system, x, 0.0, h)[1], dtype=np.float64)
     except TypeError:
         # The system lacks a derivative; differentiate the step itself.

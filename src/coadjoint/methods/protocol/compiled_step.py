@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from coadjoint.methods.protocol.method import Representation
+from coadjoint.methods.protocol.restored import RestoresInvariants
 from coadjoint.methods.protocol.stepped_method import SteppedMethod
 from coadjoint.systems.system_checks import System
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.protocol.cost_model import Operations, Work
 
 
-class CompiledStepMethod(SteppedMethod):
+class CompiledStepMethod(SteppedMethod, RestoresInvariants):
     """A scheme with a step in C++, and the same step in NumPy.
 
     The C++ file derives from ``StepScheme`` of ``steps/step_scheme.hpp``, which documents its inputs. It is in the
@@ -35,6 +36,10 @@ class CompiledStepMethod(SteppedMethod):
         integers, numbers : sequences
         """
         return [], []
+
+    def restored(self, system: System) -> Mapping[str, Any] | None:
+        """Return the invariants that the compiled step restores; by default none, and not the energy either."""
+        return None
 
     def operations(self, system: System) -> Operations | None:
         """Return the operations of a step; None for a scheme that iterates, whose work is counted in evaluations.

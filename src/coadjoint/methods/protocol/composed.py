@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,10 +11,16 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.free_algebra import Series, exponential, product, unit_series
 from coadjoint.methods.formal.formal_numbers import is_short
+from coadjoint.methods.protocol.composing import Composable
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.method import Method, Representation
+from coadjoint.methods.protocol.power_series import PowerSeries, power_series
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.restored import RestoresInvariants, restored
+from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.protocol.stepped_method import SteppedMethod
+from coadjoint.methods.protocol.tangents import CompiledTangents
+from coadjoint.methods.protocol.wrapper import Wrapper
 from coadjoint.program.sweeps import Sweep
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.system_checks import System
@@ -28,23 +34,7 @@ if TYPE_CHECKING:
 HIGHEST_ORDER = 12
 
 
-class WithBase(Method):
-    """A scheme with the failure messages and the largest dimension of its base."""
-
-    base: Method
-
-    @property
-    def failures(self) -> Mapping[str, str]:  # type: ignore[override]
-        """Those of the base."""
-        return self.base.failures
-
-    @property
-    def largest(self) -> float:  # type: ignore[override]
-        """As for the base."""
-        return self.base.largest
-
-
-class Composed(WithBase):
+class Composed(Wrapper):
     """A base scheme at fractions of the step; it keeps what the base keeps."""
 
     base: Method
@@ -56,19 +46,9 @@ class Composed(WithBase):
         return composition_order(self.coefficients, self.base.order)
 
     @property
-    def explicit(self) -> bool:
-        """As for the base."""
-        return self.base.explicit
-
-    @property
     def symmetric(self) -> bool:
         """Whether the base is symmetric and the coefficients are a palindrome."""
         return self.base.symmetric and self.coefficients == self.coefficients[::-1]
-
-    @property
-    def compensates(self) -> bool:  # type: ignore[override]
-        """As for the base."""
-        return self.base.compensates
 
     @property
     def fractions(self) -> tuple[float, ...]:
@@ -79,38 +59,14 @@ class Composed(WithBase):
     def known_to(self) -> float:
         """The error of the base or of the fractions, whichever is larger; short fractions are exact."""
         fraction_error = 0.0 if all(map(is_short, self.coefficients)) else UNIT_ROUNDOFF
-        return max(fraction_error, self.base.known_to)
+        return max(fraction_error, power_series(self.base).known_to)
 
     def properties(self, system: System) -> Properties:
         """Return the properties of the base, which a composition shares."""
         return self.base.properties(system)
 
-    def restored(self, system: System) -> Mapping[str, Any] | None:
-        """Return the restored invariants of the base."""
-        return self.base.restored(system)
 
-    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
-        """Return the composition of the settled base."""
-        return with_settled_base(self, system, coordinates)
-
-    def with_compensation(self) -> Method | None:
-        """Return the composition of the compensated base."""
-        return with_compensated_base(self)
-
-
-def with_compensated_base(method: Any) -> Any:
-    """Return a dataclass scheme with compensated sums in its base; None if the base leaves no choice."""
-    base = method.base.with_compensation()
-    return None if base is None else replace(method, base=base)
-
-
-def with_settled_base(method: Any, system: System, coordinates: Sequence[int]) -> Any:
-    """Return a dataclass scheme with the automatic choices of its base fixed for a system."""
-    base = method.base.settled(system, coordinates)
-    return method if base is method.base else replace(method, base=base)
-
-
-class FlowsOfBase(WithBase, FlowMethod):
+class FlowsOfBase(Wrapper, FlowMethod):
     """A flow method with the parts of another one."""
 
     base: FlowMethod
@@ -129,14 +85,6 @@ class FlowsOfBase(WithBase, FlowMethod):
     def rotation(self) -> str:
         """As for the base."""
         return self.base.rotation
-
-    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
-        """Return the flows of the settled base."""
-        return with_settled_base(self, system, coordinates)
-
-    def with_compensation(self) -> Method | None:
-        """Return the flows of the compensated base."""
-        return with_compensated_base(self)
 
 
 @dataclass(frozen=True)
@@ -162,7 +110,7 @@ class ComposedFlows(Composed, FlowsOfBase):
 
 
 @dataclass(frozen=True)
-class Substeps(Composed):
+class Substeps(Composed, PowerSeries, CompiledTangents, Composable, RestoresInvariants):
     """The step of the base, repeated at each fraction."""
 
     offered = False
@@ -180,7 +128,12 @@ class Substeps(Composed):
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
         """Return the loop of the base with these substeps."""
-        return self.base.tangent_loop_of_substeps(system, h, frame, self.coefficients)
+        base = self.base
+        return (
+            base.tangent_loop_of_substeps(system, h, frame, self.coefficients)
+            if isinstance(base, RungeKuttaMethod)
+            else None
+        )
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
         number = type(h)
@@ -203,9 +156,9 @@ class Substeps(Composed):
     def work(self, system: System, group: Representation = None) -> Work:
         return self.base.work_of_substeps(system, group, len(self.coefficients))
 
-    def took_newton(self, memory: NDArray[np.float64]) -> bool:
-        """Return whether the base needed Newton's method."""
-        return self.base.took_newton(memory)
+    def restored(self, system: System) -> Mapping[str, Any] | None:
+        """Return the restored invariants of the base."""
+        return restored(self.base, system)
 
 
 def composition_order(coefficients: Sequence[float], base_order: int) -> int:

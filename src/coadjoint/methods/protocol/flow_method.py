@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import fields, is_dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -15,13 +13,12 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.formal.formal_numbers import is_short
+from coadjoint.methods.protocol.composing import Composable
 from coadjoint.methods.protocol.method import Method, Representation
+from coadjoint.methods.protocol.power_series import PowerSeries
+from coadjoint.methods.protocol.tangents import CompiledTangents
 from coadjoint.program.numbers import Number
-from coadjoint.program.parts.chosen_parts import ChosenParts
-from coadjoint.program.parts.decompose import BODY_FLOW_CHOICES, check_body_flow_inputs
-from coadjoint.program.parts.split import NotSplittable
 from coadjoint.program.sweeps import Sweep as Sweep  # re-exported by coadjoint.methods
-from coadjoint.systems.hamiltonians.linear_term import with_placeholders
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import System
 
@@ -37,7 +34,7 @@ COEFFICIENT_ERROR = 1e-38  # relative error of published coefficients, which hav
 SUM_TOLERANCE = 2.0**-40  # relative to the sum of absolute coefficients of sweeps; allows coefficients of twelve digits
 
 
-class FlowMethod(Method):
+class FlowMethod(PowerSeries, CompiledTangents, Composable):
     """A scheme that consists of exact flows of parts, given by their order and fractions of the step."""
 
     @property
@@ -96,28 +93,6 @@ class FlowMethod(Method):
             )
         return build_program(system, self, group=group, number=number)
 
-    def swept(self) -> FlowMethod:
-        """Return the scheme itself."""
-        return self
-
-    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
-        """Return the scheme with the automatic parts of this system fixed; requires a field `parts`."""
-        from coadjoint.program.parts.decompose import decompose
-
-        if isinstance(self.parts, str) and self.parts in BODY_FLOW_CHOICES:
-            check_body_flow_inputs(system, self.parts, coordinates)
-        automatic = isinstance(self.parts, ChosenParts) or (isinstance(self.parts, str) and self.parts == "auto")
-        if not automatic or not isinstance(system, LiePoissonSystem):
-            return self
-        if not is_dataclass(self) or all(field.name != "parts" for field in fields(self)):
-            raise TypeError(f"{self} has no field `parts`, so that automatic parts cannot be fixed; give it this field")
-        self.properties(system)
-        try:
-            choice = decompose(with_placeholders(system, coordinates), self.parts).choice
-        except NotSplittable:
-            return self  # the loop raises the error for a Hamiltonian that does not split
-        return replace(self, parts=replace(choice, linear=tuple(coordinates)))
-
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop over the rows of the table."""
         return self._program_loop(self.program(system, group=representation), h)
@@ -157,6 +132,7 @@ class FlowMethod(Method):
         return self._step_with_vectors(system, x, t, h, np.eye(len(x)))
 
     def tangent_on(self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]) -> NDArray[Any]:
+        """Return the derivative of a step applied to tangent vectors (n, k), without the whole derivative."""
         return self._step_with_vectors(system, x, t, h, vectors)[1]
 
     def _step_with_vectors(
@@ -176,14 +152,17 @@ class FlowMethod(Method):
 
         return work_of_flows(self.program(system, group=group), bool(self.compensated))
 
-    def look_ahead(self, systems: Sequence[System]) -> None:
-        """Split the Hamiltonians of many systems together, which is faster."""
-        from coadjoint.program.parts.decompose import decompose_all
+    def with_compensation(self) -> Method | None:
+        """Return the same scheme with compensated sums, if that choice was left open; else None."""
+        return None
 
-        if self.parts == "auto":
-            # Hamiltonians that do not split raise later, with the name of the member.
-            with suppress(ValueError):
-                decompose_all([system for system in systems if isinstance(system, LiePoissonSystem)])
+
+def flows_of(method: Method) -> FlowMethod:
+    """Return a scheme as one of flows; raise TypeError if it does not consist of flows."""
+    form = method.expanded
+    if not isinstance(form, FlowMethod):
+        raise TypeError(f"{method} is not made of exact flows, so it has no program; Splitting has one")
+    return form
 
 
 @lru_cache(maxsize=8)

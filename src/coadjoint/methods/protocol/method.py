@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from inspect import Parameter, signature
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,22 +20,10 @@ from coadjoint.systems.system_checks import System, has_compiled_bracket
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.kernels.tangents import Frame
-    from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
-    from coadjoint.program.sweeps import Swept
     from coadjoint.program.table import Program
 
 Representation = NDArray[np.float64] | str | None
-
-
-class FinerRun(NamedTuple):
-    """A more accurate scheme and number of steps, and the remaining fraction of the original error."""
-
-    method: Method
-    steps: int
-    left: float
-
 
 ERROR_CONTROL = frozenset(("tolerance", "rtol", "atol"))
 NO_ERROR_CONTROL = (
@@ -44,8 +31,6 @@ NO_ERROR_CONTROL = (
     "integrate accuracy=, which finds a constant step, or take Taylor(tolerance=...), or "
     "ReversibleSteps(Splitting(...)), whose steps follow the motion reversibly"
 )
-SIZE_SAMPLES = 240  # samples of the size of a motion, for schemes that choose their own steps
-FEW_STEPS = 20  # with fewer steps the error may not scale with the order; a finer run takes at least this many more
 BYTES_PER_CONSTANT = 450  # peak memory per structure constant during the construction of flows
 MAX_PARAMETER_TEXT = 200  # characters of a parameter in a message
 
@@ -54,8 +39,8 @@ class Method(ABC):
     """A scheme: what it keeps, its compiled loop, its step in Python, its tangent, and its cost.
 
     Families implement this protocol from coefficients (`FlowMethod`), a tableau (`RungeKuttaMethod`) or a step
-    (`StepMethod`, `CompiledStepMethod`); a user-defined scheme derives from one of them. All code that runs, chooses or
-    tests schemes uses this protocol only.
+    (`StepMethod`, `CompiledStepMethod`); a user-defined scheme derives from one of them. What only some schemes can do
+    is a capability: a base class in a file of its own in this folder, next to a function that finds it or refuses.
     """
 
     def __new__(cls, *arguments: Any, **parameters: Any) -> Self:
@@ -138,34 +123,10 @@ class Method(ABC):
             If the scheme cannot be used for the system.
         """
 
-    def composed(self, coefficients: Sequence[float]) -> Method:
-        """Return the composition of this scheme with these fractions of its step.
-
-        Parameters
-        ----------
-        coefficients : sequence of float
-            The fractions.
-
-        Returns
-        -------
-        Method
-            `Composition` is the public scheme, which validates them.
-        """
-        raise TypeError(f"{self} cannot be composed")
-
-    def symmetrized(self) -> Method:
-        """Return half a step of this scheme followed by half a step of its adjoint: a symmetric scheme of even order.
-
-        Returns
-        -------
-        Method
-
-        Raises
-        ------
-        TypeError
-            The adjoint is not known as a scheme.
-        """
-        raise TypeError(f"the adjoint of {self} is not known as a scheme; take a splitting, or a Runge-Kutta tableau")
+    @property
+    def expanded(self) -> Method:
+        """The scheme that is run: the flows or the substeps of a composition, and any other scheme itself."""
+        return self
 
     @property
     def fractions(self) -> tuple[float, ...]:
@@ -223,9 +184,10 @@ class Method(ABC):
         (n,) array
         """
 
-    @abstractmethod
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its derivative.
+
+        Schemes without a formula for it use complex steps, or else differences.
 
         Parameters
         ----------
@@ -250,95 +212,10 @@ class Method(ABC):
         IntegrationError
             The iteration of an implicit scheme does not converge.
         """
+        from coadjoint.methods.protocol.step_derivatives import derivative_of
 
-    def tangent_on(self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]) -> NDArray[Any]:
-        """Return the derivative of a step applied to tangent vectors (n, k), if cheaper than the whole derivative.
-
-        Parameters
-        ----------
-        system, x, t, h
-            As for `tangent`.
-        vectors : (n, k) array
-            The vectors, in columns.
-
-        Returns
-        -------
-        (n, k) array
-            The vectors after the step.
-
-        Raises
-        ------
-        TypeError, IntegrationError
-            As for `tangent`.
-        """
-        return np.asarray(self.tangent(system, x, t, h)[1] @ vectors)
-
-    def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
-        """Return how `tangent` computes the derivative: by "formula", "complex step" or "differences".
-
-        Parameters
-        ----------
-        system, x, t, h
-            As for `tangent`.
-
-        Returns
-        -------
-        str
-            The first two are exact to round-off; differences have about nine digits.
-        """
-        return "formula"
-
-    def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
-        """Return the loop that carries tangent vectors with the state, whose bits do not depend on them.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system; its Hamiltonian must have second derivatives, and a `PoissonSystem` the derivative of J.
-        h : float
-            The step, negative for backward.
-        frame : Frame
-            The vectors, and when they are made orthonormal.
-
-        Returns
-        -------
-        CompiledLoop or None
-            None if there is no such loop: `tangent` is then called for every step.
-
-        Raises
-        ------
-        ValueError, TypeError
-            The scheme cannot be used for the system, or a derivative is not known.
-        """
-        return None
-
-    def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
-        """Return one step as a power series in h whose coefficients are exact polynomials in the state.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system, with a polynomial vector field.
-        x : (n,) array of FormalNumber
-            The state.
-        h : FormalNumber
-            The step, or a multiple of it.
-
-        Returns
-        -------
-        (n,) array of FormalNumber
-
-        Raises
-        ------
-        TypeError
-            The step is no power series, or no way to compute the series is known.
-        """
-        raise TypeError(f"a step of {self} is not known as a power series in exact numbers")
-
-    @property
-    def known_to(self) -> float:
-        """Relative error of the coefficients of `formal_step`; 0 if they are exact."""
-        return 0.0
+        result = derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))
+        return result.value, result.derivative
 
     def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
         """Return the table of exact flows that make up a step.
@@ -361,22 +238,9 @@ class Method(ABC):
         TypeError
             The scheme does not consist of flows.
         """
-        raise TypeError(f"{self} is not made of exact flows, so it has no program; Splitting has one")
+        from coadjoint.methods.protocol.flow_method import flows_of
 
-    def swept(self) -> Swept:
-        """Return the scheme as sweeps through the parts of a Hamiltonian.
-
-        Returns
-        -------
-        Swept
-            Sweeps, processor, parts and rotation, from which `coadjoint.program` builds its table.
-
-        Raises
-        ------
-        TypeError
-            The scheme does not consist of flows.
-        """
-        raise TypeError(f"{self} is not made of exact flows of parts, as Splitting is")
+        return flows_of(self).program(system, group=group, number=number)
 
     @abstractmethod
     def work(self, system: System, group: Representation = None) -> Work:
@@ -393,97 +257,6 @@ class Method(ABC):
         -------
         Work
         """
-
-    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
-        """Return the same scheme with all automatic choices for a system fixed, such as its parts.
-
-        Systems that differ only in some coefficients of the linear term of H then have tables of one structure.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-        coordinates : sequence of int
-            Coordinates of the coefficients that differ.
-
-        Returns
-        -------
-        Method
-            The scheme itself, if it has no automatic choices.
-
-        Raises
-        ------
-        TypeError, ValueError
-            A choice cannot be fixed.
-        """
-        return self
-
-    def restored(self, system: System) -> Mapping[str, Any] | None:
-        """Return the invariants that a step restores besides the energy; None if it does not restore the energy either.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-
-        Returns
-        -------
-        mapping or None
-            Name -> `Polynomial` or `Quadratic`.
-        """
-        return None
-
-    def finer(self, steps: int, times: float) -> FinerRun:
-        """Return the scheme and number of steps of a more accurate run, for an estimate of the error of a run.
-
-        Parameters
-        ----------
-        steps : int
-            Number of steps of the run, at least 1.
-        times : float
-            Factor by which the number of steps grows, or by which steps shrink if the scheme chooses its own.
-
-        Returns
-        -------
-        FinerRun
-            Its `left` is the remaining fraction of the error according to the order.
-        """
-        count = math.ceil(times * (steps + FEW_STEPS))
-        return FinerRun(self, count, (steps / count) ** self.order)
-
-    def reaching(self, system: System, tolerance: float) -> Method:
-        """Return the same scheme with another tolerance, if it chooses its own steps.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-        tolerance : float
-            Error of a step, relative to the largest momentum so far.
-
-        Returns
-        -------
-        Method
-            The scheme, with the order of least work.
-
-        Raises
-        ------
-        TypeError
-            The scheme has no tolerance.
-        """
-        raise TypeError(f"{self} has no tolerance that could be chosen for an accuracy; give step= in its place")
-
-    def with_compensation(self) -> Method | None:
-        """Return the same scheme with compensated sums, if that choice was left open; else None."""
-        return None
-
-    def took_newton(self, memory: NDArray[np.float64]) -> bool:
-        """Return whether steps needed Newton's method, from the memory (members, numbers) of a run."""
-        return False
-
-    def look_ahead(self, systems: Sequence[System]) -> None:
-        """Prepare jointly for many systems what `loop` would prepare for each; nothing by default."""
-        return
 
     @classmethod
     def examples(cls) -> Sequence[Method]:

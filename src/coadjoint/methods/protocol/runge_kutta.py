@@ -13,7 +13,8 @@ from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.solvers import SOLVERS, Evaluation
 from coadjoint.methods.numerics.stages import Coefficients, Step, begin, validated_tableau
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.methods.protocol.stepped_method import SteppedMethod
+from coadjoint.methods.protocol.stepped_method import FULL_STEP, SteppedMethod
+from coadjoint.methods.protocol.tangents import CompiledTangents
 from coadjoint.program.numbers import Number
 from coadjoint.systems.system_checks import System
 from coadjoint.validation import read_choice
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.protocol.cost_model import Work
 
 
-class RungeKuttaMethod(SteppedMethod):
+class RungeKuttaMethod(SteppedMethod, CompiledTangents):
     """A user-defined Runge-Kutta scheme: a tableau, and a solver for its stages."""
 
     tables_of_any_step = True
@@ -166,9 +167,13 @@ class RungeKuttaMethod(SteppedMethod):
             memory=scheme_memory(RUNGE_KUTTA_LOOP, tables.tables),
         )
 
+    def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop:
+        """Return the loop without substeps, with tangent vectors."""
+        return self.tangent_loop_of_substeps(system, h, frame, FULL_STEP)
+
     def tangent_loop_of_substeps(
         self, system: System, h: float, frame: Frame, fractions: Sequence[float]
-    ) -> CompiledLoop | None:
+    ) -> CompiledLoop:
         """Return the loop over stages and their derivatives."""
         from coadjoint.kernels.tangents import check_differentiable, with_tangents
         from coadjoint.program.term_table import TermTable
@@ -188,10 +193,6 @@ class RungeKuttaMethod(SteppedMethod):
         from coadjoint.methods.protocol.cost_model import work_of_iterations
 
         return work_of_iterations(system, group)
-
-    def took_newton(self, memory: NDArray[np.float64]) -> bool:
-        """Return whether an implicit step of any member starts with Newton's method: the first number of its memory."""
-        return bool(np.any(memory[:, :1] > 0.0))
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, by the defining formulas, without compensation.
