@@ -10,7 +10,8 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import names, scheme
 from coadjoint.methods.splitting import Splitting
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.system_checks import System, check_one_system, unforced
+from coadjoint.systems.protocol import is_matrix_system, unforced
+from coadjoint.systems.system_checks import System, check_one_system
 
 PREFERRED_SCHEMES: tuple[Method, ...] = (Splitting(order=4), GaussLegendre(stages=3))
 """Tried in this order."""
@@ -19,7 +20,7 @@ PREFERRED_SCHEMES: tuple[Method, ...] = (Splitting(order=4), GaussLegendre(stage
 def default_scheme(system: Any) -> Method:
     """Return the scheme of a run for which none is given, for systems with or without forces."""
     plain = unforced(system)
-    return suggested_scheme(cast(System, plain)) if isinstance(plain, MatrixSystem) else Splitting()
+    return suggested_scheme(cast(System, plain)) if is_matrix_system(plain) else Splitting()
 
 
 def suggested_scheme(system: System) -> Method:
@@ -52,7 +53,7 @@ def suggested_scheme(system: System) -> Method:
     """
     check_one_system(system)
     *first, last = PREFERRED_SCHEMES
-    if isinstance(system, MatrixSystem):
+    if is_matrix_system(system):
         first = sorted(_supporting_schemes(system), key=lambda method: not method.properties(cast(Any, system)).poisson)
     for method in first:
         try:

@@ -16,7 +16,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.step_derivatives import AGREEMENT, derivative_of
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.protocol import has_structure_constants
 
 SLOPE_STEPS = 4
 MAX_DIRECTIONAL_DIM = 1100
@@ -140,7 +140,7 @@ def _directional_defect(subject: Subject, x: NDArray[np.float64], h: float) -> t
 
 def _apply_structure(system: Any, x: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return J(x) applied to vectors in columns."""
-    if isinstance(system, LiePoissonSystem):
+    if has_structure_constants(system):
         return np.asarray(system.algebra.structure_operator(x) @ vectors)
     return np.asarray(system.structure_matrix(x) @ vectors)
 

@@ -22,7 +22,7 @@ from coadjoint.program.parts.decompose import BODY_FLOW_CHOICES, check_body_flow
 from coadjoint.program.parts.split import NotSplittable
 from coadjoint.program.sweeps import Sweep as Sweep  # re-exported by coadjoint.methods
 from coadjoint.systems.hamiltonians.linear_term import with_placeholders
-from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.protocol import has_structure_constants
 from coadjoint.systems.system_checks import System
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ class FlowMethod(Method):
         from coadjoint.program.table import build_program
 
         self.properties(system)
-        if not isinstance(system, LiePoissonSystem):
+        if not has_structure_constants(system):
             raise ValueError(
                 f"{type(self).__name__} is made of flows on a Lie algebra, which {system.name} does not have; "
                 "take GaussLegendre"
@@ -107,7 +107,7 @@ class FlowMethod(Method):
         if isinstance(self.parts, str) and self.parts in BODY_FLOW_CHOICES:
             check_body_flow_inputs(system, self.parts, coordinates)
         automatic = isinstance(self.parts, ChosenParts) or (isinstance(self.parts, str) and self.parts == "auto")
-        if not automatic or not isinstance(system, LiePoissonSystem):
+        if not automatic or not has_structure_constants(system):
             return self
         if not is_dataclass(self) or all(field.name != "parts" for field in fields(self)):
             raise TypeError(f"{self} has no field `parts`, so that automatic parts cannot be fixed; give it this field")
@@ -183,7 +183,7 @@ class FlowMethod(Method):
         if self.parts == "auto":
             # Hamiltonians that do not split raise later, with the name of the member.
             with suppress(ValueError):
-                decompose_all([system for system in systems if isinstance(system, LiePoissonSystem)])
+                decompose_all([system for system in systems if has_structure_constants(system)])
 
 
 @lru_cache(maxsize=8)
