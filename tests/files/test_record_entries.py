@@ -12,7 +12,7 @@ from coadjoint.files.records.entries import MAX_CHARACTERS, MAX_DEPTH, MAX_INTEG
 from coadjoint.files.records.records import record_of, safe_name, system_of
 from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse, Weights
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
-from coadjoint.systems.system_checks import unforced
+from coadjoint.systems.protocol import unforced
 from served import state_of
 
 INFINITE, NAN = float("inf"), float("nan")

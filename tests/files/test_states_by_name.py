@@ -1,7 +1,5 @@
 """Initial states of fluids by name and parameters in configuration files."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -110,9 +108,9 @@ def test_other_systems_have_no_named_states(read, tmp_path):
 
 
 def test_forced_fluids_have_named_states():
-    """A system with forces has the unforced one as ``system``."""
-    arguments = InitialTable(kind="random", seed=1)
-    np.testing.assert_array_equal(state_by_name("fluid.toml", arguments, SimpleNamespace(system=BALL)), BALL.random(1))
+    """A system with forces has the named states of the unforced one."""
+    arguments, forced = InitialTable(kind="random", seed=1), BALL.with_forces(co.forces.Friction(0.1))
+    np.testing.assert_array_equal(state_by_name("fluid.toml", arguments, forced), BALL.random(1))
 
 
 @pytest.mark.long

@@ -92,7 +92,7 @@ def compare(s, method, h, steps):
     x, K = Interpreter(program).steps(x0, h, steps, t0=0.5, group=np.eye(s.dim))
     if program.shift:
         held, out = np.stack([np.eye(s.dim), K.T]), np.empty((2, 1, s.dim, s.dim))
-        start = Start(x0[None], np.eye(s.dim)[None], "coadjoint", True, x0.shape)
+        start = Start(x0[None], np.eye(s.dim)[None], "coadjoint", True, s)
         ShiftCorrection(s, program.shift, "coadjoint").fill(
             out, start, Times(0.5, h, steps, steps), held.ctypes.data, 0, 1
         )

@@ -200,15 +200,7 @@ def test_with_forces_invariants_change_and_what_their_work_leaves_is_the_error()
     x = np.array([0.0, 0.0, 2.0]) * np.exp(-0.25 * t)[:, None]
     errors = {"energy": 1e-9 * t**2, "|x|^2": -1e-12 * t}
     exact = {"energy": x[:, 2] ** 2 / 6.0, "|x|^2": x[:, 2] ** 2}
-    system = SimpleNamespace(
-        name="rigid_body with damping",
-        system=body,
-        dim=3,
-        algebra=body.algebra,
-        hamiltonian=body.hamiltonian,
-        casimirs=body.casimirs,
-        vector_field=lambda x, t: body.vector_field(x) - 0.25 * np.asarray(x),
-    )
+    system = body.with_forces(co.forces.LinearDamping(0.25))
     halves = [{name: part * (values - values[0]) for name, values in exact.items()} for part in (0.75, 0.25)]
     run = SimpleNamespace(
         t=t,

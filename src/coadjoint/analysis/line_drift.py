@@ -14,7 +14,7 @@ from coadjoint.analysis.signals import Sampled, sampled
 from coadjoint.analysis.spectral_lines import hann
 from coadjoint.runs.solution import Solution, check_solution
 from coadjoint.short_repr import short
-from coadjoint.systems.batch import Batch
+from coadjoint.systems.protocol import member_of
 from coadjoint.validation import read_number, read_positive
 
 WINDOW_POWER = 3
@@ -125,7 +125,7 @@ def _reference_signal(solution: Solution, run: Sampled, reference: Any, signal: 
     signals = []
     for member in range(len(run.values)):
         x0 = solution.x[0, member] if run.members else solution.x[0]
-        system = solution.system[member] if isinstance(solution.system, Batch) else solution.system
+        system = member_of(solution.system, member)
         start = run.t[0] if reference is None else 0.0
         states = motion_of(system, reference, x0)(run.t - start)
         values = states if signal is None else signal(states) if callable(signal) else states[:, signal]

@@ -21,7 +21,7 @@ from coadjoint.runs.tangent_stretching import make_orthonormal, stretching
 from coadjoint.runs.times import Times, times_between, times_of
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.protocol import is_matrix_system
 from coadjoint.systems.system_checks import System, check_system, check_vector_states
 from coadjoint.validation import read_integer, read_number
 
@@ -183,7 +183,7 @@ def lyapunov(
     """
     scheme = DEFAULT_SCHEME if method is None else read_method(method)
     check_system(system)
-    if isinstance(system, MatrixSystem):
+    if is_matrix_system(system):
         check_vector_states(system, "Lyapunov exponents are available for states that are vectors")
     count = system.dim if exponents is None else read_integer(exponents, "exponents (None is all)", 1, system.dim)
     every = min(read_integer(renormalize_every, "renormalize_every", floats=True), MAX_STEPS)

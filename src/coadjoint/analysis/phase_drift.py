@@ -15,7 +15,7 @@ from coadjoint.analysis.rotations import acts_by_rotations, twist
 from coadjoint.runs.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
-from coadjoint.systems.batch import Batch
+from coadjoint.systems.protocol import member_of
 from coadjoint.validation import read_choice, read_finite, read_numbers
 
 if TYPE_CHECKING:
@@ -183,7 +183,7 @@ def drift_of_series(t: ArrayLike, lead: ArrayLike, unit: str = TIMES) -> PhaseDr
 
 
 def _member_drift(run: Solution, reference: Any, of: str, member: int | None) -> PhaseDrift:
-    system = run.system[member or 0] if isinstance(run.system, Batch) else run.system
+    system = member_of(run.system, member or 0)
     x = run.x if member is None else run.x[:, member]
     if of == "attitude":
         return drift_of_series(run.t, _precession(run, system, x, reference, member), ANGLES)
@@ -210,6 +210,6 @@ def _precession(run: Solution, system: Any, x: Floats, reference: Any, member: i
 
 
 def _attitude(run: Solution, member: int | None, name: str) -> Floats:
-    if run.attitude is None or not acts_by_rotations(run.system[0] if isinstance(run.system, Batch) else run.system):
+    if run.attitude is None or not acts_by_rotations(member_of(run.system)):
         raise ValueError(f"{name} has no attitude of a body, 3 x 3; integrate with attitude=True")
     return run.attitude if member is None or run.attitude.ndim == 3 else run.attitude[:, member]

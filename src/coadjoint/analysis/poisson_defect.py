@@ -11,7 +11,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.stepper import Stepper
 from coadjoint.short_repr import short
-from coadjoint.systems.system_checks import as_vector_system, shape_of
+from coadjoint.systems.protocol import as_vector_system, shape_of
 from coadjoint.validation import read_finite, read_integer
 
 

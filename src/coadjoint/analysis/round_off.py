@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.runs.solution import check_solution
-from coadjoint.systems.batch import Batch
+from coadjoint.systems.protocol import member_of
 from coadjoint.validation import read_finite, read_integer
 
 
@@ -120,8 +120,7 @@ def round_off(solution: Any, early: int = 1) -> dict[str, RandomWalk]:
         raise ValueError(
             "round-off is measured over an ensemble, and the solution has one trajectory; give x0 of shape (members, n)"
         )
-    batch = isinstance(solution.system, Batch)
-    systems = list(solution.system) if batch else [solution.system] * len(solution.x[0])
+    systems = [member_of(solution.system, m) for m in range(len(solution.x[0]))]
     walks = {}
     for name, values in {"energy": solution.energy, **solution.casimirs}.items():
         size = np.max(np.abs(values), axis=0)

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
-from coadjoint.systems.system_checks import shape_of
+from coadjoint.systems.protocol import shape_of
 
 SINGLE_THREAD_ROWS = 128
 """Up to this number of rows, one BLAS thread is faster than two on a loaded machine, because of synchronization."""

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from coadjoint.kernels.functions import CompiledFunction, Owners
 from coadjoint.kernels.tables import addresses_of
 from coadjoint.program.term_table import Terms, TermTable
-from coadjoint.systems.system_checks import System, has_compiled_bracket
+from coadjoint.systems.protocol import has_compiled_bracket
+from coadjoint.systems.system_checks import System
 
 
 class Field(NamedTuple):

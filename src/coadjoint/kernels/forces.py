@@ -18,7 +18,7 @@ from coadjoint.kernels.structures import as_structure
 from coadjoint.kernels.tables import watch_tables
 from coadjoint.optional_packages import need
 from coadjoint.systems.forces.base import Noise
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.protocol import forces_of, is_matrix_system
 
 NO_INTEGERS = np.zeros(1, dtype=np.int64)
 NO_NUMBERS = np.zeros(1)
@@ -88,9 +88,9 @@ def accounts_of(system: Any) -> tuple[Account, ...]:
     """
     accounts, hamiltonian_part = [], system.system
     tracked_casimirs = (
-        hamiltonian_part.quadratic_casimirs if isinstance(hamiltonian_part, MatrixSystem) else hamiltonian_part.casimirs
+        hamiltonian_part.quadratic_casimirs if is_matrix_system(hamiltonian_part) else hamiltonian_part.casimirs
     )
-    for label, force in zip(system.labels, system.forces, strict=True):
+    for label, force in forces_of(system):
         names = ["energy", *(() if force.casimirs else tracked_casimirs)]
         accounts += [Account(label, name) for name in names]
     return tuple(accounts)
@@ -101,7 +101,7 @@ class _ForceTableBuilder:
 
     def __init__(self, system: Any, account: int, accounts: int) -> None:
         self.n, self._accounts = system.dim, (account, accounts)
-        self._shape = (*system.shape, bool(system.complex)) if isinstance(system, MatrixSystem) else None
+        self._shape = (*system.shape, bool(system.complex)) if is_matrix_system(system) else None
         self.keepalive: tuple[CompiledFunction, ...] = ()
 
     def _table(self, kind: str, rate: Any = 0.0, aim: Any = (), **more: Any) -> ForceTable:
@@ -197,7 +197,7 @@ def _adapted_arguments(
 
 def _matrices(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:
     """Return the tables for energy and quadratic Casimirs of a system of matrices; a zero for other systems."""
-    if not isinstance(system, MatrixSystem):
+    if not is_matrix_system(system):
         return [0], [], ()
     integers, numbers, owners = stream_tables(system)
     kind = next(iter(system.algebra.parts))[2]
@@ -210,14 +210,14 @@ def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> Compil
     accounts, first = accounts_of(system), 0
     tables: list[ForceTable] = []
     keepalive: list[Any] = []
-    for label, force in zip(system.labels, system.forces, strict=True):
+    for label, force in forces_of(system):
         count = sum(account.force == label for account in accounts)
         reader = _ForceTableBuilder(system.system, first, count)
         tables.append(force.given_to(reader, system.system))
         first += count
         keepalive += reader.keepalive
     hamiltonian_part = system.system
-    casimirs_conserved = isinstance(hamiltonian_part, MatrixSystem) or all(force.casimirs for force in system.forces)
+    casimirs_conserved = is_matrix_system(hamiltonian_part) or all(force.casimirs for force in system.forces)
     watched = watch_tables(hamiltonian_part, {} if casimirs_conserved else system.casimirs)
     loop_integers, loop_keepalive = inner_loop_integers(inner, hamiltonian_part, representation)
     structures = [as_structure(table) for table in tables]

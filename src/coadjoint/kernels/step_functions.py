@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.optional_packages import MissingPackageError, need
-from coadjoint.systems.system_checks import has_compiled_bracket
+from coadjoint.systems.protocol import has_compiled_bracket
 
 Step = Callable[[Any, Any, Any, Any], Any]
 

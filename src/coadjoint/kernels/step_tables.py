@@ -17,7 +17,8 @@ from coadjoint.kernels.structures import as_structure
 from coadjoint.kernels.tables import CompiledTables, addresses_of, invariants_table, watch_tables
 from coadjoint.program.shifts.group_correction import unshift_tables
 from coadjoint.program.term_table import TermTable
-from coadjoint.systems.system_checks import System, has_compiled_bracket
+from coadjoint.systems.protocol import has_compiled_bracket
+from coadjoint.systems.system_checks import System
 
 
 class StepTables(NamedTuple):

@@ -12,9 +12,9 @@ from coadjoint.methods.protocol.method import Method, Representation, check_base
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.tangents import tangent_by
 from coadjoint.methods.protocol.wrapper import Wrapper
-from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
+from coadjoint.systems.protocol import forces_of
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
@@ -30,8 +30,7 @@ def effective_scheme(system: Any, method: Method) -> Method:
     """
     if isinstance(method, Forced):
         raise TypeError(f"{method} is applied by runs to systems with forces automatically; give {method.base}")
-    first = system[0] if isinstance(system, Batch) else system
-    return Forced(method) if isinstance(first, ForcedSystem) else method
+    return Forced(method) if forces_of(system) else method
 
 
 def check_supports(system: Any, method: Method) -> None:
@@ -47,12 +46,9 @@ def check_direction(system: Any, h: float) -> None:
     >>> import coadjoint as co
     >>> check_direction(co.systems.rigid_body(), -0.1)
     """
-    first = system[0] if isinstance(system, Batch) else system
-    if h < 0.0 and isinstance(first, ForcedSystem) and not first.reversible:
-        irreversible = next(
-            label for label, force in zip(first.labels, first.forces, strict=True) if not force.reversible
-        )
-        raise ValueError(f"{irreversible} does not run backward, and t_span ends before it starts")
+    irreversible = [label for label, force in forces_of(system) if not force.reversible]
+    if h < 0.0 and irreversible:
+        raise ValueError(f"{irreversible[0]} does not run backward, and t_span ends before it starts")
 
 
 @dataclass(frozen=True)
@@ -102,7 +98,7 @@ class Forced(Wrapper):
         if not isinstance(system, ForcedSystem):
             raise TypeError(f"{system.name} has no forces; take {type(self.base).__name__} alone")
         inner = declared_properties(self.base, system.system)
-        breaking = [label for label, force in zip(system.labels, system.forces, strict=True) if not force.casimirs]
+        breaking = [label for label, force in forces_of(system) if not force.casimirs]
         every = list(system.labels)
         broken = [("Poisson map", inner.poisson, every), ("energy", inner.energy, every)]
         broken += [("Casimirs", inner.casimirs != "none", breaking)]

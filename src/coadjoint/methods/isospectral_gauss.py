@@ -23,6 +23,7 @@ from coadjoint.methods.protocol.tangents import VariedTangents
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
+from coadjoint.systems.protocol import is_matrix_system
 from coadjoint.systems.system_checks import System
 from coadjoint.validation import read_integer
 
@@ -166,7 +167,7 @@ class IsospectralGauss(SteppedMethod, VariedTangents):
 
 def matrices_of(system: Any) -> MatrixSystem:
     """Return a `MatrixSystem` unchanged; raise ValueError for any other system."""
-    if not isinstance(system, MatrixSystem):
+    if not is_matrix_system(system):
         raise ValueError(
             f"IsospectralGauss integrates matrices, but {getattr(system, 'name', short(system))} is no MatrixSystem; "
             "take Splitting or GaussLegendre"

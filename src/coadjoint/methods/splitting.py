@@ -20,7 +20,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.separable import MAX_COORDINATES
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.poisson import PoissonSystem
+from coadjoint.systems.protocol import has_structure_constants
 from coadjoint.systems.system_checks import System, check_vector_states
 from coadjoint.validation import read_bool, read_choice, read_finite, read_integer, read_list, read_number
 
@@ -260,7 +260,7 @@ class Splitting(FlowMethod):
             into functions of commuting coordinates; for parts that do not match it.
         """
         check_vector_states(system)
-        if isinstance(system, PoissonSystem):
+        if not has_structure_constants(system):
             raise ValueError(
                 f"Splitting needs a Lie algebra, which {system.name} does not have (its split flows are not linear); "
                 "use GaussLegendre or ModifiedGaussLegendre"

@@ -11,7 +11,8 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import names, scheme
 from coadjoint.methods.splitting import Splitting
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.system_checks import System, check_one_system, unforced
+from coadjoint.systems.protocol import is_matrix_system, unforced
+from coadjoint.systems.system_checks import System, check_one_system
 
 PREFERRED_SCHEMES: tuple[Method, ...] = (Splitting(order=4), GaussLegendre(stages=3))
 """Tried in this order."""
@@ -24,7 +25,7 @@ ANY_TOLERANCE = 1e-9
 def default_scheme(system: Any) -> Method:
     """Return the scheme of a run for which none is given, for systems with or without forces."""
     plain = unforced(system)
-    return suggested_scheme(cast(System, plain)) if isinstance(plain, MatrixSystem) else DEFAULT_SCHEME
+    return suggested_scheme(cast(System, plain)) if is_matrix_system(plain) else DEFAULT_SCHEME
 
 
 def reference_scheme(order: int) -> Method:
@@ -79,7 +80,7 @@ def suggested_scheme(system: System) -> Method:
     """
     check_one_system(system)
     *first, last = PREFERRED_SCHEMES
-    if isinstance(system, MatrixSystem):
+    if is_matrix_system(system):
         first = sorted(_supporting_schemes(system), key=lambda method: not method.properties(cast(Any, system)).poisson)
     for method in first:
         try:

@@ -17,12 +17,11 @@ from coadjoint.pictures.style import coordinate
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.summary import is_driven
 from coadjoint.short_repr import short
-from coadjoint.systems.batch import Batch
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.gallery_entry import GalleryEntry
+from coadjoint.systems.protocol import forces_of, member_of, shape_of, unforced
 from coadjoint.systems.registry import gallery_entry_of
-from coadjoint.systems.system_checks import shape_of
 from coadjoint.validation import read_choice, read_integer, read_list, read_number
 
 Floats = npt.NDArray[np.float64]
@@ -50,11 +49,8 @@ class PlottedRun:
     def __init__(self, solution: Solution, members: Any = None) -> None:
         self.solution = solution
         chosen = None if members is None else _read_members(solution, members)
-        self.system: Any = solution.system
-        if isinstance(solution.system, Batch):
-            self.system = solution.system[0 if chosen is None else int(chosen[0])]
-        # A forced system wraps the system with the name and the parameters.
-        self.family: Any = getattr(self.system, "system", self.system)
+        self.system: Any = member_of(solution.system, 0 if chosen is None else int(chosen[0]))
+        self.family: Any = unforced(self.system)
         self.gallery_entry: GalleryEntry | None = gallery_entry_of(self.family.name)
         self.single = solution.failed is None
         # Complex matrices are drawn as interleaved real and imaginary parts.
@@ -96,7 +92,7 @@ class PlottedRun:
     @cached_property
     def random(self) -> bool:
         """Whether a force is noise, so that neither a field nor states between two steps exist."""
-        return any(force.random for force in getattr(self.system, "forces", ()))
+        return any(force.random for _, force in forces_of(self.system))
 
     def _with_times(self, times: Floats) -> PlottedRun:
         """Return the same run at other times, which include the saved ones."""
@@ -253,8 +249,7 @@ class PlottedRun:
 
     def system_of(self, m: int) -> Any:
         """Return the system of a drawn member; those of a batch differ."""
-        system = self.solution.system
-        return system[int(self._chosen[m])] if isinstance(system, Batch) else self.system
+        return member_of(self.solution.system, int(self._chosen[m]))
 
     def slope(self, x: Floats, t: float, m: int = 0) -> Floats:
         """Return the field of a member at a state, as real numbers."""

@@ -18,10 +18,10 @@ from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.root_search import minimize_each, roots
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.system_checks import System, unforced
+from coadjoint.systems.protocol import coordinates_of, is_matrix_system, unforced
+from coadjoint.systems.system_checks import System
 from coadjoint.systems.user_functions import takes_time
 from coadjoint.validation import read_choice, read_integer
 
@@ -65,11 +65,9 @@ class WatchedEvents:
     def __init__(self, system: System | Batch, events: Sequence[Event], x0: Floats, t0: float) -> None:
         from coadjoint.kernels.tables import invariants_table
 
-        plain_system: Any = unforced(system[0] if isinstance(system, Batch) else system)
+        plain_system = unforced(system)
         self.system, self.events = system, tuple(events)
-        known = self.coordinates = (
-            () if isinstance(plain_system, MatrixSystem) else coordinate_names(plain_system, plain_system.dim)
-        )
+        known = self.coordinates = coordinates_of(system)
         self.names = names_of(self.events, known)
         functions = [
             (f"the event {name}", _function_of(event, name, plain_system, known, x0, t0))
@@ -237,9 +235,8 @@ def names_of(events: Sequence[Event], coordinates: Sequence[str]) -> tuple[str, 
 
 def _function_of(event: Event, name: str, plain_system: Any, coordinates: Sequence[str], x0: Floats, t0: float) -> Any:
     """Return the object of an event that the kernels compile."""
-    g, n = event.g, plain_system.dim
-    start: Any = plain_system.states(x0) if isinstance(plain_system, MatrixSystem) else x0
-    if isinstance(plain_system, MatrixSystem) and not callable(g):
+    g, n, matrices = event.g, plain_system.dim, is_matrix_system(plain_system)
+    if matrices and not callable(g):
         raise TypeError(
             f"the event {name} is about coordinates, and the states of {plain_system.name} are matrices; give a "
             "function of a matrix"
@@ -258,13 +255,11 @@ def _function_of(event: Event, name: str, plain_system: Any, coordinates: Sequen
         return Quadratic(0.0, linear=np.eye(1, n, i)[0])
     if isinstance(g, Polynomial | Quadratic):
         return g
-    timed = takes_time(g, name)
+    timed, start = takes_time(g, name), plain_system.states(x0) if matrices else x0
     value = g(start.copy(), t0) if timed else g(start.copy())
     if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
         raise TypeError(f"the event {name} returns {short(value)} at the start; it must return one real number")
-    if isinstance(plain_system, MatrixSystem):
-        return Invariant(MatrixEventFunction(g, plain_system, timed))
-    return Invariant(g)
+    return Invariant(MatrixEventFunction(g, plain_system, timed) if matrices else g)
 
 
 class MatrixEventFunction:

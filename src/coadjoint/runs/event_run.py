@@ -16,8 +16,7 @@ from coadjoint.runs.loops import ExecutionPlan
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.progress import progress_bar
 from coadjoint.runs.run import Run
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.system_checks import unforced
+from coadjoint.systems.protocol import states_of
 
 FIRST_CHUNK = 256
 MOST_STEPS = 2**16
@@ -87,11 +86,10 @@ class EventRun:
                 run.start, crossings.members, crossings.t - run.times.t0, crossings.groups
             )
         states = crossings.states[:, : run.start.momenta.shape[1]]
-        plain = unforced(self.watched.system)
         run.events = RecordedEvents(
             self.watched.names,
             crossings.t,
-            plain.states(states) if isinstance(plain, MatrixSystem) else states.reshape(-1, *run.start.shape),
+            states_of(run.start.system, states),
             crossings.which,
             crossings.members,
             crossings.direction,

@@ -27,6 +27,7 @@ from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.torque import Torque
 from coadjoint.systems.hamiltonians.linear_term import check_linear, linear_of, with_linear
+from coadjoint.systems.protocol import forces_of, unforced
 from coadjoint.systems.system_checks import System
 from coadjoint.validation import are_finite, read_numbers
 
@@ -59,7 +60,7 @@ class Inputs:
                 "for each member"
             )
         self.system = system
-        self._unforced: Any = system.system if isinstance(system, ForcedSystem) else system
+        self._unforced: Any = unforced(system)
         if isinstance(specification, bool | np.bool_) and specification:
             specification = range(system.dim)
         if isinstance(specification, str):
@@ -93,16 +94,16 @@ class Inputs:
 
     def _torque_indices(self, label: str, name: str) -> NDArray[np.int64]:
         """Append the torque of this label to the values, and return its indices."""
-        if not isinstance(self.system, ForcedSystem):
+        labels = [label for label, _ in forces_of(self.system)]
+        if not labels:
             raise ValueError(
                 f"inputs has {short(label)} for {name}, and {self.system.name} has no forces; give coordinates, or a "
                 "system with_forces(co.forces.Torque(...))"
             )
-        labels = self.system.labels
         if label not in labels:
             raise unknown_name("force", label, labels)
         k = labels.index(label)
-        force = self.system.forces[k]
+        force = forces_of(self.system)[k][1]
         if not isinstance(force, Torque) or callable(force.torque):
             raise TypeError(
                 f"inputs has {short(label)} for {name}, which is {short(str(force))}; of the forces only a constant "
@@ -170,9 +171,9 @@ class Inputs:
         """Return the system with these values, (m,)."""
         size = len(self._linear)
         system = with_linear(self._unforced, values[:size]) if size else self._unforced
-        if not isinstance(self.system, ForcedSystem):
+        forces: list[Any] = [force for _, force in forces_of(self.system)]
+        if not forces:
             return system
-        forces: list[Any] = list(self.system.forces)
         for k, indices in self._torques.items():
             forces[k] = replace(forces[k], torque=values[indices])
         return ForcedSystem(system, forces)

@@ -19,8 +19,8 @@ from coadjoint.runs.shifted_attitude import ShiftCorrection, uncorrected_groups
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.system_checks import System, unforced
+from coadjoint.systems.protocol import is_matrix_system, unforced
+from coadjoint.systems.system_checks import System
 
 UNTRACKED = Quadratic(0.0)
 """Placeholder for an invariant that the loops do not track."""
@@ -188,7 +188,7 @@ class SystemLoops(Loops):
         self.accounts = prepared.accounts
         plain = unforced(system)
         self.rows = matrix_rows(system)
-        self._matrices = plain if isinstance(plain, MatrixSystem) else None
+        self._matrices = plain if is_matrix_system(plain) else None
         self.measures = self._matrices is not None
         if self._matrices:
             count = (1 + len(tracked)) * (2 if self.accounts else 1) - 1

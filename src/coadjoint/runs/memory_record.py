@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.runs.run_record import FROM_TIMES, RunRecord, Statistics
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.system_checks import unforced
+from coadjoint.systems.protocol import states_of
 
 if TYPE_CHECKING:
     from coadjoint.runs.observables import Observed
@@ -80,10 +79,7 @@ def _x(record: RunRecord) -> NDArray[Any]:
 
 
 def _states(record: RunRecord, rows: NDArray[np.float64]) -> NDArray[Any]:
-    plain = unforced(record.given_system)
-    if isinstance(plain, MatrixSystem):
-        return plain.states(rows)
-    return rows.reshape(*rows.shape[:-1], *record.start.shape)
+    return np.asarray(states_of(record.start.system, rows))
 
 
 def _initial(record: RunRecord) -> Mapping[str, Any]:

@@ -17,8 +17,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.batch_execution import failure_text, run_in_threads, status_name
 from coadjoint.runs.batch_rows import rows_of_pieces
 from coadjoint.runs.loops import Loops
-from coadjoint.systems.batch import Batch
-from coadjoint.systems.forced import ForcedSystem
+from coadjoint.systems.protocol import forces_of, member_of
 
 Floats = NDArray[np.float64]
 
@@ -30,14 +29,12 @@ SINGLE_THREAD_ROWS = 256
 
 def reject_noise(system: Any) -> None:
     """Reject a system with noise: its increment over a partial step is not determined by that of the whole step."""
-    forced = system[0] if isinstance(system, Batch) else system
-    if isinstance(forced, ForcedSystem):
-        noises = [label for label, force in zip(forced.labels, forced.forces, strict=True) if force.random]
-        if noises:
-            raise ValueError(
-                f"{noises[0]} of {forced.name} is a noise, drawn once for a step: there is no state between two steps; "
-                "give times that are whole numbers of steps from the start"
-            )
+    noises = [label for label, force in forces_of(system) if force.random]
+    if noises:
+        raise ValueError(
+            f"{noises[0]} of {member_of(system).name} is a noise, drawn once for a step: there is no state between two "
+            "steps; give times that are whole numbers of steps from the start"
+        )
 
 
 class StepResult(NamedTuple):

@@ -37,7 +37,7 @@ from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.protocol import among, is_batch, is_matrix_system, member_of, members_of
 from coadjoint.systems.system_checks import System, check_system
 from coadjoint.validation import read_bool, read_integer
 
@@ -81,7 +81,7 @@ class PreparedRun:
         self.method, self.step = scheme, checked_step(step)
         self._scheme = effective_scheme(system, scheme)
         # Loops do not track invariants of matrices.
-        self._watching = watching and not isinstance(system, MatrixSystem)
+        self._watching = watching and not is_matrix_system(system)
         self._representations = representations_of(cast(Any, system), self._scheme, attitude)
         self._attitude = read_attitude(attitude)
         self.observe = check_observe({} if observe is None else observe)
@@ -127,19 +127,15 @@ class PreparedRun:
         PreparedRun
         """
         system, state = self.system, self.__getstate__()
-        if isinstance(system, Batch):
-            state["system"], state["_representations"] = system.among(first, last), self._representations[first:last]
-            # Tables hold the number of the noise, which a member keeps.
-            unchanged = all(
-                member is original for member, original in zip(state["system"], system.systems[first:last], strict=True)
-            )
+        state["system"] = part = among(system, first, last)
+        # Tables hold the number of the noise, which a member keeps.
+        unchanged = all(member is member_of(system, first + m) for m, member in enumerate(members_of(part)))
+        if is_batch(system):
+            state["_representations"] = self._representations[first:last]
             loops = self._loops_by_step.items() if unchanged else ()
-            state["_loops_by_step"] = {h: loop.among(first, last) for h, loop in loops if isinstance(loop, BatchLoops)}
-        elif isinstance(system, ForcedSystem):
-            state["system"] = system.numbered_from(first)
-            state["_loops_by_step"] = self._loops_by_step if state["system"] is system else {}
+            state["_loops_by_step"] = {h: cast(BatchLoops, loop).among(first, last) for h, loop in loops}
         else:
-            state["_loops_by_step"] = self._loops_by_step
+            state["_loops_by_step"] = self._loops_by_step if unchanged else {}
         if isinstance(self._attitude, np.ndarray) and self._attitude.ndim > 2:
             state["_attitude"] = self._attitude[first:last]
         state["_threads"] = threads or self._threads
@@ -355,7 +351,7 @@ class PreparedRun:
     def _loops(self, h: float) -> Loops | InputLoops:
         if self._inputs is not None:
             return InputLoops(self._inputs, self._scheme, h, self._representations[0])
-        if isinstance(self.system, Batch):
+        if is_batch(self.system):
             return BatchLoops(self.system, self._scheme, h, self._representations)
         return SystemLoops(self.system, self._scheme, h, self._representations[0])
 
@@ -365,8 +361,7 @@ class PreparedRun:
             return None
         with self._lock:
             if self._observed is None:
-                system = self.system[0] if isinstance(self.system, Batch) else self.system
-                self._observed = Observed(system, self.observe, start.momenta[0])
+                self._observed = Observed(member_of(self.system), self.observe, start.momenta[0])
         return self._observed
 
 

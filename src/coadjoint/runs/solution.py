@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.runs.run_record import SOLUTION_FIELDS, Drift, RunAttributes, RunRecord
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
-from coadjoint.systems.batch import Batch
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.protocol import is_batch, is_matrix_system
 
 if TYPE_CHECKING:
     import xarray
@@ -240,7 +239,7 @@ class Solution(RunAttributes):
         >>> bool(abs(sol.spectrum() - sol.spectrum()[0]).max() < 1e-13)
         True
         """
-        if not isinstance(self.system, MatrixSystem):
+        if not is_matrix_system(self.system):
             raise TypeError(f"the states of {self.system.name} are no matrices, and have no spectrum")
         axes = 1 if self.failed is None else 2  # of times and members
         finite = np.isfinite(self.x).all(axis=tuple(range(axes, self.x.ndim)))
@@ -282,7 +281,7 @@ class Solution(RunAttributes):
         """
         modified_hamiltonian = shortcut("modified_hamiltonian")
         h = self.step if self.t_span[1] > self.t_span[0] else -self.step
-        if isinstance(self.system, Batch):
+        if is_batch(self.system):
             hamiltonians = [modified_hamiltonian(member, self.method, order) for member in self.system]
             return np.stack([H(self.x[:, m], h) for m, H in enumerate(hamiltonians)], axis=1)
         return np.asarray(modified_hamiltonian(self.system, self.method, order)(self.x, h))

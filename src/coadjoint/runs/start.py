@@ -15,8 +15,8 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.system_checks import System, check_system, shape_of, unforced
+from coadjoint.systems.protocol import is_batch, is_matrix_system, member_of, members_of, shape_of, unforced
+from coadjoint.systems.system_checks import System, check_system
 from coadjoint.validation import SMALL_SIZE, are_finite, read_numbers
 
 Representation = NDArray[np.float64] | str | None
@@ -26,14 +26,14 @@ class Start(NamedTuple):
     """Initial momenta (members, n) and group elements (members, d, d).
 
     `representation` is that of the group elements (for a batch, of its first member); `single` means no axis of
-    members; `shape` is the shape of a state.
+    members; `system` is the prepared one, without the inputs of the run.
     """
 
     momenta: NDArray[np.float64]
     groups: NDArray[np.float64]
     representation: Representation
     single: bool
-    shape: tuple[int, ...]
+    system: Any
 
     @property
     def carried(self) -> str | None:
@@ -56,7 +56,7 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
     A batch takes one state for each member, or one for all.
     """
     plain = unforced(system)
-    if isinstance(plain, MatrixSystem):
+    if is_matrix_system(plain):
         rows = plain.read(x0)
         if not len(rows):
             raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs at least one member")
@@ -68,7 +68,7 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
             raise ValueError(f"x0 has the shape {momenta.shape}; it must be {shape} or (members, {str(shape)[1:]}")
         momenta = momenta.reshape(*momenta.shape[: -len(shape)], n)
     single = momenta.ndim == 1
-    if isinstance(system, Batch):
+    if is_batch(system):
         if momenta.shape not in ((n,), (len(system), n)):
             raise ValueError(
                 f"x0 has the shape {momenta.shape}; a batch of {len(system)} members needs ({len(system)}, {n}), "
@@ -101,7 +101,7 @@ def with_group(
     Otherwise the initial element is the unit element.
     """
     if representation is None:
-        return Start(momenta, np.zeros((len(momenta), 0, 0)), None, single, shape_of(system))
+        return Start(momenta, np.zeros((len(momenta), 0, 0)), None, single, system)
     size = system.dim if isinstance(representation, str) else representation.shape[1]
     if len(momenta) * size**2 > SMALL_SIZE:
         check_available_memory(
@@ -110,7 +110,7 @@ def with_group(
     initial = read_attitude(attitude)
     if not isinstance(initial, np.ndarray):
         units = _unit(size) if len(momenta) == 1 else np.tile(_unit(size), (len(momenta), 1, 1))
-        return Start(momenta, units, representation, single, shape_of(system))
+        return Start(momenta, units, representation, single, system)
     if initial.shape not in ((size, size), (len(momenta), size, size)):
         raise ValueError(
             f"attitude has the shape {initial.shape}; the representation of {system.name} needs ({size}, {size})"
@@ -123,17 +123,16 @@ def with_group(
         _check_elements(system, initial.reshape(-1, size, size), representation)
     shared = initial.ndim == 2 and len(momenta) > 1
     groups = np.tile(initial, (len(momenta), 1, 1)) if shared else np.ascontiguousarray(initial).reshape(-1, size, size)
-    return Start(momenta, groups, representation, single, shape_of(system))
+    return Start(momenta, groups, representation, single, system)
 
 
 def _check_elements(system: System | Batch, groups: NDArray[np.float64], representation: Any) -> None:
-    first: Any = system[0] if isinstance(system, Batch) else system
     if isinstance(representation, str):
-        violation = automorphism_violation(groups, unforced(first).algebra.structure_matrix)
+        violation = automorphism_violation(groups, unforced(system).algebra.structure_matrix)
     else:
         violation = group_element_violation(groups, representation)
     if violation is not None:
-        raise ValueError(f"attitude is no element of the group of {first.name}: {violation}")
+        raise ValueError(f"attitude is no element of the group of {member_of(system).name}: {violation}")
 
 
 @lru_cache(maxsize=4)
@@ -168,9 +167,7 @@ def representations_of(system: System | Batch, method: Method, attitude: Any) ->
     One unless `system` is a batch, whose members must have matrices of one size. ValueError if the scheme does not
     support it.
     """
-    if not isinstance(system, Batch):
-        return (_representation(system, method, attitude),)
-    representations = tuple(_representation(member, method, attitude) for member in system)
+    representations = tuple(_representation(member, method, attitude) for member in members_of(system))
     shapes = [getattr(representation, "shape", ()) for representation in representations]
     other = next((m for m, shape in enumerate(shapes) if shape != shapes[0]), None)
     if other is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from coadjoint.short_repr import html_table
-from coadjoint.systems.batch import Batch
+from coadjoint.systems.protocol import member_of
 
 if TYPE_CHECKING:
     from coadjoint.runs.solution import Solution
@@ -16,8 +16,7 @@ MAX_CASIMIRS_SHOWN = 4
 
 def is_driven(system: Any) -> bool:
     """Whether the Hamiltonian depends on time; a change of the energy is then not a drift."""
-    first = system[0] if isinstance(system, Batch) else system
-    return bool(getattr(first.hamiltonian, "timed", False))
+    return bool(getattr(member_of(system).hamiltonian, "timed", False))
 
 
 def table_of_run(solution: Solution) -> str:

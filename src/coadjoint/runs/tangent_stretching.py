@@ -24,6 +24,7 @@ from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.protocol import is_batch, member_of, members_of
 from coadjoint.systems.system_checks import System
 
 NEARLY_DEPENDENT = 2.0**-26  # as in the compiled loop: half of the digits are lost
@@ -51,14 +52,14 @@ def stretching(
     `times` has the saved steps as marks; `start` has no group element. ValueError or TypeError: the scheme cannot be
     used for the system, or a derivative is unknown.
     """
-    systems = list(system) if isinstance(system, Batch) else [system]
+    systems = members_of(system)
     prepared = []
     for m, member in enumerate(systems):
         try:
             method.properties(member)
             prepared.append(tangent_loop(method, member, times.h, frame))
         except (TypeError, ValueError) as error:
-            if not isinstance(system, Batch):
+            if not is_batch(system):
                 raise
             raise type(error)(f"member {m} of the batch: {error}") from error
     if None in prepared:
@@ -91,7 +92,7 @@ def _step_by_step(
     ends = np.where(run.state["status"] == 0, times.steps, run.state["step"] - 1)
     logarithms = np.full((times.points, len(start.momenta), len(frame.vectors)), np.nan)
     for m in range(len(start.momenta)):
-        member = systems[m if len(systems) > 1 else 0]
+        member = member_of(system, m)
         states = run.saved["x"][: int(ends[m]) + 1, m]
         failed = _follow(member, method, times, states, frame, logarithms[:, m])
         if failed:

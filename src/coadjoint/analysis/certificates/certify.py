@@ -23,7 +23,8 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.registry import description_of, read_method
 from coadjoint.runs.start import momenta_of
-from coadjoint.systems.system_checks import System, as_vector_system, check_one_system
+from coadjoint.systems.protocol import as_vector_system
+from coadjoint.systems.system_checks import System, check_one_system
 from coadjoint.validation import read_integer, read_number
 
 MAX_STEPS = 10**7

@@ -19,7 +19,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.step_derivatives import AGREEMENT, derivative_of
 from coadjoint.methods.protocol.tangents import tangent_by
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.protocol import has_structure_constants
 
 SLOPE_STEPS = 4
 MAX_DIRECTIONAL_DIM = 1100
@@ -153,7 +153,7 @@ def _carried(
 
 def _apply_structure(system: Any, x: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return J(x) applied to vectors in columns."""
-    if isinstance(system, LiePoissonSystem):
+    if has_structure_constants(system):
         return np.asarray(system.algebra.structure_operator(x) @ vectors)
     return np.asarray(system.structure_matrix(x) @ vectors)
 

@@ -17,7 +17,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.protocol import is_matrix_system
 from coadjoint.systems.system_checks import System
 
 Floats = NDArray[np.float64]
@@ -174,7 +174,7 @@ class Subject:
         small = 2.0**-17 * (float(np.max(np.abs(x))) or 1.0)
         units = small * np.eye(len(x))
         P = (self.step(x + units, h) - self.step(x - units, h)) / (2 * small)
-        if isinstance(self.system, MatrixSystem):
+        if is_matrix_system(self.system):
             # The singular values of directions outside the algebra are zero.
             values = np.linalg.svd(P, compute_uv=False)[: self.system.algebra.dim]
             return float(np.linalg.norm(values) * np.linalg.norm(1.0 / values))

@@ -19,7 +19,7 @@ from coadjoint.files.archives.block_run import BUSY, run_block
 from coadjoint.files.archives.store import ArchiveError, ArchiveStore, ArchiveUnwritten
 from coadjoint.private_folders import private_folder
 from coadjoint.runs.progress import progress_bar
-from coadjoint.systems.batch import Batch
+from coadjoint.systems.protocol import is_batch
 
 if TYPE_CHECKING:
     from coadjoint.files.archives.blocks import Block
@@ -83,7 +83,7 @@ def _run_round(
     client: Any, store: ArchiveStore, remaining: list[Block], prepared: PreparedRun, threads: int, bar: Any
 ) -> tuple[list[Block], BaseException | None]:
     """Submit blocks and wait for them; return the unfinished ones, and the first failure."""
-    archive, token, shared_tables = str(store.path), secrets.token_hex(4), not isinstance(prepared.system, Batch)
+    archive, token, shared_tables = str(store.path), secrets.token_hex(4), not is_batch(prepared.system)
     prepared.loops(_signed_step(store, prepared)).build_all()  # built here rather than by each worker
     try:
         shared_run: Any = client.scatter(prepared, broadcast=True, hash=False) if shared_tables else None

@@ -36,10 +36,7 @@ from coadjoint.runs.output_times import output_times_of
 from coadjoint.runs.solution import Solution, with_choice
 from coadjoint.runs.start import momenta_of, start_of
 from coadjoint.runs.times import times_of
-from coadjoint.systems.batch import Batch
-from coadjoint.systems.coordinates import coordinate_names
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.system_checks import unforced
+from coadjoint.systems.protocol import coordinates_of, member_of
 from coadjoint.validation import read_path
 
 CONFIGURATION = "configuration"
@@ -200,7 +197,7 @@ class Configuration:
         points_saved = times_of(self.t_span, self.step, self.save_every).points
         points = points_saved if self.t_eval is None else 2 * len(self.t_eval)
         start = start_of(self.system, effective_scheme(self.system, self.method), self.x0, self.attitude)
-        first = self.system[0] if isinstance(self.system, Batch) else self.system
+        first = member_of(self.system)
         numbers = first.dim + start.groups.shape[1] ** 2 + 1 + len(first.casimirs) + len(self.observe)
         needed, free = 8 * points * len(start.momenta) * numbers, available()
         if needed > free:
@@ -378,7 +375,7 @@ def _configuration(
         method = _method(name, file, system)
         if system is not None:
             with section(name, "method"):
-                check_supports(system[0] if isinstance(system, Batch) else system, method)
+                check_supports(member_of(system), method)
     if step is not None and tables.has("run"):
         with errors.collect():
             _check_times(name, file, system, step)
@@ -395,9 +392,10 @@ def _configuration(
     observe, events = {}, []
     for key, polynomial in file.observe.items() if system is not None else ():
         with errors.collect(), section(name, f"observe.{key}"):
-            if isinstance(unforced(system), MatrixSystem):
+            coordinates = coordinates_of(system)
+            if not coordinates:
                 raise ValueError(f"a polynomial needs coordinates; the states of {system.name} are matrices")
-            observe[key] = parse_polynomial(polynomial, system.dim, coordinate_names(system))
+            observe[key] = parse_polynomial(polynomial, system.dim, coordinates)
     for key, table in file.events.items() if system is not None else ():
         with errors.collect(), section(name, f"events.{key}"):
             events.append(event_of_file(key, table.model_dump(), system))

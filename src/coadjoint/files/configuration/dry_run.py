@@ -17,7 +17,7 @@ from coadjoint.optional_packages import installed
 from coadjoint.runs.events import read_events
 from coadjoint.runs.memory_estimate import bytes_of_run
 from coadjoint.runs.times import Times
-from coadjoint.systems.batch import Batch
+from coadjoint.systems.protocol import is_batch, member_of
 
 if TYPE_CHECKING:
     from coadjoint.files.configuration.configuration import Configuration
@@ -59,8 +59,8 @@ class Plan:
 
     def _lines(self) -> Iterator[tuple[str, str]]:
         run = self.configuration
-        system = run.system[0] if isinstance(run.system, Batch) else run.system
-        batch_text = f"; {len(run.system)} systems, one for each member" if isinstance(run.system, Batch) else ""
+        system = member_of(run.system)
+        batch_text = f"; {len(run.system)} systems, one for each member" if is_batch(run.system) else ""
         yield "system", f"{system.name}, dimension {self.dim}{batch_text}"
         yield "members", f"{self.members}"
         if run.swept:
@@ -183,7 +183,7 @@ def plan(configuration: Configuration) -> Plan:
         # Output times are filled in while the steps from which they are reached are still in memory.
         points = len(output_times.t)
         memory += bytes_of_run(Layout(layout.extent._replace(points=points)), times._replace(marks=output_times.ends))
-    system = configuration.system[0] if isinstance(configuration.system, Batch) else configuration.system
+    system = member_of(configuration.system)
     seconds, tried, failed, written = None, 0, "", None
     try:
         seconds, tried = _seconds(configuration, prepared, times)

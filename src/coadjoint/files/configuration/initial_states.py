@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.files.configuration.construction import ConfigurationError, section
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.system_checks import unforced
+from coadjoint.systems.protocol import is_matrix_system, unforced
 from coadjoint.validation import check_parameters, read_choice
 
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ def initial_state(system: Any, value: Any, folder: Path) -> Any:
     if isinstance(value, str):
         return array_of_file(folder / value, value)
     unforced_system = unforced(system)
-    if not (isinstance(unforced_system, MatrixSystem) and unforced_system.complex):
+    if not (is_matrix_system(unforced_system) and unforced_system.complex):
         return value
     array = np.array(value, dtype=np.float64)
     pairs = array.ndim > 2 and array.shape[-1] == 2 and array.shape[-3:-1] == unforced_system.algebra.shape
@@ -77,7 +76,7 @@ def state_by_name(name: str, table: InitialTable, system: Any) -> Any:
 
     if table.kind is None:
         return None
-    family = getattr(system, "system", system)
+    family = unforced(system)
     with section(name, "initial.kind"):
         if not (known := getattr(family, "states_by_name", ())):
             raise ValueError(f"{family.name} has no named initial states; give x")

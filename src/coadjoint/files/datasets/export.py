@@ -30,7 +30,7 @@ from coadjoint.optional_packages import need
 from coadjoint.runs.events import Event
 from coadjoint.runs.times import times_of
 from coadjoint.short_repr import short
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.protocol import as_vector_system
 
 if TYPE_CHECKING:
     import xarray
@@ -254,8 +254,7 @@ def _numbers(states: xarray.DataArray) -> int:
 
 def _system(dataset: xarray.Dataset, system: Any) -> Any:
     """Return the system in the state format of the dataset, which for matrices may be rows of numbers."""
-    as_numbers = isinstance(system, MatrixSystem) and "component" in dataset["x0"].dims
-    return system.in_numbers if as_numbers else system
+    return as_vector_system(system) if "component" in dataset["x0"].dims else system
 
 
 def rebuild(dataset: xarray.Dataset) -> Solution:

@@ -23,10 +23,7 @@ from coadjoint.optional_packages import need
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.run_record import RunRecord, Statistics
 from coadjoint.runs.solution import Solution
-from coadjoint.systems.batch import Batch
-from coadjoint.systems.coordinates import coordinate_names
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.system_checks import unforced
+from coadjoint.systems.protocol import coordinates_of, member_of
 from coadjoint.validation import read_path
 
 if TYPE_CHECKING:
@@ -74,10 +71,7 @@ def _initial(record: RunRecord) -> Mapping[str, Any]:
     # The start is not among the saved times.
     if record.failed is None:
         return _invariants_at(record.system, record.x0, t0)
-    systems = record.system if isinstance(record.system, Batch) else [record.system] * len(record.x0)
-    member_invariants = [
-        _invariants_at(member_system, x, t0) for member_system, x in zip(systems, record.x0, strict=True)
-    ]
+    member_invariants = [_invariants_at(member_of(record.system, m), x, t0) for m, x in enumerate(record.x0)]
     return {name: np.array([invariants[name] for invariants in member_invariants]) for name in record.names}
 
 
@@ -108,14 +102,12 @@ def _events(record: RunRecord) -> RecordedEvents | None:
         return None
     system: Any = record.system
     events = events_of_dataset(record.dataset, system)
-    plain: Any = unforced(system)
-    coordinates = () if isinstance(plain, MatrixSystem) else tuple(coordinate_names(plain, plain.dim))
     t, x, event_index, member, direction = (
         record.read(f"event_{name}") for name in ("time", "x", "which", "member", "direction")
     )
     attitude = record.read("event_attitude") if "event_attitude" in record.arrays else None
     names = tuple(str(event.name) for event in events)
-    return RecordedEvents(names, t, x, event_index, member, direction, attitude, coordinates, events)
+    return RecordedEvents(names, t, x, event_index, member, direction, attitude, coordinates_of(system), events)
 
 
 def _split_account(text: str, invariants: list[str]) -> tuple[str, str]:

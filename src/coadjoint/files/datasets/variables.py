@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.files.records.records import safe_name
-from coadjoint.systems.batch import Batch
 from coadjoint.systems.coordinates import coordinate_names
-from coadjoint.systems.system_checks import unforced
+from coadjoint.systems.protocol import is_batch, unforced
 
 COMPLEX_PARTS = ("real", "imaginary")
 """Parts of complex numbers along the last axis, since NetCDF has no complex numbers."""
@@ -184,7 +183,7 @@ def parameters_of(system: Any) -> Variables:
     >>> parameters_of(bodies)
     {'swept_inertia_2': (('member',), array([2.5, 3. ]), {'long_name': 'system.parameters.inertia[2]'})}
     """
-    if not isinstance(system, Batch):
+    if not is_batch(system):
         return {}
     parameters_of_members = [unforced(member).parameters or {} for member in system]
     differing = dict[str, list[Any]]()

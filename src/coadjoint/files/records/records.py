@@ -25,6 +25,7 @@ from coadjoint.systems.hamiltonians.sum_of_hamiltonians import SumOfHamiltonians
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, QuadraticTerm
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.protocol import forces_of
 from coadjoint.systems.system_checks import System
 
 __all__ = ["record_of", "safe_name", "system_of"]
@@ -129,7 +130,7 @@ def _batch_record(batch: Batch) -> dict[str, Any]:
 def _forced_record(system: ForcedSystem) -> dict[str, Any]:
     """Return the Hamiltonian part, and the forces by name and parameters."""
     inner, forces, missing = record_of(system.system), [], []
-    for label, force in zip(system.labels, system.forces, strict=True):
+    for label, force in forces_of(system):
         parameters = force.parameters()
         known = described.KINDS.get(type(force).__name__) is type(force)
         if not known or any(callable(value) for value in parameters.values()):

@@ -17,11 +17,8 @@ from coadjoint.files.records.entries import Entry, as_value_errors
 from coadjoint.files.records.reconstruction import invariants_of
 from coadjoint.files.records.records import invariants_record
 from coadjoint.runs.events import Event, RecordedEvents
-from coadjoint.systems.batch import Batch
-from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.system_checks import unforced
+from coadjoint.systems.protocol import coordinates_of, unforced
 from coadjoint.validation import read_integer
 
 
@@ -34,17 +31,17 @@ def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
     >>> event_of_file("far", {"g": "x1^2 - 0.25", "direction": 1}, rigid_body((1, 2, 3))).g
     -0.25 + x1^2
     """
-    unforced_system = unforced(system[0] if isinstance(system, Batch) else system)
-    if isinstance(unforced_system, MatrixSystem):
-        raise ValueError(f"an event of a file needs coordinates; the states of {unforced_system.name} are matrices")
+    names = coordinates_of(system)
+    if not names:
+        raise ValueError(f"an event of a file needs coordinates; the states of {unforced(system).name} are matrices")
     options = dict(table)
-    g, names = options.pop("g"), coordinate_names(unforced_system)
+    g = options.pop("g")
     if isinstance(g, str) and g not in names:
-        g = parse_polynomial(g, unforced_system.dim, names)
+        g = parse_polynomial(g, system.dim, names)
     elif isinstance(g, list):
-        g = parse_polynomial(g, unforced_system.dim)
+        g = parse_polynomial(g, system.dim)
     elif not isinstance(g, str):
-        g = read_integer(g, "g", 0, unforced_system.dim - 1)
+        g = read_integer(g, "g", 0, system.dim - 1)
     return Event(g, name=name, **options)
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.methods.numerics.isospectral_stages import slope_along
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.protocol import is_matrix_system
 from coadjoint.systems.system_checks import check_one_system
 
 
@@ -79,7 +80,7 @@ class MatrixOrbit:
 def orbit_of(system: Any, scheme_name: str) -> VectorOrbit | MatrixOrbit:
     """Return the orbits of a system; raise an error that names the scheme if it is a batch or has no Lie algebra."""
     check_one_system(system)
-    if isinstance(system, MatrixSystem):
+    if is_matrix_system(system):
         return MatrixOrbit(system)
     if system.algebra is None:
         raise ValueError(

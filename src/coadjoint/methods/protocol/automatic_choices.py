@@ -15,8 +15,8 @@ from coadjoint.program.parts.chosen_parts import ChosenParts
 from coadjoint.program.parts.decompose import BODY_FLOW_CHOICES, check_body_flow_inputs, decompose, decompose_all
 from coadjoint.program.parts.split import NotSplittable
 from coadjoint.systems.hamiltonians.linear_term import with_placeholders
-from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.system_checks import System, unforced
+from coadjoint.systems.protocol import has_structure_constants, unforced
+from coadjoint.systems.system_checks import System
 
 
 def settled(method: Method, system: System, coordinates: Sequence[int]) -> Method:
@@ -36,7 +36,7 @@ def _with_fixed_parts(method: FlowMethod, system: System, coordinates: Sequence[
     if isinstance(method.parts, str) and method.parts in BODY_FLOW_CHOICES:
         check_body_flow_inputs(system, method.parts, coordinates)
     automatic = isinstance(method.parts, ChosenParts) or (isinstance(method.parts, str) and method.parts == "auto")
-    if not automatic or not isinstance(system, LiePoissonSystem):
+    if not automatic or not has_structure_constants(system):
         return method
     if not is_dataclass(method) or all(field.name != "parts" for field in fields(method)):
         raise TypeError(f"{method} has no field `parts`, so that automatic parts cannot be fixed; give it this field")
@@ -56,7 +56,7 @@ def split_jointly(method: Method, systems: Sequence[Any]) -> None:
         # Hamiltonians that do not split raise later, with the name of the member.
         with suppress(ValueError):
             plain = map(unforced, systems)
-            decompose_all([system for system in plain if isinstance(system, LiePoissonSystem)])
+            decompose_all([system for system in plain if has_structure_constants(system)])
 
 
 def with_compensation(method: Method) -> Method | None:

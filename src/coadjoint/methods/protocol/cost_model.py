@@ -12,7 +12,7 @@ import numpy as np
 from coadjoint.kernels.interface import limit
 from coadjoint.program.describe import action_work, bodies_of, count_series_blocks, share_work
 from coadjoint.program.table import Program
-from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.protocol import has_structure_constants
 from coadjoint.systems.system_checks import System
 
 # Weights of the cost model, to be adjusted when the compiled loops change. The unit is a flow that rotates one pair of
@@ -123,7 +123,7 @@ def iteration_work(system: System, stages: float, group: Any) -> float:
     """Return the cost of one iteration of an implicit scheme, in rotations: the field at all stages, and mixing."""
     multiplications, functions = field_work(system)
     vectors = multiplications + stages * system.dim
-    if group is not None and isinstance(system, LiePoissonSystem):
+    if group is not None and has_structure_constants(system):
         entries = 2 * len(system.algebra.triples[3]) if isinstance(group, str) else np.count_nonzero(group)
         edge = system.dim if isinstance(group, str) else group.shape[1]
         vectors += edge * entries + stages * edge * edge
@@ -148,7 +148,7 @@ def field_work(system: System) -> tuple[float, int]:
     terms = system.hamiltonian.terms()
     multiplications = sum(term.multiplications * (1.0 if term.form is not None else INDEXED_FACTOR) for term in terms)
     functions = sum(term.called for term in terms)
-    if isinstance(system, LiePoissonSystem):
+    if has_structure_constants(system):
         return multiplications + 2 * len(system.algebra.triples[3]), functions
     return multiplications + system.dim**2, functions + 1
 

@@ -19,7 +19,7 @@ from coadjoint.methods.protocol.power_series import PowerSeries
 from coadjoint.methods.protocol.tangents import CompiledTangents
 from coadjoint.program.numbers import Number
 from coadjoint.program.sweeps import Sweep as Sweep  # re-exported by coadjoint.methods
-from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.protocol import has_structure_constants
 from coadjoint.systems.system_checks import System
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ class FlowMethod(PowerSeries, CompiledTangents, Composable):
         from coadjoint.program.table import build_program
 
         self.properties(system)
-        if not isinstance(system, LiePoissonSystem):
+        if not has_structure_constants(system):
             raise ValueError(
                 f"{type(self).__name__} is made of flows on a Lie algebra, which {system.name} does not have; "
                 "take GaussLegendre"

@@ -14,7 +14,7 @@ from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.series import draw_members
 from coadjoint.pictures.style import colour, key, plain_axes, symbol
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.protocol import is_matrix_system
 
 MAX_CASIMIRS = 5
 """Largest number of Casimirs drawn as lines; of more, the worst four are drawn, with a band of all."""
@@ -70,7 +70,7 @@ def _sizes(drawn: PlottedRun) -> Mapping[str, float]:
 
     The scale of a trace is the sum of its absolute terms, since the terms cancel.
     """
-    if not isinstance(drawn.family, MatrixSystem):
+    if not is_matrix_system(drawn.family):
         return {}
     state = drawn.state(0)
     scales = {"energy": float(np.nanmax(np.abs(drawn.invariants["energy"])))}

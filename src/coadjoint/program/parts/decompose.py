@@ -32,6 +32,7 @@ from coadjoint.program.shifts.shift import (
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.hamiltonians.linear_term import linear_of, with_placeholders
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.protocol import has_structure_constants
 
 SEED = 1993
 SAMPLES = 16
@@ -185,7 +186,7 @@ def check_parts(system: LiePoissonSystem, choice: Any, scheme: str) -> None:
 
 def check_body_flow_inputs(system: Any, choice: str, coordinates: Sequence[int]) -> None:
     """Raise ValueError for inputs that change the axis of a part: on the coordinates of free bodies and bonds."""
-    if isinstance(system, LiePoissonSystem):
+    if has_structure_constants(system):
         check_parts(system, choice, "Splitting")
         bodies = decompose(system, choice).parts.bodies.values()
         occupied = {i for body in bodies for i in (*body.coordinates, *(body.other or ()))}

@@ -1,0 +1,163 @@
+"""Protocol of systems: the interface of one system, and what callers may ask of any system, with forces or in a batch.
+
+Only these functions and the writers of records distinguish the classes of systems; other code asks them:
+
+| question | function |
+|---|---|
+| the system of a member, or all of them | `member_of`, `members_of`, `among` |
+| the Hamiltonian part and the forces | `unforced`, `forces_of` |
+| the shape of a state, and rows of numbers as states | `shape_of`, `states_of` |
+| names of the components of a state | `coordinates_of` |
+| matrices with streams, traces and spectra | `is_matrix_system`; the same with vectors, `as_vector_system` |
+| brackets | `has_structure_constants`, `has_compiled_bracket` |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.coordinates import coordinate_names
+from coadjoint.systems.forced import ForcedSystem
+from coadjoint.systems.forces.base import Force
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+
+if TYPE_CHECKING:
+    from typing_extensions import TypeIs
+
+    from coadjoint.systems.lie_poisson import LiePoissonSystem
+
+
+@runtime_checkable
+class GeneralSystem(Protocol):
+    """The minimal interface that runs require of a system, also a user-defined one.
+
+    `shape` is the shape of a matrix state; without it the state is a vector of `dim` numbers. Compiled loops need an
+    `algebra` with its structure constants as `triples`; without them only schemes stepped in Python are available.
+    """
+
+    @property
+    def dim(self) -> int:
+        """Number of coordinates."""
+
+    @property
+    def name(self) -> str:
+        """Name in messages."""
+
+    @property
+    def sign(self) -> int:
+        """Sign of the right-hand side."""
+
+    @property
+    def algebra(self) -> Any:
+        """Lie algebra on whose dual the state lies, or None."""
+
+    @property
+    def representation(self) -> Any:
+        """Matrices for the group element, or None."""
+
+    @property
+    def hamiltonian(self) -> Any:
+        """The energy, a `HamiltonianLike` of vectors."""
+
+    @property
+    def casimirs(self) -> Mapping[str, Any]:
+        """Invariants recorded besides the energy, by name."""
+
+    def vector_field(self, x: Any, t: float = 0.0) -> Any:
+        """Return the vector field x'."""
+
+    def energy(self, x: Any, t: float = 0.0) -> Any:
+        """Return H(x, t)."""
+
+
+def is_batch(system: Any) -> TypeIs[Batch]:
+    """Return whether each member has its own system; ask only where that alters shapes or messages."""
+    return isinstance(system, Batch)
+
+
+def members_of(system: Any) -> tuple[Any, ...]:
+    """Return the systems of a batch; any other system as the only one."""
+    return system.systems if is_batch(system) else (system,)
+
+
+def member_of(system: Any, member: int = 0) -> Any:
+    """Return the system of a member, which all members share unless they are those of a batch."""
+    return system.systems[member] if is_batch(system) else system
+
+
+def among(system: Any, first: int, last: int) -> Any:
+    """Return the system of the members `first` to `last` - 1, whose noise keeps their original numbers."""
+    if is_batch(system):
+        return system.among(first, last)
+    return system.numbered_from(first) if isinstance(system, ForcedSystem) else system
+
+
+def unforced(system: Any) -> Any:
+    """Return the Hamiltonian part of a system with forces, of a batch that of its first member; others unchanged."""
+    first = member_of(system)
+    return first.system if isinstance(first, ForcedSystem) else first
+
+
+def forces_of(system: Any) -> tuple[tuple[str, Force], ...]:
+    """Return the forces of a system with their labels, of a batch those of its first member; empty without forces."""
+    first = member_of(system)
+    return tuple(zip(first.labels, first.forces, strict=True)) if isinstance(first, ForcedSystem) else ()
+
+
+def shape_of(system: Any) -> tuple[int, ...]:
+    """Return the shape of a state."""
+    return tuple(getattr(system, "shape", (system.dim,)))
+
+
+def states_of(system: Any, rows: Any) -> Any:
+    """Return rows of numbers (..., dim) as states (..., *shape); vectors are such rows.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from coadjoint.systems.fluids.sphere_euler import sphere_euler
+    >>> states_of(sphere_euler(N=3), np.zeros((5, 18))).shape
+    (5, 3, 3)
+    """
+    plain = unforced(system)
+    if is_matrix_system(plain):
+        return plain.states(rows)
+    return rows.reshape(*rows.shape[:-1], *shape_of(plain))
+
+
+def coordinates_of(system: Any) -> tuple[str, ...]:
+    """Return the names of the coordinates, for events and polynomials; empty for matrices, which have none."""
+    plain = unforced(system)
+    return () if is_matrix_system(plain) else coordinate_names(plain)
+
+
+def is_matrix_system(system: Any) -> TypeIs[MatrixSystem]:
+    """Return whether a system without forces has matrices with streams, traces and spectra as states.
+
+    A user-defined system has a `shape` instead, and states that are numbers to all but its own functions.
+    """
+    return isinstance(system, MatrixSystem)
+
+
+def as_vector_system(system: Any) -> Any:
+    """Return a system whose states are vectors: for matrices the one on rows of numbers, otherwise the system itself.
+
+    Examples
+    --------
+    >>> from coadjoint.systems.fluids.sphere_euler import sphere_euler
+    >>> shape_of(as_vector_system(sphere_euler(N=3)))
+    (18,)
+    """
+    return system.in_numbers if is_matrix_system(system) else system
+
+
+def has_structure_constants(system: Any) -> TypeIs[LiePoissonSystem]:
+    """Return whether the bracket is linear, with structure constants in memory, as flows on a Lie algebra need."""
+    return getattr(system.algebra, "triples", None) is not None
+
+
+def has_compiled_bracket(system: Any) -> bool:
+    """Return whether the kernels can evaluate the bracket, from structure constants or a function J."""
+    return system.algebra is None or has_structure_constants(system)
