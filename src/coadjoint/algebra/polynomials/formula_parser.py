@@ -49,24 +49,13 @@ def too_high(what: str, degree: int) -> ValueError:
     return ValueError(f"{what} has the degree {short(degree)}; there are degrees up to {MAX_DEGREE}; {TOO_HIGH}")
 
 
-class Monomials:
-    """Accumulator of the terms of a polynomial in text order; memory is checked while they are added."""
-
-    def __init__(self, dim: int) -> None:
-        self.dim = dim
-        self.coefficients: dict[Exponents, Constant] = {}
-
-    def add(self, exponents: Exponents, coefficient: Constant) -> None:
-        """Add one term."""
-        total = self.coefficients
-        total[exponents] = checked(total[exponents] + coefficient) if exponents in total else coefficient
-        if len(total) % MEMORY_CHECK_INTERVAL == 0:
-            size = len(total) * (BYTES_PER_TERM + BYTES_PER_EXPONENT * self.dim)
-            check_available_memory(2 * size, f"a polynomial of {len(total)} terms or more in {self.dim} coordinates")
-
-    def polynomial(self) -> Polynomial:
-        """Return the sum."""
-        return Polynomial(self.coefficients, dim=self.dim)
+def add_term(total: dict[Exponents, Constant], exponents: Exponents, coefficient: Constant) -> None:
+    """Add a term to the monomials of a polynomial, in text order, and check the memory as they grow."""
+    total[exponents] = checked(total[exponents] + coefficient) if exponents in total else coefficient
+    if len(total) % MEMORY_CHECK_INTERVAL == 0:
+        size = len(total) * (BYTES_PER_TERM + BYTES_PER_EXPONENT * len(exponents))
+        what = f"a polynomial of {len(total)} terms or more in {len(exponents)} coordinates"
+        check_available_memory(2 * size, what)
 
 
 class Power(NamedTuple):
@@ -205,7 +194,8 @@ class FormulaParser:
 
     def sum(self) -> Any:
         """Parse a sum: a number, a polynomial, or a sum with logarithms."""
-        total, rest, numbers = Monomials(self.dim), None, True
+        total: dict[Exponents, Constant] = {}
+        rest, numbers = None, True
         sign: str | None = self.accept("+", "-")
         while True:
             product = self._product()
@@ -216,13 +206,13 @@ class FormulaParser:
                 rest = value if rest is None else rest + value
             else:
                 numbers = numbers and product.exponents is None
-                total.add(tuple(product.exponents) if product.exponents else self._constant, product.number)
+                add_term(total, tuple(product.exponents) if product.exponents else self._constant, product.number)
             sign = self.accept("+", "-")
             if sign is None:
                 break
         if rest is None:
-            return total.coefficients[self._constant] if numbers else total.polynomial()
-        return rest + total.polynomial() if total.coefficients else rest
+            return total[self._constant] if numbers else Polynomial(total, dim=self.dim)
+        return rest + Polynomial(total, dim=self.dim) if total else rest
 
     def _product(self) -> Product:
         product = Product(self)

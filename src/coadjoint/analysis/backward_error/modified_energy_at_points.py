@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.polynomials.exact_polynomials import JetPolynomials
+from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
 from coadjoint.program.modified_energy.composition_logarithm import Coordinates
 from coadjoint.program.modified_energy.modified_series import Balls, ModifiedSeries
 from coadjoint.program.modified_energy.sweep_logarithm import Commutators
@@ -84,9 +84,9 @@ class ModifiedEnergyAtPoints:
         total = 0.0
         if self._weights:
             highest = self._weights[-1]
-            ring = JetPolynomials(self._system.algebra, x.tolist(), highest - 1)
+            ring = ExactPolynomials(self._system.algebra, point=x.tolist(), degree=highest - 1)
             parts = parts_at(self._program.parts, x, highest - 1)
-            flows = [{1: ring.at_point(piece)} for piece in part_polynomials(ring, parts)]
+            flows = [{1: ring.about_point(piece)} for piece in part_polynomials(ring, parts)]
             series = ModifiedSeries(Commutators(ring, self._system.sign), flows, highest)
             constant = (0,) * self.dim
             for weight in reversed(self._weights):
