@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from coadjoint.algebra.exact.free_algebra import Word, standard_factorization
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
+from coadjoint.algebra.polynomials.monomials import Exponents
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.long_operations import warn_if_long
 from coadjoint.program.modified_energy.bracket_cost import estimated_products
@@ -27,7 +29,7 @@ from coadjoint.program.modified_energy.sweep_logarithm import (
     check_products,
     sweep_logarithm,
 )
-from coadjoint.program.parts.part_polynomials import part_polynomials, rational_pieces
+from coadjoint.program.parts.part_polynomials import part_polynomials, rational_pieces, with_hamiltonian_coefficients
 from coadjoint.program.sweeps import Sweep, Swept
 from coadjoint.program.table import Program, build_program
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -140,19 +142,23 @@ def modified_terms(
     program: Program,
     coordinates: Coordinates,
     weights: Iterable[int],
-    pieces: Sequence[Exact] | None = None,
+    H: Polynomial | None = None,
+    factors: Mapping[Exponents, Exact] = MappingProxyType({}),
 ) -> ModifiedTerms:
     """Return the terms of the given weights (>= 2); the power of h is the weight minus one.
 
-    `pieces` are the polynomials of the parts, by default those of the program.
+    If `H` is given, the coefficients of the parts are replaced by its own, or by the polynomials in symbols `factors`
+    (see `with_hamiltonian_coefficients`), unless a Casimir was subtracted.
     """
     wanted = [weight for weight in weights if coordinates.of_weight[weight]]
     highest = max(wanted, default=1)
-    if highest == 1:
+    if highest > 1:
+        _check_cost(system, program, highest)
+    elif not factors:
         return ModifiedTerms({}, 0.0, coordinates.neglected)
-    if pieces is None:
-        check_cost(system, program, highest)
-    polynomials = part_polynomials(ring, program.parts) if pieces is None else pieces
+    polynomials = part_polynomials(ring, program.parts)
+    if H is not None and not program.shift:
+        polynomials = with_hamiltonian_coefficients(ring, program.parts, polynomials, H, factors)
     rotation_terms = rational_pieces(ring, program.parts, program.frequency, highest)
     flows = [{1: piece, **more} for piece, more in zip(polynomials, rotation_terms, strict=True)]
     series = ModifiedSeries(Commutators(ring, system.sign), flows, highest)
@@ -170,7 +176,7 @@ def modified_terms(
     return ModifiedTerms(of_power, radius, neglected)
 
 
-def check_cost(system: LiePoissonSystem, program: Program, highest: int) -> None:
+def _check_cost(system: LiePoissonSystem, program: Program, highest: int) -> None:
     """Estimate the cost of the terms up to a weight: raise ValueError if it is too large, warn if slow."""
     count = estimated_products(system.algebra, program.parts, highest)
     check_products(count)
