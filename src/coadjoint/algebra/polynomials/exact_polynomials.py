@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
@@ -88,10 +87,6 @@ class ExactPolynomials:
         """Convert an element to a `Polynomial` in the coordinates followed by the symbols."""
         monomials = {tuple(map(int, exponents)): fraction(value) for exponents, value in exact.to_dict().items()}
         return Polynomial(monomials, dim=self.dim + len(self.symbols))
-
-    def at_origin(self, exact: Exact) -> int | Fraction:
-        """Return the constant term."""
-        return fraction(exact[(0,) * (self.dim + len(self.symbols))])
 
     def about_point(self, F: Exact) -> Exact:
         """Return the Taylor polynomial of a polynomial in the coordinates; F itself without a point."""

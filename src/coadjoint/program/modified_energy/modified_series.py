@@ -156,7 +156,7 @@ def modified_terms(
         _check_cost(system, program, highest)
     elif not factors:
         return ModifiedTerms({}, 0.0, coordinates.neglected)
-    polynomials = part_polynomials(ring, program.parts)
+    polynomials = [ring.about_point(piece) for piece in part_polynomials(ring, program.parts)]
     if H is not None and not program.shift:
         polynomials = with_hamiltonian_coefficients(ring, program.parts, polynomials, H, factors)
     rotation_terms = rational_pieces(ring, program.parts, program.frequency, highest)
