@@ -18,6 +18,7 @@ from coadjoint.algebra.exact.numbers import (
     Constant,
     checked,
     parse_number,
+    quotient,
     too_large,
 )
 from coadjoint.algebra.invariants.logarithmic import LogarithmicSum
@@ -91,10 +92,10 @@ class Product:
     def divide(self, divisor: Any) -> None:
         """Divide the product so far."""
         divisor = self.parser.to_polynomial_value(divisor)
-        if isinstance(divisor, int | Fraction):
+        if isinstance(divisor, int | float | Fraction):
             if divisor == 0:
                 raise self.parser.division_by_zero()
-            self.number = checked(self.number * (Fraction(1) / divisor))
+            self.number = checked(quotient(self.number, divisor))
             return
         numerator = self.value()
         if not (isinstance(numerator, Polynomial) and isinstance(divisor, Polynomial)):
@@ -123,8 +124,7 @@ class Product:
 class FormulaParser:
     """Parser state: the text of a formula, its parameters, and the next token."""
 
-    power_sign: ClassVar[str] = "**"
-    operations: ClassVar[tuple[str, ...]] = ("*", "/")
+    powers: ClassVar[tuple[str, ...]] = ("**",)
     max_characters: float = MAX_CHARACTERS
     notation_help = "write whole numbers, names and operations on them, such as a*x1**2 - log(x2)/3"
 
@@ -217,9 +217,16 @@ class FormulaParser:
     def _product(self) -> Product:
         product = Product(self)
         product.multiply(self.factor())
-        while (operation := self.accept(*self.operations)) is not None:
-            (product.multiply if operation == "*" else product.divide)(self.factor())
+        while (operation := self.accept("*", "/")) is not None:
+            if operation == "*":
+                product.multiply(self.factor())
+            else:
+                product.divide(self.divisor())
         return product
+
+    def divisor(self) -> Any:
+        """Parse the factor after "/"."""
+        return self.factor()
 
     def factor(self) -> Any:
         """Parse a factor with its sign and power."""
@@ -233,7 +240,7 @@ class FormulaParser:
             value = product.value()
         else:
             value = self._atom()
-            if self.accept(self.power_sign) is not None:
+            if self.accept(*self.powers) is not None:
                 value = self._power_of(value, self.factor())
         self._depth -= 1
         return value
