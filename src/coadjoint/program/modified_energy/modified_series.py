@@ -37,18 +37,6 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 MIN_BITS = 60
 
 
-class Balls(NamedTuple):
-    """Polynomial with coefficients known up to rounding, as floats.
-
-    `radius` is the largest radius of a ball relative to its midpoint, `neglected` a bound of coefficients dropped
-    because they are zero up to rounding.
-    """
-
-    coefficients: Mapping[tuple[int, ...], float]
-    radius: float
-    neglected: float
-
-
 class ModifiedSeries:
     """Terms of h Y_1 + h^2 Y_2 + ... for a step: its Lie series, with polynomials for the letters.
 
@@ -80,8 +68,12 @@ class ModifiedSeries:
         flow = self._flows[0 if letter.origin == "first" else -1]
         return flow.get(letter.weight, self._commutators.ring.zero)
 
-    def term(self, coordinates: Coordinates, weight: int) -> Exact | Balls:
-        """Return the term of one weight (power of h, >= 2): exact for rational coefficients, else balls."""
+    def term(self, coordinates: Coordinates, weight: int) -> tuple[Polynomial, float, float]:
+        """Return the term of one weight (power of h, >= 2) in coordinates and symbols, its radius, and a bound.
+
+        It is exact for rational coefficients. Otherwise the coefficients are floats, the radius is the largest one of a
+        ball relative to its midpoint, and the bound is that of coefficients dropped as zero up to rounding.
+        """
         from flint import arb, ctx
 
         coefficients = coordinates.of_weight[weight]
@@ -90,7 +82,7 @@ class ModifiedSeries:
             total = ring.zero
             for word, value in coefficients.items():
                 total += self.of(word) * value
-            return total
+            return ring.with_symbols(total), 0.0, 0.0
         sums: dict[tuple[int, ...], Any] = {}
         largest = 0.0
         with ctx.workprec(BALL_BITS):
@@ -98,11 +90,13 @@ class ModifiedSeries:
                 for exponents, factor in self.of(word).to_dict().items():
                     sums[exponents] = sums.get(exponents, 0) + (product := value * factor)
                     largest = max(largest, float(abs(product).upper()))
-            return _rounded({tuple(map(int, exponents)): value for exponents, value in sums.items()}, largest)
+            floats, radius, neglected = _rounded(sums, largest)
+        return Polynomial(floats, dim=ring.dim + len(ring.symbols)), radius, neglected
 
 
-def _rounded(balls: Mapping[tuple[int, ...], Any], largest: float) -> Balls:
-    coefficients, radius, neglected = {}, 0.0, 0.0
+def _rounded(balls: Mapping[tuple[int, ...], Any], largest: float) -> tuple[dict[Exponents, float], float, float]:
+    coefficients: dict[Exponents, float] = {}
+    radius = neglected = 0.0
     for exponents, ball in balls.items():
         size = float(ball.rad())
         if size > largest * 2.0**-MIN_BITS:
@@ -113,9 +107,9 @@ def _rounded(balls: Mapping[tuple[int, ...], Any], largest: float) -> Balls:
         if ball.contains(0):
             neglected = max(neglected, float(abs(ball).upper()))
         else:
-            coefficients[exponents] = float(ball.mid())
+            coefficients[tuple(map(int, exponents))] = float(ball.mid())
             radius = max(radius, float((ball.rad() / abs(ball).lower()).upper()))
-    return Balls(coefficients, radius, neglected)
+    return coefficients, radius, neglected
 
 
 class ModifiedTerms(NamedTuple):
@@ -165,12 +159,8 @@ def modified_terms(
     of_power: dict[int, Polynomial] = {}
     radius, neglected = 0.0, coordinates.neglected
     for weight in wanted:
-        term = series.term(coordinates, weight)
-        if isinstance(term, Balls):
-            radius, neglected = max(radius, term.radius), max(neglected, term.neglected)
-            polynomial = Polynomial(term.coefficients, dim=ring.dim + len(ring.symbols))
-        else:
-            polynomial = ring.with_symbols(term)
+        polynomial, rounding, dropped = series.term(coordinates, weight)
+        radius, neglected = max(radius, rounding), max(neglected, dropped)
         if polynomial.monomials:
             of_power[weight - 1] = polynomial
     return ModifiedTerms(of_power, radius, neglected)
