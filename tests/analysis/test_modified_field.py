@@ -392,7 +392,7 @@ def test_a_step_that_branches_is_not_read_in_series() -> None:
         end = x
         for _ in range(60):
             new = x + h * system.vector_field((x + end) / 2)
-            if getattr(new[0] - end[0], "terms", [1])[0] == 0:
+            if getattr(new[0] - end[0], "coefficients", [1])[0] == 0:
                 return new
             end = new
         return end

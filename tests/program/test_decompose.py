@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program.modified_energy.second_order import part_jets, second_order_term
+from coadjoint.program.modified_energy.second_order import part_derivatives, second_order_term
 from coadjoint.program.parts.chosen_parts import ChosenParts
 from coadjoint.program.parts.decompose import best_decomposition, best_decompositions, decompose
 from coadjoint.program.parts.order_of_parts import best_order
@@ -59,7 +59,7 @@ def test_parts_add_up_to_the_shifted_hamiltonian(name):
     system = systems()[name]
     found = decompose(system, "auto")
     x = np.random.default_rng(0).standard_normal(system.dim)
-    gradient = part_jets(found.parts, x[None]).gradient[:, 0].sum(axis=0)
+    gradient = part_derivatives(found.parts, x[None])[0][:, 0].sum(axis=0)
     expected = system.hamiltonian.gradient(x) - sum(
         (c * np.asarray(C.gradient(x), dtype=float) for C, c in found.shift), np.zeros(system.dim)
     )
@@ -189,7 +189,7 @@ def test_a_choice_is_written_read_and_taken_again_with_all_that_it_holds(linear)
         forms = [part.forms for part in found.parts]
         assert forms == [part.forms for part in decompose(driven, choice).parts] and len(forms) == count
         x = np.array([0.5, -1.0, 0.25])
-        gradient = part_jets(found.parts, x[None]).gradient.sum(axis=(0, 1))
+        gradient = part_derivatives(found.parts, x[None])[0].sum(axis=(0, 1))
         assert np.array_equal(gradient, system.hamiltonian.gradient(x) - 2.0 * x)
     with pytest.raises(ValueError, match=r"parts names coordinate 3; .* has 3 of them"):
         decompose(free, ChosenParts((0, 1), SHIFT, (*linear, 3)))
@@ -222,5 +222,5 @@ def test_parts_of_one_pattern_have_the_entries_of_each_matrix():
     for M, linear in ((np.arange(1.0, 7), None), (np.arange(2.0, 8), None), (np.arange(1.0, 7), np.eye(6)[4])):
         system = co.LiePoissonSystem(g, co.Quadratic(M, linear=linear))
         x = np.linspace(-1, 1, 6)
-        gradient = part_jets(split(system, "auto"), x[None]).gradient[:, 0].sum(axis=0)
+        gradient = part_derivatives(split(system, "auto"), x[None])[0][:, 0].sum(axis=0)
         assert np.array_equal(gradient, system.hamiltonian.gradient(x))

@@ -10,6 +10,7 @@ import numpy as np
 from coadjoint.algebra.constants import Triples, check_algebra_memory
 from coadjoint.algebra.families.matrix_bases import MAX_REPRESENTATION_NUMBERS, Sparse, matrices
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomials.monomials import exponents_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer
@@ -145,9 +146,7 @@ def _casimirs(degree: int, n: int) -> dict[str, Polynomial]:
 def _determinant(rows: list[list[Polynomial]], n: int) -> Polynomial:
     total: dict[tuple[int, ...], int] = {}
     for order in permutations(range(len(rows))):
-        exponents = [0] * n
-        for a, b in enumerate(order):
-            exponents[n - 2 * len(rows) + 1 + a + b] += 1
+        exponents = exponents_of((n - 2 * len(rows) + 1 + a + b for a, b in enumerate(order)), n)
         turned = sum(order[a] > order[b] for b in range(len(order)) for a in range(b))
-        total[tuple(exponents)] = total.get(tuple(exponents), 0) + (-1) ** turned
+        total[exponents] = total.get(exponents, 0) + (-1) ** turned
     return Polynomial(total, dim=n)

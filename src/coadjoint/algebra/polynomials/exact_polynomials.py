@@ -1,9 +1,8 @@
-"""Exact polynomials in momenta and symbols with their Lie-Poisson bracket, and their truncations at a point."""
+"""Exact polynomials in momenta and symbols, and Taylor polynomials about a point, with their Lie-Poisson bracket."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
@@ -21,7 +20,9 @@ Exact = Any
 class ExactPolynomials:
     """The ring Q[x1, ..., xn, s1, ..., sm] on the dual of a Lie algebra; the symbols s (such as masses) are central.
 
-    Faster than `Polynomial` for many brackets. Floats are converted exactly; input and output are `Polynomial`.
+    Its elements are polynomials of python-flint, whose exact products are some hundred times faster than those of
+    `Polynomial`. Floats are converted exactly; input and output are `Polynomial`. With a `point` and a `degree`, the
+    elements are Taylor polynomials in x - point, truncated above the degree, and `about_point` makes them.
 
     Examples
     --------
@@ -30,12 +31,23 @@ class ExactPolynomials:
     >>> x1, x2, x3 = ring.coordinates
     >>> ring.polynomial(ring.bracket(x1 * x1, x2) / 3)
     (2/3)*x1*x3
+    >>> jets = ExactPolynomials(catalogue.so(3), point=[0.0, 0.0, 5.0], degree=1)
+    >>> jets.polynomial(jets.bracket(x1, x2)), jets.polynomial(jets.about_point(x3 * x3))
+    (5 + x3, 25 + 10*x3)
     """
 
-    def __init__(self, algebra: LieAlgebra, symbols: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        algebra: LieAlgebra,
+        symbols: Sequence[str] = (),
+        *,
+        point: Sequence[float] | None = None,
+        degree: int | None = None,
+    ) -> None:
         from flint import Ordering, fmpq_mpoly_ctx
 
         self.algebra, self.dim, self.symbols = algebra, algebra.dim, tuple(symbols)
+        self._point, self._degree = point, degree
         self._context = fmpq_mpoly_ctx.get([*coordinate_names(self.dim), *self.symbols], Ordering.degrevlex)
 
     @cached_property
@@ -76,13 +88,18 @@ class ExactPolynomials:
         monomials = {tuple(map(int, exponents)): fraction(value) for exponents, value in exact.to_dict().items()}
         return Polynomial(monomials, dim=self.dim + len(self.symbols))
 
-    def at_origin(self, exact: Exact) -> int | Fraction:
-        """Return the constant term."""
-        return fraction(exact[(0,) * (self.dim + len(self.symbols))])
+    def about_point(self, F: Exact) -> Exact:
+        """Return the Taylor polynomial of a polynomial in the coordinates; F itself without a point."""
+        if self._point is None:
+            return F
+        shifted = [x + rational(float(value)) for x, value in zip(self.coordinates, self._point, strict=True)]
+        return self.truncated(F.compose(*shifted, *self.symbol.values()))
 
-    def reduced(self, F: Exact) -> Exact:
-        """Truncate a polynomial to the ring; here the identity."""
-        return F
+    def truncated(self, F: Exact) -> Exact:
+        """Return an element without the monomials above the degree, if there is one."""
+        if self._degree is None or F.total_degree() <= self._degree:
+            return F
+        return self._context.from_dict({e: c for e, c in F.to_dict().items() if sum(e[: self.dim]) <= self._degree})
 
     def gradient(self, F: Exact) -> list[Exact]:
         """Return the derivatives with respect to x1, ..., xn."""
@@ -117,41 +134,8 @@ class ExactPolynomials:
 
     @cached_property
     def _entries(self) -> dict[tuple[int, int], Exact]:
-        """The nonzero entries J_ij(x), i < j."""
+        """The nonzero entries J_ij, i < j."""
         entries: dict[tuple[int, int], Exact] = {}
         for i, j, k, c in zip(*(np.asarray(column).tolist() for column in self.algebra.triples), strict=True):
             entries[i, j] = entries.get((i, j), self.zero) + rational(c) * self.coordinates[k]
-        return entries
-
-
-class JetPolynomials(ExactPolynomials):
-    """The ring of polynomials in x - x0, truncated above a degree.
-
-    The value at x0 of as many nested brackets depends on no higher derivatives.
-
-    Examples
-    --------
-    >>> from coadjoint.algebra import catalogue
-    >>> ring = JetPolynomials(catalogue.so(3), [0.0, 0.0, 5.0], 1)
-    >>> x1, x2, x3 = ring.coordinates
-    >>> ring.polynomial(ring.bracket(x1, x2)), ring.polynomial(ring.at_point(x3 * x3))
-    (5 + x3, 25 + 10*x3)
-    """
-
-    def __init__(self, algebra: LieAlgebra, point: Sequence[float], degree: int) -> None:
-        super().__init__(algebra)
-        self._point = [rational(float(value)) for value in point]
-        self._degree = degree
-
-    def at_point(self, F: Exact) -> Exact:
-        """Rewrite a polynomial in the coordinates as one in x - x0."""
-        return self.reduced(F.compose(*(x + value for x, value in zip(self.coordinates, self._point, strict=True))))
-
-    def reduced(self, F: Exact) -> Exact:
-        if F.total_degree() <= self._degree:
-            return F
-        return self._context.from_dict({e: c for e, c in F.to_dict().items() if sum(e) <= self._degree})
-
-    @cached_property
-    def _entries(self) -> dict[tuple[int, int], Exact]:
-        return {index: self.at_point(entry) for index, entry in super()._entries.items()}
+        return {index: self.about_point(entry) for index, entry in entries.items()}

@@ -18,6 +18,7 @@ from coadjoint.algebra.exact.numbers import (
     Constant,
     checked,
     parse_number,
+    quotient,
     too_large,
 )
 from coadjoint.algebra.invariants.logarithmic import LogarithmicSum
@@ -49,24 +50,13 @@ def too_high(what: str, degree: int) -> ValueError:
     return ValueError(f"{what} has the degree {short(degree)}; there are degrees up to {MAX_DEGREE}; {TOO_HIGH}")
 
 
-class Monomials:
-    """Accumulator of the terms of a polynomial in text order; memory is checked while they are added."""
-
-    def __init__(self, dim: int) -> None:
-        self.dim = dim
-        self.coefficients: dict[Exponents, Constant] = {}
-
-    def add(self, exponents: Exponents, coefficient: Constant) -> None:
-        """Add one term."""
-        total = self.coefficients
-        total[exponents] = checked(total[exponents] + coefficient) if exponents in total else coefficient
-        if len(total) % MEMORY_CHECK_INTERVAL == 0:
-            size = len(total) * (BYTES_PER_TERM + BYTES_PER_EXPONENT * self.dim)
-            check_available_memory(2 * size, f"a polynomial of {len(total)} terms or more in {self.dim} coordinates")
-
-    def polynomial(self) -> Polynomial:
-        """Return the sum."""
-        return Polynomial(self.coefficients, dim=self.dim)
+def add_term(total: dict[Exponents, Constant], exponents: Exponents, coefficient: Constant) -> None:
+    """Add a term to the monomials of a polynomial, in text order, and check the memory as they grow."""
+    total[exponents] = checked(total[exponents] + coefficient) if exponents in total else coefficient
+    if len(total) % MEMORY_CHECK_INTERVAL == 0:
+        size = len(total) * (BYTES_PER_TERM + BYTES_PER_EXPONENT * len(exponents))
+        what = f"a polynomial of {len(total)} terms or more in {len(exponents)} coordinates"
+        check_available_memory(2 * size, what)
 
 
 class Power(NamedTuple):
@@ -102,10 +92,10 @@ class Product:
     def divide(self, divisor: Any) -> None:
         """Divide the product so far."""
         divisor = self.parser.to_polynomial_value(divisor)
-        if isinstance(divisor, int | Fraction):
+        if isinstance(divisor, int | float | Fraction):
             if divisor == 0:
                 raise self.parser.division_by_zero()
-            self.number = checked(self.number * (Fraction(1) / divisor))
+            self.number = checked(quotient(self.number, divisor))
             return
         numerator = self.value()
         if not (isinstance(numerator, Polynomial) and isinstance(divisor, Polynomial)):
@@ -134,8 +124,7 @@ class Product:
 class FormulaParser:
     """Parser state: the text of a formula, its parameters, and the next token."""
 
-    power_sign: ClassVar[str] = "**"
-    operations: ClassVar[tuple[str, ...]] = ("*", "/")
+    powers: ClassVar[tuple[str, ...]] = ("**",)
     max_characters: float = MAX_CHARACTERS
     notation_help = "write whole numbers, names and operations on them, such as a*x1**2 - log(x2)/3"
 
@@ -205,7 +194,8 @@ class FormulaParser:
 
     def sum(self) -> Any:
         """Parse a sum: a number, a polynomial, or a sum with logarithms."""
-        total, rest, numbers = Monomials(self.dim), None, True
+        total: dict[Exponents, Constant] = {}
+        rest, numbers = None, True
         sign: str | None = self.accept("+", "-")
         while True:
             product = self._product()
@@ -216,20 +206,27 @@ class FormulaParser:
                 rest = value if rest is None else rest + value
             else:
                 numbers = numbers and product.exponents is None
-                total.add(tuple(product.exponents) if product.exponents else self._constant, product.number)
+                add_term(total, tuple(product.exponents) if product.exponents else self._constant, product.number)
             sign = self.accept("+", "-")
             if sign is None:
                 break
         if rest is None:
-            return total.coefficients[self._constant] if numbers else total.polynomial()
-        return rest + total.polynomial() if total.coefficients else rest
+            return total[self._constant] if numbers else Polynomial(total, dim=self.dim)
+        return rest + Polynomial(total, dim=self.dim) if total else rest
 
     def _product(self) -> Product:
         product = Product(self)
         product.multiply(self.factor())
-        while (operation := self.accept(*self.operations)) is not None:
-            (product.multiply if operation == "*" else product.divide)(self.factor())
+        while (operation := self.accept("*", "/")) is not None:
+            if operation == "*":
+                product.multiply(self.factor())
+            else:
+                product.divide(self.divisor())
         return product
+
+    def divisor(self) -> Any:
+        """Parse the factor after "/"."""
+        return self.factor()
 
     def factor(self) -> Any:
         """Parse a factor with its sign and power."""
@@ -243,7 +240,7 @@ class FormulaParser:
             value = product.value()
         else:
             value = self._atom()
-            if self.accept(self.power_sign) is not None:
+            if self.accept(*self.powers) is not None:
                 value = self._power_of(value, self.factor())
         self._depth -= 1
         return value

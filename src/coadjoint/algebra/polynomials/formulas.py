@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-from coadjoint.algebra.exact.numbers import Constant, checked, parse_number, quotient
-from coadjoint.algebra.polynomials.formula_parser import Formula, FormulaParser, Number, Power, Product
+from coadjoint.algebra.exact.numbers import Constant, parse_number, quotient
+from coadjoint.algebra.polynomials.formula_parser import Formula, FormulaParser, Number, Power
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
 
@@ -73,21 +73,12 @@ class _ExpandedPolynomialParser(FormulaParser):
             raise self.not_allowed(f"has {short(name)}; the coordinates are {', '.join(self.names)}")
         return self.names.index(name) if name else None
 
-    def _product(self) -> Product:
-        product = Product(self)
-        product.multiply(self.factor())
-        while (operation := self.accept("*", "/")) is not None:
-            if operation == "*":
-                product.multiply(self.factor())
-                continue
-            # A factor may be a quotient, and x/2/3 is not x/(2/3).
-            divisor = self._any_number() if self.token["number"] else self.factor()
-            if isinstance(divisor, Power):
-                raise self.not_allowed(f"divides by a coordinate; {self.notation_help}")
-            if divisor == 0:
-                raise self.division_by_zero()
-            product.number = checked(quotient(product.number, divisor))
-        return product
+    def divisor(self) -> Constant:
+        # A factor may be a quotient, and x/2/3 is not x/(2/3).
+        divisor = self._any_number() if self.token["number"] else self.factor()
+        if isinstance(divisor, Power):
+            raise self.not_allowed(f"divides by a coordinate; {self.notation_help}")
+        return divisor
 
     def factor(self) -> Any:
         index = self.coordinate(self.token["name"] or "")

@@ -36,6 +36,14 @@ def read_exponents(argument: Any) -> Exponents:
     return tuple(map(int, argument))
 
 
+def exponents_of(factors: Iterable[int], dim: int) -> Exponents:
+    """Return the exponents of a product of coordinates, given by their indices."""
+    exponents = [0] * dim
+    for i in factors:
+        exponents[i] += 1
+    return tuple(exponents)
+
+
 def read_coefficient(value: Any, what: str) -> Coefficient:
     """Validate a coefficient and return it as int, float or Fraction."""
     if isinstance(value, bool) or not isinstance(value, Rational | float | np.floating):

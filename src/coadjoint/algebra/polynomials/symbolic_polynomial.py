@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
-from coadjoint.algebra.exact.numbers import exact_number, fraction
+from coadjoint.algebra.exact.numbers import exact_number, exact_numbers, fraction
 from coadjoint.algebra.polynomials.monomials import Coefficient, Exponents
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, latex, plain, sympy_of
@@ -47,15 +47,10 @@ class SymbolicPolynomial:
 
     def with_values(self, values: Mapping[str, Coefficient]) -> Polynomial:
         """Substitute numbers (name -> number) for all symbols; exact if values and coefficients are."""
-        numbers = [_exact(values[name], name) for name in self.symbols]
+        numbers = exact_numbers(_exact(values[name], name) for name in self.symbols)
         monomials = {}
         for exponents, coefficient in self.coefficients.items():
-            total: Any = 0
-            for powers, value in coefficient.monomials.items():
-                term: Any = exact_number(value)
-                for number, power in zip(numbers, powers, strict=True):
-                    term = term * number**power
-                total = total + term
+            total = coefficient(numbers)
             floats = any(isinstance(value, float) for value in coefficient.monomials.values())
             monomials[exponents] = float(total) if floats else fraction(total)
         return Polynomial(monomials, dim=self.dim)

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
+from coadjoint.algebra.polynomials.monomials import exponents_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.analysis.backward_error.modified_hamiltonian import (
     ModifiedHamiltonian,
@@ -200,14 +201,11 @@ def _monomials(n: int, degree: int) -> list[Polynomial]:
             f"a corrector in {n} coordinates would need {total} monomials of degree up to {degree}; at most "
             f"{MAX_MONOMIALS} are supported; use a scheme of lower order, or a processed one"
         )
-    monomials = []
-    for size in range(1, degree + 1):
-        for factors in combinations_with_replacement(range(n), size):
-            exponents = [0] * n
-            for i in factors:
-                exponents[i] += 1
-            monomials.append(Polynomial({tuple(exponents): 1}))
-    return monomials
+    return [
+        Polynomial({exponents_of(factors, n): 1})
+        for size in range(1, degree + 1)
+        for factors in combinations_with_replacement(range(n), size)
+    ]
 
 
 def _deviations(functions: list[Polynomial], points: Floats) -> Any:

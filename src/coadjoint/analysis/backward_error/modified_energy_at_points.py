@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.polynomials.exact_polynomials import JetPolynomials
+from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
 from coadjoint.program.modified_energy.composition_logarithm import Coordinates
-from coadjoint.program.modified_energy.modified_series import Balls, ModifiedSeries
-from coadjoint.program.modified_energy.sweep_logarithm import Commutators
-from coadjoint.program.parts.part_polynomials import part_polynomials
+from coadjoint.program.modified_energy.modified_series import modified_terms
 from coadjoint.program.parts.taylor_shares import parts_at
 from coadjoint.program.table import Program
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -83,14 +82,10 @@ class ModifiedEnergyAtPoints:
     def _at(self, x: NDArray[np.float64], h: float) -> float:
         total = 0.0
         if self._weights:
-            highest = self._weights[-1]
-            ring = JetPolynomials(self._system.algebra, x.tolist(), highest - 1)
-            parts = parts_at(self._program.parts, x, highest - 1)
-            flows = [{1: ring.at_point(piece)} for piece in part_polynomials(ring, parts)]
-            series = ModifiedSeries(Commutators(ring, self._system.sign), flows, highest)
-            constant = (0,) * self.dim
-            for weight in reversed(self._weights):
-                term = series.term(self._coordinates, weight)
-                value = term.coefficients.get(constant, 0.0) if isinstance(term, Balls) else float(ring.at_origin(term))
-                total += h ** (weight - 1) * value
+            degree = self._weights[-1] - 1
+            ring = ExactPolynomials(self._system.algebra, point=x.tolist(), degree=degree)
+            program = replace(self._program, parts=parts_at(self._program.parts, x, degree))
+            terms = modified_terms(ring, self._system, program, self._coordinates, self._weights).of_power
+            for power in reversed(terms):
+                total += h**power * float(terms[power].monomials.get((0,) * self.dim, 0))
         return total + float(self._system.energy(x))

@@ -7,6 +7,7 @@ from itertools import combinations_with_replacement
 from typing import Any
 
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
+from coadjoint.algebra.polynomials.monomials import exponents_of
 from coadjoint.analysis.backward_error.field_of_step import Field, size_of
 from coadjoint.memory import check_available_memory
 
@@ -39,7 +40,9 @@ def hamiltonian_of(ring: ExactPolynomials, J: list[Field], field: Field) -> Exac
     """
     degree_of_J = _degree(J)
     total = ring.zero
-    for degree, part in _by_degree(ring, field).items():
+    parts = [_by_degree(ring, f, ring.dim) for f in field]
+    for degree in sorted(set().union(*parts)):
+        part = [terms.get(degree, ring.zero) for terms in parts]
         H = _hamiltonian_of_degree(ring, J, part, degree + 1 - degree_of_J) if degree + 1 > degree_of_J else None
         if H is None:
             return None
@@ -54,25 +57,14 @@ def _degree(J: list[Field]) -> int:
     return degrees.pop() if degrees else 0
 
 
-def _by_degree(ring: ExactPolynomials, field: Field) -> dict[int, Field]:
-    context = ring.coordinates[0].context()
-    parts: dict[int, list[dict[Any, Any]]] = {}
-    for i, f in enumerate(field):
-        for exponents, value in f.to_dict().items():
-            parts.setdefault(int(sum(exponents)), [{} for _ in field])[i][exponents] = value
-    return {degree: [context.from_dict(entry) for entry in part] for degree, part in sorted(parts.items())}
-
-
 def _hamiltonian_of_degree(ring: ExactPolynomials, J: list[Field], field: Field, degree: int) -> Exact | None:
     """Solve J grad H = field for the coefficients of a homogeneous polynomial H; None if there is no solution."""
     from flint import fmpq, fmpq_mat
 
-    columns = []
-    for factors in combinations_with_replacement(range(ring.dim), degree):
-        monomial = ring.zero + 1
-        for i in factors:
-            monomial *= ring.coordinates[i]
-        columns.append(monomial)
+    columns = [
+        ring.monomial(exponents_of(factors, ring.dim))
+        for factors in combinations_with_replacement(range(ring.dim), degree)
+    ]
     entries: dict[tuple[int, Any], dict[int, Any]] = {}
     for c, monomial in enumerate(columns):
         slope = ring.gradient(monomial)
@@ -158,7 +150,7 @@ def skew_factor(ring: ExactPolynomials, energy: Exact, field: Field) -> Matrix:
 
     K = [[ring.zero] * n for _ in range(n)]
     for i in range(n):
-        for degree, F in _parts_by_degree(ring, g[i], rank).items():
+        for degree, F in _by_degree(ring, g[i], rank).items():
             if i >= rank and degree == 0:
                 raise ValueError("the field does not vanish where grad H does, so there is no polynomial matrix")
             for b in range(rank):
@@ -179,7 +171,7 @@ def _substitution(ring: ExactPolynomials, matrix: Any, origin: list[Any]) -> Cal
     return lambda F: F.compose(*images, *ring.symbol.values(), ctx=x[0].context())
 
 
-def _parts_by_degree(ring: ExactPolynomials, F: Exact, rank: int) -> dict[int, Exact]:
+def _by_degree(ring: ExactPolynomials, F: Exact, rank: int) -> dict[int, Exact]:
     """Return the parts of a polynomial by their degree in the first coordinates."""
     parts: dict[int, dict[tuple[int, ...], Any]] = {}
     for exponents, value in F.to_dict().items():

@@ -15,8 +15,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.symbolic_polynomial import SymbolicPolynomial
 from coadjoint.errors import unknown_name
 from coadjoint.program.modified_energy.composition_logarithm import Coordinates
-from coadjoint.program.modified_energy.modified_series import check_cost, coordinates_of, modified_terms
-from coadjoint.program.parts.part_polynomials import part_polynomials, with_hamiltonian_coefficients
+from coadjoint.program.modified_energy.modified_series import coordinates_of, modified_terms
 from coadjoint.program.sweeps import Sweep
 from coadjoint.program.table import Program
 from coadjoint.systems.coordinates import in_coordinates_of
@@ -84,18 +83,13 @@ class SchemeTerms:
         return coordinates_of(self._program, self._sweeps, self._after, highest, self._order)
 
     def _terms(self, coordinates: Coordinates, weights: Iterable[int]) -> tuple[dict[int, Term], float, float]:
-        nonzero = [weight for weight in weights if coordinates.of_weight[weight]]
-        ring = ExactPolynomials(self._system.algebra, tuple(self.symbols.values))
-        pieces = None
-        if (nonzero or self.symbols.values) and not self._program.shift:
-            if nonzero:
-                check_cost(self._system, self._program, max(nonzero))
-            parts = self._program.parts
-            polynomials, factors = part_polynomials(ring, parts), self.symbols.factors(ring)
-            pieces = with_hamiltonian_coefficients(ring, parts, polynomials, self.symbols.polynomial, factors)
-        result = modified_terms(ring, self._system, self._program, coordinates, nonzero, pieces)
+        symbols = self.symbols
+        ring = ExactPolynomials(self._system.algebra, tuple(symbols.values))
+        result = modified_terms(
+            ring, self._system, self._program, coordinates, weights, symbols.polynomial, symbols.factors(ring)
+        )
         terms = {
-            power: in_coordinates_of(self._system, self.symbols.with_symbols(term))
+            power: in_coordinates_of(self._system, symbols.with_symbols(term))
             for power, term in result.of_power.items()
         }
         return terms, result.radius, result.neglected

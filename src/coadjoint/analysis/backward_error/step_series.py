@@ -54,7 +54,7 @@ class ExactSystem:
         return vector(map(self._number.constant, self.ring.coordinates))
 
     def _polynomials(self, values: Any) -> list[Exact]:
-        return [self._number(value).terms[0] for value in values]
+        return [self._number(value).coefficients[0] for value in values]
 
     @cached_property
     def structure(self) -> list[Field]:
@@ -96,10 +96,10 @@ class ExactSystem:
         number = formal_numbers(self.ring, order + 1)
         x, h = vector(map(number.constant, self.ring.coordinates)), number.step()
         end: list[FormalNumber] = [number(value) for value in step(x, h)]
-        count = min(len(value.terms) for value in end)
+        count = min(len(value.coefficients) for value in end)
         if count <= order:
             raise TypeError(f"the series of the step is known up to h^{count - 1} only, not to h^{order}")
-        return [[value.terms[k] for value in end] for k in range(order + 1)]
+        return [[value.coefficients[k] for value in end] for k in range(order + 1)]
 
 
 def _check_monomials(system: System) -> None:

@@ -12,10 +12,11 @@ import numpy as np
 
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.brackets import parse_brackets
-from coadjoint.algebra.exact.numbers import TOO_LARGE, fits
+from coadjoint.algebra.exact.numbers import TOO_LARGE, Constant, fits
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials import formulas
-from coadjoint.algebra.polynomials.formula_parser import Monomials, too_high
+from coadjoint.algebra.polynomials.formula_parser import add_term, too_high
+from coadjoint.algebra.polynomials.monomials import Exponents
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, names_of_basis
 from coadjoint.errors import OneLineError, in_one_line
@@ -51,7 +52,7 @@ def parse_polynomial(source: Any, dim: int, names: Sequence[str] | None = None) 
         return _parse_text(source, dim, names)
     if not isinstance(source, list):
         raise TypeError(f"a polynomial is text such as '0.5*x1^2 + x2*x3' or a list of terms, not {short(source)}")
-    total = Monomials(dim)
+    total: dict[Exponents, Constant] = {}
     for term in source:
         if not (isinstance(term, list) and len(term) == 2 and isinstance(term[1], list)):
             raise TypeError(f"{short(term)} is not a term; write [coefficient, [exponents]], such as [0.5, [2, 0, 0]]")
@@ -67,8 +68,8 @@ def parse_polynomial(source: Any, dim: int, names: Sequence[str] | None = None) 
         if type(coefficient) is int and not fits(coefficient):
             raise ValueError(f"a coefficient {TOO_LARGE}")
         for key, value in Polynomial({tuple(exponents): coefficient}).monomials.items():
-            total.add(key, value)
-    return total.polynomial()
+            add_term(total, key, value)
+    return Polynomial(total, dim=dim)
 
 
 def _parse_text(text: str, dim: int, names: Sequence[str] | None) -> Polynomial:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from numbers import Rational
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,119 +12,86 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.numbers import rational
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.long_operations import note_progress
+from coadjoint.methods.numerics.power_series import PowerSeries
 
 NODE = "c"
 """Symbol for the node of a stage; the equations of a collocation method are the same at each node."""
 
 
-class FormalNumber:
-    """A truncated power series in the step with coefficients in a ring of polynomials; see `formal_numbers`.
+class FormalNumber(PowerSeries):
+    """A power series in the step with coefficients in a ring of polynomials; see `formal_numbers`.
 
     It supports the arithmetic of numbers, for formulas of steps; floats are converted exactly. Numbers are not ordered:
-    steps that branch or iterate to a tolerance cannot be evaluated. ``terms`` are the known coefficients.
+    steps that branch or iterate to a tolerance cannot be evaluated.
     """
 
-    __slots__ = ("terms",)
+    __slots__ = ()
 
     ring: ClassVar[ExactPolynomials]
     count: ClassVar[int]
-    """Number of coefficients."""
+    """Largest number of coefficients."""
     exact: ClassVar[bool] = True
-
-    terms: tuple[Exact, ...]
 
     def __init__(self, value: Any = 0) -> None:
         operand = self._operand(value)
         if operand is None:
             raise TypeError(f"a {type(value).__name__} is not a rational number; formal series need rational numbers")
-        self.terms = operand.terms
+        self.coefficients = operand.coefficients
 
     @classmethod
-    def of(cls, terms: Any) -> FormalNumber:
-        """Return the series with these coefficients; higher ones are unknown."""
-        result = cls.__new__(cls)
-        result.terms = tuple(terms)[: cls.count]
-        return result
-
-    @classmethod
-    def constant(cls, polynomial: Exact) -> FormalNumber:
+    def constant(cls, polynomial: Exact) -> Self:
         """Return a polynomial that does not depend on the step."""
         return cls.of([polynomial, *[cls.ring.zero] * (cls.count - 1)])
 
     @classmethod
-    def step(cls) -> FormalNumber:
+    def step(cls) -> Self:
         """Return the step itself."""
         zero = cls.ring.zero
-        return cls.of([zero, zero + 1, *[zero] * (cls.count - 2)])
+        return cls.of([zero, zero + 1, *[zero] * (cls.count - 2)][: cls.count])
+
+    @classmethod
+    def _number(cls, value: Any) -> Exact | None:
+        if isinstance(value, np.generic):
+            value = value.item()
+        if isinstance(value, Rational | float):
+            return rational(value if isinstance(value, float) else Fraction(value))
+        return None
 
     @classmethod
     def _operand(cls, value: Any) -> FormalNumber | None:
         if isinstance(value, FormalNumber):
             return value
-        if isinstance(value, np.generic):
-            value = value.item()
-        if isinstance(value, Rational | float):
-            return cls.constant(cls.ring.zero + rational(value if isinstance(value, float) else Fraction(value)))
-        return None
+        number = cls._number(value)
+        return None if number is None else cls.constant(cls.ring.zero + number)
 
-    def cut(self, count: int) -> FormalNumber:
+    def cut(self, count: int) -> Self:
         """Return the series truncated to this number of coefficients."""
-        return self.of(self.terms[:count])
+        return self.of(self.coefficients[:count])
 
     @property
     def valuation(self) -> int:
         """The first power with a nonzero coefficient; the number of coefficients if all vanish."""
-        return next((k for k, term in enumerate(self.terms) if term != 0), len(self.terms))
+        return next((k for k, term in enumerate(self.coefficients) if term != 0), len(self.coefficients))
 
-    def __add__(self, other: Any) -> FormalNumber:
-        right = self._operand(other)
-        if right is None:
-            return NotImplemented
-        return self.of(a + b for a, b in zip(self.terms, right.terms, strict=False))
-
-    def __neg__(self) -> FormalNumber:
-        return self.of(-a for a in self.terms)
-
-    def __pos__(self) -> FormalNumber:
-        return self
-
-    def __sub__(self, other: Any) -> FormalNumber:
-        right = self._operand(other)
-        return NotImplemented if right is None else self + -right
-
-    def __rsub__(self, other: Any) -> FormalNumber:
-        return -self + other
-
-    def __mul__(self, other: Any) -> FormalNumber:
-        right = self._operand(other)
-        if right is None:
-            return NotImplemented
+    def _known(self, other: Any) -> int:
         note_progress("products of series in exact polynomials")
-        a, b = self.terms, right.terms
-        known = min(len(a) + right.valuation, len(b) + self.valuation, self.count)
-        total = [self.ring.zero] * known
-        for i, left in enumerate(a):
-            if left == 0:
-                continue
-            for j, factor in enumerate(b[: max(known - i, 0)]):
-                if factor != 0:
-                    total[i + j] += left * factor
-        return self.of(total)
+        a, b = self.coefficients, other.coefficients
+        return min(len(a) + other.valuation, len(b) + self.valuation, self.count)
 
-    def __truediv__(self, other: Any) -> FormalNumber:
+    def __truediv__(self, other: Any) -> Self:
         """Return the quotient by a series whose constant term is a nonzero number."""
         right = self._operand(other)
         if right is None:
             return NotImplemented
-        lead = right.terms[0] if right.terms else self.ring.zero
+        lead = right.coefficients[0] if right.coefficients else self.ring.zero
         if lead == 0 or not lead.is_constant():
             raise ZeroDivisionError("the divisor of a formal series has a constant term that is zero or not a number")
         inverse = 1 / lead.leading_coefficient()
         coefficients: list[Exact] = []
-        for k in range(min(len(self.terms), len(right.terms))):
-            remainder = self.terms[k]
+        for k in range(min(len(self.coefficients), len(right.coefficients))):
+            remainder = self.coefficients[k]
             for j in range(1, k + 1):
-                remainder = remainder - right.terms[j] * coefficients[k - j]
+                remainder = remainder - right.coefficients[j] * coefficients[k - j]
             coefficients.append(remainder * inverse)
         return self.of(coefficients)
 
@@ -132,18 +99,9 @@ class FormalNumber:
         left = self._operand(other)
         return NotImplemented if left is None else left / self
 
-    def __pow__(self, exponent: Any) -> FormalNumber:
-        if isinstance(exponent, bool) or int(exponent) != exponent or exponent < 0:
-            raise TypeError(f"the exponent of a formal series is {exponent!r}; give an integer of at least 0")
-        result = type(self)(1)
-        for _ in range(int(exponent)):
-            result = result * self
-        return result
-
-    def atan(self) -> FormalNumber:
+    def atan(self) -> Self:
         """Return the arc tangent of a series without constant term."""
-        power: FormalNumber = self
-        total: FormalNumber = self
+        power = total = self
         for k in range(1, self.count):
             power = power * self * self * -1
             total = total + power / (2 * k + 1)
@@ -151,7 +109,7 @@ class FormalNumber:
 
     def __abs__(self) -> Any:
         """Return the size of the constant term if it is a number, for pivoting in elimination."""
-        lead = self.terms[0]
+        lead = self.coefficients[0]
         if not lead.is_constant():
             raise TypeError("a formal series has no absolute value: its constant term is not a number")
         return abs(Fraction(str(lead.leading_coefficient())) if lead != 0 else Fraction(0))
@@ -160,10 +118,9 @@ class FormalNumber:
         right = self._operand(other)
         if right is None:
             return NotImplemented
-        return all(a == b for a, b in zip(self.terms, right.terms, strict=False))
+        return all(a == b for a, b in zip(self.coefficients, right.coefficients, strict=False))
 
     __hash__ = None  # type: ignore[assignment]
-    __radd__, __rmul__ = __add__, __mul__
 
 
 def formal_numbers(ring: ExactPolynomials, count: int) -> type[FormalNumber]:
@@ -175,8 +132,8 @@ def formal_numbers(ring: ExactPolynomials, count: int) -> type[FormalNumber]:
     >>> ring = ExactPolynomials(catalogue.so(3))
     >>> Number = formal_numbers(ring, 3)
     >>> x, h = Number.constant(ring.coordinates[0]), Number.step()
-    >>> (x / (1 - h * x)).terms
-    (x1, x1^2, x1^3)
+    >>> (x / (1 - h * x)).coefficients
+    [x1, x1^2, x1^3]
     """
     return type("FormalNumberHere", (FormalNumber,), {"__slots__": (), "ring": ring, "count": count})
 

@@ -95,7 +95,7 @@ class StagesOfCollocation(FormalStages):
 
     @staticmethod
     def _mapped(values: NDArray[Any], function: Callable[[Any], Any]) -> NDArray[Any]:
-        return vector(type(value).of(map(function, value.terms)) for value in values)
+        return vector(type(value).of(map(function, value.coefficients)) for value in values)
 
 
 def formal_end(stages: FormalStages, system: System, solver: str, iterations: int) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""Taylor series of a motion in NumPy: power series in time, dual numbers, and steps of variable length.
+"""Taylor series of a motion in NumPy: dual numbers, and steps of variable length.
 
 The variable steps are the reference with which tests compare ``taylor_variable.cpp``: `near_log2`, `near_power_of_two`
 and `logarithm_of_step` repeat the formulas of ``steps/step_length.hpp``: library functions would choose other steps.
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.long_operations import note_progress
+from coadjoint.methods.numerics.power_series import PowerSeries
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 DECIDING_TERMS = 4  # number of last and of middle terms that determine the length
@@ -28,58 +29,6 @@ TOO_SHORT_MESSAGE = (
     "the motion becomes so fast that steps no longer change the time: it blows up, or nearly so; "
     + TOO_MANY_STEPS_MESSAGE
 )
-
-
-class PowerSeries:
-    """The power series sum_k coefficients[k] t^k; sums and products are truncated at the same power.
-
-    Examples
-    --------
-    >>> (PowerSeries([1, 1, 0]) * PowerSeries([1, -1, 0]) + 2).coefficients
-    [3, 0, -1]
-    """
-
-    def __init__(self, coefficients: Sequence[Any]) -> None:
-        self.coefficients = list(coefficients)
-
-    def __add__(self, other: Any) -> PowerSeries:
-        """Return the sum with a series of equal length, or with a constant."""
-        if isinstance(other, PowerSeries):
-            return PowerSeries([a + b for a, b in zip(self.coefficients, other.coefficients, strict=True)])
-        return PowerSeries([self.coefficients[0] + other, *self.coefficients[1:]])
-
-    def __mul__(self, other: Any) -> PowerSeries:
-        """Return the product with a series of equal length, or with a constant."""
-        a = self.coefficients
-        if isinstance(other, PowerSeries):
-            b = other.coefficients
-            return PowerSeries([sum((a[j] * b[k - j] for j in range(1, k + 1)), a[0] * b[k]) for k in range(len(a))])
-        return PowerSeries([c * other for c in a])
-
-    def __pow__(self, exponent: int) -> PowerSeries | int:
-        """Return an integer power."""
-        result: Any = 1
-        for _ in range(exponent):
-            result = self * result
-        return result
-
-    def __neg__(self) -> PowerSeries:
-        """Return the negative."""
-        return self * -1
-
-    def __sub__(self, other: Any) -> PowerSeries:
-        """Return the difference."""
-        return self + other * -1
-
-    def __rsub__(self, other: Any) -> PowerSeries:
-        """Return the difference of a constant and the series."""
-        return self * -1 + other
-
-    def __truediv__(self, other: Any) -> PowerSeries:
-        """Return the quotient by a constant."""
-        return PowerSeries([c / other for c in self.coefficients])
-
-    __radd__, __rmul__ = __add__, __mul__
 
 
 class Dual:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from coadjoint.algebra.exact.free_algebra import Word, standard_factorization
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
+from coadjoint.algebra.polynomials.monomials import Exponents
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.long_operations import warn_if_long
 from coadjoint.program.modified_energy.bracket_cost import estimated_products
@@ -27,24 +29,12 @@ from coadjoint.program.modified_energy.sweep_logarithm import (
     check_products,
     sweep_logarithm,
 )
-from coadjoint.program.parts.part_polynomials import part_polynomials, rational_pieces
+from coadjoint.program.parts.part_polynomials import part_polynomials, rational_pieces, with_hamiltonian_coefficients
 from coadjoint.program.sweeps import Sweep, Swept
 from coadjoint.program.table import Program, build_program
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 MIN_BITS = 60
-
-
-class Balls(NamedTuple):
-    """Polynomial with coefficients known up to rounding, as floats.
-
-    `radius` is the largest radius of a ball relative to its midpoint, `neglected` a bound of coefficients dropped
-    because they are zero up to rounding.
-    """
-
-    coefficients: Mapping[tuple[int, ...], float]
-    radius: float
-    neglected: float
 
 
 class ModifiedSeries:
@@ -78,8 +68,12 @@ class ModifiedSeries:
         flow = self._flows[0 if letter.origin == "first" else -1]
         return flow.get(letter.weight, self._commutators.ring.zero)
 
-    def term(self, coordinates: Coordinates, weight: int) -> Exact | Balls:
-        """Return the term of one weight (power of h, >= 2): exact for rational coefficients, else balls."""
+    def term(self, coordinates: Coordinates, weight: int) -> tuple[Polynomial, float, float]:
+        """Return the term of one weight (power of h, >= 2) in coordinates and symbols, its radius, and a bound.
+
+        It is exact for rational coefficients. Otherwise the coefficients are floats, the radius is the largest one of a
+        ball relative to its midpoint, and the bound is that of coefficients dropped as zero up to rounding.
+        """
         from flint import arb, ctx
 
         coefficients = coordinates.of_weight[weight]
@@ -88,7 +82,7 @@ class ModifiedSeries:
             total = ring.zero
             for word, value in coefficients.items():
                 total += self.of(word) * value
-            return total
+            return ring.with_symbols(total), 0.0, 0.0
         sums: dict[tuple[int, ...], Any] = {}
         largest = 0.0
         with ctx.workprec(BALL_BITS):
@@ -96,11 +90,13 @@ class ModifiedSeries:
                 for exponents, factor in self.of(word).to_dict().items():
                     sums[exponents] = sums.get(exponents, 0) + (product := value * factor)
                     largest = max(largest, float(abs(product).upper()))
-            return _rounded({tuple(map(int, exponents)): value for exponents, value in sums.items()}, largest)
+            floats, radius, neglected = _rounded(sums, largest)
+        return Polynomial(floats, dim=ring.dim + len(ring.symbols)), radius, neglected
 
 
-def _rounded(balls: Mapping[tuple[int, ...], Any], largest: float) -> Balls:
-    coefficients, radius, neglected = {}, 0.0, 0.0
+def _rounded(balls: Mapping[tuple[int, ...], Any], largest: float) -> tuple[dict[Exponents, float], float, float]:
+    coefficients: dict[Exponents, float] = {}
+    radius = neglected = 0.0
     for exponents, ball in balls.items():
         size = float(ball.rad())
         if size > largest * 2.0**-MIN_BITS:
@@ -111,9 +107,9 @@ def _rounded(balls: Mapping[tuple[int, ...], Any], largest: float) -> Balls:
         if ball.contains(0):
             neglected = max(neglected, float(abs(ball).upper()))
         else:
-            coefficients[exponents] = float(ball.mid())
+            coefficients[tuple(map(int, exponents))] = float(ball.mid())
             radius = max(radius, float((ball.rad() / abs(ball).lower()).upper()))
-    return Balls(coefficients, radius, neglected)
+    return coefficients, radius, neglected
 
 
 class ModifiedTerms(NamedTuple):
@@ -140,37 +136,37 @@ def modified_terms(
     program: Program,
     coordinates: Coordinates,
     weights: Iterable[int],
-    pieces: Sequence[Exact] | None = None,
+    H: Polynomial | None = None,
+    factors: Mapping[Exponents, Exact] = MappingProxyType({}),
 ) -> ModifiedTerms:
     """Return the terms of the given weights (>= 2); the power of h is the weight minus one.
 
-    `pieces` are the polynomials of the parts, by default those of the program.
+    If `H` is given, the coefficients of the parts are replaced by its own, or by the polynomials in symbols `factors`
+    (see `with_hamiltonian_coefficients`), unless a Casimir was subtracted.
     """
     wanted = [weight for weight in weights if coordinates.of_weight[weight]]
     highest = max(wanted, default=1)
-    if highest == 1:
+    if highest > 1:
+        _check_cost(system, program, highest)
+    elif not factors:
         return ModifiedTerms({}, 0.0, coordinates.neglected)
-    if pieces is None:
-        check_cost(system, program, highest)
-    polynomials = part_polynomials(ring, program.parts) if pieces is None else pieces
+    polynomials = [ring.about_point(piece) for piece in part_polynomials(ring, program.parts)]
+    if H is not None and not program.shift:
+        polynomials = with_hamiltonian_coefficients(ring, program.parts, polynomials, H, factors)
     rotation_terms = rational_pieces(ring, program.parts, program.frequency, highest)
     flows = [{1: piece, **more} for piece, more in zip(polynomials, rotation_terms, strict=True)]
     series = ModifiedSeries(Commutators(ring, system.sign), flows, highest)
     of_power: dict[int, Polynomial] = {}
     radius, neglected = 0.0, coordinates.neglected
     for weight in wanted:
-        term = series.term(coordinates, weight)
-        if isinstance(term, Balls):
-            radius, neglected = max(radius, term.radius), max(neglected, term.neglected)
-            polynomial = Polynomial(term.coefficients, dim=ring.dim + len(ring.symbols))
-        else:
-            polynomial = ring.with_symbols(term)
+        polynomial, rounding, dropped = series.term(coordinates, weight)
+        radius, neglected = max(radius, rounding), max(neglected, dropped)
         if polynomial.monomials:
             of_power[weight - 1] = polynomial
     return ModifiedTerms(of_power, radius, neglected)
 
 
-def check_cost(system: LiePoissonSystem, program: Program, highest: int) -> None:
+def _check_cost(system: LiePoissonSystem, program: Program, highest: int) -> None:
     """Estimate the cost of the terms up to a weight: raise ValueError if it is too large, warn if slow."""
     count = estimated_products(system.algebra, program.parts, highest)
     check_products(count)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +20,7 @@ Floats = NDArray[np.float64]
 DIFFERENCE_STEP = 2.0**-14
 
 
-class Jet(NamedTuple):
-    """Gradient (n,) and Hessian (n, n) of a function at a point, or stacked over parts and points."""
-
-    gradient: Floats
-    hessian: Floats
-
-
-def part_jets(parts: Parts, points: Floats, t: float = 0.0) -> Jet:
+def part_derivatives(parts: Parts, points: Floats, t: float = 0.0) -> tuple[Floats, Floats]:
     """Return gradient and Hessian of the piece of the Hamiltonian of each part at points (k, n).
 
     The gradients sum_a l_a theta_a have shape (parts, k, n), the Hessians (parts, k, n, n), or (parts, 1, n, n) if all
@@ -50,13 +43,13 @@ def part_jets(parts: Parts, points: Floats, t: float = 0.0) -> Jet:
         coordinates = share.term.coordinates if isinstance(share, FunctionShare) else np.array(share.coordinates)
         p = part[parts.row[s]]
         for k, x in enumerate(points):
-            share_gradient, share_hessian = _share_jet(share, coordinates, x, t)
+            share_gradient, share_hessian = _share_derivatives(share, coordinates, x, t)
             gradient[p, k, coordinates] += share_gradient
             hessian[p, k][np.ix_(coordinates, coordinates)] += share_hessian
-    return Jet(gradient, hessian)
+    return gradient, hessian
 
 
-def _share_jet(
+def _share_derivatives(
     share: PolynomialShare | FunctionShare, coordinates: NDArray[Any], x: Floats, t: float
 ) -> tuple[Floats, Floats]:
     """Return gradient and Hessian of a share with respect to its own coordinates."""
@@ -89,9 +82,9 @@ class Samples:
     """
 
     def __init__(self, algebras: Sequence[LieAlgebra], sets: Sequence[Parts], points: Floats, t: float = 0.0) -> None:
-        jets = part_jets(Parts.concatenate(sets), points, t)
+        derivatives = part_derivatives(Parts.concatenate(sets), points, t)
         shape = (len(sets), len(sets[0]))
-        self._gradients, self._hessians = (jet.reshape(*shape, *jet.shape[1:]) for jet in jets)
+        self._gradients, self._hessians = (array.reshape(*shape, *array.shape[1:]) for array in derivatives)
         count, n = points.shape
         self._i, self._j, self._k, _ = algebras[0].triples
         self._c = np.array([algebra.triples.c for algebra in algebras]).reshape(len(sets), 1, 1, -1)

@@ -92,7 +92,7 @@ class AdjointOperator:
         for slope, (_, component) in zip(slopes, self._moving, strict=True):
             if slope != 0:
                 total += component * slope
-        return self._ring.reduced(total)
+        return self._ring.truncated(total)
 
 
 def sweep_logarithm(commutators: Commutators, flows: Sequence[Flow], highest: int) -> list[Exact]:

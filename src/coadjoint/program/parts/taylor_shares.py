@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.polynomials.monomials import exponents_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.parts.part import FunctionShare, NonlinearShare, Parts, PolynomialShare
 from coadjoint.program.term_table import derivative_of
@@ -64,7 +65,7 @@ def taylor_polynomial(term: FunctionTerm, y: NDArray[np.float64], degree: int) -
     """
     gradient = np.asarray(derivative_of(term, 1, y, 0.0), dtype=np.float64)
     m = len(y)
-    coefficients = {_exponents(m, i): float(gradient[i]) for i in range(m)}
+    coefficients = {exponents_of((i,), m): float(gradient[i]) for i in range(m)}
     if degree < 2:
         return coefficients
     hessian = np.asarray(derivative_of(term, 2, y, 0.0), dtype=np.float64) if term.hessian is not None else None
@@ -73,12 +74,8 @@ def taylor_polynomial(term: FunctionTerm, y: NDArray[np.float64], degree: int) -
     else:
         for i, j in product(range(m), repeat=2):
             if i <= j:
-                coefficients[_exponents(m, i, j)] = float(hessian[i, j]) / (1 + (i == j))
+                coefficients[exponents_of((i, j), m)] = float(hessian[i, j]) / (1 + (i == j))
     return coefficients
-
-
-def _exponents(m: int, *factors: int) -> tuple[int, ...]:
-    return tuple(factors.count(i) for i in range(m))
 
 
 def _circle_coefficients(
@@ -100,10 +97,13 @@ def _circle_coefficients(
     differences = np.max(np.abs(np.diff(weighted, axis=0)), axis=1, initial=0.0)
     best = int(np.argmin(np.where(np.isfinite(differences), differences, np.inf)))
     best_coefficients = trials[best + 1]
-    errors = [differences[best], *(abs(best_coefficients[_exponents(m, i)] - gradient[i]) * size for i in range(m))]
+    errors = [
+        differences[best],
+        *(abs(best_coefficients[exponents_of((i,), m)] - gradient[i]) * size for i in range(m)),
+    ]
     if hessian is not None:
         errors += [
-            abs(best_coefficients[_exponents(m, i, j)] * (1 + (i == j)) - hessian[i, j]) * size**2
+            abs(best_coefficients[exponents_of((i, j), m)] * (1 + (i == j)) - hessian[i, j]) * size**2
             for i, j in product(range(m), repeat=2)
         ]
     if not max(errors) <= MAX_RELATIVE_ERROR * scale:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.algebra.polynomials.quadratic_forms import linear, quadratic
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
@@ -27,23 +28,12 @@ class _PolynomialReader:
 
     def quadratic(self, term: QuadraticTerm) -> None:
         n = len(term.linear)
-        monomials = {(0,) * n: term.constant}
-        for i, c in enumerate(term.linear.tolist()):
-            monomials[_exponents(n, i)] = c
-        for i, j, c in zip(term.rows.tolist(), term.indices.tolist(), term.values.tolist(), strict=True):
-            if i <= j:
-                monomials[_exponents(n, i, j)] = c / 2 if i == j else c
-        self.polynomials.append(Polynomial(monomials))
+        entries = zip(term.rows.tolist(), term.indices.tolist(), term.values.tolist(), strict=True)
+        squares = quadratic(((i, j, c / 2 if i == j else c) for i, j, c in entries if i <= j), n)
+        self.polynomials.append(squares + linear(dict(enumerate(term.linear.tolist())), n) + term.constant)
 
     def polynomial(self, term: PolynomialTerm) -> None:
         self.polynomials.append(term.polynomial)
 
     def function(self, term: FunctionTerm) -> None:
         self.has_functions = True
-
-
-def _exponents(n: int, *factors: int) -> tuple[int, ...]:
-    exponents = [0] * n
-    for i in factors:
-        exponents[i] += 1
-    return tuple(exponents)
