@@ -16,7 +16,7 @@ from coadjoint.kernels.matrix_tables import stream_tables
 from coadjoint.kernels.step_tables import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
 from coadjoint.kernels.structures import as_structure
 from coadjoint.kernels.tables import watch_tables
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.systems.forces.base import Noise
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
@@ -164,7 +164,7 @@ class _ForceTableBuilder:
         )
 
     def _compile(self, function: Callable[..., Any], arguments: str, size: int, what: str) -> None:
-        need(f"{what}, a Python function,", "numba")
+        require_packages(f"{what}, a Python function,", "numba")
         timed = arguments != "x"
         adapted = _adapted_arguments(function, arguments, self._shape)
         self.keepalive = (CompiledFunction(adapted, size, self.n, scalar=False, flat=True, timed=timed, what=what),)
