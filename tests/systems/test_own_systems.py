@@ -122,8 +122,8 @@ class Springs:
     def placed(self, where, n, piece):
         return Springs(*(part.placed(where, n, piece) for part in self.parts))
 
-    def given_to(self, reader):
-        return [part.given_to(reader) for part in self.parts][-1]
+    def describe_to(self, reader):
+        return [part.describe_to(reader) for part in self.parts][-1]
 
 
 class SpringEnergy:

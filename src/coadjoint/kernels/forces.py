@@ -213,7 +213,7 @@ def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> Compil
     for label, force in zip(system.labels, system.forces, strict=True):
         count = sum(account.force == label for account in accounts)
         reader = _ForceTableBuilder(system.system, first, count)
-        tables.append(force.given_to(reader, system.system))
+        tables.append(force.describe_to(reader, system.system))
         first += count
         keepalive += reader.keepalive
     hamiltonian_part = system.system
