@@ -213,7 +213,7 @@ def with_damping(program, rate):
         angles=more(state.angles, 1),
         repeat=more(state.repeat, state.size),
         angle=more(state.angle, 0),
-        place=more(state.place, len(state.indices)),
+        position=more(state.position, len(state.indices)),
         constant=more(state.constant, len(state.constants)),
         width=more(state.width, 1),
         entries=more(state.entries, 0),

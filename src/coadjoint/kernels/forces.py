@@ -44,7 +44,7 @@ class ForceTable(NamedTuple):
     begin: NDArray[np.int64] = NO_INTEGERS
     direction: NDArray[np.int64] = NO_INTEGERS
     extent: int = 0
-    place: int = 0
+    position: int = 0
     turning: NDArray[np.float64] = NO_NUMBERS
     basis: NDArray[np.float64] = NO_NUMBERS
 
@@ -158,7 +158,7 @@ class _ForceTableBuilder:
             begin=np.cumsum([0, *map(len, numbers)], dtype=np.int64),
             direction=np.concatenate(numbers).astype(np.int64),
             extent=modes.N,
-            place=layer * 2 * modes.N**2,
+            position=layer * 2 * modes.N**2,
             basis=modes.table(numbers),
             **more,
         )
