@@ -43,7 +43,7 @@ MEMBERS_OF = (
     ("A system of matrices, in addition", co.MatrixSystem, "from_vector in_numbers spectrum stream_of to_vector"),
     ("An algebra of matrices", co.MatrixAlgebra, "basis bracket dim pairing projected shape"),
     ("A system with forces, in addition", co.ForcedSystem, "labels power reversible"),
-    ("A force", co.forces.Force, "check field flow given_to parameters"),
+    ("A force", co.forces.Force, "check describe_to field flow parameters"),
     (
         "A scheme",
         co.methods.Method,

@@ -14,7 +14,7 @@ import pytest
 
 import coadjoint
 from coadjoint import cli, commands
-from coadjoint.optional_packages import EXTRAS, MissingPackageError, need
+from coadjoint.optional_packages import EXTRAS, MissingPackageError, require_packages
 from core_only import CORE
 
 PACKAGE = Path(coadjoint.__file__).parent
@@ -70,7 +70,7 @@ def test_broken_package_is_reported_in_one_line(monkeypatch, capsys):
 def test_missing_package_error_is_picklable(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(ImportError) as caught:
-        need("a compiled picture", "numba", "matplotlib")
+        require_packages("a compiled picture", "numba", "matplotlib")
     copy = pickle.loads(pickle.dumps(caught.value))
     assert isinstance(copy, MissingPackageError) and str(copy) == str(caught.value) and copy.name == caught.value.name
 
@@ -87,7 +87,7 @@ def test_missing_packages_are_listed_with_their_extras(monkeypatch, missing, lis
     find = importlib.util.find_spec
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name in missing else find(name))
     with pytest.raises(MissingPackageError) as caught:
-        need("a", missing[0], "numpy", *missing[1:])
+        require_packages("a", missing[0], "numpy", *missing[1:])
     message = str(caught.value)
     assert message.startswith(f"a needs {listed}") and message.endswith(f'pip install "coadjoint{extras}"')
     assert caught.value.name == missing[0]
@@ -96,14 +96,14 @@ def test_missing_packages_are_listed_with_their_extras(monkeypatch, missing, lis
 @pytest.mark.parametrize(("value", "refused"), [("1", True), ("yes", True), ("0", False), ("", False)])
 def test_disabled_numba_is_refused(monkeypatch, value, refused):
     monkeypatch.setenv("NUMBA_DISABLE_JIT", value)
-    need("a", "zarr")
+    require_packages("a", "zarr")
     with pytest.raises(MissingPackageError, match="turns off; unset it") if refused else contextlib.nullcontext():
-        need("a", "numba")
+        require_packages("a", "numba")
 
 
 def test_modules_without_a_specification_are_installed(monkeypatch):
     monkeypatch.setitem(sys.modules, "numcodecs", types.ModuleType("numcodecs"))
-    need("a", "numcodecs")
+    require_packages("a", "numcodecs")
 
 
 def imported_packages():

@@ -14,7 +14,7 @@ import os
 import sys
 
 from coadjoint.interruption import ignore_signals, install_handlers
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command with `arguments` (default: the command line) and return its exit status, see the module."""
     try:
-        need("the command coadjoint", "click")
+        require_packages("the command coadjoint", "click")
         from coadjoint.commands import perform
 
         status, message = perform(arguments)

@@ -20,7 +20,7 @@ from coadjoint import __version__
 from coadjoint.errors import in_one_line, nearest
 from coadjoint.interrupted_runs import reporting_write_errors, saving_partial_run
 from coadjoint.long_operations import LongWait
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
 
 MAX_NUMBER_LENGTH = 60
@@ -414,13 +414,13 @@ def draw_gallery(names: tuple[str, ...], out: str) -> None:
     from coadjoint.files.output.output_files import write_figure, write_page
     from coadjoint.systems.registry import gallery_systems
 
-    need("a gallery", "matplotlib")
+    require_packages("a gallery", "matplotlib")
     from coadjoint.pictures.gallery import PAGE, SCENES, gallery
 
     known = gallery_systems()
     selected = [_known_system(name, (*known, *SCENES)) for name in dict.fromkeys(names)] or known
     if not names:
-        need("a gallery of all systems", "numba", "ducc0")
+        require_packages("a gallery of all systems", "numba", "ducc0")
     folder = _folder(out)
 
     page = gallery(selected, lambda figure, name: write_figure(figure, folder / name), click.echo)

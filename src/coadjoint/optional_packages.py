@@ -31,7 +31,7 @@ class MissingPackageError(ModuleNotFoundError):
     """An optional package is not installed; the message has the command that installs it."""
 
 
-def need(what: str, *packages: str) -> None:
+def require_packages(what: str, *packages: str) -> None:
     """Raise a MissingPackageError before any computation if a package is not installed or Numba's compiler is disabled.
 
     `what` is the subject of the message; the packages, all in `EXTRAS`, are located but not imported.

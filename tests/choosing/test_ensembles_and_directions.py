@@ -252,7 +252,7 @@ def test_lanes_need_many_members_of_small_dimension(members):
         x0 = np.ones((members, 3 * copies))
         (candidate,) = supported_candidates(many, [co.GaussLegendre(2)], x0, False, strict=True)
         assert candidate.in_lanes is (members >= MIN_LANE_MEMBERS and 3 * copies <= widest)
-        assert candidate.share == (candidate.work.in_a_crowd if candidate.in_lanes else 1.0)
+        assert candidate.share == (candidate.work.in_lanes if candidate.in_lanes else 1.0)
 
 
 # The last confirmation

@@ -110,7 +110,7 @@ def test_what_has_changed_is_compiled_and_nothing_else(tmp_path, levels):
     tree = copied(tmp_path)
     for path in tree.rglob("*.cpp"):
         if path.name != "processor.cpp":
-            path.write_text('#include "boundary/hearing.hpp"\n')
+            path.write_text('#include "boundary/interrupts.hpp"\n')
     names = [f"_kernels_{level}" for level in levels.split(";")] if processor_level() else ["_kernels"]
     options = [f"-DCOADJOINT_LEVELS={levels}"] if processor_level() else []
     assert configured(tree, *options)[0] == 0
@@ -122,7 +122,7 @@ def test_what_has_changed_is_compiled_and_nothing_else(tmp_path, levels):
     assert compiled(tree) == []
     (tree / SOURCES / "boundary/added.cpp").write_text("\n")
     assert compiled(tree) == [(name, "added.cpp") for name in names]
-    header = tree / SOURCES / "boundary/hearing.hpp"
+    header = tree / SOURCES / "boundary/interrupts.hpp"
     header.write_text(header.read_text() + "// more\n")
     including = {path.name for path in (tree / "src").rglob("*.cpp")} - {"processor.cpp", "added.cpp"}
     assert compiled(tree) == sorted((name, source) for name in names for source in including)
@@ -153,11 +153,11 @@ def test_libraries_export_what_python_calls():
     texts = [path.read_text(encoding="utf-8") for path in FOLDER.parent.rglob("*.cpp")]
     said = set(re.findall(r"^EXPORT [^;=]*?(\w+)\(", "\n".join(texts), flags=re.MULTILINE))
     loops = set(re.findall(r"^EXPORT_LOOP\((\w+),", "\n".join(texts), flags=re.MULTILINE))
-    remembering = {f"{name}_remembers" for name in loops}
+    memory_sizes = {f"{name}_memory_size" for name in loops}
     inside = {f"{name}_inside" for name in loops}
     steps = {f"{name}_step" for name in re.findall(r"^\s*STEP_SCHEME\((\w+)", "\n".join(texts), flags=re.MULTILINE)}
     assert len(said) > 8 and len(loops) == 5 and steps
-    assert names == (said - {"processor_level"}) | loops | remembering | inside | steps
+    assert names == (said - {"processor_level"}) | loops | memory_sizes | inside | steps
 
 
 def recipes(folder, target="kernels"):

@@ -28,7 +28,7 @@ CHANGES = {
     "closed form of an attitude": ("SKEW 4;", "SKEW 6;", "Turn.SKEW is 4 in this package and 6"),
     "layout of a block": ("CUBIC_HEADER 6;", "CUBIC_HEADER 4;", "Limit.CUBIC_HEADER is 6 in this package and 4"),
     "limit": ("MOST_SUBSTEPS 4096;", "MOST_SUBSTEPS 8192;", "Limit.MOST_SUBSTEPS is 4096 in this package and 8192"),
-    "limit that is gone": ("LARGEST_CROWD 32;", "", "Limit.LARGEST_CROWD is a number in this package and missing in"),
+    "limit that is gone": ("MOST_LANES 32;", "", "Limit.MOST_LANES is a number in this package and missing in"),
     "units of a defect": ("PROJECTION_EXACT 4;", "", "Limit.PROJECTION_EXACT is a number in this package and missing"),
     "rank of gradients": ("DEPENDENT_BITS 36;", "", "Limit.DEPENDENT_BITS is a number in this package and missing in"),
     "divergence": ("GROWTH_BITS 64;", "", "Limit.GROWTH_BITS is a number in this package and missing in the compiled"),
@@ -47,7 +47,7 @@ CHANGES = {
         "arrays of a run, saved: values only in this package, nothing only",
     ),
     "type of an array": ("integers status", "bytes status", "type of state.status is numbers or integers in this"),
-    "axis of an array": ("members * remembered;", "members * room;", "axes of state.memory is numbers of Extent and"),
+    "axis of an array": ("members * memory_size;", "members * room;", "axes of state.memory is numbers of Extent and"),
 }
 
 
@@ -107,7 +107,7 @@ def test_the_order_and_shapes_of_arrays_are_those_of_the_kernels(monkeypatch):
     first, second = "numbers x points * members * size;", "numbers group points * members * square;"
     assert first + second in text()
     kernel_interface = description.parse_description(text().replace(first + second, second + first))
-    extent = Extent(members=3, points=2, size=4, square=9, invariants=2, remembered=5)
+    extent = Extent(members=3, points=2, size=4, square=9, invariants=2, memory_size=5)
     before = Layout(extent)
     monkeypatch.setattr("coadjoint.kernels.arrays.kernel_interface", lambda: kernel_interface)
     after = Layout(extent)

@@ -50,7 +50,7 @@ def read_row_by_row(program, h, compensated):
 
 def with_idle_scalings(action):
     ends = action.run[1:].astype(np.int64)
-    columns = ("angles", "repeat", "angle", "place", "constant", "width", "entries", "degree")
+    columns = ("angles", "repeat", "angle", "position", "constant", "width", "entries", "degree")
     longer = {name: np.insert(getattr(action, name), ends, 0) for name in columns}
     kind = np.insert(action.kind, ends, int(Kind.SCALE))
     return action._replace(run=action.run + np.arange(len(action.run), dtype=np.uint32), kind=kind, **longer)

@@ -29,7 +29,7 @@ def test_lanes_beyond_the_last_member_read_the_last_member_again():
     linear = np.arange(15.0).reshape(5, 3)
     for method in (co.GaussLegendre(2), co.Splitting(order=2, parts="coordinates")):
         _, watch, columns = made(method, np.diag([1.0, 1.5, 2.0]), np.diag([1.0, 1.5, 2.0])).each(linear)
-        assert columns == limit("LARGEST_CROWD")
+        assert columns == limit("MOST_LANES")
         numbers = np.ctypeslib.as_array((ctypes.c_double * (3 * columns)).from_address(watch.terms.offset))
         referenced = numbers.reshape(3, columns)
         assert np.array_equal(referenced[:, :5], linear.T)

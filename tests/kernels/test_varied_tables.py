@@ -65,9 +65,9 @@ def test_picking_from_a_stack_gives_the_tables_of_the_member(method, group):
             assert one.dtype == other.dtype and one.tobytes() == other.tobytes()
             assert other.flags.c_contiguous and other.flags.writeable
             if varies(one, stack):
-                assert stack.shape == (*one.shape, limit("LARGEST_CROWD")) and stack.flags.c_contiguous
+                assert stack.shape == (*one.shape, limit("MOST_LANES")) and stack.flags.c_contiguous
                 assert np.array_equal(
-                    stack[:, len(tables) :], np.repeat(stack[:, [len(tables) - 1]], limit("LARGEST_CROWD") - 3, axis=1)
+                    stack[:, len(tables) :], np.repeat(stack[:, [len(tables) - 1]], limit("MOST_LANES") - 3, axis=1)
                 )
                 differing += not np.array_equal(one, stack[..., 0])
     assert differing > 0

@@ -326,7 +326,7 @@ def test_work_is_that_of_the_base_as_often_as_it_is_taken(wrapper, name):
     cost = one.cost(rounds, evaluations)
     if wrapper is Forced or wrapper is co.ReversibleSteps:
         assert found.cost(rounds, evaluations) == cost
-        assert (found.flows, found.in_a_crowd) == (one.flows, one.in_a_crowd)
+        assert (found.flows, found.in_lanes) == (one.flows, one.in_lanes)
     elif wrapper is co.Projected:
         # A way back to each invariant: of energy and Casimirs, at least a quarter of a rotation for each.
         back = found.cost(rounds, evaluations) - cost
@@ -337,7 +337,7 @@ def test_work_is_that_of_the_base_as_often_as_it_is_taken(wrapper, name):
         several = found.cost(times * rounds, times * evaluations)
         assert 1.1 * cost < several <= times * cost * (1.0 + 1e-12) + (wrapper is PairOfTableaux) * several
         assert (found.flows > one.flows) == bool(one.flows)
-        assert found.in_a_crowd == one.in_a_crowd
+        assert found.in_lanes == one.in_lanes
         assert (found.compensated is None) == (one.compensated is None)
         if found.compensated is not None:
             assert found.compensated().cost(1.0, 1.0) == with_compensation(scheme).work(system).cost(1.0, 1.0)

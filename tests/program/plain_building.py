@@ -124,7 +124,7 @@ def plain_action(algebra, parts):
             indices += [entry[1] for entry in first.entries]
             constants += [entry[item] for item in range(2, 5) for entry in first.entries if item < len(entry)]
         run.append(len(rows))
-    names = ("kind", "angles", "repeat", "angle", "place", "constant", "width", "entries", "degree")
+    names = ("kind", "angles", "repeat", "angle", "position", "constant", "width", "entries", "degree")
     columns = dict(zip(names, np.array(rows, dtype=np.int64).reshape(-1, 9).T.tolist(), strict=True))
     return {"run": run, **columns, "indices": indices, "constants": constants}
 

@@ -121,7 +121,7 @@ def test_rotations_of_either_sense_share_a_run(name):
     turning = state.kind == Kind.ROTATE
     assert np.all(state.constants[state.constant[turning]] == 1.0)
     senses = set()
-    for place, repeat in zip(state.place[turning].tolist(), state.repeat[turning].tolist(), strict=True):
+    for place, repeat in zip(state.position[turning].tolist(), state.repeat[turning].tolist(), strict=True):
         first, second = state.indices[place : place + 2 * repeat].reshape(-1, 2).astype(int).T
         senses |= set(np.sign(second - first).tolist())
     assert senses == {-1, 1}

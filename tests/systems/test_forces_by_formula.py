@@ -1,5 +1,7 @@
 """Fields and flows of forces in Python: against formulas, quadratures and another solver, at any time and backward."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -207,3 +209,24 @@ def test_what_a_force_is_made_of_stays_as_it_is():
     assert list(system.casimirs) == list(BODY.casimirs) == ["|x|^2"]
     complex_state = {"real": [[0.0, 1.0], [-1.0, 0.0]], "imaginary": [[2.0, 3.0], [3.0, -2.0]]}
     assert co.forces.Torque(complex_state).torque == ((2j, 1 + 3j), (-1 + 3j, -2j))
+
+
+def test_forces_may_define_the_former_name_of_describe_to():
+    """A subclass that defines `given_to` alone is complete; its own `describe_to` has precedence."""
+
+    class Former(co.forces.Force):
+        def check(self, system): ...
+        def field(self, system, x, t): ...
+        def flow(self, system, x, t, tau): ...
+        def given_to(self, reader, system):
+            return reader.constant(system)
+
+    class Both(Former):
+        def given_to(self, reader, system):
+            return None
+
+        def describe_to(self, reader, system):
+            return reader.constant(2 * system)
+
+    reader = SimpleNamespace(constant=lambda torque: torque)
+    assert (Former().describe_to(reader, 1), Both().describe_to(reader, 1)) == (1, 2)

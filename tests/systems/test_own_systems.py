@@ -122,8 +122,8 @@ class Springs:
     def placed(self, where, n, piece):
         return Springs(*(part.placed(where, n, piece) for part in self.parts))
 
-    def given_to(self, reader):
-        return [part.given_to(reader) for part in self.parts][-1]
+    def describe_to(self, reader):
+        return [part.describe_to(reader) for part in self.parts][-1]
 
 
 class SpringEnergy:
@@ -213,7 +213,7 @@ def with_damping(program, rate):
         angles=more(state.angles, 1),
         repeat=more(state.repeat, state.size),
         angle=more(state.angle, 0),
-        place=more(state.place, len(state.indices)),
+        position=more(state.position, len(state.indices)),
         constant=more(state.constant, len(state.constants)),
         width=more(state.width, 1),
         entries=more(state.entries, 0),

@@ -58,7 +58,7 @@ class Candidate:
     @property
     def share(self) -> float:
         """Fraction of the cost of a step per member."""
-        return self.work.in_a_crowd if self.in_lanes else 1.0
+        return self.work.in_lanes if self.in_lanes else 1.0
 
     def growth(self, pilot: Pilot, trial: Trial) -> float:
         """Return the ratio of the error at the end of the span to that of a trial."""

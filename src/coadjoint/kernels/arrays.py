@@ -25,7 +25,7 @@ class Extent(NamedTuple):
     size: int
     square: int
     invariants: int
-    remembered: int
+    memory_size: int
 
 
 class ArrayOffsets:
@@ -88,7 +88,7 @@ class Layout:
     `saved`, at K points: `x` (K, M, n); `group` (K, M, d*d), transposed matrices; `values` (K, M, I), invariants.
 
     `state`, everything a run carries from one step to the next: `momenta` (M, n) and `groups` (M, d*d), with the
-    carries of their compensated sums, `errors` and `group_errors`; the `memory` (M, remembered) of a scheme; `first`
+    carries of their compensated sums, `errors` and `group_errors`; the `memory` (M, memory_size) of a scheme; `first`
     and `last` (M, I), invariants at the start and after the previous step; `worst` (M, 10, I), their largest deviation
     in each tenth of the run; and for each member, (M,): `status`, the `step` that failed, the `residual` of its last
     iteration, and the work done, `evaluations` (elementary flows of a program, or evaluations of the vector field) and

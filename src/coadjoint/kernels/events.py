@@ -27,9 +27,9 @@ class EventTables(NamedTuple):
     before: NDArray[np.float64]
     values: NDArray[np.float64]
     capacity: int
-    noted: NDArray[np.int64]
+    recorded: NDArray[np.int64]
     found: NDArray[np.int64]
-    places: NDArray[np.float64]
+    records: NDArray[np.float64]
 
 
 class FlaggedSteps(NamedTuple):
@@ -100,13 +100,13 @@ class EventArrays:
     def take(self) -> FlaggedSteps:
         """Return and clear the rows recorded since the last call, in any order."""
         count, size, width = self._count, self._size, self._size + self._square
-        rows = int(self.tables.noted[0])
+        rows = int(self.tables.recorded[0])
         if rows > self.tables.capacity:
             raise ValueError(
                 f"{rows} crossings were found in the steps of one call; use a smaller step, or fewer events"
             )
-        self.tables.noted[0] = 0
-        integers, numbers = self.tables.found[:rows].copy(), self.tables.places[:rows].copy()
+        self.tables.recorded[0] = 0
+        integers, numbers = self.tables.found[:rows].copy(), self.tables.records[:rows].copy()
         return FlaggedSteps(
             integers[:, 0],
             integers[:, 1],
@@ -127,4 +127,4 @@ class EventArrays:
         tables = self.tables
         for array, copied in zip((tables.left, tables.limit, tables.before, tables.values), copies, strict=True):
             array[...] = copied
-        tables.noted[0] = 0
+        tables.recorded[0] = 0

@@ -16,7 +16,7 @@ from coadjoint.kernels.matrix_tables import stream_tables
 from coadjoint.kernels.step_tables import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
 from coadjoint.kernels.structures import as_structure
 from coadjoint.kernels.tables import watch_tables
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.systems.forces.base import Noise
 from coadjoint.systems.protocol import forces_of, is_matrix_system
 
@@ -44,7 +44,7 @@ class ForceTable(NamedTuple):
     begin: NDArray[np.int64] = NO_INTEGERS
     direction: NDArray[np.int64] = NO_INTEGERS
     extent: int = 0
-    place: int = 0
+    position: int = 0
     turning: NDArray[np.float64] = NO_NUMBERS
     basis: NDArray[np.float64] = NO_NUMBERS
 
@@ -158,13 +158,13 @@ class _ForceTableBuilder:
             begin=np.cumsum([0, *map(len, numbers)], dtype=np.int64),
             direction=np.concatenate(numbers).astype(np.int64),
             extent=modes.N,
-            place=layer * 2 * modes.N**2,
+            position=layer * 2 * modes.N**2,
             basis=modes.table(numbers),
             **more,
         )
 
     def _compile(self, function: Callable[..., Any], arguments: str, size: int, what: str) -> None:
-        need(f"{what}, a Python function,", "numba")
+        require_packages(f"{what}, a Python function,", "numba")
         timed = arguments != "x"
         adapted = _adapted_arguments(function, arguments, self._shape)
         self.keepalive = (CompiledFunction(adapted, size, self.n, scalar=False, flat=True, timed=timed, what=what),)
@@ -213,7 +213,7 @@ def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> Compil
     for label, force in forces_of(system):
         count = sum(account.force == label for account in accounts)
         reader = _ForceTableBuilder(system.system, first, count)
-        tables.append(force.given_to(reader, system.system))
+        tables.append(force.describe_to(reader, system.system))
         first += count
         keepalive += reader.keepalive
     hamiltonian_part = system.system

@@ -10,7 +10,7 @@ import numpy as np
 
 from coadjoint.algebra.invariants.logarithmic import Forms
 from coadjoint.kernels.structures import as_structure
-from coadjoint.optional_packages import installed, need
+from coadjoint.optional_packages import installed, require_packages
 
 
 class CompiledFunction:
@@ -32,7 +32,7 @@ class CompiledFunction:
         timed: bool,
         what: str,
     ) -> None:
-        need(f"{what}, a Python function,", "numba")
+        require_packages(f"{what}, a Python function,", "numba")
         from coadjoint.kernels.callbacks import callback_of
 
         self._callback = callback_of(function, size, results, scalar, flat, timed, what)

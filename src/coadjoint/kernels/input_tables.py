@@ -199,8 +199,8 @@ class InputTables:
 
     def each(self, inputs: Floats) -> tuple[Any, Any, int]:
         """Return the structures for inputs (members, m), and the number of columns; not valid if `separate_tables`."""
-        members, crowd = len(inputs), limit("LARGEST_CROWD")
-        columns = -(-members // crowd) * crowd
+        members, lanes = len(inputs), limit("MOST_LANES")
+        columns = -(-members // lanes) * lanes
         template, written = self._each.template, self._in_each
         check_available_memory(8 * columns * len(template), f"the tables of {members} members with individual inputs")
         block = np.repeat(template, columns).reshape(-1, columns)

@@ -75,7 +75,7 @@ REQUIRED_CODES: Mapping[str, Iterable[str]] = {
         "LARGEST_DENSE",
         "LARGEST_DIRECT",
         "WIDEST",
-        "LARGEST_CROWD",
+        "MOST_LANES",
         "STATE_VERSION",
         "PROJECTION_EXACT",
         "PROJECTION_STAGNANT",

@@ -120,5 +120,5 @@ def interruptible_kernels() -> ctypes.PyDLL:
     python = ctypes.pythonapi
     finalizing = python.Py_IsFinalizing if hasattr(python, "Py_IsFinalizing") else python._Py_IsFinalizing
     callbacks = python.PyEval_SaveThread, python.PyEval_RestoreThread, python.PyErr_CheckSignals, finalizing
-    library.listen(*(ctypes.cast(function, ctypes.c_void_p) for function in callbacks))
+    library.set_python_callbacks(*(ctypes.cast(function, ctypes.c_void_p) for function in callbacks))
     return ctypes.PyDLL(library._name, handle=library._handle)

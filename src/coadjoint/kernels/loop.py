@@ -138,7 +138,7 @@ def raise_outcome(outcome: int) -> int:
 
 def scheme_memory(loop: str, tables: Any) -> int:
     """Return the numbers of scheme memory per member for a loop in the library and its tables."""
-    function, table = getattr(kernels(), f"{loop}_remembers"), as_structure(tables)
+    function, table = getattr(kernels(), f"{loop}_memory_size"), as_structure(tables)
     function.restype = ctypes.c_int64
     count = int(function(ctypes.byref(table)))
     if count < 0:

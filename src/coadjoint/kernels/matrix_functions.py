@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.optional_packages import MissingPackageError, need
+from coadjoint.optional_packages import MissingPackageError, require_packages
 from coadjoint.systems.matrices.function_stream import FunctionStream
 
 # W, time, P; matrices in C order.
@@ -28,7 +28,7 @@ class MatrixFunction:
     def __init__(self, stream: FunctionStream, shape: tuple[int, int], complex_entries: bool) -> None:
         self._raised: BaseException | None = None
         try:
-            need("a compiled stream", "numba")
+            require_packages("a compiled stream", "numba")
             self._callback: Any = _compiled(stream.function, shape[0], complex_entries, stream.timed, stream.traceless)
             self.address, self.compiled = int(self._callback.address), True
         except MissingPackageError as reason:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.optional_packages import MissingPackageError, need
+from coadjoint.optional_packages import MissingPackageError, require_packages
 from coadjoint.systems.protocol import has_compiled_bracket
 
 Step = Callable[[Any, Any, Any, Any], Any]
@@ -89,7 +89,7 @@ def _compiled(method: Any, system: Any) -> tuple[Any, str]:
     if not has_compiled_bracket(system):
         return None, f"{system.name} has no structure constants in memory, which compiled steps read"
     try:
-        need("a compiled step", "numba")
+        require_packages("a compiled step", "numba")
     except MissingPackageError as error:
         return None, str(error)
     from coadjoint.kernels.numba_steps import compiled_step

@@ -29,7 +29,7 @@ class StepTables(NamedTuple):
     field: Field
     values: NDArray[np.int64]
     group: GroupField
-    kept: Watch
+    restored: Watch
     whole: NDArray[np.int64]
     coefficients: NDArray[np.float64]
 

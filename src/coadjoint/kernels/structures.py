@@ -143,7 +143,7 @@ def stacked(members: Sequence[Tables]) -> Tables:
     """Return one set of tables for a nonempty sequence of members of equal `structure_of`.
 
     Integers and functions are those of the first member. Each array of constants (count,) becomes (count, columns),
-    C-contiguous, one column per member; the last column is repeated up to a multiple of the limit LARGEST_CROWD, since
+    C-contiguous, one column per member; the last column is repeated up to a multiple of the limit MOST_LANES, since
     lanes may read beyond the last member.
     """
     first = members[0]
@@ -155,7 +155,7 @@ def _stacked_column(tables: Any, name: str, item: Any, column: Sequence[Any]) ->
     if isinstance(item, tuple):
         return stacked(column)
     if _varies(tables, name):
-        padding = -len(column) % limit("LARGEST_CROWD")
+        padding = -len(column) % limit("MOST_LANES")
         return np.ascontiguousarray(np.pad(np.array(column), ((0, padding), (0, 0)), mode="edge").T)
     return item
 

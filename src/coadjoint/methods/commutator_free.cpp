@@ -10,16 +10,16 @@ namespace {
 // A momentum of a Lie algebra with structure constants, and its group element.
 struct VectorOrbit {
     const StepTables& tables;
-    const Own constants;
+    const MemberConstants constants;
     const Field& field;
     const int64_t n, square;
-    FieldRoom<double> room;
+    FieldWorkspace<double> workspace;
     std::vector<double> sums;
     ExponentialAction exponential;
 
-    VectorOrbit(const StepTables& tables, const Own& constants, const double*)
+    VectorOrbit(const StepTables& tables, const MemberConstants& constants, const double*)
         : tables(tables), constants(constants), field(tables.field), n(field.size),
-          square(tables.group.size * tables.group.size), room(field), sums(std::max(n, tables.group.size)),
+          square(tables.group.size * tables.group.size), workspace(field), sums(std::max(n, tables.group.size)),
           exponential(std::max(n, square)) {}
 
     static int64_t stages(const StepTables& tables) { return tables.whole[0]; }
@@ -29,7 +29,7 @@ struct VectorOrbit {
     }
 
     bool gradient_at(const double* point, double t, double* to) {
-        gradient(field, constants, point, t, to, room);
+        gradient(field, constants, point, t, to, workspace);
         return true;
     }
 
@@ -42,7 +42,7 @@ struct VectorOrbit {
         }
         if (!exponential.measure(sums.data(), n, work_of(field))) return false;
         exponential.act(y, n, [&](const double* from, double factor, double* to) {
-            product(field, constants, from, k, factor, to, room);
+            product(field, constants, from, k, factor, to, workspace);
         });
         return true;
     }
@@ -73,7 +73,7 @@ struct MatrixOrbit {
     std::vector<double> sums;
     ExponentialAction exponential;
 
-    MatrixOrbit(const StepTables& tables, const Own&, const double* numbers)
+    MatrixOrbit(const StepTables& tables, const MemberConstants&, const double* numbers)
         : size(tables.whole[0]), all(tables.whole[1] * size * size), n(all * int64_t(sizeof(T) / sizeof(double))),
           skew(!tables.whole[GENERAL]), products(tables.whole[GEMM], size, tables.whole[1]),
           stream(tables.whole, numbers), left(all), right(skew ? 0 : all), sums(2 * size), exponential(n) {}
@@ -130,7 +130,7 @@ struct CommutatorFree final : StepScheme {
     const int64_t n, square;
     std::vector<double> points, gradients, k;
 
-    CommutatorFree(const StepTables& tables, const Own& constants)
+    CommutatorFree(const StepTables& tables, const MemberConstants& constants)
         : stages(Orbit::stages(tables)), ends(int64_t(tables.coefficients[0])), node(tables.coefficients + 1),
           rows(node + stages), orbit(tables, constants, rows + (stages - 1 + ends) * (stages + 1)), n(orbit.n),
           square(orbit.square), points(stages * n), gradients(stages * n), k(n) {
@@ -153,7 +153,7 @@ struct CommutatorFree final : StepScheme {
     void add(double* x, double* dx, int64_t size) {
         for (int64_t i = 0; i < size; ++i) {
             const double old = x[i];
-            add_owing_rest(old, dx[i] + orbit.exponential.move[i], x[i], dx[i]);
+            two_sum(old, dx[i] + orbit.exponential.move[i], x[i], dx[i]);
         }
     }
 
@@ -189,9 +189,9 @@ struct CommutatorFree final : StepScheme {
 
 STEP_SCHEME(commutator_free, CommutatorFree<VectorOrbit>)
 
-EXPORT StepScheme* commutator_free_matrices_step(const StepTables& tables, const Own& own) {
-    if (tables.whole[COMPLEX]) return new CommutatorFree<MatrixOrbit<Complex>>(tables, own);
-    return new CommutatorFree<MatrixOrbit<double>>(tables, own);
+EXPORT StepScheme* commutator_free_matrices_step(const StepTables& tables, const MemberConstants& constants) {
+    if (tables.whole[COMPLEX]) return new CommutatorFree<MatrixOrbit<Complex>>(tables, constants);
+    return new CommutatorFree<MatrixOrbit<double>>(tables, constants);
 }
 
 }  // namespace coadjoint

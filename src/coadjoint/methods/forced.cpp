@@ -13,28 +13,28 @@ namespace {
 
 struct Forced final : StepScheme {
     const StepTables& tables;
-    const Own constants;
+    const MemberConstants constants;
     const std::unique_ptr<MatrixInvariants> matrices;
-    const int64_t n, followed;
+    const int64_t n, tracked;
     InnerStep inner;
     std::vector<std::unique_ptr<Force>> forces;
-    std::vector<double> values, before, arguments, room;
+    std::vector<double> values, before, arguments, workspace;
 
     // `whole`: the addresses of the inner loop, the number of forces, the addresses of their tables, and what
     // `matrix_invariants` reads; for a matrix these invariants replace those of the tables.
-    Forced(const StepTables& tables, const Own& constants)
+    Forced(const StepTables& tables, const MemberConstants& constants)
         : tables(tables), constants(constants),
           matrices(matrix_invariants(tables.whole + 6 + tables.whole[5], tables.coefficients)), n(tables.field.size),
-          followed(matrices ? matrices->count() : tables.kept.size),
-          inner(tables.whole, n, tables.group.size * tables.group.size), values(followed), before(followed),
-          arguments(tables.kept.longest + 1), room(2 * tables.kept.longest + 2) {
+          tracked(matrices ? matrices->count() : tables.restored.size),
+          inner(tables.whole, n, tables.group.size * tables.group.size), values(tracked), before(tracked),
+          arguments(tables.restored.longest + 1), workspace(2 * tables.restored.longest + 2) {
         for (int64_t k = 0; k < tables.whole[5]; ++k)
             forces.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(tables.whole[6 + k]), tables.field, constants));
         // The memory of schemes of matrices consists of initial guesses, which remain useful after forces.
-        remembered = matrices ? tables.whole[3] : 0;
+        memory_size = matrices ? tables.whole[3] : 0;
         work = 16 * work_of(tables.field) +
                (2 * tables.whole[5] + 2) *
-                   (matrices ? matrices->work() : work_of_terms(tables.kept.terms, 0, tables.kept.terms.size));
+                   (matrices ? matrices->work() : work_of_terms(tables.restored.terms, 0, tables.restored.terms.size));
     }
 
     int64_t step(double* x, double* dx, double* group, double*, double t, double h) override {
@@ -42,7 +42,7 @@ struct Forced final : StepScheme {
         if (!evaluate(x, t)) return UNDEFINED;
         for (auto force = forces.begin(); force != forces.end(); ++force)
             if (const int64_t status = move(**force, x, dx, t, half, t)) return status;
-        const int64_t status = inner.take(x, group, t, h, remembered ? memory : nullptr);
+        const int64_t status = inner.take(x, group, t, h, memory_size ? memory : nullptr);
         evaluations += inner.evaluations;
         iterations += inner.iterations;
         residual = inner.residual;
@@ -54,12 +54,12 @@ struct Forced final : StepScheme {
     }
 
     double value(int64_t i, const double* x, double t) {
-        return value_of(tables.kept, constants, i, x, t, arguments.data(), room.data());
+        return value_of(tables.restored, constants, i, x, t, arguments.data(), workspace.data());
     }
 
     bool evaluate(const double* x, double t) {
         if (matrices) return matrices->of(x, t, values.data());
-        for (int64_t i = 0; i < followed; ++i) values[i] = value(i, x, t);
+        for (int64_t i = 0; i < tracked; ++i) values[i] = value(i, x, t);
         return true;
     }
 
@@ -73,12 +73,12 @@ struct Forced final : StepScheme {
         if (status != DONE) return status;
         before.swap(values);
         if (!evaluate(x, frozen)) return UNDEFINED;
-        for (int64_t i = 0; i < std::min(followed, force.table.accounts); ++i) {
-            const double period = matrices ? 0.0 : constants.number_at<double>(tables.kept.period, i);
+        for (int64_t i = 0; i < std::min(tracked, force.table.accounts); ++i) {
+            const double period = matrices ? 0.0 : constants.number_at<double>(tables.restored.period, i);
             const double now = period > 0.0 ? unwrapped(values[i], before[i], period) : values[i];
-            const int64_t place = n + force.table.account + i;
-            const double old = x[place];
-            add_owing_rest(old, dx[place] + (now - before[i]), x[place], dx[place]);
+            const int64_t position = n + force.table.account + i;
+            const double old = x[position];
+            two_sum(old, dx[position] + (now - before[i]), x[position], dx[position]);
         }
         return DONE;
     }

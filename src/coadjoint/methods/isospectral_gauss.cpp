@@ -19,11 +19,11 @@ struct Midpoint final : Isospectral<T> {
     std::vector<T> M, P, A, B, move;
 
     explicit Midpoint(const StepTables& tables) : Base(tables), M(all), P(all), A(all), B(all), move(all) {
-        this->remembered = 2 + HISTORY * all * int64_t(sizeof(T) / sizeof(double));
+        this->memory_size = 2 + HISTORY * all * int64_t(sizeof(T) / sizeof(double));
     }
 
     // memory: the number of midpoints, the step that they belong to, and the midpoints, the last one first.
-    void guess(const T* W, double h) {
+    void extrapolate(const T* W, double h) {
         double* memory = this->memory;
         const bool usable = memory && memory[0] == memory[0] && memory[1] == h;
         const int64_t known = usable ? int64_t(memory[0]) : 0;
@@ -36,7 +36,7 @@ struct Midpoint final : Isospectral<T> {
         }
     }
 
-    void remember(double h) {
+    void store_history(double h) {
         double* memory = this->memory;
         if (!memory) return;
         const bool usable = memory[0] == memory[0] && memory[1] == h;
@@ -50,7 +50,7 @@ struct Midpoint final : Isospectral<T> {
 
     int64_t step(double* x, double* dx, double*, double*, double t, double h) override {
         const double size = largest_of(numbers, [=](int64_t k) { return x[k]; }), half = 0.5 * h, quarter = half * half;
-        guess(reinterpret_cast<const T*>(x), h);
+        extrapolate(reinterpret_cast<const T*>(x), h);
         this->iterations = 0;
         for (;;) {
             if (!stream.apply(M.data(), t + half, P.data())) return UNDEFINED;
@@ -58,9 +58,9 @@ struct Midpoint final : Isospectral<T> {
             if (skew) products.multiply_skew(A.data(), P.data(), B.data());
             else products.multiply(A.data(), P.data(), B.data());
             this->commutator(P.data(), M.data(), A.data(), h, move.data(), false);
-            double *middle = numbers_of(M.data()), *moved = numbers_of(move.data()), *turned = numbers_of(B.data());
+            double *middle = numbers_of(M.data()), *moved = numbers_of(move.data()), *rotated = numbers_of(B.data());
             this->residual = largest_of(numbers, [=](int64_t k) {
-                const double next = x[k] + (dx[k] + (0.5 * moved[k] + quarter * turned[k])), change = next - middle[k];
+                const double next = x[k] + (dx[k] + (0.5 * moved[k] + quarter * rotated[k])), change = next - middle[k];
                 middle[k] = next;
                 return change;
             });
@@ -68,7 +68,7 @@ struct Midpoint final : Isospectral<T> {
         }
         this->evaluations = this->iterations;
         if (this->status != DONE) return this->status;
-        remember(h);
+        store_history(h);
         this->advance(x, dx, move.data());
         return DONE;
     }
@@ -92,8 +92,8 @@ struct Stages final : Isospectral<T> {
             std::copy_n(A.data(), all, K.data() + i * all);
             if (!skew) std::copy_n(A.data(), all, L.data() + i * all);
         }
-        restage(K, V, h);
-        if (!skew) restage(L, U, -h);
+        update_points(K, V, h);
+        if (!skew) update_points(L, U, -h);
         this->iterations = 0;
         for (;;) {
             for (int64_t i = 0; i < stages; ++i) {
@@ -105,8 +105,8 @@ struct Stages final : Isospectral<T> {
                 products.multiply(p, v, K.data() + i * all);
                 if (!skew) products.multiply(U.data() + i * all, p, L.data() + i * all);
             }
-            double change = restage(K, V, h);
-            if (!skew) change = std::max(change, restage(L, U, -h));
+            double change = update_points(K, V, h);
+            if (!skew) change = std::max(change, update_points(L, U, -h));
             if (this->ended(change, 1.0)) {
                 this->residual = change;
                 break;
@@ -124,7 +124,7 @@ struct Stages final : Isospectral<T> {
     }
 
     // V_i := 1 + h sum_j a_ij K_j; return the largest change.
-    double restage(std::vector<T>& slopes, std::vector<T>& to, double h) {
+    double update_points(std::vector<T>& slopes, std::vector<T>& to, double h) {
         double change = 0.0;
         for (int64_t i = 0; i < stages; ++i) {
             const double* row = this->a + i * stages;
@@ -154,8 +154,8 @@ StepScheme* made(const StepTables& tables) {
 
 }  // namespace
 
-// `whole`: the integers that a stream reads, then those that `Place` names.
-EXPORT StepScheme* isospectral_gauss_step(const StepTables& tables, const Own&) {
+// `whole`: the integers that a stream reads, then those that `TableIndex` names.
+EXPORT StepScheme* isospectral_gauss_step(const StepTables& tables, const MemberConstants&) {
     return tables.whole[COMPLEX] ? made<Complex>(tables) : made<double>(tables);
 }
 

@@ -14,31 +14,32 @@ constexpr double SETTLED = 0x1p-40;  // of the increment: below it, corrections 
 
 struct Kahan final : StepScheme {
     const StepTables& tables;
-    const Own constants;
+    const MemberConstants constants;
     const Field& field;
     const int64_t n;
     const bool dense;
-    FieldRoom<double> room;
-    DerivativeRoom<double> bends;
+    FieldWorkspace<double> workspace;
+    DerivativeWorkspace<double> derivatives;
     std::vector<double> u, f, move, point, image, change, matrix, pivots;
 
-    Kahan(const StepTables& tables, const Own& constants)
+    Kahan(const StepTables& tables, const MemberConstants& constants)
         : tables(tables), constants(constants), field(tables.field), n(field.size), dense(n <= LARGEST_DENSE),
-          room(field), bends(field), u(n), f(n), move(n), point(n), image(n), change(n), matrix(dense ? n * n : 0), pivots(n) {
+          workspace(field), derivatives(field), u(n), f(n), move(n), point(n), image(n), change(n),
+          matrix(dense ? n * n : 0), pivots(n) {
         work = (dense ? n : RESTART) * (work_of(field) + n * (dense ? n : RESTART));
     }
 
     // Set out = f'(x) v. If J is a function, the difference is exact, since f is quadratic.
     void derivative(const double* x, const double* v, double t, double* out) {
-        if (!field.nonlinear) return jacobian_times(field, constants, x, u.data(), v, t, 1.0, out, bends);
+        if (!field.nonlinear) return jacobian_times(field, constants, x, u.data(), v, t, 1.0, out, derivatives);
         double large = 0.0, wide = 0.0;
         for (int64_t i = 0; i < n; ++i) large = larger(large, absolute(x[i])), wide = larger(wide, absolute(v[i]));
         const double step = large > 0.0 && wide > 0.0 ? large / wide : 1.0;
         std::fill_n(out, n, 0.0);
         for (double side : {step, -step}) {
             for (int64_t i = 0; i < n; ++i) point[i] = fma(side, v[i], x[i]);
-            gradient(field, constants, point.data(), t, u.data(), room);
-            product(field, constants, point.data(), u.data(), 0.5 / side, change.data(), room);
+            gradient(field, constants, point.data(), t, u.data(), workspace);
+            product(field, constants, point.data(), u.data(), 0.5 / side, change.data(), workspace);
             for (int64_t i = 0; i < n; ++i) out[i] += change[i];
         }
     }
@@ -83,8 +84,8 @@ struct Kahan final : StepScheme {
     }
 
     int64_t step(double* x, double* dx, double*, double*, double t, double h) override {
-        gradient(field, constants, x, t, u.data(), room);
-        product(field, constants, x, u.data(), h, f.data(), room);
+        gradient(field, constants, x, t, u.data(), workspace);
+        product(field, constants, x, u.data(), h, f.data(), workspace);
         evaluations = 2;
         residual = std::numeric_limits<double>::quiet_NaN();
         if (!finite(n, f.data())) return OVERFLOWED;
@@ -92,7 +93,7 @@ struct Kahan final : StepScheme {
         if (status != DONE) return status;
         for (int64_t i = 0; i < n; ++i) {
             const double old = x[i];
-            add_owing_rest(old, dx[i] + move[i], x[i], dx[i]);
+            two_sum(old, dx[i] + move[i], x[i], dx[i]);
         }
         return DONE;
     }

@@ -5,7 +5,7 @@
 // of a line diagonal matrices. Their flow multiplies the entries (a, b) by exp(i h (theta_a - theta_b)), where i theta
 // is the diagonal of the stream of the line: a Fourier transform along each coset d of the line, a product, and the
 // inverse transform.
-#include "boundary/hearing.hpp"
+#include "boundary/interrupts.hpp"
 #include "matrices/circulants.hpp"
 #include "steps/step_scheme.hpp"
 
@@ -32,10 +32,11 @@ struct LineSplitting final : StepScheme {
     std::vector<double> up_re, up_im, down_re, down_im;
     std::vector<double> move_re, move_im;
 
-    explicit LineSplitting(const StepTables& tables, const Own&)
+    explicit LineSplitting(const StepTables& tables, const MemberConstants&)
         : n(tables.whole[0]), half(n / 2), groups((half + L - 1) / L), lines(n + 1),
           line(reinterpret_cast<const Line*>(tables.whole + 2)), factor(tables.coefficients),
-          constant(tables.whole[1] ? factor + n * n : nullptr), one(n), eight(n), row(eight.place()), re(n * n), im(n * n), added_re(n * n), added_im(n * n), up_re(3 * n + L), up_im(up_re), down_re(up_re), down_im(up_re),
+          constant(tables.whole[1] ? factor + n * n : nullptr), one(n), eight(n), row(eight.input()), re(n * n),
+          im(n * n), added_re(n * n), added_im(n * n), up_re(3 * n + L), up_im(up_re), down_re(up_re), down_im(up_re),
           move_re(n), move_im(n) {
         work = 4 * n * n;
     }
@@ -98,8 +99,8 @@ struct LineSplitting final : StepScheme {
                 for (int64_t a = 0; a < n; ++a) {
                     const int64_t d = first + lane, b = wrapped(a + d), at = 2 * (a * n + b), other = 2 * (b * n + a);
                     const double* from = numbers(opposite((d + 2 * a) % n)) + lane;
-                    if (d) add_owing_rest(x[at], from[0] + dx[at], x[at], dx[at]);
-                    add_owing_rest(x[at + 1], from[L] + dx[at + 1], x[at + 1], dx[at + 1]);
+                    if (d) two_sum(x[at], from[0] + dx[at], x[at], dx[at]);
+                    two_sum(x[at + 1], from[L] + dx[at + 1], x[at + 1], dx[at + 1]);
                     if (d == 0) continue;
                     x[other] = -x[at];
                     dx[other] = -dx[at];
@@ -111,21 +112,21 @@ struct LineSplitting final : StepScheme {
 
     // The exact flow of the modes of one line.
     void flow(const Line& k, double h) {
-        turn_of(k, h);
+        set_phases(k, h);
         for (int64_t g = 0; g < groups; ++g) {
             const int64_t first = 1 + g * L, lanes = std::min(L, half + 1 - first);
             gather(k, first, lanes);
             row = eight.transform(row);
-            for (int64_t s = 0; s < n; ++s) turn(row[s], s, first);
+            for (int64_t s = 0; s < n; ++s) rotate(row[s], s, first);
             row = eight.transform(row);
             scatter(k, first, lanes);
         }
-        Hearing::of_this_call().after(groups * L * (2 * eight.work() + 8 * n));
+        InterruptCheck::of_this_call().after(groups * L * (2 * eight.work() + 8 * n));
     }
 
     // exp(i h theta) - 1, theta from the modes of the line.
-    void turn_of(const Line& k, double h) {
-        ComplexNumber<double>* theta = one.place();
+    void set_phases(const Line& k, double h) {
+        ComplexNumber<double>* theta = one.input();
         for (int64_t j = 0, a = 0, b = 0; j < n; ++j, a = wrapped(a + k.k1), b = wrapped(b + k.k2)) {
             const int64_t at = a * n + b;
             theta[j] = {factor[at] * (re[at] + added_re[at]), factor[at] * (im[at] + added_im[at])};
@@ -133,20 +134,20 @@ struct LineSplitting final : StepScheme {
         }
         theta = one.transform(theta);
         for (int64_t s = 0; s < n; ++s) {
-            const Rotation<double> turn = rotation_by(h * theta[s].im);
+            const Rotation<double> rotation = rotation_by(h * theta[s].im);
             for (int64_t at = s; at < int64_t(up_re.size()); at += n) {
-                up_re[at] = turn.lowered;
-                up_im[at] = turn.sine;
+                up_re[at] = rotation.cosm1;
+                up_im[at] = rotation.sine;
             }
             for (int64_t at = opposite(s); at < int64_t(up_re.size()); at += n) {
-                down_re[at] = turn.lowered;
-                down_im[at] = turn.sine;
+                down_re[at] = rotation.cosm1;
+                down_im[at] = rotation.sine;
             }
         }
     }
 
     // y := (exp(i h (theta_(s + d) - theta_(s - d))) - 1) y, from small numbers with equally small rounding.
-    INLINE void turn(ComplexNumber<Eight>& y, int64_t s, int64_t d) const {
+    INLINE void rotate(ComplexNumber<Eight>& y, int64_t s, int64_t d) const {
         Eight a_re, a_im, b_re, b_im;
         std::memcpy(&a_re, up_re.data() + s + d, sizeof(Eight));
         std::memcpy(&a_im, up_im.data() + s + d, sizeof(Eight));

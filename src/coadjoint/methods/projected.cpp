@@ -12,14 +12,14 @@ struct Projected final : StepScheme {
     typedef Lanes<W> Row;
     const int64_t blocks;
     InnerStep inner;
-    Projection<W, Own> projection;
-    Room<Row> row, owed;
+    Projection<W, MemberConstants> projection;
+    AlignedArray<Row> row, remainder;
 
-    Projected(const StepTables& given, const Own& constants)
-        : blocks(blocks_of<W>(given.field.size)), inner(given.whole, given.field.size, 0),
-          projection(given.kept, constants, given.field.size), row(blocks), owed(blocks) {
-        work = 16 * work_of(given.field);
-        remembered = projection.remembered();
+    Projected(const StepTables& tables, const MemberConstants& constants)
+        : blocks(blocks_of<W>(tables.field.size)), inner(tables.whole, tables.field.size, 0),
+          projection(tables.restored, constants, tables.field.size), row(blocks), remainder(blocks) {
+        work = 16 * work_of(tables.field);
+        memory_size = projection.memory_size();
     }
 
     int64_t step(double* x, double*, double*, double*, double t, double h) override {
@@ -31,7 +31,7 @@ struct Projected final : StepScheme {
         residual = inner.residual;
         if (status != DONE) return status;
         load_row(x);
-        const bool restored = !memory || projection.restore(row.at, owed.at, blocks, memory);
+        const bool restored = !memory || projection.restore(row.at, remainder.at, blocks, memory);
         for (int64_t b = 0; b < blocks; ++b) store(x + b * W, row.at[b]);
         if (restored) return DONE;
         residual = projection.residual;
@@ -39,13 +39,13 @@ struct Projected final : StepScheme {
     }
 
     void load_row(const double* x) {
-        for (int64_t b = 0; b < blocks; ++b) row.at[b] = load<Row>(x + b * W), owed.at[b] = Row(0.0);
+        for (int64_t b = 0; b < blocks; ++b) row.at[b] = load<Row>(x + b * W), remainder.at[b] = Row(0.0);
     }
 };
 
 }  // namespace
 
-EXPORT StepScheme* projected_step(const StepTables& tables, const Own& constants) {
+EXPORT StepScheme* projected_step(const StepTables& tables, const MemberConstants& constants) {
     if (tables.field.size <= 4) return new Projected<4>(tables, constants);
     return new Projected<8>(tables, constants);
 }

@@ -11,17 +11,17 @@ typedef MemberLanes<double> Layout;
 
 struct RadauEnergy final : StepScheme {
     const StepTables& tables;
-    const Own constants;
+    const MemberConstants constants;
     const Field& field;
     const int64_t n, s;
     const double *weight, *mu;
-    FieldRoom<double> room;
+    FieldWorkspace<double> workspace;
     Unknowns<Layout> y;
     std::vector<double> u, matrix, pivots, excess, multipliers, ones;
 
-    RadauEnergy(const StepTables& tables, const Own& constants)
+    RadauEnergy(const StepTables& tables, const MemberConstants& constants)
         : tables(tables), constants(constants), field(tables.field), n(field.size), s(tables.whole[0]),
-          weight(tables.coefficients), mu(weight + s), room(field), y(s, n, mu), u(n), matrix(s * s), pivots(s),
+          weight(tables.coefficients), mu(weight + s), workspace(field), y(s, n, mu), u(n), matrix(s * s), pivots(s),
           excess(s), multipliers(s), ones(s, 1.0) {
         work = 8 * s * (work_of(field) + s * (n + s));
     }
@@ -31,7 +31,7 @@ struct RadauEnergy final : StepScheme {
         y.error = dx;
         y.start_at_base();
         std::fill(multipliers.begin(), multipliers.end(), 0.0);
-        const double wanted = energy(field, tables.values, constants, x, t, room);
+        const double target_energy = energy(field, tables.values, constants, x, t, workspace);
         double orientation = 0.0;
         bool crossed = false, undefined = false, begun = false;
         const Outcome<double> outcome = settle(
@@ -41,8 +41,8 @@ struct RadauEnergy final : StepScheme {
                 for (int64_t i = 0; i < s; ++i) {
                     const double* X = y.points.at + i * n;
                     double* L = y.slopes.at + i * n;
-                    gradient(field, constants, X, t, u.data(), room);
-                    product(field, constants, X, u.data(), h * weight[i], L, room);
+                    gradient(field, constants, X, t, u.data(), workspace);
+                    product(field, constants, X, u.data(), h * weight[i], L, workspace);
                     for (int64_t c = 0; c < n; ++c) L[c] = fma(multipliers[i], X[c], L[c]);
                     for (int64_t j = 0; j < s; ++j) {
                         double total = 0.0;
@@ -57,11 +57,11 @@ struct RadauEnergy final : StepScheme {
                 for (int64_t i = 0; i < s; ++i) {
                     mix_each<Layout>(mu + i * s, s, y.slopes.at, n, dx,
                                      [&](int64_t c, double sum) { u[c] = x[c] + sum; });
-                    excess[i] = wanted - energy(field, tables.values, constants, u.data(), t, room);
+                    excess[i] = target_energy - energy(field, tables.values, constants, u.data(), t, workspace);
                 }
                 // If the iteration has overflowed before, the failure is not an undefined multiplier.
-                const bool sound = finite(s * s, matrix.data());
-                undefined |= !factorize(matrix.data(), s, pivots.data()) && sound;
+                const bool valid = finite(s * s, matrix.data());
+                undefined |= !factorize(matrix.data(), s, pivots.data()) && valid;
                 substitute(matrix.data(), s, pivots.data(), excess.data(), 1);
                 for (int64_t j = 0; j < s; ++j) {
                     multipliers[j] += excess[j];

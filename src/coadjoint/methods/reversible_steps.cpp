@@ -14,21 +14,22 @@ enum class Speed { GENERATOR, GIVEN };
 template <Speed kind>
 struct ReversibleSteps final : OwnSteps {
     const Field& field;
-    const Watch& kept;
-    const Own constants;
+    const Watch& speed_function;
+    const MemberConstants constants;
     const double stride;
     InnerStep inner;
-    FieldRoom<double> room;
-    DerivativeRoom<double> bends;
+    FieldWorkspace<double> workspace;
+    DerivativeWorkspace<double> derivatives;
     std::vector<double> u, f, change, rising, rows, arguments, calls;
 
     // `whole`: the addresses of the inner loop; the coefficient is the stride, and the watched function the polynomial
-    // of the speed. The remembered number is rho.
-    ReversibleSteps(const StepTables& tables, const Own& constants)
-        : OwnSteps(tables.field.size, tables.group.size * tables.group.size, 1), field(tables.field), kept(tables.kept),
-          constants(constants), stride(tables.coefficients[0]), inner(tables.whole, size, square),
-          room(field), bends(field), u(size), f(size), change(size), rising(size),
-          rows(kept.terms.row[kept.terms.size] + 1), arguments(kept.longest + 1), calls(2 * kept.longest + 2) {
+    // of the speed. The memory is rho.
+    ReversibleSteps(const StepTables& tables, const MemberConstants& constants)
+        : OwnSteps(tables.field.size, tables.group.size * tables.group.size, 1), field(tables.field),
+          speed_function(tables.restored), constants(constants), stride(tables.coefficients[0]),
+          inner(tables.whole, size, square), workspace(field), derivatives(field), u(size), f(size), change(size),
+          rising(size), rows(speed_function.terms.row[speed_function.terms.size] + 1),
+          arguments(speed_function.longest + 1), calls(2 * speed_function.longest + 2) {
         work = 16 * work_of(field);
     }
 
@@ -75,29 +76,30 @@ struct ReversibleSteps final : OwnSteps {
 
     // The speed Q at a state, and its relative rate of change Q' / Q along the motion.
     void measure(const double* x, double t, double& speed, double& rate) {
-        gradient(field, constants, x, t, u.data(), room);
-        product(field, constants, x, u.data(), 1.0, f.data(), room);
+        gradient(field, constants, x, t, u.data(), workspace);
+        product(field, constants, x, u.data(), 1.0, f.data(), workspace);
         if constexpr (kind == Speed::GIVEN) {
             speed = value_at(x, t);
             rate = inner_product(rising.data(), f.data()) / speed;
         } else {
-            hessian_times(field, constants, x, f.data(), t, change.data(), bends);
+            hessian_times(field, constants, x, f.data(), t, change.data(), derivatives);
             const double square = value_at(u.data(), t);
             speed = square_root(square);
             rate = 0.5 * inner_product(rising.data(), change.data()) / square;
         }
     }
 
-    // The given polynomial at a point; its gradient is stored in `rising`.
+    // The polynomial at a point; its gradient is stored in `rising`.
     double value_at(const double* y, double t) {
-        const Terms& terms = kept.terms;
+        const Terms& terms = speed_function.terms;
         std::fill(rising.begin(), rising.end(), 0.0);
         for (int64_t k = 0; k < terms.size; ++k) {
             const int64_t first = terms.row[k];
-            gradient_rows(terms, constants, kept.addresses, k, y, t, rows.data(), first, arguments.data(), calls.data());
+            gradient_rows(terms, constants, speed_function.addresses, k, y, t, rows.data(), first, arguments.data(),
+                          calls.data());
             for (int64_t row = first; row < terms.row[k + 1]; ++row) rising[terms.target[row]] += rows[row - first];
         }
-        return value_of(kept, constants, 0, y, t, arguments.data(), calls.data());
+        return value_of(speed_function, constants, 0, y, t, arguments.data(), calls.data());
     }
 
     double inner_product(const double* a, const double* b) const {

@@ -15,17 +15,17 @@ constexpr double HALF = 0.5, WHOLE = 1.0;
 
 struct SphericalMidpoint final : StepScheme {
     const StepTables& tables;
-    const Own constants;
+    const MemberConstants constants;
     const Field& field;
     const int64_t n;
-    FieldRoom<double> room;
+    FieldWorkspace<double> workspace;
     Unknowns<Layout> y;
     std::vector<std::array<int64_t, 3>> spins;
     std::vector<double> u, point, squares;
 
-    SphericalMidpoint(const StepTables& tables, const Own& constants)
-        : tables(tables), constants(constants), field(tables.field), n(field.size), room(field), y(1, n, &HALF), u(n),
-          point(n) {
+    SphericalMidpoint(const StepTables& tables, const MemberConstants& constants)
+        : tables(tables), constants(constants), field(tables.field), n(field.size), workspace(field), y(1, n, &HALF),
+          u(n), point(n) {
         // The row of a coordinate has the two others of its spin.
         for (int64_t i = 0; i < n; ++i) {
             const uint32_t q = field.first[i];
@@ -57,8 +57,8 @@ struct SphericalMidpoint final : StepScheme {
                     const double stretch = std::sqrt(squares[s] / square(point.data(), spins[s]));
                     for (int64_t i : spins[s]) point[i] *= stretch;
                 }
-                gradient(field, constants, point.data(), middle, u.data(), room);
-                product(field, constants, point.data(), u.data(), h, y.slopes.at, room);
+                gradient(field, constants, point.data(), middle, u.data(), workspace);
+                product(field, constants, point.data(), u.data(), h, y.slopes.at, workspace);
             },
             [](bool, bool) {});
         evaluations = iterations = int64_t(outcome.iterations);

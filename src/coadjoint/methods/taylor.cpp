@@ -1,23 +1,23 @@
 // The Taylor series of the motion, and a projection to the level set of energy and Casimirs; with the group element.
 #include "steps/group_series.hpp"
-#include "steps/projection_crowd.hpp"
-#include "steps/series_crowd.hpp"
+#include "steps/projection_lanes.hpp"
+#include "steps/series_lanes.hpp"
 #include "steps/step_scheme.hpp"
 
 namespace coadjoint {
 
 namespace {
 
-// Data that members side by side read repeatedly must stay in the cache of a core.
-constexpr int64_t MOST_ROOM = int64_t(1) << 18;
+// Data that the lanes read repeatedly must stay in the cache of a core.
+constexpr int64_t LARGEST_WORKING_SET = int64_t(1) << 18;
 
 template <int W>
-struct TaylorCrowd final : CrowdStep {
+struct TaylorLanes final : LaneStep {
     const int64_t n;
-    SeriesCrowd<W, A> series;
-    ProjectionCrowd<W, A> projection;
+    SeriesLanes<W, A> series;
+    ProjectionLanes<W, A> projection;
 
-    TaylorCrowd(const SeriesField<W>& field, int64_t order, Projection<W, Own>& projection)
+    TaylorLanes(const SeriesField<W>& field, int64_t order, Projection<W, MemberConstants>& projection)
         : n(field.n), series(field, order), projection(projection, field.n) {
         work = series.work() + 8 * NATIVE * n;
     }
@@ -25,13 +25,13 @@ struct TaylorCrowd final : CrowdStep {
     void read(int lane, const double* memory) override { projection.read(lane, memory); }
     void write(int lane, double* memory) const override { projection.write(lane, memory); }
 
-    void step(A* x, A* dx, const A& h, const int64_t* going) override {
-        A taking(0.0);
+    void step(A* x, A* dx, const A& h, const int64_t* active) override {
+        A selected(0.0);
         for (int lane = 0; lane < NATIVE; ++lane)
-            if (going[lane]) projection.begin(lane, x), set_lane(taking, lane, 1.0);
+            if (active[lane]) projection.begin(lane, x), set_lane(selected, lane, 1.0);
         series.expand(x, h);
         for (int64_t i = 0; i < n; ++i) add_to(x[i], dx[i], series.increment(i));
-        const auto restored = projection.restore(x, dx, taking > A(0.0));
+        const auto restored = projection.restore(x, dx, selected > A(0.0));
         for (int lane = 0; lane < NATIVE; ++lane) {
             evaluations[lane] = series.order;
             iterations[lane] = int64_t(projection.corrections[lane]);
@@ -46,61 +46,61 @@ struct Taylor final : StepScheme {
     typedef Lanes<W> Row;
     const int64_t n, square, blocks;
     Series<W> series;
-    Projection<W, Own> projection;
-    Room<Row> owed;
+    Projection<W, MemberConstants> projection;
+    AlignedArray<Row> remainder;
     const std::unique_ptr<GroupMotion> group;
-    Room<Row> gradients;
+    AlignedArray<Row> gradients;
 
-    Taylor(const StepTables& tables, const Own& constants)
+    Taylor(const StepTables& tables, const MemberConstants& constants)
         : n(tables.field.size), square(tables.group.size * tables.group.size), blocks(blocks_of<W>(n)),
-          series(tables.field, constants, tables.whole[0]),
-          projection(tables.kept, constants, tables.field.size), owed(blocks),
-          group(group_motion(tables.group, constants, series)), gradients(group ? known_gradients(series) * blocks : 0) {
+          series(tables.field, constants, tables.whole[0]), projection(tables.restored, constants, tables.field.size),
+          remainder(blocks), group(group_motion(tables.group, constants, series)),
+          gradients(group ? known_gradients(series) * blocks : 0) {
         work = series.work() + 8 * tables.field.size + (group ? group->work() : 0);
-        remembered = projection.remembered();
+        memory_size = projection.memory_size();
     }
 
     int64_t step(double* x, double* dx, double* g, double* dg, double, double h) override {
         Row* state = series.x.at;
-        for (int64_t b = 0; b < blocks; ++b) state[b] = load<Row>(x + b * W), owed.at[b] = load<Row>(dx + b * W);
+        for (int64_t b = 0; b < blocks; ++b) state[b] = load<Row>(x + b * W), remainder.at[b] = load<Row>(dx + b * W);
         if (memory && !(memory[0] == memory[0])) projection.begin(state, memory);
         series.expand(h);
         // Before the state overwrites the first coefficient.
         if (group) gradients_along(series, reinterpret_cast<double*>(gradients.at));
-        for (int64_t b = 0; b < blocks; ++b) add_to(state[b], owed.at[b], series.increment(b));
-        const bool restored = !memory || projection.restore(state, owed.at, blocks, memory);
+        for (int64_t b = 0; b < blocks; ++b) add_to(state[b], remainder.at[b], series.increment(b));
+        const bool restored = !memory || projection.restore(state, remainder.at, blocks, memory);
         evaluations = series.order;
         iterations = projection.corrections;
         residual = projection.residual;
-        for (int64_t b = 0; b < blocks; ++b) store(x + b * W, state[b]), store(dx + b * W, owed.at[b]);
+        for (int64_t b = 0; b < blocks; ++b) store(x + b * W, state[b]), store(dx + b * W, remainder.at[b]);
         if (!restored) return residual - residual == 0.0 ? NOT_CONVERGED : OVERFLOWED;
-        return group ? turn(x, g, dg, h) : DONE;
+        return group ? rotate(x, g, dg, h) : DONE;
     }
 
-    std::unique_ptr<CrowdStep> crowd() override {
+    std::unique_ptr<LaneStep> lane_step() override {
         // Two lanes are not faster than the rows of one member.
         if (group || NATIVE < 4) return nullptr;
-        auto crowd = std::make_unique<TaylorCrowd<W>>(series.field, series.order, projection);
-        if (crowd->series.room() > MOST_ROOM) return nullptr;
-        return crowd;
+        auto lane_step = std::make_unique<TaylorLanes<W>>(series.field, series.order, projection);
+        if (lane_step->series.working_set() > LARGEST_WORKING_SET) return nullptr;
+        return lane_step;
     }
 
     StepSeries series_of_step() const override {
         return {reinterpret_cast<const double*>(series.x.at), series.field.extended * W, series.order};
     }
 
-    int64_t turn(const double* x, double* g, double* dg, double h) {
+    int64_t rotate(const double* x, double* g, double* dg, double h) {
         const double* const along = reinterpret_cast<const double*>(gradients.at);
         residual = std::numeric_limits<double>::quiet_NaN();
         if (!finite(n, x)) return OVERFLOWED;
-        if (!group->turn(along, known_gradients(series), blocks * W, h, g, dg)) return UNDEFINED;
+        if (!group->rotate(along, known_gradients(series), blocks * W, h, g, dg)) return UNDEFINED;
         return finite(square, g) ? DONE : OVERFLOWED;
     }
 };
 
 }  // namespace
 
-EXPORT StepScheme* taylor_step(const StepTables& tables, const Own& constants) {
+EXPORT StepScheme* taylor_step(const StepTables& tables, const MemberConstants& constants) {
     if (tables.field.size <= 4) return new Taylor<4>(tables, constants);
     return new Taylor<8>(tables, constants);
 }

@@ -46,7 +46,7 @@ TOLERANCE_REDUCTION = 32.0  # factor by which the tolerance is reduced for an er
 TOO_FAR_MESSAGE = "the group element turns too far in one step for its series"
 # Typical number of terms in the series of a group element, and largest number beyond the order.
 TYPICAL_GROUP_TERMS, MAX_EXTRA_TERMS = 16, 40
-# Largest dimension in which members are computed in vector lanes, see `SMALL` in ``stepping.cpp``.
+# Largest dimension in which members are computed in vector lanes, see `LARGEST_CACHED` in ``stepping.cpp``.
 MAX_LANE_DIMENSION = 64
 LEAST_TOLERANCE, LARGEST_TOLERANCE = 1e-18, 0.1
 

@@ -19,33 +19,33 @@ struct TaylorVariable final : OwnSteps {
     typedef Lanes<W> Row;
     const int64_t blocks;
     Series<W> series;
-    Projection<W, Own> projection;
+    Projection<W, MemberConstants> projection;
     const StepLength rule;
-    Room<Row> state, owed, expanded;
+    AlignedArray<Row> state, remainder, expanded;
     double scaled = 0.0;       // `series` holds the terms of `expanded` in powers of this time; 0 if it holds none
     const std::unique_ptr<GroupMotion> group;
     std::vector<double> gradients;
-    std::vector<double> seen;  // for evaluations that leave the memory of the projection unchanged
+    std::vector<double> unchanged_targets;  // for evaluations that leave the memory of the projection unchanged
 
-    // Remembered: the time unit of the terms, a power of two with the sign of the steps; the largest size of a state so
+    // Memory: the time unit of the terms, a power of two with the sign of the steps; the largest size of a state so
     // far; and the memory of the projection.
-    TaylorVariable(const StepTables& tables, const Own& constants)
-        : OwnSteps(tables.field.size, tables.group.size * tables.group.size, 2 + 2 * tables.kept.size), blocks(blocks_of<W>(tables.field.size)),
-          series(tables.field, constants, tables.whole[0]), projection(tables.kept, constants, tables.field.size),
-          rule(tables.whole[0], tables.coefficients[0]), state(blocks), owed(blocks), expanded(blocks),
-          group(group_motion(tables.group, constants, series)),
-          gradients(group ? known_gradients(series) * blocks * W : 0), seen(projection.remembered()) {
+    TaylorVariable(const StepTables& tables, const MemberConstants& constants)
+        : OwnSteps(tables.field.size, tables.group.size * tables.group.size, 2 + 2 * tables.restored.size),
+          blocks(blocks_of<W>(tables.field.size)), series(tables.field, constants, tables.whole[0]),
+          projection(tables.restored, constants, tables.field.size), rule(tables.whole[0], tables.coefficients[0]),
+          state(blocks), remainder(blocks), expanded(blocks), group(group_motion(tables.group, constants, series)),
+          gradients(group ? known_gradients(series) * blocks * W : 0), unchanged_targets(projection.memory_size()) {
         work = series.work() + 16 * tables.field.size + (group ? group->work() : 0);
     }
 
   private:
     static double& scale_of(const Base& base) { return base.further[0]; }
     static double& largest_of(const Base& base) { return base.further[1]; }
-    static double* kept_of(const Base& base) { return base.further + 2; }
+    static double* targets_of(const Base& base) { return base.further + 2; }
 
     int64_t begin(const Base& base, double t0) override {
         read(base);
-        projection.begin(state.at, kept_of(base));
+        projection.begin(state.at, targets_of(base));
         base.length = std::copysign(1.0, base.length);
         return propose(base, t0);
     }
@@ -85,44 +85,44 @@ struct TaylorVariable final : OwnSteps {
     }
 
     int64_t part(const Base& base, double, double time, double* x, double* dx, double* g, double* dg) override {
-        std::copy_n(kept_of(base), seen.size(), seen.data());
+        std::copy_n(targets_of(base), unchanged_targets.size(), unchanged_targets.data());
         std::copy_n(base.group, square, g), std::copy_n(base.dgroup, square, dg);
-        const int64_t status = move(base, time, seen.data(), g, dg);
+        const int64_t status = move(base, time, unchanged_targets.data(), g, dg);
         write(x, dx);
         return status;
     }
 
     int64_t finish(const Base& base, double) override {
-        const int64_t status = move(base, base.length, kept_of(base), base.group, base.dgroup);
+        const int64_t status = move(base, base.length, targets_of(base), base.group, base.dgroup);
         iterations += projection.corrections;
         write(base.x, base.dx);
         return status;
     }
 
-    // From the base on, in `state` and `owed`.
-    int64_t move(const Base& base, double time, double* kept, double* g, double* dg) {
+    // From the base on, in `state` and `remainder`.
+    int64_t move(const Base& base, double time, double* targets, double* g, double* dg) {
         read(base);
         bool same = scaled == scale_of(base);
         for (int64_t b = 0; b < blocks && same; ++b) same = all(state.at[b] == expanded.at[b]);
         if (!same) expand(scale_of(base));
         const double s = time / scaled;
-        for (int64_t b = 0; b < blocks; ++b) add_to(state.at[b], owed.at[b], increment_at(series, b, s));
+        for (int64_t b = 0; b < blocks; ++b) add_to(state.at[b], remainder.at[b], increment_at(series, b, s));
         projection.corrections = 0;
-        const bool restored = seen.empty() || projection.restore(state.at, owed.at, blocks, kept);
+        const bool restored = unchanged_targets.empty() || projection.restore(state.at, remainder.at, blocks, targets);
         residual = projection.residual;
         if (!restored) return residual - residual == 0.0 ? NOT_CONVERGED : OVERFLOWED;
-        return group ? turn(s, time, g, dg) : DONE;
+        return group ? rotate(s, time, g, dg) : DONE;
     }
 
     // The gradient along the step is a polynomial in the time relative to `time`.
-    int64_t turn(double s, double time, double* g, double* dg) {
+    int64_t rotate(double s, double time, double* g, double* dg) {
         if (!finite(size, reinterpret_cast<const double*>(state.at))) return OVERFLOWED;
         gradients_along(series, gradients.data());
         const int64_t stride = blocks * W, count = known_gradients(series);
         double power = 1.0;
         for (int64_t k = 0; k < count; ++k, power *= s)
             for (int64_t i = 0; i < stride; ++i) gradients[k * stride + i] *= power;
-        if (!group->turn(gradients.data(), count, stride, time, g, dg)) return NOT_CONVERGED;
+        if (!group->rotate(gradients.data(), count, stride, time, g, dg)) return NOT_CONVERGED;
         return finite(square, g) ? DONE : OVERFLOWED;
     }
 
@@ -132,19 +132,20 @@ struct TaylorVariable final : OwnSteps {
     }
 
     void read(const Base& base) {
-        double *to = reinterpret_cast<double*>(state.at), *left = reinterpret_cast<double*>(owed.at);
+        double *to = reinterpret_cast<double*>(state.at), *left = reinterpret_cast<double*>(remainder.at);
         std::copy_n(base.x, size, to), std::copy_n(base.dx, size, left);
     }
 
     void write(double* x, double* dx) const {
-        const double *from = reinterpret_cast<const double*>(state.at), *left = reinterpret_cast<const double*>(owed.at);
+        const double *from = reinterpret_cast<const double*>(state.at),
+                     *left = reinterpret_cast<const double*>(remainder.at);
         std::copy_n(from, size, x), std::copy_n(left, size, dx);
     }
 };
 
 }  // namespace
 
-EXPORT StepScheme* taylor_variable_step(const StepTables& tables, const Own& constants) {
+EXPORT StepScheme* taylor_variable_step(const StepTables& tables, const MemberConstants& constants) {
     if (tables.field.size <= 4) return new TaylorVariable<4>(tables, constants);
     return new TaylorVariable<8>(tables, constants);
 }

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.pictures.style import INK, colour, key, plain_axes, symbol
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def draw_certificate(certificate: Any) -> Figure:
     >>> [axes.get_title() for axes in draw_certificate(certificate).axes][:2]
     ['errors against the reference', 'defects']
     """
-    need("drawing a certificate", "matplotlib")
+    require_packages("drawing a certificate", "matplotlib")
     from coadjoint.pictures.figure import ShownFigure
 
     figure = ShownFigure(figsize=(11.0, 7.6), layout="constrained")

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.runs.example_run import run_example
 from coadjoint.runs.solution import Solution
 from coadjoint.short_repr import short
@@ -100,7 +100,7 @@ def piece(name: str) -> Piece:
     ValueError
         There is no such system, or it declares no example run.
     """
-    need("a gallery", "matplotlib")
+    require_packages("a gallery", "matplotlib")
     if name in SCENES:
         scene = SCENES[name]
         run = scene.run()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.pictures.style import colour, key, plain_axes
 from coadjoint.runs.solution import check_solution
 from coadjoint.validation import read_integer, read_list
@@ -47,7 +47,7 @@ def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) 
     ['energy $H$', '$\\tilde H$ of order 4', '$\\tilde H$ of order 6']
     """
     check_solution(solution)
-    need("drawing modified energies", "matplotlib")
+    require_packages("drawing modified energies", "matplotlib")
     from coadjoint.pictures.figure import ShownFigure
 
     listed = read_list(orders, "orders", "give whole numbers such as (4, 6)")

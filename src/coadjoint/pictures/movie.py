@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Kind, kinds, read_picture
 from coadjoint.pictures.style import INK
@@ -59,7 +59,7 @@ def frames_of(
     are constant in time. `size` is in pixels, even. Raises TypeError or ValueError for invalid values.
     """
     check_solution(solution)
-    need("a movie", "matplotlib")
+    require_packages("a movie", "matplotlib")
     count, pixels = read_integer(frames, "frames", 2, MAX_FRAMES), _read_size(size)
     drawn = PlottedRun(solution)
     kind, initial = _read_moving(drawn, picture)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.pictures.style import colour, key, plain_axes
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
     >>> [axes.get_ylabel() for axes in draw_phase_drift(drift_of_series(t, 0.1 * t + np.cos(t))).axes]
     ['lead [unit of time]', 'lead - line']
     """
-    need("drawing a phase error", "matplotlib")
+    require_packages("drawing a phase error", "matplotlib")
     from coadjoint.pictures.figure import ShownFigure
 
     figure = ShownFigure(figsize=(7.2, 5.4), layout="constrained")

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Kind, Paint, read_picture
 from coadjoint.runs.solution import check_solution
@@ -64,7 +64,7 @@ def draw_solution(
     ['absolute deviation from start', 'angular momentum $x_i$']
     """
     check_solution(solution)
-    need("drawing a solution", "matplotlib")
+    require_packages("drawing a solution", "matplotlib")
     drawn = PlottedRun(solution, members)
     series = _components_picture(drawn, components)
     prepared = _declared(drawn, series) if panels is None else _requested(drawn, panels, series)

@@ -20,7 +20,7 @@ class Action(NamedTuple):
     """exp(theta D) of each part on vectors of `size` components, stored by columns.
 
     Part p has the runs run[p] to run[p + 1]. A run applies theta[angle], theta[angle + 1], ... (`angles` of them), each
-    to `repeat` blocks of one kind with shared constants (a shear has a constant per block), from indices[place] and
+    to `repeat` blocks of one kind with shared constants (a shear has a constant per block), from indices[position] and
     constants[constant] on. For CUBIC and SERIES blocks, `width` is the number of coordinates, `degree` the number of
     terms of the sum, and the coordinates are followed by compressed sparse rows: `width` + 1 starts, then `entries`
     columns. The values of D (of a CUBIC block those of D^2 and their rounding errors) follow the constants.
@@ -32,7 +32,7 @@ class Action(NamedTuple):
     angles: NDArray[np.uint32]
     repeat: NDArray[np.uint32]
     angle: NDArray[np.uint32]
-    place: NDArray[np.uint32]
+    position: NDArray[np.uint32]
     constant: NDArray[np.uint32]
     width: NDArray[np.uint32]
     entries: NDArray[np.uint32]
@@ -155,7 +155,7 @@ def _arrange_runs(size: int, blocks: BlockTable, groups: _Groups, parts: Parts) 
         angles=column(np.diff(np.append(first, len(groups.angle)))),
         repeat=column(np.diff(groups.block)[first]),
         angle=column(groups.angle[first] - parts.angle[part]),
-        place=column(blocks.begin[leader]),
+        position=column(blocks.begin[leader]),
         constant=column(starts_of(length)[leader]),
         width=blocks.width[leader],
         entries=blocks.entries[leader],
@@ -192,7 +192,7 @@ def _empty_action(size: int, parts: int, number: Number) -> Action:
 def run_blocks(action: Action, run: int, q: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
     """Return the blocks of a run at its angle number q, as (coordinates, matrix)."""
     kind, repeat = action.kind[run], int(action.repeat[run])
-    width, index, constant = int(action.width[run]), int(action.place[run]), int(action.constant[run])
+    width, index, constant = int(action.width[run]), int(action.position[run]), int(action.constant[run])
     constants = action.constants
     zero = 0 * constants[constant]
     blocks = []

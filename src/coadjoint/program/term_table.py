@@ -105,7 +105,7 @@ class TermTable:
 
     def add(self, term: Term) -> None:
         """Add a whole term of a Hamiltonian, over all coordinates."""
-        term.given_to(self)
+        term.describe_to(self)
 
     def quadratic(self, term: QuadraticTerm) -> None:
         """Add a quadratic term, with one row per coordinate."""

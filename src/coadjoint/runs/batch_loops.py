@@ -144,7 +144,7 @@ class BatchLoops(Loops):
         """Return rounds of member batches, each within one group and from a lane boundary."""
         member_batches: list[MemberBatch] = []
         for group, (first, last) in zip(self.groups, pairwise(self._first.tolist()), strict=True):
-            for bounds in split_members(first, last, workers, limit("LARGEST_CROWD")):
+            for bounds in split_members(first, last, workers, limit("MOST_LANES")):
                 member_batches.append(MemberBatch(group.loop, group.tables, group.watch, *bounds, group.stride, first))
         return in_rounds(member_batches, workers)
 
@@ -198,7 +198,7 @@ def groups_of(prepared: Sequence[CompiledLoop], watches: Sequence[Any]) -> list[
     """
     from coadjoint.kernels.structures import as_structure, stacked, structure_of
 
-    block = limit("LARGEST_CROWD")
+    block = limit("MOST_LANES")
     members_by_structure: dict[Hashable, list[int]] = {}
     for m, (loop, watch) in enumerate(zip(prepared, watches, strict=True)):
         members_by_structure.setdefault((loop.name, structure_of(loop.tables), structure_of(watch)), []).append(m)

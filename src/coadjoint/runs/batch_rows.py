@@ -50,7 +50,7 @@ class Tables(NamedTuple):
 
     def _in_columns(self, columns: Integers, begin: int) -> Rows:
         # Batches begin at blocks of columns; a block holds one row of each column at a time.
-        block = limit("LARGEST_CROWD")
+        block = limit("MOST_LANES")
         column_blocks = self.stride // block
         order = np.argsort(columns, kind="stable")
         ascending = columns[order]

@@ -268,7 +268,7 @@ class CallLoops(Loops):
         """Return the batches of members with individual inputs, in common or in separate tables."""
         loop = self._base.prepared.name
         if self._stride:
-            bounds = split_members(0, members, workers, limit("LARGEST_CROWD"))
+            bounds = split_members(0, members, workers, limit("MOST_LANES"))
             return [[MemberBatch(loop, *self._call_tables[0], *part, self._stride) for part in bounds]]
         return in_rounds(
             [MemberBatch(loop, *part, m, m + 1, base=m) for m, part in enumerate(self._call_tables)], workers

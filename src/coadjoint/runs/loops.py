@@ -201,7 +201,7 @@ class SystemLoops(Loops):
         self.corrected_groups = (
             ShiftCorrection(system, prepared.shift, representation) if self._shifted else uncorrected_groups
         )
-        self.block = limit("LARGEST_CROWD") if system.dim <= limit("WIDEST") else 1
+        self.block = limit("MOST_LANES") if system.dim <= limit("WIDEST") else 1
         self._set_tables(prepared, watch)
 
     def _set_tables(self, prepared: CompiledLoop, watch: Any) -> None:

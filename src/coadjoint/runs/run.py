@@ -17,7 +17,7 @@ from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import MemberBatch
 from coadjoint.kernels.recording_tables import schedule_of
 from coadjoint.methods.protocol.method import Method
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.runs.batch_execution import failure_text, run_in_threads, status_name
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.loops import Loops
@@ -319,5 +319,5 @@ def read_progress(progress: Any) -> bool:
     """Validate `progress`; raise if a progress bar cannot be shown."""
     shown = read_bool(progress, "progress")
     if shown:
-        need("progress=True", "tqdm")
+        require_packages("progress=True", "tqdm")
     return shown

@@ -8,7 +8,7 @@ from fractions import Fraction
 from typing import Any
 
 from coadjoint.algebra.polynomials.monomials import Coefficient
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 
 Monomials = Mapping[tuple[int, ...], Coefficient]
 MAX_DIGITS = 6
@@ -77,7 +77,7 @@ def latex_name(name: str) -> str:
 
 def sympy_of(monomials: Monomials, names: Sequence[str]) -> Any:
     """Return a SymPy expression in symbols of the given names; fractions stay exact."""
-    need("an expression of SymPy", "sympy")
+    require_packages("an expression of SymPy", "sympy")
     import sympy
 
     symbols = [sympy.Symbol(name) for name in names]  # sympy.symbols would split names with commas or brackets

@@ -17,7 +17,7 @@ from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.power_series import power_series
 from coadjoint.methods.registry import read_method
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.system_checks import System, check_vector_states
@@ -76,7 +76,7 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
     >>> field.keeps("energy"), field.keeps("|x|^2"), field.first_error
     (None, None, 2)
     """
-    need("a modified field", "mpmath")
+    require_packages("a modified field", "mpmath")
     check_vector_states(system, "a modified field is available for states that are vectors")
     order = read_integer(order, "order of a modified field", 1, MAX_ORDER)
     read_choice(way, "way to a modified field", WAYS)

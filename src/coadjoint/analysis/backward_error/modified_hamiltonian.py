@@ -26,7 +26,7 @@ from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.flow_method import flows_of
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.program.modified_energy.composition_logarithm import exact_sweeps
 from coadjoint.program.modified_energy.modified_series import coordinates_of
 from coadjoint.short_repr import short
@@ -185,7 +185,7 @@ class ModifiedHamiltonian:
 
     def to_sympy(self) -> Any:
         """Return the function as a SymPy expression in h, the coordinates and the symbols; fractions stay exact."""
-        need("an expression of SymPy", "sympy")
+        require_packages("an expression of SymPy", "sympy")
         import sympy
 
         h = sympy.Symbol("h")

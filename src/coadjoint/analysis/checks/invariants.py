@@ -221,7 +221,7 @@ def _sum_of_absolute_terms(invariant: Any, x: Floats) -> float:
         invariant = as_hamiltonian(invariant, len(x))
     if not hasattr(invariant, "terms"):
         return 0.0
-    return float(sum(term.given_to(_AbsoluteSum(np.abs(x))) or 0.0 for term in invariant.terms()))
+    return float(sum(term.describe_to(_AbsoluteSum(np.abs(x))) or 0.0 for term in invariant.terms()))
 
 
 class _AbsoluteSum:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from coadjoint.experiments.statement import Statement, markdown, write_csv
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
 
 
@@ -69,7 +69,7 @@ def reproduce(
 
 def check_packages() -> None:
     """Raise an error if packages for compiling functions or plotting are missing."""
-    need("repeating the experiments", "numba", "matplotlib")
+    require_packages("repeating the experiments", "numba", "matplotlib")
 
 
 def measured_statements(echo: Callable[[str], None] = print, phase_end: float = 500.0) -> list[Statement]:

@@ -11,7 +11,7 @@ from coadjoint.files.archives.archived_run import FINISHED, STEPS, states_of
 from coadjoint.files.archives.blocks import BLOCK_SIZE_ATTRIBUTE
 from coadjoint.files.archives.metadata_checks import as_archive_errors, check_archive, check_reported
 from coadjoint.files.archives.store import ArchiveError, ArchiveMoved, read_archive_path, read_root, read_state
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.runs.piecewise_run import STATE_PREFIX, larger_deviations
 from coadjoint.runs.run_record import RunRecord, Statistics
 from coadjoint.runs.solution import Solution
@@ -99,7 +99,7 @@ def open_archive(path: str | Path, system: Any = None) -> Solution:
     ...     co.open_archive(f"{folder}/run.zarr").x.shape
     (101, 3)
     """
-    need("an archive of a run", "xarray", "zarr")
+    require_packages("an archive of a run", "xarray", "zarr")
     archive_path = read_archive_path(path)
     for attempt in range(ATTEMPTS):
         try:

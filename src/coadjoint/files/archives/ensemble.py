@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from coadjoint.files.archives.run_in_blocks import read_worker_pool, run_in_blocks
 from coadjoint.files.datasets.variables import ExtraMetadata, Variables
 from coadjoint.methods.protocol.method import Method
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.run import read_progress
 from coadjoint.short_repr import short
@@ -100,7 +100,7 @@ def integrate_ensemble(
     >>> bool((many.x[:, 7] == co.integrate(body, states[7], (0, 10), 0.1).x).all())
     True
     """
-    need("an ensemble in an archive", "xarray", "zarr")
+    require_packages("an ensemble in an archive", "xarray", "zarr")
     progress, pool = read_progress(progress), read_worker_pool(client, workers, threads)
     if archive is None and client is not None:
         raise TypeError(

@@ -33,7 +33,7 @@ from coadjoint.files.datasets.export import attributes_of
 from coadjoint.files.datasets.variables import NO_METADATA, ExtraMetadata, accounts_of
 from coadjoint.files.output.atomic_output import PendingOutput, remove_leftovers
 from coadjoint.files.records.required_functions import function_attributes, resume_arguments
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import read_events
 from coadjoint.runs.piecewise_run import PiecewiseRun
 
@@ -62,7 +62,7 @@ def archive_run(
     `until` is the number of steps after which the run stops, to be resumed; `about` has further metadata to write.
     ArchiveError: the folder exists or cannot be written. IntegrationError: its partial solution is the archive.
     """
-    need("an archive of a run", "xarray", "zarr")
+    require_packages("an archive of a run", "xarray", "zarr")
     if t_eval is not None or read_events(events):
         raise ValueError("an archive saves every save_every-th step and has no events; give neither t_eval nor events")
     target = check_new(archive)
@@ -194,7 +194,7 @@ def resume(
     """
     from coadjoint.runs.prepared_run import PreparedRun
 
-    need("an archive of a run", "xarray", "zarr")
+    require_packages("an archive of a run", "xarray", "zarr")
     archive_path = read_archive_path(path)
     archive = open_archive(archive_path, system)
     if BLOCK_SIZE_ATTRIBUTE in archive.attributes:

@@ -28,7 +28,7 @@ from coadjoint.files.archives.metadata_checks import check_archive
 from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten, read_archive_path, unwritten_archive
 from coadjoint.files.datasets.variables import NO_METADATA, ExtraMetadata
 from coadjoint.files.records.required_functions import resume_arguments
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.progress import progress_bar
 from coadjoint.short_repr import short
@@ -66,14 +66,14 @@ def read_worker_pool(client: Any, workers: Any, threads: Any) -> WorkerPool:
     if client is not None and workers is not None:
         raise TypeError("ensemble was given a client and workers; give only one: workers are processes of this machine")
     if client is not None:
-        need("ensemble(client=)", "distributed")
+        require_packages("ensemble(client=)", "distributed")
         from distributed import Client
 
         if not isinstance(client, Client):
             raise TypeError(f"client is {short(client)}; it must be a distributed.Client")
         warn_without_tls(client)
     if workers is not None:
-        need("ensemble(workers=)", "distributed", "cryptography")
+        require_packages("ensemble(workers=)", "distributed", "cryptography")
         workers = read_integer(workers, "workers", floats=True)
     return WorkerPool(client, workers, None if threads is None else read_integer(threads, "threads", floats=True))
 

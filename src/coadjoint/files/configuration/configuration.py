@@ -29,7 +29,7 @@ from coadjoint.memory import available, format_bytes
 from coadjoint.methods.forced import check_direction, check_supports, effective_scheme
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.suggested_scheme import default_scheme
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import Event
 from coadjoint.runs.integrate import chosen_for, integrate
 from coadjoint.runs.output_times import output_times_of
@@ -263,7 +263,7 @@ def load(path: str | Path) -> Configuration:
     ...
     coadjoint.files.configuration.construction.ConfigurationError: none.toml: cannot be read (No such file or directory)
     """
-    need("reading a configuration file", "pydantic")
+    require_packages("reading a configuration file", "pydantic")
     name, text = str(read_path(path, "path")), read_utf8(path)
     errors = ErrorCollector(name)
     return _configuration(name, text, *_parse_tables(name, parse_toml(name, text), errors), errors)
@@ -333,7 +333,7 @@ def _check_times(name: str, file: File, system: Any, step: float) -> None:
 def _check_workers(name: str, file: File, system: Any, x0: Any) -> None:
     """Reject `workers` for runs that they do not support."""
     with section(name, "run.workers"):
-        need("workers", "distributed")
+        require_packages("workers", "distributed")
         if momenta_of(system, x0)[1]:
             raise ValueError("workers are for the members of an ensemble, and the file has one state; omit workers")
         if file.run.t_eval is not None or file.events:

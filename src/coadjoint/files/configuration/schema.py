@@ -12,7 +12,7 @@ from typing import Any
 from coadjoint.algebra.catalogue import families
 from coadjoint.algebra.families.low_dimensional import entries, parameters_of
 from coadjoint.methods import registry
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.systems.description import documented_parameters, summary_of
 from coadjoint.systems.forces import registry as described
 from coadjoint.systems.registry import ready_made_systems
@@ -56,7 +56,7 @@ def schema() -> Schema:
     >>> document["properties"]["sign"]["enum"], document["$defs"]["RunTable"]["properties"]["step"]["exclusiveMinimum"]
     ([1, -1], 0)
     """
-    need("the schema of configuration files", "pydantic")
+    require_packages("the schema of configuration files", "pydantic")
     from coadjoint.files.configuration.models import File
 
     document = _strip_schema(File.model_json_schema())

@@ -26,7 +26,7 @@ from coadjoint.files.records.entries import Entry, as_value_errors, parsed
 from coadjoint.files.records.records import record_of, system_of
 from coadjoint.files.records.stored_events import event_record, events_of, not_stored, variables_of
 from coadjoint.methods import registry
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import Event
 from coadjoint.runs.times import times_of
 from coadjoint.short_repr import short
@@ -74,7 +74,7 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
     >>> dict(dataset_of(sol).sizes)
     {'time': 11, 'component': 3, 'invariant': 2, 'tenth': 10}
     """
-    need("a dataset of a solution", "xarray")
+    require_packages("a dataset of a solution", "xarray")
     import xarray
 
     variables = {**time_variables(solution), **summary_variables(solution), **start_variables(solution)}

@@ -19,7 +19,7 @@ from coadjoint.files.datasets.export import ENDED_ATTRIBUTE, REQUIRED_ATTRIBUTES
 from coadjoint.files.datasets.stored_record import initial_values, stored_record
 from coadjoint.files.output.file_validation import check_hdf5, check_zarr
 from coadjoint.memory import check_available_memory
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.run_record import RunRecord, Statistics
 from coadjoint.runs.solution import Solution
@@ -183,7 +183,7 @@ def load(path: str | Path, system: Any = None) -> Solution:
         if isinstance(reason, OneLineError):
             raise
         raise LoadError(f"{shown}: cannot be read ({getattr(reason, 'strerror', None) or reason})") from None
-    need(f"{shown}: reading it", *packages)
+    require_packages(f"{shown}: reading it", *packages)
     import xarray
 
     try:

@@ -14,7 +14,7 @@ from coadjoint.errors import OneLineError
 from coadjoint.files.datasets.content_checksum import with_checksum
 from coadjoint.files.datasets.writers import INDEX_FILE, foreign_file, write_netcdf, write_zarr
 from coadjoint.files.output.atomic_output import PendingOutput, remove_leftovers
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.validation import read_path
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:
     if target.suffix not in allowed:
         choices = " or ".join(part for part in (", ".join(allowed[:-1]), allowed[-1]) if part)
         raise OutputError(f"{path}: the suffix sets the format; it must be {choices}")
-    need(f"{path}: {FORMAT_NAMES[target.suffix]}", *REQUIRED_PACKAGES[target.suffix])
+    require_packages(f"{path}: {FORMAT_NAMES[target.suffix]}", *REQUIRED_PACKAGES[target.suffix])
     try:
         if not target.parent.is_dir():
             raise OutputError(f"{path}: the folder {target.parent} does not exist; create it first")

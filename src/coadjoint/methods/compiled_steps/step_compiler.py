@@ -159,9 +159,9 @@ def _load(name: str, source_path: str, build: Callable[[str, Path], None]) -> ct
         library = cached_library(name, partial(build, source_path))
     except OSError as reason:
         raise ValueError(f"{source_path}: the compiled step cannot be loaded ({reason})") from None
-    exports = kernels().lent_to_others
+    exports = kernels().interrupt_functions
     exports.restype = ctypes.c_void_p
-    library.borrow(ctypes.c_void_p(exports()))
+    library.import_interrupts(ctypes.c_void_p(exports()))
     return library
 
 

@@ -75,7 +75,7 @@ class ProductVectors:
     def __init__(self, H: HamiltonianLike) -> None:
         self._products: set[tuple[int, ...]] = set()
         for term in H.terms():
-            term.given_to(self)
+            term.describe_to(self)
 
     @property
     def blocks(self) -> int:
@@ -105,7 +105,7 @@ class Rows:
         self._lanes, self._size = lanes, -(-dim // lanes) * lanes
         self._counts: dict[int, NDArray[np.int64]] = {}
         for term in C.terms():
-            term.given_to(self)
+            term.describe_to(self)
 
     @property
     def vectors(self) -> float:

@@ -73,7 +73,7 @@ class Work:
         unit is a flow that rotates one pair of coordinates, about 11 ns.
     flows : int
         Number of elementary flows that round the momentum in a step; 0 for schemes that do not consist of flows.
-    in_a_crowd : float
+    in_lanes : float
         Cost per member in a large ensemble, relative to that of a single member.
     compensated : callable, optional
         Function that returns the work of the same step with compensated sums, if it differs.
@@ -86,8 +86,13 @@ class Work:
 
     cost: Callable[[float, float], float]
     flows: int = 0
-    in_a_crowd: float = 1.0
+    in_lanes: float = 1.0
     compensated: Callable[[], Work] | None = None
+
+    @property
+    def in_a_crowd(self) -> float:
+        """Former name of `in_lanes`."""
+        return self.in_lanes
 
 
 def flow_work(program: Program, compensated: bool) -> float:
@@ -209,7 +214,7 @@ class Operations(NamedTuple):
     invariant_terms: float
 
 
-def work_of_operations(operations: Operations, substeps: int, in_a_crowd: float = 1.0) -> Work:
+def work_of_operations(operations: Operations, substeps: int, in_lanes: float = 1.0) -> Work:
     """Return the work of a step with this number of substeps; its corrections are counted as iterations."""
 
     def cost(iterations: float, evaluations: float) -> float:
@@ -219,7 +224,7 @@ def work_of_operations(operations: Operations, substeps: int, in_a_crowd: float 
         series = EXPLICIT_STEP_COST + VECTOR_COST * operations.vectors + LATENCY_COST * operations.waiting
         return substeps * series + INVARIANT_COST * operations.invariant_terms * (substeps + corrections)
 
-    return Work(cost, in_a_crowd=in_a_crowd)
+    return Work(cost, in_lanes=in_lanes)
 
 
 def work_of_own_steps(operations: Operations, order: int) -> Work:

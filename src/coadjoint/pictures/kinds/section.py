@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import COLOURS, coordinate, plain_axes
@@ -51,7 +51,7 @@ def draw_crossings(events: RecordedEvents, components: Any = None, axes: Any = N
 
     Raises TypeError or ValueError without crossings, for matrix states, or for unknown coordinates.
     """
-    need("pictures", "matplotlib")
+    require_packages("pictures", "matplotlib")
     from coadjoint.pictures.figure import ShownFigure
 
     names = events.coordinates

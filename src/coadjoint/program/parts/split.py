@@ -101,7 +101,7 @@ def _atoms(system: LiePoissonSystem, terms: Sequence[Term], commutation: Commuta
     for term in terms:
         number = term.piece
         atoms = _Atoms(system, commutation, separate and number is None)
-        term.given_to(atoms)
+        term.describe_to(atoms)
         parts = atoms.collected[0] if len(atoms.collected) == 1 else Parts.concatenate(atoms.collected)
         if number is None:
             result.append(parts)
@@ -184,7 +184,7 @@ def check_splits(system: LiePoissonSystem) -> None:
     terms = system.hamiltonian.terms()
     clashes = _CommutationCheck(system, Commutation(system.algebra))
     for term in terms:
-        term.given_to(clashes)
+        term.describe_to(clashes)
 
 
 class NotSplittable(ValueError):

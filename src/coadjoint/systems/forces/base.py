@@ -66,6 +66,12 @@ class Force(ABC):
     random: ClassVar[bool] = False
     """Whether it is random, and therefore has no field."""
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        # `given_to` is the former name.
+        if "given_to" in vars(cls) and "describe_to" not in vars(cls):
+            cls.describe_to = vars(cls)["given_to"]  # type: ignore[method-assign]
+
     @property
     def label(self) -> str:
         """Name in balances and messages."""
@@ -134,7 +140,7 @@ class Force(ABC):
         """
 
     @abstractmethod
-    def given_to(self, reader: ForceReader, system: Any) -> Any:
+    def describe_to(self, reader: ForceReader, system: Any) -> Any:
         """Describe the force to the compiled loops, in one of the forms that they support.
 
         Parameters

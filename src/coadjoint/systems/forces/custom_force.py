@@ -129,5 +129,5 @@ class OwnForce(Force):
             return np.asarray(system.to_vector(self.function(system.from_vector(x), t, tau)))
         return np.asarray(self.function(x, t, tau))
 
-    def given_to(self, reader: ForceReader, system: Any) -> Any:
+    def describe_to(self, reader: ForceReader, system: Any) -> Any:
         return reader.flow(self.function)

@@ -105,7 +105,7 @@ class DoubleBracketDamping(Force):
             residual=last_change,
         )
 
-    def given_to(self, reader: ForceReader, system: Any) -> Any:
+    def describe_to(self, reader: ForceReader, system: Any) -> Any:
         root = metric_root(self.metric, "metric")
         return reader.on_orbit(self.alpha * np.asarray(self.metric), root, self.noise(system))
 

@@ -82,5 +82,5 @@ class LinearDamping(Force):
             return np.asarray(x + expm(generator)[:n, n])
         return np.asarray(x + np.expm1(-tau * rate) * deviation)
 
-    def given_to(self, reader: ForceReader, system: Any) -> Any:
+    def describe_to(self, reader: ForceReader, system: Any) -> Any:
         return reader.damping(np.asarray(self.rate), state_vector(self.toward, system))

@@ -114,7 +114,7 @@ class ModeRates(OnLayer):
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         return np.asarray(x + self._scale_modes(system, x, lambda rate: np.expm1(-tau * rate)))
 
-    def given_to(self, reader: ForceReader, system: Any) -> Any:
+    def describe_to(self, reader: ForceReader, system: Any) -> Any:
         modes = modes_of(system, self.label)
         rest = self._rest_state(system)
         target = None if rest is None else np.ascontiguousarray(rest).view(np.float64).ravel()

@@ -127,7 +127,7 @@ class RandomForcing(OnLayer):
             coefficients.append(multiplicity * np.sqrt(0.5 * tau) * amplitude * (real + 1j * imaginary))
         return np.asarray(x + self.layer_vector(system, modes.matrix(coefficients, numbers)))
 
-    def given_to(self, reader: ForceReader, system: Any) -> Any:
+    def describe_to(self, reader: ForceReader, system: Any) -> Any:
         modes = modes_of(system, self.label)
         return reader.mode_noise(
             modes, *self._selected_modes(system, modes), self.seed, self.stream, self.layer_index(system)

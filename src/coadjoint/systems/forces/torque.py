@@ -115,7 +115,7 @@ class Torque(Force):
         k4 = self.field(system, x + tau * k3, t + tau)
         return np.asarray(x + tau * (k1 + 2.0 * k2 + 2.0 * k3 + k4) / 6.0)
 
-    def given_to(self, reader: ForceReader, system: Any) -> Any:
+    def describe_to(self, reader: ForceReader, system: Any) -> Any:
         if callable(self.torque):
             return reader.function(self.torque, self._arguments())
         return reader.constant(state_vector(self.torque, system))

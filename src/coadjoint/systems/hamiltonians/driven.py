@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.monomials import Coefficient
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import point
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -80,7 +80,7 @@ class Driven(Summable):
     def terms(self) -> tuple[Term, ...]:
         """Return the quadratic term and one function term for each axis."""
         if self._terms is None:
-            need("a time-dependent field", "numba")
+            require_packages("a time-dependent field", "numba")
             import numba
 
             compiled = numba.njit(self._force) if inspect.isfunction(self._force) else self._force

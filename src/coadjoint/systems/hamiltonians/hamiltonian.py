@@ -288,7 +288,7 @@ def check_user_hamiltonian(H: Any, n: int) -> None:
         raise ValueError(f"bind({n}) of {kind} returned a Hamiltonian of dimension {short(getattr(H, 'dim', None))}")
     terms = H.terms()
     for term in terms:
-        if not hasattr(term, "given_to"):
+        if not hasattr(term, "describe_to"):
             raise TypeError(
                 f"{kind}.terms() holds {short(term)}; a term is a QuadraticTerm, PolynomialTerm or FunctionTerm"
             )
@@ -303,7 +303,7 @@ def check_user_hamiltonian(H: Any, n: int) -> None:
             continue
         term_gradient = _Gradient(x)
         for term in terms:
-            term.given_to(term_gradient)
+            term.describe_to(term_gradient)
         total, size = term_gradient.total, term_gradient.size
         if not np.all(np.abs(total - declared) <= 2.0**10 * UNIT_ROUNDOFF * (size + np.abs(declared))):
             k = int(np.argmax(np.abs(total - declared)))

@@ -15,7 +15,7 @@ def polynomial_of(hamiltonian: HamiltonianLike) -> Polynomial | None:
         return hamiltonian.to_polynomial()
     reader = _PolynomialReader()
     for term in hamiltonian.terms():
-        term.given_to(reader)
+        term.describe_to(reader)
     return None if reader.has_functions else sum(reader.polynomials[1:], reader.polynomials[0])
 
 

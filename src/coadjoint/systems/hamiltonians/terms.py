@@ -63,7 +63,7 @@ class Term(Protocol):
     def placed(self, where: npt.NDArray[np.int64], n: int, piece: int) -> Term:
         """Return the term of the coordinates `where` as a term of all n coordinates that belongs to a piece."""
 
-    def given_to(self, reader: TermReader) -> Any:
+    def describe_to(self, reader: TermReader) -> Any:
         """Pass the term to a reader, in one or several of its forms; return the last result."""
 
 
@@ -119,7 +119,7 @@ class QuadraticTerm:
         linear[where] = self.linear
         return QuadraticTerm(indptr, columns[order], self.values[order], linear, self.constant, piece)
 
-    def given_to(self, reader: TermReader) -> Any:
+    def describe_to(self, reader: TermReader) -> Any:
         """Pass the term to `reader.quadratic`."""
         return reader.quadratic(self)
 
@@ -174,7 +174,7 @@ class PolynomialTerm:
             monomials[tuple(placed)] = coefficient
         return PolynomialTerm(Polynomial(monomials, dim=n), piece)
 
-    def given_to(self, reader: TermReader) -> Any:
+    def describe_to(self, reader: TermReader) -> Any:
         """Pass the term to `reader.polynomial`."""
         return reader.polynomial(self)
 
@@ -226,6 +226,6 @@ class FunctionTerm:
         """Return the function of other coordinates."""
         return replace(self, coordinates=where[self.coordinates], piece=piece)
 
-    def given_to(self, reader: TermReader) -> Any:
+    def describe_to(self, reader: TermReader) -> Any:
         """Pass the term to `reader.function`."""
         return reader.function(self)

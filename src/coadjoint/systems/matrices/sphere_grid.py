@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.memory import check_available_memory
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
 from coadjoint.validation import check_finite, read_choice, read_finite, read_integer, read_numbers, to_array
 
@@ -73,7 +73,7 @@ def longitudes(columns: int, first: float = 0.0) -> Floats:
 def values_of(c: Complexes, shape: tuple[int, int], points: str) -> Floats:
     """Return values (..., rows, columns) of the field with coefficients ``c[l, m]``, (..., N, N), at grid points."""
     code = GRIDS[read_choice(points, "points", GRIDS)]
-    need("a grid on the sphere", "ducc0")
+    require_packages("a grid on the sphere", "ducc0")
     from ducc0.sht import synthesis_2d
 
     N, lead = c.shape[-1], c.shape[:-2]
@@ -97,7 +97,7 @@ def coefficients_of(values: Any, N: int, points: str, first: float = 0.0) -> Com
     Exact for degrees up to `resolved` and orders up to (columns - 1)/2.
     """
     code = GRIDS[read_choice(points, "points", GRIDS)]
-    need("a grid on the sphere", "ducc0")
+    require_packages("a grid on the sphere", "ducc0")
     from ducc0.sht import analysis_2d
 
     field = read_values(values)
@@ -133,7 +133,7 @@ def read_values(values: Any, what: str = "values") -> Floats:
 
 def delta_coefficients(points: Floats, strengths: Floats, N: int) -> Complexes:
     """Return c (N, N) of a sum of delta functions at points (k, 2), latitudes and longitudes, with strengths (k,)."""
-    need("fields about points on the sphere", "ducc0")
+    require_packages("fields about points on the sphere", "ducc0")
     from ducc0.sht import adjoint_synthesis_general
 
     locations = np.ascontiguousarray(np.stack([pi / 2 - points[:, 0], np.mod(points[:, 1], 2 * pi)], axis=-1))

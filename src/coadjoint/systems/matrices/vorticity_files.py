@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.optional_packages import need
+from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
 from coadjoint.validation import read_finite, read_integer
 
@@ -44,7 +44,7 @@ def read_field(
         raise ValueError(
             f"{short(file.name)} ends with {short(file.suffix) if file.suffix else 'nothing'}; give a file .npy or .nc"
         )
-    need(f"{short(file.name)}: NetCDF", "xarray", "h5netcdf")
+    require_packages(f"{short(file.name)}: NetCDF", "xarray", "h5netcdf")
     import xarray
 
     with xarray.open_dataset(file) as dataset:

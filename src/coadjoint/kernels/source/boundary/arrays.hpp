@@ -19,7 +19,7 @@ namespace coadjoint {
     _(numbers, errors, members * size)           \
     _(numbers, groups, members * square)         \
     _(numbers, group_errors, members * square)   \
-    _(numbers, memory, members * remembered)     \
+    _(numbers, memory, members * memory_size)    \
     _(numbers, first, members * invariants)      \
     _(numbers, last, members * invariants)       \
     _(numbers, worst, members * TENTHS * invariants) \
@@ -30,7 +30,7 @@ namespace coadjoint {
     _(integers, iterations, members)
 
 #define DECLARE_ARRAY(type, name, axes) coadjoint::type name;
-#define PLACE_ARRAY(type, name, axes) name = reinterpret_cast<coadjoint::type>(at), at += axes;
+#define ASSIGN_ARRAY(type, name, axes) name = reinterpret_cast<coadjoint::type>(at), at += axes;
 #define DESCRIBE_ARRAY(type, name, axes) #type " " #name " " #axes ";"
 
 // Each kind is one block of memory, array after array; every number takes eight bytes.
@@ -40,9 +40,9 @@ struct Arrays : Extent {
 
     Arrays(const Extent& extent, double* saved, double* state) : Extent(extent) {
         double* at = saved;
-        SAVED_ARRAYS(PLACE_ARRAY)
+        SAVED_ARRAYS(ASSIGN_ARRAY)
         at = state;
-        STATE_ARRAYS(PLACE_ARRAY)
+        STATE_ARRAYS(ASSIGN_ARRAY)
     }
 };
 

@@ -71,19 +71,19 @@ CODES(Shape, SHAPES)
 
 // TENTHS: pieces of a run with separate largest deviations. RATIONAL: added to the kind of a rotation by tan(angle/2)
 // := half the angle. CUBIC_HEADER: constants of a CUBIC block before the values of its entries. MOST_SUBSTEPS: of norm
-// one, in a step of a series; a longer step would not follow the motion anyway. LARGEST_DENSE: unknowns of Newton's
-// method with a dense matrix; above, a band or no matrix is used. LARGEST_DIRECT: unknowns of a linear scheme; above,
+// one, in a step of a series; a longer step would not resolve the motion. LARGEST_DENSE: unknowns of Newton's method
+// with a dense matrix; above, a band or no matrix is used. LARGEST_DIRECT: unknowns of a linear scheme; above,
 // iterating costs less than LU factors, and the matrix is not stored. WIDEST: largest dimension in which members are
-// lanes, since lanes of states stay in the cache. LARGEST_CROWD: the most members side by side on any processor; crews
-// begin at multiples of it. STATE_VERSION: version of the state of a run between two steps; to be raised if the meaning
-// of an array of the state changes. PROJECTION_EXACT: the defect left by rounding, in round-offs of the sum of the
-// terms of x . dC/dx. PROJECTION_STAGNANT: multiple of that for the defect accepted if corrections stagnate.
-// PROJECTION_CORRECTIONS: the most of them. DEPENDENT_BITS: a gradient counts as a combination of the previous ones if
-// the square of its remainder is smaller than its own by this many bits. GROWTH_BITS: an iteration is abandoned if a
-// correction is larger than the first by this many bits.
+// lanes, since lanes of states stay in the cache. MOST_LANES: largest number of members as lanes on any processor; the
+// members of a call begin at a multiple of it. STATE_VERSION: version of the state of a run between two steps; to be
+// raised if the meaning of an array of the state changes. PROJECTION_EXACT: the defect left by rounding, in round-offs
+// of the sum of the terms of x . dC/dx. PROJECTION_STAGNANT: multiple of that for the defect accepted if corrections
+// stagnate. PROJECTION_CORRECTIONS: the most of them. DEPENDENT_BITS: a gradient counts as a combination of the
+// previous ones if the square of its remainder is smaller than its own by this many bits. GROWTH_BITS: an iteration is
+// abandoned if a correction is larger than the first by this many bits.
 #define LIMITS(_)                                                                                             \
     _(TENTHS, 10) _(RATIONAL, 8) _(CUBIC_HEADER, 6) _(MOST_SUBSTEPS, 4096) _(LARGEST_DENSE, 200)              \
-    _(LARGEST_DIRECT, 160) _(WIDEST, 1024) _(LARGEST_CROWD, 32) _(STATE_VERSION, 1) _(PROJECTION_EXACT, 4)    \
+    _(LARGEST_DIRECT, 160) _(WIDEST, 1024) _(MOST_LANES, 32) _(STATE_VERSION, 1) _(PROJECTION_EXACT, 4)       \
     _(PROJECTION_STAGNANT, 256) _(PROJECTION_CORRECTIONS, 64) _(DEPENDENT_BITS, 36) _(GROWTH_BITS, 64)
 CODES(Limit, LIMITS)
 

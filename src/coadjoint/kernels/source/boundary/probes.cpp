@@ -4,7 +4,7 @@
 #include "forces/random.hpp"
 #include "numbers/arithmetic.hpp"
 #include "numbers/linear_solve.hpp"
-#include "numbers/room.hpp"
+#include "numbers/aligned_array.hpp"
 #include "boundary/tables.hpp"
 
 namespace coadjoint {
@@ -15,8 +15,8 @@ EXPORT void probe_pairs(int64_t what, const double* arguments, int64_t count, do
     for (int64_t k = 0; k < count; ++k) {
         if (what == 3) {
             const Growth<double> growth = growth_by(arguments[k]);
-            out[2 * k] = growth.whole;
-            out[2 * k + 1] = growth.beyond;
+            out[2 * k] = growth.exp;
+            out[2 * k + 1] = growth.expm1;
             continue;
         }
         const auto pair = what == 0   ? rotation_by(arguments[k])
@@ -24,7 +24,7 @@ EXPORT void probe_pairs(int64_t what, const double* arguments, int64_t count, do
                           : what == 4 ? hyperbolic_rotation(arguments[k])
                                       : rational_rotation(arguments[k]);
         out[2 * k] = pair.sine;
-        out[2 * k + 1] = pair.lowered;
+        out[2 * k + 1] = pair.cosm1;
     }
 }
 
@@ -60,12 +60,12 @@ EXPORT double probe_shortfall(double s, double c, double square) { return shortf
 EXPORT int64_t probe_solve(double* matrix, int64_t size, double* right, int64_t count) {
     typedef Lanes<4> Four;
     std::vector<double> pivots(size);
-    Room<Four> wide(size * size), sides(size * count), exchanged(size);
+    AlignedArray<Four> wide(size * size), sides(size * count), exchanged(size);
     for (int64_t k = 0; k < size * size; ++k) wide.at[k] = Four(matrix[k]);
     for (int64_t k = 0; k < size * count; ++k) sides.at[k] = Four(right[k]);
-    const bool sound = factorize(matrix, size, pivots.data());
-    if (all(factorize(wide.at, size, exchanged.at)) != sound) return -1;
-    if (!sound) return 0;
+    const bool valid = factorize(matrix, size, pivots.data());
+    if (all(factorize(wide.at, size, exchanged.at)) != valid) return -1;
+    if (!valid) return 0;
     substitute(matrix, size, pivots.data(), right, count);
     substitute(wide.at, size, exchanged.at, sides.at, count);
     for (int64_t k = 0; k < size * count; ++k)

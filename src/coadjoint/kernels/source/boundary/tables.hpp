@@ -46,7 +46,7 @@ TABLE(Forms, FORMS_FIELDS)
 
 #define ACTION_FIELDS(_)                                                                                             \
     _(integer, size) _(indices, run) _(bytes, kind) _(indices, angles) _(indices, repeat) _(indices, angle)          \
-    _(indices, place) _(indices, constant) _(indices, width) _(indices, entries) _(indices, degree)                 \
+    _(indices, position) _(indices, constant) _(indices, width) _(indices, entries) _(indices, degree)              \
     _(indices, indices) _(constants, constants)
 TABLE(Action, ACTION_FIELDS)
 
@@ -66,23 +66,22 @@ TABLE(Watch, WATCH_FIELDS)
 
 // Event functions, and records of their zeros. For every event: its `direction`, and for each member how many crossings
 // are `left` until it ends its run (0: it does not). For every member: the last step of its run, `limit`; its finished
-// states one and two steps ago, `before`, and the last three `values` of the events. Of the recorded steps, `noted` so
-// far of at most `capacity`: in `found` its member, its number, and a code for each event; in `places` the state before
-// it, and the values of the events before and after it.
+// states one and two steps ago, `before`, and the last three `values` of the events. Of the recorded steps, `recorded`
+// so far of at most `capacity`: in `found` its member, its number, and a code for each event; in `records` the state
+// before it, and the values of the events before and after it.
 #define EVENT_FIELDS(_)                                                                                              \
     _(Watch, watch) _(integers, direction) _(integers, left) _(integers, limit) _(numbers, before) _(numbers, values) \
-    _(integer, capacity) _(integers, noted) _(integers, found) _(numbers, places)
+    _(integer, capacity) _(integers, recorded) _(integers, found) _(numbers, records)
 TABLE(EventTables, EVENT_FIELDS)
 
 #define EXTENT_FIELDS(_)                                                                                             \
     _(integer, members) _(integer, points) _(integer, size) _(integer, square) _(integer, invariants)               \
-    _(integer, remembered)
+    _(integer, memory_size)
 TABLE(Extent, EXTENT_FIELDS)
 
 // The saved steps are the `marked` steps at `marks`, ascending; without marks every save_every-th from 0 on, and the
 // last. The first `passed` of them are already saved, and have no memory in a resumed run. With `starts` and `lengths`
-// every member takes one step of its own: from that time, of that length.
-// `events` is the address of `EventTables`, or zero.
+// every member takes a single step: from that time, of that length. `events` is the address of `EventTables`, or zero.
 #define SCHEDULE_FIELDS(_)                                                                                           \
     _(number, t0) _(number, h) _(integer, steps) _(integer, save_every) _(integer, passed) _(flag, watching)  \
     _(integer, marked) _(integers, marks) _(numbers, starts) _(numbers, lengths) _(integer, events)
@@ -114,20 +113,21 @@ TABLE(GroupField, GROUP_FIELD_FIELDS)
 TABLE(RungeKuttaTables, RUNGE_KUTTA_FIELDS)
 
 #define STEP_FIELDS(_)                                                                                               \
-    _(Field, field) _(addresses, values) _(GroupField, group) _(Watch, kept) _(integers, whole) _(numbers, coefficients)
+    _(Field, field) _(addresses, values) _(GroupField, group) _(Watch, restored) _(integers, whole)                  \
+    _(numbers, coefficients)
 TABLE(StepTables, STEP_FIELDS)
 
 // A force. `shape` is that of `rate`, a matrix, and of its root in `aim`; else `aim` is a vector. Its changes of the
 // first `accounts` invariants are accumulated behind the coordinates, from index `account` on. The directions of a
 // noise, columns of the root, form `sets` that commute: the directions direction[begin[s]] to direction[begin[s + 1]].
-// For a force on modes of a matrix of `extent` rows, at `place` of a state, `shape` selects the modes; on the diagonal
-// d they are those with the numbers direction[begin[d]] to direction[begin[d + 1] - 1], with as many entries of `rate`,
-// and of `turning` if they may rotate. If `sets` is one, they are those of the matrix minus that of `aim`. `basis` is
-// described in matrices/modes.hpp.
+// For a force on modes of a matrix of `extent` rows, at `position` of a state, `shape` selects the modes; on the
+// diagonal d they are those with the numbers direction[begin[d]] to direction[begin[d + 1] - 1], with as many entries
+// of `rate`, and of `turning` if they may rotate. If `sets` is one, they are those of the matrix minus that of `aim`.
+// `basis` is described in matrices/modes.hpp.
 #define FORCE_FIELDS(_)                                                                                              \
     _(integer, kind) _(integer, account) _(integer, accounts) _(integer, shape) _(numbers, rate) _(numbers, aim)     \
     _(integers, function) _(number, amplitude) _(integer, seed) _(integer, stream) _(integer, sets)                  \
-    _(integers, begin) _(integers, direction) _(integer, extent) _(integer, place)                             \
+    _(integers, begin) _(integers, direction) _(integer, extent) _(integer, position)                          \
     _(numbers, turning) _(numbers, basis)
 TABLE(ForceTable, FORCE_FIELDS)
 

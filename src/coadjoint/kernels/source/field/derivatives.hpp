@@ -30,18 +30,18 @@ INLINE A factor_derivative(const A& x, uint32_t exponent, int order) {
 }
 
 template <class A>
-struct DerivativeRoom {
-    FieldRoom<A> field;
-    Room<A> point, forth, back, gradient, matrix;
-    explicit DerivativeRoom(const Field& f)
-        : field(f), point(std::max(f.size, f.longest)), forth(std::max(f.size, f.longest)),
-          back(f.longest), gradient(f.size), matrix(f.nonlinear ? f.size * f.size : 0) {}
+struct DerivativeWorkspace {
+    FieldWorkspace<A> field;
+    AlignedArray<A> point, arguments, direction, gradient, matrix;
+    explicit DerivativeWorkspace(const Field& f)
+        : field(f), point(std::max(f.size, f.longest)), arguments(std::max(f.size, f.longest)), direction(f.longest),
+          gradient(f.size), matrix(f.nonlinear ? f.size * f.size : 0) {}
 };
 
 // Set out = H''(x, t) v.
 template <class A, class C>
 NOINLINE void hessian_times(const Field& field, const C& constants, const A* x, const A* v, const A& t, A* out,
-                            DerivativeRoom<A>& room) {
+                            DerivativeWorkspace<A>& workspace) {
     const Terms& terms = field.terms;
     std::fill_n(out, field.size, A(0.0));
     for (int64_t k = 0; k < terms.size; ++k) {
@@ -71,18 +71,18 @@ NOINLINE void hessian_times(const Field& field, const C& constants, const A* x, 
         } else {
             const int64_t count = stop - start;
             for (int64_t i = 0; i < count; ++i) {
-                room.forth.at[i] = x[terms.target[start + i]];
-                room.back.at[i] = v[terms.target[start + i]];
+                workspace.arguments.at[i] = x[terms.target[start + i]];
+                workspace.direction.at[i] = v[terms.target[start + i]];
             }
-            const A step = difference_step(room.forth.at, room.back.at, count);
+            const A step = difference_step(workspace.arguments.at, workspace.direction.at, count);
             const A whole = select(step > A(0.0), A(0.5) / step, A(0.0));
             for (double side : {1.0, -1.0}) {
                 for (int64_t i = 0; i < count; ++i)
-                    room.point.at[i] = fma(A(side) * step, room.back.at[i], room.forth.at[i]);
-                call_function(constants, field.addresses, k, room.point.at, count, t, room.field.rows.at, count,
-                              room.field.calls.data());
+                    workspace.point.at[i] = fma(A(side) * step, workspace.direction.at[i], workspace.arguments.at[i]);
+                call_function(constants, field.addresses, k, workspace.point.at, count, t, workspace.field.rows.at,
+                              count, workspace.field.calls.data());
                 for (int64_t i = 0; i < count; ++i)
-                    out[terms.target[start + i]] += A(side) * whole * room.field.rows.at[i];
+                    out[terms.target[start + i]] += A(side) * whole * workspace.field.rows.at[i];
             }
         }
     }
@@ -91,27 +91,29 @@ NOINLINE void hessian_times(const Field& field, const C& constants, const A* x, 
 // Set out = factor * sign * d/dx (J(x) grad H(x, t)) v, with u = grad H(x, t).
 template <class A, class C>
 NOINLINE void jacobian_times(const Field& field, const C& constants, const A* x, const A* u, const A* v, const A& t,
-                             const A& factor, A* out, DerivativeRoom<A>& room) {
+                             const A& factor, A* out, DerivativeWorkspace<A>& workspace) {
     const int64_t n = field.size;
-    A* bend = room.gradient.at;
-    hessian_times(field, constants, x, v, t, bend, room);
+    A* second_derivative = workspace.gradient.at;
+    hessian_times(field, constants, x, v, t, second_derivative, workspace);
     if (!field.nonlinear) {
         for (int64_t i = 0; i < n; ++i) {
             A total(0.0);
             for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q) {
                 const uint32_t j = field.column[q], k = field.state[q];
-                total = fma(constants.template number_at<A>(field.constant, q), fma(v[k], u[j], x[k] * bend[j]), total);
+                total = fma(constants.template number_at<A>(field.constant, q),
+                            fma(v[k], u[j], x[k] * second_derivative[j]), total);
             }
             out[i] = factor * total;
         }
         return;
     }
-    product(field, constants, x, bend, factor, out, room.field);
+    product(field, constants, x, second_derivative, factor, out, workspace.field);
     const A step = difference_step(x, v, n), whole = select(step > A(0.0), A(0.5) / step, A(0.0));
     for (double side : {1.0, -1.0}) {
-        for (int64_t i = 0; i < n; ++i) room.point.at[i] = fma(A(side) * step, v[i], x[i]);
-        product(field, constants, room.point.at, u, factor * A(side) * whole, room.forth.at, room.field);
-        for (int64_t i = 0; i < n; ++i) out[i] += room.forth.at[i];
+        for (int64_t i = 0; i < n; ++i) workspace.point.at[i] = fma(A(side) * step, v[i], x[i]);
+        product(field, constants, workspace.point.at, u, factor * A(side) * whole, workspace.arguments.at,
+                workspace.field);
+        for (int64_t i = 0; i < n; ++i) out[i] += workspace.arguments.at[i];
     }
 }
 

@@ -4,16 +4,16 @@
 #include <vector>
 
 #include "field/terms.hpp"
-#include "numbers/room.hpp"
+#include "numbers/aligned_array.hpp"
 
 namespace coadjoint {
 
 // Scratch memory for evaluations of a field: rows of a term, arguments of functions, J as a function, calls.
 template <class A>
-struct FieldRoom {
-    Room<A> rows, arguments, matrix;
+struct FieldWorkspace {
+    AlignedArray<A> rows, arguments, matrix;
     std::vector<double> calls;
-    explicit FieldRoom(const Field& field)
+    explicit FieldWorkspace(const Field& field)
         : rows(field.longest), arguments(field.longest + 1), matrix(field.nonlinear ? field.size * field.size : 0),
           calls(std::max(2 * field.longest + 2, field.nonlinear ? field.size * (field.size + 1) : 0)) {}
 };
@@ -27,7 +27,8 @@ inline int64_t work_of(const Field& field) {
 
 // Set u = grad H(x, t).
 template <class A, class C>
-INLINE void gradient(const Field& field, const C& constants, const A* x, const A& t, A* u, FieldRoom<A>& room) {
+INLINE void gradient(const Field& field, const C& constants, const A* x, const A& t, A* u,
+                     FieldWorkspace<A>& workspace) {
     const Terms& terms = field.terms;
     const bool whole = terms.size == 1 && terms.kind[0] == LINEAR;
     if (!whole || terms.row[1] < field.size)
@@ -45,30 +46,30 @@ INLINE void gradient(const Field& field, const C& constants, const A* x, const A
     }
     for (int64_t k = 0; k < terms.size; ++k) {
         const int64_t first = terms.row[k];
-        gradient_rows(terms, constants, field.addresses, k, x, t, room.rows.at, first, room.arguments.at,
-                      room.calls.data());
+        gradient_rows(terms, constants, field.addresses, k, x, t, workspace.rows.at, first, workspace.arguments.at,
+                      workspace.calls.data());
         for (int64_t row = first, stop = terms.row[k + 1]; row < stop; ++row)
-            u[terms.target[row]] += room.rows.at[row - first];
+            u[terms.target[row]] += workspace.rows.at[row - first];
     }
 }
 
-// Fill room.matrix with J(x) if it is a function of the user.
+// Fill workspace.matrix with J(x) if it is a function of the user.
 template <class A, class C>
-INLINE void structure(const Field& field, const C& constants, const A* x, FieldRoom<A>& room) {
-    call_function(constants, field.structure, 0, x, field.size, A(0.0), room.matrix.at, field.size * field.size,
-                  room.calls.data());
+INLINE void structure(const Field& field, const C& constants, const A* x, FieldWorkspace<A>& workspace) {
+    call_function(constants, field.structure, 0, x, field.size, A(0.0), workspace.matrix.at, field.size * field.size,
+                  workspace.calls.data());
 }
 
 // Set f = factor * sign * J(x) u. The factor comes last, so that cancelling products are rounded once.
 template <class A, class C>
 INLINE void product(const Field& field, const C& constants, const A* x, const A* u, const A& factor, A* f,
-                    FieldRoom<A>& room) {
+                    FieldWorkspace<A>& workspace) {
     const int64_t n = field.size;
     if (__builtin_expect(field.nonlinear, 0)) {
-        structure(field, constants, x, room);
+        structure(field, constants, x, workspace);
         for (int64_t i = 0; i < n; ++i) {
             A total(0.0);
-            for (int64_t j = 0; j < n; ++j) total = fma(room.matrix.at[i * n + j], u[j], total);
+            for (int64_t j = 0; j < n; ++j) total = fma(workspace.matrix.at[i * n + j], u[j], total);
             f[i] = factor * (A(field.sign) * total);
         }
         return;
@@ -86,17 +87,17 @@ INLINE void product(const Field& field, const C& constants, const A* x, const A*
 // Set out = factor * sign * J(x) M, for the dense n x n matrix M.
 template <class A, class C>
 NOINLINE void structure_times_matrix(const Field& field, const C& constants, const A* x, const double* matrix,
-                                     const A& factor, A* out, FieldRoom<A>& room) {
+                                     const A& factor, A* out, FieldWorkspace<A>& workspace) {
     const int64_t n = field.size;
     std::fill_n(out, n * n, A(0.0));
-    if (field.nonlinear) structure(field, constants, x, room);
+    if (field.nonlinear) structure(field, constants, x, workspace);
     for (int64_t i = 0; i < n; ++i) {
         auto add_row = [&](int64_t j, const A& entry) {
             for (int64_t k = 0; k < n; ++k)
                 out[i * n + k] = fma(entry, constants.template number_at<A>(matrix, j * n + k), out[i * n + k]);
         };
         if (field.nonlinear)
-            for (int64_t j = 0; j < n; ++j) add_row(j, factor * A(field.sign) * room.matrix.at[i * n + j]);
+            for (int64_t j = 0; j < n; ++j) add_row(j, factor * A(field.sign) * workspace.matrix.at[i * n + j]);
         else
             for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
                 add_row(field.column[q],
@@ -144,10 +145,11 @@ INLINE void group_slope(const GroupField& group, const C& constants, const A* u,
 // Return H(x, t) without its constant; `values` holds the compiled values of FUNCTION terms.
 template <class A, class C>
 NOINLINE A energy(const Field& field, const int64_t* values, const C& constants, const A* x, const A& t,
-                  FieldRoom<A>& room) {
+                  FieldWorkspace<A>& workspace) {
     A total(0.0);
     for (int64_t k = 0; k < field.terms.size; ++k)
-        total = total + value_of_term(field.terms, constants, values, k, x, t, room.arguments.at, room.calls.data());
+        total = total +
+                value_of_term(field.terms, constants, values, k, x, t, workspace.arguments.at, workspace.calls.data());
     return total;
 }
 

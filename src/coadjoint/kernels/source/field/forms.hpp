@@ -34,7 +34,7 @@ inline double value_of_forms(const Forms& forms, const double* y) {
         } else if (role == ANGLE) {
             total += weight * rounded_angle(held, form);
         } else if (role == COSH) {
-            total += weight * (hyperbolic_rotation(form).lowered + 1.0);
+            total += weight * (hyperbolic_rotation(form).cosm1 + 1.0);
         } else {
             const double sine = hyperbolic_sine(form);
             total += role == SINH ? weight * sine / held : weight * ((sine / held) * (sine / held));

@@ -7,12 +7,12 @@ namespace coadjoint {
 
 // The field with the compiled values of the terms of H, the constants of the member, and the constant of the energy.
 // The function itself reads `size` and `sign`.
-struct Seen {
+struct SystemView {
     int64_t size;
     double sign, constant;
     const Field* field;
     const int64_t* values;
-    Own constants;
+    MemberConstants constants;
 };
 
 }  // namespace coadjoint

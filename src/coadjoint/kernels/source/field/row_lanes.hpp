@@ -4,13 +4,13 @@
 
 #include <vector>
 
-#include "numbers/room.hpp"
+#include "numbers/aligned_array.hpp"
 #include "field/terms.hpp"
 
 namespace coadjoint {
 
 template <int W>
-struct alignas(8 * W) Places {
+struct alignas(8 * W) Positions {
     int64_t lane[W];
 };
 
@@ -19,31 +19,31 @@ INLINE int64_t blocks_of(int64_t rows) { return (rows + W - 1) / W; }
 
 // Gather the numbers at given indices of a vector that is padded to whole blocks.
 template <int W>
-INLINE Lanes<W> take(const double* from, const Places<W>& places) {
+INLINE Lanes<W> take(const double* from, const Positions<W>& positions) {
     Lanes<W> taken;
 #if defined(__AVX512F__)
     if constexpr (W == 8) {
-        taken.part[0] = (typename Lanes<W>::Vector)_mm512_i64gather_pd(_mm512_load_si512(&places), from, 8);
+        taken.part[0] = (typename Lanes<W>::Vector)_mm512_i64gather_pd(_mm512_load_si512(&positions), from, 8);
         return taken;
     }
 #endif
-    for (int lane = 0; lane < W; ++lane) taken.set(lane, from[places.lane[lane]]);
+    for (int lane = 0; lane < W; ++lane) taken.set(lane, from[positions.lane[lane]]);
     return taken;
 }
 
 // The same for K blocks in registers.
 template <int K, int W>
-INLINE Lanes<W> take(const Lanes<W>* from, const Places<W>& places) {
+INLINE Lanes<W> take(const Lanes<W>* from, const Positions<W>& positions) {
 #if defined(__AVX512F__) && defined(__AVX512VL__)
     Lanes<W> taken;
     typedef typename Lanes<W>::Vector Vector;
     if constexpr (W == 4) {
         static_assert(K == 1, "more rows are taken in eights");
-        const __m256i index = _mm256_load_si256(reinterpret_cast<const __m256i*>(&places));
+        const __m256i index = _mm256_load_si256(reinterpret_cast<const __m256i*>(&positions));
         taken.part[0] = (Vector)_mm256_permutexvar_pd(index, (__m256d)from[0].part[0]);
         return taken;
     } else {
-        const __m512i index = _mm512_load_si512(&places);
+        const __m512i index = _mm512_load_si512(&positions);
         auto part = [&](int k) { return (__m512d)from[k].part[0]; };
         if constexpr (K == 1) {
             taken.part[0] = (Vector)_mm512_permutexvar_pd(index, part(0));
@@ -58,7 +58,7 @@ INLINE Lanes<W> take(const Lanes<W>* from, const Places<W>& places) {
         return taken;
     }
 #else
-    return take<W>(reinterpret_cast<const double*>(from), places);
+    return take<W>(reinterpret_cast<const double*>(from), positions);
 #endif
 }
 
@@ -67,13 +67,13 @@ template <int K, int W>
 struct Newest {
     Lanes<W> at[K];
     INLINE explicit Newest(const Lanes<W>* from) { for (int b = 0; b < K; ++b) at[b] = from[b]; }
-    INLINE Lanes<W> operator()(const Places<W>& places) const { return take<K>(at, places); }
+    INLINE Lanes<W> operator()(const Positions<W>& positions) const { return take<K>(at, positions); }
 };
 template <int W>
 struct Newest<0, W> {
     const double* at;
     INLINE explicit Newest(const Lanes<W>* from) : at(reinterpret_cast<const double*>(from)) {}
-    INLINE Lanes<W> operator()(const Places<W>& places) const { return take<W>(at, places); }
+    INLINE Lanes<W> operator()(const Positions<W>& positions) const { return take<W>(at, positions); }
 };
 
 // The sum of the lanes. Of eight, those at distance four are added first; then those at distance two, then one.
@@ -105,11 +105,11 @@ struct Sums {
     // One entry of each row of a block.
     struct Vector {
         Lanes<W> weight;
-        Places<W> left, right;
+        Positions<W> left, right;
     };
     int64_t blocks = 0, most = 0;    // most: entries of a block
     std::vector<int64_t> first{0};  // block b has the vectors first[b] to first[b + 1]
-    Room<Vector> at{0};
+    AlignedArray<Vector> at{0};
 
     int64_t size() const { return first.back(); }
 
@@ -120,7 +120,7 @@ struct Sums {
             for (int64_t e = 0; e < entries; ++e)
                 for (size_t r = low; r < low + W; ++r) {
                     const bool there = r < rows.size() && e < int64_t(rows[r].size());
-                    given.push_back(there ? rows[r][e] : Entry{0.0, 0, 0});
+                    pending.push_back(there ? rows[r][e] : Entry{0.0, 0, 0});
                 }
             first.push_back(first.back() + entries);
             most = std::max(most, entries);
@@ -138,16 +138,16 @@ struct Sums {
     // Store the entries in the order of reading, after the last row.
     void finish() {
         at.clear(size());
-        for (size_t k = 0; k < given.size(); ++k) {
+        for (size_t k = 0; k < pending.size(); ++k) {
             Vector& vector = at.at[k / W];
-            vector.weight.set(int(k % W), given[k].weight);
-            vector.left.lane[k % W] = given[k].left;
-            vector.right.lane[k % W] = given[k].right;
+            vector.weight.set(int(k % W), pending[k].weight);
+            vector.left.lane[k % W] = pending[k].left;
+            vector.right.lane[k % W] = pending[k].right;
         }
     }
 
   private:
-    std::vector<Entry> given;
+    std::vector<Entry> pending;
 };
 
 }  // namespace coadjoint

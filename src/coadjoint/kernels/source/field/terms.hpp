@@ -36,10 +36,10 @@ inline void call(int64_t address, const double* y, double t, double* out) {
 // Call a compiled function of the user, lane by lane: it reads `count` numbers and fills `results`.
 template <class A, class C>
 void call_function(const C& constants, const int64_t* addresses, int64_t k, const A* y, int64_t count, const A& t,
-                   A* out, int64_t results, double* room) {
+                   A* out, int64_t results, double* workspace) {
     const int used = constants.used(Numbers<A>::lanes);
     for (int lane = 0; lane < used; ++lane) {
-        double *point = room, *result = room + count;
+        double *point = workspace, *result = workspace + count;
         for (int64_t i = 0; i < count; ++i) point[i] = lane_of(y[i], lane);
         call(constants.address(addresses, k, lane), point, lane_of(t, lane), result);
         for (int64_t i = 0; i < results; ++i) set_lane(out[i], lane, result[i]);
@@ -78,10 +78,10 @@ INLINE A monomial_without(const Terms& terms, const C& constants, uint32_t monom
 }
 
 // Fill out[row - first] with every row of term k: the angles of a share, or components of a gradient. `y` is scratch
-// memory for the arguments of a user function, `room` for one lane of them and of its results.
+// memory for the arguments of a user function, `workspace` for one lane of them and of its results.
 template <class A, class C>
 NOINLINE void gradient_rows(const Terms& terms, const C& constants, const int64_t* addresses, int64_t k, const A* x,
-                          const A& t, A* out, int64_t first, A* y, double* room) {
+                            const A& t, A* out, int64_t first, A* y, double* workspace) {
     int64_t start = terms.row[k], stop = terms.row[k + 1];
     if (terms.kind[k] == LINEAR) {
         const uint32_t *high = terms.entry + 1, *column = terms.column;
@@ -100,14 +100,14 @@ NOINLINE void gradient_rows(const Terms& terms, const C& constants, const int64_
                 out[terms.factor_row[chosen] - first] += monomial_without(terms, constants, monomial, chosen, x);
     } else {
         for (int64_t row = start; row < stop; ++row) y[row - start] = x[terms.target[row]];
-        call_function(constants, addresses, k, y, stop - start, t, out + (start - first), stop - start, room);
+        call_function(constants, addresses, k, y, stop - start, t, out + (start - first), stop - start, workspace);
     }
 }
 
 // The value of term k.
 template <class A, class C>
 INLINE A value_of_term(const Terms& terms, const C& constants, const int64_t* addresses, int64_t k, const A* x,
-                       const A& t, A* y, double* room) {
+                       const A& t, A* y, double* workspace) {
     int64_t start = terms.row[k], stop = terms.row[k + 1];
     A total(0.0);
     if (terms.kind[k] == LINEAR) {
@@ -127,7 +127,7 @@ INLINE A value_of_term(const Terms& terms, const C& constants, const int64_t* ad
         }
     } else {
         for (int64_t row = start; row < stop; ++row) y[row - start] = x[terms.target[row]];
-        call_function(constants, addresses, k, y, stop - start, t, &total, 1, room);
+        call_function(constants, addresses, k, y, stop - start, t, &total, 1, workspace);
     }
     return total;
 }

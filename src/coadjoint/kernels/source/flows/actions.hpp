@@ -8,121 +8,123 @@ namespace coadjoint {
 // The last single angle of a part and its sine. Other blocks of the part, and the group element, often rotate by the
 // same angle.
 template <class A>
-struct Turned {
+struct CachedRotation {
     A phi = A(NAN);
-    Rotation<A> turn;
+    Rotation<A> rotation;
 
     INLINE Rotation<A> by(const A& angle, bool again) {
-        if (again && all(angle == phi)) return turn;
+        if (again && all(angle == phi)) return rotation;
         phi = angle;
-        return turn = rotation_by(angle);
+        return rotation = rotation_by(angle);
     }
 };
 
 constexpr int SPREAD = 8;  // rotations of one trajectory whose sines are computed side by side
 
-// The rotations of a run, each with an angle of its own.
-template <Care care, class A, class V, class C>
+// The rotations of a run, each by a different angle.
+template <Summation summation, class A, class V, class C>
 NOINLINE void rotate_several(const Action& action, const C& constants, uint32_t run, double tau, const A* theta,
                              Vectors<V> x) {
     const uint32_t repeat = action.repeat[run], count = action.angles[run];
-    const uint32_t* index = action.indices + action.place[run];
-    const int64_t place = action.constant[run];
+    const uint32_t* index = action.indices + action.position[run];
+    const int64_t position = action.constant[run];
     uint32_t q = 0;
     if constexpr (Numbers<A>::lanes == 1) {
         for (; q + SPREAD <= count; q += SPREAD) {
             typedef Lanes<SPREAD> Spread;
-            const Spread phi = load<Spread>(theta + q) * (Spread(tau) * load<Spread>(action.constants + place + q));
-            const Rotation<Spread> turns = rotation_by(phi);
-            double sines[SPREAD], lowereds[SPREAD];
-            store(sines, turns.sine);
-            store(lowereds, turns.lowered);
+            const Spread phi = load<Spread>(theta + q) * (Spread(tau) * load<Spread>(action.constants + position + q));
+            const Rotation<Spread> rotations = rotation_by(phi);
+            double sines[SPREAD], cosm1s[SPREAD];
+            store(sines, rotations.sine);
+            store(cosm1s, rotations.cosm1);
             for (int lane = 0; lane < SPREAD; ++lane, index += 2 * repeat)
-                rotate<care>(Rotation<A>{A(sines[lane]), A(lowereds[lane])}, index, repeat, x);
+                rotate<summation>(Rotation<A>{A(sines[lane]), A(cosm1s[lane])}, index, repeat, x);
         }
     }
     for (; q < count; ++q, index += 2 * repeat)
-        rotate<care>(rotation_by(theta[q] * (tau * constants.template number_at<A>(action.constants, place + q))),
-                     index, repeat, x);
+        rotate<summation>(
+            rotation_by(theta[q] * (tau * constants.template number_at<A>(action.constants, position + q))), index,
+            repeat, x);
 }
 
 // Runs that are rare, or so long that the cost of a call is negligible; not inlined.
-template <Care care, class A, class V, class C>
-NOINLINE void act_apart(const Action& action, const C& constants, uint32_t run, double tau, const A* theta,
-                        Vectors<V> x) {
-    auto constant = [&](int64_t place) { return constants.template number_at<A>(action.constants, place); };
+template <Summation summation, class A, class V, class C>
+NOINLINE void act_run(const Action& action, const C& constants, uint32_t run, double tau, const A* theta,
+                      Vectors<V> x) {
+    auto constant = [&](int64_t position) { return constants.template number_at<A>(action.constants, position); };
     const int kind = action.kind[run];
     const uint32_t repeat = action.repeat[run], count = action.angles[run];
-    const uint32_t* index = action.indices + action.place[run];
-    int64_t place = action.constant[run];
+    const uint32_t* index = action.indices + action.position[run];
+    int64_t position = action.constant[run];
     if (kind == ROTATE) {
-        rotate_several<care>(action, constants, run, tau, theta, x);
+        rotate_several<summation>(action, constants, run, tau, theta, x);
     } else if (kind == SHEAR) {
         for (uint32_t q = 0; q < count; ++q) {
-            const A turn = tau * theta[q];
-            for (uint32_t block = 0; block < repeat; ++block, ++place, index += 2)
-                shear<care>(turn * constant(place), index, x);
+            const A scaled = tau * theta[q];
+            for (uint32_t block = 0; block < repeat; ++block, ++position, index += 2)
+                shear<summation>(scaled * constant(position), index, x);
         }
     } else if (kind == RATIONAL_ROTATE) {
         for (uint32_t q = 0; q < count; ++q, index += 2 * repeat)
-            rotate<care>(rational_rotation(theta[q] * (tau * constant(place + q))), index, repeat, x);
+            rotate<summation>(rational_rotation(theta[q] * (tau * constant(position + q))), index, repeat, x);
     } else if (kind == CUBIC || kind == RATIONAL_CUBIC) {
-        cubic<care>(action, constants, run, tau * theta[0], x);
+        cubic<summation>(action, constants, run, tau * theta[0], x);
     } else if (kind == SCALE) {
         for (uint32_t q = 0; q < count; ++q, index += repeat)
-            scale<care>(growth_by(theta[q] * (tau * constant(place + q))).beyond, index, repeat, x);
+            scale<summation>(growth_by(theta[q] * (tau * constant(position + q))).expm1, index, repeat, x);
     } else if (kind == PLANE) {
-        for (uint32_t q = 0; q < count; ++q, place += 4, index += 2 * repeat)
-            plane<care, A, V>(constant(place), constant(place + 1), constant(place + 2), constant(place + 3), index,
-                              repeat, tau * theta[q], x);
+        for (uint32_t q = 0; q < count; ++q, position += 4, index += 2 * repeat)
+            plane<summation, A, V>(constant(position), constant(position + 1), constant(position + 2),
+                                   constant(position + 3), index, repeat, tau * theta[q], x);
     } else {
-        series<care>(action, constants, run, tau * theta[0], x);
+        series<summation>(action, constants, run, tau * theta[0], x);
     }
 }
 
-// The runs of a part with a lone angle, one after the other.
-template <Care care, class A, class V, class C>
-NOINLINE void act_in_turn(const Action& action, const C& constants, uint32_t part, double tau, A lone,
-                          Turned<A>& turned, Vectors<V> x) {
+// The runs of a part with a single angle, one after the other.
+template <Summation summation, class A, class V, class C>
+NOINLINE void act_runs(const Action& action, const C& constants, uint32_t part, double tau, A single_angle,
+                       CachedRotation<A>& cached, Vectors<V> x) {
     for (uint32_t run = action.run[part], last = action.run[part + 1]; run < last; ++run) {
         if (action.kind[run] == ROTATE) {
             const A w = constants.template number_at<A>(action.constants, action.constant[run]);
-            const uint32_t* index = action.indices + action.place[run];
-            rotate<care>(turned.by(lone * (tau * w), true), index, action.repeat[run], x);
+            const uint32_t* index = action.indices + action.position[run];
+            rotate<summation>(cached.by(single_angle * (tau * w), true), index, action.repeat[run], x);
         } else {
-            act_apart<care>(action, constants, run, tau, &lone, x);
+            act_run<summation>(action, constants, run, tau, &single_angle, x);
         }
     }
 }
 
 // Move vectors by exp(tau sum theta_a D_a) of one part. CORRECTED also adds the rounding error of the increment itself,
 // so that rounding has no systematic sign. A single angle with a single run stays in registers, since memory would
-// delay the step. With `again` the part has just moved other vectors, by the angle in `turned`.
-template <Care care, bool again, class A, class V, class C>
-INLINE void act(const Action& action, const C& constants, uint32_t part, double tau, bool single, A lone,
-                const A* theta, Turned<A>& turned, const Vectors<V>& x) {
+// delay the step. With `again` the part has just moved other vectors, by the angle in `cached`.
+template <Summation summation, bool again, class A, class V, class C>
+INLINE void act(const Action& action, const C& constants, uint32_t part, double tau, bool single, A single_angle,
+                const A* theta, CachedRotation<A>& cached, const Vectors<V>& x) {
     constexpr bool number = Numbers<V>::lanes == 1;
     const uint32_t run = action.run[part], last = action.run[part + 1];
     const bool alone = single && last == run + 1;
     const int kind = last > run ? action.kind[run] : -1;
-    auto constant = [&](int64_t place) { return constants.template number_at<A>(action.constants, place); };
+    auto constant = [&](int64_t position) { return constants.template number_at<A>(action.constants, position); };
     if (__builtin_expect(alone && kind == ROTATE, 1)) {
-        const uint32_t* index = action.indices + action.place[run];
-        rotate<care>(turned.by(lone * (tau * constant(action.constant[run])), again), index, action.repeat[run], x);
+        const uint32_t* index = action.indices + action.position[run];
+        rotate<summation>(cached.by(single_angle * (tau * constant(action.constant[run])), again), index,
+                          action.repeat[run], x);
     } else if (number && alone && kind == SHEAR) {
-        const A turn = tau * lone;
-        const uint32_t* index = action.indices + action.place[run];
+        const A scaled = tau * single_angle;
+        const uint32_t* index = action.indices + action.position[run];
         for (uint32_t block = 0, repeat = action.repeat[run]; block < repeat; ++block, index += 2)
-            shear<care>(turn * constant(action.constant[run] + block), index, x);
+            shear<summation>(scaled * constant(action.constant[run] + block), index, x);
     } else if (number && alone && kind == CUBIC) {
-        cubic<care>(action, constants, run, tau * lone, x);
+        cubic<summation>(action, constants, run, tau * single_angle, x);
     } else if (single) {
-        Turned<A> apart = turned;
-        act_in_turn<care>(action, constants, part, tau, lone, apart, x);
-        turned = apart;
+        CachedRotation<A> local = cached;
+        act_runs<summation>(action, constants, part, tau, single_angle, local, x);
+        cached = local;
     } else {
         for (uint32_t several = run; several < last; ++several)
-            act_apart<care>(action, constants, several, tau, theta + action.angle[several], x);
+            act_run<summation>(action, constants, several, tau, theta + action.angle[several], x);
     }
 }
 

@@ -14,15 +14,15 @@ INLINE void bond_change(const A& strength, double tau, const A* z, const A* w, A
     const A power = leading_power(size), inverse = inverse_power(power);
     for (int i = 0; i < 3; ++i) sum[i] = sum[i] * inverse;
     const A square = select(A(0.0) < size, dot(sum, sum), A(1.0)), length = square_root(square);
-    const Rotation<A> turn = rotation_by((strength * (A(tau) * power)) * length);
-    const A sine = turn.sine / length, lowered = turn.lowered / square;
+    const Rotation<A> rotation = rotation_by((strength * (A(tau) * power)) * length);
+    const A sine = rotation.sine / length, cosm1 = rotation.cosm1 / square;
     cross(sum, z, across);
     cross(sum, across, back);
-    for (int i = 0; i < 3; ++i) change[i] = fma(-lowered, back[i], sine * across[i]);
+    for (int i = 0; i < 3; ++i) change[i] = fma(-cosm1, back[i], sine * across[i]);
 }
 
 template <class A, class C>
-INLINE void turn_bond(const FlowTables& tables, const C& constants, int64_t bond, double tau, A* x) {
+INLINE void rotate_bond(const FlowTables& tables, const C& constants, int64_t bond, double tau, A* x) {
     const uint32_t* column = tables.body_column + BODY_COLUMNS * bond;
     const A z[3] = {x[column[0]], x[column[1]], x[column[2]]}, w[3] = {x[column[3]], x[column[4]], x[column[5]]};
     A change[3];
@@ -33,28 +33,28 @@ INLINE void turn_bond(const FlowTables& tables, const C& constants, int64_t bond
 // Rotate the momenta by all bonds of a part, which are disjoint and have basis elements of unit scale. The many bonds
 // of one trajectory on a lattice are lanes.
 template <class A, class C>
-NOINLINE void turn_bonds(const FlowTables& tables, const C& constants, uint32_t part, double tau, A* x) {
+NOINLINE void rotate_bonds(const FlowTables& tables, const C& constants, uint32_t part, double tau, A* x) {
     uint32_t k = tables.share[part];
     const uint32_t last = tables.share[part + 1];
     if constexpr (Numbers<A>::lanes == 1) {
         for (; k + WIDTH <= last; k += WIDTH) {
-            double strength[WIDTH], own[6][WIDTH];
+            double strength[WIDTH], momenta[6][WIDTH];
             for (int lane = 0; lane < WIDTH; ++lane) {
                 const int64_t bond = tables.called[k + lane];
                 strength[lane] = constants.template number_at<double>(tables.body, BODY_CONSTANTS * bond);
-                for (int i = 0; i < 6; ++i) own[i][lane] = x[tables.body_column[BODY_COLUMNS * bond + i]];
+                for (int i = 0; i < 6; ++i) momenta[i][lane] = x[tables.body_column[BODY_COLUMNS * bond + i]];
             }
-            const Wide z[3] = {load<Wide>(own[0]), load<Wide>(own[1]), load<Wide>(own[2])};
-            const Wide w[3] = {load<Wide>(own[3]), load<Wide>(own[4]), load<Wide>(own[5])};
+            const Wide z[3] = {load<Wide>(momenta[0]), load<Wide>(momenta[1]), load<Wide>(momenta[2])};
+            const Wide w[3] = {load<Wide>(momenta[3]), load<Wide>(momenta[4]), load<Wide>(momenta[5])};
             Wide change[3];
             bond_change(load<Wide>(strength), tau, z, w, change);
-            for (int i = 0; i < 3; ++i) store(own[i], z[i] + change[i]), store(own[3 + i], w[i] - change[i]);
+            for (int i = 0; i < 3; ++i) store(momenta[i], z[i] + change[i]), store(momenta[3 + i], w[i] - change[i]);
             for (int lane = 0; lane < WIDTH; ++lane)
                 for (int i = 0; i < 6; ++i)
-                    x[tables.body_column[BODY_COLUMNS * tables.called[k + lane] + i]] = own[i][lane];
+                    x[tables.body_column[BODY_COLUMNS * tables.called[k + lane] + i]] = momenta[i][lane];
         }
     }
-    for (; k < last; ++k) turn_bond(tables, constants, tables.called[k], tau, x);
+    for (; k < last; ++k) rotate_bond(tables, constants, tables.called[k], tau, x);
 }
 
 }  // namespace coadjoint

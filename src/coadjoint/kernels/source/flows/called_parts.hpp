@@ -15,19 +15,19 @@
 
 namespace coadjoint {
 
-constexpr int BODY_TURNS = 4;
+constexpr int BODY_ROTATIONS = 4;
 constexpr int BODY_COLUMNS = 6;       // the triple, and the other one of a bond; repeated for a free body
 constexpr int BODY_CONSTANTS = 15;    // moments, principal axes in rows of components, lengths of the generators
 constexpr double UPRIGHT = 0.9;       // the sine above which a rotation about e2 counts as near a right angle
 constexpr int64_t WORK_OF_A_BODY = 500;  // multiplications of a short flow of a body
 constexpr int64_t WORK_OF_A_BOND = 60;
-constexpr int DIRECT = 1, TOGETHER = 2;  // bits of FlowTables::direct
+constexpr int DIRECT = 1, BONDS = 2;  // bits of FlowTables::direct
 constexpr double TWO_PI = 6.2831853071795865;
 
 // The rotations of a called flow: each by sine and cosine minus one, or by its angle.
 template <class A>
-struct Turns {
-    A *angle, *sine, *lowered;
+struct Rotations {
+    A *angle, *sine, *cosm1;
     bool direct;  // every block rotates by the angle itself: angles are not needed
 };
 
@@ -46,18 +46,19 @@ struct CalledBody {
         };
         for (int i = 0; i < 3; ++i) moments[i] = constant(i), scale[i] = constant(12 + i);
         for (int i = 0; i < 9; ++i) axes[i] = constant(3 + i);
-        A own[3];
-        for (int i = 0; i < 3; ++i) own[i] = scale[i] * (bond ? x[column[i]] + x[column[3 + i]] : x[column[i]]);
+        A body_momentum[3];
+        for (int i = 0; i < 3; ++i)
+            body_momentum[i] = scale[i] * (bond ? x[column[i]] + x[column[3 + i]] : x[column[i]]);
         for (int c = 0; c < 3; ++c) {
             const A axis[3] = {axes[c], axes[3 + c], axes[6 + c]};
-            momentum[c] = dot(axis, own);
+            momentum[c] = dot(axis, body_momentum);
         }
     }
 
     // The quaternion of the rotation along the principal axes.
     template <class R, class T>
-    Quaternion<R> turn(const R* z, const T& tau) const {
-        return bond ? spherical_turn<A, R>(moments[0], z, tau) : body_turn<A, R>(moments, z, tau);
+    Quaternion<R> rotation(const R* z, const T& tau) const {
+        return bond ? spherical_rotation<A, R>(moments[0], z, tau) : body_rotation<A, R>(moments, z, tau);
     }
 
     // From the principal axes to the coordinates.
@@ -83,28 +84,28 @@ inline double angle_of(double sine, double cosine) {
 
 // The rotation by the angle of (along, across), whose length is `size`.
 template <class A>
-INLINE void set_turn(const Turns<A>& turns, int k, const A& across, const A& along, const A& size) {
+INLINE void set_rotation(const Rotations<A>& rotations, int k, const A& across, const A& along, const A& size) {
     const A sum = along + size, inverse = A(1.0) / (size * sum);
-    turns.sine[k] = across * sum * inverse;
-    turns.lowered[k] = -(across * across) * inverse;
+    rotations.sine[k] = across * sum * inverse;
+    rotations.cosm1[k] = -(across * across) * inverse;
     const auto backward = along < A(0.0);
     if (__builtin_expect(any(backward), 0)) {
-        turns.sine[k] = select(backward, across / size, turns.sine[k]);
-        turns.lowered[k] = select(backward, along / size - A(1.0), turns.lowered[k]);
+        rotations.sine[k] = select(backward, across / size, rotations.sine[k]);
+        rotations.cosm1[k] = select(backward, along / size - A(1.0), rotations.cosm1[k]);
     }
-    if (!turns.direct)
+    if (!rotations.direct)
         for (int lane = 0; lane < Numbers<A>::lanes; ++lane)
-            set_lane(turns.angle[k], lane,
-                     angle_of(lane_of(turns.sine[k], lane), 1.0 + lane_of(turns.lowered[k], lane)));
+            set_lane(rotations.angle[k], lane,
+                     angle_of(lane_of(rotations.sine[k], lane), 1.0 + lane_of(rotations.cosm1[k], lane)));
 }
 
 // Whether the product of four rotations is minus a quaternion, which matters if a block rotates by half the angle.
 inline bool opposite(const double* angle, const Quaternion<double>& q) {
     Quaternion<double> total{1.0, {0.0, 0.0, 0.0}};
-    const int axis[BODY_TURNS] = {2, 0, 1, 2};
-    for (int k = 0; k < BODY_TURNS; ++k) {
+    const int axis[BODY_ROTATIONS] = {2, 0, 1, 2};
+    for (int k = 0; k < BODY_ROTATIONS; ++k) {
         const Rotation<double> half = rotation_by(0.5 * angle[k]);
-        Quaternion<double> one{half.lowered + 1.0, {0.0, 0.0, 0.0}};
+        Quaternion<double> one{half.cosm1 + 1.0, {0.0, 0.0, 0.0}};
         one.vector[axis[k]] = half.sine;
         total = after(one, total);
     }
@@ -113,7 +114,7 @@ inline bool opposite(const double* angle, const Quaternion<double>& q) {
 
 // A quaternion as rotations about e3, e1, e2, e3.
 template <class A>
-INLINE void turns_of(const Quaternion<A>& q, const Turns<A>& turns) {
+INLINE void rotations_of(const Quaternion<A>& q, const Rotations<A>& rotations) {
     const A w = q.whole, x = q.vector[0], y = q.vector[1], z = q.vector[2];
     const A ww = w * w, xx = x * x, yy = y * y, zz = z * z, wx = w * x, wy = w * y, wz = w * z;
     const A size = (ww + xx) + (yy + zz);
@@ -121,42 +122,42 @@ INLINE void turns_of(const Quaternion<A>& q, const Turns<A>& turns) {
     const A a = 2.0 * fma(y, z, wx), b = (ww + zz) - (xx + yy);     // R32, R33
     const A c = 2.0 * fma(x, y, wz), d = (ww + xx) - (yy + zz);     // R21, R11
     const A level = square_root(fma(a, a, b * b));
-    A across[BODY_TURNS] = {A(0.0), a, tilt, c}, along[BODY_TURNS] = {A(1.0), b, level, d};
-    A length[BODY_TURNS] = {A(1.0), level, size, level};
+    A across[BODY_ROTATIONS] = {A(0.0), a, tilt, c}, along[BODY_ROTATIONS] = {A(1.0), b, level, d};
+    A length[BODY_ROTATIONS] = {A(1.0), level, size, level};
     const auto upright = A(UPRIGHT) * size < absolute(tilt);
     if (__builtin_expect(any(upright), 0)) {
         const A f = 2.0 * (y * z - wx), g = 2.0 * fma(x, z, wy);    // R23, R13
         const A beside = square_root(fma(a, a, tilt * tilt)), one(1.0), zero(0.0);
-        const A other_across[BODY_TURNS] = {a, zero, beside, f}, other_along[BODY_TURNS] = {tilt, one, b, g};
-        const A other_length[BODY_TURNS] = {beside, one, size, beside};
-        for (int k = 0; k < BODY_TURNS; ++k) {
+        const A other_across[BODY_ROTATIONS] = {a, zero, beside, f}, other_along[BODY_ROTATIONS] = {tilt, one, b, g};
+        const A other_length[BODY_ROTATIONS] = {beside, one, size, beside};
+        for (int k = 0; k < BODY_ROTATIONS; ++k) {
             across[k] = select(upright, other_across[k], across[k]);
             along[k] = select(upright, other_along[k], along[k]);
             length[k] = select(upright, other_length[k], length[k]);
         }
     }
-    for (int k = 0; k < BODY_TURNS; ++k) set_turn(turns, k, across[k], along[k], length[k]);
-    if (turns.direct || all(A(0.5) * size < ww * select(w < A(0.0), A(0.0), A(1.0)))) return;
+    for (int k = 0; k < BODY_ROTATIONS; ++k) set_rotation(rotations, k, across[k], along[k], length[k]);
+    if (rotations.direct || all(A(0.5) * size < ww * select(w < A(0.0), A(0.0), A(1.0)))) return;
     for (int lane = 0; lane < Numbers<A>::lanes; ++lane) {
-        double angle[BODY_TURNS];
-        for (int k = 0; k < BODY_TURNS; ++k) angle[k] = lane_of(turns.angle[k], lane);
-        const Quaternion<double> own{lane_of(w, lane), {lane_of(x, lane), lane_of(y, lane), lane_of(z, lane)}};
-        if (opposite(angle, own)) set_lane(turns.angle[0], lane, angle[0] + TWO_PI);
+        double angle[BODY_ROTATIONS];
+        for (int k = 0; k < BODY_ROTATIONS; ++k) angle[k] = lane_of(rotations.angle[k], lane);
+        const Quaternion<double> quaternion{lane_of(w, lane), {lane_of(x, lane), lane_of(y, lane), lane_of(z, lane)}};
+        if (opposite(angle, quaternion)) set_lane(rotations.angle[0], lane, angle[0] + TWO_PI);
     }
 }
 
 // The rotations that a share calls, over the time tau.
 template <class A, class C, class T>
-NOINLINE void called_turns(const FlowTables& tables, const C& constants, int64_t body, const T& tau, const A* x,
-                           const Turns<A>& turns) {
-    const CalledBody<A> own(tables, constants, body, x);
-    Quaternion<A> along = own.turn(own.momentum, tau), q{along.whole, {}};
-    own.outward(along.vector, q.vector);
-    turns_of(q, turns);
-    const A lengths[BODY_TURNS] = {own.scale[2], own.scale[0], own.scale[1], own.scale[2]};
-    for (int k = 0; k < BODY_TURNS; ++k) {
-        turns.sine[k] = turns.sine[k] * lengths[k];
-        if (!turns.direct) turns.angle[k] = turns.angle[k] * lengths[k];
+NOINLINE void called_rotations(const FlowTables& tables, const C& constants, int64_t body, const T& tau, const A* x,
+                               const Rotations<A>& rotations) {
+    const CalledBody<A> called(tables, constants, body, x);
+    Quaternion<A> along = called.rotation(called.momentum, tau), q{along.whole, {}};
+    called.outward(along.vector, q.vector);
+    rotations_of(q, rotations);
+    const A lengths[BODY_ROTATIONS] = {called.scale[2], called.scale[0], called.scale[1], called.scale[2]};
+    for (int k = 0; k < BODY_ROTATIONS; ++k) {
+        rotations.sine[k] = rotations.sine[k] * lengths[k];
+        if (!rotations.direct) rotations.angle[k] = rotations.angle[k] * lengths[k];
     }
 }
 
@@ -166,31 +167,31 @@ template <class A, class V>
 NOINLINE void called_changes(const FlowTables& tables, int64_t body, double tau, const A* x, const V* vectors,
                              int64_t rows, V* changes) {
     typedef Dual<A> R;
-    const CalledBody<A> own(tables, Shared{}, body, x);
+    const CalledBody<A> called(tables, SharedConstants{}, body, x);
     R momentum[3];
     for (int i = 0; i < 3; ++i)
-        momentum[i] = R(own.momentum[i], A(double(i == 0)), A(double(i == 1)), A(double(i == 2)));
-    const Quaternion<R> q = own.turn(momentum, tau);
-    const uint32_t* column = own.column;
+        momentum[i] = R(called.momentum[i], A(double(i == 0)), A(double(i == 1)), A(double(i == 2)));
+    const Quaternion<R> q = called.rotation(momentum, tau);
+    const uint32_t* column = called.column;
     const A vector[3] = {q.vector[0].value, q.vector[1].value, q.vector[2].value};
-    A bend[9];  // by row: the change along a coordinate for each component of the momentum along the principal axes
+    A jacobian[9];  // by row: the change along a coordinate for each component of the momentum along the principal axes
     for (int c = 0; c < 3; ++c) {
         const A slope[3] = {q.vector[0].slope[c], q.vector[1].slope[c], q.vector[2].slope[c]};
         A crossed[3], along[3], outward[3];
         cross(slope, vector, crossed);
         for (int i = 0; i < 3; ++i)
             along[i] = 2.0 * (fma(q.whole.value, slope[i], -(q.whole.slope[c] * vector[i])) - crossed[i]);
-        own.outward(along, outward);
-        for (int i = 0; i < 3; ++i) bend[3 * i + c] = outward[i];
+        called.outward(along, outward);
+        for (int i = 0; i < 3; ++i) jacobian[3 * i + c] = outward[i];
     }
     for (int i = 0; i < 3; ++i)
         for (int j = 0; j < 3; ++j) {
-            const A axes[3] = {own.axes[3 * j], own.axes[3 * j + 1], own.axes[3 * j + 2]};
-            const V by((own.scale[i] * own.scale[j]) * dot(bend + 3 * i, axes));
+            const A axes[3] = {called.axes[3 * j], called.axes[3 * j + 1], called.axes[3 * j + 2]};
+            const V by((called.scale[i] * called.scale[j]) * dot(jacobian + 3 * i, axes));
             for (int64_t b = 0; b < rows; ++b) {
-                V& change = changes[(1 + i) % BODY_TURNS * rows + b];
-                const V moved = own.bond ? by * (vectors[column[j] * rows + b] + vectors[column[3 + j] * rows + b])
-                                         : by * vectors[column[j] * rows + b];
+                V& change = changes[(1 + i) % BODY_ROTATIONS * rows + b];
+                const V moved = called.bond ? by * (vectors[column[j] * rows + b] + vectors[column[3 + j] * rows + b])
+                                            : by * vectors[column[j] * rows + b];
                 change = j == 0 ? moved : change + moved;
             }
         }
@@ -199,35 +200,36 @@ NOINLINE void called_changes(const FlowTables& tables, int64_t body, double tau,
 
 // Move vectors by the rotations of a part. A first rotation of zero is skipped, so that it changes no bits, of errors
 // either.
-template <Care care, class A, class V, class C>
-NOINLINE void act_called(const Action& action, const C& constants, uint32_t part, const Turns<A>& turns,
+template <Summation summation, class A, class V, class C>
+NOINLINE void act_called(const Action& action, const C& constants, uint32_t part, const Rotations<A>& rotations,
                          const Vectors<V>& x, int64_t size) {
     for (uint32_t run = action.run[part], last = action.run[part + 1]; run < last; ++run) {
         const uint32_t first = action.angle[run];
-        const auto turn_all = [&] {
-            if (!turns.direct) return act_apart<care>(action, constants, run, 1.0, turns.angle + first, x);
-            const uint32_t repeat = action.repeat[run], *index = action.indices + action.place[run];
+        const auto rotate_all = [&] {
+            if (!rotations.direct) return act_run<summation>(action, constants, run, 1.0, rotations.angle + first, x);
+            const uint32_t repeat = action.repeat[run], *index = action.indices + action.position[run];
             for (uint32_t q = 0; q < action.angles[run]; ++q, index += 2 * repeat) {
                 const A w = constants.template number_at<A>(action.constants, action.constant[run] + q);
-                rotate<care>(Rotation<A>{turns.sine[first + q] * w, turns.lowered[first + q]}, index, repeat, x);
+                rotate<summation>(Rotation<A>{rotations.sine[first + q] * w, rotations.cosm1[first + q]}, index, repeat,
+                                  x);
             }
         };
-        if (first % BODY_TURNS != 0) {
-            turn_all();
+        if (first % BODY_ROTATIONS != 0) {
+            rotate_all();
             continue;
         }
-        const auto turned = !((turns.direct ? turns.lowered[first] : turns.angle[first]) == A(0.0));
-        if (__builtin_expect(!any(turned), 1)) continue;
+        const auto rotated = !((rotations.direct ? rotations.cosm1[first] : rotations.angle[first]) == A(0.0));
+        if (__builtin_expect(!any(rotated), 1)) continue;
         if constexpr (Numbers<A>::lanes > 1) {
-            std::vector<V> before(x.at, x.at + size * x.rows), owed;
-            if (care != PLAIN) owed.assign(x.errors, x.errors + size * x.rows);
-            turn_all();
+            std::vector<V> before(x.at, x.at + size * x.rows), remainder;
+            if (summation != PLAIN) remainder.assign(x.errors, x.errors + size * x.rows);
+            rotate_all();
             for (int64_t i = 0; i < size * x.rows; ++i) {
-                x.at[i] = select(turned, x.at[i], before[i]);
-                if (care != PLAIN) x.errors[i] = select(turned, x.errors[i], owed[i]);
+                x.at[i] = select(rotated, x.at[i], before[i]);
+                if (summation != PLAIN) x.errors[i] = select(rotated, x.errors[i], remainder[i]);
             }
         } else {
-            turn_all();
+            rotate_all();
         }
     }
 }

@@ -28,8 +28,8 @@ constexpr int WHOLE_ROW = -1;
 
 class FlowsOfRows {
   public:
-    FlowsOfRows(const FlowTables& tables, bool carry)
-        : tables(tables), carry(carry), moved_by(tables.state.size, ~uint32_t(0)) {}
+    FlowsOfRows(const FlowTables& tables, bool with_group)
+        : tables(tables), with_group(with_group), moved_by(tables.state.size, ~uint32_t(0)) {}
 
     // The flows of rows, one after the other. Empty if all would be whole rows; then the tables are read.
     std::vector<ElementaryFlow> operator()(uint32_t first, uint32_t last) {
@@ -49,7 +49,7 @@ class FlowsOfRows {
 
   private:
     const FlowTables& tables;
-    const bool carry;
+    const bool with_group;
     std::vector<uint32_t> moved_by;  // the last row that moved a coordinate
     std::vector<AngleBlocks> momentum, group;
 
@@ -59,7 +59,7 @@ class FlowsOfRows {
         for (uint32_t run = action.run[part]; run < action.run[part + 1]; ++run) {
             const int kind = action.kind[run];
             if ((kind != ROTATE && kind != SHEAR) || action.angles[run] >= SPREAD) return false;
-            const uint32_t repeat = action.repeat[run], *pairs = action.indices + action.place[run];
+            const uint32_t repeat = action.repeat[run], *pairs = action.indices + action.position[run];
             const double* constants = action.constants + action.constant[run];
             for (uint32_t q = 0; q < action.angles[run]; ++q, pairs += 2 * repeat) {
                 const double factor = kind == ROTATE ? tau * constants[q] : tau;
@@ -77,43 +77,45 @@ class FlowsOfRows {
         for (uint32_t k = low; k < high; ++k)
             if (terms.kind[k] != LINEAR || tables.called[k] >= 0) return false;
         if (!blocks_of(tables.state, part, tables.tau[r], momentum)) return false;
-        if (carry && !blocks_of(tables.group, part, tables.tau[r], group)) return false;
-        if (carry && group.size() != momentum.size()) return false;
+        if (with_group && !blocks_of(tables.group, part, tables.tau[r], group)) return false;
+        if (with_group && group.size() != momentum.size()) return false;
         for (size_t k = 0; k < momentum.size(); ++k) {
-            const AngleBlocks own = momentum[k], carried = carry ? group[k] : own;
-            if (carried.kind != own.kind || carried.angle != own.angle) return false;
-            const uint32_t row = terms.row[low] + own.angle, entry = terms.entry[row], stop = terms.entry[row + 1];
+            const AngleBlocks of_momentum = momentum[k], of_group = with_group ? group[k] : of_momentum;
+            if (of_group.kind != of_momentum.kind || of_group.angle != of_momentum.angle) return false;
+            const uint32_t row = terms.row[low] + of_momentum.angle, entry = terms.entry[row],
+                           stop = terms.entry[row + 1];
             for (uint32_t e = entry; e < stop; ++e)
                 if (moved_by[terms.column[e]] == r) return false;
-            for (uint32_t e = 0; e < 2 * own.repeat; e += own.kind == SHEAR ? 2 : 1) moved_by[own.pairs[e]] = r;
-            flows.push_back({own.kind, r, stop - entry, terms.offset[row], terms.weight + entry, terms.column + entry,
-                             own, carried});
+            for (uint32_t e = 0; e < 2 * of_momentum.repeat; e += of_momentum.kind == SHEAR ? 2 : 1)
+                moved_by[of_momentum.pairs[e]] = r;
+            flows.push_back({of_momentum.kind, r, stop - entry, terms.offset[row], terms.weight + entry,
+                             terms.column + entry, of_momentum, of_group});
         }
         return true;
     }
 };
 
-template <Care care, class V>
+template <Summation summation, class V>
 INLINE void shear_blocks(const AngleBlocks& blocks, double theta, const Vectors<V>& x) {
-    const double turn = blocks.factor * theta;
+    const double scaled = blocks.factor * theta;
     for (uint32_t block = 0; block < blocks.repeat; ++block)
-        shear<care>(turn * blocks.constants[block], blocks.pairs + 2 * block, x);
+        shear<summation>(scaled * blocks.constants[block], blocks.pairs + 2 * block, x);
 }
 
 // Apply a flow that is not a whole row.
-template <Care care, bool carry, class G>
+template <Summation summation, bool with_group, class G>
 INLINE void apply_flow(const ElementaryFlow& flow, const Vectors<double>& x, const Vectors<G>& group) {
     double theta = flow.offset;
     for (uint32_t entry = 0; entry < flow.entries; ++entry)
         theta = fma(flow.weight[entry], x.at[flow.column[entry]], theta);
     if (__builtin_expect(flow.kind == ROTATE, 1)) {
-        Turned<double> turned;
-        rotate<care>(turned.by(theta * flow.momentum.factor, false), flow.momentum.pairs, flow.momentum.repeat, x);
-        if constexpr (carry)
-            rotate<CORRECTED>(turned.by(theta * flow.group.factor, true), flow.group.pairs, flow.group.repeat, group);
+        CachedRotation<double> cached;
+        rotate<summation>(cached.by(theta * flow.momentum.factor, false), flow.momentum.pairs, flow.momentum.repeat, x);
+        if constexpr (with_group)
+            rotate<CORRECTED>(cached.by(theta * flow.group.factor, true), flow.group.pairs, flow.group.repeat, group);
     } else {
-        shear_blocks<care>(flow.momentum, theta, x);
-        if constexpr (carry) shear_blocks<CORRECTED>(flow.group, theta, group);
+        shear_blocks<summation>(flow.momentum, theta, x);
+        if constexpr (with_group) shear_blocks<CORRECTED>(flow.group, theta, group);
     }
 }
 

@@ -1,46 +1,46 @@
 // Entry points of flow methods for Python.
 #include "flows/flow_alone.hpp"
-#include "flows/flow_crowd.hpp"
+#include "flows/flow_lanes.hpp"
 
 namespace coadjoint {
 
-template <Care care, bool carry>
-static void advance_crew(const FlowLoop& loop, const Crew& crew) {
-    typedef Lanes<CROWD> Crowd;
-    const auto shared = [](int64_t) { return Shared{}; };
-    const auto own = [&](int64_t place) { return Varied{crew.stride, place}; };
-    int64_t place = crew.first;
+template <Summation summation, bool with_group>
+static void advance_range(const FlowLoop& loop, const MemberRange& range) {
+    typedef Lanes<MEMBER_LANES> LaneNumbers;
+    const auto shared = [](int64_t) { return SharedConstants{}; };
+    const auto varied = [&](int64_t position) { return LaneConstants{range.stride, position}; };
+    int64_t position = range.first;
     const bool narrow = loop.arrays.size <= WIDEST;
-    while (place < crew.last && (crew.stride || (narrow && crew.last - place >= FEWEST))) {
-        const int64_t next = std::min<int64_t>(place + CROWDS * CROWD, crew.last);
-        if (crew.stride)
-            follow_together<care, carry, Crowd>(loop, own, crew.members, place, next);
+    while (position < range.last && (range.stride || (narrow && range.last - position >= MIN_LANES))) {
+        const int64_t next = std::min<int64_t>(position + LANE_GROUPS * MEMBER_LANES, range.last);
+        if (range.stride)
+            advance_lanes<summation, with_group, LaneNumbers>(loop, varied, range.members, position, next);
         else
-            follow_together<care, carry, Crowd>(loop, shared, crew.members, place, next);
-        place = next;
+            advance_lanes<summation, with_group, LaneNumbers>(loop, shared, range.members, position, next);
+        position = next;
     }
-    for (; place < crew.last; ++place) {
-        const int64_t member = crew.members[place];
+    for (; position < range.last; ++position) {
+        const int64_t member = range.members[position];
         if (loop.arrays.status[member] != DONE) continue;
         if (narrow)
-            follow_alone<care, carry, Crowd>(loop, member);
+            advance_alone<summation, with_group, LaneNumbers>(loop, member);
         else
-            follow_alone<care, carry, double>(loop, member);
+            advance_alone<summation, with_group, double>(loop, member);
     }
 }
 
 // Between calls the state is unfinished: the last flow of a step is merged with the first of the next one, and the
 // finish acts on a copy.
-static void follow(const FlowLoop& loop, const Crew& crew) {
-    const bool carry = loop.arrays.square > 0;
+static void advance(const FlowLoop& loop, const MemberRange& range) {
+    const bool with_group = loop.arrays.square > 0;
     if (loop.tables.compensated)
-        carry ? advance_crew<CORRECTED, true>(loop, crew) : advance_crew<CORRECTED, false>(loop, crew);
+        with_group ? advance_range<CORRECTED, true>(loop, range) : advance_range<CORRECTED, false>(loop, range);
     else
-        carry ? advance_crew<PLAIN, true>(loop, crew) : advance_crew<PLAIN, false>(loop, crew);
+        with_group ? advance_range<PLAIN, true>(loop, range) : advance_range<PLAIN, false>(loop, range);
 }
 
-static int64_t remembered_by(const FlowTables&) { return 0; }
+static int64_t memory_size(const FlowTables&) { return 0; }
 
-EXPORT_LOOP(flow_advance, FlowTables, follow, remembered_by)
+EXPORT_LOOP(flow_advance, FlowTables, advance, memory_size)
 
 }  // namespace coadjoint

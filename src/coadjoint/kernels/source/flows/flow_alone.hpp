@@ -9,44 +9,45 @@ namespace coadjoint {
 constexpr int ROWS = 4;
 typedef Lanes<ROWS> GroupRows;
 
-template <Care care, class A>
+template <Summation summation, class A>
 struct Finisher {
-    static constexpr bool nothing = false, with_errors = care != PLAIN;
+    static constexpr bool nothing = false, with_errors = summation != PLAIN;
     const FlowTables& tables;
     const Schedule& schedule;
-    Room<A> scratch;
-    AngleRoom<A> angles;
-    Pace<A> pace;
+    AlignedArray<A> scratch;
+    AngleWorkspace<A> angles;
+    PartialStep<A> partial_step;
 
     Finisher(const FlowTables& tables, const Schedule& schedule, int64_t size, int64_t member)
         : tables(tables), schedule(schedule), scratch(3 * size), angles(tables.longest) {
-        for (int lane = 0; lane < Numbers<A>::lanes; ++lane) pace.set(tables, schedule, member, lane);
-        if (pace.other) angles.pace = &pace;
+        for (int lane = 0; lane < Numbers<A>::lanes; ++lane) partial_step.set(tables, schedule, member, lane);
+        if (partial_step.needed) angles.partial_step = &partial_step;
     }
 
     void operator()(A* x, A* dx, const A& t) {
-        sweep<care, false>(tables, Shared{}, tables.section[2], tables.section[3], Vectors<A>{x, dx, 1, scratch.at},
-                           Vectors<A>{}, t, schedule.h, angles);
+        sweep<summation, false>(tables, SharedConstants{}, tables.section[2], tables.section[3],
+                                Vectors<A>{x, dx, 1, scratch.at}, Vectors<A>{}, t, schedule.h, angles);
     }
 };
 
-template <Care care, bool carry, class Side>
-void follow_alone(const FlowLoop& loop, int64_t member) {
+template <Summation summation, bool with_group, class Side>
+void advance_alone(const FlowLoop& loop, int64_t member) {
     const FlowTables& tables = loop.tables;
     const Schedule& schedule = loop.schedule;
     const Arrays& arrays = loop.arrays;
     const int64_t size = arrays.size, d = tables.group.size, rows = (d + ROWS - 1) / ROWS;
-    Room<double> scratch(3 * size), copies(2 * size), momenta(2 * size), kept_momenta(2 * size);
-    Room<GroupRows> elements(2 * d * rows), finished(2 * d * rows), group_scratch(3 * d * rows);
-    Room<GroupRows> kept_elements(carry ? 2 * d * rows : 0);
-    AngleRoom<double> angles(tables.longest);
+    AlignedArray<double> scratch(3 * size), copies(2 * size), momenta(2 * size), checkpoint_momenta(2 * size);
+    AlignedArray<GroupRows> elements(2 * d * rows), finished(2 * d * rows), group_scratch(3 * d * rows);
+    AlignedArray<GroupRows> checkpoint_elements(with_group ? 2 * d * rows : 0);
+    AngleWorkspace<double> angles(tables.longest);
     angles.even = even_terms(tables.terms, tables.longest);
-    Pace<double> pace;
-    pace.set(tables, schedule, member, 0);
-    if (pace.other) angles.pace = &pace;
-    Finisher<care, Side> finisher(tables, schedule, size, member);
-    MemberRecorder<Side, Shared, Finisher<care, Side>> recorder(loop.watch, arrays, schedule, Shared{}, finisher);
-    recorder.begin(member, Shared{}, loop.k0);
+    PartialStep<double> partial_step;
+    partial_step.set(tables, schedule, member, 0);
+    if (partial_step.needed) angles.partial_step = &partial_step;
+    Finisher<summation, Side> finisher(tables, schedule, size, member);
+    MemberRecorder<Side, SharedConstants, Finisher<summation, Side>> recorder(loop.watch, arrays, schedule,
+                                                                              SharedConstants{}, finisher);
+    recorder.begin(member, SharedConstants{}, loop.k0);
     double *x = momenta.at, *dx = momenta.at + size;
     std::copy_n(arrays.momenta + member * size, size, x);
     std::copy_n(arrays.errors + member * size, size, dx);
@@ -56,7 +57,7 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
             for (int64_t r = 0; r < d; ++r) visit(i * d + r, (i * rows + r / ROWS) * ROWS + r % ROWS);
     };
     double *g = reinterpret_cast<double*>(group.at), *dg = reinterpret_cast<double*>(group.errors);
-    if constexpr (carry)
+    if constexpr (with_group)
         each_entry([&](int64_t from, int64_t to) {
             g[to] = arrays.groups[member * d * d + from];
             dg[to] = arrays.group_errors[member * d * d + from];
@@ -65,74 +66,79 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
     // The group element is finished on a copy, and rotated by angles of a copy of the momentum.
     auto finish_copies = [&](int64_t k) {
         std::copy_n(x, 2 * size, copies.at);
-        if (carry) std::copy_n(elements.at, 2 * d * rows, finished.at);
+        if (with_group) std::copy_n(elements.at, 2 * d * rows, finished.at);
         const double t = start_of(schedule, member, k);
         const Vectors<GroupRows> copy{finished.at, finished.at + d * rows, rows, group_scratch.at};
-        sweep<care, carry>(tables, Shared{}, tables.section[2], tables.section[3],
-                           Vectors<double>{copies.at, copies.at + size, 1, scratch.at}, copy, t, schedule.h, angles);
+        sweep<summation, with_group>(tables, SharedConstants{}, tables.section[2], tables.section[3],
+                                     Vectors<double>{copies.at, copies.at + size, 1, scratch.at}, copy, t, schedule.h,
+                                     angles);
     };
     auto finished_group = [&](int64_t k, double* to) {
-        if constexpr (carry) {
+        if constexpr (with_group) {
             finish_copies(k);
             const double* element = reinterpret_cast<double*>(finished.at);
-            bool sound = true;
-            each_entry([&](int64_t, int64_t from) { sound &= 0.0 * element[from] == 0.0; });
-            if (sound) each_entry([&](int64_t place, int64_t from) { to[place] = element[from]; });
-            return sound;
+            bool valid = true;
+            each_entry([&](int64_t, int64_t from) { valid &= 0.0 * element[from] == 0.0; });
+            if (valid) each_entry([&](int64_t position, int64_t from) { to[position] = element[from]; });
+            return valid;
         } else {
             return true;
         }
     };
-    FlowsOfRows flows_of(tables, carry);
+    FlowsOfRows flows_of(tables, with_group);
     std::vector<ElementaryFlow> opening, repeated;
-    if (!pace.other) {  // they contain the angles of the tables
+    if (!partial_step.needed) {  // they contain the angles of the tables
         opening = flows_of(tables.section[0], tables.section[loop.k0 == 0]);
         repeated = flows_of(tables.section[1], tables.section[loop.k1 > 1 ? 2 : 1]);
     }
-    int64_t kept = loop.k0;
-    const auto keep = [&](int64_t k) {
-        kept = k;
-        std::copy_n(x, 2 * size, kept_momenta.at);
-        if (carry) std::copy_n(elements.at, 2 * d * rows, kept_elements.at);
+    int64_t checkpoint = loop.k0;
+    const auto store_checkpoint = [&](int64_t k) {
+        checkpoint = k;
+        std::copy_n(x, 2 * size, checkpoint_momenta.at);
+        if (with_group) std::copy_n(elements.at, 2 * d * rows, checkpoint_elements.at);
     };
     const auto is_finite = [&](const double* at, const GroupRows* element) {
-        return finite(size, at) && (!carry || all(finite(d * rows, element)));
+        return finite(size, at) && (!with_group || all(finite(d * rows, element)));
     };
     // The step in which a number of step k became infinite: if already the finish of the previous step overflows, it
     // was that one.
     const auto step_that_failed = [&](int64_t k) {
         if (k == 1) return k;
-        std::copy_n(kept_momenta.at, 2 * size, x);
-        if (carry) std::copy_n(kept_elements.at, 2 * d * rows, elements.at);
-        for (int64_t again = kept + 1; again < k; ++again)
-            sweep<care, carry>(tables, Shared{}, tables.section[again == 1 ? 0 : 1], tables.section[again == 1 ? 1 : 2],
-                               momentum, group, start_of(schedule, member, again), schedule.h, angles);
+        std::copy_n(checkpoint_momenta.at, 2 * size, x);
+        if (with_group) std::copy_n(checkpoint_elements.at, 2 * d * rows, elements.at);
+        for (int64_t again = checkpoint + 1; again < k; ++again)
+            sweep<summation, with_group>(tables, SharedConstants{}, tables.section[again == 1 ? 0 : 1],
+                                         tables.section[again == 1 ? 1 : 2], momentum, group,
+                                         start_of(schedule, member, again), schedule.h, angles);
         finish_copies(k - 1);
         return is_finite(copies.at, finished.at) ? k : k - 1;
     };
-    keep(loop.k0);
+    store_checkpoint(loop.k0);
     int64_t failed = 0;
     const int64_t work = work_of_step(loop);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
-        loop.hearing.after(work);
+        loop.interrupts.after(work);
         const double t = start_of(schedule, member, k);
         const std::vector<ElementaryFlow>& flows = k == 1 ? opening : repeated;
         for (const ElementaryFlow& flow : flows)
             if (__builtin_expect(flow.kind != WHOLE_ROW, 1))
-                apply_flow<care, carry>(flow, momentum, group);
+                apply_flow<summation, with_group>(flow, momentum, group);
             else
-                apply_row<care, carry, false>(tables, Shared{}, flow.row, momentum, group, t, schedule.h, angles);
+                apply_row<summation, with_group, false>(tables, SharedConstants{}, flow.row, momentum, group, t,
+                                                        schedule.h, angles);
         const uint32_t first = tables.section[k == 1 ? 0 : 1], last = tables.section[k == 1 ? 1 : 2];
-        if (__builtin_expect(pace.other, 0))
-            sweep<care, carry>(tables, Shared{}, first, last, momentum, group, t, schedule.h, angles);
+        if (__builtin_expect(partial_step.needed, 0))
+            sweep<summation, with_group>(tables, SharedConstants{}, first, last, momentum, group, t, schedule.h,
+                                         angles);
         else if (flows.empty())
             for (uint32_t r = first; r < last; ++r)
-                apply_row<care, carry, false>(tables, Shared{}, r, momentum, group, t, schedule.h, angles);
+                apply_row<summation, with_group, false>(tables, SharedConstants{}, r, momentum, group, t, schedule.h,
+                                                        angles);
         if (__builtin_expect(!is_finite(x, elements.at), 0)) {
             failed = step_that_failed(k);
             break;
         }
-        if (k % KEPT_EVERY == 0) keep(k);
+        if (k % CHECKPOINT_INTERVAL == 0) store_checkpoint(k);
         if ((failed = recorder.after(k, x, dx, finished_group))) break;
     }
     // Momenta are finished several at a time; a pending one may have failed earlier.
@@ -141,7 +147,7 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
     if (failed) loop.overflow(member, failed);
     std::copy_n(x, size, arrays.momenta + member * size);
     std::copy_n(dx, size, arrays.errors + member * size);
-    if constexpr (carry)
+    if constexpr (with_group)
         each_entry([&](int64_t to, int64_t from) {
             arrays.groups[member * d * d + to] = g[from];
             arrays.group_errors[member * d * d + to] = dg[from];

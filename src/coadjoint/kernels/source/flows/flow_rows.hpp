@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "flows/bonds.hpp"
-#include "boundary/crew.hpp"
+#include "boundary/loop.hpp"
 
 namespace coadjoint {
 
@@ -46,118 +46,124 @@ NOINLINE void even_rows(const Terms& terms, int64_t k, const A* x, A* out) {
 
 // A step of another length than that of the tables: every angle is scaled by `scale`.
 template <class A>
-struct Pace {
+struct PartialStep {
     A start, length, scale;
-    bool other = false;  // true for all given lengths, so that the bits do not depend on other members
+    bool needed = false;  // true for all given lengths, so that the bits do not depend on other members
     void set(const FlowTables& tables, const Schedule& schedule, int64_t member, int lane) {
-        const double own = length_of(schedule, member);
+        const double own_length = length_of(schedule, member);
         set_lane(start, lane, start_of(schedule, member, 1));
-        set_lane(length, lane, own);
-        set_lane(scale, lane, own / tables.step);
-        other = schedule.lengths || own != tables.step;
+        set_lane(length, lane, own_length);
+        set_lane(scale, lane, own_length / tables.step);
+        needed = schedule.lengths || own_length != tables.step;
     }
 };
 
 // Scratch memory for the angles of a part and for the calls of user functions, and properties of the terms.
 template <class A>
-struct AngleRoom {
-    const Pace<A>* pace = nullptr;  // of a step of another length
-    Room<A> theta, turned, arguments;
+struct AngleWorkspace {
+    const PartialStep<A>* partial_step = nullptr;  // of a step of another length
+    AlignedArray<A> theta, rotated, arguments;
     std::vector<double> calls;
     std::vector<bool> even;
-    explicit AngleRoom(int64_t longest)
-        : theta(longest), turned(longest), arguments(longest), calls(2 * longest + 2) {}
+    explicit AngleWorkspace(int64_t longest)
+        : theta(longest), rotated(longest), arguments(longest), calls(2 * longest + 2) {}
 };
 
 // The rotations of a part with called shares.
 template <class A, class C, class T>
-Turns<A> turns_of_part(const FlowTables& tables, const C& constants, uint32_t part, const T& tau, const A* x,
-                       AngleRoom<A>& room) {
-    const Turns<A> turns{room.theta.at, room.turned.at, room.arguments.at, (tables.direct[part] & DIRECT) != 0};
+Rotations<A> rotations_of_part(const FlowTables& tables, const C& constants, uint32_t part, const T& tau, const A* x,
+                               AngleWorkspace<A>& workspace) {
+    const Rotations<A> rotations{workspace.theta.at, workspace.rotated.at, workspace.arguments.at,
+                                 (tables.direct[part] & DIRECT) != 0};
     for (uint32_t k = tables.share[part], first = tables.terms.row[k]; k < tables.share[part + 1]; ++k) {
-        const uint32_t own = tables.terms.row[k] - first;
-        called_turns(tables, constants, tables.called[k], tau, x,
-                     Turns<A>{turns.angle + own, turns.sine + own, turns.lowered + own, turns.direct});
+        const uint32_t angle = tables.terms.row[k] - first;
+        called_rotations(
+            tables, constants, tables.called[k], tau, x,
+            Rotations<A>{rotations.angle + angle, rotations.sine + angle, rotations.cosm1 + angle, rotations.direct});
     }
-    return turns;
+    return rotations;
 }
 
 // Whether a part consists of bonds that rotate momenta directly. Compensated sums use the blocks.
-template <Care care>
-bool goes_together(const FlowTables& tables, uint32_t part) {
-    return care == PLAIN && (tables.direct[part] & TOGETHER) != 0;
+template <Summation summation>
+bool rotates_bonds_directly(const FlowTables& tables, uint32_t part) {
+    return summation == PLAIN && (tables.direct[part] & BONDS) != 0;
 }
 
 inline bool is_called(const FlowTables& tables, uint32_t part) { return tables.called[tables.share[part]] >= 0; }
 
-// Apply row r: angles from its share, then the action on the momentum and on the group element. Without `paced` the
-// step is that of the tables.
-template <Care care, bool carry, bool paced = true, class A, class G, class C>
+// Apply row r: angles from its share, then the action on the momentum and on the group element. Without `is_partial`
+// the step is that of the tables.
+template <Summation summation, bool with_group, bool is_partial = true, class A, class G, class C>
 INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, const Vectors<A>& x,
-                      const Vectors<G>& group, const A& t, double h, AngleRoom<A>& room) {
+                      const Vectors<G>& group, const A& t, double h, AngleWorkspace<A>& workspace) {
     const Terms& terms = tables.terms;
     const uint32_t part = tables.part[r];
     const int64_t row = tables.only[part];
     const double tau = tables.tau[r];
     const bool single = row >= 0;
-    const Pace<A>* pace = paced ? room.pace : nullptr;
-    A lone(0.0);
+    const PartialStep<A>* partial_step = is_partial ? workspace.partial_step : nullptr;
+    A single_angle(0.0);
     if (__builtin_expect(single, 1)) {
-        lone = linear_row(terms, constants, row, x.at);
-        if (pace) lone = lone * pace->scale;
+        single_angle = linear_row(terms, constants, row, x.at);
+        if (partial_step) single_angle = single_angle * partial_step->scale;
     } else {
         const uint32_t low = tables.share[part], high = tables.share[part + 1];
         if (tables.called[low] >= 0) {
-            const bool together = goes_together<care>(tables, part) && !pace;
-            Turns<A> turns{};
-            if (pace)
-                turns = turns_of_part(tables, constants, part, tau * pace->scale, x.at, room);
-            else if (carry || !together)
-                turns = turns_of_part(tables, constants, part, tau, x.at, room);
-            if (together)
-                turn_bonds(tables, constants, part, tau, x.at);
+            const bool direct_bonds = rotates_bonds_directly<summation>(tables, part) && !partial_step;
+            Rotations<A> rotations{};
+            if (partial_step)
+                rotations = rotations_of_part(tables, constants, part, tau * partial_step->scale, x.at, workspace);
+            else if (with_group || !direct_bonds)
+                rotations = rotations_of_part(tables, constants, part, tau, x.at, workspace);
+            if (direct_bonds)
+                rotate_bonds(tables, constants, part, tau, x.at);
             else
-                act_called<care>(tables.state, constants, part, turns, x, tables.state.size);
-            if constexpr (carry) act_called<CORRECTED>(tables.group, constants, part, turns, group, tables.group.size);
+                act_called<summation>(tables.state, constants, part, rotations, x, tables.state.size);
+            if constexpr (with_group)
+                act_called<CORRECTED>(tables.group, constants, part, rotations, group, tables.group.size);
             return;
         }
-        const A moment = t + (pace ? A(tables.moment[r]) * pace->length : A(tables.moment[r] * h));
+        const A moment = t + (partial_step ? A(tables.moment[r]) * partial_step->length : A(tables.moment[r] * h));
         for (uint32_t k = low; k < high; ++k)
-            if (!room.even.empty() && room.even[k])
-                even_rows(terms, k, x.at, room.theta.at + (terms.row[k] - terms.row[low]));
+            if (!workspace.even.empty() && workspace.even[k])
+                even_rows(terms, k, x.at, workspace.theta.at + (terms.row[k] - terms.row[low]));
             else
-                gradient_rows(terms, constants, tables.addresses, k, x.at, moment, room.theta.at, terms.row[low],
-                              room.arguments.at, room.calls.data());
-        for (uint32_t angle = 0; pace && angle < terms.row[high] - terms.row[low]; ++angle)
-            room.theta.at[angle] = room.theta.at[angle] * pace->scale;
+                gradient_rows(terms, constants, tables.addresses, k, x.at, moment, workspace.theta.at, terms.row[low],
+                              workspace.arguments.at, workspace.calls.data());
+        for (uint32_t angle = 0; partial_step && angle < terms.row[high] - terms.row[low]; ++angle)
+            workspace.theta.at[angle] = workspace.theta.at[angle] * partial_step->scale;
     }
-    Turned<A> turned;
-    act<care, false>(tables.state, constants, part, tau, single, lone, room.theta.at, turned, x);
-    if constexpr (carry) {
+    CachedRotation<A> cached;
+    act<summation, false>(tables.state, constants, part, tau, single, single_angle, workspace.theta.at, cached, x);
+    if constexpr (with_group) {
         if (__builtin_expect(tables.bent[part], 0)) {
             const int64_t base = single ? row : terms.row[tables.share[part]];
             const int64_t stop = single ? row + 1 : terms.row[tables.share[part + 1]];
-            for (int64_t place = base; place < stop; ++place)
-                room.turned.at[place - base] =
-                    rational_angle(tau * (single ? lone : room.theta.at[place - base]),
-                                   constants.template number_at<A>(tables.frequency, place));
-            act<CORRECTED, true>(tables.group, constants, part, 1.0, false, lone, room.turned.at, turned, group);
+            for (int64_t position = base; position < stop; ++position)
+                workspace.rotated.at[position - base] =
+                    rational_angle(tau * (single ? single_angle : workspace.theta.at[position - base]),
+                                   constants.template number_at<A>(tables.frequency, position));
+            act<CORRECTED, true>(tables.group, constants, part, 1.0, false, single_angle, workspace.rotated.at, cached,
+                                 group);
         } else {
-            act<CORRECTED, true>(tables.group, constants, part, tau, single, lone, room.theta.at, turned, group);
+            act<CORRECTED, true>(tables.group, constants, part, tau, single, single_angle, workspace.theta.at, cached,
+                                 group);
         }
     }
 }
 
-template <Care care, bool carry, class A, class G, class C>
+template <Summation summation, bool with_group, class A, class G, class C>
 NOINLINE void sweep(const FlowTables& tables, const C& constants, uint32_t first, uint32_t last, const Vectors<A>& x,
-                    const Vectors<G>& group, const A& t, double h, AngleRoom<A>& room) {
-    for (uint32_t r = first; r < last; ++r) apply_row<care, carry>(tables, constants, r, x, group, t, h, room);
+                    const Vectors<G>& group, const A& t, double h, AngleWorkspace<A>& workspace) {
+    for (uint32_t r = first; r < last; ++r)
+        apply_row<summation, with_group>(tables, constants, r, x, group, t, h, workspace);
 }
 
 typedef Loop<FlowTables> FlowLoop;
 
 // Number of steps after which a loop stores its unfinished state, from which a failed step is located.
-constexpr int64_t KEPT_EVERY = 64;
+constexpr int64_t CHECKPOINT_INTERVAL = 64;
 
 // The number of rows of the program that the steps k0 + 1 to k apply.
 inline int64_t rows_applied(const FlowTables& tables, int64_t k0, int64_t k) {
@@ -183,7 +189,7 @@ inline int64_t work_of_step(const FlowLoop& loop) {
     int64_t work = work_of_terms(loop.watch.terms, 0, loop.watch.terms.size);
     for (uint32_t r = first; r < last; ++r)
         if (is_called(tables, tables.part[r]))
-            work += (goes_together<PLAIN>(tables, tables.part[r]) ? WORK_OF_A_BOND : WORK_OF_A_BODY) *
+            work += (rotates_bonds_directly<PLAIN>(tables, tables.part[r]) ? WORK_OF_A_BOND : WORK_OF_A_BODY) *
                     (tables.share[tables.part[r] + 1] - tables.share[tables.part[r]]);
         else
             work += 16 + work_of_terms(tables.terms, tables.share[tables.part[r]], tables.share[tables.part[r] + 1]);

@@ -23,7 +23,7 @@ constexpr double SHARE[POINTS - 1] = {0.11846344252809454, 0.23931433524968324, 
                                       0.23931433524968324, 0.11846344252809454};
 
 constexpr double PIECE = 0.125;       // the longest time, in units of 1/(|z| max |a|)
-constexpr double MOST_PIECES = 65536; // in one flow; a longer one would not follow the motion anyway
+constexpr double MOST_PIECES = 65536;  // in one flow; a longer one would not resolve the motion
 
 template <class A>
 struct Quaternion {
@@ -57,9 +57,9 @@ struct BodyPiece {
         for (int i = 0; i < 3; ++i) p[i] = (a[(i + 1) % 3] * a[(i + 2) % 3]) * (z[i] * z[i]);
         middle = (p[0] + p[1] + p[2]) * A(1.0 / 3.0);
         for (int i = 0; i < 3; ++i) e[i] = middle - p[i];
-        A turn[3];
-        for (int i = 0; i < 3; ++i) turn[i] = m[i] * z[i];
-        energy = dot(turn, z);
+        A rotation[3];
+        for (int i = 0; i < 3; ++i) rotation[i] = m[i] * z[i];
+        energy = dot(rotation, z);
         length2 = dot(z, z);
         c[0] = dot(e, e) * A(1.0 / 10.0);
         c[1] = (e[0] * e[1] * e[2]) * A(1.0 / 7.0);
@@ -91,23 +91,23 @@ struct BodyPiece {
     INLINE A at(const A& s, const A& square, A* change) const {
         const A fourth = square * square;
         const A r = fourth * fma(fourth, fma(fourth, c[4], fma(square, c[3], c[2])), fma(square, c[1], c[0]));
-        const A lowered = fma(-square, middle, r);  // D - 1
+        const A cosm1 = fma(-square, middle, r);    // D - 1
         A root[3];                                  // C_i - 1
-        for (int i = 0; i < 3; ++i) root[i] = lowered_root(fma(square, p[i], lowered));
-        const A inverse = A(1.0) / (lowered + A(1.0));
+        for (int i = 0; i < 3; ++i) root[i] = sqrt1pm1(fma(square, p[i], cosm1));
+        const A inverse = A(1.0) / (cosm1 + A(1.0));
         for (int i = 0; i < 3; ++i) {
             const int j = (i + 1) % 3, k = (i + 2) % 3;
-            const A along = fma(root[j], root[k], root[j] + root[k]) - lowered;
+            const A along = fma(root[j], root[k], root[j] + root[k]) - cosm1;
             const A across = (s * a[i]) * (z[j] * z[k]);
             change[i] = fma(z[i], along, fma(across, root[i], across)) * inverse;
         }
-        A turn[3];
-        for (int i = 0; i < 3; ++i) turn[i] = m[i] * z[i];
-        return (dot(turn, change) + (energy + energy)) / (dot(z, change) + (length2 + length2));
+        A rotation[3];
+        for (int i = 0; i < 3; ++i) rotation[i] = m[i] * z[i];
+        return (dot(rotation, change) + (energy + energy)) / (dot(z, change) + (length2 + length2));
     }
 
     // sqrt(1 + e) - 1 for |e| < 0.011, by the binomial series: the first neglected term is below 2^-57 of it.
-    static INLINE A lowered_root(const A& e) {
+    static INLINE A sqrt1pm1(const A& e) {
         const A ee = e * e;
         const A low = fma(ee, fma(e, A(-5.0 / 128), A(1.0 / 16)), fma(e, A(-1.0 / 8), A(1.0 / 2)));
         const A high = fma(ee, fma(e, A(-429.0 / 32768), A(33.0 / 2048)), fma(e, A(-21.0 / 1024), A(7.0 / 256)));
@@ -161,14 +161,14 @@ NOINLINE A through_points(const BodyPiece<A>& piece, A* change) {
 
 // The quaternion of one piece of time, whose length is contained in m and a; moves z.
 template <class A, class Mask>
-INLINE Quaternion<A> turn_in_piece(const A* m, const A* a, A* z, const Mask& moving) {
+INLINE Quaternion<A> rotation_in_piece(const A* m, const A* a, A* z, const Mask& moving) {
     BodyPiece<A> piece(m, a, z);
     piece.length2 = select(moving, piece.length2, A(1.0));
     A change[3], shortest[3], about[3];
     const A rate = through_points(piece, change);
     const A length2 = piece.length2, length = square_root(length2);
-    const Rotation<A> turn = rotation_by(A(0.5) * (length * rate));
-    const A cosine = turn.lowered + A(1.0), sine = turn.sine / length;
+    const Rotation<A> rotation = rotation_by(A(0.5) * (length * rate));
+    const A cosine = rotation.cosm1 + A(1.0), sine = rotation.sine / length;
     const A doubled = length2 + length2;
     const A whole = square_root(A(1.0) - dot(change, change) / (doubled + doubled));
     cross(z, change, shortest);
@@ -202,22 +202,22 @@ INLINE A value_of(const Dual<A>& a) { return a.value; }
 
 // The quaternion of the rotation of a body with three equal moments: about the momentum, by the angle moment tau |z|.
 template <class A, class R, class T>
-INLINE Quaternion<R> spherical_turn(const A& moment, const R* momentum, const T& tau) {
+INLINE Quaternion<R> spherical_rotation(const A& moment, const R* momentum, const T& tau) {
     const A size = larger(absolute(value_of(momentum[0])),
                           larger(absolute(value_of(momentum[1])), absolute(value_of(momentum[2]))));
     const A power = leading_power(size), inverse = inverse_power(power);
     R z[3];
     for (int i = 0; i < 3; ++i) z[i] = momentum[i] * R(inverse);
     const R length = square_root(select(A(0.0) < size, dot(z, z), R(1.0)));
-    const Rotation<R> turn = rotation_by(R(0.5 * (moment * (tau * power))) * length);
-    const R sine = turn.sine / length;
-    return Quaternion<R>{turn.lowered + R(1.0), {sine * z[0], sine * z[1], sine * z[2]}};
+    const Rotation<R> rotation = rotation_by(R(0.5 * (moment * (tau * power))) * length);
+    const R sine = rotation.sine / length;
+    return Quaternion<R>{rotation.cosm1 + R(1.0), {sine * z[0], sine * z[1], sine * z[2]}};
 }
 
 // The quaternion of the rotation over the time tau from the momentum z along the principal axes; NaN if the time is
 // more than MOST_PIECES pieces. R is A, or A with its derivatives by z; T is A, or a number for all lanes.
 template <class A, class R, class T>
-INLINE Quaternion<R> body_turn(const A* moments, const R* momentum, const T& tau) {
+INLINE Quaternion<R> body_rotation(const A* moments, const R* momentum, const T& tau) {
     R z[3];
     const A size = larger(absolute(value_of(momentum[0])),
                           larger(absolute(value_of(momentum[1])), absolute(value_of(momentum[2]))));
@@ -229,22 +229,22 @@ INLINE Quaternion<R> body_turn(const A* moments, const R* momentum, const T& tau
     const A widest = larger(absolute(differences[0]), larger(absolute(differences[1]), absolute(differences[2])));
     const A y[3] = {value_of(z[0]), value_of(z[1]), value_of(z[2])};
     const A reach = (widest * absolute(time)) * square_root(dot(y, y)) * A(1.0 / PIECE);
-    const auto sound = reach <= A(MOST_PIECES);
-    const A near = select(sound, reach, A(1.0)), rounded = (near + A(ROUND)) - A(ROUND);
+    const auto valid = reach <= A(MOST_PIECES);
+    const A near = select(valid, reach, A(1.0)), rounded = (near + A(ROUND)) - A(ROUND);
     const A count = larger(A(1.0), select(rounded < near, rounded + A(1.0), rounded));
     const A each = __builtin_expect(all(count == A(1.0)), 1) ? time : time / count;
     const auto moving = A(0.0) < size;
     R m[3], a[3];
     for (int i = 0; i < 3; ++i) m[i] = R(moments[i] * each), a[i] = R(differences[i] * each);
-    Quaternion<R> total = turn_in_piece(m, a, z, moving);
+    Quaternion<R> total = rotation_in_piece(m, a, z, moving);
     for (double k = 1.0;; k += 1.0) {
         const auto more = A(k) < count;
         if (__builtin_expect(!any(more), 1)) break;
-        const Quaternion<R> next = after(turn_in_piece(m, a, z, moving), total);
+        const Quaternion<R> next = after(rotation_in_piece(m, a, z, moving), total);
         total.whole = select(more, next.whole, total.whole);
         for (int i = 0; i < 3; ++i) total.vector[i] = select(more, next.vector[i], total.vector[i]);
     }
-    total.whole = select(sound, total.whole, R(A(NAN)));
+    total.whole = select(valid, total.whole, R(A(NAN)));
     return total;
 }
 

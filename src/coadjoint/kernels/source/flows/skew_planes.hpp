@@ -134,31 +134,31 @@ class SkewPlanesOf {
 
     // One-sided Jacobi: rotate pairs of rows, and those of `mixed` with them, until all are orthogonal.
     void make_orthogonal() {
-        bool turned = true;
+        bool rotated = true;
         std::vector<double> square(odd);
-        for (int64_t sweep = 0; turned && sweep < SWEEPS; ++sweep) {
-            turned = false;
+        for (int64_t sweep = 0; rotated && sweep < SWEEPS; ++sweep) {
+            rotated = false;
             for (int64_t a = 0; a < odd; ++a) square[a] = dot(&rows[a * even], &rows[a * even], even);
             for (int64_t a = 0; a < odd; ++a)
                 for (int64_t b = a + 1; b < odd; ++b) {
                     double *one = &rows[a * even], *other = &rows[b * even];
                     const double between = dot(one, other, even);
                     if (between * between <= 4.0 * UNIT_ROUNDOFF * UNIT_ROUNDOFF * (square[a] * square[b])) continue;
-                    turned = true;
+                    rotated = true;
                     const double slope = (square[b] - square[a]) / (2.0 * between);
                     const double tangent =
                         (slope < 0.0 ? -1.0 : 1.0) / (absolute(slope) + std::sqrt(fma(slope, slope, 1.0)));
                     const double c = 1.0 / std::sqrt(fma(tangent, tangent, 1.0));
                     square[a] -= tangent * between;
                     square[b] += tangent * between;
-                    turn(one, other, even, c, c * tangent);
-                    turn(&mixed[a * odd], &mixed[b * odd], odd, c, c * tangent);
+                    rotate(one, other, even, c, c * tangent);
+                    rotate(&mixed[a * odd], &mixed[b * odd], odd, c, c * tangent);
                 }
         }
     }
 
     // Explicit fma: compilers may contract a product that is added in one place and subtracted in another.
-    static void turn(double* a, double* b, int64_t count, double c, double s) {
+    static void rotate(double* a, double* b, int64_t count, double c, double s) {
         for (int64_t i = 0; i < count; ++i) {
             const double one = a[i], other = b[i];
             a[i] = fma(c, one, -(s * other));

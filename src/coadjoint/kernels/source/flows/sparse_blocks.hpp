@@ -4,11 +4,11 @@
 #include <algorithm>
 
 #include "flows/blocks.hpp"
-#include "boundary/hearing.hpp"
+#include "boundary/interrupts.hpp"
 
 namespace coadjoint {
 
-constexpr int64_t BETWEEN_CHECKS = 64;  // substeps between checks for blocks that have overflowed
+constexpr int64_t OVERFLOW_CHECK_INTERVAL = 64;  // substeps between checks for blocks that have overflowed
 
 // A CUBIC or SERIES block: its coordinates and the compressed sparse rows of D in them.
 struct BlockRows {
@@ -17,11 +17,8 @@ struct BlockRows {
     int64_t constant, entries;
 
     INLINE BlockRows(const Action& action, uint32_t run)
-        : coordinates(action.indices + action.place[run]),
-          starts(coordinates + action.width[run]),
-          columns(starts + action.width[run] + 1),
-          width(action.width[run]),
-          constant(action.constant[run]),
+        : coordinates(action.indices + action.position[run]), starts(coordinates + action.width[run]),
+          columns(starts + action.width[run] + 1), width(action.width[run]), constant(action.constant[run]),
           entries(action.entries[run]) {}
 };
 
@@ -45,7 +42,7 @@ template <class V>
 INLINE void gather(const BlockRows& block, const Vectors<V>& x) {
     for (uint32_t k = 0; k < block.width; ++k)
         for (int64_t row = 0; row < x.rows; ++row)
-            x.room[k * x.rows + row] = x.at[block.coordinates[k] * x.rows + row];
+            x.workspace[k * x.rows + row] = x.at[block.coordinates[k] * x.rows + row];
 }
 
 // Sine and cosine minus one of root * theta for lam < 0, their hyperbolic counterparts otherwise.
@@ -55,37 +52,37 @@ INLINE Rotation<A> cubic_rotation(const A& lam, const A& phi) {
     if (all(circular)) return rotation_by(phi);
     Rotation<A> hyperbolic = hyperbolic_rotation(phi);
     if (!any(circular)) return hyperbolic;
-    Rotation<A> turn = rotation_by(phi);
-    return {select(circular, turn.sine, hyperbolic.sine), select(circular, turn.lowered, hyperbolic.lowered)};
+    Rotation<A> rotation = rotation_by(phi);
+    return {select(circular, rotation.sine, hyperbolic.sine), select(circular, rotation.cosm1, hyperbolic.cosm1)};
 }
 
 // D^3 = lam D: exp(theta D) = 1 + S D + C D^2, Rodrigues' formula for lam < 0 and its hyperbolic counterpart for lam >
 // 0.
-template <Care care, class A, class V, class C>
+template <Summation summation, class A, class V, class C>
 INLINE void cubic(const Action& action, const C& constants, uint32_t run, const A& theta, const Vectors<V>& x) {
     const BlockRows block(action, run);
-    auto constant = [&](int64_t place) { return constants.template number_at<A>(action.constants, place); };
+    auto constant = [&](int64_t position) { return constants.template number_at<A>(action.constants, position); };
     const int64_t base = block.constant, values = base + CUBIC_HEADER, squares = values + block.entries,
                   rests = squares + block.entries;
     const int64_t length = block.width * x.rows;
     gather(block, x);
     const A lam = constant(base), phi = constant(base + 1) * theta;
-    Rotation<A> turn = action.kind[run] == RATIONAL_CUBIC ? rational_rotation(phi) : cubic_rotation(lam, phi);
+    Rotation<A> rotation = action.kind[run] == RATIONAL_CUBIC ? rational_rotation(phi) : cubic_rotation(lam, phi);
     // The rounding error of the constants is added, since it would stretch every step in the same way.
-    const A s = fma(turn.sine, constant(base + 2), turn.sine * constant(base + 3));
-    const A c = fma(turn.lowered, constant(base + 4), turn.lowered * constant(base + 5));
+    const A s = fma(rotation.sine, constant(base + 2), rotation.sine * constant(base + 3));
+    const A c = fma(rotation.cosm1, constant(base + 4), rotation.cosm1 * constant(base + 5));
     const V along(s), across(c);
-    if constexpr (care == CORRECTED) {
+    if constexpr (summation == CORRECTED) {
         // D (D x) and not D^2 x: the rounding of the entries of D^2 has a systematic sign.
-        apply_block(action, constants, block, values, x.room, A(1.0), x.room + length, x.rows);
-        apply_block(action, constants, block, values, x.room + length, A(1.0), x.room + 2 * length, x.rows);
-        const V dearth(shortfall(s, c, -lam));
+        apply_block(action, constants, block, values, x.workspace, A(1.0), x.workspace + length, x.rows);
+        apply_block(action, constants, block, values, x.workspace + length, A(1.0), x.workspace + 2 * length, x.rows);
+        const V deficit(shortfall(s, c, -lam));
         for (uint32_t k = 0; k < block.width; ++k) {
             int64_t i = block.coordinates[k] * x.rows;
             for (int64_t row = 0; row < x.rows; ++row) {
-                V first = x.room[length + k * x.rows + row], second = x.room[2 * length + k * x.rows + row];
-                add_owing(x.at, x.errors, i + row, x.at[i + row], fma(along, first, across * second),
-                          x.errors[i + row], dearth * second);
+                V first = x.workspace[length + k * x.rows + row], second = x.workspace[2 * length + k * x.rows + row];
+                add_compensated(x.at, x.errors, i + row, x.at[i + row], fma(along, first, across * second),
+                                x.errors[i + row], deficit * second);
             }
         }
         return;
@@ -96,13 +93,13 @@ INLINE void cubic(const Action& action, const C& constants, uint32_t run, const 
         for (int64_t row = 0; row < x.rows; ++row) {
             V first(0.0), second(0.0), rest(0.0);
             for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry) {
-                V v = x.room[block.columns[entry] * x.rows + row];
+                V v = x.workspace[block.columns[entry] * x.rows + row];
                 first = fma(V(constant(values + entry)), v, first);
                 second = fma(V(constant(squares + entry)), v, second);
                 rest = fma(V(constant(rests + entry)), v, rest);
             }
             second += rest;
-            add<care>(x.at, x.errors, i + row, x.at[i + row], fma(along, first, across * second));
+            add<summation>(x.at, x.errors, i + row, x.at[i + row], fma(along, first, across * second));
         }
     }
 }
@@ -132,7 +129,7 @@ INLINE auto finite_block(const BlockRows& block, const Vectors<V>& x) {
 }
 
 // The sum of theta^k D^k / k!: finite if D is nilpotent, else in substeps of norm at most 1.
-template <Care care, class A, class V, class C>
+template <Summation summation, class A, class V, class C>
 NOINLINE void series(const Action& action, const C& constants, uint32_t run, const A& theta, const Vectors<V>& x) {
     const BlockRows block(action, run);
     const int64_t length = block.width * x.rows;
@@ -143,49 +140,49 @@ NOINLINE void series(const Action& action, const C& constants, uint32_t run, con
     for (int lane = 0; lane < Numbers<A>::lanes; ++lane) {
         double needed = std::ceil(absolute(lane_of(theta, lane)) * lane_of(norm, lane));
         if (needed <= double(MOST_SUBSTEPS)) {
-            double own = needed > 1.0 ? needed : 1.0;
-            const double reached = absolute(lane_of(theta, lane)) * lane_of(norm, lane) / own;
+            double lane_substeps = needed > 1.0 ? needed : 1.0;
+            const double reached = absolute(lane_of(theta, lane)) * lane_of(norm, lane) / lane_substeps;
             const uint32_t degree = reached > 0.0 ? degree_of(reached, action.degree[run]) : action.degree[run];
-            set_lane(step, lane, lane_of(theta, lane) / own);
-            set_lane(substeps, lane, own);
+            set_lane(step, lane, lane_of(theta, lane) / lane_substeps);
+            set_lane(substeps, lane, lane_substeps);
             set_lane(degrees, lane, double(degree));
             longest = std::max(longest, degree);
-            most = own > double(most) ? int64_t(own) : most;
+            most = lane_substeps > double(most) ? int64_t(lane_substeps) : most;
         } else {
             // No step of an integration needs more. Near a blow-up the loop would not end; NaN stops it.
             set_lane(step, lane, NAN);
         }
     }
-    Hearing& hearing = Hearing::of_this_call();
+    InterruptCheck& interrupts = InterruptCheck::of_this_call();
     for (int64_t done = 0; done < most; ++done) {
-        hearing.after(longest * (block.entries + block.width) * x.rows * Numbers<V>::lanes);
-        auto going = A(double(done)) < substeps;
+        interrupts.after(longest * (block.entries + block.width) * x.rows * Numbers<V>::lanes);
+        auto active = A(double(done)) < substeps;
         // In Horner's order. Added one by one, terms below half a unit in the last place would all be lost with the
         // same sign.
         gather(block, x);
-        V *start = x.room, *inner = x.room + length, *total = x.room + 2 * length;
+        V *start = x.workspace, *inner = x.workspace + length, *total = x.workspace + 2 * length;
         std::copy_n(start, length, inner);
         for (uint32_t k = longest; k > 0; --k) {
             apply_block(action, constants, block, block.constant + 1, inner, step / double(k), total, x.rows);
             const auto begun = A(double(k)) <= degrees;
-            for (int64_t place = 0; k > 1 && place < length; ++place) {
-                inner[place] = start[place] + total[place];
-                if constexpr (Numbers<A>::lanes > 1) inner[place] = select(begun, inner[place], start[place]);
+            for (int64_t position = 0; k > 1 && position < length; ++position) {
+                inner[position] = start[position] + total[position];
+                if constexpr (Numbers<A>::lanes > 1) inner[position] = select(begun, inner[position], start[position]);
             }
         }
         for (uint32_t k = 0; k < block.width; ++k) {
             int64_t i = block.coordinates[k] * x.rows;
             for (int64_t row = 0; row < x.rows; ++row) {
-                V before = x.at[i + row], error = care == PLAIN ? before : x.errors[i + row];
-                add<care == PLAIN ? PLAIN : COMPENSATED>(x.at, x.errors, i + row, before, total[k * x.rows + row]);
+                V before = x.at[i + row], error = summation == PLAIN ? before : x.errors[i + row];
+                add<summation == PLAIN ? PLAIN : COMPENSATED>(x.at, x.errors, i + row, before, total[k * x.rows + row]);
                 if constexpr (Numbers<A>::lanes > 1) {
-                    x.at[i + row] = select(going, x.at[i + row], before);
-                    if constexpr (care != PLAIN) x.errors[i + row] = select(going, x.errors[i + row], error);
+                    x.at[i + row] = select(active, x.at[i + row], before);
+                    if constexpr (summation != PLAIN) x.errors[i + row] = select(active, x.errors[i + row], error);
                 }
             }
         }
-        if (done % BETWEEN_CHECKS != BETWEEN_CHECKS - 1) continue;
-        // A NaN block remains NaN; the remaining substeps would only take time.
+        if (done % OVERFLOW_CHECK_INTERVAL != OVERFLOW_CHECK_INTERVAL - 1) continue;
+        // A NaN block remains NaN; the remaining substeps are skipped.
         substeps = select(finite_block<A>(block, x), substeps, A(0.0));
         if (!any(A(double(done)) < substeps)) return;
     }

@@ -1,6 +1,7 @@
 // The effect on the group element of a Casimir that was subtracted from the Hamiltonian: g(t) = g0 exp(t X)
 // g_shifted(t), X constant and linear in the initial momentum. The components of X and their kinds are in the tables,
-// computed once for a system (`coadjoint.program.shifts.group_correction`, which documents them); only numbers change here.
+// computed once for a system (`coadjoint.program.shifts.group_correction`, which documents them); only numbers are
+// computed here.
 #include <limits>
 
 #include "numbers/arithmetic.hpp"
@@ -20,14 +21,14 @@ void add(double factor, const Matrix& from, Matrix& to) {
 }
 
 // sinh(w t)/w and (cosh(w t) - 1)/w^2 for w^2 = lam of either sign, root = |w|: t and t^2/2 if lam is 0.
-Rotation<double> entire_turn(double lam, double root, double t) {
+Rotation<double> entire_rotation(double lam, double root, double t) {
     const double z = lam * t * t;
     if (absolute(z) < 0.25) {
         const Rotation<double> series = entire_series(z);
-        return {t * series.sine, t * t * (absolute(z) < 1e-30 ? 0.5 : series.lowered / z)};
+        return {t * series.sine, t * t * (absolute(z) < 1e-30 ? 0.5 : series.cosm1 / z)};
     }
-    const Rotation<double> turn = lam < 0.0 ? rotation_by(root * t) : hyperbolic_rotation(root * t);
-    return {turn.sine / root, turn.lowered / lam};
+    const Rotation<double> rotation = lam < 0.0 ? rotation_by(root * t) : hyperbolic_rotation(root * t);
+    return {rotation.sine / root, rotation.cosm1 / lam};
 }
 
 // A component of X, D times a power of two, and its exp(t X) - 1.
@@ -48,8 +49,8 @@ class Component {
         }
         double largest = 0.0;
         for (double value : D) largest = std::max(largest, absolute(value));
-        still = largest == 0.0;
-        if (still) return;
+        zero = largest == 0.0;
+        if (zero) return;
         // So that its squares neither overflow nor underflow.
         int exponent;
         std::frexp(largest, &exponent);
@@ -57,7 +58,7 @@ class Component {
         scale = std::ldexp(1.0, exponent);
         const double factor = std::ldexp(1.0, -exponent);
         for (double& value : D) value *= factor;
-        if (tables.leaning[b]) lean_on(x);
+        if (tables.leaning[b]) set_fixed_vector(x);
         if (kind == turns::NILPOTENT || kind == turns::GENERAL) find_powers();
         if (kind == turns::PLANE && m == 2) find_plane();
         if (kind == turns::CUBIC) find_cubic();
@@ -67,7 +68,7 @@ class Component {
 
     // Compute exp(t X) - 1.
     void move_to(double time) {
-        if (still) return;
+        if (zero) return;
         const double t = time * scale;
         std::fill(increment.begin(), increment.end(), 0.0);
         if (kind == turns::NILPOTENT) {
@@ -76,30 +77,30 @@ class Component {
         }
         if (kind == turns::PLANE) plane_at(t);
         if (kind == turns::CUBIC) {
-            const Rotation<double> turn = entire_turn(lam, root, t);
-            for (int64_t e = 0; e < m * m; ++e) increment[e] = fma(turn.sine, D[e], turn.lowered * powers[0][e]);
+            const Rotation<double> rotation = entire_rotation(lam, root, t);
+            for (int64_t e = 0; e < m * m; ++e) increment[e] = fma(rotation.sine, D[e], rotation.cosm1 * powers[0][e]);
         }
         if (kind == turns::PAIR) pair_at(t);
         if (kind == turns::SKEW) planes_at(t);
         if (kind == turns::GENERAL) series_at(t);
-        if (!leaned.empty()) {
+        if (!fixed_vector.empty()) {
             // X leaves x unchanged. Rounded, X would move x away linearly in time.
             change.assign(m, 0.0);
-            add_product(increment.data(), leaned.data(), change.data(), m, m, 1);
+            add_product(increment.data(), fixed_vector.data(), change.data(), m, m, 1);
             for (int64_t j = 0; j < m; ++j)
-                for (int64_t i = 0; i < m; ++i) increment[j * m + i] -= change[i] * leaned[j];
+                for (int64_t i = 0; i < m; ++i) increment[j * m + i] -= change[i] * fixed_vector[j];
         }
     }
 
     // w += (exp(t X) - 1) v, for matrices of `size` rows and columns.
     void apply(const double* v, double* w, int64_t size) {
-        if (still) return;
+        if (zero) return;
         if (m == size) return add_product(increment.data(), v, w, m, m, size);
-        own.resize(m * size);
+        selected.resize(m * size);
         change.assign(m * size, 0.0);
         for (int64_t j = 0; j < size; ++j)
-            for (int64_t i = 0; i < m; ++i) own[j * m + i] = v[j * size + coordinates[i]];
-        add_product(increment.data(), own.data(), change.data(), m, m, size);
+            for (int64_t i = 0; i < m; ++i) selected[j * m + i] = v[j * size + coordinates[i]];
+        add_product(increment.data(), selected.data(), change.data(), m, m, size);
         for (int64_t j = 0; j < size; ++j)
             for (int64_t i = 0; i < m; ++i) w[j * size + coordinates[i]] += change[j * m + i];
     }
@@ -108,19 +109,19 @@ class Component {
     const int64_t m;
     const uint32_t* coordinates;
     const int kind, order;
-    Matrix D, increment, leaned, own, change, left, right, turned;
+    Matrix D, increment, fixed_vector, selected, change, left, right, rotated;
     std::vector<Matrix> powers;
     std::vector<double> frequency;
     double scale = 1.0, lam = 0.0, root = 0.0, mean = 0.0, other_root = 0.0;
-    bool still;
+    bool zero;
 
-    void lean_on(const double* x) {
+    void set_fixed_vector(const double* x) {
         double largest = 0.0;
         for (int64_t i = 0; i < m; ++i) largest = std::max(largest, absolute(x[coordinates[i]]));
         if (largest == 0.0) return;
-        for (int64_t i = 0; i < m; ++i) leaned.push_back(x[coordinates[i]] / largest);
-        const double length = std::sqrt(dot(leaned.data(), leaned.data(), m));
-        for (double& value : leaned) value /= length;
+        for (int64_t i = 0; i < m; ++i) fixed_vector.push_back(x[coordinates[i]] / largest);
+        const double length = std::sqrt(dot(fixed_vector.data(), fixed_vector.data(), m));
+        for (double& value : fixed_vector) value /= length;
     }
 
     // D, D^2/2, D^3/6, ... up to the last that is not zero; for a series the first few powers.
@@ -143,13 +144,13 @@ class Component {
 
     void plane_at(double t) {
         if (m == 1) {
-            increment[0] = growth_by(t * D[0]).beyond;
+            increment[0] = growth_by(t * D[0]).expm1;
             return;
         }
         const Growth<double> growth = growth_by(t * mean);
-        const Rotation<double> turn = entire_turn(lam, root, t);
-        add(growth.whole * turn.sine, D, increment);
-        const double even = fma(growth.whole, turn.lowered * lam, growth.beyond);
+        const Rotation<double> rotation = entire_rotation(lam, root, t);
+        add(growth.exp * rotation.sine, D, increment);
+        const double even = fma(growth.exp, rotation.cosm1 * lam, growth.expm1);
         increment[0] += even;
         increment[3] += even;
     }
@@ -175,19 +176,19 @@ class Component {
     }
 
     void pair_at(double t) {
-        const auto turn_by = [t](double rate) {
-            const Rotation<double> turn = rotation_by(rate * t);
-            return Rotation<double>{rate > 0.0 ? turn.sine / rate : t, turn.lowered};
+        const auto rotation_at_rate = [t](double rate) {
+            const Rotation<double> rotation = rotation_by(rate * t);
+            return Rotation<double>{rate > 0.0 ? rotation.sine / rate : t, rotation.cosm1};
         };
-        const Rotation<double> one = turn_by(root), other = turn_by(other_root);
-        add(one.sine * (1.0 + other.lowered), powers[0], increment);
-        add(other.sine * (1.0 + one.lowered), powers[1], increment);
+        const Rotation<double> one = rotation_at_rate(root), other = rotation_at_rate(other_root);
+        add(one.sine * (1.0 + other.cosm1), powers[0], increment);
+        add(other.sine * (1.0 + one.cosm1), powers[1], increment);
         add(one.sine * other.sine, powers[2], increment);
-        const double even = one.lowered + other.lowered + one.lowered * other.lowered;
+        const double even = one.cosm1 + other.cosm1 + one.cosm1 * other.cosm1;
         for (int i = 0; i < 4; ++i) increment[5 * i] += even;
     }
 
-    // If a metric L L^T is kept, L^T D L^-T is the skew matrix.
+    // If a metric L L^T is preserved, L^T D L^-T is the skew matrix.
     void find_planes(const double* metric) {
         Matrix skew = D;
         if (metric) {
@@ -204,7 +205,7 @@ class Component {
         left = std::move(planes.vectors);
         const int64_t count = 2 * int64_t(frequency.size());
         right.resize(m * count);
-        turned.resize(m * count);
+        rotated.resize(m * count);
         for (int64_t c = 0; c < count; ++c)
             for (int64_t j = 0; j < m; ++j)
                 // Row j of L, times a vector; without a metric the vector itself.
@@ -219,14 +220,14 @@ class Component {
     void planes_at(double t) {
         const int64_t pairs = int64_t(frequency.size()), count = 2 * pairs;
         for (int64_t p = 0; p < pairs; ++p) {
-            const Rotation<double> turn = rotation_by(frequency[p] * t);
+            const Rotation<double> rotation = rotation_by(frequency[p] * t);
             for (int64_t j = 0; j < m; ++j) {
                 const double u = right[j * count + 2 * p], w = right[j * count + 2 * p + 1];
-                turned[j * count + 2 * p] = fma(turn.lowered, u, -(turn.sine * w));
-                turned[j * count + 2 * p + 1] = fma(turn.lowered, w, turn.sine * u);
+                rotated[j * count + 2 * p] = fma(rotation.cosm1, u, -(rotation.sine * w));
+                rotated[j * count + 2 * p + 1] = fma(rotation.cosm1, w, rotation.sine * u);
             }
         }
-        add_product(left.data(), turned.data(), increment.data(), m, count, m);
+        add_product(left.data(), rotated.data(), increment.data(), m, count, m);
     }
 
     // Taylor's series of exp(t D / 2^k) - 1 in powers of the fifth power of D, and k squarings.
@@ -280,7 +281,7 @@ void transpose(const double* from, double* to, int64_t size) {
 
 }  // namespace
 
-// The group elements of a run from those of its loop. The initial ones are the given ones, to the bit.
+// The group elements of a run from those of its loop. The initial ones have the same bits as the input.
 EXPORT void unshift(const UnshiftTables* tables, const Unshifted* run, const Schedule* schedule) {
     const int64_t d = tables->size, square = d * d;
     Matrix moved(square), placed, before;
@@ -297,8 +298,8 @@ EXPORT void unshift(const UnshiftTables* tables, const Unshifted* run, const Sch
             transpose(initial, before.data(), d);
         }
         for (int64_t k = run->k0; k < run->k1; ++k) {
-            const int64_t place = k * run->members + member, here = place * square;
-            const double elapsed = run->elapsed ? run->elapsed[place] : double(step_of(*schedule, k)) * schedule->h;
+            const int64_t position = k * run->members + member, here = position * square;
+            const double elapsed = run->elapsed ? run->elapsed[position] : double(step_of(*schedule, k)) * schedule->h;
             if (elapsed == 0.0) {
                 std::copy_n(initial, square, run->out + here);
                 continue;

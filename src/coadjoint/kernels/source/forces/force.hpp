@@ -18,8 +18,8 @@ class Force {
     int64_t iterations = 0, evaluations = 0;
     double residual = 0.0;
 
-    Force(const ForceTable& table, const Field& field, const Own& constants)
-        : table(table), field(field), constants(constants), n(field.size), room(field), exponential(n),
+    Force(const ForceTable& table, const Field& field, const MemberConstants& constants)
+        : table(table), field(field), constants(constants), n(field.size), workspace(field), exponential(n),
           one(std::max<int64_t>(n + 1, 4)), two(n), three(n), four(n), five(n), six(n) {
         if (table.kind == MODE_RATES || table.kind == MODE_NOISE) modes.reset(new ModeForce(table));
     }
@@ -37,47 +37,47 @@ class Force {
             case MODE_RATES: return modes->relax(x, tau), defined(x);
             case MODE_NOISE: return modes->shake(x, t, tau, member), defined(x);
         }
-        return leap(x, t, tau);
+        return given_flow(x, t, tau);
     }
 
   private:
     const Field& field;
-    const Own constants;
+    const MemberConstants constants;
     const int64_t n;
-    FieldRoom<double> room;
+    FieldWorkspace<double> workspace;
     ExponentialAction exponential;
-    std::vector<double> one, two, three, four, five, six, beyond;
-    double known = 0.0;  // the time for which `beyond` is computed
+    std::vector<double> one, two, three, four, five, six, expm1;
+    double prepared_for = 0.0;  // the time for which `expm1` is computed
     std::unique_ptr<ModeForce> modes;
 
     void call_at(const double* y, double t, double* out) {
-        Hearing::of_this_call().after(WORK_OF_A_CALL);
+        InterruptCheck::of_this_call().after(WORK_OF_A_CALL);
         ++evaluations;
         call(table.function[0], y, t, out);
     }
 
     // x' = -R (x - aim): x + (exp(-R tau) - 1) (x - aim).
     int64_t damp(double* x, double tau) {
-        if (known != tau) prepare(tau);
+        if (prepared_for != tau) prepare(tau);
         for (int64_t i = 0; i < n; ++i) one[i] = x[i] - table.aim[i];
         for (int64_t i = 0; i < n; ++i) {
             if (table.shape == FULL) {
                 double sum = 0.0;
-                for (int64_t j = 0; j < n; ++j) sum = fma(beyond[i * n + j], one[j], sum);
+                for (int64_t j = 0; j < n; ++j) sum = fma(expm1[i * n + j], one[j], sum);
                 x[i] += sum;
             } else {
-                x[i] = fma(beyond[table.shape == DIAGONAL ? i : 0], one[i], x[i]);
+                x[i] = fma(expm1[table.shape == DIAGONAL ? i : 0], one[i], x[i]);
             }
         }
         return DONE;
     }
 
     void prepare(double tau) {
-        known = tau;
+        prepared_for = tau;
         const int64_t count = table.shape == FULL ? n * n : table.shape == DIAGONAL ? n : 1;
-        beyond.assign(count, 0.0);
+        expm1.assign(count, 0.0);
         if (table.shape != FULL) {
-            for (int64_t i = 0; i < count; ++i) beyond[i] = growth_by(-table.rate[i] * tau).beyond;
+            for (int64_t i = 0; i < count; ++i) expm1[i] = growth_by(-table.rate[i] * tau).expm1;
             return;
         }
         // exp(D) - 1 by its series for D halved until its norm is below 1/2, doubled again as often.
@@ -91,21 +91,21 @@ class Force {
         for (double left = norm; left > 0.5 && halvings < MOST_HALVINGS; left *= 0.5) ++halvings;
         std::vector<double> D(count), power(count), image(count);
         const double scale = -tau * power_of_two(-halvings);
-        for (int64_t i = 0; i < count; ++i) D[i] = power[i] = beyond[i] = table.rate[i] * scale;
+        for (int64_t i = 0; i < count; ++i) D[i] = power[i] = expm1[i] = table.rate[i] * scale;
         for (int64_t k = 2; k <= SERIES_OF_HALF; ++k) {
             multiply(D, power, 1.0 / double(k), image);
             power.swap(image);
-            for (int64_t i = 0; i < count; ++i) beyond[i] += power[i];
+            for (int64_t i = 0; i < count; ++i) expm1[i] += power[i];
         }
         for (; halvings > 0; --halvings) {
-            multiply(beyond, beyond, 1.0, image);
-            for (int64_t i = 0; i < count; ++i) beyond[i] = 2.0 * beyond[i] + image[i];
+            multiply(expm1, expm1, 1.0, image);
+            for (int64_t i = 0; i < count; ++i) expm1[i] = 2.0 * expm1[i] + image[i];
         }
     }
 
     void multiply(const std::vector<double>& A, const std::vector<double>& B, double factor, std::vector<double>& out) {
         for (int64_t i = 0; i < n; ++i) {
-            Hearing::of_this_call().after(n * n);
+            InterruptCheck::of_this_call().after(n * n);
             double* row = out.data() + i * n;
             std::fill_n(row, n, 0.0);
             for (int64_t k = 0; k < n; ++k)
@@ -136,19 +136,19 @@ class Force {
 
     // A step of the classical Runge-Kutta method, whose local error is of fifth order in tau.
     int64_t push_by_state(double* x, double t, double tau) {
-        constexpr double PLACE[] = {0.0, 0.5, 0.5, 1.0}, WEIGHT[] = {1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0};
+        constexpr double NODE[] = {0.0, 0.5, 0.5, 1.0}, WEIGHT[] = {1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0};
         std::fill_n(two.data(), n, 0.0);
         std::copy_n(x, n, three.data());
         for (int k = 0; k < 4; ++k) {
-            for (int64_t i = 0; i < n && k > 0; ++i) three[i] = fma(PLACE[k] * tau, one[i], x[i]);
-            call_at(three.data(), fma(PLACE[k], tau, t), one.data());
+            for (int64_t i = 0; i < n && k > 0; ++i) three[i] = fma(NODE[k] * tau, one[i], x[i]);
+            call_at(three.data(), fma(NODE[k], tau, t), one.data());
             for (int64_t i = 0; i < n; ++i) two[i] = fma(WEIGHT[k], one[i], two[i]);
         }
         for (int64_t i = 0; i < n; ++i) x[i] = fma(tau, two[i], x[i]);
         return defined(x);
     }
 
-    int64_t leap(double* x, double t, double tau) {
+    int64_t given_flow(double* x, double t, double tau) {
         std::copy_n(x, n, one.data());
         one[n] = tau;
         std::fill_n(two.data(), n, std::numeric_limits<double>::quiet_NaN());
@@ -160,7 +160,7 @@ class Force {
     int64_t defined(const double* x) const { return finite(n, x) ? DONE : UNDEFINED; }
 
     // x' = sign J(x) b with b = P sign J(x) grad H, P >= 0, between two halves of the noise in b. All maps are
-    // exponentials, so every Casimir is kept, even if an iteration ends early.
+    // exponentials, so every Casimir is preserved, even if an iteration ends early.
     int64_t stay_on_orbit(double* x, double t, double tau, int64_t member) {
         const bool random = table.amplitude > 0.0;
         if (random && !shake(x, t, tau, 0, member)) return failed(two.data());
@@ -170,8 +170,8 @@ class Force {
     }
 
     // Half of the noise of the time tau. Commuting directions are applied together, by an exponential with the exact
-    // distribution; the sets follow each other, in the second half in reversed order: a symmetric splitting, of weak
-    // order two.
+    // distribution; the sets are applied one after the other, in the second half in reversed order: a symmetric
+    // splitting, of weak order two.
     bool shake(double* x, double t, double tau, int half, int64_t member) {
         double *v = two.data(), *deviates = three.data();
         const double size = table.amplitude * std::sqrt(0.5 * tau);
@@ -200,8 +200,8 @@ class Force {
         for (int64_t i = 0; i < n; ++i) scale += absolute(x[i]);
         for (iterations = 1; iterations <= MOST_MIDPOINTS; ++iterations) {
             ++evaluations;
-            gradient(field, constants, middle, t + 0.5 * tau, u, room);
-            product(field, constants, middle, u, tau, one.data(), room);
+            gradient(field, constants, middle, t + 0.5 * tau, u, workspace);
+            product(field, constants, middle, u, tau, one.data(), workspace);
             apply_metric(one.data(), v);
             std::copy_n(middle, n, before);
             if (!exponent(v, 0.5, x, middle)) return failed(v);
@@ -244,7 +244,7 @@ class Force {
         }
         if (!exponential.measure(sums, n, work_of(field))) return false;
         exponential.act(x, n, [&](const double* from, double part, double* to) {
-            product(field, constants, from, v, factor * part, to, room);
+            product(field, constants, from, v, factor * part, to, workspace);
         });
         for (int64_t i = 0; i < n; ++i) out[i] = x[i] + exponential.move[i];
         return true;

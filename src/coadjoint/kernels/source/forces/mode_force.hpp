@@ -13,9 +13,9 @@ class ModeForce {
 
     // c' = -(rate + i turning) c, exactly.
     void relax(double* x, double tau) {
-        if (known != tau) prepare(tau);
+        if (prepared_for != tau) prepare(tau);
         modes.change(x, true, false, [&](int64_t e, const Complex& c) {
-            const double real = beyond[2 * e], imaginary = beyond[2 * e + 1];
+            const double real = values[2 * e], imaginary = values[2 * e + 1];
             return Complex(real * c.real() - imaginary * c.imag(), real * c.imag() + imaginary * c.real());
         });
     }
@@ -24,33 +24,33 @@ class ModeForce {
     // imaginary part; harmonics of the main diagonal have an imaginary part only.
     void shake(double* x, double t, double tau, int64_t member) {
         const int64_t count = modes.count();
-        beyond.resize(2 * count);
-        normal_deviates(uint64_t(table.seed), uint64_t(table.stream + member), t, 0, 2 * count, beyond.data());
+        values.resize(2 * count);
+        normal_deviates(uint64_t(table.seed), uint64_t(table.stream + member), t, 0, 2 * count, values.data());
         const double whole = std::sqrt(tau), half = std::sqrt(0.5 * tau);
         const bool waves = table.shape == WAVES;
         modes.change(x, false, waves, [&](int64_t e, const Complex&) {
-            if (e < table.begin[1] && !waves) return Complex(0.0, whole * table.rate[e] * beyond[2 * e]);
-            return Complex(half * table.rate[e] * beyond[2 * e], half * table.rate[e] * beyond[2 * e + 1]);
+            if (e < table.begin[1] && !waves) return Complex(0.0, whole * table.rate[e] * values[2 * e]);
+            return Complex(half * table.rate[e] * values[2 * e], half * table.rate[e] * values[2 * e + 1]);
         });
     }
 
   private:
     const ForceTable& table;
     Modes modes;
-    std::vector<double> beyond;
-    double known = 0.0;  // the time for which `beyond` is computed
+    std::vector<double> values;
+    double prepared_for = 0.0;  // the time for which `values` is computed
 
     // exp(-(rate + i turning) tau) - 1.
     void prepare(double tau) {
         const int64_t count = modes.count();
-        beyond.resize(2 * count);
+        values.resize(2 * count);
         for (int64_t e = 0; e < count; ++e) {
-            const double grown = growth_by(-table.rate[e] * tau).beyond;
-            const Rotation<double> turn = rotation_by(-table.turning[e] * tau);
-            beyond[2 * e] = fma(1.0 + grown, turn.lowered, grown);
-            beyond[2 * e + 1] = (1.0 + grown) * turn.sine;
+            const double grown = growth_by(-table.rate[e] * tau).expm1;
+            const Rotation<double> rotation = rotation_by(-table.turning[e] * tau);
+            values[2 * e] = fma(1.0 + grown, rotation.cosm1, grown);
+            values[2 * e + 1] = (1.0 + grown) * rotation.sine;
         }
-        known = tau;
+        prepared_for = tau;
     }
 };
 

@@ -16,13 +16,13 @@ struct Words {
 // 1, 2, 3 (2011).
 inline Words philox(Words counter, uint64_t key, uint64_t other) {
     constexpr uint64_t FIRST = 0xD2E7470EE14C6C93, SECOND = 0xCA5A826395121157;
-    constexpr uint64_t TURN = 0x9E3779B97F4A7C15, OTHER_TURN = 0xBB67AE8584CAA73B;
+    constexpr uint64_t KEY_INCREMENT = 0x9E3779B97F4A7C15, OTHER_KEY_INCREMENT = 0xBB67AE8584CAA73B;
     for (int round = 0; round < 10; ++round) {
         const unsigned __int128 one = (unsigned __int128)FIRST * counter.at[0];
         const unsigned __int128 two = (unsigned __int128)SECOND * counter.at[2];
         counter = {{uint64_t(two >> 64) ^ counter.at[1] ^ key, uint64_t(two), uint64_t(one >> 64) ^ counter.at[3] ^ other,
                     uint64_t(one)}};
-        key += TURN, other += OTHER_TURN;
+        key += KEY_INCREMENT, other += OTHER_KEY_INCREMENT;
     }
     return counter;
 }
@@ -76,8 +76,8 @@ inline double normal_of(uint64_t word) {
     return word & 1 ? -size : size;
 }
 
-// Independent normal deviates for the coordinates of a member, from a time on, and for each part that begins then: a
-// function of these and of the seed only.
+// Independent normal deviates for the coordinates of a member, from a time on, and for each part that begins at that
+// time: a function of these and of the seed only.
 inline void normal_deviates(uint64_t seed, uint64_t stream, double moment, uint64_t part, int64_t count, double* out) {
     uint64_t when;
     moment += 0.0;  // normalize minus zero

@@ -21,8 +21,8 @@ class Circulants {
   public:
     // `columns`: for each cyclic diagonal up to (n - 1)/2 the first column of its matrix, even.
     Circulants(int64_t n, const double* columns)
-        : n(n), diagonals((n + 1) / 2), groups((diagonals + SIDE_BY_SIDE - 1) / SIDE_BY_SIDE), fourier(n), row(fourier.place()),
-          spectrum(n * groups) {
+        : n(n), diagonals((n + 1) / 2), groups((diagonals + SIDE_BY_SIDE - 1) / SIDE_BY_SIDE), fourier(n),
+          row(fourier.input()), spectrum(n * groups) {
         for (int64_t g = 0; g < groups; ++g) {
             for (int64_t k = 0; k < n; ++k)
                 for (int64_t lane = 0; lane < SIDE_BY_SIDE; ++lane) {
@@ -41,19 +41,19 @@ class Circulants {
             const int64_t first = g * SIDE_BY_SIDE, lanes = std::min(SIDE_BY_SIDE, diagonals - first);
             for (int64_t a = 0; a < n; ++a)
                 for (int64_t lane = 0; lane < lanes; ++lane) {
-                    const Complex value = W[a * n + beyond(a + first + lane)];
+                    const Complex value = W[a * n + wrapped(a + first + lane)];
                     put(a, lane, value.real(), value.imag());
                 }
-            ComplexNumber<Eight>* seen = fourier.transform(row);
+            ComplexNumber<Eight>* transformed = fourier.transform(row);
             for (int64_t k = 0; k < n; ++k) {
-                seen[k].re *= spectrum.at[g * n + k];
-                seen[k].im *= spectrum.at[g * n + k];
+                transformed[k].re *= spectrum.at[g * n + k];
+                transformed[k].im *= spectrum.at[g * n + k];
             }
-            seen = fourier.transform(seen);
+            transformed = fourier.transform(transformed);
             for (int64_t a = 0; a < n; ++a)
                 for (int64_t lane = 0; lane < lanes; ++lane) {
-                    const int64_t c = beyond(a + first + lane);
-                    const double* at = numbers_of(seen[a ? n - a : 0]) + lane;  // forward twice: reversed
+                    const int64_t c = wrapped(a + first + lane);
+                    const double* at = numbers_of(transformed[a ? n - a : 0]) + lane;  // forward twice: reversed
                     // the real part of the main diagonal is only rounding
                     store(P[a * n + c], a == c ? 0.0 : at[0], at[SIDE_BY_SIDE]);
                     if (a != c) P[c * n + a] = -conjugate(P[a * n + c]);
@@ -65,9 +65,9 @@ class Circulants {
     const int64_t n, diagonals, groups;
     Fourier<Eight> fourier;
     ComplexNumber<Eight>* const row;
-    Room<Eight> spectrum;
+    AlignedArray<Eight> spectrum;
 
-    int64_t beyond(int64_t column) const { return column < n ? column : column - n; }
+    int64_t wrapped(int64_t column) const { return column < n ? column : column - n; }
     void put(int64_t k, int64_t lane, double re, double im) {
         numbers_of(row[k])[lane] = re;
         numbers_of(row[k])[SIDE_BY_SIDE + lane] = im;

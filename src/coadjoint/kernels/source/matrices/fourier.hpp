@@ -12,7 +12,7 @@
 #include <vector>
 
 #include "numbers/arithmetic.hpp"
-#include "numbers/room.hpp"
+#include "numbers/aligned_array.hpp"
 
 namespace coadjoint {
 
@@ -39,10 +39,10 @@ inline ComplexNumber<double> root_of_unity(int64_t k, int64_t n) {
     constexpr double QUARTER = 1.5707963267948966;
     k %= n;
     const int64_t quarter = 4 * k / n;
-    const Rotation<double> turn = rotation_by(QUARTER * (double(4 * k - quarter * n) / double(n)));
-    const double c = 1.0 + turn.lowered, s = turn.sine;
-    const ComplexNumber<double> turned[] = {{c, s}, {-s, c}, {-c, -s}, {s, -c}};
-    return turned[quarter];
+    const Rotation<double> rotation = rotation_by(QUARTER * (double(4 * k - quarter * n) / double(n)));
+    const double c = 1.0 + rotation.cosm1, s = rotation.sine;
+    const ComplexNumber<double> rotated[] = {{c, s}, {-s, c}, {-c, -s}, {s, -c}};
+    return rotated[quarter];
 }
 
 // c^2 + s^2 - 1 to about a hundred bits.
@@ -119,7 +119,7 @@ class Fourier {
     }
 
     // Memory for numbers to be transformed.
-    ComplexNumber<A>* place() { return first.at; }
+    ComplexNumber<A>* input() { return first.at; }
 
     // Transform the numbers at x, and return the address of the result: x, or memory of this object. The contents of x
     // are lost.
@@ -144,10 +144,10 @@ class Fourier {
     const std::vector<int64_t> factors;
     const std::vector<ComplexNumber<double>> roots;
     std::vector<std::unique_ptr<Rader<A>>> rader;
-    Room<ComplexNumber<A>> first, second, column{0};
+    AlignedArray<ComplexNumber<A>> first, second, column{0};
 
     // x exp(-2 pi i k / n)
-    INLINE ComplexNumber<A> turned(const ComplexNumber<A>& x, int64_t k) const {
+    INLINE ComplexNumber<A> rotated(const ComplexNumber<A>& x, int64_t k) const {
         return k ? x.times(roots[k].re, -roots[k].im) : x;
     }
 
@@ -160,9 +160,9 @@ class Fourier {
                 const ComplexNumber<A> a = x[0] + x[2 * quarter], b = x[0] - x[2 * quarter];
                 const ComplexNumber<A> c = x[quarter] + x[3 * quarter], d = x[quarter] - x[3 * quarter];
                 y[0] = a + c;
-                y[stride] = turned(ComplexNumber<A>{b.re + d.im, b.im - d.re}, q * stride);
-                y[2 * stride] = turned(a - c, 2 * q * stride);
-                y[3 * stride] = turned(ComplexNumber<A>{b.re - d.im, b.im + d.re}, 3 * q * stride);
+                y[stride] = rotated(ComplexNumber<A>{b.re + d.im, b.im - d.re}, q * stride);
+                y[2 * stride] = rotated(a - c, 2 * q * stride);
+                y[3 * stride] = rotated(ComplexNumber<A>{b.re - d.im, b.im + d.re}, 3 * q * stride);
             }
     }
 
@@ -171,14 +171,14 @@ class Fourier {
     void pass(ComplexNumber<A>* from, ComplexNumber<A>* to, int64_t prime, int64_t stride, Rader<A>* convolution) {
         const int64_t p = fixed ? fixed : prime, m = n / stride / p;
         if (!fixed && p == n) return direct<fixed>(from, to, p, convolution);
-        ComplexNumber<A> few[fixed ? 2 * fixed : 1];
-        ComplexNumber<A>*x = fixed ? few : column.at, *X = x + p;
+        ComplexNumber<A> registers[fixed ? 2 * fixed : 1];
+        ComplexNumber<A>*x = fixed ? registers : column.at, *X = x + p;
         for (int64_t q = 0; q < m; ++q)
             for (int64_t k = 0; k < stride; ++k) {
                 for (int64_t j = 0; j < p; ++j) x[j] = from[k + stride * (q + m * j)];
                 direct<fixed>(x, X, p, convolution);
                 ComplexNumber<A>* y = to + k + stride * p * q;
-                for (int64_t r = 0; r < p; ++r) y[r * stride] = turned(X[r], q * r * stride);
+                for (int64_t r = 0; r < p; ++r) y[r * stride] = rotated(X[r], q * r * stride);
             }
     }
 
@@ -215,16 +215,16 @@ class Fourier {
     INLINE void sums(const ComplexNumber<A>* x, ComplexNumber<A>* X, int64_t p, int64_t k, int64_t half,
                      int64_t step) const {
         ComplexNumber<A> even[count], odd[count];
-        int64_t turn[count];
+        int64_t phase[count];
         for (int c = 0; c < count; ++c) {
             even[c] = x[0];
             odd[c] = {A(0.0), A(0.0)};
-            turn[c] = 0;
+            phase[c] = 0;
         }
         for (int64_t j = 1; j <= half; ++j)
             for (int c = 0; c < count; ++c) {
-                turn[c] = turn[c] + k + c < p ? turn[c] + k + c : turn[c] + k + c - p;
-                const A cosine(roots[turn[c] * step].re), sine(roots[turn[c] * step].im);
+                phase[c] = phase[c] + k + c < p ? phase[c] + k + c : phase[c] + k + c - p;
+                const A cosine(roots[phase[c] * step].re), sine(roots[phase[c] * step].im);
                 even[c].re = fma(x[j].re, cosine, even[c].re);
                 even[c].im = fma(x[j].im, cosine, even[c].im);
                 odd[c].re = fma(x[p - j].re, sine, odd[c].re);
@@ -255,7 +255,7 @@ class Rader {
             to.push_back(down);
         }
         Fourier<double> once(length);
-        ComplexNumber<double>* roots = once.place();
+        ComplexNumber<double>* roots = once.input();
         for (int64_t j = 0; j < p - 1; ++j) {
             const ComplexNumber<double> root = root_of_unity(p - to[j], p);
             roots[j] = {root.re / double(length), root.im / double(length)};
@@ -266,7 +266,7 @@ class Rader {
     }
 
     void transform(const ComplexNumber<A>* x, ComplexNumber<A>* X) {
-        ComplexNumber<A>* y = inner.place();
+        ComplexNumber<A>* y = inner.input();
         for (int64_t j = 0; j < p - 1; ++j) y[j] = x[from[j]];
         for (int64_t j = p - 1; j < length; ++j) y[j] = {A(0.0), A(0.0)};
         y = inner.transform(y);

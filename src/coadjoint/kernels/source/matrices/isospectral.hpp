@@ -4,7 +4,7 @@
 #include <cmath>
 #include <limits>
 
-#include "boundary/hearing.hpp"
+#include "boundary/interrupts.hpp"
 #include "matrices/largest.hpp"
 #include "matrices/products.hpp"
 #include "matrices/stream.hpp"
@@ -15,12 +15,12 @@ namespace coadjoint {
 
 // Indices in `whole` of the tables for the addresses of BLAS routines: products and triangular equations, in the
 // precision of the states and in the lower one.
-enum Place { STREAM = 0, GEMM = 6, TRSM, LOWER_GEMM, LOWER_TRSM, STAGES, COMPLEX, GENERAL };
+enum TableIndex { STREAM = 0, GEMM = 6, TRSM, LOWER_GEMM, LOWER_TRSM, STAGES, COMPLEX, GENERAL };
 
 constexpr int64_t FIRST_TESTED = 3;     // early corrections may rise before they fall
 constexpr int64_t MOST_ITERATIONS = 192;
 constexpr int64_t SLOW_FROM = 12;       // from this iteration on a single correction that does not fall may be chance
-constexpr int64_t QUIET = 3;            // number of such corrections in a row that count as stagnation
+constexpr int64_t STAGNANT_CORRECTIONS = 3;  // number of such corrections in a row that count as stagnation
 constexpr double SMALL = 0x1p-36;       // of the entries: only smaller corrections may be round-off
 constexpr double ROUND_OFF = 0x1p-47;   // times sqrt(n), of the entries: below, one stagnating correction suffices
 
@@ -59,23 +59,25 @@ struct Isospectral : StepScheme {
     }
 
     // Add an increment to W, with compensation.
-    void advance(double* W, double* owed, const T* increment) const {
+    void advance(double* W, double* remainder, const T* increment) const {
         const double* move = reinterpret_cast<const double*>(increment);
-        for (int64_t k = 0; k < numbers; ++k) add_owing_rest(W[k], move[k] + owed[k], W[k], owed[k]);
+        for (int64_t k = 0; k < numbers; ++k) two_sum(W[k], move[k] + remainder[k], W[k], remainder[k]);
     }
 
     // Whether an iteration has ended, after a correction `change` of entries of size `size`; the outcome is then in
     // `status`.
     bool ended(double change, double size) {
         ++iterations;
-        if (iterations == 1) first = least = change, quiet = 0;
-        else quiet = change < least ? 0 : quiet + 1;
-        Hearing::of_this_call().after(work / 16);
+        if (iterations == 1)
+            first = least = change, stagnant = 0;
+        else
+            stagnant = change < least ? 0 : stagnant + 1;
+        InterruptCheck::of_this_call().after(work / 16);
         const bool small = change <= SMALL * size, rounding = change <= ROUND_OFF * std::sqrt(double(n)) * size;
         // In a slow iteration with complex eigenvalues, corrections rise and fall while they shrink.
         const bool fast = rounding && iterations < SLOW_FROM;
-        const bool still = quiet >= (fast ? 1 : std::max(QUIET, iterations / 4));
-        if (change == 0.0 || (small && iterations >= FIRST_TESTED && still)) return status = DONE, true;
+        const bool stagnating = stagnant >= (fast ? 1 : std::max(STAGNANT_CORRECTIONS, iterations / 4));
+        if (change == 0.0 || (small && iterations >= FIRST_TESTED && stagnating)) return status = DONE, true;
         if (!(change - change == 0.0)) return status = OVERFLOWED, true;
         if (iterations >= MOST_ITERATIONS || change > std::ldexp(first, int(GROWTH_BITS)))
             return status = NOT_CONVERGED, true;
@@ -87,7 +89,7 @@ struct Isospectral : StepScheme {
 
   private:
     double first = 0.0, least = 0.0;
-    int64_t quiet = 0;
+    int64_t stagnant = 0;
     std::vector<T> other;
 };
 

@@ -10,11 +10,11 @@ namespace coadjoint {
 template <class Value>
 double largest_of(int64_t count, const Value& value) {
     constexpr int64_t ROWS = 8;
-    double most[ROWS] = {}, spoilt[ROWS] = {};
+    double most[ROWS] = {}, nan_sum[ROWS] = {};
     const auto take = [&](int64_t k, int64_t row) {
         const double size = std::fabs(value(k));
         most[row] = size > most[row] ? size : most[row];
-        spoilt[row] += size - size;
+        nan_sum[row] += size - size;
     };
     int64_t k = 0;
     for (; k + ROWS <= count; k += ROWS)
@@ -22,9 +22,9 @@ double largest_of(int64_t count, const Value& value) {
     for (; k < count; ++k) take(k, 0);
     for (int64_t row = 1; row < ROWS; ++row) {
         most[0] = most[row] > most[0] ? most[row] : most[0];
-        spoilt[0] += spoilt[row];
+        nan_sum[0] += nan_sum[row];
     }
-    return most[0] + spoilt[0];
+    return most[0] + nan_sum[0];
 }
 
 }  // namespace coadjoint

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "boundary/codes.hpp"
-#include "boundary/hearing.hpp"
+#include "boundary/interrupts.hpp"
 #include "matrices/fourier.hpp"
 #include "matrices/products.hpp"
 
@@ -31,12 +31,12 @@ class Modes {
     // computed only on request. On the main diagonal waves of opposite numbers are combined if `paired`.
     template <class Move>
     void change(double* x, bool read, bool paired, Move move) {
-        Complex* const W = reinterpret_cast<Complex*>(x + table.place);
+        Complex* const W = reinterpret_cast<Complex*>(x + table.position);
         const double* harmonic = table.basis;
         for (int64_t d = 0; d < diagonals; ++d) {
             const int64_t from = table.begin[d], to = table.begin[d + 1], length = waves ? n : n - d;
             if (from == to) continue;
-            Hearing::of_this_call().after(waves ? 2 * fourier->work() : 4 * length * (to - from));
+            InterruptCheck::of_this_call().after(waves ? 2 * fourier->work() : 4 * length * (to - from));
             if (read) fold(W, d, length);
             std::fill(even.begin(), even.end(), 0.0);
             std::fill(odd.begin(), odd.end(), 0.0);
@@ -107,21 +107,21 @@ class Modes {
     template <class Move>
     void change_waves(int64_t d, int64_t from, int64_t to, bool read, Move move) {
         coefficients.assign(to - from, Complex(0.0));
-        ComplexNumber<double>* x = fourier->place();
+        ComplexNumber<double>* x = fourier->input();
         if (read) {
             for (int64_t a = 0; a < n; ++a) x[a] = {first[a], first[n + a]};
-            const ComplexNumber<double>* seen = fourier->transform(x);
+            const ComplexNumber<double>* transformed = fourier->transform(x);
             for (int64_t e = from; e < to; ++e) {
                 const int64_t k = table.direction[e];
-                const ComplexNumber<double>& value = seen[2 * k % n];
+                const ComplexNumber<double>& value = transformed[2 * k % n];
                 coefficients[e - from] = times(std::conj(first_of(k, d)), Complex(value.re, value.im));
             }
         }
         std::fill_n(x, n, ComplexNumber<double>{0.0, 0.0});
         for (int64_t e = from; e < to; ++e) {
             const int64_t k = table.direction[e];
-            const Complex turned = times(first_of(k, d), move(e, coefficients[e - from]));
-            x[2 * k % n] = {turned.real(), turned.imag()};
+            const Complex rotated = times(first_of(k, d), move(e, coefficients[e - from]));
+            x[2 * k % n] = {rotated.real(), rotated.imag()};
         }
         const ComplexNumber<double>* sums = fourier->transform(x);
         for (int64_t a = 0; a < n; ++a) {

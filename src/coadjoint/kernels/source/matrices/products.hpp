@@ -95,9 +95,9 @@ class Products {
 
     // The first `columns` entries of some rows of the product.
     void panel(const T* a, const T* b, T* c, int rows, int columns, bool adjoint, bool add) const {
-        const T one(1.0), kept(add ? 1.0 : 0.0);
+        const T one(1.0), beta(add ? 1.0 : 0.0);
         const char plain = 'N', other = adjoint ? 'C' : 'N';
-        gemm(&other, &plain, &columns, &rows, &n, &one, b, &n, a, &n, &kept, c, &n);
+        gemm(&other, &plain, &columns, &rows, &n, &one, b, &n, a, &n, &beta, c, &n);
     }
 
     void mirror(T* c) const {

@@ -1,8 +1,8 @@
 // The isospectral midpoint rule of skew-Hermitian matrices, by Newton's method for the stream matrix P at the midpoint.
 //
-// With A = 1 - (h/2) P the midpoint of P is M = A^-1 W A^-*, and P = stream(M) is solved. Any P keeps the spectrum of
-// W, and a change D of P changes M by (h/2)(C M - (C M)*), C = A^-1 D: the linear equation for D needs few digits, and
-// is solved by iteration in the lower precision. The initial P is extrapolated from its differences over the last
+// With A = 1 - (h/2) P the midpoint of P is M = A^-1 W A^-*, and P = stream(M) is solved. Any P preserves the spectrum
+// of W, and a change D of P changes M by (h/2)(C M - (C M)*), C = A^-1 D: the linear equation for D needs few digits,
+// and is solved by iteration in the lower precision. The initial P is extrapolated from its differences over the last
 // steps.
 #pragma once
 
@@ -27,41 +27,41 @@ struct Lower<Complex> {
 template <class T>
 struct SkewMidpoint final : Isospectral<T> {
     typedef Isospectral<T> Base;
-    typedef typename Lower<T>::type Few;
+    typedef typename Lower<T>::type LowPrecision;
     using Base::n, Base::all, Base::numbers, Base::products, Base::stream;
 
     static constexpr int64_t DIFFERENCES = 12;     // of P over the last steps
     static constexpr int64_t MOST_CORRECTIONS = 24;
-    static constexpr double FEW_DIGITS = 0x1p-21;  // accuracy of a correction in the lower precision
+    static constexpr double LOW_ACCURACY = 0x1p-21;  // accuracy of a correction in the lower precision
     static constexpr double LAST_DIGIT = 0x1p-52;
     static constexpr double NEAR = 0x1p-28;        // of P: within it, one correction reaches round-off
 
     const int64_t half;  // numbers on and above the diagonal
     Triangles<T> triangles;
-    Triangles<Few> few;
+    Triangles<LowPrecision> low;
     std::vector<T> W, P, G, M, A, F, D, C;
-    std::vector<Few> few_A, few_M, few_C, few_D;
+    std::vector<LowPrecision> low_A, low_M, low_C, low_D;
 
     static constexpr int64_t DIRECTIONS = 4;
     struct Direction {
-        std::vector<Few> p, q, moves;
+        std::vector<LowPrecision> p, q, moves;
         double square = 0.0;
     };
     Direction directions[DIRECTIONS];
 
     explicit SkewMidpoint(const StepTables& tables)
         : Base(tables), half(numbers / n * (n + 1) / 2), triangles(tables.whole[GEMM], tables.whole[TRSM], n),
-          few(tables.whole[LOWER_GEMM], tables.whole[LOWER_TRSM], n), W(all), P(all), G(all), M(all), A(all),
-          F(all), D(all), C(all), few_A(all), few_M(all), few_C(all), few_D(all) {
+          low(tables.whole[LOWER_GEMM], tables.whole[LOWER_TRSM], n), W(all), P(all), G(all), M(all), A(all), F(all),
+          D(all), C(all), low_A(all), low_M(all), low_C(all), low_D(all) {
         for (Direction& each : directions) each.p.resize(all), each.q.resize(all), each.moves.resize(all);
-        this->remembered = 3 + DIFFERENCES * half;
+        this->memory_size = 3 + DIFFERENCES * half;
     }
 
     int64_t step(double* x, double* dx, double*, double*, double t, double h) override {
         double *w = numbers_of(W.data()), *p = numbers_of(P.data()), *m = numbers_of(M.data());
         double *g = numbers_of(G.data()), *f = numbers_of(F.data()), *d = numbers_of(D.data());
         for (int64_t k = 0; k < numbers; ++k) w[k] = x[k] + dx[k];
-        guess(t, h);
+        extrapolate(t, h);
         this->iterations = this->evaluations = 0;
         this->status = DONE;
         for (;;) {
@@ -72,7 +72,8 @@ struct SkewMidpoint final : Isospectral<T> {
             const double size = largest_of(numbers, [=](int64_t k) { return g[k]; });
             if (this->ended(this->residual, size) || this->residual <= LAST_DIGIT * size) break;
             const bool last = this->residual <= NEAR * size;
-            const bool near = correct(h, std::max(FEW_DIGITS * this->residual, last ? LAST_DIGIT * size : NEAR * size / 4)) && last;
+            const bool near =
+                correct(h, std::max(LOW_ACCURACY * this->residual, last ? LAST_DIGIT * size : NEAR * size / 4)) && last;
             for (int64_t k = 0; k < numbers; ++k) p[k] += d[k];
             if (near) {
                 for (int64_t k = 0; k < numbers; ++k) m[k] += g[k];
@@ -80,7 +81,7 @@ struct SkewMidpoint final : Isospectral<T> {
             }
         }
         if (this->status != DONE) return this->status;
-        remember(h);
+        store_history(h);
         products.multiply(P.data(), M.data(), A.data());
         this->commutator(P.data(), M.data(), A.data(), h, G.data(), false);
         this->advance(x, dx, G.data());
@@ -113,10 +114,10 @@ struct SkewMidpoint final : Isospectral<T> {
             Direction& now = directions[k % DIRECTIONS];
             float *p = row(now.p), *q = row(now.q), *moves = row(now.moves);
             for (int64_t e = 0; e < numbers; ++e) p[e] = float(r[e]);
-            few.multiply(few_A.data(), now.p.data(), few_C.data());
-            few.multiply(few_C.data(), few_M.data(), few_D.data());
+            low.multiply(low_A.data(), now.p.data(), low_C.data());
+            low.multiply(low_C.data(), low_M.data(), low_D.data());
             // as seen by Fortran
-            skew_part(n, few_D.data(), float(-0.5 * h), now.moves.data(), false);
+            skew_part(n, low_D.data(), float(-0.5 * h), now.moves.data(), false);
             for (int64_t e = 0; e < numbers; ++e) kp[e] = moves[e];
             stream.apply_linear(A.data(), C.data());
             ++this->evaluations;
@@ -157,18 +158,18 @@ struct SkewMidpoint final : Isospectral<T> {
         return sums[0];
     }
 
-    static float* row(std::vector<Few>& of) { return reinterpret_cast<float*>(of.data()); }
+    static float* row(std::vector<LowPrecision>& of) { return reinterpret_cast<float*>(of.data()); }
 
     // The inverse of A, and M, in the lower precision.
     void invert() {
-        convert(A, few_C);
-        convert(M, few_M);
-        std::fill(few_A.begin(), few_A.end(), Few(0));
-        for (int64_t e = 0; e < all; e += n + 1) few_A[e] = Few(1);
-        few.solve(few_C.data(), few_A.data());
+        convert(A, low_C);
+        convert(M, low_M);
+        std::fill(low_A.begin(), low_A.end(), LowPrecision(0));
+        for (int64_t e = 0; e < all; e += n + 1) low_A[e] = LowPrecision(1);
+        low.solve(low_C.data(), low_A.data());
     }
 
-    void convert(std::vector<T>& from, std::vector<Few>& to) const {
+    void convert(std::vector<T>& from, std::vector<LowPrecision>& to) const {
         const double* exact = numbers_of(from.data());
         float* rounded = row(to);
         for (int64_t k = 0; k < numbers; ++k) rounded[k] = float(exact[k]);
@@ -176,7 +177,7 @@ struct SkewMidpoint final : Isospectral<T> {
 
     // memory: the number of differences of P, the step that they belong to, how many of them gave the best
     // extrapolation, and P with its backward differences, each as its entries on and above the diagonal.
-    void guess(double t, double h) {
+    void extrapolate(double t, double h) {
         const double* memory = this->memory;
         const bool usable = memory && memory[0] == memory[0] && memory[1] == h;
         if (!usable) {
@@ -197,30 +198,30 @@ struct SkewMidpoint final : Isospectral<T> {
             }
     }
 
-    void remember(double h) {
+    void store_history(double h) {
         double* memory = this->memory;
         if (!memory) return;
         const bool usable = memory[0] == memory[0] && memory[1] == h;
         const int64_t known = usable ? int64_t(memory[0]) : 0;
-        // Two more than were useful are stored, to test whether they become useful.
-        const int64_t kept = std::min({known + 1, DIFFERENCES, (known ? int64_t(memory[2]) : 1) + 2});
+        // Two more than the best extrapolation needs are stored, to test whether they improve it.
+        const int64_t stored = std::min({known + 1, DIFFERENCES, (known ? int64_t(memory[2]) : 1) + 2});
         double *past = memory + 3, *next = numbers_of(G.data());
         for (int64_t i = 0, at = 0; i < n; at += n - i, ++i) std::copy_n(P.data() + i * n + i, n - i, G.data() + at);
         int64_t taken = 1;
         double least = std::numeric_limits<double>::infinity();
-        for (int64_t d = 0; d < kept; ++d) {
+        for (int64_t d = 0; d < stored; ++d) {
             double* row = past + d * half;
             const bool filled = d < known;
             // The d-th difference is the error of the extrapolation by the first d of them.
-            const double missed = largest_of(half, [=](int64_t k) {
+            const double extrapolation_error = largest_of(half, [=](int64_t k) {
                 const double now = next[k], old = filled ? row[k] : 0.0;
                 row[k] = now;
                 next[k] = now - old;
                 return now;
             });
-            if (d > 0 && missed < least) least = missed, taken = d;
+            if (d > 0 && extrapolation_error < least) least = extrapolation_error, taken = d;
         }
-        memory[0] = double(kept);
+        memory[0] = double(stored);
         memory[1] = h;
         memory[2] = double(taken);
     }

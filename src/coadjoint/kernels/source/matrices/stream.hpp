@@ -123,9 +123,9 @@ class Stream {
         const int64_t all = layers * n * n;
         if (function) {
             function(reinterpret_cast<const double*>(X), t, reinterpret_cast<double*>(Y));
-            double spoilt = 0.0;
-            for (int64_t e = 0; e < all; ++e) spoilt += std::abs(Y[e]) - std::abs(Y[e]);
-            if (spoilt != 0.0) return false;
+            double nan_sum = 0.0;
+            for (int64_t e = 0; e < all; ++e) nan_sum += std::abs(Y[e]) - std::abs(Y[e]);
+            if (nan_sum != 0.0) return false;
         } else {
             apply_linear(X, Y);
         }

@@ -18,7 +18,7 @@ class Triangles {
   public:
     Triangles(int64_t gemm, int64_t trsm, int64_t size)
         : gemm(reinterpret_cast<Gemm<T>>(gemm)), trsm(reinterpret_cast<Trsm<T>>(trsm)), n(int(size)),
-          room(2 * (size / 2 + 1) * (size / 2 + 1)) {}
+          workspace(2 * (size / 2 + 1) * (size / 2 + 1)) {}
 
     // Factorize A in place: A = L U, L with a unit diagonal. The Hermitian part of A is positive, so no pivoting is
     // needed.
@@ -44,7 +44,7 @@ class Triangles {
     const Gemm<T> gemm;
     const Trsm<T> trsm;
     const int n;
-    std::vector<T> room;
+    std::vector<T> workspace;
 
     // c = alpha a op(b) + beta c, with `rows` x `inner` entries of a.
     void product(char op, int rows, int columns, int inner, T alpha, const T* a, const T* b, int ldb, T beta, T* c,
@@ -98,7 +98,7 @@ class Triangles {
         const int64_t at = lower ? 0 : second, to = lower ? first : 0;
         const T *F11 = F + at + at * n, *F21 = F + to + at * n, *F22 = F + to + to * n;
         T *H11 = H + at + at * n, *H21 = H + to + at * n, *H22 = H + to + to * n, *H12 = H + at + to * n;
-        T *E = room.data(), *G = E + int64_t(second) * first;
+        T *E = workspace.data(), *G = E + int64_t(second) * first;
         congruence(F11, H11, first, lower);
         divide('R', part, 'C', ones, second, first, F11, H21);
         product('N', second, first, first, T(0.5), F21, H11, n, T(0), E, second);

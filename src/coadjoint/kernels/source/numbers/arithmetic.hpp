@@ -23,7 +23,7 @@ constexpr double LARGEST_REDUCED = 1.0e6;     // |q| < 2^20
 
 template <class A>
 struct Rotation {
-    A sine, lowered;  // sin(phi) and cos(phi) - 1
+    A sine, cosm1;  // sin(phi) and cos(phi) - 1
 };
 
 // z = r^2, (sin(r)/r - 1)/z and (cos(r) - 1)/z for |r| <= pi/4: the minimax polynomials of fdlibm in Estrin's order,
@@ -48,17 +48,17 @@ INLINE Rotation<A> reduced_rotation(const A& phi, const typename Numbers<A>::Mas
     A q = shifted - ROUND;
     A large = fma(-q, A(P1), phi), small = -q * P2;
     A r = large + small;
-    A kept = r - large;
-    A lost = (large - (r - kept)) + (small - kept) + fma(-q, A(P2), -small);  // rounding of the sum and the product
+    A added = r - large;
+    A lost = (large - (r - added)) + (small - added) + fma(-q, A(P2), -small);  // rounding of the sum and the product
     A tail = fma(-q, A(P3), lost);
     A z, s, c;
     circular_series(r, z, s, c);
-    A sine = fma(r * z, s, r + tail), lowered = fma(-r, tail, z * c);
+    A sine = fma(r * z, s, r + tail), cosm1 = fma(-r, tail, z * c);
     auto odd = odd_bit(shifted, 0, 0), second = odd_bit(shifted, 1, 0), third = odd_bit(shifted, 1, 1);
-    A sign = select(second, A(-1.0), A(1.0)), turned = select(third, A(-1.0), A(1.0));
+    A sign = select(second, A(-1.0), A(1.0)), rotated = select(third, A(-1.0), A(1.0));
     A below = select(odd, A(-1.0), select(second, A(-2.0), A(0.0)));
-    return {select(near, fma(phi * z, s, phi), fma(sign, select(odd, lowered, sine), select(odd, sign, A(0.0)))),
-            select(near, z * c, fma(turned, select(odd, sine, lowered), below))};
+    return {select(near, fma(phi * z, s, phi), fma(sign, select(odd, cosm1, sine), select(odd, sign, A(0.0)))),
+            select(near, z * c, fma(rotated, select(odd, sine, cosm1), below))};
 }
 
 NOINLINE static Rotation<double> far_rotation(double phi) {
@@ -89,18 +89,18 @@ INLINE Rotation<Lanes<N>> rotation_by(const Lanes<N>& phi) {
         circular_series(phi, z, s, c);
         return {fma(phi * z, s, phi), z * c};
     }
-    Rotation<A> turn = reduced_rotation(phi, near);
+    Rotation<A> rotation = reduced_rotation(phi, near);
     auto far = !(size <= A(LARGEST_REDUCED));
     if (__builtin_expect(any(far), 0)) {
         for (int lane = 0; lane < N; ++lane) {
             if (at(far, lane)) {
-                Rotation<double> own = far_rotation(phi[lane]);
-                turn.sine.set(lane, own.sine);
-                turn.lowered.set(lane, own.lowered);
+                Rotation<double> rotation_of_lane = far_rotation(phi[lane]);
+                rotation.sine.set(lane, rotation_of_lane.sine);
+                rotation.cosm1.set(lane, rotation_of_lane.cosm1);
             }
         }
     }
-    return turn;
+    return rotation;
 }
 
 // Sine and cosine minus one of the angle 2 atan(phi/2): a rotation, and rational in phi.
@@ -116,8 +116,8 @@ template <class A>
 INLINE A rational_angle(const A& phi, const A& frequency) {
     A angle = phi;
     for (int lane = 0; lane < Numbers<A>::lanes; ++lane) {
-        double own = lane_of(frequency, lane);
-        if (own > 0.0) set_lane(angle, lane, 2.0 * rounded_angle(0.5 * own * lane_of(phi, lane), 1.0) / own);
+        double w = lane_of(frequency, lane);
+        if (w > 0.0) set_lane(angle, lane, 2.0 * rounded_angle(0.5 * w * lane_of(phi, lane), 1.0) / w);
     }
     return angle;
 }
@@ -138,7 +138,7 @@ constexpr double FAR_GROWTH = 700.0;  // beyond it powers of two overflow or los
 
 template <class A>
 struct Growth {
-    A whole, beyond;  // exp(x) and exp(x) - 1
+    A exp, expm1;  // exp(x) and exp(x) - 1
 };
 
 // exp(x) and exp(x) - 1, each within 2 units in the last place: the Taylor polynomial of degree 13 on |r| <= ln(2)/2,
@@ -160,17 +160,17 @@ INLINE Growth<A> growth_by(const A& x) {
     if (__builtin_expect(!all(near), 0))
         for (int lane = 0; lane < Numbers<A>::lanes; ++lane)
             if (!at(near, lane)) {
-                const double own = lane_of(x, lane), whole = rounded_exponential(own);
-                set_lane(growth.whole, lane, whole);
-                set_lane(growth.beyond, lane, own < 0.0 ? -1.0 : whole);
+                const double argument = lane_of(x, lane), whole = rounded_exponential(argument);
+                set_lane(growth.exp, lane, whole);
+                set_lane(growth.expm1, lane, argument < 0.0 ? -1.0 : whole);
             }
     return growth;
 }
 
 template <class A>
 INLINE A hyperbolic_sine(const A& x) {
-    const A size = absolute(x), beyond = growth_by(size).beyond;
-    A sine = 0.5 * (beyond + beyond / (beyond + 1.0));
+    const A size = absolute(x), expm1 = growth_by(size).expm1;
+    A sine = 0.5 * (expm1 + expm1 / (expm1 + 1.0));
     const auto near = size <= A(FAR_GROWTH);
     if (__builtin_expect(!all(near), 0))
         sine = select(near, sine, map(size, [](double a) { return rounded_exponential(a, 1); }));
@@ -198,8 +198,8 @@ INLINE Rotation<A> entire_series(const A& z) {
 INLINE Rotation<double> entire_pair(double z) {
     if (absolute(z) < 0.25) return entire_series(z);
     double w = std::sqrt(absolute(z));
-    Rotation<double> turn = z < 0.0 ? rotation_by(w) : hyperbolic_rotation(w);
-    return {turn.sine / w, turn.lowered};
+    Rotation<double> rotation = z < 0.0 ? rotation_by(w) : hyperbolic_rotation(w);
+    return {rotation.sine / w, rotation.cosm1};
 }
 template <int N>
 INLINE Rotation<Lanes<N>> entire_pair(const Lanes<N>& z) {
@@ -208,9 +208,9 @@ INLINE Rotation<Lanes<N>> entire_pair(const Lanes<N>& z) {
     if (all(near)) return pair;
     for (int lane = 0; lane < N; ++lane) {
         if (!at(near, lane)) {
-            Rotation<double> own = entire_pair(z[lane]);
-            pair.sine.set(lane, own.sine);
-            pair.lowered.set(lane, own.lowered);
+            Rotation<double> rotation_of_lane = entire_pair(z[lane]);
+            pair.sine.set(lane, rotation_of_lane.sine);
+            pair.cosm1.set(lane, rotation_of_lane.cosm1);
         }
     }
     return pair;

@@ -6,7 +6,7 @@
 #include <utility>
 #include <vector>
 
-#include "boundary/hearing.hpp"
+#include "boundary/interrupts.hpp"
 #include "numbers/lanes.hpp"
 
 namespace coadjoint {
@@ -23,10 +23,10 @@ struct Banded {
     double& at(int64_t row, int64_t column) { return entries[row * width + column - row + reach]; }
 
     bool factorize() {
-        Hearing& hearing = Hearing::of_this_call();
+        InterruptCheck& interrupts = InterruptCheck::of_this_call();
         for (int64_t k = 0; k < size; ++k) {
             const int64_t low = std::min(size, k + reach + 1), right = std::min(size, k + 2 * reach + 1);
-            hearing.after((low - k) * (right - k));
+            interrupts.after((low - k) * (right - k));
             int64_t pivot = k;
             for (int64_t i = k + 1; i < low; ++i)
                 if (absolute(at(i, k)) > absolute(at(pivot, k))) pivot = i;

@@ -10,7 +10,7 @@ namespace coadjoint {
 class Isolation {
   public:
     explicit Isolation(int64_t degree)
-        : degree(degree), width(degree + 1), binomial(width, 1.0), room((DEEPEST + 2) * width) {
+        : degree(degree), width(degree + 1), binomial(width, 1.0), workspace((DEEPEST + 2) * width) {
         for (int64_t k = 1; k <= degree; ++k) binomial[k] = binomial[k - 1] * double(degree - k + 1) / double(k);
     }
 
@@ -18,7 +18,7 @@ class Isolation {
     // together than 2^-DEEPEST are not separated.
     template <class Found>
     void operator()(const double* c, Found found) {
-        double* b = room.data();
+        double* b = workspace.data();
         for (int64_t k = 0; k <= degree; ++k) b[k] = c[k] / binomial[k];
         for (int64_t level = 1; level <= degree; ++level)
             for (int64_t k = degree; k >= level; --k) b[k] += b[k - 1];
@@ -26,16 +26,16 @@ class Isolation {
         // The left half is on top of the stack.
         for (int64_t top = 0; top >= 0; --top) {
             const Piece here = open[top];
-            double* own = room.data() + top * width;
-            const int64_t changes = changes_of(own);
+            double* coefficients = workspace.data() + top * width;
+            const int64_t changes = changes_of(coefficients);
             if (changes == 0) continue;
             if (changes == 1 || here.depth == DEEPEST) {
-                if (own[0] * own[degree] <= 0.0) found(here.low, here.high);
+                if (coefficients[0] * coefficients[degree] <= 0.0) found(here.low, here.high);
                 continue;
             }
             // Not the midpoint: a root at a simple fraction of the step would be missed by both halves.
             const double middle = here.low + CUT * (here.high - here.low);
-            halve(own, own + width);
+            halve(coefficients, coefficients + width);
             open[top] = {middle, here.high, here.depth + 1};
             open[top + 1] = {here.low, middle, here.depth + 1};
             top += 2;
@@ -50,7 +50,7 @@ class Isolation {
         int64_t depth;
     };
     const int64_t degree, width;
-    std::vector<double> binomial, room;
+    std::vector<double> binomial, workspace;
     Piece open[DEEPEST + 2];
 
     int64_t changes_of(const double* b) const {
@@ -65,10 +65,11 @@ class Isolation {
     }
 
     // De Casteljau subdivision: the right half replaces the interval, the left one goes to `left`.
-    void halve(double* own, double* left) const {
+    void halve(double* coefficients, double* left) const {
         for (int64_t k = 0; k <= degree; ++k) {
-            left[k] = own[0];
-            for (int64_t j = 0; j < degree - k; ++j) own[j] = own[j] + CUT * (own[j + 1] - own[j]);
+            left[k] = coefficients[0];
+            for (int64_t j = 0; j < degree - k; ++j)
+                coefficients[j] = coefficients[j] + CUT * (coefficients[j + 1] - coefficients[j]);
         }
     }
 };

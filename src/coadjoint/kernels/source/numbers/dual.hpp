@@ -41,8 +41,8 @@ struct Dual {
         return a.mapped(root, 0.5 / root);
     }
     INLINE friend Rotation<Dual> rotation_by(const Dual& phi) {
-        const Rotation<A> turn = rotation_by(phi.value);
-        return {phi.mapped(turn.sine, turn.lowered + 1.0), phi.mapped(turn.lowered, -turn.sine)};
+        const Rotation<A> rotation = rotation_by(phi.value);
+        return {phi.mapped(rotation.sine, rotation.cosm1 + 1.0), phi.mapped(rotation.cosm1, -rotation.sine)};
     }
     template <class Mask>
     INLINE friend Dual select(const Mask& where, const Dual& a, const Dual& b) {

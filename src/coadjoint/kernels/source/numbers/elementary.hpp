@@ -74,7 +74,7 @@ INLINE Pair sum_in_order(double a, double b) {
 
 INLINE Pair exact_sum(double a, double b) {
     Pair sum;
-    add_owing_rest(a, b, sum.high, sum.low);
+    two_sum(a, b, sum.high, sum.low);
     return sum;
 }
 

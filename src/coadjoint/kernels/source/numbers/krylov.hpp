@@ -4,7 +4,7 @@
 #include <cmath>
 #include <vector>
 
-#include "boundary/hearing.hpp"
+#include "boundary/interrupts.hpp"
 #include "numbers/lanes.hpp"
 
 namespace coadjoint {
@@ -70,7 +70,7 @@ struct Krylov {
         std::fill(right.begin(), right.end(), 0.0);
         right[0] = norm;
         for (int64_t k = 0; k < RESTART; ++k) {
-            Hearing::of_this_call().after((k + 2) * size);
+            InterruptCheck::of_this_call().after((k + 2) * size);
             double* next = basis.data() + (k + 1) * size;
             operate(basis.data() + k * size, next);
             for (int64_t j = 0; j <= k; ++j) {

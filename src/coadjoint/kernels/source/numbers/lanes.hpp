@@ -66,9 +66,9 @@ struct Lanes {
     INLINE void set(int lane, double value) { part[lane / width][lane % width] = value; }
 
 // Unrolled by hand instead of a loop, so that the parts become registers immediately.
-#define PART(place, statement)  \
+#define PART(position, statement) \
     {                           \
-        constexpr int k = place; \
+        constexpr int k = position; \
         statement;              \
     }
 #define EACH(statement)                                                                     \
@@ -76,8 +76,8 @@ struct Lanes {
     if constexpr (count > 1) PART(1, statement)                                             \
     if constexpr (count > 2) { PART(2, statement) PART(3, statement) }                      \
     if constexpr (count > 4) { PART(4, statement) PART(5, statement) PART(6, statement) PART(7, statement) }
-#define BINARY(Result, Given, symbol)                                      \
-    INLINE friend Result operator symbol(const Given& a, const Given& b) { \
+#define BINARY(Result, Operand, symbol)                                    \
+    INLINE friend Result operator symbol(const Operand& a, const Operand& b) { \
         Result c;                                                          \
         EACH(c.part[k] = a.part[k] symbol b.part[k])                       \
         return c;                                                          \
@@ -283,11 +283,11 @@ INLINE A load(const double* from) {
 template <class A>
 INLINE void store(double* to, const A& a) { std::memcpy(to, &a, sizeof(A)); }
 
-// Set sum to old + increment, and owed to the rounding error of that.
+// Set sum to old + increment, and remainder to the rounding error of that.
 template <class A>
-INLINE void add_owing_rest(const A& old, const A& increment, A& sum, A& owed) {
-    const A now = old + increment, kept = now - old;
-    owed = (old - (now - kept)) + (increment - kept);
+INLINE void two_sum(const A& old, const A& increment, A& sum, A& remainder) {
+    const A now = old + increment, added = now - old;
+    remainder = (old - (now - added)) + (increment - added);
     sum = now;
 }
 

@@ -9,7 +9,7 @@ namespace coadjoint {
 // finite and not singular.
 template <class V>
 NOINLINE typename Numbers<V>::Mask factorize(V* matrix, int64_t size, V* pivots) {
-    typename Numbers<V>::Mask sound = V(0.0) == V(0.0);
+    typename Numbers<V>::Mask valid = V(0.0) == V(0.0);
     for (int64_t k = 0; k < size; ++k) {
         V pivot = V(double(k)), most = absolute(matrix[k * size + k]);
         for (int64_t i = k + 1; i < size; ++i) {
@@ -18,7 +18,7 @@ NOINLINE typename Numbers<V>::Mask factorize(V* matrix, int64_t size, V* pivots)
             most = larger(most, entry);
         }
         pivots[k] = pivot;
-        sound = sound & (most > V(0.0)) & (most - most == V(0.0));
+        valid = valid & (most > V(0.0)) & (most - most == V(0.0));
         if (any(pivot > V(double(k))))
             for (int64_t i = k + 1; i < size; ++i) {
                 const auto here = pivot == V(double(i));
@@ -37,7 +37,7 @@ NOINLINE typename Numbers<V>::Mask factorize(V* matrix, int64_t size, V* pivots)
             for (int64_t j = k + 1; j < size; ++j) other[j] = fma(-factor, row[j], other[j]);
         }
     }
-    return sound;
+    return valid;
 }
 
 // Overwrite `count` right-hand sides, side by side in rows, by the solutions.

@@ -19,14 +19,14 @@ struct SparseFactors {
     std::vector<int64_t> column{0}, row, updates_of{0};
     std::vector<Update> updates;
     std::vector<double> diagonal, entry, pivot;
-    std::map<std::pair<int64_t, int64_t>, int64_t> place;  // of (row, column)
+    std::map<std::pair<int64_t, int64_t>, int64_t> position;  // of (row, column)
 
     // below[j]: the rows under the diagonal in column j.
     void analyse(std::vector<std::set<int64_t>> below) {
         size = int64_t(below.size());
         diagonal.resize(size), pivot.resize(size);
         for (int64_t j = 0; j < size; ++j) {
-            for (int64_t i : below[j]) place[{i, j}] = int64_t(row.size()), row.push_back(i);
+            for (int64_t i : below[j]) position[{i, j}] = int64_t(row.size()), row.push_back(i);
             column.push_back(int64_t(row.size()));
             if (below[j].empty()) continue;
             // Eliminating j couples all rows coupled to j with each other.
@@ -39,7 +39,7 @@ struct SparseFactors {
         }
         entry.resize(row.size());
         for (Update& update : updates)
-            if (update.first != update.second) update.target = place.at({row[update.second], row[update.first]});
+            if (update.first != update.second) update.target = position.at({row[update.second], row[update.first]});
     }
 
     void factorize() {

@@ -15,17 +15,18 @@ template <class A>
 class Crossings {
   public:
     Crossings(const Schedule& schedule, const Arrays& arrays)
-        : events(*reinterpret_cast<const EventTables*>(schedule.events)), schedule(schedule), arrays(arrays), size(arrays.size),
-          width(arrays.size + arrays.square), count(events.watch.size), states(2 * width), values(DEPTH * count),
-          arguments(events.watch.longest + 1), room(2 * events.watch.longest + 2), before(states.at),
-          earlier(states.at + width) {}
+        : events(*reinterpret_cast<const EventTables*>(schedule.events)), schedule(schedule), arrays(arrays),
+          size(arrays.size), width(arrays.size + arrays.square), count(events.watch.size), states(2 * width),
+          values(DEPTH * count), arguments(events.watch.longest + 1), workspace(2 * events.watch.longest + 2),
+          before(states.at), earlier(states.at + width) {}
 
-    // Follow the members of some lanes from the step after k0 on. Unused lanes repeat a member.
-    void begin(const int64_t* who, int64_t lanes_used, int64_t k0) {
+    // Begin with the members of some lanes, from the step after k0 on. Unused lanes repeat a member.
+    void begin(const int64_t* members, int64_t lanes_used, int64_t k0) {
         used = lanes_used;
-        for (int64_t lane = 0; lane < lanes; ++lane) member[lane] = who[std::min(lane, used - 1)];
+        for (int64_t lane = 0; lane < lanes; ++lane) member[lane] = members[std::min(lane, used - 1)];
         find_next_end(nullptr);
-        if (k0 > 0) return exchange([](A& held, int64_t lane, double& kept) { set_lane(held, int(lane), kept); });
+        if (k0 > 0)
+            return exchange([](A& current, int64_t lane, double& stored) { set_lane(current, int(lane), stored); });
         for (int64_t lane = 0; lane < lanes; ++lane) {
             for (int64_t i = 0; i < size; ++i)
                 set_lane(before[i], int(lane), arrays.momenta[member[lane] * size + i]);
@@ -37,44 +38,45 @@ class Crossings {
 
     // Store what the next call continues from.
     void end() {
-        if (used > 0) exchange([this](A& held, int64_t lane, double& kept) {
-            if (lane < used) kept = lane_of(held, int(lane));
-        });
+        if (used > 0)
+            exchange([this](A& current, int64_t lane, double& stored) {
+                if (lane < used) stored = lane_of(current, int(lane));
+            });
     }
 
     // Set the Taylor series of the motion in the next step.
-    void between(const StepSeries& motion) {
+    void set_series(const StepSeries& motion) {
         series = motion;
-        if (series.at && !told) told = std::make_unique<EventSeries>(events.watch, series.order);
+        if (series.at && !event_series) event_series = std::make_unique<EventSeries>(events.watch, series.order);
     }
 
     // Process the states after step k; return whether a member has reached its end, then or before. Lanes that are not
-    // `going` are skipped, if that is given.
-    INLINE bool after(int64_t k, const A* x, const A* group, const int64_t* going = nullptr) {
+    // `active` are skipped, if that is given.
+    INLINE bool after(int64_t k, const A* x, const A* group, const int64_t* active = nullptr) {
         for (int64_t e = 0; e < count; ++e)
             for (int64_t age = DEPTH - 1; age > 0; --age) value(age, e) = value(age - 1, e);
         measure(x, schedule.t0 + double(k) * schedule.h);
         bool ended = k > next_end;
         if constexpr (lanes == 1)
-            if (series.at && goes_on(member[0], k)) look_between(k);
-        if (__builtin_expect(k < DEPTH || k == schedule.steps || !quiet(), 0))
+            if (series.at && continues(member[0], k)) find_crossings_in_step(k);
+        if (__builtin_expect(k < DEPTH || k == schedule.steps || !nothing_to_record(), 0))
             for (int64_t lane = 0; lane < used; ++lane)
-                if (!going || going[lane]) ended |= inspect(k, int(lane));
+                if (!active || active[lane]) ended |= inspect(k, int(lane));
         std::copy_n(x, size, earlier);
         if (group) std::copy_n(group, arrays.square, earlier + size);
         std::swap(before, earlier);
         return ended;
     }
 
-    // The next end among the lanes that are going, as far as known.
-    void find_next_end(const int64_t* going) {
+    // The next end among the active lanes, as far as known.
+    void find_next_end(const int64_t* active) {
         next_end = std::numeric_limits<int64_t>::max();
         for (int64_t lane = 0; lane < used; ++lane)
-            if (!going || going[lane]) next_end = std::min(next_end, events.limit[member[lane]]);
+            if (!active || active[lane]) next_end = std::min(next_end, events.limit[member[lane]]);
     }
 
     // Whether a member continues after step k.
-    bool goes_on(int64_t who, int64_t k) const { return k <= events.limit[who]; }
+    bool continues(int64_t index, int64_t k) const { return k <= events.limit[index]; }
 
   private:
     static constexpr int64_t lanes = Numbers<A>::lanes, DEPTH = 4;
@@ -82,14 +84,14 @@ class Crossings {
     const Schedule& schedule;
     const Arrays& arrays;
     const int64_t size, width, count;
-    Room<A> states, values, arguments;
-    std::vector<double> room;
+    AlignedArray<A> states, values, arguments;
+    std::vector<double> workspace;
     A *before, *earlier;  // the finished states one and two steps ago
     int64_t member[lanes], used = 0, next_end = 0;
     StepSeries series;
-    std::unique_ptr<EventSeries> told;
+    std::unique_ptr<EventSeries> event_series;
     std::vector<double> parts;             // low and high ends, alternating
-    uint64_t told_apart = 0;               // bit mask of events whose crossings of this step are already recorded
+    uint64_t recorded_events = 0;          // bit mask of events whose crossings of this step are already recorded
 
     // The value of event e `age` steps ago.
     INLINE A& value(int64_t age, int64_t e) { return values.at[age * count + e]; }
@@ -97,11 +99,11 @@ class Crossings {
     void measure(const A* x, double time) {
         const A t(time);
         for (int64_t e = 0; e < count; ++e)
-            value(0, e) = value_of(events.watch, Shared{}, e, x, t, arguments.at, room.data());
+            value(0, e) = value_of(events.watch, SharedConstants{}, e, x, t, arguments.at, workspace.data());
     }
 
     // Whether certainly nothing is to be recorded for any lane.
-    INLINE bool quiet() {
+    INLINE bool nothing_to_record() {
         for (int64_t e = 0; e < count; ++e) {
             const A now = value(0, e), last = value(1, e);
             if (!all(last * now > A(0.0))) return false;
@@ -114,35 +116,35 @@ class Crossings {
     template <class Move>
     void exchange(Move move) {
         for (int64_t lane = 0; lane < lanes; ++lane) {
-            double* kept = events.before + 2 * member[lane] * width;
-            for (int64_t i = 0; i < width; ++i) move(before[i], lane, kept[i]);
-            for (int64_t i = 0; i < width; ++i) move(earlier[i], lane, kept[width + i]);
-            kept = events.values + member[lane] * (DEPTH - 1) * count;
-            for (int64_t i = 0; i < (DEPTH - 1) * count; ++i) move(values.at[i], lane, kept[i]);
+            double* stored = events.before + 2 * member[lane] * width;
+            for (int64_t i = 0; i < width; ++i) move(before[i], lane, stored[i]);
+            for (int64_t i = 0; i < width; ++i) move(earlier[i], lane, stored[width + i]);
+            stored = events.values + member[lane] * (DEPTH - 1) * count;
+            for (int64_t i = 0; i < (DEPTH - 1) * count; ++i) move(values.at[i], lane, stored[i]);
         }
     }
 
     // Whether the series locates the zeros of an event: then no neighbouring values are needed.
-    bool is_told(int64_t e) const { return series.at && told->tells(e); }
+    bool located_by_series(int64_t e) const { return series.at && event_series->determines(e); }
 
     // Record every part of step k in which an event crosses zero, since the signs at its ends are not sufficient.
-    NOINLINE void look_between(int64_t k) {
-        told_apart = 0;
+    NOINLINE void find_crossings_in_step(int64_t k) {
+        recorded_events = 0;
         for (int64_t e = 0; e < count; ++e) {
-            if (!told->tells(e)) continue;
+            if (!event_series->determines(e)) continue;
             parts.clear();
-            (*told)(e, reinterpret_cast<const double*>(before), series, [&](double low, double high) {
+            (*event_series)(e, reinterpret_cast<const double*>(before), series, [&](double low, double high) {
                 parts.push_back(low);
                 parts.push_back(high);
             });
             const bool changed = crossing(0, at_age(1, e, 0), at_age(0, e, 0)) != crossings::NONE;
             if (parts.empty() || (changed && parts.size() == 2)) continue;
-            told_apart |= uint64_t(1) << e;
+            recorded_events |= uint64_t(1) << e;
             for (size_t p = 0; p < parts.size(); p += 2) {
-                const int64_t place = take(k, 0, before, 1);
-                if (place >= events.capacity) break;
-                events.found[place * (2 + count) + 2 + e] = crossings::BETWEEN;
-                double* values_there = events.places + place * (width + 2 * count) + width;
+                const int64_t position = take(k, 0, before, 1);
+                if (position >= events.capacity) break;
+                events.found[position * (2 + count) + 2 + e] = crossings::BETWEEN;
+                double* values_there = events.records + position * (width + 2 * count) + width;
                 values_there[e] = parts[p];
                 values_there[count + e] = parts[p + 1];
             }
@@ -151,20 +153,20 @@ class Crossings {
 
     // Record the crossings of a lane at step k, and return whether its member has reached its end.
     NOINLINE bool inspect(int64_t k, int lane) {
-        if (!goes_on(member[lane], k)) return false;
+        if (!continues(member[lane], k)) return false;
         // A double crossing in the step before is decided only now; for the last step it never is.
         if (k >= 2)
-            note(k - 1, lane, earlier, 2, [&](int64_t e) {
-                if (is_told(e)) return crossings::NONE;
+            record(k - 1, lane, earlier, 2, [&](int64_t e) {
+                if (located_by_series(e)) return crossings::NONE;
                 return near(k < 3 ? NAN : at_age(3, e, lane), at_age(2, e, lane), at_age(1, e, lane),
                             at_age(0, e, lane));
             });
         // Nor is it for the step in which the run of the member ends.
         const bool ended = ends(lane), last = ended || k == schedule.steps;
-        note(k, lane, before, 1, [&](int64_t e) {
-            if (told_apart >> e & 1) return crossings::NONE;
+        record(k, lane, before, 1, [&](int64_t e) {
+            if (recorded_events >> e & 1) return crossings::NONE;
             const int64_t found = crossing_of(e, lane);
-            if (found != crossings::NONE || !last || is_told(e)) return found;
+            if (found != crossings::NONE || !last || located_by_series(e)) return found;
             return near(k < 2 ? NAN : at_age(2, e, lane), at_age(1, e, lane), at_age(0, e, lane), NAN);
         });
         if (ended) events.limit[member[lane]] = k - 1;
@@ -203,34 +205,34 @@ class Crossings {
         const double a = std::fabs(from), b = std::fabs(to);
         const double down = before == before ? (from > 0.0 ? before : -before) - a : INFINITY;
         const double up = after == after ? (to > 0.0 ? after : -after) - b : INFINITY;
-        return down > 0.0 && up > 0.0 && a / down + b / up <= ROOM ? crossings::NEAR : crossings::NONE;
+        return down > 0.0 && up > 0.0 && a / down + b / up <= NEAR_MARGIN ? crossings::NEAR : crossings::NONE;
     }
-    static constexpr double ROOM = 2.0;  // 1 suffices for equal curvature on the three steps
+    static constexpr double NEAR_MARGIN = 2.0;  // 1 suffices for equal curvature on the three steps
 
     template <class Code>
-    void note(int64_t k, int lane, const A* state, int64_t age, Code code_of) {
-        int64_t place = -1;
+    void record(int64_t k, int lane, const A* state, int64_t age, Code code_of) {
+        int64_t position = -1;
         for (int64_t e = 0; e < count; ++e) {
             const int64_t code = code_of(e);
             if (code == crossings::NONE) continue;
-            if (place < 0) place = take(k, lane, state, age);
-            if (place < events.capacity) events.found[place * (2 + count) + 2 + e] = code;
+            if (position < 0) position = take(k, lane, state, age);
+            if (position < events.capacity) events.found[position * (2 + count) + 2 + e] = code;
         }
     }
 
-    // Several threads write to the same arrays, each to its own entries.
+    // Several threads write to the same arrays, but to different entries.
     int64_t take(int64_t k, int lane, const A* state, int64_t age) {
-        const int64_t place = __atomic_fetch_add(events.noted, 1, __ATOMIC_RELAXED);
-        if (place >= events.capacity) return place;
-        int64_t* found = events.found + place * (2 + count);
+        const int64_t position = __atomic_fetch_add(events.recorded, 1, __ATOMIC_RELAXED);
+        if (position >= events.capacity) return position;
+        int64_t* found = events.found + position * (2 + count);
         *found++ = member[lane];
         *found++ = k;
         std::fill_n(found, count, int64_t(crossings::NONE));
-        double* to = events.places + place * (width + 2 * count);
+        double* to = events.records + position * (width + 2 * count);
         for (int64_t i = 0; i < width; ++i) *to++ = lane_of(state[i], lane);
         for (int64_t e = 0; e < count; ++e) *to++ = at_age(age, e, lane);
         for (int64_t e = 0; e < count; ++e) *to++ = at_age(age - 1, e, lane);
-        return place;
+        return position;
     }
 };
 

@@ -27,7 +27,7 @@ class EventSeries {
     }
 
     // Whether the series determines the zeros of an event.
-    bool tells(int64_t e) const { return polynomial[e]; }
+    bool determines(int64_t e) const { return polynomial[e]; }
 
     // Call `found(low, high)` for each part of the step from `before` in which event e crosses zero once.
     template <class Found>

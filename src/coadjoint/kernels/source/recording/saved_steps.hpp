@@ -10,8 +10,8 @@ namespace coadjoint {
 
 // The step of a saved point.
 inline int64_t step_of(const Schedule& schedule, int64_t slot) {
-    const int64_t place = slot + schedule.passed;
-    return schedule.marks ? schedule.marks[place] : std::min(place * schedule.save_every, schedule.steps);
+    const int64_t position = slot + schedule.passed;
+    return schedule.marks ? schedule.marks[position] : std::min(position * schedule.save_every, schedule.steps);
 }
 
 // Iterator over the saved steps after step k: the next of them, and its index among the saved points.

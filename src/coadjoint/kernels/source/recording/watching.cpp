@@ -1,10 +1,10 @@
 // Initialization of runs, detection of failures, and functions along saved points.
-#include "boundary/crew.hpp"
+#include "boundary/loop.hpp"
 #include "recording/saved_steps.hpp"
 
 namespace coadjoint {
 
-constexpr int64_t LOOKED_AFTER = int64_t(1) << 16;  // numbers that are filled without checking for interrupts
+constexpr int64_t FILL_INTERVAL = int64_t(1) << 16;  // numbers that are filled without checking for interrupts
 
 // Fill the rows of the members first to last - 1 with one value, in each of the planes.
 static void fill(double* at, int64_t planes, int64_t members, int64_t first, int64_t last, int64_t length,
@@ -15,42 +15,42 @@ static void fill(double* at, int64_t planes, int64_t members, int64_t first, int
     for (int64_t piece = 0; piece < pieces; ++piece) {
         double* from = at + (piece * members + first) * length;
         for (int64_t done = 0, count; done < all; done += count) {
-            count = std::min(all - done, LOOKED_AFTER);
+            count = std::min(all - done, FILL_INTERVAL);
             std::fill_n(from + done, count, value);
-            Hearing::of_this_call().after(count);
+            InterruptCheck::of_this_call().after(count);
         }
     }
 }
 
-void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, const Crew& crew) {
-    if (crew.first >= crew.last) return;
-    const auto blank = [&](double* at, int64_t planes, int64_t length, double value) {
-        fill(at, planes, arrays.members, crew.members[crew.first], crew.members[crew.last - 1] + 1, length, value);
+void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, const MemberRange& range) {
+    if (range.first >= range.last) return;
+    const auto fill_range = [&](double* at, int64_t planes, int64_t length, double value) {
+        fill(at, planes, arrays.members, range.members[range.first], range.members[range.last - 1] + 1, length, value);
     };
     // Points that are not saved stay NaN.
-    blank(arrays.x, arrays.points, arrays.size, NAN);
-    blank(arrays.group, arrays.points, arrays.square, NAN);
-    blank(arrays.values, arrays.points, watch.size, NAN);
-    blank(arrays.worst, 1, TENTHS * watch.size, 0.0);
-    blank(arrays.errors, 1, arrays.size, 0.0);
-    blank(arrays.group_errors, 1, arrays.square, 0.0);
-    blank(arrays.memory, 1, arrays.remembered, NAN);
-    std::vector<double> y(watch.longest + 1), room(2 * watch.longest + 2);
+    fill_range(arrays.x, arrays.points, arrays.size, NAN);
+    fill_range(arrays.group, arrays.points, arrays.square, NAN);
+    fill_range(arrays.values, arrays.points, watch.size, NAN);
+    fill_range(arrays.worst, 1, TENTHS * watch.size, 0.0);
+    fill_range(arrays.errors, 1, arrays.size, 0.0);
+    fill_range(arrays.group_errors, 1, arrays.square, 0.0);
+    fill_range(arrays.memory, 1, arrays.memory_size, NAN);
+    std::vector<double> y(watch.longest + 1), workspace(2 * watch.longest + 2);
     const int64_t slot = arrays.points > 0 && step_of(schedule, 0) == 0 ? 0 : -1;
     const int64_t work = work_of_terms(watch.terms, 0, watch.terms.size) + 64 + arrays.size + arrays.square;
-    for (int64_t place = crew.first; place < crew.last; ++place) {
-        Hearing::of_this_call().after(work);
-        const int64_t member = crew.members[place];
+    for (int64_t position = range.first; position < range.last; ++position) {
+        InterruptCheck::of_this_call().after(work);
+        const int64_t member = range.members[position];
         arrays.status[member] = DONE;
         arrays.step[member] = arrays.evaluations[member] = arrays.iterations[member] = 0;
         arrays.residual[member] = NAN;
         const double* x = arrays.momenta + member * arrays.size;
         const double t = start_of(schedule, member, 1);
         for (int64_t i = 0; i < watch.size; ++i) {
-            const double value =
-                crew.stride ? value_of(watch, Own{crew.stride, place}, i, x, t, y.data(), room.data())
-                            : value_of(watch, Shared{}, i, x, t, y.data(), room.data());
-            note_value(arrays, watch.size, i, 0.0, member, 0, slot, 0, true, value);
+            const double value = range.stride ? value_of(watch, MemberConstants{range.stride, position}, i, x, t,
+                                                         y.data(), workspace.data())
+                                              : value_of(watch, SharedConstants{}, i, x, t, y.data(), workspace.data());
+            record_value(arrays, watch.size, i, 0.0, member, 0, slot, 0, true, value);
         }
         if (slot < 0) continue;
         save_state(arrays, member, slot, arrays.size, x, 0);
@@ -58,27 +58,27 @@ void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, c
     }
 }
 
-int64_t wrong(const Watch& watch, const Arrays& arrays, const Crew& crew, bool ended) {
-    int64_t found = 0;
-    for (int64_t place = crew.first; place < crew.last; ++place) {
-        Hearing::of_this_call().after(ended ? 4 * arrays.points : 1);
-        const int64_t member = crew.members[place];
-        bool sound = arrays.status[member] == DONE || arrays.status[member] == ENDED;
-        for (int64_t point = 0; ended && sound && point < arrays.points; ++point)
-            sound = std::isfinite(arrays.values[(point * arrays.members + member) * watch.size]);
-        found += !sound;
+int64_t count_failed(const Watch& watch, const Arrays& arrays, const MemberRange& range, bool ended) {
+    int64_t failed = 0;
+    for (int64_t position = range.first; position < range.last; ++position) {
+        InterruptCheck::of_this_call().after(ended ? 4 * arrays.points : 1);
+        const int64_t member = range.members[position];
+        bool valid = arrays.status[member] == DONE || arrays.status[member] == ENDED;
+        for (int64_t point = 0; ended && valid && point < arrays.points; ++point)
+            valid = std::isfinite(arrays.values[(point * arrays.members + member) * watch.size]);
+        failed += !valid;
     }
-    return found;
+    return failed;
 }
 
 // Fill out (points, members, I) with functions at saved points (points, members, n).
 EXPORT void watch_values(const Watch* watch, const double* x, const double* times, int64_t points, int64_t members,
                          int64_t size, double* out) {
-    std::vector<double> y(watch->longest + 1), room(2 * watch->longest + 2);
+    std::vector<double> y(watch->longest + 1), workspace(2 * watch->longest + 2);
     for (int64_t here = 0; here < points * members; ++here)
         for (int64_t i = 0; i < watch->size; ++i)
-            out[here * watch->size + i] = value_of(*watch, Shared{}, i, x + here * size, times[here / members],
-                                                   y.data(), room.data());
+            out[here * watch->size + i] = value_of(*watch, SharedConstants{}, i, x + here * size, times[here / members],
+                                                   y.data(), workspace.data());
 }
 
 }  // namespace coadjoint

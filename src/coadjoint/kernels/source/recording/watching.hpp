@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "boundary/arrays.hpp"
-#include "numbers/room.hpp"
+#include "numbers/aligned_array.hpp"
 #include "field/terms.hpp"
 
 namespace coadjoint {
@@ -21,12 +21,13 @@ INLINE int64_t tenth_of(const Schedule& schedule, int64_t k) {
     return k > 0 ? (k - 1) * TENTHS / schedule.steps : 0;
 }
 
-// Invariant i at x; `y` is scratch memory for watch.longest numbers, `room` for watch.longest + 1.
+// Invariant i at x; `y` is scratch memory for watch.longest numbers, `workspace` for watch.longest + 1.
 template <class A, class C>
-NOINLINE A value_of(const Watch& watch, const C& constants, int64_t i, const A* x, const A& t, A* y, double* room) {
+NOINLINE A value_of(const Watch& watch, const C& constants, int64_t i, const A* x, const A& t, A* y,
+                    double* workspace) {
     A total = constants.template number_at<A>(watch.constant, i);
     for (uint32_t term = watch.first[i]; term < watch.first[i + 1]; ++term)
-        total = total + value_of_term(watch.terms, constants, watch.addresses, term, x, t, y, room);
+        total = total + value_of_term(watch.terms, constants, watch.addresses, term, x, t, y, workspace);
     return total;
 }
 
@@ -35,25 +36,25 @@ INLINE double unwrapped(double now, double last, double period) {
     return now + period * std::floor((last - now) / period + 0.5);
 }
 
-// Whether some invariant has turns, which are counted at every step, watched or not.
+// Whether some invariant is multivalued: its periods are counted at every step, watched or not.
 template <class A, class C>
-bool has_turns(const Watch& watch, const C& constants) {
+bool has_periods(const Watch& watch, const C& constants) {
     for (int64_t i = 0; i < watch.size; ++i)
         if (!all(constants.template number_at<A>(watch.period, i) <= A(0.0))) return true;
     return false;
 }
 
-// Record the value of invariant i of a member at step k; for other steps only its turns.
-INLINE void note_value(const Arrays& arrays, int64_t count, int64_t i, double period, int64_t member, int64_t k,
-                       int64_t slot, int64_t tenth, bool looked, double now) {
-    int64_t place = member * count + i;
+// Record the value of invariant i of a member at step k; for steps that are not watched only its whole periods.
+INLINE void record_value(const Arrays& arrays, int64_t count, int64_t i, double period, int64_t member, int64_t k,
+                         int64_t slot, int64_t tenth, bool watched, double now) {
+    int64_t position = member * count + i;
     if (k == 0)
-        arrays.first[place] = now;
+        arrays.first[position] = now;
     else if (period > 0.0)
-        now = unwrapped(now, arrays.last[place], period);
-    arrays.last[place] = now;
-    if (!looked) return;
-    double deviation = std::fabs(now - arrays.first[place]);
+        now = unwrapped(now, arrays.last[position], period);
+    arrays.last[position] = now;
+    if (!watched) return;
+    double deviation = std::fabs(now - arrays.first[position]);
     double& worst = arrays.worst[(member * TENTHS + tenth) * count + i];
     if (!(deviation <= worst)) worst = deviation;
     if (slot >= 0) arrays.values[(slot * arrays.members + member) * count + i] = now;
@@ -68,9 +69,9 @@ INLINE void save_state(const Arrays& arrays, int64_t member, int64_t slot, int64
 // Record the first `count` lanes, consecutive steps of one member: deviations of the invariants, and saved points, each
 // at its index or -1; `saving` is whether there are any.
 template <class A, class C>
-void note_steps(const Watch& watch, const C& constants, const Arrays& arrays, const Schedule& schedule, int64_t member,
-                int64_t count, const int64_t* step, bool saving, const int64_t* slots, const A* x, A* y,
-                double* room) {
+void record_steps(const Watch& watch, const C& constants, const Arrays& arrays, const Schedule& schedule,
+                  int64_t member, int64_t count, const int64_t* step, bool saving, const int64_t* slots, const A* x,
+                  A* y, double* workspace) {
     A t(schedule.t0);
     for (int lane = 0; lane < Numbers<A>::lanes; ++lane)
         set_lane(t, lane, start_of(schedule, member, step[lane < count ? lane : count - 1] + 1));
@@ -80,11 +81,11 @@ void note_steps(const Watch& watch, const C& constants, const Arrays& arrays, co
     for (int64_t i = 0; i < watch.size; ++i) {
         A period = constants.template number_at<A>(watch.period, i);
         if (!schedule.watching && !saving && all(period <= A(0.0))) continue;
-        A now = value_of(watch, constants, i, x, t, y, room);
+        A now = value_of(watch, constants, i, x, t, y, workspace);
         if (together && !(lane_of(period, 0) > 0.0)) {
-            int64_t place = member * watch.size + i;
-            A deviation = absolute(now - A(arrays.first[place]));
-            arrays.last[place] = lane_of(now, int(count) - 1);
+            int64_t position = member * watch.size + i;
+            A deviation = absolute(now - A(arrays.first[position]));
+            arrays.last[position] = lane_of(now, int(count) - 1);
             double& worst = arrays.worst[(member * TENTHS + tenth) * watch.size + i];
             if (all(deviation <= A(worst))) continue;
             for (int64_t lane = 0; lane < count; ++lane)
@@ -92,8 +93,8 @@ void note_steps(const Watch& watch, const C& constants, const Arrays& arrays, co
             continue;
         }
         for (int64_t lane = 0; lane < count; ++lane)
-            note_value(arrays, watch.size, i, lane_of(period, lane), member, step[lane], slots[lane],
-                       tenth_of(schedule, step[lane]), schedule.watching || slots[lane] >= 0, lane_of(now, lane));
+            record_value(arrays, watch.size, i, lane_of(period, lane), member, step[lane], slots[lane],
+                         tenth_of(schedule, step[lane]), schedule.watching || slots[lane] >= 0, lane_of(now, lane));
     }
     if (!saving) return;
     for (int64_t lane = 0; lane < count; ++lane)

@@ -43,7 +43,7 @@ struct So4 {
     static constexpr int sign[] = {-1, -1, 1, 1, 1, -1, -1, 1, 1, 1, -1, -1, -1, 1, -1, 1, -1, 1, 1, -1, -1, 1, -1, 1};
 };
 
-enum class Known { NONE, TRIAD, SO3, SO3_FULL, E3, E3_FULL, SO4, SO4_FULL };
+enum class KnownAlgebra { NONE, TRIAD, SO3, SO3_FULL, E3, E3_FULL, SO4, SO4_FULL };
 
 template <class Bracket, class C>
 bool has_bracket(const Field& field, const C& constants) {
@@ -75,14 +75,14 @@ inline bool has_rows(const Field& field, bool full) {
 }
 
 template <class C>
-Known known_algebra(const Field& field, const C& constants) {
+KnownAlgebra known_algebra(const Field& field, const C& constants) {
     const bool full = has_rows(field, true);
-    if (!full && !has_rows(field, false)) return Known::NONE;
-    if (has_bracket<So3>(field, constants)) return full ? Known::SO3_FULL : Known::SO3;
-    if (!full && has_bracket<Triad>(field, constants)) return Known::TRIAD;
-    if (has_bracket<E3>(field, constants)) return full ? Known::E3_FULL : Known::E3;
-    if (has_bracket<So4>(field, constants)) return full ? Known::SO4_FULL : Known::SO4;
-    return Known::NONE;
+    if (!full && !has_rows(field, false)) return KnownAlgebra::NONE;
+    if (has_bracket<So3>(field, constants)) return full ? KnownAlgebra::SO3_FULL : KnownAlgebra::SO3;
+    if (!full && has_bracket<Triad>(field, constants)) return KnownAlgebra::TRIAD;
+    if (has_bracket<E3>(field, constants)) return full ? KnownAlgebra::E3_FULL : KnownAlgebra::E3;
+    if (has_bracket<So4>(field, constants)) return full ? KnownAlgebra::SO4_FULL : KnownAlgebra::SO4;
+    return KnownAlgebra::NONE;
 }
 
 // Function iterations for stages that fit into one row of lanes.
@@ -119,10 +119,10 @@ struct Bracketed {
 
     template <bool watched>
     INLINE void iterate(int64_t stages) {
-        A u[n], turned[n], slopes[n], sums[n], far(0.0);
+        A u[n], rotated[n], slopes[n], sums[n], far(0.0);
         each<n>([&](auto c) __attribute__((always_inline)) {
             u[c] = offset[c];
-            turned[c] = Bracket::unit ? orientation * x[c] : x[c];
+            rotated[c] = Bracket::unit ? orientation * x[c] : x[c];
             if constexpr (full)
                 each<n>([&](auto j) __attribute__((always_inline)) { u[c] = fma(weight[c * n + j], x[j], u[c]); });
             else if (weighted[c])
@@ -133,7 +133,7 @@ struct Bracketed {
             A total(0.0);
             each<count>([&](auto k) __attribute__((always_inline)) {
                 constexpr int q = low + k;
-                const A& state = turned[Bracket::state[q]];
+                const A& state = rotated[Bracket::state[q]];
                 const A& by = u[Bracket::column[q]];
                 if constexpr (Bracket::unit)
                     total = fma(Bracket::sign[q] < 0 ? -state : state, by, total);

@@ -25,9 +25,9 @@ NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve s
     std::vector<double> defect(s * m);
     Outcome<double> outcome{false, 0.0, std::numeric_limits<double>::infinity()};
     double before = std::numeric_limits<double>::infinity(), least = before;
-    int64_t quiet = 0;
+    int64_t stagnant = 0;
     for (int64_t passed = 1; passed <= MOST_CORRECTIONS; ++passed) {
-        Hearing::of_this_call().after(y.work);
+        InterruptCheck::of_this_call().after(y.work);
         evaluate();
         outcome.iterations = double(passed);
         for (int64_t b = 0; b < y.blocks; ++b)
@@ -37,7 +37,7 @@ NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve s
         for (int64_t i = 0; i < s; ++i)
             for (int64_t c = 0; c < m; ++c) defect[i * m + c] = Layout::at(y.change.at, m, c, i);
         if (!solve(defect.data())) return outcome;
-        double largest = 0.0, size = 0.0, spoilt = 0.0;
+        double largest = 0.0, size = 0.0, nan_sum = 0.0;
         for (int64_t i = 0; i < s; ++i) {
             double moved = 0.0, extent = 0.0;
             for (int64_t c = 0; c < m; ++c) {
@@ -45,13 +45,13 @@ NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve s
                 Layout::put(y.points.at, m, c, i, point);
                 moved += absolute(change);
                 extent += absolute(point);
-                spoilt += 0.0 * point;
+                nan_sum += 0.0 * point;
             }
             largest = larger(largest, moved);
             size = larger(size, extent);
         }
         Layout::repeat_last(y.points.at, m, s);
-        if (!(spoilt == 0.0)) return outcome;
+        if (!(nan_sum == 0.0)) return outcome;
         outcome.residual = largest;
         if (passed == enough) {
             evaluate();
@@ -59,9 +59,9 @@ NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve s
             return outcome;
         }
         const bool small = largest <= SETTLING * size;
-        quiet = largest <= 0.5 * least || !small ? 0 : quiet + 1;
+        stagnant = largest <= 0.5 * least || !small ? 0 : stagnant + 1;
         least = smaller(least, largest);
-        if (largest == 0.0 || quiet == 2) {
+        if (largest == 0.0 || stagnant == 2) {
             outcome.settled = true;
             return outcome;
         }

@@ -24,24 +24,23 @@ struct Stages {
     const Field& field;
     const GroupField& group;
     const int64_t n, s, d, blocks;
-    const Known algebra;
-    Room<Coefficient> mix, node, scale, forecast;
+    const KnownAlgebra algebra;
+    AlignedArray<Coefficient> mix, node, scale, forecast;
     Unknowns<Layout> p, g;
-    Room<A> gradients, kept, frozen, times, lengths, matrices;
-    Room<V> system, pivots, right, trusted;
-    FieldRoom<A> room;
+    AlignedArray<A> gradients, settled_gradients, frozen, times, lengths, matrices;
+    AlignedArray<V> system, pivots, right, trusted;
+    FieldWorkspace<A> workspace;
     V iterations{0.0}, residual{0.0};
 
     Stages(const RungeKuttaTables& tables, const C& constants)
         : tables(tables), constants(constants), field(tables.field), group(tables.group), n(field.size),
           s(tables.stages), d(group.size), blocks(Layout::blocks(s)),
-          algebra(blocks == 1 ? known() : Known::NONE), mix(blocks * s),
-          node(blocks), scale(blocks),
+          algebra(blocks == 1 ? known() : KnownAlgebra::NONE), mix(blocks * s), node(blocks), scale(blocks),
           forecast(tables.solver == IMPLICIT ? tables.substeps * blocks * s : 0), p(s, n, mix.at), g(s, d * d, mix.at),
-          gradients(blocks * n), kept(alone ? 0 : blocks * n), frozen(tables.solver >= STRUCTURE ? blocks * n : 0),
-          times(blocks), lengths(blocks), matrices(tables.direct ? blocks * widest() * widest() : 0),
-          system(edge() * edge()), pivots(edge()), right(edge() * std::max<int64_t>(d, 1)),
-          trusted(tables.substeps), room(field) {
+          gradients(blocks * n), settled_gradients(alone ? 0 : blocks * n),
+          frozen(tables.solver >= STRUCTURE ? blocks * n : 0), times(blocks), lengths(blocks),
+          matrices(tables.direct ? blocks * widest() * widest() : 0), system(edge() * edge()), pivots(edge()),
+          right(edge() * std::max<int64_t>(d, 1)), trusted(tables.substeps), workspace(field) {
         p.work += s * work_of(field);
         g.work += s * d * group.entries;
         Layout::lay_out(tables.mix, s, s, mix.at);
@@ -53,27 +52,27 @@ struct Stages {
     }
 
     // Many stages do not fit into registers.
-    Known known() const {
+    KnownAlgebra known() const {
         if constexpr (Layout::side_by_side && lanes <= 8) return known_algebra(field, constants);
-        return Known::NONE;
+        return KnownAlgebra::NONE;
     }
     int64_t widest() const { return std::max(n, d); }
     int64_t edge() const { return tables.direct ? s * widest() : 0; }
 
     // Compute the slopes of the momentum and of the group element for a substep that starts at time t; return the lanes
-    // that succeeded. Failed members of a crowd are computed alone, by `solve_alone`.
-    Mask solve(double t, double h, int64_t part, Mask going) {
+    // that succeeded. Failed members among lanes are computed alone, by `solve_alone`.
+    Mask solve(double t, double h, int64_t part, Mask active) {
         begin(t, h);
         if (tables.solver == IMPLICIT) {
-            remember();
-            p.start_ahead(forecast.at + part * blocks * s);
-            Mask found = settle_momentum(going, trusted.at[part], &trusted.at[part]);
+            save_slopes();
+            p.start_extrapolated(forecast.at + part * blocks * s);
+            Mask found = settle_momentum(active, trusted.at[part], &trusted.at[part]);
             if (d == 0) return found;
-            g.start_ahead(forecast.at + part * blocks * s);
+            g.start_extrapolated(forecast.at + part * blocks * s);
             return settle_group(found);
         }
         p.start_at_base();
-        Mask found = tables.solver == EXPLICIT ? one_by_one(going) : pass(going);
+        Mask found = tables.solver == EXPLICIT ? one_by_one(active) : pass(active);
         if (d == 0) return found;
         g.start_at_base();
         if (tables.solver == EXPLICIT) return group_one_by_one(found);
@@ -87,7 +86,7 @@ struct Stages {
         }
     }
 
-    void remember() {
+    void save_slopes() {
         std::swap(p.before.at, p.slopes.at);
         std::swap(g.before.at, g.slopes.at);
     }
@@ -95,11 +94,11 @@ struct Stages {
     template <int64_t freeze>
     INLINE void evaluate(int64_t low, int64_t high) {
         for (int64_t b = low; b < high; ++b) {
-            const auto& own = Layout::constants(constants, b, s);
+            const auto& lane_constants = Layout::constants(constants, b, s);
             A *x = p.points.at + b * n, *u = gradients.at + b * n;
-            if constexpr (freeze != GRADIENT) gradient(field, own, x, times.at[b], u, room);
+            if constexpr (freeze != GRADIENT) gradient(field, lane_constants, x, times.at[b], u, workspace);
             const A* momentum = freeze == STRUCTURE ? frozen.at + b * n : x;
-            product(field, own, momentum, u, lengths.at[b], p.slopes.at + b * n, room);
+            product(field, lane_constants, momentum, u, lengths.at[b], p.slopes.at + b * n, workspace);
         }
     }
 
@@ -107,33 +106,33 @@ struct Stages {
 
     // Iterate, the first `trust` iterations without convergence tests, and set `next` of converged lanes to the number
     // of iterations that the next step may trust.
-    Mask settle_momentum(Mask going, const V& trust, V* next) {
+    Mask settle_momentum(Mask active, const V& trust, V* next) {
         if constexpr (Layout::side_by_side && lanes <= 8) switch (algebra) {
-                case Known::TRIAD: return settle_bracket<Triad, false>(trust, next);
-                case Known::SO3: return settle_bracket<So3, false>(trust, next);
-                case Known::SO3_FULL: return settle_bracket<So3, true>(trust, next);
-                case Known::E3: return settle_bracket<E3, false>(trust, next);
-                case Known::E3_FULL: return settle_bracket<E3, true>(trust, next);
-                case Known::SO4: return settle_bracket<So4, false>(trust, next);
-                case Known::SO4_FULL: return settle_bracket<So4, true>(trust, next);
-                case Known::NONE: break;
+                case KnownAlgebra::TRIAD: return settle_bracket<Triad, false>(trust, next);
+                case KnownAlgebra::SO3: return settle_bracket<So3, false>(trust, next);
+                case KnownAlgebra::SO3_FULL: return settle_bracket<So3, true>(trust, next);
+                case KnownAlgebra::E3: return settle_bracket<E3, false>(trust, next);
+                case KnownAlgebra::E3_FULL: return settle_bracket<E3, true>(trust, next);
+                case KnownAlgebra::SO4: return settle_bracket<So4, false>(trust, next);
+                case KnownAlgebra::SO4_FULL: return settle_bracket<So4, true>(trust, next);
+                case KnownAlgebra::NONE: break;
             }
         if constexpr (Layout::side_by_side)
-            if (blocks == 1) return settle_blocks<1>(going, trust, next);
-        return settle_blocks<0>(going, trust, next);
+            if (blocks == 1) return settle_blocks<1>(active, trust, next);
+        return settle_blocks<0>(active, trust, next);
     }
 
     // A single block has a specialized loop.
     template <int64_t known>
-    NOINLINE Mask settle_blocks(Mask going, const V& trust, V* next) {
+    NOINLINE Mask settle_blocks(Mask active, const V& trust, V* next) {
         const int64_t count = known ? known : blocks;
         // Too large for the compiler to inline by itself.
         auto iterate = [&](auto watched) __attribute__((always_inline)) {
             evaluate<NOT_FROZEN>(0, count);
-            p.template restage<decltype(watched)::value>(0, count, s);
+            p.template update_points<decltype(watched)::value>(0, count, s);
         };
-        const auto outcome = settle_by(p, going, count, n, trust, iterate,
-                                       [&](const Mask& over, bool last) { keep_gradients(over, last); });
+        const auto outcome = settle_by(p, active, count, n, trust, iterate,
+                                       [&](const Mask& over, bool last) { store_gradients(over, last); });
         *next = select(outcome.settled, outcome.trusted, *next);
         return taken(outcome);
     }
@@ -150,15 +149,17 @@ struct Stages {
     }
 
     template <int64_t freeze>
-    NOINLINE Mask settle_frozen(Mask going) {
-        return taken(settle(p, going, [&] { evaluate<freeze>(0, blocks); },
-                            [&](const Mask& over, bool last) { keep_gradients(over, last); }));
+    NOINLINE Mask settle_frozen(Mask active) {
+        return taken(settle(
+            p, active, [&] { evaluate<freeze>(0, blocks); },
+            [&](const Mask& over, bool last) { store_gradients(over, last); }));
     }
 
-    void keep_gradients(const Mask& over, bool last) {
+    void store_gradients(const Mask& over, bool last) {
         if constexpr (!alone)
-            for (int64_t k = 0; k < blocks * n; ++k) kept.at[k] = select(over, gradients.at[k], kept.at[k]);
-        if (last) std::swap(kept.at, gradients.at);
+            for (int64_t k = 0; k < blocks * n; ++k)
+                settled_gradients.at[k] = select(over, gradients.at[k], settled_gradients.at[k]);
+        if (last) std::swap(settled_gradients.at, gradients.at);
     }
 
     Mask taken(const Outcome<V>& outcome) {
@@ -167,47 +168,48 @@ struct Stages {
         return outcome.settled;
     }
 
-    NOINLINE Mask one_by_one(Mask going) {
+    NOINLINE Mask one_by_one(Mask active) {
         for (int64_t j = 0; j < s; ++j) {
-            if (j > 0) p.template restage<false>(j, j + 1, j);
+            if (j > 0) p.template update_points<false>(j, j + 1, j);
             evaluate<NOT_FROZEN>(j, j + 1);
         }
         iterations = iterations + double(s);
-        return going;
+        return active;
     }
 
     // A fixed number of function iterations, then the output, or the linear system in the frozen factor.
-    NOINLINE Mask pass(Mask going) {
+    NOINLINE Mask pass(Mask active) {
         for (int64_t passed = 0;; ++passed) {
             evaluate_all();
             if (passed == tables.iterations) break;
-            p.template restage<false>(0, blocks, s);
+            p.template update_points<false>(0, blocks, s);
         }
         iterations = iterations + double(tables.iterations + 1);
-        if (tables.solver == ITERATED) return going;
+        if (tables.solver == ITERATED) return active;
         std::copy_n(p.points.at, blocks * n, frozen.at);
-        return tables.solver == STRUCTURE ? linear<STRUCTURE>(going) : linear<GRADIENT>(going);
+        return tables.solver == STRUCTURE ? linear<STRUCTURE>(active) : linear<GRADIENT>(active);
     }
 
     template <int64_t freeze>
-    NOINLINE Mask linear(Mask going) {
-        if (!tables.direct) return settle_frozen<freeze>(going);
+    NOINLINE Mask linear(Mask active) {
+        if (!tables.direct) return settle_frozen<freeze>(active);
         for (int64_t b = 0; b < blocks; ++b) {
-            const auto& own = Layout::constants(constants, b, s);
+            const auto& lane_constants = Layout::constants(constants, b, s);
             A* block = matrices.at + b * n * n;
             if constexpr (freeze == STRUCTURE)
-                structure_times_matrix(field, own, frozen.at + b * n, tables.quadratic, lengths.at[b], block, room);
+                structure_times_matrix(field, lane_constants, frozen.at + b * n, tables.quadratic, lengths.at[b], block,
+                                       workspace);
             else
-                coadjoint_matrix(field, own, gradients.at + b * n, lengths.at[b], block);
+                coadjoint_matrix(field, lane_constants, gradients.at + b * n, lengths.at[b], block);
         }
-        going = going & assemble(n);
+        active = active & assemble(n);
         for (int64_t passed = 1; passed < REFINED; ++passed) {
             refine(p, n, 1);
             evaluate<freeze>(0, blocks);
         }
         iterations = iterations + double(REFINED - 1);
-        residual = select(going, V(0.0), V(std::numeric_limits<double>::infinity()));
-        return going;
+        residual = select(active, V(0.0), V(std::numeric_limits<double>::infinity()));
+        return active;
     }
 
     // Factorize I - (mix_ij W_j), W_j the (edge * edge) blocks; return the lanes in which it is not singular.
@@ -245,33 +247,33 @@ struct Stages {
                         lengths.at[b], g.slopes.at + b * d * d);
     }
 
-    NOINLINE Mask settle_group(Mask going) {
-        if (!any(going)) return going;
+    NOINLINE Mask settle_group(Mask active) {
+        if (!any(active)) return active;
         const V before = iterations;
-        const Mask found = taken(settle(g, going, [&] { evaluate_group(0, blocks); }, [](const Mask&, bool) {}));
+        const Mask found = taken(settle(g, active, [&] { evaluate_group(0, blocks); }, [](const Mask&, bool) {}));
         iterations = before;
         return found;
     }
 
-    NOINLINE Mask group_one_by_one(Mask going) {
+    NOINLINE Mask group_one_by_one(Mask active) {
         for (int64_t j = 0; j < s; ++j) {
-            if (j > 0) g.template restage<false>(j, j + 1, j);
+            if (j > 0) g.template update_points<false>(j, j + 1, j);
             evaluate_group(j, j + 1);
         }
-        return going;
+        return active;
     }
 
-    NOINLINE Mask group_direct(Mask going) {
+    NOINLINE Mask group_direct(Mask active) {
         for (int64_t b = 0; b < blocks; ++b)
             group_matrix(group, Layout::constants(constants, b, s), gradients.at + b * n, lengths.at[b],
                          matrices.at + b * d * d);
-        going = going & assemble(d);
+        active = active & assemble(d);
         evaluate_group(0, blocks);
         for (int64_t passed = 1; passed < REFINED; ++passed) {
             refine(g, d, d);
             evaluate_group(0, blocks);
         }
-        return going;
+        return active;
     }
 
     // The number of evaluations of the field.

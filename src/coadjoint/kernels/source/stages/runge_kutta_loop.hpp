@@ -1,14 +1,14 @@
 // The loop over steps of Runge-Kutta methods, for one trajectory or members as lanes.
 #pragma once
 
-#include "boundary/crew.hpp"
-#include "stages/traveller.hpp"
+#include "boundary/loop.hpp"
+#include "stages/staged_state.hpp"
 
 namespace coadjoint {
 
 typedef Loop<RungeKuttaTables> RungeKuttaLoop;
 
-// Visit every row of a member: its place in the state, and its place in the loop.
+// Visit every row of a member: its array in the state, and its array in the loop.
 template <class V, class Visit>
 INLINE void each_row(const Arrays& arrays, V* x, V* dx, V* g, V* dg, Visit visit) {
     visit(arrays.momenta, x, arrays.size);
@@ -30,7 +30,7 @@ inline int64_t work_of_step(const RungeKuttaLoop& loop) {
 INLINE int64_t failure_of(double residual) { return residual == residual ? NOT_CONVERGED : OVERFLOWED; }
 
 template <class Side, class C>
-void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member, const C& constants) {
+void advance_alone(const RungeKuttaLoop& loop, Single& one, int64_t member, const C& constants) {
     const Schedule& schedule = loop.schedule;
     const Arrays& arrays = loop.arrays;
     const int64_t n = arrays.size, square = arrays.square;
@@ -39,7 +39,7 @@ void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member, const
     });
     double* memory = loop.memory_of(member);
     one.iterations = one.evaluations = 0;
-    if (arrays.remembered > 0) {
+    if (arrays.memory_size > 0) {
         one.newton = memory[0];
         one.read_slopes(memory + 1);
     }
@@ -49,7 +49,7 @@ void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member, const
     const int64_t work = work_of_step(loop);
     const double h = length_of(schedule, member);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
-        loop.hearing.after(work);
+        loop.interrupts.after(work);
         const double start = start_of(schedule, member, k);
         bool found = true;
         for (int64_t part = 0; part < loop.tables.substeps && found; ++part) {
@@ -72,7 +72,7 @@ void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member, const
     each_row(arrays, one.x, one.dx, one.g, one.dg, [&](double* to, const double* from, int64_t length) {
         std::copy_n(from, length, to + member * length);
     });
-    if (arrays.remembered > 0) {
+    if (arrays.memory_size > 0) {
         memory[0] = one.newton;
         one.write_slopes(memory + 1);
     }
@@ -80,121 +80,121 @@ void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member, const
 
 // Members as lanes; the last one fills unused lanes.
 template <class A, class C>
-struct Together {
+struct RungeKuttaLanes {
     static constexpr int lanes = Numbers<A>::lanes;
     typedef typename Numbers<A>::Mask Mask;
     const RungeKuttaLoop& loop;
     const C constants;
     const int64_t *members, count;
-    Traveller<MemberLanes<A>, Stages<MemberLanes<A>, C>> crowd;
+    StagedState<MemberLanes<A>, Stages<MemberLanes<A>, C>> lane_group;
     std::unique_ptr<Single> single[lanes];
-    int64_t going[lanes] = {}, left = 0;
+    int64_t active[lanes] = {}, left = 0;
     double newton[lanes] = {};
     std::vector<double> slopes;
 
-    Together(const RungeKuttaLoop& loop, const C& constants, const int64_t* members, int64_t count)
-        : loop(loop), constants(constants), members(members), count(count), crowd(loop.tables, constants),
-          slopes(std::max<int64_t>(loop.arrays.remembered, 1)) {
-        each_row(loop.arrays, crowd.x, crowd.dx, crowd.g, crowd.dg, [&](const double* from, A* to, int64_t length) {
-            read_lanes(to, from, length, members, count);
-        });
-        for (int64_t lane = 0; lane < count; ++lane) left += going[lane] = loop.arrays.status[members[lane]] == DONE;
-        if (loop.arrays.remembered == 0) return;
+    RungeKuttaLanes(const RungeKuttaLoop& loop, const C& constants, const int64_t* members, int64_t count)
+        : loop(loop), constants(constants), members(members), count(count), lane_group(loop.tables, constants),
+          slopes(std::max<int64_t>(loop.arrays.memory_size, 1)) {
+        each_row(loop.arrays, lane_group.x, lane_group.dx, lane_group.g, lane_group.dg,
+                 [&](const double* from, A* to, int64_t length) { read_lanes(to, from, length, members, count); });
+        for (int64_t lane = 0; lane < count; ++lane) left += active[lane] = loop.arrays.status[members[lane]] == DONE;
+        if (loop.arrays.memory_size == 0) return;
         for (int lane = 0; lane < lanes; ++lane) {
             const double* memory = loop.memory_of(members[std::min<int64_t>(lane, count - 1)]);
             newton[lane] = memory[0];
-            crowd.read_slopes(memory + 1, lane);
+            lane_group.read_slopes(memory + 1, lane);
         }
     }
 
-    ~Together() {
+    ~RungeKuttaLanes() {
         for (int64_t lane = 0; lane < count; ++lane)
-            if (going[lane]) write(int(lane));
+            if (active[lane]) write(int(lane));
     }
 
     void write(int lane) {
         const int64_t member = members[lane];
-        each_row(loop.arrays, crowd.x, crowd.dx, crowd.g, crowd.dg, [&](double* to, const A* from, int64_t length) {
-            write_lane(from, to, length, member, lane);
-        });
-        if (loop.arrays.remembered == 0) return;
+        each_row(loop.arrays, lane_group.x, lane_group.dx, lane_group.g, lane_group.dg,
+                 [&](double* to, const A* from, int64_t length) { write_lane(from, to, length, member, lane); });
+        if (loop.arrays.memory_size == 0) return;
         loop.memory_of(member)[0] = newton[lane];
-        crowd.write_slopes(false, loop.memory_of(member) + 1, lane);
+        lane_group.write_slopes(false, loop.memory_of(member) + 1, lane);
     }
 
-    Own own_constants(const Varied& varied, int lane) const { return Own{varied.stride, varied.first + lane}; }
-    Shared own_constants(const Shared&, int) const { return Shared{}; }
+    MemberConstants member_constants(const LaneConstants& varied, int lane) const {
+        return MemberConstants{varied.stride, varied.first + lane};
+    }
+    SharedConstants member_constants(const SharedConstants&, int) const { return SharedConstants{}; }
 
-    // Solve alone for one member that failed in the crowd.
+    // Solve alone for one member that failed as a lane.
     NOINLINE bool alone(int lane, double t, double h, int64_t part) {
-        if (!single[lane]) single[lane] = single_of(loop.tables, own_constants(constants, lane));
+        if (!single[lane]) single[lane] = single_of(loop.tables, member_constants(constants, lane));
         Single& one = *single[lane];
         auto take = [&](double* to, const A* from, int64_t length) {
             for (int64_t i = 0; i < length; ++i) to[i] = lane_of(from[i], lane);
         };
-        take(one.x, crowd.x, loop.arrays.size), take(one.dx, crowd.dx, loop.arrays.size);
-        take(one.g, crowd.g, loop.arrays.square), take(one.dg, crowd.dg, loop.arrays.square);
+        take(one.x, lane_group.x, loop.arrays.size), take(one.dx, lane_group.dx, loop.arrays.size);
+        take(one.g, lane_group.g, loop.arrays.square), take(one.dg, lane_group.dg, loop.arrays.square);
         one.newton = newton[lane];
         one.iterations = one.evaluations = 0;
-        crowd_slopes(lane, one);
+        transfer_slopes(lane, one);
         const bool found = one.solve(t, h, part);
         newton[lane] = one.newton;
         loop.arrays.iterations[members[lane]] += one.iterations;
         loop.arrays.evaluations[members[lane]] += one.evaluations;
-        slopes.resize(remembered_slopes(loop.tables));
+        slopes.resize(slope_memory_size(loop.tables));
         one.write_slopes(slopes.data());
-        crowd.read_slopes(slopes.data(), lane);
+        lane_group.read_slopes(slopes.data(), lane);
         return found;
     }
 
-    void crowd_slopes(int lane, Single& one) {
-        if (loop.arrays.remembered == 0) return;
-        crowd.write_slopes(true, slopes.data(), lane);
+    void transfer_slopes(int lane, Single& one) {
+        if (loop.arrays.memory_size == 0) return;
+        lane_group.write_slopes(true, slopes.data(), lane);
         one.read_slopes(slopes.data());
     }
 
-    void stop(CrowdRecorder<A, C>& recorder, int64_t lane, int64_t k, int64_t status, double residual) {
-        recorder.keep_worst();
+    void stop(LaneRecorder<A, C>& recorder, int64_t lane, int64_t k, int64_t status, double residual) {
+        recorder.store_worst();
         write(int(lane));
-        going[lane] = 0;
+        active[lane] = 0;
         --left;
         loop.fail(members[lane], k, status, residual);
     }
 
-    void follow() {
+    void advance() {
         const RungeKuttaTables& tables = loop.tables;
         const Schedule& schedule = loop.schedule;
-        CrowdRecorder<A, C> recorder(loop.watch, loop.arrays, schedule, loop.k0, constants, members, going, count);
+        LaneRecorder<A, C> recorder(loop.watch, loop.arrays, schedule, loop.k0, constants, members, active, count);
         const int64_t work = lanes * work_of_step(loop);
         for (int64_t k = loop.k0 + 1; k <= loop.k1 && left > 0; ++k) {
-            loop.hearing.after(work);
+            loop.interrupts.after(work);
             const double start = schedule.t0 + double(k - 1) * schedule.h;
             for (int64_t part = 0; part < tables.substeps && left > 0; ++part)
                 substep(recorder, k, start + tables.moment[part] * schedule.h, tables.fraction[part] * schedule.h, part);
-            const auto sound = finite(crowd.n, crowd.x) & finite(loop.arrays.square, crowd.g);
-            if (__builtin_expect(!all(sound), 0))
+            const auto valid = finite(lane_group.n, lane_group.x) & finite(loop.arrays.square, lane_group.g);
+            if (__builtin_expect(!all(valid), 0))
                 for (int64_t lane = 0; lane < count; ++lane)
-                    if (going[lane] && !at(sound, int(lane)))
+                    if (active[lane] && !at(valid, int(lane)))
                         stop(recorder, lane, k, OVERFLOWED, std::numeric_limits<double>::quiet_NaN());
-            recorder.after(k, [&](bool) { return FinishedRows<A>{crowd.x, crowd.g}; });
+            recorder.after(k, [&](bool) { return FinishedRows<A>{lane_group.x, lane_group.g}; });
         }
     }
 
-    void substep(CrowdRecorder<A, C>& recorder, int64_t k, double t, double h, int64_t part) {
-        A taking(0.0);
-        bool someone = false;
+    void substep(LaneRecorder<A, C>& recorder, int64_t k, double t, double h, int64_t part) {
+        A selected(0.0);
+        bool any_selected = false;
         for (int64_t lane = 0; lane < count; ++lane)
-            if (going[lane] && !(newton[lane] >= 1.0)) set_lane(taking, int(lane), 1.0), someone = true;
-        auto& stages = crowd.stages;
+            if (active[lane] && !(newton[lane] >= 1.0)) set_lane(selected, int(lane), 1.0), any_selected = true;
+        auto& stages = lane_group.stages;
         stages.iterations = A(0.0);
-        auto found = taking < A(0.0);
-        if (someone)
-            found = (taking > A(0.0)) & stages.solve(t, h, part, taking > A(0.0));
+        auto found = selected < A(0.0);
+        if (any_selected)
+            found = (selected > A(0.0)) & stages.solve(t, h, part, selected > A(0.0));
         else
-            stages.remember();
+            stages.save_slopes();
         const A iterations = stages.iterations, evaluations = stages.evaluations();
         for (int64_t lane = 0; lane < count; ++lane) {
-            if (!going[lane]) continue;
+            if (!active[lane]) continue;
             if (at(found, int(lane))) {
                 newton[lane] = 0.0;
                 loop.arrays.iterations[members[lane]] += int64_t(iterations[lane]);
@@ -204,7 +204,7 @@ struct Together {
                 stop(recorder, lane, k, failure_of(residual), residual);
             }
         }
-        crowd.add();
+        lane_group.add();
     }
 };
 

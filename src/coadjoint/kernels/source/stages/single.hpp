@@ -21,7 +21,7 @@ struct Single {
     double residual = 0.0;
 };
 
-std::unique_ptr<Single> single_of(const RungeKuttaTables& tables, const Shared& constants);
-std::unique_ptr<Single> single_of(const RungeKuttaTables& tables, const Own& constants);
+std::unique_ptr<Single> single_of(const RungeKuttaTables& tables, const SharedConstants& constants);
+std::unique_ptr<Single> single_of(const RungeKuttaTables& tables, const MemberConstants& constants);
 
 }  // namespace coadjoint

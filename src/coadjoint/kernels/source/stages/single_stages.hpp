@@ -12,24 +12,24 @@ constexpr int64_t LARGEST_FACTORED = 1024;  // unknowns of a column of the group
 
 // Scratch memory that few trajectories need.
 template <class A>
-struct LinearRoom {
-    DerivativeRoom<A> sloping;
+struct LinearWorkspace {
+    DerivativeWorkspace<A> derivatives;
     Krylov krylov;
-    Room<A> forth, back;
+    AlignedArray<A> input, output;
     std::vector<double> none;
-    LinearRoom(const Field& field, int64_t stages, int64_t blocks, int64_t size)
-        : sloping(field), krylov(stages * size), forth(blocks * size), back(blocks * size), none(size, 0.0) {}
+    LinearWorkspace(const Field& field, int64_t stages, int64_t blocks, int64_t size)
+        : derivatives(field), krylov(stages * size), input(blocks * size), output(blocks * size), none(size, 0.0) {}
 };
 
 template <class Layout, class C>
 struct SingleStages : Stages<Layout, C> {
     typedef Stages<Layout, C> Base;
     typedef typename Layout::A A;
-    using Base::tables, Base::constants, Base::field, Base::group, Base::n, Base::s, Base::d, Base::blocks;
-    using Base::p, Base::g, Base::mix, Base::forecast, Base::gradients, Base::frozen, Base::times, Base::lengths;
-    using Base::room, Base::trusted, Base::iterations, Base::residual, Base::solve, Base::begin, Base::remember;
-    using Base::taken, Base::evaluate_all, Base::settle_momentum, Base::settle_group, Base::evaluate_group;
     using Base::matrices, Base::system, Base::pivots, Base::right, Base::group_direct;
+    using Base::p, Base::g, Base::mix, Base::forecast, Base::gradients, Base::frozen, Base::times, Base::lengths;
+    using Base::tables, Base::constants, Base::field, Base::group, Base::n, Base::s, Base::d, Base::blocks;
+    using Base::taken, Base::evaluate_all, Base::settle_momentum, Base::settle_group, Base::evaluate_group;
+    using Base::workspace, Base::trusted, Base::iterations, Base::residual, Base::solve, Base::begin, Base::save_slopes;
 
     SingleStages(const RungeKuttaTables& tables, const C& constants) : Base(tables, constants) {}
 
@@ -42,12 +42,12 @@ struct SingleStages : Stages<Layout, C> {
             return tables.solver >= STRUCTURE && !tables.direct && linear_by_systems();
         }
         begin(t, h);
-        remember();
+        save_slopes();
         bool found = false;
         if (newton >= 1.0) {
             newton -= 1.0;
         } else {
-            const bool ahead = all(p.start_ahead(forecast.at + part * blocks * s));
+            const bool ahead = all(p.start_extrapolated(forecast.at + part * blocks * s));
             found = settle_momentum(true, trusted.at[part], &trusted.at[part]);
             if (!found && ahead) {
                 p.start_at_base();
@@ -60,27 +60,27 @@ struct SingleStages : Stages<Layout, C> {
             const double earlier = residual;
             p.start_at_base();
             found = by_newton();
-            if (!found && all(p.start_ahead(forecast.at + part * blocks * s))) found = by_newton();
+            if (!found && all(p.start_extrapolated(forecast.at + part * blocks * s))) found = by_newton();
             if (!found && earlier != earlier) residual = earlier;
         }
         if (!found || d == 0) return found;
-        g.start_ahead(forecast.at + part * blocks * s);
+        g.start_extrapolated(forecast.at + part * blocks * s);
         return settle_group(true) || group_by_krylov() || group_by_factors();
     }
 
     // Factorize 1 - mix h scale times the Jacobian: at the base for all stages, or for every stage at its point.
-    NOINLINE bool linearize(bool at_base, Room<double>& matrix, Room<double>& exchanged) {
-        DerivativeRoom<double> sloping(field);
-        Room<double> point(n), u(n), unit(n), image(n), whole(n * n);
+    NOINLINE bool linearize(bool at_base, AlignedArray<double>& matrix, AlignedArray<double>& exchanged) {
+        DerivativeWorkspace<double> derivatives(field);
+        AlignedArray<double> point(n), u(n), unit(n), image(n), whole(n * n);
         const int64_t size = s * n;
         for (int64_t j = 0; j < s; ++j) {
             if (j == 0 || !at_base) {
                 const double t = Layout::at(times.at, 1, 0, j);
                 for (int64_t c = 0; c < n; ++c) point.at[c] = at_base ? p.base[c] : Layout::at(p.points.at, n, c, j);
-                gradient(field, constants, point.at, t, u.at, sloping.field);
+                gradient(field, constants, point.at, t, u.at, derivatives.field);
                 for (int64_t k = 0; k < n; ++k) {
                     unit.at[k] = 1.0;
-                    jacobian_times(field, constants, point.at, u.at, unit.at, t, 1.0, image.at, sloping);
+                    jacobian_times(field, constants, point.at, u.at, unit.at, t, 1.0, image.at, derivatives);
                     unit.at[k] = 0.0;
                     for (int64_t i = 0; i < n; ++i) whole.at[i * n + k] = image.at[i];
                 }
@@ -99,13 +99,14 @@ struct SingleStages : Stages<Layout, C> {
     NOINLINE bool by_newton() {
         const int64_t size = s * n;
         if (size > LARGEST_DENSE)
-            return by_systems([&] { evaluate_all(); }, [&](LinearRoom<A>& own, const A* v, A* out) {
-                for (int64_t b = 0; b < blocks; ++b)
-                    jacobian_times(field, Layout::constants(constants, b, s), p.points.at + b * n,
-                                   gradients.at + b * n, v + b * n, times.at[b], lengths.at[b], out + b * n,
-                                   own.sloping);
-            });
-        Room<double> matrix(size * size), exchanged(size);
+            return by_systems([&] { evaluate_all(); },
+                              [&](LinearWorkspace<A>& linear, const A* v, A* out) {
+                                  for (int64_t b = 0; b < blocks; ++b)
+                                      jacobian_times(field, Layout::constants(constants, b, s), p.points.at + b * n,
+                                                     gradients.at + b * n, v + b * n, times.at[b], lengths.at[b],
+                                                     out + b * n, linear.derivatives);
+                              });
+        AlignedArray<double> matrix(size * size), exchanged(size);
         if (!linearize(true, matrix, exchanged)) return false;
         return taken(correct(p, [&] { evaluate_all(); },
                              [&](double* r) { return substitute(matrix.at, size, exchanged.at, r, 1), true; },
@@ -123,7 +124,7 @@ struct SingleStages : Stages<Layout, C> {
     template <class Evaluate, class Multiply>
     bool by_band(Evaluate evaluate, Multiply multiply) {
         const int64_t band = tables.band, groups = std::min(n, 2 * band + 1);
-        LinearRoom<A> own(field, 0, blocks, n);
+        LinearWorkspace<A> linear(field, 0, blocks, n);
         Banded matrix(s * n, s * (band + 1) - 1);
         std::vector<int64_t> coordinate(n);
         std::vector<double> sides(s * n);
@@ -133,16 +134,17 @@ struct SingleStages : Stages<Layout, C> {
             std::fill(matrix.entries.begin(), matrix.entries.end(), 0.0);
             for (int64_t k = 0; k < s * n; ++k) matrix.at(k, k) = 1.0;
             for (int64_t start = 0; start < groups; ++start) {
-                std::fill_n(own.forth.at, blocks * n, A(0.0));
-                for (int64_t place = start; place < n; place += groups)
-                    for (int64_t b = 0; b < blocks; ++b) own.forth.at[b * n + coordinate[place]] = A(1.0);
-                multiply(own, own.forth.at, own.back.at);
-                for (int64_t place = start; place < n; place += groups)
-                    for (int64_t row = std::max<int64_t>(0, place - band); row < std::min(n, place + band + 1); ++row)
+                std::fill_n(linear.input.at, blocks * n, A(0.0));
+                for (int64_t position = start; position < n; position += groups)
+                    for (int64_t b = 0; b < blocks; ++b) linear.input.at[b * n + coordinate[position]] = A(1.0);
+                multiply(linear, linear.input.at, linear.output.at);
+                for (int64_t position = start; position < n; position += groups)
+                    for (int64_t row = std::max<int64_t>(0, position - band); row < std::min(n, position + band + 1);
+                         ++row)
                         for (int64_t j = 0; j < s; ++j) {
-                            const double entry = Layout::at(own.back.at, n, coordinate[row], j);
+                            const double entry = Layout::at(linear.output.at, n, coordinate[row], j);
                             for (int64_t i = 0; i < s; ++i) {
-                                double& here = matrix.at(row * s + i, place * s + j);
+                                double& here = matrix.at(row * s + i, position * s + j);
                                 here = fma(-tables.mix[i * s + j], entry, here);
                             }
                         }
@@ -167,19 +169,19 @@ struct SingleStages : Stages<Layout, C> {
     template <class Evaluate, class Multiply>
     bool by_krylov(Unknowns<Layout>& y, Evaluate evaluate, Multiply multiply) {
         const int64_t m = y.size;
-        LinearRoom<A> own(field, s, blocks, m);
+        LinearWorkspace<A> linear(field, s, blocks, m);
         auto operate = [&](const double* v, double* image) {
             for (int64_t i = 0; i < s; ++i)
-                for (int64_t c = 0; c < m; ++c) Layout::put(own.forth.at, m, c, i, v[i * m + c]);
-            Layout::repeat_last(own.forth.at, m, s);
-            multiply(own, own.forth.at, own.back.at);
+                for (int64_t c = 0; c < m; ++c) Layout::put(linear.input.at, m, c, i, v[i * m + c]);
+            Layout::repeat_last(linear.input.at, m, s);
+            multiply(linear, linear.input.at, linear.output.at);
             for (int64_t b = 0; b < blocks; ++b)
-                mix_each<Layout>(mix.at + b * s, s, own.back.at, m, own.none.data(),
-                                 [&](int64_t c, const A& sum) { own.forth.at[b * m + c] -= sum; });
+                mix_each<Layout>(mix.at + b * s, s, linear.output.at, m, linear.none.data(),
+                                 [&](int64_t c, const A& sum) { linear.input.at[b * m + c] -= sum; });
             for (int64_t i = 0; i < s; ++i)
-                for (int64_t c = 0; c < m; ++c) image[i * m + c] = Layout::at(own.forth.at, m, c, i);
+                for (int64_t c = 0; c < m; ++c) image[i * m + c] = Layout::at(linear.input.at, m, c, i);
         };
-        auto solve = [&](double* r) { return own.krylov.solve(r, operate); };
+        auto solve = [&](double* r) { return linear.krylov.solve(r, operate); };
         return taken(correct(y, evaluate, solve, [] { return true; }));
     }
 
@@ -193,34 +195,34 @@ struct SingleStages : Stages<Layout, C> {
 
     // The structure is frozen: linear in the gradient.
     bool linear_in_gradient() {
-        return by_systems(
-            [&] { this->template evaluate<STRUCTURE>(0, blocks); },
-            [&](LinearRoom<A>& own, const A* v, A* out) {
-                for (int64_t b = 0; b < blocks; ++b) {
-                    const auto& here = Layout::constants(constants, b, s);
-                    hessian_times(field, here, frozen.at + b * n, v + b * n, times.at[b], own.sloping.gradient.at,
-                                  own.sloping);
-                    product(field, here, frozen.at + b * n, own.sloping.gradient.at, lengths.at[b], out + b * n, room);
-                }
-            });
+        return by_systems([&] { this->template evaluate<STRUCTURE>(0, blocks); },
+                          [&](LinearWorkspace<A>& linear, const A* v, A* out) {
+                              for (int64_t b = 0; b < blocks; ++b) {
+                                  const auto& here = Layout::constants(constants, b, s);
+                                  hessian_times(field, here, frozen.at + b * n, v + b * n, times.at[b],
+                                                linear.derivatives.gradient.at, linear.derivatives);
+                                  product(field, here, frozen.at + b * n, linear.derivatives.gradient.at, lengths.at[b],
+                                          out + b * n, workspace);
+                              }
+                          });
     }
 
     // The gradient is frozen: linear in the structure.
     bool linear_in_structure() {
-        return by_systems(
-            [&] { this->template evaluate<GRADIENT>(0, blocks); },
-            [&](LinearRoom<A>&, const A* v, A* out) {
-                for (int64_t b = 0; b < blocks; ++b)
-                    product(field, Layout::constants(constants, b, s), v + b * n, gradients.at + b * n, lengths.at[b],
-                            out + b * n, room);
-            });
+        return by_systems([&] { this->template evaluate<GRADIENT>(0, blocks); },
+                          [&](LinearWorkspace<A>&, const A* v, A* out) {
+                              for (int64_t b = 0; b < blocks; ++b)
+                                  product(field, Layout::constants(constants, b, s), v + b * n, gradients.at + b * n,
+                                          lengths.at[b], out + b * n, workspace);
+                          });
     }
 
     NOINLINE bool group_by_krylov() {
         g.start_at_base();
         const double before = iterations;
-        const bool found =
-            by_krylov(g, [&] { evaluate_group(0, blocks); }, [&](LinearRoom<A>&, const A* v, A* out) {
+        const bool found = by_krylov(
+            g, [&] { evaluate_group(0, blocks); },
+            [&](LinearWorkspace<A>&, const A* v, A* out) {
                 for (int64_t b = 0; b < blocks; ++b)
                     group_slope(group, Layout::constants(constants, b, s), gradients.at + b * n, v + b * d * d,
                                 lengths.at[b], out + b * d * d);
@@ -233,7 +235,7 @@ struct SingleStages : Stages<Layout, C> {
     NOINLINE bool group_by_factors() {
         const int64_t size = s * d;
         if (size > LARGEST_FACTORED) return false;
-        Hearing::of_this_call().after(size * size * size / 3);
+        InterruptCheck::of_this_call().after(size * size * size / 3);
         matrices.clear(blocks * d * d);
         system.clear(size * size);
         pivots.clear(size);

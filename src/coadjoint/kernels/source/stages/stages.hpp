@@ -1,7 +1,8 @@
 // Stages of a step side by side, and sums over them: X_i = base + (error + sum_j mix_ij L_j).
 //
-// For one trajectory the stages are lanes; in a crowd the members are lanes, and stages follow each other. Stage arrays
-// hold `blocks` blocks of numbers A, one for each component. A quantity of the whole trajectory is a V.
+// For one trajectory the stages are lanes; for many members the members are lanes, and stages are stored one after the
+// other. Stage arrays hold `blocks` blocks of numbers A, one for each component. A quantity of the whole trajectory is
+// a V.
 //
 // Every sum over stages has two parts, over even j from the error and over odd j from zero, each in ascending order and
 // fused, and then the sum of the two: the same bits in every layout.
@@ -47,8 +48,8 @@ struct StageLanes {
     static INLINE double largest(const A& a) { return largest_lane(a); }
     static INLINE A choose(bool where, const A& a, const A& b) { return where ? a : b; }
     template <class C>
-    static INLINE First<C> constants(const C& all, int64_t block, int64_t stages) {
-        return First<C>(all, int(std::min<int64_t>(W, stages - block * W)));
+    static INLINE FirstLanes<C> constants(const C& all, int64_t block, int64_t stages) {
+        return FirstLanes<C>(all, int(std::min<int64_t>(W, stages - block * W)));
     }
 
     // totals[m] = errors[m] + sum_j coefficient[j] y_j for M components.
@@ -160,7 +161,7 @@ NOINLINE void add_slopes(const double* out, int64_t stages, const typename Layou
         }
         if (j < stages) even = fma(V(out[j]), Layout::at(slopes, size, c, j), even);
         const V old = x[c];
-        add_owing_rest(old, even + odd, x[c], errors[c]);
+        two_sum(old, even + odd, x[c], errors[c]);
     }
 }
 

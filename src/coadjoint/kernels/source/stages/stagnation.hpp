@@ -6,23 +6,23 @@
 
 #include "boundary/codes.hpp"
 #include "numbers/arithmetic.hpp"
-#include "boundary/hearing.hpp"
+#include "boundary/interrupts.hpp"
 #include "stages/stages.hpp"
 
 namespace coadjoint {
 
 constexpr int64_t FIRST_TEST = 3;     // early corrections may rise before they fall
-constexpr int64_t MOST = 192;
+constexpr int64_t MAX_ITERATIONS = 192;
 constexpr double GROWTH = power_of_two(GROWTH_BITS);  // larger than the first correction by this: divergence
 constexpr double NOISE = 0x1p-32;     // of the size of the stages: only smaller corrections may be round-off
-constexpr int64_t LOOK = 16;          // interval, in iterations, of the test for slow convergence
-constexpr double SLOW = 0x1p-6;       // a smaller fall since the last test would take more than MOST iterations
+constexpr int64_t TEST_INTERVAL = 16;  // interval, in iterations, of the test for slow convergence
+constexpr double SLOW = 0x1p-6;        // a smaller fall since the last test would take more than MAX_ITERATIONS
 constexpr double TRUSTED = 12.0;      // at most so many untested iterations, so that the first test can compare
-constexpr int64_t LONG = int64_t(1) << 14;  // multiplications of an iteration above which each checks for interrupts
+constexpr int64_t LONG_ITERATION = int64_t(1) << 14;  // multiplications above which each checks for interrupts
 
 // The number of iterations without a new smallest correction that counts as stagnation. Few can be chance: with complex
 // eigenvalues the corrections oscillate while they shrink, the longer the more slowly they shrink.
-INLINE double quiet_enough(int64_t passed) { return double(passed < 12 ? 2 : passed / 4); }
+INLINE double stagnation_length(int64_t passed) { return double(passed < 12 ? 2 : passed / 4); }
 
 // Stages that solve points = base + (error + sum_j mix_ij slopes_j), `size` components each, and scratch memory.
 template <class Layout>
@@ -33,13 +33,13 @@ struct Unknowns {
     const typename Layout::Coefficient* mix;
     int64_t work;  // approximate number of multiplications of an iteration
     V *base = nullptr, *error = nullptr;
-    Room<A> points, slopes, before, kept, change, moved, least, noise;
+    AlignedArray<A> points, slopes, before, settled_slopes, change, moved, least, noise;
 
     Unknowns(int64_t stages, int64_t size, const typename Layout::Coefficient* mix)
-        : stages(stages), blocks(Layout::blocks(stages)), size(size), mix(mix),
-          work(stages * stages * size), points(blocks * size),
-          slopes(blocks * size), before(blocks * size), kept(Numbers<V>::lanes > 1 ? blocks * size : 0),
-          change(blocks * size), moved(blocks), least(blocks * size), noise(blocks) {}
+        : stages(stages), blocks(Layout::blocks(stages)), size(size), mix(mix), work(stages * stages * size),
+          points(blocks * size), slopes(blocks * size), before(blocks * size),
+          settled_slopes(Numbers<V>::lanes > 1 ? blocks * size : 0), change(blocks * size), moved(blocks),
+          least(blocks * size), noise(blocks) {}
 
     void start_at_base() {
         for (int64_t b = 0; b < blocks; ++b)
@@ -48,7 +48,7 @@ struct Unknowns {
 
     // Start at the extrapolation of the polynomial through the slopes of the previous step, unless that is not finite;
     // return the lanes where it is finite.
-    auto start_ahead(const typename Layout::Coefficient* forecast) {
+    auto start_extrapolated(const typename Layout::Coefficient* forecast) {
         A total(0.0);
         for (int64_t b = 0; b < blocks; ++b)
             mix_each<Layout>(forecast + b * stages, stages, before.at, size, error, [&](int64_t c, const A& sum) {
@@ -56,20 +56,19 @@ struct Unknowns {
                 total = total + 0.0 * point;
                 points.at[b * size + c] = point;
             });
-        const auto sound = Layout::every(total == A(0.0));
-        if (all(sound)) return sound;
+        const auto valid = Layout::every(total == A(0.0));
+        if (all(valid)) return valid;
         if constexpr (Numbers<V>::lanes == 1)
             start_at_base();
         else
-            for (int64_t k = 0; k < blocks * size; ++k)
-                points.at[k] = select(sound, points.at[k], base[k % size]);
-        return sound;
+            for (int64_t k = 0; k < blocks * size; ++k) points.at[k] = select(valid, points.at[k], base[k % size]);
+        return valid;
     }
 
     // Set the points of the blocks low to high - 1 from the first `count` slopes, and record their moves if these are
     // watched.
     template <bool watched>
-    INLINE void restage(int64_t low, int64_t high, int64_t count) {
+    INLINE void update_points(int64_t low, int64_t high, int64_t count) {
         for (int64_t b = low; b < high; ++b) {
             A far(0.0);
             A *here = points.at + b * size, *changed = change.at + b * size;
@@ -102,27 +101,27 @@ struct Unknowns {
 
     // The largest correction of a stage, summed over its components; NaN if any is NaN.
     V largest_move() const {
-        V result(0.0), spoilt(0.0);
+        V result(0.0), nan_sum(0.0);
         for (int64_t b = 0; b < blocks; ++b) {
             result = larger(result, V(Layout::largest(moved.at[b])));
             const V infinite(std::numeric_limits<double>::infinity());
-            spoilt = select(Layout::every(moved.at[b] - moved.at[b] == A(0.0)), spoilt, infinite - infinite);
+            nan_sum = select(Layout::every(moved.at[b] - moved.at[b] == A(0.0)), nan_sum, infinite - infinite);
         }
-        return result + spoilt;
+        return result + nan_sum;
     }
 
     // Whether the correction of any component of a stage is smaller than all previous ones: components differ in size,
-    // and each is followed until it stops. One unit in the last place is ignored, since among many components one would
-    // always fall.
+    // and each must stop falling. One unit in the last place is ignored, since among many components one would always
+    // fall.
     INLINE auto falling(const typename Numbers<V>::Mask& where, int64_t blocks, int64_t size) {
         auto found = A(0.0) < A(0.0);
         for (int64_t k = 0; k < blocks * size; ++k) {
             const A unit = A(2.0 * UNIT_ROUNDOFF) * absolute(points.at[k]);
-            const A own = select(change.at[k] <= unit, A(0.0), change.at[k]);
-            auto fell = own < least.at[k];
-            if constexpr (Numbers<V>::lanes > 1) fell = fell & where;
-            least.at[k] = select(fell, own, least.at[k]);
-            found = found | fell;
+            const A correction = select(change.at[k] <= unit, A(0.0), change.at[k]);
+            auto decreased = correction < least.at[k];
+            if constexpr (Numbers<V>::lanes > 1) decreased = decreased & where;
+            least.at[k] = select(decreased, correction, least.at[k]);
+            found = found | decreased;
         }
         return Layout::some(found);
     }
@@ -134,74 +133,76 @@ struct Outcome {
     V iterations, residual, trusted{0.0};
 };
 
-// Iterate points = base + mix slopes(points) until every trajectory of `going` has settled or failed; settled ones keep
-// their slopes. `iterate` sets the slopes at the points, then the points, and receives whether their moves are watched;
-// `keep` receives the lanes that settled, to store more of them. Outcomes have the residual only of failed
-// trajectories.
+// Iterate points = base + mix slopes(points) until every trajectory of `active` has settled or failed; settled ones
+// keep their slopes. `iterate` sets the slopes at the points, then the points, and receives whether their moves are
+// watched; `on_settled` receives the lanes that settled, to store more of them. Outcomes have the residual only of
+// failed trajectories.
 //
-// If no trajectory is going, nothing is done.
+// If no trajectory is active, nothing is done.
 //
 // A trajectory has settled if nothing moves, or if, for some iterations in a row, no component's correction has fallen
 // below its minimum since the corrections became small. It fails if corrections grow or fall slowly.
 //
 // The first `trusted` iterations of each are not watched: by the previous step, corrections still fall in them.
-template <class Layout, class Mask, class Iterate, class Keep>
-INLINE auto settle_by(Unknowns<Layout>& y, Mask going, int64_t blocks, int64_t size,
-                      const typename Layout::V& trusted, Iterate iterate, Keep keep) {
+template <class Layout, class Mask, class Iterate, class OnSettled>
+INLINE auto settle_by(Unknowns<Layout>& y, Mask active, int64_t blocks, int64_t size, const typename Layout::V& trusted,
+                      Iterate iterate, OnSettled on_settled) {
     typedef typename Layout::V V;
     typedef typename Layout::A A;
     constexpr bool alone = Numbers<V>::lanes == 1;
     const V infinite(std::numeric_limits<double>::infinity());
-    const auto nobody = !(V(0.0) == V(0.0));
-    Outcome<V> outcome{nobody, V(0.0), V(0.0), V(0.0)};
-    if (!any(going)) return outcome;
-    const bool slow = y.work >= LONG;
+    const auto no_lane = !(V(0.0) == V(0.0));
+    Outcome<V> outcome{no_lane, V(0.0), V(0.0), V(0.0)};
+    if (!any(active)) return outcome;
+    const bool slow = y.work >= LONG_ITERATION;
     double unwatched = TRUSTED;
     for (int lane = 0; lane < Numbers<V>::lanes; ++lane)
-        if (at(going, lane)) unwatched = smaller(unwatched, lane_of(trusted, lane));
+        if (at(active, lane)) unwatched = smaller(unwatched, lane_of(trusted, lane));
     y.measure(blocks, size);
     int64_t passed = 1;
     for (const int64_t last = int64_t(unwatched); passed <= last; ++passed) iterate(std::false_type());
     std::fill_n(y.least.at, blocks * size, A(std::numeric_limits<double>::infinity()));
-    V first = infinite, looked = infinite, quiet(0.0);
-    bool kept = false;
+    V first = infinite, last_tested = infinite, stagnant(0.0);
+    bool any_stored = false;
     // After the last iteration every trajectory has settled or failed.
-    for (; passed <= MOST; ++passed) {
+    for (; passed <= MAX_ITERATIONS; ++passed) {
         iterate(std::true_type());
-        if (__builtin_expect(slow, 0)) Hearing::of_this_call().after(y.work * Numbers<V>::lanes);
+        if (__builtin_expect(slow, 0)) InterruptCheck::of_this_call().after(y.work * Numbers<V>::lanes);
         const V count = V(double(passed));
-        typename Numbers<V>::Mask small = going & (count > trusted), ended = nobody, failed = nobody, still = nobody;
+        typename Numbers<V>::Mask small = active & (count > trusted), ended = no_lane, failed = no_lane,
+                                  unchanged = no_lane;
         for (int64_t b = 0; b < blocks; ++b) small = small & Layout::every(y.moved.at[b] <= y.noise.at[b]);
         if (any(small)) {
-            still = small;
-            for (int64_t b = 0; b < blocks; ++b) still = still & Layout::every(y.moved.at[b] == A(0.0));
-            ended = still;
-            auto calm = small & !still;
-            if (any(calm)) calm = calm & !y.falling(calm, blocks, size) & (count > V(double(FIRST_TEST)));
-            quiet = select(calm, quiet + 1.0, V(0.0));
-            ended = ended | (calm & (quiet >= V(quiet_enough(passed))));
+            unchanged = small;
+            for (int64_t b = 0; b < blocks; ++b) unchanged = unchanged & Layout::every(y.moved.at[b] == A(0.0));
+            ended = unchanged;
+            auto stagnating = small & !unchanged;
+            if (any(stagnating))
+                stagnating = stagnating & !y.falling(stagnating, blocks, size) & (count > V(double(FIRST_TEST)));
+            stagnant = select(stagnating, stagnant + 1.0, V(0.0));
+            ended = ended | (stagnating & (stagnant >= V(stagnation_length(passed))));
         } else {
-            quiet = V(0.0);
+            stagnant = V(0.0);
         }
         if (__builtin_expect(passed == 1, 0)) {
-            const auto new_to_it = !(trusted > V(0.0));
-            first = looked = select(new_to_it, y.largest_move(), infinite);
-            y.measure_move(new_to_it, blocks);
-            failed = going & new_to_it & !ended & !(first - first == V(0.0));
-        } else if (__builtin_expect(passed % LOOK == 0, 0)) {
+            const auto untrusted = !(trusted > V(0.0));
+            first = last_tested = select(untrusted, y.largest_move(), infinite);
+            y.measure_move(untrusted, blocks);
+            failed = active & untrusted & !ended & !(first - first == V(0.0));
+        } else if (__builtin_expect(passed % TEST_INTERVAL == 0, 0)) {
             const V now = y.largest_move();
-            const auto bounded = now <= V(GROWTH) * first, fast = now <= V(SLOW) * looked;
-            failed = going & !ended & !(bounded & (small | fast));
-            looked = now;
-            Hearing::of_this_call().after(LOOK * y.work * Numbers<V>::lanes);
-            if (passed >= MOST) failed = going & !ended;
+            const auto bounded = now <= V(GROWTH) * first, fast = now <= V(SLOW) * last_tested;
+            failed = active & !ended & !(bounded & (small | fast));
+            last_tested = now;
+            InterruptCheck::of_this_call().after(TEST_INTERVAL * y.work * Numbers<V>::lanes);
+            if (passed >= MAX_ITERATIONS) failed = active & !ended;
         }
         const auto over = ended | failed;
         if (!any(over)) continue;
         outcome.settled = outcome.settled | ended;
         outcome.iterations = select(over, count, outcome.iterations);
-        const V fallen = select(still, count, count - quiet) - 2.0;
-        const V next = smaller(larger(fallen, V(0.0)), V(TRUSTED));
+        const V falling_iterations = select(unchanged, count, count - stagnant) - 2.0;
+        const V next = smaller(larger(falling_iterations, V(0.0)), V(TRUSTED));
         outcome.trusted = select(ended, next, outcome.trusted);
         if (__builtin_expect(any(failed), 0)) {
             const V move = y.largest_move();
@@ -211,16 +212,16 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask going, int64_t blocks, int64_t s
         if constexpr (alone) {
             return outcome;
         } else {
-            const bool last = !any(going & !over);
-            if (kept || !last) {
+            const bool last = !any(active & !over);
+            if (any_stored || !last) {
                 for (int64_t k = 0; k < y.blocks * y.size; ++k)
-                    y.kept.at[k] = select(over, y.slopes.at[k], y.kept.at[k]);
-                keep(over, last);
-                kept = true;
+                    y.settled_slopes.at[k] = select(over, y.slopes.at[k], y.settled_slopes.at[k]);
+                on_settled(over, last);
+                any_stored = true;
             }
-            going = going & !over;
+            active = active & !over;
             if (!last) continue;
-            if (kept) std::swap(y.kept.at, y.slopes.at);
+            if (any_stored) std::swap(y.settled_slopes.at, y.slopes.at);
             return outcome;
         }
     }
@@ -228,13 +229,13 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask going, int64_t blocks, int64_t s
 }
 
 // The same with `evaluate`, which sets the slopes only, and every iteration watched.
-template <class Layout, class Mask, class Evaluate, class Keep>
-INLINE auto settle(Unknowns<Layout>& y, Mask going, Evaluate evaluate, Keep keep) {
+template <class Layout, class Mask, class Evaluate, class OnSettled>
+INLINE auto settle(Unknowns<Layout>& y, Mask active, Evaluate evaluate, OnSettled on_settled) {
     auto iterate = [&](auto watched) __attribute__((always_inline)) {
         evaluate();
-        y.template restage<decltype(watched)::value>(0, y.blocks, y.stages);
+        y.template update_points<decltype(watched)::value>(0, y.blocks, y.stages);
     };
-    return settle_by(y, going, y.blocks, y.size, typename Layout::V(0.0), iterate, keep);
+    return settle_by(y, active, y.blocks, y.size, typename Layout::V(0.0), iterate, on_settled);
 }
 
 }  // namespace coadjoint

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "boundary/codes.hpp"
-#include "boundary/hearing.hpp"
+#include "boundary/interrupts.hpp"
 
 namespace coadjoint {
 
@@ -27,7 +27,7 @@ class ExponentialAction {
         const double theta = norm / double(substeps);
         degree = 1;
         for (double term = 0.5 * theta; term > NEGLIGIBLE; term *= theta / double(degree + 1)) ++degree;
-        Hearing::of_this_call().after(substeps * degree * work);
+        InterruptCheck::of_this_call().after(substeps * degree * work);
         return true;
     }
 

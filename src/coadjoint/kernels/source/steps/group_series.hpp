@@ -7,15 +7,15 @@
 #include <vector>
 
 #include "boundary/codes.hpp"
-#include "boundary/hearing.hpp"
+#include "boundary/interrupts.hpp"
 #include "steps/series.hpp"
 
 namespace coadjoint {
 
 // Truncation error of a series that begins with one; largest norm of its matrices; how many more terms than the
 // gradient it may take for that, and the interval of tests.
-constexpr double LEFT_OUT = 0x1p-56, REACH = 2.0;
-constexpr int64_t MORE_TERMS = 40, LOOKED_AFTER = 4;
+constexpr double TRUNCATION_ERROR = 0x1p-56, REACH = 2.0;
+constexpr int64_t MORE_TERMS = 40, TRUNCATION_TEST_INTERVAL = 4;
 
 // The gradient is a polynomial in time. For that polynomial the group equation is solved up to rounding: a step moves g
 // to g P, where P(0) is the unit element and P_(k+1) = h / (k + 1) sum_j P_j A_(k-j), with as many terms as needed. So
@@ -24,8 +24,8 @@ struct GroupMotion {
     virtual ~GroupMotion() = default;
     // Move g, which is transposed, with its compensation, by `count` coefficients u_0, u_1 h, u_2 h^2, ... of the
     // gradient, `stride` numbers each; false if it rotates too far.
-    virtual bool turn(const double* gradients, int64_t count, int64_t stride, double h, double* g, double* dg) = 0;
-    // Approximate number of multiplications of `turn`.
+    virtual bool rotate(const double* gradients, int64_t count, int64_t stride, double h, double* g, double* dg) = 0;
+    // Approximate number of multiplications of `rotate`.
     virtual int64_t work() const = 0;
 };
 
@@ -58,20 +58,20 @@ struct GroupSeries final : GroupMotion {
     std::vector<int64_t> begin, row;            // nonzero entries of A, column by column
     std::vector<int64_t> first, element;        // of each entry: its terms, and the component of u of each
     std::vector<double> weight, entries;        // of each term; the entries of A, order by order
-    Room<Row> A, terms, change, from, to, owed;  // A_k, P_(k+1), P - 1; g before and after
+    AlignedArray<Row> A, terms, change, from, to, remainder;  // A_k, P_(k+1), P - 1; g before and after
     std::vector<double> tails, sizes, moved;    // sums of norms of A; norms of P; the gradient of a part of a step
 
     template <class C>
     GroupSeries(const GroupField& group, const C& constants, int64_t most)
         : size(group.size), blocks(blocks_of<V>(size)), most(most), longest(most + MORE_TERMS), begin{0}, first{0},
           A(most * size * blocks), terms(longest * size * blocks), change(size * blocks), from(size * blocks),
-          to(size * blocks), owed(size * blocks), tails(most + 1), sizes(longest + 1) {
+          to(size * blocks), remainder(size * blocks), tails(most + 1), sizes(longest + 1) {
         std::map<std::pair<int64_t, int64_t>, std::map<int64_t, double>> cells;
         for (int64_t q = 0; q < group.entries; ++q)
             cells[{group.column[q], group.row[q]}][group.element[q]] += constants.template number_at<double>(group.value, q);
-        for (const auto& [place, sum] : cells) {
-            begin.resize(place.first + 1, int64_t(row.size()));
-            row.push_back(place.second);
+        for (const auto& [position, sum] : cells) {
+            begin.resize(position.first + 1, int64_t(row.size()));
+            row.push_back(position.second);
             for (const auto& [i, value] : sum) element.push_back(i), weight.push_back(value);
             first.push_back(int64_t(element.size()));
         }
@@ -83,16 +83,16 @@ struct GroupSeries final : GroupMotion {
         return most * (most * int64_t(row.size()) * blocks * V + int64_t(element.size())) + 2 * size * size * size;
     }
 
-    bool turn(const double* gradients, int64_t count, int64_t stride, double h, double* g, double* dg) override {
+    bool rotate(const double* gradients, int64_t count, int64_t stride, double h, double* g, double* dg) override {
         read(gradients, count, stride, h);
         // Parts of a step are the step divided by powers of two, and so are exact.
         int64_t parts = 1;
         while (parts <= MOST_SUBSTEPS && !(tails[0] <= REACH * double(parts))) parts *= 2;
         for (bool again = parts > 1; parts <= MOST_SUBSTEPS; parts *= 2, again = true) {
-            load_columns(g, from), load_columns(dg, owed);
-            if (again) Hearing::of_this_call().after(parts * work());
-            if (again ? follow(gradients, count, stride, h, parts) : follow_whole(count, h)) {
-                store_columns(from, g), store_columns(owed, dg);
+            load_columns(g, from), load_columns(dg, remainder);
+            if (again) InterruptCheck::of_this_call().after(parts * work());
+            if (again ? advance_parts(gradients, count, stride, h, parts) : advance_whole(count, h)) {
+                store_columns(from, g), store_columns(remainder, dg);
                 return true;
             }
         }
@@ -101,13 +101,13 @@ struct GroupSeries final : GroupMotion {
 
   private:
     // The whole step with the matrices as read.
-    bool follow_whole(int64_t count, double h) {
+    bool advance_whole(int64_t count, double h) {
         if (!expand(count, h)) return false;
         move();
         return true;
     }
 
-    bool follow(const double* gradients, int64_t count, int64_t stride, double h, int64_t parts) {
+    bool advance_parts(const double* gradients, int64_t count, int64_t stride, double h, int64_t parts) {
         const double part = 1.0 / double(parts);
         double power = 1.0;
         moved.resize(count * stride);
@@ -119,7 +119,7 @@ struct GroupSeries final : GroupMotion {
                 for (int64_t k = count - 1; k >= last; --k)
                     for (int64_t i = 0; i < stride; ++i) moved[(k - 1) * stride + i] += moved[k * stride + i];
             read(moved.data(), count, stride, part * h);
-            if (!follow_whole(count, part * h)) return false;
+            if (!advance_whole(count, part * h)) return false;
         }
         return true;
     }
@@ -156,11 +156,11 @@ struct GroupSeries final : GroupMotion {
         return most;
     }
 
-    void load_columns(const double* g, Room<Row>& columns) {
+    void load_columns(const double* g, AlignedArray<Row>& columns) {
         for (int64_t b = 0; b < size; ++b)
             for (int64_t r = 0; r < size; ++r) entry(columns.at, r, b) = g[b * size + r];
     }
-    void store_columns(Room<Row>& columns, double* g) {
+    void store_columns(AlignedArray<Row>& columns, double* g) {
         for (int64_t b = 0; b < size; ++b)
             for (int64_t r = 0; r < size; ++r) g[b * size + r] = entry(columns.at, r, b);
     }
@@ -194,7 +194,7 @@ struct GroupSeries final : GroupMotion {
                     for (int64_t s = 0; s < blocks; ++s) now[b * blocks + s] = length * coefficient(k, count, b, s);
             }
             sizes[k + 1] = norm(now);
-            if ((k + 1) % LOOKED_AFTER == 0 && nothing_left(k + 1, count)) return add(k + 1), true;
+            if ((k + 1) % TRUNCATION_TEST_INTERVAL == 0 && nothing_left(k + 1, count)) return add(k + 1), true;
         }
         return false;
     }
@@ -205,7 +205,7 @@ struct GroupSeries final : GroupMotion {
         double sum = 0.0;
         for (int64_t j = std::max<int64_t>(0, k - count + 1); j <= k; ++j)
             sum = coadjoint::fma(sizes[j], tails[k - j], sum);
-        return sum <= LEFT_OUT * (double(k + 1) - tails[0]);
+        return sum <= TRUNCATION_ERROR * (double(k + 1) - tails[0]);
     }
 
     void add(int64_t count) {
@@ -265,17 +265,17 @@ struct GroupSeries final : GroupMotion {
     void move() {
         for (int64_t b = 0; b < size; ++b)
             for (int64_t s = 0; s < blocks; ++s) {
-                const int64_t place = b * blocks + s;
-                Row more = owed.at[place];
+                const int64_t position = b * blocks + s;
+                Row more = remainder.at[position];
                 for (int64_t a = 0; a < size; ++a)
                     more = fma(from.at[a * blocks + s], Row(entry(change.at, a, b)), more);
-                add_owing_rest(from.at[place], more, to.at[place], owed.at[place]);
+                two_sum(from.at[position], more, to.at[position], remainder.at[position]);
             }
         std::swap(from.at, to.at);
     }
 };
 
-// The group element carried along with a series, or null.
+// The motion of the group element along a series, or null without a group element.
 template <int W, class C>
 std::unique_ptr<GroupMotion> group_motion(const GroupField& group, const C& constants, const Series<W>& series) {
     if (group.size == 0) return nullptr;

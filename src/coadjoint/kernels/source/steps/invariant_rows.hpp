@@ -32,24 +32,24 @@ struct InvariantRows {
     const C constants;
     std::vector<Invariant> invariants;
     Sums<W> linear;
-    std::vector<int64_t> own;           // of each row: how many of its first vectors are the coordinates themselves
+    std::vector<int64_t> diagonal_vectors;  // of each row: how many of its first vectors are the coordinates themselves
     std::vector<int64_t> block;         // of each row: its block of coordinates
     ProductRows<W> products;
     std::vector<double> offsets;
     // Bounds on the second derivatives: their sum in a row of an invariant is at most the sum of these factors times
     // powers of the largest coordinate, as (power, factor).
-    std::vector<std::vector<std::pair<size_t, double>>> bends;
+    std::vector<std::vector<std::pair<size_t, double>>> second_derivatives;
     std::vector<std::vector<std::pair<int64_t, int64_t>>> users;  // invariants and rows of a block of coordinates
-    std::vector<int64_t> place;         // of each row of a non-quadratic term: its index in `gradients`
+    std::vector<int64_t> position;  // of each row of a non-quadratic term: its index in `gradients`
     std::vector<Pair> pairs;
     std::vector<double> before;
-    Room<double> gradients;
+    AlignedArray<double> gradients;
     bool few = false;       // up to four, written out, and in two blocks at most
     bool quadratic = true;  // all of them are
     bool bounded = true;    // all are written out
 
     InvariantRows(const Watch& watch, const C& constants, int64_t n)
-        : watch(watch), constants(constants), users(blocks_of<W>(n)), place(watch.terms.row[watch.terms.size], -1),
+        : watch(watch), constants(constants), users(blocks_of<W>(n)), position(watch.terms.row[watch.terms.size], -1),
           before(watch.longest + 1), gradients(0) {
         for (int64_t i = watch.size; i-- > 0;) lay_out(i, n);
         linear.finish();
@@ -102,7 +102,8 @@ struct InvariantRows {
         const Row offset = load<Row>(offsets.data() + row * W);
         Row total = offset;
         int64_t e = linear.first[row];
-        for (const int64_t stop = e + own[row]; e < stop; ++e) total = fma(linear.at.at[e].weight, x, total);
+        for (const int64_t stop = e + diagonal_vectors[row]; e < stop; ++e)
+            total = fma(linear.at.at[e].weight, x, total);
         for (; e < linear.first[row + 1]; ++e) total = fma(linear.at.at[e].weight, newest(linear.at.at[e].left), total);
         whole = total + offset;
         for (int64_t s = products.first[row]; s < products.first[row + 1]; ++s) {
@@ -129,9 +130,10 @@ struct InvariantRows {
     }
 
     // The bound on the sum of second derivatives in a row of invariant a, for coordinates up to `largest`.
-    double bend(size_t a, double largest) const {
+    double second_derivative(size_t a, double largest) const {
         double total = 0.0;
-        for (const auto& [exponent, factor] : bends[a]) total += factor * power(largest, uint32_t(exponent));
+        for (const auto& [exponent, factor] : second_derivatives[a])
+            total += factor * power(largest, uint32_t(exponent));
         return total;
     }
 
@@ -190,7 +192,7 @@ struct InvariantRows {
         for (uint32_t k = watch.first[i]; k < watch.first[i + 1]; ++k) read(k, gradient, found);
         if (n <= MOST_HELD * W)
             for (int64_t b = 0; b < n; b += W) gradient.linear[b];  // every block has a row of every invariant
-        std::map<size_t, double> bend;
+        std::map<size_t, double> second_derivative;
         auto& sums = gradient.linear;
         for (auto it = sums.begin(); it != sums.end();) {
             const int64_t b = it->first / W;
@@ -209,20 +211,20 @@ struct InvariantRows {
                 there[at] = true;
                 double total = 0.0;
                 for (const Entry& entry : sum) total += std::fabs(entry.weight);
-                bend[0] = larger(bend[0], total);
+                second_derivative[0] = larger(second_derivative[0], total);
                 lanes[lane] = sum;
                 longer[lane] = gradient.products[it->first];
                 for (const auto& [factors, some] : longer[lane]) {
                     double all = 0.0;
                     for (const WeightedProduct& product : some) all += double(factors) * std::fabs(product.weight);
-                    bend[factors - 1] = larger(bend[factors - 1], all);
+                    second_derivative[factors - 1] = larger(second_derivative[factors - 1], all);
                 }
             }
             if (diagonal)
                 for (int lane = 0; lane < W; ++lane)
                     if (SparseSum& sum = lanes[lane]; sum.empty() || sum.front().left != b * W + lane)
                         sum.insert(sum.begin(), Entry{0.0, b * W + lane, 0});
-            own.push_back(diagonal);
+            diagonal_vectors.push_back(diagonal);
             linear.add(lanes), products.add(longer);
             block.push_back(b);
         }
@@ -230,9 +232,9 @@ struct InvariantRows {
             for (uint32_t row = watch.terms.row[k]; row < watch.terms.row[k + 1]; ++row)
                 for (size_t r = found.first; r < block.size(); ++r)
                     if (block[r] == watch.terms.target[row] / W)
-                        place[row] = int64_t(r) * W + watch.terms.target[row] % W;
-        quadratic &= bend.size() <= 1;
-        bends.emplace_back(bend.begin(), bend.end());
+                        position[row] = int64_t(r) * W + watch.terms.target[row] % W;
+        quadratic &= second_derivative.size() <= 1;
+        second_derivatives.emplace_back(second_derivative.begin(), second_derivative.end());
         found.last = int64_t(block.size());
         invariants.push_back(found);
     }
@@ -290,7 +292,7 @@ struct InvariantRows {
                 for (size_t q = p + 1; q < list.size(); ++q)
                     if (meet(list[p].second, list[q].second))
                         pairs.push_back(
-                            {factors.place.at({list[q].first, list[p].first}), list[p].second, list[q].second});
+                            {factors.position.at({list[q].first, list[p].first}), list[p].second, list[q].second});
         std::stable_sort(pairs.begin(), pairs.end(), [](const Pair& a, const Pair& b) { return a.target < b.target; });
     }
 
@@ -311,7 +313,8 @@ struct InvariantRows {
             total += product;
             for (uint32_t f = high; with_gradient && f-- > low;) {
                 const double y = x[terms.target[terms.factor_row[f]]], rest = power(y, terms.exponent[f] - 1);
-                slopes[place[terms.factor_row[f]]] += (before[f - low] * behind) * (double(terms.exponent[f]) * rest);
+                slopes[position[terms.factor_row[f]]] +=
+                    (before[f - low] * behind) * (double(terms.exponent[f]) * rest);
                 behind *= rest * y;
             }
         }

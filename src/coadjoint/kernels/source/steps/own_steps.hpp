@@ -2,7 +2,7 @@
 // affect the own steps: the points change no bit of what follows.
 #pragma once
 
-#include "boundary/hearing.hpp"
+#include "boundary/interrupts.hpp"
 #include "steps/step_length.hpp"
 #include "steps/step_scheme.hpp"
 
@@ -11,8 +11,8 @@ namespace coadjoint {
 // The most own steps within one step of the run, as a power of two. From 2^12 on a motion is abandoned if it has not
 // come near the end of the step and does not speed up: at any of these powers, the own steps would have to become eight
 // times as long each time their number doubles.
-constexpr int64_t MOST_OWN_STEPS = 24, FIRST_JUDGED = 12, EIGHTFOLD = 3;
-constexpr double SPEEDING_UP = 1.125;  // ratio of the longest steps of the second and the first half
+constexpr int64_t MOST_OWN_STEPS = 24, FIRST_TEST_EXPONENT = 12, EIGHTFOLD = 3;
+constexpr double MIN_SPEEDUP = 1.125;  // ratio of the longest steps of the second and the first half
 
 struct OwnSteps : StepScheme {
     // The memory of a member: the end of its last own step, and the length of the next one.
@@ -20,12 +20,12 @@ struct OwnSteps : StepScheme {
         double &since, &rest;  // time from the start of the run, as a compensated sum
         double& length;        // signed
         double *x, *dx, *group, *dgroup;
-        double* further;  // what the scheme itself remembers
+        double* further;  // memory of the scheme itself
     };
 
-    // `further`: how many numbers the scheme itself remembers.
+    // `further`: size of the memory of the scheme itself.
     OwnSteps(int64_t size, int64_t square, int64_t further) : size(size), square(square) {
-        remembered = HEAD + 2 * (size + square) + further;
+        memory_size = HEAD + 2 * (size + square) + further;
     }
 
     double reached = 0.0;  // the time from the start reached by the last successful own step
@@ -33,26 +33,26 @@ struct OwnSteps : StepScheme {
     // Compute the state at a point, `number` steps of length h after t0, from the memory of the member; a run begins at
     // the given state. The loop calls this instead of `step`; it returns a status.
     int64_t reach(double* x, double* dx, double* group, double* dgroup, double t0, int64_t number, double h,
-                  Hearing& hearing) {
+                  InterruptCheck& interrupts) {
         const Base base = read(memory);
         if (!(memory[0] == memory[0])) {
-            std::fill_n(memory, remembered, 0.0);
+            std::fill_n(memory, memory_size, 0.0);
             std::copy_n(x, size, base.x), std::copy_n(dx, size, base.dx);
             std::copy_n(group, square, base.group), std::copy_n(dgroup, square, base.dgroup);
             base.length = h;
             reached = 0.0;
             if (const int64_t status = begin(base, t0)) return status;
         }
-        const double there = double(number) * h, left_out = fma(double(number), h, -there);
+        const double there = double(number) * h, product_error = fma(double(number), h, -there);
         StepCount steps(std::fabs(h), base.since);
         while (true) {
             reached = std::fabs(base.since);
-            const double ahead = ((there - base.since) - base.rest) + left_out;
+            const double ahead = ((there - base.since) - base.rest) + product_error;
             if (std::fabs(ahead) <= std::fabs(base.length)) return part(base, t0, ahead, x, dx, group, dgroup);
-            hearing.after(work);
+            interrupts.after(work);
             const double length = base.length;
             double since, rest;
-            add_owing_rest(base.since, base.rest + length, since, rest);
+            two_sum(base.since, base.rest + length, since, rest);
             if (const int64_t status = finish(base, t0)) return status;
             if (!finite(size, base.x) || !finite(square, base.group)) {
                 residual = std::numeric_limits<double>::quiet_NaN();
@@ -62,7 +62,7 @@ struct OwnSteps : StepScheme {
             reached = std::fabs(since);
             if (const int64_t status = propose(base, t0)) return status;
             if (!(std::fabs(base.length) > UNIT_ROUNDOFF * std::fabs(since))) break;
-            if (!steps.go_on(since, length)) break;
+            if (!steps.count_step(since, length)) break;
         }
         residual = base.length;
         return UNDEFINED;
@@ -70,9 +70,9 @@ struct OwnSteps : StepScheme {
 
     // A single step is the motion over it.
     int64_t step(double* x, double* dx, double* group, double* dgroup, double t, double h) override {
-        std::vector<double> fresh(remembered, std::numeric_limits<double>::quiet_NaN());
+        std::vector<double> fresh(memory_size, std::numeric_limits<double>::quiet_NaN());
         memory = fresh.data();
-        return reach(x, dx, group, dgroup, t, 1, h, Hearing::of_this_call());
+        return reach(x, dx, group, dgroup, t, 1, h, InterruptCheck::of_this_call());
     }
 
   protected:
@@ -94,28 +94,29 @@ struct OwnSteps : StepScheme {
     // Number of own steps that end within one step of the run, independent of the points.
     struct StepCount {
         double h, begin, number, longest = 0.0, before = 0.0;  // the longest of the later half, and of the first
-        int64_t count = 0, judged = FIRST_JUDGED;
+        int64_t count = 0, test_exponent = FIRST_TEST_EXPONENT;
 
         StepCount(double h, double since) : h(h), begin(std::fabs(since)), number(std::floor(begin / h)) {}
 
         // Count a step that ended; return whether the next step of the run is reachable.
-        bool go_on(double since, double length) {
+        bool count_step(double since, double length) {
             const double there = std::fabs(since);
             if (there >= (number + 1.0) * h) {
                 *this = StepCount(h, since);
                 return true;
             }
             longest = larger(longest, std::fabs(length));
-            if (++count < int64_t(1) << judged) {
-                if (2 * count == int64_t(1) << judged) before = longest, longest = 0.0;
+            if (++count < int64_t(1) << test_exponent) {
+                if (2 * count == int64_t(1) << test_exponent) before = longest, longest = 0.0;
                 return true;
             }
-            if (judged == MOST_OWN_STEPS) return false;
-            const double most = (there - begin) * whole_power_of_two(double(EIGHTFOLD * (MOST_OWN_STEPS - judged)));
-            const bool hopeless = (number + 1.0) * h - begin > most && longest <= SPEEDING_UP * before;
+            if (test_exponent == MOST_OWN_STEPS) return false;
+            const double most =
+                (there - begin) * whole_power_of_two(double(EIGHTFOLD * (MOST_OWN_STEPS - test_exponent)));
+            const bool unreachable = (number + 1.0) * h - begin > most && longest <= MIN_SPEEDUP * before;
             before = larger(before, longest), longest = 0.0;
-            ++judged;
-            return !hopeless;
+            ++test_exponent;
+            return !unreachable;
         }
     };
 

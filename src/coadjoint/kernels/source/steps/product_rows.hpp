@@ -23,7 +23,7 @@ struct ProductRows {
     struct Segment {
         int64_t factors, count;
         const Row* weight;
-        const Places<W>* place;
+        const Positions<W>* position;
     };
     std::vector<Segment> segments;
     std::vector<int64_t> first{0};  // block b has the segments first[b] to first[b + 1]
@@ -34,16 +34,16 @@ struct ProductRows {
         for (const auto& row : rows)
             for (const auto& [factors, products] : row) longest[factors] = std::max(longest[factors], products.size());
         for (const auto& [factors, count] : longest) {
-            weights.emplace_back(int64_t(count)), places.emplace_back(int64_t(count * factors));
+            weights.emplace_back(int64_t(count)), positions.emplace_back(int64_t(count * factors));
             for (size_t e = 0; e < count; ++e)
                 for (int lane = 0; lane < W; ++lane) {
                     const auto found = rows[lane].find(factors);
                     const bool there = found != rows[lane].end() && e < found->second.size();
                     weights.back().at[e].set(lane, there ? found->second[e].weight : 0.0);
                     for (size_t f = 0; f < factors; ++f)
-                        places.back().at[e * factors + f].lane[lane] = there ? found->second[e].factors[f] : 0;
+                        positions.back().at[e * factors + f].lane[lane] = there ? found->second[e].factors[f] : 0;
                 }
-            segments.push_back({int64_t(factors), int64_t(count), weights.back().at, places.back().at});
+            segments.push_back({int64_t(factors), int64_t(count), weights.back().at, positions.back().at});
         }
         first.push_back(int64_t(segments.size()));
     }
@@ -52,11 +52,11 @@ struct ProductRows {
     template <class Take>
     INLINE Row sum(const Segment& segment, const Take& newest) const {
         Row total(0.0);
-        const Places<W>* place = segment.place;
+        const Positions<W>* position = segment.position;
         for (int64_t e = 0; e < segment.count; ++e) {
             Row product = segment.weight[e];
-            for (int64_t f = 1; f < segment.factors; ++f) product = product * newest(*place++);
-            total = fma(product, newest(*place++), total);
+            for (int64_t f = 1; f < segment.factors; ++f) product = product * newest(*position++);
+            total = fma(product, newest(*position++), total);
         }
         return total;
     }
@@ -68,15 +68,15 @@ struct ProductRows {
         for (int64_t e = 0; e < segment.count; ++e) {
             Row product = segment.weight[e];
             for (int64_t f = 0; f < segment.factors; ++f)
-                product = product * newest(segment.place[e * segment.factors + f]);
+                product = product * newest(segment.position[e * segment.factors + f]);
             total = total + absolute(product);
         }
         return total;
     }
 
   private:
-    std::deque<Room<Row>> weights;
-    std::deque<Room<Places<W>>> places;
+    std::deque<AlignedArray<Row>> weights;
+    std::deque<AlignedArray<Positions<W>>> positions;
 };
 
 }  // namespace coadjoint

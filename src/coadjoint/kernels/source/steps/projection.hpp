@@ -16,7 +16,7 @@ static_assert(DEPENDENT == power_of_two(-DEPENDENT_BITS), "the plain reading fin
 template <class A>
 INLINE void add_to(A& x, A& dx, const A& more) {
     const A old = x;
-    add_owing_rest(old, dx + more, x, dx);
+    two_sum(old, dx + more, x, dx);
 }
 
 template <int W, class C>
@@ -25,7 +25,7 @@ struct Projection {
     InvariantRows<W, C> rows;
     const size_t size;
     std::vector<double> defects;
-    Room<Row> moved;
+    AlignedArray<Row> moved;
     SparseFactors factors;
     int64_t corrections = 0;
     double residual = 0.0;
@@ -36,23 +36,23 @@ struct Projection {
     }
 
     // The target values, and the allowed defects.
-    int64_t remembered() const { return 2 * int64_t(size); }
-    void begin(const Row* x, double* kept) {
+    int64_t memory_size() const { return 2 * int64_t(size); }
+    void begin(const Row* x, double* targets) {
         for (size_t a = 0; a < size; ++a) {
-            kept[a] = rows.template value<true>(a, Newest<0, W>(x), x);
-            kept[size + a] = EXACT * rows.terms_of(a, x);
+            targets[a] = rows.template value<true>(a, Newest<0, W>(x), x);
+            targets[size + a] = EXACT * rows.terms_of(a, x);
         }
     }
 
-    // Move x + dx back to the level set `kept` of all invariants; false without convergence.
-    bool restore(Row* x, Row* dx, int64_t blocks, double* kept) {
+    // Move x + dx back to the level set `targets` of all invariants; false without convergence.
+    bool restore(Row* x, Row* dx, int64_t blocks, double* targets) {
         corrections = 0;
         if (rows.few) {
             if constexpr (W == 8)
-                if (blocks == 2) return restore_few<2>(x, dx, kept);
-            return restore_few<1>(x, dx, kept);
+                if (blocks == 2) return restore_few<2>(x, dx, targets);
+            return restore_few<1>(x, dx, targets);
         }
-        if (exact<true>(x, blocks, kept)) return true;
+        if (exact<true>(x, blocks, targets)) return true;
         rows.gram(factors);
         factors.factorize();
         std::fill_n(moved.at, blocks, Row(0.0));
@@ -68,17 +68,17 @@ struct Projection {
                 least = least + absolute(more), total = total + absolute(moved.at[b]);
             }
             const double product = sum_of_lanes(least) * sum_of_lanes(total);
-            if (rows.bounded && negligible(product, largest_of(x, blocks), kept)) return true;
-            if (exact<false>(x, blocks, kept) || (residual >= 0.5 * before && settled(x, kept))) return true;
+            if (rows.bounded && negligible(product, largest_of(x, blocks), targets)) return true;
+            if (exact<false>(x, blocks, targets) || (residual >= 0.5 * before && settled(x, targets))) return true;
         }
         return false;
     }
 
     // If corrections stagnate: whether the defects are explained by the rounding of cancelling terms.
-    NOINLINE bool settled(const Row* x, const double* kept) {
+    NOINLINE bool settled(const Row* x, const double* targets) {
         bool all = true;
         for (size_t a = 0; a < size; ++a)
-            all &= std::fabs(kept[a] - rows.template value<false>(a, Newest<0, W>(x), x)) <=
+            all &= std::fabs(targets[a] - rows.template value<false>(a, Newest<0, W>(x), x)) <=
                    double(PROJECTION_STAGNANT) * EXACT * rows.terms_of(a, x);
         return all;
     }
@@ -86,19 +86,19 @@ struct Projection {
   private:
     // Up to four invariants of coordinates in K blocks, all in registers.
     template <int K>
-    bool restore_few(Row* x, Row* dx, double* kept) {
-        if (size == 1) return restore_these<1, K>(x, dx, kept);
-        if (size == 2) return restore_these<2, K>(x, dx, kept);
-        if (size == 3) return restore_these<3, K>(x, dx, kept);
-        return restore_these<4, K>(x, dx, kept);
+    bool restore_few(Row* x, Row* dx, double* targets) {
+        if (size == 1) return restore_these<1, K>(x, dx, targets);
+        if (size == 2) return restore_these<2, K>(x, dx, targets);
+        if (size == 3) return restore_these<3, K>(x, dx, targets);
+        return restore_these<4, K>(x, dx, targets);
     }
 
     template <int R, int K>
-    NOINLINE bool restore_these(Row* state, Row* owed, double* kept) {
+    NOINLINE bool restore_these(Row* state, Row* remainder, double* targets) {
         Row x[K], dx[K], slope[R][K];
         double defect[R], L[R][R], inverse[R];
-        for (int b = 0; b < K; ++b) x[b] = state[b], dx[b] = owed[b];
-        if (few<R, K>(x, kept, slope, defect)) return true;
+        for (int b = 0; b < K; ++b) x[b] = state[b], dx[b] = remainder[b];
+        if (few<R, K>(x, targets, slope, defect)) return true;
 #pragma GCC unroll 4
         for (int i = 0; i < R; ++i)
 #pragma GCC unroll 4
@@ -144,16 +144,16 @@ struct Projection {
                 total[b] = total[b] + more;
                 now = b ? now + absolute(more) : absolute(more), all = b ? all + absolute(total[b]) : absolute(total[b]);
             }
-            restored = negligible(sum_of_lanes(now) * sum_of_lanes(all), largest_of(x, K), kept) ||
-                       few<R, K>(x, kept, unused, defect) || (residual >= 0.5 * before && settled(x, kept));
+            restored = negligible(sum_of_lanes(now) * sum_of_lanes(all), largest_of(x, K), targets) ||
+                       few<R, K>(x, targets, unused, defect) || (residual >= 0.5 * before && settled(x, targets));
             if (restored) break;
         }
-        for (int b = 0; b < K; ++b) state[b] = x[b], owed[b] = dx[b];
+        for (int b = 0; b < K; ++b) state[b] = x[b], remainder[b] = dx[b];
         return restored;
     }
 
     template <int R, int K>
-    INLINE bool few(const Row* x, double* kept, Row (*slope)[K], double* defect) {
+    INLINE bool few(const Row* x, double* targets, Row (*slope)[K], double* defect) {
         const Newest<K, W> newest(x);
         bool all = true;
         residual = 0.0;
@@ -165,8 +165,8 @@ struct Projection {
                 slope[i][b] = rows.slope(i * K + b, newest, x[b], whole);
                 total = b ? fma(x[b], whole, total) : x[b] * whole;
             }
-            defect[i] = kept[i] - (rows.invariants[i].constant + 0.5 * sum_of_lanes(total));
-            all &= rounding_alone(i, defect[i], x, kept[R + i]);
+            defect[i] = targets[i] - (rows.invariants[i].constant + 0.5 * sum_of_lanes(total));
+            all &= rounding_alone(i, defect[i], x, targets[R + i]);
             residual += std::fabs(defect[i]);
         }
         return all;
@@ -183,9 +183,10 @@ struct Projection {
 
     // Whether the error after a correction is within rounding. It is the second derivatives times the correction times
     // the sum of all corrections.
-    INLINE bool negligible(double product, double largest, const double* kept) const {
+    INLINE bool negligible(double product, double largest, const double* targets) const {
         bool all = true;
-        for (size_t a = 0; a < size; ++a) all &= product * rows.bend(a, largest) <= 0.25 * kept[size + a];
+        for (size_t a = 0; a < size; ++a)
+            all &= product * rows.second_derivative(a, largest) <= 0.25 * targets[size + a];
         return all;
     }
 
@@ -199,21 +200,21 @@ struct Projection {
 
     // Compute the defects, and whether all are within rounding.
     template <bool with_gradient>
-    bool exact(const Row* x, int64_t blocks, double* kept) {
+    bool exact(const Row* x, int64_t blocks, double* targets) {
         if constexpr (W == 8) {
-            if (blocks == 2) return exact_by<with_gradient>(Newest<2, W>(x), x, kept);
-            if (blocks == 3) return exact_by<with_gradient>(Newest<3, W>(x), x, kept);
+            if (blocks == 2) return exact_by<with_gradient>(Newest<2, W>(x), x, targets);
+            if (blocks == 3) return exact_by<with_gradient>(Newest<3, W>(x), x, targets);
         }
-        return exact_by<with_gradient>(Newest<0, W>(x), x, kept);
+        return exact_by<with_gradient>(Newest<0, W>(x), x, targets);
     }
 
     template <bool with_gradient, class Take>
-    NOINLINE bool exact_by(const Take& newest, const Row* x, double* kept) {
+    NOINLINE bool exact_by(const Take& newest, const Row* x, double* targets) {
         bool all = true;
         residual = 0.0;
         for (size_t a = 0; a < size; ++a) {
-            defects[a] = kept[a] - rows.template value<with_gradient>(a, newest, x);
-            all &= rounding_alone(a, defects[a], x, kept[size + a]);
+            defects[a] = targets[a] - rows.template value<with_gradient>(a, newest, x);
+            all &= rounding_alone(a, defects[a], x, targets[size + a]);
             residual += std::fabs(defects[a]);
         }
         return all;

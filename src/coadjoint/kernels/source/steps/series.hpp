@@ -17,19 +17,19 @@ struct Series {
     typedef Lanes<W> Row;
     const SeriesField<W> field;
     const int64_t order;
-    Room<Row> x, u;                     // coefficients of x, order by order; of the gradient, the newest
+    AlignedArray<Row> x, u;  // coefficients of x, order by order; of the gradient, the newest
     // Coefficients of both factors of a product.
     struct Factors {
         Row left, right;
     };
-    Room<Factors> factors, made;        // of every product, one after the other, and of those behind the coordinates
-    Room<Row> later, made_later;        // known contributions to the next order
+    AlignedArray<Factors> factors, made;  // of every product, one after the other, and of those behind the coordinates
+    AlignedArray<Row> later, made_later;  // known contributions to the next order
 
     template <class C>
-    Series(const Field& given, const C& constants, int64_t order)
-        : field(given, constants, order), order(order), x((order + 1) * field.extended), u(field.blocks),
-          factors(field.products.size() * order), made(field.factors.size() * order),
-          later(2 * field.blocks), made_later(2 * field.factors.blocks) {}
+    Series(const Field& system_field, const C& constants, int64_t order)
+        : field(system_field, constants, order), order(order), x((order + 1) * field.extended), u(field.blocks),
+          factors(field.products.size() * order), made(field.factors.size() * order), later(2 * field.blocks),
+          made_later(2 * field.factors.blocks) {}
 
     // Approximate number of multiplications of the coefficients.
     int64_t work() const {
@@ -48,14 +48,14 @@ struct Series {
 
   private:
     // Sums over products that every coefficient needs: in registers for E of them, else in memory.
-    static constexpr int held_in_registers(int count) { return count <= 4 ? count : 0; }
+    static constexpr int register_count(int count) { return count <= 4 ? count : 0; }
     template <int E, class = void>
-    struct Held {
+    struct ProductCache {
         typename Sums<W>::Vector products[E];
         Factors firsts[E];
         Row scaled[E];
-        INLINE Held(const Sums<W>& given, const Factors*, int64_t) {
-            for (int e = 0; e < E; ++e) products[e] = given.at.at[e];
+        INLINE ProductCache(const Sums<W>& table, const Factors*, int64_t) {
+            for (int e = 0; e < E; ++e) products[e] = table.at.at[e];
         }
         INLINE const auto& product(int64_t e) const { return products[e]; }
         INLINE const Factors& first(int64_t e) const { return firsts[e]; }
@@ -63,13 +63,13 @@ struct Series {
         INLINE void begin(int64_t e, const Factors& now) { firsts[e] = now, scaled[e] = products[e].weight * now.right; }
     };
     template <class Any>
-    struct Held<0, Any> {
-        const Sums<W>& given;
+    struct ProductCache<0, Any> {
+        const Sums<W>& table;
         const Factors* factors;
         const int64_t order;
-        INLINE Held(const Sums<W>& given, const Factors* factors, int64_t order)
-            : given(given), factors(factors), order(order) {}
-        INLINE const auto& product(int64_t e) const { return given.at.at[e]; }
+        INLINE ProductCache(const Sums<W>& table, const Factors* factors, int64_t order)
+            : table(table), factors(factors), order(order) {}
+        INLINE const auto& product(int64_t e) const { return table.at.at[e]; }
         INLINE const Factors& first(int64_t e) const { return factors[e * order]; }
         INLINE Row weighted(int64_t e) const { return product(e).weight * first(e).right; }
         INLINE void begin(int64_t, const Factors&) {}
@@ -97,25 +97,25 @@ struct Series {
             if (blocks == 2) return expand_unrolled<2, written_out, 0>(h);
             if (blocks == 3) return expand_unrolled<3, written_out, 0>(h);
         }
-        Held<0> held(field.products, factors.at, order);
+        ProductCache<0> cached(field.products, factors.at, order);
         Newest<0, W> newest(x.at);
-        for (int64_t k = 0; k < order; ++k) coefficient<0, written_out, 0>(held, newest, k, h);
+        for (int64_t k = 0; k < order; ++k) coefficient<0, written_out, 0>(cached, newest, k, h);
     }
 
     // K: blocks of rows, E: products of each row; both are 0 if they are read from the tables.
     template <int K, bool written_out, int E>
     NOINLINE void expand_unrolled(double h) {
-        Held<held_in_registers(K * E)> held(field.products, factors.at, order);
+        ProductCache<register_count(K * E)> cached(field.products, factors.at, order);
         Newest<K, W> newest(x.at);
-        stage<K, written_out, E, 0>(held, newest, h);
-        for (int64_t k = UNROLLED; k < order; ++k) coefficient<K, written_out, E>(held, newest, k, h);
+        stage<K, written_out, E, 0>(cached, newest, h);
+        for (int64_t k = UNROLLED; k < order; ++k) coefficient<K, written_out, E>(cached, newest, k, h);
     }
 
     template <int K, bool written_out, int E, int k>
-    INLINE void stage(Held<held_in_registers(K * E)>& held, Newest<K, W>& newest, double h) {
+    INLINE void stage(ProductCache<register_count(K * E)>& cached, Newest<K, W>& newest, double h) {
         if (k == order) return;
-        coefficient<K, written_out, E>(held, newest, k, h);
-        if constexpr (k + 1 < UNROLLED) stage<K, written_out, E, k + 1>(held, newest, h);
+        coefficient<K, written_out, E>(cached, newest, k, h);
+        if constexpr (k + 1 < UNROLLED) stage<K, written_out, E, k + 1>(cached, newest, h);
     }
 
     // The sums of a_j b_(k - j) for the orders k (even) and k + 1, as far as coefficients before k go. Both orders are
@@ -143,23 +143,23 @@ struct Series {
     }
 
     // Both sums of some products before the coefficients of order k are known.
-    INLINE void begin(const Factors* f, int64_t count, int64_t k, Row* kept, Row& even, Row& odd) {
+    INLINE void begin(const Factors* f, int64_t count, int64_t k, Row* stored, Row& even, Row& odd) {
         if (k % 2 == 1) {
-            even = kept[0], odd = kept[1];
+            even = stored[0], odd = stored[1];
         } else {
             Row sums[4] = {0.0, 0.0, 0.0, 0.0};
             for (int64_t e = 0; e < count; ++e) convolve(f + e * order, k, sums);
-            even = sums[0], odd = sums[1], kept[0] = sums[2], kept[1] = sums[3];
+            even = sums[0], odd = sums[1], stored[0] = sums[2], stored[1] = sums[3];
         }
         for (int64_t e = 0; e < count; ++e) add_left(f + e * order, k, even, odd);
     }
 
     template <int K, bool written_out, int E>
-    INLINE void coefficient(Held<held_in_registers(K * E)>& held, Newest<K, W>& newest, int64_t k, double h) {
+    INLINE void coefficient(ProductCache<register_count(K * E)>& cached, Newest<K, W>& newest, int64_t k, double h) {
         const int64_t blocks = K ? K : field.blocks;
         Row *now = x.at + k * field.extended, *then = now + field.extended;
         if constexpr (K == 0) make_products(k, now);
-        // Kept in registers, since memory would delay the next order.
+        // In registers, since memory would delay the next order.
         Row slopes[K ? K : 1], next[K ? K : 1];
         if constexpr (!written_out) {
             const Sums<W>& sums = field.gradient;
@@ -186,12 +186,12 @@ struct Series {
             // The part independent of the newest coefficients is multiplied by the length beforehand.
             even = length * even, odd = length * odd;
             for (int64_t e = 0; e < count; ++e, f += order) {
-                const Row y = newest(held.product(first + e).left), z = other(held.product(first + e).right);
-                const Factors now{held.product(first + e).weight * y, z};
+                const Row y = newest(cached.product(first + e).left), z = other(cached.product(first + e).right);
+                const Factors now{cached.product(first + e).weight * y, z};
                 f[k] = now;
-                if (k == 0) held.begin(first + e, now);
-                if (k > 0) odd = fma(y, length * held.weighted(first + e), odd);
-                even = fma(length * held.first(first + e).left, z, even);
+                if (k == 0) cached.begin(first + e, now);
+                if (k > 0) odd = fma(y, length * cached.weighted(first + e), odd);
+                even = fma(length * cached.first(first + e).left, z, even);
             }
             if constexpr (written_out)
                 for (int64_t e = field.linear.first[b]; e < field.linear.first[b + 1]; ++e)

@@ -57,8 +57,8 @@ struct SeriesField {
         std::map<std::pair<int64_t, int64_t>, double> sums;
         for (const auto& entry : row) sums[{entry.left, entry.right}] += entry.weight;
         row.clear();
-        for (const auto& [places, weight] : sums)
-            if (weight != 0.0) row.push_back({weight, places.first, places.second});
+        for (const auto& [positions, weight] : sums)
+            if (weight != 0.0) row.push_back({weight, positions.first, positions.second});
     }
 
     template <class C>

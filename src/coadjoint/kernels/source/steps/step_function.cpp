@@ -7,15 +7,15 @@ namespace coadjoint {
 namespace {
 
 // Write the new state, and return 0, or 1 on an exception, which ends the loop and is raised again by Python.
-typedef int64_t (*Function)(const Seen* system, const double* x, double t, double h, double* out);
+typedef int64_t (*Function)(const SystemView* system, const double* x, double t, double h, double* out);
 
 struct StepFunction final : StepScheme {
     const Function function;
-    const Seen system;
+    const SystemView system;
     const int64_t n;
     std::vector<double> out;
 
-    StepFunction(const StepTables& tables, const Own& constants)
+    StepFunction(const StepTables& tables, const MemberConstants& constants)
         : function(reinterpret_cast<Function>(tables.whole[0])),
           system{tables.field.size, tables.field.sign, tables.coefficients[0], &tables.field, tables.values, constants},
           n(tables.field.size), out(n) {

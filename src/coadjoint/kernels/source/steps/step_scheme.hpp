@@ -11,49 +11,58 @@
 
 namespace coadjoint {
 
-// A step of members side by side, each with the bits that it has alone.
-struct CrowdStep {
+// A step of members as lanes, each with the same bits as alone.
+struct LaneStep {
     typedef Lanes<NATIVE> A;
     int64_t work = 0;  // approximate number of multiplications of a step of all of them
     // Of each member after a step.
     int64_t status[NATIVE], evaluations[NATIVE], iterations[NATIVE];
     double residual[NATIVE];
 
-    virtual ~CrowdStep() = default;
+    virtual ~LaneStep() = default;
     // Load and store the memory of a member.
     virtual void read(int lane, const double* memory) = 0;
     virtual void write(int lane, double* memory) const = 0;
-    // Take one step of the lengths h in place, for the members that are `going`.
-    virtual void step(A* x, A* dx, const A& h, const int64_t* going) = 0;
+    // Take one step of the lengths h in place, for the members that are `active`.
+    virtual void step(A* x, A* dx, const A& h, const int64_t* active) = 0;
 };
 
 struct StepScheme {
     int64_t work = 0;       // approximate number of multiplications of a step
     double residual = 0.0;  // the last correction of the last step
     int64_t evaluations = 0, iterations = 0;
-    int64_t remembered = 0;    // count of numbers remembered of a member from step to step; set by constructors
+    int64_t memory_size = 0;   // numbers per member that are stored from step to step; set by constructors
     int64_t member = 0;        // number in the run of the member whose step is taken
-    double* memory = nullptr;  // remembered numbers, NaN before the first step; null if there are none
+    double* memory = nullptr;  // these numbers, NaN before the first step; null if there are none
 
     virtual ~StepScheme() = default;
     // Take one step of length h from time t in place, with compensations dx and dgroup; return a status. Both are
     // aligned rows of eight, zero beyond the last coordinate. The group element is transposed.
     virtual int64_t step(double* x, double* dx, double* group, double* dgroup, double t, double h) = 0;
-    // The same step of many members with the constants of this one, which must outlive it; null if members one after
-    // the other are as fast.
-    virtual std::unique_ptr<CrowdStep> crowd() { return nullptr; }
+    // The same step of members as lanes with the constants of this one, which must outlive it; null if lanes are no
+    // faster.
+    virtual std::unique_ptr<LaneStep> lane_step() { return nullptr; }
     // The Taylor series of the motion over the last step, if the scheme has one.
     virtual StepSeries series_of_step() const { return {}; }
 };
 
 #if defined(COADJOINT_APART)
-// What the kernels export to a separate library before its steps are called.
-extern "C" __attribute__((visibility("default"), weak)) void borrow(const Lent* from) { lent = *from; }
+// Called with the functions of the kernels before the steps of a separate library.
+extern "C" __attribute__((visibility("default"), weak)) void import_interrupts(const InterruptFunctions* from) {
+    imported_functions = *from;
+}
 #endif
 
-#define STEP_SCHEME(name, Type)                                                                                   \
-    EXPORT coadjoint::StepScheme* name##_step(const coadjoint::StepTables& tables, const coadjoint::Own& own) { \
-        return new Type(tables, own);                                                                             \
+#define STEP_SCHEME(name, Type)                                                             \
+    EXPORT coadjoint::StepScheme* name##_step(const coadjoint::StepTables& tables,          \
+                                              const coadjoint::MemberConstants& constants) { \
+        return new Type(tables, constants);                                                 \
     }
+
+// Former names, which steps of users may contain.
+typedef MemberConstants Own;
+typedef InterruptCheck Hearing;
+template <class A>
+using FieldRoom = FieldWorkspace<A>;
 
 }  // namespace coadjoint

@@ -1,12 +1,12 @@
-// Tangent vectors and their stretching factors. Vectors of one member are side by side, or those of many members.
+// Tangent vectors and their stretching factors. The lanes are vectors of one member, or members.
 #pragma once
 
-#include "boundary/crew.hpp"
-#include "numbers/room.hpp"
+#include "boundary/loop.hpp"
+#include "numbers/aligned_array.hpp"
 
 namespace coadjoint {
 
-typedef Lanes<4> Abreast;  // tangent vectors of one member side by side
+typedef Lanes<4> TangentLanes;  // tangent vectors of one member as lanes
 
 // The smallest part of a vector that must remain after orthogonalization. In a smaller remainder, half of the digits
 // are round-off.
@@ -33,47 +33,46 @@ typename Numbers<N>::Mask orthonormalize(N* at, int64_t size, int64_t count, int
     const auto length_of = [&](int64_t r) {
         N square(0.0);
         for (int64_t i = 0; i < size; ++i) square = fma(at[i * width + r], at[i * width + r], square);
-        return map(square, [](double own) { return std::sqrt(own); });
+        return map(square, [](double entry) { return std::sqrt(entry); });
     };
-    typename Numbers<N>::Mask sound = N(0.0) == N(0.0);
+    typename Numbers<N>::Mask valid = N(0.0) == N(0.0);
     for (int64_t r = 0; r < count; ++r) lengths[r] = length_of(r);
     for (int64_t r = 0; r < count; ++r) {
-        Hearing::of_this_call().after(2 * size * (count - r) * Numbers<N>::lanes);
+        InterruptCheck::of_this_call().after(2 * size * (count - r) * Numbers<N>::lanes);
         const N length = length_of(r);
-        sound = sound & (length > N(NEARLY_DEPENDENT) * lengths[r]) & (length - length == N(0.0));
-        if (!any(sound)) return sound;
+        valid = valid & (length > N(NEARLY_DEPENDENT) * lengths[r]) & (length - length == N(0.0));
+        if (!any(valid)) return valid;
         lengths[r] = length;
         std::fill_n(shares, count, N(0.0));
         for (int64_t i = 0; i < size; ++i) {
-            const N own = at[i * width + r] = at[i * width + r] / length;
-            for (int64_t s = r + 1; s < count; ++s) shares[s] = fma(own, at[i * width + s], shares[s]);
+            const N entry = at[i * width + r] = at[i * width + r] / length;
+            for (int64_t s = r + 1; s < count; ++s) shares[s] = fma(entry, at[i * width + s], shares[s]);
         }
         for (int64_t i = 0; i < size; ++i) {
-            const N own = -at[i * width + r];
-            for (int64_t s = r + 1; s < count; ++s) at[i * width + s] = fma(own, shares[s], at[i * width + s]);
+            const N entry = -at[i * width + r];
+            for (int64_t s = r + 1; s < count; ++s) at[i * width + s] = fma(entry, shares[s], at[i * width + s]);
         }
     }
-    return sound;
+    return valid;
 }
 
-// The count of numbers that a member remembers of its vectors: the vectors, their stretching until the last
-// orthonormalization, and until the last step.
-inline int64_t remembered_by(const Tangents& tangents) { return tangents.carried * (tangents.size + 6); }
+// The memory per member: the vectors, their stretching until the last orthonormalization, and until the last step.
+inline int64_t memory_size(const Tangents& tangents) { return tangents.carried * (tangents.size + 6); }
 
 // An N is a number of one member, or of many as lanes; a V is an N, or vectors of one member side by side.
 template <class N, class V>
-class Bundle {
+class TangentBundle {
   public:
     typedef typename Numbers<N>::Mask Mask;
     const int64_t size, count, rows;  // components, vectors, and blocks of them side by side
 
-    explicit Bundle(const Tangents& given)
-        : size(given.size), count(given.carried), rows((count + abreast - 1) / abreast), given(given),
+    explicit TangentBundle(const Tangents& tables)
+        : size(tables.size), count(tables.carried), rows((count + per_block - 1) / per_block), tables(tables),
           vectors(size * rows), copies(size * rows), lengths(count), shares(count), stretches(members * count) {}
 
-    // Load the memory of the member of a lane; before the first step the vectors are the given ones.
+    // Load the memory of the member of a lane; before the first step the vectors are `frame`.
     void begin(const double* memory, bool starting, int lane = 0) {
-        const double *from = starting ? given.frame : memory, *stretched = memory + count * size;
+        const double *from = starting ? tables.frame : memory, *stretched = memory + count * size;
         each([&](int64_t r, int64_t i) { set_lane(entries(vectors)[i * width() + r], lane, from[r * size + i]); });
         for (int64_t r = 0; r < count; ++r, stretched += 3)
             stretches[lane * count + r] =
@@ -84,7 +83,7 @@ class Bundle {
     V* held() { return vectors.at; }
 
     // To be called after each step; false if the vectors are no longer independent.
-    Mask after(int64_t k) { return k % given.every != 0 ? N(0.0) == N(0.0) : grow(vectors, stretches); }
+    Mask after(int64_t k) { return k % tables.every != 0 ? N(0.0) == N(0.0) : grow(vectors, stretches); }
 
     // Store the state of each of the first `used` lanes in its memory. `finish(vectors)` takes copies of the vectors
     // through the rest of the last step. If the copies are not independent, their stretching is NaN.
@@ -93,34 +92,34 @@ class Bundle {
         std::copy_n(vectors.at, size * rows, copies.at);
         finish(copies.at);
         std::vector<Stretch> finished = stretches;
-        const Mask sound = grow(copies, finished);
+        const Mask valid = grow(copies, finished);
         for (int lane = 0; lane < used; ++lane) {
             double* to = memory_of(lane);
             each([&](int64_t r, int64_t i) { to[r * size + i] = lane_of(entries(vectors)[i * width() + r], lane); });
             to += count * size;
             for (int64_t r = 0; r < count; ++r) to = write(stretches[lane * count + r], to);
             for (int64_t r = 0; r < count; ++r)
-                to = write(at(sound, lane) ? finished[lane * count + r] : Stretch{NAN, NAN, NAN}, to);
+                to = write(at(valid, lane) ? finished[lane * count + r] : Stretch{NAN, NAN, NAN}, to);
         }
     }
 
   private:
     static constexpr int members = Numbers<N>::lanes;
-    static constexpr int64_t abreast = Numbers<V>::lanes / members;
-    const Tangents& given;
-    Room<V> vectors, copies;
-    Room<N> lengths, shares;
+    static constexpr int64_t per_block = Numbers<V>::lanes / members;
+    const Tangents& tables;
+    AlignedArray<V> vectors, copies;
+    AlignedArray<N> lengths, shares;
     std::vector<Stretch> stretches;
 
-    int64_t width() const { return rows * abreast; }
-    static N* entries(Room<V>& room) { return reinterpret_cast<N*>(room.at); }
+    int64_t width() const { return rows * per_block; }
+    static N* entries(AlignedArray<V>& workspace) { return reinterpret_cast<N*>(workspace.at); }
 
-    Mask grow(Room<V>& room, std::vector<Stretch>& by) {
-        const Mask sound = orthonormalize(entries(room), size, count, width(), lengths.at, shares.at);
+    Mask grow(AlignedArray<V>& workspace, std::vector<Stretch>& by) {
+        const Mask valid = orthonormalize(entries(workspace), size, count, width(), lengths.at, shares.at);
         for (int lane = 0; lane < members; ++lane)
-            for (int64_t r = 0; at(sound, lane) && r < count; ++r)
+            for (int64_t r = 0; at(valid, lane) && r < count; ++r)
                 by[lane * count + r].grow(lane_of(lengths.at[r], lane));
-        return sound;
+        return valid;
     }
 
     static double* write(const Stretch& from, double* to) {

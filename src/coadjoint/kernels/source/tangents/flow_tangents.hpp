@@ -2,19 +2,19 @@
 #pragma once
 
 #include "flows/flow_alone.hpp"
-#include "tangents/bends.hpp"
+#include "tangents/second_derivatives.hpp"
 #include "tangents/bundle.hpp"
 
 namespace coadjoint {
 
 // Add D_a x times the change of its angle to the vectors, for all angles of a part (the operation `apply`).
 template <class A, class V>
-NOINLINE void add_turned(const Action& action, uint32_t part, const A* x, const V* changes, V* vectors,
-                         int64_t rows) {
+NOINLINE void add_angle_changes(const Action& action, uint32_t part, const A* x, const V* changes, V* vectors,
+                                int64_t rows) {
     for (uint32_t run = action.run[part]; run < action.run[part + 1]; ++run) {
         const int kind = action.kind[run] % RATIONAL;
         const uint32_t repeat = action.repeat[run], count = action.angles[run];
-        const uint32_t* index = action.indices + action.place[run];
+        const uint32_t* index = action.indices + action.position[run];
         const double* constants = action.constants + action.constant[run];
         const V* change = changes + action.angle[run] * rows;
         const auto gain = [&](uint32_t i, const A& moved) {
@@ -42,10 +42,10 @@ NOINLINE void add_turned(const Action& action, uint32_t part, const A* x, const 
                 } else if (kind == SHEAR) {
                     gain(index[0], constants[q * repeat + b] * x[index[1]]);
                 } else {
-                    const double* own = constants + 4 * q;
+                    const double* plane = constants + 4 * q;
                     const A one = x[index[0]], other = x[index[1]];
-                    gain(index[0], fma(A(own[0] + own[1]), one, own[2] * other));
-                    gain(index[1], fma(A(own[3]), one, (own[0] - own[1]) * other));
+                    gain(index[0], fma(A(plane[0] + plane[1]), one, plane[2] * other));
+                    gain(index[1], fma(A(plane[3]), one, (plane[0] - plane[1]) * other));
                 }
                 index += kind == SCALE ? 1 : 2;
             }
@@ -53,19 +53,19 @@ NOINLINE void add_turned(const Action& action, uint32_t part, const A* x, const 
 }
 
 // One member of a flow method, or many as lanes. Momenta have the same bits as without tangent vectors.
-template <Care care, class A, class V>
-struct FlowTraveller {
+template <Summation summation, class A, class V>
+struct FlowTangentState {
     const FlowTables& tables;
     const Tangents& tangents;
     const int64_t size, rows;
-    Room<A> scratch;
-    Room<V> wide, changes;
-    AngleRoom<A> angles;
-    BendRoom<A> bends;
+    AlignedArray<A> scratch;
+    AlignedArray<V> wide, changes;
+    AngleWorkspace<A> angles;
+    HessianWorkspace<A> hessians;
 
-    FlowTraveller(const FlowTangents& given, int64_t size, int64_t rows)
-        : tables(given.base), tangents(given.tangents), size(size), rows(rows), scratch(3 * size),
-          wide(3 * size * rows), changes(tables.longest * rows), angles(tables.longest), bends(tables.longest) {}
+    FlowTangentState(const FlowTangents& tangent_tables, int64_t size, int64_t rows)
+        : tables(tangent_tables.base), tangents(tangent_tables.tangents), size(size), rows(rows), scratch(3 * size),
+          wide(3 * size * rows), changes(tables.longest * rows), angles(tables.longest), hessians(tables.longest) {}
 
     void sweep(uint32_t first, uint32_t last, A* x, A* dx, V* vectors, const A& t, double h) {
         for (uint32_t r = first; r < last; ++r) row(r, x, dx, vectors, t, h);
@@ -84,17 +84,19 @@ struct FlowTraveller {
             for (uint32_t k = low; k < high; ++k)
                 called_changes(tables, tables.called[k], tau, x, vectors, rows,
                                changes.at + (terms.row[k] - base) * rows);
-            const Turns<A> turns = turns_of_part(tables, Shared{}, part, tau, x, angles);
-            if (goes_together<care>(tables, part))
-                turn_bonds(tables, Shared{}, part, tau, x);
+            const Rotations<A> rotations = rotations_of_part(tables, SharedConstants{}, part, tau, x, angles);
+            if (rotates_bonds_directly<summation>(tables, part))
+                rotate_bonds(tables, SharedConstants{}, part, tau, x);
             else
-                act_called<care>(tables.state, Shared{}, part, turns, Vectors<A>{x, dx, 1, scratch.at}, size);
-            act_called<PLAIN>(tables.state, Shared{}, part, turns, Vectors<V>{vectors, nullptr, rows, wide.at}, size);
+                act_called<summation>(tables.state, SharedConstants{}, part, rotations,
+                                      Vectors<A>{x, dx, 1, scratch.at}, size);
+            act_called<PLAIN>(tables.state, SharedConstants{}, part, rotations,
+                              Vectors<V>{vectors, nullptr, rows, wide.at}, size);
         } else {
             for (uint32_t k = low; k < high; ++k) {
-                gradient_rows(terms, Shared{}, tables.addresses, k, x, moment, theta, base, angles.arguments.at,
-                              angles.calls.data());
-                gradient_changes(terms, tangents.hessians, k, x, moment, vectors, rows, changes.at, base, bends);
+                gradient_rows(terms, SharedConstants{}, tables.addresses, k, x, moment, theta, base,
+                              angles.arguments.at, angles.calls.data());
+                gradient_changes(terms, tangents.hessians, k, x, moment, vectors, rows, changes.at, base, hessians);
             }
             for (int64_t a = 0; a < count; ++a) {
                 // A rational rotation by phi rotates by 2 atan(phi/2).
@@ -102,14 +104,14 @@ struct FlowTraveller {
                 const V by(A(tau) / fma(half, half, A(1.0)));
                 for (int64_t b = 0; b < rows; ++b) changes.at[a * rows + b] *= by;
             }
-            const A lone = single ? theta[0] : A(0.0);
-            Turned<A> turned;
-            act<care, false>(tables.state, Shared{}, part, tau, single, lone, theta, turned,
-                             Vectors<A>{x, dx, 1, scratch.at});
-            act<PLAIN, true>(tables.state, Shared{}, part, tau, single, lone, theta, turned,
+            const A single_angle = single ? theta[0] : A(0.0);
+            CachedRotation<A> cached;
+            act<summation, false>(tables.state, SharedConstants{}, part, tau, single, single_angle, theta, cached,
+                                  Vectors<A>{x, dx, 1, scratch.at});
+            act<PLAIN, true>(tables.state, SharedConstants{}, part, tau, single, single_angle, theta, cached,
                              Vectors<V>{vectors, nullptr, rows, wide.at});
         }
-        add_turned(tables.state, part, x, changes.at, vectors, rows);
+        add_angle_changes(tables.state, part, x, changes.at, vectors, rows);
     }
 };
 

@@ -7,10 +7,10 @@ namespace coadjoint {
 
 // Scratch memory for the arguments of a function of the user, its matrix, and the call.
 template <class A>
-struct BendRoom {
-    Room<A> arguments, matrix;
+struct HessianWorkspace {
+    AlignedArray<A> arguments, matrix;
     std::vector<double> calls;
-    explicit BendRoom(int64_t longest)
+    explicit HessianWorkspace(int64_t longest)
         : arguments(longest + 1), matrix(longest * longest), calls((longest + 1) * (longest + 1)) {}
 };
 
@@ -18,14 +18,14 @@ struct BendRoom {
 // `gradient_rows`.
 template <class A, class V>
 NOINLINE void gradient_changes(const Terms& terms, const int64_t* hessians, int64_t k, const A* x, const A& t,
-                               const V* vectors, int64_t rows, V* out, int64_t first, BendRoom<A>& room) {
+                               const V* vectors, int64_t rows, V* out, int64_t first, HessianWorkspace<A>& workspace) {
     const int64_t start = terms.row[k], stop = terms.row[k + 1], count = stop - start;
-    V* own = out + (start - first) * rows;
-    std::fill_n(own, count * rows, V(0.0));
-    const auto add = [&](int64_t place, const A& factor, int64_t coordinate) {
+    V* changes = out + (start - first) * rows;
+    std::fill_n(changes, count * rows, V(0.0));
+    const auto add = [&](int64_t position, const A& factor, int64_t coordinate) {
         const V by(factor);
         for (int64_t b = 0; b < rows; ++b)
-            own[place * rows + b] = fma(by, vectors[coordinate * rows + b], own[place * rows + b]);
+            changes[position * rows + b] = fma(by, vectors[coordinate * rows + b], changes[position * rows + b]);
     };
     if (terms.kind[k] == LINEAR) {
         for (int64_t row = start; row < stop; ++row)
@@ -45,11 +45,11 @@ NOINLINE void gradient_changes(const Terms& terms, const int64_t* hessians, int6
                 }
         }
     } else {
-        for (int64_t i = 0; i < count; ++i) room.arguments.at[i] = x[terms.target[start + i]];
-        call_function(Shared{}, hessians, k, room.arguments.at, count, t, room.matrix.at, count * count,
-                      room.calls.data());
+        for (int64_t i = 0; i < count; ++i) workspace.arguments.at[i] = x[terms.target[start + i]];
+        call_function(SharedConstants{}, hessians, k, workspace.arguments.at, count, t, workspace.matrix.at,
+                      count * count, workspace.calls.data());
         for (int64_t i = 0; i < count; ++i)
-            for (int64_t j = 0; j < count; ++j) add(i, room.matrix.at[i * count + j], terms.target[start + j]);
+            for (int64_t j = 0; j < count; ++j) add(i, workspace.matrix.at[i * count + j], terms.target[start + j]);
     }
 }
 
@@ -58,31 +58,33 @@ template <class V>
 class FieldChanges {
   public:
     FieldChanges(const Field& field, const Tangents& tangents, int64_t rows)
-        : field(field), tangents(tangents), rows(rows), room(field.longest), part(field.longest * rows),
-          bend(field.size * rows), derivative(field.nonlinear ? field.size * field.size * field.size : 0),
+        : field(field), tangents(tangents), rows(rows), workspace(field.longest), part(field.longest * rows),
+          second_derivative(field.size * rows), derivative(field.nonlinear ? field.size * field.size * field.size : 0),
           calls(field.nonlinear ? field.size * (1 + field.size * field.size) : 0) {}
 
     // Set out = factor * sign * J(z) H''(x, t) v.
     void of_gradient(const double* z, const double* x, double t, const V* vectors, double factor, V* out,
-                     FieldRoom<double>& own) {
+                     FieldWorkspace<double>& workspace_of_field) {
         const Terms& terms = field.terms;
-        std::fill_n(bend.at, field.size * rows, V(0.0));
+        std::fill_n(second_derivative.at, field.size * rows, V(0.0));
         for (int64_t k = 0; k < terms.size; ++k) {
             const int64_t first = terms.row[k];
-            gradient_changes(terms, tangents.hessians, k, x, t, vectors, rows, part.at, first, room);
+            gradient_changes(terms, tangents.hessians, k, x, t, vectors, rows, part.at, first, workspace);
             for (int64_t row = first; row < int64_t(terms.row[k + 1]); ++row)
                 for (int64_t b = 0; b < rows; ++b)
-                    bend.at[terms.target[row] * rows + b] += part.at[(row - first) * rows + b];
+                    second_derivative.at[terms.target[row] * rows + b] += part.at[(row - first) * rows + b];
         }
         std::fill_n(out, field.size * rows, V(0.0));
-        if (field.nonlinear) structure(field, Shared{}, z, own);
+        if (field.nonlinear) structure(field, SharedConstants{}, z, workspace_of_field);
         for (int64_t i = 0; i < field.size; ++i) {
             if (field.nonlinear)
                 for (int64_t j = 0; j < field.size; ++j)
-                    add(i, factor * field.sign * own.matrix.at[i * field.size + j], bend.at + j * rows, out);
+                    add(i, factor * field.sign * workspace_of_field.matrix.at[i * field.size + j],
+                        second_derivative.at + j * rows, out);
             else
                 for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
-                    add(i, factor * (field.constant[q] * z[field.state[q]]), bend.at + field.column[q] * rows, out);
+                    add(i, factor * (field.constant[q] * z[field.state[q]]),
+                        second_derivative.at + field.column[q] * rows, out);
         }
     }
 
@@ -95,7 +97,7 @@ class FieldChanges {
                     add(i, factor * (field.constant[q] * u[field.column[q]]), vectors + field.state[q] * rows, out);
             return;
         }
-        call_function(Shared{}, tangents.derivative, 0, z, n, 0.0, derivative.data(), n * n * n, calls.data());
+        call_function(SharedConstants{}, tangents.derivative, 0, z, n, 0.0, derivative.data(), n * n * n, calls.data());
         for (int64_t i = 0; i < n; ++i)
             for (int64_t k = 0; k < n; ++k) {
                 double entry = 0.0;
@@ -108,8 +110,8 @@ class FieldChanges {
     const Field& field;
     const Tangents& tangents;
     const int64_t rows;
-    BendRoom<double> room;
-    Room<V> part, bend;
+    HessianWorkspace<double> workspace;
+    AlignedArray<V> part, second_derivative;
     std::vector<double> derivative, calls;
 
     void add(int64_t i, double factor, const V* from, V* out) const {

@@ -6,28 +6,28 @@
 
 namespace coadjoint {
 
-// The count of numbers for the trusted iterations and the slopes of a step.
-inline int64_t remembered_slopes(const RungeKuttaTables& tables) {
+// Numbers for the trusted iterations and the slopes of a step.
+inline int64_t slope_memory_size(const RungeKuttaTables& tables) {
     return tables.substeps + tables.stages * (tables.field.size + tables.group.size * tables.group.size);
 }
 
-// The count of numbers that a member remembers from step to step: its remaining steps with Newton's method, and these.
-inline int64_t remembered_by(const RungeKuttaTables& tables) {
-    return tables.solver == IMPLICIT ? 1 + remembered_slopes(tables) : 0;
+// The memory per member: its remaining steps with Newton's method, and these numbers.
+inline int64_t memory_size(const RungeKuttaTables& tables) {
+    return tables.solver == IMPLICIT ? 1 + slope_memory_size(tables) : 0;
 }
 
 template <class Layout, class AllStages>
-struct Traveller {
+struct StagedState {
     typedef typename Layout::A A;
     typedef typename Layout::V V;
     const RungeKuttaTables& tables;
     const int64_t n, square, s;
     AllStages stages;
-    Room<V> momentum, element;
+    AlignedArray<V> momentum, element;
     V *x, *dx, *g, *dg;
 
     template <class C>
-    Traveller(const RungeKuttaTables& tables, const C& constants)
+    StagedState(const RungeKuttaTables& tables, const C& constants)
         : tables(tables), n(tables.field.size), square(tables.group.size * tables.group.size), s(tables.stages),
           stages(tables, constants), momentum(2 * n), element(2 * square), x(momentum.at), dx(x + n), g(element.at),
           dg(g + square) {
@@ -39,8 +39,8 @@ struct Traveller {
         if (square > 0) add_slopes<Layout>(tables.out, s, stages.g.slopes.at, square, g, dg);
     }
 
-    // Store the remembered numbers of one lane: the trusted iterations of each substep, and the slopes, stage after
-    // stage, of the previous step or of this one.
+    // Store the memory of one lane: the trusted iterations of each substep, and the slopes, stage after stage, of the
+    // previous step or of this one.
     void write_slopes(bool before, double* to, int lane) {
         for (int64_t part = 0; part < tables.substeps; ++part) *to++ = lane_of(stages.trusted.at[part], lane);
         each_slope(before ? stages.p.before.at : stages.p.slopes.at, before ? stages.g.before.at : stages.g.slopes.at,
@@ -74,22 +74,22 @@ struct Traveller {
 
 template <class Layout, class C>
 struct SingleOf final : Single {
-    Traveller<Layout, SingleStages<Layout, C>> own;
+    StagedState<Layout, SingleStages<Layout, C>> state;
 
-    SingleOf(const RungeKuttaTables& tables, const C& constants) : own(tables, constants) {
-        x = own.x, dx = own.dx, g = own.g, dg = own.dg;
+    SingleOf(const RungeKuttaTables& tables, const C& constants) : state(tables, constants) {
+        x = state.x, dx = state.dx, g = state.g, dg = state.dg;
     }
     bool solve(double t, double h, int64_t part) override {
-        own.stages.iterations = 0.0;
-        const bool found = own.stages.solve_alone(t, h, part, newton);
-        iterations += int64_t(own.stages.iterations);
-        evaluations += int64_t(own.stages.evaluations());
-        residual = own.stages.residual;
+        state.stages.iterations = 0.0;
+        const bool found = state.stages.solve_alone(t, h, part, newton);
+        iterations += int64_t(state.stages.iterations);
+        evaluations += int64_t(state.stages.evaluations());
+        residual = state.stages.residual;
         return found;
     }
-    void add() override { own.add(); }
-    void read_slopes(const double* from) override { own.read_slopes(from, 0); }
-    void write_slopes(double* to) override { own.write_slopes(false, to, 0); }
+    void add() override { state.add(); }
+    void read_slopes(const double* from) override { state.read_slopes(from, 0); }
+    void write_slopes(double* to) override { state.write_slopes(false, to, 0); }
 };
 
 // Stages are lanes if a step has many at once; explicit schemes and the midpoint rule have one at a time.

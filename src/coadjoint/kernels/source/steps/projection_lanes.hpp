@@ -8,65 +8,65 @@ namespace coadjoint {
 
 // Few quadratic invariants have lanes. For others each member is projected alone.
 template <int W, class A>
-class ProjectionCrowd {
+class ProjectionLanes {
   public:
     typedef Lanes<W> Row;
     typedef typename Numbers<A>::Mask Mask;
     static constexpr int lanes = Numbers<A>::lanes;
     A corrections{0.0}, residual{0.0};
 
-    ProjectionCrowd(Projection<W, Own>& one, int64_t n)
-        : one(one), n(n), size(int64_t(one.size)), few(one.rows.few && one.rows.quadratic && n <= W), kept(2 * size), slopes(size * n),
-          unused(few ? n : 0), row(blocks_of<W>(n)), owed(blocks_of<W>(n)), numbers(2 * size) {}
+    ProjectionLanes(Projection<W, MemberConstants>& one, int64_t n)
+        : one(one), n(n), size(int64_t(one.size)), few(one.rows.few && one.rows.quadratic && n <= W), targets(2 * size),
+          slopes(size * n), unused(few ? n : 0), row(blocks_of<W>(n)), remainder(blocks_of<W>(n)), numbers(2 * size) {}
 
     // Load and store the memory of a member.
     void read(int lane, const double* memory) {
-        for (int64_t a = 0; a < 2 * size; ++a) set_lane(kept.at[a], lane, memory[a]);
+        for (int64_t a = 0; a < 2 * size; ++a) set_lane(targets.at[a], lane, memory[a]);
     }
     void write(int lane, double* memory) const {
-        for (int64_t a = 0; a < 2 * size; ++a) memory[a] = lane_of(kept.at[a], lane);
+        for (int64_t a = 0; a < 2 * size; ++a) memory[a] = lane_of(targets.at[a], lane);
     }
 
     // The target values of a member without a memory.
     void begin(int lane, const A* x) {
-        if (size == 0 || lane_of(kept.at[0], lane) == lane_of(kept.at[0], lane)) return;
+        if (size == 0 || lane_of(targets.at[0], lane) == lane_of(targets.at[0], lane)) return;
         take_row(lane, x, row.at);
         one.begin(row.at, numbers.data());
         read(lane, numbers.data());
     }
 
-    // Move x + dx of the members that are going; false without convergence.
-    Mask restore(A* x, A* dx, const Mask& going) {
+    // Move x + dx of the active members; false without convergence.
+    Mask restore(A* x, A* dx, const Mask& active) {
         corrections = residual = A(0.0);
-        if (size == 0) return going;
+        if (size == 0) return active;
         if (few) {
-            if (size == 1) return restore_few<1>(x, dx, going);
-            if (size == 2) return restore_few<2>(x, dx, going);
-            if (size == 3) return restore_few<3>(x, dx, going);
-            return restore_few<4>(x, dx, going);
+            if (size == 1) return restore_few<1>(x, dx, active);
+            if (size == 2) return restore_few<2>(x, dx, active);
+            if (size == 3) return restore_few<3>(x, dx, active);
+            return restore_few<4>(x, dx, active);
         }
         A restored(0.0);
         for (int lane = 0; lane < lanes; ++lane) {
-            if (!at(going, lane)) continue;
-            take_row(lane, x, row.at), take_row(lane, dx, owed.at);
+            if (!at(active, lane)) continue;
+            take_row(lane, x, row.at), take_row(lane, dx, remainder.at);
             write(lane, numbers.data());
-            set_lane(restored, lane, one.restore(row.at, owed.at, blocks_of<W>(n), numbers.data()));
+            set_lane(restored, lane, one.restore(row.at, remainder.at, blocks_of<W>(n), numbers.data()));
             read(lane, numbers.data());
             set_lane(corrections, lane, double(one.corrections)), set_lane(residual, lane, one.residual);
             for (int64_t i = 0; i < n; ++i) {
                 set_lane(x[i], lane, reinterpret_cast<const double*>(row.at)[i]);
-                set_lane(dx[i], lane, reinterpret_cast<const double*>(owed.at)[i]);
+                set_lane(dx[i], lane, reinterpret_cast<const double*>(remainder.at)[i]);
             }
         }
         return restored == A(1.0);
     }
 
   private:
-    Projection<W, Own>& one;
+    Projection<W, MemberConstants>& one;
     const int64_t n, size;
     const bool few;
-    Room<A> kept, slopes, unused;
-    Room<Row> row, owed;
+    AlignedArray<A> targets, slopes, unused;
+    AlignedArray<Row> row, remainder;
     std::vector<double> numbers;
 
     // Beyond the last coordinate there are zeros, and no data of the previous member.
@@ -86,10 +86,10 @@ class ProjectionCrowd {
     }
 
     template <int R>
-    NOINLINE Mask restore_few(A* x, A* dx, const Mask& going) {
+    NOINLINE Mask restore_few(A* x, A* dx, const Mask& active) {
         A defect[R], L[R][R], inverse[R];
-        Mask done = going & look<R>(x, slopes.at, defect, residual, going), failed = going & !going;
-        Mask running = going & !done;
+        Mask done = active & evaluate_defects<R>(x, slopes.at, defect, residual, active), failed = active & !active;
+        Mask running = active & !done;
         if (!any(running)) return done;
         for (int i = 0; i < R; ++i)
             for (int j = 0; j <= i; ++j)
@@ -127,11 +127,11 @@ class ProjectionCrowd {
             const A product = sum([&](int64_t c) { return moved[c]; }) * sum([&](int64_t c) { return absolute(total[c]); });
             Mask found = running;
             for (int64_t a = 0; a < R; ++a)
-                found = found & (product * A(one.rows.bend(a, 0.0)) <= A(0.25) * kept.at[R + a]);
+                found = found & (product * A(one.rows.second_derivative(a, 0.0)) <= A(0.25) * targets.at[R + a]);
             done = done | found, running = running & !found;
             if (!any(running)) return done;
             A now(0.0);
-            found = running & look<R>(x, nullptr, defect, now, running);
+            found = running & evaluate_defects<R>(x, nullptr, defect, now, running);
             residual = select(running, now, residual);
             const Mask slow = running & !found & (residual >= A(0.5) * before);
             for (int lane = 0; lane < lanes; ++lane)
@@ -155,16 +155,16 @@ class ProjectionCrowd {
 
     // The defects, and whether they are within rounding; the gradients, if there is memory for them.
     template <int R>
-    INLINE Mask look(const A* x, A* gradients, A* defect, A& total, const Mask& going) {
-        Mask every = going;
+    INLINE Mask evaluate_defects(const A* x, A* gradients, A* defect, A& total, const Mask& active) {
+        Mask every = active;
         total = A(0.0);
         for (int i = 0; i < R; ++i) {
             A* const slope = gradients ? gradients + i * n : unused.at;
             const double* const offset = one.rows.offsets.data() + i * W;
             for (int64_t c = 0; c < n; ++c) slope[c] = slope_of(i, c, x);
-            defect[i] = kept.at[i] - (A(one.rows.invariants[i].constant) +
-                                      A(0.5) * sum([&](int64_t c) { return x[c] * (slope[c] + A(offset[c])); }));
-            every = every & rounding_alone(i, defect[i], x, kept.at[R + i], going);
+            defect[i] = targets.at[i] - (A(one.rows.invariants[i].constant) +
+                                         A(0.5) * sum([&](int64_t c) { return x[c] * (slope[c] + A(offset[c])); }));
+            every = every & rounding_alone(i, defect[i], x, targets.at[R + i], active);
             total = total + absolute(defect[i]);
         }
         return every;
@@ -175,17 +175,17 @@ class ProjectionCrowd {
         const auto& linear = one.rows.linear;
         A total(one.rows.offsets[i * W + c]);
         int64_t e = linear.first[i];
-        for (const int64_t stop = e + one.rows.own[i]; e < stop; ++e)
+        for (const int64_t stop = e + one.rows.diagonal_vectors[i]; e < stop; ++e)
             total = fma(A(linear.at.at[e].weight[int(c)]), x[c], total);
         for (; e < linear.first[i + 1]; ++e)
             total = fma(A(linear.at.at[e].weight[int(c)]), x[linear.at.at[e].left.lane[c]], total);
         return total;
     }
 
-    INLINE Mask rounding_alone(int64_t a, const A& defect, const A* x, A& least, const Mask& going) {
+    INLINE Mask rounding_alone(int64_t a, const A& defect, const A* x, A& least, const Mask& active) {
         const A size_of = absolute(defect);
         Mask small = size_of <= least;
-        const Mask near = going & !small & (size_of <= A(0x1p4) * least);
+        const Mask near = active & !small & (size_of <= A(0x1p4) * least);
         if (__builtin_expect(any(near), 0))
             for (int lane = 0; lane < lanes; ++lane)
                 if (at(near, lane)) {

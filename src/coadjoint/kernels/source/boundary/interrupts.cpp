@@ -1,5 +1,5 @@
 // Python's global lock and signals in compiled loops.
-#include "boundary/hearing.hpp"
+#include "boundary/interrupts.hpp"
 
 #include <atomic>
 #include <cstdlib>
@@ -15,11 +15,11 @@ namespace coadjoint {
 
 namespace {
 
-constexpr int64_t BETWEEN_LOOKS = int64_t(1) << 20;
-constexpr std::chrono::milliseconds BETWEEN_SIGNALS(50);
+constexpr int64_t CHECK_INTERVAL = int64_t(1) << 20;
+constexpr std::chrono::milliseconds SIGNAL_INTERVAL(50);
 
 // Longest wait for loops of other threads at process exit.
-constexpr std::chrono::milliseconds LONGEST_WAIT(2000);
+constexpr std::chrono::milliseconds EXIT_TIMEOUT(2000);
 
 // PyEval_SaveThread, PyEval_RestoreThread, PyErr_CheckSignals and Py_IsFinalizing, if there is a Python.
 struct Python {
@@ -64,38 +64,35 @@ void acquire(void* thread) {
 // Machine code of the user and BLAS are unloaded after this, so no loop may be inside of them.
 void wait_for_loops() {
     exiting = true;
-    const auto last = std::chrono::steady_clock::now() + LONGEST_WAIT;
+    const auto last = std::chrono::steady_clock::now() + EXIT_TIMEOUT;
     while (running > 0 && std::chrono::steady_clock::now() < last)
         std::this_thread::sleep_for(std::chrono::milliseconds(1));
 }
 
-void forget_other_threads() { running = 0; }
+void reset_after_fork() { running = 0; }
 
 }  // namespace
 
-thread_local Hearing* Hearing::current = nullptr;
+thread_local InterruptCheck* InterruptCheck::current = nullptr;
 
-Hearing::Hearing(const int64_t* stop)
-    : stop(stop),
-      thread(release()),
-      outer(current),
-      next(Clock::now() + BETWEEN_SIGNALS) {
-    left = BETWEEN_LOOKS;
+InterruptCheck::InterruptCheck(const int64_t* stop)
+    : stop(stop), thread(release()), outer(current), next(Clock::now() + SIGNAL_INTERVAL) {
+    left = CHECK_INTERVAL;
     current = this;
 }
 
-Hearing::~Hearing() {
+InterruptCheck::~InterruptCheck() {
     current = outer;
     if (python.acquire) acquire(thread);
     --running;
 }
 
-void Hearing::look() {
-    left = BETWEEN_LOOKS;
+void InterruptCheck::check() {
+    left = CHECK_INTERVAL;
     suspend_at_exit();
     const Clock::time_point now = Clock::now();
     if (now < next) return;
-    next = now + BETWEEN_SIGNALS;
+    next = now + SIGNAL_INTERVAL;
     if (__atomic_load_n(stop, __ATOMIC_RELAXED)) throw Interrupted();
     if (!python.signals) return;
     acquire(thread);
@@ -105,18 +102,18 @@ void Hearing::look() {
     if (raised) throw Interrupted();
 }
 
-// For steps compiled separately: Python passes it to their `borrow`.
-EXPORT const Lent* lent_to_others() {
-    static const Lent lent{Hearing::now_heard, Hearing::look_at};
-    return &lent;
+// For steps compiled separately: Python passes the result to their `import_interrupts`.
+EXPORT const InterruptFunctions* interrupt_functions() {
+    static const InterruptFunctions exported{InterruptCheck::current_call, InterruptCheck::check_now};
+    return &exported;
 }
 
 // Called once, before the loops, which are then called with Python's lock.
-EXPORT void listen(void* (*release)(), void (*acquire)(void*), int (*signals)(), int (*finalizing)()) {
+EXPORT void set_python_callbacks(void* (*release)(), void (*acquire)(void*), int (*signals)(), int (*finalizing)()) {
     python = {release, acquire, signals, finalizing};
     std::atexit(wait_for_loops);
 #ifndef _WIN32
-    pthread_atfork(nullptr, nullptr, forget_other_threads);
+    pthread_atfork(nullptr, nullptr, reset_after_fork);
 #endif
 }
 

@@ -1,4 +1,4 @@
-// The Taylor series of many members side by side, with the operations of `series.hpp`, row by row: the same bits.
+// The Taylor series of members as lanes, with the operations of `series.hpp`, row by row: the same bits.
 #pragma once
 
 #include "steps/series.hpp"
@@ -7,20 +7,20 @@ namespace coadjoint {
 
 // Every row of a series is a row of members; series are stored one after the other, order by order.
 template <int W, class A>
-class SeriesCrowd {
+class SeriesLanes {
   public:
     const SeriesField<W>& field;
     const int64_t n, order;
 
-    SeriesCrowd(const SeriesField<W>& field, int64_t order)
-        : field(field), n(field.n), order(order), places(field.extended * W, -1) {
-        for (int64_t i = 0; i < n; ++i) places[i] = i;
+    SeriesLanes(const SeriesField<W>& field, int64_t order)
+        : field(field), n(field.n), order(order), positions(field.extended * W, -1) {
+        for (int64_t i = 0; i < n; ++i) positions[i] = i;
         int64_t count = n;
         for (int64_t b = 0; b < field.factors.blocks; ++b)
             for (int lane = 0; lane < W; ++lane) {
                 const auto& product = field.factors.at.at[b];
                 if (product.weight[lane] == 0.0) continue;
-                places[(field.blocks + b) * W + lane] = count++;
+                positions[(field.blocks + b) * W + lane] = count++;
                 made.push_back({1.0, series_of(product.left.lane[lane]), series_of(product.right.lane[lane])});
             }
         read(field.products, products, product_rows);
@@ -39,7 +39,7 @@ class SeriesCrowd {
     }
 
     // Approximate number of bytes that are read repeatedly.
-    int64_t room() const {
+    int64_t working_set() const {
         return int64_t(sizeof(A)) * order * (n + int64_t(made.size() + products.size()) + (field.written_out ? 0 : n));
     }
 
@@ -61,13 +61,13 @@ class SeriesCrowd {
     }
 
   private:
-    std::vector<int64_t> places;  // indices of the rows of the field
+    std::vector<int64_t> positions;  // indices of the rows of the field
     std::vector<int64_t> product_rows, gradient_rows, linear_rows;
     std::vector<Entry> products, gradients, linear, made;
-    Room<A> series{0}, slopes{0}, weighted{0}, later{0}, made_later{0}, lengths{0};
+    AlignedArray<A> series{0}, slopes{0}, weighted{0}, later{0}, made_later{0}, lengths{0};
 
     INLINE A* of(int64_t i) const { return series.at + i * (order + 1); }
-    int64_t series_of(int64_t place) const { return places[place] * (order + 1); }
+    int64_t series_of(int64_t position) const { return positions[position] * (order + 1); }
 
     // The entries of every coordinate, without those that only pad a vector.
     void read(const Sums<W>& sums, std::vector<Entry>& entries, std::vector<int64_t>& first) const {
@@ -114,13 +114,14 @@ class SeriesCrowd {
 
     // As `Series::begin`; `left(e)` and `right(e)` are the factors of a product.
     template <class Left, class Right>
-    INLINE void begin(int64_t first, int64_t last, int64_t k, A* kept, A& even, A& odd, Left left, Right right) const {
+    INLINE void begin(int64_t first, int64_t last, int64_t k, A* stored, A& even, A& odd, Left left,
+                      Right right) const {
         if (k % 2 == 1) {
-            even = kept[0], odd = kept[1];
+            even = stored[0], odd = stored[1];
         } else {
             A sums[4] = {A(0.0), A(0.0), A(0.0), A(0.0)};
             for (int64_t e = first; e < last; ++e) convolve(left(e), right(e), k, sums);
-            even = sums[0], odd = sums[1], kept[0] = sums[2], kept[1] = sums[3];
+            even = sums[0], odd = sums[1], stored[0] = sums[2], stored[1] = sums[3];
         }
         for (int64_t e = first; e < last; ++e) add_left(left(e), right(e), k, even, odd);
     }

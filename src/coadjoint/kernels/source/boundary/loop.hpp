@@ -1,0 +1,108 @@
+// The loop over the steps of one call: its members, its entry points for Python, and members as lanes.
+#pragma once
+
+#include <limits>
+#include <new>
+
+#include "boundary/interrupts.hpp"
+#include "recording/recorder.hpp"
+
+namespace coadjoint {
+
+// The members of a call: the entries first to last - 1 of `members`, ascending. With a stride the constants of the
+// tables differ by position, in rows of `stride` numbers.
+struct MemberRange {
+    const int64_t* members;
+    int64_t first, last, stride;
+};
+
+// Clear the results of the members, and save their start from the momenta and groups of the state.
+void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, const MemberRange& range);
+
+// Return the number of failed members. If the run has ended, a non-finite energy is a failure too.
+int64_t count_failed(const Watch& watch, const Arrays& arrays, const MemberRange& range, bool ended);
+
+// The loop over the steps of one call, for a family of schemes with its own tables; the arrays are those of all
+// members.
+template <class Tables>
+struct Loop {
+    const Tables& tables;
+    const Watch& watch;
+    const Schedule& schedule;
+    const Arrays& arrays;
+    InterruptCheck& interrupts;
+    int64_t k0, k1;
+
+    double* memory_of(int64_t member) const { return arrays.memory + member * arrays.memory_size; }
+    void fail(int64_t member, int64_t step, int64_t status, double residual) const {
+        arrays.status[member] = status;
+        arrays.step[member] = step;
+        arrays.residual[member] = residual;
+    }
+    void overflow(int64_t member, int64_t step) const {
+        fail(member, step, OVERFLOWED, std::numeric_limits<double>::quiet_NaN());
+    }
+};
+
+// Take the steps k0 + 1 to k1 of some members by `advance(loop, range)`, from the start if k0 is 0; return
+// `count_failed`. If not all steps were taken, return the outcome; the results of these members are then invalid.
+template <class Tables, class Advance>
+int64_t take_steps(const Tables& tables, const Watch& watch, const MemberRange& range, const Arrays& arrays,
+                   const Schedule& schedule, int64_t k0, int64_t k1, InterruptCheck& interrupts, Advance advance) {
+    try {
+        if (k0 == 0) begin(watch, arrays, schedule, range);
+        const Loop<Tables> loop{tables, watch, schedule, arrays, interrupts, k0, k1};
+        if (k0 < k1) advance(loop, range);
+        return count_failed(watch, arrays, range, k1 == schedule.steps);
+    } catch (const Interrupted&) {
+        return INTERRUPTED;
+    } catch (const std::bad_alloc&) {
+        return NO_MEMORY;
+    }
+}
+
+// The loop called by a step of another scheme, inside of which interrupts of the outer call are checked.
+typedef int64_t (*InnerLoop)(const void* tables, const Watch* watch, const MemberRange* range, const Arrays* arrays,
+                             const Schedule* schedule, int64_t k0, int64_t k1);
+
+// The entry points of a family of schemes for Python: its loop, and the size of its memory per member.
+#define EXPORT_LOOP(name, Tables, advance, memory_size)                                                              \
+    EXPORT int64_t name##_memory_size(const Tables* tables) {                                                        \
+        try {                                                                                                        \
+            return memory_size(*tables);                                                                             \
+        } catch (const std::bad_alloc&) {                                                                            \
+            return NO_MEMORY;                                                                                        \
+        }                                                                                                            \
+    }                                                                                                                \
+    EXPORT int64_t name(const Tables* tables, const Watch* watch, const int64_t* members, int64_t first,             \
+                        int64_t last, int64_t stride, const Extent* extent, const Schedule* schedule,                \
+                        double* saved, double* state, int64_t k0, int64_t k1, const int64_t* stop) {                 \
+        InterruptCheck interrupts(stop);                                                                             \
+        return take_steps(*tables, *watch, MemberRange{members, first, last, stride},                                \
+                          Arrays(*extent, saved, state), *schedule, k0, k1, interrupts, advance);                    \
+    }                                                                                                                \
+    EXPORT int64_t name##_inside(const Tables* tables, const Watch* watch, const MemberRange* range,                 \
+                                 const Arrays* arrays, const Schedule* schedule, int64_t k0, int64_t k1) {           \
+        return take_steps(*tables, *watch, *range, *arrays, *schedule, k0, k1, InterruptCheck::of_this_call(),       \
+                          advance);                                                                                  \
+    }
+
+// Load members as lanes, from rows of `length` numbers for each; the last member fills unused lanes.
+template <class A>
+void read_lanes(A* to, const double* from, int64_t length, const int64_t* members, int64_t count) {
+    for (int64_t i = 0; i < length; ++i)
+        for (int64_t lane = 0; lane < Numbers<A>::lanes; ++lane)
+            set_lane(to[i], int(lane), from[members[std::min(lane, count - 1)] * length + i]);
+}
+
+// Store the row of one member from its lane.
+template <class A>
+void write_lane(const A* from, double* to, int64_t length, int64_t member, int lane) {
+    for (int64_t i = 0; i < length; ++i) to[member * length + i] = lane_of(from[i], lane);
+}
+
+constexpr int MEMBER_LANES = 4 * NATIVE;  // members advanced as lanes: four vectors hide each other's latency
+constexpr int64_t MIN_LANES = 3;          // with fewer members, lanes are slower than one member after the other
+static_assert(MOST_LANES % MEMBER_LANES == 0, "member ranges begin at multiples of MOST_LANES");
+
+}  // namespace coadjoint
