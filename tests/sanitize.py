@@ -35,10 +35,11 @@ SETTINGS = {
 SUPPRESSIONS = "race:_dl_deallocate_tls\n"
 PRELOADED = {"address": ("libasan.so", "libubsan.so", "libstdc++.so.6"), "threads": ("libtsan.so", "libstdc++.so.6")}
 PYTEST = ["-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-m", "not long"]
-# Tests of interrupts and of the command, which start processes, are omitted.
+# Tests that start processes, interrupt them, or build the package are omitted.
+OMITTED = ["--ignore=tests/kernels/test_build.py", "--ignore=tests/kernels/test_interrupts.py"]
 COMMANDS = {
     "address": [
-        [*PYTEST, "-n", "2", "tests/kernels", "tests/methods", "tests/runs", "tests/choosing"],
+        [*PYTEST, *OMITTED, "-n", "2", "tests/kernels", "tests/methods", "tests/runs", "tests/choosing"],
         ["-m", "random_runs.soak", "1000000", "300", "--limit", "1200", "--jobs", "2"],
     ],
     "threads": [["-m", "random_runs.on_threads", "2000000", "200"]],
