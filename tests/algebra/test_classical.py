@@ -110,23 +110,5 @@ def test_limits_of_size():
     assert matrices(one, 2, 4).shape == (2, 4, 4)
 
 
-@pytest.mark.parametrize(
-    ("build", "arguments", "message"),
-    [
-        (gl, (0,), r"n of gl\(n\) must be a whole number from 1 up, not 0"),
-        (sl, (True,), r"n of sl\(n\) must be a whole number from 2 up, not True"),
-        (so, (3, -1), r"q of so\(p, q\) must be a whole number from 0 up, not -1"),
-        (su, (1,), r"n of su\(n\) must be a whole number from 2 up, not 1"),
-        (u, (2.0,), r"n of u\(n\) must be a whole number from 1 up, not 2.0"),
-        (sp, (5,), r"size of sp\(size\) must be even, not 5: sp\(2n, R\) consists of 2n x 2n matrices"),
-        (sp, (0,), r"size of sp\(size\) must be a whole number from 2 up, not 0"),
-        (se, (1,), r"n of se\(n\) must be a whole number from 2 up, not 1"),
-    ],
-)
-def test_wrong_sizes_are_refused(build, arguments, message):
-    with pytest.raises(ValueError, match=message):
-        build(*arguments)
-
-
 def test_everything_public_is_listed():
     assert set(catalogue.__all__) <= set(dir(catalogue)) and list(catalogue.__all__) == sorted(catalogue.__all__)

@@ -5,10 +5,9 @@ import math
 import mpmath
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import coadjoint as co
-from coadjoint.methods.numerics.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
+from coadjoint.methods.numerics.splitting_schemes import SCHEMES
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
 from long import long_where
@@ -19,34 +18,6 @@ TOP = co.LiePoissonSystem(
     co.algebras.e(3), co.Quadratic([1.0, 0.5, 0.375, 0, 0, 0], linear=[0, 0, 0, 0.75, 0.5, 1.0]), sign=-1
 )
 X0 = np.array([1.0, -0.5, 1.5, 0.625, 0.0, 0.75])
-
-
-def driven():
-    fast = (lambda y, t: 0.5 * y * y * (1 + 0.5 * math.sin(3 * t)), lambda y, t: y * (1 + 0.5 * math.sin(3 * t)))
-    drive = (lambda y, t: y * math.cos(2 * t), lambda y, t: math.cos(2 * t))
-    pieces = [
-        ((0,), co.Separable({0: fast})),
-        ((1,), co.Quadratic(0.75)),
-        ((2,), co.Quadratic(0.5)),
-        ((5,), co.Separable({0: drive})),
-    ]
-    return co.LiePoissonSystem(co.algebras.e(3), co.SplitHamiltonian(pieces), sign=-1)
-
-
-def test_defaults_and_declared_properties():
-    assert DEFAULT_SCHEMES == {
-        2: "strang",
-        4: "suzuki4",
-        6: "sofroniou_spaletta6",
-        8: "sofroniou_spaletta8",
-        10: "sofroniou_spaletta10",
-    }
-    assert len(SCHEMES) == 22 and [name for name, scheme in SCHEMES.items() if scheme.processed] == PROCESSED
-    for name, scheme in SCHEMES.items():
-        method = co.Splitting(scheme=name)
-        assert (method.order, method.explicit, method.symmetric) == (scheme.order, True, name not in PROCESSED)
-        assert method.properties(TOP).poisson and method.properties(TOP).casimirs == "all"
-        assert str(scheme.order) in name or name == "strang"
 
 
 @pytest.mark.parametrize("name", SCHEMES)
@@ -102,43 +73,6 @@ def test_the_processor_matters(name):
     kernel = co.Composition(co.Splitting(order=2), fractions)
     exact = end(co.GaussLegendre(8), 64)
     assert np.max(np.abs(end(method, n) - exact)) < 1e-3 * np.max(np.abs(end(kernel, n) - exact))
-
-
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("compensated", [False, True])
-@pytest.mark.parametrize("name", ["blanes_casas_murua6", "blanes_moan6", "sofroniou_spaletta10"])
-def test_same_bits_however_it_is_run(name, compensated):
-    method = co.Splitting(scheme=name, compensated=compensated)
-
-    def run(x0, **options):
-        return co.integrate(TOP, x0, (0, 6), 0.25, method, **options)
-
-    every = run(X0, attitude=True)
-    crowd = X0 * (1 - 0.05 * np.arange(5)[:, None])
-    for options in ({"save_every": 6}, {"save_every": 6, "watch": False}, {"save_every": 24, "watch": False}):
-        one, many = run(X0, attitude=True, **options), run(crowd, threads=2, **options)
-        k = options["save_every"]
-        assert np.array_equal(one.x, every.x[::k]) and np.array_equal(one.attitude, every.attitude[::k])
-        assert np.array_equal(many.x[:, 0], one.x)
-        assert np.array_equal(many.x[:, 3], run(crowd[3], **options).x)
-    assert np.array_equal(co.stepper(TOP, method, 0.25)(X0), every.x[1])
-
-
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("name", ["blanes_casas_murua6", "blanes_moan4", "blanes_moan6", "sofroniou_spaletta6"])
-def test_time_dependent_pieces(name):
-    """Each flow at its own moment, in the processor too: the slope against DOP853 at rtol 1e-13."""
-    s, x0 = driven(), np.linspace(-0.5, 0.75, 6)
-    solution = solve_ivp(lambda t, x: s.vector_field(x, t), (0.75, 1.75), x0, method="DOP853", rtol=1e-13, atol=1e-14)
-    errors = []
-    counts = (3, 6) if SCHEMES[name].order == 6 else (8, 16)
-    for n in counts:
-        run = co.integrate(s, x0, (0.75, 1.75), 1 / n, co.Splitting(scheme=name), save_every=n, watch=False)
-        errors.append(np.max(np.abs(run.x[-1] - solution.y[:, -1])))
-    assert errors[1] < 1e-6 and math.log2(errors[0] / errors[1]) > SCHEMES[name].order - 1, errors
-    rare = co.integrate(s, x0, (0.75, 1.75), 0.125, co.Splitting(scheme=name), save_every=8, watch=False)
-    every = co.integrate(s, x0, (0.75, 1.75), 0.125, co.Splitting(scheme=name))
-    assert np.array_equal(rare.x[-1], every.x[-1])
 
 
 @pytest.mark.parametrize("name", PROCESSED)

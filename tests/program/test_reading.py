@@ -9,7 +9,6 @@ import pytest
 import coadjoint as co
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
-from long import long_where
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -66,29 +65,6 @@ def size(values):
     return max(abs(v) for v in np.ravel(values))
 
 
-@pytest.mark.thinned(8)
-@pytest.mark.parametrize(("order", "tolerance"), [(1, 0.02), (2, 0.01), (4, 0.01)])
-@pytest.mark.parametrize("name", long_where(["so(4) full"], SYSTEMS))
-def test_order(name, order, tolerance):
-    """Differences of runs at h, h/2, h/4 shrink by 2^p (1 + O(h^2)), h = 1/128 and smaller; order 1: 1 + O(h)."""
-    with mpmath.workdps(DIGITS):
-        _, read, x = setup(name, co.Splitting(order=order))
-        ends = [read.steps(x, mpmath.mpf(1) / (128 * 2**k), 4 * 2**k, t0=mpmath.mpf(1) / 2) for k in range(3)]
-        slope = mpmath.log(size(ends[1] - ends[0]) / size(ends[2] - ends[1]), 2)
-        assert abs(slope - order) <= tolerance
-
-
-@pytest.mark.parametrize("name", [name for name in SYSTEMS if name != "driven sl(2)"])
-def test_one_small_step_is_the_taylor_series_of_the_flow(name):
-    """x + h f + h^2 f' f / 2 up to O(h^3): the right speed and sign, which invariants do not see."""
-    with mpmath.workdps(DIGITS):
-        s, read, x = setup(name, co.Splitting(order=2))
-        h = mpmath.mpf(10) ** -8
-        velocity = s.vector_field(x)
-        series = x + h * velocity + h * h / 2 * (s.jacobian(x) @ velocity)
-        assert size(read.steps(x, h, 1) - series) <= 100 * h**3
-
-
 def perturbed(read, x, direction, scale, h):
     """Central difference of two steps, error O(scale^2)."""
     right, left = (read.steps(x + sign * scale * direction, h, 2, t0=mpmath.mpf(1) / 2) for sign in (1, -1))
@@ -111,33 +87,6 @@ def test_poisson_condition_with_the_exact_tangent(name, order):
             size(P @ direction - perturbed(read, x, direction, mpmath.mpf(10) ** -12, h))
             <= 10**-18 * (1 + size(P)) ** 3
         )
-
-
-@pytest.mark.thinned(6)
-@pytest.mark.parametrize(
-    "name", ["e(3) diagonal", "so(4) full", "sl(2) full", "quartic on so(3)", "driven sl(2)", "Heisenberg"]
-)
-def test_polynomial_casimirs(name):
-    with mpmath.workdps(DIGITS):
-        s, read, x = setup(name, co.Splitting(order=4, parts="coordinates"))
-        assert s.casimirs
-        y = read.steps(x, mpmath.mpf("0.4"), 6)
-        for casimir in s.casimirs.values():
-            assert abs(casimir(y) - casimir(x)) <= mpmath.mpf(10) ** -35 * (1 + size(y)) ** casimir.degree
-
-
-def test_spiral_casimir():
-    with mpmath.workdps(DIGITS):
-        _, read, x = setup("A3,7", co.Splitting(order=2))
-        a = mpmath.mpf(1.75)
-
-        def log_casimir(z):
-            return mpmath.log(z[0] ** 2 + z[1] ** 2) - 2 * a * mpmath.atan2(z[1], z[0])
-
-        y = read.steps(x, mpmath.mpf("0.1"), 5)
-        period = 4 * mpmath.pi * a
-        change = log_casimir(y) - log_casimir(x)
-        assert abs(change - period * mpmath.nint(change / period)) <= mpmath.mpf(10) ** -35
 
 
 @pytest.mark.thinned(5)
