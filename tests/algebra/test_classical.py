@@ -10,6 +10,7 @@ from coadjoint.algebra.catalogue import e, gl, heisenberg, se, sl, so, sp, su, u
 from coadjoint.algebra.exact.elimination import Span
 from coadjoint.algebra.families.matrix_bases import MAX_REPRESENTATION_NUMBERS, Sparse, matrices
 from coadjoint.algebra.polynomials.quadratic_forms import MAX_STORED_EXPONENTS, casimirs_fit
+from drawn_matrices import constants_of
 
 # algebra, dimension, number of Casimirs, semisimple
 FAMILIES = [
@@ -25,13 +26,6 @@ FAMILIES = [
 ]
 
 
-def constants(g):
-    c = np.zeros((g.dim, g.dim, g.dim))
-    i, j, k, value = g.triples
-    c[i, j, k], c[j, i, k] = value, -value
-    return c
-
-
 def independent(rows):
     try:
         Span([{i: Fraction(v) for i, v in enumerate(row) if v} for row in rows])
@@ -42,7 +36,7 @@ def independent(rows):
 
 @pytest.mark.parametrize(("g", "dim", "casimirs", "semisimple"), FAMILIES, ids=str)
 def test_families(g, dim, casimirs, semisimple):
-    c, rho = constants(g), g.representation
+    c, rho = constants_of(g), g.representation
     assert g.dim == dim and dim - g.generic_rank() == casimirs
     # the constants are multiples of 1/2 below 8, so these sums of products are exact
     double = np.einsum("ijm,mkl->ijkl", c, c)

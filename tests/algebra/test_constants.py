@@ -12,13 +12,7 @@ from coadjoint.algebra import catalogue
 from coadjoint.algebra.brackets import parse_brackets as read_written
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.lie_algebra import LieAlgebra
-
-
-def dense(g):
-    c = np.zeros((g.dim, g.dim, g.dim))
-    i, j, k, v = g.triples
-    c[i, j, k], c[j, i, k] = v, -v
-    return c
+from drawn_matrices import constants_of
 
 
 def copies(g, m):
@@ -45,8 +39,8 @@ def test_every_input_form_gives_the_same_algebra(g):
         brackets.setdefault((j, i), {})[k] = -c  # the other order
     both = rows + [(j, i, k, -c) for i, j, k, c in rows]
     for other in (
-        LieAlgebra(dense(g)),
-        LieAlgebra(dense(g).tolist()),
+        LieAlgebra(constants_of(g)),
+        LieAlgebra(constants_of(g).tolist()),
         LieAlgebra(rows[::-1], dim=g.dim),
         LieAlgebra(both + rows, dim=g.dim),
         LieAlgebra(g.triples, dim=g.dim),
@@ -67,7 +61,7 @@ def test_triples_are_sorted_unique_nonzero_and_read_only():
 
 
 def test_input_is_copied():
-    c = dense(catalogue.so(4))
+    c = constants_of(catalogue.so(4))
     g = LieAlgebra(c)
     c[:] = 7.0
     assert g == catalogue.so(4)
@@ -111,7 +105,7 @@ def test_jacobi_agrees_with_the_dense_identity(data):
         with pytest.raises(ValueError, match="Jacobi identity violated"):
             LieAlgebra(c)
     else:
-        assert np.array_equal(dense(LieAlgebra(c)), c)
+        assert np.array_equal(constants_of(LieAlgebra(c)), c)
 
 
 @settings(deadline=None, max_examples=25)
@@ -120,8 +114,8 @@ def test_a_random_rational_change_of_basis_is_accepted(name, seed):
     rng = np.random.default_rng(seed)
     a = [[Fraction(int(p), int(q)) for p, q in zip(*rng.integers(1, 9, (2, 6)), strict=True)] for _ in range(6)]
     a = [[v + 40 * (i == j) for j, v in enumerate(row)] for i, row in enumerate(a)]  # regular
-    broken = dense(catalogue.change_of_basis(catalogue.get(name), a))  # each constant rounded once
-    assert np.array_equal(dense(LieAlgebra(broken)), broken)
+    broken = constants_of(catalogue.change_of_basis(catalogue.get(name), a))  # each constant rounded once
+    assert np.array_equal(constants_of(LieAlgebra(broken)), broken)
     broken[0, 1, 0] *= 1 + 1e-9
     broken[1, 0, 0] = -broken[0, 1, 0]
     if broken[0, 1, 0]:
@@ -173,7 +167,7 @@ def test_the_jacobi_check_does_not_depend_on_the_runs_it_is_cut_into(monkeypatch
 
 
 def test_antisymmetry_is_relative():
-    c = dense(catalogue.so(4)) * 2.0**40
+    c = constants_of(catalogue.so(4)) * 2.0**40
     c[0, 1, 3] *= 1 + 2.0**-50
     assert LieAlgebra(c).dim == 6
     c[0, 1, 3] *= 1 + 2.0**-40

@@ -1,7 +1,5 @@
 """High orders: named schemes, processed ones with output only where one looks, compensation, and same bits."""
 
-import math
-
 import mpmath
 import numpy as np
 import pytest
@@ -62,20 +60,6 @@ def test_start_steps_and_finish_are_single_steps_in_a_row(name):
 
 
 @pytest.mark.parametrize("name", PROCESSED)
-def test_the_processor_matters(name):
-    """The kernel alone has a low order: without P the error at the same step is far larger."""
-    method, n = co.Splitting(scheme=name), 16
-
-    def end(scheme, steps):
-        return co.integrate(TOP, X0, (0, 1), 1 / steps, scheme, save_every=steps, watch=False).x[-1]
-
-    fractions = [s.coefficient * 2 for s in method.sweeps()[::2]]
-    kernel = co.Composition(co.Splitting(order=2), fractions)
-    exact = end(co.GaussLegendre(8), 64)
-    assert np.max(np.abs(end(method, n) - exact)) < 1e-3 * np.max(np.abs(end(kernel, n) - exact))
-
-
-@pytest.mark.parametrize("name", PROCESSED)
 def test_a_composition_of_a_processed_scheme_is_refused_by_name(name):
     with pytest.raises(ValueError, match=r"needs a symmetric base, which .*" + name + r".* is not; of a processed"):
         co.Composition(co.Splitting(scheme=name), (0.5, 0.5))
@@ -99,69 +83,6 @@ def test_a_composition_of_a_high_order():
         h = mpmath.mpf(0.125)
         x = Interpreter(method.program(TOP, number=mpmath.mpf)).steps(x0, h, 1)
         assert np.max(np.abs(x - step(x0, h))) < 1e-13  # the coefficients of a Composition are floats
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"order": 5}, "orders 1, 2, 4, 6, 8 and 10, not 5"),
-        ({"order": 12}, "orders 1, 2, 4, 6, 8 and 10, not 12"),
-        ({"scheme": "kahan_li8"}, "unknown splitting scheme 'kahan_li8'; did you mean 'kahan_li8"),
-        ({"scheme": "blanes_casas_murua9"}, "did you mean 'blanes_casas_murua"),
-        ({"scheme": "kahan_li8a", "order": 6}, "scheme 'kahan_li8a' has order 8, not 6"),
-        ({"order": 6, "adjoint": True}, "adjoint=True is for order 1, a single sweep, not for order 6"),
-        ({"rotation": "rationel"}, "unknown rotation 'rationel'; did you mean 'rational'"),
-    ],
-)
-def test_refusals(options, message):
-    with pytest.raises(ValueError, match=message) as refusal:
-        co.Splitting(**options)
-    assert "\n" not in str(refusal.value)
-
-
-COMPENSATED = {
-    "rigid body": (co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 1 / 3])), 0.1),
-    "full M": (
-        co.LiePoissonSystem(
-            co.algebras.so(3), co.Quadratic([[1.0, 0.25, 0.125], [0.25, 0.75, 0.375], [0.125, 0.375, 0.5]])
-        ),
-        0.1,
-    ),
-    "heavy top": (TOP, 0.1),
-    "so(4)": (co.LiePoissonSystem(co.algebras.so(4), co.Quadratic([2.0, 0.5, 0.75, 0.25, 0.5, 1.0])), 0.1),
-}
-
-
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("name", COMPENSATED)
-def test_compensated_casimirs_follow_brouwers_law(name):
-    """16 states, 100 000 steps: Casimirs wander with the root of the number of flows, without a common sign.
-
-    A flow by an angle phi rounds an increment of size phi |x|, that is u phi |x|^2 in a quadratic Casimir; the bound is
-    4 sigma. Without compensation it is the component itself that is rounded, u |x|^2 a flow.
-    """
-    s, h = COMPENSATED[name]
-    x0 = np.random.default_rng(3).standard_normal((16, s.dim))
-    x0 /= np.linalg.norm(x0, axis=1)[:, None]
-    rms = []
-    for flag in (True, False):
-        method = co.Splitting(compensated=flag, parts="coordinates")
-        run = co.integrate(s, x0, (0, 1e5 * h), h, method, save_every=10**5, watch=False)
-        flows = run.stats.evaluations / 16
-        found = [(exactly(C, run.x[1]) - exactly(C, run.x[0])).astype(float) for C in s.casimirs.values()]
-        rms.append([math.sqrt(np.mean(d * d)) for d in found])
-        if flag:
-            angle = h * np.max(np.abs(np.diag(s.hamiltonian.hessian(x0[0]))))
-            for drift, wander in zip(found, rms[0], strict=True):
-                assert wander <= 4 * U * angle * math.sqrt(flows)
-                assert abs(drift.mean()) <= 3 * wander / math.sqrt(16)
-    assert all(5 * kept < lost for kept, lost in zip(*rms, strict=True))
-
-
-def exactly(casimir, states):
-    """Values in 40 digits: differences of doubles would be rounded."""
-    with mpmath.workdps(40):
-        return np.array([casimir(np.array([mpmath.mpf(v) for v in x], dtype=object)) for x in states])
 
 
 @pytest.mark.parametrize("scheme", [name for name, known in SCHEMES.items() if known.processed])

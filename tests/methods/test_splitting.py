@@ -6,39 +6,24 @@ from scipy.integrate import solve_ivp
 
 import coadjoint as co
 from coadjoint.methods.numerics.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
+from drawn_matrices import wide
 
 pytestmark = pytest.mark.thinned(3)
-
-U = 2.0**-53
-
-
-def constants_of(algebra):
-    unit = np.eye(algebra.dim)
-    return np.array([[algebra.bracket(u, v) for v in unit] for u in unit])
-
-
-def in_basis(algebra, T):
-    inverse = np.rint(np.linalg.inv(T))
-    rho = np.einsum("ia,abc->ibc", T, algebra.representation)
-    return co.LieAlgebra(np.einsum("ia,jb,abk,kl->ijl", T, T, constants_of(algebra), inverse), representation=rho)
-
-
-def full(n, seed):
-    A = np.random.default_rng(seed).uniform(-1, 1, (n, n))
-    return np.diag(np.linspace(0.5, 1.5, n)) + 0.25 * (A + A.T)
 
 
 SKEWED = np.array([[1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, -1.0, 1.0]])
 SYSTEMS = {
     "e(3) diagonal": (co.algebras.e(3), co.Quadratic([1.0, 0.5, 0.25, 0.5, 1.5, 0.75], linear=[0, 0, 0, 0.5, 0, 1.0])),
-    "so(4) full": (co.algebras.so(4), co.Quadratic(full(6, 1))),
-    "sl(2) full": (co.algebras.sl(2), co.Quadratic(full(3, 2), linear=[0.25, 0, -0.5])),
+    "so(4) full": (co.algebras.so(4), co.Quadratic(wide(6, 1))),
+    "sl(2) full": (co.algebras.sl(2), co.Quadratic(wide(3, 2), linear=[0.25, 0, -0.5])),
     "A3,7 diagonal": (co.algebras.get("A3,7", a=1.75), co.Quadratic([1.0, 2.0, 0.25])),
-    "Heisenberg full": (co.algebras.heisenberg(2), co.Quadratic(full(5, 3))),
+    "Heisenberg full": (co.algebras.heisenberg(2), co.Quadratic(wide(5, 3))),
     "so(5) diagonal": (co.algebras.so(5), co.Quadratic(np.linspace(0.5, 1.5, 10))),
-    "so(3) permuted": (in_basis(co.algebras.so(3), np.eye(3)[[2, 0, 1]]), co.Quadratic([1.0, 0.5, 0.25])),
-    "so(3) other basis": (in_basis(co.algebras.so(3), SKEWED), co.Quadratic(full(3, 4))),
-    "3 spins": (copies(co.algebras.so(3), 3), co.Quadratic(SPINS)),
+    "so(3) permuted": (
+        co.algebras.change_of_basis(co.algebras.so(3), np.eye(3)[[2, 0, 1]]),
+        co.Quadratic([1.0, 0.5, 0.25]),
+    ),
+    "so(3) other basis": (co.algebras.change_of_basis(co.algebras.so(3), SKEWED), co.Quadratic(wide(3, 4))),
     "quartic on so(3)": (
         co.algebras.so(3),
         co.Polynomial({(4, 0, 0): 0.25, (0, 3, 0): 0.5, (0, 0, 2): 1.0, (1, 0, 1): 0.5}),
@@ -90,6 +75,7 @@ def test_names_and_orders():
     ("options", "error", "message"),
     [
         ({"order": 3}, ValueError, "orders 1, 2, 4, 6, 8 and 10, not 3"),
+        ({"scheme": "kahan_li8"}, ValueError, "unknown splitting scheme 'kahan_li8'; did you mean 'kahan_li8"),
         ({"scheme": "suzuky4"}, ValueError, "unknown splitting scheme 'suzuky4'; did you mean 'suzuki4'"),
         ({"scheme": "strang", "order": 4}, ValueError, "scheme 'strang' has order 2, not 4"),
         ({"adjoint": True}, ValueError, "adjoint=True is for order 1"),

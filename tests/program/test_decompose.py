@@ -12,7 +12,6 @@ from coadjoint.program.parts.chosen_parts import ChosenParts
 from coadjoint.program.parts.decompose import best_decomposition, best_decompositions, decompose
 from coadjoint.program.parts.order_of_parts import best_order
 from coadjoint.program.parts.split import split
-from coadjoint.program.shifts.pencil import singular_factors
 from coadjoint.program.shifts.shift import quadratic_casimirs, shifted_terms
 
 pytestmark = pytest.mark.sensitive
@@ -150,15 +149,6 @@ def test_a_cancelled_entry_is_gone():
     system = systems()["so(3)"]
     (term,) = shifted_terms(system.hamiltonian.terms(), quadratic_casimirs(system), (("|x|^2", 1.0 / 6.0),))
     assert term.rows.tolist() == [0, 1]
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_singular_factors_are_generalized_eigenvalues(seed):
-    matrix, casimir = full(4, seed), full(4, seed + 10)
-    found = singular_factors(matrix, casimir)
-    expected = np.linalg.eigvals(np.linalg.solve(casimir, matrix))
-    np.testing.assert_allclose(found, np.sort(expected.real), rtol=1e-12)
-    assert singular_factors(matrix, np.diag((1.0, -1.0, 1.0, 1.0))) == ()
 
 
 def test_refusals():

@@ -12,30 +12,8 @@ import coadjoint as co
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.parts.split import split
 from coadjoint.program.table import build_program
+from drawn_matrices import whole_matrix
 from guards import bounded_work
-
-
-def constants_of(algebra):
-    unit = np.eye(algebra.dim)
-    return np.array([[algebra.bracket(u, v) for v in unit] for u in unit])
-
-
-def in_basis(algebra, T):
-    """The algebra in the basis f_i = sum_a T_ia e_a, T whole and of determinant one: all constants exact."""
-    inverse = np.rint(np.linalg.inv(T))
-    return co.LieAlgebra(np.einsum("ia,jb,abk,kl->ijl", T, T, constants_of(algebra), inverse))
-
-
-def whole_matrix(n, seed):
-    draw = np.random.default_rng(seed).integers(-1, 2, (2, n, n)).astype(float)
-    return (np.tril(draw[0], -1) + np.eye(n)) @ (np.triu(draw[1], 1) + np.eye(n))
-
-
-def copies(algebra, count):
-    i, j, k, c = algebra.triples
-    shift = algebra.dim * np.arange(count)[:, None]
-    rows = zip(*(np.ravel(a + shift).tolist() for a in (i, j, k)), np.tile(c, count).tolist(), strict=True)
-    return co.LieAlgebra(list(rows), dim=algebra.dim * count)
 
 
 def lattice(count, seed=1):
@@ -101,11 +79,11 @@ SYSTEMS = {
     "so(5) diagonal": (SO5, co.Quadratic(np.arange(1.0, 11.0))),
     "so(5) full": (SO5, co.Quadratic(full(10, 6))),
     "so(3) zero diagonal": (SO3, co.Quadratic(HOLLOW, linear=[1.0, 2.0, 3.0])),
-    "so(3) permuted": (in_basis(SO3, np.eye(3)[[2, 0, 1]]), co.Quadratic([1.0, 2.0, 4.0])),
-    "so(3) other basis": (in_basis(SO3, whole_matrix(3, 7)), co.Quadratic([1.0, 2.0, 4.0])),
-    "e(3) other basis": (in_basis(E3, whole_matrix(6, 8)), co.Quadratic(full(6, 9))),
-    "3 spins": (copies(SO3, 3), lattice(3)),
-    "3 spins full": (copies(SO3, 3), co.Quadratic(full(9, 10))),
+    "so(3) permuted": (co.algebras.change_of_basis(SO3, np.eye(3)[[2, 0, 1]]), co.Quadratic([1.0, 2.0, 4.0])),
+    "so(3) other basis": (co.algebras.change_of_basis(SO3, whole_matrix(3, 7)), co.Quadratic([1.0, 2.0, 4.0])),
+    "e(3) other basis": (co.algebras.change_of_basis(E3, whole_matrix(6, 8)), co.Quadratic(full(6, 9))),
+    "3 spins": (co.algebras.copies(SO3, 3), lattice(3)),
+    "3 spins full": (co.algebras.copies(SO3, 3), co.Quadratic(full(9, 10))),
     "quartic on so(3)": (SO3, co.Polynomial(QUARTIC)),
     "cubic in p on e(3)": (E3, co.Polynomial(CUBIC_IN_P)),
     "pieces on e(3)": (E3, co.SplitHamiltonian(PIECES)),
@@ -197,7 +175,7 @@ def test_number_of_parts(name, count):
 @pytest.mark.parametrize("count", [1, 40, 2000])
 def test_any_lattice_of_spins_has_three_parts(count):
     """Found in time nearly linear in the spins: 2000 take about a second."""
-    s = co.LiePoissonSystem(copies(SO3, count), lattice(count))
+    s = co.LiePoissonSystem(co.algebras.copies(SO3, count), lattice(count))
     with bounded_work():
         parts = split(s)
         program = build_program(s, co.Splitting(order=2))

@@ -79,14 +79,6 @@ def test_stepper_of_matrices(name):
         step.both(W)
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_backward_run_returns_to_the_start(name):
-    system, W = SYSTEMS[name], states(SYSTEMS[name], 2)
-    there = co.integrate(system, W, (0.5, 1.5), 0.0625)
-    back = co.integrate(system, there.x[-1], (1.5, 0.5), 0.0625)
-    assert np.abs(back.x[-1] - W).max() < 1e-14 < 1e-3 < np.abs(there.x[-1] - W).max()
-
-
 def test_default_scheme_of_matrices():
     assert isinstance(co.integrate(BODY, state_of(BODY), (0, 1), 0.1).method, co.IsospectralGauss)
     assert isinstance(co.prepare(SPHERE, None, 0.1).method, co.IsospectralGauss)

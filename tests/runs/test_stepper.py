@@ -6,16 +6,12 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from drawn_matrices import wide
 
 pytestmark = pytest.mark.thinned(3)
 
 U = 2.0**-53
 C1 = 1 / (2 - 2 ** (1 / 3))
-
-
-def full(n, seed):
-    A = np.random.default_rng(seed).uniform(-1, 1, (n, n))
-    return np.diag(np.linspace(0.5, 1.5, n)) + 0.25 * (A + A.T)
 
 
 def driven():
@@ -26,11 +22,11 @@ def driven():
 
 
 SYSTEMS = {
-    "e(3)": (co.algebras.e(3), co.Quadratic(full(6, 1), linear=np.arange(6) / 5)),
+    "e(3)": (co.algebras.e(3), co.Quadratic(wide(6, 1), linear=np.arange(6) / 5)),
     "so(4)": (co.algebras.so(4), co.Quadratic(np.linspace(0.5, 1.5, 6))),
-    "sl(2)": (co.algebras.sl(2), co.Quadratic(full(3, 2))),
+    "sl(2)": (co.algebras.sl(2), co.Quadratic(wide(3, 2))),
     "A3,7": (co.algebras.get("A3,7", a=1.75), co.Quadratic([1.0, 2.0, 0.25])),
-    "Heisenberg": (co.algebras.heisenberg(2), co.Quadratic(full(5, 3))),
+    "Heisenberg": (co.algebras.heisenberg(2), co.Quadratic(wide(5, 3))),
     "driven so(4)": (co.algebras.so(4), driven()),
 }
 

@@ -6,7 +6,7 @@ from scipy.linalg import expm
 
 import coadjoint as co
 
-from .measures import U, measured_order, order_of, poisson_defect
+from .measures import U
 from .systems_under_test import cases, full_matrix
 
 pytestmark = pytest.mark.thinned(3)
@@ -60,32 +60,6 @@ def test_second_order_composes_first_order_and_adjoint(case):
     half = [co.stepper(system, co.Splitting(order=1, adjoint=back), 0.05) for back in (False, True)]
     whole = co.stepper(system, co.Splitting(order=2), 0.1)
     assert np.max(np.abs(half[1](half[0](x)) - whole(x))) <= roundoff(x)
-
-
-@pytest.mark.thinned(20)
-@pytest.mark.parametrize("parts", ["auto", "coordinates"])
-@pytest.mark.parametrize("case", list(cases()))
-def test_second_order_symmetric_and_lie_poisson(case, parts):
-    system, x, _ = cases()[case]
-    method = co.Splitting(order=2, parts=parts)
-    found = measured_order(method, case)
-    assert found.agrees_with(2), found
-    step, back = co.stepper(system, method, 0.1), co.stepper(system, method, -0.1)
-    assert np.max(np.abs(back(step(x), 0.1) - x)) <= roundoff(x)
-    defect = poisson_defect(step, x)
-    assert defect.value <= defect.bound
-
-
-def test_error_of_one_step_is_of_order_three():
-    for case in ("A3,7, full", "e(3), full, axes permuted"):
-        system, x, _ = cases()[case]
-        steps = [0.2 / 2 ** (k / 2) for k in range(5)]
-        errors = []
-        for h in steps:
-            exact = co.integrate(system, x, (0.0, h), h / 4, co.GaussLegendre(6)).x[-1]
-            errors.append(float(np.max(np.abs(co.stepper(system, co.Splitting(order=2), h)(x) - exact))))
-        found = order_of(steps, errors, 1)
-        assert found.agrees_with(3), (case, found)
 
 
 def test_fourth_order_composition_of_the_paper():

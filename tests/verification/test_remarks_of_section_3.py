@@ -84,15 +84,6 @@ def test_energy_of_the_scheme_with_frozen_gradient(case, s, m):
     assert found.slope > m - found.tolerance, found
 
 
-@pytest.mark.parametrize("s", [1, 2, 3])
-@pytest.mark.parametrize("case", WITNESSES)
-def test_gauss_preserves_quadratic_casimirs(case, s):
-    system, x0, _ = cases()[case]
-    run = co.integrate(system, x0, (0.0, 100.0), 0.1, co.GaussLegendre(s), save_every=50)
-    bounds = drift_bounds(run)
-    assert all(run.drift()[name] <= bounds[name] for name in system.casimirs)
-
-
 @pytest.mark.parametrize(("s", "m"), CHOICES)
 @pytest.mark.parametrize("case", WITNESSES)
 def test_order_of_plain_iteration(case, s, m):
