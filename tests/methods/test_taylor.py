@@ -117,23 +117,6 @@ def test_fractions_give_the_exact_polynomial_in_the_step():
         co.Taylor(2).step(system, x, 0, h)
 
 
-@pytest.mark.long
-def test_series_in_fifty_digits():
-    """The error of order p in a step of h is C h^(p+1): halving the step divides it by 2^(p+1)."""
-    system = systems()["heavy top"]
-    with mpmath.workdps(50):
-        x = np.array([mpmath.mpf(v) for v in (0.5, 0.25, -0.5, 0.75, 0.5, 0.25)], dtype=object)
-        for projected in (False, True):
-            errors = []
-            for h in (mpmath.mpf(1) / 16, mpmath.mpf(1) / 32):
-                exact = co.Taylor(30, projected=False).step(system, x, 0, h)
-                errors.append(max(abs(co.Taylor(6, projected).step(system, x, 0, h) - exact)))
-            assert abs(errors[0] / errors[1] - 2**7) < 12
-        new = co.Taylor(6).step(system, x, 0, mpmath.mpf("0.25"))
-        for invariant in (system.energy, *system.casimirs.values()):
-            assert abs(invariant(new) - invariant(x)) < 1e-48
-
-
 @pytest.mark.parametrize("projected", [True, False])
 @pytest.mark.parametrize("name", ["so(3), full", "heavy top", "so(4), full", "e(3), quartic"])
 def test_tangent_is_the_derivative_of_the_step(name, projected):

@@ -44,24 +44,6 @@ def test_shifted_and_unshifted_attitudes_agree(name):
     assert errors[0] < 0.05 and errors[1] < errors[0] / 8 + 1e-12  # order 4: a factor 16
 
 
-def test_attitudes_of_members_and_backward_runs():
-    system, _ = cases()["so(3), body"]
-    x0 = np.array([[0.3, 1.0, -0.5], [1.0, -0.2, 0.4]])
-    together = co.integrate(system, x0, (0, 5), 0.05, attitude=True)
-    for member, x in enumerate(x0):
-        alone = co.integrate(system, x, (0, 5), 0.05, attitude=True)
-        np.testing.assert_array_equal(alone.attitude, together.attitude[:, member])
-    back = co.integrate(system, together.x[-1, 0], (5, 0), 0.05, attitude=together.attitude[-1, 0])
-    assert np.abs(back.attitude[-1] - np.eye(3)).max() < 1e-13
-
-
-def test_stepper_includes_the_shift():
-    system, _ = cases()["so(3), body"]
-    x = np.array([0.3, 1.0, -0.5])
-    g = co.stepper(system, co.Splitting(order=2), 0.01).group(x)
-    assert np.abs(g - system.exact(x, 0.01, attitude=True)[1]).max() < 1e-6
-
-
 SHIFTED = {
     "so(3)": co.systems.rigid_body((1.0, 2.0, 3.0)),
     "so(4)": co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(np.linspace(0.5, 2, 6)), sign=-1),
