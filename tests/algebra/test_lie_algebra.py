@@ -51,7 +51,7 @@ def test_identities_hold_exactly_in_fractions(drawn):
     assert (commutator == g.coadjoint(g.bracket(u, v))).all()
 
 
-@settings(deadline=None, max_examples=80)
+@settings(deadline=None, max_examples=30)
 @given(WITH_VECTORS)
 def test_floats_agree_with_fractions(drawn):
     g, u, _, w = drawn

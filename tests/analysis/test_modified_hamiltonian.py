@@ -10,7 +10,7 @@ from itertools import pairwise
 import mpmath
 import numpy as np
 import pytest
-from modified_systems import moments, systems
+from modified_systems import systems
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
@@ -420,7 +420,3 @@ def test_what_is_too_large_is_refused_before_it_is_made(monkeypatch):
     monkeypatch.setattr("coadjoint.memory.UNCHECKED_BYTES", 10**4)
     with pytest.raises(ValueError, match="a bracket in a modified Hamiltonian needs about"):
         co.modified_hamiltonian(system, co.Splitting(parts="coordinates"), 4)
-
-
-def test_the_moments_are_a_lie_algebra_of_rank_six():
-    assert moments().dim - moments().generic_rank() == 2

@@ -1,4 +1,4 @@
-"""The compiled Runge-Kutta loop: against the plain reading, absolute references, invariants, the group, failures."""
+"""The compiled Runge-Kutta loop: against the plain reading, group elements, large systems, failures."""
 
 from __future__ import annotations
 
@@ -95,15 +95,6 @@ def test_round_off_of_gauss_8_has_no_bias():
     body = co.systems.rigid_body(inertia=(1, 2, 3))
     run = co.integrate(body, (1.0, 2.0, 0.5), (0.0, 20000.0), 0.25, co.GaussLegendre(8), save_every=10**6)
     assert run.drift()["energy"] < 2 * U * run.energy[0] * math.sqrt(run.stats.steps)
-
-
-def test_freezing_the_structure_lets_the_casimir_grow():
-    """The energy to round-off, while |x|^2 = 5.25 grows by 0.041, 0.333, 0.575."""
-    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 1 / 2, 1 / 3]))
-    run = co.integrate(system, (1.0, 2.0, 0.5), (0.0, 2000.0), 0.1, co.ModifiedGaussLegendre(1), save_every=1000)
-    growth = run.casimirs["|x|^2"] - 5.25
-    assert np.max(np.abs(growth[[1, 10, 20]] - [0.041, 0.333, 0.575])) < 5e-4
-    assert run.drift()["energy"] < 1e-13
 
 
 @pytest.mark.parametrize("method", [co.GaussLegendre(2), co.ModifiedGaussLegendre(1, freeze="gradient")], ids=repr)

@@ -1,4 +1,4 @@
-"""The loop for step methods, and the one compiled step it is given here: Radau on the energy surface."""
+"""The loop for step methods and Radau on the energy surface: the plain reading, energy, substeps, failures."""
 
 from __future__ import annotations
 

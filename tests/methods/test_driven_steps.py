@@ -1,4 +1,4 @@
-"""Steps in Python of a driven system, from any time and in both directions: order, symmetry, derivative."""
+"""Steps in Python of a driven system, from any time and in both directions: time, symmetry, short orbits."""
 
 import math
 

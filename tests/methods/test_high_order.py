@@ -1,4 +1,4 @@
-"""High orders: named schemes, processed ones with output only where one looks, compensation, and same bits."""
+"""High orders: sweeps, processed schemes, compositions."""
 
 import mpmath
 import numpy as np

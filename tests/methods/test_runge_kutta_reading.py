@@ -1,4 +1,4 @@
-"""The plain reading of the Runge-Kutta schemes: orders, number types, exact derivatives, refusals."""
+"""The plain reading of the Runge-Kutta schemes: number types, exact derivatives, invariants, refusals."""
 
 from __future__ import annotations
 

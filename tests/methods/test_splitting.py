@@ -1,4 +1,4 @@
-"""Explicit Lie-Poisson splitting: orders, symmetry, the paper's composition by hand, attitude, absolute references."""
+"""Splittings: the group element, names and orders, refusals."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Parts: commuting forms, few of them, whose pieces add up to the Hamiltonian."""
+"""Parts: commuting forms, few of them on each algebra of the catalogue, whose pieces add up to the Hamiltonian."""
 
 import math
 from fractions import Fraction
@@ -9,11 +9,14 @@ import pytest
 from scipy.sparse import coo_array
 
 import coadjoint as co
+from coadjoint.algebra.families.low_dimensional import entries
 from coadjoint.program.interpreter import Interpreter
+from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.parts.split import split
 from coadjoint.program.table import build_program
 from drawn_matrices import whole_matrix
 from guards import bounded_work
+from verification.test_catalogue import EXAMPLES
 
 
 def lattice(count, seed=1):
@@ -279,3 +282,23 @@ def test_a_constant_hamiltonian_moves_nothing():
     sol = co.integrate(s, (1.0, 2.0, 3.0), (0, 1), 0.1, attitude=True)
     assert np.array_equal(sol.x, np.tile([1.0, 2.0, 3.0], (11, 1)))
     assert np.array_equal(sol.attitude[-1], np.eye(3))
+
+
+# Numbers of sets of commuting coordinates; two elsewhere.
+THREE = """A3_8 A3_9 A4_7 A4_8 A4_9 A4_10 A4_11 A5_3 A5_6 A5_19 A5_20 A5_21 A5_23 A5_24 A5_25 A5_26 A5_28 A5_29 A5_30
+A5_31 A5_36 A5_37 A5_39 A5_40""".split()
+
+
+@pytest.mark.thinned(3)
+@pytest.mark.parametrize("name", entries())
+def test_as_few_parts_as_commuting_sets_that_cover_the_coordinates(name):
+    count, algebra = 3 if name in THREE else 2, co.algebras.get(name, **EXAMPLES.get(name, {}))
+    system = co.LiePoissonSystem(algebra, co.Quadratic(np.linspace(1.0, 2.0, algebra.dim)))
+    parts = split(system, "auto")
+    assert len(parts) <= count
+    assert len(decompose(system, "auto").parts) <= len(parts)
+    covered = sorted(i for part in parts for form, _ in part.forms for i in form)
+    assert covered == list(range(algebra.dim))
+    for part in parts:
+        chosen = [i for form, _ in part.forms for i in form]
+        assert all(algebra.commuting(i, j) for i in chosen for j in chosen)

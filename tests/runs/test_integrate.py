@@ -1,4 +1,4 @@
-"""Runs: bits independent of saving, watching, members and threads; saved points, attitudes, drifts and failures."""
+"""Runs: bits independent of saving, watching, members and threads; saved points, drifts and failures."""
 
 import math
 

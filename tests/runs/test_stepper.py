@@ -1,4 +1,4 @@
-"""Single steps as functions: bits, exact tangents, group elements and refusals."""
+"""Single steps as functions: group elements and refusals."""
 
 import math
 

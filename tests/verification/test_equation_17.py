@@ -1,4 +1,4 @@
-"""Equation (17), x' = J(x) M x with any skew J: section 3 applies without the Jacobi identity, section 4 does not."""
+"""Equation (17), x' = J(x) M x with any skew J: schemes that take it, and a bracket that is not linear."""
 
 import numpy as np
 import pytest
