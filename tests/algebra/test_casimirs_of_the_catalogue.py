@@ -120,6 +120,7 @@ def with_traces(g, traces):
 # With all independent Casimirs: of the catalogue's sl(3) and sp(4) the quadratic one alone is known.
 CHANGED = {
     "3 so(3)": lambda: co.algebras.copies(co.algebras.so(3), 3),
+    "so(4)": lambda: co.algebras.so(4),
     "e(3)": lambda: co.algebras.e(3),
     "sl(3)": lambda: with_traces(*classical("sl(3)")),
     "sp(4)": lambda: with_traces(*symplectic()),

@@ -10,6 +10,7 @@ from coadjoint.algebra.catalogue import e, gl, heisenberg, se, sl, so, sp, su, u
 from coadjoint.algebra.exact.elimination import Span
 from coadjoint.algebra.families.matrix_bases import MAX_REPRESENTATION_NUMBERS, Sparse, matrices
 from coadjoint.algebra.polynomials.quadratic_forms import MAX_STORED_EXPONENTS, casimirs_fit
+from drawn_matrices import constants_of
 
 # algebra, dimension, number of Casimirs, semisimple
 FAMILIES = [
@@ -25,13 +26,6 @@ FAMILIES = [
 ]
 
 
-def constants(g):
-    c = np.zeros((g.dim, g.dim, g.dim))
-    i, j, k, value = g.triples
-    c[i, j, k], c[j, i, k] = value, -value
-    return c
-
-
 def independent(rows):
     try:
         Span([{i: Fraction(v) for i, v in enumerate(row) if v} for row in rows])
@@ -42,7 +36,7 @@ def independent(rows):
 
 @pytest.mark.parametrize(("g", "dim", "casimirs", "semisimple"), FAMILIES, ids=str)
 def test_families(g, dim, casimirs, semisimple):
-    c, rho = constants(g), g.representation
+    c, rho = constants_of(g), g.representation
     assert g.dim == dim and dim - g.generic_rank() == casimirs
     # the constants are multiples of 1/2 below 8, so these sums of products are exact
     double = np.einsum("ijm,mkl->ijkl", c, c)
@@ -108,24 +102,6 @@ def test_limits_of_size():
     one = Sparse([(0, 0, 0, 1.0)])
     assert matrices(one, MAX_REPRESENTATION_NUMBERS // 4**2 + 1, 4) is None
     assert matrices(one, 2, 4).shape == (2, 4, 4)
-
-
-@pytest.mark.parametrize(
-    ("build", "arguments", "message"),
-    [
-        (gl, (0,), r"n of gl\(n\) must be a whole number from 1 up, not 0"),
-        (sl, (True,), r"n of sl\(n\) must be a whole number from 2 up, not True"),
-        (so, (3, -1), r"q of so\(p, q\) must be a whole number from 0 up, not -1"),
-        (su, (1,), r"n of su\(n\) must be a whole number from 2 up, not 1"),
-        (u, (2.0,), r"n of u\(n\) must be a whole number from 1 up, not 2.0"),
-        (sp, (5,), r"size of sp\(size\) must be even, not 5: sp\(2n, R\) consists of 2n x 2n matrices"),
-        (sp, (0,), r"size of sp\(size\) must be a whole number from 2 up, not 0"),
-        (se, (1,), r"n of se\(n\) must be a whole number from 2 up, not 1"),
-    ],
-)
-def test_wrong_sizes_are_refused(build, arguments, message):
-    with pytest.raises(ValueError, match=message):
-        build(*arguments)
 
 
 def test_everything_public_is_listed():

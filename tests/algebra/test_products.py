@@ -245,9 +245,6 @@ def test_names_of_what_is_made():
     ("build", "error", "message"),
     [
         (lambda: direct_sum(), ValueError, "a direct sum needs at least one algebra"),
-        (lambda: direct_sum(so(3), 3), TypeError, "not of a int"),
-        (lambda: copies(so(3), 0), ValueError, r"count of copies\(g, count\) must be a whole number from 1 up, not 0"),
-        (lambda: copies("so(3)", 2), TypeError, "not of a str"),
         (lambda: semidirect(get("A4,8")), ValueError, "has no representation; give the matrices by which it acts"),
         (lambda: semidirect(so(3), np.ones((3, 2, 2))), ValueError, "representation violates the commutator"),
         (
@@ -256,25 +253,11 @@ def test_names_of_what_is_made():
             "the ideal has dimension 5; the matrices act on 3",
         ),
         (lambda: semidirect(so(3), None, heisenberg(1)), ValueError, "Jacobi identity violated"),
-        (
-            lambda: change_of_basis(so(3), np.ones((3, 3))),
-            ValueError,
-            "vector 1 is a combination of the vectors before",
-        ),
-        (
-            lambda: change_of_basis(so(3), np.eye(2)),
-            ValueError,
-            "vector 0 of the new basis must have 3 components, not 2",
-        ),
         (lambda: change_of_basis(so(3), np.eye(3)[:2]), ValueError, "must consist of 3 vectors, not 2"),
-        (lambda: change_of_basis(so(3), np.nan * np.eye(3)), ValueError, "is nan; it must be finite"),
-        (lambda: change_of_basis(so(3), 2.0), TypeError, "must be a sequence of vectors or of names"),
         (lambda: subalgebra(so(3), ["e1", "e2"]), ValueError, "the bracket of vectors 0 and 1 leaves their span"),
-        (lambda: subalgebra(so(3), ["e1", "e9"]), ValueError, "'e9' in the subalgebra is not a basis element"),
         (lambda: subalgebra(so(3), [[1, 0, "a"]]), TypeError, "component 2 of vector 0 of the subalgebra"),
         (lambda: quotient(e(3), ["e1"]), ValueError, "do not span an ideal: the bracket of e2 with vector 0 leaves it"),
         (lambda: quotient(so(3), np.eye(3)), ValueError, "the ideal is all of g"),
-        (lambda: quotient(3, np.eye(3)), TypeError, "belongs to a LieAlgebra, not to a int"),
     ],
 )
 def test_refusals(build, error, message):

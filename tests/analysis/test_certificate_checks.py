@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.analysis.certificates.certificate import Certificate, Row, verdict
+from coadjoint.analysis.certificates.certificate import Certificate, Row
 from coadjoint.analysis.certificates.claims import scheme_and_claims
 from coadjoint.analysis.checks import attitude, convergence, invariants
 from coadjoint.analysis.checks.convergence import allowed_error
@@ -466,18 +466,6 @@ def test_schemes_with_steps_of_their_own_declare_no_order_of_the_step():
 
 
 # Verdicts and records
-
-
-def test_verdicts():
-    found = {(claimed, kept): verdict(claimed, kept) for claimed in (True, False) for kept in (True, False, None)}
-    assert found == {
-        (True, True): "holds",
-        (True, False): "fails",
-        (True, None): "not decidable here",
-        (False, True): "kept though not declared",
-        (False, False): "not kept, not declared",
-        (False, None): "not decidable here",
-    }
 
 
 @pytest.mark.parametrize("h", [0.1, -0.1])

@@ -86,18 +86,6 @@ def test_a_function_with_true_and_false_claims():
     assert [row.key for row in certified(euler, order=1, properties=SPLIT).failures] == ["poisson", "casimir |x|^2"]
 
 
-@pytest.mark.thinned(4)
-@pytest.mark.parametrize("step", [0.1, -0.1])
-@pytest.mark.parametrize("sign", [1, -1])
-def test_forward_and_backward_and_both_signs(step, sign):
-    algebra = co.algebras.A3_7(1.5)
-    system = co.LiePoissonSystem(algebra, co.Quadratic([1.0, 0.7, 0.4]), sign=sign)
-    for method in (co.Splitting(order=4), co.GaussLegendre(2)):
-        found = co.certify(system, method, (0.7, -0.4, 0.5), step, steps=60)
-        assert found.passed, str(found)
-        assert np.sign(found["order"].evidence["span"]) == np.sign(step)
-
-
 def test_a_sample_is_taken_as_it_is():
     sample = np.random.default_rng(3).normal(size=(5, 3))
     found = co.certify(BODY, co.Splitting(), sample, 0.1, steps=40)
@@ -232,20 +220,16 @@ def test_a_wrong_closed_form_is_said():
     ("options", "said"),
     [
         ({"step": 0.0}, "must not be zero"),
-        ({"step": math.nan}, "finite"),
         ({"steps": 0}, "steps"),
         ({"method": 3}, "must be a scheme"),
-        ({"method": co.Splitting}, "must be a scheme"),
         ({"method": lambda x: x}, "takes 1 arguments"),
         ({"order": 2}, "declares its own"),
-        ({"method": euler, "order": 0}, "order"),
         ({"method": euler, "symmetric": 1}, "symmetric"),
         ({"method": euler, "properties": "all"}, "Properties"),
         (
             {"method": euler, "properties": Properties(True, False, "all", "coadjoint")},
             'give attitude="none"',
         ),
-        ({"x0": (1.0, 2.0)}, "x0 has the shape"),
         ({"system": co.batch([BODY, BODY])}, "one system"),
     ],
 )

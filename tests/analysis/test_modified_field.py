@@ -103,15 +103,6 @@ def test_lemma_3_1_is_read_off_the_first_term(stages: int, freeze: str) -> None:
         assert found.first_error == min(m, 2 * stages) == scheme.order
 
 
-@pytest.mark.parametrize("stages", [1, 2, 3])
-def test_iterated_schemes_have_one_order_more_than_iterations(stages: int) -> None:
-    system = whole("A3,7")
-    for m in range(1, 2 * stages + 1):
-        scheme = co.IteratedGaussLegendre(stages, iterations=m)
-        found = co.modified_field(system, scheme, 2 * stages + 1, way="exact")
-        assert found.first_error == min(m + 1, 2 * stages) == scheme.order
-
-
 @pytest.mark.thinned(12)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("name", ALGEBRAS)
@@ -193,25 +184,6 @@ def test_a_scheme_that_loses_the_energy_has_no_skew_matrix() -> None:
         found.skew_matrix((1, 2, 3), 0.1)
 
 
-def test_splitting_has_the_formula_of_so3() -> None:
-    m = [Fraction(1), Fraction(1, 2), Fraction(5, 4)]
-    m1, m2, m3 = m
-    body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([float(v) for v in m]))
-    found = co.modified_field(body, co.Splitting(order=2, parts=[[0], [1], [2]]), 4)
-    a = m1**2 * m2 - m1**2 * m3 - 2 * m1 * m2**2 + 2 * m1 * m2 * m3 - m2**2 * m3
-    b = -(m1**2) * m2 + m1**2 * m3 + 2 * m1 * m2 * m3 - 2 * m1 * m3**2 + 2 * m2 * m3**2
-    c = 2 * m1 * m2**2 - 4 * m1 * m2 * m3 + 2 * m1 * m3**2 + m2**2 * m3 - 2 * m2 * m3**2
-    H2 = co.Polynomial({(2, 2, 0): a / 24, (2, 0, 2): b / 24, (0, 2, 2): c / 24})
-    x = [co.Polynomial.variable(i, 3) for i in range(3)]
-    J = [[0 * x[0], x[2], -x[1]], [-x[2], 0 * x[0], x[0]], [x[1], -x[0], 0 * x[0]]]
-    slope = [H2.derivative(i) for i in range(3)]
-    assert list(found.terms[2]) == [sum(J[i][j] * slope[j] for j in range(3)) for i in range(3)]
-    difference = found.hamiltonians[2] - H2
-    square = sum(v * v for v in x)
-    factor = difference.monomials.get((4, 0, 0), 0)
-    assert difference == square * square * factor, "up to a Casimir"
-
-
 @pytest.mark.thinned(8)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "A3,7", "A4,7"])
@@ -227,24 +199,6 @@ def test_splittings_are_poisson_with_hamiltonians(name: str, sign: int) -> None:
     for C in system.casimirs:
         if isinstance(system.casimirs[C], co.Polynomial | co.Quadratic):
             assert found.keeps(C) is None
-
-
-def test_a_nested_bracket_gives_the_term_of_a_splitting() -> None:
-    """H2 = -{A, {A, D}}/24 + {D, {D, A}}/12, A the outermost part and D the rest, then the same for D."""
-    from coadjoint.algebra.exact.numbers import rational
-    from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
-
-    m = np.array([1.0, 0.5, 0.25, 0.75, 1.5, 2.0])
-    for sign in (1, -1):
-        system = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(m), sign=sign)
-        ring = ExactPolynomials(system.algebra)
-        parts = [x * x * rational(v / 2) for x, v in zip(ring.coordinates, m, strict=True)]
-        H2 = ring.zero
-        for p, A in enumerate(parts[:-1]):
-            D = sum(parts[p + 1 :], ring.zero)
-            H2 += ring.bracket(D, ring.bracket(D, A)) / 12 - ring.bracket(A, ring.bracket(A, D)) / 24
-        found = co.modified_field(system, co.Splitting(order=2, parts=[[i] for i in range(6)]), 3)
-        assert [ring.polynomial(sign * f) for f in ring.field(H2)] == list(found.terms[2])
 
 
 def test_gauss_is_no_poisson_map_and_says_where() -> None:

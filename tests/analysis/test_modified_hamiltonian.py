@@ -10,7 +10,7 @@ from itertools import pairwise
 import mpmath
 import numpy as np
 import pytest
-from modified_systems import moments, systems
+from modified_systems import systems
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
@@ -68,19 +68,6 @@ def test_the_printed_formula_of_so3_to_the_letter():
         assert dict(found.terms[2].coefficients) == expected
         assert set(found.terms) == {0, 2}
         assert repr(found.terms[0]) == "(1/2)*m1*x1^2 + (1/2)*m2*x2^2 + (1/2)*m3*x3^2"
-
-
-def test_symbols_with_values_are_the_numbers():
-    H = co.Polynomial({(4, 0, 0): 1, (0, 2, 0): 1, (0, 0, 3): 2, (0, 1, 0): Fraction(1, 3)})
-    system = co.LiePoissonSystem(co.algebras.so(3), H, sign=-1)
-    for method in (co.Splitting(parts="coordinates"), co.Splitting(order=1, parts="coordinates")):
-        symbolic = co.modified_hamiltonian(system, method, order=5, symbols=True)
-        plain = co.modified_hamiltonian(system, method, order=5)
-        assert symbolic.with_values().terms == plain.terms
-        other = co.LiePoissonSystem(co.algebras.so(3), H + co.Polynomial({(0, 2, 0): Fraction(3, 2)}), sign=-1)
-        assert symbolic.with_values({"m2": 5}).terms == co.modified_hamiltonian(other, method, order=5).terms
-    some = co.modified_hamiltonian(system, method, order=4, symbols=("m2",))
-    assert list(some.values) == ["m2"] and some.with_values().terms == {k: plain.terms[k] for k in range(4)}
 
 
 def linear(algebra, seed, sign):
@@ -158,22 +145,6 @@ def test_the_step_is_its_flow(name, method):
 
 def field_of(system, kept, h, t, x):
     return system.sign * system.structure_matrix(x) @ kept.gradient(x, h)
-
-
-@pytest.mark.thinned(10)
-@pytest.mark.parametrize("name", SYSTEMS)
-@pytest.mark.parametrize("parts", ["auto", "coordinates"])
-def test_kept_along_runs(name, parts):
-    """Slopes 2, 4 and 6 of the largest deviation over a fixed time."""
-    system, x0 = SYSTEMS[name]
-    scheme = co.Splitting(parts=parts)
-    for order in (2, 4, 6):
-        largest = []
-        for h in (1 / 32, 1 / 64):
-            kept = co.integrate(system, x0, (0, 1), h, scheme).modified_energy(order)
-            largest.append(np.max(np.abs(kept - kept[0])))
-        assert largest[1] < 1e-13 or np.log2(largest[0] / largest[1]) > order - 0.4, (order, largest)
-        assert order > 4 or largest[0] > 1e-12
 
 
 @pytest.mark.thinned(4)
@@ -449,7 +420,3 @@ def test_what_is_too_large_is_refused_before_it_is_made(monkeypatch):
     monkeypatch.setattr("coadjoint.memory.UNCHECKED_BYTES", 10**4)
     with pytest.raises(ValueError, match="a bracket in a modified Hamiltonian needs about"):
         co.modified_hamiltonian(system, co.Splitting(parts="coordinates"), 4)
-
-
-def test_the_moments_are_a_lie_algebra_of_rank_six():
-    assert moments().dim - moments().generic_rank() == 2

@@ -83,20 +83,6 @@ def test_backward_runs_and_other_start_times(body, run) -> None:
     assert back.slope == pytest.approx(co.phase_drift(run).slope, rel=2e-3) and back.growth == "linear"
 
 
-@pytest.mark.long
-def test_ensembles_and_batches_give_a_drift_each(body) -> None:
-    states = np.array([X0, (0.2, 1.0, 0.3), (0.2, 0.3, 1.0)])
-    together = co.phase_drift(co.integrate(body, states, (0.0, 300.0), 0.1, COORDINATES, save_every=4))
-    other = co.systems.rigid_body(inertia=(1, 2, 2.5))
-    mixed = co.phase_drift(
-        co.integrate(co.batch([body, other]), states[:2], (0.0, 300.0), 0.1, COORDINATES, save_every=4)
-    )
-    for member, drift in enumerate(together):
-        alone = co.phase_drift(co.integrate(body, states[member], (0.0, 300.0), 0.1, COORDINATES, save_every=4))
-        assert drift.slope == alone.slope
-    assert mixed[0].slope == together[0].slope and mixed[1].slope != together[1].slope
-
-
 def test_other_algebras_by_a_reference() -> None:
     """On sl(2) nothing has a closed form; the clock of the second run is wrong by a known factor."""
     algebra = co.algebras.get("A3,8")

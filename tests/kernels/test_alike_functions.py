@@ -56,34 +56,6 @@ def test_what_is_alike():
         )
 
 
-@pytest.mark.parametrize(
-    "one, other",
-    [
-        (times(2.0)[0], times(2.0)[1]),
-        (times(2.0)[0], times(3.0)[0]),
-        (times(2.0)[0], times(2)[0]),
-        (times(0.0)[0], times(-0.0)[0]),
-        (times(1)[0], times(True)[0]),
-        (times(np.float32(2))[0], times(np.float64(2))[0]),
-        (times(np.zeros(2))[0], times(np.zeros((2, 1)))[0]),
-        (times(np.ones(2))[0], times(np.zeros(2))[0]),
-        (times((1.0, 2.0))[0], times((2.0, 1.0))[0]),
-        (times([1.0])[0], times([2.0])[0]),
-        (times({1: 2})[0], times({1: 3})[0]),
-        (defaults(0.5), defaults(0.25)),
-        (times(inner)[0], times(math.sin)[0]),
-        (with_module(), with_module(inner=math.cos)),
-        (with_module(), types.FunctionType(reads_another.__code__, {"math": np, "inner": inner})),
-        (
-            with_module(),
-            with_module(inner=types.FunctionType(inner.__code__, {"SLOPE": 3.0})),
-        ),
-    ],
-)
-def test_what_is_not_alike(one, other):
-    assert compilation_key(one) != compilation_key(other)
-
-
 class Holder:
     """An object that functions may read, with everything that it could differ in."""
 
@@ -263,13 +235,6 @@ def test_a_value_that_is_met_again_is_another_than_an_equal_one():
     assert compilation_key([one, other, one]) != compilation_key([one, other, other])
 
 
-def test_functions_that_call_themselves():
-    def power(y, k=3):
-        return 1.0 if k == 0 else y * power(y, k - 1)
-
-    assert compilation_key(power) == compilation_key(power)
-
-
 def spins(functions):
     count = len(functions)
     pairs = {3 * k: pair for k, pair in enumerate(functions)}
@@ -292,16 +257,6 @@ def test_one_text_at_many_sites_is_compiled_once(monkeypatch):
     c, d = np.cos(angle), sign * np.sin(angle)
     turned = np.array([0.3, 0.4 * c + 0.2 * d, -0.2 * c + 0.4 * d])
     np.testing.assert_allclose(sol.x[-1].reshape(80, 3), np.tile(turned, (80, 1)), rtol=0, atol=1e-14)
-
-
-@pytest.mark.long
-def test_other_numbers_are_other_functions():
-    system = spins([times(1.0 + k / 7) for k in range(5)])
-    x = np.tile([0.3, 0.4, -0.2], 5)
-    sol = co.integrate(system, x, (0.0, 0.5), 0.05, co.Splitting())
-    for k in range(5):
-        alone = co.integrate(spins([times(1.0 + k / 7)]), x[:3], (0.0, 0.5), 0.05, co.Splitting())
-        np.testing.assert_array_equal(sol.x[:, 3 * k : 3 * k + 3], alone.x)
 
 
 def test_a_module_that_has_changed_is_compiled_again():

@@ -72,7 +72,7 @@ def test_levels_are_chosen_by_name(tmp_path):
         assert set(commands(tree)) == {("_processor", "processor.cpp"), *libraries}
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @needs_tools
 @needs_levels
 @pytest.mark.parametrize(("levels", "wrong"), [("v2", "v2"), ("v1;fast", "fast"), ("v3;all", "all"), ("4", "4")])

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_runge_kutta import SCHEMES, served, systems
+from test_runge_kutta import SCHEMES, systems
 
 import coadjoint as co
 from coadjoint.kernels.arrays import NamedArrays
 from runs import STATE, run
+from served import serves
 
 pytestmark = pytest.mark.thinned(6)
 
@@ -31,7 +32,7 @@ def some_states(x0, members=MEMBERS, spread=0.3):
 @pytest.mark.parametrize("method", METHODS, ids=repr)
 def test_members_have_the_bits_that_they_have_alone(name, method):
     system, x0 = systems()[name]
-    if not served(method, system):
+    if not serves(method, system):
         with pytest.raises(ValueError, match="take"):
             method.properties(system)
         return

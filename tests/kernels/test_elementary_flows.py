@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_flow import SO3, SYSTEMS, copies
+from test_flow import SO3, SYSTEMS
 
 import coadjoint as co
 from coadjoint.kernels import tables
@@ -27,7 +27,7 @@ ALGEBRAS = {
     "so(4) diagonal": (co.algebras.so(4), co.Quadratic(np.linspace(0.5, 1.5, 6))),
     "so(6) diagonal": (co.algebras.so(6), co.Quadratic(np.linspace(0.5, 1.5, 15))),
     "su(3) diagonal": (co.algebras.su(3), co.Quadratic(np.linspace(0.5, 1.5, 8))),
-    "10 spins": (copies(SO3, 10), co.Quadratic(np.linspace(0.5, 1.5, 30))),
+    "10 spins": (co.algebras.copies(SO3, 10), co.Quadratic(np.linspace(0.5, 1.5, 30))),
 }
 CASES = {
     **{name: co.LiePoissonSystem(*given) for name, given in ALGEBRAS.items()},

@@ -1,35 +1,23 @@
-"""The compiled reading of a program against the plain one: the same flows, to round-off."""
+"""The compiled reading of a program against the plain one, and flows that are long series."""
 
 import math
 
 import numpy as np
 import pytest
+import scipy.linalg
 from scipy.linalg import expm
 from scipy.sparse import coo_array
 
 import coadjoint as co
+from coadjoint.program.blocks import MOST_SUBSTEPS, Kind
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
 from coadjoint.runs.shifted_attitude import ShiftCorrection
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
+from drawn_matrices import whole_matrix, wide
 
 U = 2.0**-53
-
-
-def constants_of(algebra):
-    unit = np.eye(algebra.dim)
-    return np.array([[algebra.bracket(u, v) for v in unit] for u in unit])
-
-
-def in_basis(algebra, T):
-    inverse = np.rint(np.linalg.inv(T))
-    return co.LieAlgebra(np.einsum("ia,jb,abk,kl->ijl", T, T, constants_of(algebra), inverse))
-
-
-def whole_matrix(n, seed):
-    draw = np.random.default_rng(seed).integers(-1, 2, (2, n, n)).astype(float)
-    return (np.tril(draw[0], -1) + np.eye(n)) @ (np.triu(draw[1], 1) + np.eye(n))
 
 
 def acting(D):
@@ -37,18 +25,6 @@ def acting(D):
     m = len(D)
     brackets = {(j, m): {k: float(D[j, k]) for k in range(m) if D[j, k]} for j in range(m) if np.any(D[j])}
     return co.LieAlgebra.from_brackets(m + 1, brackets)
-
-
-def copies(algebra, count):
-    i, j, k, c = algebra.triples
-    shift = algebra.dim * np.arange(count)[:, None]
-    rows = zip(*(np.ravel(a + shift).tolist() for a in (i, j, k)), np.tile(c, count).tolist(), strict=True)
-    return co.LieAlgebra(list(rows), dim=algebra.dim * count)
-
-
-def full(n, seed):
-    A = np.random.default_rng(seed).uniform(-1, 1, (n, n))
-    return np.diag(np.linspace(0.5, 1.5, n)) + 0.25 * (A + A.T)
 
 
 def driven():
@@ -63,16 +39,16 @@ A37, HEISENBERG = co.algebras.get("A3,7", a=1.75), co.algebras.heisenberg(2)
 HOLLOW = np.array([[0.0, 1.0, 0.5], [1.0, 0.0, -2.0], [0.5, -2.0, 0.0]])
 SYSTEMS = {
     "e(3) diagonal": (E3, co.Quadratic([1.0, 0.5, 0.25, 2.0, 3.0, 4.0], linear=[0, 0, 1, 0, 0.5, 0])),
-    "e(3) full": (E3, co.Quadratic(full(6, 1))),
-    "so(4) full": (SO4, co.Quadratic(full(6, 2))),
-    "sl(2) full": (SL2, co.Quadratic(full(3, 3), linear=[0.25, 0, -0.5])),
-    "A3,7 full": (A37, co.Quadratic(full(3, 4))),
-    "Heisenberg full": (HEISENBERG, co.Quadratic(full(5, 5))),
+    "e(3) full": (E3, co.Quadratic(wide(6, 1))),
+    "so(4) full": (SO4, co.Quadratic(wide(6, 2))),
+    "sl(2) full": (SL2, co.Quadratic(wide(3, 3), linear=[0.25, 0, -0.5])),
+    "A3,7 full": (A37, co.Quadratic(wide(3, 4))),
+    "Heisenberg full": (HEISENBERG, co.Quadratic(wide(5, 5))),
     "so(5)": (SO5, co.Quadratic(np.linspace(0.5, 1.5, 10))),
     "so(3) zero diagonal": (SO3, co.Quadratic(HOLLOW, linear=[1.0, 2.0, 3.0])),
-    "so(3) other basis": (in_basis(SO3, whole_matrix(3, 7)), co.Quadratic(full(3, 6))),
-    "e(3) other basis": (in_basis(E3, whole_matrix(6, 8)), co.Quadratic(0.1 * full(6, 7))),
-    "3 spins": (copies(SO3, 3), co.Quadratic(full(9, 8))),
+    "so(3) other basis": (co.algebras.change_of_basis(SO3, whole_matrix(3, 7)), co.Quadratic(wide(3, 6))),
+    "e(3) other basis": (co.algebras.change_of_basis(E3, whole_matrix(6, 8)), co.Quadratic(0.1 * wide(6, 7))),
+    "3 spins": (co.algebras.copies(SO3, 3), co.Quadratic(wide(9, 8))),
     "quartic on so(3)": (SO3, co.Polynomial({(4, 0, 0): 0.25, (0, 3, 0): 0.5, (0, 0, 2): 1.0, (1, 0, 1): 0.5})),
     "driven sl(2)": (SL2, driven()),
 }
@@ -130,9 +106,9 @@ MATRICES = {
     "shear": np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -2.0], [0.0, 0.0, 0.0]]),
     "chain": np.diag([1.0, 2.0, 3.0], 1),
     "general": np.array([[0.0, 1.0, 0.0, 0.5], [-1.0, 0.2, 0.0, 0.0], [0.3, 0.0, -0.1, 2.0], [0.0, 0.4, -2.0, 0.0]]),
-    "so(3)": in_basis(SO3, whole_matrix(3, 7)).coadjoint([0.3, -0.2, 0.5]),
-    "sl(2), elliptic": in_basis(SL2, whole_matrix(3, 11)).coadjoint([0.3, -0.2, 0.5]),
-    "sl(2), hyperbolic": in_basis(SL2, whole_matrix(3, 11)).coadjoint([0.3, 0.7, 0.5]),
+    "so(3)": co.algebras.change_of_basis(SO3, whole_matrix(3, 7)).coadjoint([0.3, -0.2, 0.5]),
+    "sl(2), elliptic": co.algebras.change_of_basis(SL2, whole_matrix(3, 11)).coadjoint([0.3, -0.2, 0.5]),
+    "sl(2), hyperbolic": co.algebras.change_of_basis(SL2, whole_matrix(3, 11)).coadjoint([0.3, 0.7, 0.5]),
 }
 
 
@@ -180,25 +156,13 @@ def test_a_series_of_huge_angle_ends():
         co.integrate(s, (1.0, 0.0, 0.0, 0.0, 4e6), (0, 1), 1.0)
 
 
-def test_compensation_keeps_what_rounding_loses():
-    """A long run near the origin of the angle: Casimir of the compensated run below 16 u; the plain one is worse."""
-    s = co.LiePoissonSystem(SO3, co.Quadratic([1.0, 0.5, 1 / 3]))
-    drifts = [
-        co.integrate(s, (1.0, 2.0, 0.5), (0, 2000), 0.05, co.Splitting(order=2, compensated=flag)).drift()["|x|^2"]
-        for flag in (False, True)
-    ]
-    # 40000 steps of 4 rotations with unbiased rounding u in each: 4 sigma of the random walk, times |x|^2.
-    assert drifts[1] <= 4 * U * math.sqrt(4 * 40000) * 5.25
-    assert drifts[1] < drifts[0]
-
-
 def test_large_lattices_run():
     """1000 spins: energy within O(h^2), each spin's length to round-off of 40 steps."""
     count, rng = 1000, np.random.default_rng(1)
     a = 3 * np.arange(count - 1)
     rows = np.concatenate([a, a + 1, a + 2])
     J = coo_array((rng.uniform(0.5, 1, rows.size), (rows, rows + 3)), shape=(3 * count, 3 * count))
-    s = co.LiePoissonSystem(copies(SO3, count), co.Quadratic((J + J.T).tocsr()))
+    s = co.LiePoissonSystem(co.algebras.copies(SO3, count), co.Quadratic((J + J.T).tocsr()))
     spins = rng.standard_normal((count, 3))
     spins /= np.linalg.norm(spins, axis=1)[:, None]
     sol = co.integrate(s, spins.ravel(), (0, 1), 0.025)
@@ -230,3 +194,63 @@ def test_many_rotations_of_one_part_by_hand(same):
             x[:, i], x[:, j] = c * a - s * b, s * a + c * b
     # 15 turns, each with some eight roundings of numbers up to 5
     np.testing.assert_allclose(found, x.ravel(), rtol=0, atol=15 * 8 * 5 * 2.0**-53)
+
+
+TURNS = scipy.linalg.block_diag([[0, 1], [-1, 0]], [[0, 2], [-2, 0]])
+GROWS = scipy.linalg.block_diag([[0, 1], [1, 0]], [[0, 2], [-2, 0]])
+BASIS = np.eye(4, dtype=int) + np.eye(4, k=1, dtype=int) + np.eye(4, k=3, dtype=int)
+X0 = np.array([0.5, 1.0, -0.3, 0.2, 0.7])
+
+
+def moved_by(matrix):
+    """H = x1 where e1 acts by a matrix on four commuting elements, in a basis in which no block is simpler."""
+    D = np.rint(np.linalg.inv(BASIS) @ matrix @ BASIS).astype(int)
+    rows = [(0, 1 + i, 1 + j, float(D[i, j])) for i in range(4) for j in range(4) if D[i, j]]
+    algebra = co.LieAlgebra(rows, dim=5, name="acted on")
+    return co.LiePoissonSystem(algebra, co.Quadratic(0.0, linear=[1.0, 0.0, 0.0, 0.0, 0.0]))
+
+
+def norm_of(system):
+    """The time in which the series goes one substep far is its inverse."""
+    action = build_program(system, co.Splitting(order=1)).state
+    assert action.kind.tolist() == [int(Kind.SERIES)]
+    return float(action.constants[action.constant[0]])
+
+
+@pytest.mark.thinned(4)
+@pytest.mark.parametrize("members", [1, 7])
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_up_to_the_limit_a_flow_is_exact_and_beyond_it_is_refused(members, direction):
+    system = moved_by(TURNS)
+    limit = MOST_SUBSTEPS / norm_of(system)
+    x0 = X0 * (1.0 + 0.1 * np.arange(members)[:, None])
+    read = Interpreter(build_program(system, co.Splitting(order=1)))
+
+    near = limit * (1.0 - 2.0**-30)
+    found = co.integrate(system, x0, (0.0, direction * near), near, co.Splitting(order=1)).x[-1]
+    generator = np.array([system.structure_matrix(e) @ [1.0, 0, 0, 0, 0] for e in np.eye(5)]).T
+    # A multiple of the period is left out: 20 roundings in each substep are what the series loses.
+    exact = x0 @ scipy.linalg.expm(np.fmod(direction * near, 2.0 * np.pi) * generator).T
+    scale = np.linalg.norm(BASIS, 1) * np.linalg.norm(np.linalg.inv(BASIS), 1)
+    tolerance = 20 * MOST_SUBSTEPS * 2.0**-53 * scale**2 * np.abs(x0).max()
+    assert np.abs(found - exact).max() < tolerance
+    assert np.abs(read.steps(x0[0], direction * near, 1) - exact[0]).max() < tolerance
+
+    far = limit * (1.0 + 2.0**-30)
+    with pytest.raises(co.IntegrationError, match="overflowed"):
+        co.integrate(system, x0, (0.0, direction * far), far, co.Splitting(order=1))
+    with pytest.raises(ValueError, match="at most 4096 are allowed; take a smaller step"):
+        read.steps(x0[0], direction * far, 1)
+
+
+def test_members_that_overflow_on_the_way_leave_the_others_their_bits():
+    system = moved_by(GROWS)
+    step = 0.9 * MOST_SUBSTEPS / norm_of(system)
+    alone = co.integrate(system, X0, (0.0, step), step, co.Splitting(order=1))
+    wild = 1e250 * X0  # grows by exp(step), which is about 1e114
+    states = np.array([wild, X0, -wild, X0])
+    with pytest.raises(co.IntegrationError, match="overflowed for 2 of 4 members") as raised:
+        co.integrate(system, states, (0.0, step), step, co.Splitting(order=1))
+    assert raised.value.partial.failed.tolist() == [True, False, True, False]
+    assert np.array_equal(raised.value.partial.x[:, 1], alone.x)
+    assert np.array_equal(raised.value.partial.x[:, 3], alone.x)

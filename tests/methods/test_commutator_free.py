@@ -2,7 +2,6 @@
 
 from fractions import Fraction
 
-import mpmath
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -10,16 +9,12 @@ from scipy.linalg import expm
 import coadjoint as co
 from coadjoint.methods.commutator_free import SCHEMES
 from coadjoint.rounding import UNIT_ROUNDOFF
+from drawn_matrices import full
 from moments import moments
 
 pytestmark = pytest.mark.thinned(3)
 
 RNG = np.random.default_rng(4)
-
-
-def full(n, seed=0):
-    B = np.random.default_rng(seed).uniform(-0.5, 0.5, (n, n))
-    return np.diag(np.linspace(0.6, 1.4, n)) + 0.2 * (B + B.T)
 
 
 ALGEBRAS = [co.algebras.e(3), co.algebras.sl(3), co.algebras.get("A5,3"), co.algebras.A3_7(0.7), moments()]
@@ -55,23 +50,6 @@ def test_the_conditions_of_runge_and_kutta(order):
     for degree in range(1, order + 1):
         for weight, density in trees[degree]:
             assert weight == Fraction(1, density)
-
-
-@pytest.mark.thinned(5)
-@pytest.mark.parametrize("order", SCHEMES)
-@pytest.mark.parametrize("algebra", ALGEBRAS, ids=str)
-def test_local_order_in_forty_digits(order, algebra):
-    """One step beside the series of order 14: the error falls like h^(order + 1), where nothing commutes."""
-    n = algebra.dim
-    system = co.LiePoissonSystem(algebra, co.Quadratic(full(n, n), linear=np.linspace(-0.3, 0.4, n)), sign=-1)
-    with mpmath.workdps(40):
-        x = np.array([mpmath.mpf(v) for v in np.linspace(0.7, -0.5, n)])
-        errors = []
-        for h in (mpmath.mpf(1) / 512, mpmath.mpf(1) / 1024):
-            exact = co.Taylor(14, projected=False).step(system, x, mpmath.mpf(0), h)
-            errors.append(max(abs(v) for v in co.CommutatorFree(order).step(system, x, mpmath.mpf(0), h) - exact))
-        slope = float(mpmath.log(errors[0] / errors[1], 2))
-    assert abs(slope - order - 1) < 0.1
 
 
 @pytest.mark.thinned(24)

@@ -84,19 +84,6 @@ def test_one_exponential_is_that_of_a_matrix():
     assert np.abs(found - U @ W @ np.conj(U.T)).max() < 64 * UNIT_ROUNDOFF
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_the_tangent_is_the_derivative(name):
-    system, method = SYSTEMS[name], co.CommutatorFree(3)
-    x, change = system.to_vector(state(system, 4)), system.to_vector(state(system, 5))
-    y, D = method.tangent(system, x, 0.0, 0.5)
-    assert np.abs(y - method.step(system, x, 0.0, 0.5)).max() < 1e-14
-    size = 2.0**-17
-    seen = (method.step(system, x + size * change, 0.0, 0.5) - method.step(system, x - size * change, 0.0, 0.5)) / (
-        2 * size
-    )
-    assert np.abs(D @ change - seen).max() < 1e-9
-
-
 def test_the_energy_drifts_and_the_spectrum_does_not():
     """Over 2000 steps; the energy of a scheme that is a Poisson map comes back."""
     system = SYSTEMS["torus"]

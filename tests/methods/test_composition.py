@@ -1,10 +1,7 @@
 """Compositions: their order from the order conditions, and what is refused."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import coadjoint as co
 from coadjoint.methods.protocol.composed import composition_order
@@ -54,37 +51,6 @@ def test_composition_of_a_composition():
     assert abs(sum(outer.fractions) - 1.0) <= 9 * 2.0**-53 * sum(map(abs, outer.fractions))
     assert composition_order(outer.fractions, 2) == 6
     assert outer.fractions[:3] == tuple(SIX_FROM_FOUR[0] * c for c in YOSHIDA)
-
-
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize(
-    ("method", "order"),
-    [
-        (co.Composition(co.Splitting(order=2), YOSHIDA), 4),
-        (co.Composition(co.Splitting(order=2), (0.25, 0.75)), 2),
-        (co.Composition(co.Composition(co.Splitting(order=2), YOSHIDA), SIX_FROM_FOUR), 6),
-        (co.Composition(co.GaussLegendre(1), YOSHIDA), 4),
-    ],
-    ids=["Yoshida", "two unequal parts", "composition of a composition", "midpoint"],
-)
-def test_order_on_a_nonlinear_problem_that_depends_on_time(method, order):
-    """log2 of the errors' ratio at h and h/2 against DOP853 at rtol 1e-13: the order up to O(h^2)."""
-    slow = (lambda y, t: 0.5 * y * y * (1.5 + np.sin(2 * t)), lambda y, t: y * (1.5 + np.sin(2 * t)))
-    pieces = [
-        ((0,), co.Separable({0: slow})),
-        ((0, 5), co.Quadratic([[0.5, 0.2], [0.2, 0.4]])),  # e12 and e34 commute, and e13 and e24
-        ((1, 4), co.Quadratic([1.0, 0.3])),
-        ((2,), co.Quadratic(0.7)),
-    ]
-    s = co.LiePoissonSystem(co.algebras.so(4), co.SplitHamiltonian(pieces))
-    x0 = np.array([0.5, -0.75, 0.25, 1.0, 0.5, -0.25])
-    solution = solve_ivp(lambda t, x: s.vector_field(x, t), (0.5, 1.5), x0, method="DOP853", rtol=1e-13, atol=1e-14)
-    errors = []
-    for steps in (16, 32):
-        sol = co.integrate(s, x0, (0.5, 1.5), 1 / steps, method, save_every=steps, watch=False)
-        errors.append(np.abs(sol.x[-1] - solution.y[:, -1]).max())
-    slopes = [np.log2(a / b) for a, b in pairwise(errors) if b > 1e-11]
-    assert slopes and abs(slopes[-1] - order) < 0.25
 
 
 @pytest.mark.parametrize(

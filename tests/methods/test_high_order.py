@@ -1,14 +1,11 @@
-"""High orders: named schemes, processed ones with output only where one looks, compensation, and same bits."""
-
-import math
+"""High orders: sweeps, processed schemes, compositions."""
 
 import mpmath
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import coadjoint as co
-from coadjoint.methods.numerics.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
+from coadjoint.methods.numerics.splitting_schemes import SCHEMES
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
 from long import long_where
@@ -19,34 +16,6 @@ TOP = co.LiePoissonSystem(
     co.algebras.e(3), co.Quadratic([1.0, 0.5, 0.375, 0, 0, 0], linear=[0, 0, 0, 0.75, 0.5, 1.0]), sign=-1
 )
 X0 = np.array([1.0, -0.5, 1.5, 0.625, 0.0, 0.75])
-
-
-def driven():
-    fast = (lambda y, t: 0.5 * y * y * (1 + 0.5 * math.sin(3 * t)), lambda y, t: y * (1 + 0.5 * math.sin(3 * t)))
-    drive = (lambda y, t: y * math.cos(2 * t), lambda y, t: math.cos(2 * t))
-    pieces = [
-        ((0,), co.Separable({0: fast})),
-        ((1,), co.Quadratic(0.75)),
-        ((2,), co.Quadratic(0.5)),
-        ((5,), co.Separable({0: drive})),
-    ]
-    return co.LiePoissonSystem(co.algebras.e(3), co.SplitHamiltonian(pieces), sign=-1)
-
-
-def test_defaults_and_declared_properties():
-    assert DEFAULT_SCHEMES == {
-        2: "strang",
-        4: "suzuki4",
-        6: "sofroniou_spaletta6",
-        8: "sofroniou_spaletta8",
-        10: "sofroniou_spaletta10",
-    }
-    assert len(SCHEMES) == 22 and [name for name, scheme in SCHEMES.items() if scheme.processed] == PROCESSED
-    for name, scheme in SCHEMES.items():
-        method = co.Splitting(scheme=name)
-        assert (method.order, method.explicit, method.symmetric) == (scheme.order, True, name not in PROCESSED)
-        assert method.properties(TOP).poisson and method.properties(TOP).casimirs == "all"
-        assert str(scheme.order) in name or name == "strang"
 
 
 @pytest.mark.parametrize("name", SCHEMES)
@@ -91,57 +60,6 @@ def test_start_steps_and_finish_are_single_steps_in_a_row(name):
 
 
 @pytest.mark.parametrize("name", PROCESSED)
-def test_the_processor_matters(name):
-    """The kernel alone has a low order: without P the error at the same step is far larger."""
-    method, n = co.Splitting(scheme=name), 16
-
-    def end(scheme, steps):
-        return co.integrate(TOP, X0, (0, 1), 1 / steps, scheme, save_every=steps, watch=False).x[-1]
-
-    fractions = [s.coefficient * 2 for s in method.sweeps()[::2]]
-    kernel = co.Composition(co.Splitting(order=2), fractions)
-    exact = end(co.GaussLegendre(8), 64)
-    assert np.max(np.abs(end(method, n) - exact)) < 1e-3 * np.max(np.abs(end(kernel, n) - exact))
-
-
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("compensated", [False, True])
-@pytest.mark.parametrize("name", ["blanes_casas_murua6", "blanes_moan6", "sofroniou_spaletta10"])
-def test_same_bits_however_it_is_run(name, compensated):
-    method = co.Splitting(scheme=name, compensated=compensated)
-
-    def run(x0, **options):
-        return co.integrate(TOP, x0, (0, 6), 0.25, method, **options)
-
-    every = run(X0, attitude=True)
-    crowd = X0 * (1 - 0.05 * np.arange(5)[:, None])
-    for options in ({"save_every": 6}, {"save_every": 6, "watch": False}, {"save_every": 24, "watch": False}):
-        one, many = run(X0, attitude=True, **options), run(crowd, threads=2, **options)
-        k = options["save_every"]
-        assert np.array_equal(one.x, every.x[::k]) and np.array_equal(one.attitude, every.attitude[::k])
-        assert np.array_equal(many.x[:, 0], one.x)
-        assert np.array_equal(many.x[:, 3], run(crowd[3], **options).x)
-    assert np.array_equal(co.stepper(TOP, method, 0.25)(X0), every.x[1])
-
-
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("name", ["blanes_casas_murua6", "blanes_moan4", "blanes_moan6", "sofroniou_spaletta6"])
-def test_time_dependent_pieces(name):
-    """Each flow at its own moment, in the processor too: the slope against DOP853 at rtol 1e-13."""
-    s, x0 = driven(), np.linspace(-0.5, 0.75, 6)
-    solution = solve_ivp(lambda t, x: s.vector_field(x, t), (0.75, 1.75), x0, method="DOP853", rtol=1e-13, atol=1e-14)
-    errors = []
-    counts = (3, 6) if SCHEMES[name].order == 6 else (8, 16)
-    for n in counts:
-        run = co.integrate(s, x0, (0.75, 1.75), 1 / n, co.Splitting(scheme=name), save_every=n, watch=False)
-        errors.append(np.max(np.abs(run.x[-1] - solution.y[:, -1])))
-    assert errors[1] < 1e-6 and math.log2(errors[0] / errors[1]) > SCHEMES[name].order - 1, errors
-    rare = co.integrate(s, x0, (0.75, 1.75), 0.125, co.Splitting(scheme=name), save_every=8, watch=False)
-    every = co.integrate(s, x0, (0.75, 1.75), 0.125, co.Splitting(scheme=name))
-    assert np.array_equal(rare.x[-1], every.x[-1])
-
-
-@pytest.mark.parametrize("name", PROCESSED)
 def test_a_composition_of_a_processed_scheme_is_refused_by_name(name):
     with pytest.raises(ValueError, match=r"needs a symmetric base, which .*" + name + r".* is not; of a processed"):
         co.Composition(co.Splitting(scheme=name), (0.5, 0.5))
@@ -165,69 +83,6 @@ def test_a_composition_of_a_high_order():
         h = mpmath.mpf(0.125)
         x = Interpreter(method.program(TOP, number=mpmath.mpf)).steps(x0, h, 1)
         assert np.max(np.abs(x - step(x0, h))) < 1e-13  # the coefficients of a Composition are floats
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"order": 5}, "orders 1, 2, 4, 6, 8 and 10, not 5"),
-        ({"order": 12}, "orders 1, 2, 4, 6, 8 and 10, not 12"),
-        ({"scheme": "kahan_li8"}, "unknown splitting scheme 'kahan_li8'; did you mean 'kahan_li8"),
-        ({"scheme": "blanes_casas_murua9"}, "did you mean 'blanes_casas_murua"),
-        ({"scheme": "kahan_li8a", "order": 6}, "scheme 'kahan_li8a' has order 8, not 6"),
-        ({"order": 6, "adjoint": True}, "adjoint=True is for order 1, a single sweep, not for order 6"),
-        ({"rotation": "rationel"}, "unknown rotation 'rationel'; did you mean 'rational'"),
-    ],
-)
-def test_refusals(options, message):
-    with pytest.raises(ValueError, match=message) as refusal:
-        co.Splitting(**options)
-    assert "\n" not in str(refusal.value)
-
-
-COMPENSATED = {
-    "rigid body": (co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 1 / 3])), 0.1),
-    "full M": (
-        co.LiePoissonSystem(
-            co.algebras.so(3), co.Quadratic([[1.0, 0.25, 0.125], [0.25, 0.75, 0.375], [0.125, 0.375, 0.5]])
-        ),
-        0.1,
-    ),
-    "heavy top": (TOP, 0.1),
-    "so(4)": (co.LiePoissonSystem(co.algebras.so(4), co.Quadratic([2.0, 0.5, 0.75, 0.25, 0.5, 1.0])), 0.1),
-}
-
-
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("name", COMPENSATED)
-def test_compensated_casimirs_follow_brouwers_law(name):
-    """16 states, 100 000 steps: Casimirs wander with the root of the number of flows, without a common sign.
-
-    A flow by an angle phi rounds an increment of size phi |x|, that is u phi |x|^2 in a quadratic Casimir; the bound is
-    4 sigma. Without compensation it is the component itself that is rounded, u |x|^2 a flow.
-    """
-    s, h = COMPENSATED[name]
-    x0 = np.random.default_rng(3).standard_normal((16, s.dim))
-    x0 /= np.linalg.norm(x0, axis=1)[:, None]
-    rms = []
-    for flag in (True, False):
-        method = co.Splitting(compensated=flag, parts="coordinates")
-        run = co.integrate(s, x0, (0, 1e5 * h), h, method, save_every=10**5, watch=False)
-        flows = run.stats.evaluations / 16
-        found = [(exactly(C, run.x[1]) - exactly(C, run.x[0])).astype(float) for C in s.casimirs.values()]
-        rms.append([math.sqrt(np.mean(d * d)) for d in found])
-        if flag:
-            angle = h * np.max(np.abs(np.diag(s.hamiltonian.hessian(x0[0]))))
-            for drift, wander in zip(found, rms[0], strict=True):
-                assert wander <= 4 * U * angle * math.sqrt(flows)
-                assert abs(drift.mean()) <= 3 * wander / math.sqrt(16)
-    assert all(5 * kept < lost for kept, lost in zip(*rms, strict=True))
-
-
-def exactly(casimir, states):
-    """Values in 40 digits: differences of doubles would be rounded."""
-    with mpmath.workdps(40):
-        return np.array([casimir(np.array([mpmath.mpf(v) for v in x], dtype=object)) for x in states])
 
 
 @pytest.mark.parametrize("scheme", [name for name, known in SCHEMES.items() if known.processed])

@@ -136,33 +136,6 @@ def test_a_member_is_the_same_alone_and_in_a_crowd(name: str, stages: int) -> No
         assert np.array_equal(crowd.x[:, k], co.integrate(system, W[k], **given).x)
 
 
-@pytest.mark.parametrize("stages", [1, 2, 3])
-@pytest.mark.parametrize("name", ["sphere 8", "torus 9", "so(7)"])
-def test_steps_back_undo_steps(name: str, stages: int) -> None:
-    system = SYSTEMS[name]()
-    W = start(system)
-    h = turning(system, W, 0.1)
-    there = co.integrate(system, W, t_span=(0, 50 * h), step=h, method=co.IsospectralGauss(stages)).x[-1]
-    back = co.integrate(system, there, t_span=(50 * h, 0), step=h, method=co.IsospectralGauss(stages)).x[-1]
-    assert np.abs(there - W).max() > 0.01
-    assert np.abs(back - W).max() < 1e-13
-
-
-@pytest.mark.parametrize("stages", [1, 2, 3])
-def test_the_order_is_twice_the_stages(stages: int) -> None:
-    system = co.systems.sphere_euler(N=7)
-    W = start(system, seed=5)
-    h = turning(system, W, 0.2)
-    exact = co.integrate(system, W, t_span=(0, 8 * h), step=h / 16, method=co.IsospectralGauss(4)).x[-1]
-    errors = [
-        np.abs(
-            co.integrate(system, W, t_span=(0, 8 * h), step=h / k, method=co.IsospectralGauss(stages)).x[-1] - exact
-        ).max()
-        for k in (2, 4)
-    ]
-    assert abs(np.log2(errors[0] / errors[1]) - 2 * stages) < 0.3
-
-
 @pytest.mark.thinned(6)
 @pytest.mark.parametrize("stages", [2, 3])
 @pytest.mark.parametrize(("kind", "n"), [("gl", 3), ("so", 5), ("u", 5)])

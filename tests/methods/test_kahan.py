@@ -5,13 +5,9 @@ import pytest
 
 import coadjoint as co
 from coadjoint.rounding import UNIT_ROUNDOFF
+from drawn_matrices import full
 
 RNG = np.random.default_rng(12)
-
-
-def full(n, seed=0):
-    B = np.random.default_rng(seed).uniform(-0.5, 0.5, (n, n))
-    return np.diag(np.linspace(0.6, 1.4, n)) + 0.2 * (B + B.T)
 
 
 def on(algebra, sign=1):
@@ -67,32 +63,6 @@ def test_the_top_of_hirota_and_kimura_has_its_integral():
     integral = (1 - a[2] * a[0] * square[:, 1]) / (1 - a[0] * a[1] * square[:, 2])
     assert np.ptp(sol.energy) > 1e-3
     assert np.ptp(integral) < 1000 * 64 * UNIT_ROUNDOFF
-
-
-@pytest.mark.long
-def test_a_linear_structure_that_is_a_function_moves_the_same():
-    """Without a derivative; and J with constants in it, beside the extended Lie-Poisson system."""
-    e3, H = co.algebras.e(3), co.Quadratic(full(6, 3), linear=[0.1] * 6)
-    lie, x0 = co.LiePoissonSystem(e3, H), RNG.uniform(-1, 1, 6)
-    known = co.integrate(lie, x0, (0, 5), 0.1, co.Kahan()).x[-1]
-    c = np.array([e3.structure_matrix(unit) for unit in np.eye(6)])
-
-    def J(x):
-        total = np.zeros((6, 6))
-        for k in range(6):
-            total += x[k] * c[k]
-        return total
-
-    found = co.integrate(co.PoissonSystem(J, H, dim=6), x0, (0, 5), 0.1, co.Kahan()).x[-1]
-    assert np.max(np.abs(found - known)) < 50 * 64 * 6 * UNIT_ROUNDOFF * np.max(np.abs(known)) * 4
-
-    def canonical(x):
-        return np.array([[0.0, 1.0 + x[0]], [-1.0 - x[0], 0.0]])
-
-    plane = co.PoissonSystem(canonical, co.Quadratic([1.0, 2.0]), dim=2)
-    y = co.stepper(plane, co.Kahan(), 0.1)(np.array([0.3, 0.4]))
-    f, x = plane.vector_field, np.array([0.3, 0.4])
-    assert np.max(np.abs(y - x - 0.1 * (2 * f((x + y) / 2) - f(x) / 2 - f(y) / 2))) < 16 * UNIT_ROUNDOFF
 
 
 def chain(count):

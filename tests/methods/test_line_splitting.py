@@ -78,53 +78,6 @@ def test_another_stream_of_modes():
     assert np.abs(last(system, W, (0.0, 1.0), 64, co.LineSplitting(6)) - exact).max() < 1e-12 * np.abs(W).max()
 
 
-def structure(system, W):
-    """J of the numbers of a matrix of su(N): gradients go to the algebra, and to their commutators with W."""
-    units = system.algebra.projected(system.from_vector(np.eye(system.dim)))
-    return system.to_vector(system.algebra.projected(system.algebra.bracket(units, W))).T
-
-
-def defect(method, system, W, h):
-    """By how much the tangent map D misses D J(W) D^T = J(step of W), and what rounding of D J D^T may reach."""
-    x = system.to_vector(W)
-    y, D = method.tangent(system, x, 0.0, h)
-    P = system.to_vector(system.algebra.projected(system.from_vector(np.eye(system.dim))))
-    D = D @ P
-    J = structure(system, W)
-    found = np.abs(D @ J @ D.T - structure(system, system.from_vector(y))).max()
-    operations = 2 * system.algebra.N * len(getattr(method, "fractions", (1.0,)))
-    return found, 64 * UNIT_ROUNDOFF * operations * np.linalg.norm(D, 2) ** 2 * np.abs(J).max()
-
-
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("N", [5, 7])
-def test_poisson(N, order):
-    system = torus_euler(N=N)
-    found, rounding = defect(co.LineSplitting(order), system, smooth(system, 4), 0.5)
-    assert found < rounding
-
-
-def test_a_scheme_that_is_no_poisson_map_shows():
-    system = torus_euler(N=5)
-    found, rounding = defect(co.CommutatorFree(4), system, smooth(system, 4), 0.5)
-    assert found > 1e4 * rounding
-
-
-@pytest.mark.parametrize("order", [2, 4])
-def test_the_tangent_is_the_derivative(order):
-    system, method = torus_euler(N=5), co.LineSplitting(order)
-    x = system.to_vector(smooth(system, 6))
-    y, D = method.tangent(system, x, 0.0, 0.4)
-    assert np.abs(y - method.step(system, x, 0.0, 0.4)).max() < 1e-14
-    change = system.to_vector(smooth(system, 7))
-    size = 2.0**-17
-    seen = (method.step(system, x + size * change, 0.0, 0.4) - method.step(system, x - size * change, 0.0, 0.4)) / (
-        2 * size
-    )
-    assert np.abs(D @ change - seen).max() < 1e-9
-
-
 @pytest.mark.parametrize("order", [2, 6])
 def test_spectrum_energy_and_reality(order):
     """The spectrum moves by rounding alone, like the root of time; W stays skew-Hermitian to the last bit."""
@@ -160,15 +113,6 @@ def test_a_line_alone_rests():
     assert np.abs(last(system, W, (0.0, 20.0), 100, co.LineSplitting(4)) - W).max() < 2e-14
 
 
-@pytest.mark.parametrize("order", ORDERS)
-def test_back_again(order):
-    system = torus_euler(N=13)
-    W = smooth(system, 9)
-    there = last(system, W, (0.0, 5.0), 25, co.LineSplitting(order))
-    assert np.abs(there - W).max() > 0.1 * np.abs(W).max()
-    assert np.abs(last(system, there, (5.0, 0.0), 25, co.LineSplitting(order)) - W).max() < 1e-13 * np.abs(W).max()
-
-
 def test_backward_in_time_is_the_mirrored_fluid():
     """-W moves as W does backward."""
     system = torus_euler(N=7)
@@ -190,20 +134,6 @@ def test_a_translated_fluid_moves_as_before(m):
     moved = last(system, W, (0.0, 3.0), 30, method)
     again = last(system, translated, (0.0, 3.0), 30, method)
     assert np.abs(again - T @ moved @ np.conj(T.T)).max() < 1e-13 * np.abs(W).max()
-
-
-def test_composition_and_crowds():
-    system = torus_euler(N=5)
-    W = np.array([smooth(system, seed) for seed in range(3)])
-    C = 1 / (2 - 2 ** (1 / 3))
-    composed = co.Composition(co.LineSplitting(), (C, 1 - 2 * C, C))
-    assert composed.order == 4
-    crowd = co.integrate(system, W, (0.0, 1.0), 0.1, composed).x[-1]
-    for found, start in zip(crowd, W, strict=True):
-        assert np.array_equal(found, co.integrate(system, start, (0.0, 1.0), 0.1, composed).x[-1])
-    exact = last(system, W[0], (0.0, 1.0), 16, co.IsospectralGauss(6))
-    errors = [np.abs(last(system, W[0], (0.0, 1.0), n, composed) - exact).max() for n in (8, 16)]
-    assert abs(np.log2(errors[0] / errors[1]) - 4) < 0.3
 
 
 def test_refused_by_name():

@@ -11,12 +11,7 @@ import coadjoint as co
 from coadjoint.methods.registry import description_of, from_description
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
-
-
-def full(n, seed=0):
-    B = np.random.default_rng(seed).uniform(-0.5, 0.5, (n, n))
-    return np.diag(np.linspace(0.6, 1.4, n)) + 0.2 * (B + B.T)
-
+from drawn_matrices import full
 
 E3 = co.LiePoissonSystem(co.algebras.e(3), co.Quadratic(full(6), linear=np.linspace(-0.3, 0.4, 6)), sign=-1)
 SU3 = co.LiePoissonSystem(co.algebras.su(3), co.Quadratic(0.5 * full(8)))

@@ -1,4 +1,4 @@
-"""The plain reading of the Runge-Kutta schemes: orders, number types, exact derivatives, refusals."""
+"""The plain reading of the Runge-Kutta schemes: number types, exact derivatives, invariants, refusals."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 import coadjoint as co
 from coadjoint.methods.numerics.stages import linear_solve
 from long import long_where
+from served import serves
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -78,73 +79,10 @@ def multiprecision(x):
     return np.array([mpmath.mpf(v) for v in x], dtype=object)
 
 
-def local_order(system, x0, method, t=0.5):
-    """Return the slope of the local error, less one, between h = 2^-11 and 2^-13, in 70 digits.
-
-    The next term of the error is h times the first; a ratio up to 100 moves the slope by log2(1 + 100 h)/2 = 0.02.
-    """
-    x = multiprecision(x0)
-    with mpmath.workdps(70):
-        errors = []
-        for h in (mpmath.mpf(2) ** -11, mpmath.mpf(2) ** -13):
-            exact = GAUSS(6).step(system, x, t, h)  # local error h^13
-            errors.append(mpmath.norm(list(method.step(system, x, t, h) - exact), mpmath.inf))
-        return float(mpmath.log(errors[0] / errors[1], 2)) / 2 - 1
-
-
-@pytest.mark.thinned(21)
-@pytest.mark.parametrize("name", ["top", "so(4)"])
-@pytest.mark.parametrize("freeze", ["structure", "gradient"])
-@pytest.mark.parametrize(("s", "m"), [(s, m) for s in (1, 2, 3) for m in range(1, 2 * s + 2)])
-def test_lemma_3_1_order_is_min_m_p(name, freeze, s, m):
-    system, x0 = systems()[name]
-    method = MODIFIED(s, iterations=m, freeze=freeze)
-    assert method.order == min(m, 2 * s)
-    assert abs(local_order(system, x0, method) - method.order) < 0.02
-
-
-@pytest.mark.thinned(8)
-@pytest.mark.parametrize(("s", "m"), [(s, m) for s in (1, 2, 3) for m in range(1, 2 * s + 1)])
-def test_function_iteration_has_order_min_m_plus_1_p(s, m):
-    system, x0 = systems()["cubic"]
-    method = ITERATED(s, iterations=m)
-    assert method.order == min(m + 1, 2 * s)
-    assert abs(local_order(system, x0, method) - method.order) < 0.02
-
-
-@pytest.mark.thinned(28)
-@pytest.mark.parametrize("name", ["cubic", "so(4)", "sl(2)", "A3,7", "driven", "quadratic J"])
-@pytest.mark.parametrize(
-    "method", [GAUSS(1), GAUSS(2), GAUSS(3), ITERATED(2), EXPLICIT("runge2"), EXPLICIT("rk4")], ids=repr
-)
-def test_orders(name, method):
-    system, x0 = systems()[name]
-    assert abs(local_order(system, x0, method) - method.order) < 0.02
-
-
-@pytest.mark.parametrize(
-    ("freeze", "name"), [("gradient", "cubic"), ("gradient", "driven"), ("structure", "quadratic J")]
-)
-def test_orders_of_the_modified_scheme_where_only_one_form_exists(freeze, name):
-    system, x0 = systems()[name]
-    method = MODIFIED(2, freeze=freeze)
-    assert abs(local_order(system, x0, method) - 4) < 0.02
-
-
 def test_order_6_and_12_from_one_stage_on():
     assert [GAUSS(s).order for s in (1, 3, 6)] == [2, 6, 12]
     assert ITERATED(3).order == 6 and ITERATED(3).function_iterations == 5
     assert MODIFIED(2).order == 4 and MODIFIED(2).function_iterations == 3
-
-
-def test_modified_midpoint_is_equations_10_and_11():
-    system, x0 = systems()["so(4)"]
-    x, h, identity = np.array(x0), 0.125, np.eye(6)
-    X = x + h / 2 * system.vector_field(x)
-    half = h / 2 * system.structure_matrix(X) @ FULL
-    expected = np.linalg.solve(identity - half, (identity + half) @ x)
-    # a 6 x 6 solution with condition number below 4: n^2 roundings of size one
-    assert np.max(np.abs(MODIFIED(1).step(system, x, 0.0, h) - expected)) < 4 * 36 * 2.0**-53
 
 
 def test_runge2_is_exact_in_fractions():
@@ -189,16 +127,8 @@ def everywhere():
                 served = not wanted
             if served:
                 pairs.append(pytest.param(name, method, id=f"{name}-{method!r}"))
-            assert served == can_serve(method, system)
+            assert served == serves(method, system)
     return pairs
-
-
-def can_serve(method, system):
-    try:
-        method.properties(system)
-    except ValueError:
-        return False
-    return True
 
 
 @pytest.mark.thinned(24)
@@ -253,24 +183,6 @@ def test_quadratic_invariants_in_multiprecision():
     assert changes["structure"][0] < kept and changes["structure"][1] > lost
     assert changes["gradient"][0] > lost and changes["gradient"][1] < kept
     assert min(changes["iterated"]) > lost
-
-
-@pytest.mark.parametrize(
-    ("make", "said"),
-    [
-        (lambda: GAUSS(0), "stages of GaussLegendre must be a whole number from 1 up, not 0"),
-        (lambda: GAUSS(1.5), "stages of GaussLegendre must be a whole number from 1 up, not 1.5"),
-        (lambda: GAUSS(True), "not True"),
-        (lambda: ITERATED(2, iterations=0), "iterations of IteratedGaussLegendre must be a whole number"),
-        (lambda: MODIFIED(1, iterations=-1), "iterations of ModifiedGaussLegendre must be a whole number"),
-        (lambda: MODIFIED(1, freeze="structur"), "did you mean 'structure'"),
-        (lambda: EXPLICIT("rk5"), "did you mean 'rk4'"),
-        (lambda: co.RadauEnergy(0), "stages of RadauEnergy must be"),
-    ],
-)
-def test_wrong_parameters_are_refused(make, said):
-    with pytest.raises(ValueError, match=said):
-        make()
 
 
 @pytest.mark.parametrize(

@@ -142,16 +142,6 @@ def test_inputs_reach_compiled_steps():
     assert np.array_equal(several.x[:, 1], once.x) and not np.array_equal(several.x[:, 0], once.x)
 
 
-def test_watching_saving_and_observing():
-    system = SYSTEMS["so(3)"]
-    sol = co.integrate(system, (1, 0.2, 0.5), (0, 2), 0.05, OwnKahan(), save_every=7, observe={"first": lambda x: x[0]})
-    assert sol.t.tolist() == pytest.approx([0, 0.35, 0.7, 1.05, 1.4, 1.75, 2.0])
-    assert np.array_equal(sol.observed["first"], sol.x[:, 0])
-    every = co.integrate(system, (1, 0.2, 0.5), (0, 2), 0.05, OwnKahan())
-    assert sol.drift()["energy"] == np.max(np.abs(every.energy - every.energy[0])) > 0
-    assert np.array_equal(sol.x, every.x[[0, 7, 14, 21, 28, 35, 40]])
-
-
 def test_orders_and_compositions():
     system = SYSTEMS["so(4), cubic"]
     x0 = start_of(system)

@@ -117,31 +117,6 @@ def test_fractions_give_the_exact_polynomial_in_the_step():
         co.Taylor(2).step(system, x, 0, h)
 
 
-def test_the_absolute_motion_of_a_rigid_body():
-    """Jacobi's elliptic functions, at a time of many turns."""
-    body = co.systems.rigid_body(inertia=(1, 2, 3))
-    x0 = (1.0, 0.2, 0.5)
-    sol = co.integrate(body, x0, (0.0, 200.0), 0.5, co.Taylor(16))
-    assert np.max(np.abs(sol.x[-1] - body.exact(x0, 200.0))) < 1e-11
-
-
-@pytest.mark.long
-def test_series_in_fifty_digits():
-    """The error of order p in a step of h is C h^(p+1): halving the step divides it by 2^(p+1)."""
-    system = systems()["heavy top"]
-    with mpmath.workdps(50):
-        x = np.array([mpmath.mpf(v) for v in (0.5, 0.25, -0.5, 0.75, 0.5, 0.25)], dtype=object)
-        for projected in (False, True):
-            errors = []
-            for h in (mpmath.mpf(1) / 16, mpmath.mpf(1) / 32):
-                exact = co.Taylor(30, projected=False).step(system, x, 0, h)
-                errors.append(max(abs(co.Taylor(6, projected).step(system, x, 0, h) - exact)))
-            assert abs(errors[0] / errors[1] - 2**7) < 12
-        new = co.Taylor(6).step(system, x, 0, mpmath.mpf("0.25"))
-        for invariant in (system.energy, *system.casimirs.values()):
-            assert abs(invariant(new) - invariant(x)) < 1e-48
-
-
 @pytest.mark.parametrize("projected", [True, False])
 @pytest.mark.parametrize("name", ["so(3), full", "heavy top", "so(4), full", "e(3), quartic"])
 def test_tangent_is_the_derivative_of_the_step(name, projected):
@@ -249,31 +224,6 @@ def test_casimirs_that_are_functions_are_not_restored():
     assert co.Taylor(4).properties(mixed).casimirs == "polynomial"
     assert co.Taylor(4).properties(systems()["heavy top"]).casimirs == "all"
     assert co.Taylor(4, projected=False).properties(systems()["heavy top"]).casimirs == "none"
-
-
-@pytest.mark.parametrize(
-    ("given", "error", "said"),
-    [
-        ({"order": 0}, ValueError, "order of Taylor must be a whole number from 1 to 64, not 0"),
-        ({"order": 65}, ValueError, "from 1 to 64, not 65"),
-        ({"order": 2.5}, ValueError, "not 2.5"),
-        ({"projected": 1}, TypeError, "projected is 1; it must be True or False"),
-    ],
-)
-def test_wrong_parameters_are_refused(given, error, said):
-    with pytest.raises(error, match=said):
-        co.Taylor(**given)
-
-
-def test_cut_runs_and_members_have_the_same_bits():
-    system = systems()["so(4), full"]
-    x0 = np.array([start_of(system), 0.9 * start_of(system), 1.1 * start_of(system)])
-    whole = co.integrate(system, x0, (0.0, 10.0), 0.25, co.Taylor(8), threads=1)
-    for threads in (1, 2):
-        again = co.integrate(system, x0, (0.0, 10.0), 0.25, co.Taylor(8), threads=threads)
-        assert np.array_equal(whole.x, again.x)
-    alone = co.integrate(system, x0[1], (0.0, 10.0), 0.25, co.Taylor(8))
-    assert np.array_equal(whole.x[:, 1], alone.x)
 
 
 def test_series_and_duals():

@@ -11,6 +11,7 @@ import coadjoint as co
 from coadjoint.algebra.representation import invariant_form
 from coadjoint.methods.numerics.taylor_series import PowerSeries, expand
 from coadjoint.rounding import UNIT_ROUNDOFF
+from drawn_matrices import full
 from energies import polynomial
 from long import long_where
 from moments import moments
@@ -31,17 +32,12 @@ ALGEBRAS = {
 }
 
 
-def full(n):
-    B = np.random.default_rng(n).uniform(-0.5, 0.5, (n, n))
-    return np.diag(np.linspace(0.6, 1.4, n)) + 0.2 * (B + B.T)
-
-
 def system_on(name, degree=2, sign=-1):
     algebra = ALGEBRAS[name]
     n = algebra.dim
     if degree > 2:
         return co.LiePoissonSystem(algebra, polynomial(n, degree, n), sign=sign)
-    H = co.Quadratic(full(n), linear=np.linspace(-0.3, 0.4, n))
+    H = co.Quadratic(full(n, n), linear=np.linspace(-0.3, 0.4, n))
     return co.LiePoissonSystem(algebra, H, sign=sign)
 
 
@@ -187,32 +183,6 @@ def test_matrices_and_the_coadjoint_matrix_are_one_group_element(name):
     moved = np.linalg.solve(g, rho @ g)
     size = np.linalg.cond(g) ** 2 * np.linalg.norm(K) * np.linalg.norm(rho)
     assert np.max(np.abs(moved - np.einsum("ij,jab->iab", K, rho))) < 40 * 4 * len(g) * UNIT_ROUNDOFF * size
-
-
-def test_the_spatial_momentum_is_as_accurate_as_the_series():
-    system = system_on("so(4)")
-    x = start_of(system)
-    lost = []
-    for h in (0.25, 0.125):
-        run = co.integrate(system, x, (0, 10), h, co.Taylor(5), attitude="coadjoint")
-        lost.append(np.max(np.abs(run.attitude @ run.x[..., None] - x[:, None])))
-    assert 1e-9 < lost[1] < lost[0] / 2**4.5
-
-
-@pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "su(3)", "so(5)"])
-def test_the_momentum_has_the_bits_that_it_has_alone(name):
-    """And the element the same bits in a crowd, over threads, in pieces, and looked at."""
-    system = system_on(name)
-    x = np.array([start_of(system), 0.7 * start_of(system)[::-1], -start_of(system)])
-    plain = co.integrate(system, x, (0, 5), 0.25, co.Taylor(7))
-    for attitude in attitudes(system):
-        run = co.integrate(system, x, (0, 5), 0.25, co.Taylor(7), attitude=attitude)
-        assert np.array_equal(run.x, plain.x)
-        seldom = co.integrate(system, x[::-1], (0, 5), 0.25, co.Taylor(7), attitude=attitude, save_every=20, threads=2)
-        assert np.array_equal(seldom.attitude[-1], run.attitude[-1][::-1])
-        for m, one in enumerate(x):
-            alone = co.integrate(system, one, (0, 5), 0.25, co.Taylor(7), attitude=attitude)
-            assert np.array_equal(alone.attitude, run.attitude[:, m])
 
 
 def test_elements_that_cannot_be_followed():

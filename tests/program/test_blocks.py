@@ -11,26 +11,12 @@ from coadjoint.program.blocks import Kind
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
 from commuting_actions import acting
+from drawn_matrices import constants_of, whole_matrix
 
 pytestmark = pytest.mark.thinned(3)
 
 U = 2.0**-53
 ANGLES = (0.0, 1e-12, -1e-12, 0.37, -0.37, 3.1, -7.7, 50.0, -50.0)
-
-
-def constants_of(algebra):
-    unit = np.eye(algebra.dim)
-    return np.array([[algebra.bracket(u, v) for v in unit] for u in unit])
-
-
-def in_basis(algebra, T):
-    inverse = np.rint(np.linalg.inv(T))
-    return co.LieAlgebra(np.einsum("ia,jb,abk,kl->ijl", T, T, constants_of(algebra), inverse))
-
-
-def whole_matrix(n, seed):
-    draw = np.random.default_rng(seed).integers(-1, 2, (2, n, n)).astype(float)
-    return (np.tril(draw[0], -1) + np.eye(n)) @ (np.triu(draw[1], 1) + np.eye(n))
 
 
 def turning(algebra, coordinates):
@@ -93,9 +79,9 @@ ALGEBRAS = {
     "A3,7": (co.algebras.get("A3,7", a=1.75), {Kind.PLANE, Kind.SHEAR}),
     "e(3)": (co.algebras.e(3), {Kind.ROTATE, Kind.SHEAR}),
     "sl(2)": (co.algebras.sl(2), {Kind.SCALE, Kind.SERIES}),
-    "so(3) other basis": (in_basis(co.algebras.so(3), whole_matrix(3, 7)), {Kind.CUBIC}),
-    "sl(2) other basis": (in_basis(co.algebras.sl(2), whole_matrix(3, 2)), None),
-    "e(3) other basis": (in_basis(co.algebras.e(3), whole_matrix(6, 8)), None),
+    "so(3) other basis": (co.algebras.change_of_basis(co.algebras.so(3), whole_matrix(3, 7)), {Kind.CUBIC}),
+    "sl(2) other basis": (co.algebras.change_of_basis(co.algebras.sl(2), whole_matrix(3, 2)), None),
+    "e(3) other basis": (co.algebras.change_of_basis(co.algebras.e(3), whole_matrix(6, 8)), None),
 }
 
 
@@ -130,7 +116,7 @@ def test_rotations_of_either_sense_share_a_run(name):
 def test_generators_of_semisimple_algebras_in_other_bases_are_cubic():
     """Any element of so(3) or sl(2) has D^3 = lam D, with lam of the sign of the Killing form; or D^3 = 0."""
     for algebra in (co.algebras.so(3), co.algebras.sl(2)):
-        changed = in_basis(algebra, whole_matrix(3, 11))
+        changed = co.algebras.change_of_basis(algebra, whole_matrix(3, 11))
         rng = np.random.default_rng(12)
         seen = set()
         for _ in range(20):
@@ -146,7 +132,7 @@ def test_generators_of_semisimple_algebras_in_other_bases_are_cubic():
 def test_nilpotent_elements_in_other_bases_are_finite_sums():
     """e1 of sl(2) is nilpotent, D^3 = 0; in another basis rounding must not make it a division by a tiny lam."""
     T = whole_matrix(3, 11)
-    changed = in_basis(co.algebras.sl(2), T)
+    changed = co.algebras.change_of_basis(co.algebras.sl(2), T)
     form = np.linalg.inv(T).T[:, 0] * 0.1  # the element e1/10, with entries that are rounded
     (block,) = blocks_of(entries(changed.coadjoint(form)), U)
     assert (block.kind, block.degree, block.constants[0]) == (Kind.SERIES, 2, 0.0)
@@ -272,7 +258,7 @@ def cubic_bound(D, theta):
 def test_exponential_of_cubic_blocks_in_random_bases(base, theta):
     rng = np.random.default_rng(5)
     for seed in range(6):
-        algebra = in_basis(ALGEBRAS[base][0], whole_matrix(3, 20 + seed))
+        algebra = co.algebras.change_of_basis(ALGEBRAS[base][0], whole_matrix(3, 20 + seed))
         form = rng.standard_normal(3)
         D = algebra.coadjoint(form)
         (block,) = blocks_of(entries(D), U)

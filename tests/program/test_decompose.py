@@ -1,10 +1,11 @@
-"""Casimir shifts, orders of parts, and the h^2 term that decides between them."""
+"""Casimir shifts, their factors, orders of parts, and the h^2 term that decides between them."""
 
 import json
 from itertools import permutations
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 import coadjoint as co
 from coadjoint.program.modified_energy.second_order import part_derivatives, second_order_term
@@ -152,15 +153,6 @@ def test_a_cancelled_entry_is_gone():
     assert term.rows.tolist() == [0, 1]
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_singular_factors_are_generalized_eigenvalues(seed):
-    matrix, casimir = full(4, seed), full(4, seed + 10)
-    found = singular_factors(matrix, casimir)
-    expected = np.linalg.eigvals(np.linalg.solve(casimir, matrix))
-    np.testing.assert_allclose(found, np.sort(expected.real), rtol=1e-12)
-    assert singular_factors(matrix, np.diag((1.0, -1.0, 1.0, 1.0))) == ()
-
-
 def test_refusals():
     system = systems()["so(3)"]
     with pytest.raises(ValueError, match="not a permutation"):
@@ -224,3 +216,51 @@ def test_parts_of_one_pattern_have_the_entries_of_each_matrix():
         x = np.linspace(-1, 1, 6)
         gradient = part_derivatives(split(system, "auto"), x[None])[0][:, 0].sum(axis=0)
         assert np.array_equal(gradient, system.hamiltonian.gradient(x))
+
+
+@pytest.mark.parametrize("size", [1e150, 1e300])
+def test_terms_that_leave_float64_are_the_largest(size):
+    top = co.LiePoissonSystem(
+        co.algebras.e(3), co.Quadratic(np.diag([1, 5, 2, 0, 0, 0]), linear=[size, 0, 0, 0, 0, 1.5])
+    )
+    assert co.Splitting(order=4).describe(top)
+    body = co.systems.paper_a37(masses=(1.0, size / 1e10, 0.01))
+    assert co.Splitting().describe(body)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "casimir", "factors"),
+    [
+        (np.ones((3, 3)), np.eye(3), (0.0, 0.0, 3.0)),
+        (np.ones((3, 3)), -2.0 * np.eye(3), (-1.5, 0.0, 0.0)),
+        (np.array([[0.0, 1.0], [1.0, 0.0]]), np.diag([1.0, 4.0]), (-0.5, 0.5)),
+        # Pivots of very different sizes: the smallest one bounds the factors.
+        (np.array([[0.0, 1.0], [1.0, 0.0]]), np.diag([2.0**-10, 2.0**10]), (-1.0, 1.0)),
+        (np.ones((2, 2)), -np.diag([2.0**-10, 1.0]), (-1025.0, 0.0)),
+    ],
+)
+def test_known_factors(matrix, casimir, factors):
+    """64 halvings of an interval of 4 n^2 max|M| / min|C|, and the float beyond the factor."""
+    found = singular_factors(matrix, casimir)
+    width = 4.0 * matrix.size * np.abs(matrix).max() / np.abs(np.diag(casimir)).min()
+    assert found == pytest.approx(factors, rel=4 * U, abs=width * 2.0**-64)
+
+
+def test_none_where_there_is_nothing_to_find():
+    coupled = np.ones((2, 2))
+    assert singular_factors(np.diag([1.0, 2.0]), np.eye(2)) == ()
+    assert singular_factors(coupled, np.diag([1.0, -1.0])) == ()
+    assert singular_factors(coupled, np.diag([1.0, 0.0])) == ()
+
+
+@pytest.mark.parametrize("size", [2, 3, 5, 8])
+@pytest.mark.parametrize("scale", [1.0, 2.0**40, 2.0**-40])
+def test_they_are_generalized_eigenvalues(size, scale):
+    """Found to the last bit; the eigenvalues of LAPACK are within n^2 u times the size of the pencil."""
+    rng = np.random.default_rng(size)
+    A, B = rng.standard_normal((2, size, size))
+    M, C = scale * (A + A.T), np.eye(size) + 0.1 * (B + B.T) / size
+    expected = eigh(M, C, eigvals_only=True)
+    found = singular_factors(M, C)
+    assert len(found) == size
+    assert np.abs(found - expected).max() <= 16 * size**2 * U * np.abs(expected).max() * np.linalg.cond(C)

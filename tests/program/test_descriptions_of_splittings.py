@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 import coadjoint as co
 from coadjoint.systems.coordinates import coordinate_names
+from drawn_matrices import constants_of
 
 ALGEBRAS = {
     "so(3)": lambda: co.algebras.so(3),
@@ -28,12 +29,6 @@ ALGEBRAS = {
 }
 WORK = {"SCALE": 1, "ROTATE": 4, "PLANE": 6, "SHEAR": 2}
 """Multiplications of one block: a factor; a 2 x 2 rotation; two numbers and a 2 x 2 matrix; an angle and a constant."""
-
-
-def actions_of(algebra):
-    """Matrices of the coadjoint action of the basis, up to sign."""
-    unit = np.eye(algebra.dim)
-    return np.array([[algebra.bracket(u, v) for v in unit] for u in unit])
 
 
 def connected(D):
@@ -78,7 +73,7 @@ def functions_by_hand(D):
 
 def commuting_groups(rng, algebra):
     """All coordinates, in a random order, in groups that commute."""
-    actions, groups = actions_of(algebra), []
+    actions, groups = constants_of(algebra), []
     for i in rng.permutation(algebra.dim).tolist():
         fitting = [own for own in groups if not any(np.any(actions[i, j]) for j in own)]
         if fitting and rng.random() < 0.75:
@@ -94,7 +89,7 @@ def commuting_groups(rng, algebra):
 def test_blocks_and_work_of_each_part(name, seed):
     """Of H = sum(c x^2) / 2, so that an angle is one product: one angle may move several blocks."""
     algebra, rng = ALGEBRAS[name](), np.random.default_rng(seed)
-    actions, groups = actions_of(algebra), commuting_groups(np.random.default_rng(seed), algebra)
+    actions, groups = constants_of(algebra), commuting_groups(np.random.default_rng(seed), algebra)
     system = co.LiePoissonSystem(algebra, co.Quadratic(rng.uniform(0.5, 2.0, algebra.dim)), casimirs={})
     order = (1, 2)[seed % 2]
     found, names = co.Splitting(order=order, parts=groups).describe(system), coordinate_names(system)

@@ -1,6 +1,5 @@
 """Free bodies as parts: where they are found, what is left, what is refused, and their flow in other number types."""
 
-import json
 from fractions import Fraction
 
 import mpmath
@@ -9,7 +8,6 @@ import pytest
 
 import coadjoint as co
 from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
-from coadjoint.methods.registry import description_of, from_description
 from coadjoint.program.parts.free_bodies import free_bodies, triples_of
 from coadjoint.program.parts.part_polynomials import part_polynomials
 
@@ -181,28 +179,6 @@ def test_the_modified_hamiltonian_is_the_bracket_of_body_and_gravity():
         np.ptp(values) for values in (run.energy, [found(x, 0.0625) for x in run.x], [better(x, 0.0625) for x in run.x])
     ]
     assert drifts[1] < drifts[0] / 100 and drifts[2] < drifts[1] / 30
-
-
-@pytest.mark.long
-def test_a_step_as_a_power_series_is_that_of_the_modified_field():
-    top = co.systems.heavy_top((1.0, 2.0, 2.5), (0.0, 0.5, 1.0))
-    x = np.array([0.5, 0.3, -0.2, 0.6, 0.0, 0.8])
-    field = co.modified_field(top, free_body(), order=4)
-    H = co.modified_hamiltonian(top, free_body(), order=4)
-    h = 0.0625
-    step, slope = 2.0**-12, np.zeros(6)
-    for i in range(6):
-        e = step * np.eye(6)[i]
-        slope[i] = (8 * (H(x + e, h) - H(x - e, h)) - (H(x + 2 * e, h) - H(x - 2 * e, h))) / (12 * step)
-    expected = top.sign * top.algebra.structure_matrix(x) @ slope
-    np.testing.assert_allclose(field(x, h), expected, rtol=0, atol=2.0**12 * 16 * U)
-
-
-def test_the_choice_is_written_and_read_again():
-    top = co.systems.heavy_top()
-    table = free_body(order=4).program(top).to_mapping()
-    assert table["bodies"] and json.dumps([int(k) for k in table["bodies"]])
-    assert from_description(description_of(free_body(order=4))) == free_body(order=4)
 
 
 def described():

@@ -1,4 +1,4 @@
-"""Parts: commuting forms, few of them, whose pieces add up to the Hamiltonian."""
+"""Parts: commuting forms, few of them on each algebra of the catalogue, whose pieces add up to the Hamiltonian."""
 
 import math
 from fractions import Fraction
@@ -9,33 +9,14 @@ import pytest
 from scipy.sparse import coo_array
 
 import coadjoint as co
+from coadjoint.algebra.families.low_dimensional import entries
 from coadjoint.program.interpreter import Interpreter
+from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.parts.split import split
 from coadjoint.program.table import build_program
+from drawn_matrices import whole_matrix
 from guards import bounded_work
-
-
-def constants_of(algebra):
-    unit = np.eye(algebra.dim)
-    return np.array([[algebra.bracket(u, v) for v in unit] for u in unit])
-
-
-def in_basis(algebra, T):
-    """The algebra in the basis f_i = sum_a T_ia e_a, T whole and of determinant one: all constants exact."""
-    inverse = np.rint(np.linalg.inv(T))
-    return co.LieAlgebra(np.einsum("ia,jb,abk,kl->ijl", T, T, constants_of(algebra), inverse))
-
-
-def whole_matrix(n, seed):
-    draw = np.random.default_rng(seed).integers(-1, 2, (2, n, n)).astype(float)
-    return (np.tril(draw[0], -1) + np.eye(n)) @ (np.triu(draw[1], 1) + np.eye(n))
-
-
-def copies(algebra, count):
-    i, j, k, c = algebra.triples
-    shift = algebra.dim * np.arange(count)[:, None]
-    rows = zip(*(np.ravel(a + shift).tolist() for a in (i, j, k)), np.tile(c, count).tolist(), strict=True)
-    return co.LieAlgebra(list(rows), dim=algebra.dim * count)
+from verification.test_catalogue import EXAMPLES
 
 
 def lattice(count, seed=1):
@@ -101,11 +82,11 @@ SYSTEMS = {
     "so(5) diagonal": (SO5, co.Quadratic(np.arange(1.0, 11.0))),
     "so(5) full": (SO5, co.Quadratic(full(10, 6))),
     "so(3) zero diagonal": (SO3, co.Quadratic(HOLLOW, linear=[1.0, 2.0, 3.0])),
-    "so(3) permuted": (in_basis(SO3, np.eye(3)[[2, 0, 1]]), co.Quadratic([1.0, 2.0, 4.0])),
-    "so(3) other basis": (in_basis(SO3, whole_matrix(3, 7)), co.Quadratic([1.0, 2.0, 4.0])),
-    "e(3) other basis": (in_basis(E3, whole_matrix(6, 8)), co.Quadratic(full(6, 9))),
-    "3 spins": (copies(SO3, 3), lattice(3)),
-    "3 spins full": (copies(SO3, 3), co.Quadratic(full(9, 10))),
+    "so(3) permuted": (co.algebras.change_of_basis(SO3, np.eye(3)[[2, 0, 1]]), co.Quadratic([1.0, 2.0, 4.0])),
+    "so(3) other basis": (co.algebras.change_of_basis(SO3, whole_matrix(3, 7)), co.Quadratic([1.0, 2.0, 4.0])),
+    "e(3) other basis": (co.algebras.change_of_basis(E3, whole_matrix(6, 8)), co.Quadratic(full(6, 9))),
+    "3 spins": (co.algebras.copies(SO3, 3), lattice(3)),
+    "3 spins full": (co.algebras.copies(SO3, 3), co.Quadratic(full(9, 10))),
     "quartic on so(3)": (SO3, co.Polynomial(QUARTIC)),
     "cubic in p on e(3)": (E3, co.Polynomial(CUBIC_IN_P)),
     "pieces on e(3)": (E3, co.SplitHamiltonian(PIECES)),
@@ -197,7 +178,7 @@ def test_number_of_parts(name, count):
 @pytest.mark.parametrize("count", [1, 40, 2000])
 def test_any_lattice_of_spins_has_three_parts(count):
     """Found in time nearly linear in the spins: 2000 take about a second."""
-    s = co.LiePoissonSystem(copies(SO3, count), lattice(count))
+    s = co.LiePoissonSystem(co.algebras.copies(SO3, count), lattice(count))
     with bounded_work():
         parts = split(s)
         program = build_program(s, co.Splitting(order=2))
@@ -301,3 +282,23 @@ def test_a_constant_hamiltonian_moves_nothing():
     sol = co.integrate(s, (1.0, 2.0, 3.0), (0, 1), 0.1, attitude=True)
     assert np.array_equal(sol.x, np.tile([1.0, 2.0, 3.0], (11, 1)))
     assert np.array_equal(sol.attitude[-1], np.eye(3))
+
+
+# Numbers of sets of commuting coordinates; two elsewhere.
+THREE = """A3_8 A3_9 A4_7 A4_8 A4_9 A4_10 A4_11 A5_3 A5_6 A5_19 A5_20 A5_21 A5_23 A5_24 A5_25 A5_26 A5_28 A5_29 A5_30
+A5_31 A5_36 A5_37 A5_39 A5_40""".split()
+
+
+@pytest.mark.thinned(3)
+@pytest.mark.parametrize("name", entries())
+def test_as_few_parts_as_commuting_sets_that_cover_the_coordinates(name):
+    count, algebra = 3 if name in THREE else 2, co.algebras.get(name, **EXAMPLES.get(name, {}))
+    system = co.LiePoissonSystem(algebra, co.Quadratic(np.linspace(1.0, 2.0, algebra.dim)))
+    parts = split(system, "auto")
+    assert len(parts) <= count
+    assert len(decompose(system, "auto").parts) <= len(parts)
+    covered = sorted(i for part in parts for form, _ in part.forms for i in form)
+    assert covered == list(range(algebra.dim))
+    for part in parts:
+        chosen = [i for form, _ in part.forms for i in form]
+        assert all(algebra.commuting(i, j) for i in chosen for j in chosen)

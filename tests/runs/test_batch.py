@@ -150,16 +150,6 @@ def test_failed_member_leaves_the_others_unchanged():
         assert np.array_equal(partial.x[:, m], co.integrate(systems[m], x0[m], (0, 20), 0.5).x)
 
 
-def test_statistics_and_drift_per_member():
-    batch = co.batch([body(1, 2, 3), body(3, 1, 2), body(1, 1, 2)])
-    sol = co.integrate(batch, X, (0, 10), 0.1, co.Splitting(order=4), watch=False)
-    assert sol.failed.tolist() == [False] * 3 and sol.stats.steps == 100
-    drift = sol.drift()["energy"]
-    assert drift.members.shape == (3,) and drift.initial.shape == (3,)
-    worst = np.abs(sol.energy - sol.energy[0]).max(axis=0)
-    assert np.array_equal(drift.members, worst)
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("suffix", long_beyond(1, [".nc", ".zarr"]))
 def test_dataset_of_a_batch_is_rebuilt_bitwise(suffix, tmp_path):
@@ -184,14 +174,6 @@ def test_member_functions_are_named_as_not_stored():
     assert "(member 1)" in dataset.attrs["not_stored"]
     with pytest.raises(ValueError, match="functions are not stored"):
         rebuild(dataset)
-
-
-def test_figure_of_a_batch():
-    from matplotlib import pyplot
-
-    figure = co.integrate(co.batch([body(1, 2, 3), body(1, 2, 2.5)]), X, (0, 10), 0.1).plot()
-    assert "batch of 2" in figure._suptitle.get_text()
-    pyplot.close(figure)
 
 
 def test_batch_is_a_sequence():

@@ -122,22 +122,6 @@ def test_events_do_not_depend_on_chunk_size(method, monkeypatch):
             assert np.array_equal(again.drift()["energy"].tenths, whole.drift()["energy"].tenths)
 
 
-def test_events_match_those_of_short_steps():
-    """Random algebras, with a 64th of the step."""
-    for seed in range(6):
-        rng = np.random.default_rng(seed)
-        g = (co.algebras.so(3), co.algebras.se(3), co.algebras.get("A4,8"), co.algebras.so(4))[seed % 4]
-        M = rng.standard_normal((g.dim, g.dim))
-        system = co.LiePoissonSystem(g, co.Quadratic(0.2 * (M @ M.T) + np.eye(g.dim)), sign=1)
-        x0, w = 0.5 * rng.standard_normal(g.dim), rng.standard_normal(g.dim)
-        event = co.Event(co.Quadratic(0.0, linear=w))
-        found = co.integrate(system, x0, (0, 4), 0.125, co.GaussLegendre(4), events=event).events
-        dense = co.integrate(system, x0, (0, 4), 0.125 / 64, co.GaussLegendre(4))
-        g_at = dense.x @ w
-        assert len(found) == np.count_nonzero(np.sign(g_at[1:]) != np.sign(g_at[:-1])), seed
-        assert abs(found.x @ w).max(initial=0.0) < 64 * U * max(1.0, abs(dense.x).max()) * abs(w).sum()
-
-
 def test_casimirs_are_preserved_at_events():
     sol = co.integrate(BODY, FLIPPING, (0, 200), 0.25, co.Splitting(order=2), events=co.Event("x2"))
     radius = (sol.events.x**2).sum(axis=1)

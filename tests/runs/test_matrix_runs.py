@@ -79,14 +79,6 @@ def test_stepper_of_matrices(name):
         step.both(W)
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_backward_run_returns_to_the_start(name):
-    system, W = SYSTEMS[name], states(SYSTEMS[name], 2)
-    there = co.integrate(system, W, (0.5, 1.5), 0.0625)
-    back = co.integrate(system, there.x[-1], (1.5, 0.5), 0.0625)
-    assert np.abs(back.x[-1] - W).max() < 1e-14 < 1e-3 < np.abs(there.x[-1] - W).max()
-
-
 def test_default_scheme_of_matrices():
     assert isinstance(co.integrate(BODY, state_of(BODY), (0, 1), 0.1).method, co.IsospectralGauss)
     assert isinstance(co.prepare(SPHERE, None, 0.1).method, co.IsospectralGauss)
@@ -186,18 +178,6 @@ def test_exceptions_of_stream_functions_propagate(threads):
         co.integrate(system, [W, 0.1 * W], (0.0, 0.5), 0.05, threads=threads)
     calm = co.integrate(system, 0.1 * W, (0.0, 0.5), 0.05)
     assert np.isfinite(calm.x).all()
-
-
-def test_function_numba_cannot_compile_warns_once():
-    def stream(W):
-        return dict(P=W)["P"].T
-
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        for _ in range(2):
-            system = co.MatrixSystem(co.MatrixAlgebra("gl", 2), stream)
-            co.integrate(system, np.array([[1.0, 0.5], [0.0, 0.2]]), (0.0, 0.5), 0.125)
-    assert len([w for w in caught if "is called in Python" in str(w.message)]) == 1
 
 
 COEFFICIENTS = np.array([[1.0, 0.7, 0.2], [0.7, 0.5, 1.3], [0.2, 1.3, 0.4]])
@@ -310,12 +290,3 @@ def test_memory_of_large_states_is_estimated(monkeypatch):
         co.MatrixAlgebra("so", 2000).read(np.zeros((2000, 2000)))
     with pytest.raises(ValueError, match="structure matrix"):
         large.structure_matrix(W)
-
-
-def test_spectrum_of_an_ensemble_per_member():
-    fluid = co.systems.sphere_euler(N=5)
-    W = np.stack([fluid.random(seed=seed) for seed in range(3)])
-    together = co.integrate(fluid, W, (0.5, 1.0), 0.125).spectrum()
-    assert together.shape == (5, 3, 5) and np.abs(together[:, 0] - together[:, 1]).max() > 1e-3
-    for m in range(3):
-        assert np.array_equal(together[:, m], co.integrate(fluid, W[m], (0.5, 1.0), 0.125).spectrum())

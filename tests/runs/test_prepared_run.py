@@ -104,25 +104,6 @@ def test_initial_group_element_per_run():
         ready.run(X, (0, 1), attitude=np.eye(2))
 
 
-@pytest.mark.parametrize(
-    ("options", "kind", "message"),
-    [
-        ({"method": "strang"}, ValueError, "unknown method 'strang'"),
-        ({"step": 0.0}, ValueError, "it must be positive"),
-        ({"step": "a"}, TypeError, "it must be a number"),
-        ({"watch": 1}, TypeError, "watch is 1"),
-        ({"threads": 0}, ValueError, "threads .* not 0"),
-        ({"observe": [1]}, TypeError, "it must map names"),
-        ({"attitude": "spin"}, ValueError, "attitude is 'spin'"),
-        ({"system": 3}, TypeError, "system is 3"),
-    ],
-)
-def test_wrong_arguments_of_prepare_are_refused(options, kind, message):
-    given = {"system": BODY, "method": None, "step": 0.1, **options}
-    with pytest.raises(kind, match=message):
-        co.prepare(given.pop("system"), given.pop("method"), given.pop("step"), **given)
-
-
 def test_wrong_arguments_of_runs_are_refused():
     ready = prepared_run.PreparedRun(BODY, None, 0.1)
     with pytest.raises(ValueError, match="does not divide"):

@@ -44,46 +44,6 @@ def test_shifted_and_unshifted_attitudes_agree(name):
     assert errors[0] < 0.05 and errors[1] < errors[0] / 8 + 1e-12  # order 4: a factor 16
 
 
-def test_attitude_matches_the_closed_form():
-    system = cases()["so(3), body"][0]
-    x0 = np.array([0.3, 1.0, -0.5])
-    start = system.exact((1.0, 0.2, 0.4), 1.7, attitude=True)[1]
-    sol = co.integrate(system, x0, (3, 13), 1 / 512, co.Splitting(order=4), attitude=start, save_every=640)
-    exact = system.exact(x0, sol.t - 3, attitude=start)[1]
-    assert np.abs(sol.attitude - exact).max() < 1e-10
-
-
-@pytest.mark.parametrize("name", list(cases()))
-def test_spatial_momentum_is_preserved(name):
-    system, attitude = cases()[name]
-    if attitude is True and name.startswith(("e(3)", "so(4)", "sl(2)")):
-        attitude = "coadjoint"  # the matrix that acts on momenta
-    x0 = 0.6 * np.random.default_rng(4).standard_normal((3, system.dim))
-    sol = co.integrate(system, x0, (0, 20), 0.05, co.Splitting(order=2), attitude=attitude, save_every=40)
-    space = np.einsum("kmij,kmj->kmi", sol.attitude, sol.x)
-    size = np.abs(sol.attitude).max(axis=(2, 3)).max() * np.abs(sol.x).max()
-    # 400 steps of at most 5 flows each, every one rounding sums of at most n products, and the shift's exponential.
-    assert np.abs(space - sol.x[0]).max() <= 400 * 5 * system.dim * U * size
-
-
-def test_attitudes_of_members_and_backward_runs():
-    system, _ = cases()["so(3), body"]
-    x0 = np.array([[0.3, 1.0, -0.5], [1.0, -0.2, 0.4]])
-    together = co.integrate(system, x0, (0, 5), 0.05, attitude=True)
-    for member, x in enumerate(x0):
-        alone = co.integrate(system, x, (0, 5), 0.05, attitude=True)
-        np.testing.assert_array_equal(alone.attitude, together.attitude[:, member])
-    back = co.integrate(system, together.x[-1, 0], (5, 0), 0.05, attitude=together.attitude[-1, 0])
-    assert np.abs(back.attitude[-1] - np.eye(3)).max() < 1e-13
-
-
-def test_stepper_includes_the_shift():
-    system, _ = cases()["so(3), body"]
-    x = np.array([0.3, 1.0, -0.5])
-    g = co.stepper(system, co.Splitting(order=2), 0.01).group(x)
-    assert np.abs(g - system.exact(x, 0.01, attitude=True)[1]).max() < 1e-6
-
-
 SHIFTED = {
     "so(3)": co.systems.rigid_body((1.0, 2.0, 3.0)),
     "so(4)": co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(np.linspace(0.5, 2, 6)), sign=-1),

@@ -86,33 +86,6 @@ def test_angles_of_any_size_in_lanes():
         assert_same(crowd, member, co.integrate(body, states[member], (0.0, 20.0), 1.0))
 
 
-def test_failed_member_does_not_affect_others():
-    # x1' = -x1 x2, x2' = -x1^2: beyond x2 = -c, c^2 = x2^2 - x1^2, it blows up, elsewhere x2 goes to c.
-    algebra = co.LieAlgebra.from_brackets(2, {(0, 1): {0: 1.0}})
-    system = co.LiePoissonSystem(algebra, co.Quadratic([1.0, -1.0]))
-    states = np.column_stack([np.linspace(0.1, 0.2, 40), np.where(np.arange(40) % 7 == 3, -1.0, 0.5)])
-    span, method = (0.0, 60.0), co.Splitting(order=2)
-    alone = []
-    for state in states:
-        try:
-            alone.append(co.integrate(system, state, span, 0.5, method))
-        except co.IntegrationError as error:
-            alone.append(error)
-    failing = np.array([isinstance(one, co.IntegrationError) for one in alone])
-    with pytest.raises(co.IntegrationError) as raised:
-        co.integrate(system, states, span, 0.5, method)
-    crowd = raised.value.partial
-    assert failing.any() and not failing.all()
-    assert np.array_equal(crowd.failed, failing)
-    assert raised.value.step == alone[int(np.argmax(failing))].step
-    for member in np.flatnonzero(~failing):
-        assert np.array_equal(crowd.x[:, member], alone[member].x)
-    for member in np.flatnonzero(failing):
-        reached = alone[member].step
-        assert np.array_equal(crowd.x[:reached, member], alone[member].partial.x)
-        assert np.all(np.isnan(crowd.x[reached:, member]))
-
-
 @pytest.mark.parametrize("compensated", [False, True])
 def test_batch_with_more_members_than_lanes(compensated):
     inertias = [(1.5, 2.0 + 0.01 * k, 3.5) for k in range(70)]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
@@ -88,18 +86,6 @@ def test_resumed_run_has_the_bits_of_the_whole_run(method, name, attitude, membe
     assert state == whole.state and state.number == STEPS
     for part, values in parts_of(expected).items():
         assert np.array_equal(np.concatenate([piece[part] for piece in pieces]), values), part
-
-
-@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(6)], ids=str)
-def test_run_in_pieces_equals_the_whole_run(method):
-    """The momenta of a flow method are unfinished between pieces."""
-    x0 = np.array(SYSTEMS["top"][1])
-    whole, piecewise = (start_run(TOP, method, x0, False) for _ in range(2))
-    whole.advance()
-    for _, until in pairwise((0, *CUTS, STEPS)):
-        piecewise.advance(until=until)
-        assert piecewise.state.number == until
-    assert piecewise.state == whole.state and np.array_equal(piecewise.saved["x"], whole.saved["x"])
 
 
 def test_members_of_several_groups_keep_their_order():

@@ -9,9 +9,6 @@ import coadjoint as co
 from coadjoint.choosing.pilot import short_run
 from coadjoint.program.blocks import Kind
 from coadjoint.program.interpreter import Interpreter
-from coadjoint.program.parts.chosen_parts import ChosenParts
-from coadjoint.program.parts.split import split
-from coadjoint.program.shifts.shift import quadratic_casimirs, shifted_terms
 from coadjoint.runs import run as run_module
 from coadjoint.systems.bodies.rigid_body import so3_body
 from group_elements import random_element
@@ -118,21 +115,6 @@ def test_compiled_steps_of_a_driven_system(scheme):
     assert np.max(np.abs(ends[0] - ends[1])) > 0.05 * STEP
 
 
-@pytest.mark.parametrize("algebra", ["so(4)", "A4,7"])
-@pytest.mark.parametrize("scheme", SCHEMES)
-def test_schemes_follow_the_motion_for_both_signs(scheme, algebra):
-    """Against 16 digits, independent of what the compiled step and the interpreter share."""
-    method, h = SCHEMES[scheme], 2.0**-5
-    for sign, direction in DIRECTIONS:
-        system, x0 = system_for(scheme, algebra, sign)
-        span = (T0, T0 + direction)
-        exact = co.integrate(system, x0, span, h, co.GaussLegendre(8)).x[-1]
-        found = co.integrate(system, x0, span, h, method).x[-1]
-        # Of size one: the error of order p is about h^p, with derivatives that grow like 2^p at most.
-        bound = (2.0 * h) ** min(method.order, 6) + 2.0**6 * rounding(system, exact)
-        np.testing.assert_allclose(found, exact, rtol=0, atol=bound)
-
-
 def check_tangent(method, system, x0, h):
     """Compare with central differences, e = 2^-17: errors e^2 psi'''/6 with psi''' below 2^5, and u/e."""
     step, e = co.stepper(system, method, h), 2.0**-17
@@ -165,19 +147,6 @@ def attitudes(method, system):
     return (
         ["coadjoint", True] if kind == "every representation" and system.representation is not None else ["coadjoint"]
     )
-
-
-@pytest.mark.parametrize(("scheme", "algebra"), pairs())
-def test_other_sign_equals_backward_run(scheme, algebra):
-    """x' = -J grad H is x' = J grad H run backward, with its group element, in the same bits."""
-    method = SCHEMES[scheme]
-    (one, x0), (other, _) = (system_for(scheme, algebra, sign) for sign in (1, -1))
-    for attitude in attitudes(method, one):
-        forth = co.integrate(one, x0, (0.0, 4 * STEP), STEP, method, attitude=attitude)
-        back = co.integrate(other, x0, (0.0, -4 * STEP), STEP, method, attitude=attitude)
-        assert np.array_equal(forth.x, back.x)
-        if attitude is not False:
-            assert np.array_equal(forth.attitude, back.attitude)
 
 
 CARRIED = [(s, a) for s, a in pairs() if SCHEMES[s].properties(system_for(s, a, 1)[0]).attitude != "none"]
@@ -338,52 +307,6 @@ def test_shifted_runs_about_every_axis(x0, sign):
         # Order 8 with 2^-5 of a unit of time, in which nothing turns by more than a radian.
         np.testing.assert_allclose(run.x[-1], x, rtol=0, atol=2.0**-36)
         np.testing.assert_allclose(run.attitude[-1], g, rtol=0, atol=2.0**-36)
-
-
-@pytest.mark.parametrize("make", [lambda: co.algebras.so(4), lambda: co.algebras.so(5), lambda: co.algebras.su(3)])
-def test_shift_is_undone_in_every_block(make):
-    """Generators with several frequencies, and sparse ones, against the run without a shift."""
-    algebra, rng = make(), np.random.default_rng(6)
-    n = algebra.dim
-    M = rng.uniform(0.5, 1.5, n)
-    states = [rng.standard_normal(n), rng.standard_normal(n) * (rng.random(n) < 0.4)]
-    for sign, direction in DIRECTIONS:
-        system = co.LiePoissonSystem(algebra, co.Quadratic(M), sign=sign)
-        casimirs = quadratic_casimirs(system)
-        shift = ((next(iter(casimirs)), 0.375),)
-        count = len(split(system, "auto", shifted_terms(system.hamiltonian.terms(), casimirs, shift)))
-        shifted = co.Splitting(order=8, parts=ChosenParts(tuple(range(count)), shift))
-        for x0 in states:
-            x0 = x0 / np.linalg.norm(x0)
-            for attitude in (True, "coadjoint"):
-                one, two = (
-                    co.integrate(system, x0, (T0, T0 + direction), 2.0**-5, method, attitude=attitude).attitude[-1]
-                    for method in (shifted, co.Splitting(order=8, parts="coordinates"))
-                )
-                np.testing.assert_allclose(one, two, rtol=0, atol=2.0**-30)
-                assert np.max(np.abs(one - np.eye(len(one)))) > 0.1
-
-
-@pytest.mark.parametrize("name", list(ALGEBRAS))
-def test_brackets_in_either_order_of_the_pair(name):
-    """[e_j, e_i] in place of [e_i, e_j], rows shuffled: the same algebra, the same bits."""
-    algebra, rng = ALGEBRAS[name](), np.random.default_rng(3)
-    i, j, k, c = (column.copy() for column in algebra.triples)
-    for _ in range(4):
-        # All components of a bracket are given in one order.
-        flip = (rng.random((algebra.dim, algebra.dim)) < 0.5)[i, j]
-        one, two = np.where(flip, j, i), np.where(flip, i, j)
-        order = rng.permutation(len(c))
-        rows = np.stack([one, two, k, np.where(flip, -c, c)], axis=1)[order]
-        again = co.LieAlgebra(np.asfortranarray(rows), dim=algebra.dim, basis=algebra.basis)
-        assert again == algebra
-        x = rng.standard_normal(algebra.dim)
-        assert np.array_equal(again.structure_matrix(x), algebra.structure_matrix(x))
-    dense = np.zeros((algebra.dim,) * 3)
-    np.add.at(dense, (i, j, k), c)
-    np.subtract.at(dense, (j, i, k), c)
-    for layout in (np.ascontiguousarray, np.asfortranarray):
-        assert co.LieAlgebra(layout(dense)) == algebra
 
 
 def test_arrays_of_any_memory_layout():

@@ -20,7 +20,7 @@ from coadjoint.runs.tangent_stretching import energy_loops
 from coadjoint.runs.times import Times
 from long import long_between, long_beyond
 
-from .random_systems import ALGEBRAS, drawn, drawn_bracket
+from .random_systems import drawn_bracket
 from .schemes_under_test import large_step, schemes, serves, witnesses
 from .systems_under_test import all_cases, full_matrix
 from .tangent_products import NEVER, finished_vectors, product_of_tangents, run_with, stretches, tolerance
@@ -106,16 +106,6 @@ def test_tangents_on_the_catalogue(name):
         system = co.LiePoissonSystem(algebra, H, sign=sign, casimirs={})
         for method in TRIED:
             check(system, method, x0, -0.05 if sign > 0 else 0.05)
-
-
-@pytest.mark.thinned(16)
-@pytest.mark.parametrize("sign", long_beyond(1, [1, -1]))
-@pytest.mark.parametrize("name", ALGEBRAS)
-def test_tangents_on_random_systems(name, sign):
-    for seed in range(3):
-        system, x0 = drawn(name, 100 + seed, sign)
-        for method in (co.Splitting(order=4), co.GaussLegendre(3), co.ModifiedGaussLegendre(2)):
-            check(system, method, x0, 0.125)
 
 
 @pytest.mark.long
