@@ -1,7 +1,6 @@
 """Interrupted runs: partial results, messages, and continuation of archives."""
 
 import os
-import signal
 
 import numpy as np
 import pytest
@@ -189,18 +188,3 @@ def test_keyboard_interrupt_leaves_a_resumable_archive(tmp_path, monkeypatch):
     ]
     assert 0 < partial.reached < 800 and np.array_equal(partial.x, expected.x[: partial.reached + 1])
     assert np.array_equal(co.resume(tmp_path / "run.zarr").x, expected.x)
-
-
-def test_signal_of_a_context_is_raised():
-    from coadjoint import interruption
-
-    before = signal.getsignal(signal.SIGTERM)
-    try:
-        interruption.install_handlers()
-        with pytest.raises(interruption.Interrupted) as reported, interruption.raise_on_interrupt():
-            signal.raise_signal(signal.SIGTERM)
-        assert reported.value.number == signal.SIGTERM and reported.value.description == "terminated"
-    finally:
-        for number in (signal.SIGINT, signal.SIGHUP):
-            signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
-        signal.signal(signal.SIGTERM, before)
