@@ -1,6 +1,5 @@
 """Language of the sources: standard terms, no questions in module docstrings, and a bounded number of public names."""
 
-import ast
 import io
 import re
 import tokenize
@@ -50,8 +49,10 @@ def test_sources_use_standard_terms():
 
 
 def test_module_docstrings_ask_no_questions():
-    texts = {path.name: ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "" for path in SOURCES}
-    assert [name for name, text in texts.items() if "?" in text] == []
+    first = re.compile(r'(?:\s|#[^\n]*\n)*r?"""([^"]*)"""')
+    texts = {path.name: first.match(path.read_text(encoding="utf-8")) for path in SOURCES}
+    assert [name for name, text in texts.items() if text and "?" in text[1]] == []
+    assert sum(text is not None for text in texts.values()) > 0.9 * len(texts)
 
 
 def test_words_of_the_dialect_are_found(tmp_path):

@@ -48,7 +48,7 @@ import atexit; atexit.register(follow)
 """
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize(
     ("members", "options", "before"),
     [

@@ -531,6 +531,7 @@ def test_run_is_extended_to_a_later_end(tmp_path, monkeypatch, system, x0, metho
     assert_same(co.resume(path, last), co.integrate(system, x0, (0.7, last), STEP, method, save_every=every, **options))
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("every", [1, 2])
 def test_states_as_large_as_a_chunk(tmp_path, monkeypatch, every):
     """Every saved point of many members or large matrices has chunks of its own."""

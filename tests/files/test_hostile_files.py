@@ -52,7 +52,7 @@ def test_checksum_is_independent_of_the_format(tmp_path, sol, name):
     assert np.array_equal(found.x, sol.x)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", ["plain.nc", "classic.nc", "second.zarr", "third.zarr"])
 def test_changed_content_is_refused(tmp_path, sol, name):
     """Without the checksum attribute the content is read, as in files of earlier versions."""

@@ -81,7 +81,7 @@ def test_hamiltonian_parameters_are_stored(kind, parameter):
         assert_same_motion(system)
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("parameter", parameters(Quadratic))
 @pytest.mark.parametrize("M", [1.5, [1.0, 2.0, 4.0], FULL], ids=["number", "diagonal", "matrix"])
 def test_nested_quadratic_parameters_are_stored(parameter, M):
