@@ -210,12 +210,6 @@ def test_certify_prints_writes_and_plots(folder, capsys):
     assert (folder / "found.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_certify_uses_the_direction_of_the_file(folder, capsys):
-    (folder / "back.toml").write_text(BODY.replace("[0.0, 1.0]", "[1.0, 0.0]"))
-    assert cli.main(["certify", "back.toml", "--steps", "10", "--json", "back.json"]) == 0
-    assert json.loads((folder / "back.json").read_text())["subject"]["step"] == -0.1
-
-
 def test_failed_certificate_has_status_1(folder, capsys):
     @co.methods.register
     @dataclasses.dataclass(frozen=True)
@@ -235,19 +229,6 @@ def test_certify_at_rest_is_undecidable(folder, capsys):
     (folder / "rest.toml").write_text(BODY.replace("[1.0, 0.1, 0.5]", "[1.0, 0.0, 0.0]"))
     assert cli.main(["certify", "rest.toml", "--steps", "10"]) == 1
     assert "order (not decidable here)" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["none.toml"], "none.toml: cannot be read (No such file or directory)"),
-        (["body.toml", "--json", "found.txt"], "found.txt: the suffix sets the format; it must be .json"),
-        (["body.toml", "--plot", "found.gif"], "found.gif: the suffix sets the format; it must be .png, .pdf or .svg"),
-        (["body.toml", "--steps", "0"], "steps must be a whole number from 1 to 10000000, not 0"),
-    ],
-)
-def test_certify_refuses_in_one_line(folder, capsys, arguments, message):
-    assert message in refused(capsys, "certify", *arguments)
 
 
 def test_systems_and_methods_are_listed(capsys):

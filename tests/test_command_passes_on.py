@@ -12,16 +12,8 @@ import coadjoint as co
 from coadjoint import cli, commands
 from coadjoint.files.archives.resume import resume
 from coadjoint.files.output import output_files as output
+from test_cli import BODY
 
-BODY = """
-[system]
-name = "rigid_body"
-[initial]
-x = [1.0, 0.1, 0.5]
-[run]
-t_span = [0.0, 1.0]
-step = 0.1
-"""
 ENSEMBLE = BODY.replace("[1.0, 0.1, 0.5]", "[[1.0, 0.1, 0.5], [0.1, 1.0, 0.5]]")
 FLUID = """
 system = {name = "torus_euler", parameters = {N = 3}}

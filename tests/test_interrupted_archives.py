@@ -82,7 +82,7 @@ def check_stopped(done, name, what):
 @pytest.mark.parametrize(
     ("write", "name", "again", "then"),
     long_beyond(
-        2,
+        1,
         [
             # The root of the archive is written as file 27, of its first commit as file 42, and then every 15.
             (20, "SIGKILL", 57, "SIGINT"),

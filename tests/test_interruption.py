@@ -100,16 +100,6 @@ def test_late_interrupt_is_ignored(folder):
 
 
 @pytest.mark.long
-def test_ignored_signals_stay_ignored(folder):
-    ignored = "import os, signal, sys\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
-    done = run_python(
-        ignored + AT_IMPORT.format(name="xarray", act=KILL.format(name="SIGINT")) + RUN.format(target="run.nc")
-    )
-    assert done.returncode == 0
-    assert sorted(os.listdir(folder)) == ["body.toml", "run.nc"]
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("target", ["run.nc", "run.zarr"])
 def test_next_run_removes_leftovers_of_its_target(folder, target):
     done = run_python(AT_PIECE.format(piece=3, act=KILL.format(name="SIGKILL")) + RUN.format(target=target))
@@ -158,17 +148,6 @@ def test_replaced_store_is_restored_after_a_kill(folder):
 
 
 @pytest.mark.long
-def test_leftovers_of_similar_targets_remain(folder):
-    one, other = ("a" * 60 + end for end in ("1.nc", "2.nc"))
-    run_python(AT_PIECE.format(piece=3, act=KILL.format(name="SIGKILL")) + RUN.format(target=one))
-    left = sorted(os.listdir(folder))
-    check_target(other)
-    assert sorted(os.listdir(folder)) == left != ["body.toml"]
-    check_target(one)
-    assert os.listdir(folder) == ["body.toml"]
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("target", ["run.nc", "run.zarr"])
 @pytest.mark.parametrize("dropped", [False, True])
 def test_interrupt_with_the_default_handler(folder, target, dropped):
@@ -181,18 +160,3 @@ def test_interrupt_with_the_default_handler(folder, target, dropped):
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "coadjoint: interrupted\n")
     assert sorted(os.listdir(folder)) == ["body.toml", target]
     assert is_old(target)
-
-
-@pytest.mark.long
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
-def test_unwritable_standard_output(folder):
-    code = "import sys\nfrom coadjoint.cli import run\nsys.argv = ['coadjoint', 'systems']\nrun()"
-    with open("/dev/full", "w") as full:
-        done = subprocess.run([sys.executable, "-c", code], stdout=full, stderr=-1, text=True, env=ENVIRONMENT)
-    assert done.returncode == 1
-    assert done.stderr.startswith("coadjoint: ") and done.stderr.endswith("\n") and done.stderr.count("\n") == 1
-    reading, writing = os.pipe()
-    os.close(reading)
-    done = subprocess.run([sys.executable, "-c", code], stdout=writing, stderr=-1, text=True, env=ENVIRONMENT)
-    os.close(writing)
-    assert (done.returncode, done.stderr) == (141, "")

@@ -6,7 +6,6 @@ import sys
 
 import pytest
 
-import coadjoint
 from core_only import ENVIRONMENT, run_python
 
 # The main thread exits after a loop of the daemon thread has begun; further loops begin while the interpreter ends.
@@ -49,7 +48,7 @@ import atexit; atexit.register(follow)
 """
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize(
     ("members", "options", "before"),
     [
@@ -116,14 +115,3 @@ def test_closed_streams_keep_their_descriptors(tmp_path):
     command = f'"{sys.executable}" -c "{code}" <&- >&- 2>&-'
     done = subprocess.run(["bash", "-c", command], env=ENVIRONMENT, timeout=200)
     assert done.returncode > 2
-
-
-def test_disabled_numba_is_named(monkeypatch):
-    pytest.importorskip("numba")
-    separable = coadjoint.Separable({0: (lambda y: 0.5 * y * y, lambda y: y)})
-    system = coadjoint.LiePoissonSystem(coadjoint.algebras.so(3), separable)
-    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
-    with pytest.raises(ImportError, match="NUMBA_DISABLE_JIT turns off; unset it"):
-        coadjoint.prepare(system, coadjoint.Splitting(), 0.1)
-    monkeypatch.setenv("NUMBA_DISABLE_JIT", "0")
-    coadjoint.prepare(system, coadjoint.Splitting(), 0.1)

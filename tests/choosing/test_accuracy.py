@@ -109,26 +109,6 @@ def test_processed_splittings_cost_less():
 # Refusals
 
 
-@pytest.mark.parametrize(
-    "options, words",
-    [
-        ({}, "neither of step and accuracy.*step="),
-        ({"step": 0.1, "accuracy": 1e-6}, "both of step and accuracy"),
-        ({"accuracy": "1e-6"}, "accuracy is '1e-6'.*number"),
-        ({"accuracy": True}, "accuracy is True.*number"),
-    ],
-)
-def test_wrong_types_are_refused(options, words):
-    with pytest.raises(TypeError, match=words):
-        co.integrate(BODY, X0, SPAN, **options)
-
-
-@pytest.mark.parametrize("accuracy", (0.0, -1e-6, 1.0, math.inf, math.nan))
-def test_wrong_numbers_are_refused(accuracy):
-    with pytest.raises(ValueError, match=r"accuracy is .*; it must (lie between 0 and 1|be finite)"):
-        co.choose(BODY, X0, SPAN, accuracy)
-
-
 def test_wrong_schemes_are_refused():
     with pytest.raises(TypeError, match=r"methods contains 3.*schemes"):
         co.choose(BODY, X0, SPAN, 1e-6, methods=[3])
@@ -137,15 +117,6 @@ def test_wrong_schemes_are_refused():
     with pytest.raises(ValueError, match="Splitting needs a Lie algebra"):
         skew = co.PoissonSystem(lambda x: np.array([[0.0, x[0]], [-x[0], 0.0]]), co.Quadratic([1.0, 2.0]))
         co.choose(skew, (1.0, 0.5), SPAN, 1e-6, methods=co.Splitting())
-
-
-def test_wrong_states_spans_and_attitudes_are_refused():
-    with pytest.raises(ValueError, match=r"x0 has the shape \(2,\)"):
-        co.choose(BODY, (1.0, 2.0), SPAN, 1e-6)
-    with pytest.raises(ValueError, match="the end of t_span is inf"):
-        co.choose(BODY, X0, (0, math.inf), 1e-6)
-    with pytest.raises(ValueError, match="attitude is 'spin'"):
-        co.choose(BODY, X0, SPAN, 1e-6, attitude="spin")
 
 
 def test_blow_up_names_its_time():

@@ -343,33 +343,6 @@ def test_command_runs_a_sweep_on_workers(tmp_path, monkeypatch, capsys):
     assert_same(co.open_archive("many.zarr"), alone.integrate())
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (("[sweep.over]", "[sweep]"), "run.toml: sweep"),
-        (("workers = 2", "workers = 0"), "run.toml: run.workers: must be 1 or more, not 0"),
-        (("workers = 2", "workers = 2\nt_eval = [0.5]"), "run.toml: run.t_eval: "),
-    ],
-)
-def test_invalid_workers_in_a_file_are_refused(tmp_path, monkeypatch, capsys, change, message):
-    from coadjoint import cli
-
-    monkeypatch.chdir(tmp_path)
-    Path("run.toml").write_text(SWEEP.replace(*change))
-    assert cli.main(["run", "run.toml"]) == 2
-    assert capsys.readouterr().err.startswith(message)
-
-
-def test_workers_require_an_ensemble(tmp_path, monkeypatch, capsys):
-    from coadjoint import cli
-
-    monkeypatch.chdir(tmp_path)
-    text = SWEEP.replace("[sweep.over]", "").replace('"initial.x[1]" = [0.25, -0.5]', "")
-    Path("run.toml").write_text("\n".join(line for line in text.splitlines() if "linear" not in line))
-    assert cli.main(["run", "run.toml"]) == 2
-    assert "run.workers: " in capsys.readouterr().err
-
-
 def processes():
     return [psutil.Process(), *psutil.Process().children(recursive=True)]
 

@@ -164,12 +164,6 @@ def test_errors_of_own_algebras_have_the_key(written, changes, expected):
     assert message.startswith(f"run.toml: {expected}")
 
 
-def test_saved_states_beyond_memory_are_refused(written):
-    found = load(written(READY_MADE, ("[0, 1]", "[0, 1e15]"), ("step = 0.1", "step = 1.0")))
-    with pytest.raises(ConfigurationError, match=r"run.toml: run.save_every: .*memory"):
-        found.integrate()
-
-
 def test_text_other_than_utf8_is_refused(tmp_path):
     (tmp_path / "run.toml").write_bytes(b"x = \xff")
     with pytest.raises(ConfigurationError, match=r"run.toml: .*UTF-8 \(byte 4\)"):
@@ -216,25 +210,6 @@ def test_forms_of_brackets_are_parsed():
         (0, 2): {},
         (1, 2): {0: 2.0},
     }
-
-
-@pytest.mark.parametrize("method", [
-    co.Splitting(parts=((0, 1), (2,)), scheme="suzuki4"),
-    co.ExplicitRungeKutta("runge2"),
-    co.Composition(co.GaussLegendre(stages=1), (0.25, 0.5, 0.25)),
-])  # fmt: skip
-def test_methods_are_rebuilt_from_descriptions(method):
-    assert registry.from_description(registry.description_of(method)) == method
-
-
-def test_public_schemes_are_registered():
-    public = {
-        name for name in ("Splitting", "Composition", "GaussLegendre", "ModifiedGaussLegendre", "IteratedGaussLegendre")
-    }
-    assert public <= set(registry.names())
-    for name in registry.names():
-        assert getattr(co, name).__name__ == name
-        assert registry.summary_of(name).endswith(".")
 
 
 def test_parameter_named_name(written):

@@ -12,8 +12,6 @@ import coadjoint as co
 from coadjoint.files.datasets.export import dataset_of, mark_failed, rebuild, solution_inputs
 from coadjoint.files.datasets.variables import parameters_of
 from coadjoint.files.output.output_files import write_dataset
-from coadjoint.files.records.records import record_of, system_of
-from coadjoint.optional_packages import MissingPackageError
 
 X = (1.0, 0.1, 0.5)
 
@@ -128,19 +126,6 @@ def test_many_similar_names_keep_their_values(seed, tmp_path):
                 np.testing.assert_allclose(found[name], (k + 1) * sol.x[:, coordinate], rtol=1e-15)
 
 
-def test_unstored_functions_are_named():
-    def height(x):
-        return x[0] * x[0]
-
-    def slope(x):
-        return np.array([2 * x[0], 0.0, 0.0])
-
-    record = record_of(co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(height, slope)))
-    assert record["not_stored"] == ["hamiltonian: height"]
-    with pytest.raises(ValueError, match=r"functions are not stored \(hamiltonian: height\)"):
-        system_of(json.loads(json.dumps(record)))
-
-
 def test_casimir_functions_are_not_rebuilt():
     system = co.LiePoissonSystem(co.algebras.A3_7(2.0), co.Quadratic([1.0, 2.0, 0.01]))
     sol = co.integrate(system, X, (0.0, 1.0), 0.1)
@@ -217,31 +202,11 @@ def test_span_of_a_run_that_failed_at_once():
     assert solution_inputs(dataset_of(failure.value.partial))["t_span"] == (0.0, 1000.0)
 
 
-def test_other_datasets_are_refused():
-    with pytest.raises(ValueError, match="no attribute 'system'"):
-        solution_inputs(xarray.Dataset())
-
-
-def test_netcdf_requires_its_packages(tmp_path, monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(MissingPackageError, match="xarray, h5netcdf and h5py"):
-        write_dataset(xarray.Dataset(), tmp_path / "run.nc")
-
-
 # Parameters in which the systems of a batch differ.
 
 CONSTANTS = np.array([2.5, 3.0, 4.0])
 BODIES = co.batch([co.systems.rigid_body(inertia=(2, 3, c)) for c in CONSTANTS])
 STATES = np.array([(1.0, 0.2, 0.1), (0.3, 1.0, 0.1), (0.1, 0.2, 1.0)])
-
-
-def test_swept_parameters_are_coordinates():
-    found = co.integrate(BODIES, STATES, (0, 1), 0.1).to_xarray()
-    assert found["swept_inertia_2"].dims == ("member",) and np.array_equal(found["swept_inertia_2"], CONSTANTS)
-    assert found["swept_inertia_2"].attrs["long_name"] == "system.parameters.inertia[2]"
-    assert "swept_inertia_0" not in found.coords and "swept_inertia_1" not in found.coords
-    chosen = found.x.isel(time=-1).swap_dims(member="swept_inertia_2").sel(swept_inertia_2=3.0)
-    assert np.array_equal(chosen, found.x[-1, 1])
 
 
 @pytest.mark.parametrize(("run", "options"), [(co.integrate, {}), (co.ensemble, {"members_per_block": 2})])

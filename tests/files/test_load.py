@@ -255,20 +255,6 @@ def test_initial_invariants_of_a_batch(tmp_path):
         np.testing.assert_allclose(found.initial[name], values, rtol=0, atol=1e-15)
 
 
-def test_copies_preserve_the_given_system(tmp_path):
-    body = co.systems.rigid_body((1, 2, 3))
-    co.integrate(body, X, (7.5, 9.5), 0.125).to_xarray().to_netcdf(tmp_path / "body.nc", engine="h5netcdf")
-    co.integrate(body, X, (7.5, 9.5), 0.125, archive=tmp_path / "body.zarr")
-    for name in ("body.nc", "body.zarr"):
-        copy = pickle.loads(pickle.dumps(co.load(tmp_path / name, system=BODY)))
-        assert copy.path == tmp_path / name and copy.system.parameters == BODY.parameters
-    system = driven()
-    found = co.load(tmp_path / "body.nc", system)
-    again = pickle.loads(pickle.dumps(found))
-    assert found.system is system
-    assert again.system.energy(np.array(X), 2.0) == system.energy(np.array(X), 2.0)
-
-
 def test_changing_the_dataset_leaves_the_solution(tmp_path):
     sol = RUNS["observed"]()
     write_dataset(sol.to_xarray(), tmp_path / "run.nc")

@@ -290,6 +290,7 @@ def test_unstored_functions_are_named():
             ["force: Torque (member 1)"],
         ),
         "second layer": (second, ["stream: Changing"]),
+        "bracket": (co.PoissonSystem(SO3.structure_matrix, Q, dim=3), ["structure matrix: structure_matrix"]),
     }
     for name, (system, wanted) in lost.items():
         record = through_json(system)

@@ -178,8 +178,3 @@ def test_schema_contains_registered_schemes():
     finally:
         registry.forget("Still")
     assert tables["Nothing moves."]["properties"]["factor"]["type"] == "number"
-
-
-def test_command_prints_the_schema(capsys):
-    assert cli.main(["schema"]) == 0
-    assert json.loads(capsys.readouterr().out) == schema()

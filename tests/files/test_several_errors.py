@@ -59,12 +59,6 @@ def test_errors_of_the_system_are_joined(tmp_path, wrong):
     assert all(MISTAKES[key][1] in message for key in wrong) and message.count("; and ") == len(wrong) - 1
 
 
-@pytest.mark.parametrize("wrong", MISTAKES)
-def test_single_error_is_reported_alone(tmp_path, wrong):
-    message = refused(tmp_path, **{wrong: MISTAKES[wrong][0]})
-    assert MISTAKES[wrong][1] in message and "; and " not in message
-
-
 def test_many_long_errors_stay_in_one_line():
     message = join_messages([f"key{k}: " + "long " * 100 for k in range(7)])
     assert (

@@ -57,12 +57,6 @@ def test_forced_run_is_rebuilt_to_the_same_bits(attitude):
     assert np.array_equal(copy["HeatBath"]["energy"], sol.work["HeatBath"]["energy"])
 
 
-def test_forced_batch_is_rebuilt():
-    systems = co.batch([BODY.with_forces(FORCES[0], force) for force in (FORCES[1], co.forces.Torque((0.1, 0.0, 0.0)))])
-    sol = co.integrate(systems, X, (0, 2), 0.125)
-    assert np.array_equal(rebuild(dataset_of(sol)).x, sol.x) and not np.array_equal(sol.x[-1, 0], sol.x[-1, 1])
-
-
 def test_force_functions_are_named_and_not_stored():
     forced = BODY.with_forces(FORCES[0], co.forces.Torque(lambda t: np.array([0.0, 0.0, np.sin(t)])))
     record = record_of(forced)
@@ -106,11 +100,6 @@ def test_command_prints_change_and_balance(tmp_path, capsys):
     assert float(energy[1]) > 0.01 > 1e-3 > float(energy[2])
     assert main(["certify", str(path)]) == 2
     assert "has forces" in capsys.readouterr().err
-
-
-def test_plots_are_labelled_change():
-    figure = co.integrate(BODY.with_forces(FORCES[0]), X, (0, 2), 0.125).plot()
-    assert figure.axes[0].get_title().startswith("change of the energy")
 
 
 FLUID = """

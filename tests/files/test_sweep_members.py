@@ -197,7 +197,6 @@ def test_paths_are_relative_to_the_configuration(swept, tmp_path):
         ('"initial.x" = { file = "one.npy" }', "sweep.over.initial.x: 'one.npy' holds an array of shape (); its "),
         ('"initial.x[0]" = { values = [1.0], column = 0 }', "sweep.over.initial.x[0]: column belongs to file"),
         ('"initial.x[0]" = { linear = [0, 1, 2], count = 3 }', "sweep.over.initial.x[0].linear: must be a list of two"),
-        ('"initial.x[0]" = { values = [1.0], count = 1 }', "sweep.over.initial.x[0]: count belongs to a grid"),
         ('"initial.x[0]" = {}', "sweep.over.initial.x[0]: has none of values, linear"),
         ('"initial.x[0][1]" = [1.0]', "sweep.over.initial.x[0][1]: the list in the file has no entry 1"),
         ('"system.parameters.inertia[2]" = [3.0, -1.0]\n"initial.x[0]" = [1, 2, 3]', "system: inertia[2] is -1; every "
@@ -216,12 +215,9 @@ def test_errors_have_the_key(swept, tmp_path, over, message):
     ("beside", "over", "message"),
     [
         ("samples = 2", '"initial.x" = { sphere = 1.0 }', "sweep: over 'initial.x' is random; give samples"),
-        ("seed = 2", '"initial.x" = { sphere = 1.0 }', "sweep: over 'initial.x' is random; give samples"),
-        ("seed = 2", '"initial.x[0]" = [1.0]', "sweep: samples and seed belong to random settings"),
         ("samples = 2", '"initial.x[0]" = [1.0]', "sweep: samples and seed belong to random settings"),
         ("samples = 0\nseed = 1", '"initial.x" = { sphere = 1.0 }', "sweep.samples: must be 1 or more, not 0"),
         ("samples = 2\nseed = -1", '"initial.x" = { sphere = 1.0 }', "sweep.seed: must be 0 or more, not -1"),
-        ("samples = 2\nseed = 1", '"initial.x[0]" = { orbit = 1.0 }', "sweep.over.initial.x[0]: orbit applies to"),
         ("samples = 2\nseed = 1", '"initial.x[0]" = { sphere = 1.0 }', "sweep.over.initial.x[0]: sphere applies to"),
         ("samples = 2\nseed = 1", '"initial.x" = { uniform = [[0, 1], 2] }', "sweep.over.initial.x: an end has the "),
         ("samples = 2\nseed = 1", '"initial.x" = { normal = [0, [1, 2]] }', "sweep.over.initial.x: mean or deviation "),

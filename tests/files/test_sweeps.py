@@ -133,12 +133,6 @@ def test_orbits_preserve_casimirs(name):
         assert casimir(y) == pytest.approx(casimir(x), rel=1e-12, abs=1e-12)
 
 
-def test_orbit_of_the_initial_state(written):
-    found = load(written(swept('"initial.x" = { orbit = 0.5 }', "samples = 4\nseed = 3")))
-    np.testing.assert_allclose(np.linalg.norm(found.x0, axis=1), np.linalg.norm([1.0, 0.1, 0.5]), rtol=1e-14)
-    assert len({tuple(x) for x in found.x0.tolist()}) == 4
-
-
 def test_sweeps_over_named_states_forces_and_constants(written):
     fluid = """
     system = {name = "torus_euler", parameters = {N = 5}}

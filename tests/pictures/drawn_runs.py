@@ -8,15 +8,30 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+import coadjoint as co
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import kinds
 
+T0 = 7.3
+SENSES = [1.0, -1.0]
+BODY = co.systems.rigid_body((1.0, 2.0, 3.0))
+SPIN = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, 1.0]))
+BARE = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.7]), casimirs={})
 
-def made(t: np.ndarray, x: np.ndarray, system: Any, **series: Any) -> Any:
+
+def made(t: np.ndarray, x: np.ndarray, system: Any = BODY, **series: Any) -> Any:
     """Return the data of a run, of members if x is (k, members, n)."""
     failed = np.zeros(x.shape[1], dtype=bool) if x.ndim > 2 else None
-    empty = {"casimirs": {}, "work": {}, "observed": {}, "events": None, "carried": None, "attitude": None}
-    return SimpleNamespace(t=t, x=x, system=system, failed=failed, **{**empty, **series})
+    empty = {
+        "failed": failed,
+        "casimirs": {},
+        "work": {},
+        "observed": {},
+        "events": None,
+        "carried": None,
+        "attitude": None,
+    }
+    return SimpleNamespace(t=t, x=x, system=system, **{**empty, **series})
 
 
 def axes_of(run: Any, name: str, members: Any = None, **options: Any) -> Any:
@@ -24,3 +39,15 @@ def axes_of(run: Any, name: str, members: Any = None, **options: Any) -> Any:
     axes = Figure().add_subplot(projection=kinds()[name].projection)
     kinds()[name].prepare(PlottedRun(run, members), **options)(axes)
     return axes
+
+
+def shown(run: Any, picture: Any, members: Any = None) -> Any:
+    """Return the axes of one picture as `plot` draws it, without the time of a layout."""
+    kind = kinds()[picture if isinstance(picture, str) else picture.kind]
+    axes = Figure().add_subplot(projection=kind.projection)
+    run.plot([picture], axes=axes, members=members)
+    return axes
+
+
+def data(line: Any) -> np.ndarray:
+    return np.asarray(line.get_data(), dtype=np.float64)

@@ -1,15 +1,17 @@
-"""The figure of a certificate."""
+"""Figures of certificates and of phase errors."""
 
+import re
 from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from drawn_runs import BODY, data
 
 import coadjoint as co
+from coadjoint.analysis.phase_drift import drift_of_series
 from coadjoint.pictures.certificate import FAIL_COLOUR, PASS_COLOUR, UNDECIDED_COLOUR, draw_certificate
-
-BODY = co.systems.rigid_body(inertia=(1, 2, 3))
+from coadjoint.pictures.phase_drift import draw_phase_drift, with_error
 
 
 @pytest.mark.long
@@ -41,10 +43,6 @@ def row(key, evidence=None, **given):
 def certificate(rows, **given):
     subject = {"system": {"name": "a $body"}, "scheme": {"shown": "of mine"}, "step": -0.25}
     return SimpleNamespace(**{"rows": rows, "subject": subject, "passed": True, "declares": True, **given})
-
-
-def data(line):
-    return np.asarray(line.get_data(), dtype=np.float64)
 
 
 STEPS = np.array([0.4, 0.2, 0.1, 0.05])
@@ -107,3 +105,52 @@ def test_certificates_without_measurements(passed, declares, said):
         texts = [[found.get_text() for found in axes.texts] for axes in figure.axes[:3]]
         assert texts == [["every state rests"], ["no defect above round-off"], [text]]
         assert figure.get_suptitle().endswith(f":  {said}")
+
+
+def test_lines_are_the_series_and_its_line() -> None:
+    t = np.arange(500) * 0.5
+    drift = drift_of_series(t, 2.0 + 0.01 * t + 0.1 * np.cos(t))
+    lead, _ = drift.plot().axes
+    _, line = lead.get_lines()
+    assert line.get_ydata()[0] == pytest.approx(drift.intercept)
+    assert "linear" in lead.get_title() and "0.036) \\times 10^{-3}" in line.get_label()
+    assert lead.get_ylabel() == "lead [unit of time]"
+    assert "0.011" in draw_phase_drift(drift, predicted=0.011).axes[0].get_lines()[2].get_label()
+    assert draw_phase_drift(drift_of_series(t, t, "radians")).axes[0].get_ylabel() == "lead [rad]"
+
+
+def read_back(text: str) -> tuple[float, float, float]:
+    """Return the value, the error, and the unit of the last digit, which both share."""
+    value, error, power = re.fullmatch(r"\$\((-?[\d.]+) \\pm ([\d.]+)\) \\times 10\^\{(-?\d+)\}\$", text).groups()
+    digits = [len(number.partition(".")[2]) for number in (value, error)]
+    assert digits[0] == digits[1] and 1.0 <= max(abs(float(value)), float(error)) <= 10.0
+    return float(value) * 10.0 ** int(power), float(error) * 10.0 ** int(power), 10.0 ** (int(power) - digits[0])
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+@pytest.mark.parametrize("part", [1e-9, 1.3e-3, 0.0996, 0.97, 1.0, 4.1, 750.0, 1e12])
+@pytest.mark.parametrize("size", [3.7e-14, 0.5, 2.2e9])
+def test_a_value_has_two_digits_of_its_error_whichever_is_larger(size, part, sense) -> None:
+    value, error, unit = read_back(with_error(sense * size, part * size))
+    # The error has two digits before the unit: from 10 to 99 of it, or 100 if it is rounded up.
+    assert 9.5 <= part * size / unit < 100.0
+    assert abs(value - sense * size) <= 0.501 * unit and abs(error - part * size) <= 0.501 * unit
+
+
+def test_values_and_errors_of_zero() -> None:
+    assert read_back(with_error(0.0, 2.5e-7))[:2] == (0.0, pytest.approx(2.5e-7))
+    assert read_back(with_error(-1.25e4, 0.0)) == (-1.25e4, 0.0, pytest.approx(1e-2))
+    assert with_error(0.0, 0.0) == "$0$" and with_error(np.inf, 1.0) == "$inf$"
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_phase_error_without_a_slope_is_drawn_with_its_uncertainty(sense) -> None:
+    t = sense * np.arange(400) * 0.5
+    found = drift_of_series(t, np.cos(t))
+    assert found.growth == "bounded" and abs(found.slope) < found.uncertainty
+    lead, rest = found.plot().axes
+    value, error, unit = read_back(lead.get_lines()[1].get_label().removeprefix("slope "))
+    assert abs(value - found.slope) <= 0.501 * unit and abs(error - found.uncertainty) <= 0.501 * unit
+    assert f"rms {found.deviation:.2g}," in rest.get_title() and f"t^{{{found.exponent:.2f}}}" in rest.get_title()
+    own = draw_phase_drift(found, predicted=0.01 * sense).axes[0].get_lines()
+    np.testing.assert_allclose(np.mean(own[2].get_ydata()), np.mean(own[1].get_ydata()), atol=1e-12)

@@ -9,15 +9,14 @@ from typing import Any
 import drawn_runs
 import numpy as np
 import pytest
-from drawn_runs import axes_of
+from drawn_runs import BARE, BODY, T0, axes_of
 
 import coadjoint as co
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow
 from coadjoint.systems.gallery_entry import Picture
 
-T0 = 7.3
-BODY = co.systems.rigid_body((1.0, 2.0, 3.0))
+STYLE = ("color", "label", "linewidth")
 GOOD = [[0.1, 1.0, 0.2], [1.0, 0.2, 0.3]]
 
 
@@ -56,7 +55,6 @@ def test_bodies_are_drawn_with_the_gaps_of_those_that_fail(bad):
         assert np.isfinite(limits).all()
 
 
-BARE = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.7]), casimirs={})
 HYPERBOLIC = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, 0.5, 0.7]))
 
 
@@ -155,10 +153,7 @@ def test_whether_lines_are_drawn_is_seen_on_a_member_that_lives_with_its_own_fie
 def made(deviations: Any, energy: Any, failed: Any = None) -> Any:
     t = T0 + 0.1 * np.arange(len(energy))
     casimirs = {f"C{i}": 5.0 + values for i, values in enumerate(deviations)}
-    x = np.ones((*energy.shape, 3))
-    return SimpleNamespace(
-        t=t, x=x, system=BODY, failed=failed, energy=energy, casimirs=casimirs, work={}, carried=None, attitude=None
-    )
+    return drawn_runs.made(t, np.ones((*energy.shape, 3)), failed=failed, energy=energy, casimirs=casimirs)
 
 
 def test_the_worst_casimirs_are_those_of_the_members_that_live_and_the_band_spans_all():
@@ -215,8 +210,4 @@ def test_one_member_of_an_ensemble_is_drawn_as_one():
         assert both[0].get_title() == both[1].get_title() and len(both[0].lines) == len(both[1].lines)
         for one, other in zip(*(axes.lines for axes in both), strict=True):
             np.testing.assert_array_equal(one.get_data(), other.get_data())
-            assert (one.get_color(), one.get_label(), one.get_linewidth()) == (
-                other.get_color(),
-                other.get_label(),
-                other.get_linewidth(),
-            )
+            assert all(getattr(one, f"get_{part}")() == getattr(other, f"get_{part}")() for part in STYLE)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
+from drawn_runs import shown
 
 import coadjoint as co
 from coadjoint.pictures.fluids import part_on_grid
@@ -26,13 +26,6 @@ def square():
     s = co.systems.torus_euler(N=15)
     W = s.from_modes({(1, 2): 0.5, (2, 0): 0.3j, (0, 1): -0.2})
     return co.integrate(s, W, (0.0, 1.0), 0.05, co.IsospectralGauss())
-
-
-def shown(run, picture):
-    figure = Figure()
-    axes = figure.add_subplot()
-    run.plot([picture], axes=axes)
-    return axes
 
 
 @pytest.mark.parametrize("name", PROJECTIONS)
@@ -187,29 +180,6 @@ def test_large_scales_are_the_relative_vorticity_along_the_projections_of_its_st
     if kind == "two fields":
         carried = part_on_grid(fluid, state, "carried", shape)
         np.testing.assert_allclose(carried, still.to_grid(state[0], shape), atol=1e-13)
-
-
-@pytest.mark.parametrize("which", ["ball", "square"])
-def test_spectra_and_shares_are_those_of_the_system(which, request):
-    run = request.getfixturevalue(which)
-    s = run.system
-    lines = shown(run, "field spectra").lines
-    scales, energy = s.energy_spectrum(run.x[-1])
-    _, enstrophy = s.enstrophy_spectrum(run.x[-1])
-    last = {line.get_label().partition(",")[0]: line for line in lines if line.get_linestyle() == "-"}
-    np.testing.assert_array_equal(last["energy"].get_xdata(), scales)
-    np.testing.assert_array_equal(last["energy"].get_ydata(), np.where(energy > 0, energy, np.nan))
-    np.testing.assert_array_equal(last["enstrophy"].get_ydata(), np.where(enstrophy > 0, enstrophy, np.nan))
-    first = next(line for line in lines if line.get_linestyle() == "--")
-    np.testing.assert_array_equal(np.nan_to_num(first.get_ydata()), s.energy_spectrum(run.x[0])[1])
-    axes = shown(run, "energy by scale")
-    letter = "l" if which == "ball" else "|n|"
-    for line in axes.lines:
-        scale = int(line.get_label().strip("$").partition("=")[2])
-        assert line.get_label() == f"${letter} = {scale}$"
-        wanted = [(e := s.energy_spectrum(W)[1])[scale - 1] / e.sum() for W in run.x]
-        np.testing.assert_allclose(line.get_ydata(), wanted, rtol=1e-13)
-    assert sum(line.get_ydata()[0] for line in axes.lines) <= 1.0 + 1e-12
 
 
 def test_eigenvalues_and_relative_drift(ball):

@@ -5,7 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from matplotlib.collections import PolyCollection, QuadMesh
+from drawn_runs import shown
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
@@ -17,15 +18,6 @@ from coadjoint.pictures.register import CannotShow, kinds
 from coadjoint.systems.gallery_entry import Picture
 from coadjoint.systems.lattices.neighbours import CELLS, graph
 from coadjoint.systems.registry import gallery_entry_of
-
-
-def shown(run, picture):
-    """Return the axes of one picture, without the time that a layout takes."""
-    figure = Figure()
-    found = kinds()[picture if isinstance(picture, str) else picture.kind]
-    axes = figure.add_subplot(projection=found.projection)
-    run.plot([picture], axes=axes)
-    return axes
 
 
 def test_spins_stand_on_their_sites_and_point_as_they_do():
@@ -131,18 +123,6 @@ def test_the_path_in_space_is_the_integral_of_the_velocity():
     strokes = np.array(axes.lines[1].get_data_3d()).T.reshape(-1, 3, 3)
     along = strokes[:, 1] - strokes[:, 0]
     np.testing.assert_allclose(along[0] / np.linalg.norm(along[0]), run.attitude[0, :3, 1], atol=1e-12)
-
-
-def test_what_travels_is_seen_at_its_site_and_time():
-    ring = co.systems.toda_ring(8)
-    x0 = np.concatenate([np.zeros(8), 0.5 + 0.4 * (np.arange(8) == 2)])
-    run = co.integrate(ring, x0, (0.0, 4.0), 0.1)
-    axes = run.plot().axes[2]
-    (mesh,) = (drawn for drawn in axes.collections if isinstance(drawn, QuadMesh))
-    np.testing.assert_array_equal(mesh.get_array(), run.x[:, 8:])
-    corners = mesh.get_coordinates()
-    assert corners[0, :, 0].tolist() == [i + 0.5 for i in range(9)]
-    np.testing.assert_allclose(corners[:, 0, 1], 0.1 * np.arange(42) - 0.05, rtol=0, atol=1e-12)
 
 
 def test_a_cyclic_portrait_leaves_and_enters():
@@ -392,9 +372,3 @@ def test_rings_and_graphs_stand_on_a_circle_with_neighbours_a_unit_apart(count):
     np.testing.assert_allclose(np.hypot(x, y), radius, rtol=1e-14)
     np.testing.assert_allclose(turn[1:], 2.0 * np.pi * np.arange(1, count) / count, rtol=1e-13)
     assert (x[0], y[0]) == (0.0, radius)
-
-
-@pytest.mark.parametrize(("part", "index"), [(-0.5, 0), (0.0, 0), (0.24, 2), (1.0, 10), (7.0, 10)])
-def test_fractions_outside_the_span_are_its_ends(part, index):
-    run = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.1, 1.0, 0.2), (2.0, 1.0), 0.1)
-    assert PlottedRun(run).index_at(part) == index

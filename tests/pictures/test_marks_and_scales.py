@@ -8,7 +8,7 @@ from typing import Any
 import drawn_runs
 import numpy as np
 import pytest
-from drawn_runs import axes_of
+from drawn_runs import BARE, BODY, SENSES, SPIN, T0, axes_of, data
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
@@ -27,10 +27,6 @@ from coadjoint.pictures.register import CannotShow
 from coadjoint.pictures.style import INK, colour
 from coadjoint.systems.gallery_entry import Picture
 
-T0 = 7.3
-SENSES = [1.0, -1.0]
-BODY = co.systems.rigid_body((1.0, 2.0, 3.0))
-SPIN = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, 1.0]))
 TURN = 2.0 * np.pi * np.arange(200) / 200
 
 
@@ -42,10 +38,6 @@ def spinning(phase: np.ndarray, t: np.ndarray, sense: float = 1.0) -> Any:
     """Return the data of a spin that turns at the rate 1."""
     rising = np.sign(SPIN.vector_field(np.array([1.0, 0.0, 0.0]))[1])
     return made(np.stack([np.cos(phase), sense * rising * np.sin(phase), 0.0 * t + 0.5], axis=-1), SPIN, t)
-
-
-def data(line: Any) -> np.ndarray:
-    return np.asarray(line.get_data(), dtype=np.float64)
 
 
 # Axes and labels of the time between changes of sign
@@ -348,9 +340,8 @@ def test_the_surface_is_that_of_the_first_member_drawn(members):
 
 
 def test_orbits_without_a_surface_are_framed_with_every_member():
-    bare = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.7]), casimirs={})
     x = np.random.default_rng(7).normal(size=(30, 3, 3)) * np.array([1.0, 5.0, 2.0])[:, None] + 3.0
-    axes = axes_of(made(x, bare), "coadjoint orbit")
+    axes = axes_of(made(x, BARE), "coadjoint orbit")
     for i, (low, high) in enumerate((axes.get_xlim(), axes.get_ylim(), axes.get_zlim())):
         assert low < x[..., i].min() and x[..., i].max() < high
     assert "no Casimir is known" in axes.get_title() and not axes.collections

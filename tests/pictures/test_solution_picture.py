@@ -1,22 +1,29 @@
-"""The figure of a run shows the run: its panels, its lines, its numbers."""
+"""The figure of a run: panels, level surfaces, and the flip of the middle axis that the README shows."""
 
+import importlib.util
+import math
+from pathlib import Path
 from typing import Any
 
 import matplotlib
+import mpmath
 import numpy as np
 import pytest
+from drawn_runs import BODY
 from matplotlib.figure import Figure
 
 import coadjoint as co
+from coadjoint.analysis.periods import period
 from coadjoint.pictures.kinds.coadjoint_orbit import surface_casimir
-from coadjoint.pictures.solution import draw_solution
+from coadjoint.pictures.kinds.components import flip_times
+from coadjoint.pictures.level_surface import level_surface
 from coadjoint.pictures.style import symbol
+from coadjoint.runs.example_run import run_example
 
 
 @pytest.fixture(scope="module")
 def body_run() -> co.Solution:
-    body = co.systems.rigid_body(inertia=(1, 2, 3))
-    return co.integrate(body, (0.1, 1.0, 0.1), (0.0, 20.0), 0.1, co.Splitting(order=2))
+    return co.integrate(BODY, (0.1, 1.0, 0.1), (0.0, 20.0), 0.1, co.Splitting(order=2))
 
 
 def _three_dimensional(figure: Figure) -> list:
@@ -38,34 +45,6 @@ def test_panels_of_a_body(body_run: co.Solution) -> None:
     assert orbit.name == "3d"
     assert "level surface of $|x|^2$" in orbit.get_title()
     assert "rigid_body" in figure.get_suptitle()
-
-
-def test_drift_lines_are_the_deviations(body_run: co.Solution) -> None:
-    lines = {line.get_label(): line for line in body_run.plot().axes[0].lines}
-    assert set(lines) == {"$H$", "$|x|^2$"}
-    deviation = np.abs(body_run.energy - body_run.energy[0])
-    shown = lines["$H$"].get_ydata()
-    assert np.array_equal(shown[deviation > 0], deviation[deviation > 0])
-    assert np.all(np.isnan(shown[deviation == 0]))
-
-
-def test_component_lines_and_orbit_are_the_momentum(body_run: co.Solution) -> None:
-    _, components, orbit = body_run.plot().axes
-    for i, line in enumerate(components.lines):
-        assert np.array_equal(line.get_xdata(), body_run.t)
-        assert np.array_equal(line.get_ydata(), body_run.x[:, i])
-    path = np.array(orbit.lines[0].get_data_3d()).T
-    assert np.array_equal(path, body_run.x)
-
-
-@pytest.mark.long
-def test_sphere_is_drawn_whole(body_run: co.Solution) -> None:
-    orbit = _three_dimensional(body_run.plot())[0]
-    corners = _corners(orbit).T
-    radius = np.linalg.norm(body_run.x[0])
-    assert np.linalg.norm(corners, axis=0) == pytest.approx(np.full(corners.shape[1], radius), rel=0.01)
-    assert np.all(np.abs([corners.min(axis=1), corners.max(axis=1)]) > 0.99 * radius)
-    assert orbit.get_xlim()[1] > radius
 
 
 @pytest.mark.long
@@ -92,13 +71,6 @@ def test_surfaces_that_are_not_compact(system: co.LiePoissonSystem, x0: tuple[fl
         assert limits[0] < run.x[:, i].min() and run.x[:, i].max() < limits[1]
 
 
-def test_no_casimir_is_said() -> None:
-    bare = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.7]), casimirs={})
-    orbit = _three_dimensional(co.integrate(bare, (1.0, 0.3, 0.5), (0.0, 5.0), 0.1).plot())[0]
-    assert "no Casimir" in orbit.get_title()
-    assert len(orbit.collections) == 0
-
-
 def test_many_coordinates_are_thinned_and_said() -> None:
     body = co.LiePoissonSystem(co.algebras.so(5), co.Quadratic(np.arange(1.0, 11.0)))
     run = co.integrate(body, np.linspace(-1.0, 1.0, 10), (0.0, 1.0), 0.01)
@@ -112,30 +84,8 @@ def test_many_coordinates_are_thinned_and_said() -> None:
     assert np.array_equal(components.lines[-1].get_ydata(), run.x[:, 9])
 
 
-def test_ensemble_draws_twenty_members_and_says_so() -> None:
-    body = co.systems.rigid_body(inertia=(1, 2, 3))
-    starts = np.random.default_rng(5).normal(size=(30, 3))
-    run = co.integrate(body, starts, (0.0, 2.0), 0.1)
-    figure = draw_solution(run)
-    assert "20 of 30 members" in figure.get_suptitle()
-    drift, components, orbit = figure.axes
-    assert len(components.lines) == 3 * 20
-    assert len(drift.lines) == 2 * 20
-    assert len(drift.get_legend().get_texts()) == 2
-    assert np.array_equal(components.lines[0].get_ydata(), run.x[:, 0, 0])
-    assert np.array_equal(components.lines[19].get_ydata(), run.x[:, 29, 0])
-    assert len(orbit.lines) == 2 * 20
-
-
-def test_fixed_point_says_that_nothing_moves() -> None:
-    body = co.systems.rigid_body(inertia=(1, 2, 3))
-    drift = co.integrate(body, (0.0, 0.0, 0.0), (0.0, 1.0), 0.1).plot().axes[0]
-    assert [text.get_text() for text in drift.texts] == ["no deviation in any bit"]
-
-
 def test_long_runs_are_thinned_to_what_can_be_seen() -> None:
-    body = co.systems.rigid_body(inertia=(1, 2, 3))
-    run = co.integrate(body, (0.1, 1.0, 0.1), (0.0, 18000.0), 0.1)
+    run = co.integrate(BODY, (0.1, 1.0, 0.1), (0.0, 18000.0), 0.1)
     _, components, orbit = run.plot().axes
     (path,) = (line for line in orbit.lines if len(line.get_data_3d()[0]) > 1)
     assert len(path.get_data_3d()[0]) <= 20_001
@@ -155,19 +105,11 @@ def test_nothing_global_changes(body_run: co.Solution, tmp_path) -> None:
     assert (tmp_path / "run.png").stat().st_size > 10_000
 
 
-def test_names() -> None:
-    assert str(co.GaussLegendre(stages=3)) == "GaussLegendre(stages=3)"
-    assert "Splitting(order=2)" in str(co.Composition(co.Splitting(order=2), (0.5, 0.5)))
-    assert symbol("100$") == r"100\$"
-    assert surface_casimir({}) is None
-
-
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize(("count", "members"), [(1, None), (3, None), (3, [2, 0]), (20, None), (21, None), (21, [20])])
 def test_the_headline_has_the_numbers_of_members(count: int, members: Any) -> None:
-    body = co.systems.rigid_body(inertia=(1, 2, 3))
     starts = np.random.default_rng(count).normal(size=(count, 3))
-    figure = co.integrate(body, starts, (0.0, 0.5), 0.125).plot(["drift"], members=members)
+    figure = co.integrate(BODY, starts, (0.0, 0.5), 0.125).plot(["drift"], members=members)
     shown = min(count, 20) if members is None else len(members)
     said = f"{shown} of {count} members" if shown < count else f"{count} members" if count > 1 else "step 0.125"
     assert " ".join(figure.get_suptitle().split()).split(", ")[-1] == said
@@ -183,3 +125,147 @@ def test_the_surface_is_that_of_a_polynomial_if_there_is_one() -> None:
     assert surface_casimir({"x3": plane, "f": other, "x1^2": square}) == "x3"
     assert surface_casimir({"f": other, "g": other}) == "f"
     assert surface_casimir({}) is None
+    assert symbol("100$") == r"100\$"
+
+
+BOX = [(-1.3, 1.2)] * 3
+CELLS = 24
+
+
+def _area(triangles: np.ndarray) -> float:
+    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    return float(0.5 * np.linalg.norm(normal, axis=1).sum())
+
+
+def test_sphere_has_its_radius_and_its_area() -> None:
+    sphere = co.algebras.so(3).casimirs_known["|x|^2"]
+    triangles = level_surface(sphere, 1.0, BOX, cells=CELLS)
+    cell = 2.5 / CELLS
+    # Linear interpolation on edges of length d is off by d^2/8 times the curvature; the longest edge is a diagonal.
+    assert np.max(np.abs(np.linalg.norm(triangles, axis=2) - 1.0)) < 3 * cell**2 / 8 * 1.2
+    assert _area(triangles) == pytest.approx(4 * np.pi, rel=2 * cell**2)
+
+
+def test_surface_is_closed() -> None:
+    sphere = co.algebras.so(3).casimirs_known["|x|^2"]
+    triangles = np.round(level_surface(sphere, 1.0, BOX, cells=8), 9)
+    # Divergence theorem: the vector areas of a closed surface cancel, whichever way each triangle is turned outward.
+    normal = 0.5 * np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    outward = np.sign(np.einsum("ij,ij->i", normal, triangles.mean(axis=1)))
+    assert np.linalg.norm((normal * outward[:, None]).sum(axis=0)) < 1e-7 * np.abs(normal).sum()
+
+
+@pytest.mark.long
+def test_multivalued_casimir_is_followed_across_its_cut() -> None:
+    a = 0.2
+    casimir = co.algebras.A3_7(a).casimirs_known["log C"]
+    triangles = level_surface(casimir, 0.0, [(-3.0, 3.0), (-3.0, 3.0), (0.0, 1.0)], cells=40, period=casimir.period)
+    points = triangles.reshape(-1, 3)
+    angle = np.arctan2(points[:, 1], points[:, 0])
+    # r = exp(a theta) on every turn: log r - a theta is a multiple of 2 pi a.
+    turns = (0.5 * np.log(points[:, 0] ** 2 + points[:, 1] ** 2) - a * angle) / (2 * np.pi * a)
+    far = np.hypot(points[:, 0], points[:, 1]) > 0.8
+    assert np.max(np.abs(turns - np.rint(turns))[far]) < 0.02
+    # Both sides of the cut of the arctangent, theta = pi, on the turn through r = exp(a pi).
+    for side in (-1.0, 1.0):
+        near = (
+            (np.abs(points[:, 0] + np.exp(a * np.pi)) < 0.2) & (side * points[:, 1] > 0) & (np.abs(points[:, 1]) < 0.3)
+        )
+        assert np.any(near)
+
+
+def test_level_that_is_not_met_gives_nothing() -> None:
+    assert level_surface(co.algebras.so(3).casimirs_known["|x|^2"], 100.0, BOX, cells=5).shape == (0, 3, 3)
+
+
+def test_wrong_box_is_refused() -> None:
+    with pytest.raises(ValueError, match="three pairs"):
+        level_surface(lambda x: x[0], 0.0, [(0.0, 0.0)] * 3)
+
+
+@pytest.mark.parametrize(
+    ("function", "level"),
+    [
+        (lambda x: math.log(x[0]), math.log(0.7)),  # a ValueError below zero
+        (lambda x: 1.0 / max(0.0, float(x[0])), 1.0 / 0.7),  # a ZeroDivisionError there
+        (lambda x: np.log(x[0]), math.log(0.7)),  # NaN and a warning there
+    ],
+)
+def test_surfaces_of_functions_that_are_not_defined_everywhere_are_complete(function, level) -> None:
+    box = [(-1.0, 1.4), (-0.5, 0.7), (0.0, 0.6)]
+    points = level_surface(function, level, box, cells=12).reshape(-1, 3)
+    # Linear interpolation over cells of 0.2: an eighth of the square times the second derivative, over the slope.
+    assert np.max(np.abs(points[:, 0] - 0.7)) <= 0.2**2 / 8 * (2.0 / 0.5**3) / (1.0 / 0.9**2)
+    np.testing.assert_allclose(points[:, 1:].min(axis=0), [-0.5, 0.0], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(points[:, 1:].max(axis=0), [0.7, 0.6], rtol=0, atol=1e-15)
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def half_period(inertia, x0):
+    """Return 2 K(k) / lambda, after which the middle component has changed its sign, to 30 digits.
+
+    By the axes sorted: with a, b, c such that b is the middle one and the motion goes around c.
+    """
+    with mpmath.workdps(30):
+        m = sorted((1 / mpmath.mpf(moment) for moment in inertia), reverse=True)
+        order = np.argsort(inertia)
+        x = [mpmath.mpf(float(x0[i])) for i in order]
+        energy2, size2 = sum(k * v * v for k, v in zip(m, x, strict=True)), sum(v * v for v in x)
+        a, b, c = (m[2], m[1], m[0]) if energy2 > m[1] * size2 else (m[0], m[1], m[2])
+        rate2 = (b - c) * (a * size2 - energy2)
+        k2 = (a - b) * (energy2 - c * size2) / rate2
+        return float(2 * mpmath.ellipk(k2) / mpmath.sqrt(rate2))
+
+
+@pytest.mark.thinned(4)
+@pytest.mark.parametrize(
+    ("inertia", "x0"),
+    [
+        ((1, 2, 3), (0.01, 1.0, 0.01)),
+        ((1, 2, 3), (0.03, 1.0, 0.01)),
+        ((1, 2, 3), (0.01, -1.0, 0.05)),
+        ((3.0, 1.0, 2.2), (0.02, -0.01, 1.3)),
+    ],
+)
+def test_the_flip_comes_after_half_the_period_of_the_elliptic_functions(inertia, x0):
+    body = co.systems.rigid_body(inertia)
+    middle = int(np.argsort(inertia)[1])
+    wanted = half_period(inertia, x0)
+    run = co.integrate(body, x0, (0.0, 128.0), 2.0**-5, co.GaussLegendre(4))
+    times = flip_times(body.vector_field, run.t, run.x, middle)
+    assert len(times) >= 3
+    # The cubic between two points misses by h^4 x'''' / 384 over the slope at the flip; all rates are below one.
+    np.testing.assert_allclose(np.diff(times), wanted, rtol=0, atol=2.0**-20 / 16)
+    # The other components have the period, or half of it; both are whole numbers of flips.
+    flipped = period(body.vector_field, x0).time / wanted
+    assert flipped == pytest.approx(2.0, abs=1e-9)
+
+
+def test_the_picture_says_the_time_between_flips():
+    run = run_example("rigid_body")
+    assert run.system.parameters == {"inertia": (1.0, 2.0, 3.0)}
+    _, components, orbit, axis = run.plot().axes
+    (said,) = [text.get_text() for text in components.texts if text.get_text()]
+    wanted = half_period((1, 2, 3), run.x[0])
+    # Splitting of order 4 at the step 0.05: its phase is late by about 1e-5 of the time, measured beside 2 K / lambda
+    assert said.startswith("$x_{2}$ changes sign after ")
+    assert float(said.rpartition(" ")[2]) == pytest.approx(wanted, rel=1e-4)
+    assert orbit.name == "3d" and axis.get_title() == "body axis 2 in space"
+    start = next(line for line in axis.lines if line.get_label() == "start")
+    height = float(np.ravel(start.get_ydata())[0])
+    assert height > 0.9, "the axis begins near the momentum, which points up"
+    # and goes down: A^T of the momentum has its middle component reversed
+    assert run.x[:, 1].min() < -0.99 * np.linalg.norm(run.x[0])
+
+
+def test_the_readme_shows_what_is_drawn(tmp_path):
+    specification = importlib.util.spec_from_file_location("draw_flip", ROOT / "docs" / "draw_flip.py")
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    first = readme.index("![")
+    assert readme[first:].partition("(")[2].startswith("docs/intermediate_axis_flip.png)")
+    assert module.PICTURE.stat().st_size > 20_000 and module.PICTURE.name == "intermediate_axis_flip.png"
+    assert [axes.get_title() for axes in module.draw().axes][-1] == "body axis 2 in space"

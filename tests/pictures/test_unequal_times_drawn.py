@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import drawn_runs
 import numpy as np
 import pytest
-from drawn_runs import axes_of
+from drawn_runs import BODY, SENSES, SPIN, T0, axes_of, made
 from matplotlib import colormaps
 from matplotlib.collections import PolyCollection, QuadMesh
 from matplotlib.colors import to_rgba
@@ -19,20 +16,12 @@ from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.refinement_times import _divided
 from coadjoint.pictures.series import draw_series, envelope
 
-T0 = 7.3
-BODY = co.systems.rigid_body((1.0, 2.0, 3.0))
-SENSES = [1.0, -1.0]
-
 
 def uneven(count: int, sense: float, span: float = 4.0) -> np.ndarray:
     """Return times of a span, three quarters of them in its first quarter."""
     steps = np.where(np.arange(count - 1) < 0.75 * (count - 1), 1.0, 9.0)
     steps *= np.random.default_rng(count).uniform(0.5, 1.5, count - 1)
     return T0 + sense * span * np.append(0.0, np.cumsum(steps)) / steps.sum()
-
-
-def made(t: np.ndarray, x: np.ndarray, system: Any = BODY, **series: Any) -> Any:
-    return drawn_runs.made(t, x, system, **series)
 
 
 @pytest.mark.parametrize("sense", SENSES)
@@ -60,6 +49,8 @@ def test_rows_of_sites_and_their_scale(sense, count):
         np.testing.assert_array_equal(mesh.get_array(), values)
         edges = mesh.get_coordinates()[:, 0, 1]
         np.testing.assert_allclose(edges[1:-1], 0.5 * (t[rows][1:] + t[rows][:-1]), rtol=0, atol=1e-12)
+        assert edges[0] == pytest.approx(1.5 * t[0] - 0.5 * t[rows[1]])
+        assert mesh.get_coordinates()[0, :, 0].tolist() == [0.5, 1.5, 2.5, 3.5]
         largest = np.abs(values).max()
         assert mesh.get_clim() == ((-largest, largest) if centred else (values.min(), values.max()))
     assert axes.get_title() == "b over site and time" and axes.get_xlabel() == "site"
@@ -171,12 +162,11 @@ def test_intervals_are_divided_into_equal_parts_of_their_own(sense):
 
 @pytest.mark.parametrize("sense", SENSES)
 def test_changes_of_sign_between_unequal_times_at_saved_points_and_at_gaps(sense):
-    spin = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, 1.0]))
     t = uneven(200, sense, 10.0)
     x = np.stack([np.cos(t - T0), -np.sin(t - T0), 0.0 * t + 0.5], axis=-1)
-    if np.sign(spin.vector_field(x[0])[1]) > 0:
+    if np.sign(SPIN.vector_field(x[0])[1]) > 0:
         x[:, 1] *= -1.0
-    field, wanted = spin.vector_field, T0 + sense * np.pi * (0.5 + np.arange(3))
+    field, wanted = SPIN.vector_field, T0 + sense * np.pi * (0.5 + np.arange(3))
     error = np.abs(np.diff(t)).max() ** 4 / 384.0
     np.testing.assert_allclose(flip_times(field, t, x, 0), wanted, rtol=0, atol=error)
     np.testing.assert_allclose(flip_times(field, t, x, 0, most=2), wanted[:2], rtol=0, atol=error)

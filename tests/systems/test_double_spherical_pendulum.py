@@ -156,22 +156,3 @@ def test_gauss_keeps_bracket_and_integrals():
 def test_what_cannot_be_done_is_said():
     with pytest.raises(ValueError, match="Splitting cannot be used for double_spherical_pendulum"):
         co.Splitting().describe(pendulum())
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"masses": (1.0,)}, r"masses has shape \(1,\); give two numbers"),
-        ({"masses": (1.0, 0.0)}, r"masses\[1\] is 0.0; it must be positive"),
-        ({"lengths": (-1.0, 1.0)}, r"lengths\[0\] is -1.0; it must be positive"),
-        ({"lengths": (1e200, 1.0)}, r"lengths\[0\] is 1e\+200; take units"),
-        ({"lengths": (1.0, 1e-31)}, r"lengths\[1\] is 1e-31; take units in which it is between 1e-30 and 1e\+30"),
-        ({"lengths": np.ones((2, 1))}, r"lengths has shape \(2, 1\); give two numbers"),
-        ({"gravity": -1.0}, "gravity is -1.0; it must be positive"),
-        ({"gravity": False}, "gravity is False; it must be a number"),
-        ({"gravity": 1e31}, r"gravity is 1e\+31; take units"),
-    ],
-)
-def test_wrong_values(given, message):
-    with pytest.raises((ValueError, TypeError), match=message):
-        pendulum(**given)

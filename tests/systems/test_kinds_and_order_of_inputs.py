@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.sparse import coo_array
+from spins_by_hand import by_hand
 
 import coadjoint as co
+from coadjoint.systems.lattices.neighbours import graph
 from long import long_where
 
 NAMES = co.systems.names()
@@ -137,13 +139,6 @@ def test_every_number_is_kept_and_matters(name):
                 assert np.abs(looks(system) - first).max() > 1e-6, (key, place)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_truth_values_are_no_numbers(name):
-    for key, value in real_parameters(name).items():
-        for truth in (True, np.True_):
-            assert made(name, {key: mapped(value, lambda number, truth=truth: truth)}) is None
-
-
 # The signs of couplings.
 
 
@@ -197,25 +192,6 @@ def test_couplings_of_either_sign_move_as_their_energy_says(name):
     assert count or all(n > 0 for n in numbers(list(real_parameters(name).values())))
 
 
-def field_of_spins(S, edges, J, T, D, B, K):
-    """S_a' = S_a x B_a, with B_a = -dH/dS_a, of one edge after the other."""
-    force = np.zeros_like(S)
-    for (a, b), exchange in zip(edges, J, strict=True):
-        force[a] += exchange * (np.array(T) * S[b]) - np.cross(S[b], D)
-        force[b] += exchange * (np.array(T) * S[a]) - np.cross(D, S[a])
-    force += np.array(B) + 2.0 * np.array(K) * S
-    return np.cross(S, force)
-
-
-def edges_of(lattice, shape):
-    if lattice in ("chain", "ring"):
-        count = shape if lattice == "ring" else shape - 1
-        return [(a, (a + 1) % shape) for a in range(count)]
-    n, m = shape
-    down = [(i * m + j, (i + 1) * m + j) for i in range(n - 1) for j in range(m)]
-    return down + [(i * m + j, i * m + j + 1) for i in range(n) for j in range(m - 1)]
-
-
 @pytest.mark.thinned(6)
 @pytest.mark.parametrize(
     ("lattice", "sites"),
@@ -225,7 +201,7 @@ def test_lattices_of_every_size_with_couplings_of_either_sign(lattice, sites):
     """Across 8 and 64 sites, up to which constants are listed one by one and parts are compared in pairs."""
     shape = (sites, 2) if lattice == "square" else sites
     count = 2 * sites if lattice == "square" else sites
-    edges = edges_of(lattice, shape)
+    edges = graph(lattice, shape, False)[1].tolist()
     rng = np.random.default_rng(count)
     J = rng.uniform(0.5, 1.5, len(edges)) * np.where(rng.random(len(edges)) < 0.5, -1.0, 1.0)
     S = rng.standard_normal((count, 3))
@@ -239,8 +215,10 @@ def test_lattices_of_every_size_with_couplings_of_either_sign(lattice, sites):
     order = rng.permutation(len(edges))
     pairs = [edges[k] for k in order]
     system = co.systems.spin_lattice(pairs, count, exchange=J[order], **given)
-    expected = field_of_spins(S, edges, J, given["tensor"], given["dm"], given["field"], given["on_site"])
-    found = system.vector_field(S.ravel()).reshape(S.shape)
+    tensors, axes = np.array([np.diag(given["tensor"])] * len(edges)), np.array([given["dm"]] * len(edges))
+    on_site = np.array([np.diag(given["on_site"])] * count)
+    expected = by_hand(S.ravel(), edges, J, tensors, axes, on_site, np.array([given["field"]] * count))
+    found = system.vector_field(S.ravel())
     scale = 64 * 2.0**-53 * max(1.0, np.abs(expected).max())
     assert np.abs(found - expected).max() <= scale
     # An isotropic one by bonds, against another scheme.
@@ -444,14 +422,3 @@ def test_observables_events_and_casimirs_in_any_order():
         for order in orders(casimirs.items())
     ]
     assert all(drift == drifts[0] for drift in drifts)
-
-
-def test_members_of_a_batch_in_any_order():
-    inertias = [(1.0, 2.0, 3.0), (2.0, 1.5, 1.0), (3.0, 2.5, 4.0), (1.0, 1.0, 1.5)]
-    starts = np.cos(np.arange(12.0)).reshape(4, 3)
-    alone = {k: co.integrate(co.systems.rigid_body(inertias[k]), starts[k], (0, 1), 0.125).x for k in range(4)}
-    for order in orders(range(4)):
-        system = co.batch([co.systems.rigid_body(inertias[k]) for k in order])
-        found = co.integrate(system, starts[order], (0, 1), 0.125)
-        for place, k in enumerate(order):
-            assert np.array_equal(found.x[:, place], alone[k])

@@ -123,16 +123,6 @@ def test_exact_and_multiprecision_numbers():
         )
 
 
-def test_time_reaches_the_field():
-    H = Hamiltonian(lambda x, t: t * (x @ x) / 2 + x[0], lambda x, t: t * x + np.eye(3)[0])
-    system = LiePoissonSystem(catalogue.sl(2), H)
-    x = np.array([1.0, 2.0, 3.0])
-    np.testing.assert_allclose(
-        system.vector_field(x, 2.0), system.structure_matrix(x) @ (2 * x + np.eye(3)[0]), rtol=1e-15
-    )
-    assert system.energy(x, 2.0) == 15.0
-
-
 @pytest.mark.parametrize("sign", [1, -1])
 def test_time_reaches_the_jacobian(sign):
     """H = x . M(t) x / 2 + c(t) . x, on a linear bracket and on the same one as a function of x."""
@@ -240,28 +230,6 @@ def test_representations_are_checked():
     rho[0, 0, 1] += 1e-9
     with pytest.raises(ValueError, match="commutator"):
         LiePoissonSystem(algebra, Quadratic(1.0), representation=rho)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "error", "message"),
-    [
-        ((catalogue.so(3), Quadratic(1.0), 0), ValueError, "sign is 0"),
-        ((catalogue.so(3), Quadratic(1.0), True), ValueError, "sign is True"),
-        ((catalogue.so(3), Quadratic([1.0, 2.0])), ValueError, "dimension 3"),
-        ((catalogue.so(3), None), TypeError, "NoneType"),
-        (("so(3)", Quadratic(1.0)), TypeError, "algebra is a str"),
-        ((catalogue.so(3), Quadratic(1.0), 1, None, None, ""), TypeError, "name of a system must be a nonempty string"),
-        (
-            (catalogue.so(3), Quadratic(1.0), 1, None, None, None, [1]),
-            TypeError,
-            r"parameters is \[1\]; give a mapping",
-        ),
-        ((catalogue.so(3), Quadratic(1.0), 1, None, None, None, None, 3), TypeError, "exact is 3; give a function of"),
-    ],
-)
-def test_refusals(arguments, error, message):
-    with pytest.raises(error, match=message):
-        LiePoissonSystem(*arguments)
 
 
 @pytest.mark.parametrize("sign", [1, -1])

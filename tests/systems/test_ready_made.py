@@ -107,28 +107,6 @@ def test_full_inertia():
     np.testing.assert_array_equal(again.hamiltonian.hessian(X), system.hamiltonian.hessian(X))
 
 
-@pytest.mark.parametrize(
-    ("inertia", "message"),
-    [
-        ((1.0, 0.0, 2.0), r"inertia\[1\] is 0"),
-        ((1.0, 2.0), "shape"),
-        ((1.0, np.nan, 2.0), "finite"),
-        (np.diag([1.0, -1.0, 2.0]), "not positive definite"),
-        (-np.eye(3), "not positive definite"),
-        ([[1.0, 0.1, 0], [0.2, 1, 0], [0, 0, 1]], "not symmetric"),
-    ],
-)
-def test_wrong_inertia(inertia, message):
-    with pytest.raises(ValueError, match=message):
-        systems.rigid_body(inertia)
-
-
-def test_the_triangle_inequality_is_told_and_not_asked_for():
-    with pytest.warns(UserWarning, match="no body has"):
-        body = systems.rigid_body((1.0, 1.0, 10.0))
-    assert body.parameters == {"inertia": (1.0, 1.0, 10.0)}
-
-
 def test_paper_a37_has_the_papers_energy_and_casimir():
     system = systems.paper_a37()
     assert system.energy(np.ones(3)) == pytest.approx(1.505, rel=1e-15)

@@ -134,18 +134,12 @@ def test_every_orbit_of_kepler(speed, along, t):
     np.testing.assert_allclose(slope, system.vector_field(end), rtol=0, atol=1e-7)
 
 
-def test_another_central_coordinate_and_refusals():
+def test_radial_orbits_and_bodies_that_are_no_balls_are_refused():
     system = satellite((0.7, 0.7, 0.7), MASS, GRAVITY)
-    x0 = np.array([0.2, -0.1, 0.3, 0.1, 1.2, 0.0, 2.0, 0.3, 0.0, -0.75])
-    h = 2.0**-17
-    slope = (system.exact(x0, 1 + h) - system.exact(x0, 1 - h)) / (2 * h)
-    np.testing.assert_allclose(slope, system.vector_field(system.exact(x0, 1.0)), rtol=0, atol=1e-8)
     with pytest.raises(ValueError, match="the orbit is radial"):
         system.exact([0, 0, 0, -1.0, 0, 0, 2.0, 0, 0, 1], 1.0)
-    with pytest.raises(TypeError, match="satellite has a closed form of the state alone"):
-        system.exact(x0, 1.0, attitude=True)
     with pytest.raises(TypeError, match="no closed form is known"):
-        satellite().exact(x0, 1.0)
+        satellite().exact(X0, 1.0)
 
 
 def test_against_motion_in_space():
@@ -171,18 +165,3 @@ def test_against_motion_in_space():
     runs = [co.integrate(system, X0, (0, 4), h, co.Splitting(order=4), attitude=True) for h in (0.1, 0.05)]
     assert abs(power([np.abs(run.attitude[-1, 1:4, 1:4] - A).max() for run in runs]) - 4) < 0.15
     assert "H in 5 parts" in str(co.Splitting().describe(system))
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"inertia": (1.0, 2.0)}, "inertia has shape"),
-        ({"inertia": np.eye(3)}, "give three principal moments"),
-        ({"inertia": (1.0, -2.0, 1.0)}, r"inertia\[1\] is -2.0; it must be positive"),
-        ({"mass": 0.0}, "mass is 0.0; it must be positive"),
-        ({"gravity": 1e300}, "gravity is 1e\\+300; take units"),
-    ],
-)
-def test_wrong_values(given, message):
-    with pytest.raises((ValueError, TypeError), match=message):
-        satellite(**given)

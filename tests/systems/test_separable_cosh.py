@@ -92,23 +92,3 @@ def test_the_kernels_have_the_formula_and_its_multiples():
             values_along(table.tables, points[:, None, None], np.zeros(len(points)), found)
             expected = [float(factor * number) for number in wanted]
             np.testing.assert_allclose(found[:, 0, 0], expected, rtol=2.0**-53 * 24)
-
-
-@pytest.mark.parametrize(
-    ("given", "error", "message"),
-    [
-        ({"algebra": "so(3"}, ValueError, "so\\(3"),
-        ({"algebra": 3}, TypeError, "string"),
-        ({"algebra": "A3,7"}, ValueError, "'a'"),
-        ({"algebra": "so(3)", "constants": {"a": 1.0}}, ValueError, "a"),
-        ({"constants": 1.0}, TypeError, "constants is 1.0"),
-        ({"constants": {1: 1.0}}, TypeError, "constants is"),
-        ({"masses": (1.0, 2.0)}, ValueError, r"masses has shape \(2,\); give 3"),
-        ({"masses": (0.0, 0.0, 0.0)}, ValueError, "masses are all zero"),
-        ({"masses": (1.0, np.inf, 0.0)}, ValueError, "masses"),
-        ({"stiffness": 0.0}, ValueError, "stiffness is 0.0; it must be positive"),
-    ],
-)
-def test_wrong_values(given, error, message):
-    with pytest.raises(error, match=message):
-        co.systems.separable_cosh(**given)

@@ -168,17 +168,7 @@ def test_a_body_of_four_dimensions_that_moves_in_three():
 
 S = co.systems
 WRONG = [
-    (S.so_n_body, {"inertia": (1, 2)}, "n from 3"),
-    (S.so_n_body, {"inertia": np.ones((3, 4))}, "n from 3"),
-    (S.so_n_body, {"inertia": (1, -2, 1.5)}, "their sum must be positive"),
-    (S.so_n_body, {"inertia": np.diag([1.0, -1.0, 2.0, 3.0])}, "their sum must be positive"),
-    (S.so_n_body, {"inertia": np.triu(np.ones((4, 4)))}, "not symmetric"),
-    (S.manakov_top, {"a": (1, 2, 1), "b": (1, 2, 3)}, r"a\[0\] and a\[2\] are both 1"),
-    (S.manakov_top, {"a": (1, 2, 2), "b": (1, 2, 3)}, r"a\[1\] and a\[2\] are both 2"),
     (S.manakov_top, {"a": (1, 2.5, 3, 2.5), "b": (1, 2, 3, 4)}, r"a\[1\] and a\[3\] are both 2.5"),
-    (S.manakov_top, {"a": (1, 2, 3), "b": (1, np.nan, 3)}, r"b\[1\] is nan"),
-    (S.manakov_top, {"a": (1, 2, 3)}, "b has shape"),
-    (S.manakov_top, {"a": (1, 2), "b": (1, 2)}, "n from 3"),
     (S.manakov_top, {"a": (1, 1 + 2**-52, 3), "b": (1e300, -1e300, 0)}, "overflows"),
     (S.manakov_top, {"a": (1e200, 2, 3, 4), "b": (1, 2, 3, 4)}, "the power 2 of the entries overflows"),
     (S.manakov_top, {"a": (1, 2, 3, 1e120, 5), "b": (1, 2, 3, 4, 5)}, "the power 3 of the entries overflows"),

@@ -200,13 +200,6 @@ def test_rings_with_a_of_either_sign(n):
     assert np.abs(run.casimirs[name] - value).max() < 20 * n * 2.0**-53 * max(1.0, abs(value))
 
 
-@pytest.mark.parametrize("make", MADE.values())
-@pytest.mark.parametrize("sites", [1, 0, -3, 2.5, True, "4"])
-def test_wrong_sites(make, sites):
-    with pytest.raises(ValueError, match="sites must be a whole number from 2 up"):
-        make(sites)
-
-
 def test_what_does_not_fit_is_refused_with_the_estimate():
     with pytest.raises(ValueError, match="GB"):
         co.systems.toda(10**13)

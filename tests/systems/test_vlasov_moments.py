@@ -171,18 +171,11 @@ def test_potentials_of_every_kind():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"degree": 3}, "degree is 3; it must be even"),
-        ({"degree": 0}, "degree must be a whole number from 2 to 100"),
-        ({"potential": "x22"}, "potential has 'x22'; the moments of q are x20, x40"),
-        ({"potential": "x60"}, "potential has 'x60'"),
-        ({"potential": "x30"}, "potential has 'x30'"),
         ({"degree": 10, "potential": "x22"}, "the moments of q are x20, x40, x60, x80, x100$"),
         ({"degree": 12, "potential": "x22"}, "the moments of q are x20, x40, ..., x120$"),
         ({"degree": 12, "potential": "x140"}, "potential has 'x140'; the moments of q are x20, x40, ..., x120"),
         ({"potential": "0*x20+" * 2000 + "x20"}, "potential has 12003 characters; give at most 10000"),
         ({"potential": "sin(x20)"}, "potential: "),
-        ({"potential": co.Polynomial({(1,): 1.0})}, "potential has 1 coordinates; there are 2 moments of q: x20, x40"),
-        ({"potential": 1.0}, "float"),
     ],
 )
 def test_wrong_values(given, message):

@@ -119,12 +119,7 @@ def test_a_triad_is_a_body_of_the_textbook():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"first": (1.0, 2.0), "second": (-2.0, -4.0)}, "first .* and second .* are parallel"),
-        ({"first": (0.0, 0.0)}, "parallel"),
-        ({"first": (1.0,)}, "first has shape"),
-        ({"second": (1.0, np.inf)}, "second"),
         ({"first": (1e-160, 0.0), "second": (0.0, 1e-160)}, "leave the range of float64"),
-        ({"first": (1e200, 0.0), "second": (0.0, 1e200)}, "leave the range of float64"),
         ({"first": (1e170, 0.0), "second": (0.0, 1e-10)}, "leave the range of float64 when squared"),
     ],
 )
@@ -136,21 +131,10 @@ def test_wrong_triads(given, message):
 @pytest.mark.parametrize(
     ("k", "l", "message"),
     [
-        (0.0, 1.0, "k is 0.0; it must be positive"),
-        (1.0, -1.0, "l is -1.0; it must be positive"),
-        (np.nan, 1.0, "k"),
         (1e-170, 1.0, "leave the range of float64"),
-        (1e200, 1e200, "leave the range of float64"),
         (9.6e153, 9.6e153, "the squares of k = 9.6e\\+153 and l = 9.6e\\+153 leave the range of float64"),
     ],
 )
 def test_wrong_wave_numbers(k, l, message):
     with pytest.raises(ValueError, match=message):
         co.systems.lorenz_1960(k, l)
-
-
-def test_attitude_is_refused():
-    for name in ("lorenz_1960", "fluid_triad"):
-        assert co.systems.get(name).algebra.name == f"so(3) of {name}"
-        with pytest.raises(TypeError, match=f"{name} has a closed form of the state alone"):
-            co.systems.get(name).exact(X0, 1.0, attitude=True)

@@ -310,12 +310,6 @@ def prepared_with_input():
 
 
 WRONG = [
-    (lambda: co.forces.Viscosity(-1.0), "zero or positive"),
-    (lambda: co.forces.Viscosity(0.1, power=0), "power"),
-    (lambda: co.forces.Viscosity(0.1, layer="W"), "layer"),
-    (lambda: co.forces.RandomForcing(-1.0, (1, 2), seed=1), "energy_rate"),
-    (lambda: co.forces.RandomForcing(1.0, (3, 2), seed=1), "band"),
-    (lambda: co.forces.RandomForcing(1.0, 2, seed=1), "band"),
     (lambda: SPHERES[0].with_forces(co.forces.RandomForcing(1.0, (2.2, 2.8), seed=1)), "no degree l in it"),
     (lambda: SPHERES[0].with_forces(co.forces.BetaPlane(1.0)), "rotation"),
     (lambda: SPHERES[0].with_forces(co.forces.Viscosity(0.1, layer="carried")), "one field"),

@@ -1,15 +1,20 @@
-"""Fluids in motion: known solutions, steady states, symmetries, and what is constant."""
+"""Fluids in motion: known solutions, symmetries, constants, Poisson maps, and the limit of large N."""
+
+from __future__ import annotations
 
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+import spectral_euler
 from scipy.linalg import expm
 
 import coadjoint as co
+from coadjoint.analysis.poisson_defect import poisson_defect
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.matrices.spherical_modes import generators
+from long import long_beyond
 
 REFERENCE = json.loads(Path(__file__).with_name("zeitlin_reference.json").read_text())
 SPHERE, TORUS = co.systems.sphere_euler(N=8), co.systems.torus_euler(N=7)
@@ -247,3 +252,74 @@ def test_made_again(rotation):
     assert "torus_euler" in co.systems.names() and co.systems.get("torus_euler", N=5).parameters == {"N": 5}
     with pytest.raises(ValueError, match="rotation"):
         co.systems.sphere_euler(6, np.nan)
+
+
+MAPPED = {
+    "sphere": co.systems.sphere_euler,
+    "rotating sphere": lambda N: co.systems.sphere_euler(N, rotation=0.7),
+    "torus": co.systems.torus_euler,
+}
+MAPS = [
+    *((name, co.IsospectralGauss(stages)) for name in MAPPED for stages in (1, 2, 3)),
+    *(("torus", co.LineSplitting(order)) for order in (2, 4, 6)),
+]
+
+
+def defect(name: str, N: int, method: co.methods.Method) -> float:
+    """Return the defect of a step in which the fastest mode of the stream turns by 0.4."""
+    system = MAPPED[name](N)
+    W = system.random(seed=3, degrees=(1, N // 2))
+    h = 0.4 / np.abs(system.spectrum(system.stream(W))).max()
+    return poisson_defect(co.stepper(system, method, h), W).defect
+
+
+@pytest.mark.thinned(10)
+@pytest.mark.parametrize("N", [5, 7])
+@pytest.mark.parametrize(("name", "method"), MAPS, ids=lambda value: str(value))
+def test_a_step_is_a_poisson_map(name: str, N: int, method: co.methods.Method) -> None:
+    # Products of the tangent, 2 N^2 numbers in each, round by so much at most.
+    assert defect(name, N, method) < 64 * N**2 * np.finfo(float).eps
+
+
+@pytest.mark.parametrize("name", MAPPED)
+def test_a_commutator_free_step_is_none(name: str) -> None:
+    assert defect(name, 5, co.CommutatorFree(2)) > 1e-7
+
+
+T = 0.5
+METHOD = co.IsospectralGauss(3)  # its error is a power of the step times the stream, which grows with N
+
+
+def check_powers(errors, sizes):
+    """Each error is less than the one before by the square of the sizes, near enough where terms of 1/N^4 are left."""
+    rates = np.diff(np.log(errors)) / np.diff(np.log(sizes))
+    assert np.all(rates < -1.7) and abs(rates[-1] + 2) < 0.2, (errors, rates)
+
+
+@pytest.mark.parametrize(("rotation", "sizes"), long_beyond(1, [(0.8, (8, 12, 18)), (0.0, (8, 16, 32))]))
+def test_the_sphere(rotation, sizes):
+    errors, wanted = [], None
+    for N in sizes:
+        s = co.systems.sphere_euler(N=N, rotation=rotation)
+        W = s.random(2, degrees=(1, 3))
+        if wanted is None:
+            wanted = spectral_euler.Sphere(24, rotation).solve(s.mode_array(s.relative(W)), T, 25)[:7, :7]
+            start = s.mode_array(s.relative(W))[:7, :7]
+            assert np.abs(wanted - start).max() > 0.3  # it has moved by its own size
+        found = s.mode_array(s.relative(co.integrate(s, W, (0, T), 1 / 32, METHOD, save_every=10**6).x[-1]))
+        errors.append(np.abs(found[:7, :7] - wanted).max())
+    check_powers(errors, sizes)
+
+
+@pytest.mark.parametrize("sizes", long_beyond(1, [[13, 19, 27], [17, 33, 65]]))
+def test_the_torus(sizes):
+    errors = []
+    for N in sizes:
+        s = co.systems.torus_euler(N=N)
+        W = s.from_modes({(1, 0): 0.6, (0, 1): -0.5j, (1, 1): 0.4 + 0.3j, (1, -1): 0.2})
+        field = s.to_grid(W, (32, 32))
+        wanted = spectral_euler.torus(field, 1.0, 25)
+        assert np.abs(wanted - field).max() > 0.3
+        found = s.to_grid(co.integrate(s, W, (0, 1), 1 / 32, METHOD, save_every=10**6).x[-1], (32, 32))
+        errors.append(np.abs(np.fft.fft2(found - wanted)[:3, :3]).max() / 32**2)
+    check_powers(errors, sizes)

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import ForceReader, normal_deviates
 from coadjoint.systems.forces.heat_bath import MAX_SEED
 from coadjoint.systems.forces.mode_force import OnLayer, PerMode, modes_of
@@ -69,7 +70,7 @@ class RandomForcing(OnLayer):
             raise ValueError(f"energy_rate of RandomForcing is {rate!r}; it must be zero or positive")
         band = read_finite(self.band, "band of RandomForcing")
         if band.shape != (2,) or not 0.0 < band[0] <= band[1]:
-            raise ValueError(f"band of RandomForcing is {self.band!r}; give the lowest and the highest degree")
+            raise ValueError(f"band of RandomForcing is {short(self.band)}; give the lowest and the highest degree")
         object.__setattr__(self, "energy_rate", rate)
         object.__setattr__(self, "band", tuple(band.tolist()))
         for name in ("seed", "stream"):
