@@ -1,5 +1,6 @@
 """Language of the sources: standard terms, no questions in module docstrings, and a bounded number of public names."""
 
+import ast
 import io
 import re
 import tokenize

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.experiments.reich1993 import Reproduction, reproduce
+from coadjoint.experiments.reich1993 import reproduce
 from coadjoint.experiments.reich1993.figures import (
     attitude_figure,
     drift_figure,
@@ -41,16 +41,10 @@ EXPECTED = {
 }
 
 
-@pytest.fixture(scope="module")
-def reproduction(tmp_path_factory: pytest.TempPathFactory) -> Reproduction:
+def test_reproduction_has_all_verdicts_and_figures(tmp_path: Path) -> None:
     lines: list[str] = []
-    found = reproduce(tmp_path_factory.mktemp("reich") / "new" / "folder", lines.append, phase_end=100.0, steps=10_000)
+    reproduction = reproduce(tmp_path / "new" / "folder", lines.append, phase_end=100.0, steps=10_000)
     assert len(lines) == 10
-    return found
-
-
-@pytest.mark.long
-def test_verdict_of_every_statement(reproduction: Reproduction) -> None:
     keys = [row.key for row in reproduction.table]
     assert len(keys) == len(set(keys)) >= 45
     assert set(EXPECTED) <= set(keys)
@@ -60,10 +54,6 @@ def test_verdict_of_every_statement(reproduction: Reproduction) -> None:
         assert any(character.isdigit() for character in row.measured), row.key
     order = ["flow_poisson", "lemma_3_1_order", "lemma_4_1_poisson", "figure_1", "figure_2", "runge_unacceptable"]
     assert sorted(order, key=keys.index) == order, "as in the paper"
-
-
-@pytest.mark.long
-def test_figures_and_table_are_written(reproduction: Reproduction) -> None:
     names = [path.name for path in reproduction.figures]
     assert names == [*(f"figure{i}.png" for i in range(1, 6)), "modified_energies.png", "long_time.png"]
     for path in reproduction.figures:
