@@ -109,7 +109,7 @@ def without_compiler(monkeypatch, no_fsync):
     def missing(*_):
         raise MissingPackageError("a compiled stream", "numba")
 
-    monkeypatch.setattr(matrix_functions, "need", missing)
+    monkeypatch.setattr(matrix_functions, "require_packages", missing)
 
 
 @pytest.mark.thinned(5)

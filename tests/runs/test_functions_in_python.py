@@ -27,7 +27,7 @@ def python_streams(monkeypatch):
     def missing(*_):
         raise MissingPackageError("a compiled stream", "numba")
 
-    monkeypatch.setattr(matrix_functions, "need", missing)
+    monkeypatch.setattr(matrix_functions, "require_packages", missing)
 
 
 def transposed(W):

@@ -112,7 +112,7 @@ def test_drift_of_a_time_dependent_energy(way, monkeypatch):
     def missing(*_):
         raise MissingPackageError("a compiled stream", "numba")
 
-    monkeypatch.setattr(matrix_functions, "need", missing)
+    monkeypatch.setattr(matrix_functions, "require_packages", missing)
     system = co.MatrixSystem(co.MatrixAlgebra("gl", 3), lambda W, t: (1.0 + t) * W.T)
     W = states(system, 2)
     sol = co.integrate(system, W, (2.0, 2.0 + way), 0.125, save_every=3)
@@ -138,6 +138,16 @@ def test_balance_of_several_forces():
         # The sums are rounded in another order.
         assert np.abs(drift.members - left.max(axis=0)).max() <= 16 * 2.0**-53 * np.abs(values).max()
         assert drift < 0.01 * np.abs(values - values[0]).max()
+
+
+def test_forces_leave_states_matrices_for_observed_functions_and_spectra():
+    driven, W = SPHERE.with_forces(co.forces.Viscosity(0.02)), states(SPHERE, 2)
+    size = {"size": lambda V, t: float(np.abs(V[0]).max()) + t}
+    for start in (W, W[0]):
+        sol = co.integrate(driven, start, (1.0, 2.0), 0.125, observe=size, save_every=2)
+        times = sol.t.reshape(-1, *[1] * (start.ndim - 2))
+        assert np.array_equal(sol.observed["size"], np.abs(sol.x[..., 0, :]).max(axis=-1) + times)
+        assert np.array_equal(sol.spectrum(), SPHERE.spectrum(sol.x))
 
 
 def test_failed_member_leaves_the_others_unchanged():

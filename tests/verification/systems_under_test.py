@@ -242,7 +242,7 @@ def matrices() -> dict[str, Case]:
     g, rng = co.MatrixAlgebra, np.random.default_rng(7)
 
     def case(system: co.MatrixSystem, time: float = 1.0, size: float = 1.0) -> Case:
-        W = system.algebra.projected(rng.normal(size=system.algebra.shape) + 1j * rng.normal(size=system.algebra.shape))
+        W = system.algebra.projected(rng.normal(size=system.shape) + 1j * rng.normal(size=system.shape))
         return Case(system.in_numbers, system.to_vector(size * W / np.abs(W).max()), time)
 
     masses = np.linspace(1.0, 2.0, 5)
@@ -251,6 +251,7 @@ def matrices() -> dict[str, Case]:
         "sphere": case(co.systems.sphere_euler(N=3), size=3.0),
         "torus": case(co.systems.torus_euler(N=3), 2.0),
         "gl(3), transposed": case(co.MatrixSystem(g("gl", 3), np.transpose, np.diag([0.3, 0.1, -0.2]), energy_sign=-1)),
+        "magnetic sphere": case(co.systems.reduced_mhd(N=3), 2.0),
     }
 
 

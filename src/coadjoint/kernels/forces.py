@@ -101,7 +101,7 @@ class _ForceTableBuilder:
 
     def __init__(self, system: Any, account: int, accounts: int) -> None:
         self.n, self._accounts = system.dim, (account, accounts)
-        self._shape = (*system.shape, bool(system.complex)) if is_matrix_system(system) else None
+        self._shape = (*system.matrix_shape, bool(system.complex)) if is_matrix_system(system) else None
         self.keepalive: tuple[CompiledFunction, ...] = ()
 
     def _table(self, kind: str, rate: Any = 0.0, aim: Any = (), **more: Any) -> ForceTable:

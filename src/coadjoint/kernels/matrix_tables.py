@@ -49,7 +49,7 @@ def stream_tables(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]
         function = MatrixFunction(stream, system.algebra.shape, system.complex)
     numbers = [] if linear is None else [system.to_vector(linear)]
     numbers += [stream_map.table for stream_map in (stream, second) if stream_map is not None]
-    layers = 2 if len(system.shape) == 3 else 1
+    layers = 2 if len(system.matrix_shape) == 3 else 1
     integers = [
         system.algebra.N,
         layers,

@@ -234,7 +234,7 @@ def torus_of(system: Any) -> MatrixSystem:
     """Return a fluid on the torus with a prime N unchanged; raise ValueError for any other system."""
     name = getattr(system, "name", short(system))
     supported = is_matrix_system(system) and isinstance(system.stream, Circulants)
-    if not supported or system.algebra.kind not in ("u", "su") or len(system.shape) == 3:
+    if not supported or system.algebra.kind not in ("u", "su") or len(system.matrix_shape) == 3:
         raise ValueError(
             f"LineSplitting integrates fluids on the torus, but {name} is not one: its stream is not a factor for each "
             "mode of su(N); take IsospectralGauss for matrices, Splitting for vectors"

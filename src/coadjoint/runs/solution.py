@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.runs.run_record import SOLUTION_FIELDS, Drift, RunAttributes, RunRecord
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
-from coadjoint.systems.protocol import is_batch, is_matrix_system
+from coadjoint.systems.protocol import is_batch, is_matrix_system, unforced
 
 if TYPE_CHECKING:
     import xarray
@@ -239,11 +239,12 @@ class Solution(RunAttributes):
         >>> bool(abs(sol.spectrum() - sol.spectrum()[0]).max() < 1e-13)
         True
         """
-        if not is_matrix_system(self.system):
+        system = unforced(self.system)
+        if not is_matrix_system(system):
             raise TypeError(f"the states of {self.system.name} are no matrices, and have no spectrum")
         axes = 1 if self.failed is None else 2  # of times and members
         finite = np.isfinite(self.x).all(axis=tuple(range(axes, self.x.ndim)))
-        values = self.system.spectrum(self.x[finite])
+        values = system.spectrum(self.x[finite])
         spectra = np.full((*finite.shape, values.shape[-1]), np.nan, dtype=values.dtype)
         spectra[finite] = values
         return spectra

@@ -63,7 +63,7 @@ class MatrixOrbit:
 
     def gradient_change(self, W: Any, dW: Any, t: Any) -> Any:
         """Return the changes of P."""
-        layers = len(self._system.shape) == 3  # streams of two layers are linear, without a constant
+        layers = len(self._system.matrix_shape) == 3  # streams of two layers are linear, without a constant
         return self._system.stream_of(dW, t) if layers else slope_along(self._system, W, dW, t)
 
     def generator(self, P: Any, dP: Any) -> Generator:

@@ -35,7 +35,7 @@ def eigenvalues(drawn: PlottedRun, at: float = 1.0) -> Paint:
     first, last = (drawn.family.spectrum(drawn.state(j)) for j in (0, k))
     size = float(np.abs(first).max()) or 1.0
     moved = float(np.abs(last - first).max()) / size
-    name = r"\Theta" if len(drawn.family.shape) == 3 else "W"
+    name = r"\Theta" if len(drawn.family.matrix_shape) == 3 else "W"
     fraction = (np.arange(len(first)) + 0.5) / len(first)
 
     def paint(axes: Any) -> None:

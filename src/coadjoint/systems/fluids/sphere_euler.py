@@ -103,8 +103,10 @@ class SphereEuler(FluidSystem):
 
     def _single_matrix(self, W: Any) -> Matrix:
         matrix = self.matrices(W)
-        if matrix.shape != self.shape:
-            raise ValueError(f"W has the shape {matrix.shape}; give one matrix, {self.shape}, or use mode_array")
+        if matrix.shape != self.algebra.shape:
+            raise ValueError(
+                f"W has the shape {matrix.shape}; give one matrix, {self.algebra.shape}, or use mode_array"
+            )
         return matrix
 
     def grid(self, shape: Any = None, points: str = "clenshaw-curtis") -> tuple[Floats, Floats]:
@@ -196,7 +198,7 @@ class SphereEuler(FluidSystem):
 
     @cached_property
     def degrees(self) -> npt.NDArray[np.int64]:
-        return np.tril(np.broadcast_to(np.arange(self.algebra.N)[:, None], self.shape))
+        return np.tril(np.broadcast_to(np.arange(self.algebra.N)[:, None], self.algebra.shape))
 
     @property
     def eigenvalues(self) -> Floats:
@@ -207,7 +209,7 @@ class SphereEuler(FluidSystem):
         return np.where(self.degrees > 0, np.where(np.arange(self.algebra.N) > 0, 2.0, 1.0), 0.0)
 
     def random_modes(self, rng: np.random.Generator, last: int) -> Matrix:
-        c = np.zeros(self.shape, dtype=np.complex128)
+        c = np.zeros(self.algebra.shape, dtype=np.complex128)
         for l in range(1, last + 1):
             drawn = rng.standard_normal(2 * l + 1)
             c[l, 0], c[l, 1 : l + 1] = drawn[0], (drawn[1::2] + 1j * drawn[2::2]) / np.sqrt(2)

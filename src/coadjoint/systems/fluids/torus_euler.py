@@ -208,7 +208,7 @@ class TorusEuler(FluidSystem):
         return np.where(self.degrees > 0, self.area, 0.0)
 
     def random_modes(self, rng: np.random.Generator, last: int) -> Matrix:
-        n, w = representatives(self.algebra.N), np.zeros(self.shape, dtype=np.complex128)
+        n, w = representatives(self.algebra.N), np.zeros(self.algebra.shape, dtype=np.complex128)
         n1, n2 = (grid.ravel() for grid in np.meshgrid(n, n, indexing="ij"))
         degree = self.degrees.ravel()
         chosen = np.flatnonzero(((n1 > 0) | ((n1 == 0) & (n2 > 0))) & (degree <= last))

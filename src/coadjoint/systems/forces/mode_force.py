@@ -57,7 +57,7 @@ class OnLayer(Force):
 
     def layer_vector(self, system: Any, W: NDArray[Any]) -> NDArray[Any]:
         """Return the vector of a state with this field, and zero in the others."""
-        state = np.zeros(system.shape, dtype=W.dtype)
+        state = np.zeros(system.matrix_shape, dtype=W.dtype)
         state[self.layer_index(system) if state.ndim == 3 else ...] = W
         return np.asarray(system.to_vector(state))
 

@@ -117,6 +117,7 @@ class MatrixSystem:
         self.parameters, self._exact = checked_parameters(parameters), checked_closed_form(exact)
         self.powers = read_integer(powers, "powers", 0, MAX_POWERS)
         self.shape: tuple[int, ...] = algebra.shape
+        self.matrix_shape: tuple[int, ...] = algebra.shape  # also of states given as vectors
         self.dim = (1 + self.complex) * algebra.N**2
         self.linear = None if linear is None else algebra.read(linear, "linear")
         if self.linear is not None and self.linear.ndim != 2:
@@ -265,7 +266,7 @@ class MatrixSystem:
         """Return vectors as matrices."""
         numbers = np.ascontiguousarray(x, dtype=np.float64)
         lead = numbers.shape[:-1]
-        return (numbers.view(np.complex128) if self.complex else numbers).reshape(*lead, *self.algebra.shape)
+        return (numbers.view(np.complex128) if self.complex else numbers).reshape(*lead, *self.matrix_shape)
 
     def is_in_numbers(self, x: Any) -> bool:
         """Return whether states are vectors rather than matrices."""
@@ -294,14 +295,18 @@ class MatrixSystem:
 
     def read(self, given: Any, what: str = "x0") -> Floats:
         """Validate initial states, and return them as vectors: one for a state, several for members."""
-        if self.shape == self.algebra.shape:
-            return self.to_vector(self.algebra.read(given, what))
+        if self.shape == self.matrix_shape:
+            return self.to_vector(self.read_matrices(given, what))
         rows = read_numbers(given, what)
         if rows.ndim not in (1, 2) or rows.shape[-1] != self.dim:
             raise ValueError(f"{what} has the shape {rows.shape}; it must be ({self.dim},) or (members, {self.dim})")
         check_finite(rows, what)
         return self.to_vector(self.algebra.projected(self.from_vector(rows), spared=TRACE_TOLERANCE))
 
+    def read_matrices(self, given: Any, what: str) -> Matrix:
+        """Validate initial states that are matrices, and return them."""
+        return self.algebra.read(given, what)
+
     def states(self, rows: Floats) -> Matrix:
         """Return vectors as states of this system, which are matrices."""
-        return self.from_vector(rows) if self.shape == self.algebra.shape else rows
+        return self.from_vector(rows) if self.shape == self.matrix_shape else rows

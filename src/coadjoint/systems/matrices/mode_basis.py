@@ -175,7 +175,7 @@ LAYERS = ("vorticity", "carried")
 
 def layer_index(system: Any, layer: str) -> int:
     """Return the index of a layer in a state; raise an error if the system does not have it."""
-    if len(system.shape) == 3:
+    if len(system.matrix_shape) == 3:
         return 1 - LAYERS.index(layer)
     if layer != "vorticity":
         raise ValueError(f"layer is {layer!r}; {system.name} has one field, the vorticity")

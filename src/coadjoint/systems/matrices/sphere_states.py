@@ -66,7 +66,7 @@ def rossby_haurwitz(
     """
     l = read_integer(degree, "degree", 2, system.algebra.N - 1)
     m = read_integer(order, "order", 0, l)
-    c = np.zeros(system.shape, dtype=np.complex128)
+    c = np.zeros(system.matrix_shape, dtype=np.complex128)
     c[1, 0] = 2 * read_number(zonal, "zonal") * sqrt(4 * pi / 3)
     size = read_number(wave, "wave") * sqrt(2 * pi if m else 4 * pi)
     c[l, m] = size * (-1) ** m * np.exp(-1j * m * read_number(longitude, "longitude")) if m else size

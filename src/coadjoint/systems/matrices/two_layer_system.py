@@ -98,7 +98,7 @@ class TwoLayerSystem(MatrixSystem):
             # the same checks as for the first stream
             MatrixSystem(algebra, second_stream, name=truncate_title(f"the second stream of {name}"))
         self.second_stream = second_stream
-        self.shape = (2, *algebra.shape)
+        self.shape = self.matrix_shape = (2, *algebra.shape)
         self.dim = 2 * self.dim
         self.hamiltonian = TwoLayerEnergy(self)
 
@@ -182,15 +182,11 @@ class TwoLayerSystem(MatrixSystem):
         if np.shape(x)[-1:] == (self.dim,):
             return self.algebra.projected(self.from_vector(x), spared=TRACE_TOLERANCE)
         X = np.asarray(x, dtype=np.complex128 if self.complex else np.float64)
-        if X.shape[-3:] != self.shape:
-            raise ValueError(f"a state has the shape {X.shape}; it must be {self.shape}, or ({self.dim},)")
+        if X.shape[-3:] != self.matrix_shape:
+            raise ValueError(f"a state has the shape {X.shape}; it must be {self.matrix_shape}, or ({self.dim},)")
         return X
 
-    def states(self, rows: Floats) -> Matrix:
-        """Return vectors as states (..., 2, N, N)."""
-        return self.from_vector(rows)
-
-    def read(self, given: Any, what: str = "x0") -> Floats:
+    def read_matrices(self, given: Any, what: str) -> Matrix:
         state = to_array(given, what, "iufc")
         if state.shape[-3:] != self.shape or state.ndim > 4:
             raise ValueError(
@@ -198,20 +194,14 @@ class TwoLayerSystem(MatrixSystem):
                 f"(members, {str(self.shape)[1:]}"
             )
         layers = [self.algebra.read(state[..., k, :, :], f"{what}, layer {k},") for k in range(2)]
-        return self.to_vector(np.stack(layers, axis=-3))
+        return np.stack(layers, axis=-3)
 
     def to_vector(self, W: Any) -> Floats:
         """Return states (..., 2, N, N) as vectors: layer by layer, entry by entry."""
         X = np.ascontiguousarray(W, dtype=np.complex128 if self.complex else np.float64)
-        if X.shape[-3:] != self.shape:
-            raise ValueError(f"a state is {short(W)}; it must have the shape {self.shape}")
+        if X.shape[-3:] != self.matrix_shape:
+            raise ValueError(f"a state is {short(W)}; it must have the shape {self.matrix_shape}")
         return X.view(np.float64).reshape(*X.shape[:-3], self.dim)
-
-    def from_vector(self, x: Any) -> Matrix:
-        """Return vectors as states."""
-        numbers = np.ascontiguousarray(x, dtype=np.float64)
-        lead = numbers.shape[:-1]
-        return (numbers.view(np.complex128) if self.complex else numbers).reshape(*lead, *self.shape)
 
 
 def mixed(k: int) -> str:
