@@ -21,7 +21,7 @@ class StepMethod(SteppedMethod):
 
     Derive a frozen dataclass from it; its fields are the parameters of the scheme. Define `order`, `explicit`,
     `symmetric`, `properties` and `step`. The scheme then works in every run, stepper, composition and choice. If Numba
-    is installed and can compile the step, it is compiled at the start of a run, in a second or two. In compiled code
+    is installed and can compile the step, it is compiled at the start of a run, in some seconds. In compiled code
     the system has ``dim``, ``sign``, ``vector_field(x, t)``, ``energy(x, t)``, ``structure_matrix(x)``, ``jacobian(x,
     t)``, and its ``hamiltonian`` has ``value``, ``gradient`` and ``hessian``. Otherwise the loop calls Python in each
     step, and warns once. `tangent` may be defined as well; without it the derivative is computed by complex steps if
