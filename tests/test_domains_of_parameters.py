@@ -76,7 +76,7 @@ def constructors(owner):
 
 
 def test_constructors_and_parameters_are_listed():
-    public = {name: getattr(co, name) for name in co.__all__ if name[0] != "_" and callable(getattr(co, name))}
+    public = {name: getattr(co, name) for name in dir(co) if name[0] != "_" and callable(getattr(co, name))}
     public = {value.__name__: value for value in public.values()}  # former names are the same objects
     public |= {name: getattr(co.methods, name) for name in co.methods.__all__}
     public = {name: value for name, value in public.items() if name not in RESULTS | USES | BASES | LOOKED_UP}

@@ -5,6 +5,8 @@ import importlib.util
 import inspect
 import os
 import pkgutil
+import pydoc
+import re
 import subprocess
 import sys
 import types
@@ -114,9 +116,14 @@ def test_import_loads_no_heavy_packages(statement):
 
 
 def test_every_public_name_exists():
-    for name in co.__all__:
+    for name in dir(co):
         assert getattr(co, name) is not None
-    assert set(co.__all__) <= set(dir(co))
+
+
+def test_help_of_the_package_is_two_screens():
+    text = pydoc.render_doc(co)
+    assert len(text.splitlines()) < 100
+    assert set(re.findall(r"`(\w+)`", co.__doc__)) <= set(dir(co))
 
 
 def test_unknown_name_raises_attribute_error():

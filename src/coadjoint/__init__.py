@@ -8,6 +8,15 @@ A system combines a Lie algebra, of any finite dimension, and a Hamiltonian; `in
 >>> sol.x.shape
 (1001, 3)
 
+Main names, each with `help(co.integrate)` and so on; `dir(co)` lists all, and docs/api.md describes them.
+
+- Systems: `systems` (ready-made), `LieAlgebra`, `algebras`, `LiePoissonSystem`, `PoissonSystem`, `MatrixSystem`
+- Hamiltonians and forces: `Quadratic`, `Polynomial`, `Separable`, `SplitHamiltonian`, `Hamiltonian`, `forces`
+- Schemes: `Splitting`, `GaussLegendre`, `IsospectralGauss`, `Taylor`, `ReversibleSteps`, ...; `choose`, `methods`
+- Runs: `integrate`, `prepare`, `stepper`, `batch`, `integrate_ensemble`, `Event`, `poincare_section`, `Solution`
+- Files: `load`, `resume`, `open_archive`, `results`
+- Analysis: `certify`, `modified_hamiltonian`, `lyapunov`, `analysis`; pictures: `plotting`
+
 Names are loaded lazily: importing this package loads NumPy and nothing heavier.
 """
 
@@ -20,6 +29,6 @@ __version__ = "0.1.0"
 
 complete_imports()
 
-# The names are listed in __init__.pyi.
-__getattr__, __dir__, __all__ = attach("coadjoint", __file__)
-__all__ += ["__version__"]
+# The names are listed in __init__.pyi. There is no __all__, since `help` would print the help of each of them.
+__getattr__, __dir__, _names = attach("coadjoint", __file__)
+_names.append("__version__")

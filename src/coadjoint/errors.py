@@ -105,7 +105,7 @@ def unknown_attribute(module: str, name: str, known: Iterable[str]) -> Attribute
     text = f"{module} has no attribute {name!r}"
     if name.startswith("_"):  # protocol probes by Python and other libraries
         return AttributeError(text)
-    if module != "coadjoint" and name in getattr(sys.modules.get("coadjoint"), "__all__", ()):
+    if module != "coadjoint" and name in dir(sys.modules.get("coadjoint")):
         return AttributeError(f"{text}; it is co.{name}")
     names = sorted(known)
     near = nearest(name, names)

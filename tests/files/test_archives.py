@@ -5,6 +5,7 @@ import os
 import pickle
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from coadjoint.files.archives.resume import archive_run
 from coadjoint.files.archives.store import ArchiveError
 from coadjoint.files.datasets.content_checksum import CHECKSUM
 from coadjoint.files.output.output_files import write_dataset
+from coadjoint.methods import registry
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.prepared_run import PreparedRun
 from verification.test_archived_runs import assert_same
@@ -453,6 +455,29 @@ def test_resuming_checks_all_committed_chunks(tmp_path, monkeypatch, name):
         co.resume(tmp_path / "odd.zarr")
     chunk.write_bytes(content)
     assert co.resume(path).finished and co.resume(tmp_path / "odd.zarr").finished
+
+
+def test_a_scheme_that_is_not_registered_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(registry, "_registered", {})
+
+    @co.methods.register
+    @dataclass(frozen=True)
+    class Unlisted(co.methods.StepMethod):
+        order, symmetric, explicit = 1, False, True
+
+        def properties(self, system):
+            return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+
+        def step(self, system, x, t, h):
+            return x + h * system.vector_field(x, t)
+
+    cut(tmp_path / "run.zarr", method=Unlisted())
+    write_dataset(co.integrate(BODY, X, SPAN, STEP, Unlisted()).to_xarray(), tmp_path / "run.nc")
+    monkeypatch.setattr(registry, "_registered", {})
+    for open_again in (lambda: co.resume(tmp_path / "run.zarr"), lambda: co.load(tmp_path / "run.nc").method):
+        with pytest.raises(ValueError, match="'Unlisted', which is not registered; import") as refused:
+            open_again()
+        assert "damaged" not in str(refused.value)
 
 
 @pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="open descriptors are not listed")

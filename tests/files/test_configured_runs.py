@@ -147,7 +147,9 @@ def test_workers_require_members_saved_at_steps(read, changes, message):
 
 def test_workers_require_their_package(read, monkeypatch):
     needed = []
-    monkeypatch.setattr(configurations, "require_packages", lambda feature, *packages: needed.append((feature, packages)))
+    monkeypatch.setattr(
+        configurations, "require_packages", lambda feature, *packages: needed.append((feature, packages))
+    )
     read(READY_MADE + "workers = 2\n", ("x = [1.0, 0.1, 0.5]", MANY))
     assert ("workers", ("distributed",)) in needed
 

@@ -81,7 +81,7 @@ def schemes_in_steps() -> set[str]:
 
 def concrete_schemes() -> set[str]:
     """Return the names of the schemes that the library offers."""
-    offered = (getattr(co, name) for name in co.__all__)
+    offered = (getattr(co, name) for name in dir(co))
     return {
         value.__name__
         for value in offered

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint import __version__
-from coadjoint.errors import IntegrationError
+from coadjoint.errors import IntegrationError, OneLineError
 from coadjoint.files.datasets.content_checksum import with_checksum
 from coadjoint.files.datasets.variables import (
     CONVENTIONS,
@@ -197,6 +197,17 @@ def events_of_dataset(dataset: xarray.Dataset, system: Any) -> tuple[Event, ...]
     return events_of(Entry(dataset.attrs["events"], "events"), system) if "events" in dataset.attrs else ()
 
 
+def _check_registered(description: Any) -> None:
+    """Raise OneLineError if a stored scheme, or its base, is not registered in this process."""
+    while isinstance(description, Mapping):
+        name = description.get("name")
+        if isinstance(name, str) and name not in registry.names():
+            raise OneLineError(
+                f"the method of the run is {name!r}, which is not registered; import the module that registers it first"
+            )
+        description = description.get("base")
+
+
 def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = None) -> dict[str, Any]:
     """Return the arguments of `solution_inputs`, without its check of the initial coadjoint matrix."""
     attributes = getattr(dataset, "attrs", None)
@@ -209,6 +220,7 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
     x0 = state_of(dataset, "x0", STATE_DIMENSIONS)
     method_entry = parsed(attributes["method"], "method")
     description = {key: entry.plain() for key, entry in method_entry.table().items()}
+    _check_registered(description)
     with as_value_errors(method_entry):
         method = registry.from_description(description)
     start, end = (time.number() for time in parsed(attributes["t_span"], "t_span").entries(2))
