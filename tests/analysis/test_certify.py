@@ -49,6 +49,10 @@ def test_rows_are_what_was_measured():
     assert found["energy"].evidence["deviations"].shape[1] == len(found.subject["states"]) == 4
     with pytest.raises(KeyError, match="did you mean 'energy'"):
         found["enregy"]
+    assert all(found[row.key] is row for row in found.rows)
+    for key in {row.key[:count] for row in found.rows for count in range(len(row.key))} - set(keys):
+        with pytest.raises(KeyError, match="unknown row"):
+            found[key]
 
 
 def test_it_is_written_for_readers_and_for_machines():

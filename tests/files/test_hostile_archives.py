@@ -179,6 +179,11 @@ def test_chunk_lengths_are_checked_before_decompression(monkeypatch):
     for held in (23, 25, 2**25):
         with pytest.raises(ValueError, match="header"):
             array.decoded(with_checksum(bytes(Blosc("zstd", 3, Blosc.SHUFFLE).encode(np.zeros(held)))))
+    # Bytes after the end, and too few of them: the length in the header bounds what the decompressor reads.
+    packed = bytes(Blosc("zstd", 3, Blosc.SHUFFLE).encode(np.arange(np.prod(array.chunk), dtype=np.float64)))
+    for content in (packed + b"\0", packed[:-1], packed[: len(packed) // 2], packed[:16], packed[:15], b""):
+        with pytest.raises(ValueError, match="header contradicts its length"):
+            array.decoded(with_checksum(content))
     names = StoredArray(("component",), "string", (3,), (3,), {})
     for body in (b"\4\0\0\0" + bytes(16), (2**31 - 1).to_bytes(4, "little") + bytes(12), b"\3\0\0\0" + bytes(11), b""):
         with pytest.raises(ValueError, match=r"another number of texts|texts have other lengths"):
