@@ -93,6 +93,8 @@ def test_catalogue_attitude_ensemble_and_observed(written):
     [
         ([("step", "stpe")], "run.stpe: unknown key; did you mean 'step'?"),
         ([("[initial]", "[intial]")], "intial: unknown key; did you mean 'initial'?"),
+        ([("[initial]", "[time]\nspan = [0.0, 1.0]\n[initial]")], "time: unknown key; known here: algebra, casimirs,"),
+        ([("[initial]", "[nmae]\n[initial]")], "nmae: unknown key; known here: algebra, casimirs,"),
         ([("step = 0.1", "step = 0.1\nqqq = 1")], "run.qqq: unknown key; known here: accuracy, save_every, step,"),
         ([("step = 0.1", "")], "run: step is missing; give step, or accuracy to have it chosen"),
         ([("step = 0.1", 'step = "0.1"')], "run.step: must be a number, not '0.1'"),

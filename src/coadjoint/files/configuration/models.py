@@ -205,15 +205,16 @@ def unknown_key(key: str, known: Iterable[str]) -> str:
     return f"unknown key; known here: {', '.join(names)}" if names else "unknown key; there are none here"
 
 
-def known_keys(table_path: Sequence[str | int]) -> list[str]:
-    """Return the keys that a table of a file may have.
+def known_keys(table_path: Sequence[str | int], value: Any = None) -> list[str]:
+    """Return the keys that a table of a file may have; in the file itself those of tables, if the value is one.
 
     Examples
     --------
     >>> known_keys(["events", "flip"])
     ['g', 'direction', 'count', 'terminal']
     """
-    return list(_table_at(table_path).model_fields)
+    is_table = not table_path and isinstance(value, Mapping)
+    return [key for key in _table_at(table_path).model_fields if not is_table or key not in ("name", "sign")]
 
 
 def all_errors(error: ValidationError) -> list[str]:
@@ -251,7 +252,7 @@ def all_errors(error: ValidationError) -> list[str]:
 
 def _reason(kind: str, message: str, value: Any, context: Mapping[str, Any], key_path: list[int | str]) -> str:
     if kind == "extra_forbidden":
-        return unknown_key(str(key_path[-1]), known_keys(key_path[:-1]))
+        return unknown_key(str(key_path[-1]), known_keys(key_path[:-1], value))
     if kind == "missing":
         return "is missing; give it"
     if kind == "value_error":

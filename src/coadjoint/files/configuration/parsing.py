@@ -178,7 +178,7 @@ def _repair(raw: Mapping[str, Any], error: ValidationError) -> tuple[Mapping[str
     for entry in error.errors():
         key_path = tuple(str(key) for key in entry["loc"])
         if entry["type"] == "extra_forbidden":
-            raw = _rename_key(raw, key_path, known_keys(key_path[:-1]))
+            raw = _rename_key(raw, key_path, known_keys(key_path[:-1], entry["input"]))
         elif key_path:
             invalid.add(key_path[0])
     valid = {key: value for key, value in raw.items() if key not in invalid}
