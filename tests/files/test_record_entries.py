@@ -19,7 +19,8 @@ INFINITE, NAN = float("inf"), float("nan")
 STRANGE = (
     None, True, False, -1, 0, 1, 2, 3, 2.5, -2.5, 1e308, INFINITE, -INFINITE, NAN, 2**62, 2**62 + 1, -(2**62), 10**400,
     np.int64(2), np.float64(2.5), np.bool_(True), "", "a", "1/3", "-2/7", "1/0", "1e5", "1/3x", "x" * MAX_CHARACTERS,
-    "x" * (MAX_CHARACTERS + 1), [], {}, [0, 1], [0, 1, 2], [0, 1, 3], [0, True, 2], [0, 1, -1], [0.5, 1, 2],
+    "x" * (MAX_CHARACTERS + 1), [], {}, [0, 1], [0, 1, 2], [0, 1, 3], [0, True, 2], [True, False, True],
+    [np.bool_(True)] * 3, [[True]] * 3, [0, 1, -1], [0.5, 1, 2],
     [0, 1, NAN],
     [0, 1, INFINITE], [0, 1, -INFINITE], ["a", 1, 2], [[0, 1], [2, 3]], [0, [1], 2], (0, 1, 2), {"a": 1}, [None, 1, 2],
 )  # fmt: skip
@@ -57,8 +58,9 @@ READERS = {
     ),
     "three numbers": (
         lambda e: e.numbers(3).tolist(),
-        # NumPy converts a boolean among numbers to a number.
-        lambda v: is_list(v, 3) and all(isinstance(k, int | float) and is_number(float(k)) for k in v), list
+        # NumPy converts a boolean among numbers to a number; flags alone are refused.
+        lambda v: is_list(v, 3) and not all(isinstance(k, bool) for k in v)
+        and all(isinstance(k, int | float) and is_number(float(k)) for k in v), list
     ),
 }  # fmt: skip
 
@@ -96,7 +98,7 @@ def test_row_indices_are_bounded():
         for arguments in ([wrong], [*rows, wrong], [wrong, *rows]):
             with pytest.raises(ValueError, match=r"^M is .*; it must be rows of 2"):
                 Entry(arguments, "M").rows(2, 3)
-    for value in (None, 0, "", {}, (), tuple(rows)):
+    for value in (None, 0, "", {}, (), tuple(rows), [[True, False, True]], [[False, True, True], [True, True, False]]):
         with pytest.raises(ValueError, match=r"^M is "):
             Entry(value, "M").rows(2, 3)
 
