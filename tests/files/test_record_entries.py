@@ -1,7 +1,9 @@
 """Entries of records: accepted values of each kind; no entry is ignored, exchanged or lost."""
 
 import copy
+import functools
 import json
+import operator
 from fractions import Fraction
 
 import numpy as np
@@ -225,6 +227,37 @@ def test_dimension_of_states_is_checked(name):
     for wrong in (1, first.dim - 1, first.dim + 1, 10**6):
         with pytest.raises(ValueError, match=rf"dimension {first.dim}, .*dimension {wrong}$"):
             system_of(record, wrong)
+
+
+def dimensions_in(record, path=()):
+    """Yield the path of each dimension in a record."""
+    for key, inner in record.items() if isinstance(record, dict) else enumerate(record):
+        if key in ("dim", "N"):
+            yield *path, key
+        elif key != "parameters" and isinstance(inner, dict | list):
+            yield from dimensions_in(inner, (*path, key))
+
+
+NESTED = {
+    "form as a Casimir": own(Q, casimirs={"C": co.Quadratic([1.0, 1.0, 1.0])}),
+    "form as an integral": own(co.Quadratic([1.0, 1.0, 2.0]), integrals={"J": co.Quadratic([0.0, 0.0, 1.0])}),
+    "sum of pieces and a form": co.LiePoissonSystem(co.LieAlgebra([], dim=3), SPLIT + Q),
+    "sum of pieces and a polynomial": co.LiePoissonSystem(co.LieAlgebra([], dim=3), SPLIT + P),
+}
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", SYSTEMS | NESTED)
+def test_every_dimension_in_a_record_is_checked(name):
+    """Smaller ones too, whose entries are all within the dimension."""
+    record = through_json((SYSTEMS | NESTED)[name])
+    for *path, last in dimensions_in(record):
+        for change in (-1, 1, 1000):
+            changed = copy.deepcopy(record)
+            table = functools.reduce(operator.getitem, path, changed)
+            table[last] += change
+            with pytest.raises(ValueError, match=r"^system\b"):
+                system_of(changed)
 
 
 NAMES = {"casimirs", "integrals", "layout", "parameters"}
