@@ -1,6 +1,7 @@
 """Interrupted runs: partial results, messages, and continuation of archives."""
 
 import os
+import signal
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import xarray
 
 import coadjoint as co
 from coadjoint import cli
+from coadjoint.interruption import Interrupted
 from core_only import run_python
 from long import long_beyond
 
@@ -121,6 +123,29 @@ def test_second_interrupt_ends_the_command(folder):
     done = run_python(twice + code)
     assert (done.returncode, done.stderr) == (130, "coadjoint: interrupted\n")
     assert os.listdir(folder) == ["long.toml"]
+
+
+def test_interrupt_before_the_archive_exists(folder, capsys, monkeypatch):
+    """Without an archive the message names none, and nothing remains of it."""
+    from coadjoint.files.archives.store import ArchiveStore
+
+    first = f"x = {[[1.0, 0.1, 0.5]] * 2}\n"
+    (folder / "many.toml").write_text(LONG.replace("x = [1.0, 0.1, 0.5]\n", first))
+    for number, message in (
+        (signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated"), (signal.SIGHUP, "hung up"),
+    ):  # fmt: skip
+        for place in ("create_archive", "write", "commit", "moved"):
+            for file in ("long.toml", "many.toml"):
+
+                def interrupt(*args, number=number):
+                    raise Interrupted(number)
+
+                with monkeypatch.context() as patched:
+                    patched.setattr(ArchiveStore, place, interrupt)
+                    status = cli.main(["run", file, "--archive", "run.zarr"])
+                written = capsys.readouterr()
+                assert (status, written.err) == (128 + number, f"coadjoint: {message}\n"), place
+                assert sorted(os.listdir(folder)) == ["long.toml", "many.toml"], place
 
 
 def interrupt_after(calls, monkeypatch):

@@ -462,3 +462,39 @@ def test_written_array_shapes_are_accepted(changed):
     array = GOOD._replace(**changed)
     array.check()
     assert StoredArray.of_metadata(json.loads(json.dumps(array.metadata()))).metadata() == array.metadata()
+
+
+def test_locks_that_cannot_be_opened_are_not_those_of_another_process(tmp_path, store):
+    """None means that another process holds the lock; every other obstacle is an error of its own."""
+    store.close()
+    place, before = store.path / ".coadjoint" / "lock", open_descriptors()
+    place.unlink()
+    (tmp_path / "kept").write_text("precious")
+    obstacles = {
+        "Is a directory": place.mkdir,
+        "the lock is no regular file": lambda: os.mkfifo(place),
+        "a symbolic link": lambda: place.symlink_to(tmp_path / "kept"),
+        "a symbolic link, which": lambda: place.symlink_to(tmp_path / "missing"),
+        "Permission denied": place.touch,
+        "Read-only file system": place.touch,
+    }
+    opened = os.open
+    for reason, make in obstacles.items():
+        make()
+        number = {"Permission denied": errno.EACCES, "Read-only file system": errno.EROFS}.get(reason)
+
+        def refuse(path, flags, *given, number=number, **folder):
+            if number and os.fspath(path).endswith("lock"):
+                raise OSError(number, os.strerror(number))
+            return opened(path, flags, *given, **folder)
+
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr(os, "open", refuse)
+            with ArchiveFolder(store.path) as folder, pytest.raises(OSError, match=reason):
+                folder.lock(".coadjoint", "lock")
+            with pytest.raises(ArchiveError, match=rf"cannot be written \(.*{reason}.*its content is unchanged"):
+                ArchiveStore.open_existing(store.path)
+        place.rmdir() if place.is_dir() else place.unlink()
+    assert open_descriptors() == before and (tmp_path / "kept").read_text() == "precious"
+    assert sorted(os.listdir(tmp_path)) == ["kept", "run.zarr"]
+    ArchiveStore.open_existing(store.path).close()

@@ -1,7 +1,9 @@
 """Entries of records: accepted values of each kind; no entry is ignored, exchanged or lost."""
 
 import copy
+import functools
 import json
+import operator
 from fractions import Fraction
 
 import numpy as np
@@ -19,7 +21,8 @@ INFINITE, NAN = float("inf"), float("nan")
 STRANGE = (
     None, True, False, -1, 0, 1, 2, 3, 2.5, -2.5, 1e308, INFINITE, -INFINITE, NAN, 2**62, 2**62 + 1, -(2**62), 10**400,
     np.int64(2), np.float64(2.5), np.bool_(True), "", "a", "1/3", "-2/7", "1/0", "1e5", "1/3x", "x" * MAX_CHARACTERS,
-    "x" * (MAX_CHARACTERS + 1), [], {}, [0, 1], [0, 1, 2], [0, 1, 3], [0, True, 2], [0, 1, -1], [0.5, 1, 2],
+    "x" * (MAX_CHARACTERS + 1), [], {}, [0, 1], [0, 1, 2], [0, 1, 3], [0, True, 2], [True, False, True],
+    [np.bool_(True)] * 3, [[True]] * 3, [0, 1, -1], [0.5, 1, 2],
     [0, 1, NAN],
     [0, 1, INFINITE], [0, 1, -INFINITE], ["a", 1, 2], [[0, 1], [2, 3]], [0, [1], 2], (0, 1, 2), {"a": 1}, [None, 1, 2],
 )  # fmt: skip
@@ -57,8 +60,9 @@ READERS = {
     ),
     "three numbers": (
         lambda e: e.numbers(3).tolist(),
-        # NumPy converts a boolean among numbers to a number.
-        lambda v: is_list(v, 3) and all(isinstance(k, int | float) and is_number(float(k)) for k in v), list
+        # NumPy converts a boolean among numbers to a number; flags alone are refused.
+        lambda v: is_list(v, 3) and not all(isinstance(k, bool) for k in v)
+        and all(isinstance(k, int | float) and is_number(float(k)) for k in v), list
     ),
 }  # fmt: skip
 
@@ -96,7 +100,7 @@ def test_row_indices_are_bounded():
         for arguments in ([wrong], [*rows, wrong], [wrong, *rows]):
             with pytest.raises(ValueError, match=r"^M is .*; it must be rows of 2"):
                 Entry(arguments, "M").rows(2, 3)
-    for value in (None, 0, "", {}, (), tuple(rows)):
+    for value in (None, 0, "", {}, (), tuple(rows), [[True, False, True]], [[False, True, True], [True, True, False]]):
         with pytest.raises(ValueError, match=r"^M is "):
             Entry(value, "M").rows(2, 3)
 
@@ -223,6 +227,37 @@ def test_dimension_of_states_is_checked(name):
     for wrong in (1, first.dim - 1, first.dim + 1, 10**6):
         with pytest.raises(ValueError, match=rf"dimension {first.dim}, .*dimension {wrong}$"):
             system_of(record, wrong)
+
+
+def dimensions_in(record, path=()):
+    """Yield the path of each dimension in a record."""
+    for key, inner in record.items() if isinstance(record, dict) else enumerate(record):
+        if key in ("dim", "N"):
+            yield *path, key
+        elif key != "parameters" and isinstance(inner, dict | list):
+            yield from dimensions_in(inner, (*path, key))
+
+
+NESTED = {
+    "form as a Casimir": own(Q, casimirs={"C": co.Quadratic([1.0, 1.0, 1.0])}),
+    "form as an integral": own(co.Quadratic([1.0, 1.0, 2.0]), integrals={"J": co.Quadratic([0.0, 0.0, 1.0])}),
+    "sum of pieces and a form": co.LiePoissonSystem(co.LieAlgebra([], dim=3), SPLIT + Q),
+    "sum of pieces and a polynomial": co.LiePoissonSystem(co.LieAlgebra([], dim=3), SPLIT + P),
+}
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", SYSTEMS | NESTED)
+def test_every_dimension_in_a_record_is_checked(name):
+    """Smaller ones too, whose entries are all within the dimension."""
+    record = through_json((SYSTEMS | NESTED)[name])
+    for *path, last in dimensions_in(record):
+        for change in (-1, 1, 1000):
+            changed = copy.deepcopy(record)
+            table = functools.reduce(operator.getitem, path, changed)
+            table[last] += change
+            with pytest.raises(ValueError, match=r"^system\b"):
+                system_of(changed)
 
 
 NAMES = {"casimirs", "integrals", "layout", "parameters"}

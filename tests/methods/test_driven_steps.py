@@ -108,3 +108,32 @@ def test_differences_are_taken_at_the_state_zero_too():
     assert found.by == "differences"
     # Central differences at the distance 2^-17: h^2/6 by the third derivative.
     assert np.abs(found.derivative - [[1.0, 2.0], [0.0, -1.0]]).max() <= 2.0**-34
+
+
+def test_a_component_that_is_not_analytic_is_found_among_others():
+    """Complex steps give 0, or half of the slope, for the components that depend on x.real or the conjugate."""
+    x = np.array([0.6, -1.25, 1.75])
+    analytic = [
+        (lambda x: np.sin(x[0]) * x[1], [np.cos(x[0]) * x[1], np.sin(x[0]), 0.0]),
+        (lambda x: x[0] * x[1] * x[2], [x[1] * x[2], x[0] * x[2], x[0] * x[1]]),
+        (lambda x: x[2] ** 2 - x[1], [0.0, -1.0, 2.0 * x[2]]),
+    ]
+    others = [
+        (lambda x: np.abs(x[1]) + x[2], [0.0, -1.0, 1.0]),
+        (lambda x: np.real(x[0]) ** 2 * x[2], [2.0 * x[0] * x[2], 0.0, x[0] ** 2]),
+        (lambda x: np.conj(x[2]) * x[2] + 0.0 * x[0], [0.0, 0.0, 2.0 * x[2]]),
+        (lambda x: np.linalg.norm(x) * x[0], np.linalg.norm(x) * np.eye(3)[0] + x[0] * x / np.linalg.norm(x)),
+    ]
+
+    def derivative(parts):
+        found = derivative_of(lambda x: np.array([function(x) for function, _ in parts]), x)
+        assert np.array_equal(found.value, [function(x) for function, _ in parts])
+        return found.by, np.abs(found.derivative - [slope for _, slope in parts]).max()
+
+    by, error = derivative(analytic)
+    assert by == "complex step" and error <= 8 * U
+    for place in range(3):
+        for other in others:
+            by, error = derivative([*analytic[:place], other, *analytic[place + 1 :]])
+            # Central differences at the distance 2^-17: h^2/6 by the third derivative, and rounding by h.
+            assert by == "differences" and error <= 2.0**-31, (place, others.index(other))

@@ -437,6 +437,33 @@ def test_wrong_forces_are_refused_by_name(make, error, said):
         co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(make(co.forces))
 
 
+FORCES_OF_VALUES = (
+    lambda N: co.forces.Torque(lambda t: N),
+    lambda N: co.forces.Torque(lambda x: N),
+    lambda N: co.forces.Torque(lambda x, t: N),
+    lambda N: co.forces.Torque(lambda t: N.tolist()),
+    lambda N: co.forces.Torque(N),
+    lambda N: co.forces.LinearDamping(0.1, N),
+    lambda N: co.forces.OwnForce(lambda x, t, tau: x if N.shape == x.shape else x[0] + 0.0 * N),
+)
+
+
+def test_vectors_of_forces_have_the_shape_of_the_state():
+    """Other shapes with as many entries would be broadcast to matrices."""
+    for system, shapes in (
+        (co.systems.rigid_body(inertia=(1, 2, 3)), [(1,), (2,), (4,), (3, 1), (1, 3), (1, 1, 3), (3, 3)]),
+        (co.systems.heavy_top(), [(1,), (3,), (7,), (6, 1), (1, 6), (2, 3), (3, 2), (6, 1, 1), (6, 6)]),
+    ):
+        n = system.dim
+        for shape in [*shapes, (n,)]:
+            for make in FORCES_OF_VALUES:
+                if shape == (n,):
+                    assert system.with_forces(make(np.full(shape, 0.5))).dim == n
+                else:
+                    with pytest.raises(ValueError, match=r"shape|is a matrix"):
+                        system.with_forces(make(np.full(shape, 0.5)))
+
+
 def test_failures_say_where():
     body = co.systems.rigid_body(inertia=(1, 2, 3))
     blown = body.with_forces(co.forces.Torque(lambda t: np.array([0.0, 0.0, np.log(1.0 - t)])))

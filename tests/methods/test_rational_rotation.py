@@ -6,6 +6,7 @@ import math
 import mpmath
 import numpy as np
 import pytest
+import scipy.linalg
 
 import coadjoint as co
 from coadjoint.kernels.library import kernels
@@ -214,6 +215,51 @@ def test_a_representation_with_other_frequencies(method):
     A = co.integrate(vectors, x0, (0, 20), 0.1, METHODS[method], attitude=True, save_every=200).attitude[-1]
     turned = np.array([[-np.trace(q @ r @ q.T @ t) for r in QUATERNIONS] for t in QUATERNIONS])
     assert np.max(np.abs(turned - A)) <= 4 * wander + 12 * 4 * U * run.stats.evaluations
+
+
+VECTORS = SO3.representation
+
+
+def sum_of(first, second):
+    """Return the direct sum of two representations."""
+    return np.array([scipy.linalg.block_diag(a, b) for a, b in zip(first, second, strict=True)])
+
+
+def product_of(first, second):
+    """Return the tensor product: its frequencies are the sums and differences of those of the factors."""
+    units = np.eye(len(first[0])), np.eye(len(second[0]))
+    return np.array([np.kron(a, units[1]) + np.kron(units[0], b) for a, b in zip(first, second, strict=True)])
+
+
+REPRESENTATIONS = {
+    "1": VECTORS,
+    "1 + 1": sum_of(VECTORS, VECTORS),
+    "1/2 + 1": sum_of(QUATERNIONS, VECTORS),
+    "1 + 1/2": sum_of(VECTORS, QUATERNIONS),
+    "0 + 1 + 2": product_of(VECTORS, VECTORS),
+    "1/2 + 3/2": product_of(QUATERNIONS, VECTORS),
+    "1 + 1/2 + 3/2": sum_of(VECTORS, product_of(QUATERNIONS, VECTORS)),
+}
+
+
+@pytest.mark.thinned(4)
+@pytest.mark.parametrize("spins", REPRESENTATIONS)
+@pytest.mark.parametrize("system", ["so(3) diagonal", "so(3) full", "so(3) quartic"])
+@pytest.mark.parametrize("method", ["order 2", "first-order steps"])
+def test_representations_with_several_frequencies(spins, system, method):
+    """g rho(x) g^-1 is constant only if all blocks turn like the state, x -> A x; A agrees with that of vectors."""
+    matrices, known = REPRESENTATIONS[spins], SYSTEMS[system]
+    s = co.LiePoissonSystem(SO3, known.hamiltonian, sign=known.sign, representation=matrices)
+    x0 = np.array([1.0, -0.5, 0.75])
+    run = co.integrate(s, x0, (0, 4), 0.25, METHODS[method], attitude=True, save_every=16)
+    g, rho = run.attitude[-1], [np.einsum("i,ijk->jk", x, matrices) for x in (x0, run.x[-1])]
+    bound = 12 * len(g) * U * run.stats.evaluations
+    assert np.max(np.abs(g.T @ g - one(len(g)))) <= bound
+    assert np.max(np.abs(g @ rho[1] @ g.T - rho[0])) <= 4 * bound * np.max(np.abs(rho[0]))
+    turned = np.array([[-np.trace(g @ r @ g.T @ t) for r in matrices] for t in matrices]) / np.sum(matrices[0] ** 2)
+    vectors = co.LiePoissonSystem(SO3, known.hamiltonian, sign=known.sign, representation=VECTORS)
+    A = co.integrate(vectors, x0, (0, 4), 0.25, METHODS[method], attitude=True, save_every=16).attitude[-1]
+    assert np.max(np.abs(turned - A)) <= 4 * bound and np.max(np.abs(A - one(3))) > 0.1
 
 
 def ring(value):

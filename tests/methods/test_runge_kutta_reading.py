@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.methods.explicit_runge_kutta import TABLEAUX
 from coadjoint.methods.numerics.stages import linear_solve
 from long import long_where
 from served import serves
@@ -150,6 +151,27 @@ def test_tangent_is_the_derivative_of_the_step(name, method):
     assert np.max(np.abs(P @ directions.T - np.array(columns).T)) < n * bound
     assert np.max(np.abs(new - method.step(system, x0, t, h))) <= 64 * 2.0**-53
     assert np.max(np.abs(P - np.eye(n))) > 1e-2
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("method", [*map(EXPLICIT, TABLEAUX), GAUSS(2), ITERATED(2), MODIFIED(2, freeze="gradient")])
+def test_each_stage_takes_the_derivative_at_its_own_time(method):
+    """x2' = r(t) x2 is linear: its derivative is the step from x2 = 1; r differs from stage to stage."""
+    line = co.LieAlgebra([(0, 1, 1, 1.0)], dim=2)
+
+    def rate(t):
+        return 0.5 + t - 3 * t * t
+
+    H = co.Hamiltonian(
+        lambda x, t: rate(t) * x[0],
+        lambda x, t: np.array([rate(t), 0 * x[0]]),
+        lambda x, t: np.zeros((2, 2)),
+    )
+    system = co.LiePoissonSystem(line, H)
+    _, P = method.tangent(system, np.array([0.25, 2.0]), 0.25, 0.5)
+    assert abs(P[1, 1] - method.step(system, [0.25, 1.0], 0.25, 0.5)[1]) <= 64 * 2.0**-53
+    assert P[0].tolist() == [1.0, 0.0] and abs(P[1, 0]) <= 64 * 2.0**-53
+    assert abs(method.step(system, [0.25, 1.0], 0.5, 0.5)[1] - P[1, 1]) > 1e-2
 
 
 def test_tangent_needs_the_second_derivatives():

@@ -179,6 +179,27 @@ def test_polynomial_of_degree_two():
         Quadratic.from_polynomial(Polynomial({(3,): 1.0}))
 
 
+NUMBERS = {"float": 0.1, "whole": 3, "fraction": Fraction(1, 3)}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_coefficients_of_polynomials_keep_their_numbers(seed):
+    """Floats, whole numbers and fractions beside each other, in every term, as the fractions that they are."""
+    rng = np.random.default_rng(seed)
+    for kinds in ([0], [1], [2], [0, 1], [0, 2], [1, 2], [0, 1, 2]):
+        terms = [(2, 0, 0), (0, 2, 0), (1, 1, 0), (0, 1, 1), (1, 0, 0), (0, 0, 1), (0, 0, 0)]
+        numbers = [list(NUMBERS.values())[k] for k in rng.permutation(np.resize(kinds, len(terms)))]
+        monomials = {e: c * int(rng.choice([-2, -1, 1, 2])) for e, c in zip(terms, numbers, strict=True)}
+        H = Quadratic.from_polynomial(Polynomial(monomials))
+        x = [Fraction(int(n), 7) for n in rng.choice([-3, -2, -1, 1, 2, 3], 3)]
+        wanted = sum(Fraction(c) * x[0] ** i * x[1] ** j * x[2] ** k for (i, j, k), c in monomials.items())
+        assert H.value(np.array(x, dtype=object)) == wanted
+        assert H.to_polynomial().monomials == monomials
+        assert H.exact == any(not isinstance(c, float) for c in monomials.values())
+        doubled = Quadratic.from_polynomial(2 * H.to_polynomial())
+        assert doubled.value(np.array(x, dtype=object)) == 2 * wanted
+
+
 def test_a_million_coordinates_stay_sparse():
     n = 10**6
     M = scipy.sparse.diags_array([np.full(n - 1, -1.0), np.full(n, 2.0), np.full(n - 1, -1.0)], offsets=[-1, 0, 1])

@@ -40,6 +40,20 @@ def test_a_polynomial_and_a_quadratic_one_are_a_polynomial():
     assert P + co.Quadratic([1.0, 2.0, 0.0]) == written == co.Quadratic([1.0, 2.0, 0.0]) + P
 
 
+def test_scalars_take_the_dimension_of_the_other_summand():
+    """In either order, for every kind, as the matrix 1.5 times the identity."""
+    x, square = POINTS[0], 0.75 * POINTS[0] @ POINTS[0]
+    for name, make in KINDS.items():
+        for scalar, added in ((co.Quadratic(1.5), square), (co.Quadratic(1.5) - 2, square - 2.0), (3, 3.0)):
+            expected = bound(make()).value(x) + added
+            for H in (scalar + make(), make() + scalar, sum([scalar, make()]), sum([make(), scalar])):
+                assert abs(bound(H).value(x) - expected) < 2.0**-46, name
+                assert name in ("scalar", "functions") or H.dim in (3, None), name
+    P = co.Polynomial("x1*x2*x3 - 2", dim=3)
+    written = co.Polynomial("x1*x2*x3 + x1^2 + x2^2 + x3^2 - 2", dim=3)
+    assert co.Quadratic(2.0) + P == P + co.Quadratic(2.0) == written and written - P == co.Quadratic(2.0) + 0 * P
+
+
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(3), co.ExplicitRungeKutta()], ids=str)
 def test_properties_of_a_sum_are_those_of_what_is_written_out(method):
     parts = {0: (lambda y: 0.5 * y * y, lambda y: y), 1: (lambda y: 0.25 * y * y, lambda y: 0.5 * y)}

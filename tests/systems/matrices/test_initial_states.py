@@ -275,6 +275,21 @@ def test_states_in_files_of_numpy(s, tmp_path):
     assert np.abs(s.from_file(str(tmp_path / "field.npy")) - W).max() < 1e-12 * np.abs(W).max()
 
 
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("rows", [10**4, 10**9, 10**13, 10**17, -1])
+@pytest.mark.parametrize("kept", [0, 16, 1.0])
+def test_headers_of_numpy_that_declare_other_data(rows, kept, tmp_path):
+    """More data than the file has, more than the memory, more than addresses, and fewer than none."""
+    file = tmp_path / "state.npy"
+    header = {"descr": "<f8", "fortran_order": False, "shape": (rows, 25)}
+    data = np.ones((25, 25)).tobytes()
+    with file.open("wb") as opened:
+        np.lib.format.write_array_header_1_0(opened, header)
+        opened.write(data[: int(kept * len(data)) if isinstance(kept, float) else kept])
+    with pytest.raises(ValueError, match="holds no array of numbers"):
+        TORUS.from_file(file)
+
+
 @pytest.mark.parametrize("points", ["clenshaw-curtis", "fejer", "gauss-legendre"])
 def test_fields_in_netcdf_in_any_order(points, tmp_path):
     import xarray

@@ -1,5 +1,7 @@
 """Modes and grids of the torus."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -61,3 +63,18 @@ def test_coarse_grids_and_small_sizes_keep_what_they_resolve():
 def test_what_is_no_field_is_refused(modes, kind, said):
     with pytest.raises(kind, match=said):
         S.from_modes(modes)
+
+
+def test_wave_numbers_beyond_the_range_are_refused():
+    """Otherwise they would be taken for others mod N."""
+    for size in (3, 5, 9):
+        s, half = co.systems.torus_euler(N=size), size // 2
+        x, y = s.grid()
+        for n1, n2 in {*product(range(-half - 2, half + 3), repeat=2), (-(10**30), 0), (1, -size)} - {(0, 0)}:
+            modes = {(n1, n2): 0.5 + 0.25j}
+            if max(n1, n2, -n1, -n2) > half:
+                with pytest.raises(ValueError, match=f"give n1, n2 from -{half} to {half}"):
+                    s.from_modes(modes)
+            else:
+                wave = 2.0 * summed(modes, x[:, None], y[None, :])
+                assert np.abs(s.to_grid(s.from_modes(modes)) - wave).max() < ROUNDED
