@@ -314,3 +314,19 @@ def read_choice(value: Any, what: str, known: Collection[str]) -> str:
     if not isinstance(value, str) or value not in known:
         raise unknown_name(what, value, known)
     return str(value)
+
+
+def read_array_file(path: Path, named: str) -> NDArray[Any]:
+    """Return the array of numbers in a file ``.npy``, without unpickling.
+
+    OSError if it cannot be opened; ValueError, which refers to it as `named`, if it holds anything else.
+    """
+    with path.open("rb") as file:
+        check_available_memory(2 * path.stat().st_size, f"the array in {short(named)}")
+        try:
+            values = np.load(file, allow_pickle=False)
+        except Exception:  # a damaged header raises arbitrary errors, also those of Python's parser and of zip files
+            values = None
+    if not isinstance(values, np.ndarray) or values.dtype.kind not in "iufc":
+        raise ValueError(f"{short(named)} holds no array of numbers; give a file of numpy.save")
+    return values

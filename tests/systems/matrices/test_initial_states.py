@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.files.configuration.initial_states import initial_state
 from coadjoint.optional_packages import MissingPackageError
 from coadjoint.systems.matrices.sphere_grid import latitudes, longitudes
+from coadjoint.validation import read_array_file
 
 SPHERE, TORUS = co.systems.sphere_euler(N=24), co.systems.torus_euler(N=25)
 TURNING = co.systems.sphere_euler(N=24, rotation=0.7)
@@ -288,6 +290,30 @@ def test_headers_of_numpy_that_declare_other_data(rows, kept, tmp_path):
         opened.write(data[: int(kept * len(data)) if isinstance(kept, float) else kept])
     with pytest.raises(ValueError, match="holds no array of numbers"):
         TORUS.from_file(file)
+
+
+@pytest.mark.filterwarnings("ignore:invalid escape sequence:DeprecationWarning")
+def test_damaged_files_of_numpy_are_refused_in_one_sentence(tmp_path):
+    """A header is parsed as Python, and a zip file may have the ending of an array."""
+    rng, file = np.random.default_rng(4), tmp_path / "state.npy"
+    np.save(file, np.ones((2, 3)))
+    whole = np.frombuffer(file.read_bytes(), dtype=np.uint8)
+    end, letters = int(np.flatnonzero(whole == ord("\n"))[0]), np.frombuffer(b"([{'\",:\\0 9Tx\n\0PK", dtype=np.uint8)
+    refused = 0
+    for _ in range(300):
+        damaged = whole.copy()
+        damaged[rng.integers(0, end, rng.integers(1, 4))] = rng.choice(letters)
+        file.write_bytes(damaged.tobytes())
+        try:
+            assert read_array_file(file, "state.npy").dtype.kind in "iufc"
+        except ValueError as reason:
+            refused += str(reason) == "'state.npy' holds no array of numbers; give a file of numpy.save"
+    assert refused > 100
+    np.savez(tmp_path / "several.npz", np.ones(3))
+    (tmp_path / "several.npz").rename(file)
+    for read in (lambda: TORUS.from_file(file), lambda: initial_state(TORUS, "state.npy", tmp_path)):
+        with pytest.raises(ValueError, match="holds no array of numbers"):
+            read()
 
 
 @pytest.mark.parametrize("points", ["clenshaw-curtis", "fejer", "gauss-legendre"])

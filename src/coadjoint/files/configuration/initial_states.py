@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.files.configuration.construction import ConfigurationError, section
-from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.protocol import is_matrix_system, unforced
-from coadjoint.validation import check_parameters, read_choice
+from coadjoint.validation import check_parameters, read_array_file, read_choice
 
 if TYPE_CHECKING:
     from coadjoint.files.configuration.models import File, InitialTable
@@ -47,17 +46,9 @@ def array_of_file(path: Path, named: str) -> NDArray[Any]:
     if path.suffix != NPY_SUFFIX:
         raise ValueError(f"{short(named)} is no state; give numbers, or the name of a file {NPY_SUFFIX}")
     try:
-        size = path.stat().st_size
+        return read_array_file(path, named)
     except OSError as reason:
-        raise ValueError(f"{short(named)} cannot be read ({getattr(reason, 'strerror', None) or reason})") from None
-    check_available_memory(2 * size, f"the states in {short(named)}")
-    try:
-        values = np.load(path, allow_pickle=False)
-    except (OSError, EOFError, ValueError, MemoryError):  # a header may declare more data than the file contains
-        values = None
-    if not isinstance(values, np.ndarray) or values.dtype.kind not in "iufc":
-        raise ValueError(f"{short(named)} holds no array of numbers")
-    return values
+        raise ValueError(f"{short(named)} cannot be read ({reason.strerror or reason})") from None
 
 
 def check_named(name: str, file: File) -> None:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
-from coadjoint.validation import read_finite, read_integer
+from coadjoint.validation import read_array_file, read_finite, read_integer
 
 if TYPE_CHECKING:
     import xarray
@@ -36,10 +36,7 @@ def read_field(
     if file.suffix == ".npy":
         if variable is not None or select is not None:
             raise ValueError(f"{short(file.name)} contains one array; variable= and select= are for NetCDF")
-        try:
-            return np.load(file, allow_pickle=False), None
-        except (EOFError, ValueError, MemoryError):  # the header may claim more data than the file has
-            raise ValueError(f"{short(file.name)} holds no array of numbers; give a file of numpy.save") from None
+        return read_array_file(file, file.name), None
     if file.suffix != ".nc":
         raise ValueError(
             f"{short(file.name)} ends with {short(file.suffix) if file.suffix else 'nothing'}; give a file .npy or .nc"
