@@ -317,3 +317,19 @@ def test_without_sympy_the_package_is_named(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name, *more: None if name == "sympy" else find(name, *more))
     with pytest.raises(MissingPackageError, match=r"coadjoint.algebra."):
         co.Polynomial({(1,): 1}).to_sympy()
+
+
+def test_polynomials_take_any_names_one_after_another():
+    """In every printed form; the polynomial itself and those of other names keep theirs."""
+    p, text = Polynomial({(2, 1): 3, (0, 1): -1}), "-{1} + 3*{0}^2*{1}"
+    own = ("x1", "x2")
+    for start in (p, p.named(("u", "v"))):
+        kept, made = start.names, []
+        for names in (("q", "p"), ("a", "b"), own, ("q", "p"), ("p", "q"), own, ("a", "b"), ("u", "v")):
+            for found in (start.named(names), *(each.named(names) for each in made)):
+                assert found == p and found.names == names and repr(found) == text.format(*names)
+                assert found.to_latex() == latex(p.monomials, names)
+                assert found.derivative(0).names == (found + 1).names == names
+            made.append(start.named(names))
+            assert start.names == kept and repr(start) == text.format(*kept)
+        assert [repr(each) for each in made[:2]] == [text.format("q", "p"), text.format("a", "b")]

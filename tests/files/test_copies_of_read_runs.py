@@ -136,6 +136,22 @@ def test_copies_preserve_given_functions(tmp_path, writer, name):
             _ = copied(co.load(path)).system
 
 
+def test_copies_of_runs_with_an_accuracy_have_their_error():
+    """Whether it was computed before the copy was made or not, and for each member."""
+    body, x0 = co.systems.rigid_body((1, 2, 3)), np.array([1.0, 0.2, 0.5])
+    for states in (x0, np.multiply.outer(SIZES, x0)):
+        sol = co.integrate(body, states, (0, 2), accuracy=1e-6)
+        before = {how: copied(sol) for how, copied in COPIES.items()}
+        error = sol.error_estimate
+        assert np.shape(error) == states.shape[:-1] and np.all(np.asarray(error) <= 1e-6)
+        for how, copied in COPIES.items():
+            for again in (before[how], copied(sol), copied(before[how])):
+                np.testing.assert_array_equal(again.error_estimate, error, err_msg=how)
+                assert again.choice == sol.choice and again.drift() == sol.drift()
+    with pytest.raises(TypeError, match="accuracy"):
+        _ = copy.copy(co.integrate(body, x0, (0, 2), STEP)).error_estimate
+
+
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("writer", WRITERS)
 def test_copies_prefer_the_given_system(tmp_path, writer):

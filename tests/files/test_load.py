@@ -3,6 +3,7 @@
 import json
 import os
 import pickle
+import shutil
 from pathlib import Path
 
 import h5py
@@ -102,6 +103,30 @@ def test_archives_are_loaded(tmp_path, name):
     found = co.load(tmp_path / "run.zarr")
     assert isinstance(found, co.Solution) and found.finished
     assert same_bits(found.x, sol.x)
+
+
+@pytest.mark.filterwarnings("ignore::zarr.errors.UnstableSpecificationWarning")
+@pytest.mark.filterwarnings("ignore:Consolidated metadata")
+def test_casimirs_are_loaded_in_the_order_of_the_run(tmp_path):
+    """Files list arrays by their labels, of which the tenth comes before the second."""
+    free, names = co.LieAlgebra([], dim=3), ["z", "b 1", "a", "C", *(f"{k} y" for k in range(12, 0, -1))]
+    values = {name: co.Polynomial({(1, 0, 0): k + 1, (0, 1, 1): 1}) for k, name in enumerate(names)}
+    system = co.LiePoissonSystem(free, co.Quadratic([1.0, 2.0, 3.0]), casimirs=values)
+    sol = co.integrate(system, X, (0, 1), 0.25, observe=values, archive=tmp_path / "archive")
+    for name, way in {**WAYS, "archive": None}.items():
+        path = tmp_path / name
+        if way is not None:
+            way(sol, path)
+            path = next(each for each in tmp_path.iterdir() if each.stem == path.stem and each != tmp_path / "archive")
+        found = co.load(path)
+        assert list(found.casimirs) == names and set(found.observed) == set(names), name
+        assert list(found.initial) == list(found.drift()) == ["energy", *names], name
+        for k, label in enumerate(names):
+            expected = (k + 1) * X[0] + X[1] * X[2]
+            for number in (found.casimirs[label][0], found.observed[label][0], found.initial[label]):
+                assert number == pytest.approx(expected, rel=1e-14), (name, label)
+        if path.name != "archive":
+            path.unlink() if path.is_file() else shutil.rmtree(path)
 
 
 def test_swept_output_of_the_command_is_loaded(tmp_path, monkeypatch):

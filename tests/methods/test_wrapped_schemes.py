@@ -265,6 +265,21 @@ def forced_properties(base: Method) -> int:
     return max(seen, int(not any(served(base, case.system) for case in cases().values())))
 
 
+def test_open_compensation_is_taken_inside_of_schemes_of_flows():
+    """To any depth; a choice that was made stays."""
+    for depth in (1, 2):
+        for first in (co.Composition, ComposedFlows, PairOfFlows, co.Projected, Forced):
+            for second in (ComposedFlows, PairOfFlows)[: 2 if depth == 2 else 1]:
+
+                def made(compensated, first=first, second=second, depth=depth):
+                    base = co.Splitting(order=2, compensated=compensated)
+                    return BUILT[first](BUILT[second](base) if depth == 2 else base)
+
+                closes = first not in (co.Projected, Forced)
+                assert with_compensation(made(None)) == (made(True) if closes else None)
+                assert with_compensation(made(True)) is None and with_compensation(made(False)) is None
+
+
 @pytest.mark.thinned(24)
 @each_pair
 def test_what_depends_on_a_system_follows_from_the_base(wrapper, name):
