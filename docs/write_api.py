@@ -154,13 +154,13 @@ def _sections() -> Iterator[str]:
 
 def aliases(module: Any) -> dict[str, str]:
     """Return the former names of a module and the present ones."""
-    named = {name: getattr(getattr(module, name), "__name__", name) for name in module.__all__}
+    named = {name: getattr(getattr(module, name), "__name__", name) for name in dir(module)}
     return {name: present for name, present in sorted(named.items()) if present != name and present in named}
 
 
 def _names_of(shown: str, module: Any) -> Iterator[tuple[str, Any]]:
     """Yield the public names of a module, without former ones."""
-    for name in sorted(set(module.__all__) - set(aliases(module)), key=lambda name: (name.lower(), name)):
+    for name in sorted(set(dir(module)) - set(aliases(module)), key=lambda name: (name.lower(), name)):
         yield f"{shown}.{name}", getattr(module, name)
 
 

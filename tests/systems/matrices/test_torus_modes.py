@@ -65,6 +65,13 @@ def test_what_is_no_field_is_refused(modes, kind, said):
         S.from_modes(modes)
 
 
+@pytest.mark.parametrize("mode", [(1.7, 0), (0, -0.5), "10", (True, 0.5), (1, 0, 0), 1])
+@pytest.mark.parametrize("fluid", [co.systems.torus_euler(N=5), co.systems.sphere_euler(N=5)], ids=str)
+def test_mode_numbers_are_whole(fluid, mode):
+    with pytest.raises(TypeError, match="modes has"):
+        fluid.from_modes({mode: 0.5})
+
+
 def test_wave_numbers_beyond_the_range_are_refused():
     """Otherwise they would be taken for others mod N."""
     for size in (3, 5, 9):

@@ -62,6 +62,8 @@ def read_modes(argument: Any, N: int) -> Complexes:
         try:
             n1, n2 = (int(n) for n in mode)
             number = complex(value)
+            if (n1, n2) != tuple(mode):
+                raise ValueError
         except (TypeError, ValueError):
             raise TypeError(f"modes has {short(mode)}: {short(value)}; give (n1, n2): w") from None
         except OverflowError:
