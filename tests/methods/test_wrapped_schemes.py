@@ -26,10 +26,10 @@ from coadjoint.methods.protocol.automatic_choices import settled, with_compensat
 from coadjoint.methods.protocol.composed import ComposedFlows, Substeps
 from coadjoint.methods.protocol.composing import Composable
 from coadjoint.methods.protocol.flow_method import flows_of
+from coadjoint.methods.protocol.formal_step import FormalStep
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.newton import took_newton
 from coadjoint.methods.protocol.own_steps import OwnSteps
-from coadjoint.methods.protocol.power_series import PowerSeries
 from coadjoint.methods.protocol.restored import RestoresInvariants, restored
 from coadjoint.methods.protocol.stepped_method import SteppedMethod
 from coadjoint.methods.protocol.tangents import CompiledTangents, VariedTangents, tangent_by, tangent_loop
@@ -138,7 +138,7 @@ DIFFERENT = {
 
 
 def test_every_member_of_the_protocol_is_compared_or_listed():
-    kinds = (Method, CompiledTangents, VariedTangents, PowerSeries, OwnSteps, Composable, RestoresInvariants)
+    kinds = (Method, CompiledTangents, VariedTangents, FormalStep, OwnSteps, Composable, RestoresInvariants)
     public = {name for kind in kinds for name in vars(kind) if not name.startswith("_")}
     assert public == BY_RULE | BY_NUMBERS | DIFFERENT.keys()
 
@@ -147,7 +147,7 @@ def expected(wrapper: type[Method], base: Method) -> dict[str, Any]:
     """Return the members of a wrapped base that are no functions."""
     same = ("failures", "largest", "compensates", "order", "explicit", "symmetric", "own_steps")
     found = {name: getattr(base, name) for name in same}
-    series = base.expanded if isinstance(base.expanded, PowerSeries) else None
+    series = base.expanded if isinstance(base.expanded, FormalStep) else None
     if series is not None:
         found["known_to"] = series.known_to
     found |= {"fractions": (1.0,), "offered": False}

@@ -13,8 +13,8 @@ from coadjoint.algebra.exact.free_algebra import Series, exponential, product, u
 from coadjoint.methods.formal.formal_numbers import is_short
 from coadjoint.methods.protocol.composing import Composable
 from coadjoint.methods.protocol.flow_method import FlowMethod
+from coadjoint.methods.protocol.formal_step import FormalStep, with_formal_step
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.methods.protocol.power_series import PowerSeries, power_series
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.restored import RestoresInvariants, restored
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
@@ -59,7 +59,7 @@ class Composed(Wrapper):
     def known_to(self) -> float:
         """The error of the base or of the fractions, whichever is larger; short fractions are exact."""
         fraction_error = 0.0 if all(map(is_short, self.coefficients)) else UNIT_ROUNDOFF
-        return max(fraction_error, power_series(self.base).known_to)
+        return max(fraction_error, with_formal_step(self.base).known_to)
 
     def properties(self, system: System) -> Properties:
         """Return the properties of the base, which a composition shares."""
@@ -110,7 +110,7 @@ class ComposedFlows(Composed, FlowsOfBase):
 
 
 @dataclass(frozen=True)
-class Substeps(Composed, PowerSeries, CompiledTangents, Composable, RestoresInvariants):
+class Substeps(Composed, FormalStep, CompiledTangents, Composable, RestoresInvariants):
     """The step of the base, repeated at each fraction."""
 
     offered = False

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.formal.formal_numbers import is_short
 from coadjoint.methods.protocol.composing import Composable
+from coadjoint.methods.protocol.formal_step import FormalStep
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.methods.protocol.power_series import PowerSeries
 from coadjoint.methods.protocol.tangents import CompiledTangents
 from coadjoint.program.numbers import Number
 from coadjoint.program.sweeps import Sweep as Sweep  # re-exported by coadjoint.methods
@@ -34,7 +34,7 @@ COEFFICIENT_ERROR = 1e-38  # relative error of published coefficients, which hav
 SUM_TOLERANCE = 2.0**-40  # relative to the sum of absolute coefficients of sweeps; allows coefficients of twelve digits
 
 
-class FlowMethod(PowerSeries, CompiledTangents, Composable):
+class FlowMethod(FormalStep, CompiledTangents, Composable):
     """A scheme that consists of exact flows of parts, given by their order and fractions of the step."""
 
     @property

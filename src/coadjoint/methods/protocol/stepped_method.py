@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from coadjoint.methods.protocol.composing import Composable
+from coadjoint.methods.protocol.formal_step import FormalStep
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.methods.protocol.power_series import PowerSeries
 from coadjoint.systems.system_checks import System
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 FULL_STEP = (1.0,)
 
 
-class SteppedMethod(PowerSeries, Composable):
+class SteppedMethod(FormalStep, Composable):
     """A scheme with a step from a state; its loop supports arbitrary substeps of a step."""
 
     @abstractmethod

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.formal.formal_numbers import FormalNumber
 
 
-class PowerSeries(Method):
+class FormalStep(Method):
     """A scheme with a step that is known as a power series in h."""
 
     @abstractmethod
@@ -46,9 +46,9 @@ class PowerSeries(Method):
         return 0.0
 
 
-def power_series(method: Method) -> PowerSeries:
+def with_formal_step(method: Method) -> FormalStep:
     """Return a scheme as one with power series; raise TypeError if no way to compute them is known."""
     form = method.expanded
-    if not isinstance(form, PowerSeries):
+    if not isinstance(form, FormalStep):
         raise TypeError(f"a step of {method} is not known as a power series in exact numbers")
     return form
