@@ -197,7 +197,9 @@ def differences(seed: int) -> Iterator[str]:
             yield f"{label}: {', '.join(sorted(names))} differ"
         # With other watched steps, a non-finite energy may occur in one run only.
         of_energy = not same_steps and any(left.failure and "energy" in left.failure[3] for left in (expected, other))
-        if failing and not of_energy and expected.failure != other.failure:
+        # Own steps that are evaluated at other points within them fail there, with another last correction.
+        parts = slice(None) if same_steps else slice(2)
+        if failing and not of_energy and (expected.failure or ())[parts] != (other.failure or ())[parts]:
             yield f"{label}: failed as {other.failure}, not as {expected.failure}"
 
     yield from compared("again", run(case))
