@@ -20,7 +20,7 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution, with_choice
 from coadjoint.runs.start import momenta_of, read_attitude
 from coadjoint.runs.times import span_of
-from coadjoint.systems.batch import Batch
+from coadjoint.systems.protocol import is_batch
 from coadjoint.systems.system_checks import System, check_system
 
 # Allowed ratio of the error of the first step to the worst one of the sample; for variable steps, of the number of
@@ -66,7 +66,7 @@ class SampledRun(PreparedRun):
         threads: int | None,
     ) -> None:
         check_system(system)
-        if isinstance(system, Batch):
+        if is_batch(system):
             raise TypeError("accuracy chooses the step for one system, and this is a batch; prepare a run of a member")
         t0, t1 = span_of(t_span)
         if t0 == t1:

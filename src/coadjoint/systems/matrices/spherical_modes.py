@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from coadjoint.memory import available, check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.validation import read_complex
+from coadjoint.validation import read_complex, read_mode
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -208,17 +208,7 @@ def read_harmonics(argument: Any, N: int) -> Complexes:
         return _read_array(argument, N)
     c = np.zeros((N, N), dtype=np.complex128)
     for mode, value in argument.items():
-        try:
-            l, m = (int(k) for k in mode)
-            number = complex(value)
-            if (l, m) != tuple(mode):
-                raise ValueError
-        except (TypeError, ValueError):
-            raise TypeError(f"modes has {short(mode)}: {short(value)}; give (l, m): coefficient") from None
-        except OverflowError:
-            raise ValueError(
-                f"modes has {short(mode)}: {short(value)}, too large for float64; give (l, m): coefficient"
-            ) from None
+        l, m, number = read_mode(mode, value, "(l, m): coefficient")
         if not (0 < l < N and abs(m) <= l and np.isfinite(number)):
             raise ValueError(
                 f"mode {short(mode)}: {short(value)}; give a degree l from 1 to {N - 1}, an order m from -l to l, and "

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.short_repr import short
-from coadjoint.validation import read_complex
+from coadjoint.validation import read_complex, read_mode
 
 Complexes = npt.NDArray[np.complex128]
 
@@ -59,17 +59,7 @@ def read_modes(argument: Any, N: int) -> Complexes:
     w, half = np.zeros((N, N), dtype=np.complex128), N // 2
     coefficients: dict[tuple[int, int], complex] = {}
     for mode, value in argument.items():
-        try:
-            n1, n2 = (int(n) for n in mode)
-            number = complex(value)
-            if (n1, n2) != tuple(mode):
-                raise ValueError
-        except (TypeError, ValueError):
-            raise TypeError(f"modes has {short(mode)}: {short(value)}; give (n1, n2): w") from None
-        except OverflowError:
-            raise ValueError(
-                f"modes has {short(mode)}: {short(value)}, too large for float64; give (n1, n2): w"
-            ) from None
+        n1, n2, number = read_mode(mode, value, "(n1, n2): w")
         if max(abs(n1), abs(n2)) > half or (n1, n2) == (0, 0) or not np.isfinite(number):
             raise ValueError(f"mode {short(mode)}: give n1, n2 from {-half} to {half}, not both 0, and a finite w")
         coefficients[n1, n2] = number
