@@ -139,7 +139,11 @@ def test_modules_with_extras_are_imported_lazily():
         found[name] = {node.module for node in body if isinstance(node, ast.ImportFrom) and node.module}
         found[name] |= {alias.name for node in body if isinstance(node, ast.Import) for alias in node.names}
     needing = {name for name, used in found.items() if {module.partition(".")[0] for module in used} & set(EXTRAS)}
-    assert {"coadjoint.kernels.callbacks", "coadjoint.commands", "coadjoint.files.configuration.models"} <= needing
+    assert {
+        "coadjoint.kernels.functions.callbacks",
+        "coadjoint.commands",
+        "coadjoint.files.configuration.models",
+    } <= needing
     assert {name: used & needing for name, used in found.items() if used & needing and name not in needing} == {}
 
 

@@ -75,7 +75,7 @@ CASES = {
     ),
     "functions": (
         FUNCTIONS,
-        ("coadjoint.kernels.callbacks", "_compiled", 3),
+        ("coadjoint.kernels.functions.callbacks", "_compiled", 3),
         "run(200)",
         "assert run(3).x.shape == (11, 9)",
     ),

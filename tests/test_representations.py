@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.runs.summary import is_driven
+from coadjoint.runs.results.summary import is_driven
 from coadjoint.short_repr import dataclass_repr, function_name, html_table, short
 from guards import bounded_work
 

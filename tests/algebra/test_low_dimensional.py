@@ -171,7 +171,7 @@ def test_invariants_compile_and_are_nan_where_undefined():
     """One of every shape: what Numba sees differs only in the numbers."""
     from numba import njit
 
-    from coadjoint.kernels.functions import CompiledFunction
+    from coadjoint.kernels.functions.compiled_functions import CompiledFunction
 
     seen, undefined = set(), 0
     for name, chosen in CASES:

@@ -25,7 +25,7 @@ from coadjoint.analysis.line_drift import line_drift
 from coadjoint.analysis.phase_drift import PhaseDrift
 from coadjoint.analysis.round_off import RandomWalk, orthogonality, round_off, spatial_momentum
 from coadjoint.analysis.signals import sampled
-from coadjoint.runs.run_record import SOLUTION_FIELDS
+from coadjoint.runs.results.run_record import SOLUTION_FIELDS
 
 INERTIAS = ((1.0, 2.0, 3.0), (1.0, 2.0, 2.5), (1.5, 2.0, 3.2))
 STARTS = np.array([[1.0, 0.2, 0.5], [0.4, 0.1, 1.1], [1.3, -0.3, 0.2]])
@@ -366,7 +366,7 @@ def value_of(sol: co.Solution, name: str) -> Any:
 
 
 def picked(value: Any, axis: int, m: int) -> Any:
-    if isinstance(value, co.runs.solution.Drift):
+    if isinstance(value, co.runs.results.solution.Drift):
         return value.members[m], value.tenths[m], value.initial[m]
     if hasattr(value, "items"):
         return {key: picked(each, axis, m) for key, each in value.items()}
@@ -374,7 +374,7 @@ def picked(value: Any, axis: int, m: int) -> Any:
 
 
 def plain(value: Any) -> Any:
-    if isinstance(value, co.runs.solution.Drift):
+    if isinstance(value, co.runs.results.solution.Drift):
         return float(value), value.tenths, value.initial
     return {key: plain(each) for key, each in value.items()} if hasattr(value, "items") else value
 

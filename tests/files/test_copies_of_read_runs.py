@@ -9,7 +9,7 @@ import pytest
 import coadjoint as co
 from coadjoint.files.archives.resume import archive_run
 from coadjoint.files.output.output_files import write_dataset
-from coadjoint.kernels import matrix_functions
+from coadjoint.kernels.functions import matrix_functions
 from coadjoint.optional_packages import MissingPackageError
 from coadjoint.runs.prepared_run import PreparedRun
 

@@ -39,6 +39,11 @@ def test_comparison_of_fingerprints(one, other, same):
     assert same_fingerprint(one, other) == same and same_fingerprint(other, one) == same
 
 
+def test_module_of_events_is_fixed():
+    """Fingerprints contain the module of a class: a move of this one would refuse the events of stored runs."""
+    assert co.Event.__module__ == "coadjoint.runs.events"
+
+
 FACTOR, TABLE = 2.0, np.array([1.0, 2.0])
 
 

@@ -133,7 +133,7 @@ def test_every_reader_and_part_is_covered():
 def plain(value: Any) -> Any:
     if hasattr(value, "items"):
         return {name: plain(each) for name, each in value.items()}
-    if isinstance(value, co.runs.solution.Drift):
+    if isinstance(value, co.runs.results.solution.Drift):
         return float(value), np.asarray(value.tenths), value.members
     return value
 

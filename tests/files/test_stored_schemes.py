@@ -13,7 +13,7 @@ from coadjoint.files.configuration.configuration import load
 from coadjoint.files.configuration.models import File, HamiltonianTable, RunTable
 from coadjoint.files.datasets.export import rebuild, solution_inputs
 from coadjoint.methods import registry
-from coadjoint.runs.run_record import COPIED_FIELDS
+from coadjoint.runs.results.run_record import COPIED_FIELDS
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 
 BODY = co.systems.rigid_body((1.0, 2.0, 2.5))

@@ -8,9 +8,9 @@ import numpy as np
 
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.loop import MemberBatch, StopFlag, scheme_memory
-from coadjoint.kernels.recording_tables import schedule_of
-from coadjoint.kernels.runge_kutta_tables import RUNGE_KUTTA_LOOP, runge_kutta_tables
-from coadjoint.kernels.tables import watch_tables
+from coadjoint.kernels.tables.invariants import watch_tables
+from coadjoint.kernels.tables.recording import schedule_of
+from coadjoint.kernels.tables.runge_kutta import RUNGE_KUTTA_LOOP, runge_kutta_tables
 
 STATE = ("momenta", "errors", "groups", "group_errors", "memory")
 PADDING = 32  # no crowd has more lanes on any processor

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.function_contents import compilation_key
+from coadjoint.kernels.functions.contents import compilation_key
 
 numba = pytest.importorskip("numba")
 
-from coadjoint.kernels import callbacks, fresh_code, matrix_functions, numba_steps  # noqa: E402
+from coadjoint.kernels.functions import callbacks, fresh_code, matrix_functions, numba_steps  # noqa: E402
 
 SLOPE = 2.0
 

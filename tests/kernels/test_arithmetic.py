@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.structures import address
+from coadjoint.kernels.tables.structures import address
 
 U = 2.0**-53
 

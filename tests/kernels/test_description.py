@@ -10,9 +10,9 @@ import pytest
 
 import coadjoint as co
 from coadjoint.kernels import interface as description
-from coadjoint.kernels import structures
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
-from coadjoint.kernels.field_tables import GroupField
+from coadjoint.kernels.tables import structures
+from coadjoint.kernels.tables.field import GroupField
 from coadjoint.methods.numerics.projection import independent, project
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import coadjoint
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.structures import address
+from coadjoint.kernels.tables.structures import address
 
 SOURCE = Path(coadjoint.__file__).parent / "kernels" / "source"
 SINE, EXPONENTIAL, HALF_EXPONENTIAL, LOGARITHM, ANGLE = range(5)

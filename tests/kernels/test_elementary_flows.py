@@ -7,7 +7,7 @@ import pytest
 from test_flow import SO3, SYSTEMS
 
 import coadjoint as co
-from coadjoint.kernels import tables
+from coadjoint.kernels.tables import flow
 from coadjoint.program.blocks import Kind
 
 pytestmark = pytest.mark.thinned(6)
@@ -38,7 +38,7 @@ METHODS = (
     co.Splitting(order=4, compensated=True),
     co.Splitting(order=2, parts="coordinates"),
 )
-compiled_tables = tables.flow_tables
+compiled_tables = flow.flow_tables
 
 
 def read_row_by_row(program, h, compensated):
@@ -75,7 +75,7 @@ def test_rows_read_ahead_have_the_bits_of_the_tables(monkeypatch, name, attitude
         return co.integrate(system, x, span, h, method, attitude=attitude, save_every=4, threads=1)
 
     ahead, crowd = run(x0), run(np.tile(x0, (5, 1)))
-    monkeypatch.setattr(tables, "flow_tables", read_row_by_row)
+    monkeypatch.setattr(flow, "flow_tables", read_row_by_row)
     by_row = run(x0)
     for field in ("x", "energy", *(["attitude"] if attitude else [])):
         found = getattr(ahead, field)

@@ -8,8 +8,8 @@ import pytest
 from scipy.linalg import expm
 
 import coadjoint as co
-from coadjoint.kernels.casimir_shift import CompiledShiftCorrection
-from coadjoint.kernels.recording_tables import schedule_of
+from coadjoint.kernels.tables.casimir_shift import CompiledShiftCorrection
+from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.program.shifts.group_correction import Turn, unshift_tables
 from coadjoint.program.shifts.shift import quadratic_casimirs
 

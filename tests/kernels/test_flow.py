@@ -12,7 +12,7 @@ import coadjoint as co
 from coadjoint.program.blocks import MOST_SUBSTEPS, Kind
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
-from coadjoint.runs.shifted_attitude import ShiftCorrection
+from coadjoint.runs.loops.shifted_attitude import ShiftCorrection
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 from drawn_matrices import whole_matrix, wide

@@ -10,9 +10,9 @@ import pytest
 import coadjoint as co
 from coadjoint.algebra.invariants import logarithmic
 from coadjoint.algebra.invariants.logarithmic import ANGLE, LOGARITHM, QUOTIENT, LogarithmicInvariant, LogarithmicSum
-from coadjoint.kernels.functions import CompiledFunction, FormulaFunction
-from coadjoint.kernels.recording_tables import values_along
-from coadjoint.kernels.tables import invariants_table
+from coadjoint.kernels.functions.compiled_functions import CompiledFunction, FormulaFunction
+from coadjoint.kernels.tables.invariants import invariants_table
+from coadjoint.kernels.tables.recording import values_along
 from long import long_between
 
 # Every kind of term, several terms of a kind, products of coordinates and powers.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.tangents import vectors_in
+from coadjoint.kernels.tables.tangents import vectors_in
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
 from coadjoint.runs.times import Times

@@ -14,7 +14,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.files.records.fingerprints import fingerprint_of, same_fingerprint
-from coadjoint.kernels.function_contents import contents_of
+from coadjoint.kernels.functions.contents import contents_of
 
 # Every {k} is a place for an edit, given as (text, another text).
 TEMPLATE = """

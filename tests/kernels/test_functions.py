@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.functions import CompiledFunction
+from coadjoint.kernels.functions.compiled_functions import CompiledFunction
 
 CALL = ctypes.CFUNCTYPE(None, ctypes.POINTER(ctypes.c_double), ctypes.c_double, ctypes.POINTER(ctypes.c_double))
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.input_tables import InputsNotLocated, InputTables, fields_of
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.structures import as_structure
-from coadjoint.kernels.tables import watch_tables
+from coadjoint.kernels.tables.inputs import InputsNotLocated, InputTables, fields_of
+from coadjoint.kernels.tables.invariants import watch_tables
+from coadjoint.kernels.tables.structures import as_structure
 from verification.systems_under_test import full_matrix
 
 U = 2.0**-53

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 import coadjoint
-from coadjoint.kernels import library, structures
-from coadjoint.kernels.field_tables import GroupField
+from coadjoint.kernels import library
+from coadjoint.kernels.tables import structures
+from coadjoint.kernels.tables.field import GroupField
 
 RUN = """
 import coadjoint as co

@@ -9,8 +9,8 @@ from scipy.optimize import root
 from test_runge_kutta import spin_chain, systems
 
 import coadjoint as co
-from coadjoint.kernels import runge_kutta_tables as couplings
-from coadjoint.kernels.runge_kutta_tables import MAX_HALF_BANDWIDTH, MAX_MEAN_COUPLINGS, narrow_band, runge_kutta_tables
+from coadjoint.kernels.tables import runge_kutta as couplings
+from coadjoint.kernels.tables.runge_kutta import MAX_HALF_BANDWIDTH, MAX_MEAN_COUPLINGS, narrow_band, runge_kutta_tables
 
 U = 2.0**-53
 

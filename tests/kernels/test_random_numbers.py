@@ -7,7 +7,7 @@ import pytest
 from scipy import special, stats
 
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.structures import address
+from coadjoint.kernels.tables.structures import address
 from coadjoint.systems.forces.base import normal_deviates, random_words
 
 U = 2.0**-53

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.functions import CompiledFunction
+from coadjoint.kernels.functions.compiled_functions import CompiledFunction
 from coadjoint.systems.user_functions import MultipleOf
 from methods.own_schemes import NOTHING
 

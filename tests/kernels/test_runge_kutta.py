@@ -117,7 +117,7 @@ def test_large_systems_are_solved_without_a_matrix(freeze):
     for spins, direct in ((60, False), (12, True)):
         system, x0 = spin_chain(spins)
         method = co.ModifiedGaussLegendre(1, freeze=freeze)
-        from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
+        from coadjoint.kernels.tables.runge_kutta import runge_kutta_tables
 
         assert runge_kutta_tables(system, method).tables.direct == direct
         found = co.stepper(system, method, 0.1)(x0)

@@ -12,9 +12,9 @@ import coadjoint as co
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import MemberBatch, StopFlag
-from coadjoint.kernels.recording_tables import schedule_of
-from coadjoint.kernels.step_tables import STEP_LOOP, step_tables
-from coadjoint.kernels.tables import watch_tables
+from coadjoint.kernels.tables.invariants import watch_tables
+from coadjoint.kernels.tables.recording import schedule_of
+from coadjoint.kernels.tables.steps import STEP_LOOP, step_tables
 
 pytestmark = pytest.mark.thinned(3)
 

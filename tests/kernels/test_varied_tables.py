@@ -5,9 +5,9 @@ import pytest
 
 import coadjoint as co
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.structures import per_member_fields, stacked, structure_of
-from coadjoint.kernels.tables import watch_tables
-from coadjoint.runs.batch_loops import groups_of
+from coadjoint.kernels.tables.invariants import watch_tables
+from coadjoint.kernels.tables.structures import per_member_fields, stacked, structure_of
+from coadjoint.runs.loops.batch_loops import groups_of
 
 METHODS = [
     co.Splitting(order=4),

@@ -10,7 +10,7 @@ import scipy.linalg
 
 import coadjoint as co
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.structures import address
+from coadjoint.kernels.tables.structures import address
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
 from long import long_where

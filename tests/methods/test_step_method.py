@@ -8,8 +8,8 @@ import pytest
 from own_schemes import NOTHING, Asking, Classical, Failing, Interpreted, OwnKahan, Relaxed
 
 import coadjoint as co
-from coadjoint.kernels import step_functions
-from coadjoint.kernels.step_functions import StepFunction
+from coadjoint.kernels.functions import step_functions
+from coadjoint.kernels.functions.step_functions import StepFunction
 
 pytestmark = pytest.mark.thinned(3)
 

@@ -8,7 +8,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.methods.numerics.taylor_series import logarithm_of_step, near_log2, near_power_of_two
-from coadjoint.runs.loops import SystemLoops
+from coadjoint.runs.loops.loops import SystemLoops
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import start_of
 from coadjoint.runs.state import RunState

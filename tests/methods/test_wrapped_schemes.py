@@ -17,7 +17,7 @@ import pytest
 import coadjoint as co
 from coadjoint.analysis.checks.poisson import _carried
 from coadjoint.analysis.end_error import finer_run
-from coadjoint.kernels.tangents import Frame
+from coadjoint.kernels.tables.tangents import Frame
 from coadjoint.methods import FlowMethod, Properties, RungeKuttaMethod
 from coadjoint.methods.forced import TANGENT_METHODS, Forced
 from coadjoint.methods.formal.formal_numbers import is_short

@@ -20,7 +20,7 @@ from coadjoint.pictures.refinement_times import (
     times_between,
 )
 from coadjoint.pictures.series import draw_series, envelope, turning_points
-from coadjoint.runs.solution import Solution
+from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.gallery_entry import Picture
 
 X0 = (0.1, 1.0, 0.1)

@@ -246,7 +246,7 @@ def test_casimirs_of_many_copies_are_followed_by_name():
 
 
 def test_a_watched_quadratic_form_costs_what_it_has_entries():
-    from coadjoint.kernels.tables import watch_tables
+    from coadjoint.kernels.tables.invariants import watch_tables
 
     system = spins(50)
     watch = watch_tables(system, system.casimirs).tables

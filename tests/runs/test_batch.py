@@ -6,7 +6,7 @@ import pytest
 import coadjoint as co
 from coadjoint.files.datasets.export import rebuild
 from coadjoint.files.output.output_files import write_dataset
-from coadjoint.runs.solution import Drift
+from coadjoint.runs.results.solution import Drift
 from long import long_beyond
 
 X = (0.1, 1.0, 0.2)

@@ -5,8 +5,8 @@ import pytest
 from scipy.special import ellipk
 
 import coadjoint as co
-from coadjoint.kernels import events as kernel_events
-from coadjoint.runs import event_run
+from coadjoint.kernels.tables import events as kernel_events
+from coadjoint.runs.crossings import event_run
 from failing_parts import failing_parts
 
 pytestmark = pytest.mark.thinned(3)

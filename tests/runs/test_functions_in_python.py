@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels import matrix_functions
+from coadjoint.kernels.functions import matrix_functions
 from coadjoint.optional_packages import MissingPackageError
 from methods.own_schemes import NOTHING
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels import input_tables
+from coadjoint.kernels.tables import inputs as input_tables
 from coadjoint.program.parts import decompose
 from coadjoint.program.parts.offsets_of_squares import offsets_of_squares
 from coadjoint.program.parts.split import split

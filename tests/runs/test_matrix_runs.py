@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 import coadjoint as co
 from coadjoint.analysis.poisson_defect import poisson_defect
-from coadjoint.kernels import matrix_functions
+from coadjoint.kernels.functions import matrix_functions
 from coadjoint.optional_packages import MissingPackageError
 from long import long_where
 from served import state_of

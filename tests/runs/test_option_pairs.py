@@ -15,7 +15,8 @@ from argument_cases import STEP, WORLDS
 from coadjoint.analysis import lyapunov
 from coadjoint.choosing import accuracy
 from coadjoint.program.parts.chosen_parts import ChosenParts
-from coadjoint.runs import batch_execution, prepared_run
+from coadjoint.runs import prepared_run
+from coadjoint.runs.loops import execution
 from coadjoint.runs.stepper import Stepper
 
 SPAN = (1.0, 13.0)
@@ -147,8 +148,8 @@ CROSSED = {"method": co.GaussLegendre(3), "crossings": 1, "accuracy": 1e-7, "thr
 @pytest.fixture
 def threads(monkeypatch):
     """Thread counts of runs; one thread is the default here."""
-    found, real = [], batch_execution._sum_in_threads
-    monkeypatch.setattr(batch_execution, "_sum_in_threads", lambda *given: found.append(given[2]) or real(*given))
+    found, real = [], execution._sum_in_threads
+    monkeypatch.setattr(execution, "_sum_in_threads", lambda *given: found.append(given[2]) or real(*given))
     monkeypatch.setattr(prepared_run, "concurrent_members", lambda rows: 1)
     return found
 

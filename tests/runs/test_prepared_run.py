@@ -11,10 +11,11 @@ import pytest
 
 import coadjoint as co
 from coadjoint.kernels.loop import MemberBatch
-from coadjoint.runs import batch_execution, prepared_run, run
-from coadjoint.runs.memory_record import MAX_STATE_NUMBERS
-from coadjoint.runs.run_record import COPIED_FIELDS, SOLUTION_FIELDS
-from coadjoint.runs.solution import Solution
+from coadjoint.runs import prepared_run, run
+from coadjoint.runs.loops import execution
+from coadjoint.runs.results.memory_record import MAX_STATE_NUMBERS
+from coadjoint.runs.results.run_record import COPIED_FIELDS, SOLUTION_FIELDS
+from coadjoint.runs.results.solution import Solution
 
 BODY = co.systems.rigid_body((1, 2, 3))
 X = np.array([0.1, 1.0, 0.2])
@@ -83,7 +84,7 @@ def test_one_worker_starts_no_thread(monkeypatch):
     def refused(*_, **__):
         raise AssertionError("a thread for one member")
 
-    monkeypatch.setattr(batch_execution.threading, "Thread", refused)
+    monkeypatch.setattr(execution.threading, "Thread", refused)
     assert co.prepare(BODY, None, 0.1, threads=8).run(X, (0, 1)).x.shape == (11, 3)
     assert co.prepare(BODY, None, 0.1, threads=1).run([X, X], (0, 1)).x.shape == (11, 2, 3)
     with pytest.raises(AssertionError, match="a thread"):

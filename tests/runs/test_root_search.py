@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from coadjoint.runs.root_search import minimize_each, roots
+from coadjoint.runs.crossings.root_search import minimize_each, roots
 
 U = 2.0**-53
 ROOTS = np.array([1e-12, 1e-3, 0.1, 1 / 3, 0.5, 0.9, 1 - 1e-9])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.runs import event_run
+from coadjoint.runs.crossings import event_run
 from long import long_beyond
 
 U = 2.0**-53
@@ -98,7 +98,7 @@ def test_arguments_are_passed_to_the_run(monkeypatch):
         seen.append((given, options))
         return co.integrate(*given, **options)
 
-    monkeypatch.setattr("coadjoint.runs.section.integrate", recorded)
+    monkeypatch.setattr("coadjoint.runs.crossings.section.integrate", recorded)
     event, method = co.Event("x2", -1, name="down"), co.GaussLegendre(2)
     co.section(body, x0, event, (1, 41), 0.125, method, crossings=2, threads=1)
     co.section(body, x0, event, (1, 21), accuracy=1e-6, method=method)

@@ -117,7 +117,7 @@ def test_elements_do_not_depend_on_saving_or_start_time(name):
 def test_elements_do_not_depend_on_chunk_size(monkeypatch):
     system, x0 = SHIFTED["so(5)"], np.linspace(-0.3, 0.4, 10)
     once = co.integrate(system, [x0, 2 * x0], (0, 2), 0.1, attitude=True).attitude
-    monkeypatch.setattr("coadjoint.kernels.casimir_shift.MAX_PRODUCTS", 1e4)
+    monkeypatch.setattr("coadjoint.kernels.tables.casimir_shift.MAX_PRODUCTS", 1e4)
     assert same_bits(co.integrate(system, [x0, 2 * x0], (0, 2), 0.1, attitude=True).attitude, once)
 
 

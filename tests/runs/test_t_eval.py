@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.runs import output_times, state_at
+from coadjoint.runs import output_times
+from coadjoint.runs.results import state_at
 from failing_parts import failing_parts
 from group_elements import random_element
 

@@ -8,7 +8,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.algebra.families.phase_space import moments
-from coadjoint.kernels import forces as force_tables
+from coadjoint.kernels.tables import forces as force_tables
 from verification.schemes_under_test import schemes, serves
 from verification.systems_under_test import full_matrix
 

@@ -6,9 +6,9 @@ import pytest
 from two_steps import assert_bounded_by_order, assert_order
 
 import coadjoint as co
-from coadjoint.kernels.functions import FormulaFunction
-from coadjoint.kernels.recording_tables import values_along
-from coadjoint.kernels.tables import invariants_table
+from coadjoint.kernels.functions.compiled_functions import FormulaFunction
+from coadjoint.kernels.tables.invariants import invariants_table
+from coadjoint.kernels.tables.recording import values_along
 
 CASES = {
     "A3,7": ({"a": 1.5}, (1.0, 0.7, -0.3), (0.7, 0.5, 0.4)),

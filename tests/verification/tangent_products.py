@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 import coadjoint as co
-from coadjoint.kernels.tangents import Frame, stretch_logarithms, vectors_in
+from coadjoint.kernels.tables.tangents import Frame, stretch_logarithms, vectors_in
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.tangents import tangent_loop
 from coadjoint.program.interpreter import Interpreter

@@ -10,7 +10,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.tangents import Frame
+from coadjoint.kernels.tables.tangents import Frame
 from coadjoint.methods.protocol.tangents import tangent_loop
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.run import Run

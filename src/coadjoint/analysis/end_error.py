@@ -12,7 +12,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.own_steps import FinerRun, OwnSteps
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.solution import Solution
+from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.times import Times
 
 # Numbers of steps of the finer runs, relative to the run; the next one is used if the error is not yet resolved. They

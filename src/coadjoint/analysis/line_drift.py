@@ -12,7 +12,7 @@ from coadjoint.analysis.phase_drift import ANGLES, drift_of_series
 from coadjoint.analysis.reference_motion import motion_of
 from coadjoint.analysis.signals import Sampled, sampled
 from coadjoint.analysis.spectral_lines import hann
-from coadjoint.runs.solution import Solution, check_solution
+from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.systems.protocol import member_of
 from coadjoint.validation import read_number, read_positive

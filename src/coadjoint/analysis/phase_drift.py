@@ -12,7 +12,7 @@ from coadjoint.analysis.fits import MIN_SAMPLES, straight_line
 from coadjoint.analysis.phase import leads
 from coadjoint.analysis.reference_motion import motion_of
 from coadjoint.analysis.rotations import acts_by_rotations, twist
-from coadjoint.runs.solution import Solution, check_solution
+from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.protocol import member_of

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.runs.solution import Solution
+from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.system_checks import System
 from coadjoint.systems.user_functions import check_arguments

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.invariant import Invariant
-from coadjoint.runs.solution import check_solution
+from coadjoint.runs.results.solution import check_solution
 from coadjoint.systems.protocol import member_of
 from coadjoint.validation import read_finite, read_integer
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.solution import Solution
+from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.user_functions import check_arguments
 from coadjoint.validation import check_finite, read_finite, read_integer, read_numbers, to_array

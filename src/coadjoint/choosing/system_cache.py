@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import Any, TypeVar
 
 from coadjoint.methods.protocol.method import Method
-from coadjoint.runs.loops import SystemLoops
+from coadjoint.runs.loops.loops import SystemLoops
 from coadjoint.systems.system_checks import System
 
 ResultT = TypeVar("ResultT")

@@ -17,7 +17,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.final_state import ENDS_ONLY
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.solution import Solution, with_choice
+from coadjoint.runs.results.solution import Solution, with_choice
 from coadjoint.runs.start import momenta_of, read_attitude
 from coadjoint.runs.times import span_of
 from coadjoint.systems.protocol import is_batch

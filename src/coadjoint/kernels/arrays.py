@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import kernel_interface
-from coadjoint.kernels.structures import as_structure
+from coadjoint.kernels.tables.structures import as_structure
 
 # First number of a contiguous, writable array as a ctypes object; twenty times faster than `array.ctypes`.
 as_c_double: Any = ctypes.c_double.from_buffer

@@ -14,7 +14,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.kernels.arrays import Layout, NamedArrays
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.library import interruptible_kernels, kernels
-from coadjoint.kernels.structures import as_structure
+from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.program.parts.part import Parts
 
 # Arguments of a loop: tables, watch, members, first, last, stride; extent, schedule, saved, state, k0, k1, stop. All

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from coadjoint.kernels.functions import CompiledFunction, FormulaFunction, PythonCallback
+from coadjoint.kernels.functions.compiled_functions import CompiledFunction, FormulaFunction, PythonCallback
 from coadjoint.kernels.loop import CompiledLoop
-from coadjoint.kernels.matrix_tables import ROUTINES, blas_address
-from coadjoint.kernels.step_tables import STEPS, step_address
-from coadjoint.kernels.structures import per_member_fields
-from coadjoint.kernels.tables import CompiledTables
+from coadjoint.kernels.tables.compiled import CompiledTables
+from coadjoint.kernels.tables.matrix_steps import ROUTINES, blas_address
+from coadjoint.kernels.tables.steps import STEPS, step_address
+from coadjoint.kernels.tables.structures import per_member_fields
 
 OWNERS = (CompiledFunction, FormulaFunction, PythonCallback)
 LIBRARY_ADDRESS_FIELDS = ("step", "whole")
@@ -58,7 +58,7 @@ def restored_tables(pickled: PicklableTables) -> CompiledTables:
     Examples
     --------
     >>> import pickle
-    >>> from coadjoint.kernels.tables import watch_tables
+    >>> from coadjoint.kernels.tables.invariants import watch_tables
     >>> import coadjoint as co
     >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
     >>> watch = watch_tables(body, body.casimirs)

@@ -153,8 +153,8 @@ class CommutatorFree(CompiledStepMethod, VariedTangents):
         if isinstance(orbit_of(system, "CommutatorFree"), VectorOrbit):
             return super().loop_of_substeps(system, h, representation, fractions)
         from coadjoint.kernels.loop import CompiledLoop
-        from coadjoint.kernels.matrix_tables import matrix_tables
-        from coadjoint.kernels.step_tables import STEP_LOOP
+        from coadjoint.kernels.tables.matrix_steps import matrix_tables
+        from coadjoint.kernels.tables.steps import STEP_LOOP
 
         integers, coefficients = self.constants()
         tables = matrix_tables(system, "commutator_free_matrices", integers[0], coefficients, fractions)

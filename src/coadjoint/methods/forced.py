@@ -107,7 +107,7 @@ class Forced(Wrapper):
 
     def compiled(self, system: Any, h: float, representation: Representation) -> CompiledLoop:
         """Return a loop with a step of the loop of the base in each step."""
-        from coadjoint.kernels.forces import forced_loop
+        from coadjoint.kernels.tables.forces import forced_loop
 
         check_direction(system, h)
         return forced_loop(system, self.base.loop(system.system, h, representation), representation)

@@ -109,8 +109,8 @@ class IsospectralGauss(SteppedMethod, VariedTangents):
     ) -> CompiledLoop:
         """Return the loop over steps of this kind."""
         from coadjoint.kernels.loop import CompiledLoop, scheme_memory
-        from coadjoint.kernels.matrix_tables import matrix_tables
-        from coadjoint.kernels.step_tables import STEP_LOOP
+        from coadjoint.kernels.tables.matrix_steps import matrix_tables
+        from coadjoint.kernels.tables.steps import STEP_LOOP
 
         a, b = _coefficients(self.stages)
         tables = matrix_tables(system, "isospectral_gauss", self.stages, (*a.ravel(), *b, *a.sum(axis=1)), fractions)

@@ -123,7 +123,7 @@ class LineSplitting(SteppedMethod):
     ) -> CompiledLoop:
         """Return the loop over steps of this kind."""
         from coadjoint.kernels.loop import CompiledLoop
-        from coadjoint.kernels.step_tables import STEP_LOOP, numeric_step_tables
+        from coadjoint.kernels.tables.steps import STEP_LOOP, numeric_step_tables
 
         torus = torus_of(system)
         factor, constant = stream_of_modes(torus)

@@ -105,7 +105,7 @@ class Projected(Wrapper, RestoresInvariants):
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return a loop with a step of the loop of the base in each step."""
         from coadjoint.kernels.loop import CompiledLoop, scheme_memory
-        from coadjoint.kernels.step_tables import INNER_LOOP_INDEX, STEP_LOOP, wrapped_step_tables
+        from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, wrapped_step_tables
 
         inner = self.base.loop(system, h)
         tables = wrapped_step_tables(system, "projected", inner, self.restored(system))

@@ -154,8 +154,8 @@ class ReversibleSteps(Wrapper, OwnSteps):
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop with variable steps around the loop of the base."""
         from coadjoint.kernels.loop import CompiledLoop, scheme_memory
-        from coadjoint.kernels.step_tables import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
-        from coadjoint.kernels.tables import invariants_table
+        from coadjoint.kernels.tables.invariants import invariants_table
+        from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
 
         # Angles are scaled to the length of each step from a unit step, so that bits do not depend on output points.
         inner, speed = self.base.loop(system, math.copysign(1.0, h), representation), self._speed(system)

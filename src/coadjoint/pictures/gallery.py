@@ -12,7 +12,7 @@ import numpy as np
 
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.example_run import run_example
-from coadjoint.runs.solution import Solution
+from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import Picture
 from coadjoint.systems.registry import gallery_entry_of, ready_made_systems

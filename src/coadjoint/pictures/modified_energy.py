@@ -9,13 +9,13 @@ import numpy as np
 
 from coadjoint.optional_packages import require_packages
 from coadjoint.pictures.style import colour, key, plain_axes
-from coadjoint.runs.solution import check_solution
+from coadjoint.runs.results.solution import check_solution
 from coadjoint.validation import read_integer, read_list
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from coadjoint.runs.solution import Solution
+    from coadjoint.runs.results.solution import Solution
 
 MAX_POINTS = 5000
 """Largest number of points drawn; a printed line does not resolve more."""

@@ -9,7 +9,7 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Kind, kinds, read_picture
 from coadjoint.pictures.style import INK
-from coadjoint.runs.solution import Solution, check_solution
+from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.systems.gallery_entry import Picture
 from coadjoint.systems.registry import gallery_entry_of
 from coadjoint.validation import read_integer, read_list

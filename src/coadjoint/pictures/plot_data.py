@@ -14,8 +14,8 @@ from coadjoint.errors import IntegrationError
 from coadjoint.pictures.refinement_times import coarse_times, fastest_turn, times_between
 from coadjoint.pictures.register import CannotShow
 from coadjoint.pictures.style import coordinate
-from coadjoint.runs.solution import Solution
-from coadjoint.runs.summary import is_driven
+from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.results.summary import is_driven
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.evaluation import ignore_overflow

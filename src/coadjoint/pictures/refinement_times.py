@@ -11,7 +11,7 @@ from coadjoint.systems.evaluation import ignore_overflow
 
 if TYPE_CHECKING:
     from coadjoint.pictures.plot_data import PlottedRun
-    from coadjoint.runs.solution import Solution
+    from coadjoint.runs.results.solution import Solution
 
 Floats = npt.NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from coadjoint.optional_packages import require_packages
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Kind, Paint, read_picture
-from coadjoint.runs.solution import check_solution
+from coadjoint.runs.results.solution import check_solution
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import Picture
 from coadjoint.validation import read_list
@@ -18,7 +18,7 @@ from coadjoint.validation import read_list
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from coadjoint.runs.solution import Solution
+    from coadjoint.runs.results.solution import Solution
 
 FIGURE_HEIGHT = 5.6
 COLUMN_WIDTHS = {True: 6.0, False: 5.4}  # a column of panels over time, or one picture

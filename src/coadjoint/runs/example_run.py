@@ -6,7 +6,7 @@ import importlib
 
 from coadjoint.methods.suggested_scheme import suggested_scheme
 from coadjoint.runs.integrate import integrate
-from coadjoint.runs.solution import Solution
+from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.registry import gallery_entry_of
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import Layout, NamedArrays
 from coadjoint.kernels.loop import MemberBatch, StopFlag, raise_outcome
-from coadjoint.kernels.recording_tables import schedule_of
-from coadjoint.runs.loops import SystemLoops
+from coadjoint.kernels.tables.recording import schedule_of
+from coadjoint.runs.loops.loops import SystemLoops
 from coadjoint.runs.memory_estimate import check_run_memory
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times, span_of, times_between

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import unknown_name
-from coadjoint.kernels.input_tables import InputsNotLocated, InputTables
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import MemberBatch
+from coadjoint.kernels.tables.inputs import InputsNotLocated, InputTables
 from coadjoint.methods.protocol.automatic_choices import settled
 from coadjoint.methods.protocol.method import Method
-from coadjoint.runs.batch_loops import in_rounds
-from coadjoint.runs.batch_rows import MemberTables, Tables, split_members
-from coadjoint.runs.loops import ExecutionPlan, Loops, SystemLoops, values_of_watch
+from coadjoint.runs.loops.batch_loops import in_rounds
+from coadjoint.runs.loops.loops import ExecutionPlan, Loops, SystemLoops, values_of_watch
+from coadjoint.runs.loops.rows import MemberTables, Tables, split_members
 from coadjoint.runs.start import Representation
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch

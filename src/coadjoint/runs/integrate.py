@@ -11,8 +11,8 @@ from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.method import NO_ERROR_CONTROL, Method
 from coadjoint.methods.registry import read_method
 from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.results.solution import Solution, with_choice
 from coadjoint.runs.run import read_progress
-from coadjoint.runs.solution import Solution, with_choice
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem

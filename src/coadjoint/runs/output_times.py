@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import Layout, NamedArrays
-from coadjoint.runs.batch_execution import status_name
+from coadjoint.runs.loops.execution import status_name
 from coadjoint.runs.memory_estimate import check_run_memory
 from coadjoint.runs.partial_steps import PartialSteps, reject_noise
 from coadjoint.runs.times import Times

@@ -11,12 +11,12 @@ from coadjoint.errors import IntegrationError
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.blas_threads import limited_blas_threads
 from coadjoint.kernels.interface import codes
-from coadjoint.kernels.recording_tables import partial_step_schedule
-from coadjoint.kernels.structures import as_structure
+from coadjoint.kernels.tables.recording import partial_step_schedule
+from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.methods.protocol.method import Method
-from coadjoint.runs.batch_execution import failure_text, run_in_threads, status_name
-from coadjoint.runs.batch_rows import rows_of_pieces
-from coadjoint.runs.loops import Loops
+from coadjoint.runs.loops.execution import failure_text, run_in_threads, status_name
+from coadjoint.runs.loops.loops import Loops
+from coadjoint.runs.loops.rows import rows_of_pieces
 from coadjoint.systems.protocol import forces_of, member_of
 
 Floats = NDArray[np.float64]
@@ -71,7 +71,7 @@ class PartialSteps:
     """
 
     def __init__(self, system: Any, method: Method, loops: Loops, workers: int = 1) -> None:
-        from coadjoint.kernels.tables import invariants_table
+        from coadjoint.kernels.tables.invariants import invariants_table
 
         reject_noise(system)
         self.method, self.loops, self.workers = method, loops, workers

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import codes
-from coadjoint.runs.memory_record import REPORTED_ARRAYS, record_of_run
+from coadjoint.runs.results.memory_record import REPORTED_ARRAYS, record_of_run
+from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import first_point_not_finite
-from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start
 from coadjoint.runs.state import RunState
 from coadjoint.runs.times import Times

@@ -18,18 +18,18 @@ from coadjoint.methods.forced import effective_scheme
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.methods.suggested_scheme import default_scheme
-from coadjoint.runs.batch_loops import BatchLoops
-from coadjoint.runs.crossings import WatchedEvents
-from coadjoint.runs.event_run import EventRun
+from coadjoint.runs.crossings.crossings import WatchedEvents
+from coadjoint.runs.crossings.event_run import EventRun
 from coadjoint.runs.events import Event, read_events
 from coadjoint.runs.final_state import ENDS_ONLY, FinalStateRun
 from coadjoint.runs.inputs import InputLoops, Inputs
-from coadjoint.runs.loops import Loops, SystemLoops
-from coadjoint.runs.observables import Observed, check_observe
+from coadjoint.runs.loops.batch_loops import BatchLoops
+from coadjoint.runs.loops.loops import Loops, SystemLoops
 from coadjoint.runs.output_times import OutputTimes, check_partial_steps, output_times_of, resample
 from coadjoint.runs.partial_steps import PartialSteps
+from coadjoint.runs.results.observables import Observed, check_observe
+from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run, read_progress
-from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start, momenta_of, read_attitude, representations_of, with_group
 from coadjoint.runs.state import RunState
 from coadjoint.runs.times import Times, checked_step, span_of, times_between

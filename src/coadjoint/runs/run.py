@@ -15,17 +15,17 @@ from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.blas_threads import limited_blas_threads
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import MemberBatch
-from coadjoint.kernels.recording_tables import schedule_of
+from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import require_packages
-from coadjoint.runs.batch_execution import failure_text, run_in_threads, status_name
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
-from coadjoint.runs.loops import Loops
+from coadjoint.runs.loops.execution import failure_text, run_in_threads, status_name
+from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.memory_estimate import check_run_memory
-from coadjoint.runs.memory_record import record_of_run
-from coadjoint.runs.observables import Observed
 from coadjoint.runs.progress import progress_bar
-from coadjoint.runs.solution import Solution
+from coadjoint.runs.results.memory_record import record_of_run
+from coadjoint.runs.results.observables import Observed
+from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import Start
 from coadjoint.runs.state import RunState
 from coadjoint.runs.times import Times

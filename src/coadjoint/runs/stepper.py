@@ -16,7 +16,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.tangents import tangent_by
 from coadjoint.methods.registry import read_method
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.solution import Solution
+from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times
 from coadjoint.systems.evaluation import ignore_overflow

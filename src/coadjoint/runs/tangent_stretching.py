@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import CompiledLoop, MemberBatch
-from coadjoint.kernels.tangents import Frame, stretch_logarithms
+from coadjoint.kernels.tables.tangents import Frame, stretch_logarithms
 from coadjoint.long_operations import note_progress
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.tangents import tangent_by, tangent_loop
-from coadjoint.runs.batch_loops import in_rounds
-from coadjoint.runs.batch_rows import MemberTables
-from coadjoint.runs.loops import Loops, SystemLoops, as_rows
+from coadjoint.runs.loops.batch_loops import in_rounds
+from coadjoint.runs.loops.loops import Loops, SystemLoops, as_rows
+from coadjoint.runs.loops.rows import MemberTables
+from coadjoint.runs.loops.shifted_attitude import uncorrected_groups
 from coadjoint.runs.run import Run
-from coadjoint.runs.shifted_attitude import uncorrected_groups
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import short

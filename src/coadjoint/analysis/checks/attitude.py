@@ -19,7 +19,7 @@ from coadjoint.analysis.fits import FLOOR_FACTOR
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.attitude import check_attitude
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.solution import Solution
+from coadjoint.runs.results.solution import Solution
 
 Floats = NDArray[np.float64]
 

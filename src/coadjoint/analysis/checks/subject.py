@@ -16,7 +16,7 @@ from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.solution import Solution
+from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.protocol import is_matrix_system
 from coadjoint.systems.system_checks import System
 

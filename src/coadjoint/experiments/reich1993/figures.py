@@ -31,7 +31,7 @@ from coadjoint.pictures.modified_energy import draw_deviations
 from coadjoint.pictures.phase_drift import with_error
 from coadjoint.pictures.style import INK, colour, key, plain_axes
 from coadjoint.runs.integrate import integrate
-from coadjoint.runs.solution import Solution
+from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.examples.paper_examples import paper_rigid_body
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.integrate import integrate
-from coadjoint.runs.solution import Solution
+from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.examples.paper_examples import paper_a37
 
 MASSES = (1.0, 2.0, 0.01)

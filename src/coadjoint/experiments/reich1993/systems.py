@@ -17,7 +17,7 @@ from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.splitting import Splitting
 from coadjoint.runs.integrate import integrate
-from coadjoint.runs.solution import Solution
+from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.examples.paper_examples import paper_rigid_body
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem

@@ -17,7 +17,7 @@ from coadjoint.files.archives.stored_arrays import StoredArray
 from coadjoint.files.datasets.export import stored_inputs
 from coadjoint.files.datasets.stored_record import stored_record
 from coadjoint.memory import check_available_memory
-from coadjoint.runs.run_record import RunRecord
+from coadjoint.runs.results.run_record import RunRecord
 
 if TYPE_CHECKING:
     import xarray

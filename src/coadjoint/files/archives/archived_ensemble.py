@@ -24,8 +24,8 @@ from coadjoint.files.archives.blocks import (
 from coadjoint.files.archives.metadata_checks import check_archive
 from coadjoint.files.archives.store import open_folder, read_root
 from coadjoint.files.datasets.stored_record import initial_values
-from coadjoint.runs.run_record import RunRecord, Statistics
-from coadjoint.runs.solution import Solution
+from coadjoint.runs.results.run_record import RunRecord, Statistics
+from coadjoint.runs.results.solution import Solution
 
 
 def archived_ensemble(path: Path, system: Any = None) -> Solution:

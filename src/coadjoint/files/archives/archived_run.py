@@ -28,7 +28,7 @@ from coadjoint.runs.progress import progress_bar
 if TYPE_CHECKING:
     from coadjoint.errors import IntegrationError
     from coadjoint.runs.prepared_run import PreparedRun
-    from coadjoint.runs.solution import Solution
+    from coadjoint.runs.results.solution import Solution
     from coadjoint.runs.start import Start
     from coadjoint.runs.times import Times
 

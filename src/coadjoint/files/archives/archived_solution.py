@@ -13,8 +13,8 @@ from coadjoint.files.archives.metadata_checks import as_archive_errors, check_ar
 from coadjoint.files.archives.store import ArchiveError, ArchiveMoved, read_archive_path, read_root, read_state
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.piecewise_run import STATE_PREFIX, larger_deviations
-from coadjoint.runs.run_record import RunRecord, Statistics
-from coadjoint.runs.solution import Solution
+from coadjoint.runs.results.run_record import RunRecord, Statistics
+from coadjoint.runs.results.solution import Solution
 
 REPORTED_ARRAYS = (f"{STATE_PREFIX}worst", "earlier", "initial")
 """Arrays of the run's state that a solution needs."""

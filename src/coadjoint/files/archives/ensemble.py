@@ -21,7 +21,7 @@ from coadjoint.validation import read_integer, read_numbers
 if TYPE_CHECKING:
     from distributed import Client
 
-    from coadjoint.runs.solution import Solution
+    from coadjoint.runs.results.solution import Solution
 
 
 def integrate_ensemble(

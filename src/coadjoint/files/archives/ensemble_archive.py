@@ -48,7 +48,7 @@ from coadjoint.runs.piecewise_run import PiecewiseRun
 
 if TYPE_CHECKING:
     from coadjoint.runs.prepared_run import PreparedRun
-    from coadjoint.runs.solution import Solution
+    from coadjoint.runs.results.solution import Solution
     from coadjoint.runs.start import Start
     from coadjoint.runs.times import Times
 

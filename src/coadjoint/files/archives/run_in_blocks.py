@@ -36,7 +36,7 @@ from coadjoint.validation import read_integer
 
 if TYPE_CHECKING:
     from coadjoint.files.archives.blocks import Block
-    from coadjoint.runs.solution import Solution
+    from coadjoint.runs.results.solution import Solution
 
 
 INSECURE_PROTOCOLS = ("tcp", "ws", "ucx", "ucxx")

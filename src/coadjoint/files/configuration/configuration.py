@@ -33,7 +33,7 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import Event
 from coadjoint.runs.integrate import chosen_for, integrate
 from coadjoint.runs.output_times import output_times_of
-from coadjoint.runs.solution import Solution, with_choice
+from coadjoint.runs.results.solution import Solution, with_choice
 from coadjoint.runs.start import momenta_of, start_of
 from coadjoint.runs.times import times_of
 from coadjoint.systems.protocol import coordinates_of, member_of

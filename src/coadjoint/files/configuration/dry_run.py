@@ -22,7 +22,7 @@ from coadjoint.systems.protocol import is_batch, member_of
 if TYPE_CHECKING:
     from coadjoint.files.configuration.configuration import Configuration
     from coadjoint.runs.prepared_run import PreparedRun
-    from coadjoint.runs.solution import Solution
+    from coadjoint.runs.results.solution import Solution
 
 TRIAL_SECONDS = 0.2
 """Approximate duration of the last trial run, in seconds."""

@@ -35,7 +35,7 @@ from coadjoint.systems.protocol import as_vector_system
 if TYPE_CHECKING:
     import xarray
 
-    from coadjoint.runs.solution import Solution
+    from coadjoint.runs.results.solution import Solution
 
 REQUIRED_ATTRIBUTES = ("system", "method", "step", "save_every", "watch", "attitude_carried", "t_span", "steps")
 

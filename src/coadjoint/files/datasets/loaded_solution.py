@@ -21,8 +21,8 @@ from coadjoint.files.output.file_validation import check_hdf5, check_zarr
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
-from coadjoint.runs.run_record import RunRecord, Statistics
-from coadjoint.runs.solution import Solution
+from coadjoint.runs.results.run_record import RunRecord, Statistics
+from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.protocol import coordinates_of, member_of
 from coadjoint.validation import read_path
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.forced import effective_scheme
-from coadjoint.runs.run_record import FROM_TIMES, RunRecord
+from coadjoint.runs.results.run_record import FROM_TIMES, RunRecord
 from coadjoint.runs.start import Start, start_of
 from coadjoint.runs.times import Times, times_of
 

@@ -61,8 +61,8 @@ def state_of(dataset: xarray.Dataset, name: str, allowed: tuple[tuple[str, ...],
 if TYPE_CHECKING:
     import xarray
 
-    from coadjoint.runs.run_record import Drift
-    from coadjoint.runs.solution import Solution
+    from coadjoint.runs.results.run_record import Drift
+    from coadjoint.runs.results.solution import Solution
 
 Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
 

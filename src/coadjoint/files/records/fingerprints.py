@@ -17,7 +17,7 @@ import numpy as np
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.files.records.entries import EXACT, INTEGRAL
 from coadjoint.files.records.records import record_of
-from coadjoint.kernels.function_contents import contents_of
+from coadjoint.kernels.functions.contents import contents_of
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.lie_poisson import LiePoissonSystem

@@ -14,12 +14,12 @@ from coadjoint.files.records.fingerprints import fingerprint_of, functions_in, s
 from coadjoint.files.records.reconstruction import invariants_of
 from coadjoint.files.records.records import STORABLE_TYPES, invariants_record, record_of
 from coadjoint.runs.events import Event, read_events
-from coadjoint.runs.observables import check_observe
+from coadjoint.runs.results.observables import check_observe
 from coadjoint.short_repr import short
 
 if TYPE_CHECKING:
     from coadjoint.runs.prepared_run import PreparedRun
-    from coadjoint.runs.solution import Solution
+    from coadjoint.runs.results.solution import Solution
 
 FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE = "archive_given", "archive_observed"
 

@@ -60,7 +60,7 @@ class CompiledStepMethod(SteppedMethod, RestoresInvariants):
     ) -> CompiledLoop:
         """Return the loop over steps of this kind."""
         from coadjoint.kernels.loop import CompiledLoop, scheme_memory
-        from coadjoint.kernels.step_tables import STEP_LOOP, step_tables
+        from coadjoint.kernels.tables.steps import STEP_LOOP, step_tables
 
         tables = step_tables(system, self, representation, fractions)
         return CompiledLoop(STEP_LOOP, tables.tables, tables.keepalive, memory=scheme_memory(STEP_LOOP, tables.tables))

@@ -27,7 +27,7 @@ from coadjoint.systems.system_checks import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.kernels.tangents import Frame
+    from coadjoint.kernels.tables.tangents import Frame
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
 

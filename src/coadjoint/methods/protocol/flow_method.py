@@ -24,7 +24,7 @@ from coadjoint.systems.system_checks import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.kernels.tangents import Frame
+    from coadjoint.kernels.tables.tangents import Frame
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.program.interpreter import Interpreter
@@ -99,14 +99,14 @@ class FlowMethod(FormalStep, CompiledTangents, Composable):
 
     def _program_loop(self, program: Program, h: float) -> CompiledLoop:
         from coadjoint.kernels.loop import CompiledLoop
-        from coadjoint.kernels.tables import FLOW_LOOP, flow_tables
+        from coadjoint.kernels.tables.flow import FLOW_LOOP, flow_tables
 
         tables = flow_tables(program, h, bool(self.compensated))
         return CompiledLoop(FLOW_LOOP, tables.tables, tables.keepalive, program.shift, parts=program.parts)
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop:
         """Return the loop over the rows of the table, with tangent vectors."""
-        from coadjoint.kernels.tangents import check_differentiable, with_tangents
+        from coadjoint.kernels.tables.tangents import check_differentiable, with_tangents
 
         check_differentiable(system)
         program = self.program(system)

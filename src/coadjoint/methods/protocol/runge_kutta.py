@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.kernels.tangents import Frame
+    from coadjoint.kernels.tables.tangents import Frame
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
 
@@ -152,7 +152,7 @@ class RungeKuttaMethod(SteppedMethod, CompiledTangents):
     ) -> CompiledLoop:
         """Return the loop over stages, for this tableau and solver."""
         from coadjoint.kernels.loop import CompiledLoop, scheme_memory
-        from coadjoint.kernels.runge_kutta_tables import RUNGE_KUTTA_LOOP, runge_kutta_tables
+        from coadjoint.kernels.tables.runge_kutta import RUNGE_KUTTA_LOOP, runge_kutta_tables
 
         read_choice(self.solver, "solver", SOLVERS)
         scheme = type(self).__name__
@@ -175,7 +175,7 @@ class RungeKuttaMethod(SteppedMethod, CompiledTangents):
         self, system: System, h: float, frame: Frame, fractions: Sequence[float]
     ) -> CompiledLoop:
         """Return the loop over stages and their derivatives."""
-        from coadjoint.kernels.tangents import check_differentiable, with_tangents
+        from coadjoint.kernels.tables.tangents import check_differentiable, with_tangents
         from coadjoint.program.term_table import TermTable
 
         check_differentiable(system)

@@ -73,9 +73,9 @@ class StepMethod(SteppedMethod):
                 f"{type(self).__name__} is a StepMethod, which computes no group element, but its properties have "
                 f'attitude="{self.properties(system).attitude}"; set it to "none"'
             )
+        from coadjoint.kernels.functions.step_functions import StepFunction
         from coadjoint.kernels.loop import CompiledLoop
-        from coadjoint.kernels.step_functions import StepFunction
-        from coadjoint.kernels.step_tables import STEP_LOOP, function_tables
+        from coadjoint.kernels.tables.steps import STEP_LOOP, function_tables
 
         function = StepFunction(self, system)
         tables = function_tables(system, function.address, fractions)

@@ -13,7 +13,7 @@ from coadjoint.systems.system_checks import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.kernels.tangents import Frame
+    from coadjoint.kernels.tables.tangents import Frame
 
 
 class CompiledTangents(Method):

@@ -1,0 +1,105 @@
+"""Functions that the kernels call by address: user functions compiled to a fixed signature, and tabulated formulas."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from coadjoint.algebra.invariants.logarithmic import Forms
+from coadjoint.kernels.tables.structures import as_structure
+from coadjoint.optional_packages import installed, require_packages
+
+
+class CompiledFunction:
+    """A user function compiled to a C address; the object keeps the machine code alive.
+
+    The function takes ``y``, an array of `size` numbers, or one number if `scalar`, and the time if `timed`. It returns
+    a number, or if `flat` an array of `results` numbers in C order. `what` names it in errors. Raise
+    MissingPackageError if Numba is not installed, TypeError with the reason if it cannot compile the function.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        size: int,
+        results: int,
+        *,
+        scalar: bool,
+        flat: bool,
+        timed: bool,
+        what: str,
+    ) -> None:
+        require_packages(f"{what}, a Python function,", "numba")
+        from coadjoint.kernels.functions.callbacks import callback_of
+
+        self._callback = callback_of(function, size, results, scalar, flat, timed, what)
+        self._arguments = function, size, results, scalar, flat, timed, what
+        self.address: int = self._callback.address
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return arguments that compile the function again in another process."""
+        return _recompiled, self._arguments
+
+
+def warn_slow_compilation(functions: Iterable[Callable[..., Any]]) -> None:
+    """Warn before compiling so many Python functions that it takes seconds; do nothing without Numba."""
+    if installed("numba"):
+        from coadjoint.kernels.functions.callbacks import warn_many_functions
+
+        warn_many_functions(list(functions))
+
+
+def _recompiled(function: Any, size: int, results: int, scalar: bool, flat: bool, timed: bool, what: str) -> Any:
+    return CompiledFunction(function, size, results, scalar=scalar, flat=flat, timed=timed, what=what)
+
+
+class FormulaFunction:
+    """A formula table for the kernels, identified by the negative of its address; the object keeps the table alive."""
+
+    def __init__(self, forms: Forms) -> None:
+        self._table = as_structure(forms)
+        self.address: int = -ctypes.addressof(self._table)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return arguments that build the formula again in another process."""
+        return FormulaFunction, (self._table.source,)
+
+
+CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.POINTER(ctypes.c_double))
+
+
+class PythonCallback:
+    """A function of (y, t), y an array of `size` numbers, called in Python; it returns a number."""
+
+    def __init__(self, function: Callable[..., Any], size: int) -> None:
+        self._raised: BaseException | None = None
+        self._arguments = function, size
+        block = ctypes.c_double * size
+
+        def call(y: int, t: float, out: Any) -> None:
+            out[0] = float("nan")
+            try:
+                if self._raised is None:
+                    out[0] = function(np.frombuffer(memoryview(block.from_address(y))).copy(), t)
+            except BaseException as error:
+                # NaN stops the loop, and the exception is raised again in the thread of the run.
+                self._raised = error
+
+        self._callback = CALLBACK(call)
+        self.address = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return arguments that make the function callable in another process."""
+        return PythonCallback, self._arguments
+
+    def raised(self) -> BaseException | None:
+        """Return and clear the exception that the function raised, if any."""
+        error, self._raised = self._raised, None
+        return error
+
+
+Owners = tuple[CompiledFunction | FormulaFunction | PythonCallback, ...]
+"""Owners of the objects that addresses point to: they must live as long as the addresses are in use."""

@@ -1,0 +1,68 @@
+"""Tables with the compiled user functions that they call."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.kernels.functions.compiled_functions import (
+    CompiledFunction,
+    FormulaFunction,
+    Owners,
+    PythonCallback,
+    warn_slow_compilation,
+)
+from coadjoint.systems.hamiltonians.terms import FunctionTerm
+from coadjoint.systems.user_functions import forms_of
+
+ORDERS = {"value": 0, "gradient": 1, "hessian": 2}
+
+
+class CompiledTables(NamedTuple):
+    """Tables for a compiled loop, and the compiled user functions that must live as long as they do."""
+
+    tables: Any
+    keepalive: tuple[Any, ...]
+
+
+def addresses_of(
+    functions: Mapping[int, FunctionTerm], count: int, derivative: str, owner: str
+) -> tuple[NDArray[np.int64], Owners]:
+    """Compile the values, gradients or Hessians of FUNCTION terms, given by term number, out of `count` terms.
+
+    Return the addresses (count,), 0 for other terms, and the owners of the machine code. `owner` appears in messages.
+    """
+    addresses = np.zeros(count, dtype=np.int64)
+    keepalive: list[CompiledFunction | FormulaFunction | PythonCallback] = []
+    if not functions:
+        return addresses, ()
+    warn_slow_compilation(
+        user_function for term in functions.values() if forms_of(user_function := getattr(term, derivative)) is None
+    )
+    for k, term in functions.items():
+        function = getattr(term, derivative)
+        if (forms := forms_of(function)) is not None:
+            keepalive.append(FormulaFunction(forms))
+            addresses[k] = keepalive[-1].address
+            continue
+        size = len(term.coordinates)
+        if derivative == "value" and getattr(term.value, "called_in_python", False):
+            keepalive.append(PythonCallback(term.value, size))
+            addresses[k] = keepalive[-1].address
+            continue
+        results = size ** ORDERS[derivative]
+        compiled = CompiledFunction(
+            function,
+            size,
+            results,
+            scalar=term.scalar,
+            flat=derivative != "value",
+            timed=term.timed,
+            what=f"the {derivative} of {owner}",
+        )
+        keepalive.append(compiled)
+        addresses[k] = compiled.address
+    return addresses, tuple(keepalive)

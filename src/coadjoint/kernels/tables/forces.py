@@ -1,0 +1,237 @@
+"""Tables of the flows of forces, with their functions compiled."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.kernels.functions.compiled_functions import CompiledFunction
+from coadjoint.kernels.interface import codes
+from coadjoint.kernels.loop import CompiledLoop, scheme_memory
+from coadjoint.kernels.tables.invariants import watch_tables
+from coadjoint.kernels.tables.matrix_steps import stream_tables
+from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
+from coadjoint.kernels.tables.structures import as_structure
+from coadjoint.optional_packages import require_packages
+from coadjoint.systems.forces.base import Noise
+from coadjoint.systems.protocol import forces_of, is_matrix_system
+
+NO_INTEGERS = np.zeros(1, dtype=np.int64)
+NO_NUMBERS = np.zeros(1)
+
+
+class ForceTable(NamedTuple):
+    """A force as the kernels read it; `account` is the index of its first account, `accounts` the number of invariants.
+
+    The directions of a noise are grouped into `sets` that commute; set s has the directions begin[s] to begin[s + 1].
+    """
+
+    kind: int
+    account: int
+    accounts: int
+    shape: int
+    rate: NDArray[np.float64]
+    aim: NDArray[np.float64]
+    function: NDArray[np.int64]
+    amplitude: float = 0.0
+    seed: int = 0
+    stream: int = 0
+    sets: int = 0
+    begin: NDArray[np.int64] = NO_INTEGERS
+    direction: NDArray[np.int64] = NO_INTEGERS
+    extent: int = 0
+    position: int = 0
+    turning: NDArray[np.float64] = NO_NUMBERS
+    basis: NDArray[np.float64] = NO_NUMBERS
+
+
+class Account(NamedTuple):
+    """The accumulated change of an invariant by a force: an entry after the coordinates of a state."""
+
+    force: str
+    invariant: str
+
+
+def _adapted_matrix_function(
+    function: Callable[..., Any], arguments: str, shape: tuple[int, ...], kind: Any
+) -> Callable[..., Any]:
+    import numba
+
+    inner = function if hasattr(function, "py_func") else numba.njit(error_model="numpy", boundscheck=True)(function)
+    size = int(np.prod(shape))
+
+    @numba.njit
+    def flattened(W: Any) -> Any:
+        return np.ascontiguousarray(W).astype(kind).reshape(size).view(np.float64)
+
+    @numba.njit
+    def state(y: Any) -> Any:
+        return np.ascontiguousarray(y).view(kind).reshape(shape)
+
+    if arguments == "t":
+        return lambda y, t: flattened(inner(t))
+    if arguments == "x":
+        return lambda y: flattened(inner(state(y)))
+    if arguments == "x, t":
+        return lambda y, t: flattened(inner(state(y), t))
+    return lambda y, t: flattened(inner(state(y[:-1]), t, y[-1]))
+
+
+def accounts_of(system: Any) -> tuple[Account, ...]:
+    """Return the accounts of a system with forces: for each force the energy, and the Casimirs that it changes.
+
+    For a system of matrices these are the Casimirs of degree two.
+    """
+    accounts, hamiltonian_part = [], system.system
+    tracked_casimirs = (
+        hamiltonian_part.quadratic_casimirs if is_matrix_system(hamiltonian_part) else hamiltonian_part.casimirs
+    )
+    for label, force in forces_of(system):
+        names = ["energy", *(() if force.casimirs else tracked_casimirs)]
+        accounts += [Account(label, name) for name in names]
+    return tuple(accounts)
+
+
+class _ForceTableBuilder:
+    """Builder of the table of a force; `keepalive` holds the machine code of its function."""
+
+    def __init__(self, system: Any, account: int, accounts: int) -> None:
+        self.n, self._accounts = system.dim, (account, accounts)
+        self._shape = (*system.matrix_shape, bool(system.complex)) if is_matrix_system(system) else None
+        self.keepalive: tuple[CompiledFunction, ...] = ()
+
+    def _table(self, kind: str, rate: Any = 0.0, aim: Any = (), **more: Any) -> ForceTable:
+        matrix, vector = np.array(rate, dtype=np.float64), np.array(aim, dtype=np.float64)
+        shape = codes("Shape")[("MULTIPLE", "DIAGONAL", "FULL")[matrix.ndim]]
+        function = np.array([owner.address for owner in self.keepalive], dtype=np.int64)
+        return ForceTable(
+            codes("ForceKind")[kind], *self._accounts, shape, matrix.ravel(), vector.ravel(), function, **more
+        )
+
+    def damping(self, rate: NDArray[Any], toward: NDArray[Any]) -> ForceTable:
+        return self._table("DAMPING", rate, toward)
+
+    def constant(self, torque: NDArray[Any]) -> ForceTable:
+        return self._table("CONSTANT", aim=torque)
+
+    def function(self, torque: Callable[..., Any], arguments: str) -> ForceTable:
+        self._compile(torque, arguments, self.n, "the torque")
+        return self._table("OF_TIME" if arguments == "t" else "OF_STATE")
+
+    def on_orbit(self, metric: NDArray[Any], root: NDArray[Any], noise: Noise | None) -> ForceTable:
+        if noise is None:
+            return self._table("ON_ORBIT", metric, root)
+        begin = np.cumsum([0, *map(len, noise.sets)], dtype=np.int64)
+        direction = np.array([a for directions in noise.sets for a in directions], dtype=np.int64)
+        set_fields = {"sets": len(noise.sets), "begin": begin, "direction": direction}
+        noise_fields = {"amplitude": noise.amplitude, "seed": noise.seed, "stream": noise.stream}
+        return self._table("ON_ORBIT", metric, root, **noise_fields, **set_fields)
+
+    def flow(self, function: Callable[..., Any]) -> ForceTable:
+        self._compile(function, "x, t, tau", self.n + 1, "the flow of a force")
+        return self._table("BY_FLOW")
+
+    def mode_rates(self, modes: Any, numbers: Any, rates: Any, target: NDArray[Any] | None, layer: int) -> ForceTable:
+        flat = np.concatenate(rates).astype(np.complex128)
+        aim = NO_NUMBERS if target is None else target
+        more = {"turning": np.ascontiguousarray(flat.imag), "sets": int(target is not None)}
+        return self._on_modes("MODE_RATES", modes, layer, numbers, np.ascontiguousarray(flat.real), aim, **more)
+
+    def mode_noise(self, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, layer: int) -> ForceTable:
+        flat = np.concatenate(amplitudes)
+        return self._on_modes("MODE_NOISE", modes, layer, numbers, flat, NO_NUMBERS, seed=seed, stream=stream)
+
+    def _on_modes(
+        self, kind: str, modes: Any, layer: int, numbers: Any, rate: Any, aim: Any, **more: Any
+    ) -> ForceTable:
+        return ForceTable(
+            codes("ForceKind")[kind],
+            *self._accounts,
+            codes("ModeKind")[modes.kind],
+            rate,
+            aim,
+            np.zeros(0, dtype=np.int64),
+            begin=np.cumsum([0, *map(len, numbers)], dtype=np.int64),
+            direction=np.concatenate(numbers).astype(np.int64),
+            extent=modes.N,
+            position=layer * 2 * modes.N**2,
+            basis=modes.table(numbers),
+            **more,
+        )
+
+    def _compile(self, function: Callable[..., Any], arguments: str, size: int, what: str) -> None:
+        require_packages(f"{what}, a Python function,", "numba")
+        timed = arguments != "x"
+        adapted = _adapted_arguments(function, arguments, self._shape)
+        self.keepalive = (CompiledFunction(adapted, size, self.n, scalar=False, flat=True, timed=timed, what=what),)
+
+
+def _adapted_arguments(
+    function: Callable[..., Any], arguments: str, shape: tuple[int, ...] | None
+) -> Callable[..., Any]:
+    """Return a function of (y) or (y, t), as the kernels call it, from one with other arguments.
+
+    For a system of matrices `shape` is the shape of a state and whether entries are complex; the function takes such
+    states.
+    """
+    if shape is not None:
+        return _adapted_matrix_function(function, arguments, shape[:-1], np.complex128 if shape[-1] else np.float64)
+    if arguments in ("x", "x, t"):
+        return function
+    import numba
+
+    inner = function if hasattr(function, "py_func") else numba.njit(error_model="numpy", boundscheck=True)(function)
+
+    def of_time(y: Any, t: float) -> Any:
+        return inner(t)
+
+    def of_flow(y: Any, t: float) -> Any:
+        return inner(y[:-1], t, y[-1])
+
+    return of_time if arguments == "t" else of_flow
+
+
+def _matrices(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:
+    """Return the tables for energy and quadratic Casimirs of a system of matrices; a zero for other systems."""
+    if not is_matrix_system(system):
+        return [0], [], ()
+    integers, numbers, owners = stream_tables(system)
+    kind = next(iter(system.algebra.parts))[2]
+    signs = [system.energy_sign, -1 if kind.conjugate else 1]
+    return [*integers, int(system.complex), int(not system.algebra.skew), *signs], numbers, owners
+
+
+def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> CompiledLoop:
+    """Return a loop of steps of `inner`, the Hamiltonian part for one member, between half flows of the forces."""
+    accounts, first = accounts_of(system), 0
+    tables: list[ForceTable] = []
+    keepalive: list[Any] = []
+    for label, force in forces_of(system):
+        count = sum(account.force == label for account in accounts)
+        reader = _ForceTableBuilder(system.system, first, count)
+        tables.append(force.describe_to(reader, system.system))
+        first += count
+        keepalive += reader.keepalive
+    hamiltonian_part = system.system
+    casimirs_conserved = is_matrix_system(hamiltonian_part) or all(force.casimirs for force in system.forces)
+    watched = watch_tables(hamiltonian_part, {} if casimirs_conserved else system.casimirs)
+    loop_integers, loop_keepalive = inner_loop_integers(inner, hamiltonian_part, representation)
+    structures = [as_structure(table) for table in tables]
+    matrices, numbers, owners = _matrices(hamiltonian_part)
+    integers = [*loop_integers, len(tables), *map(ctypes.addressof, structures), *matrices]
+    step = named_step_tables(
+        hamiltonian_part,
+        "forced",
+        watched,
+        integers,
+        representation,
+        (*keepalive, *owners, *structures, *loop_keepalive),
+        numbers,
+    )
+    referenced: dict[int, Any] = {INNER_LOOP_INDEX: inner, **dict(enumerate(tables, len(loop_integers) + 1))}
+    memory = scheme_memory(STEP_LOOP, step.tables)
+    return CompiledLoop(STEP_LOOP, step.tables, step.keepalive, memory=memory, accounts=accounts, referenced=referenced)

@@ -1,0 +1,98 @@
+"""Tables of watched invariants: energy, Casimirs and other quantities, with accounts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from coadjoint.algebra.invariants.invariant import Invariant
+from coadjoint.algebra.invariants.logarithmic import LogarithmicInvariant
+from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
+from coadjoint.kernels.tables.recording import Watch
+from coadjoint.program.term_table import ValueTable
+from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
+from coadjoint.systems.hamiltonians.terms import FunctionTerm
+from coadjoint.systems.user_functions import Formula, takes_time
+
+
+def watch_tables(system: Any, invariants: Mapping[str, Any]) -> CompiledTables:
+    """Return a `Watch` of the energy of a system, then of the given `Polynomial`, `Quadratic` or `Invariant` by name.
+
+    The cost of a quadratic invariant is proportional to its nonzero entries.
+    """
+    return invariants_table([("the energy", system.hamiltonian), *invariants.items()], system.dim)
+
+
+def balance_tables(system: Any, invariants: Mapping[str, Any], accounts: Sequence[tuple[str, str]]) -> CompiledTables:
+    """Return a `Watch` for states with accounts: energy and invariants, then each of them minus its accounts.
+
+    `accounts` has the force and the invariant ("energy" or a name) of each account, an entry after the coordinates.
+    """
+    watched = [("energy", system.hamiltonian), *invariants.items()]
+    subtracted = [
+        [system.dim + k for k, (_, invariant) in enumerate(accounts) if invariant == name] for name, _ in watched
+    ]
+    return invariants_table([*watched, *watched], system.dim, [*([()] * len(watched)), *subtracted])
+
+
+def invariants_table(
+    invariants: Sequence[tuple[str, Any]], size: int, subtracted: Sequence[Sequence[int]] | None = None
+) -> CompiledTables:
+    """Return a `Watch` of named invariants of states with `size` coordinates; names appear in messages.
+
+    `taken` has for each invariant the indices of entries of a state that are subtracted from it.
+    """
+    table, first, constant, period, owners = ValueTable(), [0], [], [], {}
+
+    def end_invariant(name: str, offset: float, wrapped: float) -> None:
+        owners.update(dict.fromkeys(range(first[-1], len(table)), name))
+        first.append(len(table))
+        constant.append(offset)
+        period.append(wrapped)
+
+    def add_hamiltonian(hamiltonian: Any) -> float:
+        offset = 0.0
+        for term in hamiltonian.terms():
+            table.add(term)
+            offset += float(term.constant)
+        return offset
+
+    for k, (name, invariant) in enumerate(invariants):
+        offset, wrapped = 0.0, 0.0
+        if isinstance(invariant, Invariant):
+            table.function(function_of_all(invariant, size))
+            wrapped = float(invariant.period)
+        else:
+            offset = add_hamiltonian(as_hamiltonian(invariant, size))
+        if subtracted is not None and len(subtracted[k]):
+            count = len(subtracted[k])
+            table.add_linear(
+                subtracted[k], np.full(count, -1.0), np.zeros(count + 1, dtype=np.int64), np.zeros(0), np.zeros(0)
+            )
+        end_invariant(name, offset, wrapped)
+    pairs = [addresses_of({k: term}, len(table), "value", owners[k]) for k, term in table.functions.items()]
+    addresses = sum((of_term for of_term, _ in pairs), np.zeros(len(table), dtype=np.int64))
+    terms = table.table()
+    longest = int(np.max(np.diff(terms.row), initial=0))
+    watch = Watch(
+        len(constant),
+        terms,
+        addresses,
+        np.array(first, dtype=np.uint32),
+        np.array(constant, dtype=np.float64),
+        np.array(period, dtype=np.float64),
+        longest,
+    )
+    return CompiledTables(watch, tuple(owner for _, keepalive in pairs for owner in keepalive))
+
+
+def function_of_all(invariant: Invariant, size: int) -> FunctionTerm:
+    """Return an `Invariant` as a term that reads all coordinates."""
+    timed = takes_time(invariant.value, "an invariant")
+    gradient = invariant.gradient or invariant.value
+    value = invariant.value
+    if isinstance(invariant, LogarithmicInvariant):
+        value = Formula(value, invariant.formula.forms())
+    return FunctionTerm(np.arange(size), value, gradient, None, timed=timed)

@@ -1,0 +1,206 @@
+"""Tables of the loop for step methods: schemes with one compiled step of their own."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.kernels.library import kernels
+from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
+from coadjoint.kernels.tables.field import Field, GroupField, field_of, group_of, substeps
+from coadjoint.kernels.tables.invariants import invariants_table, watch_tables
+from coadjoint.kernels.tables.recording import Watch
+from coadjoint.kernels.tables.structures import as_structure
+from coadjoint.program.shifts.group_correction import unshift_tables
+from coadjoint.program.term_table import TermTable
+from coadjoint.systems.protocol import has_compiled_bracket
+from coadjoint.systems.system_checks import System
+
+
+class StepTables(NamedTuple):
+    """Tables that a step reads: the field, the compiled values of the terms of H, the group equation, the invariants
+    that it restores, integers, and coefficients.
+    """
+
+    field: Field
+    values: NDArray[np.int64]
+    group: GroupField
+    restored: Watch
+    whole: NDArray[np.int64]
+    coefficients: NDArray[np.float64]
+
+
+class Stepping(NamedTuple):
+    """A compiled step, by address, and its tables; a step of the run consists of `substeps` of it.
+
+    They have the lengths `fraction`, at the moments `moment`, in units of the step. `serial` is the number that the
+    loop assigns to the tables when it first reads them.
+    """
+
+    step: NDArray[np.int64]
+    substeps: int
+    fraction: NDArray[np.float64]
+    moment: NDArray[np.float64]
+    tables: StepTables
+    serial: int = 0
+
+
+STEPS: dict[int, Any] = {}
+"""Address -> step, for all steps in tables of this process; addresses differ in another process."""
+
+
+def step_address(step: Any) -> int:
+    """Return the address of a step: an object with an ``address``, or a name (`STEP_SCHEME` in its C++ file).
+
+    Raise ValueError if the library has no step of this name.
+    """
+    if not isinstance(step, str):
+        STEPS[int(step.address)] = step
+        return int(step.address)
+    try:
+        function = getattr(kernels(), f"{step}_step")
+    except AttributeError as error:
+        raise ValueError(
+            f"the kernels have no step {step!r}; its C++ file must be in the folder of the scheme when they are built"
+        ) from error
+    address = ctypes.cast(function, ctypes.c_void_p).value or 0
+    STEPS[address] = step
+    return address
+
+
+STEP_LOOP = "stepping_advance"
+"""Name of the loop for all schemes whose tables contain their step."""
+
+
+INNER_LOOP_INDEX = 1
+"""Index, among the integers, of the address of the tables of an inner loop."""
+
+
+class CompiledStep(Protocol):
+    """Protocol of a scheme with a compiled step."""
+
+    @property
+    def compiled_step(self) -> Any:
+        """The step: its name in the library, or an object with its address."""
+
+    def constants(self) -> tuple[Sequence[int], Sequence[float]]:
+        """Return the integers and the coefficients that the step reads."""
+
+    def restored(self, system: System) -> Mapping[str, Any] | None:
+        """Return the invariants that the step restores."""
+
+
+def step_tables(
+    system: System, method: CompiledStep, representation: Any = None, fractions: Sequence[float] = (1.0,)
+) -> CompiledTables:
+    """Return the tables, a `Stepping` independent of the step, of a step method whose substeps have these fractions.
+
+    Raise TypeError if a function of the user cannot be compiled.
+    """
+    restored = method.restored(system)
+    watched = invariants_table([], system.dim) if restored is None else watch_tables(system, restored)
+    tables = _tables(system, group_of(system, representation), watched.tables, *method.constants())
+    return _stepping(step_address(method.compiled_step), fractions, *tables, watched.keepalive)
+
+
+def function_tables(system: System, function: int, fractions: Sequence[float] = (1.0,)) -> CompiledTables:
+    """Return the tables, a `Stepping`, of a step that is a function at an address."""
+    constant = sum(term.constant for term in system.hamiltonian.terms())
+    no_invariants = invariants_table([], system.dim)
+    tables = _tables(
+        system, group_of(system, None), no_invariants.tables, [function], [constant], not has_compiled_bracket(system)
+    )
+    return _stepping(step_address("step_function"), fractions, *tables, ())
+
+
+def numeric_step_tables(
+    system: System,
+    step: str,
+    integers: Sequence[int],
+    coefficients: Sequence[float],
+    fractions: Sequence[float] = (1.0,),
+) -> CompiledTables:
+    """Return the tables, a `Stepping`, of a named step that reads only integers, coefficients and the dimension."""
+    no_invariants = invariants_table([], system.dim)
+    tables = _tables(system, group_of(system, None), no_invariants.tables, integers, coefficients, True)
+    return _stepping(step_address(step), fractions, *tables, no_invariants.keepalive)
+
+
+def wrapped_step_tables(system: System, step: str, inner: CompiledLoop, restored: Mapping[str, Any]) -> CompiledTables:
+    """Return the tables, a `Stepping`, of a named step: a step of `inner`, then a correction of energy and invariants.
+
+    `inner` is a loop for one member; `restored` maps names to `Polynomial` or `Quadratic`.
+    """
+    integers, keepalive = inner_loop_integers(inner, system, None)
+    return named_step_tables(system, step, watch_tables(system, restored), integers, None, keepalive)
+
+
+def inner_loop_integers(inner: CompiledLoop, system: System, representation: Any) -> tuple[list[int], tuple[Any, ...]]:
+    """Return the integers by which a step calls `inner`, a loop for one member, and the objects to keep alive.
+
+    The integers are the addresses of the loop, of its tables and of an empty watch, the size of its memory, and the
+    address of the tables that rotate the group element by the shift of the Hamiltonian, or 0.
+    """
+    loop = ctypes.cast(getattr(kernels(), f"{inner.name}_inside"), ctypes.c_void_p).value
+    no_invariants = invariants_table([], system.dim)
+    structure, watch = as_structure(inner.tables), as_structure(no_invariants.tables)
+    keepalive, shift_address = (*no_invariants.keepalive, *inner.keepalive, inner, structure, watch), 0
+    if inner.shift and representation is not None and system.algebra is not None:
+        rho = None if isinstance(representation, str) else representation
+        shift_tables = as_structure(unshift_tables(system.algebra, rho, system.sign, inner.shift))
+        keepalive, shift_address = (*keepalive, shift_tables), ctypes.addressof(shift_tables)
+    return [loop or 0, ctypes.addressof(structure), ctypes.addressof(watch), inner.memory, shift_address], keepalive
+
+
+def named_step_tables(
+    system: System,
+    step: str,
+    invariants: CompiledTables,
+    integers: Sequence[int],
+    representation: Any,
+    keepalive: tuple[Any, ...],
+    coefficients: Sequence[float] = (),
+) -> CompiledTables:
+    """Return the tables, a `Stepping`, of a named step that reads integers, coefficients and `invariants`."""
+    tables = _tables(
+        system,
+        group_of(system, representation),
+        invariants.tables,
+        integers,
+        coefficients,
+        not has_compiled_bracket(system),
+    )
+    return _stepping(step_address(step), (1.0,), *tables, (*invariants.keepalive, *keepalive))
+
+
+def _tables(
+    system: System,
+    group: GroupField,
+    invariants: Watch,
+    integers: Sequence[int],
+    numbers: Sequence[float],
+    called: bool = False,
+) -> tuple[StepTables, tuple[Any, ...]]:
+    field, keepalive = field_of(system, called)
+    table = TermTable()
+    for term in system.hamiltonian.terms():
+        table.add(term)
+    values, values_keepalive = addresses_of(table.functions, len(table), "value", "the Hamiltonian")
+    integer_array, coefficient_array = np.array(integers, dtype=np.int64), np.array(numbers, dtype=np.float64)
+    return StepTables(field, values, group, invariants, integer_array, coefficient_array), (
+        *keepalive,
+        *values_keepalive,
+    )
+
+
+def _stepping(
+    step: int, fractions: Sequence[float], tables: StepTables, keepalive: tuple[Any, ...], more: tuple[Any, ...]
+) -> CompiledTables:
+    lengths, moments = substeps(fractions)
+    stepping = Stepping(np.array([step], dtype=np.int64), len(lengths), lengths, moments, tables)
+    return CompiledTables(stepping, (*keepalive, *more))

@@ -1,0 +1,124 @@
+"""Tables of loops that carry tangent vectors with the state, and their output."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.kernels.functions.compiled_functions import CompiledFunction, Owners
+from coadjoint.kernels.loop import CompiledLoop, scheme_memory
+from coadjoint.kernels.tables.compiled import addresses_of
+from coadjoint.kernels.tables.flow import FlowTables
+from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
+from coadjoint.systems.hamiltonians.terms import FunctionTerm
+from coadjoint.systems.system_checks import System
+
+STRETCH_ENTRIES = 3
+"""Numbers that store a product of lengths, (high + low) 2^exponent."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Initial tangent vectors (k, n), one per row, and the number of steps between orthonormalizations."""
+
+    vectors: NDArray[np.float64]
+    every: int
+
+
+class Tangents(NamedTuple):
+    """Tables for `carried` tangent vectors in `size` dimensions; see `source/boundary/tables.hpp`."""
+
+    size: int
+    carried: int
+    every: int
+    frame: NDArray[np.float64]
+    hessians: NDArray[np.int64]
+    derivative: NDArray[np.int64]
+
+
+class FlowTangents(NamedTuple):
+    """Tables of a program with tangent vectors."""
+
+    base: FlowTables
+    tangents: Tangents
+
+
+class RungeKuttaTangents(NamedTuple):
+    """Tables of a Runge-Kutta method with tangent vectors."""
+
+    base: RungeKuttaTables
+    tangents: Tangents
+
+
+TANGENT_LOOPS: Mapping[type, tuple[str, Any]] = {
+    FlowTables: ("flow_tangents_advance", FlowTangents),
+    RungeKuttaTables: ("runge_kutta_tangents_advance", RungeKuttaTangents),
+}
+"""Class of the tables of a loop -> the loop that also carries tangent vectors, and the class of its tables."""
+
+
+def with_tangents(
+    loop: CompiledLoop, system: System, functions: Mapping[int, FunctionTerm], frame: Frame
+) -> CompiledLoop:
+    """Return a loop that takes the same steps, bitwise, with tangent vectors and without the group element.
+
+    `functions` are the functions of the user by term number. The memory of a member ends with the data of
+    `stretch_logarithms`. Raise TypeError if a second derivative is unknown or cannot be compiled.
+    """
+    name, kind = TANGENT_LOOPS[type(loop.tables)]
+    check_differentiable(system)
+    terms = loop.tables.terms if isinstance(loop.tables, FlowTables) else loop.tables.field.terms
+    hessians, keepalive = addresses_of(functions, terms.size, "hessian", "the Hamiltonian")
+    derivative, structure_owners = _derivative_of_structure(system)
+    carried, size = frame.vectors.shape
+    vectors = np.ascontiguousarray(frame.vectors, dtype=np.float64)
+    tables = kind(loop.tables, Tangents(size, carried, frame.every, vectors, hessians, derivative))
+    return CompiledLoop(
+        name, tables, (*loop.keepalive, *keepalive, *structure_owners), memory=scheme_memory(name, tables)
+    )
+
+
+def check_differentiable(system: System) -> None:
+    """Raise TypeError if the Hamiltonian has no second derivatives, or J(x) no derivative."""
+    if not all(term.differentiable for term in system.hamiltonian.terms()):
+        raise TypeError(
+            f"tangent vectors need second derivatives, which the Hamiltonian of {system.name} does not have; "
+            "give hessian="
+        )
+    if system.algebra is None and getattr(system, "derivative_function", None) is None:
+        raise TypeError(
+            f"tangent vectors need the derivative of J, which is unknown for {system.name}; give derivative="
+        )
+
+
+def _derivative_of_structure(system: System) -> tuple[NDArray[np.int64], Owners]:
+    if system.algebra is not None:
+        return np.zeros(0, dtype=np.int64), ()
+    assert system.derivative_function is not None
+    compiled = CompiledFunction(
+        system.derivative_function,
+        system.dim,
+        system.dim**3,
+        scalar=False,
+        flat=True,
+        timed=False,
+        what="the derivative of the structure matrix",
+    )
+    return np.array([compiled.address], dtype=np.int64), (compiled,)
+
+
+def vectors_in(memory: NDArray[np.float64], count: int, size: int) -> NDArray[np.float64]:
+    """Return the tangent vectors (members, count, size) stored in the memory of members between calls of the loop."""
+    entries = memory[:, memory.shape[1] - count * (size + 2 * STRETCH_ENTRIES) :]
+    return entries[:, : count * size].reshape(-1, count, size)
+
+
+def stretch_logarithms(memory: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Return the logarithms (members, count) of the accumulated growth of each vector up to the last step."""
+    entries = memory[:, memory.shape[1] - count * STRETCH_ENTRIES :].reshape(-1, count, STRETCH_ENTRIES)
+    high, low, exponent = np.moveaxis(entries, 2, 0)
+    return np.asarray(exponent * np.log(2.0) + (np.log(high) + np.log1p(low / high)))

@@ -1,0 +1,1 @@
+"""Location of events within steps, runs with events, and sections."""

@@ -1,0 +1,275 @@
+"""Location of events: times and states of crossings within the steps that the loops have flagged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.invariants.invariant import Invariant
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.kernels.interface import codes
+from coadjoint.kernels.tables.events import FlaggedSteps
+from coadjoint.runs.crossings.root_search import minimize_each, roots
+from coadjoint.runs.events import Event
+from coadjoint.runs.loops.execution import status_name
+from coadjoint.runs.partial_steps import PartialSteps
+from coadjoint.short_repr import short
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.protocol import coordinates_of, is_matrix_system, unforced
+from coadjoint.systems.system_checks import System
+from coadjoint.systems.user_functions import takes_time
+from coadjoint.validation import read_choice, read_integer
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+class Crossings(NamedTuple):
+    """Member, step, time, state, group element, event and direction of each of m crossings."""
+
+    members: Integers
+    steps: Integers
+    t: Floats
+    states: Floats
+    groups: Floats
+    which: Integers
+    direction: Integers
+
+    def select(self, selection: Any) -> Crossings:
+        """Select crossings by mask, slice or indices."""
+        return Crossings(*(array[selection] for array in self))
+
+
+class MemberFailure(NamedTuple):
+    """Failure of a member during the location of its crossings: the arguments of `Run.mark_failed`."""
+
+    member: int
+    step: int
+    status: str
+    residual: float = float("nan")
+    reason: str = ""
+
+
+class WatchedEvents:
+    """Events compiled for a system, and their location; `coordinates` is empty for matrices.
+
+    Each function is called once at x0 (n,) and t0. TypeError or ValueError: unknown coordinates, wrong dimensions,
+    functions that do not return a number.
+    """
+
+    def __init__(self, system: System | Batch, events: Sequence[Event], x0: Floats, t0: float) -> None:
+        from coadjoint.kernels.tables.invariants import invariants_table
+
+        plain_system = unforced(system)
+        self.system, self.events = system, tuple(events)
+        known = self.coordinates = coordinates_of(system)
+        self.names = names_of(self.events, known)
+        functions = [
+            (f"the event {name}", _function_of(event, name, plain_system, known, x0, t0))
+            for event, name in zip(self.events, self.names, strict=True)
+        ]
+        self.compiled = invariants_table(functions, plain_system.dim)
+        self.direction = np.array([event.direction for event in self.events], dtype=np.int64)
+        self.until = np.array([event.until for event in self.events], dtype=np.int64)
+
+    def values(self, states: Floats, t: Floats) -> Floats:
+        """Evaluate all events at states (m, n) and times (m,); shape (m, E)."""
+        from coadjoint.kernels.tables.recording import values_along
+
+        out = np.empty((len(t), 1, len(self.events)))
+        values_along(self.compiled.tables, states[:, None], t, out)
+        return out[:, 0]
+
+    def locate(
+        self, flagged: FlaggedSteps, parts: PartialSteps, t0: float, h: float
+    ) -> tuple[Crossings, list[MemberFailure]]:
+        """Return the crossings in the flagged steps, ordered by member and time, and the members that failed.
+
+        A member fails if an event is NaN at a grid point, or if a partial step fails within a successful step; its
+        crossings from that step on are dropped.
+        """
+        for function in self.compiled.keepalive:
+            if (raised := getattr(function, "raised", lambda: None)()) is not None:
+                raise raised
+        crossing = codes("Crossing")
+        search = _Search(self, flagged, parts, t0, h)
+        rows, events = np.nonzero((flagged.codes == crossing["RISING"]) | (flagged.codes == crossing["FALLING"]))
+        sign_changes = search.between(
+            rows, events, np.zeros(len(rows)), flagged.before, np.ones(len(rows)), flagged.after
+        )
+        pairs = search.pairs(*np.nonzero(flagged.codes == crossing["NEAR"]))
+        isolated_crossings = search.isolated_crossings(*np.nonzero(flagged.codes == crossing["BETWEEN"]))
+        rows, events, theta, rising = (
+            np.concatenate(both) for both in zip(sign_changes, *pairs, isolated_crossings, strict=True)
+        )
+        wanted = (self.direction[events] == 0) | (self.direction[events] == rising)
+        rows, events, theta, rising = rows[wanted], events[wanted], theta[wanted], rising[wanted]
+        # Simultaneous crossings are in the order of the events.
+        order = np.lexsort((events, theta, rows))
+        rows, events, theta, rising = rows[order], events[order], theta[order], rising[order]
+        states, groups = search.states_at(rows, theta)
+        members, steps = flagged.members[rows], flagged.steps[rows]
+        crossings = Crossings(members, steps, t0 + (steps - 1 + theta) * h, states, groups, events, rising)
+        failed = self._failed(flagged, search, t0, h)
+        if failed:
+            last = dict.fromkeys(flagged.members.tolist(), np.iinfo(np.int64).max)
+            last |= {failure.member: failure.step for failure in failed}
+            crossings = crossings.select(steps < np.array([last[m] for m in members.tolist()], dtype=np.int64))
+        return crossings, failed
+
+    def _failed(self, flagged: FlaggedSteps, search: _Search, t0: float, h: float) -> list[MemberFailure]:
+        """Return the first failure of each member that failed."""
+        undefined = flagged.codes == codes("Crossing")["UNDEFINED"]
+        rows = np.flatnonzero(undefined.any(axis=1) | (search.status != 0))
+        failures: dict[int, MemberFailure] = {}
+        for row in rows[np.argsort(flagged.steps[rows], kind="stable")].tolist():
+            member, step = int(flagged.members[row]), int(flagged.steps[row])
+            if member in failures:
+                continue
+            if undefined[row].any():
+                name = self.names[int(np.argmax(undefined[row]))]
+                reason = f"the event {name} is not a number at t = {t0 + step * h:g}; its function is undefined there"
+                failures[member] = MemberFailure(member, step, "UNDEFINED", reason=reason)
+            else:
+                status, residual = status_name(search.status[row]), float(search.residual[row])
+                failures[member] = MemberFailure(member, step, status, residual)
+        return list(failures.values())
+
+
+class _Search:
+    """Event functions evaluated within the flagged steps."""
+
+    def __init__(self, watched: WatchedEvents, flagged: FlaggedSteps, parts: PartialSteps, t0: float, h: float) -> None:
+        self.watched, self.flagged, self.parts, self.h = watched, flagged, parts, h
+        self.begin: Floats = np.asarray(t0 + (flagged.steps - 1) * h, dtype=np.float64)
+        # Statuses and residuals of partial steps that fail.
+        self.status = np.zeros(len(flagged.steps), dtype=np.int64)
+        self.residual = np.full(len(flagged.steps), np.nan)
+        # Resolution of the roots: the spacing of floats at the time of the step.
+        self.least = np.maximum(2.0**-52, 0.5 * np.spacing(np.abs(self.begin) + abs(h)) / abs(h))
+
+    def states_at(self, rows: Integers, theta: Floats) -> tuple[Floats, Floats]:
+        """Return states and group elements at fractions `theta` of the steps; NaN where the partial step fails."""
+        flagged = self.flagged
+        result = self.parts.attempt(
+            flagged.states[rows], flagged.groups[rows], self.begin[rows], theta * self.h, flagged.members[rows]
+        )
+        failed = result.status != 0
+        # A step may occur in several rows, one for each event; the last failure is recorded.
+        self.status[rows[failed]], self.residual[rows[failed]] = result.status[failed], result.residual[failed]
+        return result.momenta, result.groups
+
+    def values(self, rows: Integers, events: Integers, theta: Floats) -> Floats:
+        """Evaluate one event for each row."""
+        states, _ = self.states_at(rows, theta)
+        return self.watched.values(states, self.begin[rows] + theta * self.h)[np.arange(len(rows)), events]
+
+    def between(
+        self, rows: Integers, events: Integers, low: Floats, before: Floats, high: Floats, after: Floats
+    ) -> tuple[Integers, Integers, Floats, Integers]:
+        """Return the roots between two points of a step with known values of the events."""
+        selection = (rows, events) if before.ndim > 1 else slice(None)
+        first, last = before[selection], after[selection]
+        theta = roots(
+            lambda subset, t: self.values(rows[subset], events[subset], low[subset] + t * (high - low)[subset]),
+            first,
+            last,
+            self.least[rows] / np.maximum(high - low, 2.0**-52),
+        )
+        return rows, events, low + theta * (high - low), np.where(first < 0.0, 1, -1)
+
+    def isolated_crossings(self, rows: Integers, events: Integers) -> tuple[Integers, Integers, Floats, Integers]:
+        """Return the crossings in the intervals that the series of a scheme has isolated."""
+        low, high = self.flagged.before[rows, events], self.flagged.after[rows, events]
+        at_start = self.watched.values(self.flagged.states[rows], self.begin[rows])[np.arange(len(rows)), events]
+        first = np.where(low == 0.0, at_start, self.values(rows, events, low))
+        last = self.values(rows, events, high)
+        # A root moved past an end of its interval by rounding is spurious or belongs to the next interval.
+        bracketed = (first != 0.0) & (np.sign(first) != np.sign(last))
+        return self.between(*(a[bracketed] for a in (rows, events, low, first, high, last)))
+
+    def pairs(self, rows: Integers, events: Integers) -> list[tuple[Integers, Integers, Floats, Integers]]:
+        """Return the crossings in steps where g may go through zero and back."""
+        first, last = self.flagged.before[rows, events], self.flagged.after[rows, events]
+        side = np.sign(first)
+        theta, value = minimize_each(
+            lambda subset, t: side[subset] * self.values(rows[subset], events[subset], t), len(rows)
+        )
+        crossed = value <= 0.0
+        rows, events, side, theta = rows[crossed], events[crossed], side[crossed], theta[crossed]
+        middle, zeros, ones = side * value[crossed], np.zeros(len(rows)), np.ones(len(rows))
+        left = self.between(rows, events, zeros, first[crossed], theta, middle)
+        # A zero without a change of sign belongs to the left part.
+        through = middle != 0.0
+        right = self.between(*(a[through] for a in (rows, events, theta, middle, ones, last[crossed])))
+        return [left, right]
+
+
+def names_of(events: Sequence[Event], coordinates: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of events: as given, else that of the coordinate, else "event k".
+
+    Examples
+    --------
+    >>> names_of([Event(1), Event(lambda x: x[0], name="mine"), Event("x1")], ("x1", "x2"))
+    ('x2', 'mine', 'x1')
+    """
+    names: list[str] = []
+    for k, event in enumerate(events):
+        name = event.name
+        if name is None and isinstance(event.g, str):
+            name = event.g
+        elif name is None and isinstance(event.g, int | np.integer) and 0 <= event.g < len(coordinates):
+            name = coordinates[event.g]
+        if event.name is None and (name is None or name in names):
+            name = f"event {k}"
+        if name in names:
+            raise ValueError(f"two events have the name {short(name)}; give each a name= of its own")
+        names.append(str(name))
+    return tuple(names)
+
+
+def _function_of(event: Event, name: str, plain_system: Any, coordinates: Sequence[str], x0: Floats, t0: float) -> Any:
+    """Return the object of an event that the kernels compile."""
+    g, n, matrices = event.g, plain_system.dim, is_matrix_system(plain_system)
+    if matrices and not callable(g):
+        raise TypeError(
+            f"the event {name} is about coordinates, and the states of {plain_system.name} are matrices; give a "
+            "function of a matrix"
+        )
+    if isinstance(g, str) and g not in coordinates and set("+-*/^") & set(g):
+        raise ValueError(
+            f"the event {name} is {short(g)}, which is no coordinate; give a polynomial, "
+            f"co.Polynomial({short(g)}, basis={short(tuple(coordinates), 200)})"
+        )
+    if isinstance(g, str | int | np.integer):
+        i = (
+            coordinates.index(read_choice(g, "coordinate", coordinates))
+            if isinstance(g, str)
+            else read_integer(g, "g", 0, n - 1)
+        )
+        return Quadratic(0.0, linear=np.eye(1, n, i)[0])
+    if isinstance(g, Polynomial | Quadratic):
+        return g
+    timed, start = takes_time(g, name), plain_system.states(x0) if matrices else x0
+    value = g(start.copy(), t0) if timed else g(start.copy())
+    if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
+        raise TypeError(f"the event {name} returns {short(value)} at the start; it must return one real number")
+    return Invariant(MatrixEventFunction(g, plain_system, timed) if matrices else g)
+
+
+class MatrixEventFunction:
+    """A user's function of matrices as a function of a state row (n,), called in Python."""
+
+    called_in_python = True
+
+    def __init__(self, function: Callable[..., Any], system: MatrixSystem, timed: bool) -> None:
+        self._function, self._system, self._timed = function, system, timed
+
+    def __call__(self, x: Any, t: float = 0.0) -> float:
+        W = self._system.states(x)
+        return float(self._function(W, t) if self._timed else self._function(W))

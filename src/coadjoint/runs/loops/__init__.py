@@ -1,0 +1,1 @@
+"""Compiled loops of a run: members assigned to tables and to threads."""

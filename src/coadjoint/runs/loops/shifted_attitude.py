@@ -1,0 +1,112 @@
+"""Attitudes of shifted runs: the correction for the Casimirs subtracted from the Hamiltonian."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.kernels.arrays import NamedArrays
+from coadjoint.kernels.tables.recording import schedule_of
+from coadjoint.program.shifts.group_correction import unshift_tables
+from coadjoint.runs.start import Representation, Start
+from coadjoint.runs.times import Times
+from coadjoint.systems.system_checks import System
+from coadjoint.validation import SMALL_SIZE
+
+if TYPE_CHECKING:
+    from coadjoint.kernels.tables.casimir_shift import CompiledShiftCorrection
+
+Shift = tuple[tuple[Polynomial, float], ...]
+
+FINITE_GROWTH = 700.0  # exp overflows beyond 709
+
+
+def uncorrected_groups(start: Start, times: Times, saved: NamedArrays, points: int) -> NDArray[np.float64]:
+    """Return the group elements (points, members, d, d) saved by the loops, transposed back."""
+    return np.swapaxes(saved["group"][:points].reshape(points, *start.groups.shape), 2, 3)
+
+
+def _with_tables(
+    system: System, shift: Shift, representation: Representation, tables: Any, rate: float
+) -> ShiftCorrection:
+    from coadjoint.kernels.tables.casimir_shift import CompiledShiftCorrection
+
+    correction = ShiftCorrection(system, shift, representation)
+    correction._compiled_correction = CompiledShiftCorrection(tables, rate)
+    return correction
+
+
+class ShiftCorrection:
+    """Conversion of group elements for H - sum c C, started at the unit element, to those for the Hamiltonian H.
+
+    g(t) = g0 exp(-sign c t rho(grad C(x0))) g_shifted(t), since the gradient of a Casimir is constant in the spatial
+    frame. The result at a saved point depends only on its step number, x0 and g0. `shift` holds pairs of a Casimir C
+    and a factor c; `representation` is an array (n, d, d) or "coadjoint".
+    """
+
+    def __init__(self, system: System, shift: Shift, representation: Representation) -> None:
+        self._system, self._shift, self._representation = system, shift, representation
+
+    @cached_property
+    def _compiled_correction(self) -> CompiledShiftCorrection:
+        """Tables, built lazily."""
+        from coadjoint.kernels.tables.casimir_shift import CompiledShiftCorrection
+
+        system, shift, rate = self._system, self._shift, 1.0
+        if len(shift) == 1:
+            # The factor of a single Casimir scales the time: a scan over factors shares the tables.
+            ((casimir, rate),) = shift
+            shift = ((casimir, 1.0),)
+        rho = None if isinstance(self._representation, str) else self._representation
+        assert system.algebra is not None
+        return CompiledShiftCorrection(unshift_tables(system.algebra, rho, system.sign, shift), rate)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the arguments and the tables."""
+        compiled = self._compiled_correction
+        return _with_tables, (self._system, self._shift, self._representation, compiled.tables, compiled.rate)
+
+    def build(self) -> None:
+        """Build the tables."""
+        _ = self._compiled_correction
+
+    def may_overflow(self, start: Start, times: Times) -> bool:
+        """Whether the exponential could overflow within the run, by an upper bound on its growth."""
+        growth = self._compiled_correction.most * abs(times.h) * times.steps
+        momenta = start.momenta
+        if momenta.size <= SMALL_SIZE:
+            # For few numbers Python's max is five times faster than NumPy's.
+            return growth * max(map(abs, momenta.ravel().tolist())) > FINITE_GROWTH
+        return growth * float(np.max(np.abs(momenta))) > FINITE_GROWTH
+
+    def __call__(self, start: Start, times: Times, saved: NamedArrays, points: int) -> NDArray[np.float64]:
+        """Return group elements (points, members, d, d) from those saved by the loops."""
+        groups = np.empty((points, *start.groups.shape))
+        if not points:
+            return groups
+        self.fill(groups, start, times, saved.address_of("group"), 0, len(start.groups))
+        return groups
+
+    def at(self, start: Start, member: int, elapsed: float, loop_groups: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the group element (d, d) of a member at a time after its start, from that of the loops, (d*d,)."""
+        member_start = start._replace(
+            momenta=start.momenta[member : member + 1], groups=start.groups[member : member + 1]
+        )
+        saved, group = np.array(loop_groups), np.empty((1, *member_start.groups.shape))
+        times = Times(0.0, elapsed, 1, 1, marks=np.array([1], dtype=np.int64))
+        self.fill(group, member_start, times, saved.ctypes.data, 0, 1)
+        return group[0, 0]
+
+    def fill(
+        self, out: NDArray[np.float64], start: Start, times: Times, loop_groups: int, first: int, last: int
+    ) -> None:
+        """Fill in the members `first` to `last` - 1 of `out` from the loops' elements at the address `loop_groups`."""
+        schedule = schedule_of(*times[:4], False, *times[4:6])
+        elapsed = None
+        if times.elapsed is not None:
+            elapsed = np.repeat(times.elapsed[: len(out), None], out.shape[1], axis=1)
+        self._compiled_correction.fill(out, loop_groups, start.momenta, start.groups, first, last, schedule, elapsed)

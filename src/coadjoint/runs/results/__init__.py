@@ -1,0 +1,1 @@
+"""What a run returns: solutions over their records, observed quantities, states at other times."""

@@ -1,0 +1,106 @@
+"""Observed quantities (`observe`): compiled once, evaluated at the saved points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.invariants.invariant import Invariant
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.errors import in_one_line
+from coadjoint.short_repr import short
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.protocol import is_matrix_system, unforced
+from coadjoint.systems.system_checks import System
+from coadjoint.systems.user_functions import takes_time
+from coadjoint.validation import read_number
+
+
+class Observed:
+    """Quantities evaluated at saved points; each function is called once at x0 for validation.
+
+    `observe` maps names to `Polynomial`, `Quadratic` or functions of x (of a matrix for matrix systems). TypeError: any
+    other value, or a function that does not compile or does not return a real number.
+    """
+
+    def __init__(self, system: System, observe: Mapping[str, Any], x0: NDArray[np.float64]) -> None:
+        from coadjoint.kernels.tables.invariants import watch_tables
+        from coadjoint.kernels.tables.recording import values_along
+
+        plain = unforced(system)
+        self._names, self._matrices = list(observe), plain if is_matrix_system(plain) else None
+        self._quantities = dict(observe)
+        start: Any = x0
+        if self._matrices is not None:
+            start = self._matrices.states(x0)
+            _check_matrix_functions(self._matrices, observe)
+        for name, quantity in observe.items():
+            value = _value_at(quantity, name, start.copy())
+            if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
+                raise TypeError(
+                    f"observe[{short(name)}] returns {short(value)} at the start; it must return one real number"
+                )
+        if self._matrices is not None:
+            return
+        kinds = (Polynomial, Quadratic, Invariant)
+        wrapped = {
+            name: quantity if isinstance(quantity, kinds) else Invariant(quantity) for name, quantity in observe.items()
+        }
+        self._compiled, self._values_along = watch_tables(system, wrapped), values_along
+
+    def along(self, t: NDArray[np.float64], points: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        """Return the values (k, members) of every quantity at the times (k,) and points (k, members, n)."""
+        if self._matrices is not None:
+            return {name: self._of_matrices(name, t, points) for name in self._names}
+        # The first invariant of a watch is the energy.
+        out = np.empty((*points.shape[:2], len(self._names) + 1))
+        self._values_along(self._compiled.tables, points, t, out)
+        return {name: out[..., i + 1] for i, name in enumerate(self._names)}
+
+    def _of_matrices(self, name: str, t: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Evaluate a Python function of a matrix at all points; NaN for failed members."""
+        assert self._matrices is not None
+        function, system = self._quantities[name], self._matrices
+        timed = takes_time(function, name)
+        values = np.full(points.shape[:2], np.nan)
+        for k, m in np.argwhere(np.isfinite(points).all(axis=-1)).tolist():
+            W = system.states(points[k, m, : system.dim].copy())
+            value = function(W, float(t[k])) if timed else function(W)
+            values[k, m] = read_number(value, f"what observe[{short(name)}] returns at t = {t[k]:g}")
+        return values
+
+
+def _check_matrix_functions(system: MatrixSystem, observe: Mapping[str, Any]) -> None:
+    for name, quantity in observe.items():
+        if isinstance(quantity, Polynomial | Quadratic):
+            raise TypeError(
+                f"observe[{short(name)}] is a function of coordinates, and the states of {system.name} are matrices; "
+                "give a function of a matrix"
+            )
+
+
+def check_observe(observe: Any) -> dict[str, Any]:
+    """Validate `observe` and return a copy."""
+    if not isinstance(observe, Mapping) or not all(isinstance(name, str) for name in observe):
+        raise TypeError(f"observe is {short(observe)}; it must map names to Polynomials or functions of x")
+    for name, quantity in observe.items():
+        if not isinstance(quantity, Polynomial | Quadratic | Invariant) and not callable(quantity):
+            raise TypeError(
+                f"observe[{short(name)}] is {short(quantity)}; it must be a Polynomial or a function, or a Quadratic"
+            )
+    return dict(observe)
+
+
+def _value_at(quantity: Any, name: str, x0: NDArray[np.float64]) -> Any:
+    """Evaluate a quantity at the start; NaN if it is undefined there, as in the run."""
+    try:
+        return 0.0 if isinstance(quantity, Polynomial | Quadratic) or takes_time(quantity, name) else quantity(x0)
+    except (ArithmeticError, ValueError, OSError):
+        return float("nan")
+    except (IndexError, KeyError, TypeError, AttributeError) as reason:
+        message = in_one_line(str(reason), 200)
+        raise type(reason)(f"observe[{short(name)}] cannot be evaluated at the start: {message}") from None

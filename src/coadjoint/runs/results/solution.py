@@ -1,0 +1,440 @@
+"""The result of a run: states, invariants, attitude, drifts."""
+
+from __future__ import annotations
+
+from dataclasses import FrozenInstanceError
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.runs.results.run_record import SOLUTION_FIELDS, Drift, RunAttributes, RunRecord
+from coadjoint.short_repr import short
+from coadjoint.shortcuts import shortcut
+from coadjoint.systems.protocol import is_batch, is_matrix_system, unforced
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
+
+    from coadjoint.runs.results.state_at import StateAt
+
+
+class Solution(RunAttributes):
+    """The result of a run: arrays over the k saved times, (k, ...) for one member, (k, members, ...) for an ensemble.
+
+    Attributes
+    ----------
+    t : ndarray, shape (k,)
+        The saved times: t0, every save_every-th step, and the last; or `t_eval`.
+    x, x0 : ndarray, shape (k, n) or (k, members, n)
+        The states (momenta), and the initial one, without the axis of times, whether it was saved or not.
+    energy : ndarray, shape (k,) or (k, members)
+        The Hamiltonian.
+    casimirs, observed : mapping
+        Name -> array of the same shape: the Casimirs, and the quantities of `observe`.
+    initial : mapping
+        Initial energy and Casimirs: "energy" or name -> number, or (members,).
+    work : mapping
+        Work of each force since the start: its label -> "energy", or a Casimir that it changes -> values.
+    attitude, attitude0 : ndarray, shape (k, d, d) or (k, members, d, d), or None
+        Group elements (attitudes), if they were computed, and the initial one, without the axis of times.
+    carried : {"representation", "coadjoint"} or None
+        Matrices in which the group element is stored.
+    events : RecordedEvents or None
+        Crossings of the events given to the run.
+    stats : Statistics
+        Steps, evaluations, iterations, seconds.
+    failed : ndarray of bool, shape (members,), or None
+        For an ensemble, which members failed.
+    system, method, step, save_every, t_eval, watched, t_span, asked_span
+        System (with the inputs of the run), scheme and arguments of the run; `t_span` ends before the requested
+        `asked_span` if an event ended the run.
+    choice : Choice or None
+        For runs with `accuracy`: the result of `choose`.
+    path, attributes, inputs
+        Only of stored runs, as what follows: the source, the attributes of the dataset, and a function that returns the
+        arguments of `integrate` that repeat the run.
+    dataset : xarray.Dataset
+        Of a file: its content, in memory; settings of a sweep are coordinates.
+    finished, reached, check_complete
+        Of an archive: whether the run has reached its end (otherwise `resume` continues it), the number of steps taken,
+        and a function that raises ArchiveError if committed chunks are missing or the last ones are damaged.
+    status, blocks, progress_text
+        Of `ensemble`: 0 for members that are not computed yet, 1 for those that are, 2 for those that have failed;
+        blocks of members that are run together; and the number of computed members as text.
+    record : RunRecord
+        The arrays and numbers from which the attributes are made.
+
+    Notes
+    -----
+    Attributes are computed or read lazily and cached; the tables of the run are not kept alive. A solution of an
+    archive is a snapshot; its ``to_xarray()`` reads parts of arrays that do not fit in memory.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 1), step=0.1)
+    >>> sol.x.shape, sorted(sol.drift())
+    ((11, 3), ['energy', '|x|^2'])
+    """
+
+    record: RunRecord
+
+    def __init__(self, record: RunRecord) -> None:
+        self.__dict__["record"] = record
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise FrozenInstanceError(f"cannot assign to field {name!r}: a Solution cannot be changed")
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            if name in SOLUTION_FIELDS and name in self.record:
+                value = self.__dict__[name] = getattr(self.record, name)
+                return value
+            # If the computation of an attribute failed, raise that error.
+            if hasattr(type(self), name):
+                return object.__getattribute__(self, name)
+            from coadjoint.keyword_hints import unknown_solution_attribute
+
+            raise unknown_solution_attribute(name, dir(self))
+
+    def __dir__(self) -> list[str]:
+        record = self.__dict__.get("record", ())
+        return [*super().__dir__(), *(name for name in SOLUTION_FIELDS if name in record and name not in self.__dict__)]
+
+    def __delattr__(self, name: str) -> None:
+        raise FrozenInstanceError(f"cannot delete field {name!r}: a Solution cannot be changed")
+
+    def __repr__(self) -> str:
+        if "text" in self.record:
+            return self.record.text
+        points = f"{len(self.t)} points from t = {self.t_span[0]:g} to {self.t_span[1]:g}"
+        members = "" if self.failed is None else f", {len(self.failed)} members"
+        return f"<solution of {self.system.name} by {self.method}: {points}, step {self.step:g}{members}>"
+
+    def _repr_html_(self) -> str:
+        from coadjoint.runs.results.summary import table_of_run
+
+        return table_of_run(self)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle a stored run by reopening it, and a run in memory with all its attributes."""
+        return self.record.reopen if "reopen" in self.record else (Solution, (self.record,))
+
+    def drift(self) -> dict[str, Drift]:
+        """Return the largest deviation of each invariant from its initial value.
+
+        Returns
+        -------
+        dict
+            ``"energy"`` and the name of each Casimir -> `Drift`: a float, the largest absolute deviation over every
+            step (with ``watch=False`` over the saved points, or the steps at or before the times of `t_eval`), with
+            `tenths`, the same for each tenth of the run.
+        """
+        if self.work:
+            raise TypeError(
+                f"energy and Casimirs of {self.system.name} are changed by its forces; take balance(), the change "
+                "minus the work of the forces, or change()"
+            )
+        return self._deviations(0)
+
+    def balance(self) -> dict[str, Drift]:
+        """Return the change of each invariant minus the work of the forces: the error of the scheme.
+
+        The work of a force is the difference of the invariant before and after each flow of the force, added up over
+        the run with compensated sums; `work` has it at the saved points. If the Hamiltonian depends on time, the
+        balance also contains the energy that this brings in.
+
+        Returns
+        -------
+        dict
+            As `drift`, for ``invariant - work of all forces``. Without forces it is `drift`. For matrices it has the
+            energy and the Casimirs of degree two, since work is recorded for these only.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(co.forces.LinearDamping(0.1))
+        >>> sol = co.integrate(body, (1.0, 0.2, 0.1), t_span=(0, 10), step=0.125, method=co.GaussLegendre(2))
+        >>> lost, done = sol.energy[-1] - sol.energy[0], sol.work["LinearDamping"]["energy"][-1]
+        >>> bool(lost < -0.4), bool(abs(lost - done) < 1e-15), bool(sol.balance()["energy"] < 1e-15)
+        (True, True, True)
+        """
+        if not self.work:
+            return self._deviations(0)
+        accounted = {invariant for _, invariant in self.record.accounts}
+        conserves_casimirs = accounted == {"energy"}  # the forces keep all Casimirs
+        deviations = self._deviations(1 + len(self.casimirs))
+        return {name: drift for name, drift in deviations.items() if conserves_casimirs or name in accounted}
+
+    def change(self) -> dict[str, Drift]:
+        """Return the largest change of each invariant from its initial value, by forces and scheme.
+
+        Returns
+        -------
+        dict
+            As `drift`; without forces it is `drift`.
+        """
+        return self._deviations(0)
+
+    @property
+    def error_estimate(self) -> Any:
+        """The estimated error of the last state, relative to the largest momentum during the run.
+
+        It is computed lazily, by a second run of 1.5 times as many steps. If both agree to rounding, a third run of
+        1.75 times as many steps is compared. This takes 1.5 or 3.25 times as long as the run. The estimate is accurate
+        within a factor of 10. If the error is below the expected rounding, the estimate is that rounding. If a finer
+        run fails, another is tried, four at most; if all fail, the estimate is infinite.
+
+        Returns
+        -------
+        float, or ndarray of shape (members,)
+            Error relative to the same scale as `accuracy`.
+
+        Raises
+        ------
+        TypeError
+            The run was not given an `accuracy`.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+        >>> sol = co.integrate(body, (1.0, 0.2, 0.5), (0, 100), accuracy=1e-6)
+        >>> sol.error_estimate <= 1e-6
+        True
+        """
+        error = self.record.error
+        if error is None:
+            error = self.record.error = shortcut("error_at_end")(self)
+        return float(error[0]) if self.failed is None else error
+
+    def _deviations(self, first: int) -> dict[str, Drift]:
+        # Balances have the initial values of the invariants.
+        worst = self.record.worst
+        return {name: Drift(worst[..., first + i], value) for i, (name, value) in enumerate(self.initial.items())}
+
+    def spectrum(self) -> NDArray[Any]:
+        """Return the eigenvalues of the saved matrices of a `MatrixSystem`, invariants of isospectral schemes.
+
+        Returns
+        -------
+        ndarray, shape (k, N) or (k, members, N)
+            As returned by `MatrixSystem.spectrum`; NaN where a member has failed.
+
+        Raises
+        ------
+        TypeError
+            The states are not matrices.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> import numpy as np
+        >>> s = co.MatrixSystem(co.MatrixAlgebra("gl", 3), lambda W: W.T)
+        >>> sol = co.integrate(s, np.diag([1.0, 2.0, 3.0]) + 0.1, t_span=(0, 1), step=0.1)
+        >>> bool(abs(sol.spectrum() - sol.spectrum()[0]).max() < 1e-13)
+        True
+        """
+        system = unforced(self.system)
+        if not is_matrix_system(system):
+            raise TypeError(f"the states of {self.system.name} are no matrices, and have no spectrum")
+        axes = 1 if self.failed is None else 2  # of times and members
+        finite = np.isfinite(self.x).all(axis=tuple(range(axes, self.x.ndim)))
+        values = system.spectrum(self.x[finite])
+        spectra = np.full((*finite.shape, values.shape[-1]), np.nan, dtype=values.dtype)
+        spectra[finite] = values
+        return spectra
+
+    def modified_energy(self, order: int = 4) -> NDArray[np.float64]:
+        """Return the modified Hamiltonian of the scheme and the step of the run, at the saved points.
+
+        The steps are the exact motion of a slightly different system, and this is the energy of that system. It is
+        constant up to O(step^order), while `energy` oscillates.
+
+        Parameters
+        ----------
+        order : int
+            Terms below step^order are included; see `coadjoint.modified_hamiltonian`. For a scheme of order 2, order=2
+            gives `energy`.
+
+        Returns
+        -------
+        ndarray, shape (k,) or (k, members)
+            As `energy`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            The scheme or the system has no modified Hamiltonian; see `coadjoint.modified_hamiltonian`.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+        >>> sol = co.integrate(body, (1.0, 0.2, 0.1), t_span=(0, 10), step=0.1)
+        >>> modified = sol.modified_energy(order=6)
+        >>> float(max(abs(modified - modified[0])) / max(abs(sol.energy - sol.energy[0]))) < 1e-4
+        True
+        """
+        modified_hamiltonian = shortcut("modified_hamiltonian")
+        h = self.step if self.t_span[1] > self.t_span[0] else -self.step
+        if is_batch(self.system):
+            hamiltonians = [modified_hamiltonian(member, self.method, order) for member in self.system]
+            return np.stack([H(self.x[:, m], h) for m, H in enumerate(hamiltonians)], axis=1)
+        return np.asarray(modified_hamiltonian(self.system, self.method, order)(self.x, h))
+
+    def at(self, t: Any) -> StateAt:
+        """Return the states at any times within the run, as accurate as those at its steps.
+
+        From the saved point before a time, whole steps are recomputed, followed by a partial step of the same scheme.
+        So the state has the order and the conservation properties of the scheme, unlike an interpolating polynomial.
+        For many times, ``integrate(..., t_eval=times)`` is faster. Members of an ensemble that were ended by events are
+        NaN after their ends.
+
+        Parameters
+        ----------
+        t : float or array_like, shape (k,)
+            Times within the run, in any order.
+
+        Returns
+        -------
+        StateAt
+            A named tuple of ``t, x, energy, casimirs, attitude``, with the same shapes as at the saved points; without
+            the first axis if t is a single time.
+
+        Raises
+        ------
+        ValueError
+            A time outside the run or after the ends of all members; too many steps from the saved points; a member that
+            has failed; a force that is a noise, which is defined for whole steps only.
+        IntegrationError
+            A step fails.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1)
+        >>> sol = co.integrate(body, x0, (0, 10), 0.1, co.GaussLegendre(3), save_every=20)
+        >>> bool(abs(sol.at(3.14159).x - body.exact(x0, 3.14159)).max() < 1e-10)
+        True
+        >>> sol.at([0.5, 9.99]).energy.shape
+        (2,)
+        """
+        from coadjoint.runs.results.state_at import state_at
+
+        return state_at(self, t)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the run as an xarray dataset, with everything needed to repeat it.
+
+        Returns
+        -------
+        xarray.Dataset
+            Variables over ``time`` (and ``member``), to be written as NetCDF or Zarr.
+        """
+        if "to_xarray" in self.record:
+            return self.record.to_xarray()
+        return shortcut("dataset_of")(self)
+
+    def plot(self, panels: Any = None, components: Any = None, axes: Any = None, members: Any = None) -> Figure:
+        """Plot drift, components, and the pictures that the system declares.
+
+        Lines are drawn only where the motion between the points is known. If the saved points are too far apart, `at`
+        computes states between them, at most 10 000 and for about 1.5 s. If that is not enough, dots are drawn. If
+        there are more oscillations than a printed line can show, an envelope is drawn.
+
+        Parameters
+        ----------
+        panels : sequence of str or Picture, optional
+            Kinds of pictures instead, such as ``["drift", "body axis"]``; see
+            `coadjoint.pictures.solution.draw_solution`.
+        components : sequence of int or str, optional
+            Coordinates plotted over time, by number from 0 or by name.
+        axes : Axes or sequence of Axes, optional
+            Existing axes to draw into, one for each panel.
+        members : sequence of int, optional
+            Members of an ensemble to draw, from 0; at most 20.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure, neither shown nor saved.
+
+        Raises
+        ------
+        TypeError, ValueError
+            Unknown panel or coordinate, with the nearest name; or a panel that this run cannot show, with the reason.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+        >>> sol = co.integrate(body, (0.01, 1.0, 0.01), (0, 40), 0.05, attitude=True)
+        >>> [axes.get_title() for axes in sol.plot(["body axis"]).axes]
+        ['body axis 2 in space']
+        """
+        return shortcut("draw_solution")(self, panels, components, axes, members)
+
+    def movie(
+        self,
+        path: str | Path,
+        picture: Any = None,
+        frames: int = 240,
+        fps: float = 24.0,
+        size: tuple[int, int] = (960, 540),
+    ) -> Path:
+        """Write the run as a movie: a picture of one time, such as the vorticity of a fluid, at the saved times.
+
+        Parameters
+        ----------
+        path : str or Path
+            ``.mp4``, which needs the program ffmpeg, or ``.gif``.
+        picture : str or Picture, optional
+            The picture to show, such as ``Picture("vorticity", part="large")``. The default is the first picture of one
+            time that the system declares. See `coadjoint.pictures.movie.frames_of`.
+        frames : int
+            Largest number of frames, from 2 to 5000. They show saved times, evenly spread, and are drawn one by one.
+        fps : float
+            Frames per second; at most 50 for a GIF.
+        size : (int, int)
+            Width and height in pixels, even numbers.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        TypeError, ValueError
+            The system has no picture for a movie, ffmpeg is missing, or an argument is invalid.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> sol = co.integrate(co.systems.rigid_body((1, 2, 3)), (1, 0.2, 0.1), (0, 1), 0.1)
+        >>> sol.movie("body.gif")
+        Traceback (most recent call last):
+        coadjoint.pictures.register.CannotShow: rigid_body declares no picture that a movie can show; give one: ...
+        """
+        target = shortcut("check_movie")(path)
+        rate = shortcut("check_speed")(fps, target)
+        shortcut("write_movie")(shortcut("frames_of")(self, picture, frames, size), target, rate)
+        return target
+
+
+def with_choice(solution: Solution, choice: Any) -> Solution:
+    """Attach the `Choice` of scheme and step to a new solution; None if they were given."""
+    if choice is not None:
+        record = solution.record
+        record.choice, record.starts = choice, record.start.momenta
+    return solution
+
+
+def check_solution(solution: Any) -> None:
+    """Raise TypeError unless the argument is a `Solution`."""
+    if not isinstance(solution, Solution):
+        raise TypeError(f"solution is {short(solution)}; it must be a Solution, from co.integrate")

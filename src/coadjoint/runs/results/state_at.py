@@ -1,0 +1,182 @@
+"""States of a solution at arbitrary times, recomputed from the preceding saved point."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import IntegrationError
+from coadjoint.runs.times import Times
+from coadjoint.short_repr import short
+from coadjoint.validation import are_finite, read_numbers
+
+if TYPE_CHECKING:
+    from coadjoint.runs.prepared_run import PreparedRun
+    from coadjoint.runs.results.solution import Solution
+
+Floats = NDArray[np.float64]
+
+MOST_STEPS = 10**7
+"""Largest number of steps recomputed by one call."""
+
+
+class StateAt(NamedTuple):
+    """States at given times, in the shapes of `Solution` at its saved points; without the first axis for a single time.
+
+    Parameters
+    ----------
+    t : float or ndarray, shape (k,)
+        Times.
+    x : ndarray, shape (n,) or (k, n), or with an axis of members before the last
+        Momentum.
+    energy : float or ndarray
+        The Hamiltonian.
+    casimirs : mapping
+        Name -> values.
+    attitude : ndarray or None
+        Group element, if it was computed.
+    """
+
+    t: Any
+    x: Any
+    energy: Any
+    casimirs: Mapping[str, Any]
+    attitude: Any
+
+    def __repr__(self) -> str:
+        times = f"t = {self.t:g}" if np.ndim(self.t) == 0 else f"{len(self.t)} times"
+        parts = {"x": self.x, "energy": self.energy, "casimirs": dict(self.casimirs), "attitude": self.attitude}
+        held = ", ".join(f"{name} {_shown(value)}" for name, value in parts.items() if value is not None)
+        return f"<states at {times}: {held}>"
+
+
+def _shown(value: Any) -> str:
+    """Format a short value for one line; of a large array, its shape."""
+    if isinstance(value, dict):
+        return (
+            "{"
+            + ", ".join(f"{name}: {_shown(entry)}" for name, entry in list(value.items())[:4])
+            + (f", and {len(value) - 4} more}}" if len(value) > 4 else "}")
+        )
+    numbers = np.asarray(value)
+    return f"of shape {numbers.shape}" if numbers.size > 8 else np.array2string(numbers, precision=6, separator=", ")
+
+
+def state_at(solution: Solution, t: Any) -> StateAt:
+    """Return the states of a solution at times within its run, (k,) or a single one; see `Solution.at`."""
+    requested = read_numbers(t, "t")
+    if requested.ndim > 1 or not requested.size:
+        raise ValueError(f"t has the shape {requested.shape}; it must be a time, or a row of times")
+    if not are_finite(requested):
+        raise ValueError(f"t is {short(t)}; every time must be finite")
+    wanted, direction = np.atleast_1d(requested), 1.0 if solution.t_span[1] >= solution.t_span[0] else -1.0
+    ends = _ends(solution)
+    if solution.failed is not None and (solution.failed & np.isnan(ends)).any():
+        raise ValueError("members of the run have failed; integrate the others alone for states at any time")
+    known = np.append(solution.t_span[0], solution.t)  # t_eval may omit the start
+    end = float(solution.t[-1]) if solution.t_eval is None else solution.t_span[1]
+    saved = direction * known
+    near = 4 * np.spacing(max(abs(solution.t_span[0]), abs(solution.t_span[1]), solution.step))
+    outside = np.flatnonzero((direction * wanted < saved[0] - near) | (direction * wanted > direction * end + near))
+    if len(outside):
+        raise ValueError(f"t is {wanted[outside[0]]:g}; it must lie within the run, from {known[0]:g} to {end:g}")
+    late = np.flatnonzero(np.all(direction * wanted[:, None] > direction * ends + near, axis=1))
+    if len(late):
+        latest = float(direction * np.max(direction * ends))
+        raise ValueError(
+            f"t is {wanted[late[0]]:g}, after events ended the runs of all members, the last at {latest:g}"
+        )
+    before = np.clip(np.searchsorted(saved, direction * wanted + near, side="right") - 1, 0, None)
+    ahead = np.maximum(direction * wanted - saved[before], 0.0)
+    steps = np.ceil(np.where(ahead > near, ahead - near, 0.0) / solution.step).astype(np.int64)
+    pieces = np.unique(before)
+    last = [int(steps[before == j].max()) for j in pieces]
+    if sum(last) > MOST_STEPS:
+        raise ValueError(
+            f"the times lie {sum(last)} steps after saved points, and at most {MOST_STEPS} steps are recomputed; "
+            "integrate with t_eval, or with a smaller save_every"
+        )
+    order = np.lexsort((direction * wanted, before))
+    edges = np.searchsorted(before[order], [*pieces, pieces[-1] + 1])
+    states = [
+        _from_point(
+            solution, j - 1, float(known[j]), count, wanted[order[low:high]], direction, direction * ends + near
+        )
+        for j, count, low, high in zip(pieces.tolist(), last, edges[:-1], edges[1:], strict=True)
+    ]
+    positions = 0 if requested.ndim == 0 else np.argsort(order, kind="stable")
+
+    def in_order(series: Sequence[Any]) -> Any:
+        return None if series[0] is None else np.concatenate(series)[positions]
+
+    casimirs = {name: in_order([state.casimirs[name] for state in states]) for name in states[0].casimirs}
+    x, energy, attitude = (in_order([getattr(state, name) for state in states]) for name in ("x", "energy", "attitude"))
+    return StateAt(float(requested) if requested.ndim == 0 else wanted, x, energy, casimirs, attitude)
+
+
+def _from_point(
+    solution: Solution, j: int, start: float, count: int, wanted: Floats, direction: float, until: Floats
+) -> StateAt:
+    """Return the states at ascending times up to `count` steps after saved point j; -1 is the start.
+
+    `until` holds the end of each member in the direction of the run, or NaN; later states are NaN.
+    """
+    x, element, values = solution.x0, solution.attitude0, solution.initial
+    if j >= 0:
+        x, element = solution.x[j], None if solution.attitude is None else solution.attitude[j]
+        values = {name: series[j] for name, series in solution.casimirs.items()}
+    times = Times(start, direction * solution.step, count, 1)
+    low, high = sorted((start, times.end))
+    t_eval = np.concatenate([[start], np.clip(wanted, low, high)])
+    past_end = direction * t_eval[:, None] > until
+    if past_end[0].any():
+        # Ended members need some valid start; their results are discarded.
+        x, element = _where(past_end[0], solution.x0, x), _where(past_end[0], solution.attitude0, element)
+    try:
+        run = _prepared_run(solution).run(x, (start, times.end), t_eval=t_eval, attitude=element)
+    except IntegrationError as error:
+        run = error.partial
+        # A failure after the end of a member is irrelevant.
+        if run.failed is None or len(run.t) < len(t_eval) or not past_end[-1][run.failed].all():
+            raise
+    # Multivalued invariants continue from the branch at the saved point, by whole periods.
+    offsets = {name: values[name] - computed[0] for name, computed in run.casimirs.items()}
+    casimirs = {
+        name: np.where(offsets[name] == 0.0, computed, computed + offsets[name])
+        for name, computed in run.casimirs.items()
+    }
+    x, energy, attitude = run.x, run.energy, run.attitude
+    if past_end.any():
+        x, energy, attitude = (_where(past_end, np.nan, series) for series in (x, energy, attitude))
+        casimirs = {name: _where(past_end, np.nan, series) for name, series in casimirs.items()}
+    casimirs = {name: series[1:] for name, series in casimirs.items()}
+    return StateAt(wanted, x[1:], energy[1:], casimirs, None if attitude is None else attitude[1:])
+
+
+def _ends(solution: Solution) -> Floats:
+    """Return the times at which events ended the members; NaN where none did, and for a single run."""
+    if solution.failed is None or solution.events is None:
+        return np.full(1 if solution.failed is None else len(solution.failed), np.nan)
+    return solution.events.ends(len(solution.failed))
+
+
+def _where(mask: NDArray[np.bool_], values: Any, otherwise: Any) -> Any:
+    """Like np.where over members and trailing axes; None if `otherwise` is None."""
+    if otherwise is None:
+        return None
+    return np.where(mask.reshape(mask.shape + (1,) * (otherwise.ndim - mask.ndim)), values, otherwise)
+
+
+def _prepared_run(solution: Solution) -> PreparedRun:
+    """Return the prepared run of a solution, cached; copies of the solution build their own."""
+    from coadjoint.runs.prepared_run import PreparedRun
+
+    prepared: PreparedRun | None = solution.__dict__.get("_prepared_run")
+    if prepared is None:
+        attitude: Any = {None: False, "coadjoint": "coadjoint"}.get(solution.carried, True)
+        prepared = PreparedRun(solution.system, solution.method, solution.step, attitude=attitude, watch=False)
+        solution.__dict__["_prepared_run"] = prepared
+    return prepared
