@@ -340,7 +340,7 @@ def list_methods(name: str | None) -> None:
         click.echo("".join(f"    {line}".rstrip() + "\n" for line in text.splitlines()[1:]), nl=False)
         return
     for name in registry.names():
-        _describe(name, registry.parameters_of(name), registry.summary_of(name))
+        _describe(name, registry.parameters_of(name), registry.documentation_of(name))
 
 
 def _describe(name: str, parameters: Mapping[str, Any], documentation: str) -> None:
