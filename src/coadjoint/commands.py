@@ -482,7 +482,7 @@ def perform(arguments: Sequence[str] | None) -> tuple[int, str]:
 
 
 def _invoke(arguments: list[str]) -> tuple[int, str]:
-    from coadjoint.files.archives.store import ArchiveError
+    from coadjoint.files.archives.reading import ArchiveError
     from coadjoint.files.configuration.configuration import ConfigurationError
     from coadjoint.files.output.output_files import OutputError
 
