@@ -76,7 +76,7 @@ def run_file(
     writes the solution so far, marked as incomplete; `coadjoint resume` continues an archive.
     """
     from coadjoint.files.archives.resume import check_new
-    from coadjoint.files.configuration.configuration import load
+    from coadjoint.files.configuration.loading import load
     from coadjoint.files.output.output_files import DATASETS, FIGURES, check_target, write_dataset, write_figure
 
     configuration = load(file)
@@ -166,8 +166,8 @@ def check_file(file: str) -> None:
     if the trial run fails, as the run would.
     """
     from coadjoint.files.archives.resume import check_new
-    from coadjoint.files.configuration.configuration import load
     from coadjoint.files.configuration.dry_run import plan
+    from coadjoint.files.configuration.loading import load
     from coadjoint.files.output.output_files import DATASETS, FIGURES, check_target
 
     configuration = load(file)
@@ -199,7 +199,8 @@ def resume_archive(
     """
     from coadjoint.files.archives.archived_solution import open_archive
     from coadjoint.files.archives.resume import resume
-    from coadjoint.files.configuration.configuration import CONFIGURATION, system_of_text
+    from coadjoint.files.configuration.configuration import CONFIGURATION
+    from coadjoint.files.configuration.loading import system_of_text
     from coadjoint.files.records.required_functions import requires_argument
 
     archive, system = Path(path), None
@@ -226,7 +227,7 @@ def certify_file(file: str, mapping: str | None, figure: str | None, steps: int 
     The exit status is 0 if every declared property holds, and 1 if one fails or cannot be decided.
     """
     from coadjoint.analysis.certificates.certify import certify
-    from coadjoint.files.configuration.configuration import load
+    from coadjoint.files.configuration.loading import load
     from coadjoint.files.output.output_files import FIGURES, TEXTS, check_target, write_figure, write_text
 
     configuration = load(file)
@@ -483,7 +484,7 @@ def perform(arguments: Sequence[str] | None) -> tuple[int, str]:
 
 def _invoke(arguments: list[str]) -> tuple[int, str]:
     from coadjoint.files.archives.reading import ArchiveError
-    from coadjoint.files.configuration.configuration import ConfigurationError
+    from coadjoint.files.configuration.construction import ConfigurationError
     from coadjoint.files.output.output_files import OutputError
 
     try:

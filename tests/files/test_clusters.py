@@ -326,7 +326,7 @@ archive = "many.zarr"
 @pytest.mark.long
 def test_command_runs_a_sweep_on_workers(tmp_path, monkeypatch, capsys):
     from coadjoint import cli
-    from coadjoint.files.configuration.configuration import load
+    from coadjoint.files.configuration.loading import load
 
     monkeypatch.chdir(tmp_path)
     Path("run.toml").write_text(SWEEP)
