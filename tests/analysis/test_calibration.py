@@ -14,11 +14,10 @@ import pytest
 
 import coadjoint as co
 from coadjoint.analysis.end_error import finer_run
-from coadjoint.analysis.fits import fit_order
+from coadjoint.analysis.fits import fit_order, straight_line
 from coadjoint.analysis.lyapunov import LyapunovExponents
 from coadjoint.analysis.periods import period
 from coadjoint.analysis.phase_drift import drift_of_series
-from coadjoint.analysis.straight_line import straight_line
 from coadjoint.rounding import UNIT_ROUNDOFF
 from long import long_where
 

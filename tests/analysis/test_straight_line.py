@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from coadjoint.analysis.straight_line import straight_line
+from coadjoint.analysis.fits import straight_line
 
 pytestmark = pytest.mark.thinned(3)
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.analysis.fits import MIN_SAMPLES
 from coadjoint.analysis.phase_drift import ANGLES, drift_of_series
 from coadjoint.analysis.reference_motion import motion_of
 from coadjoint.analysis.signals import Sampled, sampled
 from coadjoint.analysis.spectral_lines import hann
-from coadjoint.analysis.straight_line import MIN_SAMPLES
 from coadjoint.runs.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.systems.protocol import member_of

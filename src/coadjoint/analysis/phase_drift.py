@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from coadjoint.analysis.fits import MIN_SAMPLES, straight_line
 from coadjoint.analysis.phase import leads
 from coadjoint.analysis.reference_motion import motion_of
 from coadjoint.analysis.rotations import acts_by_rotations, twist
-from coadjoint.analysis.straight_line import MIN_SAMPLES, straight_line
 from coadjoint.runs.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
