@@ -144,7 +144,7 @@ def test_failed_run_without_output(folder, capsys):
         (["rnu"], "coadjoint: unknown command 'rnu'; did you mean 'run'?"),
         (
             ["zzzzz"],
-            "coadjoint: unknown command 'zzzzz'; there are algebras, certify, check, gallery, methods, reproduce, "
+            "coadjoint: unknown command 'zzzzz'; there are: algebras, certify, check, gallery, methods, reproduce, "
             "resume, run, schema, selftest, systems",
         ),
         (["run"], "coadjoint: missing argument 'FILE' (see 'coadjoint run --help')"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint import cli, commands
+from coadjoint import cli, commands, library_commands, run_commands
 from coadjoint.files.archives.resume import resume
 from coadjoint.files.output import output_files as output
 from test_cli import BODY
@@ -244,7 +244,7 @@ def test_exit_status_of_errors(monkeypatch, error, status, message):
     def fail(*args):
         raise error
 
-    monkeypatch.setattr(commands, "_describe", fail)
+    monkeypatch.setattr(library_commands, "_describe", fail)
     assert commands.perform(["methods"]) == (status, message)
 
 
@@ -257,7 +257,7 @@ def test_warnings_are_printed_after_success(monkeypatch):
         if failing:
             raise ValueError("wrong")
 
-    monkeypatch.setattr(commands, "_describe", warned)
+    monkeypatch.setattr(library_commands, "_describe", warned)
     failing = []
     with warnings.catch_warnings():
         warnings.simplefilter("always")
@@ -276,7 +276,7 @@ def test_long_wait_warning_with_closed_stderr(monkeypatch):
         def flush(self):
             raise OSError("closed")
 
-    monkeypatch.setattr(commands, "_describe", lambda *args: warn_if_long("a run", 60.0))
+    monkeypatch.setattr(library_commands, "_describe", lambda *args: warn_if_long("a run", 60.0))
     for stream in (Closed(), None):
         monkeypatch.setattr("sys.stderr", stream)
         assert commands.perform(["methods"]) == (0, "")
@@ -323,7 +323,7 @@ def test_missing_balance_is_printed_as_nan(capsys):
         system=co.systems.rigid_body(), method="Splitting", stats=stats, step=0.1, watched=True, work={"a": {}},
         change=lambda: {"energy": 0.25, "own": 0.5}, balance=lambda: {"energy": 0.125},
     )  # fmt: skip
-    commands._summarize(sol, [])
+    run_commands._summarize(sol, [])
     assert [line.split() for line in capsys.readouterr().out.splitlines()[2:]] == [
         ["energy", "0.25", "0.125"], ["own", "0.5", "nan"]
     ]  # fmt: skip
@@ -338,7 +338,7 @@ def test_driven_energy_is_marked(capsys):
             system=system, method="Splitting", stats=stats, step=0.1, watched=False, work=None,
             change=lambda: {"energy": 0.25, "C" * 500: 0.5},
         )  # fmt: skip
-        commands._summarize(sol, [])
+        run_commands._summarize(sol, [])
         lines = capsys.readouterr().out.splitlines()
         assert lines[2].split("  ")[1].strip() == shown and max(map(len, lines[2:])) < 80
 
@@ -347,7 +347,7 @@ def test_driven_energy_is_marked(capsys):
     ("text", "value"), [("b=0.5", 0.5), ("b=1/4", 0.25), ("b=5e-1", 0.5), ("b=25E-2", 0.25), ("b=-1/2", -0.5)]
 )
 def test_parameter_numbers_are_parsed(text, value):
-    assert commands._parameter(text) == ("b", value)
+    assert library_commands._parameter(text) == ("b", value)
 
 
 @pytest.mark.parametrize(
@@ -357,7 +357,7 @@ def test_parameter_numbers_are_parsed(text, value):
 )  # fmt: skip
 def test_invalid_parameters_are_refused(text):
     with pytest.raises(ValueError, match="is not a parameter; give name and number"):
-        commands._parameter(text)
+        library_commands._parameter(text)
 
 
 def test_schema_is_readable_text(capsys):

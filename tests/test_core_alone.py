@@ -165,7 +165,7 @@ def test_exact_algebra():
             r'run.png: a figure needs the package matplotlib, .*coadjoint\[plot\]"',
         ),
         (
-            "from coadjoint.files.configuration.configuration import load\nload('body.toml')",
+            "from coadjoint.files.configuration.loading import load\nload('body.toml')",
             r'reading a configuration file needs the package pydantic, .*coadjoint\[io\]"',
         ),
         (

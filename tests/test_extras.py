@@ -61,7 +61,7 @@ def test_broken_package_is_reported_in_one_line(monkeypatch, capsys):
     def load(path):
         raise ImportError("Numba needs NumPy 2.0 or less")
 
-    monkeypatch.setattr("coadjoint.files.configuration.configuration.load", load)
+    monkeypatch.setattr("coadjoint.files.configuration.loading.load", load)
     assert cli.main(["run", "body.toml"]) == 2
     assert capsys.readouterr().err == "coadjoint: Numba needs NumPy 2.0 or less\n"
     assert commands.perform(["--version"]) == (0, "")

@@ -14,7 +14,7 @@ import xarray
 
 import coadjoint as co
 from coadjoint import cli
-from coadjoint.files.configuration.configuration import load
+from coadjoint.files.configuration.loading import load
 from core_only import ENVIRONMENT, run_python
 from long import long_beyond
 

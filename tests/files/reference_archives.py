@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 import coadjoint as co
+from coadjoint.files.archives.reading import FORMAT
 from coadjoint.files.archives.resume import archive_run
-from coadjoint.files.archives.store import FORMAT
 from coadjoint.runs.prepared_run import PreparedRun
 
 FOLDER = Path(__file__).parent / "reference_archives"

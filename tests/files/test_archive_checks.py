@@ -8,8 +8,8 @@ import pytest
 
 import coadjoint as co
 from coadjoint.files.archives.metadata_checks import as_archive_errors, check_archive
+from coadjoint.files.archives.reading import ArchiveError, read_root
 from coadjoint.files.archives.resume import archive_run
-from coadjoint.files.archives.store import ArchiveError, read_root
 from coadjoint.runs.prepared_run import PreparedRun
 
 BODY, X = co.systems.rigid_body(inertia=(1, 2, 2.5)), (0.3, -1.0, 0.7)
@@ -202,7 +202,7 @@ def test_state_shapes_match_the_invariants(tmp_path):
     from coadjoint.files.archives.archived_run import states_of
     from coadjoint.files.archives.archived_solution import REPORTED_ARRAYS
     from coadjoint.files.archives.metadata_checks import check_reported
-    from coadjoint.files.archives.store import read_state
+    from coadjoint.files.archives.reading import read_state
 
     arrays, attributes = read_root(tmp_path / "run")
     stored = read_state(tmp_path / "run", states_of(attributes)[-1])

@@ -10,18 +10,17 @@ import pytest
 import xarray
 
 from coadjoint.files.archives.folder import ArchiveFolder
-from coadjoint.files.archives.store import (
+from coadjoint.files.archives.reading import (
     FORMAT,
     ROOT_FILE,
     ArchiveError,
     ArchiveMoved,
-    ArchiveReplaced,
-    ArchiveStore,
     StoredState,
     read_array,
     read_root,
     read_state,
 )
+from coadjoint.files.archives.store import ArchiveReplaced, ArchiveStore
 from coadjoint.files.archives.stored_arrays import StoredArray
 from guards import open_descriptors
 

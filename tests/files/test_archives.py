@@ -13,8 +13,8 @@ import pytest
 import xarray
 
 import coadjoint as co
+from coadjoint.files.archives.reading import ArchiveError
 from coadjoint.files.archives.resume import archive_run
-from coadjoint.files.archives.store import ArchiveError
 from coadjoint.files.datasets.content_checksum import CHECKSUM
 from coadjoint.files.output.output_files import write_dataset
 from coadjoint.methods import registry
@@ -412,7 +412,7 @@ def test_new_archive_removes_leftovers_of_a_killed_run(tmp_path):
 def test_opening_during_commits(tmp_path, monkeypatch, commits):
     """The state named by the root may be removed before it is read; the root is then read again, a few times."""
     from coadjoint.files.archives import archived_solution
-    from coadjoint.files.archives.store import ArchiveMoved
+    from coadjoint.files.archives.reading import ArchiveMoved
 
     cut(tmp_path / "run.zarr")
     read, moved = archived_solution.read_state, []

@@ -163,7 +163,7 @@ def test_warnings_are_one_line_each(monkeypatch, capsys):
             for _ in range(2):
                 warnings.warn("the scale\nis odd", RuntimeWarning, stacklevel=1)
 
-    monkeypatch.setattr("coadjoint.commands._describe", warned)
+    monkeypatch.setattr("coadjoint.library_commands._describe", warned)
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         assert cli.main(["methods"]) == 0

@@ -12,8 +12,9 @@ import pytest
 import coadjoint as co
 from coadjoint.files.archives import dask_blocks as on_workers
 from coadjoint.files.archives.block_run import BUSY
+from coadjoint.files.archives.reading import ArchiveError
 from coadjoint.files.archives.run_in_blocks import WorkerPool, run_in_blocks
-from coadjoint.files.archives.store import ArchiveError, ArchiveUnwritten
+from coadjoint.files.archives.store import ArchiveUnwritten
 from coadjoint.runs.prepared_run import PreparedRun
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))

@@ -26,8 +26,9 @@ from coadjoint.files.archives import dask_blocks as on_workers
 from coadjoint.files.archives.blocks import read_head
 from coadjoint.files.archives.dask_blocks import local_cluster
 from coadjoint.files.archives.folder import ArchiveFolder
+from coadjoint.files.archives.reading import ArchiveError
 from coadjoint.files.archives.run_in_blocks import read_worker_pool
-from coadjoint.files.archives.store import ArchiveError, ArchiveUnwritten
+from coadjoint.files.archives.store import ArchiveUnwritten
 from coadjoint.files.output.atomic_output import open_locked
 from long import long_between, long_beyond
 
@@ -325,7 +326,7 @@ archive = "many.zarr"
 @pytest.mark.long
 def test_command_runs_a_sweep_on_workers(tmp_path, monkeypatch, capsys):
     from coadjoint import cli
-    from coadjoint.files.configuration.configuration import load
+    from coadjoint.files.configuration.loading import load
 
     monkeypatch.chdir(tmp_path)
     Path("run.toml").write_text(SWEEP)

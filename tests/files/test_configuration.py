@@ -8,8 +8,8 @@ from configuration_files import OWN, READY_MADE
 
 import coadjoint as co
 from coadjoint.algebra.brackets import parse_brackets
-from coadjoint.files.configuration.configuration import ConfigurationError, load
 from coadjoint.files.configuration.construction import parse_polynomial
+from coadjoint.files.configuration.loading import ConfigurationError, load
 from coadjoint.methods import registry
 
 

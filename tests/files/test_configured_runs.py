@@ -12,8 +12,10 @@ import coadjoint as co
 from coadjoint import cli
 from coadjoint.files.configuration import configuration as configurations
 from coadjoint.files.configuration import dry_run as planning
-from coadjoint.files.configuration.configuration import CONFIGURATION, ConfigurationError, load
+from coadjoint.files.configuration import loading
+from coadjoint.files.configuration.configuration import CONFIGURATION
 from coadjoint.files.configuration.dry_run import plan
+from coadjoint.files.configuration.loading import ConfigurationError, load
 from coadjoint.files.datasets.content_checksum import CHECKSUM
 from coadjoint.files.datasets.export import rebuild
 from coadjoint.runs import prepared_run
@@ -147,9 +149,7 @@ def test_workers_require_members_saved_at_steps(read, changes, message):
 
 def test_workers_require_their_package(read, monkeypatch):
     needed = []
-    monkeypatch.setattr(
-        configurations, "require_packages", lambda feature, *packages: needed.append((feature, packages))
-    )
+    monkeypatch.setattr(loading, "require_packages", lambda feature, *packages: needed.append((feature, packages)))
     read(READY_MADE + "workers = 2\n", ("x = [1.0, 0.1, 0.5]", MANY))
     assert ("workers", ("distributed",)) in needed
 

@@ -12,7 +12,7 @@ from configuration_files import GROWING, READY_MADE
 import coadjoint as co
 from coadjoint import cli
 from coadjoint.files.configuration.configuration import Configuration
-from coadjoint.files.configuration.configuration import load as load_configuration
+from coadjoint.files.configuration.loading import load as load_configuration
 from coadjoint.files.datasets.content_checksum import CHECKSUM, checksum_of, with_checksum
 from coadjoint.files.datasets.export import mark_failed
 from coadjoint.files.output.output_files import write_dataset

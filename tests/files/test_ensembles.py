@@ -24,8 +24,9 @@ from coadjoint.files.archives.blocks import (
 from coadjoint.files.archives.ensemble_archive import unfinished_blocks
 from coadjoint.files.archives.folder import ArchiveFolder
 from coadjoint.files.archives.metadata_checks import CROSSING_PREFIX, RESERVED_NAMES, SERIES_PREFIXES
+from coadjoint.files.archives.reading import ArchiveError, read_root
 from coadjoint.files.archives.run_in_blocks import WorkerPool
-from coadjoint.files.archives.store import ArchiveError, ArchiveStore, ArchiveUnwritten, read_root
+from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten
 from coadjoint.files.output.atomic_output import open_locked
 from coadjoint.files.output.output_files import write_dataset
 from coadjoint.runs.prepared_run import PreparedRun

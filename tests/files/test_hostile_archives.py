@@ -15,8 +15,8 @@ from numcodecs import Blosc
 
 import coadjoint as co
 from coadjoint import cli
+from coadjoint.files.archives.reading import ArchiveError
 from coadjoint.files.archives.resume import archive_run
-from coadjoint.files.archives.store import ArchiveError
 from coadjoint.files.archives.stored_arrays import StoredArray
 from coadjoint.files.output.atomic_output import remove_leftovers
 from coadjoint.runs.prepared_run import PreparedRun

@@ -14,7 +14,8 @@ import pytest
 from killed_runs import check_archive_prefix, killed
 
 import coadjoint as co
-from coadjoint.files.archives.store import ArchiveError, ArchiveUnwritten
+from coadjoint.files.archives.reading import ArchiveError
+from coadjoint.files.archives.store import ArchiveUnwritten
 from long import long_beyond
 
 BODY, X = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, -1.0, 0.7)

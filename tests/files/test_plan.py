@@ -10,8 +10,8 @@ from configuration_files import GROWING, OWN, READY_MADE
 
 from coadjoint import cli
 from coadjoint.files.configuration import dry_run as planning
-from coadjoint.files.configuration.configuration import load
 from coadjoint.files.configuration.dry_run import plan
+from coadjoint.files.configuration.loading import load
 from coadjoint.systems.batch import Batch
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.toml"))

@@ -12,7 +12,7 @@ from reference_archives import BODY, CUT, EVERY, FOLDER, RUNS, SPAN, STEP
 
 import coadjoint as co
 from coadjoint import cli
-from coadjoint.files.archives.store import FORMAT, ArchiveError
+from coadjoint.files.archives.reading import FORMAT, ArchiveError
 from coadjoint.rounding import UNIT_ROUNDOFF
 from verification.test_archived_runs import assert_same
 

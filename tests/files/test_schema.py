@@ -13,7 +13,8 @@ from configuration_files import OWN, READY_MADE
 
 import coadjoint as co
 from coadjoint import algebras, cli, forces, systems
-from coadjoint.files.configuration.configuration import Configuration, ConfigurationError, load
+from coadjoint.files.configuration.configuration import Configuration
+from coadjoint.files.configuration.loading import ConfigurationError, load
 from coadjoint.files.configuration.schema import schema
 from coadjoint.methods import registry
 from fuzz.configurations import bases, draw

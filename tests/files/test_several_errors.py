@@ -4,8 +4,8 @@ import pytest
 
 from coadjoint import cli
 from coadjoint.errors import in_one_line
-from coadjoint.files.configuration.configuration import ConfigurationError, load
 from coadjoint.files.configuration.construction import MAX_LINE_LENGTH, join_messages
+from coadjoint.files.configuration.loading import ConfigurationError, load
 
 FILE = """
 [system]

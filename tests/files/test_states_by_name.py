@@ -5,8 +5,8 @@ import pytest
 
 import coadjoint as co
 from coadjoint import cli
-from coadjoint.files.configuration.configuration import ConfigurationError, load
 from coadjoint.files.configuration.initial_states import state_by_name
+from coadjoint.files.configuration.loading import ConfigurationError, load
 from coadjoint.files.configuration.models import InitialTable
 
 FLUID = """

@@ -8,8 +8,8 @@ import pytest
 
 import coadjoint as co
 from coadjoint.cli import main
-from coadjoint.files.configuration.configuration import load
 from coadjoint.files.configuration.construction import ConfigurationError
+from coadjoint.files.configuration.loading import load
 from coadjoint.files.datasets.export import dataset_of, rebuild
 from coadjoint.files.datasets.loaded_solution import solution_of_dataset
 from coadjoint.files.output.output_files import write_dataset

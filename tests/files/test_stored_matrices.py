@@ -8,7 +8,7 @@ import xarray
 
 import coadjoint as co
 from coadjoint.cli import main
-from coadjoint.files.configuration.configuration import ConfigurationError, load
+from coadjoint.files.configuration.loading import ConfigurationError, load
 from coadjoint.files.datasets.export import rebuild
 from coadjoint.files.datasets.variables import STATE_DIMENSIONS, split_complex, state_dimensions
 from coadjoint.files.datasets.variables import state_of as stored_state

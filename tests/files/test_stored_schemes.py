@@ -9,7 +9,7 @@ import pytest
 from record_values import ALSO_REQUIRED, PLAIN, SL2, X, hamiltonian_properties, parameters, variants
 
 import coadjoint as co
-from coadjoint.files.configuration.configuration import load
+from coadjoint.files.configuration.loading import load
 from coadjoint.files.configuration.models import File, HamiltonianTable, RunTable
 from coadjoint.files.datasets.export import rebuild, solution_inputs
 from coadjoint.methods import registry

@@ -9,7 +9,7 @@ import xarray
 from scipy.linalg import expm
 
 import coadjoint as co
-from coadjoint.files.configuration.configuration import ConfigurationError, load
+from coadjoint.files.configuration.loading import ConfigurationError, load
 from coadjoint.files.configuration.swept_settings import move_on_orbit, random_settings
 from coadjoint.files.datasets.variables import as_coordinates
 

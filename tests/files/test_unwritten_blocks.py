@@ -15,7 +15,8 @@ from coadjoint.files.archives.archived_run import FINISHED
 from coadjoint.files.archives.block_run import BlockRun, run_block
 from coadjoint.files.archives.blocks import Block, lock_file, marker_file
 from coadjoint.files.archives.folder import ArchiveFolder
-from coadjoint.files.archives.store import ArchiveError, ArchiveUnwritten, read_root
+from coadjoint.files.archives.reading import ArchiveError, read_root
+from coadjoint.files.archives.store import ArchiveUnwritten
 from coadjoint.runs.prepared_run import PreparedRun
 from guards import open_descriptors
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.configuration.configuration import load
 from coadjoint.files.configuration.construction import ConfigurationError
+from coadjoint.files.configuration.loading import load
 from coadjoint.files.datasets.export import rebuild
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))

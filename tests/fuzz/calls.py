@@ -16,7 +16,7 @@ import scipy.sparse
 
 import coadjoint as co
 from coadjoint import algebras, forces, systems
-from coadjoint.files.configuration.configuration import load
+from coadjoint.files.configuration.loading import load
 from coadjoint.files.datasets.export import rebuild
 from coadjoint.files.output.output_files import check_target
 from coadjoint.short_repr import short

@@ -13,7 +13,8 @@ import warnings
 from pathlib import Path
 
 from coadjoint import commands
-from coadjoint.files.configuration.configuration import Configuration, ConfigurationError
+from coadjoint.files.configuration.configuration import Configuration
+from coadjoint.files.configuration.construction import ConfigurationError
 from coadjoint.files.output.output_files import OutputError
 
 from .configurations import draw

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.configuration.configuration import load
+from coadjoint.files.configuration.loading import load
 from coadjoint.files.output.output_files import check_target
 
 BODY, X = co.systems.rigid_body(), (0.1, 1.0, 0.2)

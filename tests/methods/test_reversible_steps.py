@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.configuration.configuration import load
+from coadjoint.files.configuration.loading import load
 from coadjoint.files.datasets.export import rebuild
 from coadjoint.methods import registry
 from coadjoint.methods.reversible_steps import speed_of

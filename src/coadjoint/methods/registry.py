@@ -156,7 +156,8 @@ def scheme(name: str) -> type[Method]:
     -------
     type
     """
-    return _schemes()[read_choice(name, "method", _schemes())]
+    schemes = _schemes()
+    return schemes[read_choice(name, "method", schemes)]
 
 
 def get(name: str, /, **parameters: Any) -> Method:
@@ -186,12 +187,11 @@ def get(name: str, /, **parameters: Any) -> Method:
     >>> get("Composition", base={"name": "Splitting"}, coefficients=[1.0]).order
     2
     """
-    schemes = _schemes()
-    read_choice(name, "method", schemes)
+    chosen = scheme(name)
     known = parameters_of(name)
     required = [key for key, default in known.items() if default is inspect.Parameter.empty]
     check_parameters(name, parameters, known, required)
-    return schemes[name](**{key: _read_value(value) for key, value in parameters.items()})
+    return chosen(**{key: _read_value(value) for key, value in parameters.items()})
 
 
 def from_description(description: Mapping[str, Any]) -> Method:
@@ -294,7 +294,7 @@ def parameters_of(name: str) -> dict[str, Any]:
     >>> parameters_of("Splitting")["order"]
     2
     """
-    return {key: p.default for key, p in inspect.signature(_schemes()[name]).parameters.items()}
+    return {key: p.default for key, p in inspect.signature(scheme(name)).parameters.items()}
 
 
 def documentation_of(name: str) -> str:
@@ -305,13 +305,7 @@ def documentation_of(name: str) -> str:
     >>> print(documentation_of("GaussLegendre").partition(":")[0])
     The Gauss-Legendre method with s stages
     """
-    schemes = _schemes()
-    return (inspect.getdoc(schemes[read_choice(name, "method", schemes)]) or "").partition("\nExamples\n")[0].rstrip()
-
-
-def summary_of(name: str) -> str:
-    """Return the first line of the docstring of a scheme."""
-    return documentation_of(name).partition("\n")[0]
+    return (inspect.getdoc(scheme(name)) or "").partition("\nExamples\n")[0].rstrip()
 
 
 def description_of(method: Method) -> dict[str, Any]:

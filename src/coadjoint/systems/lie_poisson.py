@@ -138,7 +138,9 @@ class LiePoissonSystem:
         set_field(self, "algebra", algebra)
         set_field(self, "sign", checked_sign(sign))
         set_field(self, "hamiltonian", as_hamiltonian(hamiltonian, algebra.dim, algebra.name or "the algebra"))
-        self._check_pieces()
+        for summand in summands_of(self.hamiltonian):
+            if isinstance(summand, SplitHamiltonian):
+                summand.check_commuting(algebra)
         i, j, k, c = algebra.triples
         check_available_memory(
             BYTES_PER_CONSTANT * c.size, f"a system on {algebra.name or 'g*'}, of dimension {algebra.dim},"
@@ -148,38 +150,20 @@ class LiePoissonSystem:
         set_field(self, "_factors", np.concatenate([j, i]))
         set_field(self, "_states", np.concatenate([k, k]))
         set_field(self, "_constants", np.concatenate([c, -c]))
-        if casimirs is None:
-            set_field(self, "_casimirs", None)
-        else:
-            set_field(self, "_casimirs", checked_casimirs(casimirs, algebra.dim, self._product, self._absolute_product))
         products = self._product, self._absolute_product
+        given_casimirs = None if casimirs is None else checked_casimirs(casimirs, algebra.dim, *products)
+        set_field(self, "_casimirs", given_casimirs)
         given_integrals = {} if integrals is None else integrals
         set_field(self, "_integrals", checked_integrals(given_integrals, self.hamiltonian, algebra.dim, *products))
-        if representation is None:
-            set_field(self, "representation", algebra.representation)
-        else:
-            checked = check_representation(representation, algebra.triples, algebra.dim, algebra.basis)
-            set_field(self, "representation", checked)
+        matrices = algebra.representation
+        if representation is not None:
+            matrices = check_representation(representation, algebra.triples, algebra.dim, algebra.basis)
+        set_field(self, "representation", matrices)
         set_field(self, "name", checked_name(name, f"Lie-Poisson system on {algebra.name or 'g*'}"))
         set_field(self, "hamiltonian", in_coordinates_of(self, self.hamiltonian))
         set_field(self, "_parameters", checked_parameters(parameters))
         set_field(self, "_exact", checked_closed_form(exact))
         set_field(self, "_layout", checked_layout(layout))
-
-    def _check_pieces(self) -> None:
-        splits = (summand for summand in summands_of(self.hamiltonian) if isinstance(summand, SplitHamiltonian))
-        pieces = [chosen for summand in splits for chosen in summand.coordinates]
-        i, j, _, _ = self.algebra.triples
-        for number, chosen in enumerate(pieces):
-            in_piece = np.zeros(self.dim, dtype=bool)
-            in_piece[list(chosen)] = True
-            conflicts = np.flatnonzero(in_piece[i] & in_piece[j])
-            if conflicts.size:
-                a, b = int(i[conflicts[0]]), int(j[conflicts[0]])
-                raise ValueError(
-                    f"piece {number} has the coordinates {a} and {b}, whose basis elements {self.algebra.basis[a]} "
-                    f"and {self.algebra.basis[b]} do not commute; put them in different pieces"
-                )
 
     @property
     def dim(self) -> int:

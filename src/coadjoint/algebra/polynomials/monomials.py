@@ -44,6 +44,17 @@ def exponents_of(factors: Iterable[int], dim: int) -> Exponents:
     return tuple(exponents)
 
 
+def factors_of(exponents: Exponents) -> list[int]:
+    """Return the coordinates in a monomial with multiplicity; fast for low degrees and many coordinates."""
+    factors: list[int] = []
+    for degree in range(1, max(exponents) + 1):
+        coordinate = -1
+        for _ in range(exponents.count(degree)):
+            coordinate = exponents.index(degree, coordinate + 1)
+            factors += [coordinate] * degree
+    return sorted(factors)
+
+
 def read_coefficient(value: Any, what: str) -> Coefficient:
     """Validate a coefficient and return it as int, float or Fraction."""
     if isinstance(value, bool) or not isinstance(value, Rational | float | np.floating):

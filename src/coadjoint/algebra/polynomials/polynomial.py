@@ -26,10 +26,8 @@ from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer, to_array
 
-IGNORE_OVERFLOW = np.errstate(
-    over="ignore", invalid="ignore"
-)  # values beyond float64 become infinite without a warning
-
+# Values beyond float64 become infinite without a warning.
+IGNORE_OVERFLOW = np.errstate(over="ignore", invalid="ignore")
 MAX_DEGREE = 1024
 TOO_HIGH = "beyond it even powers of 2 leave the range of float64"
 BYTES_PER_EXPONENT = 30  # peak during construction of a monomial

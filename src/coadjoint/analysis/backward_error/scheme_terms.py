@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
-from coadjoint.algebra.polynomials.monomials import Exponents
+from coadjoint.algebra.polynomials.monomials import Exponents, factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.symbolic_polynomial import SymbolicPolynomial
 from coadjoint.errors import unknown_name
@@ -19,7 +19,6 @@ from coadjoint.program.modified_energy.modified_series import coordinates_of, mo
 from coadjoint.program.sweeps import Sweep
 from coadjoint.program.table import Program
 from coadjoint.systems.coordinates import in_coordinates_of
-from coadjoint.systems.hamiltonians.quadratic import factors_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.validation import read_list
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from coadjoint.files.archives.archived_run import ACCOUNTS_ATTRIBUTE
-from coadjoint.files.archives.store import ArchiveError, chunk_file, missing_chunk_error, open_folder, read_array
+from coadjoint.files.archives.reading import ArchiveError, chunk_file, missing_chunk_error, open_folder, read_array
 from coadjoint.files.archives.stored_arrays import StoredArray
 from coadjoint.files.datasets.export import stored_inputs
 from coadjoint.files.datasets.stored_record import stored_record

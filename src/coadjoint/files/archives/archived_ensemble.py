@@ -22,7 +22,7 @@ from coadjoint.files.archives.blocks import (
     read_head,
 )
 from coadjoint.files.archives.metadata_checks import check_archive
-from coadjoint.files.archives.store import open_folder, read_root
+from coadjoint.files.archives.reading import open_folder, read_root
 from coadjoint.files.datasets.stored_record import initial_values
 from coadjoint.runs.results.run_record import RunRecord, Statistics
 from coadjoint.runs.results.solution import Solution

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint.files.archives.store import ArchiveError, ArchiveStore, ArchiveUnwritten, StoredState, unwritten_archive
+from coadjoint.files.archives.reading import ArchiveError, StoredState
+from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten, unwritten_archive
 from coadjoint.files.archives.stored_arrays import TYPES, StoredArray, chunk_of, rows_of_chunk
 from coadjoint.files.datasets.export import failure_attributes
 from coadjoint.files.datasets.variables import (

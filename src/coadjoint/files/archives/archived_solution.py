@@ -10,7 +10,7 @@ from coadjoint.files.archives.archived_ensemble import archived_ensemble
 from coadjoint.files.archives.archived_run import FINISHED, STEPS, states_of
 from coadjoint.files.archives.blocks import BLOCK_SIZE_ATTRIBUTE
 from coadjoint.files.archives.metadata_checks import as_archive_errors, check_archive, check_reported
-from coadjoint.files.archives.store import ArchiveError, ArchiveMoved, read_archive_path, read_root, read_state
+from coadjoint.files.archives.reading import ArchiveError, ArchiveMoved, read_archive_path, read_root, read_state
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.piecewise_run import STATE_PREFIX, larger_deviations
 from coadjoint.runs.results.run_record import RunRecord, Statistics

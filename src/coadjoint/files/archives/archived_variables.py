@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from coadjoint.files.archives.store import read_array
+from coadjoint.files.archives.reading import read_array
 from coadjoint.files.archives.stored_arrays import StoredArray
 from coadjoint.memory import check_available_memory
 

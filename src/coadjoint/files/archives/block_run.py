@@ -13,14 +13,8 @@ import numpy as np
 from coadjoint import __version__
 from coadjoint.files.archives.archived_run import FINISHED, STEPS, ArchivedRun
 from coadjoint.files.archives.blocks import DONE, FAILED, PENDING, STATUS, Block, lock_file, read_marker, write_marker
-from coadjoint.files.archives.store import (
-    HIDDEN_FOLDER,
-    ArchiveError,
-    ArchiveStore,
-    ArchiveUnwritten,
-    open_folder,
-    read_root_in,
-)
+from coadjoint.files.archives.reading import HIDDEN_FOLDER, ArchiveError, open_folder, read_root_in
+from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten
 from coadjoint.files.datasets.export import failure_attributes
 from coadjoint.files.datasets.variables import summary_variables, time_variables
 from coadjoint.runs.piecewise_run import PiecewiseRun

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from coadjoint.files.archives.store import HIDDEN_FOLDER, chunk_file
+from coadjoint.files.archives.reading import HIDDEN_FOLDER, chunk_file
 from coadjoint.files.archives.stored_arrays import deserialize_numbers, serialize_numbers
 
 if TYPE_CHECKING:

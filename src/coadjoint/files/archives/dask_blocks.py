@@ -16,7 +16,8 @@ from distributed import Client, Nanny, Scheduler, SpecCluster, Worker
 from distributed.security import Security
 
 from coadjoint.files.archives.block_run import BUSY, run_block
-from coadjoint.files.archives.store import ArchiveError, ArchiveStore, ArchiveUnwritten
+from coadjoint.files.archives.reading import ArchiveError
+from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten
 from coadjoint.private_folders import private_folder
 from coadjoint.runs.progress import progress_bar
 from coadjoint.systems.protocol import is_batch

@@ -27,8 +27,9 @@ from coadjoint.files.archives.blocks import (
     size_of_blocks,
 )
 from coadjoint.files.archives.metadata_checks import CROSSING_PREFIX, RESERVED_NAMES, SERIES_PREFIXES
+from coadjoint.files.archives.reading import HIDDEN_FOLDER, ArchiveError
 from coadjoint.files.archives.resume import check_new, creation_error
-from coadjoint.files.archives.store import HIDDEN_FOLDER, ArchiveError, ArchiveStore
+from coadjoint.files.archives.store import ArchiveStore
 from coadjoint.files.archives.stored_arrays import TYPES, StoredArray, rows_of_chunk
 from coadjoint.files.datasets.export import attributes_of
 from coadjoint.files.datasets.variables import (

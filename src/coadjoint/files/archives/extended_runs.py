@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.files.archives.archived_run import FINISHED, SAVE_EVERY, STATES, STEPS, states_of
-from coadjoint.files.archives.store import ArchiveError, ArchiveStore, StoredState, read_state
+from coadjoint.files.archives.reading import ArchiveError, StoredState, read_state
+from coadjoint.files.archives.store import ArchiveStore
 from coadjoint.runs.piecewise_run import STATE_PREFIX, PiecewiseRun, larger_deviations
 from coadjoint.runs.times import times_between
 from coadjoint.validation import read_number

@@ -21,7 +21,7 @@ from coadjoint.files.archives.archived_run import (
     states_of,
 )
 from coadjoint.files.archives.blocks import BLOCK_SIZE_ATTRIBUTE, MEMBER, STATUS
-from coadjoint.files.archives.store import ArchiveError
+from coadjoint.files.archives.reading import ArchiveError
 from coadjoint.files.archives.stored_arrays import StoredArray
 from coadjoint.files.datasets.variables import TIME
 from coadjoint.files.records.entries import Entry, parsed

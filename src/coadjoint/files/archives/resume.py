@@ -28,7 +28,8 @@ from coadjoint.files.archives.archived_solution import open_archive
 from coadjoint.files.archives.blocks import BLOCK_SIZE_ATTRIBUTE
 from coadjoint.files.archives.extended_runs import extend_run, extended_times
 from coadjoint.files.archives.metadata_checks import as_archive_errors
-from coadjoint.files.archives.store import ArchiveError, ArchiveStore, read_archive_path, read_state, unwritable_error
+from coadjoint.files.archives.reading import ArchiveError, read_archive_path, read_state
+from coadjoint.files.archives.store import ArchiveStore, unwritable_error
 from coadjoint.files.datasets.export import attributes_of
 from coadjoint.files.datasets.variables import NO_METADATA, ExtraMetadata, accounts_of
 from coadjoint.files.output.atomic_output import PendingOutput, remove_leftovers

@@ -25,7 +25,8 @@ from coadjoint.files.archives.ensemble_archive import (
     unfinished_blocks,
 )
 from coadjoint.files.archives.metadata_checks import check_archive
-from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten, read_archive_path, unwritten_archive
+from coadjoint.files.archives.reading import read_archive_path
+from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten, unwritten_archive
 from coadjoint.files.datasets.variables import NO_METADATA, ExtraMetadata
 from coadjoint.files.records.required_functions import resume_arguments
 from coadjoint.optional_packages import require_packages

@@ -156,7 +156,7 @@ def plan(configuration: Configuration) -> Plan:
     --------
     >>> import tempfile
     >>> from pathlib import Path
-    >>> from coadjoint.files.configuration.configuration import load
+    >>> from coadjoint.files.configuration.loading import load
     >>> lines = '''
     ... system = {name = "rigid_body"}
     ... initial = {x = [1.0, 0.1, 0.5]}

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import distinct
+from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.parts.few_parts import MAX_REORDERED, count_groups
 from coadjoint.program.parts.part import Parts
@@ -18,7 +19,6 @@ from coadjoint.program.pattern_cache import MAX_PATTERN_SIZE
 from coadjoint.program.shifts.pencil import singular_factors
 from coadjoint.program.sparse_rows import run_starts
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.hamiltonians.quadratic import factors_of
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm, Term
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Self, cast
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.polynomials.monomials import Coefficient
+from coadjoint.algebra.polynomials.monomials import Coefficient, factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
@@ -174,9 +174,10 @@ class Quadratic(Summable):
         for exponents, coefficient in polynomial.monomials.items():
             factors = factors_of(exponents)
             if len(factors) == 2:
-                rows += [factors[0], factors[1]] if factors[0] != factors[1] else [factors[0]]
-                columns += [factors[1], factors[0]] if factors[0] != factors[1] else [factors[0]]
-                entries += [coefficient, coefficient] if factors[0] != factors[1] else [2 * coefficient]
+                i, j = factors
+                rows += [i] if i == j else [i, j]
+                columns += [i] if i == j else [j, i]
+                entries += [2 * coefficient] if i == j else [coefficient, coefficient]
             elif len(factors) == 1:
                 linear[factors[0]] = coefficient
             else:
@@ -250,18 +251,17 @@ class Quadratic(Summable):
         >>> Quadratic([[1.0, -1.0], [-1.0, 0.0]], linear=[0.0, 3.0]).to_polynomial()
         3.0*x2 + 0.5*x1^2 - x1*x2
         """
-        if self.dim is None or self._linear is None:
-            raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
-        unit = [0] * self.dim
+        rows, columns, entries, linear = (array.tolist() for array in self.as_given())
+        unit = [0] * len(linear)
         monomials: dict[tuple[int, ...], Any] = {tuple(unit): self._constant}
-        for i, c in enumerate(self._linear.tolist()):
+        for i, c in enumerate(linear):
             monomials[(*unit[:i], 1, *unit[i + 1 :])] = c
-        for i, j, c in zip(self._rows.tolist(), self._indices.tolist(), self._entries.tolist(), strict=True):
+        for i, j, c in zip(rows, columns, entries, strict=True):
             if i == j:
                 monomials[(*unit[:i], 2, *unit[i + 1 :])] = c / 2 if isinstance(c, float) else Fraction(c) / 2
             elif i < j:
                 monomials[(*unit[:i], 1, *unit[i + 1 : j], 1, *unit[j + 1 :])] = c
-        return Polynomial(monomials, dim=self.dim)
+        return Polynomial(monomials, dim=len(linear))
 
     def bind(self, n: int) -> Quadratic:
         """Return this Hamiltonian for dimension `n`; a number M becomes a multiple of the unit matrix.
@@ -354,12 +354,11 @@ class Quadratic(Summable):
         >>> Quadratic([1.0, 0.5]).with_linear([0.0, 2.0])
         Quadratic([1.0, 0.5], linear=[0.0, 2.0])
         """
-        if self.dim is None:
-            raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
+        n = self.as_given().linear.size
         coefficients = real_array(linear, "linear")
-        if coefficients.shape != (self.dim,):
+        if coefficients.shape != (n,):
             raise ValueError(
-                f"linear has the shape {coefficients.shape}; give one coefficient for each of {self.dim} coordinates"
+                f"linear has the shape {coefficients.shape}; give one coefficient for each of {n} coordinates"
             )
         coefficients.flags.writeable = False
         changed = copy.copy(self)
@@ -409,15 +408,13 @@ class Quadratic(Summable):
 
     def terms(self) -> tuple[Term, ...]:
         """Return the single `QuadraticTerm`; the Hamiltonian must be bound."""
-        if self.dim is None:
-            raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
         return self._terms
 
     @cached_property
     def _terms(self) -> tuple[Term, ...]:
-        values = self._entries.astype(np.float64)
-        linear = self._linear_part(np.zeros(self._indptr.size - 1))
-        return (QuadraticTerm(self._indptr, self._indices, values, linear, float(self._constant)),)
+        _, columns, entries, linear = self.as_given()
+        floats = entries.astype(np.float64), linear.astype(np.float64)
+        return (QuadraticTerm(self._indptr, columns, *floats, float(self._constant)),)
 
     def __repr__(self) -> str:
         if self._scalar is not None:
@@ -431,14 +428,3 @@ class Quadratic(Summable):
         linear = self._linear_part(np.zeros(self.dim or 0))
         tail = "" if not linear.any() else f", linear={linear.tolist() if linear.size <= 4 else '...'}"
         return f"Quadratic({shown}{tail})"
-
-
-def factors_of(exponents: tuple[int, ...]) -> list[int]:
-    """Return the coordinates in a monomial with multiplicity; fast for low degrees and many coordinates."""
-    factors: list[int] = []
-    for degree in range(1, max(exponents) + 1):
-        coordinate = -1
-        for _ in range(exponents.count(degree)):
-            coordinate = exponents.index(degree, coordinate + 1)
-            factors += [coordinate] * degree
-    return sorted(factors)

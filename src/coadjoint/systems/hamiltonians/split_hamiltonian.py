@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import point
@@ -111,6 +112,20 @@ class SplitHamiltonian(Summable):
         bound = object.__new__(SplitHamiltonian)
         bound.dim, bound.timed, bound.coordinates, bound.pieces = n, self.timed, self.coordinates, self.pieces
         return bound
+
+    def check_commuting(self, algebra: LieAlgebra) -> None:
+        """Raise ValueError if a piece has coordinates whose basis elements do not commute in the algebra."""
+        i, j, _, _ = algebra.triples
+        for number, chosen in enumerate(self.coordinates):
+            in_piece = np.zeros(algebra.dim, dtype=bool)
+            in_piece[list(chosen)] = True
+            conflicts = np.flatnonzero(in_piece[i] & in_piece[j])
+            if conflicts.size:
+                a, b = int(i[conflicts[0]]), int(j[conflicts[0]])
+                raise ValueError(
+                    f"piece {number} has the coordinates {a} and {b}, whose basis elements {algebra.basis[a]} "
+                    f"and {algebra.basis[b]} do not commute; put them in different pieces"
+                )
 
     def times(self, factor: Coefficient) -> Self:
         """Return the Hamiltonian multiplied by a factor.

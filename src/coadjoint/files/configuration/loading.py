@@ -1,0 +1,237 @@
+"""Loading of configuration files: parsed, validated together with system and scheme, and converted to runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from coadjoint import systems
+from coadjoint.files.configuration.configuration import Configuration, check_archived
+from coadjoint.files.configuration.construction import (
+    ConfigurationError,
+    ErrorCollector,
+    join_messages,
+    method_of_file,
+    parse_polynomial,
+    section,
+    system_of_file,
+)
+from coadjoint.files.configuration.initial_states import check_named, initial_state, state_by_name
+from coadjoint.files.configuration.parsing import ValidTables, parse_toml, read_utf8, valid_tables
+from coadjoint.files.configuration.sweeps import Sweep, read_sweep, swept_states, swept_system
+from coadjoint.files.records.stored_events import event_of_file
+from coadjoint.methods.forced import check_direction, check_supports, effective_scheme
+from coadjoint.methods.suggested_scheme import default_scheme
+from coadjoint.optional_packages import require_packages
+from coadjoint.runs.integrate import chosen_for
+from coadjoint.runs.output_times import output_times_of
+from coadjoint.runs.start import momenta_of, start_of
+from coadjoint.runs.times import times_of
+from coadjoint.systems.protocol import coordinates_of, member_of
+from coadjoint.validation import read_path
+
+__all__ = ["ConfigurationError", "load"]
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from coadjoint.files.configuration.models import File
+
+    Model = TypeVar("Model", bound=BaseModel)
+
+
+def system_of_text(text: str) -> Any:
+    """Return the system of a configuration from the text of its file, as stored with a result."""
+    name = "the configuration of this run"
+    errors = ErrorCollector(name)
+    tables, sweep = _parse_tables(name, parse_toml(name, text), errors)
+    errors.raise_collected()
+    assert tables.file is not None
+    return _system(name, tables.file, sweep)
+
+
+def load(path: str | Path) -> Configuration:
+    """Read and validate a configuration file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file.
+
+    Returns
+    -------
+    Configuration
+
+    Raises
+    ------
+    ConfigurationError
+        With file, key or line, what is wrong, and how to correct it.
+
+    Examples
+    --------
+    >>> load("none.toml")
+    Traceback (most recent call last):
+    ...
+    coadjoint.files.configuration.construction.ConfigurationError: none.toml: cannot be read (No such file or directory)
+    """
+    require_packages("reading a configuration file", "pydantic")
+    name, text = str(read_path(path, "path")), read_utf8(path)
+    errors = ErrorCollector(name)
+    return _configuration(name, text, *_parse_tables(name, parse_toml(name, text), errors), errors)
+
+
+def _parse_tables(name: str, raw: Mapping[str, Any], errors: ErrorCollector) -> tuple[ValidTables, Sweep | None]:
+    """Parse the tables of a file as far as they are valid; for a sweep, those of its first member."""
+    from coadjoint.files.configuration.models import SweepOnly
+
+    sweep: Sweep | None = None
+    if "sweep" in raw:
+        raw_with_sweep, raw = raw, {key: table for key, table in raw.items() if key != "sweep"}
+        with errors.collect():
+            parsed_sweep = read_sweep(name, raw_with_sweep, _checked(name, SweepOnly, raw_with_sweep).sweep)
+            sweep, raw = parsed_sweep, parsed_sweep.member_tables(0)
+    tables = valid_tables(raw)
+    for messages in (*tables.messages, *([] if tables.has("system") else _unknown_system(raw))):
+        errors.add(messages)
+    return tables, sweep
+
+
+def _system(name: str, file: File, sweep: Sweep | None) -> Any:
+    from coadjoint.files.configuration.models import File as Tables
+
+    return system_of_file(name, file) if sweep is None else swept_system(sweep, file, partial(_checked, name, Tables))
+
+
+def _checked(name: str, model: type[Model], raw: Mapping[str, Any]) -> Model:
+    """Validate tables against a model; ConfigurationError with the key."""
+    from pydantic import ValidationError
+
+    from coadjoint.files.configuration.models import all_errors
+
+    try:
+        return model.model_validate(raw)
+    except ValidationError as error:
+        raise ConfigurationError(f"{name}: {join_messages(all_errors(error))}") from None
+
+
+def _unknown_system(raw: Mapping[str, Any]) -> list[str]:
+    """Return the error for an unknown ready-made system, to be reported together with errors of keys."""
+    table = raw.get("system")
+    system_name = table.get("name") if isinstance(table, Mapping) else None
+    if not isinstance(system_name, str) or system_name in systems.names():
+        return []
+    try:
+        systems.get(system_name)
+    except ValueError as error:
+        return [f"system: {error}"]
+    return []
+
+
+def _check_times(name: str, file: File, system: Any, step: float) -> None:
+    """Validate the times against the step and the forces."""
+    with section(name, "run"):
+        times = times_of(file.run.t_span, step, file.run.save_every)
+        if file.run.t_eval is not None:
+            output_times_of(file.run.t_eval, times, file.run.save_every)
+        check_direction(system, times.h)
+
+
+def _check_workers(name: str, file: File, system: Any, x0: Any) -> None:
+    """Reject `workers` for runs that they do not support."""
+    with section(name, "run.workers"):
+        require_packages("workers", "distributed")
+        if momenta_of(system, x0)[1]:
+            raise ValueError("workers are for the members of an ensemble, and the file has one state; omit workers")
+        if file.run.t_eval is not None or file.events:
+            raise ValueError("workers save every save_every-th step and have no events; give neither t_eval nor events")
+
+
+def _configuration(
+    name: str, text: str, tables: ValidTables, sweep: Sweep | None, errors: ErrorCollector
+) -> Configuration:
+    from coadjoint.files.configuration.models import File as Tables
+
+    file = tables.file
+    if file is None:
+        errors.raise_collected()
+    assert file is not None
+    system: Any = None
+    method: Any = None
+    x0: Any = None
+    step, choice, check_tables = file.run.step, None, partial(_checked, name, Tables)
+    if tables.has_system:
+        with errors.collect():
+            if tables.has("initial"):
+                check_named(name, file)
+            system = _system(name, file, sweep)
+    if file.output.archive is not None:
+        with errors.collect():
+            check_archived(name, file.run.t_eval, file.events)
+    # Checks that need a system are skipped without one; scheme and times are independent.
+    with errors.collect():
+        method = default_scheme(system) if file.method is None else method_of_file(name, file.method)
+        if system is not None:
+            with section(name, "method"):
+                check_supports(member_of(system), method)
+    if step is not None and tables.has("run"):
+        with errors.collect():
+            _check_times(name, file, system, step)
+    if system is not None and tables.has("initial"):
+        with errors.collect():
+            x0 = (
+                state_by_name(name, file.initial, system)
+                if sweep is None
+                else swept_states(sweep, file, system, check_tables)
+            )
+            with section(name, "initial.x"):
+                x0 = initial_state(system, file.initial.x, Path(name).parent) if x0 is None else x0
+                momenta_of(system, x0)
+    observe, events = {}, []
+    for key, polynomial in file.observe.items() if system is not None else ():
+        with errors.collect(), section(name, f"observe.{key}"):
+            coordinates = coordinates_of(system)
+            if not coordinates:
+                raise ValueError(f"a polynomial needs coordinates; the states of {system.name} are matrices")
+            observe[key] = parse_polynomial(polynomial, system.dim, coordinates)
+    for key, table in file.events.items() if system is not None else ():
+        with errors.collect(), section(name, f"events.{key}"):
+            events.append(event_of_file(key, table.model_dump(), system))
+    errors.raise_collected()
+    with section(name, "initial.x"):
+        start_of(system, effective_scheme(system, method), x0, False)
+    with section(name, "initial.attitude"):
+        start_of(system, effective_scheme(system, method), x0, file.initial.attitude)
+    if file.run.accuracy is not None:
+        with section(name, "run.accuracy"):
+            fixed_method = None if file.method is None else method
+            choice = chosen_for(file.run.accuracy, system, x0, file.run.t_span, file.initial.attitude, fixed_method)
+        method, step = choice.method, choice.step
+        _check_times(name, file, system, step)
+    assert step is not None
+    if file.run.workers is not None:
+        _check_workers(name, file, system, x0)
+    return Configuration(
+        path=name,
+        system=system,
+        x0=x0,
+        t_span=(float(file.run.t_span[0]), float(file.run.t_span[1])),
+        step=step,
+        method=method,
+        save_every=file.run.save_every,
+        t_eval=file.run.t_eval,
+        attitude=file.initial.attitude,
+        watch=file.run.watch,
+        observe=observe,
+        events=tuple(events),
+        threads=file.run.threads,
+        workers=file.run.workers,
+        output=file.output.file,
+        archive=file.output.archive,
+        figure=file.output.figure,
+        movie=file.output.movie,
+        choice=choice,
+        swept={} if sweep is None else sweep.values,
+        text=text,
+    )

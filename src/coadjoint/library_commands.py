@@ -1,0 +1,199 @@
+"""Commands on the library itself: what it contains, its checks on this machine, the paper, and the gallery."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import time
+from collections.abc import Collection, Mapping
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import click
+
+from coadjoint import __version__
+from coadjoint.optional_packages import require_packages
+from coadjoint.short_repr import short
+from coadjoint.validation import read_choice
+
+MAX_NUMBER_LENGTH = 60
+
+
+@click.command("systems")
+@click.argument("name", required=False)
+@click.option("--json", "mapping", metavar="PATH", help="Path of a file of the description of NAME: .json.")
+def list_systems(name: str | None, mapping: str | None) -> None:
+    """List the ready-made systems with their parameters, or describe one, NAME, with a first run.
+
+    The description has parameters with units, algebra, Casimirs, integrals, whether a closed form and an attitude
+    exist, and a suggested scheme and step.
+    """
+    from coadjoint.systems.registry import ready_made_systems
+
+    known = ready_made_systems()
+    if name is not None:
+        return _show_system(_known_system(name, known), mapping)
+    if mapping is not None:
+        raise click.UsageError("--json writes the description of one system; give its name")
+    for system_name, builder in sorted(known.items()):
+        signature = inspect.signature(builder).parameters
+        _describe(system_name, {key: p.default for key, p in signature.items()}, inspect.getdoc(builder) or "")
+
+
+def _known_system(name: str, known: Collection[str]) -> str:
+    try:
+        return read_choice(name, "system", known)
+    except ValueError as reason:
+        raise click.UsageError(str(reason)) from None
+
+
+def _show_system(name: str, mapping: str | None) -> None:
+    import json
+
+    from coadjoint.files.output.output_files import TEXTS, check_target, write_text
+    from coadjoint.runs.system_summary import summarize_system, system_text
+
+    target = None if mapping is None else check_target(mapping, TEXTS)
+    summary = summarize_system(name)
+    click.echo(system_text(summary))
+    if target is not None:
+        write_text(json.dumps(summary, indent=1), target)
+        click.echo(f"written: {target}")
+
+
+@click.command("algebras")
+@click.argument("name", required=False)
+@click.argument("parameters", nargs=-1, metavar="[KEY=NUMBER]...")
+def list_algebras(name: str | None, parameters: tuple[str, ...]) -> None:
+    """List the algebras of the catalogue, or show dimension, brackets and Casimirs of one, NAME.
+
+    Parameters of an algebra follow its name, such as A4,9 b=0.5.
+    """
+    from coadjoint.algebra.algebra_summary import algebra_of, algebra_text, listed_algebras
+
+    if name is None:
+        for line in listed_algebras():
+            click.echo(line)
+        return
+    try:
+        click.echo(algebra_text(algebra_of(name, dict(map(_parameter, parameters)))))
+    except (ValueError, TypeError) as reason:
+        raise click.UsageError(str(reason)) from None
+
+
+def _parameter(text: str) -> tuple[str, Fraction]:
+    key, _, number = text.partition("=")
+    try:
+        if len(text) > MAX_NUMBER_LENGTH:
+            raise ValueError
+        # An exponent can denote a number of any size.
+        return key, Fraction(float(number) if "e" in number.lower() else number)
+    except (ValueError, ArithmeticError):
+        raise ValueError(f"{short(text)} is not a parameter; give name and number, such as b=0.5 or b=1/3") from None
+
+
+@click.command("methods")
+@click.argument("name", required=False)
+def list_methods(name: str | None) -> None:
+    """List the schemes with their parameters, or describe one, NAME."""
+    from coadjoint.methods import registry
+
+    if name is not None:
+        try:
+            text = registry.documentation_of(name)
+        except ValueError as reason:
+            raise click.UsageError(str(reason)) from None
+        _describe(name, registry.parameters_of(name), text)
+        click.echo("".join(f"    {line}".rstrip() + "\n" for line in text.splitlines()[1:]), nl=False)
+        return
+    for name in registry.names():
+        _describe(name, registry.parameters_of(name), registry.documentation_of(name))
+
+
+def _describe(name: str, parameters: Mapping[str, Any], documentation: str) -> None:
+    empty = inspect.Parameter.empty
+    arguments = ", ".join(key if default is empty else f"{key}={default!r}" for key, default in parameters.items())
+    click.echo(f"{name}({arguments})\n    {documentation.partition(chr(10))[0]}")
+
+
+@click.command("selftest")
+@click.option("--quiet", is_flag=True, help="Print only the checks that fail.")
+def check_installation(quiet: bool) -> None:
+    """Check the installed package on this machine, in under a minute; print each measurement and its bound.
+
+    The exit status is 0 if every check passes. A check skipped because of a missing package does not fail.
+    """
+    from coadjoint.experiments.selftest.run import selftest
+
+    started, failed, skipped, count = time.monotonic(), 0, 0, 0
+    for check in selftest():
+        count, failed, skipped = count + 1, failed + (not check.passed), skipped + bool(check.skipped)
+        if not (quiet and check.passed):
+            click.echo(str(check))
+    if not quiet:
+        seconds = time.monotonic() - started
+        click.echo(f"coadjoint {__version__}: {count} checks, {failed} failed, {skipped} skipped, {seconds:.1f} s")
+    if failed:
+        raise click.exceptions.Exit(1)
+
+
+@click.command("schema")
+def print_schema() -> None:
+    """Print the JSON Schema of configuration files, for editors."""
+    import json
+
+    from coadjoint.files.configuration.schema import schema
+
+    click.echo(json.dumps(schema(), indent=1, ensure_ascii=False))
+
+
+@click.command("reproduce")
+@click.option("--out", metavar="DIR", default="figures", show_default=True, help="Folder for the figures.")
+def reproduce(out: str) -> None:
+    """Repeat the experiments of Reich (1993), print a table of them and draw their figures."""
+    experiments = importlib.import_module("coadjoint.experiments.reich1993")
+    experiments.check_packages()
+    result = experiments.reproduce(_folder(out), click.echo)
+    for row in result.table:
+        click.echo(f"{row.verdict:18}  {row.place}: {row.statement}\n{'':20}{row.measured}")
+    for figure in result.figures:
+        click.echo(f"written: {figure}")
+
+
+def _folder(out: str) -> Path:
+    """Return a folder, created if it does not exist."""
+    folder = Path(out)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as reason:
+        raise click.UsageError(f"--out {out}: cannot be made a folder ({reason.strerror}); give another") from None
+    return folder
+
+
+@click.command("gallery")
+@click.argument("names", nargs=-1, metavar="[NAME]...")
+@click.option("--out", metavar="DIR", default="gallery", show_default=True, help="Folder for pictures and page.")
+def draw_gallery(names: tuple[str, ...], out: str) -> None:
+    """Run the ready-made systems, or those with a NAME; plot each, and write a page of the plots.
+
+    The page is index.html, in the same folder. The NAME decaying_turbulence is a run of minutes.
+    """
+    from coadjoint.files.output.output_files import write_figure, write_page
+    from coadjoint.systems.registry import gallery_systems
+
+    require_packages("a gallery", "matplotlib")
+    from coadjoint.pictures.gallery import PAGE, SCENES, gallery
+
+    known = gallery_systems()
+    selected = [_known_system(name, (*known, *SCENES)) for name in dict.fromkeys(names)] or known
+    if not names:
+        require_packages("a gallery of all systems", "numba", "ducc0")
+    folder = _folder(out)
+
+    page = gallery(selected, lambda figure, name: write_figure(figure, folder / name), click.echo)
+    write_page(page, folder / PAGE)
+    click.echo(f"written: {folder / PAGE}")
+
+
+COMMANDS = (list_systems, list_algebras, list_methods, check_installation, print_schema, reproduce, draw_gallery)

@@ -1,0 +1,222 @@
+"""Commands that run, check, resume and certify: each reads a configuration file or an archive."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from coadjoint.errors import in_one_line
+from coadjoint.interrupted_runs import reporting_write_errors, saving_partial_run
+
+if TYPE_CHECKING:
+    from coadjoint.files.configuration.configuration import Configuration
+    from coadjoint.runs.results.solution import Solution
+
+
+@click.command("run")
+@click.argument("file", type=click.Path())
+@click.option("--out", metavar="PATH", help="Path of the solution: .nc or .zarr; by default that in FILE.")
+@click.option("--archive", metavar="PATH", help="New folder to which the run is written, so that it can be resumed.")
+@click.option("--figure", metavar="PATH", help="Path of a figure: .png, .pdf or .svg; by default that in FILE.")
+@click.option("--movie", metavar="PATH", help="Path of a movie: .mp4 or .gif; by default that in FILE.")
+@click.option("--progress", is_flag=True, help="Show a progress bar.")
+@click.option("--quiet", is_flag=True, help="Print nothing.")
+def run_file(
+    file: str,
+    out: str | None,
+    archive: str | None,
+    figure: str | None,
+    movie: str | None,
+    progress: bool,
+    quiet: bool,
+) -> None:
+    """Run the configuration FILE (TOML).
+
+    A run that fails writes the solution so far, marked as failed, and ends with exit status 1. One that is interrupted
+    writes the solution so far, marked as incomplete; `coadjoint resume` continues an archive.
+    """
+    from coadjoint.files.configuration.loading import load
+    from coadjoint.files.output.output_files import write_dataset, write_figure
+
+    configuration = load(file)
+    paths = _output_paths(configuration, archive, out, figure, movie)
+    archive_path, dataset_path, figure_path, movie_path = paths
+    with saving_partial_run(configuration.path, archive_path, dataset_path, configuration.dataset):
+        solution = configuration.integrate(progress=progress, archive=archive_path)
+    if dataset_path is not None:
+        with reporting_write_errors(configuration.path, dataset_path):
+            write_dataset(configuration.dataset(solution), dataset_path)
+    if figure_path is not None:
+        with reporting_write_errors(configuration.path, figure_path):
+            write_figure(solution.plot(), figure_path)
+    if movie_path is not None:
+        with reporting_write_errors(configuration.path, movie_path):
+            solution.movie(movie_path)
+    if not quiet:
+        _summarize(solution, [path for path in paths if path is not None])
+
+
+def _output_paths(
+    configuration: Configuration,
+    archive: str | None = None,
+    out: str | None = None,
+    figure: str | None = None,
+    movie: str | None = None,
+) -> list[Path | None]:
+    """Validate the paths of archive, dataset, figure and movie, from the options or else the configuration."""
+    from coadjoint.files.archives.resume import check_new
+    from coadjoint.files.configuration.construction import section
+    from coadjoint.files.output.output_files import DATASETS, FIGURES, check_target
+
+    results: tuple[tuple[str, str | None, str | None, Callable[[str], Path]], ...] = (
+        ("archive", archive, configuration.archive, check_new),
+        ("file", out, configuration.output, lambda path: check_target(path, DATASETS)),
+        ("figure", figure, configuration.figure, lambda path: check_target(path, FIGURES)),
+        ("movie", movie, configuration.movie, lambda path: _movie_target(configuration, path)),
+    )
+    paths: list[Path | None] = []
+    for key, option, configured, check in results:
+        if option is not None:
+            paths.append(check(option))
+        elif configured is None:
+            paths.append(None)
+        else:
+            with section(configuration.path, f"output.{key}"):
+                paths.append(check(configured))
+    return paths
+
+
+def _movie_target(configuration: Configuration, path: str) -> Path:
+    from coadjoint.files.configuration.construction import section
+    from coadjoint.files.output.movie_file import check_movie
+
+    target = check_movie(path)
+    from coadjoint.pictures.movie import declared_picture
+
+    with section(configuration.path, "output.movie"):
+        declared_picture(getattr(configuration.system, "system", configuration.system).name)
+    return target
+
+
+def _summarize(solution: Solution, written: Sequence[Path]) -> None:
+    stats = solution.stats
+    click.echo(
+        in_one_line(f"{solution.system.name}, {solution.method}")
+        + f": {stats.steps} steps of {solution.step:g}, {stats.seconds:.3g} s"
+    )
+    extent = "every step" if solution.watched else "the saved points"
+    columns: dict[str, Mapping[str, float]] = {"largest deviation from the start": solution.change()}
+    if solution.work:
+        columns = {"change, and change minus the work of the forces (balance)": solution.change()}
+        balance = solution.balance()
+        columns["balance"] = {name: balance[name] if name in balance else math.nan for name in solution.change()}
+    click.echo(f"{next(iter(columns))}, over {extent}:")
+    names = {name: in_one_line(name, 60) for name in solution.change()}
+    from coadjoint.runs.results.summary import is_driven
+
+    if is_driven(solution.system):
+        names["energy"] = "energy (driven, so that it changes)"
+    width = max(map(len, names.values()))
+    for name, label in names.items():
+        click.echo(f"  {label:{width}}  " + "  ".join(f"{column[name]:.3g}" for column in columns.values()))
+    for path in written:
+        click.echo(f"written: {path}")
+
+
+@click.command("check")
+@click.argument("file", type=click.Path())
+def check_file(file: str) -> None:
+    """Describe what the configuration FILE (TOML) would run and its cost; nothing is written.
+
+    The time is estimated from a trial run of the first steps. Exit status 2, with one line, if the file is invalid; 1
+    if the trial run fails, as the run would.
+    """
+    from coadjoint.files.configuration.dry_run import plan
+    from coadjoint.files.configuration.loading import load
+
+    configuration = load(file)
+    _output_paths(configuration)
+    forecast = plan(configuration)
+    click.echo(str(forecast))
+    if forecast.failed:
+        raise click.exceptions.Exit(1)
+
+
+@click.command("resume")
+@click.argument("path", type=click.Path())
+@click.option("--t-end", type=float, metavar="T", help="A later end of the run (time).")
+@click.option(
+    "--threads", type=int, metavar="N", help="Number of threads for the members of an ensemble; by default all cores."
+)
+@click.option("--workers", type=int, metavar="N", help="Number of processes that continue an ensemble in blocks.")
+@click.option("--progress", is_flag=True, help="Show a progress bar.")
+@click.option("--quiet", is_flag=True, help="Print nothing.")
+def resume_archive(
+    path: str, t_end: float | None, threads: int | None, workers: int | None, progress: bool, quiet: bool
+) -> None:
+    """Continue the run of the archive PATH, with the same bits as an uninterrupted run.
+
+    A finished run is left unchanged, unless a later end is given.
+    """
+    from coadjoint.files.archives.archived_solution import open_archive
+    from coadjoint.files.archives.resume import resume
+    from coadjoint.files.configuration.configuration import CONFIGURATION
+    from coadjoint.files.configuration.loading import system_of_text
+    from coadjoint.files.records.required_functions import requires_argument
+
+    archive, system = Path(path), None
+    attributes = open_archive(archive).attributes
+    if CONFIGURATION in attributes and requires_argument(attributes, "system"):
+        # Catalogue algebras may have Casimirs that are functions, which only the configuration file can restore.
+        system = system_of_text(attributes[CONFIGURATION])
+    with saving_partial_run(path, archive, None, None):
+        solution = resume(archive, t_end, system=system, threads=threads, workers=workers, progress=progress)
+    if not quiet:
+        _summarize(solution, [archive])
+
+
+@click.command("certify")
+@click.argument("file", type=click.Path())
+@click.option("--json", "mapping", metavar="PATH", help="Path of a file of all measurements: .json.")
+@click.option("--plot", "figure", metavar="PATH", help="Path of a figure of the measurements: .png, .pdf or .svg.")
+@click.option(
+    "--steps", type=int, metavar="N", help="Steps of the long run; by default 2000, or as many as take a few seconds."
+)
+def certify_file(file: str, mapping: str | None, figure: str | None, steps: int | None) -> None:
+    """Measure the properties that the scheme of the configuration FILE (TOML) preserves or declares.
+
+    The exit status is 0 if every declared property holds, and 1 if one fails or cannot be decided.
+    """
+    from coadjoint.analysis.certificates.certify import certify
+    from coadjoint.files.configuration.loading import load
+    from coadjoint.files.output.output_files import FIGURES, TEXTS, check_target, write_figure, write_text
+
+    configuration = load(file)
+    target = None if mapping is None else check_target(mapping, TEXTS)
+    drawing = None if figure is None else check_target(figure, FIGURES)
+    certificate = certify(
+        configuration.system,
+        configuration.method,
+        configuration.x0,
+        math.copysign(configuration.step, configuration.t_span[1] - configuration.t_span[0]),
+        steps=steps,
+    )
+    click.echo(str(certificate))
+    if target is not None:
+        with reporting_write_errors(configuration.path, target):
+            write_text(certificate.to_json(), target)
+    if drawing is not None:
+        with reporting_write_errors(configuration.path, drawing):
+            write_figure(certificate.plot(), drawing)
+    for written in (target, drawing):
+        if written is not None:
+            click.echo(f"written: {written}")
+    if not certificate.passed:
+        raise click.exceptions.Exit(1)
+
+
+COMMANDS = (run_file, check_file, resume_archive, certify_file)
