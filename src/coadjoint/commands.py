@@ -126,9 +126,10 @@ def _movie_target(configuration: Configuration, path: str) -> Path:
 
     target = check_movie(path)
     from coadjoint.pictures.movie import declared_picture
+    from coadjoint.systems.protocol import unforced
 
     with section(configuration.path, "output.movie"):
-        declared_picture(getattr(configuration.system, "system", configuration.system).name)
+        declared_picture(unforced(configuration.system).name)
     return target
 
 
