@@ -63,10 +63,11 @@ class StepFunction:
 
 def _explained(error: BaseException, method: Any, system: Any) -> BaseException:
     """Return the error of a step; for an attribute that the system does not have, a TypeError with advice."""
+    name = system.name
     if not (isinstance(error, AttributeError) and error.obj is system):
         return error
     return TypeError(
-        f"the step of {type(method).__name__} reads system.{error.name}, which {system.name} does not have; "
+        f"the step of {type(method).__name__} reads system.{error.name}, which {name} does not have; "
         "the scheme must refuse such systems, for example matrices, in `properties`"
     )
 
