@@ -53,7 +53,7 @@ core:
 mutants: kernels
 	cd tests && ../$(BIN)/python -m mutants.plant $(MUTANTS)
 
-# Random systems, schemes and crowds: the same bits in any company, and an end to every run. Then runs with archives
+# Random systems, schemes and ensembles: the same bits in any company, and an end to every run. Then runs with archives
 # are killed at random moments, 100 times or COUNT / 10 times, whichever is more, and workers 12 or COUNT / 100 times.
 soak: kernels
 	cd tests && ../$(BIN)/python -m random_runs.soak $(FIRST) $(COUNT) --jobs 2

@@ -24,19 +24,20 @@ STEPS = {2: 512, 4: 128, 6: 64}
 class Row(NamedTuple):
     """One kind of body at one order.
 
-    `cost` is the time of a step with a free body over that of one with rotations alone, for one trajectory and for
-    each of many. The gains are errors of rotations alone over those with a free body: the median at the same step, and
-    at equal cost the median and the quartiles, where the error of the slower choice grows as the order says.
+    `cost` is the time of a step with a free body over that of one with rotations alone, for one trajectory, and
+    `cost_in_lanes` for members in lanes. The gains are errors of rotations alone over those with a free body: the
+    median at the same step, and at equal cost the median and the quartiles, where the error of the slower choice grows
+    as the order says; `equal_cost_in_lanes` is the median for members in lanes.
     """
 
     title: str
     order: int
     cost: float
-    crowd: float
+    cost_in_lanes: float
     same_step: float
     equal_cost: float
     quartiles: tuple[float, float]
-    in_a_crowd: float
+    equal_cost_in_lanes: float
 
 
 def _direction(rng: np.random.Generator) -> np.ndarray:
@@ -83,7 +84,7 @@ def _error(system: Any, x0: np.ndarray, method: Any, steps: int, reference: np.n
 
 
 def _costs(system: Any, x0: np.ndarray, methods: Mapping[str, Any], rounds: int) -> tuple[float, float]:
-    """Return the time of a step with a free body over that with rotations alone: for one, and for each of many."""
+    """Return the time of a step with a free body over that with rotations alone: of one trajectory, of many."""
     found = []
     for start, steps in ((x0, 4096), (np.tile(x0, (64, 1)), 1024)):
         best = dict.fromkeys(methods, np.inf)
@@ -125,7 +126,7 @@ def measured(name: str, states: int, rounds: int) -> list[Row]:
             reference = co.integrate(system, x0, (0.0, SPAN), SPAN / 1024, fine, save_every=1024 // SAMPLED_PARTS).x
             errors = {parts: _error(system, x0, method, steps, reference) for parts, method in methods.items()}
             gains.append(errors["auto"] / errors["free_body"])
-        alone, crowd = _costs(*drawn[0], methods, rounds)
+        alone, in_lanes = _costs(*drawn[0], methods, rounds)
         middle = statistics.median(gains)
         low, _, high = statistics.quantiles(gains, n=4)
         rows.append(
@@ -133,11 +134,11 @@ def measured(name: str, states: int, rounds: int) -> list[Row]:
                 title,
                 order,
                 alone,
-                crowd,
+                in_lanes,
                 middle,
                 middle / alone**order,
                 (low / alone**order, high / alone**order),
-                middle / crowd**order,
+                middle / in_lanes**order,
             )
         )
     return rows
@@ -146,12 +147,12 @@ def measured(name: str, states: int, rounds: int) -> list[Row]:
 def table(rows: list[Row]) -> str:
     """Return the rows as a table in Markdown."""
     lines = [
-        "| | order | cost of a step | in a crowd | gain at the same step | at equal cost (quartiles) | in a crowd |",
+        "| | order | cost of a step | in lanes | gain at the same step | at equal cost (quartiles) | in lanes |",
         "|---|---|---|---|---|---|---|",
     ]
     lines += [
-        f"| {r.title} | {r.order} | {r.cost:.2f} | {r.crowd:.2f} | {r.same_step:.3g} | {r.equal_cost:.3g} "
-        f"({r.quartiles[0]:.2g} to {r.quartiles[1]:.2g}) | {r.in_a_crowd:.3g} |"
+        f"| {r.title} | {r.order} | {r.cost:.2f} | {r.cost_in_lanes:.2f} | {r.same_step:.3g} | {r.equal_cost:.3g} "
+        f"({r.quartiles[0]:.2g} to {r.quartiles[1]:.2g}) | {r.equal_cost_in_lanes:.3g} |"
         for r in rows
     ]
     return "\n".join(lines)

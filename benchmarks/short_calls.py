@@ -53,14 +53,14 @@ def calls_of(system: co.LiePoissonSystem, method: Any, steps: int) -> dict[str, 
     alone = co.prepare(present, steered.method, STEP)
     many = co.prepare(present, steered.method, STEP, threads=1)
     steered_many = co.prepare(present, steered.method, STEP, inputs=True, threads=1)
-    crowd = 0.5 * rng.standard_normal((MEMBERS, system.dim))
+    ensemble = 0.5 * rng.standard_normal((MEMBERS, system.dim))
     calls: dict[str, Callable[[int], Any]] = {
         "alone": lambda k: alone.run(states[k % 256], span, steps).x,
         "end": lambda k: alone.end(states[k % 256], span),
         "inputs": lambda k: steered.run(states[k % 256], span, steps, linear=linear[k % 256]).x,
-        "crowd": lambda k: many.run(crowd, span, steps).x,
-        "crowd, one input": lambda k: steered_many.run(crowd, span, steps, linear=linear[k % 256]).x,
-        "crowd, an input each": lambda k: steered_many.run(crowd, span, steps, linear=linear[:MEMBERS]).x,
+        "ensemble": lambda k: many.run(ensemble, span, steps).x,
+        "ensemble, one input": lambda k: steered_many.run(ensemble, span, steps, linear=linear[k % 256]).x,
+        "ensemble, an input each": lambda k: steered_many.run(ensemble, span, steps, linear=linear[:MEMBERS]).x,
     }
     if method.properties(system).attitude != "none":
         kind: Any = True if system.representation is not None and isinstance(method, co.Splitting) else "coadjoint"
@@ -83,15 +83,15 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=list(CASES))
     given = parser.parse_args()
     columns = ["end", "inputs", "attitude", "attitude from g"]
-    crowds = ["crowd", "crowd, one input", "crowd, an input each"]
-    print(f"| system | steps | alone, us | {' | '.join(f'+ {c}' for c in columns)} | {' | '.join(crowds)} |")
-    print(f"|---|---|---|{'---|' * len(columns + crowds)}")
+    ensembles = ["ensemble", "ensemble, one input", "ensemble, an input each"]
+    print(f"| system | steps | alone, us | {' | '.join(f'+ {c}' for c in columns)} | {' | '.join(ensembles)} |")
+    print(f"|---|---|---|{'---|' * len(columns + ensembles)}")
     for name in given.only:
         system, method = CASES[name]
         for steps in (1, 100):
             best = microseconds(calls_of(system, method, steps), given.rounds, given.calls)
             more = [f"{best[c] - best['alone']:+.1f}" if c in best else "" for c in columns]
-            cells = [name, str(steps), f"{best['alone']:.1f}", *more, *(f"{best[c]:.0f}" for c in crowds)]
+            cells = [name, str(steps), f"{best['alone']:.1f}", *more, *(f"{best[c]:.0f}" for c in ensembles)]
             print(f"| {' | '.join(cells)} |")
 
 

@@ -32,7 +32,7 @@ SO3, SO4 = co.algebras.so(3), co.algebras.so(4)
 BODY = co.systems.rigid_body()
 X = (0.1, 1.0, 0.2)
 P = co.Polynomial({(2, 0, 0): 0.5, (0, 1, 1): 1})
-CROWD = co.integrate(BODY, [X, X], (0, 1), 0.5, attitude="coadjoint")
+ENSEMBLE = co.integrate(BODY, [X, X], (0, 1), 0.5, attitude="coadjoint")
 STEP = co.stepper(BODY, co.Splitting(), 0.1)
 READY = co.prepare(BODY, co.Splitting(), 0.1)
 PROMISED = co.prepare(BODY, accuracy=1e-4, x0=X, t_span=(0, 1))
@@ -152,7 +152,7 @@ CALLS = {
     "parts": (lambda parts: co.Splitting(parts=parts).describe(BODY), {"parts": ((0,), (1,), (2,))}),
     "describe": (co.Splitting().describe, {"system": BODY}),
     **{f"{name}.properties": (m.properties, {"system": BODY}) for name, m in EXAMPLES.items()},
-    "ensemble": (co.ensemble, {"system": BODY, "x0": CROWD.x0, "t_span": (0, 1), "step": 0.1, "method": None,
+    "ensemble": (co.ensemble, {"system": BODY, "x0": ENSEMBLE.x0, "t_span": (0, 1), "step": 0.1, "method": None,
                  "save_every": 1, "attitude": False, "watch": True, "observe": None, "client": None,
                  "members_per_block": None, "threads": 1, "progress": False, "coordinates": None}),
     "integrate": (co.integrate, {"system": BODY, "x0": X, "t_span": (0, 1), "step": 0.1, "method": None,
@@ -226,9 +226,9 @@ CALLS = {
     "attitude_angle": (rotations.attitude_angle, {"A": EYE, "B": EYE}),
     "precession_error": (rotations.precession_error, {"A": EYE, "B": EYE, "axis": X}),
     "random_walk": (co.analysis.random_walk, {"deviations": np.ones((3, 4)), "early": 1}),
-    "round_off": (co.analysis.round_off, {"solution": CROWD, "early": 1}),
-    "orthogonality": (co.analysis.orthogonality, {"solution": CROWD, "size": 3}),
-    "spatial_momentum": (co.analysis.spatial_momentum, {"solution": CROWD}),
+    "round_off": (co.analysis.round_off, {"solution": ENSEMBLE, "early": 1}),
+    "orthogonality": (co.analysis.orthogonality, {"solution": ENSEMBLE, "size": 3}),
+    "spatial_momentum": (co.analysis.spatial_momentum, {"solution": ENSEMBLE}),
     "level_surface": (level_surface, {"function": P, "level": 1.0, "box": [(-1, 1)] * 3, "cells": 4, "period": 0.0}),
 }  # fmt: skip
 

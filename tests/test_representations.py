@@ -108,8 +108,8 @@ def test_table_of_a_run():
     table = sol._repr_html_()
     assert "<b>rigid_body by Splitting(order=2)</b>" in table and "11 saved points" in table
     assert f"<th>drift of energy</th><td>{sol.drift()['energy']:.2g}</td>" in table
-    crowd = co.integrate(co.systems.rigid_body((1, 2, 3)), np.ones((4, 3)), (0, 1), 0.1)
-    assert repr(crowd).endswith("step 0.1, 4 members>") and "<th>members</th><td>4</td>" in crowd._repr_html_()
+    ensemble = co.integrate(co.systems.rigid_body((1, 2, 3)), np.ones((4, 3)), (0, 1), 0.1)
+    assert repr(ensemble).endswith("step 0.1, 4 members>") and "<th>members</th><td>4</td>" in ensemble._repr_html_()
 
 
 def test_driven_and_forced_systems_show_changes():

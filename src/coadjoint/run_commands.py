@@ -93,12 +93,13 @@ def _output_paths(
 def _movie_target(configuration: Configuration, path: str) -> Path:
     from coadjoint.files.configuration.construction import section
     from coadjoint.files.output.movie_file import check_movie
+    from coadjoint.systems.protocol import unforced
 
     target = check_movie(path)
     from coadjoint.pictures.movie import declared_picture
 
     with section(configuration.path, "output.movie"):
-        declared_picture(getattr(configuration.system, "system", configuration.system).name)
+        declared_picture(unforced(configuration.system).name)
     return target
 
 

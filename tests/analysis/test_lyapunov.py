@@ -146,23 +146,23 @@ def bits(result, members=slice(None)):
 
 
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(2), co.ExplicitRungeKutta("rk4")], ids=str)
-def test_same_bits_alone_in_a_crowd_on_threads_and_in_pieces(method):
+def test_same_bits_alone_in_an_ensemble_on_threads_and_in_pieces(method):
     system, rng = heavy_top(), np.random.default_rng(2)
-    crowd = UPRIGHT + 0.1 * rng.standard_normal((37, 6))
+    ensemble = UPRIGHT + 0.1 * rng.standard_normal((37, 6))
     given = {"t_span": (0.0, 20.0), "step": 0.1, "method": method, "renormalize_every": 7}
-    whole = co.lyapunov(system, crowd, **given, save_every=20, threads=1)
+    whole = co.lyapunov(system, ensemble, **given, save_every=20, threads=1)
     assert whole.exponents.shape == (37, 6) and whole.history.shape == (10, 37, 6) and whole.sum.shape == (37,)
-    threads = co.lyapunov(system, crowd, **given, save_every=20, threads=3)
+    threads = co.lyapunov(system, ensemble, **given, save_every=20, threads=3)
     assert bits(threads) == bits(whole)
-    pieces = co.lyapunov(system, crowd, **given, save_every=1, threads=1)
+    pieces = co.lyapunov(system, ensemble, **given, save_every=1, threads=1)
     assert pieces.stretches[::20].tobytes() == bits(whole)
     for member in (0, 20, 36):
-        alone = co.lyapunov(system, crowd[member], **given, save_every=20)
+        alone = co.lyapunov(system, ensemble[member], **given, save_every=20)
         assert alone.stretches.tobytes() == bits(whole, member)
         for name in ("exponents", "uncertainty", "sum", "pairing"):
             np.testing.assert_array_equal(getattr(whole, name)[member], getattr(alone, name), err_msg=name)
         np.testing.assert_array_equal(whole.history[:, member], alone.history)
-    some = co.lyapunov(system, crowd[:3], **given, save_every=20, exponents=2)
+    some = co.lyapunov(system, ensemble[:3], **given, save_every=20, exponents=2)
     assert some.stretches.tobytes() == np.ascontiguousarray(whole.stretches[:, :3, :2]).tobytes()
 
 
@@ -284,8 +284,8 @@ def test_schemes_without_a_loop_go_step_by_step_and_say_so(monkeypatch):
             found = co.lyapunov(heavy_top(), UPRIGHT, **given, method=method)
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            crowd = co.lyapunov(heavy_top(), [0.5 * UPRIGHT, UPRIGHT], **given, method=method, exponents=2)
-        assert crowd.stretches[:, 1].tobytes() == np.ascontiguousarray(found.stretches[:, :2]).tobytes()
+            ensemble = co.lyapunov(heavy_top(), [0.5 * UPRIGHT, UPRIGHT], **given, method=method, exponents=2)
+        assert ensemble.stretches[:, 1].tobytes() == np.ascontiguousarray(found.stretches[:, :2]).tobytes()
         step, product, wanted = co.stepper(heavy_top(), method, 0.125), np.eye(6), []
         for k, x in enumerate(co.integrate(heavy_top(), UPRIGHT, (0, 2), 0.125, method).x[:-1]):
             product = step.tangent(x) @ product
@@ -377,6 +377,6 @@ def test_they_show_themselves_in_one_line():
     body = co.systems.rigid_body(inertia=(1, 2, 3))
     alone = co.lyapunov(body, (0.1, 1.0, 0.1), (0, 20), 0.1)
     assert repr(alone).startswith("<Lyapunov exponents until t = 20: ") and repr(alone).count("+-") == 3
-    crowd = co.lyapunov(body, [(0.1, 1.0, 0.1), (1.0, 0.1, 0.2)], (0, 20), 0.1)
-    assert repr(crowd).startswith("<Lyapunov exponents of 2 members until t = 20: the largest of each from ")
-    assert max(len(repr(alone)), len(repr(crowd))) < 140
+    ensemble = co.lyapunov(body, [(0.1, 1.0, 0.1), (1.0, 0.1, 0.2)], (0, 20), 0.1)
+    assert repr(ensemble).startswith("<Lyapunov exponents of 2 members until t = 20: the largest of each from ")
+    assert max(len(repr(alone)), len(repr(ensemble))) < 140

@@ -350,8 +350,8 @@ def test_modified_energy_of_a_solution():
         drifts = [np.ptp(run.modified_energy(order)) for order in (1, 2, 3, 4)]
         assert run.modified_energy(1) == pytest.approx(run.energy, rel=1e-15)
         assert all(later < 0.1 * drift for drift, later in pairwise(drifts))
-    crowd = co.integrate(system, [x0, x0[::-1]], (0, 1), 1 / 16, scheme)
-    assert crowd.modified_energy(3).shape == crowd.energy.shape
+    ensemble = co.integrate(system, [x0, x0[::-1]], (0, 1), 1 / 16, scheme)
+    assert ensemble.modified_energy(3).shape == ensemble.energy.shape
     others = [co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, m])) for m in (0.2, 0.7)]
     several = co.integrate(co.batch(others), x0, (0, 1), 1 / 16, scheme)
     for m, other in enumerate(others):

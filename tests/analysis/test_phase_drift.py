@@ -190,16 +190,16 @@ def test_a_line_of_either_sign_is_as_early_as_its_motion(body: co.LiePoissonSyst
 
 def test_one_reference_serves_all_members(body: co.LiePoissonSystem) -> None:
     span = (0.0, 200.0)
-    one, crowd = (co.integrate(body, x0, span, 0.1, COORDINATES, save_every=4) for x0 in (X0, [X0, X0]))
+    one, ensemble = (co.integrate(body, x0, span, 0.1, COORDINATES, save_every=4) for x0 in (X0, [X0, X0]))
     better = co.integrate(body, X0, span, 0.1, co.GaussLegendre(4), save_every=4)
     w = co.frequencies(better, 1, count=1).frequency[0]
-    alone, both = line_drift(one, w, better, signal=1), line_drift(crowd, w, better, signal=1)
+    alone, both = line_drift(one, w, better, signal=1), line_drift(ensemble, w, better, signal=1)
     for drift in both:
         assert drift.slope == pytest.approx(alone.slope, rel=1e-9)
-    leads = [co.phase_drift(crowd, better)[m].lead for m in (0, 1)]
+    leads = [co.phase_drift(ensemble, better)[m].lead for m in (0, 1)]
     assert np.array_equal(leads[0], leads[1]) and np.array_equal(leads[0], co.phase_drift(one, better).lead)
     with pytest.raises(ValueError, match="other members"):
-        line_drift(crowd, w, co.integrate(body, [X0] * 3, span, 0.1, save_every=4), signal=1)
+        line_drift(ensemble, w, co.integrate(body, [X0] * 3, span, 0.1, save_every=4), signal=1)
     with pytest.raises(TypeError, match="give a component or a function"):
         line_drift(one, w, signal="energy")
     with pytest.raises(ValueError, match=r"takes 501 of 501"):

@@ -82,18 +82,18 @@ def test_orthogonality_and_spatial_momentum_by_their_definitions():
 def test_what_is_no_ensemble_is_refused():
     body = co.systems.rigid_body(inertia=(1, 2, 3))
     alone = co.integrate(body, STARTS[0], (0, 1.0), 0.1, attitude=True)
-    crowd = co.integrate(body, STARTS, (0, 1.0), 0.1, attitude=True)
+    ensemble = co.integrate(body, STARTS, (0, 1.0), 0.1, attitude=True)
     with pytest.raises(ValueError, match="one trajectory"):
         round_off(alone)
     with pytest.raises(ValueError, match="not of an ensemble"):
         orthogonality(alone)
     with pytest.raises(ValueError, match="coadjoint"):
-        spatial_momentum(crowd)
+        spatial_momentum(ensemble)
     with pytest.raises(ValueError, match="coadjoint"):
         spatial_momentum(co.integrate(body, STARTS[0], (0, 1.0), 0.1, attitude="coadjoint"))
     for size in (0, 4):
         with pytest.raises(ValueError, match="size"):
-            orthogonality(crowd, size)
+            orthogonality(ensemble, size)
 
 
 def test_invariants_that_are_functions_are_relative_to_their_largest_value_of_each_member():

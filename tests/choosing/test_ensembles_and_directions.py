@@ -130,7 +130,7 @@ def test_refusal_names_an_attainable_accuracy(span, methods):
 FIELD = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([0.03, 0.02, 0.01], linear=[0.0, 0.0, 4.0]))
 
 
-def crowd_of(members, seed):
+def ensemble_of(members, seed):
     """Momenta of sizes from 0.01 to 10, some of them almost along a principal axis."""
     rng = np.random.default_rng(seed)
     found = rng.standard_normal((members, 3))
@@ -152,12 +152,12 @@ def tilted(members, seed):
 @pytest.mark.parametrize("span", [2.0, -2.0])
 def test_sample_has_the_largest_relative_errors(seed, span, system):
     """Errors from runs with 128 and 256 steps over the time in which the fastest member moves 16 sizes."""
-    crowd = crowd_of(23, seed) if system is BODY else tilted(23, seed)
-    sizes = np.linalg.norm(crowd, axis=1)
-    rate = max(np.linalg.norm(system.vector_field(x)) / size for x, size in zip(crowd, sizes, strict=True))
+    ensemble = ensemble_of(23, seed) if system is BODY else tilted(23, seed)
+    sizes = np.linalg.norm(ensemble, axis=1)
+    rate = max(np.linalg.norm(system.vector_field(x)) / size for x, size in zip(ensemble, sizes, strict=True))
     time = math.copysign(min(abs(span), 16.0 / rate), span)
     coarse, fine = (
-        co.integrate(system, crowd, (3.0, 3.0 + time), abs(time) / n, co.GaussLegendre(2), watch=False).x
+        co.integrate(system, ensemble, (3.0, 3.0 + time), abs(time) / n, co.GaussLegendre(2), watch=False).x
         for n in (128, 256)
     )
     errors = np.max(np.linalg.norm(coarse - fine[::2], axis=2), axis=0) / sizes
@@ -167,7 +167,7 @@ def test_sample_has_the_largest_relative_errors(seed, span, system):
     if system is FIELD:
         assert set(order[:3]) != set(np.argsort(-errors * sizes)[:3])
     expected = sorted({0, *order[:3].tolist()})
-    np.testing.assert_array_equal(sample_of(system, crowd, 3.0, span), crowd[expected])
+    np.testing.assert_array_equal(sample_of(system, ensemble, 3.0, span), ensemble[expected])
 
 
 @pytest.mark.parametrize("span", [1000.0, -1000.0, 1e-3])
@@ -180,9 +180,9 @@ def test_sample_is_screened_along_the_run(span, monkeypatch):
         return short_run(system, method, momenta, t0, time, steps)
 
     monkeypatch.setattr(sampling, "short_run", recorded)
-    crowd = crowd_of(9, 1)
-    sample_of(BODY, crowd, -2.5, span)
-    rate = max(np.linalg.norm(BODY.vector_field(x)) / np.linalg.norm(x) for x in crowd)
+    ensemble = ensemble_of(9, 1)
+    sample_of(BODY, ensemble, -2.5, span)
+    rate = max(np.linalg.norm(BODY.vector_field(x)) / np.linalg.norm(x) for x in ensemble)
     assert [(t0, steps) for t0, _, steps in seen] == [(-2.5, 128), (-2.5, 256)]
     for _, time, _ in seen:
         assert time == pytest.approx(math.copysign(min(abs(span), 16.0 / rate), span), rel=1e-12)
@@ -194,13 +194,13 @@ def test_pilot_of_an_ensemble_measures_its_worst_member(order, span):
     """Members of very different speeds, one at rest."""
     members = np.array([[3.0, 2.0, -2.5], [0.1, 0.05, 0.2], [0.0, 0.4, 0.0]])
     alone = [Pilot(BODY, x[None], 0.0, span) for x in members]
-    crowd = Pilot(BODY, members[list(order)], 0.0, span)
-    assert crowd.whole and all(pilot.whole for pilot in alone)
-    assert crowd.natural_step == min(pilot.natural_step for pilot in alone)
-    assert crowd.speed == pytest.approx(max(pilot.speed for pilot in alone), rel=1e-12)
-    np.testing.assert_allclose(crowd.size, [alone[k].size[0] for k in order], rtol=1e-14)
+    ensemble = Pilot(BODY, members[list(order)], 0.0, span)
+    assert ensemble.whole and all(pilot.whole for pilot in alone)
+    assert ensemble.natural_step == min(pilot.natural_step for pilot in alone)
+    assert ensemble.speed == pytest.approx(max(pilot.speed for pilot in alone), rel=1e-12)
+    np.testing.assert_allclose(ensemble.size, [alone[k].size[0] for k in order], rtol=1e-14)
     for method in (co.GaussLegendre(2), co.Splitting(order=2)):
-        together, trials = crowd.trial(method, 48), [pilot.trial(method, 48) for pilot in alone]
+        together, trials = ensemble.trial(method, 48), [pilot.trial(method, 48) for pilot in alone]
         np.testing.assert_allclose(together.growth, np.max([trial.growth for trial in trials], axis=0), rtol=1e-6)
         for name in ("iterations", "evaluations"):
             of_each = [getattr(trial, name) for trial in trials]
@@ -220,8 +220,8 @@ def test_sensitivity_is_that_of_the_worst_member():
 
 @pytest.mark.parametrize("members", [MIN_LANE_MEMBERS - 1, MIN_LANE_MEMBERS])
 def test_lanes_make_splittings_cheaper(members):
-    crowd = np.tile(X0, (members, 1))
-    many, one = (co.choose(BODY, x0, SPAN, 1e-6, methods=co.Splitting(order=6)) for x0 in (crowd, X0))
+    ensemble = np.tile(X0, (members, 1))
+    many, one = (co.choose(BODY, x0, SPAN, 1e-6, methods=co.Splitting(order=6)) for x0 in (ensemble, X0))
     assert many.step == one.step
     if members < MIN_LANE_MEMBERS:
         assert many.cost == pytest.approx(one.cost)

@@ -57,12 +57,12 @@ def test_reference_is_the_exact_motion(t0, span):
 @pytest.mark.parametrize("span", [0.5, -0.5])
 def test_choice_depends_on_the_time(t0, span):
     """The clock is seven times as fast at t = 2 as at 0, and 20 times as slow at -3."""
-    crowd = np.array([[1.0, 1e-6, 1e-6], [1e-6, 1e-6, 2.0], *np.outer([0.1, 0.2, 0.9, 1.0, 0.3], X0)])
+    ensemble = np.array([[1.0, 1e-6, 1e-6], [1e-6, 1e-6, 2.0], *np.outer([0.1, 0.2, 0.9, 1.0, 0.3], X0)])
     for method in (co.GaussLegendre(4), co.GaussLegendre(2)):
-        choice = co.choose(SYSTEM, crowd, (t0, t0 + span), 1e-8, methods=method)
-        ends = co.integrate(SYSTEM, crowd, (t0, t0 + span), choice.step, method, watch=False).x[-1]
-        errors = [np.linalg.norm(end - exact(t0, t0 + span, x)) for end, x in zip(ends, crowd, strict=True)]
-        relative = np.max(errors / np.linalg.norm(crowd, axis=1))
+        choice = co.choose(SYSTEM, ensemble, (t0, t0 + span), 1e-8, methods=method)
+        ends = co.integrate(SYSTEM, ensemble, (t0, t0 + span), choice.step, method, watch=False).x[-1]
+        errors = [np.linalg.norm(end - exact(t0, t0 + span, x)) for end, x in zip(ends, ensemble, strict=True)]
+        relative = np.max(errors / np.linalg.norm(ensemble, axis=1))
         assert relative <= 1e-8
         # Not by far more steps than are needed: with 60 % of them the error is above the accuracy.
         assert relative > 1e-8 * 0.6 ** (2 * method.order) or choice.step == abs(span)
@@ -71,13 +71,13 @@ def test_choice_depends_on_the_time(t0, span):
 @pytest.mark.parametrize("sizes", [(1.0, 1e-3), (1e3, 1.0), (1.0, 1e-6, 30.0)])
 def test_errors_are_relative_to_each_member(sizes):
     """All but the second rest on an axis, whatever their size."""
-    crowd = np.array([[size, 0.0, 0.0] for size in sizes])
-    crowd[1] = sizes[1] * X0
+    ensemble = np.array([[size, 0.0, 0.0] for size in sizes])
+    ensemble[1] = sizes[1] * X0
     stiff = co.systems.rigid_body(sizes[1] / MASSES)
-    pilot = Pilot(stiff, crowd, 0.0, 1.5)
+    pilot = Pilot(stiff, ensemble, 0.0, 1.5)
     steps = pilot.fitting(pilot.window / pilot.natural_step * 2)
-    run = co.integrate(stiff, crowd[1], (0.0, pilot.window), pilot.window / steps, GaussLegendre(2))
-    apart = np.linalg.norm(run.x - stiff.exact(crowd[1], run.t), axis=1) / np.linalg.norm(crowd[1])
+    run = co.integrate(stiff, ensemble[1], (0.0, pilot.window), pilot.window / steps, GaussLegendre(2))
+    apart = np.linalg.norm(run.x - stiff.exact(ensemble[1], run.t), axis=1) / np.linalg.norm(ensemble[1])
     assert apart[-1] * 0.999 <= pilot.trial(GaussLegendre(2), steps).error <= apart.max() * 1.001
 
 
@@ -92,11 +92,11 @@ def test_sample_contains_the_hardest_members(span, members):
     """The larger a momentum is, the faster it turns. Of many members only some are compared."""
     rng = np.random.default_rng(4)
     sizes = rng.permutation(np.linspace(0.1, 3.0, members))
-    crowd = sizes[:, None] * X0
+    ensemble = sizes[:, None] * X0
     compared = np.unique(np.linspace(0, members - 1, min(members, 256)).round().astype(int))
     hardest = set(compared[np.argsort(-sizes[compared])[:2]].tolist())
-    found = sample_of(BODY, crowd, 0.0, span)
-    chosen = {int(np.flatnonzero(np.all(crowd == x, axis=1))[0]) for x in found}
+    found = sample_of(BODY, ensemble, 0.0, span)
+    chosen = {int(np.flatnonzero(np.all(ensemble == x, axis=1))[0]) for x in found}
     assert 0 in chosen and chosen >= hardest
 
 

@@ -126,12 +126,12 @@ def test_few_tolerances_are_tried_where_all_fail(monkeypatch):
 def test_schemes_spoiled_by_rounding_do_not_win():
     """Splittings without compensation are cheaper in ensembles, and lose too many digits."""
     body = co.systems.rigid_body(inertia=(1, 2, 3))
-    crowd = np.array((1.0, 0.2, 0.5)) * (1.0 + 0.01 * np.random.default_rng(0).standard_normal((40, 3)))
+    ensemble = np.array((1.0, 0.2, 0.5)) * (1.0 + 0.01 * np.random.default_rng(0).standard_normal((40, 3)))
     plain = [co.Splitting(order=p, compensated=False) for p in (10, 8)]
-    choice = co.choose(body, crowd, (0.0, 300.0), 1e-12, methods=[*OWN, *plain])
+    choice = co.choose(body, ensemble, (0.0, 300.0), 1e-12, methods=[*OWN, *plain])
     assert choice.method.own_steps
     with pytest.raises(ValueError, match="float64"):
-        co.choose(body, crowd, (0.0, 300.0), 1e-12, methods=plain)
+        co.choose(body, ensemble, (0.0, 300.0), 1e-12, methods=plain)
 
 
 def test_accurate_first_trial_is_not_repeated():

@@ -156,7 +156,7 @@ def written(tmp_path, x, system='{name = "sphere_euler", parameters = {N = 4}}',
 def test_matrix_states_in_configurations(tmp_path, monkeypatch):
     W = state_of(SPHERE)
     np.save(tmp_path / "w.npy", W)
-    np.save(tmp_path / "crowd.npy", [W, 2 * W])
+    np.save(tmp_path / "ensemble.npy", [W, 2 * W])
     wanted = co.integrate(SPHERE, W, (0, 1), 0.125)
     pairs = np.stack([W.real, W.imag], axis=-1).tolist()
     monkeypatch.chdir(tmp_path.parent)  # paths are relative to the configuration
@@ -164,8 +164,8 @@ def test_matrix_states_in_configurations(tmp_path, monkeypatch):
         configuration = load(written(tmp_path, x))
         assert isinstance(configuration.method, co.IsospectralGauss)
         assert np.array_equal(configuration.integrate().x, wanted.x)
-    crowd = load(written(tmp_path, '"crowd.npy"')).integrate()
-    assert np.array_equal(crowd.x[:, 0], wanted.x) and crowd.x.shape == (9, 2, 4, 4)
+    ensemble = load(written(tmp_path, '"ensemble.npy"')).integrate()
+    assert np.array_equal(ensemble.x[:, 0], wanted.x) and ensemble.x.shape == (9, 2, 4, 4)
     many = load(written(tmp_path, str([pairs, pairs])))
     assert np.array_equal(many.integrate().x[:, 1], wanted.x)
     body = co.systems.matrix_body((1.0, 2.0, 4.0))

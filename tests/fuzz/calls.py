@@ -21,7 +21,7 @@ from coadjoint.files.datasets.export import rebuild
 from coadjoint.files.output.output_files import check_target
 from coadjoint.short_repr import short
 from hostile_values import HOSTILE
-from test_hostile_input import ALONG, BODY, CALLS, CROWD, FORCED, LONG, SAMPLED, SO3, STEP, TURNING, P, X
+from test_hostile_input import ALONG, BODY, CALLS, ENSEMBLE, FORCED, LONG, SAMPLED, SO3, STEP, TURNING, P, X
 
 from .folder import make
 from .judging import TooLong, wrong_error, wrong_warning
@@ -48,7 +48,7 @@ OBJECTS = {
     "a forced system": FORCED,
     "a batch": BATCH,
     "a solution": LONG,
-    "a crowd": CROWD,
+    "an ensemble": ENSEMBLE,
     "with attitude": ALONG,
     "with events": WITH_EVENTS,
     "a flow": FLOW,

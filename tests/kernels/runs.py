@@ -13,11 +13,11 @@ from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.kernels.tables.runge_kutta import RUNGE_KUTTA_LOOP, runge_kutta_tables
 
 STATE = ("momenta", "errors", "groups", "group_errors", "memory")
-PADDING = 32  # no crowd has more lanes on any processor
+PADDING = 32  # no ensemble has more lanes on any processor
 
 
 def begin(systems, method, x0, h, steps, representation=None, fractions=(1.0,)):
-    """Return a crew of members that start at x0 (members, n), each with a system of its own or all with one, and what
+    """Return a batch of members that start at x0 (members, n), each with a system of its own or all with one, and what
     it is given: layout and schedule, blocks of arrays; and what these need to be kept alive.
     """
     found = [runge_kutta_tables(system, method, representation, fractions) for system in systems]

@@ -1,4 +1,4 @@
-"""The compiled flow of bonds: against the closed form, what it keeps, crowds, tangents, and any representation."""
+"""The compiled flow of bonds: against the closed form, what it keeps, ensembles, tangents, and any representation."""
 
 import numpy as np
 import pytest
@@ -89,7 +89,7 @@ def test_total_spin_and_lengths_are_kept(system, order, compensated):
 
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("system", LATTICES, ids=["graph", "field", "ring", "stretched"])
-def test_crowds_have_the_bits_of_each_member_alone(system):
+def test_ensembles_have_the_bits_of_each_member_alone(system):
     rng = np.random.default_rng(5)
     x0 = rng.standard_normal((19, system.dim))
     x0[3], x0[4], x0[5] = 0.0, 1e-200 * x0[4], 30.0 * x0[5]

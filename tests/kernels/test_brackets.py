@@ -1,4 +1,4 @@
-"""Small algebras have their stages in registers; in a crowd they are read from tables."""
+"""Small algebras have their stages in registers; in an ensemble they are read from tables."""
 
 import numpy as np
 import pytest
@@ -29,14 +29,14 @@ SYSTEMS = {
 @pytest.mark.thinned(6)
 @pytest.mark.parametrize("stages", [2, 3, 4, 7, 8, 11, 16, 17])
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_one_trajectory_has_the_bits_of_a_crowd(name: str, stages: int) -> None:
+def test_one_trajectory_has_the_bits_of_an_ensemble(name: str, stages: int) -> None:
     x0 = np.random.default_rng(stages).normal(size=(5, SYSTEMS[name].dim))
     x0[1, 2] = 0.0
     attitude = "coadjoint" if stages < 8 else False
     run = {"t_span": (0.0, 3.0), "step": 0.1, "method": co.GaussLegendre(stages), "attitude": attitude, "threads": 1}
-    crowd = co.integrate(SYSTEMS[name], x0, **run)
+    ensemble = co.integrate(SYSTEMS[name], x0, **run)
     for member, start in enumerate(x0):
         alone = co.integrate(SYSTEMS[name], start, **run)
-        assert alone.x.tobytes() == np.ascontiguousarray(crowd.x[:, member]).tobytes()
+        assert alone.x.tobytes() == np.ascontiguousarray(ensemble.x[:, member]).tobytes()
         if attitude:
-            assert alone.attitude.tobytes() == np.ascontiguousarray(crowd.attitude[:, member]).tobytes()
+            assert alone.attitude.tobytes() == np.ascontiguousarray(ensemble.attitude[:, member]).tobytes()

@@ -1,4 +1,4 @@
-"""Rows that only rotate and shear are read ahead of the steps: the bits of reading the tables, alone and in a crowd."""
+"""Rows that only rotate and shear are read ahead of the steps: the bits of reading tables, alone and in an ensemble."""
 
 from __future__ import annotations
 
@@ -74,11 +74,11 @@ def test_rows_read_ahead_have_the_bits_of_the_tables(monkeypatch, name, attitude
     def run(x):
         return co.integrate(system, x, span, h, method, attitude=attitude, save_every=4, threads=1)
 
-    ahead, crowd = run(x0), run(np.tile(x0, (5, 1)))
+    ahead, ensemble = run(x0), run(np.tile(x0, (5, 1)))
     monkeypatch.setattr(flow, "flow_tables", read_row_by_row)
     by_row = run(x0)
     for field in ("x", "energy", *(["attitude"] if attitude else [])):
         found = getattr(ahead, field)
         assert np.array_equal(found, getattr(by_row, field))
-        assert np.array_equal(found, getattr(crowd, field)[:, 4])
+        assert np.array_equal(found, getattr(ensemble, field)[:, 4])
     assert ahead.stats.evaluations == by_row.stats.evaluations

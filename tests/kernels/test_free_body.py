@@ -52,9 +52,9 @@ def test_a_step_of_any_length_is_the_closed_form_in_every_order_and_sign(name):
     m, x0 = (np.array(values) for values in STATES[name])
     for order in ORDERS:
         own, start = m[list(order)], x0[list(order)]
-        crowd = start * np.array(SIGNS)
+        ensemble = start * np.array(SIGNS)
         for sign, h in ((-1, 0.03), (-1, 2.0), (1, 7.0), (-1, -11.0)):
-            found = co.integrate(body(own, sign), crowd, (0.0, h), abs(h), free_body(), attitude=True)
+            found = co.integrate(body(own, sign), ensemble, (0.0, h), abs(h), free_body(), attitude=True)
             # 1/8 radian of nonlinear motion is a piece, with some 2^5 roundings; what they move grows with the phase.
             pieces = 1.0 + np.ptp(own) * np.linalg.norm(x0) * abs(h) * 8.0
             phase = 1.0 + np.abs(own).max() * np.linalg.norm(x0) * abs(h)
@@ -62,7 +62,7 @@ def test_a_step_of_any_length_is_the_closed_form_in_every_order_and_sign(name):
             # Near a separatrix, exp(lam t) amplifies rounding, until |x|^2/gap.
             lam = np.ptp(own) * np.linalg.norm(x0) / 2.0
             bound *= np.exp(lam * abs(h)) if "gap" in name or "axis" in name or "separatrix" in name else 1.0
-            for k, state in enumerate(crowd):
+            for k, state in enumerate(ensemble):
                 x, A = exact_solution(own, sign, state, h, True)
                 assert np.abs(found.x[-1, k] - x).max() <= bound * np.linalg.norm(x0), (order, k, h)
                 assert np.abs(found.attitude[-1, k] - A).max() <= bound, (order, k, h)
@@ -114,7 +114,7 @@ def tops():
 
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("system", list(tops()), ids=lambda system: system.name)
-def test_crowds_have_the_bits_of_each_member_alone(system):
+def test_ensembles_have_the_bits_of_each_member_alone(system):
     rng = np.random.default_rng(5)
     x0 = rng.standard_normal((37, system.dim))
     x0[3], x0[4], x0[5], x0[6] = 0.0, 1e-200 * x0[4], 3.0 * x0[5], [*([0.0, 1.0, 0.0] * 2)][: system.dim]

@@ -80,7 +80,7 @@ RUNS = {
         "co.lyapunov(body, y, (0, 1e8), 0.001, co.GaussLegendre(2), save_every=10**10)",
         "co.GaussLegendre(2)",
     ),
-    "tangent vectors of a crowd": (
+    "tangent vectors of an ensemble": (
         "co.lyapunov(body, wide, (0, 1e6), 0.01, co.Splitting(order=2), save_every=10**10, threads=2)",
         "co.Splitting(order=2)",
     ),
@@ -143,7 +143,7 @@ def test_no_memory_is_said_and_does_not_end_the_process(monkeypatch):
 
 @pytest.mark.long
 def test_what_does_not_settle_ends():
-    """Nobody of a block settles in the momentum: the group iteration has nobody to go for, alone and in a crowd."""
+    """Nobody of a block settles in the momentum: the group iteration has nobody to go for, alone and in an ensemble."""
     script = """
 import numpy as np, coadjoint as co
 x = np.array([[5., 5.005, 5.01], [5.015, 5.02, 5.025], [5.03, 5.035, 5.04]])

@@ -61,8 +61,8 @@ def test_it_runs_as_its_reading_says(step):
     sol = co.integrate(system, x0, (0, 1), 0.1, scheme(0.5))
     python = co.integrate(system, x0, (0, 1), 0.1, Relaxed(0.5))
     assert np.max(np.abs(sol.x - python.x)) < 1e-14 and sol.stats.evaluations == 10
-    crowd = co.integrate(system, np.stack([x0, 2 * x0, -x0]), (0, 1), 0.1, scheme(0.5), threads=2)
-    assert np.array_equal(crowd.x[:, 0], sol.x)
+    ensemble = co.integrate(system, np.stack([x0, 2 * x0, -x0]), (0, 1), 0.1, scheme(0.5), threads=2)
+    assert np.array_equal(ensemble.x[:, 0], sol.x)
     ready = co.prepare(system, scheme(0.5), 0.1, inputs=True)
     other = co.LiePoissonSystem(system.algebra, co.Quadratic(np.diag(np.arange(1.0, 7)) + 0.1, x0))
     assert np.array_equal(ready.run(x0, (0, 1), linear=x0).x, co.integrate(other, x0, (0, 1), 0.1, scheme(0.5)).x)
@@ -333,10 +333,10 @@ def test_steps_of_its_own(tmp_path, monkeypatch):
                 x, since = x + length * slope, since + length
 
     body, method = co.systems.rigid_body(inertia=(2, 3, 4)), OwnLengths()
-    crowd = np.array([[0.6, 0.3, 0.8], [1.2, -0.6, 0.1], [0.1, 0.2, 0.3]])
+    ensemble = np.array([[0.6, 0.3, 0.8], [1.2, -0.6, 0.1], [0.1, 0.2, 0.3]])
     for end in (2.0, -2.0):
-        every = co.integrate(body, crowd, (0, end), 0.125, method, threads=1)
-        for m, x0 in enumerate(crowd):
+        every = co.integrate(body, ensemble, (0, end), 0.125, method, threads=1)
+        for m, x0 in enumerate(ensemble):
             alone = co.integrate(body, x0, (0, end), 0.125, method)
             assert np.array_equal(alone.x, every.x[:, m])
             read = np.array([method.step(body, x0, 0.0, t) for t in alone.t[1:]])
@@ -345,4 +345,4 @@ def test_steps_of_its_own(tmp_path, monkeypatch):
             for step, save_every, watch in ((0.125, 5, True), (0.125, 16, False), (2.0, 1, True), (2.0**-9, 64, False)):
                 sol = co.integrate(body, x0, (0, end), step, method, save_every=save_every, watch=watch)
                 assert np.array_equal(sol.x[-1], alone.x[-1]) and sol.stats.evaluations == alone.stats.evaluations
-        assert np.array_equal(co.integrate(body, crowd, (0, end), 0.125, method, threads=2).x, every.x)
+        assert np.array_equal(co.integrate(body, ensemble, (0, end), 0.125, method, threads=2).x, every.x)

@@ -311,7 +311,7 @@ def test_the_attitude_goes_with_the_hamiltonian_part(attitude):
 
 
 @pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2), co.Taylor(4)], ids=str)
-def test_the_same_bits_alone_in_a_crowd_on_threads_and_cut(method):
+def test_the_same_bits_alone_in_an_ensemble_on_threads_and_cut(method):
     system = SYSTEMS["e(3)"]
     bath = co.forces.HeatBath(0.2, positive(6, 3), temperature=0.1, seed=11)
     forced = system.with_forces(co.forces.LinearDamping(0.05), bath)
@@ -382,10 +382,10 @@ def test_what_makes_no_sense_is_refused_by_name():
     ):
         with pytest.raises(TypeError, match="rigid_body with LinearDamping has forces"):
             ask()
-    crowd = co.integrate(damped, [x0, x0], (0, 2), 0.125, attitude="coadjoint")
+    ensemble = co.integrate(damped, [x0, x0], (0, 2), 0.125, attitude="coadjoint")
     for judge in (round_off, spatial_momentum):
         with pytest.raises(TypeError, match="has forces, which change its invariants"):
-            judge(crowd)
+            judge(ensemble)
     with pytest.raises(TypeError, match="no closed form is known for rigid_body with LinearDamping"):
         damped.exact(x0, 1.0)
     with pytest.raises(TypeError, match="is applied by runs"):

@@ -1,4 +1,4 @@
-"""Isospectral Gauss methods: the compiled step against its formula, the spectrum, far steps, crowds, reversal."""
+"""Isospectral Gauss methods: the compiled step against its formula, the spectrum, far steps, ensembles, reversal."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def test_the_spectrum_stays(n: int, steps: int) -> None:
 
 @pytest.mark.parametrize("stages", [1, 2])
 @pytest.mark.parametrize("name", ["sphere 8", "torus 9", "so(4)"])
-def test_a_member_is_the_same_alone_and_in_a_crowd(name: str, stages: int) -> None:
+def test_a_member_is_the_same_alone_and_in_an_ensemble(name: str, stages: int) -> None:
     """Bit for bit, on one thread and on two; one that fails leaves the others alone."""
     system = SYSTEMS[name]()
     W = start(system, members=3)
@@ -130,10 +130,10 @@ def test_a_member_is_the_same_alone_and_in_a_crowd(name: str, stages: int) -> No
     given = {"t_span": (0, 20 * h), "step": h, "method": co.IsospectralGauss(stages)}
     with pytest.raises(co.IntegrationError) as raised:
         co.integrate(system, W, threads=2, **given)
-    crowd = raised.value.partial
-    assert list(crowd.failed) == [False, True, False]
+    ensemble = raised.value.partial
+    assert list(ensemble.failed) == [False, True, False]
     for k in (0, 2):
-        assert np.array_equal(crowd.x[:, k], co.integrate(system, W[k], **given).x)
+        assert np.array_equal(ensemble.x[:, k], co.integrate(system, W[k], **given).x)
 
 
 @pytest.mark.thinned(6)

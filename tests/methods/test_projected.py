@@ -1,4 +1,4 @@
-"""Any scheme, projected: steps of every family, alone, in crowds and batches, and what comes out of the base."""
+"""Any scheme, projected: steps of every family, alone, in ensembles and batches, and what comes out of the base."""
 
 import dataclasses
 from fractions import Fraction
@@ -189,11 +189,11 @@ def test_what_a_base_in_python_raises_comes_out_and_leaves_nothing():
         def step(self, system, x, t, h):
             return x + h * system.vector_field(x, t)
 
-    crowd = start_of(E3) * np.array([1.0, 0.5, 0.8])[:, None]
+    ensemble = start_of(E3) * np.array([1.0, 0.5, 0.8])[:, None]
     for _ in range(2):
         with pytest.raises(LookupError, match=r"nothing is known at t = 0\.6"):
-            co.integrate(E3, crowd, (0, 2), 0.1, co.Projected(Failing()), threads=2)
-        sol = co.integrate(E3, crowd, (0, 2), 0.1, co.Projected(Rough()), threads=2)
+            co.integrate(E3, ensemble, (0, 2), 0.1, co.Projected(Failing()), threads=2)
+        sol = co.integrate(E3, ensemble, (0, 2), 0.1, co.Projected(Rough()), threads=2)
         assert max(np.max(drift.members) for drift in sol.drift().values()) < 1e-14
 
 

@@ -105,12 +105,12 @@ def test_the_order_is_that_of_the_base_in_the_stride(name):
 def test_no_bit_depends_on_how_one_looks_or_on_company(name):
     system, base, speed = CASES[name]
     method, span = co.ReversibleSteps(base, 0.125, speed), (0.0, 6.0)
-    crowd = STATES[:, : system.dim]
-    whole = co.integrate(system, crowd, span, 0.125, method)
-    assert np.array_equal(co.integrate(system, crowd, span, 0.125, method, save_every=8, watch=False).x, whole.x[::8])
-    assert np.array_equal(co.integrate(system, crowd, span, 1.5, method, threads=2).x, whole.x[::12])
+    states = STATES[:, : system.dim]
+    whole = co.integrate(system, states, span, 0.125, method)
+    assert np.array_equal(co.integrate(system, states, span, 0.125, method, save_every=8, watch=False).x, whole.x[::8])
+    assert np.array_equal(co.integrate(system, states, span, 1.5, method, threads=2).x, whole.x[::12])
     for member in (0, 3):
-        assert np.array_equal(co.integrate(system, crowd[member], span, 0.125, method).x, whole.x[:, member])
+        assert np.array_equal(co.integrate(system, states[member], span, 0.125, method).x, whole.x[:, member])
 
 
 def test_the_group_element_goes_with_the_steps():
@@ -236,20 +236,20 @@ def test_a_file_and_a_dataset_run_it_again(tmp_path):
 @pytest.mark.parametrize("base", [co.Splitting(order=2), co.GaussLegendre(2)], ids=str)
 def test_prepared_runs_batches_and_ensembles(base):
     method = co.ReversibleSteps(base, 0.1)
-    crowd = np.random.default_rng(3).uniform(0.2, 1.0, (9, 3))
+    states = np.random.default_rng(3).uniform(0.2, 1.0, (9, 3))
     bodies = co.batch([co.systems.rigid_body(inertia=(1.5, 2.0, 2.25 + 0.125 * k)) for k in range(9)])
     for end in (4.0, -4.0):
-        batch = co.integrate(bodies, crowd, (0, end), 0.25, method, threads=2, attitude=True)
+        batch = co.integrate(bodies, states, (0, end), 0.25, method, threads=2, attitude=True)
         ready = co.prepare(bodies, method, 0.25, attitude=True)
-        ready.run(crowd[::-1], (0, end))
-        assert np.array_equal(ready.run(crowd, (0, end)).x, batch.x)
+        ready.run(states[::-1], (0, end))
+        assert np.array_equal(ready.run(states, (0, end)).x, batch.x)
         for m in (0, 4, 8):
-            alone = co.integrate(bodies[m], crowd[m], (0, end), 0.25, method, attitude=True)
+            alone = co.integrate(bodies[m], states[m], (0, end), 0.25, method, attitude=True)
             assert np.array_equal(batch.x[:, m], alone.x) and np.array_equal(batch.attitude[:, m], alone.attitude)
-            end_alone = co.prepare(bodies[m], method, 0.25).end(crowd[m], (0, end))
+            end_alone = co.prepare(bodies[m], method, 0.25).end(states[m], (0, end))
             assert np.array_equal(end_alone, alone.x[-1])
-    ensemble = co.integrate(BODY, crowd, (0, 4), 0.25, method, threads=2)
-    assert np.array_equal(ensemble.x[:, 5], co.integrate(BODY, crowd[5], (0, 4), 0.25, method).x)
+    ensemble = co.integrate(BODY, states, (0, 4), 0.25, method, threads=2)
+    assert np.array_equal(ensemble.x[:, 5], co.integrate(BODY, states[5], (0, 4), 0.25, method).x)
 
 
 @pytest.mark.parametrize("h", [0.75, -0.75])

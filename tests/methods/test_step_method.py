@@ -377,6 +377,21 @@ def test_a_step_that_is_no_state_is_refused_by_name():
             co.integrate(SYSTEMS["so(3)"], (1, 0, 0), (0, 1), 0.1, Short(kind))
 
 
+@pytest.mark.filterwarnings("ignore:the steps of")
+def test_a_step_that_reads_what_matrices_do_not_have_is_refused_with_advice():
+    system = co.systems.torus_euler(N=3)
+    with pytest.raises(TypeError, match=r"OwnKahan reads system\.jacobian, which torus_euler .*in `properties`"):
+        co.integrate(system, system.random(1, degrees=(1, 1)), (0, 1), 0.1, OwnKahan())
+
+    @dataclasses.dataclass(frozen=True)
+    class Mistaken(OwnKahan):
+        def step(self, system, x, t, h):
+            return self.no_field * x
+
+    with pytest.raises(AttributeError, match="no_field"):
+        co.integrate(SYSTEMS["so(3)"], (1, 0, 0), (0, 1), 0.1, Mistaken())
+
+
 def test_a_step_that_leaves_the_numbers_fails_alone():
     """Forward steps of a growing member overflow; the others go on, with their bits."""
     system = SYSTEMS["so(4), cubic"]

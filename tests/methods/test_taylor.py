@@ -188,8 +188,8 @@ def test_terms_of_a_gradient_may_cancel(method, size):
         moved = [error / np.linalg.norm(C.gradient(x)) for error, x in zip(rounding, sol.x, strict=True)]
         assert np.max(np.abs(sol.x[-1] - exact)) < 2 * max(moved)
         assert sol.drift()["C3"] < 2 * max(rounding)
-        crowd = co.integrate(system, np.array([x0, 0.5 * x0, x0]), (0.0, 8.0), 1 / 16, method, save_every=128)
-        assert np.array_equal(crowd.x[-1, [0, 2]], sol.x[[-1, -1]])
+        ensemble = co.integrate(system, np.array([x0, 0.5 * x0, x0]), (0.0, 8.0), 1 / 16, method, save_every=128)
+        assert np.array_equal(ensemble.x[-1, [0, 2]], sol.x[[-1, -1]])
         for x in sol.x[80:128:8]:
             # Here the reading and the loops differ by no more than a defect that both take for rounding.
             read, found = method.step(system, x, 0.0, 1 / 16), one_step(system, method, x, 1 / 16)

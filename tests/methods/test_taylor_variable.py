@@ -248,10 +248,10 @@ def test_a_motion_that_ends_is_refused_by_its_time():
             assert failure.value.step == 5 and failure.value.time == sign
     with pytest.raises(co.IntegrationError, match="blows up"):
         co.Taylor(tolerance=1e-9).step(system, np.array([0.0, 1.0]), 0.0, 2.0 * sign)
-    crowd = np.array([[0.0, 0.01], [0.0, 1.0], [0.0, 0.02]])
+    ensemble = np.array([[0.0, 0.01], [0.0, 1.0], [0.0, 0.02]])
     with pytest.raises(co.IntegrationError, match="for 1 of 3 members") as failure:
-        co.integrate(system, crowd, (0.0, 5.0 * sign), 0.25, co.Taylor(tolerance=1e-9))
-    exact = crowd[::2, 1] / (1.0 - 5.0 * crowd[::2, 1])
+        co.integrate(system, ensemble, (0.0, 5.0 * sign), 0.25, co.Taylor(tolerance=1e-9))
+    exact = ensemble[::2, 1] / (1.0 - 5.0 * ensemble[::2, 1])
     assert np.max(np.abs(failure.value.partial.x[-1, ::2, 1] - exact)) < 1e-9
 
 

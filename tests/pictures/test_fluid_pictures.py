@@ -289,7 +289,7 @@ def test_small_matrices_rest_and_backward_spans_are_drawn(size):
         ]
 
 
-def test_large_crowds_of_matrices_are_not_copied(ball):
+def test_large_ensembles_of_matrices_are_not_copied(ball):
     drawn = PlottedRun(ball)
     assert np.shares_memory(drawn.x, ball.x)
     assert drawn.state(3).shape == (16, 16) and np.array_equal(drawn.state(3), ball.x[3])

@@ -149,8 +149,8 @@ def test_other_sizes_than_the_gallerys_are_drawn(system):
     figure = co.integrate(system, x0, (0.0, -0.5), 0.1).plot()
     assert len(figure.axes) >= 2 and len(figure.axes[1].lines) > 0
     if system.dim > 3:  # surfaces take time
-        crowd = co.integrate(system, np.stack([x0, 1.1 * x0]), (0.0, 0.5), 0.1).plot()
-        assert "2 members" in crowd.get_suptitle()
+        ensemble = co.integrate(system, np.stack([x0, 1.1 * x0]), (0.0, 0.5), 0.1).plot()
+        assert "2 members" in ensemble.get_suptitle()
 
 
 def test_lagranges_top_turns_as_its_momenta_say():

@@ -224,14 +224,14 @@ def test_the_command_refuses_before_the_run(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.long
-def test_a_crowd_shows_its_first_member(tmp_path):
+def test_an_ensemble_shows_its_first_member(tmp_path):
     s = co.systems.sphere_euler(N=6)
-    crowd = np.stack([s.random(seed, degrees=(2, 3)) for seed in (1, 2)])
-    run = co.integrate(s, crowd, (0.0, 0.5), 0.1, co.IsospectralGauss())
-    single = co.integrate(s, crowd[0], (0.0, 0.5), 0.1, co.IsospectralGauss())
-    for name, each in (("crowd", run), ("one", single)):
+    ensemble = np.stack([s.random(seed, degrees=(2, 3)) for seed in (1, 2)])
+    run = co.integrate(s, ensemble, (0.0, 0.5), 0.1, co.IsospectralGauss())
+    single = co.integrate(s, ensemble[0], (0.0, 0.5), 0.1, co.IsospectralGauss())
+    for name, each in (("ensemble", run), ("one", single)):
         each.movie(tmp_path / f"{name}.gif", frames=2, **SMALL)
-    assert (tmp_path / "crowd.gif").read_bytes() == (tmp_path / "one.gif").read_bytes()
+    assert (tmp_path / "ensemble.gif").read_bytes() == (tmp_path / "one.gif").read_bytes()
 
 
 class Solid:

@@ -102,7 +102,7 @@ def other_schemes() -> Sequence[Any]:
     return [method for scheme in classes if scheme not in DRAWN for method in scheme.examples()]
 
 
-def crowd(rng: np.random.Generator, members: int, n: int) -> np.ndarray:
+def ensemble(rng: np.random.Generator, members: int, n: int) -> np.ndarray:
     """Return independent or neighbouring states, some at rest, some much larger than others."""
     states = 10.0 ** rng.choice([-3, 0, 0, 0, 1]) * rng.standard_normal((members, n))
     if rng.random() < 0.3:
@@ -146,7 +146,7 @@ def case_of(seed: int) -> tuple[Case, np.random.Generator]:
             own = systems[0].representation is not None and rng.random() < 0.5
             attitude = True if own else "coadjoint"
         save_every, watch = int(rng.choice([1, 1, 2, 3, 5, 7, 9, 13, 100])), bool(rng.random() < 0.6)
-        x0 = crowd(rng, members, n)
+        x0 = ensemble(rng, members, n)
         case = Case(systems, x0, (t0, end), step, method, attitude, save_every, watch)
         # A separate generator does not affect the draws above.
         return with_more(case, np.random.default_rng([seed, 1])), rng

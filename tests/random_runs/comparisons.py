@@ -148,17 +148,17 @@ def ended(case: Case, rng: np.random.Generator, expected: Result) -> Iterator[st
     chosen = int(rng.integers(len(case.events)))
     ending = dataclasses.replace(case.events[chosen], terminal=True)
     events = (*case.events[:chosen], ending, *case.events[chosen + 1 :])
-    crowd = run(case, events=events)
-    if crowd.failure is not None:
+    ensemble = run(case, events=events)
+    if ensemble.failure is not None:
         return
-    if differing(crowd, run(case, events=events, threads=3)):
+    if differing(ensemble, run(case, events=events, threads=3)):
         yield "ended by an event: other bits on threads"
     for m in sorted({0, len(case.x0) - 1, int(rng.integers(len(case.x0)))}):
-        at_end = crowd.crossings[m][crowd.crossings[m][:, 1] == chosen]
+        at_end = ensemble.crossings[m][ensemble.crossings[m][:, 1] == chosen]
         over = len(at_end) == ending.until
         alone = run(case, m, events=events)
         points = len(alone.arrays["x"]) - over
-        actual, second = crowd.crossings[m], expected.crossings[m]
+        actual, second = ensemble.crossings[m], expected.crossings[m]
         agree = same(alone.crossings[0], actual)
         if over:
             # No value of g follows the last step, which may show pairs of crossings that the full run misses.
@@ -168,7 +168,7 @@ def ended(case: Case, rng: np.random.Generator, expected: Result) -> Iterator[st
         if not agree or not same(second[: len(actual)], actual):
             yield f"ended by an event: other crossings of member {m}"
         for name in ("x", "energy"):
-            actual = crowd.arrays[name][:, m]
+            actual = ensemble.arrays[name][:, m]
             if not same(actual[:points], alone.arrays[name][:points, 0]) or not same(
                 actual[:points], expected.arrays[name][:points, m]
             ):
@@ -235,4 +235,4 @@ def differences(seed: int) -> Iterator[str]:
         yield from compared(f"member {m} alone", alone, failing=False, members=slice(m, m + 1))
         if count > 1 and (alone.failure is not None) != bool(np.isnan(expected.arrays["x"][-1, m]).any()):
             if not (alone.failure and "energy" in alone.failure[3]):
-                yield f"member {m} alone: failed as {alone.failure}, other than in the crowd"
+                yield f"member {m} alone: failed as {alone.failure}, other than in the ensemble"

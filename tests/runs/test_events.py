@@ -429,13 +429,13 @@ def test_group_elements_do_not_change_crossings(system):
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_failed_member_does_not_affect_the_others(monkeypatch, why, until, way):
     """Its states and crossings before the failure remain."""
-    crowd = np.array([[0.3, -1.0, 0.7], FLIPPING, [1.5, 0.25, 0.75]])
+    ensemble = np.array([[0.3, -1.0, 0.7], FLIPPING, [1.5, 0.25, 0.75]])
     terminal = {} if until is None else {"terminal": True, "count": until}
 
     def coordinate(x):
         return x[1]
 
-    given = BODY, crowd, (0, 40 * way), 0.125
+    given = BODY, ensemble, (0, 40 * way), 0.125
     whole = co.integrate(*given, events=co.Event(coordinate, name="g", **terminal))
     own = whole.events.t[whole.events.member == 1]
     step = int(np.floor(abs(own[1]) / 0.125))  # in which it crosses for the second time
@@ -491,6 +491,6 @@ def test_progress_of_a_run_with_events(capfd):
 
 def test_memory_for_events_is_estimated(monkeypatch):
     monkeypatch.setattr("coadjoint.memory.available", lambda: 10**8)
-    crowd = np.tile(FLIPPING, (200_000, 1))
+    ensemble = np.tile(FLIPPING, (200_000, 1))
     with pytest.raises(ValueError, match="events of 200000 members"):
-        co.integrate(BODY, crowd, (0, 0.125), 0.125, events=co.Event("x2"), save_every=1, watch=False)
+        co.integrate(BODY, ensemble, (0, 0.125), 0.125, events=co.Event("x2"), save_every=1, watch=False)

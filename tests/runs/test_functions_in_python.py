@@ -183,8 +183,8 @@ def test_tangents_in_python_per_member(way):
     together = co.lyapunov(co.batch(bodies), x0, *given)
     for m, body in enumerate(bodies):
         assert np.array_equal(together.exponents[m], co.lyapunov(body, x0[m], *given).exponents)
-        crowd = co.lyapunov(body, x0, *given)
-        assert np.array_equal(together.exponents[m], crowd.exponents[m])
+        ensemble = co.lyapunov(body, x0, *given)
+        assert np.array_equal(together.exponents[m], ensemble.exponents[m])
     assert len(np.unique(together.exponents)) == together.exponents.size
 
 

@@ -64,13 +64,13 @@ def test_saving_and_watching_do_not_change_bits(name, scheme):
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_members_and_threads_do_not_change_bits(name, scheme):
     s, method = SYSTEMS[name], SCHEMES[scheme]
-    crowd = np.random.default_rng(3).uniform(-1, 1, (7, s.dim))
-    one, two = (co.integrate(s, crowd, (0, 1), 0.125, method, threads=n, attitude="coadjoint") for n in (1, 2))
+    ensemble = np.random.default_rng(3).uniform(-1, 1, (7, s.dim))
+    one, two = (co.integrate(s, ensemble, (0, 1), 0.125, method, threads=n, attitude="coadjoint") for n in (1, 2))
     assert np.array_equal(one.x, two.x) and np.array_equal(one.attitude, two.attitude)
     assert np.array_equal(one.energy, two.energy)
     for member in (0, 3, 6):
-        np.testing.assert_allclose(one.x[1, member], method.step(s, crowd[member], 0.0, 0.125), rtol=1e-9, atol=1e-9)
-        alone = co.integrate(s, crowd[member], (0, 1), 0.125, method, attitude="coadjoint")
+        np.testing.assert_allclose(one.x[1, member], method.step(s, ensemble[member], 0.0, 0.125), rtol=1e-9, atol=1e-9)
+        alone = co.integrate(s, ensemble[member], (0, 1), 0.125, method, attitude="coadjoint")
         assert np.array_equal(alone.x, one.x[:, member]) and np.array_equal(alone.attitude, one.attitude[:, member])
         for key, drift in alone.drift().items():
             assert drift == one.drift()[key].members[member]
@@ -149,9 +149,9 @@ def test_unwatched_drift_is_over_saved_points():
 
 def test_drift_of_an_ensemble_per_member():
     s, x0 = e3_and_start()
-    crowd = np.stack([x0, 2 * x0, -x0])
-    drift = co.integrate(s, crowd, (0, 2), 0.125, save_every=5).drift()["energy"]
-    alone = [co.integrate(s, x, (0, 2), 0.125).drift()["energy"] for x in crowd]
+    ensemble = np.stack([x0, 2 * x0, -x0])
+    drift = co.integrate(s, ensemble, (0, 2), 0.125, save_every=5).drift()["energy"]
+    alone = [co.integrate(s, x, (0, 2), 0.125).drift()["energy"] for x in ensemble]
     assert drift.members.tolist() == alone and drift == max(alone)
     assert drift.tenths.shape == (3, 10) and drift.initial.shape == (3,)
     assert drift.growth.tolist() == [each.tenths[9] / each.tenths[0] for each in alone]

@@ -32,19 +32,19 @@ def states(system, count):
 def test_members_have_the_same_bits_alone_and_together(name, stages):
     system, method = SYSTEMS[name], co.IsospectralGauss(stages)
     W = states(system, 5)
-    crowd = co.integrate(system, W, (0.0, 1.0), 0.0625, method, save_every=3, threads=2)
-    assert crowd.x.shape == (7, 5, *system.shape) and crowd.x.dtype == W.dtype
-    assert crowd.failed.tolist() == [False] * 5 and crowd.energy.shape == (7, 5)
+    ensemble = co.integrate(system, W, (0.0, 1.0), 0.0625, method, save_every=3, threads=2)
+    assert ensemble.x.shape == (7, 5, *system.shape) and ensemble.x.dtype == W.dtype
+    assert ensemble.failed.tolist() == [False] * 5 and ensemble.energy.shape == (7, 5)
     one = co.integrate(system, W, (0.0, 1.0), 0.0625, method, save_every=3, threads=1)
-    assert np.array_equal(one.x, crowd.x)
+    assert np.array_equal(one.x, ensemble.x)
     ready = co.prepare(system, method, 0.0625, observe={"size": lambda V: float(np.abs(V).max())})
     for m in range(5):
         alone = ready.run(W[m], (0.0, 1.0), save_every=3)
-        assert np.array_equal(alone.x, crowd.x[:, m]) and np.array_equal(alone.energy, crowd.energy[:, m])
-        assert all(np.array_equal(values, crowd.casimirs[key][:, m]) for key, values in alone.casimirs.items())
+        assert np.array_equal(alone.x, ensemble.x[:, m]) and np.array_equal(alone.energy, ensemble.energy[:, m])
+        assert all(np.array_equal(values, ensemble.casimirs[key][:, m]) for key, values in alone.casimirs.items())
         assert np.array_equal(alone.observed["size"], np.abs(alone.x).max(axis=(1, 2)))
-        assert np.array_equal(alone.spectrum(), crowd.spectrum()[:, m])
-    assert np.array_equal(crowd.x[0], W)
+        assert np.array_equal(alone.spectrum(), ensemble.spectrum()[:, m])
+    assert np.array_equal(ensemble.x[0], W)
 
 
 @pytest.mark.parametrize("name", SYSTEMS)

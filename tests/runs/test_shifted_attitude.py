@@ -191,12 +191,12 @@ def test_attitude_overflow_for_all_signs(x0, members, way):
     """Of the momentum and of the step; also if only the last member is fast."""
     M = np.diag([1.0, -1.0, -1.0]) + np.diag([1e-3, 0.0, 0.0])
     system = co.LiePoissonSystem(co.algebras.get("so(2,1)"), co.Quadratic(M))
-    crowd = 1e-6 * np.ones((members, 3))
-    crowd[-1] = x0
+    ensemble = 1e-6 * np.ones((members, 3))
+    ensemble[-1] = x0
     with pytest.raises(co.IntegrationError, match=r"attitude at t = .* shorter span"):
-        co.integrate(system, crowd, (1, 1 + 1000 * way), 0.5, attitude=True, save_every=100)
+        co.integrate(system, ensemble, (1, 1 + 1000 * way), 0.5, attitude=True, save_every=100)
     if members > 1:
-        calm = co.integrate(system, crowd[:-1], (1, 1 + 1000 * way), 0.5, attitude=True, save_every=100)
+        calm = co.integrate(system, ensemble[:-1], (1, 1 + 1000 * way), 0.5, attitude=True, save_every=100)
         assert np.isfinite(calm.attitude).all()
 
 

@@ -93,15 +93,16 @@ def test_members_and_threads_do_not_change_bits():
     x, times = rng.standard_normal((37, 3)), random_times(0.0, 2.0)
     for method in (co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8)):
         kind = kind_of(method)
-        crowd = co.integrate(BODY, x, (0, 2), STEP, method, t_eval=times, attitude=kind, threads=1)
-        assert crowd.x.shape == (len(times), 37, 3) and (not kind or crowd.attitude.shape == (len(times), 37, 3, 3))
+        ensemble = co.integrate(BODY, x, (0, 2), STEP, method, t_eval=times, attitude=kind, threads=1)
+        assert ensemble.x.shape == (len(times), 37, 3)
+        assert not kind or ensemble.attitude.shape == (len(times), 37, 3, 3)
         several = co.integrate(BODY, x, (0, 2), STEP, method, t_eval=times, attitude=kind, threads=3)
-        assert np.array_equal(crowd.x, several.x) and agree(crowd.attitude, several.attitude)
+        assert np.array_equal(ensemble.x, several.x) and agree(ensemble.attitude, several.attitude)
         for m in (0, 31, 36):
             alone = co.integrate(BODY, x[m], (0, 2), STEP, method, t_eval=times, attitude=kind)
             for name in ("x", "energy", "attitude") if kind else ("x", "energy"):
-                assert np.array_equal(getattr(alone, name), getattr(crowd, name)[:, m])
-            assert np.array_equal(alone.casimirs["|x|^2"], crowd.casimirs["|x|^2"][:, m])
+                assert np.array_equal(getattr(alone, name), getattr(ensemble, name)[:, m])
+            assert np.array_equal(alone.casimirs["|x|^2"], ensemble.casimirs["|x|^2"][:, m])
         bodies = [co.systems.rigid_body((1, 2, 2 + 0.125 * m)) for m in range(5)]
         batch = co.integrate(co.batch(bodies), x[:5], (0, 2), STEP, method, t_eval=times, attitude=kind)
         for m, body in enumerate(bodies):
@@ -110,7 +111,8 @@ def test_members_and_threads_do_not_change_bits():
                 assert np.array_equal(getattr(alone, name), getattr(batch, name)[:, m])
         # A state does not depend on the other times.
         some = co.integrate(BODY, x, (0, 2), STEP, method, t_eval=times[5:9], attitude=kind)
-        assert np.array_equal(some.x, crowd.x[5:9]) and agree(some.attitude, crowd.attitude[5:9] if kind else None)
+        assert np.array_equal(some.x, ensemble.x[5:9])
+        assert agree(some.attitude, ensemble.attitude[5:9] if kind else None)
 
 
 def test_inputs_observables_and_time_dependent_energies():
@@ -128,9 +130,9 @@ def test_inputs_observables_and_time_dependent_energies():
     moved = co.integrate(driven, X, (0, 2), STEP, co.GaussLegendre(3), t_eval=times)
     by_hand = [driven.energy(x, t) for x, t in zip(moved.x, times, strict=True)]
     assert np.abs(moved.energy - by_hand).max() < 8 * U
-    crowd = co.integrate(driven, np.tile(X, (40, 1)), (0, 2), STEP, co.Splitting(order=4), t_eval=times)
-    by_hand = [driven.energy(x, t) for x, t in zip(crowd.x[:, 7], times, strict=True)]
-    assert np.abs(crowd.energy[:, 7] - by_hand).max() < 8 * U
+    ensemble = co.integrate(driven, np.tile(X, (40, 1)), (0, 2), STEP, co.Splitting(order=4), t_eval=times)
+    by_hand = [driven.energy(x, t) for x, t in zip(ensemble.x[:, 7], times, strict=True)]
+    assert np.abs(ensemble.energy[:, 7] - by_hand).max() < 8 * U
 
 
 def test_output_times_do_not_change_events():
@@ -251,8 +253,8 @@ def test_failed_partial_step_keeps_earlier_states(monkeypatch):
 @pytest.mark.parametrize("threads", [1, 2])
 def test_failed_partial_step_affects_one_member(monkeypatch, way, threads):
     times = way * np.array([0.0, 0.25, 0.5, 0.55, 0.625, 0.7, 1.0])
-    crowd = np.array([X, [0.5, 1.0, -0.25], [1.5, 0.25, 0.75]])
-    given = BODY, crowd, (0, way), STEP
+    ensemble = np.array([X, [0.5, 1.0, -0.25], [1.5, 0.25, 0.75]])
+    given = BODY, ensemble, (0, way), STEP
     whole = co.integrate(*given, t_eval=times)
     failing_parts(monkeypatch, 1, 0.5 * way)
     with pytest.raises(co.IntegrationError, match=r"did not converge .* 1 of 3 members .*member 1") as caught:

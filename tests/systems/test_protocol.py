@@ -5,6 +5,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.systems import protocol
+from coadjoint.systems.coordinates import coordinate_names
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 DAMPED = BODY.with_forces(co.forces.LinearDamping(0.1), co.forces.Torque((0, 0, 0.2)))
@@ -54,6 +55,16 @@ def test_states():
     assert np.array_equal(protocol.states_of(own, rows.reshape(4, 9)), rows.reshape(4, 3, 3))
     assert protocol.coordinates_of(own) == tuple(f"x{i}" for i in range(1, 10)) and protocol.coordinates_of(FLUID) == ()
     assert not protocol.is_matrix_system(own) and protocol.is_matrix_system(FLUID.in_numbers)
+    drag = FLUID.with_forces(co.forces.LinearDamping(0.1))
+    assert protocol.unforced_matrix_system(drag) is protocol.unforced_matrix_system(FLUID) is FLUID
+    assert protocol.unforced_matrix_system(own) is None and protocol.coordinates_of(drag) == ()
+
+
+def test_attributes_of_own_systems_are_not_those_of_forces_and_batches():
+    own = OwnBody()
+    own.system, own.systems = "of units", ("SI", "CGS")
+    assert protocol.coordinates_of(own) == coordinate_names(own) == ("x1", "x2", "x3")
+    assert coordinate_names(co.batch([DAMPED, DAMPED])) == coordinate_names(BODY)
 
 
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8)], ids=str)

@@ -74,9 +74,9 @@ def runs() -> Iterator[tuple[str, co.Solution]]:
                 continue
             kind = method.properties(system).attitude
             how = {"attitude": False if kind == "none" else "coadjoint", "save_every": 6}
-            crowd = x0 * (1.0 - 0.02 * np.arange(MEMBERS)[:, None])
+            ensemble = x0 * (1.0 - 0.02 * np.arange(MEMBERS)[:, None])
             yield f"{scheme} on {case}, alone", co.integrate(system, x0, SPAN, STEP, method, **how)
-            yield f"{scheme} on {case}, a crowd", co.integrate(system, crowd, SPAN, STEP, method, **how)
+            yield f"{scheme} on {case}, an ensemble", co.integrate(system, ensemble, SPAN, STEP, method, **how)
     body, sizes = co.systems.rigid_body((1, 2, 3)), np.array([1e-200, 1e-9, 0.1, 8.0, 1e3, 1e7, 1e12])
     states = np.multiply.outer(sizes, [0.3, -1.0, 0.7])
     yield "angles of any size", co.integrate(body, states, SPAN, STEP)
@@ -117,8 +117,8 @@ def states_with_tangents() -> Iterator[tuple[str, list[np.ndarray]]]:
             system, x0, _ = systems[case]
             if not serves(methods[scheme], system):
                 continue
-            crowd = x0 * (1.0 - 0.02 * np.arange(MEMBERS)[:, None])
-            for start, how in ((x0, "alone"), (crowd, "a crowd")):
+            ensemble = x0 * (1.0 - 0.02 * np.arange(MEMBERS)[:, None])
+            for start, how in ((x0, "alone"), (ensemble, "an ensemble")):
                 run = run_with(system, methods[scheme], start, times, frame_of(system.dim, system.dim), 7)
                 yield f"tangents of {scheme} on {case}, {how}", [run.saved["x"], run.state["memory"]]
 

@@ -21,18 +21,18 @@ def states_around(x0: np.ndarray, members: int = 4) -> np.ndarray:
     return np.array([x0 * (1.0 - 0.08 * k) + 0.05 * k * np.roll(x0, k) for k in range(members)])
 
 
-def crowd_of(case: Case) -> np.ndarray:
+def ensemble_of(case: Case) -> np.ndarray:
     """Return states near that of a case; of matrices those in their algebra."""
-    crowd = states_around(case.x0)
-    return case.system.read(crowd) if isinstance(case.system, co.MatrixSystem) else crowd
+    ensemble = states_around(case.x0)
+    return case.system.read(ensemble) if isinstance(case.system, co.MatrixSystem) else ensemble
 
 
 def final_states(method: Any, case: Case, steps: int) -> np.ndarray:
     """Return the final states of several motions of a case, shape (members, n)."""
     span = (0.0, case.time)
-    crowd = crowd_of(case)
+    ensemble = ensemble_of(case)
     return co.integrate(
-        case.system, crowd, span, case.time / steps, method, save_every=steps, watch=False, threads=1
+        case.system, ensemble, span, case.time / steps, method, save_every=steps, watch=False, threads=1
     ).x[-1]
 
 
@@ -42,7 +42,7 @@ def reference_states(name: str) -> np.ndarray:
     case = all_cases()[name]
     best = co.IsospectralGauss(8) if isinstance(case.system, co.MatrixSystem) else co.GaussLegendre(8)
     found = final_states(best, case, 48)
-    for state, start in zip(found, crowd_of(case), strict=True):
+    for state, start in zip(found, ensemble_of(case), strict=True):
         other = solve_ivp(
             lambda t, x: case.system.vector_field(x, t),
             (0.0, case.time),

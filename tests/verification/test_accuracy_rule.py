@@ -159,12 +159,12 @@ def test_accuracy_is_reached_on_every_kind_of_system(name, accuracy):
 def test_worst_member_of_an_ensemble_decides():
     """Slow members with a fast one among them."""
     body = co.systems.rigid_body(inertia=(1, 2, 3))
-    crowd = 0.1 * np.random.default_rng(5).uniform(-1.0, 1.0, (40, 3))
-    crowd[23] *= 30.0
-    choice = co.choose(body, crowd, (0, 60), 1e-7)
-    run = co.integrate(body, crowd, (0, 60), accuracy=1e-7, watch=False)
-    sizes = np.linalg.norm(crowd, axis=1)
-    errors = [np.linalg.norm(run.x[-1, k] - body.exact(x, 60.0)) / sizes[k] for k, x in enumerate(crowd)]
+    ensemble = 0.1 * np.random.default_rng(5).uniform(-1.0, 1.0, (40, 3))
+    ensemble[23] *= 30.0
+    choice = co.choose(body, ensemble, (0, 60), 1e-7)
+    run = co.integrate(body, ensemble, (0, 60), accuracy=1e-7, watch=False)
+    sizes = np.linalg.norm(ensemble, axis=1)
+    errors = [np.linalg.norm(run.x[-1, k] - body.exact(x, 60.0)) / sizes[k] for k, x in enumerate(ensemble)]
     assert max(errors) <= 1e-7
     assert max(errors) == errors[23] and not is_wasteful(errors[23], choice, 60.0)
 

@@ -19,7 +19,7 @@ METHODS = {
 }
 
 
-def crowd_around(x0, members):
+def ensemble_around(x0, members):
     return x0 * (1.0 - 0.9 * np.arange(members)[:, None] / members)
 
 
@@ -27,14 +27,14 @@ def tenths(solution):
     return np.stack([solution.drift()[name].tenths for name in ("energy", *solution.casimirs)], axis=-2)
 
 
-def assert_same(crowd, member, alone):
-    assert np.array_equal(crowd.x[:, member], alone.x)
-    assert np.array_equal(crowd.energy[:, member], alone.energy)
+def assert_same(ensemble, member, alone):
+    assert np.array_equal(ensemble.x[:, member], alone.x)
+    assert np.array_equal(ensemble.energy[:, member], alone.energy)
     for name, values in alone.casimirs.items():
-        assert np.array_equal(crowd.casimirs[name][:, member], values)
-    assert np.array_equal(tenths(crowd)[member], tenths(alone))
+        assert np.array_equal(ensemble.casimirs[name][:, member], values)
+    assert np.array_equal(tenths(ensemble)[member], tenths(alone))
     if alone.attitude is not None:
-        assert np.array_equal(crowd.attitude[:, member], alone.attitude)
+        assert np.array_equal(ensemble.attitude[:, member], alone.attitude)
 
 
 def serves(method, system, x0):
@@ -61,36 +61,36 @@ def test_member_in_lanes_equals_its_single_run(method, case, watch):
             system, x, span, STEP, METHODS[method], save_every=EVERY, watch=watch, attitude=attitude, threads=1
         )
 
-    states = crowd_around(x0, 35)
-    crowd = run(states)
+    states = ensemble_around(x0, 35)
+    ensemble = run(states)
     for member in (0, 1, 15, 16, 31, 32, 34):
-        assert_same(crowd, member, run(states[member]))
+        assert_same(ensemble, member, run(states[member]))
 
 
 @pytest.mark.parametrize("members", [1, 2, 3, 4, 31, 32, 33, 64, 67])
 def test_ensembles_of_any_size(members):
     system, x0, _ = cases()["e(3), heavy top"]
-    states = crowd_around(x0, members)
+    states = ensemble_around(x0, members)
     span = (0.0, STEPS * STEP)
-    crowd = co.integrate(system, states, span, STEP, save_every=EVERY)
+    ensemble = co.integrate(system, states, span, STEP, save_every=EVERY)
     for member in range(members):
-        assert_same(crowd, member, co.integrate(system, states[member], span, STEP, save_every=EVERY))
+        assert_same(ensemble, member, co.integrate(system, states[member], span, STEP, save_every=EVERY))
 
 
 def test_angles_of_any_size_in_lanes():
     body = co.systems.rigid_body(inertia=(1, 2, 3))
     sizes = np.array([1e-200, 1e-9, 0.1, 1.0, 8.0, 1e3, 1e7, 1e12])
     states = np.multiply.outer(np.repeat(sizes, 5), [0.3, -1.0, 0.7])
-    crowd = co.integrate(body, states, (0.0, 20.0), 1.0)
+    ensemble = co.integrate(body, states, (0.0, 20.0), 1.0)
     for member in range(0, len(states), 5):
-        assert_same(crowd, member, co.integrate(body, states[member], (0.0, 20.0), 1.0))
+        assert_same(ensemble, member, co.integrate(body, states[member], (0.0, 20.0), 1.0))
 
 
 @pytest.mark.parametrize("compensated", [False, True])
 def test_batch_with_more_members_than_lanes(compensated):
     inertias = [(1.5, 2.0 + 0.01 * k, 3.5) for k in range(70)]
     bodies = [co.systems.rigid_body(inertia=inertia) for inertia in inertias]
-    states = crowd_around(np.array([0.3, 1.0, -0.4]), len(bodies))
+    states = ensemble_around(np.array([0.3, 1.0, -0.4]), len(bodies))
     span, method = (0.0, STEPS * STEP), co.Splitting(order=2, compensated=compensated)
     together = co.integrate(co.batch(bodies), states, span, STEP, method, save_every=EVERY, attitude=True)
     for member in (0, 15, 16, 31, 32, 33, 63, 64, 69):

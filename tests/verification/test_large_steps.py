@@ -41,13 +41,13 @@ def test_large_steps_grow_only_round_off(name, h, sense):
     system = systems()[name]
     states = np.random.default_rng(4).standard_normal((9, system.dim))
     span, scheme = (0.0, sense * STEPS * h), co.Splitting(parts="coordinates", compensated=True)
-    crowd = co.integrate(system, states, span, h, scheme, attitude="coadjoint", save_every=STEPS)
-    K, x = crowd.attitude, crowd.x
+    ensemble = co.integrate(system, states, span, h, scheme, attitude="coadjoint", save_every=STEPS)
+    K, x = ensemble.attitude, ensemble.x
     spatial = np.einsum("kmij,kmj->kmi", K, x)
     size = np.linalg.norm(K[-1], axis=(1, 2)) * np.linalg.norm(x[-1], axis=1)
     bound = STEPS * (2 * system.dim + 2) * U
     assert np.max(np.linalg.norm(spatial[-1] - spatial[0], axis=1) / size) < bound
-    for name_of, values in crowd.casimirs.items():
+    for name_of, values in ensemble.casimirs.items():
         casimir = system.casimirs[name_of]
         for m in range(len(states)):
             scale = max(np.linalg.norm(casimir.gradient(state)) * np.linalg.norm(state) for state in x[:, m])

@@ -9,7 +9,7 @@ from coadjoint.runs.partial_steps import PartialSteps
 from .measures import U
 from .schemes_under_test import pairs, schemes
 from .systems_under_test import all_cases
-from .test_same_bits import CHOSEN, attitude_of, crowd_around
+from .test_same_bits import CHOSEN, attitude_of, ensemble_around
 
 pytestmark = pytest.mark.thinned(6)
 
@@ -24,10 +24,10 @@ def parts_of(system, method, step, attitude=False):
     return PartialSteps(system, method, ready.loops(step)), ready
 
 
-def rows_at(ready, step, crowd):
+def rows_at(ready, step, ensemble):
     """Return the initial states of an ensemble as rows of the loops."""
-    start = ready.start(crowd)
-    return start.momenta, ready.loops(step).initial_groups(start.groups) * np.ones((len(crowd), 1))
+    start = ready.start(ensemble)
+    return start.momenta, ready.loops(step).initial_groups(start.groups) * np.ones((len(ensemble), 1))
 
 
 @pytest.mark.thinned(36)
@@ -37,7 +37,7 @@ def test_partial_step_equals_a_step_of_its_length(scheme, case, direction):
     method, (system, x0, _) = schemes()[scheme], all_cases()[case]
     attitude = attitude_of(method, system)
     parts, ready = parts_of(system, method, direction * STEP, attitude)
-    momenta, groups = rows_at(ready, direction * STEP, crowd_around(x0, len(LENGTHS)))
+    momenta, groups = rows_at(ready, direction * STEP, ensemble_around(x0, len(LENGTHS)))
     times, lengths = np.full(len(LENGTHS), FROM), direction * LENGTHS
     moved, turned = parts.take(momenta, groups, times, lengths)
     size = np.abs(momenta).max()
@@ -55,7 +55,7 @@ def test_partial_step_equals_a_step_of_its_length(scheme, case, direction):
         alone, there = parts.take(momenta[i : i + 1], groups[i : i + 1], times[i : i + 1], lengths[i : i + 1])
         assert np.array_equal(alone[0], moved[i]) and np.array_equal(there[0], turned[i])
     span = (FROM, FROM + direction * STEP)
-    run = ready.run(crowd_around(x0, len(LENGTHS)), span)
+    run = ready.run(ensemble_around(x0, len(LENGTHS)), span)
     assert np.array_equal(moved[0], run.x[1, 0]) and np.array_equal(moved[6], run.x[1, 6])
 
 

@@ -28,7 +28,7 @@ def attitude_of(method, system):
     return False if kind == "none" else "coadjoint"
 
 
-def crowd_around(x0, members):
+def ensemble_around(x0, members):
     return x0 * (1.0 - 0.05 * np.arange(members)[:, None])
 
 
@@ -42,10 +42,10 @@ def test_options_members_and_threads_do_not_change_bits(scheme, case):
         return co.integrate(system, x, SPAN, STEP, method, attitude=attitude, **options)
 
     every = run(x0, save_every=1, watch=True)
-    crowd = crowd_around(x0, 7)
-    together = run(crowd, save_every=EVERY, watch=False, threads=1)
-    others = [run(crowd, save_every=EVERY, threads=count) for count in (2, 3)]
-    # Members of a crowd, alone and together, on any number of threads.
+    ensemble = ensemble_around(x0, 7)
+    together = run(ensemble, save_every=EVERY, watch=False, threads=1)
+    others = [run(ensemble, save_every=EVERY, threads=count) for count in (2, 3)]
+    # Members of an ensemble, alone and together, on any number of threads.
     for other in others:
         assert np.array_equal(together.x, other.x)
         assert attitude is False or np.array_equal(together.attitude, other.attitude)
@@ -57,7 +57,7 @@ def test_options_members_and_threads_do_not_change_bits(scheme, case):
         if attitude:
             assert np.array_equal(one.attitude, every.attitude[::EVERY])
             assert np.array_equal(one.attitude, together.attitude[:, 0])
-    alone = run(crowd[5], save_every=24, watch=False)
+    alone = run(ensemble[5], save_every=24, watch=False)
     assert np.array_equal(alone.x[-1], together.x[-1, 5])
     without = co.integrate(system, x0, SPAN, STEP, method, save_every=EVERY)
     assert np.array_equal(without.x, together.x[:, 0])

@@ -73,9 +73,9 @@ def read_steps(method, system, x, t, h):
 def check_steps(method, system, x0, h):
     """Compare runs of one state and of five with the interpreter; return the end of the first."""
     span = (T0, T0 + COUNT * h)
-    crowd = x0 * np.array([[1.0], [0.75], [-1.0], [0.5], [1.25]])
-    x, ends = (co.integrate(system, start, span, abs(h), method).x[-1] for start in (x0, crowd))
-    for start, end in ((x0, x), (crowd[1], ends[1]), (crowd[4], ends[4])):
+    ensemble = x0 * np.array([[1.0], [0.75], [-1.0], [0.5], [1.25]])
+    x, ends = (co.integrate(system, start, span, abs(h), method).x[-1] for start in (x0, ensemble))
+    for start, end in ((x0, x), (ensemble[1], ends[1]), (ensemble[4], ends[4])):
         expected = read_steps(method, system, start, T0, h)
         np.testing.assert_allclose(end, expected, rtol=0, atol=rounding(system, expected))
     # The motion follows the field: the rest is of order t^2, with derivatives of size one in these systems.
@@ -161,12 +161,12 @@ def test_group_elements_for_both_signs_and_directions(scheme, algebra):
         system, x0 = system_for(scheme, algebra, sign)
         span, kind = (T0, T0 + direction * 4 * STEP), method.properties(system).attitude
         # Alone, and as the last of three members in lanes.
-        run, crowd = (
+        run, ensemble = (
             co.integrate(system, start, span, STEP, method, attitude="coadjoint")
             for start in (x0, np.array([-0.5 * x0, 1.25 * x0, x0]))
         )
         size = np.linalg.norm(run.attitude[-1]) * np.linalg.norm(run.x[-1])
-        ends = ((run.attitude[-1], run.x[-1]), (crowd.attitude[-1, 2], crowd.x[-1, 2]))
+        ends = ((run.attitude[-1], run.x[-1]), (ensemble.attitude[-1, 2], ensemble.x[-1, 2]))
         for K, x in ends if kind in ("every representation", "coadjoint") else ():
             np.testing.assert_allclose(K @ x, x0, rtol=0, atol=2.0**4 * rounding(system, size))
         if True not in attitudes(method, system) or kind == "integrated":
@@ -283,10 +283,10 @@ def test_series_of_different_lengths_in_lanes(compensated):
     assert Kind.SERIES in method.program(system).state.kind
     sizes = np.random.default_rng(9).permutation(np.geomspace(1e-6, 16.0, 33))
     span = (0.0, 400 * STEP)
-    crowd = co.integrate(system, sizes[:, None] * x0, span, STEP, method, save_every=100)
+    ensemble = co.integrate(system, sizes[:, None] * x0, span, STEP, method, save_every=100)
     for m, size in enumerate(sizes):
         alone = co.integrate(system, size * x0, span, STEP, method, save_every=100)
-        assert np.array_equal(alone.x, crowd.x[:, m])
+        assert np.array_equal(alone.x, ensemble.x[:, m])
 
 
 AXES = [sense * axis for axis in np.eye(3) for sense in (1.0, -1.0)]
@@ -313,7 +313,7 @@ def test_arrays_of_any_memory_layout():
     """C, Fortran, and every other row of a larger array: the same bits."""
     system, x0 = drawn("so(4)", 2, -1)
     rng = np.random.default_rng(7)
-    crowd = x0 + 0.25 * rng.standard_normal((5, 6))
+    ensemble = x0 + 0.25 * rng.standard_normal((5, 6))
     element = random_element(system.representation, 7, 5)
     M, linear = system.hamiltonian.hessian(x0), system.hamiltonian.gradient(np.zeros(6))
     rho = system.algebra.representation
@@ -331,13 +331,13 @@ def test_arrays_of_any_memory_layout():
             casimirs={},
         )
         runs.append(
-            co.integrate(given, layout(crowd), (0.0, -1.0), STEP, co.Splitting(order=4), attitude=layout(element))
+            co.integrate(given, layout(ensemble), (0.0, -1.0), STEP, co.Splitting(order=4), attitude=layout(element))
         )
     assert not np.array_equal(element, element.transpose(0, 2, 1))
     for run in runs[1:]:
         assert np.array_equal(run.x, runs[0].x) and np.array_equal(run.attitude, runs[0].attitude)
     for m in range(5):
-        alone = co.integrate(system, crowd[m], (0.0, -1.0), STEP, co.Splitting(order=4), attitude=element[m])
+        alone = co.integrate(system, ensemble[m], (0.0, -1.0), STEP, co.Splitting(order=4), attitude=element[m])
         assert np.array_equal(alone.attitude, runs[0].attitude[:, m])
 
 

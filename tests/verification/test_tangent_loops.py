@@ -171,14 +171,14 @@ TOGETHER = (
 def test_members_in_lanes_have_the_bits_of_single_runs(case):
     """Also with more vectors than lanes, and a member at rest."""
     system, x0, _ = all_cases()[case]
-    crowd = x0 * np.array([1.0, 0.9, 0.0, -0.8, 0.7])[:, None]
+    ensemble = x0 * np.array([1.0, 0.9, 0.0, -0.8, 0.7])[:, None]
     for scheme in TOGETHER:
         method = schemes()[scheme]
         if not serves(method, system):
             continue
         given = {"t_span": (0.5, -0.5), "step": 0.0625, "method": method, "renormalize_every": 3, "save_every": 4}
-        whole = co.lyapunov(system, crowd, **given)
-        for m, start in enumerate(crowd):
+        whole = co.lyapunov(system, ensemble, **given)
+        for m, start in enumerate(ensemble):
             assert (
                 np.ascontiguousarray(whole.stretches[:, m]).tobytes()
                 == co.lyapunov(system, start, **given).stretches.tobytes()
@@ -187,8 +187,8 @@ def test_members_in_lanes_have_the_bits_of_single_runs(case):
 
 def test_leading_stretches_do_not_depend_on_vector_count():
     system = co.LiePoissonSystem(co.algebras.so(8), co.Quadratic(np.linspace(0.5, 1.5, 28)), casimirs={})
-    crowd = np.random.default_rng(9).uniform(-0.3, 0.3, (4, 28))
-    every, few = (co.lyapunov(system, crowd, (0, 2), 0.125, exponents=k) for k in (28, 2))
+    ensemble = np.random.default_rng(9).uniform(-0.3, 0.3, (4, 28))
+    every, few = (co.lyapunov(system, ensemble, (0, 2), 0.125, exponents=k) for k in (28, 2))
     assert np.ascontiguousarray(every.stretches[:, :, :2]).tobytes() == few.stretches.tobytes()
 
 
@@ -196,9 +196,9 @@ def test_leading_stretches_do_not_depend_on_vector_count():
 def test_run_with_tangents_resumes_from_its_state(scheme):
     """Also between two orthonormalizations."""
     method, (system, x0, _) = schemes()[scheme], all_cases()["e(3), heavy top"]
-    times, crowd = Times(0.25, 0.1, 12, 12).with_saved_steps([12]), x0 * np.linspace(0.9, 1.1, 4)[:, None]
+    times, ensemble = Times(0.25, 0.1, 12, 12).with_saved_steps([12]), x0 * np.linspace(0.9, 1.1, 4)[:, None]
     loop = tangent_loop(method, system, 0.1, Frame(np.eye(6)[::-1].copy(), 5))
-    loops, start = energy_loops([system], method, 0.1, [loop]), start_of(system, method, crowd, False)
+    loops, start = energy_loops([system], method, 0.1, [loop]), start_of(system, method, ensemble, False)
     whole = Run(system, method, loops, times, start, False)
     whole.advance()
     first = Run(system, method, loops, times, start, False)

@@ -11,7 +11,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import names, scheme
 from coadjoint.methods.splitting import Splitting
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.protocol import is_matrix_system, unforced
+from coadjoint.systems.protocol import is_matrix_system, unforced_matrix_system
 from coadjoint.systems.system_checks import System, check_one_system
 
 PREFERRED_SCHEMES: tuple[Method, ...] = (Splitting(order=4), GaussLegendre(stages=3))
@@ -24,8 +24,8 @@ ANY_TOLERANCE = 1e-9
 
 def default_scheme(system: Any) -> Method:
     """Return the scheme of a run for which none is given, for systems with or without forces."""
-    plain = unforced(system)
-    return suggested_scheme(cast(System, plain)) if is_matrix_system(plain) else DEFAULT_SCHEME
+    matrices = unforced_matrix_system(system)
+    return DEFAULT_SCHEME if matrices is None else suggested_scheme(cast(System, matrices))
 
 
 def reference_scheme(order: int) -> Method:

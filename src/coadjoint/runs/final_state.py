@@ -17,7 +17,7 @@ from coadjoint.runs.loops.loops import SystemLoops
 from coadjoint.runs.memory_estimate import check_run_memory
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times, span_of, times_between
-from coadjoint.systems.protocol import is_matrix_system, unforced
+from coadjoint.systems.protocol import unforced_matrix_system
 from coadjoint.validation import are_finite
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ class FinalStateRun:
         prepared, self._member_batch, self._h = self._prepared, None, times.h
         loops = prepared.loops(times.h)
         # Matrices are projected onto their algebra when they are read.
-        matrices = is_matrix_system(unforced(prepared.system))
+        matrices = unforced_matrix_system(prepared.system) is not None
         if not isinstance(loops, SystemLoops) or matrices or loops.rows or prepared.carries:
             return
         plan = loops.plan(1, 2, 0, 1)

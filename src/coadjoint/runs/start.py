@@ -15,7 +15,14 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.protocol import is_batch, is_matrix_system, member_of, members_of, shape_of, unforced
+from coadjoint.systems.protocol import (
+    is_batch,
+    member_of,
+    members_of,
+    shape_of,
+    unforced,
+    unforced_matrix_system,
+)
 from coadjoint.systems.system_checks import System, check_system
 from coadjoint.validation import SMALL_SIZE, are_finite, read_numbers
 
@@ -55,9 +62,9 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
 
     A batch takes one state for each member, or one for all.
     """
-    plain = unforced(system)
-    if is_matrix_system(plain):
-        rows = plain.read(x0)
+    matrices = unforced_matrix_system(system)
+    if matrices is not None:
+        rows = matrices.read(x0)
         if not len(rows):
             raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs at least one member")
         return rows.reshape(-1, system.dim), rows.ndim == 1

@@ -24,8 +24,9 @@ def coordinate_names(system: Any, count: int | None = None) -> tuple[str, ...]:
     >>> coordinate_names(rigid_body((1, 2, 3)))
     ('x1', 'x2', 'x3')
     """
-    system = getattr(system, "systems", (system,))[0]  # of a batch
-    system = getattr(system, "system", system)  # with forces
+    from coadjoint.systems.protocol import unforced  # that file imports this one
+
+    system = unforced(system)
     count = system.dim if count is None else count
     entry = gallery_entry_of(system.name)
     names = () if entry is None else entry.names(count)

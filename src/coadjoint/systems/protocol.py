@@ -8,7 +8,8 @@ Only these functions and the writers of records distinguish the classes of syste
 | the Hamiltonian part and the forces | `unforced`, `forces_of` |
 | the shape of a state, and rows of numbers as states | `shape_of`, `states_of` |
 | names of the components of a state | `coordinates_of` |
-| matrices with streams, traces and spectra | `is_matrix_system`; the same with vectors, `as_vector_system` |
+| matrices with streams, traces and spectra | `is_matrix_system`, `unforced_matrix_system` |
+| the same with vectors as states | `as_vector_system` |
 | brackets | `has_structure_constants`, `has_compiled_bracket` |
 """
 
@@ -129,8 +130,7 @@ def states_of(system: Any, rows: Any) -> Any:
 
 def coordinates_of(system: Any) -> tuple[str, ...]:
     """Return the names of the coordinates, for events and polynomials; empty for matrices, which have none."""
-    plain = unforced(system)
-    return () if is_matrix_system(plain) else coordinate_names(plain)
+    return coordinate_names(system) if unforced_matrix_system(system) is None else ()
 
 
 def is_matrix_system(system: Any) -> TypeIs[MatrixSystem]:
@@ -139,6 +139,12 @@ def is_matrix_system(system: Any) -> TypeIs[MatrixSystem]:
     A user-defined system has a `shape` instead, and states that are numbers to all but its own functions.
     """
     return isinstance(system, MatrixSystem)
+
+
+def unforced_matrix_system(system: Any) -> MatrixSystem | None:
+    """Return the Hamiltonian part of a matrix system, with or without forces; None for any other system."""
+    plain = unforced(system)
+    return plain if is_matrix_system(plain) else None
 
 
 def as_vector_system(system: Any) -> Any:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.files.configuration.construction import ConfigurationError, section
 from coadjoint.short_repr import short
-from coadjoint.systems.protocol import is_matrix_system, unforced
+from coadjoint.systems.protocol import unforced, unforced_matrix_system
 from coadjoint.validation import check_parameters, read_array_file, read_choice
 
 if TYPE_CHECKING:
@@ -33,11 +33,11 @@ def initial_state(system: Any, value: Any, folder: Path) -> Any:
     """
     if isinstance(value, str):
         return array_of_file(folder / value, value)
-    unforced_system = unforced(system)
-    if not (is_matrix_system(unforced_system) and unforced_system.complex):
+    matrices = unforced_matrix_system(system)
+    if matrices is None or not matrices.complex:
         return value
     array = np.array(value, dtype=np.float64)
-    pairs = array.ndim > 2 and array.shape[-1] == 2 and array.shape[-3:-1] == unforced_system.algebra.shape
+    pairs = array.ndim > 2 and array.shape[-1] == 2 and array.shape[-3:-1] == matrices.algebra.shape
     return array[..., 0] + 1j * array[..., 1] if pairs else array
 
 

@@ -14,6 +14,7 @@ from coadjoint.errors import IntegrationError, OneLineError
 from coadjoint.files.datasets.content_checksum import with_checksum
 from coadjoint.files.datasets.variables import (
     CONVENTIONS,
+    OBSERVED_NAMES,
     STATE_DIMENSIONS,
     coordinates_of,
     parameters_of,
@@ -110,6 +111,8 @@ def attributes_of(solution: Solution) -> dict[str, Any]:
     }
     if solution.t_span != solution.asked_span:
         attributes[ENDED_ATTRIBUTE] = solution.stats.steps
+    if solution.observed:
+        attributes[OBSERVED_NAMES] = json.dumps(list(solution.observed))
     if solution.events is not None:
         attributes["events"], functions = event_record(solution.events.asked, solution.events.names)
         missing += [f"event: {name}" for name in functions]

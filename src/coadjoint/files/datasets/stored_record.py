@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.files.datasets.variables import OBSERVED_NAMES
+from coadjoint.files.records.entries import parsed
 from coadjoint.methods.forced import effective_scheme
 from coadjoint.runs.results.run_record import FROM_TIMES, RunRecord
 from coadjoint.runs.start import Start, start_of
@@ -78,18 +80,18 @@ def _start(record: RunRecord) -> Start:
     return start_of(system, effective_scheme(system, method), arguments["x0"], arguments["attitude"])
 
 
-def _series(record: RunRecord, prefix: str) -> LazyArrays:
+def _series(record: RunRecord, prefix: str, names: Sequence[str]) -> LazyArrays:
+    """Return the arrays whose labels begin with `prefix`, in the order of `names`: Zarr lists arrays alphabetically."""
     labels = {
         str(array.attributes["long_name"]): label for label, array in record.arrays.items() if label.startswith(prefix)
     }
-    return LazyArrays(labels, record.read)
-
-
-def _casimirs(record: RunRecord) -> Mapping[str, NDArray[np.float64]]:
-    labels = _series(record, "casimir_").labels
-    # Zarr lists arrays alphabetically; restore the order of the invariants.
-    ordered = {name: labels[name] for name in record.names[1:] if name in labels}
+    ordered = {name: labels[name] for name in names if name in labels}
     return LazyArrays({**ordered, **labels}, record.read)
+
+
+def _observed(record: RunRecord) -> LazyArrays:
+    names = parsed(record.attributes.get(OBSERVED_NAMES, "[]"), OBSERVED_NAMES)
+    return _series(record, "observed_", [name.text() for name in names.entries()])
 
 
 def _work(record: RunRecord) -> Mapping[str, Mapping[str, NDArray[np.float64]]]:
@@ -124,9 +126,9 @@ STORED: Mapping[str, Callable[[RunRecord], Any]] = {
     "t_eval": lambda record: record.t if record.attributes["between_steps"] else None,
     "names": lambda record: [str(name) for name in record.read("invariant")],
     "energy": lambda record: record.read("energy"),
-    "casimirs": _casimirs,
+    "casimirs": lambda record: _series(record, "casimir_", record.names[1:]),
     "work": _work,
-    "observed": lambda record: _series(record, "observed_"),
+    "observed": _observed,
     "attitude": _optional("attitude"),
     "attitude0": _optional("attitude0"),
     "carried": _carried,

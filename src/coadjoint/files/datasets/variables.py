@@ -81,6 +81,8 @@ class ExtraMetadata(NamedTuple):
 NO_METADATA = ExtraMetadata({}, {})
 CONVENTIONS = "CF-1.11"
 TIME = "time"
+OBSERVED_NAMES = "observed"
+"""Attribute with the names of the observed quantities in the order of the run."""
 
 
 def cf_attributes(long_name: str) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from fractions import Fraction
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -111,7 +112,9 @@ class Entry:
         fits_shape = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
         if not isinstance(self.value, list) or array.dtype.kind not in "if" or not fits_shape:
             raise self.invalid_error(wanted)
-        if not np.isfinite(array).all():
+        entries = self.value if array.ndim == 1 else chain.from_iterable(self.value)
+        # NumPy converts a boolean among numbers to a number.
+        if not {bool, np.bool_}.isdisjoint(map(type, entries)) or not np.isfinite(array).all():
             raise self.invalid_error(wanted)
         return array.astype(np.float64)
 

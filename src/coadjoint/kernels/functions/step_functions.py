@@ -54,11 +54,22 @@ class StepFunction:
                 state = np.array((number * n).from_address(x))
                 (number * n).from_address(out)[:] = checked_step(method.step(system, state, t, h), n, method)
             except BaseException as error:
-                self._raised = error
+                self._raised = _explained(error, method, system)
                 return 1
             return 0
 
         return call
+
+
+def _explained(error: BaseException, method: Any, system: Any) -> BaseException:
+    """Return the error of a step; for an attribute that the system does not have, a TypeError with advice."""
+    name = system.name
+    if not (isinstance(error, AttributeError) and error.obj is system):
+        return error
+    return TypeError(
+        f"the step of {type(method).__name__} reads system.{error.name}, which {name} does not have; "
+        "the scheme must refuse such systems, for example matrices, in `properties`"
+    )
 
 
 def checked_step(result: Any, n: int, method: Any) -> Any:

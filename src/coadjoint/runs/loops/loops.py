@@ -19,7 +19,7 @@ from coadjoint.runs.loops.shifted_attitude import ShiftCorrection, uncorrected_g
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.protocol import is_matrix_system, unforced
+from coadjoint.systems.protocol import unforced_matrix_system
 from coadjoint.systems.system_checks import System
 
 UNTRACKED = Quadratic(0.0)
@@ -186,9 +186,8 @@ class SystemLoops(Loops):
         tracked = system.casimirs if casimirs is None else casimirs
         prepared = prepared or method.loop(system, h, representation)
         self.accounts = prepared.accounts
-        plain = unforced(system)
         self.rows = matrix_rows(system)
-        self._matrices = plain if is_matrix_system(plain) else None
+        self._matrices = unforced_matrix_system(system)
         self.measures = self._matrices is not None
         if self._matrices:
             count = (1 + len(tracked)) * (2 if self.accounts else 1) - 1

@@ -14,7 +14,7 @@ from coadjoint.errors import in_one_line
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.protocol import is_matrix_system, unforced
+from coadjoint.systems.protocol import unforced_matrix_system
 from coadjoint.systems.system_checks import System
 from coadjoint.systems.user_functions import takes_time
 from coadjoint.validation import read_number
@@ -31,8 +31,7 @@ class Observed:
         from coadjoint.kernels.tables.invariants import watch_tables
         from coadjoint.kernels.tables.recording import values_along
 
-        plain = unforced(system)
-        self._names, self._matrices = list(observe), plain if is_matrix_system(plain) else None
+        self._names, self._matrices = list(observe), unforced_matrix_system(system)
         self._quantities = dict(observe)
         start: Any = x0
         if self._matrices is not None:

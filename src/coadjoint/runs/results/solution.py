@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.runs.results.run_record import SOLUTION_FIELDS, Drift, RunAttributes, RunRecord
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
-from coadjoint.systems.protocol import is_batch, is_matrix_system, unforced
+from coadjoint.systems.protocol import is_batch, unforced_matrix_system
 
 if TYPE_CHECKING:
     import xarray
@@ -239,8 +239,8 @@ class Solution(RunAttributes):
         >>> bool(abs(sol.spectrum() - sol.spectrum()[0]).max() < 1e-13)
         True
         """
-        system = unforced(self.system)
-        if not is_matrix_system(system):
+        system = unforced_matrix_system(self.system)
+        if system is None:
             raise TypeError(f"the states of {self.system.name} are no matrices, and have no spectrum")
         axes = 1 if self.failed is None else 2  # of times and members
         finite = np.isfinite(self.x).all(axis=tuple(range(axes, self.x.ndim)))

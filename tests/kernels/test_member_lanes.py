@@ -1,4 +1,4 @@
-"""Members of a crowd are lanes, and a trajectory alone has its stages as lanes: both have the same bits."""
+"""Members of an ensemble are lanes, and a trajectory alone has its stages as lanes: both have the same bits."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def test_members_have_the_bits_that_they_have_alone(name, method):
     kind = method.properties(system).attitude
     how = {"attitude": "coadjoint" if system.algebra is not None and kind != "none" else False}
     states, h = some_states(x0), 0.02 if name in ("A3,7", "driven") else 0.1
-    crowd = co.integrate(system, states, (0.0, 12 * h), h, method, threads=1, **how)
+    ensemble = co.integrate(system, states, (0.0, 12 * h), h, method, threads=1, **how)
     runs = [co.integrate(system, x, (0.0, 12 * h), h, method, **how) for x in states]
     for i, alone in enumerate(runs):
-        assert np.array_equal(alone.x, crowd.x[:, i])
-        assert np.array_equal(alone.energy, crowd.energy[:, i])
-        assert how["attitude"] is False or np.array_equal(alone.attitude, crowd.attitude[:, i])
-    assert sum(alone.stats.iterations for alone in runs) == crowd.stats.iterations
-    assert sum(alone.stats.evaluations for alone in runs) == crowd.stats.evaluations
+        assert np.array_equal(alone.x, ensemble.x[:, i])
+        assert np.array_equal(alone.energy, ensemble.energy[:, i])
+        assert how["attitude"] is False or np.array_equal(alone.attitude, ensemble.attitude[:, i])
+    assert sum(alone.stats.iterations for alone in runs) == ensemble.stats.iterations
+    assert sum(alone.stats.evaluations for alone in runs) == ensemble.stats.evaluations
 
 
 @pytest.mark.parametrize("stages", [2, 3, 4, 5, 7, 8, 9, 12, 16, 17, 33])
