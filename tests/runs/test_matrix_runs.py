@@ -300,3 +300,12 @@ def test_memory_of_large_states_is_estimated(monkeypatch):
         co.MatrixAlgebra("so", 2000).read(np.zeros((2000, 2000)))
     with pytest.raises(ValueError, match="structure matrix"):
         large.structure_matrix(W)
+
+
+def test_forced_matrices_are_measured_at_the_saved_points():
+    """As without forces: `watch` does not apply, and the summary says so."""
+    system = co.ForcedSystem(co.systems.sphere_euler(N=5), [co.forces.Viscosity(1e-3)])
+    W = system.system.random(seed=1, degrees=(1, 4))
+    few, every = (co.integrate(system, W, (0.0, 1.0), 0.125, save_every=k) for k in (8, 1))
+    assert not few.watched and np.array_equal(few.x[-1], every.x[-1])
+    assert few.change()["energy"] == abs(few.energy[-1] - few.energy[0]) > 0.0

@@ -37,7 +37,7 @@ from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
-from coadjoint.systems.protocol import among, is_batch, is_matrix_system, member_of, members_of
+from coadjoint.systems.protocol import among, is_batch, member_of, members_of, unforced_matrix_system
 from coadjoint.systems.system_checks import System, check_system
 from coadjoint.validation import read_bool, read_integer
 
@@ -81,7 +81,7 @@ class PreparedRun:
         self.method, self.step = scheme, checked_step(step)
         self._scheme = effective_scheme(system, scheme)
         # Loops do not track invariants of matrices.
-        self._watching = watching and not is_matrix_system(system)
+        self._watching = watching and unforced_matrix_system(system) is None
         self._representations = representations_of(cast(Any, system), self._scheme, attitude)
         self._attitude = read_attitude(attitude)
         self.observe = check_observe({} if observe is None else observe)
