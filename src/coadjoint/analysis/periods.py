@@ -22,6 +22,7 @@ MIN_PERIOD = 1e-6  # shortest period, times the rate
 SEGMENT_DURATION = 20.0  # duration of one integration, times the rate
 MAX_SEGMENTS = 400
 MAX_CROSSINGS = 64
+MAX_EVALUATIONS = 2**18  # of the field; periods of bodies near a separatrix take up to 2^14
 
 
 class Period(NamedTuple):
@@ -65,7 +66,7 @@ def period(field: Callable[[Floats], Any], x0: ArrayLike, carried: ArrayLike = (
     Raises
     ------
     ValueError
-        The state is an equilibrium, or does not return.
+        The state is an equilibrium, or does not return, or the field is not smooth.
 
     Notes
     -----
@@ -105,7 +106,7 @@ class _Motion:
     """The motion from an initial state, and the plane through that state normal to the field."""
 
     def __init__(self, field: Callable[[Floats], Any], start: Floats, extra: Floats) -> None:
-        self.n, self.start = len(start), start
+        self.n, self.start, self.evaluations = len(start), start, 0
         self.field: Callable[[Floats], Floats] = lambda y: np.asarray(field(y), dtype=np.float64)
         y = np.concatenate([start, extra])
         first = self.field(y.copy())[: self.n]
@@ -137,7 +138,7 @@ class _Motion:
 
         upward.direction = 1.0  # type: ignore[attr-defined]
         result = solve_ivp(
-            lambda _, z: self.field(z),
+            self._counted,
             (0.0, duration),
             y,
             "DOP853",
@@ -148,6 +149,16 @@ class _Motion:
         if not result.success or not np.all(np.isfinite(result.y[:, -1])):
             raise ValueError(f"the motion from x0 = {short(self.start.tolist())} could not be followed: it diverges")
         return result
+
+    def _counted(self, _: float, z: Floats) -> Floats:
+        """Return the field, evaluated a bounded number of times: a field of rounding errors takes ever shorter steps."""
+        self.evaluations += 1
+        if self.evaluations > MAX_EVALUATIONS:
+            raise ValueError(
+                f"the motion from x0 = {short(self.start.tolist())} takes more than {MAX_EVALUATIONS} evaluations of the "
+                "field: it does not return, or the field is rounding errors or not smooth"
+            )
+        return self.field(z)
 
     def at_plane(self, y: Floats, t: float) -> tuple[Floats, float]:
         """Return the state on the plane near a time, and the time since the crossing at the given time."""
