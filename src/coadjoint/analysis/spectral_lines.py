@@ -68,11 +68,11 @@ def find_lines(s: Floats, values: NDArray[Any], count: int, power: int) -> Lines
         present = np.concatenate([lines.present, (height > floor)[:, None]], axis=1)
         if not np.any(present[:, -1]):
             break
-        lines = correct_lines(s, values, frequency, present, weight, SEARCH_ITERATIONS)
-    return correct_lines(s, values, lines.frequency, lines.present, weight, FINAL_ITERATIONS)
+        lines = refine_lines(s, values, frequency, present, weight, SEARCH_ITERATIONS)
+    return refine_lines(s, values, lines.frequency, lines.present, weight, FINAL_ITERATIONS)
 
 
-def correct_lines(
+def refine_lines(
     s: Floats, values: NDArray[Any], frequency: Floats, present: NDArray[np.bool_], weight: Floats, iterations: int
 ) -> Lines:
     """Refine frequencies (members, lines) by Gauss-Newton steps with eliminated amplitudes (variable projection).
@@ -109,7 +109,7 @@ def correct_lines(
     return Lines(w, fit.amplitude, fit.mean, fit.residual, present)
 
 
-def spread_by_noise(lines: Lines, s: Floats, power: int) -> Floats:
+def frequency_uncertainty(lines: Lines, s: Floats, power: int) -> Floats:
     """Return the standard error of each frequency due to noise near its line, shape (members, lines).
 
     The noise is the median power of the residual near the line, which is insensitive to further lines, without the bins

@@ -14,7 +14,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.stepped_method import SteppedMethod
+from coadjoint.methods.protocol.substep_method import SubstepMethod
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.streams import Circulants
@@ -42,15 +42,16 @@ class Line(NamedTuple):
 
 
 @dataclass(frozen=True)
-class LineSplitting(SteppedMethod):
-    """McLachlan's splitting of the fluid on the torus into lines of modes: explicit, a Poisson map, keeps the spectrum.
+class LineSplitting(SubstepMethod):
+    """McLachlan's splitting of the fluid on the torus into lines of modes: an explicit, isospectral Poisson map.
 
     For a prime N the N^2 - 1 modes form N + 1 lines ``{j k}`` through the origin, each of N - 1 modes that commute. H
     is the sum of the energies of the lines; the flow of one line conjugates W by the exponential of the line's stream,
     ``W -> U W U*``, which is constant along the flow, and diagonal for a suitable ordering of the modes. A line
     therefore costs Fourier transforms along the N - 1 other cosets, and a step of order 2 costs O(N^3 log N): ``k = (1,
     0), (1, 1), ..., (1, N - 1)`` for half the step, (0, 1) for the whole step, and the others in reverse for half of
-    it. The energy is not kept but its error is O(step^order) for long times; steps of higher orders are compositions.
+    it. The energy is not preserved but its error is O(step^order) for long times; steps of higher orders are
+    compositions.
 
     Choose it for a fluid on the torus: at the same step its error is a fraction of that of `IsospectralGauss`, and
     it does not iterate.
@@ -108,7 +109,7 @@ class LineSplitting(SteppedMethod):
         return (*half, *half[-2::-1])
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the bracket and every Casimir are kept.
+        """Return the properties: the bracket and every Casimir are preserved.
 
         Raises
         ------

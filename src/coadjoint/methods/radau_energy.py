@@ -27,7 +27,7 @@ NO_MULTIPLIER = (
 
 @dataclass(frozen=True)
 class RadauEnergy(CompiledStepMethod):
-    """Radau IIA for ``x' = f(x) + lambda x``, ``0 = H(x) - H(x_k)``: the energy is kept, and nothing else.
+    """Radau IIA for ``x' = f(x) + lambda x``, ``0 = H(x) - H(x_k)``: preserves the energy and nothing else.
 
     With s stages of order 2 s - 1: ``X_i = x + h sum_j a_ij (f(X_j) + lambda_j X_j)``, ``H(X_i) = H(x)``, ``x_new =
     X_s``. It supports any Hamiltonian that does not depend on time, where x . grad H is not zero. In the paper it is a
@@ -71,7 +71,7 @@ class RadauEnergy(CompiledStepMethod):
         return 2 * self.stages - 1
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the energy is kept, quadratic or not.
+        """Return the properties: the energy is preserved, quadratic or not.
 
         Raises
         ------

@@ -30,11 +30,11 @@ class SphericalMidpoint(CompiledStepMethod):
     """The spherical midpoint method for spins: a Poisson map on copies of so(3), for any H; implicit, of order 2.
 
     ``x_new = x + h f(y)``, where y is, spin by spin, the midpoint of x and x_new, projected to the sphere of both:
-    ``y_i = |x_i| (x_i + x_new_i) / |x_i + x_new_i|``. The lengths of all spins are kept, and therefore every Casimir;
-    each step is a Poisson map, so that the energy error stays bounded for long times. Choose it for spins whose H does
-    not split into exact flows, such as functions of several spins; otherwise `Splitting` has the same properties, is
-    explicit, and mostly cheaper. The Hamiltonian may depend on time. `GaussLegendre` also keeps the lengths, but is not
-    a Poisson map.
+    ``y_i = |x_i| (x_i + x_new_i) / |x_i + x_new_i|``. The lengths of all spins are preserved, and therefore every
+    Casimir; each step is a Poisson map, so that the energy error stays bounded for long times. Choose it for spins
+    whose H does not split into exact flows, such as functions of several spins; otherwise `Splitting` has the same
+    properties, is explicit, and mostly cheaper. The Hamiltonian may depend on time. `GaussLegendre` also preserves the
+    lengths, but is not a Poisson map.
 
     It supports so(3) and direct sums of copies of it, in any order of the coordinates, with additional coordinates that
     commute with all others. The equation is solved by iteration, which converges if h times the frequencies of the
@@ -63,10 +63,10 @@ class SphericalMidpoint(CompiledStepMethod):
     symmetric = True
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the bracket and every Casimir are kept, and for some H the energy.
+        """Return the properties: the bracket and every Casimir are preserved, and for some H the energy.
 
-        Since y is a multiple of the midpoint, H is kept if it is linear, or homogeneous quadratic, in one spin, or a
-        sum of such functions over the spins.
+        Since y is a multiple of the midpoint, H is preserved if it is linear, or homogeneous quadratic, in one spin, or
+        a sum of such functions over the spins.
 
         Raises
         ------

@@ -47,7 +47,7 @@ def vorticity_of(state: Any) -> npt.NDArray[Any]:
     return W[1] if W.ndim == 3 else W
 
 
-def carried_by(state: Any) -> npt.NDArray[Any]:
+def carried_field(state: Any) -> npt.NDArray[Any]:
     """Return the matrix of constant spectrum: the state, or the first of two fields, which the fluid carries."""
     W = np.asarray(state)
     return W[0] if W.ndim == 3 else W
@@ -59,7 +59,7 @@ def part_on_grid(fluid: FluidSystem, state: Any, part: str, shape: tuple[int, in
     `state` is W, (N, N), or the carried field and W, (2, N, N); for `part` see the picture "vorticity".
     """
     if part == "carried":
-        return fluid.to_grid(carried_by(state), shape)
+        return fluid.to_grid(carried_field(state), shape)
     W = vorticity_of(state)
     shown = fluid.relative(W)
     if part != "all":

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Values = Callable[[NDArray[np.int64], Floats], Floats]
 
-MOST_ROUNDS = 200
+MAX_ROUNDS = 200
 """Limit on the rounds of a search; a root takes about seven (bisection down to the smallest float: 1074)."""
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 MIN_BRACKET = 2.0**-26
@@ -36,7 +36,7 @@ def roots(values: Values, before: Floats, after: Floats, least: Floats) -> Float
     with np.errstate(invalid="ignore", over="ignore"):
         secant = fa / (fa - fb)
     t = np.clip(np.where(np.isfinite(secant), secant, 0.5), 0.01, 0.99)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         if not len(indices):
             break
         middle = a + t * (b - a)

@@ -166,7 +166,7 @@ class Solution(RunAttributes):
         if not self.work:
             return self._deviations(0)
         accounted = {invariant for _, invariant in self.record.accounts}
-        conserves_casimirs = accounted == {"energy"}  # the forces keep all Casimirs
+        conserves_casimirs = accounted == {"energy"}  # the forces preserve all Casimirs
         deviations = self._deviations(1 + len(self.casimirs))
         return {name: drift for name, drift in deviations.items() if conserves_casimirs or name in accounted}
 

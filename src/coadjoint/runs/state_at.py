@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-MOST_STEPS = 10**7
+MAX_STEPS = 10**7
 """Largest number of steps recomputed by one call."""
 
 
@@ -94,9 +94,9 @@ def state_at(solution: Solution, t: Any) -> StateAt:
     steps = np.ceil(np.where(ahead > near, ahead - near, 0.0) / solution.step).astype(np.int64)
     pieces = np.unique(before)
     last = [int(steps[before == j].max()) for j in pieces]
-    if sum(last) > MOST_STEPS:
+    if sum(last) > MAX_STEPS:
         raise ValueError(
-            f"the times lie {sum(last)} steps after saved points, and at most {MOST_STEPS} steps are recomputed; "
+            f"the times lie {sum(last)} steps after saved points, and at most {MAX_STEPS} steps are recomputed; "
             "integrate with t_eval, or with a smaller save_every"
         )
     order = np.lexsort((direction * wanted, before))

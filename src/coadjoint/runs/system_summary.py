@@ -12,7 +12,7 @@ from coadjoint.systems.description import description
 from coadjoint.systems.registry import gallery_entry_of
 
 LINE_WIDTH = 100
-MOST_NAMED = 30
+MAX_NAMED = 30
 ATTITUDES = {
     "representation": "attitude=True",
     "coadjoint": 'attitude="coadjoint"; no representation is known',
@@ -90,7 +90,7 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[str]:
     algebra = "none: J(x) is not linear in x" if summary["algebra"] is None else summary["algebra"]
     yield from _entry("algebra", f"{algebra}; dimension {summary['dimension']}, rank {summary['rank']}")
     yield from _entry("sign", f"{summary['sign']:+d}")
-    if len(summary["coordinates"]) <= MOST_NAMED:
+    if len(summary["coordinates"]) <= MAX_NAMED:
         yield from _entry("coordinates", ", ".join(summary["coordinates"]))
     for kind, missing in (("casimirs", "none is known"), ("integrals", "none beside H and the Casimirs is known")):
         formulas = summary[kind]

@@ -43,7 +43,7 @@ BYTES_PER_CONSTANT = 120  # both orders of every bracket, and temporaries of J(x
 class LiePoissonSystem:
     """The generalized Euler equations ``x' = sign * J(x) grad H(x)`` on the dual of a Lie algebra.
 
-    Use it if the bracket is linear in x. All schemes support it, and explicit splitting keeps all its Casimirs. For
+    Use it if the bracket is linear in x. All schemes support it, and explicit splitting preserves all its Casimirs. For
     nonlinear brackets see `PoissonSystem`.
 
     Parameters

@@ -110,7 +110,8 @@ class ExactField(ModifiedField):
         Raises
         ------
         ValueError
-            The scheme does not keep the energy (the message gives the power of h and the size), or H is not quadratic.
+            The scheme does not preserve the energy (the message gives the power of h and the size), or H is not
+            quadratic.
         """
         self._check_energy()
         ring, sign, terms = self._exact_system.ring, self.system.sign, {}

@@ -93,7 +93,7 @@ class ModifiedField(ABC):
 
     @ignore_overflow
     def skew_matrix(self, x: npt.ArrayLike, h: float) -> Floats:
-        """Return the skew K(x, h) = J(x) + O(h^p) with the field sign K grad H, of a scheme that keeps the energy.
+        """Return the skew K(x, h) = J(x) + O(h^p) with the field sign K grad H, of a scheme that preserves the energy.
 
         If the terms are polynomials and H is quadratic, the entries of K are polynomials, `skew_terms`. Otherwise
         K = J + sign (d g^T - g d^T) / |g|^2 with g = grad H, not zero, and d the field minus f_0.
@@ -112,7 +112,7 @@ class ModifiedField(ABC):
         Raises
         ------
         ValueError
-            The scheme does not keep the energy; the message gives the power of h and the size.
+            The scheme does not preserve the energy; the message gives the power of h and the size.
         """
         states, shape = self._states(x)
         step = read_number(h, "h")

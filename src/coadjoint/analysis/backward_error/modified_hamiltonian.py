@@ -257,11 +257,11 @@ def modified_hamiltonian(
     >>> H.terms[2]
     -(1/384)*x1^2*x2^2 - (1/384)*x1^2*x3^2 + (1/192)*x2^2*x3^2
     >>> run = co.integrate(body, (1.0, 2.0, 0.5), (0, 10), 0.1, co.Splitting(parts="coordinates"))
-    >>> kept = H(run.x, 0.1)
-    >>> float(max(abs(kept - kept[0])) / run.drift()["energy"]) < 0.01
+    >>> values = H(run.x, 0.1)
+    >>> float(max(abs(values - values[0])) / run.drift()["energy"]) < 0.01
     True
     """
-    system, scheme = read_subject(system, method)
+    system, scheme = check_system_and_scheme(system, method)
     order = read_integer(
         order, "order", 1, MAX_POWER, why="the words in the free algebra double in number with each power"
     )
@@ -294,7 +294,7 @@ def _from_terms(source: SchemeTerms, order: int) -> ModifiedHamiltonian:
     return ModifiedHamiltonian(terms, order, radius=radius, neglected=neglected, values=values, source=source)
 
 
-def read_subject(system: System, method: Any) -> tuple[LiePoissonSystem, Method]:
+def check_system_and_scheme(system: System, method: Any) -> tuple[LiePoissonSystem, Method]:
     """Validate system and scheme: one system on a Lie algebra, and a scheme."""
     scheme = read_method(method)
     if not isinstance(system, LiePoissonSystem):

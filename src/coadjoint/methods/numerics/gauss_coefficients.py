@@ -153,12 +153,12 @@ def _radau(stages: int, number: Number) -> Collocation:
     return _collocation(_radau_roots(stages, number))
 
 
-def gauss_nodes(stages: int) -> list[Fraction]:
+def node_polynomial(stages: int) -> list[Fraction]:
     """Return the monic polynomial of degree s in c whose roots are the nodes, lowest power first.
 
     Examples
     --------
-    >>> [str(coefficient) for coefficient in gauss_nodes(2)]
+    >>> [str(coefficient) for coefficient in node_polynomial(2)]
     ['1/6', '-1', '1']
     """
     signed = [(-1) ** (stages - k) * math.comb(stages, k) * math.comb(stages + k, k) for k in range(stages + 1)]

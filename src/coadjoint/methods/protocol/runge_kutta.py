@@ -13,7 +13,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.solvers import SOLVERS, Evaluation
 from coadjoint.methods.numerics.stages import Coefficients, Step, begin, validated_tableau
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.methods.protocol.stepped_method import FULL_STEP, SteppedMethod
+from coadjoint.methods.protocol.substep_method import FULL_STEP, SubstepMethod
 from coadjoint.methods.protocol.tangents import CompiledTangents
 from coadjoint.program.numbers import Number
 from coadjoint.systems.system_checks import System
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.protocol.cost_model import Work
 
 
-class RungeKuttaMethod(SteppedMethod, CompiledTangents):
+class RungeKuttaMethod(SubstepMethod, CompiledTangents):
     """A user-defined Runge-Kutta scheme: a tableau, and a solver for its stages."""
 
     tables_of_any_step = True

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.series import draw_members
-from coadjoint.pictures.style import INK, colour, coordinate, key, plain_axes
+from coadjoint.pictures.style import INK, colour, coordinate, legend, plain_axes
 
 MAX_COMPONENTS = 8
 BISECTIONS = 52
@@ -76,7 +76,7 @@ def components(
         axes.set(xlabel="time $t$", ylabel=ylabel, title=title)
         plain_axes(axes)
         if not by_member:
-            key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+            legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
         if flip_index is not None:
             _mark_flips(axes, drawn, flip_index)
 

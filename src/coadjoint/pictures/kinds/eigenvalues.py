@@ -8,7 +8,7 @@ import numpy as np
 
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, kind
-from coadjoint.pictures.style import colour, key, plain_axes
+from coadjoint.pictures.style import colour, legend, plain_axes
 from coadjoint.systems.protocol import is_matrix_system
 
 MAX_MARKED = 40
@@ -53,6 +53,6 @@ def eigenvalues(drawn: PlottedRun, at: float = 1.0) -> Paint:
             axes.set(xlabel="part of the eigenvalues below", ylabel=f"eigenvalues of $-i{name}$ over the largest")
         axes.set_title(f"spectrum of ${name}$: moved by {moved:.1e} of the largest")
         plain_axes(axes)
-        key(axes, loc="upper left")
+        legend(axes, loc="upper left")
 
     return paint

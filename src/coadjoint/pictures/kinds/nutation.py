@@ -9,7 +9,7 @@ import numpy as np
 from coadjoint.pictures.kinds.body_axis import axis_in_space
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import Paint, kind
-from coadjoint.pictures.style import INK, colour, dots, key, plain_axes
+from coadjoint.pictures.style import INK, colour, dots, legend, plain_axes
 
 
 @kind("nutation")
@@ -47,6 +47,6 @@ def nutation(drawn: PlottedRun, axis: Any = 2, up: Any = None, turns: float = 0.
         axes.set_title(f"nutation of {name}" + (f", for the first {360.0 * turns:g} degrees" if ended else ""))
         plain_axes(axes)
         axes.title.set_color(INK)
-        key(axes)
+        legend(axes)
 
     return paint

@@ -70,7 +70,7 @@ def goryachev_chaplygin_top(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0
 
 
 def goryachev_chaplygin_integral(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0, 0.0)) -> Polynomial:
-    """Return ``m3 (m1^2 + m2^2) / I1 - gamma3 (l1 m1 + l2 m2)``, which the top keeps if m . gamma is zero.
+    """Return ``m3 (m1^2 + m2^2) / I1 - gamma3 (l1 m1 + l2 m2)``, an integral of the top if m . gamma is zero.
 
     Otherwise it changes at the rate ``(l2 m1 - l1 m2)(m . gamma) / I1``.
 

@@ -34,7 +34,7 @@ class Quadratic(Summable):
     """The quadratic Hamiltonian ``x . M x / 2 + linear . x + constant``.
 
     Use it whenever H is quadratic. Every scheme of the library supports it, and `Taylor`, `GaussLegendre` and
-    ``freeze="structure"`` keep its energy to round-off. M need not be positive definite.
+    ``freeze="structure"`` preserve its energy to round-off. M need not be positive definite.
 
     Parameters
     ----------

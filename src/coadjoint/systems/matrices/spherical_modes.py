@@ -145,7 +145,7 @@ def diagonal_of(c: Complexes, N: int, m: int) -> Complexes:
     return np.concatenate([even + odd, (even - odd)[..., : n // 2][..., ::-1]], axis=-1)
 
 
-def along_diagonal(d: Complexes, N: int, m: int) -> Complexes:
+def coefficients_of_diagonal(d: Complexes, N: int, m: int) -> Complexes:
     """Return c of entries (i, i + m); inverse of `diagonal_of`."""
     V, n = _HARMONICS_CACHE.get(N, m), N - m
     half = n - n // 2
@@ -188,7 +188,7 @@ def harmonics_of_matrix(W: Any) -> Complexes:
     factor = -1j / scale(N)
     c = np.zeros(W.shape, dtype=np.complex128)
     for m in range(N):
-        c[..., m:, m] = along_diagonal(factor * np.diagonal(W, m, -2, -1), N, m)
+        c[..., m:, m] = coefficients_of_diagonal(factor * np.diagonal(W, m, -2, -1), N, m)
     c[..., :, 0].imag = 0.0
     c[..., 0, 0] = 0.0
     return c

@@ -40,7 +40,7 @@ class TwoLayerSystem(MatrixSystem):
     P = stream(W) and J = second_stream(Theta), or zero if the field is passive. A state is an array (2, N, N),
     ``[0]`` Theta and ``[1]`` W: the Lie-Poisson equation of the semidirect product of the algebra with its dual. With
     dual numbers, eps^2 = 0, X = Theta + eps W and Y = P + eps J, it is ``X' = [Y, X]``. So the spectrum of Theta and
-    ``tr W Theta^k`` are kept; for a passive field also the spectrum of W.
+    ``tr W Theta^k`` are preserved; for a passive field also the spectrum of W.
 
     Parameters
     ----------
