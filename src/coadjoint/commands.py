@@ -24,7 +24,7 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
 
 MAX_NUMBER_LENGTH = 60
-BROKEN_PIPE_STATUS = 141  # broken pipe: 128 + SIGPIPE
+BROKEN_PIPE_STATUS = 141  # 128 + SIGPIPE
 
 if TYPE_CHECKING:
     from coadjoint.files.configuration.configuration import Configuration
@@ -123,12 +123,13 @@ def _output_path(
 def _movie_target(configuration: Configuration, path: str) -> Path:
     from coadjoint.files.configuration.construction import section
     from coadjoint.files.output.movie_file import check_movie
+    from coadjoint.systems.protocol import unforced
 
-    target = check_movie(path)
+    target = check_movie(path)  # before the import, which needs Matplotlib
     from coadjoint.pictures.movie import declared_picture
 
     with section(configuration.path, "output.movie"):
-        declared_picture(getattr(configuration.system, "system", configuration.system).name)
+        declared_picture(unforced(configuration.system).name)
     return target
 
 
@@ -139,12 +140,11 @@ def _summarize(solution: Solution, written: Sequence[Path]) -> None:
         + f": {stats.steps} steps of {solution.step:g}, {stats.seconds:.3g} s"
     )
     extent = "every step" if solution.watched else "the saved points"
-    columns: dict[str, Mapping[str, float]] = {"largest deviation from the start": solution.change()}
+    title, columns = "largest deviation from the start", [solution.change()]
     if solution.work:
-        columns = {"change, and change minus the work of the forces (balance)": solution.change()}
-        balance = solution.balance()
-        columns["balance"] = {name: balance[name] if name in balance else math.nan for name in solution.change()}
-    click.echo(f"{next(iter(columns))}, over {extent}:")
+        title, balance = "change, and change minus the work of the forces (balance)", solution.balance()
+        columns.append({name: balance.get(name, math.nan) for name in solution.change()})
+    click.echo(f"{title}, over {extent}:")
     names = {name: in_one_line(name, 60) for name in solution.change()}
     from coadjoint.runs.summary import is_driven
 
@@ -152,7 +152,7 @@ def _summarize(solution: Solution, written: Sequence[Path]) -> None:
         names["energy"] = "energy (driven, so that it changes)"
     width = max(map(len, names.values()))
     for name, label in names.items():
-        click.echo(f"  {label:{width}}  " + "  ".join(f"{column[name]:.3g}" for column in columns.values()))
+        click.echo(f"  {label:{width}}  " + "  ".join(f"{column[name]:.3g}" for column in columns))
     for path in written:
         click.echo(f"written: {path}")
 
@@ -175,9 +175,9 @@ def check_file(file: str) -> None:
     _output_path(configuration, "file", None, lambda path: check_target(path, DATASETS))
     _output_path(configuration, "figure", None, lambda path: check_target(path, FIGURES))
     _output_path(configuration, "movie", None, lambda path: _movie_target(configuration, path))
-    forecast = plan(configuration)
-    click.echo(str(forecast))
-    if forecast.failed:
+    dry_run = plan(configuration)
+    click.echo(str(dry_run))
+    if dry_run.failed:
         raise click.exceptions.Exit(1)
 
 
@@ -215,12 +215,12 @@ def resume_archive(
 
 @commands.command("certify")
 @click.argument("file", type=click.Path())
-@click.option("--json", "mapping", metavar="PATH", help="Path of a file of all measurements: .json.")
-@click.option("--plot", "figure", metavar="PATH", help="Path of a figure of the measurements: .png, .pdf or .svg.")
+@click.option("--json", "json_path", metavar="PATH", help="Path of a file of all measurements: .json.")
+@click.option("--plot", "figure_path", metavar="PATH", help="Path of a figure of the measurements: .png, .pdf or .svg.")
 @click.option(
     "--steps", type=int, metavar="N", help="Steps of the long run; by default 2000, or as many as take a few seconds."
 )
-def certify_file(file: str, mapping: str | None, figure: str | None, steps: int | None) -> None:
+def certify_file(file: str, json_path: str | None, figure_path: str | None, steps: int | None) -> None:
     """Measure the properties that the scheme of the configuration FILE (TOML) preserves or declares.
 
     The exit status is 0 if every declared property holds, and 1 if one fails or cannot be decided.
@@ -230,8 +230,8 @@ def certify_file(file: str, mapping: str | None, figure: str | None, steps: int 
     from coadjoint.files.output.output_files import FIGURES, TEXTS, check_target, write_figure, write_text
 
     configuration = load(file)
-    target = None if mapping is None else check_target(mapping, TEXTS)
-    drawing = None if figure is None else check_target(figure, FIGURES)
+    json_target = None if json_path is None else check_target(json_path, TEXTS)
+    figure_target = None if figure_path is None else check_target(figure_path, FIGURES)
     certificate = certify(
         configuration.system,
         configuration.method,
@@ -240,13 +240,13 @@ def certify_file(file: str, mapping: str | None, figure: str | None, steps: int 
         steps=steps,
     )
     click.echo(str(certificate))
-    if target is not None:
-        with reporting_write_errors(configuration.path, target):
-            write_text(certificate.to_json(), target)
-    if drawing is not None:
-        with reporting_write_errors(configuration.path, drawing):
-            write_figure(certificate.plot(), drawing)
-    for written in (target, drawing):
+    if json_target is not None:
+        with reporting_write_errors(configuration.path, json_target):
+            write_text(certificate.to_json(), json_target)
+    if figure_target is not None:
+        with reporting_write_errors(configuration.path, figure_target):
+            write_figure(certificate.plot(), figure_target)
+    for written in (json_target, figure_target):
         if written is not None:
             click.echo(f"written: {written}")
     if not certificate.passed:
@@ -255,8 +255,8 @@ def certify_file(file: str, mapping: str | None, figure: str | None, steps: int 
 
 @commands.command("systems")
 @click.argument("name", required=False)
-@click.option("--json", "mapping", metavar="PATH", help="Path of a file of the description of NAME: .json.")
-def list_systems(name: str | None, mapping: str | None) -> None:
+@click.option("--json", "json_path", metavar="PATH", help="Path of a file of the description of NAME: .json.")
+def list_systems(name: str | None, json_path: str | None) -> None:
     """List the ready-made systems with their parameters, or describe one, NAME, with a first run.
 
     The description has parameters with units, algebra, Casimirs, integrals, whether a closed form and an attitude
@@ -266,27 +266,27 @@ def list_systems(name: str | None, mapping: str | None) -> None:
 
     known = ready_made_systems()
     if name is not None:
-        return _show_system(_known_system(name, tuple(known)), mapping)
-    if mapping is not None:
+        return _show_system(_check_system_name(name, tuple(known)), json_path)
+    if json_path is not None:
         raise click.UsageError("--json writes the description of one system; give its name")
     for system_name, builder in sorted(known.items()):
         signature = inspect.signature(builder).parameters
         _describe(system_name, {key: p.default for key, p in signature.items()}, inspect.getdoc(builder) or "")
 
 
-def _known_system(name: str, known: Sequence[str]) -> str:
+def _check_system_name(name: str, known: Sequence[str]) -> str:
     if name not in known:
         raise click.UsageError(f"unknown system {short(name)}; {_did_you_mean(name, sorted(known))}")
     return name
 
 
-def _show_system(name: str, mapping: str | None) -> None:
+def _show_system(name: str, json_path: str | None) -> None:
     import json
 
     from coadjoint.files.output.output_files import TEXTS, check_target, write_text
     from coadjoint.runs.system_summary import summarize_system, system_text
 
-    target = None if mapping is None else check_target(mapping, TEXTS)
+    target = None if json_path is None else check_target(json_path, TEXTS)
     summary = summarize_system(name)
     click.echo(system_text(summary))
     if target is not None:
@@ -418,11 +418,10 @@ def draw_gallery(names: tuple[str, ...], out: str) -> None:
     from coadjoint.pictures.gallery import PAGE, SCENES, gallery
 
     known = gallery_systems()
-    selected = [_known_system(name, (*known, *SCENES)) for name in dict.fromkeys(names)] or known
+    selected = [_check_system_name(name, (*known, *SCENES)) for name in dict.fromkeys(names)] or known
     if not names:
         require_packages("a gallery of all systems", "numba", "ducc0")
     folder = _folder(out)
-
     page = gallery(selected, lambda figure, name: write_figure(figure, folder / name), click.echo)
     write_page(page, folder / PAGE)
     click.echo(f"written: {folder / PAGE}")

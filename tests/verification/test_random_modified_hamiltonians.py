@@ -87,7 +87,7 @@ def test_modified_field_and_hamiltonian_agree(seed):
     ring = ExactPolynomials(system.algebra)
     for k, field in found.terms.items():
         H = modified.terms.get(k, co.Polynomial({}, dim=system.dim))
-        wanted = [system.sign * ring.polynomial(F) for F in ring.field(ring.of(H))]
+        wanted = [system.sign * ring.polynomial(F) for F in ring.field(ring.from_polynomial(H))]
         largest = max((abs(c) for F in wanted for c in F.monomials.values()), default=0)
         for F, G in zip(field, wanted, strict=True):
             rest = (F - G).monomials.values()

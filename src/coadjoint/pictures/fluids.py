@@ -21,13 +21,13 @@ SURFACES: dict[str, Callable[[int], FluidSystem]] = {"sphere": sphere_euler, "to
 
 def fluid_of(drawn: PlottedRun) -> FluidSystem:
     """Return the fluid system of a run (of two fields, that of the vorticity); raise CannotShow for other systems."""
-    family = drawn.family
-    if isinstance(family, FluidSystem):
-        return family
-    parameters = getattr(family, "parameters", None) or {}
-    if len(getattr(family, "shape", ())) == 3 and parameters.get("surface") in SURFACES:
-        return SURFACES[parameters["surface"]](family.algebra.N)
-    raise CannotShow(f"{family.name} has no vorticity to show; sphere_euler and torus_euler have")
+    system = drawn.unforced
+    if isinstance(system, FluidSystem):
+        return system
+    parameters = getattr(system, "parameters", None) or {}
+    if len(getattr(system, "shape", ())) == 3 and parameters.get("surface") in SURFACES:
+        return SURFACES[parameters["surface"]](system.algebra.N)
+    raise CannotShow(f"{system.name} has no vorticity to show; sphere_euler and torus_euler have")
 
 
 def surface_of(fluid: FluidSystem) -> str:
@@ -48,7 +48,7 @@ def vorticity_of(state: Any) -> npt.NDArray[Any]:
 
 
 def carried_field(state: Any) -> npt.NDArray[Any]:
-    """Return the matrix of constant spectrum: the state, or the first of two fields, which the fluid carries."""
+    """Return the matrix of the carried field, of constant spectrum: the state, or the first of two fields."""
     W = np.asarray(state)
     return W[0] if W.ndim == 3 else W
 

@@ -160,8 +160,8 @@ def make_corrector(system: LiePoissonSystem, method: Method | str | Mapping[str,
     )
     motions, rates = zip(*(short_motion(system, start, count) for start in starts), strict=True)
     ring = ExactPolynomials(system.algebra)
-    energy = ring.of(H)
-    brackets = [ring.polynomial(ring.bracket(ring.of(monomial), energy)) for monomial in basis]
+    energy = ring.from_polynomial(H)
+    brackets = [ring.polynomial(ring.bracket(ring.from_polynomial(monomial), energy)) for monomial in basis]
     columns = np.concatenate([_deviations(brackets, points) for points in motions])
     target = np.concatenate([_deviations([term], points)[:, 0] for points in motions])
     size = float(np.max(np.abs(target), initial=0.0))

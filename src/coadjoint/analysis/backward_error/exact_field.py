@@ -86,7 +86,7 @@ class ExactField(ModifiedField):
     def _polynomial(self, invariant: Any) -> Exact:
         function = self._invariant(invariant)
         if isinstance(function, Polynomial):
-            return self._exact_system.ring.of(function)
+            return self._exact_system.ring.from_polynomial(function)
         try:
             return self._exact_system.value_of(as_hamiltonian(function, self.system.dim).value)
         except (TypeError, AttributeError, ArithmeticError) as reason:

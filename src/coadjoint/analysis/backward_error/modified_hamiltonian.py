@@ -90,16 +90,17 @@ class ModifiedHamiltonian:
     @cached_property
     def error_term(self) -> ErrorTerm:
         """The leading term of the scheme, at the power of its order, even if that is not below `order`."""
-        if self._source is None:
-            raise TypeError("a modified Hamiltonian with values for its symbols has no scheme; use the symbolic one")
-        return self._source.error_term()
+        return self._scheme_terms().error_term()
 
     @cached_property
     def kernel(self) -> ModifiedHamiltonian:
         """The modified Hamiltonian of the kernel K of a processed scheme P K P^-1; unchanged for other schemes."""
+        return _from_terms(self._scheme_terms().kernel(), self.order)
+
+    def _scheme_terms(self) -> SchemeTerms:
         if self._source is None:
             raise TypeError("a modified Hamiltonian with values for its symbols has no scheme; use the symbolic one")
-        return _from_terms(self._source.kernel(), self.order)
+        return self._source
 
     def _numeric(self) -> Mapping[int, Polynomial]:
         if self.values:
@@ -127,12 +128,12 @@ class ModifiedHamiltonian:
         """Return the gradients at states, in the shape of x; parameters as for a call."""
         return self._sum(lambda term: term.gradient(x), _step(h))
 
-    def _sum(self, at: Callable[[Polynomial], Any], h: Any) -> Any:
+    def _sum(self, evaluate: Callable[[Polynomial], Any], h: Any) -> Any:
         terms = self._numeric()
         total: Any = 0  # small terms are added first
         try:
             for k in sorted(terms, reverse=True):
-                total = total + h**k * at(terms[k]) if k else total + at(terms[k])
+                total = total + h**k * evaluate(terms[k]) if k else total + evaluate(terms[k])
         except OverflowError:
             raise ValueError(
                 f"the terms of the modified Hamiltonian at h = {short(h)} leave the range of float64 there"

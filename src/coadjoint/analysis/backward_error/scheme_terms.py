@@ -134,7 +134,7 @@ class Symbols:
 
     def factors(self, ring: ExactPolynomials) -> dict[Exponents, Exact]:
         """Return exponents -> the polynomial in symbols that represents the coefficient."""
-        return {e: ring.symbol[name] / _divisor(e) for e, name in self.names.items()}
+        return {e: ring.symbol_elements[name] / _divisor(e) for e, name in self.names.items()}
 
 
 def symbols_of(H: Polynomial, wanted: Any, program: Program) -> Symbols:

@@ -70,7 +70,7 @@ def _sizes(drawn: PlottedRun) -> Mapping[str, float]:
 
     The scale of a trace is the sum of its absolute terms, since the terms cancel.
     """
-    if not is_matrix_system(drawn.family):
+    if not is_matrix_system(drawn.unforced):
         return {}
     state = drawn.state(0)
     scales = {"energy": float(np.nanmax(np.abs(drawn.invariants["energy"])))}

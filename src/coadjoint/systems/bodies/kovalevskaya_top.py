@@ -17,7 +17,7 @@ from coadjoint.systems.registry import ready_made
         x0=(1.0, 0.5, 1.5, 0.6, 0.0, 0.8),
         t_span=(0.0, 60.0),
         step=0.02,
-        caption="Integrable, and yet intricate: the motion is quasi-periodic on a torus of two dimensions, which the "
+        caption="An integrable top: the motion is quasi-periodic on a torus of two dimensions, which the "
         "paths of the third axis in space (middle) and of the vertical, seen from the body (right), begin to fill.",
         pictures=(
             Picture("body axis", axis=2, up=(3, 4, 5), vertical="vertical"),
@@ -65,6 +65,6 @@ def kovalevskaya_top(equatorial: float = 2.0, lever: npt.ArrayLike = (1.0, 0.0))
     >>> top.integrals["K"]([2.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     1.0
     """
-    M, size = moments_of(equatorial, "equatorial", (1.0, 1.0, 0.5))
+    M, moment = moments_of(equatorial, "equatorial", (1.0, 1.0, 0.5))
     u, v = read_vector(lever, "lever", 2).tolist()
-    return top_under_gravity(M, np.array([u, v, 0.0]), "kovalevskaya_top", {"equatorial": size, "lever": (u, v)})
+    return top_under_gravity(M, np.array([u, v, 0.0]), "kovalevskaya_top", {"equatorial": moment, "lever": (u, v)})

@@ -17,8 +17,8 @@ from coadjoint.validation import read_number
         x0=(0.0, 0.0, 3.0, 0.8660254037844386, 0.0, 0.5),
         t_span=(0.0, 24.0),
         step=0.02,
-        caption="Released with its axis at rest, inclined by 60 degrees: the axis falls, turns sideways and comes "
-        "back to rest in a cusp, over and over, while it precesses about the vertical.",
+        caption="Released with its axis at rest, inclined by 60 degrees: the axis nutates between cusps, in which "
+        "it is at rest, and precesses about the vertical.",
         pictures=(
             Picture("nutation", axis=2, up=(3, 4, 5)),
             Picture("body axis", axis=2, up=(3, 4, 5), vertical="vertical"),
@@ -71,11 +71,9 @@ def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0
     >>> top.integrals
     {'m3': m3}
     """
-    (m_equatorial, equatorial_moment), (m_axial, axial_moment) = (
-        moments_of(equatorial, "equatorial"),
-        moments_of(axial, "axial"),
-    )
-    M, height = np.concatenate([m_equatorial, m_equatorial, m_axial]), read_number(lever, "lever")
+    m_equatorial, equatorial_moment = moments_of(equatorial, "equatorial")
+    m_axial, axial_moment = moments_of(axial, "axial")
+    M, lever = np.concatenate([m_equatorial, m_equatorial, m_axial]), read_number(lever, "lever")
     warn_unphysical_inertia((equatorial_moment, equatorial_moment, axial_moment), "e(3)", "axial")
-    parameters = {"equatorial": equatorial_moment, "axial": axial_moment, "lever": height}
-    return top_under_gravity(M, np.array([0.0, 0.0, height]), "lagrange_top", parameters)
+    parameters = {"equatorial": equatorial_moment, "axial": axial_moment, "lever": lever}
+    return top_under_gravity(M, np.array([0.0, 0.0, lever]), "lagrange_top", parameters)

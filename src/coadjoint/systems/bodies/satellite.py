@@ -49,7 +49,7 @@ def _pitch(x: Any) -> Any:
         t_span=(0.0, 300.0),
         step=0.1,
         caption="A satellite on a circle: the gradient of gravity turns the axis of the smallest moment toward the "
-        "center, and the axis swings to and fro about this direction. Right, the directions of the radius and of the "
+        "centre, and the axis oscillates about this direction. Right, the directions of the radius and of the "
         "orbital momentum, seen from the body.",
         pictures=(
             Picture(

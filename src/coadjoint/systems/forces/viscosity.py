@@ -17,7 +17,7 @@ MAX_POWER = 32
 
 @dataclass(frozen=True)
 class Viscosity(ModeRates):
-    """Viscosity or hyperviscosity of a fluid of matrices: ``W' = -nu A^power W``, A minus the Laplacian.
+    """Viscosity or hyperviscosity of a fluid of matrices: ``W' = -nu A^power W`` with ``A = -Laplacian``.
 
     On the torus A is |n|^2 on the mode n. On the sphere it is l(l + 1) - 2 on the degree l, the divergence of the rate
     of strain: a solid rotation has no strain and does not decay, so the angular momentum is preserved. With
