@@ -62,7 +62,7 @@ class Composition(Composed, Composable):
 
     def __post_init__(self) -> None:
         check_base(self.base, "a Composition", "Splitting(order=2)")
-        object.__setattr__(self, "coefficients", _validated_fractions(self.coefficients, self.base))
+        object.__setattr__(self, "coefficients", _read_fractions(self.coefficients, self.base))
         if not self.base.symmetric:
             raise ValueError(f"Composition needs a symmetric base, which {self.base} is not{self.base.instead}")
         if sum(map(abs, self.coefficients)) > MAX_SUM:
@@ -112,7 +112,7 @@ class Composition(Composed, Composable):
         return [cls(Splitting(order=2), fractions), cls(GaussLegendre(1), fractions)]
 
 
-def _validated_fractions(coefficients: Any, base: Method) -> tuple[float, ...]:
+def _read_fractions(coefficients: Any, base: Method) -> tuple[float, ...]:
     fractions = read_finite(coefficients, "coefficients")
     if fractions.ndim != 1:
         raise ValueError(f"coefficients has shape {fractions.shape}; give a sequence of numbers")

@@ -50,12 +50,12 @@ def gauss_tableau(stages: int, number: Number = float) -> Coefficients:
 MAX_STAGES = 256
 
 
-def validated_stages(value: Any, what: str) -> int:
+def read_stages(value: Any, what: str) -> int:
     """Validate a number of stages or iterations; raise an error that names the parameter.
 
     Examples
     --------
-    >>> validated_stages(2, "stages")
+    >>> read_stages(2, "stages")
     2
     """
     return read_integer(value, what, 1, MAX_STAGES, why="more would not be more accurate")
@@ -111,7 +111,7 @@ class GaussLegendre(RungeKuttaMethod):
     symmetric = True
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", validated_stages(self.stages, "stages of GaussLegendre"))
+        object.__setattr__(self, "stages", read_stages(self.stages, "stages of GaussLegendre"))
 
     @property
     def solver(self) -> str:

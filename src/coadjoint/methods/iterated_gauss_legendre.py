@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 
-from coadjoint.methods.gauss_legendre import gauss_tableau, validated_stages
+from coadjoint.methods.gauss_legendre import gauss_tableau, read_stages
 from coadjoint.methods.numerics.gauss_coefficients import node_polynomial
 from coadjoint.methods.numerics.stages import Coefficients
 from coadjoint.methods.protocol.properties import Properties
@@ -56,9 +56,9 @@ class IteratedGaussLegendre(RungeKuttaMethod):
     symmetric = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", validated_stages(self.stages, "stages of IteratedGaussLegendre"))
+        object.__setattr__(self, "stages", read_stages(self.stages, "stages of IteratedGaussLegendre"))
         if self.iterations is not None:
-            count = validated_stages(self.iterations, "iterations of IteratedGaussLegendre")
+            count = read_stages(self.iterations, "iterations of IteratedGaussLegendre")
             object.__setattr__(self, "iterations", count)
 
     @property

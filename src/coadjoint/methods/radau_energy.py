@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.gauss_legendre import validated_stages
+from coadjoint.methods.gauss_legendre import read_stages
 from coadjoint.methods.numerics.gauss_coefficients import radau
 from coadjoint.methods.numerics.solvers import iterate_to_stagnation
 from coadjoint.methods.numerics.stages import Coefficients, Step, begin, linear_solve
@@ -63,7 +63,7 @@ class RadauEnergy(CompiledStepMethod):
     failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": NO_MULTIPLIER}
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", validated_stages(self.stages, "stages of RadauEnergy"))
+        object.__setattr__(self, "stages", read_stages(self.stages, "stages of RadauEnergy"))
 
     @property
     def order(self) -> int:

@@ -29,7 +29,7 @@ MAX_SEARCH_DEGREE = 4
 Product = Callable[[npt.NDArray[np.float64], npt.NDArray[np.float64]], npt.NDArray[np.float64]]
 
 
-def checked_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size: Product) -> dict[str, Any]:
+def read_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size: Product) -> dict[str, Any]:
     """Validate Casimirs by name; wrap plain functions, and check ``J(x) grad C(x) = 0`` at sample points.
 
     ``product(x, u)`` is J(x) u, and ``size(x, u)`` the sum of absolute products in each component. The tolerance is u
@@ -163,7 +163,7 @@ TIMES = (0.0, 1.0)
 
 
 @ignore_overflow
-def checked_integrals(integrals: Any, H: HamiltonianLike, n: int, product: Product, size: Product) -> dict[str, Any]:
+def read_integrals(integrals: Any, H: HamiltonianLike, n: int, product: Product, size: Product) -> dict[str, Any]:
     """Validate integrals by name; check ``grad F(x) . J(x) grad H(x) = 0`` at sample points where grad F is known.
 
     ``product(x, u)`` is J(x) u, and ``size(x, u)`` the sum of absolute products in each component. The tolerance is u

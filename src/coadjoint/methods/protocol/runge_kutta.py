@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.solvers import SOLVERS, Evaluation
-from coadjoint.methods.numerics.stages import Coefficients, Step, begin, validated_tableau
+from coadjoint.methods.numerics.stages import Coefficients, Step, begin, read_tableau
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.substep_method import FULL_STEP, SubstepMethod
 from coadjoint.methods.protocol.tangents import CompiledTangents
@@ -156,7 +156,7 @@ class RungeKuttaMethod(SubstepMethod, CompiledTangents):
 
         read_choice(self.solver, "solver", SOLVERS)
         scheme = type(self).__name__
-        forecast = np.shape(self.forecast(1.0)), validated_tableau(self.coefficients(), self.solver, scheme).mix.shape
+        forecast = np.shape(self.forecast(1.0)), read_tableau(self.coefficients(), self.solver, scheme).mix.shape
         if forecast[0] != forecast[1]:
             raise ValueError(f"forecast of {scheme} returned the shape {forecast[0]}; it must be {forecast[1]}")
         tables = runge_kutta_tables(system, self, representation, fractions)

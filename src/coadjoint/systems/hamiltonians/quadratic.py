@@ -14,7 +14,7 @@ from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.systems.evaluation import ignore_overflow, lossless_coefficients, point, scatter
+from coadjoint.systems.evaluation import ignore_overflow, lossless_coefficients, read_point, scatter
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm, Term
 from coadjoint.systems.matrix_entries import BYTES_PER_ENTRY, check_symmetric, real_array, sparse_entries
@@ -368,7 +368,7 @@ class Quadratic(Summable):
         return changed
 
     def _at(self, x: npt.ArrayLike) -> tuple[Quadratic, npt.NDArray[Any]]:
-        y = point(x, self.dim)
+        y = read_point(x, self.dim)
         return (self if self.dim is not None else self.bind(y.size)), y
 
     @ignore_overflow

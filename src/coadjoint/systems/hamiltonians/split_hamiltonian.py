@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.short_repr import short
-from coadjoint.systems.evaluation import point
+from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.separable import MAX_COORDINATES
 from coadjoint.systems.hamiltonians.summable import Summable
@@ -140,13 +140,13 @@ class SplitHamiltonian(Summable):
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return the sum of the pieces."""
-        y = point(x, self.dim)
+        y = read_point(x, self.dim)
         parts = zip(self.coordinates, self.pieces, strict=True)
         return sum(part.value(y[list(chosen)], t) for chosen, part in parts)
 
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return the gradient, shape (n,)."""
-        y = point(x, self.dim)
+        y = read_point(x, self.dim)
         result = np.zeros(y.size, dtype=y.dtype)
         for chosen, part in zip(self.coordinates, self.pieces, strict=True):
             indices = list(chosen)
@@ -155,7 +155,7 @@ class SplitHamiltonian(Summable):
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return the second derivatives, shape (n, n)."""
-        y = point(x, self.dim)
+        y = read_point(x, self.dim)
         result = np.zeros((y.size, y.size), dtype=y.dtype)
         for chosen, part in zip(self.coordinates, self.pieces, strict=True):
             indices = list(chosen)
