@@ -309,12 +309,12 @@ def list_algebras(name: str | None, parameters: tuple[str, ...]) -> None:
             click.echo(line)
         return
     try:
-        click.echo(algebra_text(algebra_of(name, dict(map(_parameter, parameters)))))
+        click.echo(algebra_text(algebra_of(name, dict(map(_read_parameter, parameters)))))
     except (ValueError, TypeError) as reason:
         raise click.UsageError(str(reason)) from None
 
 
-def _parameter(text: str) -> tuple[str, Fraction]:
+def _read_parameter(text: str) -> tuple[str, Fraction]:
     key, _, number = text.partition("=")
     try:
         if len(text) > MAX_NUMBER_LENGTH:

@@ -145,7 +145,7 @@ class LineSplitting(SubstepMethod):
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step in NumPy of a matrix (N, N) or of its coordinates (dim,)."""
         torus = torus_of(system)
-        end = matrix_of(self._advanced(torus, modes_of(torus.matrices(x)), h, None)[0])
+        end = matrix_of(self._advance(torus, modes_of(torus.matrices(x)), h, None)[0])
         return np.asarray(torus.to_vector(end) if torus.is_in_numbers(x) else end)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -153,13 +153,13 @@ class LineSplitting(SubstepMethod):
         torus = torus_of(system)
         check_available_memory(8 * 12 * torus.dim**2, f"the derivative of a step of {torus.dim} numbers")
         units = torus.algebra.projected(torus.from_vector(np.eye(torus.dim)))
-        end, changes = self._advanced(torus, modes_of(torus.matrices(x)), h, modes_of(units))
+        end, changes = self._advance(torus, modes_of(torus.matrices(x)), h, modes_of(units))
         return torus.to_vector(matrix_of(end)), torus.to_vector(matrix_of(changes)).T
 
-    def _advanced(
+    def _advance(
         self, torus: MatrixSystem, v: Complexes, h: float, changes: Complexes | None
     ) -> tuple[Complexes, Complexes]:
-        """Return modes after a step, and changes of them (directions, N, N)."""
+        """Return modes and tangent vectors, changes of modes (directions, N, N), after a step."""
         N = torus.algebra.N
         factor, constant = stream_of_modes(torus)
         forward = lines(N)

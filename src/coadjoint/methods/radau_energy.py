@@ -124,16 +124,16 @@ class RadauEnergy(CompiledStepMethod):
         blocks = step.jacobians(points) + multipliers[:, None, None] * np.eye(n)
         gradients = step.gradients(points)
         matrix = np.zeros((s * (n + 1), s * (n + 1)))
-        right = np.zeros((s * (n + 1), n))
+        rhs = np.zeros((s * (n + 1), n))
         for i in range(s):
             rows, constraint = slice(i * n, (i + 1) * n), s * n + i
-            matrix[rows, rows] = right[rows] = np.eye(n)
+            matrix[rows, rows] = rhs[rows] = np.eye(n)
             for j in range(s):
                 matrix[rows, j * n : (j + 1) * n] -= mu[i, j] * blocks[j]
                 matrix[rows, s * n + j] = -mu[i, j] * points[j]
             matrix[constraint, rows] = gradients[i]
-            right[constraint] = system.hamiltonian.gradient(step.x, t)
-        derivatives = np.linalg.solve(matrix, right)
+            rhs[constraint] = system.hamiltonian.gradient(step.x, t)
+        derivatives = np.linalg.solve(matrix, rhs)
         return step.x + step.coefficients.out @ slopes, derivatives[(s - 1) * n : s * n]
 
     def _solve(self, system: System, x: Any, t: Any, h: Any) -> tuple[Step, NDArray[Any], NDArray[Any]]:

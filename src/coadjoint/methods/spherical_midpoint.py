@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
 
-TYPICAL_ITERATIONS = 8  # typical number per step
-
 
 @dataclass(frozen=True)
 class SphericalMidpoint(CompiledStepMethod):
@@ -126,7 +124,7 @@ class SphericalMidpoint(CompiledStepMethod):
         """Return the step and its slope L = h f(y)."""
         self.properties(system)
         spins = spins_of(system)
-        step = begin(_middle, system, x, t, h)
+        step = begin(_tableau, system, x, t, h)
         slopes = iterate_to_stagnation(step, lambda points: step.fields(on_spheres(spins, step.x, points[0])[None]))
         return step, slopes[0]
 
@@ -137,7 +135,7 @@ class SphericalMidpoint(CompiledStepMethod):
         return work_of_iterations(system, group)
 
 
-def _middle(number: Number) -> Coefficients:
+def _tableau(number: Number) -> Coefficients:
     half, one = number(1) / 2, number(1)
     return Coefficients(np.array([half]), np.array([one]), np.array([[half]]), np.array([one]))
 

@@ -18,7 +18,6 @@ from coadjoint.systems.gallery_entry import Picture
 from coadjoint.systems.registry import gallery_entry_of, ready_made_systems
 
 PAGE = "index.html"
-DOTS_PER_INCH = 110
 
 _STYLE = (
     "body{font:16px/1.5 system-ui,sans-serif;color:#222;background:#fff}"

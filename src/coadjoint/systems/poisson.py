@@ -105,8 +105,9 @@ class PoissonSystem:
         parameters: Mapping[str, Any] | None = None,
         exact: Callable[..., Any] | None = None,
     ) -> None:
-        for what, function in (("structure_matrix", structure_matrix), ("derivative", derivative)):
-            if (function is not None or what != "derivative") and takes_time(function, what):  # type: ignore[arg-type]
+        functions = {"structure_matrix": structure_matrix} | ({} if derivative is None else {"derivative": derivative})
+        for what, function in functions.items():
+            if takes_time(function, what):
                 raise TypeError(f"{what} is a function of (x, t); give a function of x alone")
         n = dim if dim is not None else getattr(hamiltonian, "dim", None)
         if n is None:

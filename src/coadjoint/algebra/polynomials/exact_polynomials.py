@@ -107,11 +107,11 @@ class ExactPolynomials:
 
     def field(self, H: Exact) -> list[Exact]:
         """Return J(x) grad H, whose i-th entry is {x_i, H}."""
-        slope = self.gradient(H)
+        gradient = self.gradient(H)
         components = [self.zero] * self.dim
         for (i, j), entry in self._entries.items():
-            components[i] += entry * slope[j]
-            components[j] -= entry * slope[i]
+            components[i] += entry * gradient[j]
+            components[j] -= entry * gradient[i]
         return components
 
     def bracket(self, F: Exact, G: Exact) -> Exact:
@@ -127,9 +127,9 @@ class ExactPolynomials:
     def along(self, field: Sequence[Exact], F: Exact) -> Exact:
         """Return the derivative of F along a field."""
         total = self.zero
-        for component, slope in zip(field, self.gradient(F), strict=True):
-            if slope != 0 and component != 0:
-                total += component * slope
+        for component, derivative in zip(field, self.gradient(F), strict=True):
+            if derivative != 0 and component != 0:
+                total += component * derivative
         return total
 
     @cached_property

@@ -130,7 +130,7 @@ class ExactField(ModifiedField):
     def skew_matrix(self, x: npt.ArrayLike, h: float) -> Floats:
         if self._exact_system.energy.total_degree() > 2:
             return super().skew_matrix(x, h)
-        states, shape = self._states(x)
+        states, shape = self._read_states(x)
         n, step = self.system.dim, read_number(h, "h")
         values = self._skew_table.along(states).reshape(len(states), self.order, n, n)
         return np.einsum("mkij,k->mij", values, step ** np.arange(self.order)).reshape(*shape, n)

@@ -84,7 +84,7 @@ class ModifiedField(ABC):
         -------
         ndarray of the shape of x
         """
-        states, shape = self._states(x)
+        states, shape = self._read_states(x)
         step = read_number(h, "h")
         total = np.zeros_like(states)
         for term in reversed(self.values(states)):
@@ -114,7 +114,7 @@ class ModifiedField(ABC):
         ValueError
             The scheme does not preserve the energy; the message gives the power of h and the size.
         """
-        states, shape = self._states(x)
+        states, shape = self._read_states(x)
         step = read_number(h, "h")
         self._check_energy()
         values = self.values(states)
@@ -142,7 +142,7 @@ class ModifiedField(ABC):
     def _loss(self, k: int) -> str:
         """Format the size of grad H . f_k for a message."""
 
-    def _states(self, x: npt.ArrayLike) -> tuple[Floats, tuple[int, ...]]:
+    def _read_states(self, x: npt.ArrayLike) -> tuple[Floats, tuple[int, ...]]:
         states = read_finite(x, "x")
         if states.ndim not in (1, 2) or states.shape[-1] != self.system.dim:
             n = self.system.dim

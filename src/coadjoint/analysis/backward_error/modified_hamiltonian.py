@@ -122,11 +122,11 @@ class ModifiedHamiltonian:
         float or ndarray
             One value for each state.
         """
-        return self._sum(lambda term: term(x), _step(h))
+        return self._sum(lambda term: term(x), _read_step(h))
 
     def gradient(self, x: Any, h: Any) -> NDArray[Any]:
         """Return the gradients at states, in the shape of x; parameters as for a call."""
-        return self._sum(lambda term: term.gradient(x), _step(h))
+        return self._sum(lambda term: term.gradient(x), _read_step(h))
 
     def _sum(self, evaluate: Callable[[Polynomial], Any], h: Any) -> Any:
         terms = self._numeric()
@@ -201,7 +201,7 @@ class ModifiedHamiltonian:
         return text
 
 
-def _step(h: Any) -> Any:
+def _read_step(h: Any) -> Any:
     if isinstance(h, bool) or not supports_arithmetic(h) or np.ndim(h):
         raise TypeError(f"the step h is {short(h)}; it must be a number")
     return h

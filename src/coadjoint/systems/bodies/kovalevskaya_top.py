@@ -1,4 +1,4 @@
-"""Kovalevskaya's top: I1 = I2 = 2 I3, with the center of mass in the equatorial plane."""
+"""Kovalevskaya's top: I1 = I2 = 2 I3, with the centre of mass in the equatorial plane."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from coadjoint.systems.registry import ready_made
     )
 )
 def kovalevskaya_top(equatorial: float = 2.0, lever: npt.ArrayLike = (1.0, 0.0)) -> LiePoissonSystem:
-    """Return Kovalevskaya's top: a heavy top with ``I1 = I2 = 2 I3``, the center of mass in the plane of axes 1, 2.
+    """Return Kovalevskaya's top: a heavy top with ``I1 = I2 = 2 I3``, the centre of mass in the plane of axes 1, 2.
 
     State, sign -1, Casimirs and group element are those of `heavy_top`. It is the third and last integrable heavy top,
     with the integral ``K = |(m1 + i m2)^2 / (2 I1) - (l1 + i l2)(gamma1 + i gamma2)|^2``. For other axes use
@@ -41,7 +41,7 @@ def kovalevskaya_top(equatorial: float = 2.0, lever: npt.ArrayLike = (1.0, 0.0))
     equatorial : float
         Moment of inertia I1 = I2 about the fixed point (mass times length squared), positive; I3 is half of it.
     lever : (2,)
-        Weight times the position of the center of mass along the axes 1 and 2 (an energy).
+        Weight times the position of the centre of mass along the axes 1 and 2 (an energy).
 
     Returns
     -------

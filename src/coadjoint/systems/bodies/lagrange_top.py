@@ -1,4 +1,4 @@
-"""Lagrange's top: symmetric, with the center of mass on its axis."""
+"""Lagrange's top: symmetric, with the centre of mass on its axis."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from coadjoint.validation import read_number
     )
 )
 def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0) -> LiePoissonSystem:
-    """Return Lagrange's top: a heavy top with ``I1 = I2`` and the center of mass on the third axis.
+    """Return Lagrange's top: a heavy top with ``I1 = I2`` and the centre of mass on the third axis.
 
     State, sign -1, Casimirs and group element are those of `heavy_top`. The momentum along the axis, m3, is an
     integral, so the motion is integrable. The upright position is stable (a sleeping top) if
@@ -41,7 +41,7 @@ def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0
     equatorial, axial : float
         Moments of inertia about the fixed point (mass times length squared): across the axis and about it. Positive.
     lever : float
-        Weight times the distance of the center of mass along the axis (an energy); negative if the center of mass is
+        Weight times the distance of the centre of mass along the axis (an energy); negative if the centre of mass is
         below the fixed point when the axis points up.
 
     Returns

@@ -33,8 +33,8 @@ _MOMENT = re.compile(r"\bx([0-9,]+)\b")
         x0=(1.0, 0.0, 0.2),
         t_span=(0.0, 12.0),
         step=0.02,
-        caption="A beam in a harmonic well that also pulls itself together: its ellipse in phase space turns and "
-        "pulsates, and keeps its area, the emittance. Right, the moments on their hyperboloid, on which the "
+        caption="A beam in a harmonic well with self-attraction: its ellipse in phase space rotates and "
+        "oscillates, and its area, the emittance, is constant. Right, the moments on their hyperboloid, on which the "
         "area is constant.",
         pictures=(Picture("phase ellipse", moments=(0, 1, 2), until=0.15, times=8), Picture("coadjoint orbit")),
         parameters={"degree": 2, "potential": "1/2*x20 + 0.3*x20^2"},

@@ -180,7 +180,7 @@ class Hamiltonian(Summable):
     def terms(self) -> tuple[Term, ...]:
         """Return the single `FunctionTerm`, of all coordinates; the Hamiltonian must be bound."""
         if self.dim is None:
-            raise TypeError("this Hamiltonian has no dimension yet; bind(n) it first")
+            raise TypeError("this Hamiltonian has no dimension yet; call bind(n) first")
         coordinates = np.arange(self.dim, dtype=np.int64)
         return (FunctionTerm(coordinates, self._value, self._gradient, self._hessian, timed=self.timed),)
 

@@ -250,18 +250,17 @@ class Quadratic(Summable):
         >>> Quadratic([[1.0, -1.0], [-1.0, 0.0]], linear=[0.0, 3.0]).to_polynomial()
         3.0*x2 + 0.5*x1^2 - x1*x2
         """
-        if self.dim is None or self._linear is None:
-            raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
-        unit = [0] * self.dim
+        *M, linear = self.as_given()
+        unit = [0] * len(linear)
         monomials: dict[tuple[int, ...], Any] = {tuple(unit): self._constant}
-        for i, c in enumerate(self._linear.tolist()):
+        for i, c in enumerate(linear.tolist()):
             monomials[(*unit[:i], 1, *unit[i + 1 :])] = c
-        for i, j, c in zip(self._rows.tolist(), self._indices.tolist(), self._entries.tolist(), strict=True):
+        for i, j, c in zip(*(column.tolist() for column in M), strict=True):
             if i == j:
                 monomials[(*unit[:i], 2, *unit[i + 1 :])] = c / 2 if isinstance(c, float) else Fraction(c) / 2
             elif i < j:
                 monomials[(*unit[:i], 1, *unit[i + 1 : j], 1, *unit[j + 1 :])] = c
-        return Polynomial(monomials, dim=self.dim)
+        return Polynomial(monomials, dim=len(linear))
 
     def bind(self, n: int) -> Quadratic:
         """Return this Hamiltonian for dimension `n`; a number M becomes a multiple of the unit matrix.
@@ -306,7 +305,7 @@ class Quadratic(Summable):
     def as_given(self) -> Entries:
         """Return M, both triangles sorted by rows, and the linear part, bound, with fractions unchanged."""
         if self.dim is None or self._linear is None:
-            raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
+            raise TypeError("Quadratic of a number has no dimension yet; call bind(n) first")
         return Entries(self._rows, self._indices, self._entries, self._linear)
 
     def times(self, factor: Coefficient) -> Self:
@@ -354,12 +353,10 @@ class Quadratic(Summable):
         >>> Quadratic([1.0, 0.5]).with_linear([0.0, 2.0])
         Quadratic([1.0, 0.5], linear=[0.0, 2.0])
         """
-        if self.dim is None:
-            raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
-        coefficients = real_array(linear, "linear")
-        if coefficients.shape != (self.dim,):
+        n, coefficients = len(self.as_given().linear), real_array(linear, "linear")
+        if coefficients.shape != (n,):
             raise ValueError(
-                f"linear has the shape {coefficients.shape}; give one coefficient for each of {self.dim} coordinates"
+                f"linear has the shape {coefficients.shape}; give one coefficient for each of {n} coordinates"
             )
         coefficients.flags.writeable = False
         changed = copy.copy(self)
@@ -409,13 +406,11 @@ class Quadratic(Summable):
 
     def terms(self) -> tuple[Term, ...]:
         """Return the single `QuadraticTerm`; the Hamiltonian must be bound."""
-        if self.dim is None:
-            raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
         return self._terms
 
     @cached_property
     def _terms(self) -> tuple[Term, ...]:
-        values = self._entries.astype(np.float64)
+        values = self.as_given().entries.astype(np.float64)
         linear = self._linear_part(np.zeros(self._indptr.size - 1))
         return (QuadraticTerm(self._indptr, self._indices, values, linear, float(self._constant)),)
 

@@ -175,7 +175,7 @@ class Separable(Summable):
     def terms(self) -> tuple[Term, ...]:
         """Return one `FunctionTerm` for each coordinate, in order; the Hamiltonian must be bound."""
         if self.dim is None:
-            raise TypeError("Separable has no dimension yet; bind(n) it first")
+            raise TypeError("Separable has no dimension yet; call bind(n) first")
         return self.functions()
 
     def functions(self) -> tuple[FunctionTerm, ...]:

@@ -165,7 +165,7 @@ class SplitHamiltonian(Summable):
     def terms(self) -> tuple[Term, ...]:
         """Return the terms of all pieces in the n coordinates, with the numbers of the pieces; must be bound."""
         if self.dim is None:
-            raise TypeError("SplitHamiltonian has no dimension yet; bind(n) it first")
+            raise TypeError("SplitHamiltonian has no dimension yet; call bind(n) first")
         result: list[Term] = []
         for number, (chosen, part) in enumerate(zip(self.coordinates, self.pieces, strict=True)):
             indices = np.array(chosen, dtype=np.int64)

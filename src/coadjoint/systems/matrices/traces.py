@@ -41,11 +41,11 @@ class Trace:
     def gradient(self, x: Any) -> Any:
         """Return the derivatives with respect to the numbers of a state."""
         W = self.to_matrices(x)
-        slope = self.power * np.linalg.matrix_power(self._base(W), self.power - 1)
+        derivative = self.power * np.linalg.matrix_power(self._base(W), self.power - 1)
         # d tr B^k = k tr(B^(k-1) dB); the dot product of the numbers of A* and B is Re tr(A B).
-        slope = slope * (-1j if self.kind.conjugate else 1.0) * (-1j if self.imaginary else 1.0)
+        derivative = derivative * (-1j if self.kind.conjugate else 1.0) * (-1j if self.imaginary else 1.0)
         gradient = np.zeros_like(W)
-        gradient[..., self.rows, self.rows] = np.conj(np.swapaxes(slope, -1, -2))
+        gradient[..., self.rows, self.rows] = np.conj(np.swapaxes(derivative, -1, -2))
         return self.to_vector(gradient)
 
     def _base(self, W: Matrix) -> Matrix:
