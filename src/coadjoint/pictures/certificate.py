@@ -20,16 +20,6 @@ DEFECT_LABELS = {"symmetry": "step back", "reversibility": "reflected step", "po
 def draw_certificate(certificate: Any) -> Figure:
     """Return a figure of a certificate: the convergence, the defects, the invariants, and the verdicts.
 
-    Parameters
-    ----------
-    certificate : Certificate
-        From `coadjoint.certify`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Neither shown nor saved.
-
     Examples
     --------
     >>> import coadjoint as co

@@ -14,19 +14,7 @@ if TYPE_CHECKING:
 
 
 def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
-    """Return a figure of a phase error.
-
-    Parameters
-    ----------
-    drift : PhaseDrift
-        From `phase_drift`.
-    predicted : float, optional
-        A slope drawn in addition to the fitted line.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Neither shown nor saved.
+    """Return a figure of a `PhaseDrift`; `predicted` is a slope drawn in addition to the fitted line.
 
     Examples
     --------

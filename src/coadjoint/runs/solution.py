@@ -350,8 +350,8 @@ class Solution(RunAttributes):
         Parameters
         ----------
         panels : sequence of str or Picture, optional
-            Kinds of pictures instead, such as ``["drift", "body axis"]``; see
-            `coadjoint.pictures.solution.draw_solution`.
+            Kinds of pictures, such as ``["drift", "body axis"]``; ``co.plotting.kinds()`` lists them. By default the
+            drift, the components, the observed quantities, and the pictures that the system declares.
         components : sequence of int or str, optional
             Coordinates plotted over time, by number from 0 or by name.
         axes : Axes or sequence of Axes, optional

@@ -22,23 +22,9 @@ ATTITUDES = {
 
 
 def summarize_system(name: str) -> dict[str, Any]:
-    """Return the description of a ready-made system with a suggested scheme and step.
+    """Return the `description` of a ready-made system, with ``"scheme"``, ``"step"`` and ``"command"``.
 
-    Parameters
-    ----------
-    name : str
-        One of ``co.systems.names()``.
-
-    Returns
-    -------
-    dict
-        As `coadjoint.systems.description.description`, with ``"scheme"``, and ``"step"`` and ``"command"`` (None if
-        the system has no gallery entry); serializable by `json`.
-
-    Raises
-    ------
-    ValueError
-        Unknown system; the message has the nearest name.
+    Step and command are None if the system has no gallery entry.
 
     Examples
     --------
@@ -56,17 +42,7 @@ def summarize_system(name: str) -> dict[str, Any]:
 
 
 def system_text(summary: Mapping[str, Any]) -> str:
-    """Format a description as text.
-
-    Parameters
-    ----------
-    summary : mapping
-        From `summarize_system`.
-
-    Returns
-    -------
-    str
-        Lines of at most 100 characters.
+    """Format a description of `summarize_system` as text, in lines of at most 100 characters.
 
     Examples
     --------
