@@ -140,10 +140,11 @@ def _summarize(solution: Solution, written: Sequence[Path]) -> None:
         + f": {stats.steps} steps of {solution.step:g}, {stats.seconds:.3g} s"
     )
     extent = "every step" if solution.watched else "the saved points"
-    title, columns = "largest deviation from the start", [solution.change()]
+    title = "largest deviation from the start"
+    columns: list[Mapping[str, float]] = [solution.change()]
     if solution.work:
         title, balance = "change, and change minus the work of the forces (balance)", solution.balance()
-        columns.append({name: balance.get(name, math.nan) for name in solution.change()})
+        columns.append({name: balance[name] if name in balance else math.nan for name in solution.change()})
     click.echo(f"{title}, over {extent}:")
     names = {name: in_one_line(name, 60) for name in solution.change()}
     from coadjoint.runs.summary import is_driven
