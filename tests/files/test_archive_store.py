@@ -306,7 +306,7 @@ def test_archive_folder_reads_regular_files_only(tmp_path, monkeypatch):
         with pytest.raises(OSError):
             folder.read("", "in")
         with pytest.raises(ValueError, match="it has 10 bytes; the limit is 9"):
-            folder.read("in", "file", most=9)
+            folder.read("in", "file", max_bytes=9)
         assert [folder.has("in", name) for name in ("file", "pipe", "link", "none")] == [True, False, False, False]
         with monkeypatch.context() as patched:
             patched.setattr("coadjoint.memory.UNCHECKED_BYTES", 0)

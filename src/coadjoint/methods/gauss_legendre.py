@@ -58,7 +58,7 @@ def read_stages(value: Any, what: str) -> int:
     >>> read_stages(2, "stages")
     2
     """
-    return read_integer(value, what, 1, MAX_STAGES, why="more would not be more accurate")
+    return read_integer(value, what, 1, MAX_STAGES, reason="more would not be more accurate")
 
 
 @dataclass(frozen=True)

@@ -267,12 +267,12 @@ def _read_members(solution: Solution, members: Any) -> npt.NDArray[np.int64]:
     return np.array(chosen, dtype=np.int64)
 
 
-def spread(count: int, most: int) -> npt.NDArray[np.int64]:
-    """Return at most `most` of 0 ... count - 1, evenly spread.
+def spread(count: int, max_count: int) -> npt.NDArray[np.int64]:
+    """Return at most `max_count` of 0 ... count - 1, evenly spread.
 
     Examples
     --------
     >>> spread(9, 3).tolist(), spread(2, 3).tolist()
     ([0, 4, 8], [0, 1])
     """
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
+    return np.unique(np.linspace(0, count - 1, min(count, max_count)).round().astype(np.int64))

@@ -17,11 +17,11 @@ MIN_BRACKET = 2.0**-26
 """Bracket width at a minimum below which function values are indistinguishable, sqrt(2^-52)."""
 
 
-def roots(values: Values, before: Floats, after: Floats, least: Floats) -> Floats:
+def roots(values: Values, before: Floats, after: Floats, resolution: Floats) -> Floats:
     """Find a root of each of m functions by inverse quadratic interpolation and bisection, independently of the others.
 
     ``values(indices, theta)`` evaluates some of the functions; `before` and `after` (m,) are the values at 0 and 1, of
-    different signs (`after` may be zero); `least` (m,) is the resolution. T. R. Chandrupatla, Adv. Eng. Softw. 28
+    different signs (`after` may be zero); `resolution` (m,) is that of theta. T. R. Chandrupatla, Adv. Eng. Softw. 28
     (1997) 145-149; the first point is that of the secant.
 
     Examples
@@ -47,7 +47,7 @@ def roots(values: Values, before: Floats, after: Floats, least: Floats) -> Float
         a, fa = middle, fm
         best = np.where(np.abs(fa) < np.abs(fb), a, b)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            least_t = least[indices] / np.abs(b - a)
+            least_t = resolution[indices] / np.abs(b - a)
             done = (least_t > 0.5) | (fa == 0.0) | np.isnan(fm)
             xi, phi = (a - b) / (c - b), (fa - fb) / (fc - fb)
             quadratic = fa / (fb - fa) * (fc / (fb - fc)) + (c - a) / (b - a) * (fa / (fc - fa)) * (fb / (fc - fb))

@@ -264,7 +264,7 @@ def modified_hamiltonian(
     """
     system, scheme = check_system_and_scheme(system, method)
     order = read_integer(
-        order, "order", 1, MAX_POWER, why="the words in the free algebra double in number with each power"
+        order, "order", 1, MAX_POWER, reason="the words in the free algebra double in number with each power"
     )
     flows = flows_of(scheme)
     program = flows.program(system)

@@ -78,13 +78,13 @@ class Entry:
             raise self.invalid_error("a list" if length is None else f"a list of {length} entries")
         return [Entry(value, f"{self.path}[{i}]", self._depth + 1) for i, value in enumerate(self.value)]
 
-    def integers(self, most: int, length: int | None = None) -> list[int]:
-        """Return a list of integers from 0 to `most`, of the given length if any."""
+    def integers(self, maximum: int, length: int | None = None) -> list[int]:
+        """Return a list of integers from 0 to `maximum`, of the given length if any."""
         value = self.value
         listed = isinstance(value, list) and set(map(type, value)) <= {int} and (length is None or len(value) == length)
-        if not listed or (value and not 0 <= min(value) <= max(value) <= most):
+        if not listed or (value and not 0 <= min(value) <= max(value) <= maximum):
             raise self.invalid_error(
-                f"a list of {'' if length is None else f'{length} '}whole numbers from 0 to {most}"
+                f"a list of {'' if length is None else f'{length} '}whole numbers from 0 to {maximum}"
             )
         return list(value)
 
@@ -123,11 +123,13 @@ class Entry:
             )
         return self.value
 
-    def integer(self, least: int = 0, most: int = MAX_INTEGER) -> int:
+    def integer(self, minimum: int = 0, maximum: int = MAX_INTEGER) -> int:
         """Return the value as an integer between bounds."""
         value = self.value.item() if isinstance(self.value, np.generic) else self.value
-        if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-            raise self.invalid_error(f"a whole number from {least} " + ("up" if most == MAX_INTEGER else f"to {most}"))
+        if isinstance(value, bool) or not isinstance(value, int) or not minimum <= value <= maximum:
+            raise self.invalid_error(
+                f"a whole number from {minimum} " + ("up" if maximum == MAX_INTEGER else f"to {maximum}")
+            )
         return value
 
     def number(self) -> float:
