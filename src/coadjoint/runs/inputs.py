@@ -274,7 +274,7 @@ class CallLoops(Loops):
             [MemberBatch(loop, *tables, m, m + 1, base=m) for m, tables in enumerate(self._call_tables)], workers
         )
 
-    def pieces(self, watch: Any = None) -> MemberTables:
+    def member_tables(self, watch: Any = None) -> MemberTables:
         """Return the tables of all members, or those of each member."""
         loop = self._base.prepared.name
         if len(self._call_tables) == 1:
