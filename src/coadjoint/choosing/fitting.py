@@ -158,9 +158,9 @@ def confirmed_fit(fitted: Fit, goal: float, bound: float) -> Fit:
     if fitted.candidate.method.own_steps:
         return fitted  # its last trial used this tolerance
     for _ in range(MAX_CORRECTIONS):
-        wanted = fitted.steps / pilot.windows
+        exact_steps = fitted.steps / pilot.windows
         # At most the steps of the run: a finer trial could succeed where the run fails.
-        per_window = fitted.steps if pilot.covers_span else pilot.comparable_steps(wanted, finer=False)
+        per_window = fitted.steps if pilot.covers_span else pilot.comparable_steps(exact_steps, finer=False)
         if per_window * fitted.candidate.cost(fitted.trial) > MAX_CONFIRMATION_COST:
             return fitted
         trial = pilot.trial(fitted.candidate.method, per_window)
@@ -171,7 +171,7 @@ def confirmed_fit(fitted: Fit, goal: float, bound: float) -> Fit:
             pilot.noise, _expected_rounding(pilot, fitted.candidate, per_window, 1.0)
         ):
             return fitted
-        end = trial.error * (per_window / wanted) ** order * fitted.candidate.growth(pilot, trial)
+        end = trial.error * (per_window / exact_steps) ** order * fitted.candidate.growth(pilot, trial)
         fitted = replace(fitted, error=end, trial=trial)
         if end <= bound:
             return fitted

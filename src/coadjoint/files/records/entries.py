@@ -43,9 +43,9 @@ class Entry:
         if depth > MAX_DEPTH:
             raise ValueError(f"{path} is nested deeper than {MAX_DEPTH} lists and tables")
 
-    def invalid_error(self, wanted: str) -> ValueError:
-        """Return the error that the value must be `wanted`."""
-        return ValueError(f"{self.path} is {short(self.value, 60)}; it must be {wanted}")
+    def invalid_error(self, expected: str) -> ValueError:
+        """Return the error that the value must be `expected`."""
+        return ValueError(f"{self.path} is {short(self.value, 60)}; it must be {expected}")
 
     def table(self) -> dict[str, Entry]:
         """Return a table of entries."""
@@ -94,25 +94,25 @@ class Entry:
 
     def rows(self, *bounds: int) -> NDArray[np.float64]:
         """Return an array of rows: integers below the bounds, then a finite number."""
-        wanted = f"rows of {len(bounds)} whole numbers below {', '.join(map(str, bounds))} and a finite number"
+        expected = f"rows of {len(bounds)} whole numbers below {', '.join(map(str, bounds))} and a finite number"
         if self.value == []:
             return np.zeros((0, len(bounds) + 1))
-        table = self._array(wanted, None, len(bounds) + 1)
+        table = self._array(expected, None, len(bounds) + 1)
         for column, bound in zip(table.T, bounds, strict=False):
             if not ((column >= 0) & (column < bound) & (column == np.floor(column))).all():
-                raise self.invalid_error(wanted)
+                raise self.invalid_error(expected)
         return table
 
-    def _array(self, wanted: str, *shape: int | None) -> NDArray[np.float64]:
+    def _array(self, expected: str, *shape: int | None) -> NDArray[np.float64]:
         try:
             array = np.array(self.value)
         except (ValueError, TypeError, OverflowError, RecursionError):
-            raise self.invalid_error(wanted) from None
+            raise self.invalid_error(expected) from None
         fits_shape = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
         if not isinstance(self.value, list) or array.dtype.kind not in "if" or not fits_shape:
-            raise self.invalid_error(wanted)
+            raise self.invalid_error(expected)
         if not np.isfinite(array).all():
-            raise self.invalid_error(wanted)
+            raise self.invalid_error(expected)
         return array.astype(np.float64)
 
     def text(self) -> str:

@@ -144,8 +144,8 @@ def modified_terms(
     If `H` is given, the coefficients of the parts are replaced by its own, or by the polynomials in symbols `factors`
     (see `with_hamiltonian_coefficients`), unless a Casimir was subtracted.
     """
-    wanted = [weight for weight in weights if coordinates.of_weight[weight]]
-    highest = max(wanted, default=1)
+    nonzero = [weight for weight in weights if coordinates.of_weight[weight]]
+    highest = max(nonzero, default=1)
     if highest > 1:
         _check_cost(system, program, highest)
     elif not factors:
@@ -158,7 +158,7 @@ def modified_terms(
     series = ModifiedSeries(Commutators(ring, system.sign), flows, highest)
     of_power: dict[int, Polynomial] = {}
     radius, neglected = 0.0, coordinates.neglected
-    for weight in wanted:
+    for weight in nonzero:
         polynomial, rounding, dropped = series.term(coordinates, weight)
         radius, neglected = max(radius, rounding), max(neglected, dropped)
         if polynomial.monomials:
