@@ -297,7 +297,7 @@ def test_archive_folder_reads_regular_files_only(tmp_path, monkeypatch):
     (tmp_path / "in" / "nowhere").symlink_to("none")
     before = open_descriptors()
     with ArchiveFolder(tmp_path) as folder:
-        read = [folder.read("in", "file", **more) for more in ({}, {"head": 4}, {"head": 40}, {"most": 10})]
+        read = [folder.read("in", "file", **more) for more in ({}, {"head": 4}, {"head": 40}, {"max_bytes": 10})]
         assert read == [b"0123456789", b"0123", b"0123456789", b"0123456789"]
         for name, number in (("pipe", errno.EINVAL), ("link", errno.ELOOP), ("nowhere", errno.ELOOP)):
             with pytest.raises(OSError) as refused:
