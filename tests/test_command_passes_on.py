@@ -347,7 +347,7 @@ def test_driven_energy_is_marked(capsys):
     ("text", "value"), [("b=0.5", 0.5), ("b=1/4", 0.25), ("b=5e-1", 0.5), ("b=25E-2", 0.25), ("b=-1/2", -0.5)]
 )
 def test_parameter_numbers_are_parsed(text, value):
-    assert library_commands._parameter(text) == ("b", value)
+    assert library_commands._read_parameter(text) == ("b", value)
 
 
 @pytest.mark.parametrize(
@@ -357,7 +357,7 @@ def test_parameter_numbers_are_parsed(text, value):
 )  # fmt: skip
 def test_invalid_parameters_are_refused(text):
     with pytest.raises(ValueError, match="is not a parameter; give name and number"):
-        library_commands._parameter(text)
+        library_commands._read_parameter(text)
 
 
 def test_schema_is_readable_text(capsys):

@@ -225,7 +225,7 @@ def test_bounds_of_numbers():
         with pytest.raises(ValueError, match="n must be a whole number from 1 to 5, not"):
             read_integer(value, "n", 1, 5)
     with pytest.raises(ValueError, match="n must be at most 5, not 6; it is enough"):
-        read_integer(6, "n", 1, 5, why="it is enough")
+        read_integer(6, "n", 1, 5, reason="it is enough")
     assert read_positive(Fraction(1, 2), "h") == 0.5
     with pytest.raises(ValueError, match=r"h is -0\.0; it must be positive"):
         read_positive(-0.0, "h")
@@ -402,7 +402,7 @@ def test_results_have_plain_types():
         assert type(read_integer(value, "n", floats=True)) is int
         with pytest.raises(ValueError, match="n must be a whole number from 1 up"):
             read_integer(value, "n")
-    assert read_integer(np.float16(2048), "n", most=10**9, floats=True) == 2048
+    assert read_integer(np.float16(2048), "n", maximum=10**9, floats=True) == 2048
     for value in (True, np.True_):
         with pytest.raises(ValueError, match="n must be a whole number from 1 up"):
             read_integer(value, "n")

@@ -14,7 +14,7 @@ from work_precision.problems import Problem
 from work_precision.solver import Failed, Solve, Solver, decades
 
 jax.config.update("jax_enable_x64", True)
-MOST_STEPS = 10**6
+MAX_STEPS = 10**6
 
 
 @cache
@@ -35,7 +35,7 @@ def compiled(problem: Problem) -> Any:
             x0,
             saveat=diffrax.SaveAt(t1=True),
             stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
-            max_steps=MOST_STEPS,
+            max_steps=MAX_STEPS,
             adjoint=diffrax.ForwardMode(),
             throw=False,
         )
@@ -51,7 +51,7 @@ def prepare(problem: Problem, tolerance: float) -> Solve:
     def solve(x0: np.ndarray, span: float) -> np.ndarray:
         end, success = whole(x0, span, tolerance)
         if not success:
-            raise Failed(f"more than {MOST_STEPS} steps at tolerance {tolerance:g}")
+            raise Failed(f"more than {MAX_STEPS} steps at tolerance {tolerance:g}")
         return np.asarray(end)
 
     return solve

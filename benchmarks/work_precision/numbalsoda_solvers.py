@@ -13,7 +13,7 @@ from work_precision.problems import Problem
 from work_precision.solver import Failed, Solve, Solver, decades
 from work_precision.source_text import python_function
 
-MOST_STEPS = 10**8
+MAX_STEPS = 10**8
 METHODS = {"dop853": dop853, "lsoda": lsoda}
 
 
@@ -30,7 +30,7 @@ def prepare(problem: Problem, setting: tuple[str, float]) -> Solve:
 
     def solve(x0: np.ndarray, span: float) -> np.ndarray:
         times = np.array([0.0, span])
-        states, success = method(field.address, x0, times, rtol=tolerance, atol=tolerance, mxstep=MOST_STEPS)
+        states, success = method(field.address, x0, times, rtol=tolerance, atol=tolerance, mxstep=MAX_STEPS)
         if not success:
             raise Failed(f"stopped at tolerance {tolerance:g}")
         return states[-1]

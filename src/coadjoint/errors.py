@@ -76,11 +76,12 @@ def unknown_name(kind: str, name: Any, known: Iterable[str]) -> ValueError:
     near = nearest(name, names)
     if near is None and len(names) <= MAX_LISTED_NAMES:
         return ValueError(f"unknown {kind} {short(name)}; there are: {', '.join(names)}")
-    return ValueError(f"unknown {kind} {short(name)}; did you mean {near or nearest(name, names, least=0.0)!r}?")
+    near = near or nearest(name, names, min_similarity=0.0)
+    return ValueError(f"unknown {kind} {short(name)}; did you mean {near!r}?")
 
 
-def nearest(name: str, known: Iterable[str], least: float = 0.5) -> str | None:
-    """Return the known name most similar to a given one, or None if no similarity reaches `least` (0 any, 1 equal)."""
+def nearest(name: str, known: Iterable[str], min_similarity: float = 0.5) -> str | None:
+    """Return the known name most similar to a given one; None below `min_similarity`, from 0 (any) to 1 (equal)."""
     names = sorted(known)
     # Names much longer than any known one are truncated, since the time is quadratic in the length.
     beginning = name[: 2 * max(map(len, names), default=0)]
@@ -91,7 +92,7 @@ def nearest(name: str, known: Iterable[str], least: float = 0.5) -> str | None:
     containing = [known for known in names if len(stem) > 3 and stem in known.casefold()]
     if containing and not difflib.get_close_matches(beginning, names, n=1, cutoff=0.75):
         return min(containing, key=len)
-    return next(iter(difflib.get_close_matches(beginning, names, n=1, cutoff=least)), None)
+    return next(iter(difflib.get_close_matches(beginning, names, n=1, cutoff=min_similarity)), None)
 
 
 def unknown_attribute(module: str, name: str, known: Iterable[str]) -> AttributeError:

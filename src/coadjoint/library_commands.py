@@ -22,8 +22,8 @@ MAX_NUMBER_LENGTH = 60
 
 @click.command("systems")
 @click.argument("name", required=False)
-@click.option("--json", "mapping", metavar="PATH", help="Path of a file of the description of NAME: .json.")
-def list_systems(name: str | None, mapping: str | None) -> None:
+@click.option("--json", "json_path", metavar="PATH", help="Path of a file of the description of NAME: .json.")
+def list_systems(name: str | None, json_path: str | None) -> None:
     """List the ready-made systems with their parameters, or describe one, NAME, with a first run.
 
     The description has parameters with units, algebra, Casimirs, integrals, whether a closed form and an attitude
@@ -33,28 +33,28 @@ def list_systems(name: str | None, mapping: str | None) -> None:
 
     known = ready_made_systems()
     if name is not None:
-        return _show_system(_known_system(name, known), mapping)
-    if mapping is not None:
+        return _show_system(_check_system_name(name, known), json_path)
+    if json_path is not None:
         raise click.UsageError("--json writes the description of one system; give its name")
     for system_name, builder in sorted(known.items()):
         signature = inspect.signature(builder).parameters
         _describe(system_name, {key: p.default for key, p in signature.items()}, inspect.getdoc(builder) or "")
 
 
-def _known_system(name: str, known: Collection[str]) -> str:
+def _check_system_name(name: str, known: Collection[str]) -> str:
     try:
         return read_choice(name, "system", known)
     except ValueError as reason:
         raise click.UsageError(str(reason)) from None
 
 
-def _show_system(name: str, mapping: str | None) -> None:
+def _show_system(name: str, json_path: str | None) -> None:
     import json
 
     from coadjoint.files.output.output_files import TEXTS, check_target, write_text
     from coadjoint.runs.system_summary import summarize_system, system_text
 
-    target = None if mapping is None else check_target(mapping, TEXTS)
+    target = None if json_path is None else check_target(json_path, TEXTS)
     summary = summarize_system(name)
     click.echo(system_text(summary))
     if target is not None:
@@ -77,12 +77,12 @@ def list_algebras(name: str | None, parameters: tuple[str, ...]) -> None:
             click.echo(line)
         return
     try:
-        click.echo(algebra_text(algebra_of(name, dict(map(_parameter, parameters)))))
+        click.echo(algebra_text(algebra_of(name, dict(map(_read_parameter, parameters)))))
     except (ValueError, TypeError) as reason:
         raise click.UsageError(str(reason)) from None
 
 
-def _parameter(text: str) -> tuple[str, Fraction]:
+def _read_parameter(text: str) -> tuple[str, Fraction]:
     key, _, number = text.partition("=")
     try:
         if len(text) > MAX_NUMBER_LENGTH:
@@ -186,7 +186,7 @@ def draw_gallery(names: tuple[str, ...], out: str) -> None:
     from coadjoint.pictures.gallery import PAGE, SCENES, gallery
 
     known = gallery_systems()
-    selected = [_known_system(name, (*known, *SCENES)) for name in dict.fromkeys(names)] or known
+    selected = [_check_system_name(name, (*known, *SCENES)) for name in dict.fromkeys(names)] or known
     if not names:
         require_packages("a gallery of all systems", "numba", "ducc0")
     folder = _folder(out)

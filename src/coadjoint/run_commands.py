@@ -141,9 +141,9 @@ def check_file(file: str) -> None:
 
     configuration = load(file)
     _output_paths(configuration)
-    forecast = plan(configuration)
-    click.echo(str(forecast))
-    if forecast.failed:
+    dry_run = plan(configuration)
+    click.echo(str(dry_run))
+    if dry_run.failed:
         raise click.exceptions.Exit(1)
 
 
@@ -182,12 +182,12 @@ def resume_archive(
 
 @click.command("certify")
 @click.argument("file", type=click.Path())
-@click.option("--json", "mapping", metavar="PATH", help="Path of a file of all measurements: .json.")
-@click.option("--plot", "figure", metavar="PATH", help="Path of a figure of the measurements: .png, .pdf or .svg.")
+@click.option("--json", "json_path", metavar="PATH", help="Path of a file of all measurements: .json.")
+@click.option("--plot", "figure_path", metavar="PATH", help="Path of a figure of the measurements: .png, .pdf or .svg.")
 @click.option(
     "--steps", type=int, metavar="N", help="Steps of the long run; by default 2000, or as many as take a few seconds."
 )
-def certify_file(file: str, mapping: str | None, figure: str | None, steps: int | None) -> None:
+def certify_file(file: str, json_path: str | None, figure_path: str | None, steps: int | None) -> None:
     """Measure the properties that the scheme of the configuration FILE (TOML) preserves or declares.
 
     The exit status is 0 if every declared property holds, and 1 if one fails or cannot be decided.
@@ -197,8 +197,8 @@ def certify_file(file: str, mapping: str | None, figure: str | None, steps: int 
     from coadjoint.files.output.output_files import FIGURES, TEXTS, check_target, write_figure, write_text
 
     configuration = load(file)
-    target = None if mapping is None else check_target(mapping, TEXTS)
-    drawing = None if figure is None else check_target(figure, FIGURES)
+    json_target = None if json_path is None else check_target(json_path, TEXTS)
+    figure_target = None if figure_path is None else check_target(figure_path, FIGURES)
     certificate = certify(
         configuration.system,
         configuration.method,
@@ -207,13 +207,13 @@ def certify_file(file: str, mapping: str | None, figure: str | None, steps: int 
         steps=steps,
     )
     click.echo(str(certificate))
-    if target is not None:
-        with reporting_write_errors(configuration.path, target):
-            write_text(certificate.to_json(), target)
-    if drawing is not None:
-        with reporting_write_errors(configuration.path, drawing):
-            write_figure(certificate.plot(), drawing)
-    for written in (target, drawing):
+    if json_target is not None:
+        with reporting_write_errors(configuration.path, json_target):
+            write_text(certificate.to_json(), json_target)
+    if figure_target is not None:
+        with reporting_write_errors(configuration.path, figure_target):
+            write_figure(certificate.plot(), figure_target)
+    for written in (json_target, figure_target):
         if written is not None:
             click.echo(f"written: {written}")
     if not certificate.passed:

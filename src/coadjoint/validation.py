@@ -215,21 +215,21 @@ def check_power(number: float, power: int, what: str) -> None:
 
 
 def read_integer(
-    value: Any, what: str, least: int = 1, most: int | None = None, *, floats: bool = False, why: str = ""
+    value: Any, what: str, minimum: int = 1, maximum: int | None = None, *, floats: bool = False, reason: str = ""
 ) -> int:
     """Validate a whole number within bounds and return a Python int, which does not wrap; booleans are refused.
 
-    `floats` accepts whole floats such as 1e6; `why`, the reason for the upper bound, is added to its message.
+    `floats` accepts whole floats such as 1e6; `reason`, that of the upper bound, is added to its message.
     """
     is_whole = type(value) is int or (isinstance(value, numbers.Integral) and not isinstance(value, bool))
     if floats and not is_whole and isinstance(value, float | np.floating):
         value = float(value)  # small float types cannot represent the bounds
         is_whole = value.is_integer()
-    if not is_whole or value < least or (most is not None and value > most and not why):
-        bounds = f"from {least} up" if most is None or why else f"from {least} to {short(most)}"
+    if not is_whole or value < minimum or (maximum is not None and value > maximum and not reason):
+        bounds = f"from {minimum} up" if maximum is None or reason else f"from {minimum} to {short(maximum)}"
         raise ValueError(f"{what} must be a whole number {bounds}, not {short(value)}")
-    if most is not None and value > most:
-        raise ValueError(f"{what} must be at most {most}, not {short(value)}; {why}")
+    if maximum is not None and value > maximum:
+        raise ValueError(f"{what} must be at most {maximum}, not {short(value)}; {reason}")
     return int(value)
 
 

@@ -6,7 +6,7 @@ from scipy.special import ellipk
 
 import coadjoint as co
 from coadjoint.analysis.signals import sampled
-from coadjoint.analysis.spectral_lines import find_lines, spread_by_noise
+from coadjoint.analysis.spectral_lines import find_lines, frequency_uncertainty
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -173,7 +173,7 @@ def test_the_effect_of_noise_is_neither_too_small_nor_too_large(samples, power, 
     signal = wave + level * (noise[0] + 1j * noise[1])
     found = find_lines(s, signal if complex_signal else signal.real, 1, power)
     true = np.sqrt(np.mean((found.frequency - w) ** 2))
-    claimed = np.sqrt(np.mean(spread_by_noise(found, s, power) ** 2))
+    claimed = np.sqrt(np.mean(frequency_uncertainty(found, s, power) ** 2))
     # The spread of 400 draws is known to 1 / sqrt(800); six per cent more cover the median of few bins.
     assert abs(np.log(true / claimed)) < 4 / np.sqrt(2 * members) + 0.06
 

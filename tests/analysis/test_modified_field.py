@@ -195,7 +195,7 @@ def test_splittings_are_poisson_with_hamiltonians(name: str, sign: int) -> None:
     assert found.first_error == 2 and not found.poisson_defects
     ring = ExactPolynomials(system.algebra)
     for k, H in found.hamiltonians.items():
-        assert [ring.polynomial(sign * f) for f in ring.field(ring.of(H))] == list(found.terms[k])
+        assert [ring.polynomial(sign * f) for f in ring.field(ring.from_polynomial(H))] == list(found.terms[k])
     for C in system.casimirs:
         if isinstance(system.casimirs[C], co.Polynomial | co.Quadratic):
             assert found.keeps(C) is None

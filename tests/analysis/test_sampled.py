@@ -68,12 +68,12 @@ def test_only_the_last_time_may_be_off_the_grid(start, step):
         with pytest.raises(ValueError, match="equidistant"):
             sampled(moved, t)
     for last in (t[-1] + 0.04, t[-1] - 0.04):
-        assert len(sampled(np.append(t[:-1], last), t, least=39).t) == 39
+        assert len(sampled(np.append(t[:-1], last), t, min_count=39).t) == 39
         with pytest.raises(ValueError, match="at least 40"):
-            sampled(np.append(t[:-1], last), t, least=40)
-    assert len(sampled(t, t, least=40).t) == 40
+            sampled(np.append(t[:-1], last), t, min_count=40)
+    assert len(sampled(t, t, min_count=40).t) == 40
     with pytest.raises(ValueError, match="at least 41"):
-        sampled(t, t, least=41)
+        sampled(t, t, min_count=41)
 
 
 def test_what_is_no_signal_is_refused():

@@ -195,7 +195,7 @@ def test_pilot_of_an_ensemble_measures_its_worst_member(order, span):
     members = np.array([[3.0, 2.0, -2.5], [0.1, 0.05, 0.2], [0.0, 0.4, 0.0]])
     alone = [Pilot(BODY, x[None], 0.0, span) for x in members]
     ensemble = Pilot(BODY, members[list(order)], 0.0, span)
-    assert ensemble.whole and all(pilot.whole for pilot in alone)
+    assert ensemble.covers_span and all(pilot.covers_span for pilot in alone)
     assert ensemble.natural_step == min(pilot.natural_step for pilot in alone)
     assert ensemble.speed == pytest.approx(max(pilot.speed for pilot in alone), rel=1e-12)
     np.testing.assert_allclose(ensemble.size, [alone[k].size[0] for k in order], rtol=1e-14)

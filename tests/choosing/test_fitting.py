@@ -23,10 +23,10 @@ class FixedErrors(SimpleNamespace):
     speed = window = 1.0
 
     @property
-    def whole(self):
+    def covers_span(self):
         return self.windows == 1.0
 
-    def fitting(self, steps, finer=True):
+    def comparable_steps(self, steps, finer=True):
         return max(1, int(steps) if not finer else -int(-steps // 1))
 
     def trial(self, method, steps):

@@ -37,12 +37,12 @@ def exact(t0, t, x0=X0):
 @pytest.mark.parametrize("span", [1.5, -1.5])
 def test_reference_is_the_exact_motion(t0, span):
     pilot = Pilot(SYSTEM, X0[None], t0, span)
-    assert pilot.whole
+    assert pilot.covers_span
     times = t0 + span * np.arange(pilot.points + 1) / pilot.points
     found = pilot.reference[:, 0]
     # Its rounding, over some hundred steps of a path of length some tens.
     assert np.max(np.abs(found - exact(t0, times))) < 1e-12
-    steps = pilot.fitting(pilot.window / pilot.natural_step * 2)
+    steps = pilot.comparable_steps(pilot.window / pilot.natural_step * 2)
     trial = pilot.trial(GaussLegendre(2), steps)
     run = co.integrate(SYSTEM, X0, (t0, t0 + span), abs(span) / steps, GaussLegendre(2))
     apart = np.linalg.norm(run.x - exact(t0, run.t), axis=1)[steps // 2 + 1 :] / np.linalg.norm(X0)
@@ -75,7 +75,7 @@ def test_errors_are_relative_to_each_member(sizes):
     ensemble[1] = sizes[1] * X0
     stiff = co.systems.rigid_body(sizes[1] / MASSES)
     pilot = Pilot(stiff, ensemble, 0.0, 1.5)
-    steps = pilot.fitting(pilot.window / pilot.natural_step * 2)
+    steps = pilot.comparable_steps(pilot.window / pilot.natural_step * 2)
     run = co.integrate(stiff, ensemble[1], (0.0, pilot.window), pilot.window / steps, GaussLegendre(2))
     apart = np.linalg.norm(run.x - stiff.exact(ensemble[1], run.t), axis=1) / np.linalg.norm(ensemble[1])
     assert apart[-1] * 0.999 <= pilot.trial(GaussLegendre(2), steps).error <= apart.max() * 1.001
@@ -157,7 +157,7 @@ def test_sensitivity_matches_the_exact_motion():
 def test_fitting_step_counts_share_points():
     pilot = Pilot(BODY, X0[None], 0.0, 200.0)
     for steps in np.geomspace(0.3, 5000.0, 60):
-        up, down = pilot.fitting(steps), pilot.fitting(steps, finer=False)
+        up, down = pilot.comparable_steps(steps), pilot.comparable_steps(steps, finer=False)
         assert down <= max(1.0, steps) <= max(1.0, up) <= 1.3 * max(1.0, steps) + 1
         assert down >= 0.7 * steps - 1 and down >= 1
         for number in (up, down):

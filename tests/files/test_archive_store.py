@@ -296,7 +296,7 @@ def test_archive_folder_reads_regular_files_only(tmp_path, monkeypatch):
     (tmp_path / "in" / "nowhere").symlink_to("none")
     before = open_descriptors()
     with ArchiveFolder(tmp_path) as folder:
-        read = [folder.read("in", "file", **more) for more in ({}, {"head": 4}, {"head": 40}, {"most": 10})]
+        read = [folder.read("in", "file", **more) for more in ({}, {"head": 4}, {"head": 40}, {"max_bytes": 10})]
         assert read == [b"0123456789", b"0123", b"0123456789", b"0123456789"]
         for name, number in (("pipe", errno.EINVAL), ("link", errno.ELOOP), ("nowhere", errno.ELOOP)):
             with pytest.raises(OSError) as refused:
@@ -305,7 +305,7 @@ def test_archive_folder_reads_regular_files_only(tmp_path, monkeypatch):
         with pytest.raises(OSError):
             folder.read("", "in")
         with pytest.raises(ValueError, match="it has 10 bytes; the limit is 9"):
-            folder.read("in", "file", most=9)
+            folder.read("in", "file", max_bytes=9)
         assert [folder.has("in", name) for name in ("file", "pipe", "link", "none")] == [True, False, False, False]
         with monkeypatch.context() as patched:
             patched.setattr("coadjoint.memory.UNCHECKED_BYTES", 0)

@@ -21,7 +21,7 @@ from .configurations import draw
 from .folder import make, snapshot
 from .judging import wrong_error
 
-MOST_STEPS = 40  # longer runs are cut
+MAX_STEPS = 40  # longer runs are cut
 LONGEST_LINE, MOST_LINES = 420, 21
 KINDS = "Value Type Arithmetic Overflow ZeroDivision FloatingPoint Recursion Memory LinAlg"
 UNFORESEEN = tuple(f"coadjoint: {kind}Error: " for kind in KINDS.split())
@@ -30,12 +30,12 @@ _integrate = Configuration.integrate
 
 
 def shortened(configuration, *args, **kwargs):
-    """Run a configuration for at most `MOST_STEPS` steps."""
+    """Run a configuration for at most `MAX_STEPS` steps."""
     configuration.check_memory()
     start, end = configuration.t_span
     steps = abs(end - start) / configuration.step
-    if steps > MOST_STEPS:
-        end = start + (MOST_STEPS if end > start else -MOST_STEPS) * configuration.step
+    if steps > MAX_STEPS:
+        end = start + (MAX_STEPS if end > start else -MAX_STEPS) * configuration.step
         configuration = dataclasses.replace(configuration, t_span=(start, end), t_eval=None)
     return _integrate(configuration, *args, **kwargs)
 

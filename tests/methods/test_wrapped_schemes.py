@@ -31,7 +31,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.newton import took_newton
 from coadjoint.methods.protocol.own_steps import OwnSteps
 from coadjoint.methods.protocol.restored import RestoresInvariants, restored
-from coadjoint.methods.protocol.stepped_method import SteppedMethod
+from coadjoint.methods.protocol.substep_method import SubstepMethod
 from coadjoint.methods.protocol.tangents import CompiledTangents, VariedTangents, tangent_by, tangent_loop
 from coadjoint.methods.symmetrized import PairOfFlows, PairOfTableaux
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -88,7 +88,7 @@ def takes(wrapper: type[Method], base: Method) -> bool:
     if wrapper is ComposedFlows:
         return isinstance(base, FlowMethod)
     if wrapper is Substeps:
-        return isinstance(base, SteppedMethod) and not base.own_steps
+        return isinstance(base, SubstepMethod) and not base.own_steps
     if wrapper is PairOfFlows:
         return isinstance(base, FlowMethod)
     if wrapper is PairOfTableaux:

@@ -169,7 +169,7 @@ def test_changes_of_sign_between_unequal_times_at_saved_points_and_at_gaps(sense
     field, wanted = SPIN.vector_field, T0 + sense * np.pi * (0.5 + np.arange(3))
     error = np.abs(np.diff(t)).max() ** 4 / 384.0
     np.testing.assert_allclose(flip_times(field, t, x, 0), wanted, rtol=0, atol=error)
-    np.testing.assert_allclose(flip_times(field, t, x, 0, most=2), wanted[:2], rtol=0, atol=error)
+    np.testing.assert_allclose(flip_times(field, t, x, 0, max_count=2), wanted[:2], rtol=0, atol=error)
     # A saved point exactly at the second one, and a start and an end at which the coordinate is zero.
     k = int(np.argmin(np.abs(t - wanted[1])))
     t[k], x[k] = wanted[1], [0.0, x[k, 1], 0.5]

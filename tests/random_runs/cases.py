@@ -16,7 +16,7 @@ from .hamiltonians import matrix, some_hamiltonian
 
 MEMBERS = (1, 2, 3, 4, 7, 8, 9, 15, 16, 17, 31, 32, 33, 34, 40)
 STEPS = (0, 1, 2, 3, 5, 7, 8, 11, 16, 17, 23, 29, 40)
-LARGEST_BATCH = 300  # numbers in the states of a batch, whose members are decomposed one by one
+MAX_BATCH = 300  # numbers in the states of a batch, whose members are decomposed one by one
 # Schemes with random options; of other registered schemes the examples are drawn.
 DRAWN = (
     co.Splitting,
@@ -31,7 +31,7 @@ DRAWN = (
 )
 REFUSALS = (ValueError, TypeError, OverflowError)
 """Errors of refused systems, schemes or states; OverflowError if a number is too large."""
-MOST_TURNS = 30.0  # relative change of a motion that adaptive steps follow
+MAX_TURNS = 30.0  # relative change of a motion that adaptive steps follow
 CUBE_ROOT_OF_2 = 1.2599210498948732  # powers of floats depend on the C library
 TRIPLE_JUMP = (1 / (2 - CUBE_ROOT_OF_2), 1 - 2 / (2 - CUBE_ROOT_OF_2), 1 / (2 - CUBE_ROOT_OF_2))
 
@@ -119,7 +119,7 @@ def ensemble(rng: np.random.Generator, members: int, n: int) -> np.ndarray:
 def some_systems(rng: np.random.Generator, members: int) -> tuple[Any, ...]:
     """Return one system, or one per member with different constants."""
     algebra, sign = some_algebra(rng), int(rng.choice([-1, 1]))
-    if 1 < members <= LARGEST_BATCH / algebra.dim and rng.random() < 0.15:
+    if 1 < members <= MAX_BATCH / algebra.dim and rng.random() < 0.15:
         M = matrix(rng, algebra.dim)
         factors = 1.0 + 0.1 * rng.random(members)
         return tuple(co.LiePoissonSystem(algebra, co.Quadratic(f * np.asarray(M)), sign=sign) for f in factors)
@@ -174,7 +174,7 @@ def with_own_steps(case: Case, rng: np.random.Generator) -> Case:
     try:
         with np.errstate(all="ignore"):
             changes = np.array([system.vector_field(x) for x in case.x0])
-            fast = np.linalg.norm(changes, axis=1) * time > MOST_TURNS * np.linalg.norm(case.x0, axis=1)
+            fast = np.linalg.norm(changes, axis=1) * time > MAX_TURNS * np.linalg.norm(case.x0, axis=1)
         keeps = method.properties(system)
     except REFUSALS:
         return case

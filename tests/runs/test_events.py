@@ -114,7 +114,7 @@ def test_events_do_not_depend_on_chunk_size(method, monkeypatch):
         for most in (1, 2, 3):
             with monkeypatch.context() as patched:
                 patched.setattr(event_run, "FIRST_CHUNK", most)
-                patched.setattr(event_run, "MOST_STEPS", most)
+                patched.setattr(event_run, "MAX_STEPS", most)
                 again = co.integrate(BODY, start, **options)
             for name in ("t", "x", "which", "member", "direction"):
                 assert np.array_equal(getattr(again.events, name), getattr(whole.events, name)), name

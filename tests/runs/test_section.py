@@ -22,7 +22,7 @@ METHODS = [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(order=12)]
 @pytest.mark.parametrize("method", long_beyond(1, METHODS), ids=str)
 def test_members_end_after_the_given_crossings(method, monkeypatch):
     monkeypatch.setattr(event_run, "FIRST_CHUNK", 16)
-    monkeypatch.setattr(event_run, "MOST_STEPS", 64)
+    monkeypatch.setattr(event_run, "MAX_STEPS", 64)
     top, x0 = co.systems.kovalevskaya_top(), starts(40)
     found = co.section(top, x0, co.Event(1, direction=1), (0, 400), 0.125, method, crossings=7)
     assert (found.counts == 7).sum() > 30 and found.x.shape == (40, 7, 6)

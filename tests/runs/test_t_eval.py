@@ -491,7 +491,7 @@ class TestAt:
         ):
             with pytest.raises(ValueError, match=re.escape(words)):
                 sol.at(wrong)
-        monkeypatch.setattr(state_at, "MOST_STEPS", 10)
+        monkeypatch.setattr(state_at, "MAX_STEPS", 10)
         coarse = co.integrate(BODY, X, (0, 4), STEP, save_every=12)
         assert coarse.at(1.1).x.shape == (3,)
         with pytest.raises(ValueError, match=r"12 steps after saved points.* 10"):

@@ -35,7 +35,7 @@ def by_hand(field, x0, T):
 
 def bracket(system, F, G):
     ring = ExactPolynomials(system.algebra)
-    return ring.bracket(ring.of(polynomial_of(F)), ring.of(polynomial_of(G)))
+    return ring.bracket(ring.from_polynomial(polynomial_of(F)), ring.from_polynomial(polynomial_of(G)))
 
 
 def polynomial_of(F):

@@ -39,7 +39,7 @@ def test_beside_names_and_brackets():
     assert ring.bracket(q1, p1) == z == ring.bracket(q2, p2)
     assert ring.bracket(q1, p2) == ring.zero == ring.bracket(q1, ring.coordinates[5])
     for casimir in g.casimirs_known.values():
-        assert all(ring.bracket(ring.of(casimir), x) == ring.zero for x in ring.coordinates)
+        assert all(ring.bracket(ring.from_polynomial(casimir), x) == ring.zero for x in ring.coordinates)
     # a number in the name of a Casimir of g belongs to it
     spins = with_canonical_pairs(1, copies(co.algebras.so(3), 2))
     assert list(spins.casimirs_known) == ["z", *copies(co.algebras.so(3), 2).casimirs_known]
@@ -128,7 +128,7 @@ def test_field_by_hand(count):
     assert "H in 2 parts" in str(co.Splitting().describe(system))
     ring = ExactPolynomials(system.algebra)
     for casimir in system.casimirs.values():
-        assert all(ring.bracket(ring.of(casimir), y) == ring.zero for y in ring.coordinates)
+        assert all(ring.bracket(ring.from_polynomial(casimir), y) == ring.zero for y in ring.coordinates)
     assert next(iter(system.casimirs)) == "z" and len(system.casimirs) == count + 1
 
 
@@ -167,8 +167,8 @@ def test_integrals_by_polynomial_identity():
     for system, names in ((free, ["total momentum"]), (trapped, ["energy of the centre"])):
         assert list(system.integrals) == names
     ring = ExactPolynomials(free.algebra)
-    total = ring.of(free.integrals["total momentum"].to_polynomial())
-    assert ring.bracket(total, ring.of(free.hamiltonian.polynomial)) == ring.zero
+    total = ring.from_polynomial(free.integrals["total momentum"].to_polynomial())
+    assert ring.bracket(total, ring.from_polynomial(free.hamiltonian.polynomial)) == ring.zero
     x = np.random.default_rng(0).standard_normal(trapped.dim)
     F = trapped.integrals["energy of the centre"]
     w, q, p = np.array([1.0, 2.0, 0.5]), x[:3], x[3:6]

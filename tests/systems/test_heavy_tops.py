@@ -183,8 +183,10 @@ def test_goryachev_and_chaplygin(size, lever):
     ring = ExactPolynomials(top.algebra)
     m1, m2, _, g1, g2, g3 = ring.coordinates
     momentum = m1 * g1 + m2 * g2 + ring.coordinates[2] * g3
-    u, v = (ring.of(co.Polynomial({(0,) * 6: c})) for c in lever)
-    rate = ring.along([-f for f in ring.field(ring.of(polynomial_of(top.hamiltonian)))], ring.of(F))
+    u, v = (ring.from_polynomial(co.Polynomial({(0,) * 6: c})) for c in lever)
+    rate = ring.along(
+        [-f for f in ring.field(ring.from_polynomial(polynomial_of(top.hamiltonian)))], ring.from_polynomial(F)
+    )
     assert rate == (v * m1 - u * m2) * momentum / int(size) and rate != 0
     level = (1.0, 0.5, -0.5, 0.0, 0.6, 0.6)  # m . gamma = 0
     assert_bounded(top, level, F={"F": F})

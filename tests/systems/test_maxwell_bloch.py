@@ -47,7 +47,7 @@ def test_field_energy_casimir_and_sign():
     assert system.energy(X0) == pytest.approx(E**2 / 2 + 2.5 * D, rel=1e-15)
     assert system.sign == 1 and list(system.casimirs) == ["P^2 + D^2"]
     ring = ExactPolynomials(system.algebra)
-    casimir = ring.of(system.casimirs["P^2 + D^2"])
+    casimir = ring.from_polynomial(system.casimirs["P^2 + D^2"])
     assert all(ring.bracket(casimir, x) == ring.zero for x in ring.coordinates)
 
 

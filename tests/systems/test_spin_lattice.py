@@ -171,10 +171,13 @@ def test_the_square_of_the_total_spin_is_given_up_to_64_spins(count, known):
 def test_integrals_by_polynomial_identity():
     system = spin_lattice("ring", 4, tensor=(1, 1, 0.5), dm=(0, 0, 0.25), field=(0, 0, 2), on_site=(0, 0, 1))
     ring = ExactPolynomials(system.algebra)
-    H, total = ring.of(system.hamiltonian.to_polynomial()), ring.of(system.integrals["total S3"].to_polynomial())
+    H, total = (
+        ring.from_polynomial(system.hamiltonian.to_polynomial()),
+        ring.from_polynomial(system.integrals["total S3"].to_polynomial()),
+    )
     assert ring.bracket(total, H) == ring.zero
     for casimir in system.casimirs.values():
-        assert all(ring.bracket(ring.of(casimir), x) == ring.zero for x in ring.coordinates)
+        assert all(ring.bracket(ring.from_polynomial(casimir), x) == ring.zero for x in ring.coordinates)
     first = ring.coordinates[0] + ring.coordinates[3] + ring.coordinates[6] + ring.coordinates[9]
     assert ring.bracket(first, H) != ring.zero
 

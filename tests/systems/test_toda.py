@@ -142,7 +142,7 @@ def test_traces_are_integrals_in_involution(kind, n):
     integrals = system.integrals
     assert list(integrals) == [f"tr L^{k}" for k in range(3, n + 1)]
     ring = ExactPolynomials(system.algebra)
-    exact = [ring.of(p) for p in (polynomial_of(system.hamiltonian), *integrals.values())]
+    exact = [ring.from_polynomial(p) for p in (polynomial_of(system.hamiltonian), *integrals.values())]
     assert all(ring.bracket(f, g) == ring.zero for f in exact for g in exact)
     x = state(n, kind, seed=n)
     for k in range(3, n + 1):

@@ -38,7 +38,7 @@ def test_algebra(degree):
         assert powers[k] == (i + m - 1, j + n - 1) and c == i * n - j * m
     ring = ExactPolynomials(g)
     for casimir in g.casimirs_known.values():
-        assert all(ring.bracket(ring.of(casimir), x) == ring.zero for x in ring.coordinates)
+        assert all(ring.bracket(ring.from_polynomial(casimir), x) == ring.zero for x in ring.coordinates)
 
 
 @pytest.mark.parametrize("degree", [2, 8, 10, 12])
@@ -134,9 +134,9 @@ def test_integrals_by_polynomial_identity(degree):
     system = vlasov_moments(degree, text)
     assert list(system.integrals) == [f"<h^{m}>" for m in range(2, degree // 2 + 1)]
     ring = ExactPolynomials(system.algebra)
-    H = ring.of(system.hamiltonian.to_polynomial())
+    H = ring.from_polynomial(system.hamiltonian.to_polynomial())
     for F in system.integrals.values():
-        assert ring.bracket(ring.of(F.to_polynomial()), H) == ring.zero
+        assert ring.bracket(ring.from_polynomial(F.to_polynomial()), H) == ring.zero
     q, p = cloud(0)
     if degree == 4:
         harmonic = vlasov_moments(4, "0.5*x20").integrals["<h^2>"]

@@ -24,18 +24,18 @@ def an_order_of_taylor_is_in_range(order):
     return accepted(lambda: co.Taylor(order), "64")
 
 
-@sides(("methods/taylor.py", "LEAST_TOLERANCE"), below=2e-18, above=0.5e-18)
-@sides(("methods/taylor.py", "LARGEST_TOLERANCE"), below=0.05, above=0.2)
+@sides(("methods/taylor.py", "MIN_TOLERANCE"), below=2e-18, above=0.5e-18)
+@sides(("methods/taylor.py", "MAX_TOLERANCE"), below=0.05, above=0.2)
 def a_tolerance_of_taylor_is_in_range(tolerance):
     return accepted(lambda: co.Taylor(tolerance=tolerance), "tolerance")
 
 
-@limit(("methods/isospectral_gauss.py", "MOST_STAGES"), at=8)
+@limit(("methods/isospectral_gauss.py", "MAX_STAGES"), at=8)
 def isospectral_stages_are_not_too_many(stages):
     return accepted(lambda: co.IsospectralGauss(stages), "8")
 
 
-@probe((COMPOSITION, "LARGEST_SUM"), at=1000.0)
+@probe((COMPOSITION, "MAX_SUM"), at=1000.0)
 def coefficients_are_not_too_large(total):
     """A sum of absolute values of three, symmetric, that add up to 1."""
     a = (total + 1.0) / 4.0
@@ -53,7 +53,7 @@ def coefficients_add_up_to_one(off):
     return accepted(lambda: co.Composition(co.Splitting(order=2), (1.0, -1.0 + off, 1.0)), "add up to 1")
 
 
-@limit((COMPOSITION, "MOST_SUBSTEPS"), at=1000)
+@limit((COMPOSITION, "MAX_SUBSTEPS"), at=1000)
 def substeps_are_not_too_many(count):
     """A mean of equal steps, of a composition of one step."""
     base = co.Composition(co.Splitting(order=2), (1.0,))
@@ -153,7 +153,7 @@ def times_can_be_told_apart(share):
     return accepted(lambda: times_between((2.0**40, 2.0**40 + 8.0 * step), step, 1), "neighbouring")
 
 
-@limit(("runs/events.py", "MOST_EVENTS"), at=64)
+@limit(("runs/events.py", "MAX_EVENTS"), at=64)
 def events_are_not_too_many(count):
     return accepted(lambda: co.integrate(BODY, (1, 2, 3), (0.0, 1.0), 0.5, events=[co.Event(0)] * count), "64")
 

@@ -14,7 +14,7 @@ from random_runs.algebras import some_algebra
 from random_runs.hamiltonians import matrix, polynomial
 
 LARGEST = 6
-MOST_MONOMIALS = 200
+MAX_MONOMIALS = 200
 SEEDS = 24
 
 
@@ -45,7 +45,7 @@ def case_of(seed, largest=LARGEST, highest=4):
             modified = co.modified_hamiltonian(system, scheme, scheme.order + 2)
         except ValueError:
             continue  # refused by name, as the tests of refusals see: a piece that no flow is known for
-        if sum(len(term.monomials) for term in modified.terms.values()) <= MOST_MONOMIALS:
+        if sum(len(term.monomials) for term in modified.terms.values()) <= MAX_MONOMIALS:
             return system, scheme, modified, rng.uniform(-1.0, 1.0, n)
 
 
@@ -87,7 +87,7 @@ def test_modified_field_and_hamiltonian_agree(seed):
     ring = ExactPolynomials(system.algebra)
     for k, field in found.terms.items():
         H = modified.terms.get(k, co.Polynomial({}, dim=system.dim))
-        wanted = [system.sign * ring.polynomial(F) for F in ring.field(ring.of(H))]
+        wanted = [system.sign * ring.polynomial(F) for F in ring.field(ring.from_polynomial(H))]
         largest = max((abs(c) for F in wanted for c in F.monomials.values()), default=0)
         for F, G in zip(field, wanted, strict=True):
             rest = (F - G).monomials.values()

@@ -144,12 +144,12 @@ def _format_names(basis: Sequence[str]) -> str:
     return ", ".join(shown) if len(basis) <= 6 else f"{shown[0]}, {shown[1]}, ..., {shown[2]}"
 
 
-def format_brackets(triples: Triples, basis: Sequence[str], most: int) -> list[str]:
-    """Format the first `most` nonzero brackets."""
+def format_brackets(triples: Triples, basis: Sequence[str], max_count: int) -> list[str]:
+    """Format the first `max_count` nonzero brackets."""
     texts: dict[tuple[int, int], str] = {}
     columns = (column[:MAX_EXAMINED_CONSTANTS].tolist() for column in triples)
     for i, j, k, c in zip(*columns, strict=True):
-        if (i, j) not in texts and len(texts) == most:
+        if (i, j) not in texts and len(texts) == max_count:
             break
         before = texts.get((i, j), "")
         sign = ("-" if c < 0 else "") if not before else (" - " if c < 0 else " + ")

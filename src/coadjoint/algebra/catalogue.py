@@ -129,9 +129,9 @@ def get(name: str, **parameters: Any) -> LieAlgebra:
     if compact == "heisenberg":
         compact = "heisenberg(n)" if parameters else "heisenberg(1)"
     if compact in _FAMILIES:
-        build, wanted = _FAMILIES[compact]
-        _check_parameters(name, wanted, parameters)
-        return build(*(parameters[key] for key in wanted))
+        build, required = _FAMILIES[compact]
+        _check_parameters(name, required, parameters)
+        return build(*(parameters[key] for key in required))
     match = re.fullmatch(r"([a-z]+)\(([0-9]{1,4000})(?:,([0-9]{1,4000}))?\)", compact)
     if match is None or match[1] not in {pattern.split("(")[0] for pattern in _FAMILIES}:
         bare = re.fullmatch(r"([a-z]+)[_-]?([0-9]{1,3})", compact)  # such as so3
@@ -144,11 +144,11 @@ def get(name: str, **parameters: Any) -> LieAlgebra:
     return sp(*numbers) if match[1] == "sp" else _FAMILIES[f"{match[1]}(n)"][0](*numbers)
 
 
-def _check_parameters(name: str, wanted: tuple[str, ...], parameters: Mapping[str, Any]) -> None:
-    missing = [key for key in wanted if key not in parameters]
+def _check_parameters(name: str, required: tuple[str, ...], parameters: Mapping[str, Any]) -> None:
+    missing = [key for key in required if key not in parameters]
     if missing:
         raise ValueError(f"algebra {name!r} needs the parameter {missing[0]!r}, as in get({name!r}, {missing[0]}=...)")
-    extra = sorted(set(parameters) - set(wanted))
+    extra = sorted(set(parameters) - set(required))
     if extra:
-        accepted = ", ".join(wanted) or "none"
+        accepted = ", ".join(required) or "none"
         raise ValueError(f"algebra {name!r} has no parameter {short(extra[0])}; it takes: {accepted}")

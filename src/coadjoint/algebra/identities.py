@@ -118,13 +118,16 @@ def check_jacobi(triples: Triples, dim: int, names: Sequence[str]) -> None:
         third = outer.j[position]
         row, position, third = (column[third != b[row]] for column in (row, position, third))
         low, high = np.minimum(b[row], third), np.maximum(b[row], third)
-        below, under = expand(inner_start[part], inner_stop[part])  # c_bd^m c_ma^l = -c_am^l c_bd^m
-        first = np.concatenate([np.where(b[row] < third, c[row], -c[row]), -c[below]])
-        second = np.concatenate([outer.c[position], inner.c[under]])
+        inner_row, inner_position = expand(inner_start[part], inner_stop[part])  # c_bd^m c_ma^l = -c_am^l c_bd^m
+        first = np.concatenate([np.where(b[row] < third, c[row], -c[row]), -c[inner_row]])
+        second = np.concatenate([outer.c[position], inner.c[inner_position]])
         size = outer_size[part]
-        sizes = np.concatenate([size[row], size[below]]), np.concatenate([outer_size[position], inner_size[under]])
-        pair = np.concatenate([a[row] * dim + low, a[below] * dim + inner.i[under]])
-        rest = np.concatenate([high * dim + outer.k[position], inner.j[under] * dim + m[below]])
+        sizes = (
+            np.concatenate([size[row], size[inner_row]]),
+            np.concatenate([outer_size[position], inner_size[inner_position]]),
+        )
+        pair = np.concatenate([a[row] * dim + low, a[inner_row] * dim + inner.i[inner_position]])
+        rest = np.concatenate([high * dim + outer.k[position], inner.j[inner_position] * dim + m[inner_row]])
         violation = largest_violation((pair, rest), (first, second), sizes)
         if violation is not None:
             (a_, b_), (d_, l_) = divmod(int(pair[violation[0]]), dim), divmod(int(rest[violation[0]]), dim)

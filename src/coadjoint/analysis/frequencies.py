@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.analysis.signals import sampled
-from coadjoint.analysis.spectral_lines import FINAL_ITERATIONS, Lines, correct_lines, find_lines, hann, spread_by_noise
+from coadjoint.analysis.spectral_lines import (
+    FINAL_ITERATIONS,
+    Lines,
+    find_lines,
+    frequency_uncertainty,
+    hann,
+    refine_lines,
+)
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.validation import read_finite, read_integer
@@ -228,10 +235,10 @@ def _analyse(t: Floats, values: NDArray[Any], count: int, power: int) -> tuple[N
     s = np.linspace(-1.0, 1.0, len(t))
     lines = find_lines(s, values, min(count + 1, len(t) // (8 * (power + 1))), power)
     narrower = hann(s, max(1, power - WINDOW_REDUCTION))
-    other = correct_lines(s, values, lines.frequency, lines.present, narrower, FINAL_ITERATIONS)
+    other = refine_lines(s, values, lines.frequency, lines.present, narrower, FINAL_ITERATIONS)
     rounding = UNIT_ROUNDOFF * np.abs(lines.frequency)
     uncertainty = np.sqrt(
-        (other.frequency - lines.frequency) ** 2 + spread_by_noise(lines, s, power) ** 2 + rounding**2
+        (other.frequency - lines.frequency) ** 2 + frequency_uncertainty(lines, s, power) ** 2 + rounding**2
     )
     diffusion = _diffusion(s, values, lines, power)
     w = lines.frequency / half
@@ -264,7 +271,7 @@ def _diffusion(s: Floats, values: NDArray[Any], lines: Lines, power: int) -> Flo
     half = np.linspace(-1.0, 1.0, size)
     weight, scale = hann(half, power), (size - 1) / (len(s) - 1)
     early, late = (
-        correct_lines(half, part, lines.frequency * scale, lines.present, weight, FINAL_ITERATIONS).frequency
+        refine_lines(half, part, lines.frequency * scale, lines.present, weight, FINAL_ITERATIONS).frequency
         for part in (values[:, :size], values[:, len(s) - size :])
     )
     return np.asarray((late - early) / scale)

@@ -151,12 +151,12 @@ class _Motion:
         return result
 
     def _counted(self, _: float, z: Floats) -> Floats:
-        """Return the field, evaluated a bounded number of times: a field of rounding errors takes ever shorter steps."""
+        """Return the field, a bounded number of times; on rounding errors, steps become ever shorter."""
         self.evaluations += 1
         if self.evaluations > MAX_EVALUATIONS:
             raise ValueError(
-                f"the motion from x0 = {short(self.start.tolist())} takes more than {MAX_EVALUATIONS} evaluations of the "
-                "field: it does not return, or the field is rounding errors or not smooth"
+                f"the motion from x0 = {short(self.start.tolist())} takes more than {MAX_EVALUATIONS} evaluations of "
+                "the field: it does not return, or the field is rounding errors or not smooth"
             )
         return self.field(z)
 

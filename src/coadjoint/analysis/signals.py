@@ -27,8 +27,8 @@ class Sampled(NamedTuple):
     channels: bool
 
 
-def sampled(given: Any, signal: Any = None, least: int = 2) -> Sampled:
-    """Return the signal of a run, or samples, at equidistant times; at least `least` of them.
+def sampled(given: Any, signal: Any = None, min_count: int = 2) -> Sampled:
+    """Return the signal of a run, or samples, at equidistant times; at least `min_count` of them.
 
     For the kinds of signals see `frequencies`. Raise ValueError for uneven times, too few samples, or values that are
     not finite or do not match the times, and TypeError for another type of signal.
@@ -44,7 +44,7 @@ def sampled(given: Any, signal: Any = None, least: int = 2) -> Sampled:
             raise TypeError(f"signal is {short(signal)}; with times t, give its samples as an array")
         values = to_array(signal, "signal", "iufc")
         several = values.ndim == 3
-    count = _count_equidistant(t, least)
+    count = _count_equidistant(t, min_count)
     values = values.astype(np.complex128) if values.dtype.kind == "c" else read_numbers(values, "signal")
     shapes = ((2, 3) if several else (1, 2)) if isinstance(given, Solution) else (1, 2, 3)
     if values.ndim not in shapes or len(values) != len(t):
@@ -97,14 +97,14 @@ def _flat(values: NDArray[Any], several: bool) -> NDArray[Any]:
     return values.reshape(*values.shape[: 2 if several else 1], -1)
 
 
-def _count_equidistant(t: NDArray[np.float64], least: int) -> int:
+def _count_equidistant(t: NDArray[np.float64], min_count: int) -> int:
     """Return the number of equidistant times; the last time, which may be off the grid, is then not counted."""
-    if t.ndim != 1 or len(t) < least:
-        raise ValueError(f"t has the shape {t.shape}; give at least {least} equidistant times, (k,)")
+    if t.ndim != 1 or len(t) < min_count:
+        raise ValueError(f"t has the shape {t.shape}; give at least {min_count} equidistant times, (k,)")
     spacing = (t[-2] - t[0]) / (len(t) - 2) if len(t) > 2 else t[-1] - t[0]
     off = np.abs(t - (t[0] + spacing * np.arange(len(t))))
     on_grid = off <= 64.0 * UNIT_ROUNDOFF * float(np.max(np.abs(t)))
     count = len(t) - (not on_grid[-1])
-    if spacing == 0.0 or not np.all(on_grid[:count]) or count < least:
-        raise ValueError(f"t is {short(t)}; give at least {least} equidistant times")
+    if spacing == 0.0 or not np.all(on_grid[:count]) or count < min_count:
+        raise ValueError(f"t is {short(t)}; give at least {min_count} equidistant times")
     return count

@@ -12,7 +12,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 
 Floats = NDArray[np.float64]
 
-SEARCH_ITERATIONS = 4  # corrections of all lines after each new one
+SEARCH_ITERATIONS = 4  # refinements of all lines after each new one
 FINAL_ITERATIONS = 12
 RESOLUTION_BINS = 2.0  # resolution limit, in bins of 2 pi over the span
 NOISE_BINS = 32  # bins on either side of a line whose median power is its noise
@@ -45,7 +45,7 @@ def hann(s: Floats, power: int) -> Floats:
 
 
 def find_lines(s: Floats, values: NDArray[Any], count: int, power: int) -> Lines:
-    """Find the strongest lines of signals (members, samples, channels) one after the other, then correct them together.
+    """Find the strongest lines of signals (members, samples, channels) one after the other, then refine them together.
 
     The times s are equidistant from -1 to 1. The channels share their frequencies. Lines are in the order of detection.
     """
@@ -68,11 +68,11 @@ def find_lines(s: Floats, values: NDArray[Any], count: int, power: int) -> Lines
         present = np.concatenate([lines.present, (height > floor)[:, None]], axis=1)
         if not np.any(present[:, -1]):
             break
-        lines = correct_lines(s, values, frequency, present, weight, SEARCH_ITERATIONS)
-    return correct_lines(s, values, lines.frequency, lines.present, weight, FINAL_ITERATIONS)
+        lines = refine_lines(s, values, frequency, present, weight, SEARCH_ITERATIONS)
+    return refine_lines(s, values, lines.frequency, lines.present, weight, FINAL_ITERATIONS)
 
 
-def correct_lines(
+def refine_lines(
     s: Floats, values: NDArray[Any], frequency: Floats, present: NDArray[np.bool_], weight: Floats, iterations: int
 ) -> Lines:
     """Refine frequencies (members, lines) by Gauss-Newton steps with eliminated amplitudes (variable projection).
@@ -82,8 +82,7 @@ def correct_lines(
     # With columns B = (1, cos w_k s, sin w_k s), or (1, exp(i w_k s)), the derivatives by w_k lie in the span of s B: a
     # step needs only the Gram matrix of (B, s B) and its products with the residual.
     w = frequency.copy()
-    bin_width, last = math.pi, math.inf
-    lines = w.shape[1]
+    bin_width, last, count = math.pi, math.inf, w.shape[1]
     for _ in range(iterations):
         fit = _amplitudes(s, values, w, weight)
         moments = np.einsum("msa,msc->mac", fit.columns.conj() * weight[:, None], fit.residual)
@@ -94,11 +93,11 @@ def correct_lines(
         schur, reduced = schur[:, inner:, inner:], reduced[:, inner:]
         slopes = _slopes(fit.amplitude, real=not np.iscomplexobj(values))
         matrix = np.einsum("mkac,mab,mlbc->mkl", slopes.conj(), schur, slopes, optimize=True).real
-        right = np.einsum("mkac,mac->mk", slopes.conj(), reduced).real
-        matrix = np.where(present[:, :, None] & present[:, None], matrix, np.eye(lines))
+        rhs = np.einsum("mkac,mac->mk", slopes.conj(), reduced).real
+        matrix = np.where(present[:, :, None] & present[:, None], matrix, np.eye(count))
         size = np.sqrt(np.maximum(np.einsum("mkk->mk", matrix), np.finfo(float).tiny))
-        scaled = matrix / size[:, :, None] / size[:, None] + UNIT_ROUNDOFF * np.eye(lines)
-        change = np.linalg.solve(scaled, (np.where(present, right, 0.0) / size)[..., None])[..., 0] / size
+        scaled = matrix / size[:, :, None] / size[:, None] + UNIT_ROUNDOFF * np.eye(count)
+        change = np.linalg.solve(scaled, (np.where(present, rhs, 0.0) / size)[..., None])[..., 0] / size
         change = np.where(present, np.clip(change, -0.5 * bin_width, 0.5 * bin_width), 0.0)
         w += change
         largest = float(np.max(np.abs(change) / (1.0 + np.abs(w)), initial=0.0))
@@ -109,7 +108,7 @@ def correct_lines(
     return Lines(w, fit.amplitude, fit.mean, fit.residual, present)
 
 
-def spread_by_noise(lines: Lines, s: Floats, power: int) -> Floats:
+def frequency_uncertainty(lines: Lines, s: Floats, power: int) -> Floats:
     """Return the standard error of each frequency due to noise near its line, shape (members, lines).
 
     The noise is the median power of the residual near the line, which is insensitive to further lines, without the bins
@@ -126,11 +125,11 @@ def spread_by_noise(lines: Lines, s: Floats, power: int) -> Floats:
     near = np.argpartition(distance, count - 1, axis=2)[..., :count]
     power_near = np.abs(spectrum[np.arange(len(near))[:, None, None], near]) ** 2  # (members, lines, bins, channels)
     variance = np.median(power_near, axis=2) / math.log(2.0) / np.sum(weight**2)
-    strength = np.abs(lines.amplitude) ** 2
-    total = np.sum(strength, axis=2)
+    intensity = np.abs(lines.amplitude) ** 2
+    total = np.sum(intensity, axis=2)
     spread = np.sum(weight**2 * s**2) / np.sum(weight * s**2) ** 2 * (2.0 if real else 0.5)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.sqrt(spread * np.sum(strength * variance, axis=2)) / total)
+        return np.asarray(np.sqrt(spread * np.sum(intensity * variance, axis=2)) / total)
 
 
 class _Fit(NamedTuple):
@@ -164,11 +163,11 @@ def _amplitudes(s: Floats, values: NDArray[Any], w: Floats, weight: Floats) -> _
 
 def _slopes(amplitude: NDArray[np.complex128], real: bool) -> NDArray[Any]:
     """Return the derivatives of the model by frequency in terms of s B, shape (members, lines, columns, channels)."""
-    lines = np.eye(amplitude.shape[1])[None, :, :, None]
+    identity = np.eye(amplitude.shape[1])[None, :, :, None]
     if not real:
-        return 1j * lines * amplitude[:, :, None]
+        return 1j * identity * amplitude[:, :, None]
     cosine, sine = amplitude.real[:, :, None], -amplitude.imag[:, :, None]
-    return np.concatenate([lines * sine, -lines * cosine], axis=2)
+    return np.concatenate([identity * sine, -identity * cosine], axis=2)
 
 
 def _spectrum(values: NDArray[Any], weight: Floats) -> NDArray[np.complex128]:
@@ -197,8 +196,8 @@ def _highest_peak(s: Floats, lines: Lines, weight: Floats) -> tuple[Floats, Floa
     middle, left, right = (np.maximum(power[rows, (peak + d) % power.shape[1]], 1e-300) for d in (0, -1, 1))
     # The vertex of a parabola through three logarithms.
     below, above = np.log(left / middle), np.log(right / middle)
-    bend = below + above
-    shift = np.where(bend < 0.0, 0.5 * (below - above) / np.where(bend < 0.0, bend, -1.0), 0.0)
+    curvature = below + above
+    shift = np.where(curvature < 0.0, 0.5 * (below - above) / np.where(curvature < 0.0, curvature, -1.0), 0.0)
     spacing = bins[1] - bins[0]
     height = np.sqrt(middle) * (2.0 if real else 1.0)
     return bins[peak] + np.clip(shift, -0.5, 0.5) * spacing, np.where(middle > 1e-300, height, 0.0)

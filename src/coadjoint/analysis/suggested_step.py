@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.analysis.backward_error.modified_hamiltonian import modified_hamiltonian, read_subject
+from coadjoint.analysis.backward_error.modified_hamiltonian import check_system_and_scheme, modified_hamiltonian
 from coadjoint.analysis.short_motion import short_motion
 from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.method import Method
@@ -58,7 +58,7 @@ def suggest_step(
     >>> 0.9e-5 < run.drift()["energy"] < 1.1e-5
     True
     """
-    system, scheme = read_subject(system, method)
+    system, scheme = check_system_and_scheme(system, method)
     bound = read_positive(energy, "energy")
     points = np.atleast_2d(read_finite(x0, "x0"))
     if points.ndim != 2 or points.shape[1] != system.dim:

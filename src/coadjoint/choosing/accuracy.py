@@ -57,7 +57,7 @@ FirstTrials = list[tuple[Candidate, Fit | None]]
 
 @dataclass(frozen=True)
 class Choice:
-    """A scheme and a step for a wanted accuracy, with the expected error; its `str` gives the reason in one line.
+    """A scheme and a step for a required accuracy, with the expected error; its `str` gives the reason in one line.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class Choice:
     step : float
         The step, positive; it divides the span.
     accuracy : float
-        The wanted error of the momentum at the end, relative to its largest size in the run.
+        The required error of the momentum at the end, relative to its largest size in the run.
     error : float
         The expected error, truncation and rounding together.
     roundoff : float
@@ -115,7 +115,7 @@ def choose(
     methods: Method | str | Mapping[str, Any] | Sequence[Method | str | Mapping[str, Any]] | None = None,
     processed: bool = False,
 ) -> Choice:
-    """Choose the scheme and the step that reach a wanted accuracy with the least work.
+    """Choose the scheme and the step that reach a required accuracy with the least work.
 
     Operations are counted and no time is measured, so the same inputs give the same choice. Each scheme integrates from
     x0 over a window at the beginning of the span, and is compared with an accurate reference. Schemes that these trials
@@ -172,7 +172,7 @@ def choose(
     True
     """
     check_vector_states(system, "give step= and method=, since the cost of a step of matrices is not known")
-    wanted, processed = _read_accuracy(accuracy), read_bool(processed, "processed")
+    required, processed = _read_accuracy(accuracy), read_bool(processed, "processed")
     if processed and methods is not None:
         raise TypeError(
             "choose was given methods and processed; processed=True adds to the default schemes: list processed "
@@ -180,33 +180,33 @@ def choose(
         )
     # Numbers overflow near a blow-up; the results are checked below.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return _choose(system, x0, span_of(t_span), wanted, attitude, methods, processed)
+        return _choose(system, x0, span_of(t_span), required, attitude, methods, processed)
 
 
 def _choose(
-    system: System, x0: Any, span: tuple[float, float], wanted: float, attitude: Any, methods: Any, processed: bool
+    system: System, x0: Any, span: tuple[float, float], required: float, attitude: Any, methods: Any, processed: bool
 ) -> Choice:
     t0, t1 = span
     momenta = start_of(system, reference_scheme(4), x0, False).momenta
     schemes = _schemes(methods, processed, system.dim)
     candidates = supported_candidates(system, schemes, x0, attitude, strict=methods is not None)
     if t0 == t1:
-        return Choice(candidates[0].method, 1.0, wanted, 0.0, 0.0, 0.0)
-    pilot = Pilot(system, sample_of(system, momenta, t0, t1 - t0), t0, t1 - t0, wanted)
+        return Choice(candidates[0].method, 1.0, required, 0.0, 0.0, 0.0)
+    pilot = Pilot(system, sample_of(system, momenta, t0, t1 - t0), t0, t1 - t0, required)
     _check_rounding(pilot, candidates)
-    first_trials = _first_trials(pilot, candidates, wanted)
-    fits = _fits_of_constant_steps(pilot, candidates, wanted, first_trials)
-    fits += _fits_of_own_steps(pilot, wanted, first_trials, fits)
-    accurate = _fits_with_acceptable_roundoff(pilot, candidates, wanted, fits)
-    best, *others = _confirmed_cheapest(accurate, wanted)
-    return replace(_choice_of_fit(best, wanted), others=tuple(_choice_of_fit(each, wanted) for each in others))
+    first_trials = _first_trials(pilot, candidates, required)
+    fits = _fits_of_constant_steps(pilot, candidates, required, first_trials)
+    fits += _fits_of_own_steps(pilot, required, first_trials, fits)
+    accurate = _fits_with_acceptable_roundoff(pilot, candidates, required, fits)
+    best, *others = _confirmed_cheapest(accurate, required)
+    return replace(_choice_of_fit(best, required), others=tuple(_choice_of_fit(each, required) for each in others))
 
 
 def _read_accuracy(accuracy: Any) -> float:
-    wanted = read_number(accuracy, "accuracy")
-    if not 0.0 < wanted < 1.0:
-        raise ValueError(f"accuracy is {wanted:g}; it must lie between 0 and 1, such as 1e-6")
-    return wanted
+    required = read_number(accuracy, "accuracy")
+    if not 0.0 < required < 1.0:
+        raise ValueError(f"accuracy is {required:g}; it must lie between 0 and 1, such as 1e-6")
+    return required
 
 
 def _schemes(methods: Any, processed: bool, dim: int) -> tuple[Method, ...]:
@@ -224,11 +224,11 @@ def _schemes(methods: Any, processed: bool, dim: int) -> tuple[Method, ...]:
     return schemes
 
 
-def _target_error(candidate: Candidate, wanted: float) -> float:
+def _target_error(candidate: Candidate, required: float) -> float:
     """Return the target of the truncation error: lower for high orders, whose errors vary more with the step."""
     if candidate.method.own_steps:
-        return wanted / SAFETY_FACTOR
-    return max(wanted / (SAFETY_FACTOR * max(1.0, candidate.method.order / MODERATE_ORDER) ** 2), MIN_GOAL)
+        return required / SAFETY_FACTOR
+    return max(required / (SAFETY_FACTOR * max(1.0, candidate.method.order / MODERATE_ORDER) ** 2), MIN_GOAL)
 
 
 def _check_rounding(pilot: Pilot, candidates: Sequence[Candidate]) -> None:
@@ -237,10 +237,10 @@ def _check_rounding(pilot: Pilot, candidates: Sequence[Candidate]) -> None:
         raise none_reached(candidates, abs(pilot.span))
 
 
-def _first_trials(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> FirstTrials:
+def _first_trials(pilot: Pilot, candidates: Sequence[Candidate], required: float) -> FirstTrials:
     """Return the schemes that choose their own steps, each with a first trial; None if it fails."""
     return [
-        (each, first_tolerance_trial(pilot, each, _target_error(each, wanted)))
+        (each, first_tolerance_trial(pilot, each, _target_error(each, required)))
         for each in candidates
         if each.method.own_steps
     ]
@@ -249,11 +249,11 @@ def _first_trials(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) 
 def _fits_of_constant_steps(
     pilot: Pilot,
     candidates: Sequence[Candidate],
-    wanted: float,
+    required: float,
     first_trials: FirstTrials,
 ) -> list[Fit]:
     """Fit the schemes with constant steps that may be the best."""
-    goal_of = partial(_target_error, wanted=wanted)
+    goal_of = partial(_target_error, required=required)
     extrapolated = [extrapolated_fit(trial, goal_of(each)) for each, trial in first_trials if trial is not None]
     cheapest = min(extrapolated, key=lambda trial: trial.cost, default=None)
     # The first trial is not exact.
@@ -263,7 +263,7 @@ def _fits_of_constant_steps(
     while pending:
         candidate = pending.pop(0)
         # Fits with too much rounding do not exclude other schemes, but limit the cost of their trials.
-        if predictor.cost_lower_bound(candidate) > min(variable_step_cost, _lowest_cost(fits, wanted)):
+        if predictor.cost_lower_bound(candidate) > min(variable_step_cost, _lowest_cost(fits, required)):
             continue
         limit = min([variable_step_cost, *(each.cost for each in fits)])
         result = fit(pilot, candidate, goal_of(candidate), limit, predictor.predict_steps(candidate))
@@ -273,67 +273,67 @@ def _fits_of_constant_steps(
             pending = predictor.cheapest_first(pending)
         if not result.abandoned:
             fits.append(result)
-            if ROUNDING_SHARE * wanted < result.roundoff <= least:
+            if ROUNDING_SHARE * required < result.roundoff <= least:
                 # All other schemes have as much rounding.
                 break
     return fits
 
 
-def _fits_of_own_steps(pilot: Pilot, wanted: float, first_trials: FirstTrials, fits: Sequence[Fit]) -> list[Fit]:
+def _fits_of_own_steps(pilot: Pilot, required: float, first_trials: FirstTrials, fits: Sequence[Fit]) -> list[Fit]:
     """Fit the tolerances of the schemes that choose their own steps; `fits` are those of constant steps."""
     found = list[Fit]()
     for candidate, trial in first_trials:
-        limit = _lowest_cost([*fits, *found], wanted)
-        result = fit_of_tolerance(pilot, candidate, _target_error(candidate, wanted), limit, trial)
+        limit = _lowest_cost([*fits, *found], required)
+        result = fit_of_tolerance(pilot, candidate, _target_error(candidate, required), limit, trial)
         if result is not None:
             found.append(result)
     return found
 
 
-def _lowest_cost(fits: Sequence[Fit], wanted: float) -> float:
+def _lowest_cost(fits: Sequence[Fit], required: float) -> float:
     """Return the least cost among fits with acceptable rounding."""
-    return min((each.cost for each in fits if _with_acceptable_roundoff(each, wanted) is not None), default=math.inf)
+    return min((each.cost for each in fits if _with_acceptable_roundoff(each, required) is not None), default=math.inf)
 
 
 def _fits_with_acceptable_roundoff(
-    pilot: Pilot, candidates: Sequence[Candidate], wanted: float, fits: Sequence[Fit]
+    pilot: Pilot, candidates: Sequence[Candidate], required: float, fits: Sequence[Fit]
 ) -> list[Fit]:
     """Return the fits with acceptable rounding; raise ValueError if there are none."""
     time = abs(pilot.span)
     if not fits:
-        raise too_expensive(candidates, wanted, time)
-    accurate = [adjusted for each in fits if (adjusted := _with_acceptable_roundoff(each, wanted)) is not None]
+        raise too_expensive(candidates, required, time)
+    accurate = [adjusted for each in fits if (adjusted := _with_acceptable_roundoff(each, required)) is not None]
     if not accurate:
         compensated = [(each, each.candidate.compensated()) for each in fits]
         adjusted_fits = [replace(each, candidate=candidate) for each, candidate in compensated if candidate is not None]
         reachable = min(each.roundoff for each in (*fits, *adjusted_fits)) / ROUNDING_SHARE
-        raise below_rounding(candidates, wanted, time, reachable)
+        raise below_rounding(candidates, required, time, reachable)
     return accurate
 
 
-def _confirmed_cheapest(accurate: Sequence[Fit], wanted: float) -> list[Fit]:
+def _confirmed_cheapest(accurate: Sequence[Fit], required: float) -> list[Fit]:
     """Sort by cost with the first one confirmed; confirmation may increase its cost."""
     pending, confirmed_fits = sorted(accurate, key=lambda each: each.cost), list[Fit]()
     while pending and (not confirmed_fits or pending[0].cost < min(each.cost for each in confirmed_fits)):
         first = pending.pop(0)
-        goal = _target_error(first.candidate, wanted)
-        confirmed_fits.append(confirmed_fit(first, goal, min(ACCEPTED_RATIO * goal, wanted * (1.0 - ROUNDING_SHARE))))
+        goal = _target_error(first.candidate, required)
+        confirmed_fits.append(confirmed_fit(first, goal, min(ACCEPTED_RATIO * goal, required * (1.0 - ROUNDING_SHARE))))
     confirmed_fits.sort(key=lambda each: each.cost)
     return [confirmed_fits[0], *sorted([*confirmed_fits[1:], *pending], key=lambda each: each.cost)]
 
 
-def _with_acceptable_roundoff(fitted: Fit, wanted: float) -> Fit | None:
+def _with_acceptable_roundoff(fitted: Fit, required: float) -> Fit | None:
     """Return a fit with acceptable rounding, by compensated summation if needed and allowed; else None."""
-    if fitted.roundoff <= ROUNDING_SHARE * wanted:
+    if fitted.roundoff <= ROUNDING_SHARE * required:
         return fitted
     compensated = fitted.candidate.compensated()
     if compensated is None:
         return None
     adjusted = replace(fitted, candidate=compensated)
-    return adjusted if adjusted.roundoff <= ROUNDING_SHARE * wanted else None
+    return adjusted if adjusted.roundoff <= ROUNDING_SHARE * required else None
 
 
-def _choice_of_fit(fitted: Fit, wanted: float) -> Choice:
+def _choice_of_fit(fitted: Fit, required: float) -> Choice:
     span = abs(fitted.pilot.span)
     error = fitted.error + fitted.roundoff
-    return Choice(fitted.candidate.method, span / fitted.steps, wanted, error, fitted.roundoff, fitted.cost)
+    return Choice(fitted.candidate.method, span / fitted.steps, required, error, fitted.roundoff, fitted.cost)

@@ -89,7 +89,9 @@ def fit(
     # Default: the steps of the reference, scaled by the order. With far fewer steps the error is not measurable.
     usual_steps = pilot.window / pilot.natural_step * REFERENCE.order / order
     first = usual_steps if predicted_steps is None else predicted_steps / pilot.windows
-    steps = pilot.fitting(min(max(first, usual_steps / MAX_INITIAL_COARSENING), MAX_INITIAL_REFINEMENT * usual_steps))
+    steps = pilot.comparable_steps(
+        min(max(first, usual_steps / MAX_INITIAL_COARSENING), MAX_INITIAL_REFINEMENT * usual_steps)
+    )
     # If more steps fail than the order predicts, the steps are at the limit of stability.
     safety_factor = min(UNSTABLE_STEP_FACTOR, (LARGE_ERROR / goal) ** (1.0 / order))
     tried: set[int] = set()
@@ -107,7 +109,7 @@ def fit(
             if steps > (2**20 if trial is None else MAX_TRIAL_COST / candidate.cost(trial)):
                 break
             # Bisect between failing and successful numbers of steps, if there are both.
-            steps = pilot.fitting(2 * steps if best is None else math.sqrt(steps * best.trial.steps))
+            steps = pilot.comparable_steps(2 * steps if best is None else math.sqrt(steps * best.trial.steps))
             continue
         noise = MEASURABLE_RATIO * max(pilot.noise, _expected_rounding(pilot, candidate, steps, 1.0))
         best = _extrapolate(pilot, candidate, goal, trial, noise)
@@ -117,7 +119,9 @@ def fit(
         aim = max(goal / candidate.growth(pilot, trial), noise)
         change: float = (max(trial.error, noise / 256) / aim) ** (1.0 / order)
         max_steps = MAX_TRIAL_COST / candidate.cost(trial)
-        next_steps = pilot.fitting(max(safety_factor * too_few, min(steps * min(max(change, 0.2), 5.0), max_steps)))
+        next_steps = pilot.comparable_steps(
+            max(safety_factor * too_few, min(steps * min(max(change, 0.2), 5.0), max_steps))
+        )
         if 1 / MAX_EXTRAPOLATION <= next_steps / steps <= MAX_EXTRAPOLATION and trial.error <= 4 * aim:
             break
         steps = next_steps
@@ -154,9 +158,9 @@ def confirmed_fit(fitted: Fit, goal: float, bound: float) -> Fit:
     if fitted.candidate.method.own_steps:
         return fitted  # its last trial used this tolerance
     for _ in range(MAX_CORRECTIONS):
-        wanted = fitted.steps / pilot.windows
+        exact_steps = fitted.steps / pilot.windows
         # At most the steps of the run: a finer trial could succeed where the run fails.
-        per_window = fitted.steps if pilot.whole else pilot.fitting(wanted, finer=False)
+        per_window = fitted.steps if pilot.covers_span else pilot.comparable_steps(exact_steps, finer=False)
         if per_window * fitted.candidate.cost(fitted.trial) > MAX_CONFIRMATION_COST:
             return fitted
         trial = pilot.trial(fitted.candidate.method, per_window)
@@ -167,7 +171,7 @@ def confirmed_fit(fitted: Fit, goal: float, bound: float) -> Fit:
             pilot.noise, _expected_rounding(pilot, fitted.candidate, per_window, 1.0)
         ):
             return fitted
-        end = trial.error * (per_window / wanted) ** order * fitted.candidate.growth(pilot, trial)
+        end = trial.error * (per_window / exact_steps) ** order * fitted.candidate.growth(pilot, trial)
         fitted = replace(fitted, error=end, trial=trial)
         if end <= bound:
             return fitted

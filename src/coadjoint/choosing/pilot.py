@@ -67,13 +67,12 @@ class Growth(NamedTuple):
     half: float
     whole: float
 
-    def factor(self, windows: float, least: float = 1.0) -> float:
+    def factor(self, windows: float, min_power: float = 1.0) -> float:
         """Return the ratio (>= 1, or inf) of the error after `windows` >= 1 windows to that after one.
 
         Linear, unless both doublings of time show a faster power, of which the lower is used; exponential if both are
-        faster than t^2.5, or the last one much faster. `least` is the lowest power assumed: 1 for symmetric schemes and
-        Poisson maps, else 2, since their slow loss of integrals is invisible at first and then shifts phases
-        quadratically.
+        faster than t^2.5, or the last one much faster. `min_power` is 1 for symmetric schemes and Poisson maps, else 2,
+        since their slow loss of integrals is invisible at first and then shifts phases quadratically.
         """
         if windows <= 1.0 or self.whole == 0.0:
             return 1.0
@@ -83,7 +82,7 @@ class Growth(NamedTuple):
             # Their product is the growth over three quarters of a window.
             exponent = math.log(late * early) / 0.75 * (windows - 1.0)
             return math.exp(exponent) if exponent < 700.0 else math.inf
-        return windows ** max(least, math.log2(slowest) if slowest > 0.0 else 0.0)
+        return windows ** max(min_power, math.log2(slowest) if slowest > 0.0 else 0.0)
 
 
 def _ratio(late: float, early: float) -> float:
@@ -134,11 +133,11 @@ class Pilot:
         self.speed = self._speed()
 
     @property
-    def whole(self) -> bool:
+    def covers_span(self) -> bool:
         """Whether the window is the whole span."""
         return self.windows == 1.0
 
-    def fitting(self, steps: float, finer: bool = True) -> int:
+    def comparable_steps(self, steps: float, finer: bool = True) -> int:
         """Round a number of steps (up if `finer`) to one that shares enough points with the reference."""
         number = max(1, math.ceil(steps) if finer else math.floor(steps))
         while math.gcd(number, self.points) < min(
@@ -157,7 +156,7 @@ class Pilot:
     def trial(self, method: Method, steps: int) -> Trial | None:
         """Run a scheme over the window; None if a member fails.
 
-        Growth is available for `steps` from `fitting`; others are compared at the shared points, at least at the end.
+        Growth is available for steps from `comparable_steps`; others are compared at the shared points or at the end.
         """
         run = self.run(method, steps)
         if np.any(run.state["status"]):
@@ -178,8 +177,8 @@ class Pilot:
 
     def _natural_step(self) -> float:
         """Return the largest step, among halves of the span, at which the reference is accurate from the start."""
-        slopes = np.array([self.system.vector_field(x, self.t0) for x in self.momenta])
-        speeds = np.linalg.norm(slopes, axis=1)
+        fields = np.array([self.system.vector_field(x, self.t0) for x in self.momenta])
+        speeds = np.linalg.norm(fields, axis=1)
         if not np.all(np.isfinite(speeds)):
             raise ValueError(
                 f"the vector field at x0 is not finite, so {self.system.name} cannot be integrated from it"

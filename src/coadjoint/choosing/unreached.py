@@ -8,20 +8,20 @@ from collections.abc import Sequence
 from coadjoint.choosing.candidates import Candidate
 
 
-def too_expensive(candidates: Sequence[Candidate], wanted: float, time: float) -> ValueError:
+def too_expensive(candidates: Sequence[Candidate], accuracy: float, time: float) -> ValueError:
     """Return the error for schemes without a step of acceptable cost."""
     return ValueError(
-        f"no step of {_scheme_text(candidates)} reaches the accuracy {wanted:g} over the time {time:g} at "
+        f"no step of {_scheme_text(candidates)} reaches the accuracy {accuracy:g} over the time {time:g} at "
         "an acceptable cost; ask for a larger error, or for a shorter time"
     )
 
 
-def below_rounding(candidates: Sequence[Candidate], wanted: float, time: float, reachable: float) -> ValueError:
+def below_rounding(candidates: Sequence[Candidate], accuracy: float, time: float, reachable: float) -> ValueError:
     """Return the error for an accuracy below the smallest one that rounding allows."""
     if not reachable < 1.0:
         return none_reached(candidates, time)
     return ValueError(
-        f"accuracy {wanted:g} is below what float64 reaches with {_scheme_text(candidates)} over the time {time:g}; "
+        f"accuracy {accuracy:g} is below what float64 reaches with {_scheme_text(candidates)} over the time {time:g}; "
         f"with rounding, {rounded_up(reachable)} is the least; ask for that, or for a shorter time"
     )
 

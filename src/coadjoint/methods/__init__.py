@@ -1,6 +1,6 @@
 """The numerical schemes: base classes for user-defined schemes, and the registry of schemes by name.
 
-Each scheme is a frozen dataclass with its parameters and a declaration of what it keeps.
+Each scheme is a frozen dataclass with its parameters and a declaration of what it preserves.
 """
 
 from __future__ import annotations

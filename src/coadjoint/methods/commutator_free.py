@@ -68,15 +68,15 @@ SCHEMES = {
 
 @dataclass(frozen=True)
 class CommutatorFree(CompiledStepMethod, VariedTangents):
-    """Commutator-free Lie group method: explicit, stays on the coadjoint orbit, keeps every Casimir; no Poisson map.
+    """Commutator-free Lie group method: explicit, on the coadjoint orbit, preserves every Casimir; no Poisson map.
 
     A step transforms the momentum by exponentials ``exp(h sign D_k)``, each k a combination of gradients of H at stages
     that are computed in the same way: two exponentials for order 2, four for order 3, five for order 4. The momentum
     therefore never leaves the coadjoint orbit, and the group element is computed in every representation. The scheme
     supports every Lie algebra and every Hamiltonian, including those without exact flows, and every `MatrixSystem`,
     whose W becomes ``U W U^-1``, U the exponential of a combination of stream matrices, so that the whole spectrum is
-    kept. The bracket and the energy are not kept. It serves for comparison with the literature: for long runs choose
-    `Splitting`, or `IsospectralGauss` for matrices, whose energy does not drift; for accuracy choose `Taylor`.
+    preserved. The bracket and the energy are not preserved. It serves for comparison with the literature: for long runs
+    choose `Splitting`, or `IsospectralGauss` for matrices, whose energy does not drift; for accuracy choose `Taylor`.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ class CommutatorFree(CompiledStepMethod, VariedTangents):
         object.__setattr__(self, "order", read_integer(self.order, "order of CommutatorFree", 2, 4))
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the coadjoint orbit is kept, with every Casimir.
+        """Return the properties: the coadjoint orbit is preserved, with every Casimir.
 
         Raises
         ------

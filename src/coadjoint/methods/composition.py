@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.methods.protocol.cost_model import Work
 
-LARGEST_SUM = 1000.0
-MOST_SUBSTEPS = 1000
+MAX_SUM = 1000.0
+MAX_SUBSTEPS = 1000
 CUBE_ROOT_OF_2 = 1.2599210498948732  # literal, since ** calls pow of the C library, whose bits differ by machine
 
 
@@ -30,7 +30,7 @@ class Composition(Composed, Composable):
     """One step of the base at each fraction c_1 h, c_2 h, ... of the step: a higher order from a symmetric base.
 
     Choose it for your own coefficients, or for a base other than `Splitting`, such as `GaussLegendre`. A composition
-    keeps what its base keeps.
+    preserves what its base preserves.
 
     Parameters
     ----------
@@ -62,13 +62,13 @@ class Composition(Composed, Composable):
 
     def __post_init__(self) -> None:
         check_base(self.base, "a Composition", "Splitting(order=2)")
-        object.__setattr__(self, "coefficients", _validated_fractions(self.coefficients, self.base))
+        object.__setattr__(self, "coefficients", _read_fractions(self.coefficients, self.base))
         if not self.base.symmetric:
             raise ValueError(f"Composition needs a symmetric base, which {self.base} is not{self.base.instead}")
-        if sum(map(abs, self.coefficients)) > LARGEST_SUM:
+        if sum(map(abs, self.coefficients)) > MAX_SUM:
             raise ValueError(
                 f"the absolute coefficients of a Composition add up to {sum(map(abs, self.coefficients)):.3g}; above "
-                f"{LARGEST_SUM:g} rounding would undo the composition"
+                f"{MAX_SUM:g} rounding would undo the composition"
             )
         total = sum(self.coefficients)
         if abs(total - 1.0) > 4 * len(self.coefficients) * UNIT_ROUNDOFF * sum(map(abs, self.coefficients)):
@@ -112,11 +112,11 @@ class Composition(Composed, Composable):
         return [cls(Splitting(order=2), fractions), cls(GaussLegendre(1), fractions)]
 
 
-def _validated_fractions(coefficients: Any, base: Method) -> tuple[float, ...]:
+def _read_fractions(coefficients: Any, base: Method) -> tuple[float, ...]:
     fractions = read_finite(coefficients, "coefficients")
     if fractions.ndim != 1:
         raise ValueError(f"coefficients has shape {fractions.shape}; give a sequence of numbers")
     substeps = fractions.size * len(base.fractions)
-    if substeps > MOST_SUBSTEPS:
-        raise ValueError(f"a step of the Composition has {substeps} substeps; the limit is {MOST_SUBSTEPS}")
+    if substeps > MAX_SUBSTEPS:
+        raise ValueError(f"a step of the Composition has {substeps} substeps; the limit is {MAX_SUBSTEPS}")
     return tuple(fractions.tolist())

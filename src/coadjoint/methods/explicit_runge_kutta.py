@@ -31,7 +31,7 @@ TABLEAUX: dict[str, tuple[int, tuple[Any, ...], tuple[tuple[Any, ...], ...], tup
 
 @dataclass(frozen=True)
 class ExplicitRungeKutta(RungeKuttaMethod):
-    """An explicit Runge-Kutta method, a general-purpose scheme for comparisons; it keeps no invariants.
+    """An explicit Runge-Kutta method, a general-purpose scheme for comparisons; it preserves no invariants.
 
     ``X_i = x + h sum_{j<i} a_ij f(X_j)``, ``x_new = x + h sum_i b_i f(X_i)``. The group element is integrated with the
     momentum, ``g' = -sign g rho(grad H)`` (equation (13)), and slowly leaves the group. Choose it for short runs, and
@@ -77,7 +77,7 @@ class ExplicitRungeKutta(RungeKuttaMethod):
         return TABLEAUX[self.name][0]
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: only linear invariants are kept; every system is supported."""
+        """Return the properties: only linear invariants are preserved; every system is supported."""
         check_vector_states(system)
         attitude = "none" if system.algebra is None else "integrated"
         return Properties(poisson=False, energy=False, casimirs="none", attitude=attitude)

@@ -58,7 +58,7 @@ class Forced(Wrapper):
     A step consists of the half flows of the forces in their order, a step of the base for the Hamiltonian part, and the
     half flows in reverse order. Each step of the base starts afresh, except for the initial guesses of schemes for
     matrices. `integrate`, `prepare` and `stepper` apply it automatically if a system has forces; use it directly for
-    `properties`, which names what is kept and what breaks the rest.
+    `properties`, which names what is preserved and what breaks the rest.
 
     Parameters
     ----------

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.numerics.gauss_coefficients import extrapolation, gauss_legendre, gauss_nodes
+from coadjoint.methods.numerics.gauss_coefficients import extrapolation, gauss_legendre, node_polynomial
 from coadjoint.methods.numerics.stages import Coefficients
 from coadjoint.methods.protocol.method import has_quadratic_energy
 from coadjoint.methods.protocol.properties import Properties
@@ -50,25 +50,25 @@ def gauss_tableau(stages: int, number: Number = float) -> Coefficients:
 MAX_STAGES = 256
 
 
-def validated_stages(value: Any, what: str) -> int:
+def read_stages(value: Any, what: str) -> int:
     """Validate a number of stages or iterations; raise an error that names the parameter.
 
     Examples
     --------
-    >>> validated_stages(2, "stages")
+    >>> read_stages(2, "stages")
     2
     """
-    return read_integer(value, what, 1, MAX_STAGES, why="more would not be more accurate")
+    return read_integer(value, what, 1, MAX_STAGES, reason="more would not be more accurate")
 
 
 @dataclass(frozen=True)
 class GaussLegendre(RungeKuttaMethod):
-    """The Gauss-Legendre method with s stages: implicit, symmetric, of order 2 s; keeps every quadratic invariant.
+    """The Gauss-Legendre method with s stages: implicit, symmetric, of order 2 s; preserves every quadratic invariant.
 
     Choose it for high accuracy with any Hamiltonian, with many stages and a large step. (For polynomials `Taylor` is
     mostly cheaper.) The errors of a quadratic energy and of quadratic Casimirs are round-off, which grows like the
-    square root of time. It is not a Poisson map unless the bracket is constant (canonical variables), and does not keep
-    Casimirs of higher degree; for these choose `Splitting`. `GaussLegendre(1)` is the implicit midpoint rule.
+    square root of time. It is not a Poisson map unless the bracket is constant (canonical variables), and does not
+    preserve Casimirs of higher degree; for these choose `Splitting`. `GaussLegendre(1)` is the implicit midpoint rule.
 
     The equations are ``X_i = x + h sum_j a_ij f(X_j)``, ``x_new = x + h sum_i b_i f(X_i)`` (equation (5) of the paper).
     They are solved by function iteration until the corrections stop falling, and by Newton's method if that is slow or
@@ -111,7 +111,7 @@ class GaussLegendre(RungeKuttaMethod):
     symmetric = True
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", validated_stages(self.stages, "stages of GaussLegendre"))
+        object.__setattr__(self, "stages", read_stages(self.stages, "stages of GaussLegendre"))
 
     @property
     def solver(self) -> str:
@@ -124,7 +124,7 @@ class GaussLegendre(RungeKuttaMethod):
         return 2 * self.stages
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: quadratic invariants are kept, and a constant bracket; every system is supported."""
+        """Return the properties: quadratic invariants and a constant bracket; every system is supported."""
         check_vector_states(system)
         attitude = "none" if system.algebra is None else "coadjoint"
         poisson, energy = _has_constant_bracket(system), has_quadratic_energy(system)
@@ -133,7 +133,7 @@ class GaussLegendre(RungeKuttaMethod):
     @property
     def collocation(self) -> list[Fraction]:
         """The Legendre polynomial of degree s on [0, 1]."""
-        return gauss_nodes(self.stages)
+        return node_polynomial(self.stages)
 
     def coefficients(self, number: Number = float) -> Coefficients:
         return gauss_tableau(self.stages, number)

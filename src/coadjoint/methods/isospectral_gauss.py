@@ -18,7 +18,7 @@ from coadjoint.methods.numerics.isospectral_stages import (
 )
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.stepped_method import SteppedMethod
+from coadjoint.methods.protocol.substep_method import SubstepMethod
 from coadjoint.methods.protocol.tangents import VariedTangents
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -31,12 +31,12 @@ if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.methods.protocol.cost_model import Work
 
-MOST_STAGES = 8
+MAX_STAGES = 8
 
 
 @dataclass(frozen=True)
-class IsospectralGauss(SteppedMethod, VariedTangents):
-    """Isospectral Gauss methods for matrices: Poisson maps that keep the whole spectrum; implicit, of order 2 s.
+class IsospectralGauss(SubstepMethod, VariedTangents):
+    """Isospectral Gauss methods for matrices: Poisson maps that preserve the whole spectrum; implicit, of order 2 s.
 
     ``V_i = 1 + h sum_j a_ij P_j V_j``, ``U_i = 1 - h sum_j a_ij U_j P_j``, ``M_i = V_i W U_i``, ``P_i = stream(M_i)``,
     and ``W += h sum_i b_i [P_i, M_i]`` with the Gauss coefficients: V and U are inverses at the end of the step, so
@@ -82,7 +82,7 @@ class IsospectralGauss(SteppedMethod, VariedTangents):
     symmetric = True
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", read_integer(self.stages, "stages", 1, MOST_STAGES))
+        object.__setattr__(self, "stages", read_integer(self.stages, "stages", 1, MAX_STAGES))
 
     @property
     def order(self) -> int:
@@ -94,7 +94,7 @@ class IsospectralGauss(SteppedMethod, VariedTangents):
         return [cls(1), cls(2), cls(3)]
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the bracket and every Casimir are kept.
+        """Return the properties: the bracket and every Casimir are preserved.
 
         Raises
         ------

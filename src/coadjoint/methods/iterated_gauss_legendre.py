@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 
-from coadjoint.methods.gauss_legendre import gauss_tableau, validated_stages
-from coadjoint.methods.numerics.gauss_coefficients import gauss_nodes
+from coadjoint.methods.gauss_legendre import gauss_tableau, read_stages
+from coadjoint.methods.numerics.gauss_coefficients import node_polynomial
 from coadjoint.methods.numerics.stages import Coefficients
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
@@ -20,7 +20,7 @@ class IteratedGaussLegendre(RungeKuttaMethod):
 
     ``X_i^0 = x``, ``X_i^l = x + h sum_j a_ij f(X_j^(l-1))`` (equation (6)), and ``x_new = x + h sum_i b_i f(X_i^m)``.
     The method is explicit, without a step-size restriction from convergence; energy and Casimirs drift slowly, by
-    O(h^(m+1)) or better. If they must be kept, choose `GaussLegendre` or `ModifiedGaussLegendre`.
+    O(h^(m+1)) or better. If they must be preserved, choose `GaussLegendre` or `ModifiedGaussLegendre`.
 
     Parameters
     ----------
@@ -56,9 +56,9 @@ class IteratedGaussLegendre(RungeKuttaMethod):
     symmetric = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", validated_stages(self.stages, "stages of IteratedGaussLegendre"))
+        object.__setattr__(self, "stages", read_stages(self.stages, "stages of IteratedGaussLegendre"))
         if self.iterations is not None:
-            count = validated_stages(self.iterations, "iterations of IteratedGaussLegendre")
+            count = read_stages(self.iterations, "iterations of IteratedGaussLegendre")
             object.__setattr__(self, "iterations", count)
 
     @property
@@ -77,14 +77,14 @@ class IteratedGaussLegendre(RungeKuttaMethod):
         return min(self.function_iterations + 1, 2 * self.stages)
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: only linear invariants are kept; every system is supported."""
+        """Return the properties: only linear invariants are preserved; every system is supported."""
         check_vector_states(system)
         return Properties(poisson=False, energy=False, casimirs="none", attitude="none")
 
     @property
     def collocation(self) -> list[Fraction]:
         """The Legendre polynomial of degree s on [0, 1]."""
-        return gauss_nodes(self.stages)
+        return node_polynomial(self.stages)
 
     def coefficients(self, number: Number = float) -> Coefficients:
         """Return the tableau of the Gauss-Legendre method."""

@@ -26,13 +26,13 @@ TYPICAL_COLUMNS = 24  # typical number of products with f' in a step of many dim
 
 @dataclass(frozen=True)
 class Kahan(CompiledStepMethod):
-    """Kahan's method for quadratic fields: symmetric, order 2, one linear system per step; keeps nothing exactly.
+    """Kahan's method for quadratic fields: symmetric, order 2, one linear system per step; preserves nothing exactly.
 
     ``(1 - h/2 f'(x)) (x_new - x) = h f(x)``, a rational map whose inverse is the same map with -h. It supports every
     Lie algebra with a quadratic H, including linear terms, and a `PoissonSystem` with quadratic H and J affine in x.
     Choose it to study integrable maps (the rigid body becomes the Hirota-Kimura top, which has invariants of its own),
     or as the base of a `Composition` without iterations. For long runs choose `Splitting`, which is mostly cheaper and
-    keeps bracket and Casimirs: the errors of energy and Casimirs are O(h^2), without drift on regular motions of
+    preserves bracket and Casimirs: the errors of energy and Casimirs are O(h^2), without drift on regular motions of
     symmetric systems, and unbounded otherwise.
 
     The linear system is factorized in up to 200 dimensions, and solved by GMRES in more.
@@ -57,7 +57,7 @@ class Kahan(CompiledStepMethod):
     failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "1 - h/2 f'(x) is singular: there is no next state"}
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: nothing is kept.
+        """Return the properties: nothing is preserved.
 
         Raises
         ------

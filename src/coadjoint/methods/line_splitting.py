@@ -14,7 +14,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.stepped_method import SteppedMethod
+from coadjoint.methods.protocol.substep_method import SubstepMethod
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.streams import Circulants
@@ -42,15 +42,16 @@ class Line(NamedTuple):
 
 
 @dataclass(frozen=True)
-class LineSplitting(SteppedMethod):
-    """McLachlan's splitting of the fluid on the torus into lines of modes: explicit, a Poisson map, keeps the spectrum.
+class LineSplitting(SubstepMethod):
+    """McLachlan's splitting of the fluid on the torus into lines of modes: an explicit, isospectral Poisson map.
 
     For a prime N the N^2 - 1 modes form N + 1 lines ``{j k}`` through the origin, each of N - 1 modes that commute. H
     is the sum of the energies of the lines; the flow of one line conjugates W by the exponential of the line's stream,
     ``W -> U W U*``, which is constant along the flow, and diagonal for a suitable ordering of the modes. A line
     therefore costs Fourier transforms along the N - 1 other cosets, and a step of order 2 costs O(N^3 log N): ``k = (1,
     0), (1, 1), ..., (1, N - 1)`` for half the step, (0, 1) for the whole step, and the others in reverse for half of
-    it. The energy is not kept but its error is O(step^order) for long times; steps of higher orders are compositions.
+    it. The energy is not preserved but its error is O(step^order) for long times; steps of higher orders are
+    compositions.
 
     Choose it for a fluid on the torus: at the same step its error is a fraction of that of `IsospectralGauss`, and
     it does not iterate.
@@ -108,7 +109,7 @@ class LineSplitting(SteppedMethod):
         return (*half, *half[-2::-1])
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the bracket and every Casimir are kept.
+        """Return the properties: the bracket and every Casimir are preserved.
 
         Raises
         ------
@@ -144,7 +145,7 @@ class LineSplitting(SteppedMethod):
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step in NumPy of a matrix (N, N) or of its coordinates (dim,)."""
         torus = torus_of(system)
-        end = matrix_of(self._advanced(torus, modes_of(torus.matrices(x)), h, None)[0])
+        end = matrix_of(self._advance(torus, modes_of(torus.matrices(x)), h, None)[0])
         return np.asarray(torus.to_vector(end) if torus.is_in_numbers(x) else end)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -152,13 +153,13 @@ class LineSplitting(SteppedMethod):
         torus = torus_of(system)
         check_available_memory(8 * 12 * torus.dim**2, f"the derivative of a step of {torus.dim} numbers")
         units = torus.algebra.projected(torus.from_vector(np.eye(torus.dim)))
-        end, changes = self._advanced(torus, modes_of(torus.matrices(x)), h, modes_of(units))
+        end, changes = self._advance(torus, modes_of(torus.matrices(x)), h, modes_of(units))
         return torus.to_vector(matrix_of(end)), torus.to_vector(matrix_of(changes)).T
 
-    def _advanced(
+    def _advance(
         self, torus: MatrixSystem, v: Complexes, h: float, changes: Complexes | None
     ) -> tuple[Complexes, Complexes]:
-        """Return modes after a step, and changes of them (directions, N, N)."""
+        """Return modes and tangent vectors, changes of modes (directions, N, N), after a step."""
         N = torus.algebra.N
         factor, constant = stream_of_modes(torus)
         forward = lines(N)

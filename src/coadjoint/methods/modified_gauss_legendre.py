@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 
-from coadjoint.methods.gauss_legendre import gauss_tableau, validated_stages
-from coadjoint.methods.numerics.gauss_coefficients import gauss_nodes
+from coadjoint.methods.gauss_legendre import gauss_tableau, read_stages
+from coadjoint.methods.numerics.gauss_coefficients import node_polynomial
 from coadjoint.methods.numerics.stages import Coefficients
 from coadjoint.methods.protocol.method import has_quadratic_energy
 from coadjoint.methods.protocol.properties import Properties
@@ -25,9 +25,10 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
     ``X^0 = x``; equation (6) for l = 1, ..., m - 1; then, with Z = X^(m-1), the linear system for X = X^m
 
     ``freeze="structure"``:  ``X_i = x + h sum_j a_ij sign J(Z_j) grad H(X_j)``  (equation (7)), H quadratic: the energy
-    is kept;
+    is preserved;
 
-    ``freeze="gradient"``:  ``X_i = x + h sum_j a_ij sign D_u(Z_j) X_j``, u = grad H: every quadratic Casimir is kept,
+    ``freeze="gradient"``:  ``X_i = x + h sum_j a_ij sign D_u(Z_j) X_j``, u = grad H: every quadratic Casimir is
+    preserved,
 
     and the output ``x_new = x + sum_i b_i`` of the same right-hand sides (equation (8)). ``stages=1`` is the modified
     midpoint rule, equations (10)-(11). Choose it for a fixed cost per step and one invariant to round-off. It is not
@@ -74,9 +75,9 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
     symmetric = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", validated_stages(self.stages, "stages of ModifiedGaussLegendre"))
+        object.__setattr__(self, "stages", read_stages(self.stages, "stages of ModifiedGaussLegendre"))
         if self.iterations is not None:
-            count = validated_stages(self.iterations, "iterations of ModifiedGaussLegendre")
+            count = read_stages(self.iterations, "iterations of ModifiedGaussLegendre")
             object.__setattr__(self, "iterations", count)
         read_choice(self.freeze, "freeze", FREEZES)
 
@@ -96,7 +97,7 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
         return min(self.function_iterations + 1, 2 * self.stages)
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the energy, or the quadratic Casimirs, are kept.
+        """Return the properties: the energy, or the quadratic Casimirs, are preserved.
 
         Raises
         ------
@@ -122,7 +123,7 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
     @property
     def collocation(self) -> list[Fraction]:
         """The Legendre polynomial of degree s on [0, 1]."""
-        return gauss_nodes(self.stages)
+        return node_polynomial(self.stages)
 
     def coefficients(self, number: Number = float) -> Coefficients:
         """Return the tableau of the Gauss-Legendre method."""

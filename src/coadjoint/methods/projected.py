@@ -34,9 +34,9 @@ class Projected(Wrapper, RestoresInvariants):
 
     A step z of the base becomes ``y = z + sum_a lambda_a grad C_a(z)``, where every C_a has the value that it had at
     the start of the run: energy and polynomial Casimirs do not drift, however long the run and whatever the base.
-    Choose it to keep a prescribed scheme on its level set. It is not a Poisson map, even if the base is one: for long
-    runs of a `Splitting` the base alone is better, and for accuracy `Taylor` has its own projection. Casimirs that are
-    not polynomials are not kept, even by a base that keeps them.
+    Choose it to keep a prescribed scheme on its level set. It is not a Poisson map, even if the base is one: for
+    long runs of a `Splitting` the base alone is better, and for accuracy `Taylor` has its own projection. Casimirs that
+    are not polynomials are not preserved, even by a base that preserves them.
 
     The order is that of the base. A step is not symmetric, and therefore cannot be composed; project the `Composition`
     instead. Each step of the base starts afresh: `GaussLegendre` does not extrapolate from the previous step.
@@ -83,7 +83,7 @@ class Projected(Wrapper, RestoresInvariants):
         return [cls(Splitting(order=2)), cls(ExplicitRungeKutta("rk4"))]
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the energy, and the Casimirs that are polynomials, are kept.
+        """Return the properties: the energy, and the Casimirs that are polynomials, are preserved.
 
         Raises
         ------

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.gauss_legendre import validated_stages
+from coadjoint.methods.gauss_legendre import read_stages
 from coadjoint.methods.numerics.gauss_coefficients import radau
 from coadjoint.methods.numerics.solvers import iterate_to_stagnation
 from coadjoint.methods.numerics.stages import Coefficients, Step, begin, linear_solve
@@ -27,7 +27,7 @@ NO_MULTIPLIER = (
 
 @dataclass(frozen=True)
 class RadauEnergy(CompiledStepMethod):
-    """Radau IIA for ``x' = f(x) + lambda x``, ``0 = H(x) - H(x_k)``: the energy is kept, and nothing else.
+    """Radau IIA for ``x' = f(x) + lambda x``, ``0 = H(x) - H(x_k)``: preserves the energy and nothing else.
 
     With s stages of order 2 s - 1: ``X_i = x + h sum_j a_ij (f(X_j) + lambda_j X_j)``, ``H(X_i) = H(x)``, ``x_new =
     X_s``. It supports any Hamiltonian that does not depend on time, where x . grad H is not zero. In the paper it is a
@@ -63,7 +63,7 @@ class RadauEnergy(CompiledStepMethod):
     failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": NO_MULTIPLIER}
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", validated_stages(self.stages, "stages of RadauEnergy"))
+        object.__setattr__(self, "stages", read_stages(self.stages, "stages of RadauEnergy"))
 
     @property
     def order(self) -> int:
@@ -71,7 +71,7 @@ class RadauEnergy(CompiledStepMethod):
         return 2 * self.stages - 1
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the energy is kept, quadratic or not.
+        """Return the properties: the energy is preserved, quadratic or not.
 
         Raises
         ------
@@ -124,16 +124,16 @@ class RadauEnergy(CompiledStepMethod):
         blocks = step.jacobians(points) + multipliers[:, None, None] * np.eye(n)
         gradients = step.gradients(points)
         matrix = np.zeros((s * (n + 1), s * (n + 1)))
-        right = np.zeros((s * (n + 1), n))
+        rhs = np.zeros((s * (n + 1), n))
         for i in range(s):
             rows, constraint = slice(i * n, (i + 1) * n), s * n + i
-            matrix[rows, rows] = right[rows] = np.eye(n)
+            matrix[rows, rows] = rhs[rows] = np.eye(n)
             for j in range(s):
                 matrix[rows, j * n : (j + 1) * n] -= mu[i, j] * blocks[j]
                 matrix[rows, s * n + j] = -mu[i, j] * points[j]
             matrix[constraint, rows] = gradients[i]
-            right[constraint] = system.hamiltonian.gradient(step.x, t)
-        derivatives = np.linalg.solve(matrix, right)
+            rhs[constraint] = system.hamiltonian.gradient(step.x, t)
+        derivatives = np.linalg.solve(matrix, rhs)
         return step.x + step.coefficients.out @ slopes, derivatives[(s - 1) * n : s * n]
 
     def _solve(self, system: System, x: Any, t: Any, h: Any) -> tuple[Step, NDArray[Any], NDArray[Any]]:

@@ -81,18 +81,7 @@ def register(scheme: Scheme) -> Scheme:
 
 
 def forget(name: str) -> None:
-    """Undo `register`.
-
-    Parameters
-    ----------
-    name : str
-        Name of a registered scheme.
-
-    Raises
-    ------
-    ValueError
-        No such scheme was registered.
-    """
+    """Undo `register`; raise ValueError if no such scheme was registered."""
     read_choice(name, "registered method", _registered)
     del _registered[name]
 
@@ -280,15 +269,6 @@ def _read_value(value: Any) -> Any:
 def parameters_of(name: str) -> dict[str, Any]:
     """Return the parameters of a scheme with their defaults (``inspect.Parameter.empty`` if there is none).
 
-    Parameters
-    ----------
-    name : str
-        One of `names`.
-
-    Returns
-    -------
-    dict
-
     Examples
     --------
     >>> parameters_of("Splitting")["order"]
@@ -311,20 +291,7 @@ def documentation_of(name: str) -> str:
 def description_of(method: Method) -> dict[str, Any]:
     """Return a scheme as name and parameters in plain numbers, lists and text, for `from_description`.
 
-    Parameters
-    ----------
-    method : Method
-        A scheme that is a dataclass, such as all schemes of this library.
-
-    Returns
-    -------
-    dict
-        ``{"name": ..., "parameters": {...}}``
-
-    Raises
-    ------
-    TypeError
-        The scheme is not a dataclass, so that its parameters are unknown.
+    TypeError: the scheme is not a dataclass, so that its parameters are unknown.
 
     Examples
     --------

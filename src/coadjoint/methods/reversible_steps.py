@@ -32,7 +32,7 @@ NO_STEP_MESSAGE = (
     "the speed of the motion fell to zero or below (a smaller stride may help), or grew until the steps no longer "
     f"change the time, {TOO_MANY_STEPS_MESSAGE}"
 )
-MOST_STEPS = 10**7
+MAX_STEPS = 10**7
 """Largest number of steps in Python."""
 
 
@@ -43,8 +43,8 @@ class ReversibleSteps(Wrapper, OwnSteps):
     The controller of Hairer and Soederlind: with the speed Q(x) of the motion, step n has the length stride / rho_n,
     and ``rho_(n+1) = rho_n + stride Q'/Q`` at the state between them; rho_0 is Q, advanced by half a step. States
     and rho together are a reversible map: for integrable or nearly integrable motions energy and actions do not drift,
-    unlike with steps controlled by an error estimate. The steps are those of the base: the Casimirs that it keeps are
-    kept, and the energy if the base keeps it. A step of varying length is not a Poisson map.
+    unlike with steps controlled by an error estimate. The steps are those of the base: the Casimirs that it preserves
+    are preserved, and the energy if the base preserves it. A step of varying length is not a Poisson map.
 
     Choose it for long runs in which the motion is much faster at some times than at others: close encounters, a falling
     top, scattering particles. If the speed hardly varies, the base alone at a constant step is better; for accuracy
@@ -179,7 +179,7 @@ class ReversibleSteps(Wrapper, OwnSteps):
         self.properties(system)
         speed, y, elapsed = self._speed(system), np.asarray(x), 0 * h
         rho = None
-        for _ in range(MOST_STEPS):
+        for _ in range(MAX_STEPS):
             Q, rate = speed.at(y)
             rate = rate if h.real > 0 else -rate
             rho = Q + self.stride * rate / 2 if rho is None else rho + self.stride * rate

@@ -22,19 +22,17 @@ if TYPE_CHECKING:
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
 
-TYPICAL_ITERATIONS = 8  # typical number per step
-
 
 @dataclass(frozen=True)
 class SphericalMidpoint(CompiledStepMethod):
     """The spherical midpoint method for spins: a Poisson map on copies of so(3), for any H; implicit, of order 2.
 
     ``x_new = x + h f(y)``, where y is, spin by spin, the midpoint of x and x_new, projected to the sphere of both:
-    ``y_i = |x_i| (x_i + x_new_i) / |x_i + x_new_i|``. The lengths of all spins are kept, and therefore every Casimir;
-    each step is a Poisson map, so that the energy error stays bounded for long times. Choose it for spins whose H does
-    not split into exact flows, such as functions of several spins; otherwise `Splitting` has the same properties, is
-    explicit, and mostly cheaper. The Hamiltonian may depend on time. `GaussLegendre` also keeps the lengths, but is not
-    a Poisson map.
+    ``y_i = |x_i| (x_i + x_new_i) / |x_i + x_new_i|``. The lengths of all spins are preserved, and therefore every
+    Casimir; each step is a Poisson map, so that the energy error stays bounded for long times. Choose it for spins
+    whose H does not split into exact flows, such as functions of several spins; otherwise `Splitting` has the same
+    properties, is explicit, and mostly cheaper. The Hamiltonian may depend on time. `GaussLegendre` also preserves the
+    lengths, but is not a Poisson map.
 
     It supports so(3) and direct sums of copies of it, in any order of the coordinates, with additional coordinates that
     commute with all others. The equation is solved by iteration, which converges if h times the frequencies of the
@@ -63,10 +61,10 @@ class SphericalMidpoint(CompiledStepMethod):
     symmetric = True
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the bracket and every Casimir are kept, and for some H the energy.
+        """Return the properties: the bracket and every Casimir are preserved, and for some H the energy.
 
-        Since y is a multiple of the midpoint, H is kept if it is linear, or homogeneous quadratic, in one spin, or a
-        sum of such functions over the spins.
+        Since y is a multiple of the midpoint, H is preserved if it is linear, or homogeneous quadratic, in one spin, or
+        a sum of such functions over the spins.
 
         Raises
         ------
@@ -126,7 +124,7 @@ class SphericalMidpoint(CompiledStepMethod):
         """Return the step and its slope L = h f(y)."""
         self.properties(system)
         spins = spins_of(system)
-        step = begin(_middle, system, x, t, h)
+        step = begin(_tableau, system, x, t, h)
         slopes = iterate_to_stagnation(step, lambda points: step.fields(on_spheres(spins, step.x, points[0])[None]))
         return step, slopes[0]
 
@@ -137,7 +135,7 @@ class SphericalMidpoint(CompiledStepMethod):
         return work_of_iterations(system, group)
 
 
-def _middle(number: Number) -> Coefficients:
+def _tableau(number: Number) -> Coefficients:
     half, one = number(1) / 2, number(1)
     return Coefficients(np.array([half]), np.array([one]), np.array([[half]]), np.array([one]))
 

@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Splitting(FlowMethod):
-    """Composition of exact flows of parts of the Hamiltonian: explicit, a Poisson map, keeps all Casimirs.
+    """Composition of exact flows of parts of the Hamiltonian: explicit, a Poisson map, preserves all Casimirs.
 
     It is the first choice for long runs. Each step costs a few rotations or shears. It is a Poisson map to round-off,
-    and keeps every Casimir and the spatial momentum of every representation. The energy is not kept exactly, but its
-    error stays within O(step^order) for exponentially long times.
+    and preserves every Casimir and the spatial momentum of every representation. The energy is not preserved exactly,
+    but its error stays within O(step^order) for exponentially long times.
 
     Parameters
     ----------
@@ -50,9 +50,9 @@ class Splitting(FlowMethod):
         which is solved exactly as a free rigid body. A rigid body alone then has only rounding errors. This costs about
         seven rotations, and is worthwhile if the rest of H is weak. ``"bonds"``: for copies of so(3), such as spins,
         each isotropic coupling c z.w of two momenta is solved exactly, as a rotation of both about their sum. Couplings
-        that share no momentum are one part. The total momentum is then kept to rounding, if the couplings keep it. Sets
-        of coordinates are used as given, in that order. `tuned` returns a splitting with explicit parts. If M couples
-        coordinates that do not commute, the parts are completed squares.
+        that share no momentum are one part. The total momentum is then preserved to rounding, if the couplings preserve
+        it. Sets of coordinates are used as given, in that order. `tuned` returns a splitting with explicit parts. If M
+        couples coordinates that do not commute, the parts are completed squares.
     compensated : bool, optional
         Whether the sums of the momentum are compensated, which reduces round-off; the default is no. (Those of the
         group element always are.) After 10^7 steps of 0.1, the errors of the Casimirs of a rigid body, a heavy top and
@@ -62,7 +62,7 @@ class Splitting(FlowMethod):
         the square root of time (full M: 4e-13), and a step takes 1.1 to 1.4 times as long.
     rotation : {"exact", "rational"}
         ``"exact"``: by sine and cosine. ``"rational"``: with tan(angle/2) replaced by half the angle, and therefore
-        without trigonometric functions. The step is still a Poisson map and keeps the same invariants, but has a
+        without trigonometric functions. The step is still a Poisson map and preserves the same invariants, but has a
         different error of order 2. An error is raised for a generator that is not a rotation of a single frequency, and
         for an angle that depends on more than its own linear form. A step takes about 1.1 times as long as an exact
         one, since consecutive steps cannot share a flow. Choose it for maps without transcendental functions, not for
@@ -83,7 +83,7 @@ class Splitting(FlowMethod):
 
     See Also
     --------
-    GaussLegendre : For Hamiltonians that do not split; keeps quadratic invariants, including a quadratic energy.
+    GaussLegendre : For Hamiltonians that do not split; preserves quadratic invariants, including a quadratic energy.
     Taylor : For a given accuracy with the least work; restores the energy and polynomial Casimirs.
 
     References
@@ -251,7 +251,7 @@ class Splitting(FlowMethod):
 
     def properties(self, system: System) -> Properties:
         """Return the properties: the Poisson bracket, every Casimir, and the spatial momentum in every representation
-        are kept.
+        are preserved.
 
         Raises
         ------

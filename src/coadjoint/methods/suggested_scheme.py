@@ -53,7 +53,7 @@ def candidate_schemes(processed: bool = False) -> tuple[Method, ...]:
 def suggested_scheme(system: System) -> Method:
     """Return the suggested scheme for a system, if no accuracy is given.
 
-    It is the splitting of order 4 if it supports the system: it keeps the Poisson bracket, every Casimir, and the
+    It is the splitting of order 4 if it supports the system: it preserves the Poisson bracket, every Casimir, and the
     attitude in every representation, and its energy does not drift. Otherwise, if H has no exact flows or J(x) is not
     linear in x, it is Gauss-Legendre with three stages. For a system of matrices it is the first registered scheme that
     is a Poisson map on it. For a given accuracy, `choose` selects scheme and step.

@@ -11,7 +11,7 @@ import numpy as np
 
 from coadjoint.methods.composition import Composition
 from coadjoint.methods.numerics.stages import Coefficients
-from coadjoint.methods.protocol.composed import HIGHEST_ORDER, FlowsOfBase
+from coadjoint.methods.protocol.composed import MAX_ORDER, FlowsOfBase
 from coadjoint.methods.protocol.composing import symmetrized
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.method import Method
@@ -34,7 +34,7 @@ def even_order(base: Method, order: int, jump: str = "triple") -> Method:
     A base that is not symmetric is followed by its adjoint, each over half a step. The result is symmetric and of even
     order, 2 for a base of order 1. A symmetric scheme of order 2 k is composed with itself, ``c h, (1 - 2 c) h, c h``
     with c = 1 / (2 - 2^(1/(2k+1))), or by Suzuki's five steps ``c h, c h, (1 - 4 c) h, c h, c h`` with c = 1 / (4 -
-    4^(1/(2k+1))). The result has order 2 k + 2 and keeps what the base keeps. Choose it for a base of your own;
+    4^(1/(2k+1))). The result has order 2 k + 2 and preserves what the base preserves. Choose it for a base of your own;
     `Splitting` has better named compositions of orders 4 to 10.
 
     Parameters
@@ -70,7 +70,7 @@ def even_order(base: Method, order: int, jump: str = "triple") -> Method:
     """
     if not isinstance(base, Method):
         raise TypeError(f"base is {short(base)}; give a scheme such as Splitting(order=1)")
-    target = read_integer(order, "order", 2, HIGHEST_ORDER)
+    target = read_integer(order, "order", 2, MAX_ORDER)
     read_choice(jump, "jump", SIDE_STEPS)
     method = base if base.symmetric else symmetrized(base)
     if target % 2 or target < method.order:

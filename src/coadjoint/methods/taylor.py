@@ -48,7 +48,7 @@ TOO_FAR_MESSAGE = "the group element turns too far in one step for its series"
 TYPICAL_GROUP_TERMS, MAX_EXTRA_TERMS = 16, 40
 # Largest dimension in which members are computed in vector lanes, see `LARGEST_CACHED` in ``stepping.cpp``.
 MAX_LANE_DIMENSION = 64
-LEAST_TOLERANCE, LARGEST_TOLERANCE = 1e-18, 0.1
+MIN_TOLERANCE, MAX_TOLERANCE = 1e-18, 0.1
 
 # Cached operations of series of order 1, projected or not, from which those of other orders are scaled.
 _OPERATIONS: WeakKeyDictionary[System, dict[bool, Operations]] = WeakKeyDictionary()
@@ -56,7 +56,7 @@ _OPERATIONS: WeakKeyDictionary[System, dict[bool, Operations]] = WeakKeyDictiona
 
 @dataclass(frozen=True)
 class Taylor(CompiledStepMethod, OwnSteps):
-    """The Taylor series of the motion, and a projection that keeps energy and Casimirs at their initial values.
+    """The Taylor series of the motion, and a projection that resets energy and Casimirs to their initial values.
 
     Choose it for accuracy: for a given error it mostly needs the least work, and `choose` then selects it. It is not a
     Poisson map. For statistics of chaotic motion, or a bounded energy error without a projection, choose `Splitting`.
@@ -73,8 +73,8 @@ class Taylor(CompiledStepMethod, OwnSteps):
 
     A group element is computed in every representation, as accurately as the momentum. Over a step the gradient of H is
     a polynomial of time, and the group equation with this polynomial is solved to rounding. The element therefore stays
-    in its group: rotations stay orthogonal. The spatial momentum is kept with the accuracy of the series; choose
-    `Splitting` to keep it to rounding.
+    in its group: rotations stay orthogonal. The spatial momentum is preserved with the accuracy of the series; choose
+    `Splitting` to preserve it to rounding.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ class Taylor(CompiledStepMethod, OwnSteps):
         return not self.projected
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the group is kept, and with `projected` the energy and the Casimirs that are
+        """Return the properties: the group is preserved, and with `projected` the energy and the Casimirs that are
         polynomials.
 
         Raises
@@ -227,7 +227,7 @@ class Taylor(CompiledStepMethod, OwnSteps):
 
     def reaching(self, system: System, tolerance: float) -> Taylor:
         """Return the series with another tolerance, and the order of least work for it."""
-        bounded = min(max(tolerance, LEAST_TOLERANCE), LARGEST_TOLERANCE)
+        bounded = min(max(tolerance, MIN_TOLERANCE), MAX_TOLERANCE)
         operations = self.operations(system)
 
         def cost(order: int) -> float:
@@ -241,7 +241,7 @@ class Taylor(CompiledStepMethod, OwnSteps):
     def finer(self, steps: int, times: float) -> FinerRun:
         """Return the same series with a much smaller tolerance."""
         assert self.tolerance is not None
-        tolerance = max(self.tolerance / (TOLERANCE_REDUCTION * times), LEAST_TOLERANCE)
+        tolerance = max(self.tolerance / (TOLERANCE_REDUCTION * times), MIN_TOLERANCE)
         finer = replace(self, order=min(self.order + 2, MAX_ORDER), tolerance=tolerance)
         return FinerRun(finer, max(steps, SIZE_SAMPLES), min(0.5, tolerance / self.tolerance))
 
@@ -327,9 +327,9 @@ def _split_duals(duals: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
 
 def _read_tolerance(value: Any) -> float:
     tolerance = read_number(value, "tolerance of Taylor")
-    if not LEAST_TOLERANCE <= tolerance <= LARGEST_TOLERANCE:
+    if not MIN_TOLERANCE <= tolerance <= MAX_TOLERANCE:
         raise ValueError(
-            f"tolerance of Taylor is {tolerance:g}; it must lie between {LEAST_TOLERANCE:g} and {LARGEST_TOLERANCE:g}, "
+            f"tolerance of Taylor is {tolerance:g}; it must lie between {MIN_TOLERANCE:g} and {MAX_TOLERANCE:g}, "
             "such as 1e-9"
         )
     return tolerance

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coadjoint.optional_packages import require_packages
-from coadjoint.pictures.style import INK, colour, key, plain_axes, symbol
+from coadjoint.pictures.style import INK, colour, legend, plain_axes, symbol
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,16 +19,6 @@ DEFECT_LABELS = {"symmetry": "step back", "reversibility": "reflected step", "po
 
 def draw_certificate(certificate: Any) -> Figure:
     """Return a figure of a certificate: the convergence, the defects, the invariants, and the verdicts.
-
-    Parameters
-    ----------
-    certificate : Certificate
-        From `coadjoint.certify`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Neither shown nor saved.
 
     Examples
     --------
@@ -74,7 +64,7 @@ def _draw_errors(axes: Any, row: Any, step: float) -> None:
             axes.plot(h, e, "s", color=colour(3), markersize=4, label="error of a step")
         axes.plot(h, e[-1] * (h / h[-1]) ** power, "--", color=INK, linewidth=0.9, label=f"$h^{{{power:.2f}}}$")
     axes.axvline(abs(step), color=UNDECIDED_COLOUR, linewidth=0.6)
-    key(axes)
+    legend(axes)
 
 
 def _draw_defects(axes: Any, rows: dict[str, Any]) -> None:
@@ -92,7 +82,7 @@ def _draw_defects(axes: Any, rows: dict[str, Any]) -> None:
     if not drawn:
         return _write_note(axes, "no defect above round-off")
     axes.set(xscale="log", yscale="log")
-    key(axes)
+    legend(axes)
 
 
 def _draw_invariants(axes: Any, rows: Any) -> None:
@@ -108,7 +98,7 @@ def _draw_invariants(axes: Any, rows: Any) -> None:
     if not any(np.any(np.asarray(row.evidence["deviations"])) for row in shown):
         return _write_note(axes, "no deviation in any bit" if shown else "no invariant is followed")
     axes.set(xscale="log", yscale="log")
-    key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
 def _draw_verdicts(axes: Any, rows: Any) -> None:

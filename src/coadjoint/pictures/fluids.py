@@ -21,13 +21,13 @@ SURFACES: dict[str, Callable[[int], FluidSystem]] = {"sphere": sphere_euler, "to
 
 def fluid_of(drawn: PlottedRun) -> FluidSystem:
     """Return the fluid system of a run (of two fields, that of the vorticity); raise CannotShow for other systems."""
-    family = drawn.family
-    if isinstance(family, FluidSystem):
-        return family
-    parameters = getattr(family, "parameters", None) or {}
-    if len(getattr(family, "shape", ())) == 3 and parameters.get("surface") in SURFACES:
-        return SURFACES[parameters["surface"]](family.algebra.N)
-    raise CannotShow(f"{family.name} has no vorticity to show; sphere_euler and torus_euler have")
+    system = drawn.unforced
+    if isinstance(system, FluidSystem):
+        return system
+    parameters = getattr(system, "parameters", None) or {}
+    if len(getattr(system, "shape", ())) == 3 and parameters.get("surface") in SURFACES:
+        return SURFACES[parameters["surface"]](system.algebra.N)
+    raise CannotShow(f"{system.name} has no vorticity to show; sphere_euler and torus_euler have")
 
 
 def surface_of(fluid: FluidSystem) -> str:
@@ -47,8 +47,8 @@ def vorticity_of(state: Any) -> npt.NDArray[Any]:
     return W[1] if W.ndim == 3 else W
 
 
-def carried_by(state: Any) -> npt.NDArray[Any]:
-    """Return the matrix of constant spectrum: the state, or the first of two fields, which the fluid carries."""
+def carried_field(state: Any) -> npt.NDArray[Any]:
+    """Return the matrix of the carried field, of constant spectrum: the state, or the first of two fields."""
     W = np.asarray(state)
     return W[0] if W.ndim == 3 else W
 
@@ -59,7 +59,7 @@ def part_on_grid(fluid: FluidSystem, state: Any, part: str, shape: tuple[int, in
     `state` is W, (N, N), or the carried field and W, (2, N, N); for `part` see the picture "vorticity".
     """
     if part == "carried":
-        return fluid.to_grid(carried_by(state), shape)
+        return fluid.to_grid(carried_field(state), shape)
     W = vorticity_of(state)
     shown = fluid.relative(W)
     if part != "all":

@@ -18,7 +18,6 @@ from coadjoint.systems.gallery_entry import Picture
 from coadjoint.systems.registry import gallery_entry_of, ready_made_systems
 
 PAGE = "index.html"
-DOTS_PER_INCH = 110
 
 _STYLE = (
     "body{font:16px/1.5 system-ui,sans-serif;color:#222;background:#fff}"
@@ -84,22 +83,7 @@ class Piece:
 
 
 def piece(name: str) -> Piece:
-    """Run a system from its declared start over its declared span, and draw it.
-
-    Parameters
-    ----------
-    name : str
-        One of `coadjoint.systems.registry.gallery_systems`, or of `SCENES`.
-
-    Returns
-    -------
-    Piece
-
-    Raises
-    ------
-    ValueError
-        There is no such system, or it declares no example run.
-    """
+    """Run a ready-made system, or one of `SCENES`, from its declared start over its declared span, and draw it."""
     require_packages("a gallery", "matplotlib")
     if name in SCENES:
         scene = SCENES[name]

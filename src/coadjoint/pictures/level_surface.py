@@ -18,7 +18,6 @@ from coadjoint.validation import read_finite, read_integer, read_number
 BYTES_PER_CELL = 2000  # corners and values of its six tetrahedra
 
 # A cube is six tetrahedra around its diagonal, one per order of the axes, so that neighbouring cubes match.
-_CUBE = np.array(list(itertools.product((0, 1), repeat=3)))
 _TETRAHEDRA = np.array(
     [np.cumsum([[0, 0, 0], *(np.eye(3, dtype=int)[list(order)])], axis=0) for order in itertools.permutations(range(3))]
 )

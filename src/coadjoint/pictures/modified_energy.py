@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coadjoint.optional_packages import require_packages
-from coadjoint.pictures.style import colour, key, plain_axes
+from coadjoint.pictures.style import colour, legend, plain_axes
 from coadjoint.runs.results.solution import check_solution
 from coadjoint.validation import read_integer, read_list
 
@@ -56,7 +56,7 @@ def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) 
     axes = figure.add_subplot()
     draw_deviations(axes, solution, checked)
     axes.set_title(f"{solution.system.name}, {solution.method}, step {solution.step:g}".replace("$", r"\$"))
-    key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
 
 

@@ -99,7 +99,7 @@ def _moving_kinds() -> list[str]:
 def _read_moving(drawn: PlottedRun, picture: Any) -> tuple[Kind, Picture]:
     """Parse the picture of a movie; return its kind and the picture at the start."""
     if picture is None:
-        picture = declared_picture(drawn.family.name)
+        picture = declared_picture(drawn.unforced.name)
     elif isinstance(picture, str) and drawn.gallery_entry is not None:
         picture = next((p for p in drawn.gallery_entry.pictures if p.kind == picture), picture)
     kind, read = read_picture(picture)

@@ -7,26 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coadjoint.optional_packages import require_packages
-from coadjoint.pictures.style import colour, key, plain_axes
+from coadjoint.pictures.style import colour, legend, plain_axes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
 def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
-    """Return a figure of a phase error.
-
-    Parameters
-    ----------
-    drift : PhaseDrift
-        From `phase_drift`.
-    predicted : float, optional
-        A slope drawn in addition to the fitted line.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Neither shown nor saved.
+    """Return a figure of a `PhaseDrift`; `predicted` is a slope drawn in addition to the fitted line.
 
     Examples
     --------
@@ -52,7 +40,7 @@ def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
     unit = "rad" if drift.unit == "radians" else "unit of time"
     lead.set(ylabel=f"lead [{unit}]")
     lead.set_title(f"phase error: {drift.growth}")
-    key(lead)
+    legend(lead)
     rest.plot(drift.t, drift.lead - line, color=colour(0), linewidth=0.7)
     rest.set(xlabel="time $t$", ylabel="lead - line")
     rest.set_title(f"rest without the line: rms {drift.deviation:.2g}, growing like $t^{{{drift.exponent:.2f}}}$")

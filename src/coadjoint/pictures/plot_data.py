@@ -42,16 +42,16 @@ MAX_AXIS_TURN = 0.26  # radians between points of the path of an axis: 24 points
 class PlottedRun:
     """View of a run for plots: at most 20 members, evenly spread, always with an axis of members.
 
-    `members` selects members by number. `family` is the system without its forces, `gallery_entry` its gallery metadata
-    or None, and `n` the number of entries of a state; `t` has shape (k,), and `x` (members, k, n).
+    `members` selects members by number. `unforced` is the system without its forces, `gallery_entry` its metadata or
+    None, and `n` the number of entries of a state; `t` has shape (k,), and `x` (members, k, n).
     """
 
     def __init__(self, solution: Solution, members: Any = None) -> None:
         self.solution = solution
         chosen = None if members is None else _read_members(solution, members)
         self.system: Any = member_of(solution.system, 0 if chosen is None else int(chosen[0]))
-        self.family: Any = unforced(self.system)
-        self.gallery_entry: GalleryEntry | None = gallery_entry_of(self.family.name)
+        self.unforced: Any = unforced(self.system)
+        self.gallery_entry: GalleryEntry | None = gallery_entry_of(self.unforced.name)
         self.single = solution.failed is None
         # Complex matrices are drawn as interleaved real and imaginary parts.
         states = np.ascontiguousarray(solution.x)
@@ -163,7 +163,7 @@ class PlottedRun:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the coordinates as plain text: those of the system, those of the basis, or x1, x2, ..."""
-        return coordinate_names(self.family, self.n)
+        return coordinate_names(self.unforced, self.n)
 
     def label(self, i: int) -> str:
         """Return the name of a coordinate as mathematical text."""
@@ -240,7 +240,7 @@ class PlottedRun:
         Also return the largest absolute value at start, end and k, a common scale of pictures.
         """
         fields = {
-            j: np.asarray(function(self.family, self.state(j)), dtype=np.float64) for j in {0, k, len(self.t) - 1}
+            j: np.asarray(function(self.unforced, self.state(j)), dtype=np.float64) for j in {0, k, len(self.t) - 1}
         }
         return fields[k], max(float(np.nanmax(np.abs(values), initial=0.0)) for values in fields.values()) or 1.0
 
@@ -267,12 +267,12 @@ def _read_members(solution: Solution, members: Any) -> npt.NDArray[np.int64]:
     return np.array(chosen, dtype=np.int64)
 
 
-def spread(count: int, most: int) -> npt.NDArray[np.int64]:
-    """Return at most `most` of 0 ... count - 1, evenly spread.
+def spread(count: int, max_count: int) -> npt.NDArray[np.int64]:
+    """Return at most `max_count` of 0 ... count - 1, evenly spread.
 
     Examples
     --------
     >>> spread(9, 3).tolist(), spread(2, 3).tolist()
     ([0, 4, 8], [0, 1])
     """
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
+    return np.unique(np.linspace(0, count - 1, min(count, max_count)).round().astype(np.int64))

@@ -103,22 +103,7 @@ def kinds() -> Mapping[str, Kind]:
 
 
 def read_picture(given: Any) -> tuple[Kind, Picture]:
-    """Parse a picture; return its kind and the picture.
-
-    Parameters
-    ----------
-    given : str or Picture
-        The name of a kind, or a kind with its options.
-
-    Returns
-    -------
-    Kind
-    Picture
-
-    Raises
-    ------
-    TypeError, ValueError
-        Not a picture, an unknown kind, or an unknown option of the kind; the message suggests the nearest name.
+    """Return the kind of a picture and the picture, from a name or a `Picture`; the message suggests the nearest name.
 
     Examples
     --------

@@ -27,34 +27,9 @@ COLUMN_WIDTHS = {True: 6.0, False: 5.4}  # a column of panels over time, or one 
 def draw_solution(
     solution: Solution, panels: Any = None, components: Any = None, axes: Any = None, members: Any = None
 ) -> Figure:
-    """Return a figure of a run: drift, components, and the pictures that its system declares.
+    """Return a figure of a run: drift, components, and the pictures that its system declares; see `Solution.plot`.
 
-    Parameters
-    ----------
-    solution : Solution
-        One run or an ensemble. At most 20 members and 8 coordinates are drawn, evenly spread; the figure states their
-        numbers.
-    panels : sequence of str or Picture, optional
-        Kinds of pictures, by name or with options; `coadjoint.pictures.register.kinds` lists them. By default the
-        drift, the components, the observed quantities, and the pictures that the system declares. If this run can show
-        none of these pictures, the orbit on its coadjoint orbit for three coordinates.
-    components : sequence of int or str, optional
-        The coordinates that are drawn over time, by number from 0 or by name.
-    axes : Axes or sequence of Axes, optional
-        Where to draw, one for each panel.
-    members : sequence of int, optional
-        Which members of an ensemble are drawn, from 0; at most 20.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Neither shown nor saved; use ``figure.savefig("run.png")``.
-
-    Raises
-    ------
-    TypeError, ValueError
-        An unknown kind or option (the message suggests the nearest name), a picture that this run cannot show, or
-        different numbers of axes and panels.
+    If the run can show none of the default pictures, the orbit is drawn on its coadjoint orbit for three coordinates.
 
     Examples
     --------

@@ -45,10 +45,10 @@ def plain_axes(axes: Axes) -> None:
     axes.title.set_fontsize(9.5)
 
 
-def key(axes: Axes, **options: Any) -> None:
+def legend(axes: Axes, **options: Any) -> None:
     """Add a legend, small and without a frame; `options` are those of `Axes.legend`."""
-    legend = axes.legend(**{"fontsize": 8, "frameon": False, "loc": "best", "handlelength": 2.2, **options})
-    for line in legend.get_lines():
+    created = axes.legend(**{"fontsize": 8, "frameon": False, "loc": "best", "handlelength": 2.2, **options})
+    for line in created.get_lines():
         line.set(linewidth=max(1.0, line.get_linewidth()), alpha=1.0)
 
 

@@ -69,17 +69,16 @@ def block_table(generators: Generators, u: Any) -> BlockTable:
     """
     sets, sheared, depth = components_of(generators)
     width = sets.width
+    larger = ~sheared & (width > 2)
+    nilpotent, cyclic = larger & (depth >= 0), larger & (depth < 0)
     classes = [
         (np.flatnonzero(mask), build)
         for mask, build in (
             (sheared, _shear_blocks),
             (~sheared & (width == 1), _scale_blocks),
             (~sheared & (width == 2), _plane_blocks),
-            (
-                (width > 2) & ~sheared & (depth >= 0),
-                lambda subset: _series_blocks(subset, depth[(width > 2) & ~sheared & (depth >= 0)]),
-            ),
-            ((width > 2) & ~sheared & (depth < 0), lambda subset: _cyclic_blocks(subset, u)),
+            (nilpotent, lambda subset: _series_blocks(subset, depth[nilpotent])),
+            (cyclic, lambda subset: _cyclic_blocks(subset, u)),
         )
     ]
     tables, owners = [], []
@@ -192,7 +191,7 @@ def _cyclic_blocks(sets: Components, u: Any) -> BlockTable:
             local = tuple(zip(row.tolist(), column.tolist(), value.tolist(), strict=True))
             model_numbers[key] = len(models)
             models.append(model := larger_block(width[s], local, u))
-            is_series = model.kind == Kind.SERIES  # keeps the entries of D, possibly very many
+            is_series = model.kind == Kind.SERIES  # its entries, possibly very many, are those of D
             tails.append(_sparse_tail(width[s], row, column) if is_series else _sparse_tail_of(model))
             model_constants.append(
                 np.array([*model.constants, *value] if is_series else _flat_constants(model), dtype=value.dtype)

@@ -34,7 +34,7 @@ def apply_body_flow(interpreter: Interpreter, part: int, tau: Any, state_of_flow
     Raises ValueError if the rotation angle is too large.
     """
     body = _Bodies(interpreter, part)
-    count = interpreter.pieces(lambda: abs(tau) * body.speed(state_of_flow.x) / PIECE)
+    count = interpreter.substeps(lambda: abs(tau) * body.speed(state_of_flow.x) / PIECE)
     for _ in range(count):
         terms = [state_of_flow]
         while len(terms) <= MAX_TERMS:
@@ -118,11 +118,11 @@ def largest_of(term: Iterable[Vectors | None]) -> Any:
     return [np.max(np.abs(item), initial=0) for item in term if item is not None]
 
 
-def pieces(reach: Any, ceil: Callable[[Any], int]) -> int:
-    """Return the number of pieces of a flow of length `reach`; raise ValueError if it is too long."""
+def substep_count(reach: Any, ceil: Callable[[Any], int]) -> int:
+    """Return the number of substeps of a flow of length `reach`; raise ValueError if it is too long."""
     if not reach <= MOST_SUBSTEPS:
         raise ValueError(
-            f"a free body turns too far in one step: it would take {float(reach):.3g} pieces, and at most "
+            f"a free body turns too far in one step: it would take {float(reach):.3g} substeps, and at most "
             f"{MOST_SUBSTEPS} are allowed; take a smaller step, or start nearer to the origin"
         )
     return max(1, ceil(reach))

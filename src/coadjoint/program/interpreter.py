@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.program.actions import Action, run_blocks, run_entries
 from coadjoint.program.blocks import MOST_SUBSTEPS, Kind
-from coadjoint.program.body_flow import FlowState, apply_body_flow, largest_of, pieces
+from coadjoint.program.body_flow import FlowState, apply_body_flow, largest_of, substep_count
 from coadjoint.program.numbers import array_of, elementary, roundoff
 from coadjoint.program.rational_rotations import rational_angle
 from coadjoint.program.table import Program
@@ -144,9 +144,9 @@ class Interpreter:
             coefficient = coefficient * y[index] ** exponent
         return coefficient
 
-    def pieces(self, reach: Callable[[], Any]) -> int:
+    def substeps(self, reach: Callable[[], Any]) -> int:
         """Return the number of time intervals in the flow of a free body; power series need no subdivision."""
-        return pieces(reach(), self.functions.ceil) if self._count is None else 1
+        return substep_count(reach(), self.functions.ceil) if self._count is None else 1
 
     def negligible(self, terms: Sequence[FlowState]) -> bool:
         """Test whether the last two terms of a series are below rounding, or the next one beyond the truncation."""
@@ -230,7 +230,7 @@ class Interpreter:
         reach = abs(angle) * norm
         if not reach <= MOST_SUBSTEPS:
             raise ValueError(
-                f"a flow is too long for one step: it would take {float(reach):.3g} pieces, and at most "
+                f"a flow is too long for one step: it would take {float(reach):.3g} substeps, and at most "
                 f"{MOST_SUBSTEPS} are allowed; take a smaller step, or start nearer to the origin"
             )
         substeps = max(1, self.functions.ceil(reach))

@@ -97,7 +97,7 @@ class JoinRules(NamedTuple):
     rational: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, parts: Parts, frequency: NDArray[Any]) -> JoinRules:
+    def from_parts(cls, parts: Parts, frequency: NDArray[Any]) -> JoinRules:
         """Construct the rules from the parts of a program and the frequencies of their angles."""
         rational = np.zeros(len(parts), dtype=bool)
         rational[parts.part_of_angle[np.asarray(frequency != 0, dtype=bool)]] = True

@@ -140,7 +140,7 @@ def build_program(
     if method.rotation == "rational":
         frequency = rational_frequencies(system, parts, state, number)
     return Program(
-        rows=rows_of(method, JoinRules.of(parts, frequency), system.sign, number),
+        rows=rows_of(method, JoinRules.from_parts(parts, frequency), system.sign, number),
         parts=parts,
         terms=table.table(number),
         share=parts.share.astype(np.uint32),

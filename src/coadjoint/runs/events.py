@@ -20,8 +20,8 @@ from coadjoint.validation import read_bool, read_choice, read_integer, read_titl
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MOST_EVENTS = 64
-MOST_CROSSINGS = 2**53
+MAX_EVENTS = 64
+MAX_CROSSINGS = 2**53
 PER_CROSSING = ("t", "x", "which", "member", "direction")
 
 
@@ -96,7 +96,7 @@ class Event:
             raise ValueError(f"direction of an event is {short(self.direction)}; it must be 1, -1, or 0 for both")
         assign(self, "direction", int(self.direction))
         if self.count is not None:
-            assign(self, "count", read_integer(self.count, "count of an event", 1, MOST_CROSSINGS))
+            assign(self, "count", read_integer(self.count, "count of an event", 1, MAX_CROSSINGS))
         assign(self, "terminal", read_bool(self.terminal, "terminal"))
         if self.name is not None:
             assign(self, "name", read_title(self.name, "name of an event"))
@@ -113,7 +113,7 @@ class Event:
 
 
 def read_events(value: Any) -> tuple[Event, ...]:
-    """Validate an event or a sequence of events (or None) and return a tuple; at most `MOST_EVENTS`.
+    """Validate an event or a sequence of events (or None) and return a tuple; at most `MAX_EVENTS`.
 
     Examples
     --------
@@ -126,8 +126,8 @@ def read_events(value: Any) -> tuple[Event, ...]:
     if not isinstance(events, Sequence) or isinstance(events, str) or not all(isinstance(e, Event) for e in events):
         example = f"co.Event({short(value)})" if isinstance(value, str) else "co.Event('x1')"
         raise TypeError(f"events is {short(value)}; give an Event, such as {example}, or a list of them")
-    if len(events) > MOST_EVENTS:
-        raise ValueError(f"{len(events)} events were given; a run can have at most {MOST_EVENTS}")
+    if len(events) > MAX_EVENTS:
+        raise ValueError(f"{len(events)} events were given; a run can have at most {MAX_EVENTS}")
     return tuple(events)
 
 

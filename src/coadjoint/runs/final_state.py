@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from math import copysign
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -89,7 +88,7 @@ class FinalStateRun:
             and len(t_span) == 2
             and type(t_span[0]) is type(t_span[1]) is float
             and t_span == self._span
-            and copysign(1.0, t_span[0]) == copysign(1.0, self._span[0])
+            and math.copysign(1.0, t_span[0]) == math.copysign(1.0, self._span[0])
         )
 
     def _prepare_span(self, t_span: Any) -> None:

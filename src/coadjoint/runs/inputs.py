@@ -78,10 +78,10 @@ class Inputs:
         self._torques: dict[int, NDArray[np.int64]] = {}
         self.indices: dict[str, NDArray[np.int64]] = {}
         for name, target in named.items():
-            self.indices[_name(name)] = (
+            self.indices[_read_name(name)] = (
                 self._torque_indices(target, name)
                 if isinstance(target, str)
-                else _coordinates(target, name, system.dim)
+                else _read_coordinates(target, name, system.dim)
             )
         all_indices = np.arange(len(self.values))
         self._full_input = next(
@@ -185,7 +185,7 @@ class Inputs:
         return Batch([self.system_at(row) for row in values])
 
 
-def _name(name: Any) -> str:
+def _read_name(name: Any) -> str:
     if not isinstance(name, str) or not name.isidentifier():
         raise TypeError(f"inputs has the name {short(name)}; it must be a valid Python identifier, such as field")
     if name in RESERVED_NAMES:
@@ -193,7 +193,7 @@ def _name(name: Any) -> str:
     return name
 
 
-def _coordinates(value: Any, name: str, n: int) -> NDArray[np.int64]:
+def _read_coordinates(value: Any, name: str, n: int) -> NDArray[np.int64]:
     numbers = read_numbers(value, f"the coordinates of {name}") if not isinstance(value, bool) else None
     if numbers is None or not numbers.size or numbers.ndim == 0 or np.any(numbers != np.floor(numbers)):
         raise TypeError(
@@ -269,17 +269,19 @@ class CallLoops(Loops):
         loop = self._base.prepared.name
         if self._stride:
             bounds = split_members(0, members, workers, limit("MOST_LANES"))
-            return [[MemberBatch(loop, *self._call_tables[0], *part, self._stride) for part in bounds]]
+            return [[MemberBatch(loop, *self._call_tables[0], first, last, self._stride) for first, last in bounds]]
         return in_rounds(
-            [MemberBatch(loop, *part, m, m + 1, base=m) for m, part in enumerate(self._call_tables)], workers
+            [MemberBatch(loop, *tables, m, m + 1, base=m) for m, tables in enumerate(self._call_tables)], workers
         )
 
-    def pieces(self, watch: Any = None) -> MemberTables:
+    def member_tables(self, watch: Any = None) -> MemberTables:
         """Return the tables of all members, or those of each member."""
         loop = self._base.prepared.name
         if len(self._call_tables) == 1:
             return [(Tables(loop, self._call_tables[0][0], watch or self._call_tables[0][1], self._stride), None)]
-        return [(Tables(loop, part[0], watch or part[1]), np.array([m])) for m, part in enumerate(self._call_tables)]
+        return [
+            (Tables(loop, tables, watch or own), np.array([m])) for m, (tables, own) in enumerate(self._call_tables)
+        ]
 
     def values_at(self, state: Floats, t: float, last: Floats) -> Floats:
         return values_of_watch(self._call_tables[0][1], self._base.period, state, t, last)  # inputs change no period

@@ -41,7 +41,7 @@ def integrate(
     rtol: None = None,
     atol: None = None,
 ) -> Solution:
-    """Integrate a system at a constant step, given or chosen for a wanted accuracy.
+    """Integrate a system at a constant step, given or chosen for a required accuracy.
 
     For many short runs of one system use `prepare`.
 
@@ -126,7 +126,7 @@ def integrate(
     >>> sol.drift()["energy"] < 1e-14
     True
 
-    With a wanted accuracy instead of a step:
+    With a required accuracy instead of a step:
 
     >>> sol = co.integrate(top, (0.0, 1.0, 0.01), t_span=(0, 50), accuracy=1e-8)
     >>> import numpy as np

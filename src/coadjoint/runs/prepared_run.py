@@ -32,7 +32,7 @@ from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run, read_progress
 from coadjoint.runs.start import Start, momenta_of, read_attitude, representations_of, with_group
 from coadjoint.runs.state import RunState
-from coadjoint.runs.times import Times, checked_step, span_of, times_between
+from coadjoint.runs.times import Times, read_step, span_of, times_between
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
@@ -78,7 +78,7 @@ class PreparedRun:
         if self._inputs is not None:
             scheme = self._inputs.settled(scheme)
         self.system: Any = system
-        self.method, self.step = scheme, checked_step(step)
+        self.method, self.step = scheme, read_step(step)
         self._scheme = effective_scheme(system, scheme)
         # Loops do not track invariants of matrices.
         self._watching = watching and unforced_matrix_system(system) is None

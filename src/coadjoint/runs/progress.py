@@ -64,11 +64,11 @@ class _Lines:
 
     def _print(self, now: float) -> None:
         self._printed_at = self._done
-        part = f" ({100.0 * self._done / self._steps:.0f} %)" if self._steps else ""
-        many = "" if self._steps == 1 else "s"
+        percentage = f" ({100.0 * self._done / self._steps:.0f} %)" if self._steps else ""
+        plural = "" if self._steps == 1 else "s"
         try:
             print(
-                f"{self._done} of {self._steps} {self._unit}{many}{part} after {now - self._started_at:.3g} s",
+                f"{self._done} of {self._steps} {self._unit}{plural}{percentage} after {now - self._started_at:.3g} s",
                 file=sys.stderr,
                 flush=True,
             )

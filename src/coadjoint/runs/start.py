@@ -174,7 +174,7 @@ def representations_of(system: System | Batch, method: Method, attitude: Any) ->
     One unless `system` is a batch, whose members must have matrices of one size. ValueError if the scheme does not
     support it.
     """
-    representations = tuple(_representation(member, method, attitude) for member in members_of(system))
+    representations = tuple(_read_representation(member, method, attitude) for member in members_of(system))
     shapes = [getattr(representation, "shape", ()) for representation in representations]
     other = next((m for m, shape in enumerate(shapes) if shape != shapes[0]), None)
     if other is not None:
@@ -185,7 +185,7 @@ def representations_of(system: System | Batch, method: Method, attitude: Any) ->
     return representations
 
 
-def _representation(system: System, method: Method, attitude: Any) -> Representation:
+def _read_representation(system: System, method: Method, attitude: Any) -> Representation:
     if isinstance(attitude, bool | np.bool_) and not attitude:
         return None
     if system.algebra is None:

@@ -199,7 +199,7 @@ class Stepper:
         """
         method, system = self._scheme(inputs)
         with long_operation("tangent"):
-            return method.tangent(system, *self._validated_point(x, t), self.h)[1]
+            return method.tangent(system, *self._read_point(x, t), self.h)[1]
 
     @ignore_overflow
     def tangent_by(self, x: Any, t: float = 0.0, **inputs: Any) -> str:
@@ -218,7 +218,7 @@ class Stepper:
             The first two are exact to round-off; differences have about nine digits.
         """
         method, system = self._scheme(inputs)
-        return tangent_by(method, system, *self._validated_point(x, t), self.h)
+        return tangent_by(method, system, *self._read_point(x, t), self.h)
 
     def _scheme(self, inputs: Mapping[str, Any]) -> tuple[Method, Any]:
         """Return the scheme and the system of a step with these inputs, for evaluation in Python."""
@@ -229,7 +229,7 @@ class Stepper:
         system = prepared.system_at(values)
         return effective_scheme(system, prepared.method), system
 
-    def _validated_point(self, x: Any, t: float) -> tuple[NDArray[np.float64], float]:
+    def _read_point(self, x: Any, t: float) -> tuple[NDArray[np.float64], float]:
         momenta, single = momenta_of(self.system, x)
         if not single:
             raise ValueError(

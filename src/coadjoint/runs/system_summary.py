@@ -12,7 +12,7 @@ from coadjoint.systems.description import description
 from coadjoint.systems.registry import gallery_entry_of
 
 LINE_WIDTH = 100
-MOST_NAMED = 30
+MAX_NAMED = 30
 ATTITUDES = {
     "representation": "attitude=True",
     "coadjoint": 'attitude="coadjoint"; no representation is known',
@@ -22,23 +22,9 @@ ATTITUDES = {
 
 
 def summarize_system(name: str) -> dict[str, Any]:
-    """Return the description of a ready-made system with a suggested scheme and step.
+    """Return the `description` of a ready-made system, with ``"scheme"``, ``"step"`` and ``"command"``.
 
-    Parameters
-    ----------
-    name : str
-        One of ``co.systems.names()``.
-
-    Returns
-    -------
-    dict
-        As `coadjoint.systems.description.description`, with ``"scheme"``, and ``"step"`` and ``"command"`` (None if
-        the system has no gallery entry); serializable by `json`.
-
-    Raises
-    ------
-    ValueError
-        Unknown system; the message has the nearest name.
+    Step and command are None if the system has no gallery entry.
 
     Examples
     --------
@@ -56,17 +42,7 @@ def summarize_system(name: str) -> dict[str, Any]:
 
 
 def system_text(summary: Mapping[str, Any]) -> str:
-    """Format a description as text.
-
-    Parameters
-    ----------
-    summary : mapping
-        From `summarize_system`.
-
-    Returns
-    -------
-    str
-        Lines of at most 100 characters.
+    """Format a description of `summarize_system` as text, in lines of at most 100 characters.
 
     Examples
     --------
@@ -90,7 +66,7 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[str]:
     algebra = "none: J(x) is not linear in x" if summary["algebra"] is None else summary["algebra"]
     yield from _entry("algebra", f"{algebra}; dimension {summary['dimension']}, rank {summary['rank']}")
     yield from _entry("sign", f"{summary['sign']:+d}")
-    if len(summary["coordinates"]) <= MOST_NAMED:
+    if len(summary["coordinates"]) <= MAX_NAMED:
         yield from _entry("coordinates", ", ".join(summary["coordinates"]))
     for kind, missing in (("casimirs", "none is known"), ("integrals", "none beside H and the Casimirs is known")):
         formulas = summary[kind]

@@ -186,9 +186,9 @@ class IndividualLoops(Loops):
         """Return rounds of batches of one member each."""
         return in_rounds([loops.member_batch(m, m + 1, m) for m, loops in enumerate(self._members)], workers)
 
-    def pieces(self, watch: Any = None) -> MemberTables:
+    def member_tables(self, watch: Any = None) -> MemberTables:
         """Return the tables of each member."""
-        return [(loops.pieces(watch)[0][0], np.array([m])) for m, loops in enumerate(self._members)]
+        return [(loops.member_tables(watch)[0][0], np.array([m])) for m, loops in enumerate(self._members)]
 
     def raised(self) -> BaseException | None:
         """Return and clear the exception raised by a user function in the loop of any member."""

@@ -134,7 +134,7 @@ def times_of(t_span: Any, step: Any, save_every: Any) -> Times:
     4
     """
     ends = span_of(t_span)
-    return times_between(ends, checked_step(step), save_every)
+    return times_between(ends, read_step(step), save_every)
 
 
 def times_between(ends: tuple[float, float], size: float, save_every: Any) -> Times:
@@ -163,7 +163,7 @@ def times_between(ends: tuple[float, float], size: float, save_every: Any) -> Ti
     return Times(first, math.copysign(size, span), steps, min(every, max(1, steps)))
 
 
-def checked_step(step: Any) -> float:
+def read_step(step: Any) -> float:
     """Validate a step and return it as a positive float."""
     size = read_number(step, "step")
     if size <= 0.0:

@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.exact.numbers import exact_numbers
-from coadjoint.short_repr import short
-from coadjoint.validation import REAL_KINDS, is_real, read_numbers, read_title, to_array
+from coadjoint.validation import REAL_KINDS, read_numbers, to_array
 
 MethodT = TypeVar("MethodT", bound=Callable[..., Any])
 
@@ -42,7 +41,7 @@ def ignore_overflow(method: MethodT) -> MethodT:
     return cast(MethodT, evaluated)
 
 
-def point(x: npt.ArrayLike, n: int | None) -> npt.NDArray[Any]:
+def read_point(x: npt.ArrayLike, n: int | None) -> npt.NDArray[Any]:
     """Return `x` as a float64, complex128 or object array of shape (n,)."""
     array = x if type(x) is np.ndarray and x.dtype == np.float64 else to_array(x, "x", "iufc")
     if array.ndim != 1 or (n is not None and array.size != n):
@@ -100,16 +99,3 @@ def scatter(rows: npt.NDArray[np.int64], entries: npt.NDArray[Any], n: int) -> n
     sums = np.zeros(n, dtype=entries.dtype)
     np.add.at(sums, rows, entries)
     return sums
-
-
-def checked_name(name: Any, default: str) -> str:
-    """Return the validated name, or `default` if it is None."""
-    return default if name is None else read_title(name, "name of a system")
-
-
-def checked_sign(sign: int, what: str = "sign") -> int:
-    """Validate a sign, +1 or -1; `what` is its name in messages."""
-    if not is_real(sign) or sign not in (1, -1):
-        rule = "+1 (x' = J(x) grad H) or -1 (body systems)" if what == "sign" else "+1 or -1"
-        raise ValueError(f"{what} is {short(sign)}; give {rule}")
-    return int(sign)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
-from coadjoint.systems.evaluation import ignore_overflow, point, vectorized_over_states
+from coadjoint.systems.evaluation import ignore_overflow, read_point, vectorized_over_states
 from coadjoint.systems.forces.base import Force
 from coadjoint.validation import read_list, read_number, read_numbers, to_array, truncate_title
 
@@ -182,7 +182,7 @@ class ForcedSystem:
         """Return a state as a vector; a matrix by its entries."""
         if hasattr(self.system, "from_vector") and to_array(x, "x", "iufc").ndim > 1:
             x = self.system.read(x, "x")
-        return point(read_numbers(x, "x"), self.dim)
+        return read_point(read_numbers(x, "x"), self.dim)
 
     def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
         """Raise TypeError: systems with forces have no closed form."""

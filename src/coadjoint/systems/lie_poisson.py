@@ -13,19 +13,13 @@ import numpy.typing as npt
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.representation import check_representation
 from coadjoint.memory import check_available_memory
-from coadjoint.systems.closed_forms.closed_form import (
-    checked_closed_form,
-    checked_layout,
-    checked_parameters,
-    require_closed_form,
-)
+from coadjoint.systems.arguments import read_closed_form, read_layout, read_name, read_parameters, read_sign
+from coadjoint.systems.closed_forms.closed_form import require_closed_form
 from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of
 from coadjoint.systems.evaluation import (
-    checked_name,
-    checked_sign,
     ignore_overflow,
     lossless_coefficients,
-    point,
+    read_point,
     scatter,
     vectorized_over_states,
 )
@@ -34,7 +28,7 @@ from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import summands_of
-from coadjoint.systems.recorded_invariants import checked_casimirs, checked_integrals, known_or_found_casimirs
+from coadjoint.systems.recorded_invariants import known_or_found_casimirs, read_casimirs, read_integrals
 
 BYTES_PER_CONSTANT = 120  # both orders of every bracket, and temporaries of J(x) u
 
@@ -43,7 +37,7 @@ BYTES_PER_CONSTANT = 120  # both orders of every bracket, and temporaries of J(x
 class LiePoissonSystem:
     """The generalized Euler equations ``x' = sign * J(x) grad H(x)`` on the dual of a Lie algebra.
 
-    Use it if the bracket is linear in x. All schemes support it, and explicit splitting keeps all its Casimirs. For
+    Use it if the bracket is linear in x. All schemes support it, and explicit splitting preserves all its Casimirs. For
     nonlinear brackets see `PoissonSystem`.
 
     Parameters
@@ -136,7 +130,7 @@ class LiePoissonSystem:
             raise TypeError(f"algebra is a {type(algebra).__name__}; give a LieAlgebra, such as co.algebras.so(3)")
         set_field = object.__setattr__
         set_field(self, "algebra", algebra)
-        set_field(self, "sign", checked_sign(sign))
+        set_field(self, "sign", read_sign(sign))
         set_field(self, "hamiltonian", as_hamiltonian(hamiltonian, algebra.dim, algebra.name or "the algebra"))
         for summand in summands_of(self.hamiltonian):
             if isinstance(summand, SplitHamiltonian):
@@ -151,19 +145,19 @@ class LiePoissonSystem:
         set_field(self, "_states", np.concatenate([k, k]))
         set_field(self, "_constants", np.concatenate([c, -c]))
         products = self._product, self._absolute_product
-        given_casimirs = None if casimirs is None else checked_casimirs(casimirs, algebra.dim, *products)
+        given_casimirs = None if casimirs is None else read_casimirs(casimirs, algebra.dim, *products)
         set_field(self, "_casimirs", given_casimirs)
         given_integrals = {} if integrals is None else integrals
-        set_field(self, "_integrals", checked_integrals(given_integrals, self.hamiltonian, algebra.dim, *products))
+        set_field(self, "_integrals", read_integrals(given_integrals, self.hamiltonian, algebra.dim, *products))
         matrices = algebra.representation
         if representation is not None:
             matrices = check_representation(representation, algebra.triples, algebra.dim, algebra.basis)
         set_field(self, "representation", matrices)
-        set_field(self, "name", checked_name(name, f"Lie-Poisson system on {algebra.name or 'g*'}"))
+        set_field(self, "name", read_name(name, f"Lie-Poisson system on {algebra.name or 'g*'}"))
         set_field(self, "hamiltonian", in_coordinates_of(self, self.hamiltonian))
-        set_field(self, "_parameters", checked_parameters(parameters))
-        set_field(self, "_exact", checked_closed_form(exact))
-        set_field(self, "_layout", checked_layout(layout))
+        set_field(self, "_parameters", read_parameters(parameters))
+        set_field(self, "_exact", read_closed_form(exact))
+        set_field(self, "_layout", read_layout(layout))
 
     @property
     def dim(self) -> int:
@@ -227,7 +221,7 @@ class LiePoissonSystem:
         ndarray, shape (n,) or (..., n)
             Bit-identical to separate calls for each state.
         """
-        y = point(x, self.dim)
+        y = read_point(x, self.dim)
         return self.sign * self._product(y, self.hamiltonian.gradient(y, t))
 
     @vectorized_over_states
@@ -253,7 +247,7 @@ class LiePoissonSystem:
         >>> body.energy([[1.0, 0.0, 0.0], [1.0, 2.0, 4.0]])
         array([0.25, 2.75])
         """
-        return self.hamiltonian.value(point(x, self.dim), t)
+        return self.hamiltonian.value(read_point(x, self.dim), t)
 
     def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
         """Return the structure matrix J(x), dense.
@@ -267,7 +261,7 @@ class LiePoissonSystem:
         -------
         ndarray, shape (n, n)
         """
-        return self.algebra.structure_matrix(point(x, self.dim))
+        return self.algebra.structure_matrix(read_point(x, self.dim))
 
     @ignore_overflow
     def jacobian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
@@ -289,7 +283,7 @@ class LiePoissonSystem:
         TypeError
             The Hamiltonian has no second derivatives.
         """
-        y = point(x, self.dim)
+        y = read_point(x, self.dim)
         bracket_part = self.algebra.coadjoint(self.hamiltonian.gradient(y, t))
         return self.sign * (bracket_part + self.algebra.structure_matrix(y) @ self.hamiltonian.hessian(y, t))
 

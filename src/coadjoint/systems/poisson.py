@@ -12,13 +12,14 @@ import numpy.typing as npt
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.closed_forms.closed_form import checked_closed_form, checked_parameters, require_closed_form
+from coadjoint.systems.arguments import read_closed_form, read_name, read_parameters, read_sign
+from coadjoint.systems.closed_forms.closed_form import require_closed_form
 from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of
-from coadjoint.systems.evaluation import checked_name, checked_sign, ignore_overflow, point, vectorized_over_states
+from coadjoint.systems.evaluation import ignore_overflow, read_point, vectorized_over_states
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
-from coadjoint.systems.recorded_invariants import checked_casimirs
+from coadjoint.systems.recorded_invariants import read_casimirs
 from coadjoint.systems.user_functions import check_derivative, sample_points, takes_time
 from coadjoint.validation import read_integer, read_numbers
 
@@ -104,8 +105,9 @@ class PoissonSystem:
         parameters: Mapping[str, Any] | None = None,
         exact: Callable[..., Any] | None = None,
     ) -> None:
-        for what, function in (("structure_matrix", structure_matrix), ("derivative", derivative)):
-            if (function is not None or what != "derivative") and takes_time(function, what):  # type: ignore[arg-type]
+        functions = {"structure_matrix": structure_matrix} | ({} if derivative is None else {"derivative": derivative})
+        for what, function in functions.items():
+            if takes_time(function, what):
                 raise TypeError(f"{what} is a function of (x, t); give a function of x alone")
         n = dim if dim is not None else getattr(hamiltonian, "dim", None)
         if n is None:
@@ -115,15 +117,15 @@ class PoissonSystem:
             BYTES_PER_PRODUCT * n**2, f"a Poisson system of dimension {short(n)}, whose J(x) is dense,"
         )
         set_field = object.__setattr__
-        set_field(self, "sign", checked_sign(sign))
+        set_field(self, "sign", read_sign(sign))
         set_field(self, "dim", n)
         set_field(self, "hamiltonian", as_hamiltonian(hamiltonian, self.dim))
         set_field(self, "structure_function", structure_matrix)
         set_field(self, "derivative_function", derivative)
-        set_field(self, "name", checked_name(name, f"Poisson system of dimension {n}"))
+        set_field(self, "name", read_name(name, f"Poisson system of dimension {n}"))
         set_field(self, "hamiltonian", in_coordinates_of(self, self.hamiltonian))
-        set_field(self, "_parameters", checked_parameters(parameters))
-        set_field(self, "_exact", checked_closed_form(exact))
+        set_field(self, "_parameters", read_parameters(parameters))
+        set_field(self, "_exact", read_closed_form(exact))
         for x in sample_points(self.dim):
             self._check_skew(x)
         if derivative is not None:
@@ -135,7 +137,7 @@ class PoissonSystem:
         set_field(
             self,
             "_casimirs",
-            checked_casimirs({} if casimirs is None else casimirs, self.dim, self._product, self._absolute_product),
+            read_casimirs({} if casimirs is None else casimirs, self.dim, self._product, self._absolute_product),
         )
 
     def _check_skew(self, x: npt.NDArray[np.float64]) -> None:
@@ -177,7 +179,7 @@ class PoissonSystem:
 
     def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
         """Return the structure matrix J(x), shape (n, n)."""
-        return np.asarray(self.structure_function(point(x, self.dim)))
+        return np.asarray(self.structure_function(read_point(x, self.dim)))
 
     @vectorized_over_states
     @ignore_overflow
@@ -196,14 +198,14 @@ class PoissonSystem:
         ndarray, shape (n,) or (..., n)
             Bit-identical to separate calls for each state.
         """
-        y = point(x, self.dim)
+        y = read_point(x, self.dim)
         return self.sign * self._product(y, self.hamiltonian.gradient(y, t))
 
     @vectorized_over_states
     @ignore_overflow
     def energy(self, x: npt.ArrayLike, t: Any = 0.0) -> Any:
         """Return H(x, t) of one state or several; see `LiePoissonSystem.energy`."""
-        return self.hamiltonian.value(point(x, self.dim), t)
+        return self.hamiltonian.value(read_point(x, self.dim), t)
 
     @ignore_overflow
     def jacobian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
@@ -227,7 +229,7 @@ class PoissonSystem:
         """
         if self.derivative_function is None:
             raise TypeError(f"the derivative of J is unknown for {self.name}; give derivative=")
-        y = point(x, self.dim)
+        y = read_point(x, self.dim)
         bracket_part = np.einsum("ijk,j->ik", np.asarray(self.derivative_function(y)), self.hamiltonian.gradient(y, t))
         return self.sign * (bracket_part + self.structure_matrix(y) @ self.hamiltonian.hessian(y, t))
 

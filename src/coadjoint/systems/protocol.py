@@ -1,6 +1,6 @@
-"""Protocol of systems: the interface of one system, and what callers may ask of any system, with forces or in a batch.
+"""Protocol of systems: the interface of one system, and queries about any system, with forces or in a batch.
 
-Only these functions and the writers of records distinguish the classes of systems; other code asks them:
+Only these functions and the writers of records distinguish the classes of systems; other code calls them:
 
 | question | function |
 |---|---|
@@ -74,7 +74,7 @@ class GeneralSystem(Protocol):
 
 
 def is_batch(system: Any) -> TypeIs[Batch]:
-    """Return whether each member has its own system; ask only where that alters shapes or messages."""
+    """Return whether each member has its own system; use it only where that alters shapes or messages."""
     return isinstance(system, Batch)
 
 

@@ -29,7 +29,7 @@ MAX_SEARCH_DEGREE = 4
 Product = Callable[[npt.NDArray[np.float64], npt.NDArray[np.float64]], npt.NDArray[np.float64]]
 
 
-def checked_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size: Product) -> dict[str, Any]:
+def read_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size: Product) -> dict[str, Any]:
     """Validate Casimirs by name; wrap plain functions, and check ``J(x) grad C(x) = 0`` at sample points.
 
     ``product(x, u)`` is J(x) u, and ``size(x, u)`` the sum of absolute products in each component. The tolerance is u
@@ -123,24 +123,24 @@ def gradient_and_scale(
 
     `name` and `kind` are for messages.
     """
-    n, gradient = x.size, cast(Any, invariant.gradient)
+    n = x.size
     with np.errstate(all="ignore"):
-        slope = np.asarray(gradient(x), dtype=np.float64)
-    if slope.shape != (n,):
-        raise ValueError(f"the gradient of the {kind} {short(name)} has shape {slope.shape}; it must have ({n},)")
-    if not np.all(np.isfinite(slope)):
+        gradient = np.asarray(cast(Any, invariant.gradient)(x), dtype=np.float64)
+    if gradient.shape != (n,):
+        raise ValueError(f"the gradient of the {kind} {short(name)} has shape {gradient.shape}; it must have ({n},)")
+    if not np.all(np.isfinite(gradient)):
         return None
     if isinstance(invariant, Polynomial):
         monomials: dict[tuple[int, ...], Any] = {e: abs(c) for e, c in invariant.monomials.items()}
         absolute = Polynomial(monomials, dim=n)
         size = np.asarray(absolute.gradient(np.abs(x)), dtype=np.float64)
-        return slope, size, 64 + 2 * n + len(invariant.monomials) + invariant.degree
+        return gradient, size, 64 + 2 * n + len(invariant.monomials) + invariant.degree
     if isinstance(invariant, Quadratic):
         (term,) = invariant.terms()
         assert isinstance(term, QuadraticTerm)
         size = scatter(term.rows, np.abs(term.values * x[term.indices]), n) + np.abs(term.linear)
-        return slope, size, 64 + 2 * n + len(term.values)
-    return slope, np.abs(slope), 2**20
+        return gradient, size, 64 + 2 * n + len(term.values)
+    return gradient, np.abs(gradient), 2**20
 
 
 def _check(name: str, casimir: Polynomial | Quadratic | Invariant, n: int, product: Product, size: Product) -> None:
@@ -148,8 +148,8 @@ def _check(name: str, casimir: Polynomial | Quadratic | Invariant, n: int, produ
         scaled = gradient_and_scale(name, casimir, x)
         if scaled is None:
             continue
-        slope, bound, operations = scaled
-        defect = np.abs(product(x, slope))
+        gradient, bound, operations = scaled
+        defect = np.abs(product(x, gradient))
         tolerance = operations * UNIT_ROUNDOFF * size(x, bound).max(initial=0.0)
         if defect.max(initial=0.0) > tolerance:
             i = int(np.argmax(defect))
@@ -163,7 +163,7 @@ TIMES = (0.0, 1.0)
 
 
 @ignore_overflow
-def checked_integrals(integrals: Any, H: HamiltonianLike, n: int, product: Product, size: Product) -> dict[str, Any]:
+def read_integrals(integrals: Any, H: HamiltonianLike, n: int, product: Product, size: Product) -> dict[str, Any]:
     """Validate integrals by name; check ``grad F(x) . J(x) grad H(x) = 0`` at sample points where grad F is known.
 
     ``product(x, u)`` is J(x) u, and ``size(x, u)`` the sum of absolute products in each component. The tolerance is u

@@ -77,16 +77,7 @@ def _import_folders() -> None:
 
 
 def gallery_entry_of(name: str) -> GalleryEntry | None:
-    """Return the example run and pictures of a ready-made system, or None if it declares none.
-
-    Parameters
-    ----------
-    name : str
-        Name of any system, ready-made or not.
-
-    Returns
-    -------
-    GalleryEntry or None
+    """Return the example run and pictures of a ready-made system; None for any other system, or if it declares none.
 
     Examples
     --------
@@ -98,15 +89,5 @@ def gallery_entry_of(name: str) -> GalleryEntry | None:
 
 
 def gallery_systems() -> tuple[str, ...]:
-    """Return the names of the ready-made systems that declare an example run and pictures, sorted.
-
-    Returns
-    -------
-    tuple of str
-
-    Examples
-    --------
-    >>> "rigid_body" in gallery_systems()
-    True
-    """
+    """Return the names of the ready-made systems that declare an example run and pictures, sorted."""
     return tuple(name for name in sorted(ready_made_systems()) if gallery_entry_of(name) is not None)

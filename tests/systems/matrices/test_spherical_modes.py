@@ -172,7 +172,7 @@ def test_tables_are_kept_within_bounds(monkeypatch):
     np.testing.assert_array_equal(other, shelf.get(6, 3))
     monkeypatch.setattr(spherical_modes, "MAX_CACHE_BYTES", 2**20)
     shelf.get(7, 2)
-    assert shelf._N == 7 and list(shelf._made) == [2]
+    assert shelf._N == 7 and list(shelf._entries) == [2]
     monkeypatch.setattr("coadjoint.memory.available", lambda: 1000)
     with pytest.raises(ValueError, match="the matrix harmonics of order 0 for N = 4000 needs about"):
         shelf.get(4000, 0)

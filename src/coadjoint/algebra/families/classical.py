@@ -80,12 +80,12 @@ def sl(n: int = 2) -> LieAlgebra:
         return matrix_algebra("sl(2)", matrix_basis, weights, 2, {"x1*x3 + x2^2": [(0, 2, 1), (1, 1, 1)]})
     number = {pair: k for k, pair in enumerate((i, j) for i in range(n) for j in range(n) if i != j)}
     begin = len(number)
-    outside = [(k, i, j, 1.0) for (i, j), k in number.items()]
+    off_diagonal = [(k, i, j, 1.0) for (i, j), k in number.items()]
     diagonal = [(begin + k, k + d, k + d, 1.0 - 2.0 * d) for k in range(n - 1) for d in (0, 1)]
     weights = [(begin + k, i, i, 1.0) for k in range(n - 1) for i in range(k + 1)]
     form: Form = [(k, number[j, i], 1) for (i, j), k in number.items()]
     return matrix_algebra(
-        f"sl({n})", outside + diagonal, outside + weights, n, {"quadratic": form + traceless(n, begin, 1)}
+        f"sl({n})", off_diagonal + diagonal, off_diagonal + weights, n, {"quadratic": form + traceless(n, begin, 1)}
     )
 
 

@@ -34,7 +34,7 @@ class _Arithmetic(NamedTuple):
     constants: NDArray[Any]
     kernel: Callable[[Equations, int], list[Vector]]
     pivots: Callable[[Sequence[Sequence[Any]], int], list[int]]
-    largest: int
+    max_unknowns: int
 
 
 def _arithmetic(triples: Triples, dim: int) -> _Arithmetic:
@@ -45,7 +45,7 @@ def _arithmetic(triples: Triples, dim: int) -> _Arithmetic:
 
 
 def check_size(dim: int, degree: int, constants: int) -> None:
-    """Refuse a degree with more monomials, or more terms in their derivatives, than can be solved for.
+    """Raise ValueError for a degree with too many monomials, or too many terms in their derivatives.
 
     Examples
     --------
@@ -94,7 +94,7 @@ def _of_degree(
     """Return a basis of the Casimirs of a degree modulo sums of products of lower ones."""
     note_progress(f"degree {degree} of dimension {dim}")
     basis = monomials(dim, degree)
-    space = arithmetic.kernel(equations(triples, arithmetic.constants, basis, dim), arithmetic.largest)
+    space = arithmetic.kernel(equations(triples, arithmetic.constants, basis, dim), arithmetic.max_unknowns)
     # In a reduced row echelon basis the coordinates of an element are its coefficients at the leading monomials.
     leading = [tuple(np.bincount(basis[next(iter(vector))], minlength=dim).tolist()) for vector in space]
     coordinates = [[product.monomials.get(e, 0) for e in leading] for product in products(lower, degree)]
@@ -161,15 +161,15 @@ class EmptyCasimirs(dict[str, Polynomial]):
 def casimirs(triples: Triples, dim: int, max_degree: int = 4) -> dict[str, Polynomial]:
     """Return generators of the polynomial Casimirs up to a degree: the implementation of `LieAlgebra.casimirs`."""
     max_degree = read_integer(max_degree, "max_degree")
-    known: dict[tuple[int, tuple[bytes, ...]], list[Polynomial]] = {}
+    solved: dict[tuple[int, tuple[bytes, ...]], list[Polynomial]] = {}
     placed: list[tuple[Integers, Polynomial]] = []
     exponents = 0
     for coordinates, constants in summands(triples, dim):
         key = coordinates.size, tuple(column.tobytes() for column in constants)
-        if key not in known:  # equal summands are solved once
-            known[key] = summand_casimirs(constants, coordinates.size, max_degree)
-        placed += [(coordinates, polynomial) for polynomial in known[key]]
-        exponents += sum(len(polynomial.monomials) for polynomial in known[key]) * dim
+        if key not in solved:  # equal summands are solved once
+            solved[key] = summand_casimirs(constants, coordinates.size, max_degree)
+        placed += [(coordinates, polynomial) for polynomial in solved[key]]
+        exponents += sum(len(polynomial.monomials) for polynomial in solved[key]) * dim
         if exponents > MAX_EXPONENTS:
             raise ValueError(
                 f"the Casimirs of this direct sum of dimension {dim} need more than {MAX_EXPONENTS} exponents as "

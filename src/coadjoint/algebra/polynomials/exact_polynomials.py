@@ -56,7 +56,7 @@ class ExactPolynomials:
         return self._context.gens()[: self.dim]
 
     @cached_property
-    def symbol(self) -> dict[str, Exact]:
+    def symbol_elements(self) -> dict[str, Exact]:
         """The symbols by name."""
         return dict(zip(self.symbols, self._context.gens()[self.dim :], strict=True))
 
@@ -69,7 +69,7 @@ class ExactPolynomials:
         """Return x1^e1 ... xn^en."""
         return self._context.from_dict({(*exponents, *(0,) * len(self.symbols)): 1})
 
-    def of(self, argument: Polynomial) -> Exact:
+    def from_polynomial(self, argument: Polynomial) -> Exact:
         """Convert a polynomial in n coordinates to an element of the ring; floats are converted exactly."""
         rest = (0,) * len(self.symbols)
         return self._context.from_dict({(*e, *rest): rational(c) for e, c in argument.monomials.items()})
@@ -93,7 +93,7 @@ class ExactPolynomials:
         if self._point is None:
             return F
         shifted = [x + rational(float(value)) for x, value in zip(self.coordinates, self._point, strict=True)]
-        return self.truncated(F.compose(*shifted, *self.symbol.values()))
+        return self.truncated(F.compose(*shifted, *self.symbol_elements.values()))
 
     def truncated(self, F: Exact) -> Exact:
         """Return an element without the monomials above the degree, if there is one."""
@@ -107,11 +107,11 @@ class ExactPolynomials:
 
     def field(self, H: Exact) -> list[Exact]:
         """Return J(x) grad H, whose i-th entry is {x_i, H}."""
-        slope = self.gradient(H)
+        gradient = self.gradient(H)
         components = [self.zero] * self.dim
         for (i, j), entry in self._entries.items():
-            components[i] += entry * slope[j]
-            components[j] -= entry * slope[i]
+            components[i] += entry * gradient[j]
+            components[j] -= entry * gradient[i]
         return components
 
     def bracket(self, F: Exact, G: Exact) -> Exact:
@@ -127,9 +127,9 @@ class ExactPolynomials:
     def along(self, field: Sequence[Exact], F: Exact) -> Exact:
         """Return the derivative of F along a field."""
         total = self.zero
-        for component, slope in zip(field, self.gradient(F), strict=True):
-            if slope != 0 and component != 0:
-                total += component * slope
+        for component, derivative in zip(field, self.gradient(F), strict=True):
+            if derivative != 0 and component != 0:
+                total += component * derivative
         return total
 
     @cached_property

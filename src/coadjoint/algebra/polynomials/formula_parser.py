@@ -177,9 +177,9 @@ class FormulaParser:
         rest = short(self.text[self._begin :].strip() or "its end", MAX_QUOTED)
         return ValueError(f"{short(self.text, MAX_QUOTED)} cannot be parsed from {rest} on; {self.notation_help}")
 
-    def not_allowed(self, why: str) -> ValueError:
+    def not_allowed(self, reason: str) -> ValueError:
         """Return the error for a well-formed formula that is not allowed."""
-        return ValueError(f"{short(self.text, MAX_QUOTED)} {why}")
+        return ValueError(f"{short(self.text, MAX_QUOTED)} {reason}")
 
     def division_by_zero(self) -> ValueError:
         """Return the error for a division by zero."""

@@ -297,7 +297,7 @@ class Polynomial:
         return self._with_monomials({e: quotient(value, number) for e, value in self._monomials.items()})
 
     def __pow__(self, power: int) -> Polynomial:
-        exponent = read_integer(power, "the power of a Polynomial", 0, MAX_DEGREE, why=TOO_HIGH)
+        exponent = read_integer(power, "the power of a Polynomial", 0, MAX_DEGREE, reason=TOO_HIGH)
         if self.degree * exponent > MAX_DEGREE:
             raise ValueError(f"a Polynomial has at most degree {MAX_DEGREE}, not {self.degree * exponent}; {TOO_HIGH}")
         result, square = self._with_monomials({(0,) * self._dim: 1}), self

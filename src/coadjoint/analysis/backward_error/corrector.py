@@ -15,8 +15,8 @@ from coadjoint.algebra.polynomials.monomials import exponents_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.analysis.backward_error.modified_hamiltonian import (
     ModifiedHamiltonian,
+    check_system_and_scheme,
     modified_hamiltonian,
-    read_subject,
 )
 from coadjoint.analysis.short_motion import short_motion
 from coadjoint.memory import check_available_memory
@@ -145,7 +145,7 @@ def make_corrector(system: LiePoissonSystem, method: Method | str | Mapping[str,
     S. Blanes, F. Casas and A. Murua, Composition methods for differential equations with processing, SIAM J. Sci.
     Comput. 27 (2006), for correctors of compositions.
     """
-    system, scheme = read_subject(system, method)
+    system, scheme = check_system_and_scheme(system, method)
     modified, H = modified_hamiltonian(system, scheme, scheme.order), polynomial_of(system.hamiltonian)
     if H is None or not isinstance(modified, ModifiedHamiltonian):
         raise ValueError(f"the Hamiltonian of {system.name} is not a polynomial; correctors need a polynomial one")
@@ -160,8 +160,8 @@ def make_corrector(system: LiePoissonSystem, method: Method | str | Mapping[str,
     )
     motions, rates = zip(*(short_motion(system, start, count) for start in starts), strict=True)
     ring = ExactPolynomials(system.algebra)
-    energy = ring.of(H)
-    brackets = [ring.polynomial(ring.bracket(ring.of(monomial), energy)) for monomial in basis]
+    energy = ring.from_polynomial(H)
+    brackets = [ring.polynomial(ring.bracket(ring.from_polynomial(monomial), energy)) for monomial in basis]
     columns = np.concatenate([_deviations(brackets, points) for points in motions])
     target = np.concatenate([_deviations([term], points)[:, 0] for points in motions])
     size = float(np.max(np.abs(target), initial=0.0))

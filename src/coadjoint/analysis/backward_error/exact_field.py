@@ -86,7 +86,7 @@ class ExactField(ModifiedField):
     def _polynomial(self, invariant: Any) -> Exact:
         function = self._invariant(invariant)
         if isinstance(function, Polynomial):
-            return self._exact_system.ring.of(function)
+            return self._exact_system.ring.from_polynomial(function)
         try:
             return self._exact_system.value_of(as_hamiltonian(function, self.system.dim).value)
         except (TypeError, AttributeError, ArithmeticError) as reason:
@@ -110,7 +110,8 @@ class ExactField(ModifiedField):
         Raises
         ------
         ValueError
-            The scheme does not keep the energy (the message gives the power of h and the size), or H is not quadratic.
+            The scheme does not preserve the energy (the message gives the power of h and the size), or H is not
+            quadratic.
         """
         self._check_energy()
         ring, sign, terms = self._exact_system.ring, self.system.sign, {}
@@ -129,7 +130,7 @@ class ExactField(ModifiedField):
     def skew_matrix(self, x: npt.ArrayLike, h: float) -> Floats:
         if self._exact_system.energy.total_degree() > 2:
             return super().skew_matrix(x, h)
-        states, shape = self._states(x)
+        states, shape = self._read_states(x)
         n, step = self.system.dim, read_number(h, "h")
         values = self._skew_table.along(states).reshape(len(states), self.order, n, n)
         return np.einsum("mkij,k->mij", values, step ** np.arange(self.order)).reshape(*shape, n)

@@ -45,7 +45,7 @@ class FieldAtPoints(ModifiedField):
         """Power k -> f_k as a function of a state."""
 
         def term(k: int) -> Callable[[npt.ArrayLike], Floats]:
-            return lambda x: self.values(self._states(x)[0])[k].reshape(np.shape(x))
+            return lambda x: self.values(self._read_states(x)[0])[k].reshape(np.shape(x))
 
         return MappingProxyType({k: term(k) for k in range(self.order)})
 
@@ -74,7 +74,7 @@ class FieldAtPoints(ModifiedField):
         """
         from mpmath import mp, workdps
 
-        state = self._states(x)[0][0]
+        state = self._read_states(x)[0][0]
         # The truncation error of f_k is h^(order - k), and its rounding error is divided by h^(k + 1).
         digits = 30 + int(0.302 * (DISPLACEMENT_BITS + 4) * (self.order + 2))
         with workdps(digits), long_operation("a modified field at a point"):

@@ -36,10 +36,10 @@ class ModifiedEnergyAtPoints:
     >>> wave = (np.cos, lambda y: -np.sin(y), lambda y: -np.cos(y))
     >>> H = co.Separable({0: wave, 1: wave, 2: wave})
     >>> system = co.LiePoissonSystem(co.algebras.so(3), H)
-    >>> kept = co.modified_hamiltonian(system, co.Splitting(), order=4)
+    >>> modified = co.modified_hamiltonian(system, co.Splitting(), order=4)
     >>> y = co.stepper(system, co.Splitting(), 0.1)([1.0, 0.5, 0.2])
     >>> x = [1.0, 0.5, 0.2]
-    >>> abs(kept(y, 0.1) - kept(x, 0.1)) < 0.05 * abs(system.energy(y) - system.energy(x))
+    >>> abs(modified(y, 0.1) - modified(x, 0.1)) < 0.05 * abs(system.energy(y) - system.energy(x))
     True
     """
 

@@ -84,7 +84,7 @@ class ModifiedField(ABC):
         -------
         ndarray of the shape of x
         """
-        states, shape = self._states(x)
+        states, shape = self._read_states(x)
         step = read_number(h, "h")
         total = np.zeros_like(states)
         for term in reversed(self.values(states)):
@@ -93,7 +93,7 @@ class ModifiedField(ABC):
 
     @ignore_overflow
     def skew_matrix(self, x: npt.ArrayLike, h: float) -> Floats:
-        """Return the skew K(x, h) = J(x) + O(h^p) with the field sign K grad H, of a scheme that keeps the energy.
+        """Return the skew K(x, h) = J(x) + O(h^p) with the field sign K grad H, of a scheme that preserves the energy.
 
         If the terms are polynomials and H is quadratic, the entries of K are polynomials, `skew_terms`. Otherwise
         K = J + sign (d g^T - g d^T) / |g|^2 with g = grad H, not zero, and d the field minus f_0.
@@ -112,9 +112,9 @@ class ModifiedField(ABC):
         Raises
         ------
         ValueError
-            The scheme does not keep the energy; the message gives the power of h and the size.
+            The scheme does not preserve the energy; the message gives the power of h and the size.
         """
-        states, shape = self._states(x)
+        states, shape = self._read_states(x)
         step = read_number(h, "h")
         self._check_energy()
         values = self.values(states)
@@ -142,7 +142,7 @@ class ModifiedField(ABC):
     def _loss(self, k: int) -> str:
         """Format the size of grad H . f_k for a message."""
 
-    def _states(self, x: npt.ArrayLike) -> tuple[Floats, tuple[int, ...]]:
+    def _read_states(self, x: npt.ArrayLike) -> tuple[Floats, tuple[int, ...]]:
         states = read_finite(x, "x")
         if states.ndim not in (1, 2) or states.shape[-1] != self.system.dim:
             n = self.system.dim

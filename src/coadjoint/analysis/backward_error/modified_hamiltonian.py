@@ -90,16 +90,17 @@ class ModifiedHamiltonian:
     @cached_property
     def error_term(self) -> ErrorTerm:
         """The leading term of the scheme, at the power of its order, even if that is not below `order`."""
-        if self._source is None:
-            raise TypeError("a modified Hamiltonian with values for its symbols has no scheme; use the symbolic one")
-        return self._source.error_term()
+        return self._scheme_terms().error_term()
 
     @cached_property
     def kernel(self) -> ModifiedHamiltonian:
         """The modified Hamiltonian of the kernel K of a processed scheme P K P^-1; unchanged for other schemes."""
+        return _from_terms(self._scheme_terms().kernel(), self.order)
+
+    def _scheme_terms(self) -> SchemeTerms:
         if self._source is None:
             raise TypeError("a modified Hamiltonian with values for its symbols has no scheme; use the symbolic one")
-        return _from_terms(self._source.kernel(), self.order)
+        return self._source
 
     def _numeric(self) -> Mapping[int, Polynomial]:
         if self.values:
@@ -121,18 +122,18 @@ class ModifiedHamiltonian:
         float or ndarray
             One value for each state.
         """
-        return self._sum(lambda term: term(x), _step(h))
+        return self._sum(lambda term: term(x), _read_step(h))
 
     def gradient(self, x: Any, h: Any) -> NDArray[Any]:
         """Return the gradients at states, in the shape of x; parameters as for a call."""
-        return self._sum(lambda term: term.gradient(x), _step(h))
+        return self._sum(lambda term: term.gradient(x), _read_step(h))
 
-    def _sum(self, at: Callable[[Polynomial], Any], h: Any) -> Any:
+    def _sum(self, evaluate: Callable[[Polynomial], Any], h: Any) -> Any:
         terms = self._numeric()
         total: Any = 0  # small terms are added first
         try:
             for k in sorted(terms, reverse=True):
-                total = total + h**k * at(terms[k]) if k else total + at(terms[k])
+                total = total + h**k * evaluate(terms[k]) if k else total + evaluate(terms[k])
         except OverflowError:
             raise ValueError(
                 f"the terms of the modified Hamiltonian at h = {short(h)} leave the range of float64 there"
@@ -200,7 +201,7 @@ class ModifiedHamiltonian:
         return text
 
 
-def _step(h: Any) -> Any:
+def _read_step(h: Any) -> Any:
     if isinstance(h, bool) or not supports_arithmetic(h) or np.ndim(h):
         raise TypeError(f"the step h is {short(h)}; it must be a number")
     return h
@@ -257,13 +258,13 @@ def modified_hamiltonian(
     >>> H.terms[2]
     -(1/384)*x1^2*x2^2 - (1/384)*x1^2*x3^2 + (1/192)*x2^2*x3^2
     >>> run = co.integrate(body, (1.0, 2.0, 0.5), (0, 10), 0.1, co.Splitting(parts="coordinates"))
-    >>> kept = H(run.x, 0.1)
-    >>> float(max(abs(kept - kept[0])) / run.drift()["energy"]) < 0.01
+    >>> values = H(run.x, 0.1)
+    >>> float(max(abs(values - values[0])) / run.drift()["energy"]) < 0.01
     True
     """
-    system, scheme = read_subject(system, method)
+    system, scheme = check_system_and_scheme(system, method)
     order = read_integer(
-        order, "order", 1, MAX_POWER, why="the words in the free algebra double in number with each power"
+        order, "order", 1, MAX_POWER, reason="the words in the free algebra double in number with each power"
     )
     flows = flows_of(scheme)
     program = flows.program(system)
@@ -294,7 +295,7 @@ def _from_terms(source: SchemeTerms, order: int) -> ModifiedHamiltonian:
     return ModifiedHamiltonian(terms, order, radius=radius, neglected=neglected, values=values, source=source)
 
 
-def read_subject(system: System, method: Any) -> tuple[LiePoissonSystem, Method]:
+def check_system_and_scheme(system: System, method: Any) -> tuple[LiePoissonSystem, Method]:
     """Validate system and scheme: one system on a Lie algebra, and a scheme."""
     scheme = read_method(method)
     if not isinstance(system, LiePoissonSystem):

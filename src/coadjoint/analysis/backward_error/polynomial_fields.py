@@ -168,7 +168,7 @@ def _substitution(ring: ExactPolynomials, matrix: Any, origin: list[Any]) -> Cal
     images = [sum((matrix[i, j] * x[j] for j in range(n)), ring.zero + origin[i]) for i in range(n)]
     if images == list(x):
         return lambda F: F
-    return lambda F: F.compose(*images, *ring.symbol.values(), ctx=x[0].context())
+    return lambda F: F.compose(*images, *ring.symbol_elements.values(), ctx=x[0].context())
 
 
 def _by_degree(ring: ExactPolynomials, F: Exact, rank: int) -> dict[int, Exact]:

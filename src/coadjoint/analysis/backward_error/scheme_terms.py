@@ -133,10 +133,10 @@ class Symbols:
 
     def factors(self, ring: ExactPolynomials) -> dict[Exponents, Exact]:
         """Return exponents -> the polynomial in symbols that represents the coefficient."""
-        return {e: ring.symbol[name] / _divisor(e) for e, name in self.names.items()}
+        return {e: ring.symbol_elements[name] / _divisor(e) for e, name in self.names.items()}
 
 
-def symbols_of(H: Polynomial, wanted: Any, program: Program) -> Symbols:
+def symbols_of(H: Polynomial, requested: Any, program: Program) -> Symbols:
     """Return a Hamiltonian with symbols for all coefficients (True), or for those with the given names.
 
     Raise ValueError for unknown names, or if a Casimir was subtracted from H in the program of the splitting.
@@ -150,8 +150,8 @@ def symbols_of(H: Polynomial, wanted: Any, program: Program) -> Symbols:
             'on its coefficients; for symbols use parts="coordinates"'
         )
     names = names_of(H)
-    if wanted is not True:
-        chosen = read_list(wanted, "symbols", "give True, or names such as 'm1'")
+    if requested is not True:
+        chosen = read_list(requested, "symbols", "give True, or names such as 'm1'")
         for name in chosen:
             if name not in names.values():
                 raise unknown_name("symbol", name, list(names.values()))

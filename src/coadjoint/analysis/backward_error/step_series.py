@@ -75,7 +75,7 @@ class ExactSystem:
         casimirs = {}
         for name, C in self.system.casimirs.items():
             if isinstance(C, Polynomial):
-                casimirs[name] = self.ring.of(C)
+                casimirs[name] = self.ring.from_polynomial(C)
             elif hasattr(C, "form") or hasattr(C, "bind"):
                 casimirs[name] = self.value_of(as_hamiltonian(C, self.system.dim).value)
         return casimirs

@@ -46,24 +46,24 @@ def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row
     """
     system, properties = subject.system, subject.claims.properties
     kind = "none" if properties is None else properties.attitude
-    why = ""
+    reason = ""
     if system.algebra is None:
-        why = "the system has no Lie algebra"
+        reason = "the system has no Lie algebra"
     elif kind == "none":
-        why = "the scheme carries none"
+        reason = "the scheme carries none"
     elif steps == 0:
-        why = "no step could be taken"
+        reason = "no step could be taken"
     elif system.dim > MAX_DIM:
-        why = f"the coadjoint matrix of dimension {system.dim} is not carried for this"
-    if why:
+        reason = f"the coadjoint matrix of dimension {system.dim} is not carried for this"
+    if reason:
         claimed = system.algebra is not None and kind != "none"
         result = verdict(claimed, None) if claimed else INAPPLICABLE
-        return [Row("attitude", "group element", kind, "-", result, claimed=claimed, reason=why)]
+        return [Row("attitude", "group element", kind, "-", result, claimed=claimed, reason=reason)]
     steps = max(min(steps, SAVED_POINTS), min(steps, int(MAX_WORK / system.dim**3)))
-    with_matrix = min(steps, _affordable(subject, "coadjoint"))
+    matrix_steps = min(steps, _affordable(subject, "coadjoint"))
     claimed = kind in CONSERVING_KINDS
     rows = [
-        _row(subject, "spatial momentum", "spatial momentum", kind, claimed, lambda: _momentum(subject, with_matrix))
+        _row(subject, "spatial momentum", "spatial momentum", kind, claimed, lambda: _momentum(subject, matrix_steps))
     ]
     representation = system.representation
     if representation is not None and _supports_attitude(subject):
@@ -73,7 +73,9 @@ def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row
             rows.append(_row(subject, "group", "group of a form", kind, claimed, lambda: _form(subject, form, count)))
         if kind == "every representation":
             rows.append(
-                _row(subject, "element", "one group element", kind, claimed, lambda: _one_element(subject, with_matrix))
+                _row(
+                    subject, "element", "one group element", kind, claimed, lambda: _one_element(subject, matrix_steps)
+                )
             )
     # Without a declared order the rate of convergence of the element is unknown.
     if study is not None and subject.claims.order is not None and system.dim <= MAX_REFERENCE_DIM:
@@ -139,7 +141,7 @@ def _rounding(subject: Subject, run: Solution) -> float:
     return 4 * run.attitude.shape[-1] * UNIT_ROUNDOFF * evaluations
 
 
-def _size(matrices: Floats) -> Floats:
+def _norm(matrices: Floats) -> Floats:
     return np.asarray(np.linalg.norm(matrices, axis=(-2, -1)))
 
 
@@ -147,7 +149,7 @@ def _momentum(subject: Subject, steps: int) -> Measurement:
     """Measure the spatial momentum K x, which is constant; K is the coadjoint matrix."""
     run, K, condition = _run(subject, "coadjoint", steps)
     moved = np.einsum("kmij,kmj->kmi", K, run.x) - run.x[0]
-    size = float(np.max(_size(K) * np.linalg.norm(run.x, axis=-1))) * condition
+    size = float(np.max(_norm(K) * np.linalg.norm(run.x, axis=-1))) * condition
     defect = float(np.max(np.linalg.norm(moved, axis=-1)))
     return defect, _rounding(subject, run) * size, f"moves by {defect:.2g} in {run.stats.steps} steps"
 
@@ -155,8 +157,8 @@ def _momentum(subject: Subject, steps: int) -> Measurement:
 def _form(subject: Subject, form: Floats, steps: int) -> Measurement:
     """Measure g^T P g - P, with P the invariant form of the representation (the unit matrix for rotations)."""
     run, g, condition = _run(subject, True, steps)
-    defect = float(np.max(_size(np.swapaxes(g, -1, -2) @ form @ g - form)))
-    size = float(np.max(_size(g)) ** 2 * np.linalg.norm(form)) * condition
+    defect = float(np.max(_norm(np.swapaxes(g, -1, -2) @ form @ g - form)))
+    size = float(np.max(_norm(g)) ** 2 * np.linalg.norm(form)) * condition
     name = "g^T g - 1" if np.array_equal(form, np.eye(len(form))) else "g^T P g - P"
     return defect, 2 * _rounding(subject, run) * size, f"{name} is {defect:.2g} after {run.stats.steps} steps"
 
@@ -171,7 +173,7 @@ def _one_element(subject: Subject, steps: int) -> Measurement:
     left = np.einsum("iab,kmbc->kmiac", rho, g)
     right = np.einsum("kmab,kmij,jbc->kmiac", g, K, rho, optimize=True)
     defect = float(np.max(np.sqrt(np.sum((left - right) ** 2, axis=(-3, -2, -1)))))
-    size = float(np.max(_size(g) * _size(K)) * np.linalg.norm(rho)) * max(g_condition, K_condition)
+    size = float(np.max(_norm(g) * _norm(K)) * np.linalg.norm(rho)) * max(g_condition, K_condition)
     bound = 2 * (_rounding(subject, g_run) + _rounding(subject, K_run)) * size
     return defect, bound, f"representation and coadjoint matrix differ by {defect:.2g} after {g_run.stats.steps} steps"
 
@@ -205,8 +207,8 @@ def _limit(subject: Subject, study: Study) -> Measurement | None:
     element = reference.states[0, n:].reshape(n, n)
     size = float(np.linalg.norm(element))
     # The smallest step at which the error of the momentum is above round-off, else the smallest step.
-    clear = [k for k, error in enumerate(study.errors) if error > FLOOR_FACTOR * study.floors[k]]
-    count = study.counts[clear[-1] if clear else len(study.counts) - 1]
+    measurable = [k for k, error in enumerate(study.errors) if error > FLOOR_FACTOR * study.floors[k]]
+    count = study.counts[measurable[-1] if measurable else len(study.counts) - 1]
     runs = [subject.run(x, study.span / steps, steps, attitude="coadjoint") for steps in (count, 2 * count)]
     elements = [run.attitude[-1] for run in runs if run.attitude is not None]
     error = float(np.linalg.norm(elements[1] - element)) / size

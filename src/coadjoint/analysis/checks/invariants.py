@@ -96,8 +96,8 @@ def run_row(subject: Subject, run: LongRun) -> Row:
     if not run.failed:
         return Row(key, what, declared, steps, verdict(declares, True), claimed=declares, reason=reason)
     if motion(subject.system, subject.states, run.until + subject.h) is None:
-        why = "an independent code cannot compute the motion so far either"
-        return Row(key, what, declared, run.failed, UNDECIDED, reason=why)
+        reason = "an independent code cannot compute the motion so far either"
+        return Row(key, what, declared, run.failed, UNDECIDED, reason=reason)
     return Row(key, what, declared, run.failed, verdict(declares, False), claimed=declares)
 
 
@@ -118,8 +118,8 @@ def invariant_rows(subject: Subject, run: LongRun, coarse_step: float) -> list[R
             claimed = properties.energy if energy else keeps(properties, invariant)
         declared = "nothing" if properties is None else "kept" if claimed else "not kept"
         if energy and system.hamiltonian.timed:
-            why = "the Hamiltonian depends on time"
-            rows.append(Row(key, what, declared, "-", INAPPLICABLE, claimed=claimed, reason=why))
+            reason = "the Hamiltonian depends on time"
+            rows.append(Row(key, what, declared, "-", INAPPLICABLE, claimed=claimed, reason=reason))
         else:
             rows.append(_row(subject, run, single, name, invariant, Row(key, what, declared, "-", HOLDS, claimed)))
     return rows

@@ -48,11 +48,11 @@ def poisson_row(subject: Subject, coarse_step: float) -> Row:
             subject, coarse_step, Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed)
         )
     if n > MAX_UNDECLARED_DIM and not claimed:
-        why = f"nothing is declared, and derivatives of dimension {n} may take long"
-        return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=why)
+        reason = f"nothing is declared, and derivatives of dimension {n} may take long"
+        return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=reason)
     if n > MAX_DENSE_DIM:
-        why = f"it needs dense matrices of dimension {n}"
-        return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=why)
+        reason = f"it needs dense matrices of dimension {n}"
+        return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=reason)
     worst: tuple[float, float, float, str] | None = None
     reason = ""
     # If nothing is declared, one state and one step suffice.
@@ -99,8 +99,8 @@ def _directional_row(subject: Subject, coarse_step: float, row: Row) -> Row:
     # P J(x) P^T = J(y) is equivalent to P J(x) = J(y) Q^T, where y is the step and Q the derivative of the step back at
     # y. For covectors a and b, the difference is measured by b.P J(x) a and -a.Q J(y) b.
     if not subject.claims.symmetric:
-        why = f"a step takes about {subject.seconds:.1g} s, and all of P is needed since no step back inverts it"
-        return replace(row, reason=why)
+        reason = f"a step takes about {subject.seconds:.1g} s, and all of P is needed since no step back inverts it"
+        return replace(row, reason=reason)
     worst: tuple[float, float, bool, float] | None = None
     reason = ""
     for h in dict.fromkeys((subject.h, coarse_step) if row.claimed else (coarse_step,)):

@@ -45,8 +45,8 @@ def reversibility_row(subject: Subject, coarse_step: float) -> Row:
     signs = None if subject.system.hamiltonian.timed else reversing(subject)
     if signs is None:
         timed = subject.system.hamiltonian.timed
-        why = "the Hamiltonian depends on time" if timed else "no reflection was found that reverses the motion"
-        return Row("reversibility", what, "nothing", "-", INAPPLICABLE, reason=why)
+        reason = "the Hamiltonian depends on time" if timed else "no reflection was found that reverses the motion"
+        return Row("reversibility", what, "nothing", "-", INAPPLICABLE, reason=reason)
 
     def reflected(x: Floats, h: float) -> Floats:
         return np.asarray(signs * subject.step(signs * subject.step(x, h), h))
@@ -78,8 +78,8 @@ def _row(subject: Subject, coarse_step: float, key: str, what: str, claim: bool 
     claimed = bool(claim)
     declared = "nothing" if claim is None else "kept" if claim else "not kept"
     if subject.system.dim > MAX_DENSE_DIM and not subject.expensive:
-        why = f"its bound needs a dense matrix of dimension {subject.system.dim}"
-        return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=why)
+        reason = f"its bound needs a dense matrix of dimension {subject.system.dim}"
+        return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=reason)
     worst: tuple[float, float, float] | None = None
     failed = ""
     for h in dict.fromkeys((subject.h, coarse_step)):

@@ -29,7 +29,7 @@ from coadjoint.experiments.reich1993.systems import (
 from coadjoint.methods.protocol.method import Method
 from coadjoint.pictures.modified_energy import draw_deviations
 from coadjoint.pictures.phase_drift import with_error
-from coadjoint.pictures.style import INK, colour, key, plain_axes
+from coadjoint.pictures.style import INK, colour, legend, plain_axes
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.examples.paper_examples import paper_rigid_body
@@ -97,7 +97,7 @@ def drift_figure(run: Solution, number: int, scheme: str) -> Figure:
     for axes in (signed, size):
         axes.set(xlim=(0.0, SPIRAL_END), xticks=np.arange(0.0, SPIRAL_END + 1.0, 5.0))
         plain_axes(axes)
-    key(signed)
+    legend(signed)
     _caption(
         figure,
         f"Fig. {number}. Drift in the Hamiltonian (dotted line) and in the Casimir function (solid line) for "
@@ -249,7 +249,7 @@ def modified_energy_figure() -> Figure:
         axes.set_title(title, fontsize=9.5, color=INK)
         axes.set(ylim=(1e-18, 1e1))
         axes.label_outer()
-    key(panels[0])
+    legend(panels[0])
     figure.suptitle(
         "Section 6. The Lie-Poisson integrator solves a nearby system: energy $H$ and modified energies $\\tilde H$",
         fontsize=9.5,

@@ -15,7 +15,7 @@ from coadjoint.systems.examples.paper_examples import paper_a37, paper_rigid_bod
 
 TIME = 0.1
 STAGES = 8  # of order 16; a step of 0.1 is the exact motion to round-off
-CONVERGED_ITERATIONS = 40  # iterations; each reduces the error by a factor of the step
+CONVERGED_ITERATIONS = 40  # each reduces the error by a factor of the step
 
 
 def statements() -> list[Statement]:

@@ -8,22 +8,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of one check of the installed package.
+    """Result of one check: the property, its value and bound, and the scheme and system nearest to failing.
 
-    Parameters
-    ----------
-    what : str
-        The checked property.
-    measured : float
-        The measured value.
-    allowed : float
-        The bound.
-    where : str
-        The scheme and system nearest to failing.
-    least : bool
-        Whether the bound is a lower one, as for an order; otherwise an upper one.
-    skipped : str
-        Reason why the check was skipped, or empty.
+    `least`: the bound is a lower one, as for an order. `skipped`: the reason why the check was skipped, or empty.
 
     Examples
     --------

@@ -15,13 +15,7 @@ CHECKS = (motions, orders, certificates, same_bits, interpreted_steps, resumed)
 def selftest() -> Iterator[Finding]:
     """Check the installed package on this machine; yield each measurement with its bound.
 
-    Use it on untested machines, compilers and package versions. All schemes of the library run on seven systems. No
-    optional package is required; checks that need one are skipped, with the reason.
-
-    Yields
-    ------
-    Finding
-        One per check; `Finding.passed` is the verdict.
+    All schemes of the library run on seven systems. Checks that need an optional package are skipped, with the reason.
 
     Examples
     --------

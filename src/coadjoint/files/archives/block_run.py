@@ -40,13 +40,11 @@ class BlockRun(ArchivedRun):
         self.store, self.block, self.run = store, block, PiecewiseRun(prepared, times, start, rows, stored)
         self.about: dict[str, Any] = {FINISHED: 0} if marker is None else marker.about
         self._seconds = float(self.about.get("seconds", 0.0))
-        self._commit_seconds, self._failure = 0.0, None
-        self._committed = -1 if marker is None else self.run.number
+        self._commit_seconds = 0.0
+        self._failure: IntegrationError | None = None
+        self._committed: int = -1 if marker is None else self.run.number
         if marker is None:
             self.run.advance(0)
-
-    _committed: int
-    _failure: IntegrationError | None
 
     def commit(self) -> None:
         """Commit the steps of the block computed so far."""

@@ -70,8 +70,8 @@ class ArchiveFolder:
     def _locate(self, folder: str, file: str) -> Path:
         return Path(file) if USE_DIR_FD else self.path / folder / file
 
-    def read(self, folder: str, file: str, most: int | None = None, head: int | None = None) -> bytes:
-        """Return a file of at most `most` bytes, or its first `head` bytes.
+    def read(self, folder: str, file: str, max_bytes: int | None = None, head: int | None = None) -> bytes:
+        """Return a file of at most `max_bytes` bytes, or its first `head` bytes.
 
         OSError: missing, unreadable or no regular file; ValueError: too long, or too little memory.
         """
@@ -92,8 +92,8 @@ class ArchiveFolder:
                 status = os.fstat(content.fileno())
                 if not stat.S_ISREG(status.st_mode):
                     raise OSError(errno.EINVAL, NOT_REGULAR_REASON)
-                if most is not None and status.st_size > most:
-                    raise ValueError(f"it has {status.st_size} bytes; the limit is {most}")
+                if max_bytes is not None and status.st_size > max_bytes:
+                    raise ValueError(f"it has {status.st_size} bytes; the limit is {max_bytes}")
                 length = status.st_size if head is None else min(head, status.st_size)
                 check_available_memory(READ_MEMORY_FACTOR * length, "it")
                 return content.read(length)

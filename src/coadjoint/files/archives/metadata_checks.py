@@ -157,8 +157,8 @@ def check_reported(stored: Mapping[str, NDArray[Any]], arrays: Mapping[str, Stor
     tenths, invariants = (arrays[name].shape[0] for name in ("tenth", "invariant"))
     # The balances of invariants that forces change follow the invariants.
     columns = max(invariants, stored["initial"].shape[-1] if stored["initial"].ndim else 0)
-    wanted: dict[str, tuple[int, ...]] = {"initial": (members, columns)}
-    wanted |= dict.fromkeys(("earlier", f"{STATE_PREFIX}worst"), (members, tenths, columns))
-    for name, shape in wanted.items():
+    shapes: dict[str, tuple[int, ...]] = {"initial": (members, columns)}
+    shapes |= dict.fromkeys(("earlier", f"{STATE_PREFIX}worst"), (members, tenths, columns))
+    for name, shape in shapes.items():
         if stored[name].shape != shape or stored[name].dtype != np.float64:
             raise ValueError(f"{name} of the state has the shape {stored[name].shape}; it must be {shape}")

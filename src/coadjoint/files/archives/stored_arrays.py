@@ -97,11 +97,11 @@ class StoredArray(NamedTuple):
         axes = len(self.dims)
         if not all(isinstance(name, str) and name.isidentifier() for name in self.dims) or not 1 <= axes <= MAX_AXES:
             raise ValueError(f"the dimensions are {short(self.dims)}")
-        for what, sizes, least in (("shape", self.shape, 0), ("chunk", self.chunk, 1)):
+        for what, sizes, minimum in (("shape", self.shape, 0), ("chunk", self.chunk, 1)):
             if len(sizes) != axes or any(
-                type(size) is not int or not least <= size <= MAX_AXIS_LENGTH for size in sizes
+                type(size) is not int or not minimum <= size <= MAX_AXIS_LENGTH for size in sizes
             ):
-                raise ValueError(f"the {what} is {short(sizes)}; it must be {axes} whole numbers from {least} up")
+                raise ValueError(f"the {what} is {short(sizes)}; it must be {axes} whole numbers from {minimum} up")
         longest = [max(1, size) for size in self.shape]
         if self.grows:
             longest[0] = MAX_READ_ROWS
@@ -232,7 +232,7 @@ def chunk_of(dims: tuple[str, ...], shape: tuple[int, ...], rows: int) -> tuple[
     return tuple(max(1, size) for size in chunk)
 
 
-def rows_of_chunk(numbers: int, most: int) -> int:
+def rows_of_chunk(numbers: int, rows: int) -> int:
     """Return the rows of a chunk, if a row of the longest array has this many numbers.
 
     Short runs get spare rows, since they may be continued.
@@ -242,7 +242,7 @@ def rows_of_chunk(numbers: int, most: int) -> int:
     >>> rows_of_chunk(3, 10**9), rows_of_chunk(3, 11), rows_of_chunk(10**6, 100)
     (65536, 1024, 1)
     """
-    return max(1, min(CHUNK_BYTES // (8 * max(1, numbers)), MAX_CHUNK_ROWS, max(MIN_CHUNK_ROWS, most)))
+    return max(1, min(CHUNK_BYTES // (8 * max(1, numbers)), MAX_CHUNK_ROWS, max(MIN_CHUNK_ROWS, rows)))
 
 
 NPY_SUFFIX = ".npy"

@@ -110,7 +110,7 @@ class RunTable(Table):
     step: Annotated[float, Field(gt=0)] | None = None
     """Length of a step (time); it divides the span."""
     accuracy: Annotated[float, Field(gt=0, lt=1)] | None = None
-    """Instead of `step`: the wanted error of the momentum at the end, relative to the largest momentum during the run
+    """Instead of `step`: the required error of the momentum at the end, relative to the largest momentum during the run
     (no unit). The step is chosen, and without `method` also the scheme."""
     save_every: WholeNumber = 1
     """Number of steps from one saved state to the next."""
@@ -257,7 +257,7 @@ def _reason(kind: str, message: str, value: Any, context: Mapping[str, Any], key
         return "is missing; give it"
     if kind == "value_error":
         return str(context["error"])
-    wanted = {
+    expected = {
         "string_type": "text in quotes",
         "int_type": "a whole number",
         "int_from_float": "a whole number",
@@ -272,8 +272,8 @@ def _reason(kind: str, message: str, value: Any, context: Mapping[str, Any], key
         "finite_number": "finite",
     }.get(kind)
     return (
-        f"must be {wanted}, not {short(value, MAX_SHOWN_LENGTH)}"
-        if wanted
+        f"must be {expected}, not {short(value, MAX_SHOWN_LENGTH)}"
+        if expected
         else f"{message[:1].lower()}{message[1:]}, not {short(value, MAX_SHOWN_LENGTH)}"
     )
 

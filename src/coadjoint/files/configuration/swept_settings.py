@@ -42,7 +42,7 @@ def settings_of(key: str, settings: SettingsTable, sweep: SweepTable, value: Any
     if settings.values is not None:
         return settings.values
     if settings.file is not None:
-        return _rows(settings.file, settings.column, folder)
+        return _read_rows(settings.file, settings.column, folder)
     if kind in ("linear", "logarithmic"):
         assert settings.count is not None
         check_available_memory(BYTES_PER_SETTING * settings.count, f"a grid of {short(settings.count)} values")
@@ -67,7 +67,7 @@ def _grid(kind: str, ends: list[Any], count: int) -> list[float] | list[int]:
     return [first] + [first * (last / first) ** part for part in fractions[1:-1]] + [last]
 
 
-def _rows(file_name: str, column: int | None, folder: Path) -> NDArray[Any]:
+def _read_rows(file_name: str, column: int | None, folder: Path) -> NDArray[Any]:
     values = array_of_file(folder / file_name, file_name)
     if values.ndim == 0 or not len(values):
         raise ValueError(

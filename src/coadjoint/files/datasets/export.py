@@ -245,7 +245,9 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
             "not stored; run the script that wrote the dataset"
         )
     if system is None:
-        system = _system(dataset, system_of(parsed(attributes["system"], "system"), _numbers(dataset["x0"])))
+        system = _with_state_format_of(
+            dataset, system_of(parsed(attributes["system"], "system"), _component_count(dataset["x0"]))
+        )
     if events is None:
         events = tuple(event for event in events_of_dataset(dataset, system) if event.g is not not_stored)
     return {
@@ -262,12 +264,12 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
     }
 
 
-def _numbers(states: xarray.DataArray) -> int:
+def _component_count(states: xarray.DataArray) -> int:
     """Return the number of components of a state."""
     return int(np.prod([size for name, size in states.sizes.items() if name != "member"]))
 
 
-def _system(dataset: xarray.Dataset, system: Any) -> Any:
+def _with_state_format_of(dataset: xarray.Dataset, system: Any) -> Any:
     """Return the system in the state format of the dataset, which for matrices may be rows of numbers."""
     return as_vector_system(system) if "component" in dataset["x0"].dims else system
 

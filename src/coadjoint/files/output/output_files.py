@@ -111,21 +111,8 @@ def write_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
     """Write a dataset as NetCDF (``.nc``) or Zarr (``.zarr``) atomically, with a checksum of its content.
 
     It is written beside the target and renamed. A file is replaced in one step; when a Zarr store, which is a folder,
-    is replaced, there is a moment without either.
-
-    Parameters
-    ----------
-    dataset : xarray.Dataset
-        From `coadjoint.files.datasets.export.dataset_of`.
-    path : str or Path
-        The target, replaced if it exists.
-
-    Raises
-    ------
-    OutputError
-        As `check_target`.
-    OSError
-        For instance if the disk is full; the target is then unchanged.
+    is replaced, there is a moment without either. Errors are those of `check_target`; after an OSError the target is
+    unchanged.
 
     Examples
     --------
@@ -155,19 +142,7 @@ def _run_in_thread(work: Callable[[], None], abandon: Callable[[], None]) -> Non
 
 
 def write_figure(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG, PDF or SVG, atomically.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        From `Solution.plot`, for instance.
-    path : str or Path
-        The target, replaced if it exists.
-
-    Raises
-    ------
-    OutputError
-        As `check_target`.
+    """Write a figure as PNG, PDF or SVG, atomically; errors as for `check_target`.
 
     Examples
     --------
@@ -185,19 +160,7 @@ def write_figure(figure: Figure, path: str | Path) -> None:
 
 
 def write_text(text: str, path: str | Path) -> None:
-    """Write JSON text to a file, atomically.
-
-    Parameters
-    ----------
-    text : str
-        From `Certificate.to_json`, for instance.
-    path : str or Path
-        The target, a ``.json`` file, replaced if it exists.
-
-    Raises
-    ------
-    OutputError
-        As `check_target`.
+    """Write JSON text to a ``.json`` file, atomically; errors as for `check_target`.
 
     Examples
     --------
@@ -211,20 +174,7 @@ def write_text(text: str, path: str | Path) -> None:
 
 
 def write_page(text: str, path: str | Path) -> None:
-    """Write an HTML page to a file, atomically.
-
-    Parameters
-    ----------
-    text : str
-        From `coadjoint.pictures.gallery.gallery`, for instance.
-    path : str or Path
-        The target, an ``.html`` file, replaced if it exists.
-
-    Raises
-    ------
-    OutputError
-        As `check_target`.
-    """
+    """Write an HTML page to an ``.html`` file, atomically; errors as for `check_target`."""
     _write(text, check_target(path, PAGES))
 
 

@@ -44,9 +44,9 @@ class Entry:
         if depth > MAX_DEPTH:
             raise ValueError(f"{path} is nested deeper than {MAX_DEPTH} lists and tables")
 
-    def invalid_error(self, wanted: str) -> ValueError:
-        """Return the error that the value must be `wanted`."""
-        return ValueError(f"{self.path} is {short(self.value, 60)}; it must be {wanted}")
+    def invalid_error(self, expected: str) -> ValueError:
+        """Return the error that the value must be `expected`."""
+        return ValueError(f"{self.path} is {short(self.value, 60)}; it must be {expected}")
 
     def table(self) -> dict[str, Entry]:
         """Return a table of entries."""
@@ -79,13 +79,13 @@ class Entry:
             raise self.invalid_error("a list" if length is None else f"a list of {length} entries")
         return [Entry(value, f"{self.path}[{i}]", self._depth + 1) for i, value in enumerate(self.value)]
 
-    def integers(self, most: int, length: int | None = None) -> list[int]:
-        """Return a list of integers from 0 to `most`, of the given length if any."""
+    def integers(self, maximum: int, length: int | None = None) -> list[int]:
+        """Return a list of integers from 0 to `maximum`, of the given length if any."""
         value = self.value
         listed = isinstance(value, list) and set(map(type, value)) <= {int} and (length is None or len(value) == length)
-        if not listed or (value and not 0 <= min(value) <= max(value) <= most):
+        if not listed or (value and not 0 <= min(value) <= max(value) <= maximum):
             raise self.invalid_error(
-                f"a list of {'' if length is None else f'{length} '}whole numbers from 0 to {most}"
+                f"a list of {'' if length is None else f'{length} '}whole numbers from 0 to {maximum}"
             )
         return list(value)
 
@@ -95,27 +95,27 @@ class Entry:
 
     def rows(self, *bounds: int) -> NDArray[np.float64]:
         """Return an array of rows: integers below the bounds, then a finite number."""
-        wanted = f"rows of {len(bounds)} whole numbers below {', '.join(map(str, bounds))} and a finite number"
+        expected = f"rows of {len(bounds)} whole numbers below {', '.join(map(str, bounds))} and a finite number"
         if self.value == []:
             return np.zeros((0, len(bounds) + 1))
-        table = self._array(wanted, None, len(bounds) + 1)
+        table = self._array(expected, None, len(bounds) + 1)
         for column, bound in zip(table.T, bounds, strict=False):
             if not ((column >= 0) & (column < bound) & (column == np.floor(column))).all():
-                raise self.invalid_error(wanted)
+                raise self.invalid_error(expected)
         return table
 
-    def _array(self, wanted: str, *shape: int | None) -> NDArray[np.float64]:
+    def _array(self, expected: str, *shape: int | None) -> NDArray[np.float64]:
         try:
             array = np.array(self.value)
         except (ValueError, TypeError, OverflowError, RecursionError):
-            raise self.invalid_error(wanted) from None
+            raise self.invalid_error(expected) from None
         fits_shape = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
         if not isinstance(self.value, list) or array.dtype.kind not in "if" or not fits_shape:
-            raise self.invalid_error(wanted)
+            raise self.invalid_error(expected)
         entries = self.value if array.ndim == 1 else chain.from_iterable(self.value)
         # NumPy converts a boolean among numbers to a number.
         if not {bool, np.bool_}.isdisjoint(map(type, entries)) or not np.isfinite(array).all():
-            raise self.invalid_error(wanted)
+            raise self.invalid_error(expected)
         return array.astype(np.float64)
 
     def text(self) -> str:
@@ -126,11 +126,13 @@ class Entry:
             )
         return self.value
 
-    def integer(self, least: int = 0, most: int = MAX_INTEGER) -> int:
+    def integer(self, minimum: int = 0, maximum: int = MAX_INTEGER) -> int:
         """Return the value as an integer between bounds."""
         value = self.value.item() if isinstance(self.value, np.generic) else self.value
-        if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-            raise self.invalid_error(f"a whole number from {least} " + ("up" if most == MAX_INTEGER else f"to {most}"))
+        if isinstance(value, bool) or not isinstance(value, int) or not minimum <= value <= maximum:
+            raise self.invalid_error(
+                f"a whole number from {minimum} " + ("up" if maximum == MAX_INTEGER else f"to {maximum}")
+            )
         return value
 
     def number(self) -> float:

@@ -113,15 +113,15 @@ def _check_stored(record: Entry, name: str) -> None:
         )
 
 
-def _check_dimension(record: Entry, dim: int, wanted: int | None) -> None:
-    if wanted is not None and dim != wanted:
-        raise ValueError(f"{record.path} has dimension {dim}, but the stored states have dimension {wanted}")
+def _check_dimension(record: Entry, dim: int, expected: int | None) -> None:
+    if expected is not None and dim != expected:
+        raise ValueError(f"{record.path} has dimension {dim}, but the stored states have dimension {expected}")
 
 
-def _algebra_of(record: Entry, wanted: int | None) -> LieAlgebra:
+def _algebra_of(record: Entry, expected: int | None) -> LieAlgebra:
     record.reject_unknown("name", "dim", "basis", "constants", "representation", "casimirs")
     dim = record["dim"].integer(1)
-    _check_dimension(record, dim, wanted)
+    _check_dimension(record, dim, expected)
     with as_value_errors(record):
         check_available_memory(BYTES_PER_COORDINATE * dim, "an algebra")
     basis = [name.text() for name in record["basis"].entries(dim)]

@@ -52,7 +52,7 @@ class StepFunction:
         def call(_: int, x: int, t: float, h: float, out: int) -> int:
             try:
                 state = np.array((number * n).from_address(x))
-                (number * n).from_address(out)[:] = checked_step(method.step(system, state, t, h), n, method)
+                (number * n).from_address(out)[:] = read_step_result(method.step(system, state, t, h), n, method)
             except BaseException as error:
                 self._raised = _explained(error, method, system)
                 return 1
@@ -72,7 +72,7 @@ def _explained(error: BaseException, method: Any, system: Any) -> BaseException:
     )
 
 
-def checked_step(result: Any, n: int, method: Any) -> Any:
+def read_step_result(result: Any, n: int, method: Any) -> Any:
     """Return the result of a step as float64; raise TypeError if it is not `n` real numbers."""
     state = np.asarray(result)
     if state.shape != (n,) or state.dtype.kind not in "fiu":

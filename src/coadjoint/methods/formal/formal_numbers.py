@@ -41,13 +41,13 @@ class FormalNumber(PowerSeries):
     @classmethod
     def constant(cls, polynomial: Exact) -> Self:
         """Return a polynomial that does not depend on the step."""
-        return cls.of([polynomial, *[cls.ring.zero] * (cls.count - 1)])
+        return cls.from_coefficients([polynomial, *[cls.ring.zero] * (cls.count - 1)])
 
     @classmethod
     def step(cls) -> Self:
         """Return the step itself."""
         zero = cls.ring.zero
-        return cls.of([zero, zero + 1, *[zero] * (cls.count - 2)][: cls.count])
+        return cls.from_coefficients([zero, zero + 1, *[zero] * (cls.count - 2)][: cls.count])
 
     @classmethod
     def _number(cls, value: Any) -> Exact | None:
@@ -66,7 +66,7 @@ class FormalNumber(PowerSeries):
 
     def cut(self, count: int) -> Self:
         """Return the series truncated to this number of coefficients."""
-        return self.of(self.coefficients[:count])
+        return self.from_coefficients(self.coefficients[:count])
 
     @property
     def valuation(self) -> int:
@@ -93,7 +93,7 @@ class FormalNumber(PowerSeries):
             for j in range(1, k + 1):
                 remainder = remainder - right.coefficients[j] * coefficients[k - j]
             coefficients.append(remainder * inverse)
-        return self.of(coefficients)
+        return self.from_coefficients(coefficients)
 
     def __rtruediv__(self, other: Any) -> FormalNumber:
         left = self._operand(other)

@@ -74,7 +74,7 @@ class StagesOfCollocation(FormalStages):
     def __init__(self, nodes: Sequence[Fraction], x: NDArray[Any], h: FormalNumber) -> None:
         self.x, self.h, ring = x, h, h.ring
         self._node = ring.dim + ring.symbols.index(NODE)
-        node = ring.symbol[NODE]
+        node = ring.symbol_elements[NODE]
         self._modulus = ring.zero
         for power, coefficient in enumerate(nodes):
             self._modulus += rational(coefficient) * node**power
@@ -95,7 +95,7 @@ class StagesOfCollocation(FormalStages):
 
     @staticmethod
     def _mapped(values: NDArray[Any], function: Callable[[Any], Any]) -> NDArray[Any]:
-        return vector(type(value).of(map(function, value.coefficients)) for value in values)
+        return vector(type(value).from_coefficients(map(function, value.coefficients)) for value in values)
 
 
 def formal_end(stages: FormalStages, system: System, solver: str, iterations: int) -> NDArray[Any]:

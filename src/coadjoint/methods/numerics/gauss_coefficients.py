@@ -36,9 +36,7 @@ def _legendre(degree: int, z: Any) -> list[Any]:
 
 
 def _root(degree: int, radau: bool, z: Any) -> Any:
-    """Return the root of P_degree (or of P_degree - P_{degree-1}) near z, by Newton's method until corrections stop
-    falling.
-    """
+    """Return the root of P_degree (or of P_degree - P_{degree-1}) near z, by Newton's method to stagnation."""
     previous = None
     while True:
         values = _legendre(degree, z)
@@ -86,8 +84,7 @@ def _symmetric(mu: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _in_integers(roots: Sequence[decimal.Decimal]) -> Collocation:
-    """Return the result of `_collocation` for decimals, with its s^2 sums of s products in integers: a hundred times
-    faster.
+    """Return the result of `_collocation` for decimals a hundred times faster, with its sums of products in integers.
 
     All |P_k(z)| <= 1, so that integers in units of 10^-DIGITS are as accurate as decimals, and sums of their products
     exact.
@@ -97,9 +94,9 @@ def _in_integers(roots: Sequence[decimal.Decimal]) -> Collocation:
     s = len(roots)
     values = [_legendre(s, z) for z in roots]
     unit = decimal.Decimal(10) ** DIGITS
-    held = [[int((value * unit).to_integral_value()) for value in row] for row in values]
-    left = fmpz_mat([[row[k + 1] - row[k - 1] for k in range(1, s)] for row in held])
-    sums = left * fmpz_mat([row[1:s] for row in held]).transpose()
+    integers = [[int((value * unit).to_integral_value()) for value in row] for row in values]
+    left = fmpz_mat([[row[k + 1] - row[k - 1] for k in range(1, s)] for row in integers])
+    sums = left * fmpz_mat([row[1:s] for row in integers]).transpose()
     nodes, weights, mu = np.empty(s, dtype=object), np.empty(s, dtype=object), np.empty((s, s), dtype=object)
     for i in range(s):
         nodes[i] = (1 + roots[i]) / 2
@@ -153,12 +150,12 @@ def _radau(stages: int, number: Number) -> Collocation:
     return _collocation(_radau_roots(stages, number))
 
 
-def gauss_nodes(stages: int) -> list[Fraction]:
+def node_polynomial(stages: int) -> list[Fraction]:
     """Return the monic polynomial of degree s in c whose roots are the nodes, lowest power first.
 
     Examples
     --------
-    >>> [str(coefficient) for coefficient in gauss_nodes(2)]
+    >>> [str(coefficient) for coefficient in node_polynomial(2)]
     ['1/6', '-1', '1']
     """
     signed = [(-1) ** (stages - k) * math.comb(stages, k) * math.comb(stages + k, k) for k in range(stages + 1)]

@@ -20,7 +20,7 @@ from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 Matrix = NDArray[Any]
 Floats = NDArray[np.float64]
 
-MOST_ITERATIONS = 192
+MAX_ITERATIONS = 192
 FIRST_TESTED = 3  # first iteration tested for convergence; early corrections may grow
 LATE_ITERATION = 12  # from this iteration on, a single correction that does not fall is not yet stagnation
 STAGNANT_CORRECTIONS = 3  # consecutive corrections that do not fall count as stagnation
@@ -50,7 +50,7 @@ def stages_of(system: MatrixSystem, W: Matrix, t: float, h: float, a: Floats, sc
     V = np.stack([identity + h * row.sum() * P0 for row in a])
     U = np.stack([identity - h * row.sum() * P0 for row in a])
     stagnation, change = _StagnationTest(len(W)), np.inf
-    for _ in range(MOST_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         if system.algebra.skew:
             U = np.conj(np.swapaxes(V, -1, -2))
         M = V @ W @ U
@@ -89,7 +89,7 @@ def derivative_of(system: MatrixSystem, W: Matrix, stages: Stages, t: float, h: 
     dV, dU = np.zeros((2, s, *directions.shape), dtype=M.dtype)
     V1, U1, M1, P1 = (array[:, None] for array in (V, U, M, P))
     stagnation, change = _StagnationTest(len(W)), np.inf
-    for _ in range(MOST_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         dM = dV @ W @ U1 + V1 @ directions @ U1 + V1 @ W @ dU
         dP = np.stack([slope_along(system, m, dm, time) for m, dm, time in zip(M, dM, times, strict=True)])
         dV_new, dU_new = h * _weighted_sums(a, dP @ V1 + P1 @ dV), -h * _weighted_sums(a, dU @ P1 + U1 @ dP)
@@ -173,7 +173,7 @@ def two_layer_increment(
 
     Y = [stream(W) for _ in b]
     M, previous, change = [W for _ in b], np.inf, np.inf
-    for _ in range(MOST_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         # V and U are solved exactly for given streams, unlike in the kernels: an independent implementation.
         V, U = _solve_stages(h * a, Y, identity, left=False), _solve_stages(-h * a, Y, identity, left=True)
         new = [v @ W @ u for v, u in zip(V, U, strict=True)]

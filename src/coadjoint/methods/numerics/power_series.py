@@ -23,7 +23,7 @@ class PowerSeries:
         self.coefficients = list(coefficients)
 
     @classmethod
-    def of(cls, coefficients: Iterable[Any]) -> Self:
+    def from_coefficients(cls, coefficients: Iterable[Any]) -> Self:
         """Return the series with these coefficients; higher ones are unknown."""
         result = cls.__new__(cls)
         result.coefficients = list(coefficients)
@@ -37,9 +37,13 @@ class PowerSeries:
     def __add__(self, other: Any) -> Self:
         """Return the sum with a series or with a constant."""
         if isinstance(other, PowerSeries):
-            return self.of(a + b for a, b in zip(self.coefficients, other.coefficients, strict=False))
+            return self.from_coefficients(a + b for a, b in zip(self.coefficients, other.coefficients, strict=False))
         number = self._number(other)
-        return NotImplemented if number is None else self.of([self.coefficients[0] + number, *self.coefficients[1:]])
+        return (
+            NotImplemented
+            if number is None
+            else self.from_coefficients([self.coefficients[0] + number, *self.coefficients[1:]])
+        )
 
     def _known(self, other: Any) -> int:
         """Return the number of coefficients of a product that are known."""
@@ -50,13 +54,13 @@ class PowerSeries:
         a = self.coefficients
         if not isinstance(other, PowerSeries):
             number = self._number(other)
-            return NotImplemented if number is None else self.of(c * number for c in a)
+            return NotImplemented if number is None else self.from_coefficients(c * number for c in a)
         b = other.coefficients
 
         def products(k: int) -> list[Any]:
             return [a[j] * b[k - j] for j in range(max(0, k + 1 - len(b)), min(k + 1, len(a)))]
 
-        return self.of(reduce(add, products(k) or [0 * a[0]]) for k in range(self._known(other)))
+        return self.from_coefficients(reduce(add, products(k) or [0 * a[0]]) for k in range(self._known(other)))
 
     def __pow__(self, exponent: Any) -> Self | int:
         """Return an integer power."""
@@ -84,6 +88,6 @@ class PowerSeries:
 
     def __truediv__(self, other: Any) -> Self:
         """Return the quotient by a constant."""
-        return self.of(c / other for c in self.coefficients)
+        return self.from_coefficients(c / other for c in self.coefficients)
 
     __radd__, __rmul__ = __add__, __mul__

@@ -32,7 +32,7 @@ def polynomial_casimirs(system: System) -> dict[str, Any]:
 
 
 def casimirs_restored(system: System) -> str:
-    """Return which Casimirs a projection keeps, as the value of `Properties.casimirs`."""
+    """Return which Casimirs a projection preserves, as the value of `Properties.casimirs`."""
     count = len(polynomial_casimirs(system))
     if not count:
         return "none"

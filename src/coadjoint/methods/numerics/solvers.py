@@ -12,7 +12,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.methods.numerics.stages import Step
 from coadjoint.program.numbers import roundoff
 
-MOST_ITERATIONS = 200  # for 53 bits; proportional to the number of bits
+MAX_ITERATIONS = 200  # for 53 bits; proportional to the number of bits
 
 
 class Evaluation(NamedTuple):
@@ -160,7 +160,7 @@ def iterate_to_stagnation(step: Step, slopes_at: Callable[[NDArray[Any]], NDArra
             "the stages are computed by iteration, which does not terminate in exact fractions; take floats or "
             "mpmath.mpf"
         )
-    max_iterations = MOST_ITERATIONS * max(1, int(-np.log2(float(unit)) / 53))
+    max_iterations = MAX_ITERATIONS * max(1, int(-np.log2(float(unit)) / 53))
     points, smallest, stagnant, largest, first = step.start(), None, 0, None, 0
     with np.errstate(over="ignore", invalid="ignore"):  # divergence is detected by the last correction
         for iteration in range(1, max_iterations + 1):

@@ -11,29 +11,15 @@ from coadjoint.program.sweeps import Sweep
 
 
 class SplittingScheme(NamedTuple):
-    """A symmetric composition, processed or not.
-
-    Parameters
-    ----------
-    order : int
-        Order of the composition.
-    half : tuple of str
-        The first half of its palindrome of fractions of the step (with the middle one, if `of_second_order`), to 50
-        digits (40 for a processed scheme).
-    of_second_order : bool
-        Whether it composes the symmetric step of order 2. Otherwise it composes the forward sweep and its adjoint,
-        alternating.
-    processor_half : tuple of str
-        Fractions of the processor P: second-order steps at these and then at their negatives, the first applied last.
-        Empty without a processor.
-    source : str
-        Publication.
-    """
+    """A symmetric composition, processed or not; coefficients have 50 digits (40 for a processed scheme)."""
 
     order: int
     half: tuple[str, ...]
+    """The first half of the palindrome of fractions of the step, with the middle one if `of_second_order`."""
     of_second_order: bool
+    """Whether it composes the symmetric step of order 2; otherwise the forward sweep and its adjoint, alternating."""
     processor_half: tuple[str, ...]
+    """Fractions of the processor P: second-order steps at these and then at their negatives, the first applied last."""
     source: str
 
     @property
@@ -73,7 +59,7 @@ def _alternating(coefficients: Sequence[Any], number: Callable[[Any], Any]) -> l
     return sweeps
 
 
-def _read() -> dict[str, SplittingScheme]:
+def _load_schemes() -> dict[str, SplittingScheme]:
     text = files("coadjoint.methods.numerics").joinpath("splitting_schemes.json").read_text(encoding="utf-8")
     return {
         name: SplittingScheme(
@@ -87,11 +73,10 @@ def _read() -> dict[str, SplittingScheme]:
     }
 
 
-SCHEMES = _read()
+SCHEMES = _load_schemes()
 
-# Smallest error at equal cost on a rigid body, among schemes without a processor. This depends on
-# the state: on other orbits blanes_moan4 halves the error of order 4. Other schemes of an order are worse by a factor
-# of up to 3, or by more.
+# Smallest error at equal cost on a rigid body, among schemes without a processor. This depends on the state: on other
+# orbits blanes_moan4 halves the error of order 4.
 DEFAULT_SCHEMES = {
     2: "strang",
     4: "suzuki4",

@@ -90,7 +90,7 @@ class Step(NamedTuple):
         return np.asarray(blocks @ self.solve_stages(blocks, self.stage_derivatives(constant)) + constant)
 
 
-def validated_tableau(coefficients: Coefficients, solver: str, scheme: str) -> Coefficients:
+def read_tableau(coefficients: Coefficients, solver: str, scheme: str) -> Coefficients:
     """Return a tableau as floats; raise ValueError or TypeError if its shapes or values do not suit the solver."""
     if not isinstance(coefficients, tuple) or len(coefficients) != len(Coefficients._fields):
         raise TypeError(f"coefficients of {scheme} must return coadjoint.methods.Coefficients(node, scale, mix, out)")

@@ -22,7 +22,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 DECIDING_TERMS = 4  # number of last and of middle terms that determine the length
 LN2 = 0.6931471805599453
 NO_LIMIT = 900.0  # binary logarithm of the largest length
-MOST_STEPS = 1_000_000
+MAX_STEPS = 1_000_000
 TOO_MANY_STEPS_MESSAGE = "or more than 2^24 of its own steps would lie in one step of the run: give a smaller step"
 """End of the messages about steps that become too short; the limit is that of the kernels."""
 TOO_SHORT_MESSAGE = (
@@ -148,7 +148,7 @@ def advance_by_own_steps(
     True
     """
     elapsed, largest, scale = h * 0, 0.0, _time_of_change(field, x, h)
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         largest = max(largest, _size(x))
         terms = expand(field, x, scale, order)
         length = scale * near_power_of_two(logarithm_of_step([_size(term) for term in terms], largest, tolerance))

@@ -29,7 +29,7 @@ MAX_ORBIT_DIMENSION = 64
 # Number of choices compared by the first term of the scheme, for orders above two.
 MAX_CANDIDATES = 12
 # Largest number of monomials of that term; above it, the choice is that for order two.
-MOST_MONOMIALS = 4000
+MAX_MONOMIALS = 4000
 
 
 @long_operation("Splitting.tuned")
@@ -57,7 +57,7 @@ def tuned_parts(system: LiePoissonSystem, scheme: Callable[[Any], FlowMethod], s
         smallest_order(natural, partial(_cached_sizes, errors, error_by_order))
         ranked += [(size, ChosenParts(order, shift)) for order, size in error_by_order.items()]
     ranked.sort(key=lambda pair: (pair[0], pair[1] != automatic))
-    if method.order == 2 or _monomials(system, method.order) > MOST_MONOMIALS:
+    if method.order == 2 or _monomials(system, method.order) > MAX_MONOMIALS:
         return _best_choice(ranked, automatic)
     compared = [automatic, *(choice for _, choice in ranked if choice != automatic)][:MAX_CANDIDATES]
     return _best_choice([(_error_of_scheme(system, scheme(choice), orbits), choice) for choice in compared], automatic)

@@ -14,9 +14,9 @@ from coadjoint.systems.system_checks import System
 
 
 def check_attitude(method: Method, system: System, representation: Any) -> None:
-    """Raise ValueError if the scheme cannot keep the group element in this representation, "coadjoint" or (n, d, d).
+    """Raise ValueError if the scheme cannot preserve the group in this representation, "coadjoint" or (n, d, d).
 
-    Gauss methods keep quadratic invariants: the group of a bilinear form, rho_i^T P + P rho_i = 0, and the spatial
+    Gauss methods preserve quadratic invariants: the group of a bilinear form, rho_i^T P + P rho_i = 0, and the spatial
     momentum if it is bilinear in g and x, that is if T rho_i = D_(e_i) T for a T of full rank (then K T = T g, K the
     coadjoint matrix). This holds for so(3), but not for so(n), n >= 4, where the momentum g X g^T is quadratic in g.
     """

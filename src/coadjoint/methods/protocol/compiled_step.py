@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.restored import RestoresInvariants
-from coadjoint.methods.protocol.stepped_method import SteppedMethod
+from coadjoint.methods.protocol.substep_method import SubstepMethod
 from coadjoint.systems.system_checks import System
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.protocol.cost_model import Operations, Work
 
 
-class CompiledStepMethod(SteppedMethod, RestoresInvariants):
+class CompiledStepMethod(SubstepMethod, RestoresInvariants):
     """A scheme with a step in C++, and the same step in NumPy.
 
     The C++ file derives from ``StepScheme`` of ``steps/step_scheme.hpp``, which documents its inputs. It is in the

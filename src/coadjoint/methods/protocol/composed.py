@@ -18,7 +18,7 @@ from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.restored import RestoresInvariants, restored
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
-from coadjoint.methods.protocol.stepped_method import SteppedMethod
+from coadjoint.methods.protocol.substep_method import SubstepMethod
 from coadjoint.methods.protocol.tangents import CompiledTangents
 from coadjoint.methods.protocol.wrapper import Wrapper
 from coadjoint.program.sweeps import Sweep
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
 
-HIGHEST_ORDER = 12
+MAX_ORDER = 12
 
 
 class Composed(Wrapper):
-    """A base scheme at fractions of the step; it keeps what the base keeps."""
+    """A base scheme at fractions of the step; it preserves what the base preserves."""
 
     base: Method
     coefficients: tuple[float, ...]
@@ -115,7 +115,7 @@ class Substeps(Composed, FormalStep, CompiledTangents, Composable, RestoresInvar
 
     offered = False
 
-    base: SteppedMethod
+    base: SubstepMethod
     coefficients: tuple[float, ...]
 
     def composed(self, coefficients: Sequence[float]) -> Method:
@@ -167,7 +167,7 @@ def composition_order(coefficients: Sequence[float], base_order: int) -> int:
     The base is exp(h Y_1 + h^(p+1) Y_(p+1) + h^(p+3) Y_(p+3) + ...) in the free associative algebra of the Y's; the
     product is compared with exp(h Y_1) word by word.
     """
-    highest = max(HIGHEST_ORDER, base_order)
+    highest = max(MAX_ORDER, base_order)
     letters = [1, *range(base_order + 1, highest + 1, 2)]
 
     def exponential_of(coefficients: dict[int, float]) -> Series:

@@ -37,7 +37,7 @@ MAX_PARAMETER_TEXT = 200  # characters of a parameter in a message
 
 
 class Method(ABC):
-    """A scheme: what it keeps, its compiled loop, its step in Python, its tangent, and its cost.
+    """A scheme: what it preserves, its compiled loop, its step in Python, its tangent, and its cost.
 
     Families implement this protocol from coefficients (`FlowMethod`), a tableau (`RungeKuttaMethod`) or a step
     (`StepMethod`, `CompiledStepMethod`); a user-defined scheme derives from one of them. What only some schemes can do
@@ -106,7 +106,7 @@ class Method(ABC):
 
     @abstractmethod
     def properties(self, system: System) -> Properties:
-        """Return what the scheme keeps on a system; raise an error for a system that it cannot integrate.
+        """Return what the scheme preserves on a system; raise an error for a system that it cannot integrate.
 
         Parameters
         ----------
@@ -272,7 +272,7 @@ def check_base(base: Any, wrapper: str, example: str) -> None:
 
 
 def declared_properties(method: Method, system: System) -> Properties:
-    """Return what a scheme declares to keep on a system; raise TypeError if it returns anything but `Properties`."""
+    """Return what a scheme declares to preserve on a system; raise TypeError if this is no `Properties`."""
     declared = method.properties(system)
     if not isinstance(declared, Properties):
         raise TypeError(

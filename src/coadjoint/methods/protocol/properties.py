@@ -1,4 +1,4 @@
-"""Declaration of what a scheme keeps to round-off."""
+"""Declaration of what a scheme preserves to round-off."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ SHOWN_IF_SET = ("broken_by", "reversible")
 
 @dataclass(frozen=True)
 class Properties:
-    """What a scheme keeps to round-off on a given system.
+    """What a scheme preserves to round-off on a given system.
 
     Parameters
     ----------
     poisson : bool
         Whether each step is a Poisson map.
     energy : bool
-        Whether the energy is kept.
+        Whether the energy is preserved.
     casimirs : str
         ``"all"``, ``"polynomial"`` (those that are polynomials), ``"quadratic"`` (of degree at most two) or ``"none"``.
     attitude : str
-        Group elements that are kept: ``"every representation"``; ``"coadjoint"``, and representations that are
-        orthogonal for a fixed form and contain the coadjoint one; ``"group"``, which keeps the group of every
+        Group elements that are preserved: ``"every representation"``; ``"coadjoint"``, and representations that are
+        orthogonal for a fixed form and contain the coadjoint one; ``"group"``, which preserves the group of every
         representation, and the spatial momentum with the accuracy of the scheme; ``"integrated"``, as a differential
-        equation, which keeps nothing; or ``"none"``.
+        equation, which preserves nothing; or ``"none"``.
     reversible : bool
         Whether steps whose length varies with the state are undone by steps backward.
     broken_by : tuple of str
-        Forces of the system that break what the scheme keeps of the Hamiltonian part, as "energy: LinearDamping".
+        Forces of the system that break what the scheme preserves of the Hamiltonian part, as "energy: LinearDamping".
 
     Raises
     ------

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.solvers import SOLVERS, Evaluation
-from coadjoint.methods.numerics.stages import Coefficients, Step, begin, validated_tableau
+from coadjoint.methods.numerics.stages import Coefficients, Step, begin, read_tableau
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.methods.protocol.stepped_method import FULL_STEP, SteppedMethod
+from coadjoint.methods.protocol.substep_method import FULL_STEP, SubstepMethod
 from coadjoint.methods.protocol.tangents import CompiledTangents
 from coadjoint.program.numbers import Number
 from coadjoint.systems.system_checks import System
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.protocol.cost_model import Work
 
 
-class RungeKuttaMethod(SteppedMethod, CompiledTangents):
+class RungeKuttaMethod(SubstepMethod, CompiledTangents):
     """A user-defined Runge-Kutta scheme: a tableau, and a solver for its stages."""
 
     tables_of_any_step = True
@@ -156,7 +156,7 @@ class RungeKuttaMethod(SteppedMethod, CompiledTangents):
 
         read_choice(self.solver, "solver", SOLVERS)
         scheme = type(self).__name__
-        forecast = np.shape(self.forecast(1.0)), validated_tableau(self.coefficients(), self.solver, scheme).mix.shape
+        forecast = np.shape(self.forecast(1.0)), read_tableau(self.coefficients(), self.solver, scheme).mix.shape
         if forecast[0] != forecast[1]:
             raise ValueError(f"forecast of {scheme} returned the shape {forecast[0]}; it must be {forecast[1]}")
         tables = runge_kutta_tables(system, self, representation, fractions)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from coadjoint.methods.protocol.method import Representation
-from coadjoint.methods.protocol.stepped_method import SteppedMethod
+from coadjoint.methods.protocol.substep_method import SubstepMethod
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.system_checks import System
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.protocol.cost_model import Work
 
 
-class StepMethod(SteppedMethod):
+class StepMethod(SubstepMethod):
     """Base class of user-defined schemes with a step that is one Python function.
 
     Derive a frozen dataclass from it; its fields are the parameters of the scheme. Define `order`, `explicit`,

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from coadjoint.pictures.globe import Globe, view_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, kind
-from coadjoint.pictures.style import INK, colour, key
+from coadjoint.pictures.style import INK, colour, legend
 from coadjoint.validation import read_finite, read_integer
 
 Floats = npt.NDArray[np.float64]
@@ -45,7 +45,7 @@ def body_axis(
             globe.mark(points[0], colour(1), label="start" if m == 0 else None)
             globe.mark(points[-1], INK, label="end" if m == 0 else None, marker="s", size=4.0)
         axes.set_title(f"{name} in space", fontsize=9.5, color=INK)
-        key(axes, loc="lower right")
+        legend(axes, loc="lower right")
 
     return paint
 

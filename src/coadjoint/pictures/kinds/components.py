@@ -11,7 +11,7 @@ import numpy.typing as npt
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.series import draw_members
-from coadjoint.pictures.style import INK, colour, coordinate, key, plain_axes
+from coadjoint.pictures.style import INK, colour, coordinate, legend, plain_axes
 
 MAX_COMPONENTS = 8
 BISECTIONS = 52
@@ -76,7 +76,7 @@ def components(
         axes.set(xlabel="time $t$", ylabel=ylabel, title=title)
         plain_axes(axes)
         if not by_member:
-            key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+            legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
         if flip_index is not None:
             _mark_flips(axes, drawn, flip_index)
 
@@ -86,7 +86,7 @@ def components(
 def _mark_flips(axes: Any, drawn: PlottedRun, i: int) -> None:
     if len(drawn.x) > 1 or not drawn.dense:
         return
-    times = flip_times(drawn.slope, drawn.t, drawn.x[0], i, most=2)
+    times = flip_times(drawn.slope, drawn.t, drawn.x[0], i, max_count=2)
     # An arrow between closer times would not be visible.
     if len(times) < 2 or abs(times[1] - times[0]) < 0.05 * abs(drawn.t[-1] - drawn.t[0]):
         return
@@ -106,16 +106,16 @@ def _mark_flips(axes: Any, drawn: PlottedRun, i: int) -> None:
 
 
 def flip_times(
-    field: Callable[[Floats, float], Floats], t: Floats, x: Floats, i: int, most: int | None = None
+    field: Callable[[Floats, float], Floats], t: Floats, x: Floats, i: int, max_count: int | None = None
 ) -> Floats:
-    """Return the first `most` times, in the order of t, at which coordinate i of a motion crosses zero.
+    """Return the first `max_count` times, in the order of t, at which coordinate i of a motion crosses zero.
 
     Between saved points the motion is interpolated by cubic Hermite polynomials with the slopes `field(x, t)`.
     """
     values = x[:, i]
     intervals = np.flatnonzero((values[:-1] != 0.0) & (np.sign(values[:-1]) * np.sign(values[1:]) <= 0.0))
     times = []
-    for p in intervals[:most]:
+    for p in intervals[:max_count]:
         dt = float(t[p + 1] - t[p])
         before, after = (dt * float(field(x[q], float(t[q]))[i]) for q in (p, p + 1))
         times.append(float(t[p]) + dt * _root(float(values[p]), float(values[p + 1]), before, after))

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from coadjoint.pictures.globe import Globe, view_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, kind
-from coadjoint.pictures.style import INK, colour, key
+from coadjoint.pictures.style import INK, colour, legend
 from coadjoint.validation import read_finite
 
 
@@ -54,7 +54,7 @@ def directions(
                 globe.path(path[drawn.curve_indices], shade, drawn.joined)
                 globe.mark(path[0], shade, label="start" if i == m == 0 else None, size=3.0 if several else 5.0)
         axes.set_title(title or "directions", fontsize=9.5, color=INK)
-        key(axes, loc="lower right")
+        legend(axes, loc="lower right")
 
     return paint
 

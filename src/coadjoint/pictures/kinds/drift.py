@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.fluids import carried_by, vorticity_of
+from coadjoint.pictures.fluids import carried_field, vorticity_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.series import draw_members
-from coadjoint.pictures.style import colour, key, plain_axes, symbol
+from coadjoint.pictures.style import colour, legend, plain_axes, symbol
 from coadjoint.systems.protocol import is_matrix_system
 
 MAX_CASIMIRS = 5
@@ -60,7 +60,7 @@ def drift(drawn: PlottedRun) -> Paint:
             axes.text(0.5, 0.5, "no deviation in any bit", transform=axes.transAxes, ha="center", fontsize=9)
         _widen_to_two_decades(axes)
         plain_axes(axes)
-        key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
     return paint
 
@@ -70,13 +70,13 @@ def _sizes(drawn: PlottedRun) -> Mapping[str, float]:
 
     The scale of a trace is the sum of its absolute terms, since the terms cancel.
     """
-    if not is_matrix_system(drawn.family):
+    if not is_matrix_system(drawn.unforced):
         return {}
     state = drawn.state(0)
     scales = {"energy": float(np.nanmax(np.abs(drawn.invariants["energy"])))}
     singular = {
         "W": np.linalg.svd(vorticity_of(state), compute_uv=False),
-        "Theta": np.linalg.svd(carried_by(state), compute_uv=False),
+        "Theta": np.linalg.svd(carried_field(state), compute_uv=False),
     }
     for name in drawn.invariants:
         trace = TRACE.fullmatch(name)

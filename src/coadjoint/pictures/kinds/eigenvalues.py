@@ -8,7 +8,7 @@ import numpy as np
 
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, kind
-from coadjoint.pictures.style import colour, key, plain_axes
+from coadjoint.pictures.style import colour, legend, plain_axes
 from coadjoint.systems.protocol import is_matrix_system
 
 MAX_MARKED = 40
@@ -27,15 +27,15 @@ def eigenvalues(drawn: PlottedRun, at: float = 1.0) -> Paint:
     at : float
         The time as a fraction of the span: 0 is the start, 1 the end.
     """
-    if not is_matrix_system(drawn.family):
-        raise CannotShow(f"the state of {drawn.family.name} is not a matrix, and has no eigenvalues")
+    if not is_matrix_system(drawn.unforced):
+        raise CannotShow(f"the state of {drawn.unforced.name} is not a matrix, and has no eigenvalues")
     k = drawn.index_at(at)
     if not np.isfinite(drawn.x[0, k]).all():
         raise CannotShow(f"the first member has failed before t = {drawn.t[k]:g}, and has no eigenvalues there")
-    first, last = (drawn.family.spectrum(drawn.state(j)) for j in (0, k))
+    first, last = (drawn.unforced.spectrum(drawn.state(j)) for j in (0, k))
     size = float(np.abs(first).max()) or 1.0
     moved = float(np.abs(last - first).max()) / size
-    name = r"\Theta" if len(drawn.family.matrix_shape) == 3 else "W"
+    name = r"\Theta" if len(drawn.unforced.matrix_shape) == 3 else "W"
     fraction = (np.arange(len(first)) + 0.5) / len(first)
 
     def paint(axes: Any) -> None:
@@ -53,6 +53,6 @@ def eigenvalues(drawn: PlottedRun, at: float = 1.0) -> Paint:
             axes.set(xlabel="part of the eigenvalues below", ylabel=f"eigenvalues of $-i{name}$ over the largest")
         axes.set_title(f"spectrum of ${name}$: moved by {moved:.1e} of the largest")
         plain_axes(axes)
-        key(axes, loc="upper left")
+        legend(axes, loc="upper left")
 
     return paint

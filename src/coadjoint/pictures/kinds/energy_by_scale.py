@@ -9,7 +9,7 @@ import numpy as np
 from coadjoint.pictures.fluids import fluid_of, surface_of, vorticity_of
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import Paint, kind
-from coadjoint.pictures.style import colour, key, plain_axes
+from coadjoint.pictures.style import colour, legend, plain_axes
 
 MAX_TIMES = 200
 MAX_SCALES = 6
@@ -39,6 +39,6 @@ def energy_by_scale(drawn: PlottedRun) -> Paint:
         axes.set(xlabel="time $t$", ylabel="share of the energy", title="energy by scale")
         axes.set_ylim(0.0, None)
         plain_axes(axes)
-        key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
     return paint

@@ -41,16 +41,16 @@ def field(
     label : str
         Name of the field.
     """
-    k, side = drawn.index_at(at), read_positive(width(drawn.family), "width")
+    k, side = drawn.index_at(at), read_positive(width(drawn.unforced), "width")
     if values is not None:
         first, size = drawn.evaluate(values, k)
 
         def field_at(j: int) -> Any:
-            return np.asarray(values(drawn.family, drawn.state(j)), dtype=np.float64)
+            return np.asarray(values(drawn.unforced, drawn.state(j)), dtype=np.float64)
 
     elif modes is not None:
         edge = np.linspace(0.0, side, CELLS + 1)
-        waves = np.asarray(modes(drawn.family, *np.meshgrid(edge, edge)))
+        waves = np.asarray(modes(drawn.unforced, *np.meshgrid(edge, edge)))
         if len(waves) != drawn.n:
             raise CannotShow(f"the field has {len(waves)} modes, and the state has {drawn.n} coordinates")
 

@@ -9,7 +9,7 @@ import numpy as np
 from coadjoint.pictures.fluids import fluid_of, surface_of, vorticity_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import Paint, kind
-from coadjoint.pictures.style import colour, key, plain_axes
+from coadjoint.pictures.style import colour, legend, plain_axes
 
 AXIS_LABELS = {"sphere": "degree $l$", "torus": "wave number $|n|$"}
 DECADES = 8.0
@@ -48,6 +48,6 @@ def field_spectra(drawn: PlottedRun, at: float = 1.0) -> Paint:
             low = min(float(values[values > top * 10.0**-DECADES].min(initial=top)) for _, values in points.values())
             axes.set(yscale="log", ylim=(low / 2, top * 3))
         plain_axes(axes)
-        key(axes)
+        legend(axes)
 
     return paint

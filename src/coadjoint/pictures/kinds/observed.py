@@ -9,7 +9,7 @@ import numpy as np
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.series import draw_members
-from coadjoint.pictures.style import colour, key, plain_axes, symbol
+from coadjoint.pictures.style import colour, legend, plain_axes, symbol
 
 MAX_OBSERVED = 8
 
@@ -29,6 +29,6 @@ def observed(drawn: PlottedRun) -> Paint:
         title = "observed" + (f" ({len(lines)} of {len(numbers)})" if len(lines) < len(numbers) else "")
         axes.set(xlabel="time $t$", ylabel="observed quantity", title=title)
         plain_axes(axes)
-        key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
     return paint

@@ -9,7 +9,7 @@ import numpy as np
 from coadjoint.pictures.kinds.coadjoint_orbit import frame_space
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
-from coadjoint.pictures.style import INK, colour, dots, key
+from coadjoint.pictures.style import INK, colour, dots, legend
 from coadjoint.validation import read_integer
 
 MAX_ATTITUDES = 40
@@ -46,7 +46,7 @@ def path_in_space(drawn: PlottedRun, axis: int = 0) -> Paint:
             axes.plot(*ends.reshape(-1, 3).T, color=colour(1), linewidth=0.9, label=f"body axis {number + 1}")
             axes.plot(*path[:1].T, "o", markersize=4, color=INK, label="start")
             if m == 0:
-                key(axes, loc="upper right")
+                legend(axes, loc="upper right")
         middle, half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 0.15 * float(np.max(high - low))) + reach
         frame_space(axes, np.stack([middle - half, middle + half], axis=1), ("$X$", "$Y$", "$Z$"))
         axes.set_box_aspect(tuple(half), zoom=0.93)

@@ -47,7 +47,7 @@ def phase_ellipse(
         qq, qp, pp = (x[:, drawn.index_of(i)] for i in moments)
         distributions: Sequence[Lump] = [(0.0 * qq, 0.0 * qq, qq, qp, pp)]
     elif lumps is not None:
-        distributions = lumps(x, drawn.family)
+        distributions = lumps(x, drawn.unforced)
     else:
         raise TypeError("a phase ellipse needs `moments`, the coordinates of second moments, or a function `lumps`")
     end = drawn.index_at(1.0 if until is None else read_number(until, "until")) + 1

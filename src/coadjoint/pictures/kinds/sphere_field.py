@@ -63,7 +63,7 @@ def sphere_field(
         title = axes.set_title(f"{label} at $t$ = {drawn.t[k]:.4g}", fontsize=9.5, color=INK)
 
         def update(j: int) -> None:
-            picture.set_data(pixels(np.asarray(values(drawn.family, drawn.state(j)), dtype=np.float64)))
+            picture.set_data(pixels(np.asarray(values(drawn.unforced, drawn.state(j)), dtype=np.float64)))
             title.set_text(f"{label} at $t$ = {drawn.t[j]:.4g}")
 
         return update

@@ -62,8 +62,8 @@ def vorticity(
     part = read_choice(part, "part of the vorticity", PART_TITLES)
     across = PROJECTIONS[read_choice(projection, "projection", PROJECTIONS)]
     middle = read_number(centre[0], "longitude of centre"), read_number(centre[1], "latitude of centre")
-    if part == "carried" and len(drawn.family.shape) != 3:
-        raise CannotShow(f"{drawn.family.name} carries no second field; reduced_mhd and passive_scalar do")
+    if part == "carried" and len(drawn.unforced.shape) != 3:
+        raise CannotShow(f"{drawn.unforced.name} carries no second field; reduced_mhd and passive_scalar do")
     surface, k = surface_of(fluid), drawn.index_at(at)
 
     def on_fluid_grid(system: Any, state: Any) -> Floats:
@@ -83,7 +83,7 @@ def vorticity(
         title = axes.set_title(_title(drawn, part, k), fontsize=9.5, color=INK)
 
         def update(j: int) -> None:
-            image.set_data(pixels(on_fluid_grid(drawn.family, drawn.state(j))))
+            image.set_data(pixels(on_fluid_grid(drawn.unforced, drawn.state(j))))
             title.set_text(_title(drawn, part, j))
 
         return update

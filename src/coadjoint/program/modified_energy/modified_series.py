@@ -52,12 +52,12 @@ class ModifiedSeries:
     def _sweep(self) -> list[Exact]:
         return sweep_logarithm(self._commutators, self._flows, self._highest)
 
-    def of(self, word: Word) -> Exact:
+    def bracket(self, word: Word) -> Exact:
         """Return the nested bracket of a Lyndon word of letters, as a polynomial."""
         if word not in self._cache:
             if len(word) > 1:
                 left, right = standard_factorization(word)
-                self._cache[word] = self._commutators(self.of(left), self.of(right))
+                self._cache[word] = self._commutators(self.bracket(left), self.bracket(right))
             else:
                 self._cache[word] = self._letter(word[0])
         return self._cache[word]
@@ -81,13 +81,13 @@ class ModifiedSeries:
         if not any(isinstance(value, arb) for value in coefficients.values()):
             total = ring.zero
             for word, value in coefficients.items():
-                total += self.of(word) * value
+                total += self.bracket(word) * value
             return ring.with_symbols(total), 0.0, 0.0
         sums: dict[tuple[int, ...], Any] = {}
         largest = 0.0
         with ctx.workprec(BALL_BITS):
             for word, value in coefficients.items():
-                for exponents, factor in self.of(word).to_dict().items():
+                for exponents, factor in self.bracket(word).to_dict().items():
                     sums[exponents] = sums.get(exponents, 0) + (product := value * factor)
                     largest = max(largest, float(abs(product).upper()))
             floats, radius, neglected = _rounded(sums, largest)
@@ -144,8 +144,8 @@ def modified_terms(
     If `H` is given, the coefficients of the parts are replaced by its own, or by the polynomials in symbols `factors`
     (see `with_hamiltonian_coefficients`), unless a Casimir was subtracted.
     """
-    wanted = [weight for weight in weights if coordinates.of_weight[weight]]
-    highest = max(wanted, default=1)
+    nonzero = [weight for weight in weights if coordinates.of_weight[weight]]
+    highest = max(nonzero, default=1)
     if highest > 1:
         _check_cost(system, program, highest)
     elif not factors:
@@ -158,7 +158,7 @@ def modified_terms(
     series = ModifiedSeries(Commutators(ring, system.sign), flows, highest)
     of_power: dict[int, Polynomial] = {}
     radius, neglected = 0.0, coordinates.neglected
-    for weight in wanted:
+    for weight in nonzero:
         polynomial, rounding, dropped = series.term(coordinates, weight)
         radius, neglected = max(radius, rounding), max(neglected, dropped)
         if polynomial.monomials:

@@ -31,7 +31,7 @@ def part_polynomials(ring: ExactPolynomials, parts: Parts) -> list[Exact]:
         if isinstance(share, FunctionShare):
             raise TypeError("a part of the Hamiltonian is a function of Python, not a polynomial")
         if isinstance(share, PolynomialShare):
-            pieces[int(parts.part_of_angle[parts.row[s]])] += ring.of(share.polynomial)
+            pieces[int(parts.part_of_angle[parts.row[s]])] += ring.from_polynomial(share.polynomial)
     return pieces
 
 

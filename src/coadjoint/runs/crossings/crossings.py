@@ -107,8 +107,8 @@ class WatchedEvents:
         rows, events, theta, rising = (
             np.concatenate(both) for both in zip(sign_changes, *pairs, isolated_crossings, strict=True)
         )
-        wanted = (self.direction[events] == 0) | (self.direction[events] == rising)
-        rows, events, theta, rising = rows[wanted], events[wanted], theta[wanted], rising[wanted]
+        selected = (self.direction[events] == 0) | (self.direction[events] == rising)
+        rows, events, theta, rising = rows[selected], events[selected], theta[selected], rising[selected]
         # Simultaneous crossings are in the order of the events.
         order = np.lexsort((events, theta, rows))
         rows, events, theta, rising = rows[order], events[order], theta[order], rising[order]

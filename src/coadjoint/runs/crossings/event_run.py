@@ -19,7 +19,7 @@ from coadjoint.runs.run import Run
 from coadjoint.systems.protocol import states_of
 
 FIRST_CHUNK = 256
-MOST_STEPS = 2**16
+MAX_STEPS = 2**16
 MAX_CHUNK_BYTES = 2**28
 """Memory of a chunk; only the part with events is written."""
 
@@ -32,7 +32,7 @@ class EventRun:
         members, extent = len(run.start.momenta), run.plan.layout.extent
         count = len(watched.events)
         fixed, per_step = EventArrays.required_bytes(members, count, extent.size, extent.square)
-        chunk = min(run.times.steps, MOST_STEPS, max(1, MAX_CHUNK_BYTES // per_step)) + 1
+        chunk = min(run.times.steps, MAX_STEPS, max(1, MAX_CHUNK_BYTES // per_step)) + 1
         checkpoint = 16 * run.plan.layout.state.size
         check_available_memory(
             3 * fixed + checkpoint + per_step * chunk, f"the detection of events of {members} members"

@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Values = Callable[[NDArray[np.int64], Floats], Floats]
 
-MOST_ROUNDS = 200
+MAX_ROUNDS = 200
 """Limit on the rounds of a search; a root takes about seven (bisection down to the smallest float: 1074)."""
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 MIN_BRACKET = 2.0**-26
 """Bracket width at a minimum below which function values are indistinguishable, sqrt(2^-52)."""
 
 
-def roots(values: Values, before: Floats, after: Floats, least: Floats) -> Floats:
+def roots(values: Values, before: Floats, after: Floats, resolution: Floats) -> Floats:
     """Find a root of each of m functions by inverse quadratic interpolation and bisection, independently of the others.
 
     ``values(indices, theta)`` evaluates some of the functions; `before` and `after` (m,) are the values at 0 and 1, of
-    different signs (`after` may be zero); `least` (m,) is the resolution. T. R. Chandrupatla, Adv. Eng. Softw. 28
+    different signs (`after` may be zero); `resolution` (m,) is that of theta. T. R. Chandrupatla, Adv. Eng. Softw. 28
     (1997) 145-149; the first point is that of the secant.
 
     Examples
@@ -36,7 +36,7 @@ def roots(values: Values, before: Floats, after: Floats, least: Floats) -> Float
     with np.errstate(invalid="ignore", over="ignore"):
         secant = fa / (fa - fb)
     t = np.clip(np.where(np.isfinite(secant), secant, 0.5), 0.01, 0.99)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         if not len(indices):
             break
         middle = a + t * (b - a)
@@ -47,7 +47,7 @@ def roots(values: Values, before: Floats, after: Floats, least: Floats) -> Float
         a, fa = middle, fm
         best = np.where(np.abs(fa) < np.abs(fb), a, b)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            least_t = least[indices] / np.abs(b - a)
+            least_t = resolution[indices] / np.abs(b - a)
             done = (least_t > 0.5) | (fa == 0.0) | np.isnan(fm)
             xi, phi = (a - b) / (c - b), (fa - fb) / (fc - fb)
             quadratic = fa / (fb - fa) * (fc / (fb - fc)) + (c - a) / (b - a) * (fa / (fc - fa)) * (fb / (fc - fb))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.protocol.method import Method
-from coadjoint.runs.events import MOST_CROSSINGS, Event, RecordedEvents
+from coadjoint.runs.events import MAX_CROSSINGS, Event, RecordedEvents
 from coadjoint.runs.integrate import integrate
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
@@ -154,7 +154,7 @@ def poincare_section(
     if not isinstance(event, Event):
         raise TypeError(f"event is {short(event)}; give an Event, such as co.Event('x1', direction=1)")
     if crossings is not None:
-        event = replace(event, count=read_integer(crossings, "crossings", 1, MOST_CROSSINGS), terminal=True)
+        event = replace(event, count=read_integer(crossings, "crossings", 1, MAX_CROSSINGS), terminal=True)
     options: Any = {"accuracy": accuracy, "threads": threads, "progress": progress, "events": event}
     sol = integrate(system, x0s, t_span, step, method, save_every=ENDS_ONLY, watch=False, **options)
     assert sol.events is not None

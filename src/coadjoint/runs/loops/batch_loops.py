@@ -148,7 +148,7 @@ class BatchLoops(Loops):
                 member_batches.append(MemberBatch(group.loop, group.tables, group.watch, *bounds, group.stride, first))
         return in_rounds(member_batches, workers)
 
-    def pieces(self, watch: Any = None) -> MemberTables:
+    def member_tables(self, watch: Any = None) -> MemberTables:
         """Return the tables and the members of each group."""
         return [
             (Tables(group.loop, group.tables, watch or group.watch, group.stride), group.members)

@@ -100,7 +100,7 @@ class Loops(ABC):
         return None
 
     @abstractmethod
-    def pieces(self, watch: Any = None) -> MemberTables:
+    def member_tables(self, watch: Any = None) -> MemberTables:
         """Return the tables of the members, with another watch if one is given."""
 
     def attitude_may_overflow(self, start: Start, times: Times) -> bool:
@@ -242,7 +242,7 @@ class SystemLoops(Loops):
             [batch.among(members[slice(*bounds)]) for bounds in split_members(0, len(members), workers, self.block)]
         ]
 
-    def pieces(self, watch: Any = None) -> MemberTables:
+    def member_tables(self, watch: Any = None) -> MemberTables:
         """Return the tables, which all members share."""
         return [(Tables(*self._structures[:2], watch or self._structures[2]), None)]
 

@@ -73,11 +73,11 @@ MemberTables = Sequence[tuple[Tables, Integers | None]]
 """Tables, and the members that share them, ascending, one column each; None: all members share the same columns."""
 
 
-def rows_of_pieces(pieces: MemberTables, owners: Integers, workers: int, block: int) -> Rows:
-    """Return rows of members with different tables, piece after piece; `owners` (m,) holds the member of each row."""
+def rows_of_member_tables(member_tables: MemberTables, owners: Integers, workers: int, block: int) -> Rows:
+    """Return rows of members with different tables, one after the other; `owners` (m,) holds the member of each row."""
     parts: list[Rows] = []
     begin = 0
-    for tables, members in pieces:
+    for tables, members in member_tables:
         if members is None:
             return tables.rows(owners, workers, block)
         selected = np.flatnonzero(np.isin(owners, members))
@@ -85,8 +85,8 @@ def rows_of_pieces(pieces: MemberTables, owners: Integers, workers: int, block: 
             part = tables.rows(np.searchsorted(members, owners[selected]), workers, block, begin)
             parts.append(part._replace(rows=selected[part.rows]))
             begin += len(part.rows)
-    rows, filled = (np.concatenate([piece[k] for piece in parts]) for k in range(2))
-    return Rows(rows, filled, [member_batch for piece in parts for member_batch in piece.member_batches])
+    rows, filled = (np.concatenate([part[k] for part in parts]) for k in range(2))
+    return Rows(rows, filled, [member_batch for part in parts for member_batch in part.member_batches])
 
 
 def split_members(first: int, last: int, workers: int, block: int) -> list[tuple[int, int]]:

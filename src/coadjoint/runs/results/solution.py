@@ -166,7 +166,7 @@ class Solution(RunAttributes):
         if not self.work:
             return self._deviations(0)
         accounted = {invariant for _, invariant in self.record.accounts}
-        conserves_casimirs = accounted == {"energy"}  # the forces keep all Casimirs
+        conserves_casimirs = accounted == {"energy"}  # the forces preserve all Casimirs
         deviations = self._deviations(1 + len(self.casimirs))
         return {name: drift for name, drift in deviations.items() if conserves_casimirs or name in accounted}
 
@@ -350,8 +350,8 @@ class Solution(RunAttributes):
         Parameters
         ----------
         panels : sequence of str or Picture, optional
-            Kinds of pictures instead, such as ``["drift", "body axis"]``; see
-            `coadjoint.pictures.solution.draw_solution`.
+            Kinds of pictures, such as ``["drift", "body axis"]``; ``co.plotting.kinds()`` lists them. By default the
+            drift, the components, the observed quantities, and the pictures that the system declares.
         components : sequence of int or str, optional
             Coordinates plotted over time, by number from 0 or by name.
         axes : Axes or sequence of Axes, optional

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-MOST_STEPS = 10**7
+MAX_STEPS = 10**7
 """Largest number of steps recomputed by one call."""
 
 
@@ -72,7 +72,7 @@ def state_at(solution: Solution, t: Any) -> StateAt:
         raise ValueError(f"t has the shape {requested.shape}; it must be a time, or a row of times")
     if not are_finite(requested):
         raise ValueError(f"t is {short(t)}; every time must be finite")
-    wanted, direction = np.atleast_1d(requested), 1.0 if solution.t_span[1] >= solution.t_span[0] else -1.0
+    queries, direction = np.atleast_1d(requested), 1.0 if solution.t_span[1] >= solution.t_span[0] else -1.0
     ends = _ends(solution)
     if solution.failed is not None and (solution.failed & np.isnan(ends)).any():
         raise ValueError("members of the run have failed; integrate the others alone for states at any time")
@@ -80,30 +80,30 @@ def state_at(solution: Solution, t: Any) -> StateAt:
     end = float(solution.t[-1]) if solution.t_eval is None else solution.t_span[1]
     saved = direction * known
     near = 4 * np.spacing(max(abs(solution.t_span[0]), abs(solution.t_span[1]), solution.step))
-    outside = np.flatnonzero((direction * wanted < saved[0] - near) | (direction * wanted > direction * end + near))
+    outside = np.flatnonzero((direction * queries < saved[0] - near) | (direction * queries > direction * end + near))
     if len(outside):
-        raise ValueError(f"t is {wanted[outside[0]]:g}; it must lie within the run, from {known[0]:g} to {end:g}")
-    late = np.flatnonzero(np.all(direction * wanted[:, None] > direction * ends + near, axis=1))
+        raise ValueError(f"t is {queries[outside[0]]:g}; it must lie within the run, from {known[0]:g} to {end:g}")
+    late = np.flatnonzero(np.all(direction * queries[:, None] > direction * ends + near, axis=1))
     if len(late):
         latest = float(direction * np.max(direction * ends))
         raise ValueError(
-            f"t is {wanted[late[0]]:g}, after events ended the runs of all members, the last at {latest:g}"
+            f"t is {queries[late[0]]:g}, after events ended the runs of all members, the last at {latest:g}"
         )
-    before = np.clip(np.searchsorted(saved, direction * wanted + near, side="right") - 1, 0, None)
-    ahead = np.maximum(direction * wanted - saved[before], 0.0)
+    before = np.clip(np.searchsorted(saved, direction * queries + near, side="right") - 1, 0, None)
+    ahead = np.maximum(direction * queries - saved[before], 0.0)
     steps = np.ceil(np.where(ahead > near, ahead - near, 0.0) / solution.step).astype(np.int64)
     pieces = np.unique(before)
     last = [int(steps[before == j].max()) for j in pieces]
-    if sum(last) > MOST_STEPS:
+    if sum(last) > MAX_STEPS:
         raise ValueError(
-            f"the times lie {sum(last)} steps after saved points, and at most {MOST_STEPS} steps are recomputed; "
+            f"the times lie {sum(last)} steps after saved points, and at most {MAX_STEPS} steps are recomputed; "
             "integrate with t_eval, or with a smaller save_every"
         )
-    order = np.lexsort((direction * wanted, before))
+    order = np.lexsort((direction * queries, before))
     edges = np.searchsorted(before[order], [*pieces, pieces[-1] + 1])
     states = [
         _from_point(
-            solution, j - 1, float(known[j]), count, wanted[order[low:high]], direction, direction * ends + near
+            solution, j - 1, float(known[j]), count, queries[order[low:high]], direction, direction * ends + near
         )
         for j, count, low, high in zip(pieces.tolist(), last, edges[:-1], edges[1:], strict=True)
     ]
@@ -114,11 +114,11 @@ def state_at(solution: Solution, t: Any) -> StateAt:
 
     casimirs = {name: in_order([state.casimirs[name] for state in states]) for name in states[0].casimirs}
     x, energy, attitude = (in_order([getattr(state, name) for state in states]) for name in ("x", "energy", "attitude"))
-    return StateAt(float(requested) if requested.ndim == 0 else wanted, x, energy, casimirs, attitude)
+    return StateAt(float(requested) if requested.ndim == 0 else queries, x, energy, casimirs, attitude)
 
 
 def _from_point(
-    solution: Solution, j: int, start: float, count: int, wanted: Floats, direction: float, until: Floats
+    solution: Solution, j: int, start: float, count: int, queries: Floats, direction: float, until: Floats
 ) -> StateAt:
     """Return the states at ascending times up to `count` steps after saved point j; -1 is the start.
 
@@ -130,7 +130,7 @@ def _from_point(
         values = {name: series[j] for name, series in solution.casimirs.items()}
     times = Times(start, direction * solution.step, count, 1)
     low, high = sorted((start, times.end))
-    t_eval = np.concatenate([[start], np.clip(wanted, low, high)])
+    t_eval = np.concatenate([[start], np.clip(queries, low, high)])
     past_end = direction * t_eval[:, None] > until
     if past_end[0].any():
         # Ended members need some valid start; their results are discarded.
@@ -153,7 +153,7 @@ def _from_point(
         x, energy, attitude = (_where(past_end, np.nan, series) for series in (x, energy, attitude))
         casimirs = {name: _where(past_end, np.nan, series) for name, series in casimirs.items()}
     casimirs = {name: series[1:] for name, series in casimirs.items()}
-    return StateAt(wanted, x[1:], energy[1:], casimirs, None if attitude is None else attitude[1:])
+    return StateAt(queries, x[1:], energy[1:], casimirs, None if attitude is None else attitude[1:])
 
 
 def _ends(solution: Solution) -> Floats:

@@ -80,7 +80,7 @@ def double_spherical_pendulum(
     Notes
     -----
     Marsden and Scheurle, Z. angew. Math. Phys. 44, 17 (1993). The kinetic energy does not split. The bracket is
-    constant, so `GaussLegendre` is a symplectic map that keeps all quadratic integrals: McLachlan, Modin and
+    constant, so `GaussLegendre` is a symplectic map that preserves all quadratic integrals: McLachlan, Modin and
     Verdier, Nonlinearity 27, 1525 (2014).
 
     Examples

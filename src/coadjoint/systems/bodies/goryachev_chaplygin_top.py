@@ -1,4 +1,4 @@
-"""The Goryachev-Chaplygin top: I1 = I2 = 4 I3, with the center of mass in the equatorial plane."""
+"""The Goryachev-Chaplygin top: I1 = I2 = 4 I3, with the centre of mass in the equatorial plane."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from coadjoint.systems.registry import ready_made
     )
 )
 def goryachev_chaplygin_top(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0, 0.0)) -> LiePoissonSystem:
-    """Return the Goryachev-Chaplygin top: ``I1 = I2 = 4 I3``, the center of mass in the plane of axes 1 and 2.
+    """Return the Goryachev-Chaplygin top: ``I1 = I2 = 4 I3``, the centre of mass in the plane of axes 1 and 2.
 
     State, sign -1, Casimirs and group element are those of `heavy_top`. It is integrable only if the vertical momentum
     m . gamma is zero. Its additional integral is therefore not in ``integrals``, which hold for all states:
@@ -42,7 +42,7 @@ def goryachev_chaplygin_top(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0
     equatorial : float
         Moment of inertia I1 = I2 about the fixed point (mass times length squared), positive; I3 is a quarter of it.
     lever : (2,)
-        Weight times the position of the center of mass along the axes 1 and 2 (an energy).
+        Weight times the position of the centre of mass along the axes 1 and 2 (an energy).
 
     Returns
     -------
@@ -70,7 +70,7 @@ def goryachev_chaplygin_top(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0
 
 
 def goryachev_chaplygin_integral(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0, 0.0)) -> Polynomial:
-    """Return ``m3 (m1^2 + m2^2) / I1 - gamma3 (l1 m1 + l2 m2)``, which the top keeps if m . gamma is zero.
+    """Return ``m3 (m1^2 + m2^2) / I1 - gamma3 (l1 m1 + l2 m2)``, an integral of the top if m . gamma is zero.
 
     Otherwise it changes at the rate ``(l2 m1 - l1 m2)(m . gamma) / I1``.
 

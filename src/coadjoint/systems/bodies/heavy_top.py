@@ -32,7 +32,7 @@ Floats = npt.NDArray[np.float64]
         x0=(0.3, 0.2, 3.0, 0.6, 0.0, 0.8),
         t_span=(0.0, 40.0),
         step=0.02,
-        caption="A top without symmetry, with its center of mass off every axis: the path of its third axis has no "
+        caption="A top without symmetry, with its centre of mass off every axis: the path of its third axis has no "
         "repeating pattern. Middle, the axis in space; right, the vertical, seen from the body.",
         pictures=(
             Picture("body axis", axis=2, up=(3, 4, 5), vertical="vertical"),
@@ -61,7 +61,7 @@ def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (
     inertia : (3,) or (3, 3)
         Principal moments about the fixed point, or the symmetric positive definite tensor (mass times length squared).
     lever : (3,)
-        Weight times the position of the center of mass from the fixed point, in the body frame (an energy).
+        Weight times the position of the centre of mass from the fixed point, in the body frame (an energy).
 
     Returns
     -------
@@ -124,7 +124,7 @@ def kovalevskaya_integral(M: npt.NDArray[np.float64], lever: npt.NDArray[np.floa
     """Return ``|(m_a + i m_b)^2 / (2 A) - (l_a + i l_b)(gamma_a + i gamma_b)|^2`` in six coordinates, or None.
 
     The top has it if the inverse inertia M, (3,) or (3, 3), is 1/A, 1/A and 2/A along coordinates a, b, c, and `lever`,
-    weight times position of the center of mass, is orthogonal to c.
+    weight times position of the centre of mass, is orthogonal to c.
 
     Examples
     --------

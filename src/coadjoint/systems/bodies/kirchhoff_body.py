@@ -65,8 +65,8 @@ def kirchhoff_body(
     Returns
     -------
     LiePoissonSystem
-        Casimirs ``"|p|^2"`` and ``"m.p"``. A body of revolution about a coordinate axis, without coupling, also keeps
-        the angular impulse along the axis, such as ``"m3"``.
+        Casimirs ``"|p|^2"`` and ``"m.p"``. A body of revolution about a coordinate axis, without coupling, also
+        preserves the angular impulse along the axis, such as ``"m3"``.
 
     Raises
     ------

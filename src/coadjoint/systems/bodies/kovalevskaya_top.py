@@ -1,4 +1,4 @@
-"""Kovalevskaya's top: I1 = I2 = 2 I3, with the center of mass in the equatorial plane."""
+"""Kovalevskaya's top: I1 = I2 = 2 I3, with the centre of mass in the equatorial plane."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from coadjoint.systems.registry import ready_made
         x0=(1.0, 0.5, 1.5, 0.6, 0.0, 0.8),
         t_span=(0.0, 60.0),
         step=0.02,
-        caption="Integrable, and yet intricate: the motion is quasi-periodic on a torus of two dimensions, which the "
+        caption="An integrable top: the motion is quasi-periodic on a torus of two dimensions, which the "
         "paths of the third axis in space (middle) and of the vertical, seen from the body (right), begin to fill.",
         pictures=(
             Picture("body axis", axis=2, up=(3, 4, 5), vertical="vertical"),
@@ -30,7 +30,7 @@ from coadjoint.systems.registry import ready_made
     )
 )
 def kovalevskaya_top(equatorial: float = 2.0, lever: npt.ArrayLike = (1.0, 0.0)) -> LiePoissonSystem:
-    """Return Kovalevskaya's top: a heavy top with ``I1 = I2 = 2 I3``, the center of mass in the plane of axes 1, 2.
+    """Return Kovalevskaya's top: a heavy top with ``I1 = I2 = 2 I3``, the centre of mass in the plane of axes 1, 2.
 
     State, sign -1, Casimirs and group element are those of `heavy_top`. It is the third and last integrable heavy top,
     with the integral ``K = |(m1 + i m2)^2 / (2 I1) - (l1 + i l2)(gamma1 + i gamma2)|^2``. For other axes use
@@ -41,7 +41,7 @@ def kovalevskaya_top(equatorial: float = 2.0, lever: npt.ArrayLike = (1.0, 0.0))
     equatorial : float
         Moment of inertia I1 = I2 about the fixed point (mass times length squared), positive; I3 is half of it.
     lever : (2,)
-        Weight times the position of the center of mass along the axes 1 and 2 (an energy).
+        Weight times the position of the centre of mass along the axes 1 and 2 (an energy).
 
     Returns
     -------
@@ -65,6 +65,6 @@ def kovalevskaya_top(equatorial: float = 2.0, lever: npt.ArrayLike = (1.0, 0.0))
     >>> top.integrals["K"]([2.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     1.0
     """
-    M, size = moments_of(equatorial, "equatorial", (1.0, 1.0, 0.5))
+    M, moment = moments_of(equatorial, "equatorial", (1.0, 1.0, 0.5))
     u, v = read_vector(lever, "lever", 2).tolist()
-    return top_under_gravity(M, np.array([u, v, 0.0]), "kovalevskaya_top", {"equatorial": size, "lever": (u, v)})
+    return top_under_gravity(M, np.array([u, v, 0.0]), "kovalevskaya_top", {"equatorial": moment, "lever": (u, v)})

@@ -1,4 +1,4 @@
-"""Lagrange's top: symmetric, with the center of mass on its axis."""
+"""Lagrange's top: symmetric, with the centre of mass on its axis."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from coadjoint.validation import read_number
         x0=(0.0, 0.0, 3.0, 0.8660254037844386, 0.0, 0.5),
         t_span=(0.0, 24.0),
         step=0.02,
-        caption="Released with its axis at rest, inclined by 60 degrees: the axis falls, turns sideways and comes "
-        "back to rest in a cusp, over and over, while it precesses about the vertical.",
+        caption="Released with its axis at rest, inclined by 60 degrees: the axis nutates between cusps, in which "
+        "it is at rest, and precesses about the vertical.",
         pictures=(
             Picture("nutation", axis=2, up=(3, 4, 5)),
             Picture("body axis", axis=2, up=(3, 4, 5), vertical="vertical"),
@@ -30,7 +30,7 @@ from coadjoint.validation import read_number
     )
 )
 def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0) -> LiePoissonSystem:
-    """Return Lagrange's top: a heavy top with ``I1 = I2`` and the center of mass on the third axis.
+    """Return Lagrange's top: a heavy top with ``I1 = I2`` and the centre of mass on the third axis.
 
     State, sign -1, Casimirs and group element are those of `heavy_top`. The momentum along the axis, m3, is an
     integral, so the motion is integrable. The upright position is stable (a sleeping top) if
@@ -41,7 +41,7 @@ def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0
     equatorial, axial : float
         Moments of inertia about the fixed point (mass times length squared): across the axis and about it. Positive.
     lever : float
-        Weight times the distance of the center of mass along the axis (an energy); negative if the center of mass is
+        Weight times the distance of the centre of mass along the axis (an energy); negative if the centre of mass is
         below the fixed point when the axis points up.
 
     Returns
@@ -71,11 +71,9 @@ def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0
     >>> top.integrals
     {'m3': m3}
     """
-    (m_equatorial, equatorial_moment), (m_axial, axial_moment) = (
-        moments_of(equatorial, "equatorial"),
-        moments_of(axial, "axial"),
-    )
-    M, height = np.concatenate([m_equatorial, m_equatorial, m_axial]), read_number(lever, "lever")
+    m_equatorial, equatorial_moment = moments_of(equatorial, "equatorial")
+    m_axial, axial_moment = moments_of(axial, "axial")
+    M, lever = np.concatenate([m_equatorial, m_equatorial, m_axial]), read_number(lever, "lever")
     warn_unphysical_inertia((equatorial_moment, equatorial_moment, axial_moment), "e(3)", "axial")
-    parameters = {"equatorial": equatorial_moment, "axial": axial_moment, "lever": height}
-    return top_under_gravity(M, np.array([0.0, 0.0, height]), "lagrange_top", parameters)
+    parameters = {"equatorial": equatorial_moment, "axial": axial_moment, "lever": lever}
+    return top_under_gravity(M, np.array([0.0, 0.0, lever]), "lagrange_top", parameters)

@@ -50,8 +50,8 @@ def matrix_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0, 5.0)) -> MatrixSys
     """Return the free rigid body of n dimensions, ``X' = [X, Omega]``, its momentum X a skew (n, n) matrix.
 
     ``Omega_ij = X_ij / (l_i + l_j)`` is the angular velocity in the body frame. Choose it instead of `so_n_body` if the
-    structure constants of so(n), about n^3 of them, need too much memory, or to keep the spectrum: steps use products
-    of matrices.
+    structure constants of so(n), about n^3 of them, need too much memory, or to preserve the spectrum: steps use
+    products of matrices.
 
     Parameters
     ----------

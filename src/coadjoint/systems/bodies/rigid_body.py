@@ -23,9 +23,9 @@ from coadjoint.systems.registry import ready_made
         x0=(0.01, 1.0, 0.01),
         t_span=(0.0, 90.0),
         step=0.05,
-        caption="A body that spins about its middle axis flips over, again and again: left, the component along that "
-        "axis changes its sign after equal times; middle, the momentum goes from one pole of its sphere to "
-        "the other along the separatrix; right, the axis itself in space, from up to down and back.",
+        caption="A body that spins about its middle axis flips periodically: left, the component along that axis "
+        "changes its sign after equal times; middle, the momentum moves between the poles of its sphere along the "
+        "separatrix; right, the axis itself in space.",
         pictures=(
             Picture("coadjoint orbit"),
             Picture("body axis", axis=1, up=(0, 1, 2), vertical="momentum"),

@@ -49,7 +49,7 @@ def _pitch(x: Any) -> Any:
         t_span=(0.0, 300.0),
         step=0.1,
         caption="A satellite on a circle: the gradient of gravity turns the axis of the smallest moment toward the "
-        "center, and the axis swings to and fro about this direction. Right, the directions of the radius and of the "
+        "centre, and the axis oscillates about this direction. Right, the directions of the radius and of the "
         "orbital momentum, seen from the body.",
         pictures=(
             Picture(
@@ -180,11 +180,11 @@ def _potential(moments: tuple[float, float, float], mass: float, gravity: float)
         along = (a * r[0] ** 2 + b * r[1] ** 2 + c * r[2] ** 2) / square
         factor = mass + (3 * trace - 15 * along) / (2 * square)
         strength = gravity / (square * np.sqrt(square))
-        slope = 0 * r
-        slope[0] = strength * (factor + 3 * a / square) * r[0]
-        slope[1] = strength * (factor + 3 * b / square) * r[1]
-        slope[2] = strength * (factor + 3 * c / square) * r[2]
-        return slope
+        result = 0 * r
+        result[0] = strength * (factor + 3 * a / square) * r[0]
+        result[1] = strength * (factor + 3 * b / square) * r[1]
+        result[2] = strength * (factor + 3 * c / square) * r[2]
+        return result
 
     def hessian(r: Any) -> Any:
         moment = np.array([a, b, c])

@@ -1,49 +1,17 @@
-"""Validation of the parameters, layout and closed form of a system, and helpers for closed-form solutions."""
+"""Helpers for closed-form solutions: arguments, group elements, checks of results."""
 
 from __future__ import annotations
 
-import numbers
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.short_repr import short
-from coadjoint.validation import read_finite, read_integer, read_list
+from coadjoint.validation import read_finite
 
 Floats = npt.NDArray[np.float64]
-
-
-def checked_parameters(parameters: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """Validate the parameters of a system and return a copy."""
-    if not isinstance(parameters, Mapping | None):
-        raise TypeError(f"parameters is {short(parameters)}; give a mapping from names to values, or None")
-    return None if parameters is None else dict(parameters)
-
-
-def checked_layout(layout: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Validate the layout (lattice and shape of sites) and return a copy."""
-    if layout is None:
-        return {}
-    rule = 'give a mapping such as {"lattice": "square", "shape": (10, 10)}, or None'
-    if not isinstance(layout, Mapping) or not layout.keys() <= {"lattice", "shape"}:
-        raise TypeError(f"layout is {short(layout)}; {rule}")
-    result = dict(layout)
-    if not isinstance(result.get("lattice"), str):
-        raise TypeError(f"the lattice of layout is {short(result.get('lattice'))}; {rule}")
-    if result.get("shape") is not None:
-        shape = result["shape"]
-        cells = (shape,) if isinstance(shape, numbers.Integral) else read_list(shape, "the shape of layout", rule)
-        result["shape"] = tuple(read_integer(count, "the shape of layout") for count in cells)
-    return result
-
-
-def checked_closed_form(exact: Callable[..., Any] | None) -> Callable[..., Any] | None:
-    """Validate the closed form of a system: a function of (x0, t, attitude), or None."""
-    if exact is not None and not callable(exact):
-        raise TypeError(f"exact is {short(exact)}; give a function of (x0, t, attitude), or None")
-    return exact
 
 
 def require_closed_form(exact: Callable[..., Any] | None, name: str) -> Callable[..., Any]:

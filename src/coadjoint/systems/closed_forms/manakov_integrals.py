@@ -124,7 +124,7 @@ def _higher_integrals(a: npt.NDArray[Any]) -> dict[str, Polynomial]:
     n = len(a)
     a_matrix = np.diag(a) if a.ndim == 1 else a
     ring = ExactPolynomials(rotations(n), ("mu",))
-    matrix = [[rational(entry) * ring.symbol["mu"] for entry in row] for row in a_matrix.tolist()]
+    matrix = [[rational(entry) * ring.symbol_elements["mu"] for entry in row] for row in a_matrix.tolist()]
     for x, i, j in zip(ring.coordinates, *(side.tolist() for side in planes(n)), strict=True):
         matrix[i][j] += x
         matrix[j][i] -= x

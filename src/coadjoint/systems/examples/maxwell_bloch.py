@@ -39,8 +39,8 @@ def _tipping(x: Any) -> Any:
         x0=partial(_portrait, 9),
         t_span=(0.0, 14.0),
         step=0.05,
-        caption="The pendulum in disguise: swings about the ground state of the atoms, around the separatrix on which "
-        "one pulse of light excites all atoms and is given back, and beyond it pulses that never end. Right, "
+        caption="A system equivalent to the pendulum: oscillations about the ground state of the atoms, the separatrix "
+        "on which one pulse of light excites all atoms and is emitted again, and beyond it periodic pulses. Right, "
         "the same motions on the cylinder of constant Bloch vector.",
         pictures=(
             Picture(

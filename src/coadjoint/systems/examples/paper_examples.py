@@ -29,7 +29,7 @@ def _three(masses: npt.ArrayLike) -> tuple[float, ...]:
         t_span=(0.0, 20.0),
         step=0.01,
         caption="Every orbit spirals on the surface of its Casimir from one equilibrium on the third axis to the "
-        "other: the third component falls, and the other two swing up and die away.",
+        "other: the third component decreases, and the other two grow and decay.",
         pictures=(Picture("coadjoint orbit"),),
         quantity="state",
     )

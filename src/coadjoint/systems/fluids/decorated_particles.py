@@ -57,7 +57,7 @@ def _centres_and_widths(x: Any, system: Any) -> list[tuple[Any, ...]]:
         t_span=(0.0, 12.0),
         step=0.02,
         caption="Two lumps in a harmonic well that attract each other by the fourth power of their distance: their "
-        "centers oscillate (thin lines), and the ellipses of their widths turn and stretch; each keeps its "
+        "centres oscillate (thin lines), and the ellipses of their widths turn and stretch; each keeps its "
         "area.",
         pictures=(
             Picture("phase ellipse", lumps=_centres_and_widths, times=7, labels=("position $q$", "velocity $p/w$")),

@@ -40,7 +40,7 @@ def passive_scalar(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
     """Return an ideal fluid in two dimensions with a passive scalar, as two matrices.
 
     ``W' = [P, W]``, ``Theta' = [P, Theta]`` with ``L P = -W``: W is the vorticity, Theta the scalar, which does not
-    affect the flow. All traces of products of W and Theta are kept.
+    affect the flow. All traces of products of W and Theta are preserved.
 
     Parameters
     ----------

@@ -294,8 +294,8 @@ def sphere_euler(N: int = 32, rotation: float = 0.0) -> SphereEuler:
     """Return the Euler equations of an ideal fluid on the sphere for a vorticity matrix: ``W' = [P, W]``, ``L P = -W``.
 
     W is the vorticity, a matrix in su(N), P the stream matrix, and L the Hoppe-Yau Laplacian. All traces of powers of W
-    are kept, which correspond to the integrals of powers of the vorticity. The time is that of the Euler equations on
-    the unit sphere, to which the model converges like 1/N^2.
+    are preserved, which correspond to the integrals of powers of the vorticity. The time is that of the Euler equations
+    on the unit sphere, to which the model converges like 1/N^2.
 
     Parameters
     ----------

@@ -33,8 +33,8 @@ _MOMENT = re.compile(r"\bx([0-9,]+)\b")
         x0=(1.0, 0.0, 0.2),
         t_span=(0.0, 12.0),
         step=0.02,
-        caption="A beam in a harmonic well that also pulls itself together: its ellipse in phase space turns and "
-        "pulsates, and keeps its area, the emittance. Right, the moments on their hyperboloid, on which the "
+        caption="A beam in a harmonic well with self-attraction: its ellipse in phase space rotates and "
+        "oscillates, and its area, the emittance, is constant. Right, the moments on their hyperboloid, on which the "
         "area is constant.",
         pictures=(Picture("phase ellipse", moments=(0, 1, 2), until=0.15, times=8), Picture("coadjoint orbit")),
         parameters={"degree": 2, "potential": "1/2*x20 + 0.3*x20^2"},
@@ -45,7 +45,7 @@ def vlasov_moments(degree: int = 4, potential: Any = "1/2*x20 + 1/4*x40") -> Lie
     """Return particles of mass 1 on a line as moments ``x_ij = <q^i p^j>``, ``H = x02/2 + V(x20, x40, ...)``.
 
     The Vlasov equation for a distribution symmetric about the origin; moments above a degree are set to zero, which
-    keeps the bracket. Sign +1: ``x_ij' = i x_(i-1)(j+1) - j sum over k of k dV/dx_k0 x_(i+k-1)(j-1)``. An external
+    preserves the bracket. Sign +1: ``x_ij' = i x_(i-1)(j+1) - j sum over k of k dV/dx_k0 x_(i+k-1)(j-1)``. An external
     potential W(q) is V = <W>, linear in the moments; the self-consistent field adds products of moments. Degree 2 is
     the envelope of a beam.
 

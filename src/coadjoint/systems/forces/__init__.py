@@ -1,6 +1,6 @@
 """Forces, which act in addition to the Hamiltonian: damping, torques, heat baths (``co.forces``).
 
-A force breaks the Lie-Poisson structure and declares what it keeps. ``system.with_forces(force, ...)`` adds it to a
+A force breaks the Lie-Poisson structure and declares what it preserves. ``system.with_forces(force, ...)`` adds it to a
 system.
 """
 

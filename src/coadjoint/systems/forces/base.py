@@ -1,4 +1,4 @@
-"""Base class of forces: the flow, the invariants that it keeps, the interface to the kernels, and the noise."""
+"""Base class of forces: the flow, the invariants that it preserves, the interface to the kernels, and the noise."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ class ForceReader(Protocol):
 
 
 class Force(ABC):
-    """A force, which acts in addition to the Hamiltonian: its flow and the invariants that it keeps.
+    """A force, which acts in addition to the Hamiltonian: its flow and the invariants that it preserves.
 
     `LinearDamping`, `Torque`, `DoubleBracketDamping` and `HeatBath` are forces, and `OwnForce` makes one from a
     function. Derive custom forces from one of these classes or from this one.
     """
 
     casimirs: ClassVar[bool] = False
-    """Whether every Casimir is kept, to round-off."""
+    """Whether every Casimir is preserved, to round-off."""
 
     reversible: ClassVar[bool] = True
     """Whether it can run backward in time."""

@@ -19,9 +19,9 @@ class BetaPlane(ModeRates):
 
     The mode n rotates by ``w_n' = i beta n1/|n|^2 w_n``: a wave, exp(i (n1 x - n2 y - sigma t)), has the frequency
     ``sigma = -beta n1/|n|^2``, and travels to the west for a positive beta, with x eastward and y northward. Energy and
-    enstrophy are kept. The term is that of the continuous fluid: it derives from no Hamiltonian of the matrix model,
-    breaks its bracket, and changes the other Casimirs, tr W^3 and so on. On the sphere the rotation of the frame has
-    this effect within the model: ``sphere_euler(rotation=...)``.
+    enstrophy are preserved. The term is that of the continuous fluid: it derives from no Hamiltonian of the matrix
+    model, breaks its bracket, and changes the other Casimirs, tr W^3 and so on. On the sphere the rotation of the frame
+    has this effect within the model: ``sphere_euler(rotation=...)``.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ class OwnForce(Force):
     name : str
         Name in balances and messages.
     keeps_casimirs : bool
-        Whether it keeps every Casimir; balances then omit the Casimirs for it.
+        Whether it preserves every Casimir; balances then omit the Casimirs for it.
     backward : bool
         Whether it can run backward in time.
 
@@ -77,7 +77,7 @@ class OwnForce(Force):
 
     @property
     def casimirs(self) -> bool:  # type: ignore[override]
-        """Whether every Casimir is kept, as given by `keeps_casimirs`."""
+        """Whether every Casimir is preserved, as given by `keeps_casimirs`."""
         return self.keeps_casimirs
 
     @property

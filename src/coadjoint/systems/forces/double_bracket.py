@@ -20,14 +20,15 @@ MAX_TERMS = 60
 
 @dataclass(frozen=True)
 class DoubleBracketDamping(Force):
-    """Damping along the coadjoint orbit, ``x' = alpha J(x) P J(x) grad H``: reduces the energy and keeps every Casimir.
+    """Damping along the coadjoint orbit, ``x' = alpha J(x) P J(x) grad H``: reduces the energy, preserves Casimirs.
 
     For spins (copies of so(3), with H = -B.S and the like) this is Landau-Lifshitz damping,
     ``S' = -alpha S x (S x B)`` with B = -grad H. For Gilbert's form with damping a multiply the Hamiltonian by
     1/(1 + a^2), and take alpha = a. For fluids it is the selective decay of energy at constant vorticity. The energy
     decreases at the rate ``alpha f.P f``, f the Hamiltonian part of x'.
 
-    Its flow is the midpoint rule on the orbit, by exponentials: of order 2, symmetric, keeping Casimirs to round-off.
+    Its flow is the midpoint rule on the orbit, by exponentials: of order 2, symmetric; Casimirs are preserved to
+    round-off.
 
     Parameters
     ----------
@@ -49,7 +50,7 @@ class DoubleBracketDamping(Force):
 
     Examples
     --------
-    A spin aligns with a field along the third axis, ``S_3 = tanh(alpha B t)``, and keeps its length:
+    A spin aligns with a field along the third axis, ``S_3 = tanh(alpha B t)``, and preserves its length:
 
     >>> import coadjoint as co
     >>> field = co.Polynomial({(0, 0, 1): -1.0})

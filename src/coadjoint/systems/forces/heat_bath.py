@@ -26,10 +26,10 @@ class HeatBath(DoubleBracketDamping):
     form with damping a, where H is multiplied by 1/(1 + a^2), multiply the temperature by the same factor.
 
     The flow is half of the noise, the midpoint rule of the damping, and half of the noise, all by exponentials on the
-    orbit: every Casimir is kept to round-off, in every realization. Commuting noise directions are applied together,
-    with the exact distribution, and the sets of them are composed symmetrically. So averages have an error of second
-    order in the step, whereas the stochastic midpoint rule, which takes all directions at once, has order one. The
-    noise enters no iteration, and increments need no truncation.
+    orbit: every Casimir is preserved to round-off, in every realization. Commuting noise directions are applied
+    together, with the exact distribution, and the sets of them are composed symmetrically. So averages have an error of
+    second order in the step, whereas the stochastic midpoint rule, which takes all directions at once, has order one.
+    The noise enters no iteration, and increments need no truncation.
 
     The noise is a function of the seed, the number of the member and the time only: it does not depend on the number of
     threads, on other members, or on how often a run is interrupted and resumed. Consecutive spans have different noise.

@@ -24,8 +24,8 @@ from coadjoint.systems.forces.rates import (
 class LinearDamping(Force):
     """Linear damping towards a given state, ``x' = -rate (x - toward)``: friction, viscosity of modes, relaxation.
 
-    Its flow is exact, ``x - toward`` times ``exp(-rate tau)``, also if rate times step is large. It keeps neither
-    energy nor Casimirs. To keep the length of a spin use `DoubleBracketDamping`.
+    Its flow is exact, ``x - toward`` times ``exp(-rate tau)``, also if rate times step is large. It preserves neither
+    energy nor Casimirs. To preserve the length of a spin use `DoubleBracketDamping`.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
-from coadjoint.systems.evaluation import point
+from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term
@@ -65,12 +65,12 @@ class Driven(Summable):
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return H(x, t)."""
-        y = point(x, self.dim)
+        y = read_point(x, self.dim)
         return self._quadratic.value(y, t) - self._forces(t, y) @ y
 
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return the gradient, shape (n,)."""
-        y = point(x, self.dim)
+        y = read_point(x, self.dim)
         return self._quadratic.gradient(y, t) - self._forces(t, y)
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:

@@ -15,7 +15,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.evaluation import point
+from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
@@ -159,7 +159,7 @@ class Hamiltonian(Summable):
         return result
 
     def _call(self, function: Callable[..., Any], x: npt.ArrayLike, t: float) -> tuple[Any, bool]:
-        y = point(x, self.dim)
+        y = read_point(x, self.dim)
         return (function(y, t) if self.timed else function(y)), y.dtype == np.float64
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
@@ -180,7 +180,7 @@ class Hamiltonian(Summable):
     def terms(self) -> tuple[Term, ...]:
         """Return the single `FunctionTerm`, of all coordinates; the Hamiltonian must be bound."""
         if self.dim is None:
-            raise TypeError("this Hamiltonian has no dimension yet; bind(n) it first")
+            raise TypeError("this Hamiltonian has no dimension yet; call bind(n) first")
         coordinates = np.arange(self.dim, dtype=np.int64)
         return (FunctionTerm(coordinates, self._value, self._gradient, self._hessian, timed=self.timed),)
 
@@ -210,15 +210,15 @@ class PolynomialHamiltonian(Summable):
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return the value of the polynomial at x."""
-        return self.polynomial(point(x, self.dim))
+        return self.polynomial(read_point(x, self.dim))
 
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return the gradient, shape (n,)."""
-        return self.polynomial.gradient(point(x, self.dim))
+        return self.polynomial.gradient(read_point(x, self.dim))
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return the second derivatives, shape (n, n)."""
-        return self.polynomial.hessian(point(x, self.dim))
+        return self.polynomial.hessian(read_point(x, self.dim))
 
     def terms(self) -> tuple[Term, ...]:
         """Return the single `PolynomialTerm`."""

@@ -14,7 +14,7 @@ from coadjoint.algebra.polynomials.monomials import Coefficient, factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.systems.evaluation import ignore_overflow, lossless_coefficients, point, scatter
+from coadjoint.systems.evaluation import ignore_overflow, lossless_coefficients, read_point, scatter
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm, Term
 from coadjoint.systems.matrix_entries import BYTES_PER_ENTRY, check_symmetric, real_array, sparse_entries
@@ -34,7 +34,7 @@ class Quadratic(Summable):
     """The quadratic Hamiltonian ``x . M x / 2 + linear . x + constant``.
 
     Use it whenever H is quadratic. Every scheme of the library supports it, and `Taylor`, `GaussLegendre` and
-    ``freeze="structure"`` keep its energy to round-off. M need not be positive definite.
+    ``freeze="structure"`` preserve its energy to round-off. M need not be positive definite.
 
     Parameters
     ----------
@@ -306,7 +306,7 @@ class Quadratic(Summable):
     def as_given(self) -> Entries:
         """Return M, both triangles sorted by rows, and the linear part, bound, with fractions unchanged."""
         if self.dim is None or self._linear is None:
-            raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
+            raise TypeError("Quadratic of a number has no dimension yet; call bind(n) first")
         return Entries(self._rows, self._indices, self._entries, self._linear)
 
     def times(self, factor: Coefficient) -> Self:
@@ -367,7 +367,7 @@ class Quadratic(Summable):
         return changed
 
     def _at(self, x: npt.ArrayLike) -> tuple[Quadratic, npt.NDArray[Any]]:
-        y = point(x, self.dim)
+        y = read_point(x, self.dim)
         return (self if self.dim is not None else self.bind(y.size)), y
 
     @ignore_overflow

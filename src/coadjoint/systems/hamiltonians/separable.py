@@ -12,7 +12,7 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.errors import in_one_line
 from coadjoint.short_repr import short
-from coadjoint.systems.evaluation import point
+from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term
 from coadjoint.systems.user_functions import all_take_time, check_derivative, multiple_of
@@ -152,13 +152,13 @@ class Separable(Summable):
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return the sum of ``H_i(x_i)``."""
-        y = point(x, self.dim)
+        y = read_point(x, self.dim)
         total = sum(result for _, result in self._each("value", y, t))
         return float(total) if y.dtype == np.float64 else total
 
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return the gradient, shape (n,)."""
-        y = point(x, self.dim)
+        y = read_point(x, self.dim)
         result = np.zeros(y.size, dtype=y.dtype)
         for i, slope in self._each("gradient", y, t):
             result[i] = slope
@@ -166,7 +166,7 @@ class Separable(Summable):
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return the diagonal matrix of second derivatives, shape (n, n)."""
-        y = point(x, self.dim)
+        y = read_point(x, self.dim)
         result = np.zeros((y.size, y.size), dtype=y.dtype)
         for i, curvature in self._each("hessian", y, t):
             result[i, i] = curvature
@@ -175,7 +175,7 @@ class Separable(Summable):
     def terms(self) -> tuple[Term, ...]:
         """Return one `FunctionTerm` for each coordinate, in order; the Hamiltonian must be bound."""
         if self.dim is None:
-            raise TypeError("Separable has no dimension yet; bind(n) it first")
+            raise TypeError("Separable has no dimension yet; call bind(n) first")
         return self.functions()
 
     def functions(self) -> tuple[FunctionTerm, ...]:

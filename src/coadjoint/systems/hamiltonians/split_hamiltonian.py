@@ -12,7 +12,7 @@ import numpy.typing as npt
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.short_repr import short
-from coadjoint.systems.evaluation import point
+from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.separable import MAX_COORDINATES
 from coadjoint.systems.hamiltonians.summable import Summable
@@ -155,13 +155,13 @@ class SplitHamiltonian(Summable):
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return the sum of the pieces."""
-        y = point(x, self.dim)
+        y = read_point(x, self.dim)
         parts = zip(self.coordinates, self.pieces, strict=True)
         return sum(part.value(y[list(chosen)], t) for chosen, part in parts)
 
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return the gradient, shape (n,)."""
-        y = point(x, self.dim)
+        y = read_point(x, self.dim)
         result = np.zeros(y.size, dtype=y.dtype)
         for chosen, part in zip(self.coordinates, self.pieces, strict=True):
             indices = list(chosen)
@@ -170,7 +170,7 @@ class SplitHamiltonian(Summable):
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return the second derivatives, shape (n, n)."""
-        y = point(x, self.dim)
+        y = read_point(x, self.dim)
         result = np.zeros((y.size, y.size), dtype=y.dtype)
         for chosen, part in zip(self.coordinates, self.pieces, strict=True):
             indices = list(chosen)
@@ -180,7 +180,7 @@ class SplitHamiltonian(Summable):
     def terms(self) -> tuple[Term, ...]:
         """Return the terms of all pieces in the n coordinates, with the numbers of the pieces; must be bound."""
         if self.dim is None:
-            raise TypeError("SplitHamiltonian has no dimension yet; bind(n) it first")
+            raise TypeError("SplitHamiltonian has no dimension yet; call bind(n) first")
         result: list[Term] = []
         for number, (chosen, part) in enumerate(zip(self.coordinates, self.pieces, strict=True)):
             indices = np.array(chosen, dtype=np.int64)

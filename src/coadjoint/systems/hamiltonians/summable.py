@@ -54,13 +54,13 @@ class Summable(ABC):
         return -self + other
 
     def __mul__(self, factor: Any) -> Self:
-        return self.times(_factor(factor))
+        return self.times(_read_factor(factor))
 
     def __rmul__(self, factor: Any) -> Self:
         return self * factor
 
     def __truediv__(self, divisor: Any) -> Self:
-        denominator = _factor(divisor)
+        denominator = _read_factor(divisor)
         if denominator == 0:
             raise ValueError(f"a Hamiltonian can be divided by a number other than 0, not by {short(divisor)}")
         return self * (1.0 / denominator if isinstance(denominator, float) else Fraction(1, 1) / denominator)
@@ -71,7 +71,7 @@ def _value(H: Any, x: npt.NDArray[Any], t: float = 0.0) -> Any:
     return H.value(x, t)
 
 
-def _factor(argument: Any) -> Coefficient:
+def _read_factor(argument: Any) -> Coefficient:
     if not is_real(argument):
         raise TypeError(
             f"a Hamiltonian is multiplied by {short(argument)}; the factor must be a number (products of coordinates "

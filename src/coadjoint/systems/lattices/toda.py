@@ -36,7 +36,7 @@ def _names(missing_bonds: int, dim: int) -> tuple[str, ...]:
 
 
 def _position(i: int, x: Any) -> Any:
-    """Return the position of a particle relative to the center of all, in units of 1/beta and for A beta = exp(4) m."""
+    """Return the position of a particle relative to the centre of all, in units of 1/beta and for A beta = exp(4) m."""
     bonds = x.shape[-1] // 2
     gaps = 4.0 - 2.0 * np.log(2.0 * np.abs(x[..., bonds + 1 :]))
     positions = np.concatenate([np.zeros_like(gaps[..., :1]), np.cumsum(gaps, axis=-1)], axis=-1)
@@ -65,7 +65,7 @@ def _compressed_ring() -> Floats:
         t_span=(0.0, 12.0),
         step=0.02,
         caption="Four particles that repel each other meet, and fly apart: all a go to zero, and the b to the "
-        "eigenvalues of the matrix L, sorted. Below, the particles as they move about their center.",
+        "eigenvalues of the matrix L, sorted. Below, the particles as they move about their centre.",
         components=Picture("components", quantity="state"),
         pictures=(Picture("components", functions=_particles, quantity="position of the particles"),),
         coordinates=partial(_names, 1),

@@ -64,7 +64,7 @@ class MatrixEnergy:
         return ()
 
 
-def checked_energy(energy: Any, timed: bool) -> Callable[..., Any] | None:
+def read_energy(energy: Any, timed: bool) -> Callable[..., Any] | None:
     """Validate a function for the energy, which must have the same arguments as the stream."""
     if energy is None:
         return None

@@ -13,12 +13,12 @@ import numpy.typing as npt
 from coadjoint.algebra.families.matrix_algebra import TRACE_TOLERANCE, MatrixAlgebra
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import html_table, short
-from coadjoint.systems.closed_forms.closed_form import checked_closed_form, checked_parameters, require_closed_form
-from coadjoint.systems.evaluation import checked_sign
+from coadjoint.systems.arguments import read_closed_form, read_parameters, read_sign
+from coadjoint.systems.closed_forms.closed_form import require_closed_form
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.matrices.function_stream import FunctionStream
-from coadjoint.systems.matrices.matrix_energy import MatrixEnergy, check_stream, checked_energy
+from coadjoint.systems.matrices.matrix_energy import MatrixEnergy, check_stream, read_energy
 from coadjoint.systems.matrices.streams import Stream
 from coadjoint.systems.matrices.traces import traces_of, values_of
 from coadjoint.validation import check_finite, not_numbers_error, read_integer, read_numbers, read_title, to_array
@@ -111,10 +111,10 @@ class MatrixSystem:
             stream = FunctionStream(stream, tuple(traceless))
         self.algebra, self.stream, self.complex = algebra, stream, algebra.complex
         self.timed: bool = getattr(stream, "timed", False)
-        self.energy_function = checked_energy(energy, self.timed)
-        self.energy_sign = checked_sign(energy_sign, "energy_sign")
+        self.energy_function = read_energy(energy, self.timed)
+        self.energy_sign = read_sign(energy_sign, "energy_sign")
         self.name = read_title(name, "name")
-        self.parameters, self._exact = checked_parameters(parameters), checked_closed_form(exact)
+        self.parameters, self._exact = read_parameters(parameters), read_closed_form(exact)
         self.powers = read_integer(powers, "powers", 0, MAX_POWERS)
         self.shape: tuple[int, ...] = algebra.shape
         self.matrix_shape: tuple[int, ...] = algebra.shape  # also of states given as vectors

@@ -21,7 +21,7 @@ GRIDS = {"clenshaw-curtis": "CC", "fejer": "F1", "gauss-legendre": "GL"}
 MAX_GRID_SIZE = 2**16
 
 
-def read_shape(shape: Any, least: tuple[int, int], default: tuple[int, int]) -> tuple[int, int]:
+def read_shape(shape: Any, min_shape: tuple[int, int], default: tuple[int, int]) -> tuple[int, int]:
     """Validate the numbers of rows and columns of a grid.
 
     Examples
@@ -35,8 +35,8 @@ def read_shape(shape: Any, least: tuple[int, int], default: tuple[int, int]) -> 
         rows, columns = shape
     except (TypeError, ValueError):
         raise TypeError(f"shape is {short(shape)}; give two whole numbers, such as {default}") from None
-    return read_integer(rows, "shape[0]", least[0], MAX_GRID_SIZE), read_integer(
-        columns, "shape[1]", least[1], MAX_GRID_SIZE
+    return read_integer(rows, "shape[0]", min_shape[0], MAX_GRID_SIZE), read_integer(
+        columns, "shape[1]", min_shape[1], MAX_GRID_SIZE
     )
 
 

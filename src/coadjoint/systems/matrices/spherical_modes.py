@@ -76,19 +76,19 @@ class _HarmonicsCache:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._N, self._bytes, self._made = 0, 0, dict[int, Floats]()
+        self._N, self._bytes, self._entries = 0, 0, dict[int, Floats]()
 
     def get(self, N: int, m: int) -> Floats:
         with self._lock:
-            entries = self._made.get(m) if self._N == N else None
+            entries = self._entries.get(m) if self._N == N else None
         if entries is None:
             entries = harmonics(N, m)
             with self._lock:
                 if self._N != N:
-                    self._N, self._bytes, self._made = N, 0, {}
+                    self._N, self._bytes, self._entries = N, 0, {}
                 if self._bytes + entries.nbytes <= MAX_CACHE_BYTES and entries.nbytes < available() // 4:
                     self._bytes += entries.nbytes
-                    self._made[m] = entries
+                    self._entries[m] = entries
         return entries
 
 
@@ -120,7 +120,7 @@ def harmonics(N: int, m: int) -> Floats:
 
 
 def _recurrence(positions: Floats, beside: Floats) -> Floats:
-    """Return v, one row more than `beside`, with ``place v_k = beside_(k-1) v_(k-1) + beside_k v_(k+1)``.
+    """Return v, one row more than `beside`, with ``position v_k = beside_(k-1) v_(k-1) + beside_k v_(k+1)``.
 
     Columns begin with a positive number, and are scaled so that growing ones end with entries of order 1.
     """
@@ -145,7 +145,7 @@ def diagonal_of(c: Complexes, N: int, m: int) -> Complexes:
     return np.concatenate([even + odd, (even - odd)[..., : n // 2][..., ::-1]], axis=-1)
 
 
-def along_diagonal(d: Complexes, N: int, m: int) -> Complexes:
+def coefficients_of_diagonal(d: Complexes, N: int, m: int) -> Complexes:
     """Return c of entries (i, i + m); inverse of `diagonal_of`."""
     V, n = _HARMONICS_CACHE.get(N, m), N - m
     half = n - n // 2
@@ -188,7 +188,7 @@ def harmonics_of_matrix(W: Any) -> Complexes:
     factor = -1j / scale(N)
     c = np.zeros(W.shape, dtype=np.complex128)
     for m in range(N):
-        c[..., m:, m] = along_diagonal(factor * np.diagonal(W, m, -2, -1), N, m)
+        c[..., m:, m] = coefficients_of_diagonal(factor * np.diagonal(W, m, -2, -1), N, m)
     c[..., :, 0].imag = 0.0
     c[..., 0, 0] = 0.0
     return c

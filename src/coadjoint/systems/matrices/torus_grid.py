@@ -25,12 +25,7 @@ def coordinates(count: int) -> Floats:
 def values_of(w: Complexes, shape: tuple[int, int]) -> Floats:
     """Return the values (..., nx, ny) of ``sum of w_n exp(i (n1 x - n2 y))`` at the points of any grid.
 
-    Parameters
-    ----------
-    w : (..., N, N) array
-        ``w[n1 mod N, n2 mod N]``.
-    shape : (int, int)
-        nx and ny.
+    The coefficients ``w[n1 mod N, n2 mod N]`` are (..., N, N), and `shape` is nx and ny.
 
     Examples
     --------

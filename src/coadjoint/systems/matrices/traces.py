@@ -36,23 +36,23 @@ class Trace:
     def __call__(self, x: Any) -> Any:
         """Return the trace for matrices (..., N, N) or vectors (..., n)."""
         base = self._base(self.to_matrices(x))
-        return self.of(np.linalg.matrix_power(base, self.power - 1), base)
+        return self.value_of(np.linalg.matrix_power(base, self.power - 1), base)
 
     def gradient(self, x: Any) -> Any:
         """Return the derivatives with respect to the numbers of a state."""
         W = self.to_matrices(x)
-        slope = self.power * np.linalg.matrix_power(self._base(W), self.power - 1)
+        derivative = self.power * np.linalg.matrix_power(self._base(W), self.power - 1)
         # d tr B^k = k tr(B^(k-1) dB); the dot product of the numbers of A* and B is Re tr(A B).
-        slope = slope * (-1j if self.kind.conjugate else 1.0) * (-1j if self.imaginary else 1.0)
+        derivative = derivative * (-1j if self.kind.conjugate else 1.0) * (-1j if self.imaginary else 1.0)
         gradient = np.zeros_like(W)
-        gradient[..., self.rows, self.rows] = np.conj(np.swapaxes(slope, -1, -2))
+        gradient[..., self.rows, self.rows] = np.conj(np.swapaxes(derivative, -1, -2))
         return self.to_vector(gradient)
 
     def _base(self, W: Matrix) -> Matrix:
         part = W[..., self.rows, self.rows]
         return -1j * part if self.kind.conjugate else part
 
-    def of(self, power: Matrix, base: Matrix) -> Any:
+    def value_of(self, power: Matrix, base: Matrix) -> Any:
         """Return the trace from the block and its power below; the trace of a product needs no matrix product."""
         products = power * np.swapaxes(base, -1, -2)
         trace = products.reshape(*products.shape[:-2], base.shape[-1] ** 2).sum(axis=-1)
@@ -91,5 +91,5 @@ def values_of(traces: dict[str, Trace], W: Matrix) -> dict[str, Any]:
             power, below = np.broadcast_to(np.eye(base.shape[-1], dtype=base.dtype), base.shape), 0
         while below < trace.power - 1:
             power, below = (power @ base if below else base), below + 1
-        values[name] = trace.of(power, base)
+        values[name] = trace.value_of(power, base)
     return values

@@ -27,8 +27,8 @@ class TwoLayerEnergy(MatrixEnergy):
 
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
         system = self._system
-        slope = system.stream_of(system.matrices(x))[..., ::-1, :, :]
-        return system.energy_sign * system.to_vector(slope)
+        gradient = system.stream_of(system.matrices(x))[..., ::-1, :, :]
+        return system.energy_sign * system.to_vector(gradient)
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
         return np.stack([self.gradient(unit) for unit in np.eye(self.dim)], axis=1)
@@ -40,7 +40,7 @@ class TwoLayerSystem(MatrixSystem):
     P = stream(W) and J = second_stream(Theta), or zero if the field is passive. A state is an array (2, N, N),
     ``[0]`` Theta and ``[1]`` W: the Lie-Poisson equation of the semidirect product of the algebra with its dual. With
     dual numbers, eps^2 = 0, X = Theta + eps W and Y = P + eps J, it is ``X' = [Y, X]``. So the spectrum of Theta and
-    ``tr W Theta^k`` are kept; for a passive field also the spectrum of W.
+    ``tr W Theta^k`` are preserved; for a passive field also the spectrum of W.
 
     Parameters
     ----------
@@ -154,8 +154,8 @@ class TwoLayerSystem(MatrixSystem):
     def energy(self, x: Any, t: float = 0.0) -> Any:
         """Return H of states (..., 2, N, N)."""
         X = self.matrices(x)
-        slope = self.stream_of(X)[..., ::-1, :, :]
-        value = 0.5 * self.energy_sign * np.sum(np.conj(slope) * X, axis=(-3, -2, -1)).real
+        gradient = self.stream_of(X)[..., ::-1, :, :]
+        value = 0.5 * self.energy_sign * np.sum(np.conj(gradient) * X, axis=(-3, -2, -1)).real
         return float(value) if value.ndim == 0 else value
 
     def spectrum(self, x: Any) -> Floats:
@@ -164,8 +164,8 @@ class TwoLayerSystem(MatrixSystem):
 
     def structure_matrix(self, x: Any) -> Floats:
         check_available_memory(8 * 8 * self.dim**2, f"the structure matrix of {self.name}, of {self.dim} numbers,")
-        slopes = self.algebra.projected(self.from_vector(np.eye(self.dim)))[..., ::-1, :, :]
-        return self.energy_sign * self.to_vector(self.bracket(slopes, self.matrices(x))).T
+        gradients = self.algebra.projected(self.from_vector(np.eye(self.dim)))[..., ::-1, :, :]
+        return self.energy_sign * self.to_vector(self.bracket(gradients, self.matrices(x))).T
 
     def generic_rank(self) -> int:
         """Return the rank of J at a generic state; each Casimir of the algebra gives two of the layers."""

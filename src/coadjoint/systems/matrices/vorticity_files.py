@@ -63,17 +63,17 @@ def _read_dataset(
             raise ValueError(f"{chosen} of {name} has no axis {short(axis)}; choose from {short(list(field.dims))}")
         size = field.sizes[axis]
         field = field.isel({axis: read_integer(index, f"select[{axis!r}]", -size, size - 1)})
-    axes = [_axis(field, known, name) for known in (FIRST, SECOND)]
+    axes = [_find_axis(field, known, name) for known in (FIRST, SECOND)]
     rest = [axis for axis in field.dims if axis not in axes]
     long = [axis for axis in rest if field.sizes[axis] > 1]
     if long:
         raise ValueError(f"{chosen} of {name} has the axis {short(long[0])} too; give the index along it by select=")
     values = field.squeeze(rest).transpose(*axes).values
-    first, second = (_radians(field[axis], name) for axis in axes)
+    first, second = (_read_radians(field[axis], name) for axis in axes)
     return read_finite(values, f"{chosen} of {name}"), (first, second)
 
 
-def _axis(field: xarray.DataArray, known: tuple[str, ...], name: str) -> Any:
+def _find_axis(field: xarray.DataArray, known: tuple[str, ...], name: str) -> Any:
     for axis in field.dims:
         kind = field[axis].attrs.get("standard_name", axis) if axis in field.coords else axis
         if str(kind).lower() in known or str(axis).lower() in known:
@@ -83,7 +83,7 @@ def _axis(field: xarray.DataArray, known: tuple[str, ...], name: str) -> Any:
     raise ValueError(f"{name} has the axes {short(list(field.dims))}; one must be called {' or '.join(known)}")
 
 
-def _radians(coordinate: xarray.DataArray, name: str) -> Floats:
+def _read_radians(coordinate: xarray.DataArray, name: str) -> Floats:
     values = read_finite(coordinate.values, f"{coordinate.name} of {name}")
     units = str(coordinate.attrs.get("units", "radians"))
     if units.startswith("degree"):

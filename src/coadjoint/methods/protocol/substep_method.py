@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 FULL_STEP = (1.0,)
 
 
-class SteppedMethod(FormalStep, Composable):
+class SubstepMethod(FormalStep, Composable):
     """A scheme with a step from a state; its loop supports arbitrary substeps of a step."""
 
     @abstractmethod
