@@ -10,7 +10,7 @@ FIGURES ?= figures
 # Two processes on two cores: threads of BLAS beside them would spin, and small matrices take twice the time.
 ONE_THREAD := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
 
-# Without stored bytecode each of some hundred processes that tests start compiles the sources again, half a second.
+# Without stored bytecode each process that a test starts compiles the sources again, for half a second.
 unexport PYTHONDONTWRITEBYTECODE
 
 # Random runs of `make soak`: take another first seed each time.
