@@ -10,6 +10,9 @@ FIGURES ?= figures
 # Two processes on two cores: threads of BLAS beside them would spin, and small matrices take twice the time.
 ONE_THREAD := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
 
+# Without stored bytecode each process that a test starts compiles the sources again, for half a second.
+unexport PYTHONDONTWRITEBYTECODE
+
 # Random runs of `make soak`: take another first seed each time.
 FIRST ?= 0
 COUNT ?= 3000

@@ -1,5 +1,6 @@
 """Settings of all tests."""
 
+import gc
 import os
 import signal
 
@@ -18,6 +19,11 @@ def pytest_configure():
 def pytest_collection_modifyitems(items):
     """Mark thinned cases before pytest selects by marks."""
     thin(items)
+
+
+def pytest_collection_finish():
+    """Exclude collected tests, which live to the end, from garbage collections."""
+    gc.freeze()
 
 
 @pytest.fixture

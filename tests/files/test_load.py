@@ -121,9 +121,10 @@ def test_casimirs_and_observed_quantities_are_loaded_in_the_order_of_the_run(tmp
         found = co.load(path)
         assert list(found.casimirs) == list(found.observed) == names, name
         assert list(found.initial) == list(found.drift()) == ["energy", *names], name
+        casimirs, observed, initial = found.casimirs, found.observed, found.initial
         for k, label in enumerate(names):
             expected = (k + 1) * X[0] + X[1] * X[2]
-            for number in (found.casimirs[label][0], found.observed[label][0], found.initial[label]):
+            for number in (casimirs[label][0], observed[label][0], initial[label]):
                 assert number == pytest.approx(expected, rel=1e-14), (name, label)
         if path.name != "archive":
             path.unlink() if path.is_file() else shutil.rmtree(path)

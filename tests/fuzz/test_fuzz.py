@@ -1,4 +1,4 @@
-"""A few hundred random calls and configurations; `make fuzz` tries many more."""
+"""A hundred random calls and half as many configurations; `make fuzz` tries many more."""
 
 import inspect
 import statistics
@@ -14,8 +14,8 @@ from .configurations import draw
 from .judging import wrong_error
 from .run import in_processes
 
-FEW, LONG = 100, 20_000
-COUNTS = [("configurations", FEW), ("calls", FEW), ("configurations", 1200), ("calls", 800)]
+FEW, LONG = 50, 20_000
+COUNTS = [("configurations", FEW), ("calls", 2 * FEW), ("configurations", 1200), ("calls", 800)]
 
 
 @pytest.mark.parametrize(("kind", "count"), long_beyond(2, COUNTS))

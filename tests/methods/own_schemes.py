@@ -13,7 +13,10 @@ NOTHING = co.methods.Properties(poisson=False, energy=False, casimirs="none", at
 
 @dataclasses.dataclass(frozen=True)
 class OwnKahan(co.methods.StepMethod):
-    """Kahan's method for quadratic fields: x' = x + h (1 - h/2 f'(x))^-1 f(x)."""
+    """Kahan's method for quadratic fields: x' = x + h (1 - h/2 f'(x))^-1 f(x).
+
+    Eliminated number by number: Numba takes six seconds to compile `np.linalg.solve`, in each process.
+    """
 
     order, explicit, symmetric = 2, False, True
 
@@ -21,8 +24,19 @@ class OwnKahan(co.methods.StepMethod):
         return NOTHING
 
     def step(self, system, x, t, h):
-        matrix = np.eye(len(x)) - h / 2 * system.jacobian(x, t)
-        return x + np.linalg.solve(matrix, h * system.vector_field(x, t))
+        n, matrix, rest = len(x), -h / 2 * system.jacobian(x, t), h * system.vector_field(x, t)
+        for k in range(n):
+            matrix[k, k] += 1
+        for k in range(n):
+            for i in range(n):
+                if i != k:
+                    factor = matrix[i, k] / matrix[k, k]
+                    rest[i] -= factor * rest[k]
+                    for j in range(k, n):
+                        matrix[i, j] -= factor * matrix[k, j]
+        for k in range(n):
+            rest[k] /= matrix[k, k]
+        return x + rest
 
 
 @dataclasses.dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from functools import cache
 
 import coadjoint as co
 
@@ -12,6 +13,7 @@ C1 = 1 / (2 - 2 ** (1 / 3))
 TRIPLE_JUMP = (C1, 1 - 2 * C1, C1)
 
 
+@cache
 def schemes() -> dict[str, co.methods.Method]:
     """Return the schemes by name, without those of variable steps."""
     found = {

@@ -56,9 +56,9 @@ def without_jacobi():
 BATCHES = {f.__name__: f for f in (bodies, spirals, tops, wells, without_jacobi)}
 PAIRS = [
     (s, b)
-    for b, make in BATCHES.items()
+    for b, systems in {b: make() for b, make in BATCHES.items()}.items()
     for s, method in schemes().items()
-    if all(map(lambda m, k=method: serves(k, m), make()))
+    if all(serves(method, system) for system in systems)
 ]
 
 

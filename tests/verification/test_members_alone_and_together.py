@@ -131,7 +131,9 @@ def test_matrix_steps_of_odd_sizes(kind, N):
     rng = np.random.default_rng(N)
     weights = rng.uniform(0.5, 1.5, (N, N))
     algebra = co.MatrixAlgebra(kind, N)
-    system = co.MatrixSystem(algebra, lambda W: (weights + weights.T) * W)
+    # A function is compiled for each size; real matrices have one.
+    weights += weights.T
+    system = co.MatrixSystem(algebra, Weights(weights) if kind == "u" else lambda W: weights * W)
     W = algebra.projected(rng.standard_normal((N, N)) + (1j * rng.standard_normal((N, N)) if kind == "u" else 0.0))
     W /= np.abs(np.linalg.eigvals(W)).max()
     h = 0.125
