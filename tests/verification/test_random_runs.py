@@ -18,7 +18,7 @@ from random_runs import soak
 from random_runs.cases import case_of
 from random_runs.comparisons import differences, run
 
-SEEDS, EACH = 300, 12
+SEEDS, EACH = 300, 25
 # The limit of a single seed ends a process earlier.
 GUARD = 600.0
 
