@@ -118,6 +118,8 @@ def read_complex(values: Any, what: str) -> NDArray[np.complex128]:
     array([1.+0.j, 0.+2.j])
     """
     array = to_array(values, what, "iufc")
+    if array.size > UNCHECKED_SIZE:
+        check_available_memory(16 * array.size, f"a copy of {what}, of shape {array.shape},")
     try:
         return np.array(array, dtype=np.complex128)
     except OverflowError:

@@ -65,6 +65,8 @@ BRACKETS = ["[e1, e2] = e3"]
             lambda: co.SplitHamiltonian([(7, co.Quadratic(1.0))]),
             "coordinates of piece 0 is 7",
         ),
+        "names that are a number": (lambda: co.Polynomial({(1,): 2}).named(7), "names is 7; give one name"),
+        "a name that is no text": (lambda: co.Polynomial({(1, 1): 2}).named(["a", 1j]), "must be a nonempty string"),
         "a long name of a file": (lambda: load(LONG_NAME), "cannot be read (File name too long)"),
         "a long name of a result": (lambda: check_target(LONG_NAME), "it must be .nc or .zarr"),
     }.values(),
@@ -85,6 +87,18 @@ def test_torque_may_be_a_builtin_function():
 def test_huge_masses_do_not_warn(recwarn):
     with pytest.raises(ValueError, match="change units"):
         co.systems.so_n_body((1e308, 1e308, 1e308))
+    assert not [noticed for noticed in recwarn if issubclass(noticed.category, RuntimeWarning)]
+
+
+def test_arrays_without_end_are_refused_before_they_are_copied():
+    wide = np.broadcast_to(1j, 10**13)
+    with pytest.raises(ValueError, match="a copy of modes, of shape"):
+        TORUS.from_modes(wide)
+
+
+def test_statistics_beyond_float64_are_infinite(recwarn):
+    walk = co.analysis.random_walk(np.full((3, 3), 1e308), 1)
+    assert walk.worst == 1e308 and walk.late == np.inf
     assert not [noticed for noticed in recwarn if issubclass(noticed.category, RuntimeWarning)]
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.runs.results.solution import check_solution
+from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.protocol import member_of
 from coadjoint.validation import read_finite, read_integer
 
@@ -39,6 +40,7 @@ class RandomWalk:
         return self.late / self.early if self.early else np.inf
 
 
+@ignore_overflow
 def random_walk(deviations: NDArray[np.float64], early: int) -> RandomWalk:
     """Return the growth of deviations of an ensemble.
 

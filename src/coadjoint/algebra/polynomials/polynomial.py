@@ -24,7 +24,7 @@ from coadjoint.algebra.polynomials.monomials import (
 from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, latex, plain, sympy_of
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.validation import read_integer, to_array
+from coadjoint.validation import read_integer, read_list, read_title, to_array
 
 # Values beyond float64 become infinite without a warning.
 IGNORE_OVERFLOW = np.errstate(over="ignore", invalid="ignore")
@@ -177,15 +177,18 @@ class Polynomial:
         ------
         ValueError
             Another number of names.
+        TypeError
+            A name that is not a nonempty string.
 
         Examples
         --------
         >>> Polynomial({(2, 1): 3}).named(("q", "p"))
         3*q^2*p
         """
-        if len(names) != self._dim:
-            raise ValueError(f"names has {len(names)} entries; this Polynomial has {self._dim} coordinates")
-        special = _names_if_special(tuple(names))
+        given = read_list(names, "names", "give one name for each coordinate")
+        if len(given) != self._dim:
+            raise ValueError(f"names has {len(given)} entries; this Polynomial has {self._dim} coordinates")
+        special = _names_if_special(tuple(read_title(name, "a name of a coordinate") for name in given))
         if special == self._names:
             return self
         if self._renamed is None or self._renamed._names != special:
