@@ -171,6 +171,54 @@ def test_steps_without_end_are_a_failure():
     assert np.abs(shorter.x[-1] - there).max() < 1e-8
 
 
+LINE = co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1.0}})
+STRIDE = 0.25
+
+
+def growing(hamiltonian, end, power):
+    """Return the number of own steps, as a power of two, of a run from (0, 1) over one step, and whether it ended.
+
+    The speed of the steps is x2^power. Forward x2 grows: by `hamiltonian` x1 as exp(t), by x1 x2 as 1 / (1 - t).
+    """
+    system = co.LiePoissonSystem(LINE, hamiltonian)
+    x0 = (0.0, 1.0)
+    forward = float(np.sign(system.vector_field(np.array(x0))[1]))
+
+    def taken(end, speed, stride=STRIDE):
+        method = co.ReversibleSteps(co.Splitting(order=2), stride, co.Polynomial(speed))
+        try:
+            return co.integrate(system, x0, (0.0, end), abs(end), method).stats.evaluations, True
+        except co.IntegrationError as error:
+            assert error.step == 1 and "2^24 of its own steps would lie in one step" in str(error)
+            return error.partial.stats.evaluations, False
+
+    of_one_step = round(taken(forward * 0.5, {(0, 0): 1.0}, 2.0**-6)[0] / 32)
+    evaluations, ended = taken(forward * end, {(0, power): 1.0})
+    return np.log2(evaluations / of_one_step), ended
+
+
+EXPONENTIAL, HYPERBOLIC = co.Polynomial({(1, 0): 1.0}), co.Polynomial({(1, 1): 1.0})
+
+
+@pytest.mark.parametrize(("end", "power"), [(1.25, 2), (2.0, 2), (1e6, 2), (1.25, 3)])
+def test_a_motion_to_infinity_is_given_up_early(end, power):
+    """Steps of the length (1 - t)^power: each doubling brings a fixed part of what the doubling before has brought."""
+    steps, ended = growing(HYPERBOLIC, end, power)
+    assert not ended and steps == pytest.approx(15.0, abs=0.01)
+
+
+def test_exponential_growth_is_followed_as_far_as_the_steps_reach():
+    """Each doubling brings log 2: given up at 2^k where four times what is left is not enough, on both sides."""
+    doubling = np.log(2.0)
+    for k in (15, 16, 17):
+        enough = np.log(2.0**k * STRIDE) + 4.0 * (24 - k) * doubling
+        for end, power in ((enough + 0.3, k), (enough - 0.3, k + 1)):
+            steps, ended = growing(EXPONENTIAL, end, 1)
+            assert not ended and steps == pytest.approx(power, abs=0.01)
+    steps, ended = growing(EXPONENTIAL, np.log(2.0**18 * STRIDE), 1)
+    assert ended and steps == pytest.approx(18.0, abs=0.05)
+
+
 def driven(y, t):
     return 0.5 * y * y + np.sin(t) * y
 

@@ -10,9 +10,12 @@ namespace coadjoint {
 
 // The most own steps within one step of the run, as a power of two. From 2^12 on a motion is abandoned if it has not
 // come near the end of the step and does not speed up: at any of these powers, the own steps would have to become eight
-// times as long each time their number doubles.
-constexpr int64_t MOST_OWN_STEPS = 24, FIRST_TEST_EXPONENT = 12, EIGHTFOLD = 3;
+// times as long each time their number doubles. So is one whose steps become ever shorter: three times in succession
+// a doubled number brought less than SLOWING times the time before, and four times what further doublings would bring
+// at this rate does not reach the end.
+constexpr int64_t MOST_OWN_STEPS = 24, FIRST_TEST_EXPONENT = 12, EIGHTFOLD = 3, SLOWING_TESTS = 3;
 constexpr double MIN_SPEEDUP = 1.125;  // ratio of the longest steps of the second and the first half
+constexpr double SLOWING = 1.5, SLOWING_MARGIN = 4.0;
 
 struct OwnSteps : StepScheme {
     // The memory of a member: the end of its last own step, and the length of the next one.
@@ -94,7 +97,8 @@ struct OwnSteps : StepScheme {
     // Number of own steps that end within one step of the run, independent of the points.
     struct StepCount {
         double h, begin, number, longest = 0.0, before = 0.0;  // the longest of the later half, and of the first
-        int64_t count = 0, test_exponent = FIRST_TEST_EXPONENT;
+        double tested = 0.0, progress = 0.0;                   // time at the last test, and from the one before it
+        int64_t count = 0, test_exponent = FIRST_TEST_EXPONENT, slowing = 0;
 
         StepCount(double h, double since) : h(h), begin(std::fabs(since)), number(std::floor(begin / h)) {}
 
@@ -107,16 +111,27 @@ struct OwnSteps : StepScheme {
             }
             longest = larger(longest, std::fabs(length));
             if (++count < int64_t(1) << test_exponent) {
-                if (2 * count == int64_t(1) << test_exponent) before = longest, longest = 0.0;
+                if (2 * count == int64_t(1) << test_exponent) before = longest, longest = 0.0, tested = there;
                 return true;
             }
-            if (test_exponent == MOST_OWN_STEPS) return false;
+            if (test_exponent == MOST_OWN_STEPS || vanishing(there)) return false;
             const double most =
                 (there - begin) * whole_power_of_two(double(EIGHTFOLD * (MOST_OWN_STEPS - test_exponent)));
             const bool unreachable = (number + 1.0) * h - begin > most && longest <= MIN_SPEEDUP * before;
             before = larger(before, longest), longest = 0.0;
             ++test_exponent;
             return !unreachable;
+        }
+
+        // Test at a doubled number of steps whether the end is out of reach, since the steps become ever shorter.
+        bool vanishing(double there) {
+            const double made = there - tested, ratio = made / progress;
+            slowing = progress > 0.0 && ratio < SLOWING ? slowing + 1 : 0;
+            tested = there, progress = made;
+            if (slowing < SLOWING_TESTS) return false;
+            double ahead = 0.0, next = made;
+            for (int64_t exponent = test_exponent; exponent < MOST_OWN_STEPS; ++exponent) next *= ratio, ahead += next;
+            return (number + 1.0) * h - there > SLOWING_MARGIN * ahead;
         }
     };
 
