@@ -67,7 +67,12 @@ def test_named_files_exist(page):
     text = page.read_text(encoding="utf-8")
     folders = [ROOT, ROOT / "src", ROOT / "src/coadjoint", ROOT / "src/coadjoint/kernels/source", page.parent]
     folders += [folder for folder in (ROOT / "src/coadjoint").iterdir() if folder.is_dir()]
-    folders += [ROOT / "tests", ROOT / "tests/verification", *(ROOT / "src/coadjoint/kernels/source").glob("*/")]
+    folders += [
+        ROOT / "src/coadjoint/methods/protocol",
+        ROOT / "tests",
+        ROOT / "tests/verification",
+        *(ROOT / "src/coadjoint/kernels/source").glob("*/"),
+    ]
     for name in re.findall(r"`([\w/]+\.(?:py|hpp|cpp|md|json|toml))`", text):
         shown = name in ("heun.py", "heun.cpp", "gauss.cpp", "conftest.py", "pyproject.toml") or "NAME" in name
         assert shown or any((parent / name).exists() for parent in folders), name
