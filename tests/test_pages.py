@@ -48,6 +48,7 @@ def test_schema_file_is_up_to_date(api):
     assert api.written_schema() == written, "run python docs/write_api.py"
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_links_are_valid(page):
     text = page.read_text(encoding="utf-8")
@@ -61,6 +62,7 @@ def test_links_are_valid(page):
             assert anchor in known, target
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_named_files_exist(page):
     """File names in backticks exist, relative to the root or to a folder of the sources."""

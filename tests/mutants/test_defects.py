@@ -38,7 +38,7 @@ def test_defects_cover_every_folder():
     assert not [name for name, count in Counter((d.folder, d.name) for d in defects()).items() if count > 1]
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("folder", sorted({*FOLDERS, "command"}))
 def test_each_defect_can_be_planted(folder):
     for defect in defects():
@@ -47,7 +47,7 @@ def test_each_defect_can_be_planted(folder):
             assert defect.planted(text) != text
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("folder", sorted({*FOLDERS, "command"}))
 def test_tests_of_each_defect_exist(folder):
     sources = {path.name for path in (ROOT / "src/coadjoint").rglob("*.cpp")}
