@@ -9,6 +9,7 @@ from typing import Any
 
 import numba
 
+from coadjoint.kernels.functions.code_reads import cell_value, is_own
 from coadjoint.kernels.functions.contents import contents_of
 
 MAX_CACHED = 4096
@@ -111,12 +112,10 @@ def _copied(
     vars(copy).update(vars(function))
     if register_copy is not None:
         register_copy(copy)
-    is_own = (function.__module__ or "").startswith("coadjoint.")
+    compiles = is_own(function.__module__ or "")
     for new, old in zip(cells, function.__closure__ or (), strict=True):
-        try:
-            new.cell_contents = _with_fresh_dispatchers(old.cell_contents, fresh, is_own)
-        except ValueError:  # an empty cell
-            pass
+        for value in cell_value(old):
+            new.cell_contents = _with_fresh_dispatchers(value, fresh, compiles)
     attributes = _attributes(function.__code__)
     for name in attributes & names.keys():
         names[name] = _with_fresh_dispatchers(_module(names[name], attributes, fresh), fresh, False)
