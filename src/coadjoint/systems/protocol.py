@@ -122,6 +122,8 @@ def states_of(system: Any, rows: Any) -> Any:
     >>> states_of(sphere_euler(N=3), np.zeros((5, 18))).shape
     (5, 3, 3)
     """
+    if rows.shape[-1:] == shape_of(system):  # vectors
+        return rows
     plain = unforced(system)
     if is_matrix_system(plain):
         return plain.states(rows)
