@@ -24,7 +24,7 @@ from coadjoint.algebra.polynomials.monomials import (
 from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, latex, plain, sympy_of
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.validation import read_integer, read_list, read_title, to_array
+from coadjoint.validation import MAX_TITLE_LENGTH, read_integer, read_list, read_title, to_array
 
 # Values beyond float64 become infinite without a warning.
 IGNORE_OVERFLOW = np.errstate(over="ignore", invalid="ignore")
@@ -188,7 +188,10 @@ class Polynomial:
         given = read_list(names, "names", "give one name for each coordinate")
         if len(given) != self._dim:
             raise ValueError(f"names has {len(given)} entries; this Polynomial has {self._dim} coordinates")
-        special = _names_if_special(tuple(read_title(name, "a name of a coordinate") for name in given))
+        if not _are_titles(given):
+            for name in given:
+                read_title(name, "a name of a coordinate")
+        special = _names_if_special(given)
         if special == self._names:
             return self
         if self._renamed is None or self._renamed._names != special:
@@ -411,6 +414,16 @@ class Polynomial:
         """
         check_available_memory(8 * self._dim**2, f"a matrix of second derivatives in {self._dim} coordinates")
         return self._hessian_sum(self._point(x)).reshape(self._dim, self._dim)
+
+
+def _are_titles(names: tuple[Any, ...]) -> bool:
+    """Return whether `read_title` accepts all names; for speed, since each Casimir gets those of all spins."""
+    return (
+        set(map(type, names)) <= {str}
+        and all(names)
+        and "".join(names).isprintable()
+        and max(map(len, names)) <= MAX_TITLE_LENGTH
+    )
 
 
 def _names_if_special(names: tuple[str, ...]) -> tuple[str, ...] | None:
