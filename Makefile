@@ -30,11 +30,12 @@ CONFIGURE := $(if $(BUILT),$(if $(MOVED),,$(if $(wildcard $(VENV)/installed),pac
 demo: kernels
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
 
+# Hypothesis draws the same cases on every machine; in `make long` others each time.
 test: kernels
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy > $(VENV)/types.txt & types=$$!; \
-	$(ONE_THREAD) $(BIN)/pytest -n 2 -m "not long"; tests=$$?; \
+	$(ONE_THREAD) $(BIN)/pytest -n 2 -m "not long" --hypothesis-profile=ci; tests=$$?; \
 	wait $$types || tests=1; cat $(VENV)/types.txt; exit $$tests
 
 # More seeds, schemes and compilers than `make test` has time for.

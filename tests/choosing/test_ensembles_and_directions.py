@@ -263,8 +263,8 @@ def test_scheme_that_confirmation_makes_expensive_is_replaced(monkeypatch):
     plain = co.choose(BODY, X0, SPAN, 1e-8, methods=methods)
     confirmed = []
 
-    def expensive(found, goal, bound):
-        confirmed.append((found.candidate.method, goal, bound))
+    def expensive(found, goal, required):
+        confirmed.append((found.candidate.method, goal, required))
         return replace(found, steps=100 * found.steps) if found.candidate.method == plain.method else found
 
     monkeypatch.setattr(accuracy, "confirmed_fit", expensive)
@@ -272,8 +272,8 @@ def test_scheme_that_confirmation_makes_expensive_is_replaced(monkeypatch):
     assert [method for method, _, _ in confirmed] == [plain.method, choice.method] and choice.method != plain.method
     costs = [each.cost for each in (choice, *choice.others)]
     assert costs == sorted(costs) and len(costs) == len(plain.others) + 1
-    for _, goal, bound in confirmed:
-        assert 0.0 < goal <= bound <= 0.5e-8
+    for _, goal, required in confirmed:
+        assert 0.0 < goal < required == 1e-8
 
 
 def test_choice_text_compares_costs():

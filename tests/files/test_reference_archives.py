@@ -1,9 +1,11 @@
 """Archives of every format version are read, and resumed to the bits of a run of today.
 
-Products of matrices depend on BLAS: such archives of another machine are read to round-off and not resumed.
+Products of matrices depend on BLAS: such archives of another machine are read to round-off, and not resumed if their
+first step has other bits.
 """
 
 import json
+import re
 import zipfile
 
 import numpy as np
@@ -50,12 +52,17 @@ def test_matrix_runs_are_read_to_round_off(folder):
     expected = co.integrate(system, x0, SPAN, STEP, method, save_every=EVERY, **options)
     found = co.open_archive(folder / "matrix.zarr")
     assert found.reached == CUT and not found.finished and len(found.x) == CUT // EVERY + 1
-    assert_close(found, expected, rounding_of_steps(system, x0, method, expected))
-    if np.array_equal(found.x, expected.x[: len(found.x)]):
-        assert_same(co.resume(folder / "matrix.zarr"), expected)
+    tolerance = rounding_of_steps(system, x0, method, expected)
+    assert_close(found, expected, tolerance)
+    same = np.array_equal(found.x, expected.x[: len(found.x)])
+    try:
+        resumed = co.resume(folder / "matrix.zarr")
+    except ArchiveError as error:
+        assert not same and re.search(r"matrix\.zarr: .*differs in bits", str(error))
     else:
-        with pytest.raises(ArchiveError, match=r"matrix\.zarr: .*differs in bits"):
-            co.resume(folder / "matrix.zarr")
+        # The first step is compared; later ones may differ even so.
+        assert_close(resumed, expected, tolerance)
+        assert not same or np.array_equal(resumed.x, expected.x)
 
 
 def rounding_of_steps(system, x0, method, expected):

@@ -27,7 +27,7 @@ from coadjoint.choosing.cost_model import StepPredictor
 from coadjoint.choosing.fitting import Fit, confirmed_fit, fit
 from coadjoint.choosing.member_sample import sample_of
 from coadjoint.choosing.pilot import Pilot
-from coadjoint.choosing.roundoff import least_roundoff
+from coadjoint.choosing.roundoff import ROUNDING_SHARE, least_roundoff
 from coadjoint.choosing.tolerances import extrapolated_fit, first_tolerance_trial, fit_of_tolerance
 from coadjoint.choosing.unreached import below_rounding, none_reached, too_expensive
 from coadjoint.keyword_hints import suggest_keywords
@@ -41,12 +41,9 @@ from coadjoint.short_repr import short
 from coadjoint.systems.system_checks import System, check_vector_states
 from coadjoint.validation import read_bool, read_list, read_number
 
-# Safety factor of the target error; rounding alone may take at most half of the accuracy (ROUNDING_SHARE).
+# Safety factor of the target error.
 SAFETY_FACTOR = 3.0
 MODERATE_ORDER = 8
-# Accepted ratio of the error to its target.
-ACCEPTED_RATIO = 2.0
-ROUNDING_SHARE = 0.5
 # Upper bound of the cost of variable steps, relative to their first trial.
 TRIAL_COST_FACTOR = 1.5
 # Smallest target of the error, which is used as a divisor.
@@ -198,7 +195,7 @@ def _choose(
     fits = _fits_of_constant_steps(pilot, candidates, required, first_trials)
     fits += _fits_of_own_steps(pilot, required, first_trials, fits)
     accurate = _fits_with_acceptable_roundoff(pilot, candidates, required, fits)
-    best, *others = _confirmed_cheapest(accurate, required)
+    best, *others = _confirmed_cheapest(pilot, candidates, accurate, required)
     return replace(_choice_of_fit(best, required), others=tuple(_choice_of_fit(each, required) for each in others))
 
 
@@ -311,13 +308,17 @@ def _fits_with_acceptable_roundoff(
     return accurate
 
 
-def _confirmed_cheapest(accurate: Sequence[Fit], required: float) -> list[Fit]:
-    """Sort by cost with the first one confirmed; confirmation may increase its cost."""
-    pending, confirmed_fits = sorted(accurate, key=lambda each: each.cost), list[Fit]()
+def _confirmed_cheapest(
+    pilot: Pilot, candidates: Sequence[Candidate], accurate: Sequence[Fit], required: float
+) -> list[Fit]:
+    """Sort by cost with the first one confirmed, which may increase its cost; raise ValueError if none is."""
+    pending, confirmed_fits, failed = sorted(accurate, key=lambda each: each.cost), list[Fit](), list[Fit]()
     while pending and (not confirmed_fits or pending[0].cost < min(each.cost for each in confirmed_fits)):
         first = pending.pop(0)
-        goal = _target_error(first.candidate, required)
-        confirmed_fits.append(confirmed_fit(first, goal, min(ACCEPTED_RATIO * goal, required * (1.0 - ROUNDING_SHARE))))
+        found = confirmed_fit(first, _target_error(first.candidate, required), required)
+        (confirmed_fits if found.error <= required else failed).append(found)
+    if not confirmed_fits:
+        raise below_rounding(candidates, required, abs(pilot.span), min(each.error for each in failed))
     confirmed_fits.sort(key=lambda each: each.cost)
     return [confirmed_fits[0], *sorted([*confirmed_fits[1:], *pending], key=lambda each: each.cost)]
 

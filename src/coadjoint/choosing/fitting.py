@@ -8,7 +8,7 @@ from functools import cached_property
 
 from coadjoint.choosing.candidates import Candidate
 from coadjoint.choosing.pilot import REFERENCE, Pilot, Trial
-from coadjoint.choosing.roundoff import ROUNDING_MARGIN, roundoff
+from coadjoint.choosing.roundoff import ROUNDING_MARGIN, ROUNDING_SHARE, roundoff
 
 MAX_TRIALS = 10
 # Largest cost of a trial, in rotations (30 ms), for any accuracy; smaller steps are extrapolated by the order.
@@ -16,8 +16,12 @@ MAX_TRIAL_COST = 3e6
 # Largest cost of the confirmation of a choice, which may be repeated.
 MAX_CONFIRMATION_COST = 16 * MAX_TRIAL_COST
 MAX_CORRECTIONS = 6
+# Factor on the number of steps where the order does not predict the error.
+STEP_INCREASE = 1.2
 # Smallest ratio of a measurable truncation error to rounding and to the error of the reference.
 MEASURABLE_RATIO = 16.0
+# Accepted ratio of the error to its target.
+ACCEPTED_RATIO = 2.0
 # Errors up to this multiple of the expected rounding may be rounding.
 ROUNDING_MULTIPLE = 4.0
 # Relative error above which the order does not predict the error.
@@ -148,15 +152,20 @@ def _extrapolate(pilot: Pilot, candidate: Candidate, goal: float, trial: Trial, 
     return Fit(pilot, candidate, steps, error, trial)
 
 
-def confirmed_fit(fitted: Fit, goal: float, bound: float) -> Fit:
-    """Run a fit over the window once more, and correct its step until the error is below `bound`.
+def confirmed_fit(fitted: Fit, goal: float, required: float) -> Fit:
+    """Run a fit over the window once more, and correct its step until the error at the end serves `required`.
 
-    `goal` is the target of the truncation error. The error is measured if it exceeds rounding and the run is not too
-    expensive; fits with variable steps are returned unchanged.
+    `goal` is the target of the truncation error. An error that may be rounding is measured too, since large steps
+    amplify rounding beyond its estimate. Fits with variable steps and expensive ones are returned unchanged. If no
+    correction helps, the error of the result exceeds `required`.
     """
     pilot, order = fitted.pilot, fitted.candidate.method.order
+    bound = min(ACCEPTED_RATIO * goal, required * (1.0 - ROUNDING_SHARE))
+    # The reference has this rounding at most.
+    limit = required * (1.0 - ROUNDING_SHARE / ROUNDING_MARGIN)
     if fitted.candidate.method.own_steps:
         return fitted  # its last trial used this tolerance
+    end = math.inf
     for _ in range(MAX_CORRECTIONS):
         exact_steps = fitted.steps / pilot.windows
         # At most the steps of the run: a finer trial could succeed where the run fails.
@@ -165,16 +174,19 @@ def confirmed_fit(fitted: Fit, goal: float, bound: float) -> Fit:
             return fitted
         trial = pilot.trial(fitted.candidate.method, per_window)
         if trial is None:
-            fitted = replace(fitted, steps=math.ceil(1.2 * fitted.steps))
+            fitted = replace(fitted, steps=math.ceil(STEP_INCREASE * fitted.steps))
             continue
-        if trial.error <= ROUNDING_MULTIPLE * max(
-            pilot.noise, _expected_rounding(pilot, fitted.candidate, per_window, 1.0)
-        ):
-            return fitted
-        end = trial.error * (per_window / exact_steps) ** order * fitted.candidate.growth(pilot, trial)
+        rounding = max(pilot.noise, _expected_rounding(pilot, fitted.candidate, per_window, 1.0))
+        if may_be_rounding := trial.error <= ROUNDING_MULTIPLE * rounding:
+            end = trial.error * pilot.sensitivity.factor(pilot.windows)
+            if end <= limit:
+                return fitted
+        else:
+            end = trial.error * (per_window / exact_steps) ** order * fitted.candidate.growth(pilot, trial)
         fitted = replace(fitted, error=end, trial=trial)
         if end <= bound:
             return fitted
         more: float = (end / goal) ** (1.0 / order)
-        fitted = replace(fitted, steps=math.ceil(fitted.steps * min(max(more, 1.02), 4.0)), error=goal)
-    return fitted
+        least = STEP_INCREASE if may_be_rounding else 1.02
+        fitted = replace(fitted, steps=math.ceil(fitted.steps * min(max(more, least), 4.0)), error=goal)
+    return replace(fitted, error=max(end * required / limit, math.nextafter(required, math.inf)))

@@ -17,6 +17,8 @@ FLOW_BIAS = 7e-4
 # width along the direction of fastest growth. Another sample exceeds 4 / 3 ROUNDING_MARGIN times the largest of three
 # differences from a fourth with probability 0.003.
 ROUNDING_MARGIN = 4.0
+# Largest part of the accuracy that rounding alone may take.
+ROUNDING_SHARE = 0.5
 # Coefficients of a composition are rounded independently, so its time error grows as the root of their number.
 COEFFICIENT_ERROR = 3.0
 # A compensated sum rounds only the increments. Flows move the state further than the motion does, since other parts
