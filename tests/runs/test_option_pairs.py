@@ -148,8 +148,8 @@ CROSSED = {"method": co.GaussLegendre(3), "crossings": 1, "accuracy": 1e-7, "thr
 @pytest.fixture
 def threads(monkeypatch):
     """Thread counts of runs; one thread is the default here."""
-    found, real = [], execution._sum_in_threads
-    monkeypatch.setattr(execution, "_sum_in_threads", lambda *given: found.append(given[2]) or real(*given))
+    found, real = [], execution.sum_in_threads
+    monkeypatch.setattr(execution, "sum_in_threads", lambda *given: found.append(given[2]) or real(*given))
     monkeypatch.setattr(prepared_run, "concurrent_members", lambda rows: 1)
     return found
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Mapping
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, cast
 
 import numpy as np
@@ -20,6 +20,10 @@ from coadjoint.methods.registry import read_method
 from coadjoint.methods.suggested_scheme import default_scheme
 from coadjoint.runs.crossings.crossings import WatchedEvents
 from coadjoint.runs.crossings.event_run import EventRun
+from coadjoint.runs.derivatives.backward import Pullback
+from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory, parameters_of_run
+from coadjoint.runs.derivatives.forward import tangents_of_run
+from coadjoint.runs.derivatives.results import Tangents
 from coadjoint.runs.events import Event, read_events
 from coadjoint.runs.final_state import ENDS_ONLY, FinalStateRun
 from coadjoint.runs.inputs import InputLoops, Inputs
@@ -30,7 +34,7 @@ from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.results.observables import Observed, check_observe
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run, read_progress
-from coadjoint.runs.start import Start, momenta_of, read_attitude, representations_of, with_group
+from coadjoint.runs.start import Representation, Start, momenta_of, read_attitude, representations_of, with_group
 from coadjoint.runs.state import RunState
 from coadjoint.runs.times import Times, read_step, span_of, times_between
 from coadjoint.short_repr import short
@@ -41,7 +45,7 @@ from coadjoint.systems.protocol import among, is_batch, member_of, members_of, u
 from coadjoint.systems.system_checks import System, check_system
 from coadjoint.validation import read_bool, read_integer
 
-UNPICKLED = ("_lock", "_final_state_runs", "_observed", "_events", "_loops_by_step")
+UNPICKLED = ("_lock", "_final_state_runs", "_observed", "_events", "_loops_by_step", "_derivatives")
 
 
 class PreparedRun:
@@ -205,6 +209,151 @@ class PreparedRun:
             times = times.refined_times(len(moments.t))
             moments = output_times_of(t_eval, times)
         return times, moments
+
+    @property
+    def parameters(self) -> Mapping[str, NDArray[np.float64]]:
+        """Parameters of the system by which runs can be differentiated; see `jvp` and `vjp`.
+
+        Those of a ready-made system are its arguments that enter coefficients of the Hamiltonian, such as ``inertia``,
+        ``lever`` or ``exchange``; of other systems ``M`` and ``linear`` of a `Quadratic`, or the ``coefficients`` of a
+        `Polynomial`, in the order of its monomials. ``M`` has the shape (n,) if it is diagonal, and (n, n) otherwise,
+        above 128 coordinates that of its nonzero entries.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> co.prepare(co.systems.heavy_top(), co.Splitting(), step=0.1).parameters
+        {'inertia': array([...]), 'lever': array([...])}
+        """
+        return {name: parameter.value for name, parameter in parameters_of_run(self.system).items()}
+
+    @cached_property
+    def _derivatives(self) -> DifferentiableRun:
+        return DifferentiableRun(self)
+
+    @property
+    def scheme(self) -> Method:
+        """The scheme that runs: the prepared one, around which the forces of the system are arranged."""
+        return self._scheme
+
+    @property
+    def representation(self) -> Representation:
+        """Matrices of the group element, (n, d, d), "coadjoint", or None; for a batch those of its first member."""
+        return self._representations[0]
+
+    def jvp(
+        self,
+        x0: Any,
+        t_span: tuple[float, float],
+        directions: Mapping[str, Any],
+        save_every: int = 1,
+        *,
+        t_eval: Any = None,
+        attitude: Any = None,
+    ) -> tuple[Solution, Tangents]:
+        """Integrate, with the derivatives of the run along directions (forward mode).
+
+        Use it for few directions, for instance for the Jacobian of a fit with few parameters; for the gradient of one
+        number by many parameters use `vjp`. The derivatives are those of the computed steps, exact to round-off.
+
+        Parameters
+        ----------
+        x0, t_span, save_every, t_eval, attitude
+            As in `run`.
+        directions : mapping
+            Directions by name: of the initial state ("x0"), of the initial attitude ("attitude0"), or of a name in
+            `parameters`; each in the shape of what it changes, or all of them with one more axis of k directions.
+
+        Returns
+        -------
+        sol : Solution
+            The run, with the same bits as without derivatives.
+        tangents : Tangents
+            Derivatives of ``sol.x``, ``sol.attitude`` and ``sol.energy``.
+
+        Raises
+        ------
+        ValueError
+            For directions of other names or shapes.
+        TypeError
+            For a system or a scheme whose runs are not differentiable, by name.
+        IntegrationError
+            As in `integrate`.
+
+        Notes
+        -----
+        The derivative by a parameter is that of the computed map, `tangents.rule` "exact", if the parts of the
+        splitting are functions of coordinates. If the forms of the parts depend on the parameter, the change of the
+        energy is one more part of the splitting of size zero, "added part": the derivative of a scheme of the same
+        order, which agrees with that of the motion to this order.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import coadjoint as co
+        >>> body = co.prepare(co.systems.rigid_body(inertia=(1, 2, 2.5)), co.Splitting(order=4), step=0.05)
+        >>> sol, tangents = body.jvp((1.0, 0.2, 0.5), (0, 10), {"inertia": np.eye(3)}, save_every=50)
+        >>> sol.x.shape, tangents.x.shape, tangents.rule
+        ((5, 3), (5, 3, 3), {'inertia': 'exact'})
+        """
+        run = self._derivatives
+        return tangents_of_run(run, Trajectory(run, x0, t_span, save_every, t_eval, attitude, False), directions)
+
+    def vjp(
+        self,
+        x0: Any,
+        t_span: tuple[float, float],
+        save_every: int = 1,
+        *,
+        t_eval: Any = None,
+        attitude: Any = None,
+    ) -> tuple[Solution, Pullback]:
+        """Integrate, and return a function for gradients by the initial state and all parameters (reverse mode).
+
+        The steps are differentiated backward, from checkpoints between which they are repeated. A gradient costs a few
+        times as much as the run, for any number of parameters, and little memory for any number of steps.
+
+        Parameters
+        ----------
+        x0, t_span, save_every, t_eval, attitude
+            As in `run`.
+
+        Returns
+        -------
+        sol : Solution
+            The run, with the same bits as without derivatives.
+        pullback : Pullback
+            A function ``pullback(x=None, *, attitude=None, energy=None, observed=None)``. Its arguments are the
+            derivatives of a number by ``sol.x``, ``sol.attitude``, ``sol.energy`` and quantities of ``sol.observed``,
+            in their shapes. It returns a `Gradient`: a mapping with the derivatives by "x0", by each of `parameters`
+            and, with an attitude, "attitude0".
+
+        Raises
+        ------
+        ValueError
+            For wrong input.
+        TypeError
+            For a system or a scheme whose runs are not differentiable, by name.
+        IntegrationError
+            As in `integrate`, and by the pullback for derivatives that overflow.
+
+        See Also
+        --------
+        jvp : Derivatives along given directions; its notes say what the derivative by a parameter is.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import coadjoint as co
+        >>> body = co.prepare(co.systems.rigid_body(inertia=(1, 2, 2.5)), co.Splitting(order=4), step=0.05)
+        >>> sol, pullback = body.vjp((1.0, 0.2, 0.5), (0, 10), save_every=200)
+        >>> gradient = pullback(x=[[0, 0, 0], [0, 1, 0]])  # of the second component at the end
+        >>> gradient["x0"].shape, gradient["inertia"].shape
+        ((3,), (3,))
+        """
+        run = self._derivatives
+        trajectory = Trajectory(run, x0, t_span, save_every, t_eval, attitude, True)
+        return trajectory.solution, Pullback(run, trajectory)
 
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
         """Return only the final state of a run, with a fifth of the overhead of `run`.

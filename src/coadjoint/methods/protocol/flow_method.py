@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.formal.formal_numbers import is_short
 from coadjoint.methods.protocol.composing import Composable
+from coadjoint.methods.protocol.derivatives import CompiledDerivatives, DerivativeTables
 from coadjoint.methods.protocol.formal_step import FormalStep
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.tangents import CompiledTangents
@@ -29,12 +30,13 @@ if TYPE_CHECKING:
     from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.program.interpreter import Interpreter
     from coadjoint.program.table import Program
+    from coadjoint.systems.energy_derivatives import EnergyDerivative
 
 COEFFICIENT_ERROR = 1e-38  # relative error of published coefficients, which have at least 40 digits
 SUM_TOLERANCE = 2.0**-40  # relative to the sum of absolute coefficients of sweeps; allows coefficients of twelve digits
 
 
-class FlowMethod(FormalStep, CompiledTangents, Composable):
+class FlowMethod(FormalStep, CompiledTangents, CompiledDerivatives, Composable):
     """A scheme that consists of exact flows of parts, given by their order and fractions of the step."""
 
     @property
@@ -111,6 +113,16 @@ class FlowMethod(FormalStep, CompiledTangents, Composable):
         check_differentiable(system)
         program = self.program(system)
         return with_tangents(self._program_loop(program, h), system, program.functions, frame)
+
+    def derivative_tables(
+        self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]
+    ) -> DerivativeTables:
+        """Return the tables of flows and of their transposes."""
+        from coadjoint.methods.protocol.flow_derivatives import flow_derivatives
+
+        self.properties(system)
+        assert has_structure_constants(system)
+        return flow_derivatives(self, system, h, representation, energies)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
         point = np.asarray(x)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import MemberBatch, StopFlag
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.loops import Loops
+
+BatchT = TypeVar("BatchT")
 
 
 def run_in_threads(
@@ -29,7 +31,7 @@ def run_in_threads(
         failed_count = (
             sum(map(advance, member_batches))
             if workers == 1
-            else _sum_in_threads(advance, member_batches, workers, stop)
+            else sum_in_threads(advance, member_batches, workers, stop)
         )
     except BaseException as error:
         raised = loops.raised()
@@ -41,12 +43,12 @@ def run_in_threads(
     return failed_count
 
 
-def _sum_in_threads(
-    advance: Callable[[MemberBatch], int], member_batches: Sequence[MemberBatch], workers: int, stop: StopFlag
+def sum_in_threads(
+    advance: Callable[[BatchT], int], member_batches: Sequence[BatchT], workers: int, stop: StopFlag
 ) -> int:
-    """Sum the results of `advance` over all member batches; the first error stops all threads and is raised.
+    """Sum the results of `advance` over all batches, or ranges, of members; the first error stops all threads.
 
-    Daemon threads, since the interpreter would wait for the threads of a pool at exit.
+    It is raised. Daemon threads, since the interpreter would wait for the threads of a pool at exit.
     """
     waiting, lock = list(reversed(member_batches)), threading.Lock()
     counts: list[int] = []

@@ -149,6 +149,35 @@ TABLE(FlowTangents, FLOW_TANGENTS_FIELDS)
 #define RUNGE_KUTTA_TANGENTS_FIELDS(_) _(RungeKuttaTables, base) _(Tangents, tangents)
 TABLE(RungeKuttaTangents, RUNGE_KUTTA_TANGENTS_FIELDS)
 
+// Cotangents of a program. `dual` moves them as minus the transposes of the generators of `base.state`, `group_dual` as
+// those of `base.group`. The part `added`, unless it is negative, moves nothing: its angles are components of a gradient
+// whose coefficients are differentiated.
+#define FLOW_COTANGENTS_FIELDS(_)                                                                                    \
+    _(FlowTables, base) _(Action, dual) _(Action, group_dual) _(addresses, hessians) _(integer, added)
+TABLE(FlowCotangents, FLOW_COTANGENTS_FIELDS)
+
+// The steps k0 + 1 to k1 of the members with tangent vectors, `carried` for each, of the state and of the group element
+// (members, carried, n) and (members, carried, d, d), which end as those of unfinished states. Those of the states finished
+// after the steps `marks`, ascending, are `at_points` (marked, members, carried, n) and `at_groups`. All vectors have the
+// directions `coefficients` (carried, number) of the offsets, weights and coefficients of the terms.
+#define FORWARD_RUN_FIELDS(_)                                                                                        \
+    _(integer, size) _(integer, square) _(integer, members) _(integer, carried) _(number, t0) _(number, h)            \
+    _(integer, k0) _(integer, k1) _(numbers, momenta) _(numbers, errors) _(numbers, groups) _(integer, marked)       \
+    _(integers, marks) _(numbers, at_points) _(numbers, at_groups) _(numbers, tangents) _(numbers, group_tangents)   \
+    _(numbers, coefficients)
+TABLE(ForwardRun, FORWARD_RUN_FIELDS)
+
+// The steps k0 + 1 to k1 of the members, backward. Given are the unfinished states after step k0, with their errors, and
+// the cotangents `at_points` (marked, members, n) and `at_groups` (marked, members, d, d) of the states finished after
+// the steps `marks`, ascending. Accumulated are `cotangents` (members, n) and `group_cotangents` (members, d, d) of the
+// unfinished states, and the derivatives by the offsets, weights and coefficients of the terms (members, their number).
+#define BACKWARD_RUN_FIELDS(_)                                                                                       \
+    _(integer, size) _(integer, square) _(integer, members) _(number, t0) _(number, h) _(integer, k0) _(integer, k1)  \
+    _(numbers, momenta) _(numbers, errors) _(numbers, groups) _(numbers, group_errors) _(integer, marked)            \
+    _(integers, marks) _(numbers, at_points) _(numbers, at_groups) _(numbers, cotangents)                            \
+    _(numbers, group_cotangents) _(numbers, coefficients)
+TABLE(BackwardRun, BACKWARD_RUN_FIELDS)
+
 #define UNSHIFT_FIELDS(_)                                                                                            \
     _(integer, size) _(integer, dim) _(integer, components) _(bytes, kind) _(bytes, leaning) _(indices, order)           \
     _(indices, begin) _(indices, coordinate) _(indices, form) _(indices, cell) _(indices, entry) _(indices, column)  \

@@ -15,7 +15,8 @@ struct AngleBlocks {
     int kind;
 };
 
-// theta = offset + weight . x and the blocks it moves; or a whole row of the program, if that is more.
+// theta = offset + weight . x, row `angle` of the terms, and the blocks it moves; or a whole row of the program, if that
+// is more.
 struct ElementaryFlow {
     int kind;
     uint32_t row, entries;
@@ -23,6 +24,7 @@ struct ElementaryFlow {
     const double* weight;
     const uint32_t* column;
     AngleBlocks momentum, group;
+    uint32_t angle;
 };
 constexpr int WHOLE_ROW = -1;
 
@@ -41,7 +43,7 @@ class FlowsOfRows {
                 some = true;
             } else {
                 flows.resize(before);
-                flows.push_back({WHOLE_ROW, r, 0, 0.0, nullptr, nullptr, {}, {}});
+                flows.push_back({WHOLE_ROW, r, 0, 0.0, nullptr, nullptr, {}, {}, 0});
             }
         }
         return some ? flows : std::vector<ElementaryFlow>();
@@ -89,15 +91,15 @@ class FlowsOfRows {
             for (uint32_t e = 0; e < 2 * of_momentum.repeat; e += of_momentum.kind == SHEAR ? 2 : 1)
                 moved_by[of_momentum.pairs[e]] = r;
             flows.push_back({of_momentum.kind, r, stop - entry, terms.offset[row], terms.weight + entry,
-                             terms.column + entry, of_momentum, of_group});
+                             terms.column + entry, of_momentum, of_group, row});
         }
         return true;
     }
 };
 
-template <Summation summation, class V>
-INLINE void shear_blocks(const AngleBlocks& blocks, double theta, const Vectors<V>& x) {
-    const double scaled = blocks.factor * theta;
+template <Summation summation, class A, class V>
+INLINE void shear_blocks(const AngleBlocks& blocks, const A& theta, const Vectors<V>& x) {
+    const A scaled = blocks.factor * theta;
     for (uint32_t block = 0; block < blocks.repeat; ++block)
         shear<summation>(scaled * blocks.constants[block], blocks.pairs + 2 * block, x);
 }

@@ -182,11 +182,10 @@ inline int64_t work_of_rows(const FlowTables& tables, const Action& action, uint
     return work;
 }
 
-// The same for a step of one member: the momentum, the group element, and watched invariants.
-inline int64_t work_of_step(const FlowLoop& loop) {
-    const FlowTables& tables = loop.tables;
+// The same for the momentum and the group element in a step of one member.
+inline int64_t work_of_flows(const FlowTables& tables) {
     const uint32_t first = tables.section[1], last = tables.section[3];
-    int64_t work = work_of_terms(loop.watch.terms, 0, loop.watch.terms.size);
+    int64_t work = 0;
     for (uint32_t r = first; r < last; ++r)
         if (is_called(tables, tables.part[r]))
             work += (rotates_bonds_directly<PLAIN>(tables, tables.part[r]) ? WORK_OF_A_BOND : WORK_OF_A_BODY) *
@@ -196,6 +195,11 @@ inline int64_t work_of_step(const FlowLoop& loop) {
     work += work_of_rows(tables, tables.state, first, last);
     if (tables.group.size > 0) work += tables.group.size * work_of_rows(tables, tables.group, first, last);
     return work;
+}
+
+// With watched invariants.
+inline int64_t work_of_step(const FlowLoop& loop) {
+    return work_of_terms(loop.watch.terms, 0, loop.watch.terms.size) + work_of_flows(loop.tables);
 }
 
 }  // namespace coadjoint

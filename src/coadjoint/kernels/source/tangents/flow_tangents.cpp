@@ -21,7 +21,8 @@ static void advance_member(const FlowTangentLoop& loop, int64_t member) {
     const int64_t size = arrays.size;
     TangentBundle<double, TangentLanes> bundle(loop.tables.tangents);
     bundle.begin(loop.memory_of(member), loop.k0 == 0);
-    FlowTangentState<summation, double, TangentLanes> tangent_state(loop.tables, size, bundle.rows);
+    FlowTangentState<summation, double, TangentLanes> tangent_state(tables, loop.tables.tangents.hessians, size,
+                                                                  bundle.rows);
     AlignedArray<double> momenta(2 * size), copies(2 * size);
     double *x = momenta.at, *dx = momenta.at + size;
     std::copy_n(arrays.momenta + member * size, size, x);
@@ -76,7 +77,7 @@ static void advance_lanes(const FlowTangentLoop& loop, const int64_t* members, i
     TangentBundle<A, A> bundle(loop.tables.tangents);
     const auto memory_of = [&](int lane) { return loop.memory_of(members[std::min<int64_t>(lane, count - 1)]); };
     for (int lane = 0; lane < MEMBER_LANES; ++lane) bundle.begin(memory_of(lane), loop.k0 == 0, lane);
-    FlowTangentState<summation, A, A> tangent_state(loop.tables, size, bundle.rows);
+    FlowTangentState<summation, A, A> tangent_state(tables, loop.tables.tangents.hessians, size, bundle.rows);
     FlowLanes<summation, false, A, SharedConstants> lane_group(plain, SharedConstants{}, members, count, scratch);
     const int64_t work = (1 + bundle.rows) * MEMBER_LANES * work_of_step(plain);
     A t(schedule.t0);

@@ -1,4 +1,5 @@
-// The rows of a program with tangent vectors beside the momentum: dx <- act(theta, dx) + (D x) dtheta.
+// The rows of a program with tangent vectors beside the momentum and the group element: dx <- act(theta, dx) + (D x)
+// dtheta.
 #pragma once
 
 #include "flows/flow_alone.hpp"
@@ -7,79 +8,194 @@
 
 namespace coadjoint {
 
-// Add D_a x times the change of its angle to the vectors, for all angles of a part (the operation `apply`).
+// Add D_a x times the change of its angle to the vectors, for all angles of a part (the operation `apply`). Component i of
+// state r of `states` is at i * states + r.
 template <class A, class V>
-NOINLINE void add_angle_changes(const Action& action, uint32_t part, const A* x, const V* changes, V* vectors,
-                                int64_t rows) {
+NOINLINE void add_angle_changes(const Action& action, uint32_t part, const A* x, int64_t states, const V* changes,
+                                V* vectors, int64_t rows) {
     for (uint32_t run = action.run[part]; run < action.run[part + 1]; ++run) {
         const int kind = action.kind[run] % RATIONAL;
         const uint32_t repeat = action.repeat[run], count = action.angles[run];
         const uint32_t* index = action.indices + action.position[run];
         const double* constants = action.constants + action.constant[run];
         const V* change = changes + action.angle[run] * rows;
-        const auto gain = [&](uint32_t i, const A& moved) {
-            const V by(moved);
-            for (int64_t b = 0; b < rows; ++b) vectors[i * rows + b] = fma(by, change[b], vectors[i * rows + b]);
+        // Add to component i, in which D_a takes state r to moved(r).
+        const auto gain = [&](uint32_t i, auto&& moved) {
+            for (int64_t r = 0; r < states; ++r) {
+                const V by(moved(r));
+                V* vector = vectors + (i * states + r) * rows;
+                for (int64_t b = 0; b < rows; ++b) vector[b] = fma(by, change[b], vector[b]);
+            }
         };
         if (kind == CUBIC || kind == SERIES) {
             const BlockRows block(action, run);
             const double* values = constants + (kind == CUBIC ? CUBIC_HEADER : 1);
-            for (uint32_t k = 0; k < block.width; ++k) {
-                A moved(0.0);
-                for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry)
-                    moved = fma(A(values[entry]), x[block.coordinates[block.columns[entry]]], moved);
-                gain(block.coordinates[k], moved);
-            }
+            for (uint32_t k = 0; k < block.width; ++k)
+                gain(block.coordinates[k], [&](int64_t r) {
+                    A moved(0.0);
+                    for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry)
+                        moved = fma(A(values[entry]), x[block.coordinates[block.columns[entry]] * states + r], moved);
+                    return moved;
+                });
             continue;
         }
         for (uint32_t q = 0; q < count; ++q, change += rows)
             for (uint32_t b = 0; b < repeat; ++b) {
+                const A *one = x + index[0] * states, *other = kind == SCALE ? one : x + index[1] * states;
                 if (kind == SCALE) {
-                    gain(index[0], constants[q] * x[index[0]]);
+                    gain(index[0], [&](int64_t r) { return constants[q] * one[r]; });
                 } else if (kind == ROTATE) {
-                    gain(index[0], -(constants[q] * x[index[1]]));
-                    gain(index[1], constants[q] * x[index[0]]);
+                    gain(index[0], [&](int64_t r) { return -(constants[q] * other[r]); });
+                    gain(index[1], [&](int64_t r) { return constants[q] * one[r]; });
                 } else if (kind == SHEAR) {
-                    gain(index[0], constants[q * repeat + b] * x[index[1]]);
+                    gain(index[0], [&](int64_t r) { return constants[q * repeat + b] * other[r]; });
                 } else {
                     const double* plane = constants + 4 * q;
-                    const A one = x[index[0]], other = x[index[1]];
-                    gain(index[0], fma(A(plane[0] + plane[1]), one, plane[2] * other));
-                    gain(index[1], fma(A(plane[3]), one, (plane[0] - plane[1]) * other));
+                    gain(index[0], [&](int64_t r) { return fma(A(plane[0] + plane[1]), one[r], plane[2] * other[r]); });
+                    gain(index[1], [&](int64_t r) { return fma(A(plane[3]), one[r], (plane[0] - plane[1]) * other[r]); });
                 }
                 index += kind == SCALE ? 1 : 2;
             }
     }
 }
 
+// Add the changes of the rows of term k under directions of its offsets, weights and coefficients. Entry i of direction b
+// is at i * rows + b, after those of the offsets those of the weights, and of the coefficients.
+template <class A, class V>
+NOINLINE void add_coefficient_changes(const Terms& terms, int64_t k, const A* x, const V* directions, int64_t rows,
+                                      V* out, int64_t first) {
+    const int64_t start = terms.row[k], stop = terms.row[k + 1], all = terms.row[terms.size];
+    const V *weight = directions + all * rows, *coefficient = weight + terms.entry[all] * rows;
+    const auto add = [&](int64_t row, const A& factor, const V* direction) {
+        const V by(factor);
+        for (int64_t b = 0; b < rows; ++b)
+            out[(row - first) * rows + b] = fma(by, direction[b], out[(row - first) * rows + b]);
+    };
+    if (terms.kind[k] == LINEAR)
+        for (int64_t row = start; row < stop; ++row) {
+            add(row, A(1.0), directions + row * rows);
+            for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)
+                add(row, x[terms.column[entry]], weight + entry * rows);
+        }
+    if (terms.kind[k] == POLYNOMIAL)
+        for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial)
+            for (uint32_t one = terms.factor[monomial]; one < terms.factor[monomial + 1]; ++one) {
+                A product(1.0);
+                for (uint32_t factor = terms.factor[monomial]; factor < terms.factor[monomial + 1]; ++factor)
+                    product *= factor_derivative(x[terms.target[terms.factor_row[factor]]], terms.exponent[factor],
+                                                 factor == one);
+                add(terms.factor_row[one], product, coefficient + monomial * rows);
+            }
+}
+
+// The group element of a state, (d, d), with tangent vectors of it, and the directions of coefficients that all have; none
+// for null pointers. Angles of the part `added`, unless it is negative, change by those alone, and move nothing.
+template <class A, class V>
+struct FurtherTangents {
+    A* group;
+    V *vectors, *directions;
+    int64_t added;
+};
+
 // One member of a flow method, or many as lanes. Momenta have the same bits as without tangent vectors.
 template <Summation summation, class A, class V>
 struct FlowTangentState {
     const FlowTables& tables;
-    const Tangents& tangents;
-    const int64_t size, rows;
-    AlignedArray<A> scratch;
-    AlignedArray<V> wide, changes;
+    const int64_t* hessians;
+    const int64_t size, rows, side;
+    AlignedArray<A> scratch, group_scratch;
+    AlignedArray<V> wide, wide_group, changes;
     AngleWorkspace<A> angles;
-    HessianWorkspace<A> hessians;
+    HessianWorkspace<A> workspace;
 
-    FlowTangentState(const FlowTangents& tangent_tables, int64_t size, int64_t rows)
-        : tables(tangent_tables.base), tangents(tangent_tables.tangents), size(size), rows(rows), scratch(3 * size),
-          wide(3 * size * rows), changes(tables.longest * rows), angles(tables.longest), hessians(tables.longest) {}
+    FlowTangentState(const FlowTables& tables, const int64_t* hessians, int64_t size, int64_t rows)
+        : tables(tables), hessians(hessians), size(size), rows(rows), side(tables.group.size), scratch(3 * size),
+          group_scratch(3 * side * side), wide(3 * size * rows), wide_group(3 * side * side * rows),
+          changes(tables.longest * rows), angles(tables.longest), workspace(tables.longest) {}
 
-    void sweep(uint32_t first, uint32_t last, A* x, A* dx, V* vectors, const A& t, double h) {
-        for (uint32_t r = first; r < last; ++r) row(r, x, dx, vectors, t, h);
+    void sweep(uint32_t first, uint32_t last, A* x, A* dx, V* vectors, const A& t, double h,
+               const FurtherTangents<A, V>& further = {nullptr, nullptr, nullptr, -1}) {
+        for (uint32_t r = first; r < last; ++r) row(r, x, dx, vectors, t, h, further);
+    }
+
+    // The same with elementary flows, if there are any, of the rows.
+    void sweep(uint32_t first, uint32_t last, const std::vector<ElementaryFlow>& flows, A* x, A* dx, V* vectors,
+               const A& t, double h, const FurtherTangents<A, V>& further) {
+        if (flows.empty()) return sweep(first, last, x, dx, vectors, t, h, further);
+        for (const ElementaryFlow& flow : flows)
+            if (__builtin_expect(flow.kind != WHOLE_ROW, 1))
+                follow(flow, x, dx, vectors, further);
+            else
+                row(flow.row, x, dx, vectors, t, h, further);
     }
 
   private:
-    void row(uint32_t r, A* x, A* dx, V* vectors, const A& t, double h) {
+    // Move states (at i * states + r) and their vectors by the blocks of an angle theta, whose changes are `of_angle`.
+    template <Summation sum>
+    INLINE void follow_blocks(const AngleBlocks& blocks, const A& theta, const V* of_angle, const Vectors<A>& x,
+                              V* vectors) {
+        const int64_t states = x.rows;
+        if (blocks.kind == ROTATE) {
+            const Rotation<A> rotation = rotation_by(theta * blocks.factor);
+            rotate<sum>(rotation, blocks.pairs, blocks.repeat, x);
+            rotate<PLAIN>(rotation, blocks.pairs, blocks.repeat, Vectors<V>{vectors, nullptr, states * rows, nullptr});
+        } else {
+            shear_blocks<sum>(blocks, theta, x);
+            shear_blocks<PLAIN>(blocks, theta, Vectors<V>{vectors, nullptr, states * rows, nullptr});
+        }
+        for (uint32_t block = 0; block < blocks.repeat; ++block) {
+            const int64_t i = blocks.pairs[2 * block] * states, j = blocks.pairs[2 * block + 1] * states;
+            for (int64_t r = 0; r < states; ++r) {
+                const A one = x.at[i + r], other = x.at[j + r];
+                const bool turns = blocks.kind == ROTATE;
+                const V of_first(turns ? -blocks.factor * other : blocks.factor * blocks.constants[block] * other);
+                for (int64_t b = 0; b < rows; ++b)
+                    vectors[(i + r) * rows + b] = fma(of_first, of_angle[b], vectors[(i + r) * rows + b]);
+                if (!turns) continue;
+                const V of_second(blocks.factor * one);
+                for (int64_t b = 0; b < rows; ++b)
+                    vectors[(j + r) * rows + b] = fma(of_second, of_angle[b], vectors[(j + r) * rows + b]);
+            }
+        }
+    }
+
+    INLINE void follow(const ElementaryFlow& flow, A* x, A* dx, V* vectors, const FurtherTangents<A, V>& further) {
+        A theta(flow.offset);
+        V* change = changes.at;
+        std::fill_n(change, rows, V(0.0));
+        for (uint32_t entry = 0; entry < flow.entries; ++entry) {
+            const uint32_t column = flow.column[entry];
+            theta = fma(A(flow.weight[entry]), x[column], theta);
+            const V weight(flow.weight[entry]);
+            for (int64_t b = 0; b < rows; ++b) change[b] = fma(weight, vectors[column * rows + b], change[b]);
+        }
+        if (further.directions) {
+            const Terms& terms = tables.terms;
+            const V* of_weight =
+                further.directions + (terms.row[terms.size] + (flow.weight - terms.weight)) * rows;
+            for (int64_t b = 0; b < rows; ++b) change[b] += further.directions[flow.angle * rows + b];
+            for (uint32_t entry = 0; entry < flow.entries; ++entry) {
+                const V coordinate(x[flow.column[entry]]);
+                for (int64_t b = 0; b < rows; ++b)
+                    change[b] = fma(coordinate, of_weight[entry * rows + b], change[b]);
+            }
+        }
+        follow_blocks<summation>(flow.momentum, theta, change, Vectors<A>{x, dx, 1, nullptr}, vectors);
+        if (further.group)
+            follow_blocks<PLAIN>(flow.group, theta, change, Vectors<A>{further.group, nullptr, side, nullptr},
+                                 further.vectors);
+    }
+
+    void row(uint32_t r, A* x, A* dx, V* vectors, const A& t, double h, const FurtherTangents<A, V>& further) {
         const Terms& terms = tables.terms;
         const uint32_t part = tables.part[r], low = tables.share[part], high = tables.share[part + 1];
         const int64_t base = terms.row[low], count = terms.row[high] - base;
-        const bool single = tables.only[part] >= 0;
+        const bool single = tables.only[part] >= 0, added = int64_t(part) == further.added;
         const double tau = tables.tau[r];
         const A moment = t + A(tables.moment[r] * h);
         A* theta = angles.theta.at;
+        const Vectors<A> group{further.group, nullptr, side, group_scratch.at};
+        const Vectors<V> of_group{further.vectors, nullptr, side * rows, wide_group.at};
         if (is_called(tables, part)) {
             for (uint32_t k = low; k < high; ++k)
                 called_changes(tables, tables.called[k], tau, x, vectors, rows,
@@ -92,26 +208,55 @@ struct FlowTangentState {
                                       Vectors<A>{x, dx, 1, scratch.at}, size);
             act_called<PLAIN>(tables.state, SharedConstants{}, part, rotations,
                               Vectors<V>{vectors, nullptr, rows, wide.at}, size);
+            if (further.group) {
+                act_called<PLAIN>(tables.group, SharedConstants{}, part, rotations, group, side);
+                act_called<PLAIN>(tables.group, SharedConstants{}, part, rotations, of_group, side);
+            }
         } else {
             for (uint32_t k = low; k < high; ++k) {
-                gradient_rows(terms, SharedConstants{}, tables.addresses, k, x, moment, theta, base,
-                              angles.arguments.at, angles.calls.data());
-                gradient_changes(terms, tangents.hessians, k, x, moment, vectors, rows, changes.at, base, hessians);
+                V* of_term = changes.at + (terms.row[k] - base) * rows;
+                if (added) {
+                    std::fill_n(of_term, (terms.row[k + 1] - terms.row[k]) * rows, V(0.0));
+                } else {
+                    gradient_rows(terms, SharedConstants{}, tables.addresses, k, x, moment, theta, base,
+                                  angles.arguments.at, angles.calls.data());
+                    gradient_changes(terms, hessians, k, x, moment, vectors, rows, changes.at, base, workspace);
+                }
+                if (further.directions)
+                    add_coefficient_changes(terms, k, x, further.directions, rows, changes.at, base);
             }
             for (int64_t a = 0; a < count; ++a) {
                 // A rational rotation by phi rotates by 2 atan(phi/2).
-                const A half = 0.5 * tables.frequency[base + a] * (tau * theta[a]);
+                const A half = added ? A(0.0) : 0.5 * tables.frequency[base + a] * (tau * theta[a]);
                 const V by(A(tau) / fma(half, half, A(1.0)));
                 for (int64_t b = 0; b < rows; ++b) changes.at[a * rows + b] *= by;
             }
-            const A single_angle = single ? theta[0] : A(0.0);
-            CachedRotation<A> cached;
-            act<summation, false>(tables.state, SharedConstants{}, part, tau, single, single_angle, theta, cached,
-                                  Vectors<A>{x, dx, 1, scratch.at});
-            act<PLAIN, true>(tables.state, SharedConstants{}, part, tau, single, single_angle, theta, cached,
-                             Vectors<V>{vectors, nullptr, rows, wide.at});
+            if (!added) {
+                const A single_angle = single ? theta[0] : A(0.0);
+                CachedRotation<A> cached;
+                act<summation, false>(tables.state, SharedConstants{}, part, tau, single, single_angle, theta, cached,
+                                      Vectors<A>{x, dx, 1, scratch.at});
+                const auto follow = [&](const Action& action, const auto& moved) {
+                    act<PLAIN, true>(action, SharedConstants{}, part, tau, single, single_angle, theta, cached, moved);
+                };
+                follow(tables.state, Vectors<V>{vectors, nullptr, rows, wide.at});
+                if (further.group && tables.bent[part]) {
+                    for (int64_t a = 0; a < count; ++a)
+                        angles.rotated.at[a] = rational_angle(tau * theta[a], A(tables.frequency[base + a]));
+                    const auto bend = [&](const auto& moved) {
+                        CachedRotation<A> other;
+                        act<PLAIN, true>(tables.group, SharedConstants{}, part, 1.0, false, single_angle,
+                                         angles.rotated.at, other, moved);
+                    };
+                    bend(group), bend(of_group);
+                } else if (further.group) {
+                    follow(tables.group, group), follow(tables.group, of_group);
+                }
+            }
         }
-        add_angle_changes(tables.state, part, x, changes.at, vectors, rows);
+        add_angle_changes(tables.state, part, x, 1, changes.at, vectors, rows);
+        if (further.group)
+            add_angle_changes(tables.group, part, further.group, side, changes.at, further.vectors, rows);
     }
 };
 

@@ -1,0 +1,108 @@
+// The loop over the steps of programs with tangent vectors that are saved, for Python.
+#include "tangents/bundle.hpp"
+#include "tangents/flow_tangents.hpp"
+
+namespace coadjoint {
+
+// Members as lanes, each with all of its vectors, or one member with its vectors as lanes.
+template <Summation summation, class A, class V>
+static void run_forward(const FlowCotangents& all, const ForwardRun& run, int64_t first, int64_t count,
+                        InterruptCheck& interrupts) {
+    const FlowTables& tables = all.base;
+    constexpr bool of_members = Numbers<A>::lanes == Numbers<V>::lanes;
+    constexpr int64_t per_block = of_members ? 1 : Numbers<V>::lanes;
+    const int64_t size = run.size, side = run.square > 0 ? tables.group.size : 0, square = side * side;
+    const int64_t rows = (run.carried + per_block - 1) / per_block, used = of_members ? count : 1;
+    const int64_t coefficients = tables.terms.row[tables.terms.size] +
+                                 tables.terms.entry[tables.terms.row[tables.terms.size]] +
+                                 tables.terms.monomial[tables.terms.size];
+    AlignedArray<A> x(2 * size), finished(2 * size), group(square), finished_group(square);
+    AlignedArray<V> vectors(size * rows), copies(size * rows), of_group(square * rows), copies_of_group(square * rows);
+    AlignedArray<V> directions(coefficients * rows);
+    FlowTangentState<summation, A, V> tangents(tables, all.hessians, size, rows);
+    // Numbers of members (members, length), or of their vectors (members, carried, length).
+    const auto each_number = [&](A* to, int64_t length, auto&& visit) {
+        for (int64_t lane = 0; lane < used; ++lane)
+            for (int64_t i = 0; i < length; ++i) visit(to[i], int(lane), (first + lane) * length + i);
+    };
+    const auto each_component = [&](V* to, int64_t length, auto&& visit) {
+        for (int64_t lane = 0; lane < used; ++lane)
+            for (int64_t v = 0; v < run.carried; ++v)
+                for (int64_t i = 0; i < length; ++i)
+                    visit(to[i * rows + v / per_block], int(of_members ? lane : v % per_block),
+                          ((first + lane) * run.carried + v) * length + i);
+    };
+    const auto read = [](const double* from) {
+        return [from](auto& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); };
+    };
+    const auto write = [](double* to) {
+        return [to](auto& entry, int lane, int64_t position) { to[position] = lane_of(entry, lane); };
+    };
+    each_number(x.at, size, read(run.momenta));
+    each_number(x.at + size, size, read(run.errors));
+    each_component(vectors.at, size, read(run.tangents));
+    if (square > 0) {
+        each_number(group.at, square, read(run.groups));
+        each_component(of_group.at, square, read(run.group_tangents));
+    }
+    for (int64_t lane = 0; lane < used; ++lane)
+        for (int64_t v = 0; v < run.carried; ++v)
+            for (int64_t i = 0; i < coefficients; ++i)
+                set_lane(directions.at[i * rows + v / per_block], int(of_members ? lane : v % per_block),
+                         run.coefficients[v * coefficients + i]);
+    bool directed = false;
+    for (int64_t i = 0; i < run.carried * coefficients; ++i) directed = directed || run.coefficients[i] != 0.0;
+    V* const of_coefficients = directed ? directions.at : nullptr;
+    const FurtherTangents<A, V> further{square > 0 ? group.at : nullptr, of_group.at, of_coefficients, all.added};
+    FlowsOfRows flows_of(tables, square > 0);
+    const auto opening = flows_of(tables.section[0], tables.section[1]);
+    const auto repeated = flows_of(tables.section[1], tables.section[2]);
+    const auto finish = flows_of(tables.section[2], tables.section[3]);
+    const int64_t work = (2 + 4 * rows) * Numbers<A>::lanes * work_of_flows(tables);
+    int64_t mark = 0;
+    for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
+        interrupts.after(work);
+        const A t(run.t0 + double(k - 1) * run.h);
+        tangents.sweep(tables.section[k == 1 ? 0 : 1], tables.section[k == 1 ? 1 : 2], k == 1 ? opening : repeated, x.at,
+                       x.at + size, vectors.at, t, run.h, further);
+        if (mark == run.marked || run.marks[mark] != k) continue;
+        std::copy_n(x.at, 2 * size, finished.at);
+        std::copy_n(vectors.at, size * rows, copies.at);
+        std::copy_n(group.at, square, finished_group.at);
+        std::copy_n(of_group.at, square * rows, copies_of_group.at);
+        tangents.sweep(tables.section[2], tables.section[3], finish, finished.at, finished.at + size, copies.at, t, run.h,
+                       {square > 0 ? finished_group.at : nullptr, copies_of_group.at, of_coefficients, all.added});
+        const int64_t saved = mark++ * run.members * run.carried;
+        each_component(copies.at, size, write(run.at_points + saved * size));
+        if (square > 0) each_component(copies_of_group.at, square, write(run.at_groups + saved * square));
+    }
+    each_component(vectors.at, size, write(run.tangents));
+    if (square > 0) each_component(of_group.at, square, write(run.group_tangents));
+}
+
+template <Summation summation>
+static void run_members(const FlowCotangents& all, const ForwardRun& run, int64_t first, int64_t last,
+                        InterruptCheck& interrupts) {
+    typedef Lanes<MEMBER_LANES> Members;
+    for (; run.size <= WIDEST && last - first >= MIN_LANES; first += std::min<int64_t>(MEMBER_LANES, last - first))
+        run_forward<summation, Members, Members>(all, run, first, std::min<int64_t>(MEMBER_LANES, last - first),
+                                                 interrupts);
+    for (; first < last; ++first) run_forward<summation, double, TangentLanes>(all, run, first, 1, interrupts);
+}
+
+// Carry the tangent vectors of the members first to last - 1; return zero or the outcome.
+EXPORT int64_t flow_directions(const FlowCotangents* tables, const ForwardRun* run, int64_t first, int64_t last,
+                               const int64_t* stop) {
+    InterruptCheck interrupts(stop);
+    try {
+        tables->base.compensated ? run_members<CORRECTED>(*tables, *run, first, last, interrupts)
+                                 : run_members<PLAIN>(*tables, *run, first, last, interrupts);
+        return 0;
+    } catch (const Interrupted&) {
+        return INTERRUPTED;
+    } catch (const std::bad_alloc&) {
+        return NO_MEMORY;
+    }
+}
+
+}  // namespace coadjoint

@@ -1,0 +1,166 @@
+"""Tables of programs whose steps are differentiated, forward and backward."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.kernels.interface import limit
+from coadjoint.kernels.library import interruptible_kernels
+from coadjoint.kernels.loop import StopFlag, raise_outcome
+from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
+from coadjoint.kernels.tables.flow import FlowTables, flow_tables
+from coadjoint.kernels.tables.structures import as_structure
+from coadjoint.kernels.tables.tangents import check_differentiable
+from coadjoint.program.actions import Action, build_action, empty_action
+from coadjoint.program.added_part import AddedPart
+from coadjoint.program.generators import BasisMatrices
+from coadjoint.program.table import Program
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+
+Floats = NDArray[np.float64]
+
+
+class FlowCotangents(NamedTuple):
+    """Tables of a program with the actions on cotangents; see `source/boundary/tables.hpp`."""
+
+    base: FlowTables
+    dual: Action
+    group_dual: Action
+    hessians: NDArray[np.int64]
+    added: int
+
+
+class ForwardRun(NamedTuple):
+    """Steps with tangent vectors: arrays and their sizes; see `source/boundary/tables.hpp`."""
+
+    size: int
+    square: int
+    members: int
+    carried: int
+    t0: float
+    h: float
+    k0: int
+    k1: int
+    momenta: Floats
+    errors: Floats
+    groups: Floats
+    marked: int
+    marks: NDArray[np.int64]
+    at_points: Floats
+    at_groups: Floats
+    tangents: Floats
+    group_tangents: Floats
+    coefficients: Floats
+
+
+class BackwardRun(NamedTuple):
+    """Steps backward with cotangents: arrays and their sizes; see `source/boundary/tables.hpp`."""
+
+    size: int
+    square: int
+    members: int
+    t0: float
+    h: float
+    k0: int
+    k1: int
+    momenta: Floats
+    errors: Floats
+    groups: Floats
+    group_errors: Floats
+    marked: int
+    marks: NDArray[np.int64]
+    at_points: Floats
+    at_groups: Floats
+    cotangents: Floats
+    group_cotangents: Floats
+    coefficients: Floats
+
+
+def flow_cotangents(
+    program: Program, system: LiePoissonSystem, group: Any, h: float, compensated: bool, added: AddedPart | None
+) -> CompiledTables:
+    """Return `FlowCotangents` of a program, with the part of a derivative by parameters if there is one."""
+    check_differentiable(system)
+    base = flow_tables(program, h, compensated)
+    tables: FlowTables = base.tables
+    hessians, keepalive = addresses_of(program.functions, program.terms.size, "hessian", "the Hamiltonian")
+    parts, index = program.parts, -1
+    dual = _marked_like(build_action(BasisMatrices.on_group(system.algebra, None), parts), tables.state)
+    group_dual = empty_action()
+    if program.group is not None:
+        matrices = (
+            BasisMatrices.coadjoint(system.algebra)
+            if isinstance(group, str)
+            else BasisMatrices.on_group(system.algebra, -np.swapaxes(group, 1, 2))
+        )
+        group_dual = _marked_like(build_action(matrices, parts), tables.group)
+    if added is not None:
+        index = len(parts)
+        rows, zeros = added.rows, np.zeros(added.shares, dtype=np.int64)
+        tables = tables._replace(
+            longest=max(tables.longest, added.angles),
+            only=np.append(tables.only, np.int64(-1)),
+            bent=np.append(tables.bent, np.uint8(0)),
+            direct=np.append(tables.direct, np.uint8(0)),
+            frequency=np.concatenate([tables.frequency, np.zeros(added.angles)]),
+            part=rows.part,
+            tau=rows.coefficient * h,
+            moment=rows.moment,
+            section=rows.section,
+            share=np.append(tables.share, np.uint32(tables.share[-1] + added.shares)),
+            terms=added.terms,
+            addresses=np.concatenate([tables.addresses, zeros]),
+            called=np.concatenate([tables.called, zeros - 1]),
+            state=_marked_first(added.state, tables.state),
+            group=_marked_first(added.group, tables.group) if added.group is not None else tables.group,
+        )
+        hessians = np.concatenate([hessians, zeros])
+    return CompiledTables(FlowCotangents(tables, dual, group_dual, hessians, index), (*base.keepalive, *keepalive))
+
+
+def with_step(tables: FlowCotangents, h: float) -> FlowCotangents:
+    """Return the tables of another step."""
+    base = tables.base
+    return tables._replace(base=base._replace(tau=base.tau * (h / base.step), step=h))
+
+
+def _marked_first(action: Action, marked: Action) -> Action:
+    """Return an action with the kinds of another one, which it extends."""
+    return action._replace(kind=np.concatenate([marked.kind, action.kind[len(marked.kind) :]]))
+
+
+def _marked_like(action: Action, marked: Action) -> Action:
+    """Mark the rational rotations of the parts that have them in another representation."""
+    rational = limit("RATIONAL")
+    turning = np.repeat(
+        np.add.reduceat(np.append(marked.kind >= rational, False), marked.run[:-1]) * (np.diff(marked.run) > 0) > 0,
+        np.diff(action.run),
+    )
+    kind = action.kind.copy()
+    kind[turning] += rational
+    return action._replace(kind=kind)
+
+
+@cache
+def _kernel(name: str) -> Any:
+    function = getattr(interruptible_kernels(), name)
+    function.restype = ctypes.c_int64
+    return function
+
+
+def advance_tables(name: str, tables: Any, run: Any, first: int, last: int, stop: StopFlag) -> None:
+    """Call a kernel for the members `first` to `last` - 1 of a run."""
+    outcome = _kernel(name)(
+        ctypes.byref(tables),
+        ctypes.byref(as_structure(run)),
+        ctypes.c_int64(first),
+        ctypes.c_int64(last),
+        stop.address,
+    )
+    if outcome < 0:
+        raise_outcome(outcome)

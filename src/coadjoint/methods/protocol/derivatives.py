@@ -1,0 +1,64 @@
+"""Capability for derivatives of whole runs: loops with tangent vectors forward and cotangents backward."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from coadjoint.methods.protocol.method import Method, Representation
+from coadjoint.systems.system_checks import System
+
+if TYPE_CHECKING:
+    from coadjoint.program.added_part import CoefficientMap
+    from coadjoint.systems.energy_derivatives import EnergyDerivative
+
+EXACT = "exact"
+ADDED_PART = "added part"
+
+
+class DerivativeTables(NamedTuple):
+    """Tables of a scheme, and the coefficients in them that depend on parameters.
+
+    `tables_at(h)` are those of a step h, a C structure, and `forward` and `backward` names of kernels; `keepalive` must
+    live as long as the tables. Derivatives by `coefficient_count` coefficients are mapped to those by the entries of
+    the parameters by `coefficients`, and derivatives by the factors of Casimirs subtracted from the energy, `shift`,
+    by `factors`. The `rules` are "exact" or "added part".
+    """
+
+    tables_at: Callable[[float], Any]
+    keepalive: tuple[Any, ...]
+    forward: str
+    backward: str
+    coefficient_count: int
+    coefficients: Mapping[str, CoefficientMap]
+    factors: Mapping[str, CoefficientMap]
+    rules: Mapping[str, str]
+    shift: tuple[Any, ...]
+
+
+class CompiledDerivatives(Method):
+    """A scheme with loops that differentiate whole runs."""
+
+    @abstractmethod
+    def derivative_tables(
+        self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]
+    ) -> DerivativeTables:
+        """Return the tables; `energies` are the derivatives of the energy by the parameters wanted."""
+
+
+def derivative_tables(
+    method: Method,
+    system: System,
+    h: float,
+    representation: Representation,
+    energies: Mapping[str, EnergyDerivative],
+) -> DerivativeTables:
+    """Return the tables of a scheme; raise TypeError, by name, for one whose runs cannot be differentiated."""
+    form = method.expanded
+    if not isinstance(form, CompiledDerivatives):
+        raise TypeError(
+            f"runs by {type(method).__name__} are not differentiable; take Splitting or another scheme of exact flows"
+        )
+    form.properties(system)
+    return form.derivative_tables(system, h, representation, energies)

@@ -1,0 +1,66 @@
+"""Derivatives of runs by flow methods: parameters as coefficients of the parts, or as an added part."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from coadjoint.kernels.tables.cotangents import flow_cotangents, with_step
+from coadjoint.kernels.tables.structures import as_structure
+from coadjoint.methods.protocol.derivatives import ADDED_PART, EXACT, DerivativeTables
+from coadjoint.program.added_part import CoefficientMap, in_parts, with_added_part
+from coadjoint.systems.energy_derivatives import EnergyDerivative
+
+if TYPE_CHECKING:
+    from coadjoint.methods.protocol.flow_method import FlowMethod
+    from coadjoint.systems.lie_poisson import LiePoissonSystem
+
+FORWARD, BACKWARD = "flow_directions", "flow_cotangents"
+
+
+def flow_derivatives(
+    method: FlowMethod,
+    system: LiePoissonSystem,
+    h: float,
+    representation: Any,
+    energies: Mapping[str, EnergyDerivative],
+) -> DerivativeTables:
+    """Return the tables of flows and of their transposes.
+
+    Parameters that enter coefficients of the parts are differentiated there. Others, on which the forms of the parts
+    depend, are differentiated as an added part of size zero.
+    """
+    program = method.program(system, group=representation)
+    found = {name: in_parts(program, G) for name, G in energies.items()}
+    coefficients = {name: pair[0] for name, pair in found.items() if pair is not None}
+    factors = {name: pair[1] for name, pair in found.items() if pair is not None}
+    others = [name for name, pair in found.items() if pair is None]
+    added = None
+    if others:
+        G = EnergyDerivative.joined([energies[name] for name in others])
+        added = with_added_part(program, method, system, representation, G)
+        coefficients = {name: added.renumbered(one) for name, one in coefficients.items()}
+        start = 0
+        for name in others:
+            coefficients[name] = added.of_entries(start, start + energies[name].size)
+            start += energies[name].size
+    built = flow_cotangents(program, system, representation, h, method.compensates, added)
+    terms = built.tables.base.terms
+
+    def tables_at(step: float) -> Any:
+        return as_structure(built.tables if step == h else with_step(built.tables, step))
+
+    empty = CoefficientMap(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))
+    return DerivativeTables(
+        tables_at=tables_at,
+        keepalive=built.keepalive,
+        forward=FORWARD,
+        backward=BACKWARD,
+        coefficient_count=len(terms.offset) + len(terms.weight) + len(terms.coefficient),
+        coefficients=coefficients,
+        factors={name: factors.get(name, empty) for name in energies},
+        rules={name: ADDED_PART if name in others else EXACT for name in energies},
+        shift=program.shift,
+    )

@@ -1,0 +1,339 @@
+"""Programs with a part of size zero: the derivative of the energy by parameters, as one more part of a splitting.
+
+A splitting of H + epsilon G is one of H with the part epsilon G. So its derivative by epsilon is the sum of the
+coefficients of that part times J(x) grad G(x) at its rows, carried on by the tangents of the other flows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.polynomials.monomials import factors_of
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.program.actions import Action, build_action
+from coadjoint.program.generators import BasisMatrices
+from coadjoint.program.parts.part import Parts
+from coadjoint.program.sparse_rows import SparseRows, joined_starts, starts_of
+from coadjoint.program.sweeps import JoinRules, Rows, Swept, rows_of
+from coadjoint.program.table import Program
+from coadjoint.program.term_table import LINEAR, POLYNOMIAL, Terms, TermTable
+from coadjoint.systems.energy_derivatives import EnergyDerivative, Monomial
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+
+
+class CoefficientMap(NamedTuple):
+    """Coefficients of terms as functions of parameters: `factor` times parameter `entry` is added to `coefficient`.
+
+    Coefficients are numbered as in the compiled loops: all offsets, all weights, then all coefficients of monomials.
+    """
+
+    coefficient: NDArray[np.int64]
+    entry: NDArray[np.int64]
+    factor: NDArray[np.float64]
+
+    @classmethod
+    def of_triplets(cls, triplets: Sequence[tuple[int, int, float]]) -> CoefficientMap:
+        """Construct from (coefficient, entry, factor)."""
+        table = np.array(triplets, dtype=object).reshape(-1, 3)
+        return cls(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2].astype(np.float64))
+
+    def of_entries(self, by_coefficient: NDArray[np.float64], entries: int) -> NDArray[np.float64]:
+        """Return derivatives by the entries, (entries,), of derivatives by coefficients (count,)."""
+        weights = self.factor * by_coefficient[self.coefficient]
+        return np.bincount(self.entry, weights, minlength=entries).astype(np.float64)
+
+    def of_coefficients(self, directions: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+        """Return directions of the coefficients (k, count) for directions of the entries (k, entries)."""
+        weights = self.factor * directions[:, self.entry]
+        rows = [np.bincount(self.coefficient, row, minlength=count) for row in weights]
+        return np.array(rows, dtype=np.float64)
+
+
+class AddedPart(NamedTuple):
+    """A program with one more part, the last one, which moves nothing.
+
+    `rows` and `terms` are those of all parts, `share` the end of the added one; `state` and `group` contain the
+    generators of its angles. `counts` are the numbers of offsets, weights and coefficients of the program and of the
+    added part.
+    """
+
+    rows: Rows
+    terms: Terms
+    shares: int
+    angles: int
+    state: Action
+    group: Action | None
+    coefficients: CoefficientMap
+    counts: NDArray[np.int64]
+
+    def of_entries(self, start: int, stop: int) -> CoefficientMap:
+        """Return the coefficients that depend on the entries `start` to `stop` - 1, numbered from zero."""
+        coefficient, entry, factor = self.coefficients
+        chosen = (entry >= start) & (entry < stop)
+        return CoefficientMap(coefficient[chosen], entry[chosen] - start, factor[chosen])
+
+    def renumbered(self, coefficients: CoefficientMap) -> CoefficientMap:
+        """Number coefficients of the program as those of all terms."""
+        own, joined = starts_of(self.counts[0]), starts_of(self.counts.sum(axis=0))
+        return _moved(coefficients, own, joined[:-1])
+
+
+def with_added_part(
+    program: Program, method: Swept, system: LiePoissonSystem, group: NDArray[Any] | str | None, G: EnergyDerivative
+) -> AddedPart:
+    """Return a program with the part G of the energy, by parameters."""
+    added, coefficients = _terms_of(G, system.dim)
+    terms = _joined_terms(program.terms, added)
+    target = added.target.astype(np.int64)
+    parts = Parts(
+        SparseRows.units(target),
+        np.zeros(len(target)),
+        SparseRows.empty(len(target)),
+        added.row.astype(np.int64),
+        {},
+        np.array([0, added.size]),
+        np.zeros(1, dtype=bool),
+    )
+
+    def extended(action: Action, matrices: BasisMatrices) -> Action:
+        return _joined_actions(action, build_action(matrices, parts))
+
+    counts = np.array([[len(one.offset), len(one.weight), len(one.coefficient)] for one in (program.terms, added)])
+    of_group = None
+    if program.group is not None:
+        representation = None if isinstance(group, str) else group
+        of_group = extended(program.group, BasisMatrices.on_group(system.algebra, representation))
+    return AddedPart(
+        rows=_rows(program, method),
+        terms=terms,
+        shares=added.size,
+        angles=len(target),
+        state=extended(program.state, BasisMatrices.coadjoint(system.algebra)),
+        group=of_group,
+        coefficients=_moved(coefficients, starts_of(counts[1]), starts_of(counts.sum(axis=0))[:-1] + counts[0]),
+        counts=counts,
+    )
+
+
+def _rows(program: Program, method: Swept) -> Rows:
+    """Return the rows with the added part next to the first one: inside of sweeps, where no rows are joined."""
+    count = len(program.parts)
+    position = min(1, count - 1) if count else 0
+    rules = JoinRules.from_parts(program.parts, program.frequency)
+    rules = JoinRules(*(np.insert(column, position, False) for column in rules))
+    rows = rows_of(method, rules, program.sign, float)
+    part = rows.part.astype(np.int64)
+    renumbered = np.where(part == position, count, part - (part > position))
+    return rows._replace(part=renumbered.astype(np.uint32))
+
+
+def _terms_of(G: EnergyDerivative, n: int) -> tuple[Terms, CoefficientMap]:
+    """Return the terms of all monomials of G, with coefficients of zero, and how these depend on the parameters."""
+    table = TermTable()
+    # x_i x_j has the derivatives x_j by x_i and x_i by x_j; the rows are those of both.
+    i, j = G.quadratic.T
+    row, column = np.concatenate([i, j]), np.concatenate([j, i])
+    used = np.unique(np.concatenate([G.linear, row]))
+    cells, cell = np.unique(row * n + column, return_inverse=True)
+    if len(used):
+        indptr = np.searchsorted(np.searchsorted(used, cells // n), np.arange(len(used) + 1))
+        table.add_linear(used, np.zeros(len(used)), indptr, cells % n, np.zeros(len(cells)))
+    others = [one for one in G.others if one.coordinates]
+    keys = list(dict.fromkeys(one.coordinates for one in others))
+    if keys:
+        coordinates = sorted({k for key in keys for k in key})
+        powers = [tuple(key.count(k) for k in coordinates) for key in keys]
+        table.add_polynomial(coordinates, Polynomial(dict.fromkeys(powers, 1.0)))
+    terms = table.table(float)
+    weights = len(terms.offset)
+    monomials = weights + len(terms.weight)
+    return terms._replace(coefficient=0.0 * terms.coefficient), CoefficientMap(
+        np.concatenate(
+            [
+                np.searchsorted(used, G.linear),
+                weights + cell,
+                np.array([monomials + keys.index(one.coordinates) for one in others], dtype=np.int64),
+            ]
+        ),
+        np.concatenate(
+            [
+                G.linear_entry,
+                G.quadratic_entry,
+                G.quadratic_entry,
+                np.array([one.entry for one in others], dtype=np.int64),
+            ]
+        ),
+        np.concatenate(
+            [G.linear_factor, G.quadratic_factor, G.quadratic_factor, np.array([one.factor for one in others])]
+        ),
+    )
+
+
+class _Places(NamedTuple):
+    """Coefficients of the parts of a program that are functions of coordinates, by the coordinates of monomials.
+
+    `rows` has the row of the angle of a coordinate, `entries` the entry of a row and a column, `monomials` the number
+    of a monomial; -1 if there are several.
+    """
+
+    rows: dict[int, int]
+    entries: dict[tuple[int, int], int]
+    monomials: dict[tuple[int, ...], int]
+
+    @classmethod
+    def of_program(cls, program: Program) -> _Places:
+        parts, terms = program.parts, program.terms
+        rows: dict[int, int] = {}
+        entries: dict[tuple[int, int], int] = {}
+        monomials: dict[tuple[int, ...], int] = {}
+        forms, called = parts.forms, set(parts.bodies)
+        for k in range(terms.size):
+            first, last = int(terms.row[k]), int(terms.row[k + 1])
+            if terms.kind[k] == LINEAR and k not in called:
+                for row in range(first, last):
+                    low, high = forms.start[row], forms.start[row + 1]
+                    if high != low + 1 or forms.value[low] != 1.0:
+                        continue
+                    coordinate = int(forms.coordinate[low])
+                    rows[coordinate] = -1 if coordinate in rows else row
+                    for entry in range(int(terms.entry[row]), int(terms.entry[row + 1])):
+                        entries[row, int(terms.column[entry])] = entry
+            elif terms.kind[k] == POLYNOMIAL:
+                for monomial in range(int(terms.monomial[k]), int(terms.monomial[k + 1])):
+                    factors = slice(int(terms.factor[monomial]), int(terms.factor[monomial + 1]))
+                    targets = terms.target[terms.factor_row[factors]].tolist()
+                    powers = zip(targets, terms.exponent[factors].tolist(), strict=True)
+                    key = tuple(sorted(i for i, e in powers for _ in range(e)))
+                    monomials[key] = -1 if key in monomials else monomial
+        return cls(rows, entries, monomials)
+
+    def find(self, key: tuple[int, ...], terms: Terms) -> list[tuple[int, float]] | None:
+        """Return the coefficients, with factors, that a monomial with the factor one changes; None if it has none."""
+        weights = len(terms.offset)
+        if (monomial := self.monomials.get(key)) is not None:
+            return None if monomial < 0 else [(weights + len(terms.weight) + monomial, 1.0)]
+        found: list[tuple[int, float]] = []
+        if len(key) == 1:
+            row = self.rows.get(key[0], -1)
+            return None if row < 0 else [(row, 1.0)]
+        if len(key) != 2:
+            return None
+        for i, j in {key, key[::-1]}:
+            entry = self.entries.get((self.rows.get(i, -1), j))
+            if entry is None:
+                return None
+            found.append((weights + entry, 2.0 if i == j else 1.0))
+        return found
+
+
+def in_parts(program: Program, G: EnergyDerivative) -> tuple[CoefficientMap, CoefficientMap] | None:
+    """Return how the coefficients of the parts, and the factors of the shifts, depend on parameters.
+
+    None if a monomial of G belongs to no part: parts with other forms than coordinates depend on the parameters in
+    another way. A square that a shift has removed is replaced by the rest of its Casimir, whose factor then depends on
+    the parameter.
+    """
+    places = _Places.of_program(program)
+    changed: list[tuple[int, int, float]] = []
+    shifts: list[tuple[int, int, float]] = []
+    cache: dict[tuple[int, ...], tuple[list[tuple[int, float]], int, float] | None] = {}
+    for key, column, size in _monomials(G):
+        if not key:
+            continue
+        if key not in cache:
+            cache[key] = _in_parts(key, places, program)
+        if (found := cache[key]) is None:
+            return None
+        changes, casimir, of_factor = found
+        changed += [(index, column, by * size) for index, by in changes]
+        if casimir >= 0:
+            shifts.append((casimir, column, of_factor * size))
+    return CoefficientMap.of_triplets(changed), CoefficientMap.of_triplets(shifts)
+
+
+def _monomials(G: EnergyDerivative) -> Iterator[Monomial]:
+    for i, column, size in zip(G.linear.tolist(), G.linear_entry.tolist(), G.linear_factor.tolist(), strict=True):
+        yield Monomial((i,), column, size)
+    pairs = zip(G.quadratic.tolist(), G.quadratic_entry.tolist(), G.quadratic_factor.tolist(), strict=True)
+    for pair, column, size in pairs:
+        yield Monomial((min(pair), max(pair)), column, size)
+    yield from G.others
+
+
+def _in_parts(
+    key: tuple[int, ...], places: _Places, program: Program
+) -> tuple[list[tuple[int, float]], int, float] | None:
+    """Return the changed coefficients for a monomial, and the shift that it changes, or -1, with the factor of that."""
+    if (found := places.find(key, program.terms)) is not None:
+        return found, -1, 0.0
+    for number, (casimir, _) in enumerate(program.shift):
+        by_key = {tuple(factors_of(exponents)): float(c) for exponents, c in casimir.monomials.items()}
+        if not by_key.get(key):
+            continue
+        changes: list[tuple[int, float]] = []
+        for other, c in by_key.items():
+            if other != key:
+                rest = places.find(other, program.terms)
+                if rest is None:
+                    break
+                changes += [(index, -c / by_key[key] * by) for index, by in rest]
+        else:
+            return changes, number, 1.0 / by_key[key]
+    return None
+
+
+def _moved(coefficients: CoefficientMap, starts: NDArray[np.int64], to: NDArray[np.int64]) -> CoefficientMap:
+    """Move coefficients of each kind, from `starts` on, to other numbers."""
+    kind = np.searchsorted(starts[1:-1], coefficients.coefficient, side="right")
+    return coefficients._replace(coefficient=coefficients.coefficient + (to - starts[:-1])[kind])
+
+
+def _joined_terms(first: Terms, second: Terms) -> Terms:
+    def joined(name: str) -> NDArray[Any]:
+        return np.concatenate([getattr(first, name), getattr(second, name)])
+
+    def starts(name: str) -> NDArray[np.uint32]:
+        return joined_starts([getattr(first, name), getattr(second, name)]).astype(np.uint32)
+
+    return Terms(
+        size=first.size + second.size,
+        kind=joined("kind"),
+        row=starts("row"),
+        target=joined("target"),
+        offset=joined("offset"),
+        entry=starts("entry"),
+        column=joined("column"),
+        weight=joined("weight"),
+        monomial=starts("monomial"),
+        coefficient=joined("coefficient"),
+        factor=starts("factor"),
+        factor_row=np.concatenate([first.factor_row, second.factor_row + first.row[-1]]),
+        exponent=joined("exponent"),
+    )
+
+
+def _joined_actions(first: Action, second: Action) -> Action:
+    """Append the part of a second action on the same vectors."""
+
+    def joined(name: str) -> NDArray[Any]:
+        return np.concatenate([getattr(first, name), getattr(second, name)])
+
+    return Action(
+        size=first.size,
+        run=joined_starts([first.run, second.run]).astype(np.uint32),
+        kind=joined("kind"),
+        angles=joined("angles"),
+        repeat=joined("repeat"),
+        angle=joined("angle"),
+        position=np.concatenate([first.position, second.position + np.uint32(len(first.indices))]),
+        constant=np.concatenate([first.constant, second.constant + np.uint32(len(first.constants))]),
+        width=joined("width"),
+        entries=joined("entries"),
+        degree=joined("degree"),
+        indices=joined("indices"),
+        constants=joined("constants"),
+    )

@@ -1,0 +1,90 @@
+"""Derivatives of attitudes by the group elements of the loops, which start at the unit element in shifted runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm, expm_frechet
+
+from coadjoint.program.shifts.shift import quadratic_entries
+
+Floats = NDArray[np.float64]
+
+
+class AttitudeDerivatives:
+    """The attitude A = A0 exp(t X) G of the element G of a loop, with X linear in the initial momentum.
+
+    X is -sign times the sum of c rho(grad C(x0)) over the Casimirs C that were subtracted from the energy, with the
+    factors c. Without such Casimirs the loop starts at A0, and A = G.
+    """
+
+    def __init__(self, system: Any, shift: Sequence[tuple[Any, float]], representation: Any) -> None:
+        self.factors = np.array([factor for _, factor in shift])
+        rho = -np.swapaxes(_dual_coadjoint(system), 1, 2) if isinstance(representation, str) else representation
+        # X = sum over Casimirs c and coordinates j of factors[c] x0[j] of_casimir[c, j].
+        self.of_casimir = np.zeros((len(shift), system.dim, *rho.shape[1:]))
+        for number, (casimir, _) in enumerate(shift):
+            entries = quadratic_entries(casimir)
+            assert entries is not None
+            for i, j, value in zip(*entries, strict=True):
+                self.of_casimir[number, j] -= system.sign * value * rho[i]
+
+    @property
+    def shifted(self) -> bool:
+        """Whether a Casimir was subtracted."""
+        return len(self.factors) > 0
+
+    def _generator(self, x0: Floats) -> Floats:
+        return np.asarray(np.einsum("c,j,cjab->ab", self.factors, x0, self.of_casimir))
+
+    def tangents(
+        self, x0: Floats, A0: Floats, times: Floats, G: Floats, dx0: Floats, dA0: Floats, factors: Floats, dG: Floats
+    ) -> Floats:
+        """Return the tangents (points, k, d, d) of the attitudes at times since the start, of one member.
+
+        `G` (points, d, d) are the elements of the loop and `dG` (points, k, d, d) their tangents; `dx0` (k, n), `dA0`
+        (k, d, d) and `factors` (k, casimirs) are the directions.
+        """
+        if not self.shifted:
+            return dG
+        X = self._generator(x0)
+        dX = np.einsum("c,kj,cjab->kab", self.factors, dx0, self.of_casimir)
+        dX += np.einsum("kc,j,cjab->kab", factors, x0, self.of_casimir)
+        out = np.empty_like(dG)
+        for point, t in enumerate(times.tolist()):
+            E = expm(t * X)
+            for k in range(len(dX)):
+                dE = expm_frechet(t * X, t * dX[k], compute_expm=False) if t and dX[k].any() else np.zeros_like(E)
+                out[point, k] = dA0[k] @ E @ G[point] + A0 @ (dE @ G[point] + E @ dG[point, k])
+        return out
+
+    def cotangents(
+        self, x0: Floats, A0: Floats, times: Floats, G: Floats, of_attitudes: Floats
+    ) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return the cotangents of x0, A0, the factors, and the elements of the loop, for those of the attitudes."""
+        d = A0.shape[0]
+        of_x0, of_A0, of_factors = np.zeros(len(x0)), np.zeros((d, d)), np.zeros(len(self.factors))
+        if not self.shifted:
+            return of_x0, of_A0, of_factors, of_attitudes
+        X, of_G = self._generator(x0), np.empty_like(of_attitudes)
+        for point, t in enumerate(times.tolist()):
+            E, of_A = expm(t * X), of_attitudes[point]
+            of_G[point] = (A0 @ E).T @ of_A
+            of_A0 += of_A @ (E @ G[point]).T
+            if t and of_A.any():
+                of_E = A0.T @ of_A @ G[point].T
+                of_X = t * expm_frechet(t * X.T, of_E, compute_expm=False)
+                by_pair = np.einsum("ab,cjab->cj", of_X, self.of_casimir)
+                of_x0 += self.factors @ by_pair
+                of_factors += by_pair @ x0
+        return of_x0, of_A0, of_factors, of_G
+
+
+def _dual_coadjoint(system: Any) -> Floats:
+    """Return -D_i^T, with J(x) e_i = D_i x."""
+    units = np.eye(system.dim)
+    J = np.array([system.algebra.structure_matrix(unit) for unit in units])
+    return np.asarray(-np.transpose(J, (2, 0, 1)))

@@ -1,0 +1,62 @@
+"""Results of differentiated runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Tangents:
+    """Derivatives of a run along directions of its initial state and its parameters; see `PreparedRun.jvp`.
+
+    Attributes
+    ----------
+    x : ndarray
+        The shape of ``sol.x``, with a trailing axis of directions if these were given with one.
+    attitude : ndarray or None
+        In the same way for ``sol.attitude``.
+    energy : ndarray
+        In the same way for ``sol.energy``.
+    rule : mapping
+        For each parameter, "exact" if the derivative is that of the computed map, or "added part"; see
+        `PreparedRun.parameters`.
+    """
+
+    x: Floats
+    attitude: Floats | None
+    energy: Floats
+    rule: Mapping[str, str] = field(default_factory=dict)
+
+
+class Gradient(Mapping[str, Floats]):
+    """Derivatives of a number by the initial state and the parameters of a run; see `PreparedRun.vjp`.
+
+    A mapping with the keys "x0", the names of the parameters and, with an attitude, "attitude0".
+
+    Attributes
+    ----------
+    rule : mapping
+        As in `Tangents`.
+    """
+
+    def __init__(self, values: Mapping[str, Floats], rule: Mapping[str, str]) -> None:
+        self._values, self.rule = dict(values), dict(rule)
+
+    def __getitem__(self, name: str) -> Any:
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __repr__(self) -> str:
+        return f"<gradient by {', '.join(f'{name} {np.shape(value)}' for name, value in self.items())}>"

@@ -1,0 +1,90 @@
+"""Derivatives of the energy by parameters, as sums of monomials."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Integers = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+
+class Monomial(NamedTuple):
+    """A factor times a product of coordinates, each as often as its power, in the derivative by an entry."""
+
+    coordinates: tuple[int, ...]
+    entry: int
+    factor: float
+
+
+class EnergyDerivative(NamedTuple):
+    """dH/dp for the entries p of a parameter: monomials of the first and second degree by columns, and the others.
+
+    There are `size` entries. Monomial k of the first degree is linear_factor[k] x[linear[k]], in the derivative by
+    linear_entry[k]; of the second quadratic_factor[k] x[quadratic[k, 0]] x[quadratic[k, 1]], by quadratic_entry[k].
+    """
+
+    size: int
+    linear: Integers
+    linear_entry: Integers
+    linear_factor: Floats
+    quadratic: Integers
+    quadratic_entry: Integers
+    quadratic_factor: Floats
+    others: tuple[Monomial, ...] = ()
+
+    @classmethod
+    def of_monomials(cls, size: int, monomials: Sequence[Monomial] = ()) -> EnergyDerivative:
+        """Sort monomials by degree."""
+        first, second = ([one for one in monomials if len(one.coordinates) == degree] for degree in (1, 2))
+        return cls(
+            size,
+            np.array([one.coordinates[0] for one in first], dtype=np.int64),
+            np.array([one.entry for one in first], dtype=np.int64),
+            np.array([one.factor for one in first], dtype=np.float64),
+            np.array([one.coordinates for one in second], dtype=np.int64).reshape(-1, 2),
+            np.array([one.entry for one in second], dtype=np.int64),
+            np.array([one.factor for one in second], dtype=np.float64),
+            tuple(one for one in monomials if len(one.coordinates) not in (1, 2)),
+        )
+
+    @classmethod
+    def joined(cls, pieces: Sequence[EnergyDerivative]) -> EnergyDerivative:
+        """Join the derivatives by several parameters, with their entries one after the other."""
+        starts = np.cumsum([0, *(piece.size for piece in pieces)]).tolist()
+        moved = [
+            piece._replace(
+                linear_entry=piece.linear_entry + start,
+                quadratic_entry=piece.quadratic_entry + start,
+                others=tuple(one._replace(entry=one.entry + start) for one in piece.others),
+            )
+            for start, piece in zip(starts[:-1], pieces, strict=True)
+        ]
+
+        def column(name: str) -> NDArray[Any]:
+            return np.concatenate([getattr(piece, name) for piece in (cls.of_monomials(0), *moved)])
+
+        return cls(
+            size=starts[-1],
+            linear=column("linear"),
+            linear_entry=column("linear_entry"),
+            linear_factor=column("linear_factor"),
+            quadratic=column("quadratic"),
+            quadratic_entry=column("quadratic_entry"),
+            quadratic_factor=column("quadratic_factor"),
+            others=tuple(one for piece in moved for one in piece.others),
+        )
+
+    def at(self, x: Floats) -> Floats:
+        """Return the derivatives of the energy at states (..., n), shape (..., size)."""
+        flat = x.reshape(-1, x.shape[-1])
+        total = np.zeros((self.size, len(flat)))
+        np.add.at(total, self.linear_entry, self.linear_factor[:, None] * flat.T[self.linear])
+        i, j = self.quadratic.T
+        np.add.at(total, self.quadratic_entry, self.quadratic_factor[:, None] * flat.T[i] * flat.T[j])
+        for one in self.others:
+            total[one.entry] += one.factor * np.prod(flat[:, list(one.coordinates)], axis=1)
+        return total.T.reshape(*x.shape[:-1], self.size)
