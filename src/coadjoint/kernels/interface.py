@@ -63,7 +63,7 @@ PYTHON_CODES: Mapping[str, Mapping[str, int]] = {
 REQUIRED_CODES: Mapping[str, Iterable[str]] = {
     "Status": ("DONE", "NOT_CONVERGED", "OVERFLOWED", "UNDEFINED", "ENDED"),
     "Crossing": ("RISING", "FALLING", "NEAR", "UNDEFINED", "BETWEEN"),
-    "Outcome": ("INTERRUPTED", "NO_MEMORY"),
+    "Outcome": ("INTERRUPTED", "NO_MEMORY", "UNSOLVED"),
     "StreamKind": ("TRIDIAGONAL", "CIRCULANT", "WEIGHTS", "MULTIPLIED", "BY_FUNCTION"),
     "Solver": ("EXPLICIT", "ITERATED", "IMPLICIT", "STRUCTURE", "GRADIENT"),
     "ForceKind": ("DAMPING", "CONSTANT", "OF_TIME", "OF_STATE", "ON_ORBIT", "BY_FLOW", "MODE_RATES", "MODE_NOISE"),

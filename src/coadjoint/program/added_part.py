@@ -6,7 +6,7 @@ coefficients of that part times J(x) grad G(x) at its rows, carried on by the ta
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,6 +41,15 @@ class CoefficientMap(NamedTuple):
         table = np.array(triplets, dtype=object).reshape(-1, 3)
         return cls(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2].astype(np.float64))
 
+    def split(self, sizes: Mapping[str, int]) -> dict[str, CoefficientMap]:
+        """Return the parts that belong to parameters of these numbers of entries, one after the other."""
+        found, start = {}, 0
+        for name, size in sizes.items():
+            chosen = (self.entry >= start) & (self.entry < start + size)
+            found[name] = CoefficientMap(self.coefficient[chosen], self.entry[chosen] - start, self.factor[chosen])
+            start += size
+        return found
+
     def of_entries(self, by_coefficient: NDArray[np.float64], entries: int) -> NDArray[np.float64]:
         """Return derivatives by the entries, (entries,), of derivatives by coefficients (count,)."""
         weights = self.factor * by_coefficient[self.coefficient]
@@ -70,12 +79,6 @@ class AddedPart(NamedTuple):
     coefficients: CoefficientMap
     counts: NDArray[np.int64]
 
-    def of_entries(self, start: int, stop: int) -> CoefficientMap:
-        """Return the coefficients that depend on the entries `start` to `stop` - 1, numbered from zero."""
-        coefficient, entry, factor = self.coefficients
-        chosen = (entry >= start) & (entry < stop)
-        return CoefficientMap(coefficient[chosen], entry[chosen] - start, factor[chosen])
-
     def renumbered(self, coefficients: CoefficientMap) -> CoefficientMap:
         """Number coefficients of the program as those of all terms."""
         own, joined = starts_of(self.counts[0]), starts_of(self.counts.sum(axis=0))
@@ -86,7 +89,7 @@ def with_added_part(
     program: Program, method: Swept, system: LiePoissonSystem, group: NDArray[Any] | str | None, G: EnergyDerivative
 ) -> AddedPart:
     """Return a program with the part G of the energy, by parameters."""
-    added, coefficients = _terms_of(G, system.dim)
+    added, coefficients = terms_of(G, system.dim)
     terms = _joined_terms(program.terms, added)
     target = added.target.astype(np.int64)
     parts = Parts(
@@ -131,7 +134,7 @@ def _rows(program: Program, method: Swept) -> Rows:
     return rows._replace(part=renumbered.astype(np.uint32))
 
 
-def _terms_of(G: EnergyDerivative, n: int) -> tuple[Terms, CoefficientMap]:
+def terms_of(G: EnergyDerivative, n: int) -> tuple[Terms, CoefficientMap]:
     """Return the terms of all monomials of G, with coefficients of zero, and how these depend on the parameters."""
     table = TermTable()
     # x_i x_j has the derivatives x_j by x_i and x_i by x_j; the rows are those of both.

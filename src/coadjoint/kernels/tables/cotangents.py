@@ -9,18 +9,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.interface import limit
+from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.library import interruptible_kernels
-from coadjoint.kernels.loop import StopFlag, raise_outcome
+from coadjoint.kernels.loop import CompiledLoop, StopFlag, raise_outcome
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
 from coadjoint.kernels.tables.flow import FlowTables, flow_tables
+from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
 from coadjoint.kernels.tables.structures import as_structure
-from coadjoint.kernels.tables.tangents import check_differentiable
+from coadjoint.kernels.tables.tangents import check_differentiable, derivative_of_structure
 from coadjoint.program.actions import Action, build_action, empty_action
 from coadjoint.program.added_part import AddedPart
 from coadjoint.program.generators import BasisMatrices
 from coadjoint.program.table import Program
+from coadjoint.program.term_table import Terms, TermTable
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.system_checks import System
 
 Floats = NDArray[np.float64]
 
@@ -33,6 +36,15 @@ class FlowCotangents(NamedTuple):
     group_dual: Action
     hessians: NDArray[np.int64]
     added: int
+
+
+class RungeKuttaCotangents(NamedTuple):
+    """Tables of a Runge-Kutta method with the terms of derivatives; see `source/boundary/tables.hpp`."""
+
+    base: RungeKuttaTables
+    hessians: NDArray[np.int64]
+    derivative: NDArray[np.int64]
+    added: Terms
 
 
 class ForwardRun(NamedTuple):
@@ -123,6 +135,20 @@ def flow_cotangents(
     return CompiledTables(FlowCotangents(tables, dual, group_dual, hessians, index), (*base.keepalive, *keepalive))
 
 
+def runge_kutta_cotangents(loop: CompiledLoop, system: System, added: Terms) -> CompiledTables:
+    """Return `RungeKuttaCotangents` of a loop over stages, with the terms of the derivative of the energy."""
+    check_differentiable(system)
+    base: RungeKuttaTables = loop.tables
+    table = TermTable()
+    for term in system.hamiltonian.terms():
+        table.add(term)
+    hessians, keepalive = addresses_of(table.functions, base.field.terms.size, "hessian", "the Hamiltonian")
+    derivative, owners = derivative_of_structure(system)
+    return CompiledTables(
+        RungeKuttaCotangents(base, hessians, derivative, added), (*loop.keepalive, *keepalive, *owners)
+    )
+
+
 def with_step(tables: FlowCotangents, h: float) -> FlowCotangents:
     """Return the tables of another step."""
     base = tables.base
@@ -153,8 +179,8 @@ def _kernel(name: str) -> Any:
     return function
 
 
-def advance_tables(name: str, tables: Any, run: Any, first: int, last: int, stop: StopFlag) -> None:
-    """Call a kernel for the members `first` to `last` - 1 of a run."""
+def advance_tables(name: str, tables: Any, run: Any, first: int, last: int, stop: StopFlag) -> bool:
+    """Call a kernel for the members `first` to `last` - 1 of a run; return whether all equations were solved."""
     outcome = _kernel(name)(
         ctypes.byref(tables),
         ctypes.byref(as_structure(run)),
@@ -162,5 +188,8 @@ def advance_tables(name: str, tables: Any, run: Any, first: int, last: int, stop
         ctypes.c_int64(last),
         stop.address,
     )
+    if outcome == codes("Outcome")["UNSOLVED"]:
+        return False
     if outcome < 0:
         raise_outcome(outcome)
+    return True

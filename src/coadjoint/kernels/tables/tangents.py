@@ -73,7 +73,7 @@ def with_tangents(
     check_differentiable(system)
     terms = loop.tables.terms if isinstance(loop.tables, FlowTables) else loop.tables.field.terms
     hessians, keepalive = addresses_of(functions, terms.size, "hessian", "the Hamiltonian")
-    derivative, structure_owners = _derivative_of_structure(system)
+    derivative, structure_owners = derivative_of_structure(system)
     carried, size = frame.vectors.shape
     vectors = np.ascontiguousarray(frame.vectors, dtype=np.float64)
     tables = kind(loop.tables, Tangents(size, carried, frame.every, vectors, hessians, derivative))
@@ -95,7 +95,8 @@ def check_differentiable(system: System) -> None:
         )
 
 
-def _derivative_of_structure(system: System) -> tuple[NDArray[np.int64], Owners]:
+def derivative_of_structure(system: System) -> tuple[NDArray[np.int64], Owners]:
+    """Compile the derivative of a structure matrix given as a function; return its address, if any, and its owner."""
     if system.algebra is not None:
         return np.zeros(0, dtype=np.int64), ()
     assert system.derivative_function is not None

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.free_algebra import Series, exponential, product, unit_series
 from coadjoint.methods.formal.formal_numbers import is_short
 from coadjoint.methods.protocol.composing import Composable
+from coadjoint.methods.protocol.derivatives import CompiledDerivatives, DerivativeTables, not_differentiable
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.formal_step import FormalStep, with_formal_step
 from coadjoint.methods.protocol.method import Method, Representation
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from coadjoint.kernels.tables.tangents import Frame
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
+    from coadjoint.systems.energy_derivatives import EnergyDerivative
 
 MAX_ORDER = 12
 
@@ -110,7 +112,7 @@ class ComposedFlows(Composed, FlowsOfBase):
 
 
 @dataclass(frozen=True)
-class Substeps(Composed, FormalStep, CompiledTangents, Composable, RestoresInvariants):
+class Substeps(Composed, FormalStep, CompiledTangents, CompiledDerivatives, Composable, RestoresInvariants):
     """The step of the base, repeated at each fraction."""
 
     offered = False
@@ -134,6 +136,15 @@ class Substeps(Composed, FormalStep, CompiledTangents, Composable, RestoresInvar
             if isinstance(base, RungeKuttaMethod)
             else None
         )
+
+    def derivative_tables(
+        self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]
+    ) -> DerivativeTables:
+        """Return the tables of the base with these substeps."""
+        base = self.base
+        if not isinstance(base, RungeKuttaMethod):
+            raise not_differentiable(base)
+        return base.derivative_tables_of_substeps(system, h, representation, energies, self.coefficients)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
         number = type(h)

@@ -57,8 +57,11 @@ def derivative_tables(
     """Return the tables of a scheme; raise TypeError, by name, for one whose runs cannot be differentiated."""
     form = method.expanded
     if not isinstance(form, CompiledDerivatives):
-        raise TypeError(
-            f"runs by {type(method).__name__} are not differentiable; take Splitting or another scheme of exact flows"
-        )
+        raise not_differentiable(method)
     form.properties(system)
     return form.derivative_tables(system, h, representation, energies)
+
+
+def not_differentiable(method: Method) -> TypeError:
+    """Return the error for a scheme whose runs have no derivatives."""
+    return TypeError(f"runs by {method} have no derivatives; take a Splitting or a Runge-Kutta method")

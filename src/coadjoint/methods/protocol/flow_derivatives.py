@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from coadjoint.kernels.tables.cotangents import flow_cotangents, with_step
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.methods.protocol.derivatives import ADDED_PART, EXACT, DerivativeTables
@@ -42,17 +40,14 @@ def flow_derivatives(
         G = EnergyDerivative.joined([energies[name] for name in others])
         added = with_added_part(program, method, system, representation, G)
         coefficients = {name: added.renumbered(one) for name, one in coefficients.items()}
-        start = 0
-        for name in others:
-            coefficients[name] = added.of_entries(start, start + energies[name].size)
-            start += energies[name].size
+        coefficients |= added.coefficients.split({name: energies[name].size for name in others})
     built = flow_cotangents(program, system, representation, h, method.compensates, added)
     terms = built.tables.base.terms
 
     def tables_at(step: float) -> Any:
         return as_structure(built.tables if step == h else with_step(built.tables, step))
 
-    empty = CoefficientMap(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))
+    empty = CoefficientMap.of_triplets(())
     return DerivativeTables(
         tables_at=tables_at,
         keepalive=built.keepalive,

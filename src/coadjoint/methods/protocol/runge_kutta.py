@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.solvers import SOLVERS, Evaluation
 from coadjoint.methods.numerics.stages import Coefficients, Step, begin, read_tableau
+from coadjoint.methods.protocol.derivatives import CompiledDerivatives, DerivativeTables
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.substep_method import FULL_STEP, SubstepMethod
 from coadjoint.methods.protocol.tangents import CompiledTangents
@@ -26,9 +27,10 @@ if TYPE_CHECKING:
     from coadjoint.kernels.tables.tangents import Frame
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
+    from coadjoint.systems.energy_derivatives import EnergyDerivative
 
 
-class RungeKuttaMethod(SubstepMethod, CompiledTangents):
+class RungeKuttaMethod(SubstepMethod, CompiledTangents, CompiledDerivatives):
     """A user-defined Runge-Kutta scheme: a tableau, and a solver for its stages."""
 
     tables_of_any_step = True
@@ -187,6 +189,25 @@ class RungeKuttaMethod(SubstepMethod, CompiledTangents):
             table.add(term)
         loop = self.loop_of_substeps(system, h, None, fractions)
         return with_tangents(loop, system, table.functions, frame)
+
+    def derivative_tables(
+        self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]
+    ) -> DerivativeTables:
+        """Return the tables of the stages and of their derivatives, without substeps."""
+        return self.derivative_tables_of_substeps(system, h, representation, energies, FULL_STEP)
+
+    def derivative_tables_of_substeps(
+        self,
+        system: System,
+        h: float,
+        representation: Representation,
+        energies: Mapping[str, EnergyDerivative],
+        fractions: Sequence[float],
+    ) -> DerivativeTables:
+        """Return the tables of the stages and of their derivatives, with substeps of these fractions of the step."""
+        from coadjoint.methods.protocol.runge_kutta_derivatives import runge_kutta_derivatives
+
+        return runge_kutta_derivatives(self, system, h, representation, energies, fractions)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the iterations of a step."""

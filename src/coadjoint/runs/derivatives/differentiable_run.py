@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import StopFlag
 from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun, advance_tables
@@ -241,14 +242,19 @@ class Trajectory:
         stop = StopFlag()
         ranges = split_members(0, self.members, self._run.workers, limit("MOST_LANES"))
 
-        def advance(members: tuple[int, int]) -> int:
-            advance_tables(kernel, tables, run, *members, stop)
-            return 0
+        def unsolved(members: tuple[int, int]) -> int:
+            return not advance_tables(kernel, tables, run, *members, stop)
 
-        if len(ranges) == 1:
-            advance(ranges[0])
-        else:
-            sum_in_threads(advance, ranges, self._run.workers, stop)
+        count = unsolved(ranges[0]) if len(ranges) == 1 else sum_in_threads(unsolved, ranges, self._run.workers, stop)
+        if count:
+            raise IntegrationError(
+                f"the linear equations of the derivatives between t = {run.t0 + run.k0 * run.h:g} and "
+                f"{run.t0 + run.k1 * run.h:g} are not solved; take a smaller step than {abs(run.h):g}",
+                step=run.k1,
+                time=run.t0 + run.k1 * run.h,
+                residual=float("nan"),
+                partial=self.solution,
+            )
 
 
 def parameters_of_run(system: Any) -> dict[str, Parameter]:

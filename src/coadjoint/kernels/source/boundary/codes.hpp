@@ -17,7 +17,7 @@ namespace coadjoint {
 CODES(Status, STATUSES)
 
 // Return values of a loop that did not complete all steps.
-#define OUTCOMES(_) _(INTERRUPTED, -1) _(NO_MEMORY, -2)
+#define OUTCOMES(_) _(INTERRUPTED, -1) _(NO_MEMORY, -2) _(UNSOLVED, -3)
 CODES(Outcome, OUTCOMES)
 
 // Records of an event in a step: its function g rises through zero, or falls; it may have crossed zero and back; it is

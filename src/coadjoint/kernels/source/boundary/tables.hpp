@@ -156,6 +156,12 @@ TABLE(RungeKuttaTangents, RUNGE_KUTTA_TANGENTS_FIELDS)
     _(FlowTables, base) _(Action, dual) _(Action, group_dual) _(addresses, hessians) _(integer, added)
 TABLE(FlowCotangents, FLOW_COTANGENTS_FIELDS)
 
+// A Runge-Kutta method whose steps are differentiated. `added` are the terms of the derivative of the energy by
+// parameters, with coefficients of zero.
+#define RUNGE_KUTTA_COTANGENTS_FIELDS(_)                                                                             \
+    _(RungeKuttaTables, base) _(addresses, hessians) _(addresses, derivative) _(Terms, added)
+TABLE(RungeKuttaCotangents, RUNGE_KUTTA_COTANGENTS_FIELDS)
+
 // The steps k0 + 1 to k1 of the members with tangent vectors, `carried` for each, of the state and of the group element
 // (members, carried, n) and (members, carried, d, d), which end as those of unfinished states. Those of the states finished
 // after the steps `marks`, ascending, are `at_points` (marked, members, carried, n) and `at_groups`. All vectors have the

@@ -1,0 +1,480 @@
+// Derivatives of the stages of a substep with known slopes, along tangent vectors and transposed.
+//
+// The slopes are L_j = h_j J(P_j) grad H(Q_j). The points P and Q are the stages X_i = x + sum_j mix_ij L_j, the last
+// function iterates Z, or one of them each, if a factor is frozen. The element of the group has the slopes M_j = -h_j
+// sign G_j rho(u_j), with u_j = grad H(Q_j).
+#pragma once
+
+#include "numbers/linear_solve.hpp"
+#include "stages/runge_kutta_loop.hpp"
+#include "tangents/flow_cotangents.hpp"
+#include "tangents/flow_tangents.hpp"
+
+namespace coadjoint {
+
+struct NotSolved {};  // thrown if the linear equations of the derivatives are not solved
+
+constexpr int64_t MOST_DERIVATIVE_ITERATIONS = 64;
+// Relative change that counts as rounding, and largest one at which the iteration may stagnate.
+constexpr double DERIVATIVE_ROUNDING = 0x1p-51, DERIVATIVE_STAGNATION = 0x1p-40;
+
+class StagePoints {
+  public:
+    const RungeKuttaCotangents& all;
+    const RungeKuttaTables& tables;
+    const Field& field;
+    const GroupField& group;
+    const int64_t n, s, d, square;
+
+    explicit StagePoints(const RungeKuttaCotangents& all)
+        : all(all), tables(all.base), field(all.base.field), group(all.base.group), n(field.size), s(tables.stages),
+          d(group.size), square(d * d), iterated(tables.solver == ITERATED || tables.solver >= STRUCTURE), fields(field),
+          points(s * n), iterates(iterated ? (tables.iterations + 1) * s * n : 0), slopes(s * n), gradients(s * n),
+          elements(s * square) {}
+
+    // A substep from x and the element g, of length h at the time t; `found` are its slopes, those of g after those of x.
+    void begin(const double* x, const double* g, double t, double h, const double* found) {
+        time = t, length = h;
+        mix(x, found, n, points.at);
+        mix(g, found + s * n, square, elements.at);
+        if (iterated)
+            for (int64_t i = 0; i < s; ++i) std::copy_n(x, n, iterates.at + i * n);
+        for (int64_t pass = 0; iterated && pass < tables.iterations; ++pass) {
+            const double* from = iterates.at + pass * s * n;
+            for (int64_t j = 0; j < s; ++j) {
+                gradient(field, SharedConstants{}, from + j * n, time_of(j), gradients.at + j * n, fields);
+                product(field, SharedConstants{}, from + j * n, gradients.at + j * n, length_of(j), slopes.at + j * n,
+                        fields);
+            }
+            mix(x, slopes.at, n, iterates.at + (pass + 1) * s * n);
+        }
+        for (int64_t j = 0; j < s; ++j)
+            gradient(field, SharedConstants{}, of_gradient() + j * n, time_of(j), gradients.at + j * n, fields);
+    }
+
+    const double* last_iterates() const { return iterates.at + tables.iterations * s * n; }
+    const double* iterates_of(int64_t pass) const { return iterates.at + pass * s * n; }
+    const double* of_structure() const {
+        return tables.solver == ITERATED || tables.solver == STRUCTURE ? last_iterates() : points.at;
+    }
+    const double* of_gradient() const {
+        return tables.solver == ITERATED || tables.solver == GRADIENT ? last_iterates() : points.at;
+    }
+    const double* gradient_of(int64_t j) const { return gradients.at + j * n; }
+    const double* element_of(int64_t j) const { return elements.at + j * square; }
+    double time_of(int64_t j) const { return time + tables.node[j] * length; }
+    double length_of(int64_t j) const { return length * tables.scale[j]; }
+    int64_t longest_added() const {
+        int64_t longest = 1;
+        for (int64_t k = 0; k < all.added.size; ++k)
+            longest = std::max<int64_t>(longest, all.added.row[k + 1] - all.added.row[k]);
+        return longest;
+    }
+
+    const bool iterated;
+    FieldWorkspace<double> fields;
+
+  private:
+    AlignedArray<double> points, iterates, slopes, gradients, elements;
+    double time = 0.0, length = 0.0;
+
+    void mix(const double* base, const double* from, int64_t size, double* to) const {
+        for (int64_t i = 0; i < s; ++i)
+            for (int64_t c = 0; c < size; ++c) {
+                double total = 0.0;
+                for (int64_t j = 0; j < s; ++j) total = fma(tables.mix[i * s + j], from[j * size + c], total);
+                to[i * size + c] = base[c] + total;
+            }
+    }
+};
+
+// Solve y_i = b_i + sum_j c_ij z_j, z_j = apply(j, y_j), for the y_i and z_i of `size` numbers; c is `mix`, or its
+// transpose. By iteration, and if it does not converge, by LU factors of the equations of one number after the other.
+template <class V>
+class StageEquations {
+  public:
+    StageEquations(const RungeKuttaTables& tables, int64_t size, int64_t copies, bool transposed)
+        : tables(tables), s(tables.stages), size(size), copies(copies), transposed(transposed), y(s * size * copies),
+          z(s * size * copies), before(s * size * copies) {}
+
+    V* of_stage(int64_t i) { return y.at + i * size * copies; }
+    V* slope_of(int64_t j) { return z.at + j * size * copies; }
+
+    // `base(i, y_i)` sets b_i; `apply(j, y_j, z_j)` sets z_j, and is affine in y_j.
+    template <class Base, class Apply>
+    void solve(Base base, Apply apply) {
+        const int64_t count = s * size * copies;
+        if (tables.solver == EXPLICIT) return one_by_one(base, apply);
+        std::fill_n(z.at, count, V(0.0));
+        double earlier = INFINITY;
+        for (int64_t passed = 0; passed < MOST_DERIVATIVE_ITERATIONS; ++passed) {
+            for (int64_t i = 0; i < s; ++i) mix(i, 0, s, base);
+            std::swap(before.at, z.at);
+            for (int64_t j = 0; j < s; ++j) apply(j, of_stage(j), slope_of(j));
+            double change = 0.0, largest = 0.0;
+            for (int64_t k = 0; k < count; ++k) {
+                change = larger_of(change, z.at[k] - before.at[k]);
+                largest = larger_of(largest, z.at[k]);
+            }
+            if (!(change <= std::numeric_limits<double>::max())) break;
+            if (change <= DERIVATIVE_ROUNDING * largest || (change >= earlier && change <= DERIVATIVE_STAGNATION * largest))
+                return;
+            earlier = change;
+        }
+        by_factors(base, apply);
+    }
+
+  private:
+    const RungeKuttaTables& tables;
+    const int64_t s, size, copies;
+    const bool transposed;
+    AlignedArray<V> y, z, before;
+
+    double weight(int64_t i, int64_t j) const { return transposed ? tables.mix[j * s + i] : tables.mix[i * s + j]; }
+
+    static double larger_of(double known, const V& value) {
+        for (int lane = 0; lane < Numbers<V>::lanes; ++lane) {
+            const double entry = absolute(lane_of(value, lane));
+            if (!(entry <= known)) known = entry;
+        }
+        return known;
+    }
+
+    template <class Base>
+    void mix(int64_t i, int64_t first, int64_t last, Base base) {
+        V* to = of_stage(i);
+        base(i, to);
+        for (int64_t j = first; j < last; ++j)
+            if (const double by = weight(i, j))
+                for (int64_t k = 0; k < size * copies; ++k) to[k] = fma(V(by), slope_of(j)[k], to[k]);
+    }
+
+    template <class Base, class Apply>
+    void one_by_one(Base base, Apply apply) {
+        for (int64_t position = 0; position < s; ++position) {
+            const int64_t j = transposed ? s - 1 - position : position;
+            transposed ? mix(j, j + 1, s, base) : mix(j, 0, j, base);
+            apply(j, of_stage(j), slope_of(j));
+        }
+    }
+
+    // With the matrix of `apply`, found from its values at unit vectors.
+    template <class Base, class Apply>
+    NOINLINE void by_factors(Base base, Apply apply) {
+        const int64_t edge = s * size, lanes = Numbers<V>::lanes;
+        if (edge > LARGEST_FACTORED) throw NotSolved();
+        InterruptCheck::of_this_call().after(edge * edge * edge);
+        AlignedArray<double> matrix(edge * edge), pivots(edge), blocks(s * size * size);
+        AlignedArray<V> zero(size * copies), constant(s * size * copies), image(size * copies);
+        for (int64_t j = 0; j < s; ++j) {
+            apply(j, zero.at, constant.at + j * size * copies);
+            for (int64_t k = 0; k < size; ++k) {
+                for (int64_t c = 0; c < copies; ++c) zero.at[k * copies + c] = V(1.0);
+                apply(j, zero.at, image.at);
+                for (int64_t c = 0; c < copies; ++c) zero.at[k * copies + c] = V(0.0);
+                for (int64_t i = 0; i < size; ++i)
+                    blocks.at[(j * size + i) * size + k] =
+                        lane_of(image.at[i * copies] - constant.at[(j * size + i) * copies], 0);
+            }
+        }
+        for (int64_t i = 0; i < s; ++i)
+            for (int64_t j = 0; j < s; ++j)
+                for (int64_t a = 0; a < size; ++a)
+                    for (int64_t b = 0; b < size; ++b)
+                        matrix.at[(i * size + a) * edge + j * size + b] =
+                            fma(-weight(i, j), blocks.at[(j * size + a) * size + b], i == j && a == b ? 1.0 : 0.0);
+        if (!factorize(matrix.at, edge, pivots.at)) throw NotSolved();
+        std::copy_n(constant.at, s * size * copies, z.at);
+        for (int64_t i = 0; i < s; ++i) mix(i, 0, s, base);
+        substitute(matrix.at, edge, pivots.at, reinterpret_cast<double*>(y.at), copies * lanes);
+        for (int64_t j = 0; j < s; ++j) apply(j, of_stage(j), slope_of(j));
+    }
+};
+
+// Tangent vectors of one member, `rows` blocks of lanes, through a substep.
+class StageTangents {
+  public:
+    typedef TangentLanes V;
+    StageTangents(StagePoints& at, int64_t rows)
+        : at(at), rows(rows), n(at.n), s(at.s), d(at.d), tangents{n, 0, 0, nullptr, at.all.hessians, at.all.derivative},
+          changes(at.field, tangents, rows), momentum(at.tables, n, rows, false),
+          element(at.tables, at.square, rows, false), workspace(std::max(at.field.longest, at.longest_added())),
+          of_gradients(s * n * rows), of_iterates(s * n * rows), of_slopes(s * n * rows), part(longest() * rows) {}
+
+    // Move vectors of the state and, unless null, of the element; `directions` are those of the coefficients of `added`.
+    void move(V* vectors, V* of_group, const V* directions) {
+        const RungeKuttaTables& tables = at.tables;
+        const int64_t count = n * rows;
+        for (int64_t i = 0; i < s; ++i) std::copy_n(vectors, count, of_iterates.at + i * count);
+        if (at.iterated)
+            for (int64_t pass = 0; pass < tables.iterations; ++pass) {
+                for (int64_t j = 0; j < s; ++j) {
+                    const double* point = at.iterates_of(pass) + j * n;
+                    set_gradient_change(j, point, of_iterates.at + j * count, directions);
+                    gradient(at.field, SharedConstants{}, point, at.time_of(j), scratch(), at.fields);
+                    slope(j, point, scratch(), of_iterates.at + j * count, of_slopes.at + j * count);
+                }
+                for (int64_t i = 0; i < s; ++i) {
+                    V* to = of_iterates.at + i * count;
+                    std::copy_n(vectors, count, to);
+                    for (int64_t j = 0; j < s; ++j)
+                        for (int64_t k = 0; k < count; ++k)
+                            to[k] = fma(V(tables.mix[i * s + j]), of_slopes.at[j * count + k], to[k]);
+                }
+            }
+        const auto base = [&](int64_t, V* y) { std::copy_n(vectors, count, y); };
+        const auto apply = [&](int64_t j, const V* y, V* z) {
+            const V* frozen = of_iterates.at + j * count;
+            set_gradient_change(j, at.of_gradient() + j * n, at.tables.solver == GRADIENT ? frozen : y, directions);
+            slope(j, at.of_structure() + j * n, at.gradient_of(j), at.tables.solver == STRUCTURE ? frozen : y, z);
+        };
+        if (tables.solver == ITERATED)
+            for (int64_t j = 0; j < s; ++j) apply(j, of_iterates.at + j * count, momentum.slope_of(j));
+        else
+            momentum.solve(base, apply);
+        if (of_group) move_element(of_group);
+        for (int64_t j = 0; j < s; ++j)
+            for (int64_t k = 0; k < count; ++k) vectors[k] = fma(V(tables.out[j]), momentum.slope_of(j)[k], vectors[k]);
+    }
+
+  private:
+    StagePoints& at;
+    const int64_t rows, n, s, d;
+    const Tangents tangents;
+    FieldChanges<V> changes;
+    StageEquations<V> momentum, element;
+    HessianWorkspace<double> workspace;
+    AlignedArray<V> of_gradients, of_iterates, of_slopes, part;
+    std::vector<double> spare;
+
+    double* scratch() { return spare.resize(n), spare.data(); }
+    int64_t longest() const { return std::max(at.field.longest, at.longest_added()); }
+
+    // The change of grad H(Q_j) for a change of Q_j and of the coefficients.
+    void set_gradient_change(int64_t j, const double* point, const V* vectors, const V* directions) {
+        V* to = of_gradients.at + j * n * rows;
+        std::fill_n(to, n * rows, V(0.0));
+        const auto add = [&](const Terms& terms, int64_t k) {
+            for (int64_t row = terms.row[k]; row < int64_t(terms.row[k + 1]); ++row)
+                for (int64_t b = 0; b < rows; ++b)
+                    to[terms.target[row] * rows + b] += part.at[(row - terms.row[k]) * rows + b];
+        };
+        const Terms& terms = at.field.terms;
+        for (int64_t k = 0; k < terms.size; ++k) {
+            gradient_changes(terms, at.all.hessians, k, point, at.time_of(j), vectors, rows, part.at, terms.row[k],
+                             workspace);
+            add(terms, k);
+        }
+        for (int64_t k = 0; directions && k < at.all.added.size; ++k) {
+            const Terms& added = at.all.added;
+            std::fill_n(part.at, (added.row[k + 1] - added.row[k]) * rows, V(0.0));
+            add_coefficient_changes(added, k, point, directions, rows, part.at, added.row[k]);
+            add(added, k);
+        }
+    }
+
+    // The change of h_j J(P_j) u_j, with that of u_j in `of_gradients`.
+    void slope(int64_t j, const double* point, const double* u, const V* of_point, V* z) {
+        const Field& field = at.field;
+        const V* of_gradient = of_gradients.at + j * n * rows;
+        const double h = at.length_of(j);
+        std::fill_n(z, n * rows, V(0.0));
+        if (field.nonlinear) structure(field, SharedConstants{}, point, at.fields);
+        const auto add = [&](int64_t i, double factor, int64_t k) {
+            for (int64_t b = 0; b < rows; ++b) z[i * rows + b] = fma(V(factor), of_gradient[k * rows + b], z[i * rows + b]);
+        };
+        for (int64_t i = 0; i < n; ++i)
+            if (field.nonlinear)
+                for (int64_t k = 0; k < n; ++k) add(i, h * field.sign * at.fields.matrix.at[i * n + k], k);
+            else
+                for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
+                    add(i, h * (field.constant[q] * point[field.state[q]]), field.column[q]);
+        changes.of_structure(point, u, of_point, h, z);
+    }
+
+    void move_element(V* of_group) {
+        const int64_t count = at.square * rows;
+        const GroupField& group = at.group;
+        element.solve([&](int64_t, V* y) { std::copy_n(of_group, count, y); },
+                      [&](int64_t j, const V* y, V* z) {
+                          std::fill_n(z, count, V(0.0));
+                          const double h = at.length_of(j);
+                          for (int64_t q = 0; q < group.entries; ++q) {
+                              const double by = h * group.value[q];
+                              const V entry(by * at.gradient_of(j)[group.element[q]]);
+                              const V* change = of_gradients.at + (j * n + group.element[q]) * rows;
+                              for (int64_t r = 0; r < d; ++r) {
+                                  const int64_t from = group.row[q] * d + r, to = (group.column[q] * d + r) * rows;
+                                  const V value(by * at.element_of(j)[from]);
+                                  for (int64_t b = 0; b < rows; ++b)
+                                      z[to + b] = fma(y[from * rows + b], entry, fma(value, change[b], z[to + b]));
+                              }
+                          }
+                      });
+        for (int64_t j = 0; j < s; ++j)
+            for (int64_t k = 0; k < count; ++k)
+                of_group[k] = fma(V(at.tables.out[j]), element.slope_of(j)[k], of_group[k]);
+    }
+};
+
+// Cotangents of one member through a substep, from its end to its start.
+class StageCotangents {
+  public:
+    explicit StageCotangents(StagePoints& at)
+        : at(at), n(at.n), s(at.s), d(at.d), momentum(at.tables, n, 1, true), element(at.tables, at.square, 1, true),
+          workspace(std::max(at.field.longest, at.longest_added())), of_gradients(s * n), of_points(s * n),
+          of_slopes(s * n), w(n), of_rows(std::max(at.field.longest, at.longest_added())),
+          unused(CoefficientCotangents<double>::count(at.field.terms)), none(at.field.terms, unused.at),
+          derivative(at.field.nonlinear ? n * n * n : 0), calls(at.field.nonlinear ? n * (1 + n * n) : 0) {}
+
+    // Replace the cotangents of the state and, unless null, of the element after the substep by those before it.
+    void move(double* cotangents, double* of_group, const CoefficientCotangents<double>& coefficients) {
+        const RungeKuttaTables& tables = at.tables;
+        std::fill_n(of_gradients.at, s * n, 0.0);
+        if (of_group) move_element(of_group);
+        const auto base = [&](int64_t j, double* y) {
+            for (int64_t i = 0; i < n; ++i) y[i] = tables.out[j] * cotangents[i];
+        };
+        // The slopes are those of the stages that vary; the frozen factor follows.
+        const auto apply = [&](int64_t j, const double* y, double* z) {
+            std::fill_n(z, n, 0.0);
+            if (tables.solver != GRADIENT) pull_gradient(j, at.of_structure(), at.of_gradient(), y, true, nullptr, z);
+            if (tables.solver != STRUCTURE) pull_structure(j, at.of_structure(), at.gradient_of(j), y, z);
+        };
+        if (tables.solver == ITERATED) {
+            for (int64_t j = 0; j < s; ++j) {
+                base(j, momentum.of_stage(j));
+                apply(j, momentum.of_stage(j), of_points.at + j * n);
+            }
+        } else {
+            momentum.solve(base, apply);
+            std::fill_n(of_points.at, s * n, 0.0);
+        }
+        for (int64_t j = 0; j < s; ++j) {
+            const double* y = momentum.of_stage(j);
+            pull_gradient(j, at.of_structure(), at.of_gradient(), y, true, &coefficients, nullptr);
+            if (tables.solver == STRUCTURE) pull_structure(j, at.of_structure(), at.gradient_of(j), y, of_points.at + j * n);
+            if (tables.solver == GRADIENT)
+                pull_gradient(j, at.of_structure(), at.of_gradient(), y, true, nullptr, of_points.at + j * n);
+        }
+        if (tables.solver != ITERATED)
+            for (int64_t j = 0; j < s; ++j)
+                for (int64_t i = 0; i < n; ++i) cotangents[i] += momentum.slope_of(j)[i];
+        if (at.iterated) move_iterates(cotangents, coefficients);
+    }
+
+  private:
+    StagePoints& at;
+    const int64_t n, s, d;
+    StageEquations<double> momentum, element;
+    HessianWorkspace<double> workspace;
+    AlignedArray<double> of_gradients, of_points, of_slopes, w, of_rows, unused;
+    const CoefficientCotangents<double> none;
+    std::vector<double> derivative, calls, gradients;
+
+    // Function iterates backward; `of_points` are the cotangents of the last ones.
+    void move_iterates(double* cotangents, const CoefficientCotangents<double>& coefficients) {
+        const RungeKuttaTables& tables = at.tables;
+        gradients.resize(n);
+        for (int64_t pass = tables.iterations; pass >= 0; --pass) {
+            for (int64_t i = 0; i < s; ++i)
+                for (int64_t c = 0; c < n; ++c) cotangents[c] += of_points.at[i * n + c];
+            if (pass == 0) return;
+            for (int64_t j = 0; j < s; ++j)
+                for (int64_t c = 0; c < n; ++c) {
+                    double total = 0.0;
+                    for (int64_t i = 0; i < s; ++i) total = fma(tables.mix[i * s + j], of_points.at[i * n + c], total);
+                    of_slopes.at[j * n + c] = total;
+                }
+            const double* points = at.iterates_of(pass - 1);
+            std::fill_n(of_points.at, s * n, 0.0);
+            for (int64_t j = 0; j < s; ++j) {
+                const double* y = of_slopes.at + j * n;
+                gradient(at.field, SharedConstants{}, points + j * n, at.time_of(j), gradients.data(), at.fields);
+                pull_gradient(j, points, points, y, false, &coefficients, of_points.at + j * n);
+                pull_structure(j, points, gradients.data(), y, of_points.at + j * n);
+            }
+        }
+    }
+
+    // Add to `out` the cotangent of Q_j, and to the coefficients, for that of h_j J(P_j) grad H(Q_j), and of the element.
+    void pull_gradient(int64_t j, const double* of_structure, const double* of_gradient, const double* y, bool with_element,
+                       const CoefficientCotangents<double>* coefficients, double* out) {
+        const Field& field = at.field;
+        const double *p = of_structure + j * n, *q = of_gradient + j * n, h = at.length_of(j);
+        for (int64_t i = 0; i < n; ++i) w.at[i] = with_element ? of_gradients.at[j * n + i] : 0.0;
+        if (field.nonlinear) {
+            structure(field, SharedConstants{}, p, at.fields);
+            for (int64_t i = 0; i < n; ++i)
+                for (int64_t k = 0; k < n; ++k)
+                    w.at[k] = fma(h * field.sign * at.fields.matrix.at[i * n + k], y[i], w.at[k]);
+        } else {
+            for (int64_t i = 0; i < n; ++i)
+                for (uint32_t e = field.first[i]; e < field.first[i + 1]; ++e) {
+                    double& entry = w.at[field.column[e]];
+                    entry = fma(h * (field.constant[e] * p[field.state[e]]), y[i], entry);
+                }
+        }
+        const auto each_term = [&](const Terms& terms, bool of_coefficients_only,
+                                   const CoefficientCotangents<double>& of) {
+            for (int64_t k = 0; k < terms.size; ++k) {
+                const int64_t first = terms.row[k];
+                for (int64_t row = first; row < int64_t(terms.row[k + 1]); ++row)
+                    of_rows.at[row - first] = w.at[terms.target[row]];
+                term_cotangents(terms, at.all.hessians, k, q, at.time_of(j), of_rows.at, first, of_coefficients_only, out,
+                                of, workspace);
+            }
+        };
+        if (out) each_term(field.terms, false, none);
+        if (coefficients) each_term(at.all.added, true, *coefficients);
+    }
+
+    // Add to `out` the cotangent of P_j for that of h_j J(P_j) u.
+    void pull_structure(int64_t j, const double* of_structure, const double* u, const double* y, double* out) {
+        const Field& field = at.field;
+        const double h = at.length_of(j);
+        if (!field.nonlinear) {
+            for (int64_t i = 0; i < n; ++i)
+                for (uint32_t e = field.first[i]; e < field.first[i + 1]; ++e) {
+                    double& entry = out[field.state[e]];
+                    entry = fma(h * (field.constant[e] * u[field.column[e]]), y[i], entry);
+                }
+            return;
+        }
+        call_function(SharedConstants{}, at.all.derivative, 0, of_structure + j * n, n, 0.0, derivative.data(), n * n * n,
+                      calls.data());
+        for (int64_t i = 0; i < n; ++i)
+            for (int64_t l = 0; l < n; ++l)
+                for (int64_t k = 0; k < n; ++k)
+                    out[k] = fma(h * field.sign * derivative[(i * n + l) * n + k] * u[l], y[i], out[k]);
+    }
+
+    void move_element(double* of_group) {
+        const GroupField& group = at.group;
+        element.solve([&](int64_t j, double* y) {
+                          for (int64_t e = 0; e < at.square; ++e) y[e] = at.tables.out[j] * of_group[e];
+                      },
+                      [&](int64_t j, const double* y, double* z) {
+                          std::fill_n(z, at.square, 0.0);
+                          for (int64_t q = 0; q < group.entries; ++q) {
+                              const double by = at.length_of(j) * group.value[q] * at.gradient_of(j)[group.element[q]];
+                              for (int64_t r = 0; r < d; ++r) {
+                                  double& entry = z[group.row[q] * d + r];
+                                  entry = fma(by, y[group.column[q] * d + r], entry);
+                              }
+                          }
+                      });
+        for (int64_t j = 0; j < s; ++j) {
+            const double *y = element.of_stage(j), *point = at.element_of(j);
+            for (int64_t q = 0; q < group.entries; ++q) {
+                double total = 0.0;
+                for (int64_t r = 0; r < d; ++r) total = fma(point[group.row[q] * d + r], y[group.column[q] * d + r], total);
+                double& entry = of_gradients.at[j * n + group.element[q]];
+                entry = fma(at.length_of(j) * group.value[q], total, entry);
+            }
+            for (int64_t e = 0; e < at.square; ++e) of_group[e] += element.slope_of(j)[e];
+        }
+    }
+};
+
+}  // namespace coadjoint

@@ -1,0 +1,44 @@
+"""Derivatives of runs by Runge-Kutta methods: parameters as coefficients of the energy in all stages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from coadjoint.kernels.tables.cotangents import runge_kutta_cotangents
+from coadjoint.kernels.tables.structures import as_structure
+from coadjoint.methods.protocol.derivatives import EXACT, DerivativeTables
+from coadjoint.program.added_part import CoefficientMap, terms_of
+from coadjoint.systems.energy_derivatives import EnergyDerivative
+
+if TYPE_CHECKING:
+    from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
+    from coadjoint.systems.system_checks import System
+
+FORWARD, BACKWARD = "runge_kutta_directions", "runge_kutta_cotangents"
+
+
+def runge_kutta_derivatives(
+    method: RungeKuttaMethod,
+    system: System,
+    h: float,
+    representation: Any,
+    energies: Mapping[str, EnergyDerivative],
+    fractions: Sequence[float],
+) -> DerivativeTables:
+    """Return the tables of a method with substeps; derivatives by parameters are those of the computed map."""
+    added, coefficients = terms_of(EnergyDerivative.joined(list(energies.values())), system.dim)
+    loop = method.loop_of_substeps(system, h, representation, fractions)
+    built = runge_kutta_cotangents(loop, system, added)
+    tables = as_structure(built.tables)
+    return DerivativeTables(
+        tables_at=lambda step: tables,
+        keepalive=built.keepalive,
+        forward=FORWARD,
+        backward=BACKWARD,
+        coefficient_count=len(added.offset) + len(added.weight) + len(added.coefficient),
+        coefficients=coefficients.split({name: energy.size for name, energy in energies.items()}),
+        factors=dict.fromkeys(energies, CoefficientMap.of_triplets(())),
+        rules=dict.fromkeys(energies, EXACT),
+        shift=(),
+    )
