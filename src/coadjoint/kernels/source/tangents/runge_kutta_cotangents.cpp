@@ -68,6 +68,8 @@ static void forward_member(const RungeKuttaCotangents& all, const ForwardRun& ru
     each(vectors.at, n, member * run.carried, read(run.tangents));
     if (square > 0) each(of_group.at, square, member * run.carried, read(run.group_tangents));
     each(directions.at, count, 0, read(run.coefficients));
+    bool directed = false;
+    for (int64_t i = 0; i < run.carried * count; ++i) directed = directed || run.coefficients[i] != 0.0;
     stepped.begin(run, member);
     const int64_t work = (2 + 4 * rows) * work_of_step(tables);
     int64_t mark = 0;
@@ -78,7 +80,7 @@ static void forward_member(const RungeKuttaCotangents& all, const ForwardRun& ru
             const double t = start + tables.moment[part] * run.h, h = tables.fraction[part] * run.h;
             stepped.substep(t, h, part, [&](const double* slopes) {
                 points.begin(stepped.one->x, stepped.one->g, t, h, slopes);
-                tangents.move(vectors.at, square > 0 ? of_group.at : nullptr, directions.at);
+                tangents.move(vectors.at, square > 0 ? of_group.at : nullptr, directed ? directions.at : nullptr);
             });
         }
         if (mark == run.marked || run.marks[mark] != k) continue;

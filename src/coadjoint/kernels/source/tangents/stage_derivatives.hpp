@@ -89,7 +89,7 @@ class StagePoints {
 };
 
 // Solve y_i = b_i + sum_j c_ij z_j, z_j = apply(j, y_j), for the y_i and z_i of `size` numbers; c is `mix`, or its
-// transpose. By iteration, and if it does not converge, by LU factors of the equations of one number after the other.
+// transpose. By iteration, each stage with the latest slopes, and if it does not converge, by LU factors of the equations of one number after the other.
 template <class V>
 class StageEquations {
   public:
@@ -108,15 +108,19 @@ class StageEquations {
         std::fill_n(z.at, count, V(0.0));
         double earlier = INFINITY;
         for (int64_t passed = 0; passed < MOST_DERIVATIVE_ITERATIONS; ++passed) {
-            for (int64_t i = 0; i < s; ++i) mix(i, 0, s, base);
-            std::swap(before.at, z.at);
-            for (int64_t j = 0; j < s; ++j) apply(j, of_stage(j), slope_of(j));
-            double change = 0.0, largest = 0.0;
-            for (int64_t k = 0; k < count; ++k) {
-                change = larger_of(change, z.at[k] - before.at[k]);
-                largest = larger_of(largest, z.at[k]);
+            std::copy_n(z.at, count, before.at);
+            for (int64_t j = 0; j < s; ++j) {
+                mix(j, 0, s, base);
+                apply(j, of_stage(j), slope_of(j));
             }
-            if (!(change <= std::numeric_limits<double>::max())) break;
+            V change_of(0.0), largest_of(0.0), undefined(0.0);
+            for (int64_t k = 0; k < count; ++k) {
+                change_of = larger(change_of, absolute(z.at[k] - before.at[k]));
+                largest_of = larger(largest_of, absolute(z.at[k]));
+                undefined += 0.0 * z.at[k];
+            }
+            if (!all(undefined == V(0.0))) break;
+            const double change = over_lanes(change_of), largest = over_lanes(largest_of);
             if (change <= DERIVATIVE_ROUNDING * largest || (change >= earlier && change <= DERIVATIVE_STAGNATION * largest))
                 return;
             earlier = change;
@@ -132,12 +136,10 @@ class StageEquations {
 
     double weight(int64_t i, int64_t j) const { return transposed ? tables.mix[j * s + i] : tables.mix[i * s + j]; }
 
-    static double larger_of(double known, const V& value) {
-        for (int lane = 0; lane < Numbers<V>::lanes; ++lane) {
-            const double entry = absolute(lane_of(value, lane));
-            if (!(entry <= known)) known = entry;
-        }
-        return known;
+    static double over_lanes(const V& value) {
+        double most = 0.0;
+        for (int lane = 0; lane < Numbers<V>::lanes; ++lane) most = std::max(most, lane_of(value, lane));
+        return most;
     }
 
     template <class Base>
@@ -191,13 +193,65 @@ class StageEquations {
     }
 };
 
+constexpr int64_t LARGEST_DENSE_STAGE = 16;  // coordinates up to which the Jacobian of a stage is stored
+
+// The Jacobians h_j f'(X_j) of the stages of small systems with a quadratic energy.
+class StageJacobians {
+  public:
+    const bool used;
+
+    explicit StageJacobians(StagePoints& at)
+        : used(suitable(at)), at(at), n(at.n), hessian(used ? n * n : 0), product(used ? n * n : 0),
+          jacobians(used ? at.s * n * n : 0) {
+        const Terms& terms = at.field.terms;
+        for (uint32_t row = 0; used && row < terms.row[terms.size]; ++row)
+            for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)
+                hessian.at[terms.target[row] * n + terms.column[entry]] += terms.weight[entry];
+    }
+
+    void set() {
+        for (int64_t j = 0; j < at.s; ++j) {
+            double* jacobian = jacobians.at + j * n * n;
+            coadjoint_matrix(at.field, SharedConstants{}, at.gradient_of(j), at.length_of(j), jacobian);
+            structure_times_matrix(at.field, SharedConstants{}, at.of_structure() + j * n, hessian.at, at.length_of(j),
+                                   product.at, at.fields);
+            for (int64_t e = 0; e < n * n; ++e) jacobian[e] += product.at[e];
+        }
+    }
+
+    // z = the Jacobian of stage j, or its transpose, times y, for vectors side by side.
+    template <bool transposed, class V>
+    INLINE void multiply(int64_t j, const V* y, V* z, int64_t rows) const {
+        const double* jacobian = jacobians.at + j * n * n;
+        for (int64_t i = 0; i < n; ++i)
+            for (int64_t b = 0; b < rows; ++b) {
+                V total(0.0);
+                for (int64_t k = 0; k < n; ++k)
+                    total = fma(V(jacobian[transposed ? k * n + i : i * n + k]), y[k * rows + b], total);
+                z[i * rows + b] = total;
+            }
+    }
+
+  private:
+    StagePoints& at;
+    const int64_t n;
+    AlignedArray<double> hessian, product, jacobians;
+
+    static bool suitable(const StagePoints& at) {
+        const Terms& terms = at.field.terms;
+        bool linear = at.n <= LARGEST_DENSE_STAGE && !at.field.nonlinear && at.tables.solver <= IMPLICIT && !at.iterated;
+        for (int64_t k = 0; k < terms.size; ++k) linear = linear && terms.kind[k] == LINEAR;
+        return linear;
+    }
+};
+
 // Tangent vectors of one member, `rows` blocks of lanes, through a substep.
 class StageTangents {
   public:
     typedef TangentLanes V;
     StageTangents(StagePoints& at, int64_t rows)
         : at(at), rows(rows), n(at.n), s(at.s), d(at.d), tangents{n, 0, 0, nullptr, at.all.hessians, at.all.derivative},
-          changes(at.field, tangents, rows), momentum(at.tables, n, rows, false),
+          changes(at.field, tangents, rows), jacobians(at), momentum(at.tables, n, rows, false),
           element(at.tables, at.square, rows, false), workspace(std::max(at.field.longest, at.longest_added())),
           of_gradients(s * n * rows), of_iterates(s * n * rows), of_slopes(s * n * rows), part(longest() * rows) {}
 
@@ -228,10 +282,25 @@ class StageTangents {
             set_gradient_change(j, at.of_gradient() + j * n, at.tables.solver == GRADIENT ? frozen : y, directions);
             slope(j, at.of_structure() + j * n, at.gradient_of(j), at.tables.solver == STRUCTURE ? frozen : y, z);
         };
-        if (tables.solver == ITERATED)
+        if (jacobians.used) {
+            jacobians.set();
+            for (int64_t j = 0; directions && j < s; ++j) {
+                const double* point = at.of_gradient() + j * n;
+                std::fill_n(of_gradients.at + j * count, count, V(0.0));
+                add_directions(j, point, directions);
+                of_product(j, point, of_slopes.at + j * count);
+            }
+            momentum.solve(base, [&](int64_t j, const V* y, V* z) {
+                jacobians.multiply<false>(j, y, z, rows);
+                for (int64_t k = 0; directions && k < count; ++k) z[k] += of_slopes.at[j * count + k];
+            });
+            for (int64_t j = 0; of_group && j < s; ++j)
+                set_gradient_change(j, at.of_gradient() + j * n, momentum.of_stage(j), directions);
+        } else if (tables.solver == ITERATED) {
             for (int64_t j = 0; j < s; ++j) apply(j, of_iterates.at + j * count, momentum.slope_of(j));
-        else
+        } else {
             momentum.solve(base, apply);
+        }
         if (of_group) move_element(of_group);
         for (int64_t j = 0; j < s; ++j)
             for (int64_t k = 0; k < count; ++k) vectors[k] = fma(V(tables.out[j]), momentum.slope_of(j)[k], vectors[k]);
@@ -242,6 +311,7 @@ class StageTangents {
     const int64_t rows, n, s, d;
     const Tangents tangents;
     FieldChanges<V> changes;
+    StageJacobians jacobians;
     StageEquations<V> momentum, element;
     HessianWorkspace<double> workspace;
     AlignedArray<V> of_gradients, of_iterates, of_slopes, part;
@@ -250,31 +320,37 @@ class StageTangents {
     double* scratch() { return spare.resize(n), spare.data(); }
     int64_t longest() const { return std::max(at.field.longest, at.longest_added()); }
 
+    // Add the change of the rows of a term, in `part`, to that of grad H(Q_j).
+    void add_rows(const Terms& terms, int64_t k, V* to) {
+        for (int64_t row = terms.row[k]; row < int64_t(terms.row[k + 1]); ++row)
+            for (int64_t b = 0; b < rows; ++b)
+                to[terms.target[row] * rows + b] += part.at[(row - terms.row[k]) * rows + b];
+    }
+
+    void add_directions(int64_t j, const double* point, const V* directions) {
+        const Terms& added = at.all.added;
+        for (int64_t k = 0; k < added.size; ++k) {
+            std::fill_n(part.at, (added.row[k + 1] - added.row[k]) * rows, V(0.0));
+            add_coefficient_changes(added, k, point, directions, rows, part.at, added.row[k]);
+            add_rows(added, k, of_gradients.at + j * n * rows);
+        }
+    }
+
     // The change of grad H(Q_j) for a change of Q_j and of the coefficients.
     void set_gradient_change(int64_t j, const double* point, const V* vectors, const V* directions) {
         V* to = of_gradients.at + j * n * rows;
         std::fill_n(to, n * rows, V(0.0));
-        const auto add = [&](const Terms& terms, int64_t k) {
-            for (int64_t row = terms.row[k]; row < int64_t(terms.row[k + 1]); ++row)
-                for (int64_t b = 0; b < rows; ++b)
-                    to[terms.target[row] * rows + b] += part.at[(row - terms.row[k]) * rows + b];
-        };
         const Terms& terms = at.field.terms;
         for (int64_t k = 0; k < terms.size; ++k) {
             gradient_changes(terms, at.all.hessians, k, point, at.time_of(j), vectors, rows, part.at, terms.row[k],
                              workspace);
-            add(terms, k);
+            add_rows(terms, k, to);
         }
-        for (int64_t k = 0; directions && k < at.all.added.size; ++k) {
-            const Terms& added = at.all.added;
-            std::fill_n(part.at, (added.row[k + 1] - added.row[k]) * rows, V(0.0));
-            add_coefficient_changes(added, k, point, directions, rows, part.at, added.row[k]);
-            add(added, k);
-        }
+        if (directions) add_directions(j, point, directions);
     }
 
-    // The change of h_j J(P_j) u_j, with that of u_j in `of_gradients`.
-    void slope(int64_t j, const double* point, const double* u, const V* of_point, V* z) {
+    // z = h_j J(P_j) times the change of grad H(Q_j).
+    void of_product(int64_t j, const double* point, V* z) {
         const Field& field = at.field;
         const V* of_gradient = of_gradients.at + j * n * rows;
         const double h = at.length_of(j);
@@ -289,7 +365,12 @@ class StageTangents {
             else
                 for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
                     add(i, h * (field.constant[q] * point[field.state[q]]), field.column[q]);
-        changes.of_structure(point, u, of_point, h, z);
+    }
+
+    // The change of h_j J(P_j) u_j, with that of u_j in `of_gradients`.
+    void slope(int64_t j, const double* point, const double* u, const V* of_point, V* z) {
+        of_product(j, point, z);
+        changes.of_structure(point, u, of_point, at.length_of(j), z);
     }
 
     void move_element(V* of_group) {
@@ -321,9 +402,9 @@ class StageTangents {
 class StageCotangents {
   public:
     explicit StageCotangents(StagePoints& at)
-        : at(at), n(at.n), s(at.s), d(at.d), momentum(at.tables, n, 1, true), element(at.tables, at.square, 1, true),
+        : at(at), n(at.n), s(at.s), d(at.d), jacobians(at), momentum(at.tables, n, 1, true), element(at.tables, at.square, 1, true),
           workspace(std::max(at.field.longest, at.longest_added())), of_gradients(s * n), of_points(s * n),
-          of_slopes(s * n), w(n), of_rows(std::max(at.field.longest, at.longest_added())),
+          of_slopes(s * n), none_of(s * n), w(n), of_rows(std::max(at.field.longest, at.longest_added())),
           unused(CoefficientCotangents<double>::count(at.field.terms)), none(at.field.terms, unused.at),
           derivative(at.field.nonlinear ? n * n * n : 0), calls(at.field.nonlinear ? n * (1 + n * n) : 0) {}
 
@@ -341,7 +422,18 @@ class StageCotangents {
             if (tables.solver != GRADIENT) pull_gradient(j, at.of_structure(), at.of_gradient(), y, true, nullptr, z);
             if (tables.solver != STRUCTURE) pull_structure(j, at.of_structure(), at.gradient_of(j), y, z);
         };
-        if (tables.solver == ITERATED) {
+        if (jacobians.used) {
+            jacobians.set();
+            // The effect of the element on the gradients, through their derivatives.
+            std::fill_n(of_points.at, s * n, 0.0);
+            std::fill_n(none_of.at, s * n, 0.0);
+            for (int64_t j = 0; of_group && j < s; ++j)
+                pull_gradient(j, at.of_structure(), at.of_gradient(), none_of.at, true, nullptr, of_points.at + j * n);
+            momentum.solve(base, [&](int64_t j, const double* y, double* z) {
+                jacobians.multiply<true>(j, y, z, 1);
+                for (int64_t i = 0; of_group && i < n; ++i) z[i] += of_points.at[j * n + i];
+            });
+        } else if (tables.solver == ITERATED) {
             for (int64_t j = 0; j < s; ++j) {
                 base(j, momentum.of_stage(j));
                 apply(j, momentum.of_stage(j), of_points.at + j * n);
@@ -352,7 +444,8 @@ class StageCotangents {
         }
         for (int64_t j = 0; j < s; ++j) {
             const double* y = momentum.of_stage(j);
-            pull_gradient(j, at.of_structure(), at.of_gradient(), y, true, &coefficients, nullptr);
+            if (at.all.added.size > 0)
+                pull_gradient(j, at.of_structure(), at.of_gradient(), y, true, &coefficients, nullptr);
             if (tables.solver == STRUCTURE) pull_structure(j, at.of_structure(), at.gradient_of(j), y, of_points.at + j * n);
             if (tables.solver == GRADIENT)
                 pull_gradient(j, at.of_structure(), at.of_gradient(), y, true, nullptr, of_points.at + j * n);
@@ -366,9 +459,10 @@ class StageCotangents {
   private:
     StagePoints& at;
     const int64_t n, s, d;
+    StageJacobians jacobians;
     StageEquations<double> momentum, element;
     HessianWorkspace<double> workspace;
-    AlignedArray<double> of_gradients, of_points, of_slopes, w, of_rows, unused;
+    AlignedArray<double> of_gradients, of_points, of_slopes, none_of, w, of_rows, unused;
     const CoefficientCotangents<double> none;
     std::vector<double> derivative, calls, gradients;
 
