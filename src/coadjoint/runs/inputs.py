@@ -155,6 +155,14 @@ class Inputs:
             "value for each member"
         )
 
+    def linear_coordinates(self) -> NDArray[np.int64]:
+        """Return the coordinates of the linear term that are inputs; raise TypeError if torques are inputs too."""
+        if self._torques:
+            raise TypeError(
+                "derivatives by inputs are those by coefficients of the linear term, and a torque is an input"
+            )
+        return self._input_indices
+
     def random_values(self) -> tuple[Floats, Floats]:
         """Return two arrays of values in which the inputs have reproducible random digits."""
         first, second = self.values.copy(), self.values.copy()

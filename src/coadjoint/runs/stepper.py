@@ -8,13 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.errors import IntegrationError
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import check_supports, effective_scheme
+from coadjoint.methods.protocol.derivatives import derivative_tables, has_derivatives
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.tangents import tangent_by
 from coadjoint.methods.registry import read_method
+from coadjoint.runs.derivatives.step_tangents import StepTangents, linear_inputs
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import momenta_of
@@ -58,6 +61,7 @@ class Stepper:
         self.system: Any = system
         self.method, self._inputs = method, inputs
         self._prepared: dict[bool | str, PreparedRun] = {}
+        self._tangents: dict[Any, StepTangents] = {}
 
     def __repr__(self) -> str:
         return f"stepper({self.system!r}, {self.method!r}, {self.h!r})"
@@ -198,8 +202,81 @@ class Stepper:
             The Hamiltonian was given without second derivatives.
         """
         method, system = self._scheme(inputs)
+        point, time = self._read_point(x, t)
+        found = self._compiled_tangents(method, system, point, time, False)
+        if found is not None:
+            return found
         with long_operation("tangent"):
-            return method.tangent(system, *self._read_point(x, t), self.h)[1]
+            return method.tangent(system, point, time, self.h)[1]
+
+    @ignore_overflow
+    def tangent_by_inputs(self, x: Any, t: float = 0.0, **inputs: Any) -> NDArray[np.float64]:
+        """Return the derivative of the step at x by the prepared inputs.
+
+        With `tangent` it gives the linear model of a step, ``dx_after = A dx + B du``, of controllers and filters.
+
+        Parameters
+        ----------
+        x : array_like, shape (n,)
+            Momentum before the step.
+        t : float
+            Time at the start of the step.
+        **inputs : array_like
+            Values of the prepared inputs, as in `PreparedRun.run`.
+
+        Returns
+        -------
+        ndarray, shape (n, m)
+            d step_i / d u_j, for all coefficients of the linear term that are inputs, in the order in which they were
+            prepared.
+
+        Raises
+        ------
+        TypeError
+            There are no inputs, or torques among them; the scheme has no derivatives by parameters.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> step = co.stepper(co.systems.rigid_body((1, 2, 2.5)), co.Splitting(order=2), 0.1, inputs={"rotors": (0, 2)})
+        >>> step.tangent_by_inputs([0.1, 1.0, 0.2], rotors=[0.0, 0.1]).shape
+        (3, 2)
+        """
+        if self._inputs is None or self._inputs is False:
+            raise TypeError(
+                "the stepper has no inputs; give inputs=True, or coordinates of the linear term, to stepper"
+            )
+        method, system = self._scheme(inputs)
+        point, time = self._read_point(x, t)
+        found = self._compiled_tangents(method, system, point, time, True)
+        if found is None:
+            raise IntegrationError(
+                f"the derivative by the inputs at t = {time:g} is not finite; take a smaller step than {abs(self.h):g}",
+                step=1,
+                time=time,
+                residual=float("nan"),
+            )
+        return found
+
+    def _compiled_tangents(
+        self, method: Method, system: Any, x: NDArray[np.float64], t: float, by_inputs: bool
+    ) -> NDArray[np.float64] | None:
+        """Return a derivative by the compiled loop, None if there is no such loop or the result is not finite."""
+        # Functions of the user would have to be compiled.
+        called = system.algebra is None or any(term.called for term in system.hamiltonian.terms())
+        if not by_inputs and (called or not has_derivatives(method)):
+            return None
+        key = (system, by_inputs)
+        tangents = self._tangents.pop(key, None)
+        if tangents is None:
+            coordinates = self._prepared_with(False).input_coordinates if by_inputs else np.zeros(0, dtype=np.int64)
+            energies = {"inputs": linear_inputs(coordinates)} if by_inputs else {}
+            tables = derivative_tables(method, system, self.h, None, energies)
+            tangents = StepTangents(tables, system.dim, self.h, len(coordinates))
+        found = tangents(x, t)
+        # A call removes the arrays while it uses them, so that concurrent calls never share any.
+        self._tangents = {key: tangents}
+        return None if found is None else found[:, system.dim :] if by_inputs else found
 
     @ignore_overflow
     def tangent_by(self, x: Any, t: float = 0.0, **inputs: Any) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.free_algebra import Series, exponential, product, unit_series
 from coadjoint.methods.formal.formal_numbers import is_short
 from coadjoint.methods.protocol.composing import Composable
-from coadjoint.methods.protocol.derivatives import CompiledDerivatives, DerivativeTables, not_differentiable
+from coadjoint.methods.protocol.derivatives import CompiledDerivatives, DerivativeTables
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.formal_step import FormalStep, with_formal_step
 from coadjoint.methods.protocol.method import Method, Representation
@@ -137,13 +137,17 @@ class Substeps(Composed, FormalStep, CompiledTangents, CompiledDerivatives, Comp
             else None
         )
 
+    @property
+    def differentiable(self) -> bool:
+        """As for the base."""
+        return isinstance(self.base, RungeKuttaMethod) and self.base.differentiable
+
     def derivative_tables(
         self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]
     ) -> DerivativeTables:
         """Return the tables of the base with these substeps."""
         base = self.base
-        if not isinstance(base, RungeKuttaMethod):
-            raise not_differentiable(base)
+        assert isinstance(base, RungeKuttaMethod)
         return base.derivative_tables_of_substeps(system, h, representation, energies, self.coefficients)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:

@@ -40,6 +40,11 @@ class DerivativeTables(NamedTuple):
 class CompiledDerivatives(Method):
     """A scheme with loops that differentiate whole runs."""
 
+    @property
+    def differentiable(self) -> bool:
+        """Whether this scheme has such loops."""
+        return True
+
     @abstractmethod
     def derivative_tables(
         self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]
@@ -56,12 +61,13 @@ def derivative_tables(
 ) -> DerivativeTables:
     """Return the tables of a scheme; raise TypeError, by name, for one whose runs cannot be differentiated."""
     form = method.expanded
-    if not isinstance(form, CompiledDerivatives):
-        raise not_differentiable(method)
+    if not isinstance(form, CompiledDerivatives) or not form.differentiable:
+        raise TypeError(f"runs by {method} have no derivatives; take a Splitting or a Runge-Kutta method")
     form.properties(system)
     return form.derivative_tables(system, h, representation, energies)
 
 
-def not_differentiable(method: Method) -> TypeError:
-    """Return the error for a scheme whose runs have no derivatives."""
-    return TypeError(f"runs by {method} have no derivatives; take a Splitting or a Runge-Kutta method")
+def has_derivatives(method: Method) -> bool:
+    """Return whether runs by a scheme can be differentiated."""
+    form = method.expanded
+    return isinstance(form, CompiledDerivatives) and form.differentiable

@@ -190,6 +190,11 @@ class RungeKuttaMethod(SubstepMethod, CompiledTangents, CompiledDerivatives):
         loop = self.loop_of_substeps(system, h, None, fractions)
         return with_tangents(loop, system, table.functions, frame)
 
+    @property
+    def differentiable(self) -> bool:
+        """Whether the compiled stages are those of `step`."""
+        return self._as_written
+
     def derivative_tables(
         self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]
     ) -> DerivativeTables:
