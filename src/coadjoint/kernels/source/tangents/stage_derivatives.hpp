@@ -95,7 +95,17 @@ class StageEquations {
   public:
     StageEquations(const RungeKuttaTables& tables, int64_t size, int64_t copies, bool transposed)
         : tables(tables), s(tables.stages), size(size), copies(copies), transposed(transposed), y(s * size * copies),
-          z(s * size * copies), before(s * size * copies) {}
+          z(s * size * copies), before(s * size * copies), forecast(tables.substeps == 1 ? s * s : 0) {
+        // z_j, transposed z_j / out_j, is a smooth function of the node, continued to those of the adjacent step.
+        const double shift = transposed ? -1.0 : 1.0;
+        for (int64_t i = 0; i < s && tables.substeps == 1; ++i)
+            for (int64_t j = 0; j < s; ++j) {
+                double entry = transposed ? tables.out[i] / tables.out[j] : 1.0;
+                for (int64_t k = 0; k < s; ++k)
+                    if (k != j) entry *= (tables.node[i] + shift - tables.node[k]) / (tables.node[j] - tables.node[k]);
+                forecast.at[i * s + j] = entry - entry == 0.0 ? entry : 0.0;
+            }
+    }
 
     V* of_stage(int64_t i) { return y.at + i * size * copies; }
     V* slope_of(int64_t j) { return z.at + j * size * copies; }
@@ -105,7 +115,7 @@ class StageEquations {
     void solve(Base base, Apply apply) {
         const int64_t count = s * size * copies;
         if (tables.solver == EXPLICIT) return one_by_one(base, apply);
-        std::fill_n(z.at, count, V(0.0));
+        extrapolate(count);
         double earlier = INFINITY;
         for (int64_t passed = 0; passed < MOST_DERIVATIVE_ITERATIONS; ++passed) {
             std::copy_n(z.at, count, before.at);
@@ -133,6 +143,20 @@ class StageEquations {
     const int64_t s, size, copies;
     const bool transposed;
     AlignedArray<V> y, z, before;
+    AlignedArray<double> forecast;
+
+    // Begin with the solution of the last step, continued, or with zero.
+    void extrapolate(int64_t count) {
+        if (tables.substeps > 1) return std::fill_n(z.at, count, V(0.0)), void();
+        std::copy_n(z.at, count, before.at);
+        const int64_t length = size * copies;
+        for (int64_t i = 0; i < s; ++i)
+            for (int64_t k = 0; k < length; ++k) {
+                V total(0.0);
+                for (int64_t j = 0; j < s; ++j) total = fma(V(forecast.at[i * s + j]), before.at[j * length + k], total);
+                z.at[i * length + k] = total;
+            }
+    }
 
     double weight(int64_t i, int64_t j) const { return transposed ? tables.mix[j * s + i] : tables.mix[i * s + j]; }
 

@@ -1,0 +1,97 @@
+"""What do derivatives of runs cost? Gradients, tangents and steps, beside the same run or step without them.
+
+    python benchmarks/derivatives.py [--steps N] [--rounds N]
+
+Each is run in turns with the plain run, and the best of the rounds is taken. A gradient is that of a sum over the end,
+by the initial state and all parameters; its time contains the run.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+from lyapunov import best
+
+import coadjoint as co
+
+DIRECTIONS = 8
+
+
+def cases() -> dict[str, tuple[object, np.ndarray, list[object], bool]]:
+    """Return systems with a state, schemes, and whether with the attitude, by name."""
+    rng = np.random.default_rng(7)
+    spins = rng.standard_normal((100, 3))
+    spins /= np.linalg.norm(spins, axis=1)[:, None]
+    full = rng.standard_normal((3, 3))
+    top = co.systems.heavy_top(inertia=(1.0, 2.0, 2.5))
+    body = co.systems.rigid_body(inertia=(1.0, 2.0, 2.5))
+    state = np.array([0.3, 1.0, 0.2])
+    splittings = [co.Splitting(order=2), co.Splitting(order=4)]
+    gauss = [co.GaussLegendre(1), co.GaussLegendre(2), co.GaussLegendre(4), co.ExplicitRungeKutta("rk4")]
+    return {
+        "body": (body, state, [*splittings, *gauss], False),
+        "body, attitude": (body, state, [*splittings, co.GaussLegendre(2)], True),
+        "body, full M": (
+            co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(full @ full.T / 4), sign=-1),
+            state,
+            splittings,
+            False,
+        ),
+        "heavy top": (top, np.array([0.3, 1.0, 0.2, 0.1, 0.4, 0.9]), [*splittings, *gauss], False),
+        "Toda, 8 sites": (co.systems.toda(sites=8), 0.3 * rng.standard_normal(15), splittings, False),
+        "100 spins": (
+            co.systems.spin_lattice(shape=100, periodic=True),
+            spins.ravel(),
+            [co.Splitting(order=2), co.GaussLegendre(2)],
+            False,
+        ),
+        "1000 bodies": (body, rng.standard_normal((1000, 3)), [co.Splitting(order=4), co.GaussLegendre(2)], False),
+    }
+
+
+def main() -> None:
+    """Print a table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--steps", type=int, default=100_000)
+    parser.add_argument("--rounds", type=int, default=5)
+    given = parser.parse_args()
+    print(f"{'system':16s}{'scheme':30s}{'ns/step':>9s}  gradient  {DIRECTIONS} tangents  step (us)  tangent of it")
+    for name, (system, x0, methods, attitude) in cases().items():
+        for method in methods:
+            steps = max(50, int(given.steps * 9 / x0.size**1.3))
+            ready = co.prepare(system, method, 0.01, attitude=attitude, threads=1)
+            span = (0.0, 0.01 * steps)
+            directions = {"x0": np.ones((*x0.shape, DIRECTIONS))}
+
+            def run(ready=ready, x0=x0, span=span, steps=steps):
+                ready.run(x0, span, save_every=steps)
+
+            def gradient(ready=ready, x0=x0, span=span, steps=steps):
+                sol, pullback = ready.vjp(x0, span, save_every=steps)
+                pullback(x=np.ones(sol.x.shape), attitude=None if sol.attitude is None else np.ones(sol.attitude.shape))
+
+            def tangents(ready=ready, x0=x0, span=span, steps=steps, directions=directions):
+                ready.jvp(x0, span, directions, save_every=steps)
+
+            plain, by_gradient, by_tangents = best(given.rounds, run, gradient, tangents)
+            row = f"{name:16s}{method!s:30s}{1e9 * plain / steps / max(1, x0.size // system.dim):9.0f}"
+            row += f"{by_gradient / plain:10.1f}{by_tangents / plain:12.1f}"
+            if x0.ndim == 1 and not attitude:
+                step = co.stepper(system, method, 0.01)
+
+                def calls(step=step, x0=x0):
+                    for _ in range(100):
+                        step(x0)
+
+                def derivatives(step=step, x0=x0):
+                    for _ in range(100):
+                        step.tangent(x0)
+
+                one, of_one = best(given.rounds, calls, derivatives)
+                row += f"{1e4 * one:11.1f}{of_one / one:15.1f}"
+            print(row, flush=True)
+
+
+if __name__ == "__main__":
+    main()
