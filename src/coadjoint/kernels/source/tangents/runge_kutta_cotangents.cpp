@@ -79,7 +79,7 @@ static void forward_member(const RungeKuttaCotangents& all, const ForwardRun& ru
         for (int64_t part = 0; part < tables.substeps; ++part) {
             const double t = start + tables.moment[part] * run.h, h = tables.fraction[part] * run.h;
             stepped.substep(t, h, part, [&](const double* slopes) {
-                points.begin(stepped.one->x, stepped.one->g, t, h, slopes);
+                points.begin(stepped.one->x, stepped.one->g, t, h, slopes, tangents.needs_gradients(square > 0));
                 tangents.move(vectors.at, square > 0 ? of_group.at : nullptr, directed ? directions.at : nullptr);
             });
         }
@@ -133,7 +133,7 @@ static void backward_member(const RungeKuttaCotangents& all, const BackwardRun& 
         }
         for (int64_t part = substeps; part-- > 0;)
             substep_at(k, part, [&](double t, double h, const double* state, const double* found) {
-                points.begin(state, state + n, t, h, found);
+                points.begin(state, state + n, t, h, found, backward.needs_gradients(square > 0));
                 backward.move(cotangents.data(), square > 0 ? of_group.data() : nullptr, coefficients);
             });
     }

@@ -33,7 +33,7 @@ class StagePoints {
           elements(s * square) {}
 
     // A substep from x and the element g, of length h at the time t; `found` are its slopes, those of g after those of x.
-    void begin(const double* x, const double* g, double t, double h, const double* found) {
+    void begin(const double* x, const double* g, double t, double h, const double* found, bool gradients_needed) {
         time = t, length = h;
         mix(x, found, n, points.at);
         mix(g, found + s * n, square, elements.at);
@@ -48,7 +48,7 @@ class StagePoints {
             }
             mix(x, slopes.at, n, iterates.at + (pass + 1) * s * n);
         }
-        for (int64_t j = 0; j < s; ++j)
+        for (int64_t j = 0; gradients_needed && j < s; ++j)
             gradient(field, SharedConstants{}, of_gradient() + j * n, time_of(j), gradients.at + j * n, fields);
     }
 
@@ -116,7 +116,7 @@ class StageEquations {
         const int64_t count = s * size * copies;
         if (tables.solver == EXPLICIT) return one_by_one(base, apply);
         extrapolate(count);
-        double earlier = INFINITY;
+        double earlier = 0.0;
         for (int64_t passed = 0; passed < MOST_DERIVATIVE_ITERATIONS; ++passed) {
             std::copy_n(z.at, count, before.at);
             for (int64_t j = 0; j < s; ++j) {
@@ -131,7 +131,9 @@ class StageEquations {
             }
             if (!all(undefined == V(0.0))) break;
             const double change = over_lanes(change_of), largest = over_lanes(largest_of);
-            if (change <= DERIVATIVE_ROUNDING * largest || (change >= earlier && change <= DERIVATIVE_STAGNATION * largest))
+            // The next change, predicted from the last two, would be rounding.
+            if (change <= DERIVATIVE_ROUNDING * largest || change * change <= DERIVATIVE_ROUNDING * largest * earlier ||
+                (passed > 0 && change >= earlier && change <= DERIVATIVE_STAGNATION * largest))
                 return;
             earlier = change;
         }
@@ -217,29 +219,43 @@ class StageEquations {
     }
 };
 
-constexpr int64_t LARGEST_DENSE_STAGE = 16;  // coordinates up to which the Jacobian of a stage is stored
+constexpr int64_t LARGEST_DENSE_STAGE = 8;  // coordinates up to which the Jacobian of a stage is stored
 
-// The Jacobians h_j f'(X_j) of the stages of small systems with a quadratic energy.
+// The Jacobians h_j f'(X_j) of the stages of small systems with a quadratic energy: f' is an affine function of the state,
+// whose coefficients are found from its values at the unit vectors.
 class StageJacobians {
   public:
     const bool used;
 
     explicit StageJacobians(StagePoints& at)
-        : used(suitable(at)), at(at), n(at.n), hessian(used ? n * n : 0), product(used ? n * n : 0),
+        : used(suitable(at)), at(at), n(at.n), coefficients(used ? (n + 1) * n * n : 0),
           jacobians(used ? at.s * n * n : 0) {
+        if (!used) return;
         const Terms& terms = at.field.terms;
-        for (uint32_t row = 0; used && row < terms.row[terms.size]; ++row)
+        AlignedArray<double> hessian(n * n), product(n * n), point(n), u(n);
+        for (uint32_t row = 0; row < terms.row[terms.size]; ++row)
             for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)
                 hessian.at[terms.target[row] * n + terms.column[entry]] += terms.weight[entry];
+        for (int64_t k = 0; k <= n; ++k) {
+            if (k > 0) point.at[k - 1] = 1.0;
+            gradient(at.field, SharedConstants{}, point.at, 0.0, u.at, at.fields);
+            double* here = coefficients.at + k * n * n;
+            coadjoint_matrix(at.field, SharedConstants{}, u.at, 1.0, here);
+            structure_times_matrix(at.field, SharedConstants{}, point.at, hessian.at, 1.0, product.at, at.fields);
+            for (int64_t e = 0; e < n * n; ++e) here[e] += product.at[e] - (k > 0 ? coefficients.at[e] : 0.0);
+            if (k > 0) point.at[k - 1] = 0.0;
+        }
     }
 
     void set() {
         for (int64_t j = 0; j < at.s; ++j) {
             double* jacobian = jacobians.at + j * n * n;
-            coadjoint_matrix(at.field, SharedConstants{}, at.gradient_of(j), at.length_of(j), jacobian);
-            structure_times_matrix(at.field, SharedConstants{}, at.of_structure() + j * n, hessian.at, at.length_of(j),
-                                   product.at, at.fields);
-            for (int64_t e = 0; e < n * n; ++e) jacobian[e] += product.at[e];
+            const double *x = at.of_structure() + j * n, h = at.length_of(j);
+            for (int64_t e = 0; e < n * n; ++e) {
+                double total = coefficients.at[e];
+                for (int64_t k = 0; k < n; ++k) total = fma(x[k], coefficients.at[(k + 1) * n * n + e], total);
+                jacobian[e] = h * total;
+            }
         }
     }
 
@@ -247,19 +263,27 @@ class StageJacobians {
     template <bool transposed, class V>
     INLINE void multiply(int64_t j, const V* y, V* z, int64_t rows) const {
         const double* jacobian = jacobians.at + j * n * n;
-        for (int64_t i = 0; i < n; ++i)
-            for (int64_t b = 0; b < rows; ++b) {
-                V total(0.0);
-                for (int64_t k = 0; k < n; ++k)
-                    total = fma(V(jacobian[transposed ? k * n + i : i * n + k]), y[k * rows + b], total);
-                z[i * rows + b] = total;
-            }
+        // Loops of known length are unrolled.
+        if (n == 3) return multiply_by<transposed>(jacobian, std::integral_constant<int64_t, 3>(), y, z, rows);
+        if (n == 6) return multiply_by<transposed>(jacobian, std::integral_constant<int64_t, 6>(), y, z, rows);
+        multiply_by<transposed>(jacobian, n, y, z, rows);
     }
 
   private:
     StagePoints& at;
     const int64_t n;
-    AlignedArray<double> hessian, product, jacobians;
+    AlignedArray<double> coefficients, jacobians;
+
+    template <bool transposed, class Size, class V>
+    static INLINE void multiply_by(const double* jacobian, Size size, const V* y, V* z, int64_t rows) {
+        for (int64_t b = 0; b < rows; ++b)
+            for (int64_t i = 0; i < size; ++i) {
+                V total(0.0);
+                for (int64_t k = 0; k < size; ++k)
+                    total = fma(V(jacobian[transposed ? k * size + i : i * size + k]), y[k * rows + b], total);
+                z[i * rows + b] = total;
+            }
+    }
 
     static bool suitable(const StagePoints& at) {
         const Terms& terms = at.field.terms;
@@ -278,6 +302,9 @@ class StageTangents {
           changes(at.field, tangents, rows), jacobians(at), momentum(at.tables, n, rows, false),
           element(at.tables, at.square, rows, false), workspace(std::max(at.field.longest, at.longest_added())),
           of_gradients(s * n * rows), of_iterates(s * n * rows), of_slopes(s * n * rows), part(longest() * rows) {}
+
+    // Whether the gradients of the stages are read.
+    bool needs_gradients(bool of_group) const { return of_group || !jacobians.used; }
 
     // Move vectors of the state and, unless null, of the element; `directions` are those of the coefficients of `added`.
     void move(V* vectors, V* of_group, const V* directions) {
@@ -432,6 +459,9 @@ class StageCotangents {
           unused(CoefficientCotangents<double>::count(at.field.terms)), none(at.field.terms, unused.at),
           derivative(at.field.nonlinear ? n * n * n : 0), calls(at.field.nonlinear ? n * (1 + n * n) : 0) {}
 
+    // Whether the gradients of the stages are read.
+    bool needs_gradients(bool of_group) const { return of_group || !jacobians.used; }
+
     // Replace the cotangents of the state and, unless null, of the element after the substep by those before it.
     void move(double* cotangents, double* of_group, const CoefficientCotangents<double>& coefficients) {
         const RungeKuttaTables& tables = at.tables;
@@ -468,8 +498,7 @@ class StageCotangents {
         }
         for (int64_t j = 0; j < s; ++j) {
             const double* y = momentum.of_stage(j);
-            if (at.all.added.size > 0)
-                pull_gradient(j, at.of_structure(), at.of_gradient(), y, true, &coefficients, nullptr);
+            if (at.all.added.size > 0) pull_gradient(j, at.of_structure(), at.of_gradient(), y, true, &coefficients, nullptr);
             if (tables.solver == STRUCTURE) pull_structure(j, at.of_structure(), at.gradient_of(j), y, of_points.at + j * n);
             if (tables.solver == GRADIENT)
                 pull_gradient(j, at.of_structure(), at.of_gradient(), y, true, nullptr, of_points.at + j * n);
@@ -544,7 +573,15 @@ class StageCotangents {
             }
         };
         if (out) each_term(field.terms, false, none);
-        if (coefficients) each_term(at.all.added, true, *coefficients);
+        if (!coefficients) return;
+        const Terms& added = at.all.added;
+        if (added.size > 1 || added.kind[0] != LINEAR) return each_term(added, true, *coefficients);
+        for (uint32_t row = 0, entry = 0; row < added.row[1]; ++row) {
+            const double of_row = w.at[added.target[row]];
+            coefficients->offset[row] += of_row;
+            for (const uint32_t stop = added.entry[row + 1]; entry < stop; ++entry)
+                coefficients->weight[entry] = fma(of_row, q[added.column[entry]], coefficients->weight[entry]);
+        }
     }
 
     // Add to `out` the cotangent of P_j for that of h_j J(P_j) u.
