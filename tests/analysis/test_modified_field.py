@@ -201,6 +201,19 @@ def test_splittings_are_poisson_with_hamiltonians(name: str, sign: int) -> None:
             assert found.keeps(C) is None
 
 
+def test_a_rational_rotation_of_irrational_frequency_is_exact() -> None:
+    """2/(w h) atan(w h theta/2) = theta (1 - w^2 h^2 theta^2/12 + w^4 h^4 theta^4/80 - ...), theta = l.x, w^2 = l.l."""
+    l = np.array([1, 2, 3])
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(np.outer(l, l)))
+    found = co.modified_field(system, co.Splitting(rotation="rational"), 7, way="exact")
+    theta = sum((int(c) * co.Polynomial.variable(i, 3) for i, c in enumerate(l)), co.Polynomial({}, dim=3))
+    square, f = theta * theta * int(l @ l), field_of(system)
+    assert found.known_to == 0.0
+    assert list(found.terms[2]) == [square * F * Fraction(-1, 12) for F in f]
+    assert list(found.terms[4]) == [square * square * F * Fraction(1, 80) for F in f]
+    assert list(found.terms[6]) == [square * square * square * F * Fraction(-1, 448) for F in f]
+
+
 def test_gauss_is_no_poisson_map_and_says_where() -> None:
     found = co.modified_field(whole("e(3)"), co.GaussLegendre(1), 3)
     assert list(found.poisson_defects) == [2]

@@ -108,7 +108,8 @@ def _surely_series(size: int, rows: NDArray[Any], columns: NDArray[Any], values:
 def _cubic(coordinates: tuple[int, ...], matrix: NDArray[Any]) -> Block:
     """Build a CUBIC block with D^2, 1/sqrt(abs(lam)) and 1/lam in twice the precision.
 
-    Rounding them to float64 would make a rotation systematically stretch or shrink.
+    Rounding them to float64 would make a rotation systematically stretch or shrink. Fractions are not rounded; their
+    root has 50 digits.
     """
     if matrix.dtype == np.float64:
         square, lam = _exact_square(matrix)
@@ -120,14 +121,14 @@ def _cubic(coordinates: tuple[int, ...], matrix: NDArray[Any]) -> Block:
         if isinstance(lam, Fraction)
         else abs(lam) ** (type(lam)(1) / 2)
     )
-    numbers = (lam, root, 1 / root, 1 / lam)
+    in_floats = matrix.dtype == np.float64
     constants = (
-        *(_rounded(number) for number in numbers[:2]),
-        *_double_double(numbers[2]),
-        *_double_double(numbers[3]),
+        *((float(number) if in_floats else number) for number in (lam, root)),
+        *_with_error(1 / root, in_floats),
+        *_with_error(1 / lam, in_floats),
     )
     positions = np.argwhere((matrix != 0) | (square != 0)).tolist()
-    entries = tuple((i, j, matrix[i, j], *_double_double(square[i, j])) for i, j in positions)
+    entries = tuple((i, j, matrix[i, j], *_with_error(square[i, j], in_floats)) for i, j in positions)
     return Block(Kind.CUBIC, coordinates, constants, entries)
 
 
@@ -151,13 +152,9 @@ def _decimal(value: Fraction) -> Decimal:
     return DECIMAL_CONTEXT.divide(Decimal(value.numerator), Decimal(value.denominator))
 
 
-def _rounded(value: Any) -> Any:
-    return float(value) if isinstance(value, Fraction) else value
-
-
-def _double_double(value: Any) -> tuple[Any, Any]:
-    """Split a fraction into two floats with its value as their sum; other numbers are followed by zero."""
-    if not isinstance(value, Fraction):
+def _with_error(value: Any, in_floats: bool) -> tuple[Any, Any]:
+    """Split a fraction into two floats with its value as their sum; numbers not `in_floats` are followed by zero."""
+    if not in_floats:
         return value, 0 * value
     high = float(value)
     return high, float(value - Fraction(high))

@@ -12,7 +12,7 @@ from coadjoint.program.actions import Action, run_blocks, run_entries
 from coadjoint.program.blocks import MOST_SUBSTEPS, Kind
 from coadjoint.program.body_flow import FlowState, apply_body_flow, largest_of, substep_count
 from coadjoint.program.numbers import array_of, elementary, roundoff
-from coadjoint.program.rational_rotations import rational_angle
+from coadjoint.program.rational_rotations import rational_angle, rational_angle_series
 from coadjoint.program.table import Program
 from coadjoint.program.term_table import FUNCTION, LINEAR, derivative_of
 
@@ -21,15 +21,15 @@ class Interpreter:
     """Reference interpreter of one program, in its number type or another one of the states.
 
     Slow; used to check the compiled interpreter, to follow a formula, or for more digits. With power series truncated
-    after `count` terms as numbers, flows are Lie series, which end there: angles have no term without h.
+    after `count` terms as numbers, flows are Lie series, which end there: angles have no term without h. The program is
+    then in exact numbers.
     """
 
     def __init__(self, program: Program, number: Any = None) -> None:
         self.program = program
         self.number = program.number if number is None else number
         self._count: int | None = getattr(self.number, "count", None)
-        # Of the elementary functions, Lie series need the arc tangent only, a method of power series.
-        self.functions: Any = elementary(self.number) if self._count is None else self.number
+        self.functions: Any = elementary(self.number) if self._count is None else None  # Lie series need none
         self._u = roundoff(self.number)
         self._is_body_flow = body_flow_parts(program)
 
@@ -86,6 +86,8 @@ class Interpreter:
         """Replace angles of rational rotations, and their tangents."""
         base = int(self.program.terms.row[self.program.share[part]])
         w = self.program.frequency[base : base + len(theta)]
+        if self._count is not None:
+            return [rational_angle_series(angle, f, self._count) for angle, f in zip(theta, w, strict=True)], tangents
         if tangents is not None:
             tangents = [d / (1 + (f * angle / 2) ** 2) for d, angle, f in zip(tangents, theta, w, strict=True)]
         return [rational_angle(angle, f, self.functions.atan) for angle, f in zip(theta, w, strict=True)], tangents

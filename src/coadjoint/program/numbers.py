@@ -35,14 +35,19 @@ def array_of(number: Number, values: Iterable[Any]) -> NDArray[Any]:
     return result
 
 
+def is_exact(number: Number) -> bool:
+    """Test whether a number type is exact: fractions, and power series with exact coefficients."""
+    one = number(1)
+    return isinstance(one, Fraction) or getattr(one, "exact", False) is True
+
+
 def roundoff(number: Number) -> Any:
     """Return the unit round-off of a number type: half the distance from 1 to the next number."""
-    one = number(1)
     if number is float:
         return UNIT_ROUNDOFF
-    if isinstance(one, Fraction) or getattr(one, "exact", False) is True:
+    if is_exact(number):
         return Fraction(0)
-    u = one
+    u = one = number(1)
     while one + u / 2 != one:
         u = u / 2
     return u / 2

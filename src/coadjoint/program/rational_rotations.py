@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from coadjoint.program.actions import Action
 from coadjoint.program.blocks import Kind
-from coadjoint.program.numbers import Number, array_of, roundoff
+from coadjoint.program.numbers import Number, array_of, is_exact, roundoff
 from coadjoint.program.parts.part import Parts, PolynomialShare
 from coadjoint.program.sparse_rows import SparseRows, starts_of
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -21,8 +21,9 @@ def rational_frequencies(system: LiePoissonSystem, parts: Parts, state: Action, 
     """Return the frequency w of each angle, shape (angles,), for 2/w atan(w angle/2); 0 for exact angles.
 
     A rational rotation is the exact flow of another function of l.x, hence Poisson, if the angle depends on l.x alone.
-    It needs no trigonometry if the generator of l has the single frequency w. Nilpotent generators stay exact. Raises
-    ValueError if a generator is neither nilpotent nor of a single frequency, or its angle depends on other forms.
+    It needs no trigonometry if the generator of l has the single frequency w. Nilpotent generators stay exact. In exact
+    numbers, which have no square roots, w^2 is returned in place of w. Raises ValueError if a generator is neither
+    nilpotent nor of a single frequency, or its angle depends on other forms.
 
     Examples
     --------
@@ -32,7 +33,7 @@ def rational_frequencies(system: LiePoissonSystem, parts: Parts, state: Action, 
     >>> build_program(body, co.Splitting(rotation="rational", parts="coordinates")).frequency
     array([1., 1., 1.])
     """
-    least, largest, known, _ = _frequencies(state, parts, number)
+    least, largest, known, _ = _frequencies(state, parts, number, squared=is_exact(number))
     known = known & np.asarray(largest - least <= 64 * roundoff(number) * largest, dtype=bool)
     turning = known & np.asarray(largest != 0, dtype=bool)
     wrong = np.flatnonzero(~known | (turning & _coupled(parts)))
@@ -51,7 +52,7 @@ def rational_frequencies(system: LiePoissonSystem, parts: Parts, state: Action, 
 
 
 class _Frequencies(NamedTuple):
-    """Smallest and largest frequency of the blocks of each angle (0 if nilpotent).
+    """Smallest and largest frequency, or square of it, of the blocks of each angle (0 if nilpotent).
 
     `known` marks angles whose blocks are all nilpotent or rotations, `acting` those with any blocks.
     """
@@ -62,7 +63,7 @@ class _Frequencies(NamedTuple):
     acting: NDArray[np.bool_]
 
 
-def _frequencies(action: Action, parts: Parts, number: Number) -> _Frequencies:
+def _frequencies(action: Action, parts: Parts, number: Number, squared: bool = False) -> _Frequencies:
     run = np.repeat(np.arange(len(action.kind)), action.angles)
     q = np.arange(len(run)) - np.repeat(starts_of(action.angles)[:-1], action.angles)
     part = np.repeat(np.arange(len(parts)), np.diff(action.run))[run]
@@ -72,8 +73,8 @@ def _frequencies(action: Action, parts: Parts, number: Number) -> _Frequencies:
     first = action.constants[first_constant + np.where(is_rotation, q, 0)]
     cubic = (kind == Kind.CUBIC) & np.asarray(first < 0, dtype=bool)
     nilpotent = (kind == Kind.SHEAR) | ((kind == Kind.SERIES) & np.asarray(first == 0, dtype=bool))
-    frequency = np.where(is_rotation, first, 0 * first)
-    frequency[cubic] = action.constants[first_constant[cubic] + 1]
+    frequency = np.where(is_rotation, first**2 if squared else first, 0 * first)
+    frequency[cubic] = -first[cubic] if squared else action.constants[first_constant[cubic] + 1]
     known, acting = np.ones(len(parts.offset), dtype=bool), np.zeros(len(parts.offset), dtype=bool)
     acting[angle] = True
     known[angle[~(is_rotation | cubic | nilpotent)]] = False
@@ -114,6 +115,22 @@ def _is_along_form(forms: SparseRows, weights: SparseRows) -> NDArray[np.bool_]:
 def rational_angle(angle: Any, frequency: Any, atan: Any) -> Any:
     """Return the angle 2/w atan(w angle/2) of a rational rotation of frequency w, or the angle itself for w = 0."""
     return angle if frequency == 0 else 2 / frequency * atan(frequency * angle / 2)
+
+
+def rational_angle_series(angle: Any, squared_frequency: Any, count: int) -> Any:
+    """Return the angle of a rational rotation for a power series of `count` terms, the first of them zero.
+
+    It depends on the square of the frequency alone: 2/w atan(w angle/2) = angle (1 - z/3 + z^2/5 - ...), z = (w
+    angle/2)^2.
+    """
+    if squared_frequency == 0:
+        return angle
+    z = angle * angle * (squared_frequency / 4)
+    power = total = angle
+    for k in range(3, count, 2):
+        power = power * z * -1
+        total = total + power / k
+    return total
 
 
 def acts_rationally(action: Action, parts: Parts, frequency: NDArray[Any]) -> NDArray[np.bool_]:

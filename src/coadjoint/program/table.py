@@ -55,7 +55,8 @@ class Program:
     number : callable
         Number type of the constants.
     frequency : ndarray, shape (angles,)
-        The frequencies of the angles that are rational rotations, part after part; 0 for exact ones.
+        The frequencies of the angles that are rational rotations, part after part; 0 for exact ones. In exact numbers
+        their squares.
     shift : tuple of (Polynomial, float)
         Casimirs and factors subtracted from the Hamiltonian; `group` excludes their action on the group element.
     """

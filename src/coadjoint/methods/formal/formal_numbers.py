@@ -99,14 +99,6 @@ class FormalNumber(PowerSeries):
         left = self._operand(other)
         return NotImplemented if left is None else left / self
 
-    def atan(self) -> Self:
-        """Return the arc tangent of a series without constant term."""
-        power = total = self
-        for k in range(1, self.count):
-            power = power * self * self * -1
-            total = total + power / (2 * k + 1)
-        return total
-
     def __abs__(self) -> Any:
         """Return the size of the constant term if it is a number, for pivoting in elimination."""
         lead = self.coefficients[0]
