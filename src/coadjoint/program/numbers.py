@@ -53,6 +53,11 @@ def roundoff(number: Number) -> Any:
     return u / 2
 
 
+def precision_of(number: Number) -> int | None:
+    """Return the current precision of a number type in bits, on which cached numbers depend; None if it is fixed."""
+    return None if number is float else getattr(getattr(type(number(1)), "context", None), "prec", None)
+
+
 class Elementary(NamedTuple):
     """Elementary functions of the closed forms, for one number type."""
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers
-from coadjoint.program.numbers import Number, array_of, convert
+from coadjoint.program.numbers import Number, array_of, convert, precision_of
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.pattern_cache import MAX_PATTERN_SIZE, Pattern
 
@@ -129,13 +129,18 @@ def rows_of(method: Swept, joining: JoinRules, sign: int, number: Number) -> Row
     """
     sweeps, processor = tuple(method.sweeps(number)), tuple(method.processor(number))
     if len(joining.timed) <= MAX_PATTERN_SIZE:
-        return _cached_rows(sweeps, processor, Pattern(joining, *joining), sign, number)
+        return _cached_rows(sweeps, processor, Pattern(joining, *joining), sign, number, precision_of(number))
     return _rows(sweeps, processor, joining, sign, number)
 
 
 @lru_cache(maxsize=64)
 def _cached_rows(
-    sweeps: tuple[Sweep, ...], processor: tuple[Sweep, ...], joining: Pattern[JoinRules], sign: int, number: Number
+    sweeps: tuple[Sweep, ...],
+    processor: tuple[Sweep, ...],
+    joining: Pattern[JoinRules],
+    sign: int,
+    number: Number,
+    precision: int | None,
 ) -> Rows:
     return _rows(sweeps, processor, joining.source, sign, number)
 

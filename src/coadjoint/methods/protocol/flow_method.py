@@ -18,7 +18,7 @@ from coadjoint.methods.protocol.derivatives import CompiledDerivatives, Derivati
 from coadjoint.methods.protocol.formal_step import FormalStep
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.tangents import CompiledTangents
-from coadjoint.program.numbers import Number
+from coadjoint.program.numbers import Number, precision_of
 from coadjoint.program.sweeps import Sweep as Sweep  # re-exported by coadjoint.methods
 from coadjoint.systems.protocol import has_structure_constants
 from coadjoint.systems.system_checks import System
@@ -127,7 +127,7 @@ class FlowMethod(FormalStep, CompiledTangents, CompiledDerivatives, Composable):
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
         point = np.asarray(x)
         number: Number = float if point.dtype != object else type(point[0])
-        return _interpreter(self, system, number).steps(point, number(h), 1, t0=number(t))
+        return _interpreter_of(self, system, number).steps(point, number(h), 1, t0=number(t))
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
         from coadjoint.program.interpreter import Interpreter
@@ -152,7 +152,7 @@ class FlowMethod(FormalStep, CompiledTangents, CompiledDerivatives, Composable):
     ) -> tuple[NDArray[Any], NDArray[Any]]:
         point = np.asarray(x, dtype=np.float64)
         try:
-            after, carried = _interpreter(self, system, float).steps(point, h, 1, t0=t, tangent=vectors)
+            after, carried = _interpreter_of(self, system, float).steps(point, h, 1, t0=t, tangent=vectors)
         except (OverflowError, ValueError) as error:  # sines of infinities
             message = f"in step 1, at t = {t:g}, a number overflowed; take a smaller step than {abs(h):g}"
             raise IntegrationError(message, step=1, time=t, residual=float("nan")) from error
@@ -177,8 +177,12 @@ def flows_of(method: Method) -> FlowMethod:
     return form
 
 
+def _interpreter_of(method: FlowMethod, system: System, number: Number) -> Interpreter:
+    return _cached_interpreter(method, system, number, precision_of(number))
+
+
 @lru_cache(maxsize=8)
-def _interpreter(method: FlowMethod, system: System, number: Number) -> Interpreter:
+def _cached_interpreter(method: FlowMethod, system: System, number: Number, precision: int | None) -> Interpreter:
     from coadjoint.program.interpreter import Interpreter
 
     return Interpreter(method.program(system, number=number))
