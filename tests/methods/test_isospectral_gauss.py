@@ -183,6 +183,20 @@ def test_the_tangent_of_two_layers_takes_matrices_and_coordinates(stages) -> Non
     assert np.array_equal(after, scheme.step(system, W, 0.5, 0.25))
 
 
+def test_tangents_along_a_nonlinear_stream_converge_wherever_the_steps_do() -> None:
+    """Steps of up to a hundred iterations, in which the errors of differences could end in a cycle."""
+    system = co.MatrixSystem(
+        co.MatrixAlgebra("gl", 3), lambda W: (W + W**3).T, energy=lambda W: np.sum(W**2 / 2 + W**4 / 4)
+    )
+    scheme, d = co.IsospectralGauss(), 2.0**-17
+    for seed in (0, 11, 12, 17):
+        x = np.random.default_rng(seed).uniform(-0.5, 0.5, 9)
+        ends = [[scheme.step(system, x + side * unit, 0.0, 0.5) for unit in d * np.eye(9)] for side in (1, -1)]
+        differences = (np.array(ends[0]) - np.array(ends[1])).T / (2 * d)
+        # Both are central differences, with rounding errors of some 2^17 u = 1.5e-11.
+        np.testing.assert_allclose(scheme.tangent(system, x, 0.0, 0.5)[1], differences, rtol=0, atol=1e-9)
+
+
 @pytest.mark.thinned(12)
 @pytest.mark.parametrize("scheme", [co.IsospectralGauss(1), co.IsospectralGauss(2), co.CommutatorFree(3)], ids=str)
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])

@@ -82,16 +82,24 @@ def derivative_of(system: MatrixSystem, W: Matrix, stages: Stages, t: float, h: 
     iteration does not converge.
     """
     n, s = system.dim, len(b)
-    check_available_memory(8 * 12 * s * n**2, f"the derivative of a step of {n} numbers")
+    check_available_memory(8 * 13 * s * n**2, f"the derivative of a step of {n} numbers")
     directions = system.algebra.projected(system.from_vector(np.eye(n)))
     V, U, M, P, times = stages
     # Axes: stage, direction, row, column.
     dV, dU = np.zeros((2, s, *directions.shape), dtype=M.dtype)
+    dM, dP = dV, dU
     V1, U1, M1, P1 = (array[:, None] for array in (V, U, M, P))
+
+    def slopes(along: Matrix) -> Matrix:
+        return np.stack([slope_along(system, m, dm, time) for m, dm, time in zip(M, along, times, strict=True)])
+
     stagnation, change = _StagnationTest(len(W)), np.inf
     for _ in range(MAX_ITERATIONS):
-        dM = dV @ W @ U1 + V1 @ directions @ U1 + V1 @ W @ dU
-        dP = np.stack([slope_along(system, m, dm, time) for m, dm, time in zip(M, dM, times, strict=True)])
+        dM_new = dV @ W @ U1 + V1 @ directions @ U1 + V1 @ W @ dU
+        # A difference is linear in its direction up to an error relative to it. Along the corrections of dM these
+        # errors shrink with them; along dM they would stay, and corrections might cycle above ROUND_OFF_CANDIDATE.
+        dP = slopes(dM_new) if system.linear_stream else dP + slopes(dM_new - dM)
+        dM = dM_new
         dV_new, dU_new = h * _weighted_sums(a, dP @ V1 + P1 @ dV), -h * _weighted_sums(a, dU @ P1 + U1 @ dP)
         change = max(_largest(dV_new - dV), _largest(dU_new - dU))
         dV, dU = dV_new, dU_new
