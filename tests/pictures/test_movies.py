@@ -30,6 +30,12 @@ import sys
 came = sys.stdin.buffer.read()
 open(sys.argv[-1], "w").write(" ".join(sys.argv[1:-1]) + "|" + str(len(came)))
 """
+# Keeps its arguments.
+NAMER = """#!{python}
+import sys
+sys.stdin.buffer.read()
+open(sys.argv[-1], "w").write(" ".join(sys.argv[1:]))
+"""
 FAILING = """#!{python}
 import sys
 print("no such encoder", file=sys.stderr)
@@ -136,6 +142,24 @@ def test_ffmpeg_is_given_every_frame(fluid, tmp_path, ffmpeg):
     assert int(came) == 5 * 96 * 64 * 4
     for part in ("-pix_fmt rgba", "-s 96x64", "-framerate 12.5", "-pix_fmt yuv420p"):
         assert part in said
+
+
+@pytest.mark.parametrize("name", ["...gif", ".a.gif", "-y.gif"])
+def test_a_name_does_not_decide_the_format(tmp_path, name):
+    write_movie(Solid(SHADES), tmp_path / name, 10.0)
+    with Image.open(tmp_path / name) as movie:
+        assert movie.format == "GIF" and movie.n_frames == len(SHADES)
+
+
+def test_names_are_no_options_and_no_protocols_of_ffmpeg(tmp_path, ffmpeg, monkeypatch):
+    """ffmpeg reads "-y/run.mp4" as an option, and "http:run.mp4" as an address."""
+    ffmpeg(NAMER)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "-y").mkdir()
+    for target in (Path("-y", "run.mp4"), Path("http:run.mp4"), Path("...mp4")):
+        write_movie(Solid(SHADES), target, 10.0)
+        options, _, path = target.read_text().rpartition(" ")
+        assert options.endswith("-f mp4") and Path(path).is_absolute() and Path(path).name == target.name
 
 
 def test_no_ffmpeg_and_one_that_fails(fluid, tmp_path, monkeypatch, ffmpeg):

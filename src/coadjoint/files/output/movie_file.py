@@ -89,7 +89,9 @@ def _write_gif(frames: Frames, path: Path, fps: float) -> None:
             yield image.quantize(palette=palette, dither=Image.Dither.NONE)
 
     image_iterator = images()
-    next(image_iterator).save(path, save_all=True, append_images=image_iterator, duration=round(1000 / fps), loop=0)
+    options = {"append_images": image_iterator, "duration": round(1000 / fps), "loop": 0}
+    # Pillow does not take the end of a name such as "...gif" for a suffix.
+    next(image_iterator).save(path, format="GIF", save_all=True, **options)
 
 
 def _write_mp4(frames: Frames, path: Path, fps: float) -> None:
@@ -106,8 +108,9 @@ def _write_mp4(frames: Frames, path: Path, fps: float) -> None:
         "-i",
         "pipe:",
     ]
-    output_options = ["-an", "-vcodec", "libx264", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
-    command = [str(_ffmpeg()), "-loglevel", "error", "-y", *input_options, *output_options, str(path)]
+    output_options = ["-an", "-vcodec", "libx264", "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4"]
+    # ffmpeg could read a relative path as an option, or what precedes a colon in it as a protocol.
+    command = [str(_ffmpeg()), "-loglevel", "error", "-y", *input_options, *output_options, str(path.absolute())]
     with (
         tempfile.TemporaryFile() as error_file,
         subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=error_file) as writer,
