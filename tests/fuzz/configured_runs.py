@@ -12,16 +12,22 @@ import tomllib
 import warnings
 from pathlib import Path
 
+import numpy as np
+
+import coadjoint as co
 from coadjoint import commands
 from coadjoint.files.configuration.configuration import Configuration
 from coadjoint.files.configuration.construction import ConfigurationError
 from coadjoint.files.output.output_files import OutputError
+from coadjoint.methods.reversible_steps import speed_of
+from coadjoint.systems.protocol import member_of, unforced
 
 from .configurations import draw
 from .folder import make, snapshot
 from .judging import wrong_error
 
 MAX_STEPS = 40  # longer runs are cut
+MAX_OWN_STEPS = 10**5  # of `ReversibleSteps` in a run; each step of a run may contain 2^24, which take half a minute
 LONGEST_LINE, MOST_LINES = 420, 21
 KINDS = "Value Type Arithmetic Overflow ZeroDivision FloatingPoint Recursion Memory LinAlg"
 UNFORESEEN = tuple(f"coadjoint: {kind}Error: " for kind in KINDS.split())
@@ -30,14 +36,31 @@ _integrate = Configuration.integrate
 
 
 def shortened(configuration, *args, **kwargs):
-    """Run a configuration for at most `MAX_STEPS` steps."""
+    """Run a configuration for at most `MAX_STEPS` steps, and `MAX_OWN_STEPS` at the speed of the start."""
     configuration.check_memory()
     start, end = configuration.t_span
     steps = abs(end - start) / configuration.step
     if steps > MAX_STEPS:
         end = start + (MAX_STEPS if end > start else -MAX_STEPS) * configuration.step
         configuration = dataclasses.replace(configuration, t_span=(start, end), t_eval=None)
+    share = MAX_OWN_STEPS / own_steps(configuration)
+    if share < 1.0 and start + share * configuration.step != start:
+        span, step = (start, start + share * (end - start)), share * configuration.step
+        configuration = dataclasses.replace(configuration, t_span=span, step=step, t_eval=None)
     return _integrate(configuration, *args, **kwargs)
+
+
+def own_steps(configuration):
+    """Estimate the number of steps of `ReversibleSteps` in a run from the speed at the start; 1 for other schemes."""
+    method, (start, end) = configuration.method, configuration.t_span
+    if not isinstance(method, co.ReversibleSteps):
+        return 1.0
+    system, fastest = unforced(member_of(configuration.system)), 0.0
+    with contextlib.suppress(ValueError, TypeError, ArithmeticError), np.errstate(all="ignore"):
+        method.properties(system)
+        speed = speed_of(system, method.speed)
+        fastest = max(float(speed.at(x)[0]) for x in np.atleast_2d(configuration.x0))
+    return max(1.0, abs(end - start) * fastest / method.stride)
 
 
 class Runs:
