@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.polynomials.monomials import factors_of
+from coadjoint.algebra.polynomials.monomials import exponents_of, factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.actions import Action, build_action
 from coadjoint.program.generators import BasisMatrices
@@ -149,8 +149,7 @@ def terms_of(G: EnergyDerivative, n: int) -> tuple[Terms, CoefficientMap]:
     keys = list(dict.fromkeys(one.coordinates for one in others))
     if keys:
         coordinates = sorted({k for key in keys for k in key})
-        powers = [tuple(key.count(k) for k in coordinates) for key in keys]
-        table.add_polynomial(coordinates, Polynomial(dict.fromkeys(powers, 1.0)))
+        table.add_polynomial(coordinates, Polynomial(dict.fromkeys((exponents_of(key, n) for key in keys), 1.0)))
     terms = table.table(float)
     weights = len(terms.offset)
     monomials = weights + len(terms.weight)
