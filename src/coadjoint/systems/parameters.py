@@ -21,15 +21,15 @@ from coadjoint.systems.registry import ready_made_systems
 Floats = NDArray[np.float64]
 Coefficients = dict[tuple[int, ...], float]
 
-# Nodes of the interpolation by which coefficients are differentiated, and its radius relative to the parameter. The
-# nearest pole of a reciprocal is at four radii: the truncation is 7.9^-20, and rounding is amplified by 80.
+# Nodes of the interpolation by which coefficients are differentiated, and its first radius relative to the parameter.
+# The nearest pole of a reciprocal is at four radii: the truncation is 7.9^-20, and rounding is amplified by 80.
 NODES = 20
 RADIUS = 0.25
 # Entries of which it is tried whether they may change alone.
 MAX_TRIED = 16
-# Smaller radii are tried where the builder refuses values.
+# Smaller radii are tried where the builder refuses values, or a pole is near.
 MAX_REDUCTIONS = 6
-# Derivatives below this multiple of the rounding of the coefficients are zero.
+# Changes of the coefficients below this multiple of their rounding are zero.
 ZERO_DERIVATIVE = 256 * UNIT_ROUNDOFF
 # Largest dimension of a matrix M with all entries as parameters; of larger ones those that are stored.
 MAX_DENSE_DIMENSION = 128
@@ -123,9 +123,11 @@ def _of_builder(system: Any, builder: Callable[..., Any]) -> dict[str, Parameter
         found = {}
         for name, given in arguments.items():
             value = _numbers(given)
-            if value is None or not _enters_coefficients(system, builder, arguments, name, value):
+            if value is None:
                 continue
-            found[name] = Parameter(value, _derivative(builder, arguments, name, value))
+            symmetric = _is_symmetric(builder, arguments, name, value)
+            if _enters_coefficients(system, builder, arguments, name, value, symmetric):
+                found[name] = Parameter(value, _derivative(builder, arguments, name, value, symmetric))
     return found
 
 
@@ -140,15 +142,26 @@ def _numbers(value: Any) -> Floats | None:
     return numbers if numbers.size else None
 
 
+def _is_symmetric(builder: Callable[..., Any], arguments: dict[str, Any], name: str, value: Floats) -> bool:
+    """Test whether a parameter is a matrix that must be symmetric."""
+    if value.ndim != 2 or len(value) < 2 or not np.array_equal(value, value.T):
+        return False
+    try:
+        builder(**{**arguments, name: _moved(value, (0, 1), 2.0**-20 * _size(value, (0, 1)), False)})
+    except (TypeError, ValueError):
+        return True
+    return False
+
+
 def _enters_coefficients(
-    system: Any, builder: Callable[..., Any], arguments: dict[str, Any], name: str, value: Floats
+    system: Any, builder: Callable[..., Any], arguments: dict[str, Any], name: str, value: Floats, symmetric: bool
 ) -> bool:
     """Test whether a parameter may be a real number, and changes neither the algebra nor a function."""
     try:
         other = builder(**{**arguments, name: _changed(value, 1.0 + 2.0**-10)})
         for index in list(np.ndindex(value.shape))[:MAX_TRIED]:
             # Entries may be tied to each other.
-            builder(**{**arguments, name: _moved(value, index, 2.0**-20 * _size(value, index))})
+            builder(**{**arguments, name: _moved(value, index, 2.0**-20 * _size(value, index), symmetric)})
     except (TypeError, ValueError):
         return False
     if other.dim != system.dim or other.sign != system.sign:
@@ -185,10 +198,10 @@ def _size(value: Floats, index: tuple[int, ...]) -> float:
     return abs(float(value[index])) or float(np.max(np.abs(value))) or 1.0
 
 
-def _moved(value: Floats, index: tuple[int, ...], by: float) -> Any:
-    """Add to an entry; of a symmetric matrix half to it and half to its mirror image."""
+def _moved(value: Floats, index: tuple[int, ...], by: float, symmetric: bool) -> Any:
+    """Add to an entry; if the matrix must be symmetric half to it and half to its mirror image."""
     moved = value.copy()
-    if value.ndim == 2 and index[0] != index[1] and np.array_equal(value, value.T):
+    if symmetric and index[0] != index[1]:
         moved[index] += 0.5 * by
         moved[index[::-1]] = moved[index]
     else:
@@ -217,13 +230,22 @@ def coefficients_of(system: Any) -> Coefficients:
 
 
 def _derivative(
-    builder: Callable[..., Any], arguments: dict[str, Any], name: str, value: Floats
+    builder: Callable[..., Any], arguments: dict[str, Any], name: str, value: Floats, symmetric: bool
 ) -> Callable[[], EnergyDerivative]:
     def derivative() -> EnergyDerivative:
         monomials: list[Monomial] = []
         for index in np.ndindex(value.shape):
             radius = RADIUS * _size(value, index)
-            by_key = _by_interpolation(builder, arguments, name, value, index, radius)
+
+            def coefficients_at(shift: float, index: tuple[int, ...] = index) -> Coefficients:
+                return coefficients_of(builder(**{**arguments, name: _moved(value, index, shift, symmetric)}))
+
+            by_key = _by_interpolation(coefficients_at, radius)
+            if by_key is None:
+                raise ValueError(
+                    f"{name} cannot be differentiated: {builder.__name__} accepts no values near {value[index]:g}; "
+                    "build the system from its own Quadratic, and differentiate by M"
+                )
             entry = int(np.ravel_multi_index(index, value.shape)) if index else 0
             monomials += [Monomial(key, entry, factor) for key, factor in by_key.items() if factor]
         return EnergyDerivative.of_monomials(value.size, monomials)
@@ -231,39 +253,35 @@ def _derivative(
     return derivative
 
 
-def _by_interpolation(
-    builder: Callable[..., Any],
-    arguments: dict[str, Any],
-    name: str,
-    value: Floats,
-    index: tuple[int, ...],
-    radius: float,
-) -> Coefficients:
-    """Return the derivatives of all coefficients by one entry, by interpolation in Chebyshev nodes."""
+def _by_interpolation(coefficients_at: Callable[[float], Coefficients], largest: float) -> Coefficients | None:
+    """Return the derivatives of all coefficients by one entry, by interpolation in Chebyshev nodes.
+
+    The radius is reduced from the largest one where values are refused, and until the last terms of the series are
+    below rounding; the smallest last terms decide otherwise. None if all radii are refused.
+    """
     nodes = np.cos((np.arange(NODES) + 0.5) * np.pi / NODES)
+    series = 2.0 / NODES * np.cos(np.outer(np.arange(NODES), np.arccos(nodes)))
     orders = np.arange(1, NODES, 2)
     # Of odd order, T_j has the derivative j (-1)^((j - 1) / 2) at zero.
-    weights = 2.0 / NODES * np.cos(np.outer(np.arccos(nodes), orders)) @ (orders * (-1.0) ** (orders // 2))
-    for _ in range(MAX_REDUCTIONS):
+    weights = (orders * (-1.0) ** (orders // 2)) @ series[orders]
+    found, least = None, np.inf
+    for reduction in range(MAX_REDUCTIONS):
+        radius = largest * 0.25**reduction
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                samples = [
-                    coefficients_of(builder(**{**arguments, name: _moved(value, index, radius * node)}))
-                    for node in nodes.tolist()
-                ]
+                samples = [coefficients_at(radius * node) for node in nodes.tolist()]
         except (TypeError, ValueError):
-            radius *= 0.25
             continue
         keys = sorted(set().union(*samples), key=lambda key: (len(key), key))
         table = np.array([[sample.get(key, 0.0) for key in keys] for sample in samples])
-        size = np.max(np.abs(table), axis=0)
-        straight = table[0] + np.outer((nodes - nodes[0]) / (nodes[-1] - nodes[0]), table[-1] - table[0])
-        affine = np.all(np.abs(table - straight) <= 4 * UNIT_ROUNDOFF * size, axis=0)
-        slope = np.where(affine, (table[-1] - table[0]) / (nodes[-1] - nodes[0]), weights @ table) / radius
-        slope[np.abs(slope) * radius <= ZERO_DERIVATIVE * size] = 0.0
-        return dict(zip(keys, slope.tolist(), strict=True))
-    raise ValueError(
-        f"{name} cannot be differentiated: {builder.__name__} accepts no values near {value[index]:g}; build the "
-        "system from its own Quadratic, and differentiate by M"
-    )
+        size, last = np.max(np.abs(table), axis=0), np.sum(np.abs(series[-2:] @ table), axis=0)
+        if (error := float(np.sum(last)) / radius) < least:
+            straight = table[0] + np.outer((nodes - nodes[0]) / (nodes[-1] - nodes[0]), table[-1] - table[0])
+            affine = np.all(np.abs(table - straight) <= 4 * UNIT_ROUNDOFF * size, axis=0)
+            slope = np.where(affine, (table[-1] - table[0]) / (nodes[-1] - nodes[0]), weights @ table) / radius
+            slope[np.abs(slope) * radius <= ZERO_DERIVATIVE * size] = 0.0
+            found, least = dict(zip(keys, slope.tolist(), strict=True)), error
+        if np.all(last <= ZERO_DERIVATIVE * size):
+            break
+    return found
