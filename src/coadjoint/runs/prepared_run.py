@@ -297,7 +297,7 @@ class PreparedRun:
         ((5, 3), (5, 3, 3), {'inertia': 'exact'})
         """
         run = self._derivatives
-        return tangents_of_run(run, Trajectory(run, x0, t_span, save_every, t_eval, attitude, False), directions)
+        return tangents_of_run(run, Trajectory(run, x0, t_span, save_every, t_eval, attitude, None), directions)
 
     def vjp(
         self,
@@ -307,6 +307,7 @@ class PreparedRun:
         *,
         t_eval: Any = None,
         attitude: Any = None,
+        reverse: str = "exact",
     ) -> tuple[Solution, Pullback]:
         """Integrate, and return a function for gradients by the initial state and all parameters (reverse mode).
 
@@ -317,6 +318,10 @@ class PreparedRun:
         ----------
         x0, t_span, save_every, t_eval, attitude
             As in `run`.
+        reverse : str
+            "exact": the steps are repeated from stored states, so that the derivatives are exact to round-off.
+            "reversible": the steps are undone from the last state, in constant memory and less time. The states then
+            differ by the round-off that has grown on the way back; for splittings and other schemes of exact flows.
 
         Returns
         -------
@@ -352,7 +357,8 @@ class PreparedRun:
         ((3,), (3,))
         """
         run = self._derivatives
-        trajectory = Trajectory(run, x0, t_span, save_every, t_eval, attitude, True)
+        run.check_reverse(reverse, self.step)
+        trajectory = Trajectory(run, x0, t_span, save_every, t_eval, attitude, reverse)
         return trajectory.solution, Pullback(run, trajectory)
 
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:

@@ -91,6 +91,7 @@ class BackwardRun(NamedTuple):
     cotangents: Floats
     group_cotangents: Floats
     coefficients: Floats
+    undone: bool
 
 
 def flow_cotangents(

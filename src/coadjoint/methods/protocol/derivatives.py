@@ -23,7 +23,7 @@ class DerivativeTables(NamedTuple):
     `tables_at(h)` are those of a step h, a C structure, and `forward` and `backward` names of kernels; `keepalive` must
     live as long as the tables. Derivatives by `coefficient_count` coefficients are mapped to those by the entries of
     the parameters by `coefficients`, and derivatives by the factors of Casimirs subtracted from the energy, `shift`,
-    by `factors`. The `rules` are "exact" or "added part".
+    by `factors`. The `rules` are "exact" or "added part". `reversible` steps can be undone from their end.
     """
 
     tables_at: Callable[[float], Any]
@@ -35,6 +35,7 @@ class DerivativeTables(NamedTuple):
     factors: Mapping[str, CoefficientMap]
     rules: Mapping[str, str]
     shift: tuple[Any, ...]
+    reversible: bool
 
 
 class CompiledDerivatives(Method):

@@ -58,4 +58,5 @@ def flow_derivatives(
         factors={name: factors.get(name, empty) for name in energies},
         rules={name: ADDED_PART if name in others else EXACT for name in energies},
         shift=program.shift,
+        reversible=True,
     )

@@ -41,4 +41,5 @@ def runge_kutta_derivatives(
         factors=dict.fromkeys(energies, CoefficientMap.of_triplets(())),
         rules=dict.fromkeys(energies, EXACT),
         shift=(),
+        reversible=False,
     )

@@ -23,12 +23,14 @@ from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.parameters import Parameter, parameters_of
 from coadjoint.systems.protocol import forces_of, is_batch, is_matrix_system
+from coadjoint.validation import read_choice
 
 if TYPE_CHECKING:
     from coadjoint.runs.prepared_run import PreparedRun
 
 Floats = NDArray[np.float64]
 
+REVERSES = ("exact", "reversible")
 # Numbers of the states of a stretch of steps of a member: they stay in the cache.
 NUMBERS_OF_STRETCH = 2**15
 # Largest memory of the first states of stretches, above which these are longer.
@@ -36,7 +38,10 @@ BYTES_OF_CHECKPOINTS = 2**25
 
 
 class Stretch(NamedTuple):
-    """Steps k0 + 1 to k1 of all members, from t0 + k0 h, and the unfinished states from which they start."""
+    """Steps k0 + 1 to k1 of all members, from t0 + k0 h, and the unfinished states from which they start.
+
+    If `undone`, the states are those at the end, from which the steps are undone.
+    """
 
     t0: float
     h: float
@@ -46,6 +51,7 @@ class Stretch(NamedTuple):
     errors: Floats
     groups: Floats
     group_errors: Floats
+    undone: bool = False
 
 
 class DifferentiableRun:
@@ -85,6 +91,11 @@ class DifferentiableRun:
             )
         return self._tables[h, chosen]
 
+    def check_reverse(self, reverse: Any, h: float) -> None:
+        """Validate how a run is differentiated backward; raise TypeError for a scheme whose steps cannot be undone."""
+        if read_choice(reverse, "reverse", REVERSES) == "reversible" and not self.tables(h, self.parameters).reversible:
+            raise TypeError(f'{self.prepared.method} has no steps that can be undone; take reverse="exact"')
+
     def attitudes(self, tables: DerivativeTables) -> AttitudeDerivatives | None:
         """Return the derivatives of the attitudes, or None without a group element."""
         if self.representation is None:
@@ -93,14 +104,24 @@ class DifferentiableRun:
 
 
 class Trajectory:
-    """A run that was integrated, in stretches whose first states are stored; in one of all steps if it is forward.
+    """A run that was integrated, in stretches whose first states are stored, or in one of all steps.
+
+    `reverse` is "exact" or "reversible" for a run to be differentiated backward, and None forward. Of reversible runs
+    the last state is stored.
 
     `states` (points, members, n) and `groups` (points, members, d, d) are those after the saved `steps`, elements as in
     the loops. Output k is `length[k]` after the step with the number steps[point[k]], `elapsed[k]` after the start.
     """
 
     def __init__(
-        self, run: DifferentiableRun, x0: Any, t_span: Any, save_every: int, t_eval: Any, attitude: Any, backward: bool
+        self,
+        run: DifferentiableRun,
+        x0: Any,
+        t_span: Any,
+        save_every: int,
+        t_eval: Any,
+        attitude: Any,
+        reverse: str | None,
     ) -> None:
         prepared = run.prepared
         times, moments = prepared.times_of(t_span, save_every, t_eval)
@@ -111,8 +132,10 @@ class Trajectory:
         self._run = prepared.begun(times, self.start)
         self.members, self.n = self.start.momenta.shape
         self.side = self.start.groups.shape[1]
-        distance = self._stretch_length() if backward else max(1, times.steps)
+        distance = self._stretch_length() if reverse == "exact" else max(1, times.steps)
         self.stretches = [self._integrated(step, distance) for step in range(0, max(1, times.steps), distance)]
+        if reverse == "reversible":
+            self.stretches = [self._integrated(times.steps, 0)._replace(k0=0, undone=True)]
         self.steps = times.saved
         self.states = self._run.saved["x"].copy()
         self.groups = self._elements()
@@ -180,7 +203,7 @@ class Trajectory:
         marks = self._marks(stretch)
         at_points, at_groups = (np.zeros((len(marks), *one.shape)) for one in (of_x, of_groups))
         fields = stretch._asdict()
-        del fields["group_errors"]
+        del fields["group_errors"], fields["undone"]
         run = ForwardRun(
             size=self.n,
             square=self.side**2,

@@ -11,7 +11,7 @@ static void run_backward(const FlowCotangents& all, const BackwardRun& run, int6
     constexpr bool of_members = Numbers<A>::lanes == Numbers<G>::lanes;
     const int64_t size = run.size, d = with_group ? tables.group.size : 0;
     const int64_t rows = of_members ? d : (d + Numbers<G>::lanes - 1) / Numbers<G>::lanes, square = d * rows;
-    const int64_t steps = run.k1 - run.k0, coefficients = CoefficientCotangents<A>::count(tables.terms);
+    const int64_t steps = run.undone ? 0 : run.k1 - run.k0, coefficients = CoefficientCotangents<A>::count(tables.terms);
     AlignedArray<A> states((steps + 1) * size), x(2 * size), cotangents(size), finished(2 * size), added(size);
     AlignedArray<A> scratch(3 * size), of_coefficients(coefficients);
     AlignedArray<G> groups((steps + 1) * square), group(2 * square), group_cotangents(square), copies(2 * square);
@@ -58,7 +58,7 @@ static void run_backward(const FlowCotangents& all, const BackwardRun& run, int6
     };
     const int64_t work = Numbers<A>::lanes * work_of_flows(tables);
     store(0);
-    for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
+    for (int64_t k = run.k0 + 1; !run.undone && k <= run.k1; ++k) {
         interrupts.after(work);
         const A t(run.t0 + double(k - 1) * run.h);
         const auto& flows = k == 1 ? opening : repeated;
@@ -80,8 +80,8 @@ static void run_backward(const FlowCotangents& all, const BackwardRun& run, int6
     for (int64_t k = run.k1; k > run.k0; --k) {
         interrupts.after(4 * work);
         const A t(run.t0 + double(k - 1) * run.h);
-        const A* state = states.at + (k - run.k0) * size;
-        const G* after = groups.at + (k - run.k0) * square;
+        const A* state = run.undone ? x.at : states.at + (k - run.k0) * size;
+        const G* after = run.undone ? group.at : groups.at + (k - run.k0) * square;
         if (mark > 0 && run.marks[mark - 1] == k) {
             --mark;
             // The states of the steps are unfinished: a copy is finished and undone.
@@ -100,8 +100,10 @@ static void run_backward(const FlowCotangents& all, const BackwardRun& run, int6
             for (int64_t i = 0; i < size; ++i) cotangents.at[i] += added.at[i];
             for (int64_t e = 0; e < square; ++e) group_cotangents.at[e] += group_added.at[e];
         }
-        std::copy_n(state, size, x.at);
-        std::copy_n(after, square, group.at);
+        if (!run.undone) {
+            std::copy_n(state, size, x.at);
+            std::copy_n(after, square, group.at);
+        }
         backward.sweep(tables.section[k == 1 ? 0 : 1], tables.section[k == 1 ? 1 : 2], k == 1 ? opening : repeated,
                        {x.at, cotangents.at, {group.at, nullptr, rows, group_scratch.at},
                         {group_cotangents.at, nullptr, rows, group_scratch.at}}, t, run.h);
