@@ -20,16 +20,17 @@ ADDED_PART = "added part"
 class DerivativeTables(NamedTuple):
     """Tables of a scheme, and the coefficients in them that depend on parameters.
 
-    `tables_at(h)` are those of a step h, a C structure, and `forward` and `backward` names of kernels; `keepalive` must
-    live as long as the tables. Derivatives by `coefficient_count` coefficients are mapped to those by the entries of
-    the parameters by `coefficients`, and derivatives by the factors of Casimirs subtracted from the energy, `shift`,
-    by `factors`. The `rules` are "exact" or "added part". `reversible` steps can be undone from their end.
+    `tables_at(h)` are those of a step h, a C structure, and `forward` and `backward` names of kernels, or functions;
+    `keepalive` must live as long as the tables. Derivatives by `coefficient_count` coefficients are mapped to those by
+    the entries of the parameters by `coefficients`, and derivatives by the factors of Casimirs subtracted from the
+    energy, `shift`, by `factors`. The `rules` are "exact" or "added part". `reversible` steps can be undone from their
+    end.
     """
 
     tables_at: Callable[[float], Any]
     keepalive: tuple[Any, ...]
-    forward: str
-    backward: str
+    forward: str | Callable[[Any], None]
+    backward: str | Callable[[Any], None]
     coefficient_count: int
     coefficients: Mapping[str, CoefficientMap]
     factors: Mapping[str, CoefficientMap]

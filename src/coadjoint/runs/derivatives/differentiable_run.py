@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -150,9 +150,11 @@ class Trajectory:
     def _integrated(self, step: int, distance: int) -> Stretch:
         """Take the steps of a stretch."""
         state, last = self._run.state, min(step + distance, self.times.steps)
-        arrays = [state[name].copy() for name in ("momenta", "errors", "groups", "group_errors")]
+        momenta, errors, groups, group_errors = (
+            state[name].copy() for name in ("momenta", "errors", "groups", "group_errors")
+        )
         self._run.advance(until=last)
-        return Stretch(self.times.t0, self.times.h, step, last, *arrays)
+        return Stretch(self.times.t0, self.times.h, step, last, momenta, errors, groups, group_errors)
 
     def _stretch_length(self) -> int:
         steps, numbers = self.times.steps, self.n + self.side**2
@@ -260,13 +262,16 @@ class Trajectory:
             return np.ones(1, dtype=np.int64)
         return self.steps[self.inside(stretch)]
 
-    def _call(self, kernel: str, tables: Any, run: ForwardRun | BackwardRun) -> None:
-        """Call a kernel for all members, on the threads of the run."""
+    def _call(self, kernel: str | Callable[[Any], None], tables: Any, run: ForwardRun | BackwardRun) -> None:
+        """Call a kernel for all members, on the threads of the run, or a function."""
+        if not isinstance(kernel, str):
+            return kernel(run)
+        name = kernel
         stop = StopFlag()
         ranges = split_members(0, self.members, self._run.workers, limit("MOST_LANES"))
 
         def unsolved(members: tuple[int, int]) -> int:
-            return not advance_tables(kernel, tables, run, *members, stop)
+            return not advance_tables(name, tables, run, *members, stop)
 
         count = unsolved(ranges[0]) if len(ranges) == 1 else sum_in_threads(unsolved, ranges, self._run.workers, stop)
         if count:

@@ -19,6 +19,7 @@ class StepTangents:
 
     def __init__(self, tables: DerivativeTables, n: int, h: float, entries: int = 0) -> None:
         count = n + entries
+        assert isinstance(tables.forward, str)
         self._tables, self._tangents, self._name = tables, np.zeros((1, count, n)), tables.forward
         self._units, self._momenta = np.eye(count, n), np.zeros((1, n))
         self._structure, self._n = tables.tables_at(h), n
