@@ -25,7 +25,7 @@ BUILT := $(shell sed -n 's/^CMAKE_HOME_DIRECTORY:INTERNAL=//p' $(BUILD)/CMakeCac
 # Installing configures the build folder too.
 CONFIGURE := $(if $(BUILT),$(if $(MOVED),,$(if $(wildcard $(VENV)/installed),package)))
 
-.PHONY: moved demo test variants long core mutants soak fuzz sanitize compilers aarch64 bench kernels package packages release-checks clean
+.PHONY: moved demo test variants long core torch mutants soak fuzz sanitize compilers aarch64 bench kernels package packages release-checks clean
 
 demo: kernels
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
@@ -52,6 +52,13 @@ core:
 	$(PYTHON) -m venv build/core
 	build/core/bin/python -m pip install --quiet --disable-pip-version-check . pytest
 	cd tests && ../build/core/bin/python -m pytest test_core_alone.py
+
+# The functions of PyTorch, which `make test` does not install, in a virtual environment of their own.
+torch:
+	rm -rf build/torch
+	$(PYTHON) -m venv build/torch
+	build/torch/bin/python -m pip install --quiet --disable-pip-version-check . pytest torch==2.13.0
+	cd tests && ../build/torch/bin/python -m pytest front_ends/test_torch.py
 
 # Plants the defects of tests/mutants one after the other, in a copy, and prints those that no test notices.
 mutants: kernels
@@ -89,8 +96,8 @@ bench: kernels $(VENV)/peers
 # is loaded while the kernels are compiled.
 NEEDED := import tomllib; project = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
 	extras = project["optional-dependencies"]; \
-	print(*project["dependencies"], *(one for name in extras if not name.startswith("bench") for one in extras[name] \
-	if not one.startswith("coadjoint[")), sep="\n")
+	print(*project["dependencies"], *(one for name in extras if not name.startswith(("bench", "torch")) \
+	for one in extras[name] if not one.startswith("coadjoint[")), sep="\n")
 
 $(VENV)/installed: pyproject.toml $(if $(MOVED),moved)
 	@test -n "$(PYTHON)" || { echo "coadjoint needs Python 3.11 or newer: set PYTHON=/path/to/python" >&2; exit 2; }

@@ -56,7 +56,7 @@ MEMBERS_OF = (
         "at balance change drift error_estimate modified_energy movie plot spectrum to_xarray",
     ),
     ("A drift", Drift, "growth"),
-    ("A prepared run", co.PreparedRun, "end run"),
+    ("A prepared run", co.PreparedRun, "end jvp parameters run vjp"),
     ("A stepper", Stepper, "both group tangent tangent_by"),
     ("A choice", co.Choice, ""),
     ("Frequencies", co.Frequencies, "combinations"),
@@ -83,6 +83,8 @@ NAMESPACES = (
     ("Analysis", "analysis"),
     ("Plotting ([gallery.md](gallery.md))", "plotting"),
     ("Stored results ([files.md](files.md))", "results"),
+    ("Functions of JAX ([derivatives.md](derivatives.md#jax))", "jax"),
+    ("Functions of PyTorch ([derivatives.md](derivatives.md#pytorch))", "torch"),
 )
 HEAD = """# Every public name
 

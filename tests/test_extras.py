@@ -93,6 +93,16 @@ def test_missing_packages_are_listed_with_their_extras(monkeypatch, missing, lis
     assert caught.value.name == missing[0]
 
 
+@pytest.mark.parametrize(("package", "name"), [("jax", "solution"), ("torch", "function")])
+def test_front_ends_name_missing_packages(monkeypatch, package, name):
+    ready = coadjoint.prepare(coadjoint.systems.rigid_body((1, 2, 3)), coadjoint.Splitting(), 0.1)
+    find = importlib.util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda one, *args: None if one == package else find(one, *args))
+    message = rf'co\.{package}\.{name} needs the package {package}, .*"coadjoint\[{package}\]"'
+    with pytest.raises(MissingPackageError, match=message):
+        getattr(getattr(coadjoint, package), name)(ready, (0, 1))
+
+
 @pytest.mark.parametrize(("value", "refused"), [("1", True), ("yes", True), ("0", False), ("", False)])
 def test_disabled_numba_is_refused(monkeypatch, value, refused):
     monkeypatch.setenv("NUMBA_DISABLE_JIT", value)

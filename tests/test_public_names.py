@@ -91,7 +91,10 @@ def test_type_checker_knows_the_public_names(tmp_path):
 
 # Imports.
 
-HEAVY = ("scipy", "numba", "llvmlite", "xarray", "matplotlib", "pydantic", "click", "tqdm", "zarr", "flint", "h5netcdf")
+HEAVY = (
+    *("scipy", "numba", "llvmlite", "xarray", "matplotlib", "pydantic", "click", "tqdm", "zarr", "flint", "h5netcdf"),
+    *("jax", "torch"),
+)
 
 
 def loaded_after(statement):
@@ -179,7 +182,9 @@ def test_overrides_do_not_repeat_docstrings(name):
                 assert not base.startswith(summary), f"{name}.{label}.{member} repeats: {summary}"
 
 
-@pytest.mark.parametrize("space", ["algebras", "analysis", "forces", "methods", "plotting", "results", "systems"])
+@pytest.mark.parametrize(
+    "space", ["algebras", "analysis", "forces", "jax", "methods", "plotting", "results", "systems", "torch"]
+)
 def test_namespaces_are_lazy_and_name_what_is_near(space):
     module = getattr(co, space)
     assert all(getattr(module, name) is not None for name in module.__all__)

@@ -2,10 +2,12 @@
 
 from . import algebras as algebras
 from . import analysis as analysis
+from . import jax as jax
 from . import methods as methods
 from . import plotting as plotting
 from . import results as results
 from . import systems as systems
+from . import torch as torch
 from .algebra.families.matrix_algebra import MatrixAlgebra as MatrixAlgebra
 from .algebra.invariants.invariant import Invariant as Invariant
 from .algebra.lie_algebra import LieAlgebra as LieAlgebra

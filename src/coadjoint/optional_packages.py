@@ -23,6 +23,8 @@ EXTRAS = {
     "ducc0": "fluids",
     "distributed": "cluster",
     "cryptography": "cluster",
+    "jax": "jax",
+    "torch": "torch",
 }
 """Package -> the extra that provides it, as declared in pyproject.toml; other imported packages are requirements."""
 

@@ -147,6 +147,11 @@ class PreparedRun:
         selected.__setstate__(state)
         return selected
 
+    def of_system(self, system: System) -> PreparedRun:
+        """Return the run of another system, prepared in the same way; inputs are dropped."""
+        options: dict[str, Any] = {"attitude": self._attitude, "watch": self._watching, "observe": self.observe}
+        return PreparedRun(system, self.method, self.step, threads=self._threads, **options)
+
     def run(
         self,
         x0: Any,
@@ -285,7 +290,9 @@ class PreparedRun:
         The derivative by a parameter is that of the computed map, `tangents.rule` "exact", if the parts of the
         splitting are functions of coordinates. If the forms of the parts depend on the parameter, the change of the
         energy is one more part of the splitting of size zero, "added part": the derivative of a scheme of the same
-        order, which agrees with that of the motion to this order.
+        order, which agrees with that of the motion to this order. Runge-Kutta methods are always "exact". The steps of
+        other schemes are differentiated in Python, one by one: by the state through `Method.tangent`, and by parameters
+        through central differences of order 8, with about twelve digits, "differences".
 
         Examples
         --------
@@ -405,6 +412,16 @@ class PreparedRun:
         state = final_run(x0, t_span)
         self._final_state_runs.append(final_run)
         return self.run(x0, t_span, ENDS_ONLY).x[-1] if state is None else state
+
+    @property
+    def takes_inputs(self) -> bool:
+        """Whether runs take inputs."""
+        return self._inputs is not None
+
+    @property
+    def initial_attitude(self) -> Any:
+        """The prepared initial group element, an array, or the argument `attitude` of `prepare`."""
+        return self._attitude
 
     @property
     def carries(self) -> bool:

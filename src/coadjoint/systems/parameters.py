@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.monomials import factors_of
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import unknown_name
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.energy_derivatives import EnergyDerivative, Monomial
-from coadjoint.systems.hamiltonians.hamiltonian import PolynomialHamiltonian
+from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, as_hamiltonian
+from coadjoint.systems.hamiltonians.linear_term import with_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm
 from coadjoint.systems.registry import ready_made_systems
@@ -55,6 +58,10 @@ def parameters_of(system: Any) -> dict[str, Parameter]:
         found = _of_builder(system, builder)
         if found:
             return found
+    return _of_hamiltonian(system)
+
+
+def _of_hamiltonian(system: Any) -> dict[str, Parameter]:
     H = system.hamiltonian
     if isinstance(H, Quadratic):
         return _of_quadratic(H, system.dim)
@@ -72,6 +79,69 @@ def parameter_of(system: Any, name: str) -> Parameter:
     if name not in found:
         raise unknown_name(f"parameter of {system.name}", name, found)
     return found[name]
+
+
+def with_parameters(system: Any, values: Mapping[str, Floats]) -> Any:
+    """Return the system with these values of its parameters, those of `parameters_of`, in their shapes.
+
+    M counts with its symmetric part, as in the energy. Raises the errors of the builder or the Hamiltonian for values
+    that these refuse.
+    """
+    builder = _builder_of(system, values)
+    if builder is not None:
+        return builder(**{**system.parameters, **{name: _plain(value) for name, value in values.items()}})
+    return with_hamiltonian(system, in_coordinates_of(system, _with_coefficients(system, values)))
+
+
+def parameters_at(system: Any, values: Mapping[str, Floats]) -> dict[str, Parameter]:
+    """Return the parameters in `values` of the system that `with_parameters` returns.
+
+    They have the shapes of `values` also where coefficients of that system are zero.
+    """
+    builder = _builder_of(system, values)
+    if builder is None:
+        found = _of_hamiltonian(system)
+        return {name: found[name]._replace(value=value) for name, value in values.items()}
+    arguments = {**system.parameters, **{name: _plain(value) for name, value in values.items()}}
+    return {
+        name: Parameter(
+            value,
+            _derivative(builder, arguments, name, value, _is_symmetric(builder, arguments, name, value)),
+        )
+        for name, value in values.items()
+    }
+
+
+def with_entry_moved(system: Any, name: str, value: Floats, index: tuple[int, ...], by: float) -> Any:
+    """Return the system with one entry of a parameter moved; half its mirror image if the matrix must be symmetric."""
+    builder = _builder_of(system, [name])
+    symmetric = builder is not None and _is_symmetric(builder, dict(system.parameters), name, value)
+    return with_parameters(system, {name: np.asarray(_moved(value, index, by, symmetric))})
+
+
+def _builder_of(system: Any, names: Iterable[str]) -> Callable[..., Any] | None:
+    """Return the function that makes a ready-made system with these parameters; None for those of a Hamiltonian."""
+    builder = ready_made_systems().get(system.name)
+    return builder if builder is not None and set(names) <= set(system.parameters or {}) else None
+
+
+def _with_coefficients(system: Any, values: Mapping[str, Floats]) -> HamiltonianLike:
+    """Return the Hamiltonian of a system with other values of the parameters of `_of_hamiltonian`."""
+    H, n = system.hamiltonian, system.dim
+    if isinstance(H, PolynomialHamiltonian):
+        coefficients = dict(zip(H.polynomial.monomials, values["coefficients"].tolist(), strict=True))
+        return as_hamiltonian(Polynomial(coefficients, dim=n), n)
+    stored = H.bind(n).as_given()
+    linear = values.get("linear", stored.linear)
+    if "M" not in values:
+        return H.bind(n).with_linear(linear)
+    M = values["M"]
+    if M.ndim == 1 and not np.array_equal(stored.rows, stored.columns):
+        import scipy.sparse
+
+        entries = scipy.sparse.csr_array((M, (stored.rows, stored.columns)), shape=(n, n))
+        return Quadratic(0.5 * (entries + entries.T), linear, H.constant)
+    return Quadratic(M if M.ndim == 1 else 0.5 * (M + M.T), linear, H.constant)
 
 
 def _coordinates(exponents: tuple[int, ...]) -> tuple[int, ...]:

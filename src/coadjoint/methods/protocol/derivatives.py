@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 EXACT = "exact"
 ADDED_PART = "added part"
+DIFFERENCES = "differences"
 
 
 class DerivativeTables(NamedTuple):
@@ -23,7 +24,7 @@ class DerivativeTables(NamedTuple):
     `tables_at(h)` are those of a step h, a C structure, and `forward` and `backward` names of kernels, or functions;
     `keepalive` must live as long as the tables. Derivatives by `coefficient_count` coefficients are mapped to those by
     the entries of the parameters by `coefficients`, and derivatives by the factors of Casimirs subtracted from the
-    energy, `shift`, by `factors`. The `rules` are "exact" or "added part". `reversible` steps can be undone from their
+    energy, `shift`, by `factors`. The `rules` are the three constants above. `reversible` steps can be undone from their
     end.
     """
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.long_operations import note_progress
-from coadjoint.methods.protocol.derivatives import EXACT, DerivativeTables
+from coadjoint.methods.protocol.derivatives import DIFFERENCES, DerivativeTables
 from coadjoint.methods.protocol.method import Method
 from coadjoint.program.added_part import CoefficientMap
-from coadjoint.systems.parameters import Parameter, with_parameters
+from coadjoint.systems.parameters import Parameter, with_entry_moved
 
 if TYPE_CHECKING:
     from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun
@@ -41,13 +41,11 @@ class StepwiseDerivatives:
             for index in np.ndindex(value.shape):
                 distance = DISTANCE * (abs(float(value[index])) or float(np.max(np.abs(value))) or 1.0)
                 pairs = []
-                for node in NODES:
-                    systems = []
-                    for sign in (1.0, -1.0):
-                        moved = value.copy()
-                        moved[index] += sign * node * distance
-                        systems.append(with_parameters(system, {name: moved}))
-                    pairs.append((systems[0], systems[1]))
+                for node in NODES.tolist():
+                    plus, minus = (
+                        with_entry_moved(system, name, value, index, sign * node * distance) for sign in (1.0, -1.0)
+                    )
+                    pairs.append((plus, minus))
                 self._changed.append((distance, pairs))
 
     def step(self, x: Floats, t: float, h: float) -> tuple[Floats, Floats]:
@@ -125,7 +123,7 @@ def stepwise_derivatives(method: Method, system: Any, parameters: Mapping[str, P
         coefficient_count=start,
         coefficients=coefficients,
         factors=dict.fromkeys(parameters, CoefficientMap.of_triplets(())),
-        rules=dict.fromkeys(parameters, EXACT),
+        rules=dict.fromkeys(parameters, DIFFERENCES),
         shift=(),
         reversible=False,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from coadjoint.methods.protocol.step_derivatives import derivative_of
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.forward import gradients_at
 from coadjoint.runs.derivatives.results import Gradient
+from coadjoint.runs.results.solution import Solution
 from coadjoint.validation import are_finite, read_numbers
 
 Floats = NDArray[np.float64]
@@ -26,7 +27,12 @@ class Pullback:
         self._run, self._trajectory = run, trajectory
 
     def __repr__(self) -> str:
-        return f"<pullback of {self._trajectory.solution!r}>"
+        return f"<pullback of {self.solution!r}>"
+
+    @property
+    def solution(self) -> Solution:
+        """The solution of the run."""
+        return self._trajectory.solution
 
     def __call__(
         self,
@@ -57,17 +63,32 @@ class Pullback:
         IntegrationError
             The derivatives overflow.
         """
+        return self.gradient(x, attitude, energy, observed, self._run.parameters)
+
+    def gradient(
+        self,
+        x: Any,
+        attitude: Any,
+        energy: Any,
+        observed: Mapping[str, Any] | None,
+        names: Iterable[str],
+        by_member: bool = False,
+    ) -> Gradient:
+        """Return the gradient by x0, attitude0 and the parameters of these names.
+
+        `by_member`: derivatives by parameters have an axis of members, over which they are not summed.
+        """
         run, trajectory = self._run, self._trajectory
         solution, members = trajectory.solution, trajectory.members
-        tables = run.tables(trajectory.times.h, run.parameters)
+        tables = run.tables(trajectory.times.h, names)
         states, groups = trajectory.outputs
         of_x = trajectory.with_members(_read(x, solution.x, "x")).copy()
-        parameters = {name: np.zeros(one.value.size) for name, one in run.parameters.items()}
+        parameters = {name: np.zeros((members, run.parameters[name].value.size)) for name in tables.rules}
         if energy is not None:
             of_energy = trajectory.with_members(_read(energy, solution.energy, "energy"))
             of_x += of_energy[..., None] * gradients_at(run.system, states, solution.t)
-            for name, derivative in run.energies.items():
-                parameters[name] += np.einsum("pm,pmj->j", of_energy, derivative.at(states))
+            for name, total in parameters.items():
+                total += np.einsum("pm,pmj->mj", of_energy, run.energy(name).at(states))
         if observed is not None:
             of_x += self._of_observed(states, observed)
         attitudes = run.attitudes(tables)
@@ -76,24 +97,28 @@ class Pullback:
         of_x0, of_A0, of_groups = np.zeros((members, trajectory.n)), np.zeros(groups.shape[1:]), np.zeros(groups.shape)
         if attitudes is not None and attitude is not None:
             of_attitude = trajectory.with_members(_read(attitude, solution.attitude, "attitude"))
-            of_factors = np.zeros(len(tables.shift))
             for m in range(members):
-                of_x0[m], of_A0[m], by_factor, of_groups[:, m] = attitudes.cotangents(
+                of_x0[m], of_A0[m], of_factors, of_groups[:, m] = attitudes.cotangents(
                     trajectory.start.momenta[m],
                     trajectory.start.groups[m],
                     trajectory.elapsed,
                     groups[:, m],
                     of_attitude[:, m],
                 )
-                of_factors += by_factor
-            for name, total in parameters.items():
-                total += tables.factors[name].of_entries(of_factors, len(total))
+                for name, total in parameters.items():
+                    total[m] += tables.factors[name].of_entries(of_factors, total.shape[1])
         through_steps, of_element, coefficients = self._through_steps(tables, of_x, of_groups)
         of_x0 += through_steps
-        for name, total in parameters.items():
-            total += tables.coefficients[name].of_entries(coefficients, len(total))
         values = {"x0": of_x0[0] if trajectory.start.single else of_x0}
-        values |= {name: total.reshape(run.parameters[name].value.shape) for name, total in parameters.items()}
+        for name, total in parameters.items():
+            by_coefficients, entries = tables.coefficients[name], total.shape[1]
+            shape = run.parameters[name].value.shape
+            if by_member:
+                total += [by_coefficients.of_entries(row, entries) for row in coefficients]
+                values[name] = total.reshape(members, *shape)
+            else:
+                sums = total.sum(axis=0) + by_coefficients.of_entries(coefficients.sum(axis=0), entries)
+                values[name] = sums.reshape(shape)
         if attitudes is not None:
             of_start = of_A0 if attitudes.shifted else of_element
             values["attitude0"] = of_start[0] if trajectory.start.single else of_start
@@ -128,7 +153,7 @@ class Pullback:
     def _through_steps(
         self, tables: DerivativeTables, of_x: Floats, of_groups: Floats
     ) -> tuple[Floats, Floats, Floats]:
-        """Return the cotangents of the initial states, of the elements of the loops, and of all coefficients."""
+        """Return the cotangents of the initial states, the elements of the loops, and the coefficients by member."""
         trajectory = self._trajectory
         points, members, n, d = len(trajectory.steps), trajectory.members, trajectory.n, trajectory.side
         coefficients = np.zeros((members, tables.coefficient_count))
@@ -167,7 +192,7 @@ class Pullback:
         if trajectory.steps[0] == 0:
             cotangents += at_steps[0]
             group_cotangents += groups_at_steps[0]
-        return cotangents, np.swapaxes(group_cotangents, 1, 2), coefficients.sum(axis=0)
+        return cotangents, np.swapaxes(group_cotangents, 1, 2), coefficients
 
 
 def _read(cotangent: Any, series: Any, name: str) -> Floats:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from functools import cached_property
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -14,7 +13,8 @@ from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import StopFlag
 from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun, advance_tables
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.protocol.derivatives import DerivativeTables, derivative_tables
+from coadjoint.methods.protocol.derivatives import DerivativeTables, derivative_tables, has_derivatives
+from coadjoint.methods.protocol.stepwise_derivatives import stepwise_derivatives
 from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
 from coadjoint.runs.loops.execution import sum_in_threads
 from coadjoint.runs.loops.rows import split_members
@@ -57,39 +57,50 @@ class Stretch(NamedTuple):
 class DifferentiableRun:
     """A prepared run with the derivative of the energy by its parameters, and the tables of its scheme.
 
-    Raises TypeError for what cannot be differentiated.
+    `parameters` replace those of its system. Raises TypeError for what cannot be differentiated.
     """
 
-    def __init__(self, prepared: PreparedRun) -> None:
+    def __init__(self, prepared: PreparedRun, parameters: Mapping[str, Parameter] | None = None) -> None:
         system = prepared.system
         for unsupported, what in (
             (is_batch(system), "a batch; differentiate the run of each member"),
             (bool(forces_of(system)), "a system with forces"),
             (is_matrix_system(system), "a system of matrices"),
+            (prepared.takes_inputs, "a system with inputs; prepare it without, and differentiate by parameters"),
         ):
             if unsupported:
                 raise TypeError(f"runs of {what} have no derivatives: {system!r}")
         if prepared.method.own_steps:
             raise TypeError(f"{prepared.method} chooses its own steps, and its runs have no derivatives; give a step")
         self.prepared, self.system = prepared, system
-        self.parameters: Mapping[str, Parameter] = parameters_of_run(system)
+        self.parameters: Mapping[str, Parameter] = parameters_of_run(system) if parameters is None else parameters
         self.representation = prepared.representation
+        self._energies: dict[str, EnergyDerivative] = {}
         self._tables: dict[Any, DerivativeTables] = {}
 
-    @cached_property
-    def energies(self) -> dict[str, EnergyDerivative]:
-        """The derivatives of the energy by the parameters."""
-        return {name: parameter.energy() for name, parameter in self.parameters.items()}
+    def energy(self, name: str) -> EnergyDerivative:
+        """Return the derivative of the energy by a parameter."""
+        if name not in self._energies:
+            self._energies[name] = self.parameters[name].energy()
+        return self._energies[name]
 
     def tables(self, h: float, names: Iterable[str]) -> DerivativeTables:
         """Return the tables of the scheme for a step, with the parameters of these names."""
         chosen = frozenset(names)
         if (h, chosen) not in self._tables:
-            energies = {name: energy for name, energy in self.energies.items() if name in chosen}
-            self._tables[h, chosen] = derivative_tables(
-                self.prepared.scheme, self.system, h, self.representation, energies
-            )
+            self._tables[h, chosen] = self._build_tables(h, [name for name in self.parameters if name in chosen])
         return self._tables[h, chosen]
+
+    def _build_tables(self, h: float, names: Sequence[str]) -> DerivativeTables:
+        scheme = self.prepared.scheme
+        if has_derivatives(scheme):
+            energies = {name: self.energy(name) for name in names}
+            return derivative_tables(scheme, self.system, h, self.representation, energies)
+        if self.representation is not None:
+            raise TypeError(
+                f"attitudes by {scheme} have no derivatives; take Splitting or GaussLegendre, or no attitude"
+            )
+        return stepwise_derivatives(scheme, self.system, {name: self.parameters[name] for name in names})
 
     def check_reverse(self, reverse: Any, h: float) -> None:
         """Validate how a run is differentiated backward; raise TypeError for a scheme whose steps cannot be undone."""

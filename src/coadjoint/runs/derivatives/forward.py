@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,10 +83,17 @@ class Directions:
         return total
 
 
-def tangents_of_run(
-    run: DifferentiableRun, trajectory: Trajectory, given: Mapping[str, Any]
-) -> tuple[Solution, Tangents]:
-    """Return the solution of a run and its tangents along directions."""
+class OutputTangents(NamedTuple):
+    """Tangents of the states (points, members, count, n) and the attitudes (..., d, d) of a run along directions."""
+
+    directions: Directions
+    tables: DerivativeTables
+    of_x: Floats
+    of_attitudes: Floats | None
+
+
+def tangents_of_outputs(run: DifferentiableRun, trajectory: Trajectory, given: Mapping[str, Any]) -> OutputTangents:
+    """Return the tangents of the states and the attitudes of a run along directions."""
     directions = Directions(run, trajectory, given)
     # Parameters without a direction need no added part.
     tables = run.tables(trajectory.times.h, directions.parameters)
@@ -96,24 +103,33 @@ def tangents_of_run(
     )
     attitudes = run.attitudes(tables)
     of_x, of_groups = _tangents_at_outputs(trajectory, tables, directions, attitudes is not None and attitudes.shifted)
-    x, groups = trajectory.outputs
-    if attitudes is not None:
-        factors = directions.of_factors(tables)
-        for m in range(trajectory.members):
-            of_groups[:, m] = attitudes.tangents(
-                trajectory.start.momenta[m],
-                trajectory.start.groups[m],
-                trajectory.elapsed,
-                groups[:, m],
-                directions.x0[m],
-                directions.attitude0[m],
-                factors,
-                of_groups[:, m],
-            )
-    solution = trajectory.solution
+    if attitudes is None:
+        return OutputTangents(directions, tables, of_x, None)
+    _, groups = trajectory.outputs
+    factors = directions.of_factors(tables)
+    for m in range(trajectory.members):
+        of_groups[:, m] = attitudes.tangents(
+            trajectory.start.momenta[m],
+            trajectory.start.groups[m],
+            trajectory.elapsed,
+            groups[:, m],
+            directions.x0[m],
+            directions.attitude0[m],
+            factors,
+            of_groups[:, m],
+        )
+    return OutputTangents(directions, tables, of_x, of_groups)
+
+
+def tangents_of_run(
+    run: DifferentiableRun, trajectory: Trajectory, given: Mapping[str, Any]
+) -> tuple[Solution, Tangents]:
+    """Return the solution of a run and its tangents along directions."""
+    directions, tables, of_x, of_attitudes = tangents_of_outputs(run, trajectory, given)
+    solution, (x, _) = trajectory.solution, trajectory.outputs
     of_energy = np.einsum("pmi,pmki->pmk", gradients_at(run.system, x, solution.t), of_x)
     for name, of_entries in directions.parameters.items():
-        of_energy += run.energies[name].at(x) @ of_entries.T
+        of_energy += run.energy(name).at(x) @ of_entries.T
 
     def shaped(series: Floats) -> Floats:
         """Move directions (points, members, count, ...) to the last axis, and drop axes that were not given."""
@@ -123,7 +139,7 @@ def tangents_of_run(
 
     return solution, Tangents(
         x=shaped(of_x),
-        attitude=None if attitudes is None else shaped(of_groups),
+        attitude=None if of_attitudes is None else shaped(of_attitudes),
         energy=shaped(of_energy),
         rule={name: tables.rules[name] for name in directions.parameters},
     )

@@ -25,8 +25,8 @@ class Tangents:
     energy : ndarray
         In the same way for ``sol.energy``.
     rule : mapping
-        For each parameter, "exact" if the derivative is that of the computed map, or "added part"; see
-        `PreparedRun.parameters`.
+        For each parameter, "exact" if the derivative is that of the computed map, "added part" or "differences"; see
+        the notes of `PreparedRun.jvp`.
     """
 
     x: Floats

@@ -65,13 +65,13 @@ def with_linear(system: SystemT, linear: Floats) -> SystemT:
     Raises TypeError if the Hamiltonian has no linear term to replace, and ValueError if several pieces of a
     `SplitHamiltonian` are polynomials in a coordinate whose coefficient changes (with none, a piece is added).
     """
+    return with_hamiltonian(system, _replace_linear(system.hamiltonian, np.asarray(linear, dtype=np.float64)))
+
+
+def with_hamiltonian(system: SystemT, hamiltonian: HamiltonianLike) -> SystemT:
+    """Return the system with another bound Hamiltonian; closed form, integrals and parameters are dropped."""
     changed = copy.copy(system)
-    fields: dict[str, Any] = {
-        "hamiltonian": _replace_linear(system.hamiltonian, np.asarray(linear, dtype=np.float64)),
-        "_exact": None,
-        "_parameters": None,
-        "_integrals": {},
-    }
+    fields: dict[str, Any] = {"hamiltonian": hamiltonian, "_exact": None, "_parameters": None, "_integrals": {}}
     for name, value in fields.items():
         if hasattr(system, name):
             object.__setattr__(changed, name, value)

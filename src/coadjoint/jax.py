@@ -1,0 +1,111 @@
+"""Runs as differentiable functions of JAX (``co.jax``)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from coadjoint.errors import unknown_attribute, unknown_name
+from coadjoint.optional_packages import require_packages
+from coadjoint.runs.prepared_run import PreparedRun
+
+__all__ = ["solution"]
+
+TYPE_CHECKING = False
+
+BACKENDS = ("compiled",)
+
+
+def solution(
+    ready: PreparedRun,
+    t_span: tuple[float, float],
+    save_every: int = 1,
+    *,
+    t_eval: Any = None,
+    backend: str = "compiled",
+) -> Callable[..., Any]:
+    """Return a run as a function of JAX, of the initial state and parameters of the system.
+
+    Use it to fit parameters or initial states inside of a program of JAX. ``grad``, ``value_and_grad``, ``jvp``,
+    ``linearize``, ``vmap``, ``jit``, ``jacfwd`` and ``jacrev`` apply to it. The runs and their derivatives are those of
+    `PreparedRun.run`, `PreparedRun.jvp` and `PreparedRun.vjp`, in compiled loops on the processor.
+
+    Parameters
+    ----------
+    ready : PreparedRun
+        The prepared run, with a step, of a scheme with derivatives.
+    t_span, save_every, t_eval
+        As in `PreparedRun.run`.
+    backend : {"compiled"}
+        Where runs are computed: by a callback into the compiled loops.
+
+    Returns
+    -------
+    callable
+        A function ``f(x0, *, attitude0=None, **parameters)``. It returns the states, (k, n) for x0 of shape (n,) and
+        (k, members, n) for (members, n); for a run prepared with an attitude the pair of states and attitudes. The
+        parameters are those of ``ready.parameters``, in their shapes, and default to these values. A system with other
+        values is prepared in each call, and the last one is cached.
+
+    Raises
+    ------
+    ImportError
+        JAX is not installed; the extra is ``coadjoint[jax]``.
+    TypeError
+        The run has no derivatives, or numbers are not of float64, which JAX has with
+        ``jax.config.update("jax_enable_x64", True)``.
+    ValueError
+        For unknown names and wrong shapes, when the function is called or traced.
+    IntegrationError
+        As in `integrate`; inside of ``jit`` the error of JAX contains its message.
+
+    Notes
+    -----
+    ``vmap`` over initial states makes one ensemble, the members of which are integrated side by side. Over parameters
+    the runs follow one after the other. Second derivatives are not available.
+
+    See Also
+    --------
+    coadjoint.PreparedRun.vjp : Gradients without JAX.
+
+    Examples
+    --------
+    The inertia of a body from its motion, by one step of steepest descent:
+
+    >>> import jax
+    >>> import coadjoint as co
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> body = co.prepare(co.systems.rigid_body(inertia=(1, 2, 2.5)), co.Splitting(order=4), step=0.05)
+    >>> f = co.jax.solution(body, (0, 10), save_every=50)
+    >>> x0 = jax.numpy.array([1.0, 0.2, 0.5])
+    >>> wanted = f(x0)
+    >>> def loss(inertia):
+    ...     return ((f(x0, inertia=inertia) - wanted) ** 2).sum()
+    >>> inertia = jax.numpy.array([1.1, 2.0, 2.4])
+    >>> before, gradient = jax.jit(jax.value_and_grad(loss))(inertia)
+    >>> bool(loss(inertia - 1e-3 * gradient) < before)
+    True
+    """
+    if backend not in BACKENDS:
+        raise unknown_name("backend", backend, BACKENDS)
+    require_packages("co.jax.solution", "jax")
+    from coadjoint.runs.derivatives.jax_primitives import solve
+    from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
+
+    run = ParametrizedRun(ready, t_span, save_every, t_eval, "co.jax.solution")
+
+    def solution_of(x0: Any, *, attitude0: Any = None, **parameters: Any) -> Any:
+        """Return the states of the run, and the attitudes if it was prepared with one; see `co.jax.solution`."""
+        return solve(run, x0, attitude0, parameters)
+
+    return solution_of
+
+
+if not TYPE_CHECKING:  # type checkers know the names above and must report any other
+
+    def __getattr__(name: str) -> None:
+        raise unknown_attribute("co.jax", name, __all__)
+
+
+def __dir__() -> list[str]:
+    return __all__

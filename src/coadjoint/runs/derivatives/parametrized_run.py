@@ -1,0 +1,146 @@
+"""A prepared run as a function of initial states, initial attitudes and parameters, for JAX and PyTorch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import unknown_name
+from coadjoint.runs.derivatives.backward import Pullback
+from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory
+from coadjoint.runs.derivatives.forward import tangents_of_outputs
+from coadjoint.runs.output_times import check_partial_steps
+from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.short_repr import short
+from coadjoint.systems.parameters import parameters_at, with_parameters
+
+Floats = NDArray[np.float64]
+Shape = tuple[int, ...]
+
+
+class ParametrizedRun:
+    """A prepared run over a time span, for values given by name: "x0", "attitude0" and parameters.
+
+    The outputs are the states (points, n) or (points, members, n) and, of runs with an attitude, the attitudes. Schemes
+    and systems without derivatives are refused. The run of the last values of the parameters is cached, and so is the
+    last trajectory that was integrated for a gradient.
+    """
+
+    def __init__(self, prepared: PreparedRun, t_span: Any, save_every: Any, t_eval: Any, caller: str) -> None:
+        if type(prepared) is not PreparedRun:
+            raise TypeError(f"{caller} was given {short(prepared)}; give co.prepare(system, method, step)")
+        self._prepared = prepared
+        self._run = DifferentiableRun(prepared)
+        times, moments = prepared.times_of(t_span, save_every, t_eval)
+        if moments is not None:
+            check_partial_steps(prepared.system, moments)
+        self._run.tables(times.h, ())  # raises TypeError for a scheme without derivatives
+        self._times: tuple[Any, Any, Any] = (t_span, save_every, t_eval)
+        self._points = len(times.saved_times if moments is None else moments.t)
+        group = prepared.representation
+        self._side = 0 if group is None else prepared.system.dim if isinstance(group, str) else group.shape[-1]
+        self._shapes = {name: parameter.value.shape for name, parameter in self._run.parameters.items()}
+        # One for each member: it must follow the members of an ensemble that vmap makes.
+        initial = prepared.initial_attitude
+        self._attitudes = initial if isinstance(initial, np.ndarray) and initial.ndim == 3 else None
+        self._last_run: tuple[Any, DifferentiableRun] = None, self._run
+        self._last_pullback: tuple[Any, Pullback] | None = None
+
+    def arguments(self, x0: Any, attitude0: Any, parameters: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the values of a call by name, in the order of the names."""
+        attitude = self._attitudes if attitude0 is None else attitude0
+        given = {} if attitude is None else {"attitude0": attitude}
+        return {"x0": x0} | given | dict(sorted(parameters.items()))
+
+    def check(self, shapes: Mapping[str, Shape]) -> None:
+        """Raise ValueError for unknown names and wrong shapes of values."""
+        n, d, x0 = self._prepared.system.dim, self._side, shapes["x0"]
+        known: dict[str, tuple[Shape, ...]] = {"x0": ((n,), (*x0[:1], n))}
+        if d:
+            known["attitude0"] = (d, d), (*x0[:-1], d, d)
+        known |= {name: (shape,) for name, shape in self._shapes.items()}
+        for name, shape in shapes.items():
+            if name not in known:
+                raise unknown_name(f"parameter of {self._prepared.system.name}", name, known)
+            if shape not in known[name] or 0 in shape:
+                expected = {"x0": f"({n},) or (members, {n})", "attitude0": f"({d}, {d}) or (members, {d}, {d})"}
+                raise ValueError(
+                    f"{name} has the shape {shape}; it must be {expected.get(name, known[name][0])}, as prepared"
+                )
+
+    def output_shapes(self, x0: Shape) -> list[Shape]:
+        """Return the shapes of the outputs for that of x0."""
+        leading = (self._points, *x0[:-1])
+        return [(*leading, x0[-1]), *([(*leading, self._side, self._side)] if self._side else [])]
+
+    def is_parameter(self, name: str) -> bool:
+        """Return whether this is the name of a parameter, which all members share."""
+        return name in self._shapes
+
+    def solve(self, values: Mapping[str, Floats], for_gradient: bool) -> list[Floats]:
+        """Integrate; `for_gradient` caches the trajectory for `gradients`."""
+        if for_gradient:
+            solution = self._pullback(values).solution
+        else:
+            t_span, save_every, t_eval = self._times
+            attitude = values.get("attitude0")
+            solution = self._run_at(values).prepared.run(
+                values["x0"], t_span, save_every, t_eval=t_eval, attitude=attitude
+            )
+        return [one for one in (solution.x, solution.attitude) if one is not None]
+
+    def tangents(self, values: Mapping[str, Floats], directions: Mapping[str, Floats]) -> list[Floats]:
+        """Return the tangents of the outputs; directions and tangents have a first axis for several of them."""
+        run = self._run_at(values)
+        trajectory = Trajectory(run, values["x0"], *self._times, values.get("attitude0"), None)
+        given = {name: np.moveaxis(direction, 0, -1) for name, direction in directions.items()}
+        found = tangents_of_outputs(run, trajectory, given)
+        series = [found.of_x] if found.of_attitudes is None else [found.of_x, found.of_attitudes]
+        first = [np.moveaxis(one, 2, 0) for one in series]
+        return [one[:, :, 0] for one in first] if trajectory.start.single else first
+
+    def gradients(
+        self, values: Mapping[str, Floats], cotangents: list[Floats], names: Iterable[str], by_member: bool = False
+    ) -> list[Floats]:
+        """Return the cotangents of values for those of the outputs, all with a first axis for several of them.
+
+        `by_member`: those of parameters have an axis of members next to it, and are not summed over the members.
+        """
+        wanted = list(names)
+        pullback, parameters = self._pullback(values), [name for name in wanted if name in self._shapes]
+        found = []
+        for of_x, *of_attitude in zip(*cotangents, strict=True):
+            gradient = pullback.gradient(of_x, next(iter(of_attitude), None), None, None, parameters, by_member)
+            found.append([gradient[name] for name in wanted])
+        return [np.array(one) for one in zip(*found, strict=True)]
+
+    def _run_at(self, values: Mapping[str, Floats]) -> DifferentiableRun:
+        """Return the run at values of parameters."""
+        given = {name: value for name, value in values.items() if name in self._shapes}
+        if all(np.array_equal(value, self._run.parameters[name].value) for name, value in given.items()):
+            return self._run
+        key, (last, run) = _key(given), self._last_run
+        if key != last:
+            system = self._run.system
+            run = DifferentiableRun(
+                self._prepared.of_system(with_parameters(system, given)), parameters_at(system, given)
+            )
+            self._last_run = key, run
+        return run
+
+    def _pullback(self, values: Mapping[str, Floats]) -> Pullback:
+        """Integrate for a gradient."""
+        key, last = _key(values), self._last_pullback
+        if last is not None and last[0] == key:
+            return last[1]
+        run = self._run_at(values)
+        pullback = Pullback(run, Trajectory(run, values["x0"], *self._times, values.get("attitude0"), "exact"))
+        self._last_pullback = key, pullback
+        return pullback
+
+
+def _key(values: Mapping[str, Floats]) -> tuple[Any, ...]:
+    return tuple((name, value.shape, value.tobytes()) for name, value in sorted(values.items()))

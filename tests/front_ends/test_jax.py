@@ -1,0 +1,337 @@
+"""Runs as functions of JAX: values, derivatives, transformations and refused arguments."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.runs.derivatives import parametrized_run
+from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
+from core_only import run_python
+
+jax = pytest.importorskip("jax")
+jnp = jax.numpy
+
+SPAN, EVERY = (0, 10), 50
+X0 = np.array([1.0, 0.2, 0.5])
+MANY = np.array([X0, 2.0 * X0, X0[::-1]])
+INERTIA = np.array([1.1, 2.0, 2.4])
+WEIGHTS = np.cos(np.arange(15.0)).reshape(5, 3)
+ALONG = np.array([0.3, -1.0, 0.5])
+# 200 steps of 15 flows, each of which rounds a few times, with derivatives below 16.
+ROUNDING = 200 * 15 * 4 * 16 * 2.0**-53
+
+
+@pytest.fixture(autouse=True)
+def double_precision():
+    jax.config.update("jax_enable_x64", True)
+    yield
+    jax.config.update("jax_enable_x64", False)
+
+
+def prepared(inertia=(1.0, 2.0, 2.5), **options):
+    return co.prepare(co.systems.rigid_body(inertia=inertia), co.Splitting(order=4), 0.05, **options)
+
+
+@pytest.fixture(scope="module")
+def ready():
+    return prepared()
+
+
+@pytest.fixture(scope="module")
+def f(ready):
+    return co.jax.solution(ready, SPAN, EVERY)
+
+
+@pytest.fixture
+def number(f):
+    return lambda x0, inertia: (WEIGHTS * f(x0, inertia=inertia)).sum()
+
+
+@pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit], ids=["at once", "jit"])
+def test_values_have_the_bits_of_the_run(ready, f, wrapped):
+    other = prepared(INERTIA)
+    assert np.array_equal(wrapped(f)(X0), ready.run(X0, SPAN, EVERY).x)
+    assert np.array_equal(wrapped(f)(MANY, inertia=INERTIA), other.run(MANY, SPAN, EVERY).x)
+    backward = co.jax.solution(ready, (10, 0), t_eval=[10.0, 3.123, 0.0])
+    assert np.array_equal(wrapped(backward)(X0), ready.run(X0, (10, 0), t_eval=[10.0, 3.123, 0.0]).x)
+
+
+@pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit], ids=["at once", "jit"])
+@pytest.mark.parametrize("inertia", [(1.0, 2.0, 2.5), INERTIA], ids=["as prepared", "other"])
+def test_gradient_is_that_of_the_pullback(number, wrapped, inertia):
+    _, pullback = prepared(inertia).vjp(X0, SPAN, EVERY)
+    wanted = pullback(WEIGHTS)
+    value, (of_x0, of_inertia) = wrapped(jax.value_and_grad(number, (0, 1)))(X0, np.array(inertia))
+    assert abs(value - number(X0, np.array(inertia))) < ROUNDING  # a compiled sum has another order
+    assert np.array_equal(of_x0, wanted["x0"])
+    assert np.array_equal(of_inertia, wanted["inertia"])
+    assert np.array_equal(wrapped(jax.grad(number, 1))(X0, np.array(inertia)), wanted["inertia"])
+
+
+def test_jvp_is_that_of_the_prepared_run(f):
+    _, wanted = prepared(INERTIA).jvp(X0, SPAN, {"x0": ALONG, "inertia": X0}, EVERY)
+    x, along = jax.jvp(lambda x0, inertia: f(x0, inertia=inertia), (X0, INERTIA), (ALONG, X0))
+    assert np.array_equal(x, f(X0, inertia=INERTIA)) and np.array_equal(along, wanted.x)
+    _, linear = jax.linearize(lambda x0: f(x0, inertia=INERTIA), X0)
+    of_x0 = prepared(INERTIA).jvp(X0, SPAN, {"x0": ALONG}, EVERY)[1].x
+    assert np.array_equal(linear(ALONG), of_x0)
+
+
+@pytest.mark.parametrize("name", ["x0", "inertia"])
+@pytest.mark.parametrize("x0", [X0, MANY], ids=["one", "ensemble"])
+def test_forward_and_reverse_mode_agree(f, name, x0):
+    def x(value):
+        return f(value, inertia=INERTIA) if name == "x0" else f(x0, inertia=value)
+
+    value = x0 if name == "x0" else INERTIA
+    forward, reverse = jax.jit(jax.jacfwd(x))(value), jax.jit(jax.jacrev(x))(value)
+    assert forward.shape == (5, *x0.shape, *value.shape)
+    np.testing.assert_allclose(forward, reverse, rtol=0, atol=ROUNDING)
+    assert np.array_equal(forward, jax.jacfwd(x)(value))
+
+
+def calls(monkeypatch, name):
+    """Return a list to which each call of a method of runs is added, with the shape of x0."""
+    made, real = [], getattr(ParametrizedRun, name)
+    monkeypatch.setattr(
+        ParametrizedRun, name, lambda run, values, *rest: made.append(values["x0"].shape) or real(run, values, *rest)
+    )
+    return made
+
+
+@pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit], ids=["at once", "jit"])
+def test_vmap_over_initial_states_is_one_ensemble(f, number, monkeypatch, wrapped):
+    solved, pulled = calls(monkeypatch, "solve"), calls(monkeypatch, "gradients")
+    assert np.array_equal(wrapped(jax.vmap(f))(MANY), np.stack([f(x0) for x0 in MANY]))
+    assert solved == [(3, 3), (3,), (3,), (3,)]
+    rows = wrapped(jax.vmap(jax.grad(number, (0, 1)), (0, None)))(MANY, INERTIA)
+    assert pulled == [(3, 3)]
+    for m, x0 in enumerate(MANY):
+        for row, alone in zip(rows, jax.grad(number, (0, 1))(x0, INERTIA), strict=True):
+            np.testing.assert_allclose(row[m], alone, rtol=0, atol=ROUNDING)
+
+
+def test_vmap_over_ensembles_merges_the_members(f, monkeypatch):
+    several = np.array([MANY, 1.5 * MANY])
+    solved, followed = calls(monkeypatch, "solve"), calls(monkeypatch, "tangents")
+
+    def square(x0, inertia):
+        return (f(x0, inertia=inertia) ** 2 * WEIGHTS[:, None]).sum()
+
+    assert np.array_equal(jax.vmap(f)(several), np.stack([f(x0) for x0 in several]))
+    assert solved == [(6, 3), (3, 3), (3, 3)]
+    rows = jax.vmap(jax.grad(square, (0, 1)), (0, None))(several, INERTIA)
+    twice = jax.vmap(jax.vmap(jax.grad(lambda x0: (f(x0) ** 2 * WEIGHTS).sum())))(several)
+    assert twice.shape == several.shape
+    _, along = jax.vmap(lambda x0: jax.jvp(lambda i: f(x0, inertia=i), (INERTIA,), (X0,)))(several)
+    assert followed == [(6, 3)]
+    for m, x0 in enumerate(several):
+        for row, alone in zip(rows, jax.grad(square, (0, 1))(x0, INERTIA), strict=True):
+            np.testing.assert_allclose(row[m], alone, rtol=0, atol=16 * ROUNDING)
+        np.testing.assert_allclose(twice[m][1], jax.grad(lambda x: (f(x) ** 2 * WEIGHTS).sum())(x0[1]), atol=ROUNDING)
+        alone = jax.jvp(lambda i, x0=x0: f(x0, inertia=i), (INERTIA,), (X0,))[1]
+        np.testing.assert_allclose(along[m], alone, rtol=0, atol=ROUNDING)
+
+
+def test_vmap_over_parameters_agrees_with_a_loop(f, number):
+    several = np.array([INERTIA, INERTIA + 0.1])
+    values = jax.vmap(lambda inertia: f(X0, inertia=inertia))(several)
+    both = jax.jit(jax.vmap(jax.value_and_grad(number, (0, 1))))(MANY[:2], several)
+    along = jax.vmap(lambda i, v: jax.jvp(lambda i: f(X0, inertia=i), (i,), (v,))[1])(several, MANY[:2])
+    for k, inertia in enumerate(several):
+        assert np.array_equal(values[k], f(X0, inertia=inertia))
+        alone = jax.value_and_grad(number, (0, 1))(MANY[k], inertia)
+        for row, one in zip(jax.tree.leaves(both), jax.tree.leaves(alone), strict=True):
+            np.testing.assert_allclose(row[k], one, rtol=0, atol=ROUNDING)
+        one = jax.jvp(lambda i: f(X0, inertia=i), (inertia,), (MANY[k],))[1]
+        np.testing.assert_allclose(along[k], one, rtol=0, atol=ROUNDING)
+
+
+def test_ensembles_share_parameters(f):
+    """The gradient of a sum over members is the sum of those of the members."""
+    total = jax.grad(lambda inertia: (f(MANY, inertia=inertia)[-1] @ ALONG).sum())(INERTIA)
+    each = [jax.grad(lambda inertia, x0=x0: f(x0, inertia=inertia)[-1] @ ALONG)(INERTIA) for x0 in MANY]
+    np.testing.assert_allclose(total, np.sum(each, axis=0), rtol=0, atol=3 * ROUNDING)
+
+
+@pytest.mark.parametrize("attitude", [True, "coadjoint"])
+def test_attitude_is_returned_and_differentiated(attitude):
+    ready = prepared(attitude=attitude)
+    g = co.jax.solution(ready, SPAN, EVERY)
+    turned = co.integrate(co.systems.rigid_body(inertia=INERTIA), X0, (0, 1), 0.1, attitude=True).attitude[-1]
+    weights = np.sin(np.arange(45.0)).reshape(5, 3, 3)
+    sol, pullback = ready.vjp(X0, SPAN, EVERY, attitude=turned)
+    x, A = g(X0, attitude0=turned)
+    assert np.array_equal(x, sol.x) and np.array_equal(A, sol.attitude)
+    assert np.array_equal(g(X0)[1], ready.run(X0, SPAN, EVERY).attitude)
+
+    def number(x0, attitude0):
+        x, A = g(x0, attitude0=attitude0)
+        return (WEIGHTS * x).sum() + (weights * A).sum()
+
+    wanted = pullback(WEIGHTS, attitude=weights)
+    of_x0, of_A0 = jax.grad(number, (0, 1))(X0, turned)
+    assert np.array_equal(of_x0, wanted["x0"]) and np.array_equal(of_A0, wanted["attitude0"])
+    # Members share an attitude of shape (d, d), and its derivative is the sum of theirs.
+    of_A0 = jax.grad(lambda A0: (g(MANY, attitude0=A0)[1] * weights[:, None]).sum())(turned)
+    each = jax.vmap(jax.grad(lambda A0, x0: (g(x0, attitude0=A0)[1] * weights).sum()), (None, 0))(turned, MANY)
+    np.testing.assert_allclose(of_A0, each.sum(axis=0), rtol=0, atol=3 * ROUNDING)
+    forward = jax.jacfwd(lambda x0: g(x0, attitude0=turned)[1])(X0)
+    reverse = jax.jacrev(lambda x0: g(x0, attitude0=turned)[1])(X0)
+    np.testing.assert_allclose(forward, reverse, rtol=0, atol=ROUNDING)
+
+
+def test_individual_attitudes_follow_the_members_of_vmap():
+    turned = co.integrate(co.systems.rigid_body((1, 2, 3)), MANY, (0, 1), 0.1, attitude=True).attitude[-1]
+    g = co.jax.solution(prepared(attitude=turned), SPAN, EVERY)
+    batch = jax.vmap(g)(np.array([MANY, 2.0 * MANY]))[1]
+    assert np.array_equal(batch[1], g(2.0 * MANY)[1])
+
+
+def test_parameters_of_hamiltonians_keep_their_shapes_at_zeros():
+    """M becomes diagonal, and `linear` zero; the derivatives by the other entries remain."""
+    algebra, full = co.algebras.so(3), np.array([[1.0, 0.2, 0.0], [0.2, 0.5, 0.1], [0.0, 0.1, 0.4]])
+    ready = co.prepare(co.LiePoissonSystem(algebra, co.Quadratic(full, [0.1, 0.0, 0.2])), co.Splitting(order=4), 0.05)
+    g, diagonal = co.jax.solution(ready, (0, 1), save_every=20), np.diag([1.0, 0.5, 0.4])
+    x = g(X0, M=diagonal, linear=np.zeros(3))
+    own = co.LiePoissonSystem(algebra, co.Quadratic(diagonal))
+    assert np.array_equal(x, co.integrate(own, X0, (0, 1), 0.05, co.Splitting(order=4), save_every=20).x)
+
+    def number(M, linear):
+        return g(X0, M=M, linear=linear)[-1] @ ALONG
+
+    found, shift = jax.grad(number, (0, 1))(diagonal, np.zeros(3)), 2.0**-17
+    for of, value, k in ((0, diagonal, (0, 1)), (0, diagonal, (2, 2)), (1, np.zeros(3), (1,))):
+        unit = np.zeros_like(value)
+        unit[k] = shift
+        arguments = [diagonal, np.zeros(3)]
+        ends = [number(*(a + sign * unit if i == of else a for i, a in enumerate(arguments))) for sign in (1, -1)]
+        # The difference has an error of shift^2 and u / shift; an added part one of order 4 of the step, 0.05^4 / 120.
+        assert abs((ends[0] - ends[1]) / (2 * shift) - found[of][k]) < 1e-7
+
+
+def test_gradient_descent_recovers_an_inertia():
+    """Attitudes determine all moments, momenta only their differences."""
+    g = co.jax.solution(prepared(attitude=True), (0, 4), 20)
+    wanted = g(X0)
+
+    @jax.jit
+    @jax.value_and_grad
+    def loss(inertia):
+        return sum(((a - b) ** 2).sum() for a, b in zip(g(X0, inertia=inertia), wanted, strict=True))
+
+    inertia = jnp.array([1.2, 1.8, 2.7])
+    _, gradient = loss(inertia)
+    rate = 0.01
+    for _ in range(60):
+        before, last = inertia, gradient
+        inertia = inertia - rate * gradient
+        value, gradient = loss(inertia)
+        if value < 1e-22:
+            break
+        # The step of Barzilai and Borwein.
+        change = gradient - last
+        rate = float((inertia - before) @ change / (change @ change))
+    # The distance 1e-11 of the outputs, divided by the smallest singular value of their derivative, 0.26.
+    np.testing.assert_allclose(inertia, [1.0, 2.0, 2.5], rtol=0, atol=1e-10)
+
+
+def test_one_step_of_a_fit_prepares_once(number, monkeypatch):
+    prepared_at, real = [], parametrized_run.with_parameters
+    monkeypatch.setattr(
+        parametrized_run, "with_parameters", lambda system, values: prepared_at.append(values) or real(system, values)
+    )
+    jax.jit(jax.value_and_grad(number, (0, 1)))(X0, INERTIA * 1.01)
+    assert len(prepared_at) == 1
+
+
+@pytest.mark.parametrize(
+    ("x0", "values", "error", "message"),
+    [
+        (X0.astype(np.float32), {}, TypeError, "x0 has the dtype float32; give float64"),
+        (X0, {"inertia": INERTIA.astype(np.float32)}, TypeError, "inertia has the dtype float32; give float64"),
+        (X0[:2], {}, ValueError, r"x0 has the shape \(2,\); it must be \(3,\) or \(members, 3\)"),
+        (MANY[None], {}, ValueError, r"x0 has the shape \(1, 3, 3\)"),
+        (MANY[:0], {}, ValueError, r"x0 has the shape \(0, 3\)"),
+        (X0, {"inertia": np.diag(INERTIA)}, ValueError, r"inertia has the shape \(3, 3\); it must be \(3,\)"),
+        (X0, {"inertai": INERTIA}, ValueError, "unknown parameter of rigid_body 'inertai'; did you mean 'inertia'"),
+        (X0, {"attitude0": np.eye(3)}, ValueError, "unknown parameter of rigid_body 'attitude0'"),
+    ],
+)
+@pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit, jax.jacfwd], ids=["at once", "jit", "jacfwd"])
+def test_wrong_arguments_are_refused_before_any_run(f, monkeypatch, wrapped, x0, values, error, message):
+    monkeypatch.setattr(ParametrizedRun, "solve", None)
+    with pytest.raises(error, match=message):
+        wrapped(lambda x0: f(x0, **values))(x0)
+
+
+def test_whole_numbers_are_taken(f):
+    assert np.array_equal(f((1, 0, 1)), f(np.array([1.0, 0.0, 1.0])))
+
+
+@pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit], ids=["at once", "jit"])
+def test_single_precision_is_refused(f, wrapped):
+    jax.config.update("jax_enable_x64", False)
+    with pytest.raises(TypeError, match=r'call jax.config.update\("jax_enable_x64", True\) first'):
+        wrapped(f)(X0)
+
+
+def test_second_derivatives_are_refused(f):
+    for second in (jax.hessian, lambda number: jax.jacrev(jax.jacrev(number)), lambda g: jax.jacfwd(jax.jacfwd(g))):
+        with pytest.raises(NotImplementedError, match="runs have first derivatives only"):
+            second(lambda x0: f(x0)[-1, 0])(X0)
+
+
+def test_gauss_newton_products_are_linear_with_a_transpose(f):
+    def product(v):
+        return jax.vjp(f, X0)[1](jax.jvp(f, (X0,), (v,))[1])[0]
+
+    J = jax.jacfwd(f)(X0).reshape(-1, 3)
+    for matrix in (jax.jacfwd(product)(ALONG), jax.jacrev(product)(ALONG)):
+        np.testing.assert_allclose(matrix, J.T @ J, rtol=0, atol=16 * ROUNDING)
+
+
+def test_refused_values_and_failed_runs_raise(f):
+    with pytest.raises(ValueError, match="inertia"):
+        f(X0, inertia=-INERTIA)
+    with pytest.raises(jax.errors.JaxRuntimeError, match="inertia"):
+        jax.jit(lambda inertia: f(X0, inertia=inertia))(-INERTIA)
+    with pytest.raises(co.IntegrationError):
+        f(1e300 * X0)
+
+
+@pytest.mark.parametrize(
+    ("ready", "options", "error", "message"),
+    [
+        (
+            lambda: co.prepare(co.systems.rigid_body((1, 2, 3)), co.GaussLegendre(2), 0.1, inputs=True),
+            {},
+            TypeError,
+            "a system with inputs",
+        ),
+        (
+            lambda: co.prepare(co.systems.rigid_body((1, 2, 3)), co.Taylor(8), 0.1),
+            {},
+            TypeError,
+            "Taylor.* (are not differentiable|have no derivatives)",
+        ),
+        (
+            lambda: co.prepare(co.systems.rigid_body((1, 2, 3)), accuracy=1e-6, x0=X0, t_span=(0, 10)),
+            {},
+            TypeError,
+            r"co.jax.solution was given .*; give co.prepare\(system, method, step\)",
+        ),
+        (lambda: co.systems.rigid_body((1, 2, 3)), {}, TypeError, "co.jax.solution was given .*rigid_body"),
+        (prepared, {"backend": "compild"}, ValueError, "unknown backend 'compild'; did you mean 'compiled'"),
+        (prepared, {"save_every": 0}, ValueError, "save_every"),
+        (prepared, {"t_eval": [11.0]}, ValueError, "t_eval"),
+    ],
+)
+def test_runs_without_derivatives_are_refused(ready, options, error, message):
+    with pytest.raises(error, match=message):
+        co.jax.solution(ready(), SPAN, **options)
+
+
+def test_jax_is_imported_when_it_is_needed():
+    code = "import sys, coadjoint as co; co.jax.solution, co.torch.function; print({'jax', 'torch'} & set(sys.modules))"
+    assert run_python(code).stdout == "set()\n"
