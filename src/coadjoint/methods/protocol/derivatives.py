@@ -24,8 +24,7 @@ class DerivativeTables(NamedTuple):
     `tables_at(h)` are those of a step h, a C structure, and `forward` and `backward` names of kernels, or functions;
     `keepalive` must live as long as the tables. Derivatives by `coefficient_count` coefficients are mapped to those by
     the entries of the parameters by `coefficients`, and derivatives by the factors of Casimirs subtracted from the
-    energy, `shift`, by `factors`. The `rules` are the three constants above. `reversible` steps can be undone from their
-    end.
+    energy, `shift`, by `factors`. The `rules` are those above. `reversible` steps can be undone from their end.
     """
 
     tables_at: Callable[[float], Any]
