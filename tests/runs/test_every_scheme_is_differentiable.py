@@ -1,0 +1,210 @@
+"""Derivatives of runs by every scheme: adjoint to each other, and equal to differences of runs of order 8."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.methods import registry
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.parameters import with_parameters
+
+WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
+# So small that the choice of the parts does not change.
+DISTANCE = 2.0**-11
+# Differences of order 8 in runs of size one: rounding of some hundred steps over the distance, and less truncation.
+DIFFERENCE_ERROR = 2.0**12 * UNIT_ROUNDOFF / DISTANCE
+
+BODY = co.systems.rigid_body(inertia=(1.0, 2.0, 2.5))
+TOP = co.systems.heavy_top(inertia=(1.0, 2.0, 2.5), lever=(0.1, 0.2, 1.0))
+FULL = co.LiePoissonSystem(
+    co.algebras.so(3),
+    co.Quadratic([[1.0, 0.1, 0.2], [0.1, 0.7, 0.0], [0.2, 0.0, 0.4]], linear=[0.1, 0.0, 0.2]),
+    sign=-1,
+)
+CUBIC = co.LiePoissonSystem(
+    co.algebras.se(2), co.Polynomial({(2, 0, 0): 0.5, (0, 2, 0): 0.3, (0, 0, 2): 0.2, (0, 1, 2): 0.4, (1, 0, 0): 0.1})
+)
+SPINS = co.systems.spin_lattice(shape=2, field=(0.1, 0.2, 0.3), dm=(0.1, 0.1, 0.2))
+X3, X6 = np.array([0.3, 1.0, 0.2]), np.array([0.3, 1.0, 0.2, 0.1, 0.4, 0.9])
+UNIT_SPINS = np.array([0.6, 0.0, 0.8, 0.48, 0.64, 0.6])
+
+COMPILED = [
+    (TOP, co.Splitting(order=1), X6, False),
+    (TOP, co.Splitting(order=4), X6, True),
+    (TOP, co.Splitting(order=4), X6, "coadjoint"),
+    (BODY, co.Splitting(order=2, compensated=True), X3, True),
+    (BODY, co.Splitting(order=2, rotation="rational"), X3, True),
+    (BODY, co.Splitting(order=2, parts="coordinates"), X3, True),
+    (BODY, co.Splitting(scheme="blanes_casas_murua6"), X3, False),
+    (CUBIC, co.Splitting(order=2), X3, False),
+    (TOP, co.Composition(co.Splitting(order=2), (0.7, -0.4, 0.7)), X6, False),
+    (BODY, co.GaussLegendre(1), X3, True),
+    (TOP, co.GaussLegendre(3), X6, "coadjoint"),
+    (CUBIC, co.GaussLegendre(2), X3, False),
+    (FULL, co.GaussLegendre(2), X3, False),
+    (SPINS, co.GaussLegendre(2), UNIT_SPINS, False),
+    (TOP, co.ExplicitRungeKutta("rk4"), X6, "coadjoint"),
+    (TOP, co.ModifiedGaussLegendre(2), X6, False),
+    (BODY, co.ModifiedGaussLegendre(1, freeze="gradient"), X3, "coadjoint"),
+    (TOP, co.IteratedGaussLegendre(2, iterations=3), X6, False),
+    (TOP, co.Composition(co.GaussLegendre(1), (0.7, -0.4, 0.7)), X6, "coadjoint"),
+]
+STEPWISE = [
+    (BODY, co.Taylor(order=8), X3, False),
+    (BODY, co.Kahan(), X3, False),
+    (BODY, co.RadauEnergy(), X3, False),
+    (TOP, co.CommutatorFree(), X6, False),
+    (BODY, co.Projected(co.GaussLegendre(1)), X3, False),
+    (SPINS, co.SphericalMidpoint(), UNIT_SPINS, False),
+]
+SPANS = {
+    "forward": ((0.5, 1.5), {"save_every": 7}),
+    "backward": ((1.0, 0.0), {"save_every": 3}),
+    "times": ((0.5, 1.5), {"t_eval": [0.5, 0.52, 1.0, 1.33]}),
+    "brief": ((0.5, 0.8), {"t_eval": [0.52, 0.73, 0.8]}),
+}
+
+
+def named(case):
+    system, method, _, attitude = case
+    return f"{system.name}-{method}-{attitude}"
+
+
+def functional(sol, weights):
+    total = (weights["x"] * sol.x).sum() + (weights["energy"] * sol.energy).sum()
+    return total if sol.attitude is None else total + (weights["attitude"] * sol.attitude).sum()
+
+
+def derivatives(case, span, seed, members=()):
+    """Return the derivative of a random functional along random directions, backward, forward and by differences."""
+    system, method, x0, attitude = case
+    rng = np.random.default_rng(seed)
+    start = x0 * (1.0 + 0.05 * rng.standard_normal((*members, len(x0)))) if members else x0
+    t_span, options = SPANS[span]
+    ready = co.prepare(system, method, 0.05, attitude=attitude)
+    plain = ready.run(start, t_span, **options)
+    sol, pullback = ready.vjp(start, t_span, **options)
+    assert np.array_equal(sol.x, plain.x) and np.array_equal(sol.energy, plain.energy)
+    weights = {"x": rng.standard_normal(sol.x.shape), "energy": rng.standard_normal(sol.energy.shape)}
+    if sol.attitude is not None:
+        assert np.array_equal(sol.attitude, plain.attitude)
+        weights["attitude"] = rng.standard_normal(sol.attitude.shape)
+    gradient = pullback(**weights)
+    directions = {"x0": rng.standard_normal(np.shape(start))}
+    directions |= {name: rng.standard_normal(np.shape(value)) for name, value in ready.parameters.items()}
+    assert set(gradient) - {"attitude0"} == set(directions)
+    products = [gradient[name] * direction for name, direction in directions.items()]
+    backward, size = sum(one.sum() for one in products), sum(np.abs(one).sum() for one in products)
+    _, tangents = ready.jvp(start, t_span, directions, **options)
+    forward = functional(tangents, weights)
+
+    def moved(by):
+        values = {name: value + by * directions[name] for name, value in ready.parameters.items()}
+        other = co.prepare(with_parameters(system, values), method, 0.05, attitude=attitude)
+        return functional(other.run(start + by * directions["x0"], t_span, **options), weights)
+
+    differences = sum(
+        weight * (moved(k * DISTANCE) - moved(-k * DISTANCE)) / DISTANCE for k, weight in enumerate(WEIGHTS, start=1)
+    )
+    return backward, forward, differences, size, gradient
+
+
+@pytest.mark.parametrize("span", ["forward", "backward", "times"])
+@pytest.mark.parametrize("case", COMPILED, ids=named)
+def test_compiled_derivatives_are_those_of_runs(case, span):
+    backward, forward, differences, size, gradient = derivatives(case, span, 3)
+    assert abs(backward - forward) <= 2.0**10 * UNIT_ROUNDOFF * size
+    if set(gradient.rule.values()) <= {"exact"}:
+        assert abs(backward - differences) <= DIFFERENCE_ERROR * size
+
+
+@pytest.mark.parametrize("members", [(1,), (3,), (40,)])
+@pytest.mark.parametrize("case", [COMPILED[1], COMPILED[7], COMPILED[9]], ids=named)
+def test_derivatives_of_ensembles_are_those_of_runs(case, members):
+    backward, forward, differences, size, _ = derivatives(case, "forward", 4, members)
+    assert abs(backward - forward) <= 2.0**10 * UNIT_ROUNDOFF * size
+    assert abs(backward - differences) <= DIFFERENCE_ERROR * size
+
+
+@pytest.mark.parametrize("case", STEPWISE, ids=named)
+def test_derivatives_step_by_step_are_those_of_runs(case):
+    backward, forward, differences, size, gradient = derivatives(case, "brief", 5)
+    assert set(gradient.rule.values()) == {"differences"}
+    assert abs(backward - forward) <= 2.0**10 * UNIT_ROUNDOFF * size
+    assert abs(backward - differences) <= DIFFERENCE_ERROR * size
+
+
+def test_every_scheme_has_derivatives_or_is_refused_by_name():
+    """A new scheme is differentiated step by step; only those with their own steps, and of matrices, are not."""
+    refused = set()
+    for name in registry.names():
+        try:
+            ready = co.prepare(BODY, name, 0.05)
+        except (TypeError, ValueError):
+            continue
+        try:
+            _, pullback = ready.vjp(X3, (0.0, 0.1))
+            assert np.isfinite(pullback(x=np.ones((3, 3)))["x0"]).all()
+        except TypeError as error:
+            assert type(ready.method).__name__ in str(error)
+            refused.add(name)
+    assert refused <= {"ReversibleSteps"}
+
+
+@pytest.mark.parametrize("case", [COMPILED[0], COMPILED[3], COMPILED[7]], ids=named)
+def test_undone_steps_give_the_same_gradient(case):
+    system, method, x0, attitude = case
+    ready = co.prepare(system, method, 0.05, attitude=attitude)
+    gradients = []
+    for reverse in ("exact", "reversible"):
+        sol, pullback = ready.vjp(x0, (0.0, 5.0), save_every=9, reverse=reverse)
+        cotangent = None if sol.attitude is None else np.cos(np.arange(sol.attitude.size)).reshape(sol.attitude.shape)
+        gradients.append(pullback(np.sin(np.arange(sol.x.size)).reshape(sol.x.shape), attitude=cotangent))
+    for name, exact in gradients[0].items():
+        # The states differ by rounding, whose growth over 100 steps is below 2^14 for these motions.
+        np.testing.assert_allclose(
+            gradients[1][name], exact, rtol=0, atol=2.0**14 * UNIT_ROUNDOFF * np.abs(exact).max()
+        )
+
+
+def test_schemes_that_cannot_be_undone_are_refused_by_name():
+    with pytest.raises(TypeError, match=r"GaussLegendre.*reverse"):
+        co.prepare(BODY, co.GaussLegendre(2), 0.05).vjp(X3, (0.0, 1.0), reverse="reversible")
+    with pytest.raises(ValueError, match="reverse"):
+        co.prepare(BODY, co.Splitting(), 0.05).vjp(X3, (0.0, 1.0), reverse="backward")
+
+
+def test_derivatives_do_not_depend_on_the_stretches(monkeypatch):
+    from coadjoint.runs.derivatives import differentiable_run
+
+    ready = co.prepare(TOP, co.Splitting(order=4), 0.05, attitude=True)
+    gradients = []
+    for numbers in (2**15, 100):
+        monkeypatch.setattr(differentiable_run, "NUMBERS_OF_STRETCH", numbers)
+        sol, pullback = ready.vjp(X6, (0.0, 3.0), save_every=7)
+        gradients.append(pullback(np.ones(sol.x.shape), attitude=np.ones(sol.attitude.shape)))
+    for name, one in gradients[0].items():
+        np.testing.assert_allclose(gradients[1][name], one, rtol=0, atol=2.0**10 * UNIT_ROUNDOFF * np.abs(one).max())
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2)], ids=str)
+def test_step_derivatives_are_differences_of_steps(method):
+    inputs = {"field": (3, 4, 5), "rotor": (1,)}
+    step = co.stepper(TOP, method, 0.1, inputs=inputs)
+    values = {"field": np.array([0.1, 0.2, 0.3]), "rotor": np.array([0.3])}
+
+    def differences(count, moved):
+        units = np.eye(count)
+        columns = [
+            sum(w * (moved(k * DISTANCE * u) - moved(-k * DISTANCE * u)) / DISTANCE for k, w in enumerate(WEIGHTS, 1))
+            for u in units
+        ]
+        return np.stack(columns, axis=1)
+
+    by_inputs = differences(4, lambda u: step(X6, field=values["field"] + u[:3], rotor=values["rotor"] + u[3:]))
+    tolerance = {"rtol": 0, "atol": DIFFERENCE_ERROR}
+    np.testing.assert_allclose(step.tangent_by_inputs(X6, **values), by_inputs, **tolerance)
+    by_state = differences(6, lambda u: step(X6 + u, **values))
+    np.testing.assert_allclose(step.tangent(X6, **values), by_state, **tolerance)
+    with pytest.raises(TypeError, match="inputs"):
+        co.stepper(TOP, method, 0.1).tangent_by_inputs(X6)
