@@ -283,7 +283,7 @@ class PreparedRun:
         TypeError
             For a system or a scheme whose runs are not differentiable, by name.
         IntegrationError
-            As in `integrate`.
+            As in `integrate`, and for derivatives that overflow.
 
         Notes
         -----

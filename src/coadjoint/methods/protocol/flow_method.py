@@ -114,6 +114,11 @@ class FlowMethod(FormalStep, CompiledTangents, CompiledDerivatives, Composable):
         program = self.program(system)
         return with_tangents(self._program_loop(program, h), system, program.functions, frame)
 
+    @property
+    def differentiable(self) -> bool:
+        """Whether the table contains only the parts of the Hamiltonian."""
+        return type(self).program is FlowMethod.program
+
     def derivative_tables(
         self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]
     ) -> DerivativeTables:

@@ -62,14 +62,14 @@ class DifferentiableRun:
 
     def __init__(self, prepared: PreparedRun, parameters: Mapping[str, Parameter] | None = None) -> None:
         system = prepared.system
-        for unsupported, what in (
-            (is_batch(system), "a batch; differentiate the run of each member"),
-            (bool(forces_of(system)), "a system with forces"),
-            (is_matrix_system(system), "a system of matrices"),
-            (prepared.takes_inputs, "a system with inputs; prepare it without, and differentiate by parameters"),
+        for unsupported, what, instead in (
+            (is_batch(system), "of a batch", "differentiate the run of each member"),
+            (bool(forces_of(system)), "of a system with forces", "take the system without them"),
+            (is_matrix_system(system), "of a system of matrices", "only systems of vectors have them"),
+            (prepared.takes_inputs, "prepared with inputs", "prepare without inputs=, and differentiate by parameters"),
         ):
             if unsupported:
-                raise TypeError(f"runs of {what} have no derivatives: {system!r}")
+                raise TypeError(f"runs {what} have no derivatives: {system!r}; {instead}")
         if prepared.method.own_steps:
             raise TypeError(f"{prepared.method} chooses its own steps, and its runs have no derivatives; give a step")
         self.prepared, self.system = prepared, system

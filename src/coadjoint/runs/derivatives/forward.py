@@ -8,12 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import unknown_name
+from coadjoint.errors import IntegrationError, unknown_name
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.derivatives import DerivativeTables
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.results import Tangents
 from coadjoint.runs.results.solution import Solution
+from coadjoint.short_repr import short
 from coadjoint.validation import are_finite, read_numbers
 
 Floats = NDArray[np.float64]
@@ -32,6 +33,8 @@ class Directions:
         if d:
             shapes["attitude0"] = (d, d) if single else (members, d, d)
         shapes |= {name: parameter.value.shape for name, parameter in run.parameters.items()}
+        if not isinstance(given, Mapping):
+            raise TypeError(f"directions is {short(given)}; give a mapping from names to arrays")
         counts: dict[str, int | None] = {}
         arrays = {}
         for name, value in given.items():
@@ -52,7 +55,7 @@ class Directions:
         if len(set(counts.values())) > 1:
             raise ValueError(f"the directions differ in number: {counts}; give all of them the same last axis")
         number = next(iter(counts.values()))
-        self.single, self.count = number is None, number or 1
+        self.single, self.count = number is None, 1 if number is None else number
         if not self.count:
             raise ValueError("the last axis of the directions is empty; give at least one")
 
@@ -130,6 +133,21 @@ def tangents_of_run(
     of_energy = np.einsum("pmi,pmki->pmk", gradients_at(run.system, x, solution.t), of_x)
     for name, of_entries in directions.parameters.items():
         of_energy += run.energy(name).at(x) @ of_entries.T
+
+    for name, series in (("x", of_x), ("attitude", of_attitudes), ("energy", of_energy)):
+        if series is None:
+            continue
+        finite = np.isfinite(series).reshape(len(series), -1).all(axis=1)
+        if not finite.all():
+            first = int(np.argmin(finite))
+            raise IntegrationError(
+                f"the derivative of {name} overflows at t = {solution.t[first]:g}: small changes grow beyond all "
+                "numbers; take a shorter span",
+                step=int(trajectory.steps[trajectory.point[first]]),
+                time=float(solution.t[first]),
+                residual=float("nan"),
+                partial=solution,
+            )
 
     def shaped(series: Floats) -> Floats:
         """Move directions (points, members, count, ...) to the last axis, and drop axes that were not given."""
