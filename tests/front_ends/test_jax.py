@@ -1,5 +1,7 @@
 """Runs as functions of JAX: values, derivatives, transformations and refused arguments."""
 
+import os
+
 import numpy as np
 import pytest
 
@@ -330,6 +332,31 @@ def test_refused_values_and_failed_runs_raise(f):
 def test_runs_without_derivatives_are_refused(ready, options, error, message):
     with pytest.raises(error, match=message):
         co.jax.solution(ready(), SPAN, **options)
+
+
+def test_cached_runs_own_their_parameters(ready):
+    """Optimizers change arrays in place, and arrays of callbacks are valid during the call alone."""
+    run, inertia = ParametrizedRun(ready, SPAN, EVERY, None, "a test"), INERTIA.copy()
+    values = {"x0": X0, "inertia": inertia}
+    run.solve(values, True)
+    inertia[:] = 7.0
+    (found,) = run.gradients(values | {"inertia": INERTIA}, [WEIGHTS[None]], ["inertia"])
+    assert np.array_equal(found[0], prepared(INERTIA).vjp(X0, SPAN, EVERY)[1](WEIGHTS)["inertia"])
+
+
+ONE_CORE = """
+import os
+os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+import jax, numpy as np, coadjoint as co
+jax.config.update("jax_enable_x64", True)
+f = co.jax.solution(co.prepare(co.systems.rigid_body((1, 2, 2.5)), co.Splitting(), 0.1), (0, 0.5))
+print(jax.jit(jax.grad(lambda x: f(2.0 * x).sum()))(np.ones((20000, 3))).shape)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="processes cannot be bound to one core")
+def test_large_ensembles_are_called_back_on_one_core():
+    assert run_python(ONE_CORE, timeout=100).stdout == "(20000, 3)\n"
 
 
 def test_jax_is_imported_when_it_is_needed():

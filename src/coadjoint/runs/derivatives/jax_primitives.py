@@ -91,18 +91,31 @@ def _primitive(name: str, compute: Callable[..., list[Any]], shapes_of: Callable
         # Copies: arrays of JAX may not share memory with those of cached runs.
         return [jnp.array(one) for one in on_host(*arrays, **parameters)]
 
-    def called(*arrays: Any, **parameters: Any) -> Any:
-        shapes = shapes_of(*(array.shape for array in arrays), **parameters)
-        outputs = [jax.ShapeDtypeStruct(shape, jnp.float64) for shape in shapes]
-        return jax.pure_callback(partial(on_host, **parameters), outputs, *arrays)
-
     def abstract(*arrays: Any, **parameters: Any) -> list[Any]:
         shapes = shapes_of(*(array.shape for array in arrays), **parameters)
         return [jax.core.ShapedArray(shape, np.dtype(np.float64)) for shape in shapes]
 
+    def called_back(*arrays: Any, **parameters: Any) -> Any:
+        return jax.pure_callback(partial(on_host, **parameters), abstract(*arrays, **parameters), *arrays)
+
+    def lowered(context: Any, *operands: Any, **parameters: Any) -> Any:
+        if getattr(context.module_context.axis_context, "num_devices", None) != 1:
+            return mlir.lower_fun(called_back, multiple_results=True)(context, *operands, **parameters)
+        # pure_callback copies large arguments on a thread of the running program, and waits for ever if it has one.
+        results, _, _ = mlir.emit_python_callback(
+            context,
+            partial(on_host, **parameters),
+            None,
+            list(operands),
+            context.avals_in,
+            context.avals_out,
+            has_side_effect=False,
+        )
+        return results
+
     primitive.def_impl(at_once)
     primitive.def_abstract_eval(abstract)
-    mlir.register_lowering(primitive, mlir.lower_fun(called, multiple_results=True))
+    mlir.register_lowering(primitive, lowered)
     return primitive
 
 

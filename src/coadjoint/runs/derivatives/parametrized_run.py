@@ -119,7 +119,8 @@ class ParametrizedRun:
 
     def _run_at(self, values: Mapping[str, Floats]) -> DifferentiableRun:
         """Return the run at values of parameters."""
-        given = {name: value for name, value in values.items() if name in self._shapes}
+        # Copies: a cached run may not share memory with arrays that change.
+        given = {name: np.array(value) for name, value in values.items() if name in self._shapes}
         if all(np.array_equal(value, self._run.parameters[name].value) for name, value in given.items()):
             return self._run
         key, (last, run) = _key(given), self._last_run
