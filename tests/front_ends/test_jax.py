@@ -309,13 +309,13 @@ def test_refused_values_and_failed_runs_raise(f):
             lambda: co.prepare(co.systems.rigid_body((1, 2, 3)), co.GaussLegendre(2), 0.1, inputs=True),
             {},
             TypeError,
-            "a system with inputs",
+            "runs prepared with inputs have no derivatives",
         ),
         (
-            lambda: co.prepare(co.systems.rigid_body((1, 2, 3)), co.Taylor(8), 0.1),
+            lambda: co.prepare(co.systems.rigid_body((1, 2, 3)), co.Taylor(tolerance=1e-9), 0.1),
             {},
             TypeError,
-            "Taylor.* (are not differentiable|have no derivatives)",
+            r"Taylor.* have no derivatives",
         ),
         (
             lambda: co.prepare(co.systems.rigid_body((1, 2, 3)), accuracy=1e-6, x0=X0, t_span=(0, 10)),

@@ -43,6 +43,8 @@ COMPILED = [
     (CUBIC, co.GaussLegendre(2), X3, False),
     (FULL, co.GaussLegendre(2), X3, False),
     (SPINS, co.GaussLegendre(2), UNIT_SPINS, False),
+    (co.systems.toda(sites=4), co.GaussLegendre(2), np.linspace(-0.5, 0.6, 7), False),
+    (co.systems.toda(sites=5), co.GaussLegendre(2), np.linspace(-0.5, 0.6, 9), False),
     (TOP, co.ExplicitRungeKutta("rk4"), X6, "coadjoint"),
     (TOP, co.ModifiedGaussLegendre(2), X6, False),
     (BODY, co.ModifiedGaussLegendre(1, freeze="gradient"), X3, "coadjoint"),
@@ -132,6 +134,27 @@ def test_derivatives_step_by_step_are_those_of_runs(case):
     assert set(gradient.rule.values()) == {"differences"}
     assert abs(backward - forward) <= 2.0**10 * UNIT_ROUNDOFF * size
     assert abs(backward - differences) <= DIFFERENCE_ERROR * size
+
+
+@pytest.mark.parametrize("step", [0.25, 2.0])
+@pytest.mark.parametrize("method", [co.GaussLegendre(2), co.GaussLegendre(4)], ids=str)
+def test_derivatives_of_long_steps_are_those_of_runs(method, step):
+    """The iteration for the derivatives of the stages converges for the smaller step, and not for the larger one."""
+    ready, x0 = co.prepare(BODY, method, step), 2.0 * X3
+    sol, pullback = ready.vjp(x0, (0.0, 4 * step), save_every=4)
+    gradient = pullback(x=np.ones(sol.x.shape))["x0"]
+    differences = [
+        sum(
+            w * (ready.end(x0 + k * DISTANCE * u, (0.0, 4 * step)) - ready.end(x0 - k * DISTANCE * u, (0.0, 4 * step)))
+            for k, w in enumerate(WEIGHTS, start=1)
+        ).sum()
+        / DISTANCE
+        for u in np.eye(3)
+    ]
+    size = np.abs(gradient).max()
+    np.testing.assert_allclose(gradient, 1.0 + np.array(differences), rtol=0, atol=4 * DIFFERENCE_ERROR * size)
+    _, tangents = ready.jvp(x0, (0.0, 4 * step), {"x0": np.eye(3)}, save_every=4)
+    np.testing.assert_allclose(tangents.x.sum(axis=(0, 1)), gradient, rtol=0, atol=2.0**12 * UNIT_ROUNDOFF * size)
 
 
 def test_every_scheme_has_derivatives_or_is_refused_by_name():

@@ -111,3 +111,21 @@ def test_derivatives_by_coefficients_that_are_zero_remain(H, values):
 def test_refused_values_are_named(system, values, message):
     with pytest.raises(ValueError, match=message):
         with_parameters(system, values)
+
+
+@pytest.mark.parametrize("n", [127, 128, 129])
+def test_matrices_are_parameters_with_all_entries_up_to_a_dimension(n):
+    commuting = co.LieAlgebra.from_brackets(n, {})
+    M = parameters_of(co.LiePoissonSystem(commuting, co.Quadratic(band(n)), casimirs={}))["M"]
+    assert M.value.shape == ((n, n) if n <= 128 else (3 * n - 2,))
+
+
+def test_derivatives_of_coefficients_are_exact():
+    """H = x.x / (2 I) has the derivative -x.x / (2 I^2), and one linear in a parameter its coefficients."""
+    inertia = np.array([1.0, 2.0, 2.5])
+    found = parameters_of(co.systems.heavy_top(inertia=inertia, lever=(0.1, 0.2, 1.0)))
+    by_inertia, by_lever = found["inertia"].energy(), found["lever"].energy()
+    assert by_inertia.quadratic.tolist() == [[0, 0], [1, 1], [2, 2]] and not len(by_inertia.linear)
+    np.testing.assert_allclose(by_inertia.quadratic_factor, -0.5 / inertia**2, rtol=1e-13, atol=0)
+    assert by_lever.linear.tolist() == [3, 4, 5] and not len(by_lever.quadratic)
+    np.testing.assert_allclose(by_lever.linear_factor, by_lever.linear_factor[0], rtol=4 * 2.0**-53, atol=0)
