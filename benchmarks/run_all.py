@@ -25,6 +25,7 @@ SECTIONS = {
     "gauss_legendre": "Gauss-Legendre",
     "round_off": "Round-off",
     "lyapunov": "Tangent vectors",
+    "derivatives": "Derivatives of runs",
     "systems": "The ready-made systems",
     "work_against_precision": "Work against precision",
     "automatic_parts": "Automatic parts",
