@@ -190,6 +190,13 @@ def test_undone_steps_give_the_same_gradient(case):
         )
 
 
+def test_runs_prepared_for_an_accuracy_are_refused():
+    ready = co.prepare(BODY, accuracy=1e-6, x0=X3, t_span=(0.0, 10.0))
+    for derivative in (ready.vjp, lambda x0, span: ready.jvp(x0, span, {"x0": X3})):
+        with pytest.raises(TypeError, match=r"accuracy.*step="):
+            derivative(X3, (0.0, 1.0))
+
+
 def test_schemes_that_cannot_be_undone_are_refused_by_name():
     with pytest.raises(TypeError, match=r"GaussLegendre.*reverse"):
         co.prepare(BODY, co.GaussLegendre(2), 0.05).vjp(X3, (0.0, 1.0), reverse="reversible")

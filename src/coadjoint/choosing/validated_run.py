@@ -151,6 +151,13 @@ class SampledRun(PreparedRun):
             return super().end(x0, t_span)
         return self._run_with_own_choice(x0, t_span)[0].run(x0, t_span, ENDS_ONLY).x[-1]
 
+    @property
+    def _derivatives(self) -> Any:
+        raise TypeError(
+            f"runs prepared with accuracy have no derivatives, since their step may change: prepare with {self.method} "
+            f"and step={self.step:g}"
+        )
+
     def serves(self, x0: Any, t0: float = 0.0) -> bool:
         """Return whether the choice for the sample serves a run from a state, or from all of several.
 
