@@ -13,7 +13,7 @@ from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.library import interruptible_kernels
 from coadjoint.kernels.loop import CompiledLoop, StopFlag, raise_outcome
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
-from coadjoint.kernels.tables.flow import FlowTables, flow_tables
+from coadjoint.kernels.tables.flow import FlowTables, flow_tables, mark_rational
 from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.kernels.tables.tangents import check_differentiable, derivative_of_structure
@@ -163,14 +163,8 @@ def _marked_first(action: Action, marked: Action) -> Action:
 
 def _marked_like(action: Action, marked: Action) -> Action:
     """Mark the rational rotations of the parts that have them in another representation."""
-    rational = limit("RATIONAL")
-    turning = np.repeat(
-        np.add.reduceat(np.append(marked.kind >= rational, False), marked.run[:-1]) * (np.diff(marked.run) > 0) > 0,
-        np.diff(action.run),
-    )
-    kind = action.kind.copy()
-    kind[turning] += rational
-    return action._replace(kind=kind)
+    starts = np.append(0, np.cumsum(marked.kind >= limit("RATIONAL")))
+    return mark_rational(action, np.diff(starts[marked.run]) > 0)
 
 
 @cache

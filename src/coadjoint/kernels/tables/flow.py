@@ -86,8 +86,8 @@ def flow_tables(program: Program, h: float, compensated: bool) -> CompiledTables
         program.share,
         program.terms,
         addresses,
-        _marked(program.state, rational),
-        _marked(group, rational_on_group),
+        mark_rational(program.state, rational),
+        mark_rational(group, rational_on_group),
         compensated,
         *body_tables(program),
         h,
@@ -95,7 +95,7 @@ def flow_tables(program: Program, h: float, compensated: bool) -> CompiledTables
     return CompiledTables(tables, keepalive)
 
 
-def _marked(action: Action, rational: NDArray[np.bool_]) -> Action:
+def mark_rational(action: Action, rational: NDArray[np.bool_]) -> Action:
     """Mark the rotations of some parts as rational: tan(angle/2) is replaced by half the angle."""
     kind = action.kind.copy()
     for part in np.flatnonzero(rational):
