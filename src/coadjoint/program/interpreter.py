@@ -202,17 +202,20 @@ class Interpreter:
             vectors += power
 
     def _increment(self, action: Action, run: int, angle: Any, block: NDArray[Any], local: NDArray[Any]) -> Any:
-        """Return (exp(angle B) - 1) on one block, by the closed form of its kind."""
+        """Return (exp(angle B) - 1) on one block, by the closed form of its kind.
+
+        Arrays are the first factors: mpmath prints an array that is the second one, for an error that is caught.
+        """
         kind = action.kind[run]
         f = self.functions
         if kind == Kind.SCALE:
-            return f.expm1(angle * block[0, 0]) * local
+            return local * f.expm1(angle * block[0, 0])
         if kind == Kind.ROTATE:
             phi = angle * block[1, 0]
             swapped = np.array([-local[1], local[0]], dtype=local.dtype)
-            return f.sin(phi) * swapped - 2 * f.sin(phi / 2) ** 2 * local
+            return swapped * f.sin(phi) - local * (2 * f.sin(phi / 2) ** 2)
         if kind == Kind.SHEAR:
-            return angle * (block @ local)
+            return (block @ local) * angle
         if kind == Kind.PLANE:
             mean = (block[0, 0] + block[1, 1]) / 2
             traceless = block - mean * np.eye(2, dtype=int)
@@ -220,12 +223,12 @@ class Interpreter:
             scale = f.exp(angle * mean)
             # If both are large, expm1(mean) = -1 + ... has lost digits, which a product with cosh would amplify.
             diagonal = f.expm1(angle * mean) + scale * c
-            return diagonal * local + scale * angle * s * (traceless @ local)
+            return local * diagonal + (traceless @ local) * (scale * angle * s)
         moved = block @ local
         if kind == Kind.CUBIC:
             lam = action.constants[action.constant[run]]
             s, c = self._entire_pair(angle**2 * lam)
-            return angle * s * moved + c / lam * (block @ moved)
+            return moved * (angle * s) + (block @ moved) * (c / lam)
         return self._series(angle, action.constants[action.constant[run]], int(action.degree[run]), block, local)
 
     def _series(self, angle: Any, norm: Any, degree: int, block: NDArray[Any], vectors: NDArray[Any]) -> Any:
@@ -241,7 +244,7 @@ class Interpreter:
             power, k, total = vectors, 0, 0 * vectors
             while k < degree or (norm != 0 and np.max(np.abs(power)) > self._u * np.max(np.abs(vectors))):
                 k += 1
-                power = h / k * (block @ power)
+                power = (block @ power) * (h / k)
                 total = total + power
             vectors = vectors + total
         return vectors - start
