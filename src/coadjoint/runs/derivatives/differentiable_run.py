@@ -12,6 +12,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import StopFlag
 from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun, advance_tables
+from coadjoint.kernels.tables.tangents import check_differentiable
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.derivatives import DerivativeTables, derivative_tables, has_derivatives
 from coadjoint.methods.protocol.stepwise_derivatives import stepwise_derivatives
@@ -72,6 +73,8 @@ class DifferentiableRun:
                 raise TypeError(f"runs {what} have no derivatives: {system!r}; {instead}")
         if prepared.method.own_steps:
             raise TypeError(f"{prepared.method} chooses its own steps, and its runs have no derivatives; give a step")
+        if has_derivatives(prepared.scheme):
+            check_differentiable(system)
         self.prepared, self.system = prepared, system
         self.parameters: Mapping[str, Parameter] = parameters_of_run(system) if parameters is None else parameters
         self.representation = prepared.representation

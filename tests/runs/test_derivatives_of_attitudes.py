@@ -1,0 +1,112 @@
+"""Derivatives by initial states and attitudes agree with those of the plain interpreter in 40 digits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from derivative_cases import H, U, attitudes_of, element_for, fits, flow_schemes
+from derivative_references import difference, exact, floats, reference_of
+
+import coadjoint as co
+from coadjoint.program.parts.decompose import decompose
+from verification.systems_under_test import cases
+
+pytestmark = pytest.mark.thinned(20)
+
+
+def tilted(y, t):
+    return 0.5 * y * y * (1 + 0.25 * t) + 0.125 * y**3
+
+
+def tilted_slope(y, t):
+    return y * (1 + 0.25 * t) + 0.375 * y * y
+
+
+def tilted_curvature(y, t):
+    return 1 + 0.25 * t + 0.75 * y
+
+
+def bent(y):
+    return y[0] * y[1] ** 2 + 0.25 * y[2] ** 4
+
+
+def bent_gradient(y):
+    return np.array([y[1] ** 2, 2 * y[0] * y[1], y[2] ** 3])
+
+
+def bent_hessian(y):
+    zero = 0 * y[0]
+    return np.array([[zero, 2 * y[1], zero], [2 * y[1], 2 * y[0], zero], [zero, zero, 3 * y[2] ** 2]])
+
+
+def systems():
+    """Systems and states; functions of users consist of sums and products, for numbers of all kinds."""
+    named = [name for name in cases() if not {"split", "driven", "separable"} & set(name.split())]
+    found = {name: (cases()[name].system, cases()[name].x0 / 2) for name in named}
+    pieces = [((i,), co.Quadratic(m)) for i, m in enumerate((1.0, 0.5, 0.4))]
+    pieces.append(((3, 4, 5), co.Hamiltonian(bent, bent_gradient, bent_hessian)))
+    six = np.array([0.5, -0.25, 0.75, 0.3, 0.6, -0.4])
+    full = np.diag([0.5, 0.75, 1.0, 1.25, 1.5, 0.6]) + 0.1
+    sum_of_two = co.algebras.direct_sum(co.algebras.so(3), co.algebras.get("A3,2"))
+    return found | {
+        "e(3), function": (co.LiePoissonSystem(co.algebras.e(3), co.SplitHamiltonian(pieces), sign=-1), six),
+        "sl(2), in time": (
+            co.LiePoissonSystem(
+                co.algebras.sl(2), co.Separable(dict.fromkeys(range(3), (tilted, tilted_slope, tilted_curvature)))
+            ),
+            six[:3],
+        ),
+        "A5,40": (co.LiePoissonSystem(co.algebras.get("A5,40"), co.Quadratic(full[:5, :5]), sign=-1), six[:5]),
+        "so(3) + A3,2": (co.LiePoissonSystem(sum_of_two, co.Quadratic(full)), six),
+        "spins": (co.systems.spin_lattice("chain", 2, exchange=0.75, field=(0.5, 0.0, 0.25)), six),
+    }
+
+
+# In 40 digits the series of dense matrices take a minute for schemes of many flows.
+DENSE = "so(4), full, another basis"
+PAIRS = [
+    (s, name)
+    for s, method in flow_schemes().items()
+    for name, (one, _) in systems().items()
+    if fits(method, one) and (name != DENSE or method.order <= 2)
+]
+SPAN = (0.5, 0.5 + 2 * H)
+TIMES = SPAN[0] + H * np.array([0.25, 2.0])
+
+
+def test_energies_are_shifted_and_not():
+    """By quadratic Casimirs, whose flow is a factor of the attitude that depends on the initial state."""
+    assert {bool(decompose(one, "auto").shift) for one, _ in systems().values()} == {True, False}
+
+
+def compare(found, expected, rounding):
+    """Compare arrays of the shape of the states or attitudes, up to round-off of the largest number."""
+    value = floats(expected)
+    assert np.abs(found - value).max() <= rounding * max(1.0, np.abs(value).max())
+
+
+@pytest.mark.parametrize(("scheme", "name"), PAIRS)
+def test_derivatives_by_states_and_attitudes_agree_with_40_digits(scheme, name):
+    system, x0 = systems()[name]
+    k = PAIRS.index((scheme, name))
+    attitude = attitudes_of(system)[k % len(attitudes_of(system))]
+    ready, element = co.prepare(system, flow_schemes()[scheme], H, attitude=attitude), element_for(system, attitude, k)
+    ends, times = (SPAN, TIMES) if k % 3 else (SPAN[::-1], TIMES[::-1])
+    rng = np.random.default_rng(k)
+    points = {"t_eval": times}
+    directions = {"x0": rng.standard_normal(system.dim)}
+    if element is not None:
+        directions["attitude0"] = rng.standard_normal(element.shape)
+    reference = reference_of(ready, x0, ends, points, element)
+    for name, direction in directions.items():
+        v = exact(direction)
+        if name == "x0":
+            of_x, of_attitude = difference(lambda e, v=v: reference(x=exact(x0) + v * e))
+        else:
+            of_x, of_attitude = difference(lambda e, v=v: reference(A=exact(element) + v * e))
+        sol, tangents = ready.jvp(x0, ends, {name: direction}, **points, attitude=element)
+        # A unit for each flow, and for each product of the sums of products of matrices.
+        rounding = U * (sol.stats.evaluations + 4 * (system.dim + sol.x[0].size))
+        compare(tangents.x, of_x, rounding)
+        if of_attitude is not None:
+            compare(tangents.attitude, of_attitude, rounding)

@@ -1,0 +1,222 @@
+"""Parameters by which runs are differentiated: which ones there are, and the derivatives of the energy by them."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.systems import parameters
+from coadjoint.systems.parameters import parameter_of, parameters_of
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*principal moment")
+
+TENSOR = ((2.0, 0.3, 0.1), (0.3, 3.0, -0.2), (0.1, -0.2, 4.0))
+OTHER = ((0.5, 0.25, 0.125), (0.0, 0.5, 0.25), (0.75, -0.25, 1.0))
+SQUARE = {"lattice": "square", "shape": (2, 2)}
+VARIANTS = [
+    ("rigid_body", {"inertia": TENSOR}),
+    ("gyrostat", {"inertia": TENSOR, "rotors": (0.1, 0.0, 0.3)}),
+    ("heavy_top", {"inertia": TENSOR, "lever": (0.0, 0.0, 1.0)}),
+    ("kirchhoff_body", {"inertia": TENSOR, "mass": TENSOR}),
+    ("kirchhoff_body", {"coupling": OTHER}),
+    ("kirchhoff_body", {"coupling": np.diag((0.25, 0.5, -0.125)).tolist()}),
+    ("clebsch_body", {"inertia": (2.0, 2.0, 2.0), "inverse_mass": (-1.0, 0.5, 0.0)}),
+    # Entries of M are (b_i - b_j)/(a_i - a_j): poles are near.
+    ("manakov_top", {"a": (1.0, 2.0, 4.5, 5.0), "b": (2.0, 3.0, 1.0, 5.0)}),
+    ("paper_rigid_body", {"masses": (0.0, 1.0, 2.0)}),
+    ("riccati", {"constant": 0.25, "linear": 0.5, "quadratic": -0.125}),
+    ("decorated_particles", {"weights": (1.0, 2.0, 0.5), "external": (0, 0, 0.5, 0.1), "pair": (0, 0, 0.5)}),
+    ("spin_lattice", {"shape": 3, "exchange": (1.0, 2.0), "on_site": TENSOR}),
+    # One field for each of three spins, which happens to be a symmetric matrix.
+    ("spin_lattice", {"shape": 3, "field": TENSOR}),
+    ("spin_lattice", {**SQUARE, "exchange": 0.75, "tensor": TENSOR, "dm": (0.1, 0.2, 0.3)}),
+    ("spin_lattice", {**SQUARE, "tensor": OTHER}),
+]
+
+
+def cases():
+    """Arguments of ready-made systems, and the names of those by which they are differentiated."""
+    for name, given in [*((name, {}) for name in co.systems.names()), *VARIANTS]:
+        system = co.systems.get(name, **given)
+        yield from ((name, given, parameter) for parameter in parameters_of(system) if parameter in system.parameters)
+
+
+CASES = list(cases())
+
+
+def moved(value, index, by, symmetric):
+    changed = value.copy()
+    if symmetric:
+        changed[index] += by / 2
+        changed[index[::-1]] += by / 2
+    else:
+        changed[index] += by
+    return changed if changed.ndim else float(changed)
+
+
+@pytest.mark.thinned(4)
+@pytest.mark.parametrize(("name", "given", "parameter"), CASES, ids=str)
+def test_derivatives_of_energies_agree_with_differences(name, given, parameter):
+    """Of systems built with other values; where a matrix must be symmetric, of the mirrored entry as well."""
+    system = co.systems.get(name, **given)
+    found = parameter_of(system, parameter)
+    states, (value, derivative) = (
+        np.random.default_rng(1).standard_normal((4, system.dim)),
+        (found.value, found.energy()),
+    )
+    assert derivative.size == value.size and derivative.at(states).shape == (4, value.size)
+
+    def energies(index, by):
+        for symmetric in (False, True):
+            try:
+                changed = {**system.parameters, parameter: moved(value, index, by, symmetric)}
+                return np.array([co.systems.get(name, **changed).energy(x) for x in states])
+            except ValueError:
+                assert value.ndim == 2 and not symmetric
+        raise AssertionError
+
+    for column, index in enumerate(np.ndindex(value.shape)):
+        h = 2.0**-10 * max(1.0, abs(float(value[index])))
+        terms = [w * (energies(index, k * h) - energies(index, -k * h)) for k, w in enumerate((45, -9, 1), 1)]
+        difference = sum(terms) / (60 * h)
+        # Of the error, u over 2^-10 is 1e-13, and the sixth power of 2^-10 1e-18 times high derivatives.
+        size = np.max(np.abs([*difference, *energies(index, 0.0), 1.0]))
+        assert np.max(np.abs(derivative.at(states)[:, column] - difference)) <= 1e-10 * size, index
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "names"),
+    [
+        ("rigid_body", {}, {"inertia"}),
+        ("heavy_top", {}, {"inertia", "lever"}),
+        ("spin_lattice", {}, {"exchange", "tensor", "dm", "field", "on_site"}),
+        # The algebra depends on a.
+        ("paper_a37", {}, {"masses"}),
+        ("separable_cosh", {}, set()),
+        # Moments and masses enter functions.
+        ("satellite", {}, set()),
+        ("double_spherical_pendulum", {}, set()),
+        # Any masses are possible only if the moments are equal, and so are tied to each other.
+        ("clebsch_body", {}, {"inverse_mass"}),
+        ("clebsch_body", {"inertia": (1.0, 2.0, 4.0), "inverse_mass": (1.0, 2.0, 4.0)}, {"M", "linear"}),
+        # Odd powers of the pair potential must be zero.
+        ("decorated_particles", {}, {"weights", "external"}),
+        # Numbers of sites and wave numbers are whole.
+        ("toda", {}, {"M", "linear"}),
+        ("fluid_triad", {}, {"M", "linear"}),
+        ("vlasov_moments", {}, {"M", "linear"}),
+    ],
+)
+def test_arguments_that_enter_coefficients_alone_are_parameters(name, given, names):
+    system = co.systems.get(name, **given)
+    found = parameters_of(system)
+    assert set(found) == names
+    for parameter in names & set(system.parameters):
+        assert np.array_equal(found[parameter].value, np.asarray(system.parameters[parameter], dtype=float))
+
+
+def form(system):
+    """Return M and the linear term."""
+    zero = np.zeros(system.dim)
+    return system.hamiltonian.hessian(zero), system.hamiltonian.gradient(zero)
+
+
+SO3 = co.algebras.so(3)
+FULL = np.array(TENSOR)
+
+
+@pytest.mark.parametrize(
+    ("M", "shape"), [((1.0, 0.0, 2.0), (3,)), (0.5, (3,)), (FULL, (3, 3)), (np.zeros((3, 3)), (3,))]
+)
+def test_parameters_of_quadratic_energies_are_m_and_the_linear_term(M, shape):
+    system = co.LiePoissonSystem(SO3, co.Quadratic(M, linear=(0.0, 0.5, -1.0)))
+    found, (matrix, linear) = parameters_of(system), form(system)
+    assert found["M"].value.shape == shape
+    assert np.array_equal(found["M"].value, np.diag(matrix) if len(shape) == 1 else matrix)
+    assert np.array_equal(found["linear"].value, linear)
+    x = np.array([[1.0, 2.0, 3.0], [-1.0, 0.5, 0.25]])
+    squares = x**2 / 2 if len(shape) == 1 else x[:, :, None] * x[:, None] / 2
+    assert np.array_equal(found["M"].energy().at(x), squares.reshape(2, -1))
+    assert np.array_equal(found["linear"].energy().at(x), x)
+
+
+@pytest.mark.parametrize("n", [127, 129])
+def test_large_matrices_have_their_stored_entries_as_parameters(n):
+    """In the order of rows: the bands of a chain; smaller ones have all n^2 entries."""
+    M = np.diag(np.linspace(1, 2, n)) + np.diag(np.full(n - 1, 0.25), 1) + np.diag(np.full(n - 1, 0.25), -1)
+    system = co.LiePoissonSystem(co.LieAlgebra([], dim=n), co.Quadratic(M))
+    found = parameters_of(system)["M"]
+    x = np.cos(np.arange(n))
+    expected = np.outer(x, x) / 2
+    if n < 128:
+        assert np.array_equal(found.value, M)
+        assert np.array_equal(found.energy().at(x), expected.ravel())
+    else:
+        i, j = np.nonzero(M)
+        assert np.array_equal(found.value, M[i, j])
+        assert np.array_equal(found.energy().at(x), expected[i, j])
+
+
+def test_parameters_of_polynomials_are_their_coefficients():
+    energy = co.Polynomial({(0, 0, 0): 2.0, (0, 0, 3): 0.5, (1, 0, 0): 0.25, (1, 1, 2): -1.0, (0, 2, 0): 1.0})
+    (found,) = parameters_of(co.LiePoissonSystem(SO3, energy)).values()
+    assert found.value.tolist() == list(energy.monomials.values())
+    x = np.array([2.0, 3.0, 5.0])
+    assert found.energy().at(x).tolist() == [np.prod(x**exponents) for exponents in energy.monomials]
+
+
+def cube(y):
+    return y**3
+
+
+OTHERS = (
+    co.Separable({0: (cube, lambda y: 3 * y**2, lambda y: 6 * y)}),
+    co.SplitHamiltonian([((0,), co.Quadratic(1.0)), ((1,), co.Quadratic(2.0))]),
+)
+
+
+@pytest.mark.parametrize("energy", OTHERS, ids=["functions", "pieces"])
+def test_other_energies_have_no_parameters(energy):
+    assert parameters_of(co.LiePoissonSystem(SO3, energy)) == {}
+
+
+def test_arguments_that_do_not_give_the_system_are_no_parameters():
+    """A system may have the name of a ready-made one, and arguments as a note."""
+    body = co.systems.rigid_body((1.0, 2.0, 3.0))
+    for energy, names in ((body.hamiltonian, {"inertia"}), (co.Quadratic((1.0, 2.0, 3.0)), {"M", "linear"})):
+        system = co.LiePoissonSystem(SO3, energy, sign=-1, name="rigid_body", parameters=dict(body.parameters))
+        assert set(parameters_of(system)) == names
+    wrong = co.LiePoissonSystem(SO3, body.hamiltonian, sign=-1, name="rigid_body", parameters={"inertia": (1.0, 2.0)})
+    assert set(parameters_of(wrong)) == {"M", "linear"}
+
+
+def test_unknown_names_are_refused_with_those_that_exist():
+    with pytest.raises(ValueError, match="unknown parameter of rigid_body 'inertai'; did you mean 'inertia'"):
+        parameter_of(co.systems.rigid_body(), "inertai")
+
+
+def test_values_that_a_system_refuses_are_avoided():
+    """A tensor that is almost singular, of which few neighbours are positive definite."""
+    inertia = np.diag([1.0, 1.0, 1.0]) + 0.4999 * (np.ones((3, 3)) - np.eye(3)) * np.array([-1.0, 1.0, 1.0])
+    inertia = (inertia + inertia.T) / 2
+    body = co.systems.rigid_body(inertia.tolist())
+    x = np.array([1.0, -0.5, 0.25])
+    omega = np.linalg.solve(inertia, x)
+    expected = -np.outer(omega, omega) / 2
+    found = parameter_of(body, "inertia").energy().at(x).reshape(3, 3)
+    # Inverses have the condition number as relative error, in units of rounding, and differences more.
+    assert np.abs(found - expected).max() <= 1e-9 * np.abs(expected).max()
+
+
+def at_least_one(stiffness=1.0):
+    if stiffness < 1.0:
+        raise ValueError("too soft")
+    H = co.Quadratic((stiffness, 0.0, 0.0))
+    return co.LiePoissonSystem(SO3, H, name="at_least_one", parameters={"stiffness": stiffness})
+
+
+def test_values_at_the_end_of_their_range_are_refused(monkeypatch):
+    monkeypatch.setattr(parameters, "ready_made_systems", lambda: {"at_least_one": at_least_one})
+    system, x = at_least_one(2.0), np.array([1.0, 2.0, 3.0])
+    assert parameter_of(system, "stiffness").energy().at(x) == pytest.approx([0.5], rel=2.0**-50)
+    with pytest.raises(ValueError, match="stiffness cannot be differentiated: at_least_one accepts no values near 1;"):
+        parameter_of(at_least_one(), "stiffness").energy()
