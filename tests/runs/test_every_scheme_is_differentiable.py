@@ -24,6 +24,8 @@ FULL = co.LiePoissonSystem(
 CUBIC = co.LiePoissonSystem(
     co.algebras.se(2), co.Polynomial({(2, 0, 0): 0.5, (0, 2, 0): 0.3, (0, 0, 2): 0.2, (0, 1, 2): 0.4, (1, 0, 0): 0.1})
 )
+# Its matrices turn by half the angle of the momentum.
+SPINORS = co.LiePoissonSystem(co.algebras.get("su(2)"), co.Quadratic([0.3, 0.6, 1.0]), sign=-1)
 SPINS = co.systems.spin_lattice(shape=2, field=(0.1, 0.2, 0.3), dm=(0.1, 0.1, 0.2))
 
 
@@ -52,6 +54,7 @@ COMPILED = [
     (BODY, co.Splitting(order=2, compensated=True), X3, True),
     (BODY, co.Splitting(order=2, rotation="rational"), X3, True),
     (BODY, co.Splitting(order=2, parts="coordinates"), X3, True),
+    (SPINORS, co.Splitting(order=2, rotation="rational"), X3, True),
     (BODY, co.Splitting(scheme="blanes_casas_murua6"), X3, False),
     (CUBIC, co.Splitting(order=2), X3, False),
     (TOP, co.Composition(co.Splitting(order=2), (0.7, -0.4, 0.7)), X6, False),
