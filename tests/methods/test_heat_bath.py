@@ -100,3 +100,41 @@ def test_the_law_of_the_noise_is_exact_at_any_step():
     mean, each = sol.x[-1].mean(axis=0), sol.x[-1].std(axis=0) / np.sqrt(members)
     assert np.all(np.abs(mean - np.exp(-2 * 0.5 * strength * 4.0) * np.array([0.6, 0.0, 0.8])) < 3 * each)
     assert np.all(each < 0.003)
+
+
+def lattices():
+    yield "square", co.systems.spin_lattice("square", (3, 5), True, tensor=(1.0, 0.8, 0.5), dm=(0.1, 0.2, -0.3))
+    yield "open chain of 17, in fields", co.systems.spin_lattice(shape=17, field=np.linspace(-1, 1, 51).reshape(17, 3))
+    algebra = co.algebras.copies(co.algebras.so(3), 3)
+    cubic = co.Polynomial({(1, 0, 0) * 3: 1.0, (0, 0, 1, 0, 0, 2, 0, 0, 0): -0.5, (0, 1) + (0,) * 7: 0.3})
+    yield "of third degree", co.LiePoissonSystem(algebra, cubic)
+    yield "of other constants", scaled_spins()
+
+
+def scaled_spins():
+    """Two spins whose coordinates alternate, of brackets 2 and -1, and a coordinate that commutes with all others."""
+    brackets = {}
+    for (i, j, k), c in {(0, 2, 4): 2.0, (1, 3, 6): -1.0}.items():
+        brackets.update({(i, j): {k: c}, (j, k): {i: c}, (i, k): {j: -c}})
+    M = np.eye(7) + 0.2 * np.add.outer(np.arange(7.0), np.arange(7.0)) ** 0.5
+    return co.LiePoissonSystem(co.LieAlgebra.from_brackets(7, brackets), co.Quadratic(M))
+
+
+@pytest.mark.parametrize("name", dict(lattices()))
+@pytest.mark.parametrize("strength", [0.2, 3.0])  # angles below and above 1/8, where the series of rotations ends
+def test_rotations_of_spins_are_those_of_the_exponential(name, strength):
+    system = dict(lattices())[name]
+    x0 = np.sin(1.0 + np.arange(system.dim) ** 2)
+    for metric in (1.0, np.where(np.arange(system.dim) % 5, 0.7, 0.0)):
+        bath = co.forces.HeatBath(0.1 * strength, metric, temperature=strength, seed=5)
+        hot = system.with_forces(bath)
+        found = co.stepper(hot, co.Splitting(), 0.125)(x0, 0.5)
+        plain = Forced(co.Splitting()).step(hot, x0, 0.5, 0.125)
+        assert np.max(np.abs(found - plain)) < 1024 * UNIT_ROUNDOFF * np.max(np.abs(x0))
+        together, apart = (
+            co.integrate(hot, [x0, x0[::-1]], (0.5, 1.0), 0.125, co.Splitting(order=4), threads=threads)
+            for threads in (1, 2)
+        )
+        assert np.array_equal(together.x, apart.x)
+        left = together.energy[-1] - together.energy[0] - together.work["HeatBath"]["energy"][-1]
+        assert np.max(np.abs(left)) < 1e-3 * np.max(np.abs(together.energy))

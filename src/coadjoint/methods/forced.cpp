@@ -19,6 +19,7 @@ struct Forced final : StepScheme {
     InnerStep inner;
     std::vector<std::unique_ptr<Force>> forces;
     std::vector<double> values, before, arguments, workspace;
+    bool measured = true;  // whether all forces compute the changes of the energy themselves
 
     // `whole`: the addresses of the inner loop, the number of forces, the addresses of their tables, and what
     // `matrix_invariants` reads; for a matrix these invariants replace those of the tables.
@@ -30,6 +31,7 @@ struct Forced final : StepScheme {
           arguments(tables.restored.longest + 1), workspace(2 * tables.restored.longest + 2) {
         for (int64_t k = 0; k < tables.whole[5]; ++k)
             forces.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(tables.whole[6 + k]), tables.field, constants));
+        for (const auto& force : forces) measured = measured && force->measures() && force->table.accounts <= 1;
         // The memory of schemes of matrices consists of initial guesses, which remain useful after forces.
         memory_size = matrices ? tables.whole[3] : 0;
         work = 16 * work_of(tables.field) +
@@ -58,6 +60,7 @@ struct Forced final : StepScheme {
     }
 
     bool evaluate(const double* x, double t) {
+        if (measured) return true;
         if (matrices) return matrices->of(x, t, values.data());
         for (int64_t i = 0; i < tracked; ++i) values[i] = value(i, x, t);
         return true;
@@ -71,16 +74,24 @@ struct Forced final : StepScheme {
         iterations += force.iterations;
         residual = force.residual;
         if (status != DONE) return status;
+        if (measured) {
+            if (force.table.accounts) add(x, dx, force.table.account, force.change());
+            return DONE;
+        }
         before.swap(values);
         if (!evaluate(x, frozen)) return UNDEFINED;
         for (int64_t i = 0; i < std::min(tracked, force.table.accounts); ++i) {
             const double period = matrices ? 0.0 : constants.number_at<double>(tables.restored.period, i);
             const double now = period > 0.0 ? unwrapped(values[i], before[i], period) : values[i];
-            const int64_t position = n + force.table.account + i;
-            const double old = x[position];
-            two_sum(old, dx[position] + (now - before[i]), x[position], dx[position]);
+            add(x, dx, force.table.account + i, now - before[i]);
         }
         return DONE;
+    }
+
+    void add(double* x, double* dx, int64_t account, double change) {
+        const int64_t position = n + account;
+        const double old = x[position];
+        two_sum(old, dx[position] + change, x[position], dx[position]);
     }
 };
 

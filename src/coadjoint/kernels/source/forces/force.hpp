@@ -6,6 +6,7 @@
 #include "field/field.hpp"
 #include "forces/mode_force.hpp"
 #include "forces/random.hpp"
+#include "forces/spin_bath.hpp"
 #include "numbers/arithmetic.hpp"
 #include "recording/watching.hpp"
 #include "steps/exponential.hpp"
@@ -22,6 +23,10 @@ class Force {
         : table(table), field(field), constants(constants), n(field.size), workspace(field), exponential(n),
           one(std::max<int64_t>(n + 1, 4)), two(n), three(n), four(n), five(n), six(n) {
         if (table.kind == MODE_RATES || table.kind == MODE_NOISE) modes.reset(new ModeForce(table));
+        if (table.kind == ON_ORBIT) {
+            spins.reset(new SpinBath(table, field, constants));
+            if (!*spins) spins.reset();
+        }
     }
 
     // Apply the flow to x from time t for the time tau, negative for backward; return a status.
@@ -33,12 +38,16 @@ class Force {
             case CONSTANT: return push(x, tau);
             case OF_TIME: return push_by_time(x, t, tau);
             case OF_STATE: return push_by_state(x, t, tau);
-            case ON_ORBIT: return stay_on_orbit(x, t, tau, member);
+            case ON_ORBIT: return spins ? rotate_spins(x, t, tau, member) : stay_on_orbit(x, t, tau, member);
             case MODE_RATES: return modes->relax(x, tau), defined(x);
             case MODE_NOISE: return modes->shake(x, t, tau, member), defined(x);
         }
         return given_flow(x, t, tau);
     }
+
+    // Whether the flow computes the change of the energy, the only invariant that it changes.
+    bool measures() const { return spins && spins->measures(); }
+    double change() const { return spins->change; }
 
   private:
     const Field& field;
@@ -49,6 +58,7 @@ class Force {
     std::vector<double> one, two, three, four, five, six, expm1;
     double prepared_for = 0.0;  // the time for which `expm1` is computed
     std::unique_ptr<ModeForce> modes;
+    std::unique_ptr<SpinBath> spins;
 
     void call_at(const double* y, double t, double* out) {
         InterruptCheck::of_this_call().after(WORK_OF_A_CALL);
@@ -167,6 +177,14 @@ class Force {
         const int64_t status = settle(x, t, tau);
         if (status != DONE) return status;
         return !random || shake(x, t, tau, 1, member) ? DONE : failed(two.data());
+    }
+
+    int64_t rotate_spins(double* x, double t, double tau, int64_t member) {
+        const int64_t status = spins->flow(x, t, tau, member, workspace);
+        evaluations = spins->evaluations;
+        iterations = spins->iterations;
+        residual = spins->residual;
+        return status;
     }
 
     // Half of the noise of the time tau. Commuting directions are applied together, by an exponential with the exact

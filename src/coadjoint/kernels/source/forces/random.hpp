@@ -6,6 +6,8 @@
 #include <cstdint>
 #include <cstring>
 
+#include "numbers/lanes.hpp"
+
 namespace coadjoint {
 
 struct Words {
@@ -28,63 +30,109 @@ inline Words philox(Words counter, uint64_t key, uint64_t other) {
 }
 
 // The logarithm of a positive normal number, to about a unit in the last place.
-inline double logarithm(double x) {
-    int exponent;
-    double m = std::frexp(x, &exponent);  // exact
-    if (m < 0.70710678118654752) m *= 2.0, --exponent;
-    const double s = (m - 1.0) / (m + 1.0), z = s * s;
-    double sum = 0.0;
+template <class A>
+INLINE A logarithm(const A& x) {
+    A power = leading_power(x), m = 0.5 * (x * inverse_power(power)), exponent = exponent_of(power) + 1.0;  // exact
+    const auto low = m < A(0.70710678118654752);
+    m = select(low, m * 2.0, m);
+    exponent = select(low, exponent - 1.0, exponent);
+    const A s = (m - 1.0) / (m + 1.0), z = s * s;
+    A sum(0.0);
     for (int k = 11; k > 0; --k) sum = z * (sum + 1.0 / (2.0 * k + 1.0));
     return exponent * 0.6931471805599453 + (2.0 * s + 2.0 * s * sum);
 }
 
-inline double ratio(const double* above, const double* below, double r) {
-    double p = above[7], q = below[7];
+template <class A>
+INLINE A ratio(const double* above, const double* below, const A& r) {
+    A p(above[7]), q(below[7]);
     for (int k = 6; k >= 0; --k) p = p * r + above[k], q = q * r + below[k];
     return p / q;
 }
 
 // The normal deviate of 53 of 64 random bits: the inverse of the distribution function, M. J. Wichura, Algorithm AS 241
 // (1988). The sign is one bit, and the tail is reached to 8.2 standard deviations.
-inline double normal_of(uint64_t word) {
-    constexpr double MIDDLE[] = {3.3871328727963666080e0, 1.3314166789178437745e2, 1.9715909503065514427e3,
-                                 1.3731693765509461125e4, 4.5921953931549871457e4, 6.7265770927008700853e4,
-                                 3.3430575583588128105e4, 2.5090809287301226727e3};
-    constexpr double UNDER_MIDDLE[] = {1.0, 4.2313330701600911252e1, 6.8718700749205790830e2, 5.3941960214247511077e3,
-                                       2.1213794301586595867e4, 3.9307895800092710610e4, 2.8729085735721942674e4,
-                                       5.2264952788528545610e3};
-    constexpr double NEAR[] = {1.42343711074968357734e0, 4.63033784615654529590e0, 5.76949722146069140550e0,
-                               3.64784832476320460504e0, 1.27045825245236838258e0, 2.41780725177450611770e-1,
-                               2.27238449892691845833e-2, 7.74545014278341407640e-4};
-    constexpr double UNDER_NEAR[] = {1.0, 2.05319162663775882187e0, 1.67638483018380384940e0, 6.89767334985100004550e-1,
-                                     1.48103976427480074590e-1, 1.51986665636164571966e-2, 5.47593808499534494600e-4,
-                                     1.05075007164441684324e-9};
-    constexpr double FAR[] = {6.65790464350110377720e0, 5.46378491116411436990e0, 1.78482653991729133580e0,
-                              2.96560571828504891230e-1, 2.65321895265761230930e-2, 1.24266094738807843860e-3,
-                              2.71155556874348757815e-5, 2.01033439929228813265e-7};
-    constexpr double UNDER_FAR[] = {1.0, 5.99832206555887937690e-1, 1.36929880922735805310e-1,
-                                    1.48753612908506148525e-2, 7.86869131145613259100e-4, 1.84631831751005468180e-5,
-                                    1.42151175831644588870e-7, 2.04426310338993978564e-15};
-    const double tail = (double(word >> 12) + 0.5) * 0x1p-53, q = 0.5 - tail;  // both exact, between 0 and 1/2
-    double size;
-    if (q <= 0.425) {
-        size = q * ratio(MIDDLE, UNDER_MIDDLE, 0.180625 - q * q);
-    } else {
-        const double r = std::sqrt(-logarithm(tail));
-        size = r <= 5.0 ? ratio(NEAR, UNDER_NEAR, r - 1.6) : ratio(FAR, UNDER_FAR, r - 5.0);
+struct Normal {
+    static constexpr double MIDDLE[] = {3.3871328727963666080e0, 1.3314166789178437745e2, 1.9715909503065514427e3,
+                                        1.3731693765509461125e4, 4.5921953931549871457e4, 6.7265770927008700853e4,
+                                        3.3430575583588128105e4, 2.5090809287301226727e3};
+    static constexpr double UNDER_MIDDLE[] = {1.0, 4.2313330701600911252e1, 6.8718700749205790830e2,
+                                              5.3941960214247511077e3, 2.1213794301586595867e4,
+                                              3.9307895800092710610e4, 2.8729085735721942674e4,
+                                              5.2264952788528545610e3};
+    static constexpr double NEAR[] = {1.42343711074968357734e0, 4.63033784615654529590e0, 5.76949722146069140550e0,
+                                      3.64784832476320460504e0, 1.27045825245236838258e0, 2.41780725177450611770e-1,
+                                      2.27238449892691845833e-2, 7.74545014278341407640e-4};
+    static constexpr double UNDER_NEAR[] = {1.0, 2.05319162663775882187e0, 1.67638483018380384940e0,
+                                            6.89767334985100004550e-1, 1.48103976427480074590e-1,
+                                            1.51986665636164571966e-2, 5.47593808499534494600e-4,
+                                            1.05075007164441684324e-9};
+    static constexpr double FAR[] = {6.65790464350110377720e0, 5.46378491116411436990e0, 1.78482653991729133580e0,
+                                     2.96560571828504891230e-1, 2.65321895265761230930e-2, 1.24266094738807843860e-3,
+                                     2.71155556874348757815e-5, 2.01033439929228813265e-7};
+    static constexpr double UNDER_FAR[] = {1.0, 5.99832206555887937690e-1, 1.36929880922735805310e-1,
+                                           1.48753612908506148525e-2, 7.86869131145613259100e-4,
+                                           1.84631831751005468180e-5, 1.42151175831644588870e-7,
+                                           2.04426310338993978564e-15};
+
+    // The deviation 1/2 - tail of a probability from one half, at most `MIDDLE_END`.
+    static constexpr double MIDDLE_END = 0.425, NEAR_END = 5.0;
+    template <class A>
+    static INLINE A in_the_middle(const A& q) { return q * ratio(MIDDLE, UNDER_MIDDLE, 0.180625 - q * q); }
+
+    template <class A>
+    static INLINE A in_the_tail(const A& tail) {
+        const A r = square_root(-logarithm(tail));
+        const A size = ratio(NEAR, UNDER_NEAR, r - 1.6);
+        const auto near = r <= A(NEAR_END);
+        return __builtin_expect(all(near), 1) ? size : select(near, size, ratio(FAR, UNDER_FAR, r - 5.0));
     }
-    return word & 1 ? -size : size;
+
+    static INLINE double tail_of(uint64_t word) { return (double(word >> 12) + 0.5) * 0x1p-53; }  // exact, below 1/2
+    static INLINE double signed_by(uint64_t word, double size) { return word & 1 ? -size : size; }
+};
+
+inline double normal_of(uint64_t word) {
+    const double tail = Normal::tail_of(word), q = 0.5 - tail;
+    return Normal::signed_by(word, q <= Normal::MIDDLE_END ? Normal::in_the_middle(q) : Normal::in_the_tail(tail));
+}
+
+// The deviates of `count` words, at most 256 and a multiple of eight: all as if in the middle, then those of the tails.
+inline void normals_of(const uint64_t* words, int64_t count, double* out) {
+    typedef Lanes<8> A;
+    double tails[256], sizes[256];
+    int32_t at[256 + 8];
+    int64_t far = 0;
+    for (int64_t k = 0; k < count; ++k) tails[k] = Normal::tail_of(words[k]);
+    for (int64_t k = 0; k < count; k += 8) store(sizes + k, Normal::in_the_middle(A(0.5) - load<A>(tails + k)));
+    for (int64_t k = 0; k < count; ++k) {
+        at[far] = int32_t(k);
+        far += 0.5 - tails[k] > Normal::MIDDLE_END;
+    }
+    for (int64_t k = 0; k < far; k += 8) {
+        double some[8];
+        for (int64_t lane = 0; lane < 8; ++lane) some[lane] = k + lane < far ? tails[at[k + lane]] : 0.01;
+        store(some, Normal::in_the_tail(load<A>(some)));
+        for (int64_t lane = 0; lane < 8 && k + lane < far; ++lane) sizes[at[k + lane]] = some[lane];
+    }
+    for (int64_t k = 0; k < count; ++k) out[k] = Normal::signed_by(words[k], sizes[k]);
 }
 
 // Independent normal deviates for the coordinates of a member, from a time on, and for each part that begins at that
 // time: a function of these and of the seed only.
 inline void normal_deviates(uint64_t seed, uint64_t stream, double moment, uint64_t part, int64_t count, double* out) {
-    uint64_t when;
+    constexpr int64_t CHUNK = 256;
+    uint64_t when, words[CHUNK];
     moment += 0.0;  // normalize minus zero
     std::memcpy(&when, &moment, 8);
-    for (int64_t first = 0; first < count; first += 4) {
-        const Words words = philox({{uint64_t(first / 4), when, stream, part}}, seed, 0);
-        for (int64_t k = first; k < count && k < first + 4; ++k) out[k] = normal_of(words.at[k - first]);
+    for (int64_t low = 0; low < count; low += CHUNK) {
+        const int64_t size = count - low < CHUNK ? count - low : CHUNK, filled = (size + 7) / 8 * 8;
+        for (int64_t k = 0; k < filled; k += 4) {
+            const Words four = philox({{uint64_t((low + k) / 4), when, stream, part}}, seed, 0);
+            for (int j = 0; j < 4; ++j) words[k + j] = four.at[j];
+        }
+        double deviates[CHUNK];
+        normals_of(words, filled, deviates);
+        std::memcpy(out + low, deviates, 8 * size);
     }
 }
 

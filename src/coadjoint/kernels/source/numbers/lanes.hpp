@@ -28,6 +28,7 @@ constexpr int NATIVE = 2;
 #endif
 
 constexpr int64_t EXPONENT_BITS = int64_t(0x7ff) << 52, INVERSE_BITS = int64_t(2046) << 52;
+constexpr uint64_t UNIT_OF_2_52 = uint64_t(1075) << 52;  // the bits of 2^52, to which those of a small integer are added
 
 template <int width>
 struct Registers;
@@ -159,6 +160,12 @@ struct Lanes {
         EACH(b.part[k] = (Vector)(INVERSE_BITS - (Bits)power.part[k]))
         return b;
     }
+    // The exponent of a positive power of two, a normal number.
+    INLINE friend Lanes exponent_of(const Lanes& power) {
+        Lanes b;
+        EACH(b.part[k] = (Vector)(((Unsigned)power.part[k] >> 52) | UNIT_OF_2_52) - (0x1p52 + 1023.0))
+        return b;
+    }
     INLINE friend Lanes square_root(const Lanes& a) {
         Lanes b;
         EACH(b.part[k] = rooted(a.part[k]))
@@ -250,6 +257,11 @@ INLINE double inverse_power(double power) {
     bits = INVERSE_BITS - bits;
     std::memcpy(&power, &bits, 8);
     return power;
+}
+INLINE double exponent_of(double power) {
+    uint64_t bits;
+    std::memcpy(&bits, &power, 8);
+    return double(int64_t(bits >> 52) - 1023);
 }
 INLINE double square_root(double a) { return __builtin_sqrt(a); }
 template <class Function>
