@@ -12,6 +12,7 @@ import numpy as np
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.kernels.arrays import Layout, NamedArrays
+from coadjoint.kernels.functions.compiled_functions import raised_by
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.library import interruptible_kernels, kernels
 from coadjoint.kernels.tables.structures import as_structure
@@ -44,7 +45,7 @@ class CompiledLoop:
 
     def raised(self) -> BaseException | None:
         """Return and clear the exception that a function of the user raised in the loop, if any."""
-        return next((error for owner in self.keepalive if (error := getattr(owner, "raised", lambda: None)())), None)
+        return raised_by(self.keepalive)
 
 
 class StopFlag:

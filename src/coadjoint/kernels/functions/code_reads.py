@@ -11,7 +11,7 @@ import sysconfig
 import types
 from typing import Any, NamedTuple
 
-KNOWN_PACKAGES = frozenset({"numpy", "scipy", "numba", "llvmlite"})
+KNOWN_PACKAGES = frozenset({"numpy", "scipy", "numba", "llvmlite", "jax", "jaxlib"})
 """Packages whose functions and classes are identified by name, like those of the standard library."""
 
 

@@ -68,22 +68,24 @@ class FormulaFunction:
         return FormulaFunction, (self._table.source,)
 
 
-CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.POINTER(ctypes.c_double))
+CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p)
 
 
 class PythonCallback:
-    """A function of (y, t), y an array of `size` numbers, called in Python; it returns a number."""
+    """A function of (y, t), y an array of `size` numbers, called in Python; it returns `results` numbers."""
 
-    def __init__(self, function: Callable[..., Any], size: int) -> None:
+    def __init__(self, function: Callable[..., Any], size: int, results: int = 1) -> None:
         self._raised: BaseException | None = None
-        self._arguments = function, size
-        block = ctypes.c_double * size
+        self._arguments = function, size, results
+        block, result_block = ctypes.c_double * size, ctypes.c_double * results
 
-        def call(y: int, t: float, out: Any) -> None:
-            out[0] = float("nan")
+        def call(y: int, t: float, out: int) -> None:
+            values = result_block.from_address(out)
+            values[0] = float("nan")
             try:
                 if self._raised is None:
-                    out[0] = function(np.frombuffer(memoryview(block.from_address(y))).copy(), t)
+                    result = function(np.frombuffer(memoryview(block.from_address(y))).copy(), t)
+                    values[:] = np.ravel(result).tolist()
             except BaseException as error:
                 # NaN stops the loop, and the exception is raised again in the thread of the run.
                 self._raised = error
@@ -99,6 +101,11 @@ class PythonCallback:
         """Return and clear the exception that the function raised, if any."""
         error, self._raised = self._raised, None
         return error
+
+
+def raised_by(owners: Iterable[Any]) -> BaseException | None:
+    """Return and clear the exception that a function called in Python raised, if any."""
+    return next((error for owner in owners if (error := getattr(owner, "raised", lambda: None)())), None)
 
 
 Owners = tuple[CompiledFunction | FormulaFunction | PythonCallback, ...]

@@ -16,7 +16,7 @@ from coadjoint.kernels.functions.compiled_functions import (
     warn_slow_compilation,
 )
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
-from coadjoint.systems.user_functions import forms_of
+from coadjoint.systems.user_functions import forms_of, is_called_in_python
 
 ORDERS = {"value": 0, "gradient": 1, "hessian": 2}
 
@@ -40,7 +40,9 @@ def addresses_of(
     if not functions:
         return addresses, ()
     warn_slow_compilation(
-        user_function for term in functions.values() if forms_of(user_function := getattr(term, derivative)) is None
+        user_function
+        for term in functions.values()
+        if forms_of(user_function := getattr(term, derivative)) is None and not is_called_in_python(user_function)
     )
     for k, term in functions.items():
         function = getattr(term, derivative)
@@ -49,11 +51,11 @@ def addresses_of(
             addresses[k] = keepalive[-1].address
             continue
         size = len(term.coordinates)
-        if derivative == "value" and getattr(term.value, "called_in_python", False):
-            keepalive.append(PythonCallback(term.value, size))
+        results = size ** ORDERS[derivative]
+        if is_called_in_python(function):
+            keepalive.append(PythonCallback(function, size, results))
             addresses[k] = keepalive[-1].address
             continue
-        results = size ** ORDERS[derivative]
         compiled = CompiledFunction(
             function,
             size,

@@ -20,7 +20,7 @@ from coadjoint.kernels.tables.tangents import check_differentiable, derivative_o
 from coadjoint.program.actions import Action, build_action, empty_action
 from coadjoint.program.added_part import AddedPart
 from coadjoint.program.generators import BasisMatrices
-from coadjoint.program.table import Program
+from coadjoint.program.table import Program, dual_action
 from coadjoint.program.term_table import Terms, TermTable
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import System
@@ -103,7 +103,7 @@ def flow_cotangents(
     tables: FlowTables = base.tables
     hessians, keepalive = addresses_of(program.functions, program.terms.size, "hessian", "the Hamiltonian")
     parts, index = program.parts, -1
-    dual = _marked_like(build_action(BasisMatrices.on_group(system.algebra, None), parts), tables.state)
+    dual = _marked_like(dual_action(system.algebra, parts), tables.state)
     group_dual = empty_action()
     if program.group is not None:
         matrices = (
@@ -177,7 +177,7 @@ def _kernel(name: str) -> Any:
 def advance_tables(name: str, tables: Any, run: Any, first: int, last: int, stop: StopFlag) -> bool:
     """Call a kernel for the members `first` to `last` - 1 of a run; return whether all equations were solved."""
     outcome = _kernel(name)(
-        ctypes.byref(tables),
+        ctypes.byref(as_structure(tables)),
         ctypes.byref(as_structure(run)),
         ctypes.c_int64(first),
         ctypes.c_int64(last),

@@ -169,7 +169,7 @@ class InputTables:
                 written_fields[-1].append(field)
                 self.separate_tables = self.separate_tables or field.token not in PER_MEMBER_TYPES
                 handled: set[int] = set()
-                if table.parts is not None and field.name == ANGLE_OFFSET_FIELD:
+                if table.parts is not None and f".{field.name}".endswith(f".{ANGLE_OFFSET_FIELD}"):
                     for angles, rule in offsets_of_squares(table.parts):
                         numbers = field.value[angles].tolist(), other_values[angles].tolist()
                         if numbers == tuple(map(rule.at, inputs)):
@@ -182,12 +182,32 @@ class InputTables:
                             f"its table has {field.name} that are neither inputs nor exact sums of inputs"
                         )
                     copied_entries.append((number, field.name, position, index_of_input[pair]))
+        self._copied_entries, self._sums = copied_entries, sums
         self._shared = _Block(tables, written_fields)
         self._in_shared = _written(self._shared, copied_entries, sums)
         if not self.separate_tables:
             per_member = [[field for field, _ in table.pairs if field.token in PER_MEMBER_TYPES] for table in tables]
             self._each = _Block(tables, per_member)
             self._in_each = _written(self._each, copied_entries, sums)
+
+    def derivatives(self, names: Sequence[str], count: int) -> Iterator[tuple[int, int, float]]:
+        """Yield the entries of these fields of the scheme, numbered one after the other, that depend on `count` inputs.
+
+        Each with the index of an input, and the derivative by it. Raise `InputsNotLocated` if others depend on them.
+        """
+        fields = {field.name: len(field.value) for field, _ in self._tables[0].pairs if field.name in names}
+        first = dict(zip(names, accumulate((fields[name] for name in names), initial=0), strict=False))
+        for number, name, *_ in (*self._copied_entries, *self._sums):
+            if number == 0 and name not in first:
+                raise InputsNotLocated(f"its table has {name} that depend on them")
+        for number, name, position, source in self._copied_entries:
+            if number == 0:
+                yield first[name] + position, source, 1.0
+        for number, name, angles, rule in self._sums:
+            if number == 0:
+                for source, unit in enumerate(np.eye(count)):
+                    for angle, factor in zip(angles, rule.at(unit), strict=True):
+                        yield first[name] + angle, source, factor
 
     def shared(self, inputs: Floats) -> tuple[Any, Any]:
         """Return the structures of the scheme and of the invariants for inputs (m,) common to all members."""

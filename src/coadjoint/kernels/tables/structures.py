@@ -73,17 +73,17 @@ def as_structure(table: Any) -> Any:
         return table
     table_class: Any = type(table)
     kind = structure_of_table(table_class)
-    filled = kind()
-    for field, token in zip((field for field, _ in kind._fields_), kind.kinds, strict=True):
+    values = []
+    for (field, _), token in zip(kind._fields_, kind.kinds, strict=True):
         value = getattr(table, field)
-        if token in SCALARS:
-            setattr(filled, field, value)
-        elif token in ARRAYS:
+        if token in ARRAYS:
             if value.dtype != ARRAYS[token] or not value.flags.c_contiguous:
                 raise TypeError(f"{kind.__name__}.{field} is {value.dtype}, not a contiguous {ARRAYS[token]}")
-            setattr(filled, field, value.ctypes.data)
-        else:
-            setattr(filled, field, as_structure(value))
+            value = value.__array_interface__["data"][0]
+        elif token not in SCALARS:
+            value = as_structure(value)
+        values.append(value)
+    filled = kind(*values)
     filled.source = table
     return filled
 

@@ -6,13 +6,15 @@
 
 namespace coadjoint {
 
-// The blocks of one angle theta of a part: rotations by factor theta, or shears by factor theta times a constant each.
+// The blocks of one angle theta of a part: rotations by factor theta, or shears by factor theta times a constant each. Or
+// a CUBIC block, the only run of a part with one angle.
 struct AngleBlocks {
     double factor;
     const double* constants;
     const uint32_t* pairs;
     uint32_t repeat, angle;
     int kind;
+    uint32_t run;
 };
 
 // theta = offset + weight . x, row `angle` of the terms, and the blocks it moves; or a whole row of the program, if that
@@ -30,8 +32,9 @@ constexpr int WHOLE_ROW = -1;
 
 class FlowsOfRows {
   public:
-    FlowsOfRows(const FlowTables& tables, bool with_group)
-        : tables(tables), with_group(with_group), moved_by(tables.state.size, ~uint32_t(0)) {}
+    // CUBIC blocks are whole rows unless `with_cubic`.
+    FlowsOfRows(const FlowTables& tables, bool with_group, bool with_cubic = false)
+        : tables(tables), with_group(with_group), with_cubic(with_cubic), moved_by(tables.state.size, ~uint32_t(0)) {}
 
     // The flows of rows, one after the other. Empty if all would be whole rows; then the tables are read.
     std::vector<ElementaryFlow> operator()(uint32_t first, uint32_t last) {
@@ -51,13 +54,18 @@ class FlowsOfRows {
 
   private:
     const FlowTables& tables;
-    const bool with_group;
+    const bool with_group, with_cubic;
     std::vector<uint32_t> moved_by;  // the last row that moved a coordinate
     std::vector<AngleBlocks> momentum, group;
 
-    // Whether a part only rotates and shears, with too few angles for lanes; its blocks, in order.
-    static bool blocks_of(const Action& action, uint32_t part, double tau, std::vector<AngleBlocks>& found) {
+    // Whether a part only rotates and shears, with too few angles for lanes, or is one CUBIC block; its blocks, in order.
+    bool blocks_of(const Action& action, uint32_t part, double tau, std::vector<AngleBlocks>& found) const {
         found.clear();
+        const uint32_t only = action.run[part];
+        if (with_cubic && action.run[part + 1] == only + 1 && action.kind[only] == CUBIC && tables.only[part] >= 0) {
+            found.push_back({tau, nullptr, nullptr, 0, 0, CUBIC, only});
+            return true;
+        }
         for (uint32_t run = action.run[part]; run < action.run[part + 1]; ++run) {
             const int kind = action.kind[run];
             if ((kind != ROTATE && kind != SHEAR) || action.angles[run] >= SPREAD) return false;
@@ -65,7 +73,7 @@ class FlowsOfRows {
             const double* constants = action.constants + action.constant[run];
             for (uint32_t q = 0; q < action.angles[run]; ++q, pairs += 2 * repeat) {
                 const double factor = kind == ROTATE ? tau * constants[q] : tau;
-                found.push_back({factor, constants + q * repeat, pairs, repeat, action.angle[run] + q, kind});
+                found.push_back({factor, constants + q * repeat, pairs, repeat, action.angle[run] + q, kind, run});
             }
         }
         return true;
@@ -89,7 +97,7 @@ class FlowsOfRows {
             for (uint32_t e = entry; e < stop; ++e)
                 if (moved_by[terms.column[e]] == r) return false;
             for (uint32_t e = 0; e < 2 * of_momentum.repeat; e += of_momentum.kind == SHEAR ? 2 : 1)
-                moved_by[of_momentum.pairs[e]] = r;
+                moved_by[of_momentum.pairs[e]] = r;  // not by a CUBIC block, the only one of its part
             flows.push_back({of_momentum.kind, r, stop - entry, terms.offset[row], terms.weight + entry,
                              terms.column + entry, of_momentum, of_group, row});
         }

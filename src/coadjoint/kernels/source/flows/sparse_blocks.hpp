@@ -58,25 +58,37 @@ INLINE Rotation<A> cubic_rotation(const A& lam, const A& phi) {
 
 // D^3 = lam D: exp(theta D) = 1 + S D + C D^2, Rodrigues' formula for lam < 0 and its hyperbolic counterpart for lam >
 // 0.
+template <class A>
+struct CubicFactors {
+    A lam, s, c;
+
+    template <class C>
+    INLINE CubicFactors(const Action& action, const C& constants, uint32_t run, const A& theta) {
+        const int64_t base = action.constant[run];
+        auto constant = [&](int64_t position) { return constants.template number_at<A>(action.constants, base + position); };
+        lam = constant(0);
+        const A phi = constant(1) * theta;
+        Rotation<A> rotation = action.kind[run] == RATIONAL_CUBIC ? rational_rotation(phi) : cubic_rotation(lam, phi);
+        // The rounding error of the constants is added, since it would stretch every step in the same way.
+        s = fma(rotation.sine, constant(2), rotation.sine * constant(3));
+        c = fma(rotation.cosm1, constant(4), rotation.cosm1 * constant(5));
+    }
+};
+
 template <Summation summation, class A, class V, class C>
-INLINE void cubic(const Action& action, const C& constants, uint32_t run, const A& theta, const Vectors<V>& x) {
+INLINE void cubic_by(const Action& action, const C& constants, uint32_t run, const CubicFactors<A>& factors,
+                     const Vectors<V>& x) {
     const BlockRows block(action, run);
-    auto constant = [&](int64_t position) { return constants.template number_at<A>(action.constants, position); };
-    const int64_t base = block.constant, values = base + CUBIC_HEADER, squares = values + block.entries,
+    const int64_t values = block.constant + CUBIC_HEADER, squares = values + block.entries,
                   rests = squares + block.entries;
+    auto constant = [&](int64_t position) { return constants.template number_at<A>(action.constants, position); };
     const int64_t length = block.width * x.rows;
-    gather(block, x);
-    const A lam = constant(base), phi = constant(base + 1) * theta;
-    Rotation<A> rotation = action.kind[run] == RATIONAL_CUBIC ? rational_rotation(phi) : cubic_rotation(lam, phi);
-    // The rounding error of the constants is added, since it would stretch every step in the same way.
-    const A s = fma(rotation.sine, constant(base + 2), rotation.sine * constant(base + 3));
-    const A c = fma(rotation.cosm1, constant(base + 4), rotation.cosm1 * constant(base + 5));
-    const V along(s), across(c);
+    const V along(factors.s), across(factors.c);
     if constexpr (summation == CORRECTED) {
         // D (D x) and not D^2 x: the rounding of the entries of D^2 has a systematic sign.
         apply_block(action, constants, block, values, x.workspace, A(1.0), x.workspace + length, x.rows);
         apply_block(action, constants, block, values, x.workspace + length, A(1.0), x.workspace + 2 * length, x.rows);
-        const V deficit(shortfall(s, c, -lam));
+        const V deficit(shortfall(factors.s, factors.c, -factors.lam));
         for (uint32_t k = 0; k < block.width; ++k) {
             int64_t i = block.coordinates[k] * x.rows;
             for (int64_t row = 0; row < x.rows; ++row) {
@@ -102,6 +114,12 @@ INLINE void cubic(const Action& action, const C& constants, uint32_t run, const 
             add<summation>(x.at, x.errors, i + row, x.at[i + row], fma(along, first, across * second));
         }
     }
+}
+
+template <Summation summation, class A, class V, class C>
+INLINE void cubic(const Action& action, const C& constants, uint32_t run, const A& theta, const Vectors<V>& x) {
+    gather(BlockRows(action, run), x);
+    cubic_by<summation>(action, constants, run, CubicFactors<A>(action, constants, run, theta), x);
 }
 
 // Up to the norm r = REACH[m - 1] the series is truncated after the degree m. There r^m / (m + 1)! is below 2^-65. It

@@ -19,7 +19,7 @@ static void run_backward(const FlowCotangents& all, const BackwardRun& run, int6
     AngleWorkspace<A> angles(tables.longest);
     const CoefficientCotangents<A> derivatives(tables.terms, of_coefficients.at);
     RowsBackward<A, G> backward(all, derivatives, with_group);
-    FlowsOfRows flows_of(tables, with_group);
+    FlowsOfRows flows_of(tables, with_group, true);
     const auto opening = flows_of(tables.section[0], tables.section[1]);
     const auto repeated = flows_of(tables.section[1], tables.section[2]);
     const auto finish = flows_of(tables.section[2], tables.section[3]);
@@ -64,7 +64,7 @@ static void run_backward(const FlowCotangents& all, const BackwardRun& run, int6
         const auto& flows = k == 1 ? opening : repeated;
         if constexpr (Numbers<A>::lanes == 1) {
             for (const ElementaryFlow& flow : flows)
-                if (__builtin_expect(flow.kind != WHOLE_ROW, 1))
+                if (__builtin_expect(flow.kind == ROTATE || flow.kind == SHEAR, 1))
                     apply_flow<summation, with_group>(flow, momentum, element);
                 else if (int64_t(tables.part[flow.row]) != all.added)
                     apply_row<summation, with_group, false>(tables, SharedConstants{}, flow.row, momentum, element, t,

@@ -292,10 +292,50 @@ class RowsBackward {
         }
     }
 
+    // Undo a CUBIC block, transposed for cotangents; return the cotangent of its angle, without the time.
+    template <class V>
+    INLINE V undo_cubic(const Action& action, const AngleBlocks& blocks, const A& theta, const Vectors<V>& x,
+                        const Vectors<V>& of_x) const {
+        const BlockRows block(action, blocks.run);
+        const CubicFactors<A> factors(action, SharedConstants{}, blocks.run, blocks.factor * theta);
+        const double *values = action.constants + block.constant + CUBIC_HEADER, *squares = values + block.entries,
+                     *rests = squares + block.entries;
+        const V along(factors.s), across(factors.c);
+        V *before = x.workspace, *covector = before + block.width, *pulled = covector + block.width, total(0.0);
+        for (int64_t row = 0; row < x.rows; ++row) {
+            for (uint32_t k = 0; k < block.width; ++k) {
+                const int64_t i = block.coordinates[k] * x.rows + row;
+                before[k] = x.at[i], covector[k] = pulled[k] = of_x.at[i];
+            }
+            for (uint32_t k = 0; k < block.width; ++k) {
+                V first(0.0), second(0.0), rest(0.0);
+                for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry) {
+                    const uint32_t column = block.columns[entry];
+                    const V value(values[entry]), square(squares[entry]), v = before[column];
+                    first = fma(value, v, first);
+                    second = fma(square, v, second);
+                    rest = fma(V(rests[entry]), v, rest);
+                    pulled[column] = fma(fma(along, value, across * square), covector[k], pulled[column]);
+                }
+                total = fma(first, covector[k], total);
+                const int64_t i = block.coordinates[k] * x.rows + row;
+                x.at[i] = before[k] + fma(-along, first, across * (second + rest));
+            }
+            for (uint32_t k = 0; k < block.width; ++k) of_x.at[block.coordinates[k] * x.rows + row] = pulled[k];
+        }
+        return total;
+    }
+
     INLINE void undo(const ElementaryFlow& flow, const Covector<A, G>& at) {
         A theta(flow.offset);
         for (uint32_t entry = 0; entry < flow.entries; ++entry)
             theta = fma(A(flow.weight[entry]), at.x[flow.column[entry]], theta);
+        if (flow.kind == CUBIC) {
+            A of_angle = undo_cubic(tables.state, flow.momentum, theta, Vectors<A>{at.x, nullptr, 1, scratch.at},
+                                    Vectors<A>{at.of_x, nullptr, 1, nullptr});
+            if (with_group) of_angle += over_rows<A>(undo_cubic(tables.group, flow.group, theta, at.group, at.of_group));
+            return pull_angle(flow, A(flow.momentum.factor) * of_angle, at);
+        }
         A of_angle = A(flow.momentum.factor) * of_blocks(flow.momentum, at.x, at.of_x, 1);
         if (with_group)
             of_angle += A(flow.group.factor) *
@@ -312,6 +352,11 @@ class RowsBackward {
             unshear(flow.momentum, theta, at.x, at.of_x, 1);
             if (with_group) unshear(flow.group, theta, at.group.at, at.of_group.at, at.group.rows);
         }
+        pull_angle(flow, of_angle, at);
+    }
+
+    // Add the cotangents of the weights of an angle, and of x.
+    INLINE void pull_angle(const ElementaryFlow& flow, const A& of_angle, const Covector<A, G>& at) {
         coefficients.offset[flow.angle] += of_angle;
         A* of_weight = coefficients.weight + (flow.weight - tables.terms.weight);
         for (uint32_t entry = 0; entry < flow.entries; ++entry) {

@@ -54,7 +54,7 @@ static void run_forward(const FlowCotangents& all, const ForwardRun& run, int64_
     for (int64_t i = 0; i < run.carried * coefficients; ++i) directed = directed || run.coefficients[i] != 0.0;
     V* const of_coefficients = directed ? directions.at : nullptr;
     const FurtherTangents<A, V> further{square > 0 ? group.at : nullptr, of_group.at, of_coefficients, all.added};
-    FlowsOfRows flows_of(tables, square > 0);
+    FlowsOfRows flows_of(tables, square > 0, true);
     const auto opening = flows_of(tables.section[0], tables.section[1]);
     const auto repeated = flows_of(tables.section[1], tables.section[2]);
     const auto finish = flows_of(tables.section[2], tables.section[3]);
@@ -83,9 +83,9 @@ static void run_forward(const FlowCotangents& all, const ForwardRun& run, int64_
 template <Summation summation>
 static void run_members(const FlowCotangents& all, const ForwardRun& run, int64_t first, int64_t last,
                         InterruptCheck& interrupts) {
-    typedef Lanes<MEMBER_LANES> Members;
-    for (; run.size <= WIDEST && last - first >= MIN_LANES; first += std::min<int64_t>(MEMBER_LANES, last - first))
-        run_forward<summation, Members, Members>(all, run, first, std::min<int64_t>(MEMBER_LANES, last - first),
+    typedef Lanes<NATIVE> Members;  // the vectors of a member hide the latency
+    for (; run.size <= WIDEST && last - first >= MIN_LANES; first += std::min<int64_t>(NATIVE, last - first))
+        run_forward<summation, Members, Members>(all, run, first, std::min<int64_t>(NATIVE, last - first),
                                                  interrupts);
     for (; first < last; ++first) run_forward<summation, double, TangentLanes>(all, run, first, 1, interrupts);
 }

@@ -135,28 +135,62 @@ struct FlowTangentState {
     INLINE void follow_blocks(const AngleBlocks& blocks, const A& theta, const V* of_angle, const Vectors<A>& x,
                               V* vectors) {
         const int64_t states = x.rows;
-        if (blocks.kind == ROTATE) {
-            const Rotation<A> rotation = rotation_by(theta * blocks.factor);
-            rotate<sum>(rotation, blocks.pairs, blocks.repeat, x);
-            rotate<PLAIN>(rotation, blocks.pairs, blocks.repeat, Vectors<V>{vectors, nullptr, states * rows, nullptr});
-        } else {
+        const bool turns = blocks.kind == ROTATE;
+        Rotation<A> rotation{A(0.0), A(0.0)};
+        if (turns)
+            rotate<sum>(rotation = rotation_by(theta * blocks.factor), blocks.pairs, blocks.repeat, x);
+        else
             shear_blocks<sum>(blocks, theta, x);
-            shear_blocks<PLAIN>(blocks, theta, Vectors<V>{vectors, nullptr, states * rows, nullptr});
-        }
+        const V sine(rotation.sine), cosm1(rotation.cosm1);
         for (uint32_t block = 0; block < blocks.repeat; ++block) {
             const int64_t i = blocks.pairs[2 * block] * states, j = blocks.pairs[2 * block + 1] * states;
             for (int64_t r = 0; r < states; ++r) {
-                const A one = x.at[i + r], other = x.at[j + r];
-                const bool turns = blocks.kind == ROTATE;
-                const V of_first(turns ? -blocks.factor * other : blocks.factor * blocks.constants[block] * other);
-                for (int64_t b = 0; b < rows; ++b)
-                    vectors[(i + r) * rows + b] = fma(of_first, of_angle[b], vectors[(i + r) * rows + b]);
-                if (!turns) continue;
-                const V of_second(blocks.factor * one);
-                for (int64_t b = 0; b < rows; ++b)
-                    vectors[(j + r) * rows + b] = fma(of_second, of_angle[b], vectors[(j + r) * rows + b]);
+                V *first = vectors + (i + r) * rows, *second = vectors + (j + r) * rows;
+                if (turns) {
+                    const V of_first(-blocks.factor * x.at[j + r]), of_second(blocks.factor * x.at[i + r]);
+                    for (int64_t b = 0; b < rows; ++b) {
+                        const V a = first[b], c = second[b], change = of_angle[b];
+                        first[b] = fma(of_first, change, a + fma(cosm1, a, -(sine * c)));
+                        second[b] = fma(of_second, change, c + fma(cosm1, c, sine * a));
+                    }
+                } else {
+                    const double factor = blocks.factor * blocks.constants[block];
+                    const V by(factor * theta), of_first(factor * x.at[j + r]);
+                    for (int64_t b = 0; b < rows; ++b)
+                        first[b] = fma(of_first, of_angle[b], first[b] + by * second[b]);
+                }
             }
         }
+    }
+
+    // The same with a CUBIC block.
+    template <Summation sum>
+    INLINE void follow_cubic(const Action& action, const AngleBlocks& blocks, const A& theta, const V* of_angle,
+                             const Vectors<A>& x, V* vectors, V* copies) {
+        const BlockRows block(action, blocks.run);
+        const CubicFactors<A> factors(action, SharedConstants{}, blocks.run, blocks.factor * theta);
+        gather(block, x);
+        cubic_by<sum>(action, SharedConstants{}, blocks.run, factors, x);
+        gather(block, x);
+        const double *values = action.constants + block.constant + CUBIC_HEADER, *squares = values + block.entries;
+        const int64_t states = x.rows, length = states * rows;
+        gather(block, Vectors<V>{vectors, nullptr, length, copies});
+        for (uint32_t k = 0; k < block.width; ++k)
+            for (int64_t r = 0; r < states; ++r) {
+                A moved(0.0);
+                for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry)
+                    moved = fma(A(values[entry]), x.workspace[block.columns[entry] * states + r], moved);
+                const V change(blocks.factor * moved);
+                V* vector = vectors + block.coordinates[k] * length + r * rows;
+                for (int64_t b = 0; b < rows; ++b) {
+                    V total = change * of_angle[b];
+                    for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry) {
+                        const V by(fma(factors.s, A(values[entry]), factors.c * squares[entry]));
+                        total = fma(by, copies[block.columns[entry] * length + r * rows + b], total);
+                    }
+                    vector[b] = vector[b] + total;
+                }
+            }
     }
 
     INLINE void follow(const ElementaryFlow& flow, A* x, A* dx, V* vectors, const FurtherTangents<A, V>& further) {
@@ -180,10 +214,15 @@ struct FlowTangentState {
                     change[b] = fma(coordinate, of_weight[entry * rows + b], change[b]);
             }
         }
-        follow_blocks<summation>(flow.momentum, theta, change, Vectors<A>{x, dx, 1, nullptr}, vectors);
-        if (further.group)
-            follow_blocks<PLAIN>(flow.group, theta, change, Vectors<A>{further.group, nullptr, side, nullptr},
-                                 further.vectors);
+        const Vectors<A> momentum{x, dx, 1, scratch.at}, group{further.group, nullptr, side, group_scratch.at};
+        if (flow.kind == CUBIC) {
+            follow_cubic<summation>(tables.state, flow.momentum, theta, change, momentum, vectors, wide.at);
+            if (further.group)
+                follow_cubic<PLAIN>(tables.group, flow.group, theta, change, group, further.vectors, wide_group.at);
+            return;
+        }
+        follow_blocks<summation>(flow.momentum, theta, change, momentum, vectors);
+        if (further.group) follow_blocks<PLAIN>(flow.group, theta, change, group, further.vectors);
     }
 
     void row(uint32_t r, A* x, A* dx, V* vectors, const A& t, double h, const FurtherTangents<A, V>& further) {

@@ -43,9 +43,9 @@ static int64_t work_of_step(const RungeKuttaTables& tables) {
     return tables.substeps * tables.stages * 8 * (work_of(tables.field) + d * tables.group.entries);
 }
 
-static void forward_member(const RungeKuttaCotangents& all, const ForwardRun& run, int64_t member,
-                           InterruptCheck& interrupts) {
-    typedef TangentLanes V;
+static void forward_members(const RungeKuttaCotangents& all, const ForwardRun& run, int64_t first, int64_t last,
+                            InterruptCheck& interrupts) {
+    typedef StageTangents::V V;
     constexpr int64_t lanes = Numbers<V>::lanes;
     const RungeKuttaTables& tables = all.base;
     const int64_t n = run.size, square = run.square, rows = (run.carried + lanes - 1) / lanes;
@@ -65,35 +65,38 @@ static void forward_member(const RungeKuttaCotangents& all, const ForwardRun& ru
     const auto write = [](double* to) {
         return [to](V& entry, int lane, int64_t position) { to[position] = lane_of(entry, lane); };
     };
-    each(vectors.at, n, member * run.carried, read(run.tangents));
-    if (square > 0) each(of_group.at, square, member * run.carried, read(run.group_tangents));
     each(directions.at, count, 0, read(run.coefficients));
     bool directed = false;
     for (int64_t i = 0; i < run.carried * count; ++i) directed = directed || run.coefficients[i] != 0.0;
-    stepped.begin(run, member);
     const int64_t work = (2 + 4 * rows) * work_of_step(tables);
-    int64_t mark = 0;
-    for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
-        interrupts.after(work);
-        const double start = run.t0 + double(k - 1) * run.h;
-        for (int64_t part = 0; part < tables.substeps; ++part) {
-            const double t = start + tables.moment[part] * run.h, h = tables.fraction[part] * run.h;
-            stepped.substep(t, h, part, [&](const double* slopes) {
-                points.begin(stepped.one->x, stepped.one->g, t, h, slopes, tangents.needs_gradients(square > 0));
-                tangents.move(vectors.at, square > 0 ? of_group.at : nullptr, directed ? directions.at : nullptr);
-            });
+    for (int64_t member = first; member < last; ++member) {
+        each(vectors.at, n, member * run.carried, read(run.tangents));
+        if (square > 0) each(of_group.at, square, member * run.carried, read(run.group_tangents));
+        stepped.begin(run, member);
+        tangents.restart();
+        int64_t mark = 0;
+        for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
+            interrupts.after(work);
+            const double start = run.t0 + double(k - 1) * run.h;
+            for (int64_t part = 0; part < tables.substeps; ++part) {
+                const double t = start + tables.moment[part] * run.h, h = tables.fraction[part] * run.h;
+                stepped.substep(t, h, part, [&](const double* slopes) {
+                    points.begin(stepped.one->x, stepped.one->g, t, h, slopes);
+                    tangents.move(vectors.at, square > 0 ? of_group.at : nullptr, directed ? directions.at : nullptr);
+                });
+            }
+            if (mark == run.marked || run.marks[mark] != k) continue;
+            const int64_t saved = (mark++ * run.members + member) * run.carried;
+            each(vectors.at, n, saved, write(run.at_points));
+            if (square > 0) each(of_group.at, square, saved, write(run.at_groups));
         }
-        if (mark == run.marked || run.marks[mark] != k) continue;
-        const int64_t saved = (mark++ * run.members + member) * run.carried;
-        each(vectors.at, n, saved, write(run.at_points));
-        if (square > 0) each(of_group.at, square, saved, write(run.at_groups));
+        each(vectors.at, n, member * run.carried, write(run.tangents));
+        if (square > 0) each(of_group.at, square, member * run.carried, write(run.group_tangents));
     }
-    each(vectors.at, n, member * run.carried, write(run.tangents));
-    if (square > 0) each(of_group.at, square, member * run.carried, write(run.group_tangents));
 }
 
-static void backward_member(const RungeKuttaCotangents& all, const BackwardRun& run, int64_t member,
-                            InterruptCheck& interrupts) {
+static void backward_members(const RungeKuttaCotangents& all, const BackwardRun& run, int64_t first, int64_t last,
+                             InterruptCheck& interrupts) {
     const RungeKuttaTables& tables = all.base;
     const int64_t n = run.size, square = run.square, substeps = tables.substeps, steps = run.k1 - run.k0;
     const int64_t count = CoefficientCotangents<double>::count(all.added);
@@ -102,51 +105,56 @@ static void backward_member(const RungeKuttaCotangents& all, const BackwardRun& 
     StageCotangents backward(points);
     // The states before the substeps, and their slopes.
     std::vector<double> states(steps * substeps * (n + square)), slopes(steps * substeps * stepped.size);
-    std::vector<double> cotangents(run.cotangents + member * n, run.cotangents + (member + 1) * n), of_group(square);
-    if (square > 0) std::copy_n(run.group_cotangents + member * square, square, of_group.data());
-    const CoefficientCotangents<double> coefficients(all.added, run.coefficients + member * count);
+    std::vector<double> cotangents(n), of_group(square);
     const int64_t work = work_of_step(tables);
     const auto substep_at = [&](int64_t k, int64_t part, auto&& visit) {
         const int64_t position = (k - run.k0 - 1) * substeps + part;
         visit(run.t0 + double(k - 1) * run.h + tables.moment[part] * run.h, tables.fraction[part] * run.h,
               states.data() + position * (n + square), slopes.data() + position * stepped.size);
     };
-    stepped.begin(run, member);
-    for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
-        interrupts.after(work);
-        for (int64_t part = 0; part < substeps; ++part)
-            substep_at(k, part, [&](double t, double h, double* state, double* found) {
-                stepped.substep(t, h, part, [&](const double* from) {
-                    std::copy_n(stepped.one->x, n, state);
-                    std::copy_n(stepped.one->g, square, state + n);
-                    std::copy_n(from, stepped.size, found);
+    for (int64_t member = first; member < last; ++member) {
+        std::copy_n(run.cotangents + member * n, n, cotangents.data());
+        if (square > 0) std::copy_n(run.group_cotangents + member * square, square, of_group.data());
+        const CoefficientCotangents<double> coefficients(all.added, run.coefficients + member * count);
+        stepped.begin(run, member);
+        backward.restart();
+        for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
+            interrupts.after(work);
+            for (int64_t part = 0; part < substeps; ++part)
+                substep_at(k, part, [&](double t, double h, double* state, double* found) {
+                    stepped.substep(t, h, part, [&](const double* from) {
+                        std::copy_n(stepped.one->x, n, state);
+                        std::copy_n(stepped.one->g, square, state + n);
+                        std::copy_n(from, stepped.size, found);
+                    });
                 });
-            });
-    }
-    int64_t mark = run.marked;
-    for (int64_t k = run.k1; k > run.k0; --k) {
-        interrupts.after(4 * work);
-        if (mark > 0 && run.marks[mark - 1] == k) {
-            const int64_t saved = --mark * run.members + member;
-            for (int64_t i = 0; i < n; ++i) cotangents[i] += run.at_points[saved * n + i];
-            for (int64_t e = 0; e < square; ++e) of_group[e] += run.at_groups[saved * square + e];
         }
-        for (int64_t part = substeps; part-- > 0;)
-            substep_at(k, part, [&](double t, double h, const double* state, const double* found) {
-                points.begin(state, state + n, t, h, found, backward.needs_gradients(square > 0));
-                backward.move(cotangents.data(), square > 0 ? of_group.data() : nullptr, coefficients);
-            });
+        int64_t mark = run.marked;
+        for (int64_t k = run.k1; k > run.k0; --k) {
+            interrupts.after(4 * work);
+            if (mark > 0 && run.marks[mark - 1] == k) {
+                const int64_t saved = --mark * run.members + member;
+                for (int64_t i = 0; i < n; ++i) cotangents[i] += run.at_points[saved * n + i];
+                for (int64_t e = 0; e < square; ++e) of_group[e] += run.at_groups[saved * square + e];
+            }
+            for (int64_t part = substeps; part-- > 0;)
+                substep_at(k, part, [&](double t, double h, const double* state, const double* found) {
+                    points.begin(state, state + n, t, h, found);
+                    backward.move(cotangents.data(), square > 0 ? of_group.data() : nullptr, coefficients);
+                });
+        }
+        backward.finish(run.coefficients + member * count);
+        std::copy_n(cotangents.data(), n, run.cotangents + member * n);
+        if (square > 0) std::copy_n(of_group.data(), square, run.group_cotangents + member * square);
     }
-    std::copy_n(cotangents.data(), n, run.cotangents + member * n);
-    if (square > 0) std::copy_n(of_group.data(), square, run.group_cotangents + member * square);
 }
 
 template <class Run, class Move>
-static int64_t each_member(const RungeKuttaCotangents& all, const Run& run, int64_t first, int64_t last,
+static int64_t of_members(const RungeKuttaCotangents& all, const Run& run, int64_t first, int64_t last,
                            const int64_t* stop, Move move) {
     InterruptCheck interrupts(stop);
     try {
-        for (int64_t member = first; member < last; ++member) move(all, run, member, interrupts);
+        move(all, run, first, last, interrupts);
         return 0;
     } catch (const Interrupted&) {
         return INTERRUPTED;
@@ -159,12 +167,12 @@ static int64_t each_member(const RungeKuttaCotangents& all, const Run& run, int6
 
 EXPORT int64_t runge_kutta_directions(const RungeKuttaCotangents* tables, const ForwardRun* run, int64_t first,
                                       int64_t last, const int64_t* stop) {
-    return each_member(*tables, *run, first, last, stop, forward_member);
+    return of_members(*tables, *run, first, last, stop, forward_members);
 }
 
 EXPORT int64_t runge_kutta_cotangents(const RungeKuttaCotangents* tables, const BackwardRun* run, int64_t first,
                                       int64_t last, const int64_t* stop) {
-    return each_member(*tables, *run, first, last, stop, backward_member);
+    return of_members(*tables, *run, first, last, stop, backward_members);
 }
 
 }  // namespace coadjoint
