@@ -1,5 +1,8 @@
 """Parameters by which runs are differentiated: which ones there are, and the derivatives of the energy by them."""
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 
@@ -205,6 +208,124 @@ def test_values_that_a_system_refuses_are_avoided():
     found = parameter_of(body, "inertia").energy().at(x).reshape(3, 3)
     # Inverses have the condition number as relative error, in units of rounding, and differences more.
     assert np.abs(found - expected).max() <= 1e-9 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("entry", [0.0, 1e-15, 1e-9, 1e-6, 1e-3, 0.2])
+def test_small_entries_of_a_tensor_have_exact_derivatives(entry):
+    """Changes relative to such an entry would change the coefficients by little more than their rounding."""
+    inertia, x = np.array([[1.0, entry, 0.0], [entry, 2.0, 0.0], [0.0, 0.0, 2.5]]), np.array([1.0, -0.5, 0.25])
+    omega = np.linalg.solve(inertia, x)
+    found = parameter_of(co.systems.rigid_body(inertia.tolist()), "inertia").energy().at(x).reshape(3, 3)
+    # Interpolation amplifies the rounding of the inverse by 80.
+    assert np.abs(found + np.outer(omega, omega) / 2).max() <= 80 * 4 * 2.0**-53 * (omega @ omega)
+
+
+@pytest.mark.parametrize(("entry", "scale"), [(1.0 - 2.0**-10, 8.0), (1.0 + 2.0**-10, 1.0 + 2.0**-10)])
+def test_entries_below_an_eighth_of_the_largest_one_change_on_its_scale(monkeypatch, entry, scale):
+    tried = []
+
+    def pair(stiffness):
+        tried.append(float(stiffness[1]))
+        return co.LiePoissonSystem(
+            SO3, co.Quadratic((*stiffness, 0.0)), name="pair", parameters={"stiffness": stiffness}
+        )
+
+    monkeypatch.setattr(parameters, "ready_made_systems", lambda: {"pair": pair})
+    found = parameter_of(pair((8.0, entry)), "stiffness")
+    tried.clear()
+    assert found.energy().at(np.array([1.0, 2.0, 3.0])) == pytest.approx([0.5, 2.0], rel=2.0**-50)
+    # Of Chebyshev nodes, the first one is next to the radius, a quarter of the scale.
+    assert 0.23 * scale < max(tried) - entry < 0.25 * scale
+
+
+def calls_for_derivatives(monkeypatch, diagonal, value):
+    """Return how often a function is called to differentiate M = diag(diagonal(p)) at a value, and the derivatives."""
+    calls = []
+
+    def counted(p):
+        calls.append(p)
+        return co.LiePoissonSystem(SO3, co.Quadratic(diagonal(np.asarray(p))), name="counted", parameters={"p": p})
+
+    monkeypatch.setattr(parameters, "ready_made_systems", lambda: {"counted": counted})
+    found = parameter_of(counted(value), "p")
+    calls.clear()
+    return found.energy(), len(calls)
+
+
+@pytest.mark.parametrize(
+    ("diagonal", "derivatives", "calls"),
+    [
+        (lambda p: [3.0 - 2.0 * p, 1.0, 2.0], [-2.0, 0.0, 0.0], 5),
+        (lambda p: [p * p, 1.0 / p, 0.25 / (1.0 + p * p)], [1.5, -1.0 / 0.5625, -0.375 / 1.5625**2], 5),
+        (lambda p: [np.exp(p), p, 1.0], [np.exp(0.75), 1.0, 0.0], 25),
+        (lambda p: [1.0 / p + p, 1.0, 1.0], [1.0 - 1.0 / 0.5625, 0.0, 0.0], 25),
+    ],
+    ids=["affine", "squares and reciprocals", "exponential", "sum of reciprocals"],
+)
+def test_coefficients_of_low_degree_need_few_calls(monkeypatch, diagonal, derivatives, calls):
+    found, counted = calls_for_derivatives(monkeypatch, diagonal, 0.75)
+    assert counted == calls
+    by_square = dict(zip(found.quadratic[:, 0].tolist(), found.quadratic_factor.tolist(), strict=True))
+    expected = {k: pytest.approx(d / 2, rel=80 * 2.0**-52) for k, d in enumerate(derivatives) if d}
+    assert by_square == expected
+
+
+@pytest.mark.parametrize(("rounding", "calls"), [(16, 5), (64, 25)])
+def test_coefficients_are_of_low_degree_up_to_rounding(monkeypatch, rounding, calls):
+    """The term of the third degree is that of T_3, r^3 / 4, for the radius r."""
+    factor = rounding * 2.0**-53 * 4 * 64
+    _, counted = calls_for_derivatives(monkeypatch, lambda p: [1.0 + factor * (p - 1.0) ** 3, 1.0, 1.0], 1.0)
+    assert counted == calls
+
+
+@pytest.mark.parametrize(
+    ("diagonal", "derivatives", "calls"),
+    [
+        # Each entry alone, and five times all together, of which one is the start.
+        (lambda p: 1.0 / p, [-1.0, 0.0, 0.0, 0.0, -0.25, 0.0, 0.0, 0.0, -0.0625], 3 + 5),
+        (lambda p: [p[0], p[2], 1.0], [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], 3 + 5),
+        # The second entry changes what the first one has changed: then four times each.
+        (lambda p: [p[0] + p[1], p[2], 1.0], [1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], 2 + 1 + 3 * 4),
+        # Alone, the first entry changes nothing: its factor is zero.
+        (lambda p: [p[0] * (p[1] - 2.0), p[2], 1.0], [0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], 3 + 1 + 4 + 3 * 4),
+    ],
+    ids=["reciprocals", "one without effect", "sum", "product"],
+)
+def test_entries_with_coefficients_of_their_own_change_together(monkeypatch, diagonal, derivatives, calls):
+    found, counted = calls_for_derivatives(monkeypatch, diagonal, np.array([1.0, 2.0, 4.0]))
+    assert counted == calls
+    table = np.zeros((3, 3))
+    table[found.quadratic[:, 0], found.quadratic_entry] = found.quadratic_factor
+    np.testing.assert_allclose(2.0 * table.ravel(), derivatives, rtol=80 * 2.0**-52, atol=0)
+
+
+def test_entries_that_only_change_alone_are_differentiated(monkeypatch):
+    """Where one entry may change by some amount, all together may not: their sum is limited."""
+
+    def limited(p):
+        if p.sum() > 3.25:
+            raise ValueError("too large")
+        return p
+
+    found, _ = calls_for_derivatives(monkeypatch, limited, np.array([1.0, 1.0, 1.0]))
+    assert found.quadratic_factor.tolist() == pytest.approx([0.5, 0.5, 0.5], rel=2.0**-50)
+
+
+def test_parameters_are_cached_as_long_as_their_system():
+    system, x = co.systems.heavy_top((1.0, 2.0, 2.5), lever=(0.1, 0.2, 0.3)), np.arange(6.0)
+    found = parameters_of(system)
+    assert parameters_of(system) is found and found["inertia"].energy() is found["inertia"].energy()
+    again = parameters_of(co.systems.heavy_top((1.0, 2.0, 2.5), lever=(0.1, 0.2, 0.3)))
+    assert again is not found
+    for name, one in found.items():
+        assert np.array_equal(one.energy().at(x), again[name].energy().at(x))
+    ready = co.prepare(system, co.Splitting(), step=0.1)
+    ready.parameters["inertia"][:] = 0.0
+    assert ready.parameters["inertia"].tolist() == [1.0, 2.0, 2.5]
+    left = weakref.ref(system)
+    del system, ready
+    gc.collect()
+    assert left() is None
 
 
 def at_least_one(stiffness=1.0):

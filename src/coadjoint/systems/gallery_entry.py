@@ -23,9 +23,31 @@ class Picture:
     Parameters
     ----------
     kind : str
-        Such as ``"body axis"``; ``coadjoint.pictures.register.kinds`` lists them all.
+        Such as ``"body axis"``; see below.
     **options
-        Options of that kind, documented by its function in the folder ``pictures/kinds``.
+        Options of that kind; ``help(co.plotting.kinds()["body axis"])`` explains them.
+
+    Notes
+    -----
+    The kinds and their options (those without a default are needed):
+
+    - ``"body"``: at, axis, up, vertical, view
+    - ``"body axis"``: axis, up, vertical, view
+    - ``"coadjoint orbit"``: view
+    - ``"components"``: chosen, functions, flips, quantity
+    - ``"directions"``: vectors (needed), axes_named, title, view
+    - ``"drift"``, ``"error"``, ``"observed"``, ``"energy by scale"``: none
+    - ``"eigenvalues"``, ``"field spectra"``: at
+    - ``"field"``: width (needed), modes or values, at, label
+    - ``"nutation"``: axis, up, turns
+    - ``"path in space"``: axis
+    - ``"phase ellipse"``: moments or lumps, times, until, labels
+    - ``"phase portrait"``: across, up, labels, cyclic, equal, title
+    - ``"section"``: event, components
+    - ``"space-time"``: sites (needed), label (needed), across, centred, title
+    - ``"sphere field"``: values (needed), at, view, label
+    - ``"spins"``: at, seen
+    - ``"vorticity"``: at, part, projection, centre, limit
 
     Examples
     --------

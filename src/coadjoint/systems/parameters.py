@@ -4,54 +4,74 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NamedTuple
+from functools import cache, partial
+from typing import Any, NamedTuple, cast
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import unknown_name
-from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.coefficient_derivatives import (
+    RADIUS,
+    SMALL_ENTRY,
+    Coefficients,
+    coefficients_of,
+    coordinates_of,
+    derivatives_by_entries,
+    largest_entry,
+)
 from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.energy_derivatives import EnergyDerivative, Monomial
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, as_hamiltonian
 from coadjoint.systems.hamiltonians.linear_term import with_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm
+from coadjoint.systems.hamiltonians.terms import FunctionTerm
+from coadjoint.systems.parameter_differences import EnergyDifferences
+from coadjoint.systems.protocol import is_matrix_system
 from coadjoint.systems.registry import ready_made_systems
 
 Floats = NDArray[np.float64]
-Coefficients = dict[tuple[int, ...], float]
 
-# Nodes of the interpolation by which coefficients are differentiated, and its first radius relative to the parameter.
-# The nearest pole of a reciprocal is at four radii: the truncation is 7.9^-20, and rounding is amplified by 80.
-NODES = 20
-RADIUS = 0.25
 # Entries of which it is tried whether they may change alone.
 MAX_TRIED = 16
-# Smaller radii are tried where the builder refuses values, or a pole is near.
-MAX_REDUCTIONS = 6
-# Changes of the coefficients below this multiple of their rounding are zero.
-ZERO_DERIVATIVE = 256 * UNIT_ROUNDOFF
 # Largest dimension of a matrix M with all entries as parameters; of larger ones those that are stored.
 MAX_DENSE_DIMENSION = 128
 SEED = 1993
 
 
 class Parameter(NamedTuple):
-    """Value of a parameter, and a function that returns the derivative of the energy by its entries."""
+    """Value of a parameter, and functions of no argument for its derivatives.
+
+    `energy` returns the derivative of the energy by the entries, and `radii` by how much each of these may change so
+    that the energy remains an analytic function without near poles.
+    """
 
     value: Floats
     energy: Callable[[], EnergyDerivative]
+    radii: Callable[[], Floats]
 
 
-def parameters_of(system: Any) -> dict[str, Parameter]:
+# Systems are immutable, and finding their parameters takes many calls of the functions that make them.
+_PARAMETERS: WeakKeyDictionary[Any, dict[str, Parameter]] = WeakKeyDictionary()
+
+
+def parameters_of(system: Any) -> Mapping[str, Parameter]:
     """Return the parameters of a system by name; none for Hamiltonians that are functions of the user.
 
     Those of a ready-made system are its arguments that enter coefficients of its Hamiltonian. Otherwise they are `M`
     and `linear` of a `Quadratic`, and `coefficients` of a polynomial.
     """
+    if system not in _PARAMETERS:
+        _PARAMETERS[system] = _find_parameters(system)
+    return _PARAMETERS[system]
+
+
+def _find_parameters(system: Any) -> dict[str, Parameter]:
+    if is_matrix_system(system):
+        builder = ready_made_systems().get(system.name)
+        return {} if builder is None or not system.parameters else _of_matrix_builder(system, builder)
     if not getattr(system, "hamiltonian", None) or not system.hamiltonian.terms():
         return {}
     if system.parameters and (builder := ready_made_systems().get(system.name)) is not None:
@@ -67,10 +87,15 @@ def _of_hamiltonian(system: Any) -> dict[str, Parameter]:
         return _of_quadratic(H, system.dim)
     if isinstance(H, PolynomialHamiltonian):
         monomials = list(H.polynomial.monomials.items())
-        derivative = [Monomial(_coordinates(exponents), k, 1.0) for k, (exponents, _) in enumerate(monomials)]
+        derivative = [Monomial(coordinates_of(exponents), k, 1.0) for k, (exponents, _) in enumerate(monomials)]
         value = np.array([float(coefficient) for _, coefficient in monomials])
-        return {"coefficients": Parameter(value, lambda: EnergyDerivative.of_monomials(len(derivative), derivative))}
+        return {"coefficients": _linear(value, lambda: EnergyDerivative.of_monomials(len(derivative), derivative))}
     return {}
+
+
+def _linear(value: Floats, energy: Callable[[], EnergyDerivative]) -> Parameter:
+    """Return a parameter on which the energy depends linearly."""
+    return Parameter(value, cache(energy), lambda: np.full(value.shape, RADIUS * largest_entry(value)))
 
 
 def parameter_of(system: Any, name: str) -> Parameter:
@@ -89,7 +114,8 @@ def with_parameters(system: Any, values: Mapping[str, Floats]) -> Any:
     """
     builder = _builder_of(system, values)
     if builder is not None:
-        return builder(**{**system.parameters, **{name: _plain(value) for name, value in values.items()}})
+        found = builder(**{**system.parameters, **{name: _plain(value) for name, value in values.items()}})
+        return found.in_numbers if is_matrix_system(system) and system.shape == (system.dim,) else found
     return with_hamiltonian(system, in_coordinates_of(system, _with_coefficients(system, values)))
 
 
@@ -99,15 +125,16 @@ def parameters_at(system: Any, values: Mapping[str, Floats]) -> dict[str, Parame
     They have the shapes of `values` also where coefficients of that system are zero.
     """
     builder = _builder_of(system, values)
-    if builder is None:
-        found = _of_hamiltonian(system)
-        return {name: found[name]._replace(value=value) for name, value in values.items()}
+    if builder is None or is_matrix_system(system):
+        found = parameters_of(with_parameters(system, values)) if is_matrix_system(system) else _of_hamiltonian(system)
+        return (
+            {name: found[name]._replace(value=value) for name, value in values.items()}
+            if is_matrix_system(system)
+            else {name: _linear(value, found[name].energy) for name, value in values.items()}
+        )
     arguments = {**system.parameters, **{name: _plain(value) for name, value in values.items()}}
     return {
-        name: Parameter(
-            value,
-            _derivative(builder, arguments, name, value, _is_symmetric(builder, arguments, name, value)),
-        )
+        name: _argument(builder, arguments, name, value, _is_symmetric(builder, arguments, name, value))
         for name, value in values.items()
     }
 
@@ -144,11 +171,6 @@ def _with_coefficients(system: Any, values: Mapping[str, Floats]) -> Hamiltonian
     return Quadratic(M if M.ndim == 1 else 0.5 * (M + M.T), linear, H.constant)
 
 
-def _coordinates(exponents: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the coordinates of a monomial, each as often as its exponent."""
-    return tuple(factors_of(exponents))
-
-
 def _of_quadratic(H: Quadratic, n: int) -> dict[str, Parameter]:
     entries = H.bind(n).as_given()
     rows, columns = entries.rows, entries.columns
@@ -175,8 +197,8 @@ def _of_quadratic(H: Quadratic, n: int) -> dict[str, Parameter]:
         )
 
     return {
-        "M": Parameter(value, by_matrix),
-        "linear": Parameter(np.asarray(entries.linear, dtype=np.float64), by_linear),
+        "M": _linear(value, by_matrix),
+        "linear": _linear(np.asarray(entries.linear, dtype=np.float64), by_linear),
     }
 
 
@@ -197,7 +219,37 @@ def _of_builder(system: Any, builder: Callable[..., Any]) -> dict[str, Parameter
                 continue
             symmetric = _is_symmetric(builder, arguments, name, value)
             if _enters_coefficients(system, builder, arguments, name, value, symmetric):
-                found[name] = Parameter(value, _derivative(builder, arguments, name, value, symmetric))
+                found[name] = _argument(builder, arguments, name, value, symmetric)
+    return found
+
+
+def _of_matrix_builder(system: Any, builder: Callable[..., Any]) -> dict[str, Parameter]:
+    """Return the parameters that enter only the energy of a system of matrices, by differences."""
+    arguments, found = dict(system.parameters), {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for name, given in arguments.items():
+            value = _numbers(given)
+            if value is None:
+                continue
+            symmetric = _is_symmetric(builder, arguments, name, value)
+
+            def moved(
+                index: tuple[int, ...], by: float, name: str = name, value: Floats = value, symmetric: bool = symmetric
+            ) -> Any:
+                return builder(**{**arguments, name: _moved(value, index, by, symmetric)})
+
+            try:
+                other = builder(**{**arguments, name: _changed(value, 1.0 + 2.0**-10)})
+                for index in list(np.ndindex(value.shape))[:MAX_TRIED]:
+                    moved(index, 2.0**-20 * largest_entry(value))
+            except (TypeError, ValueError):
+                continue
+            if (other.algebra, other.energy_sign) == (system.algebra, system.energy_sign):
+                largest = largest_entry(value)
+                radii = RADIUS * np.where(np.abs(value) > SMALL_ENTRY * largest, np.abs(value), largest)
+                energy = partial(cast(Any, EnergyDifferences), radii, moved)
+                found[name] = Parameter(value, energy, partial(np.copy, radii))
     return found
 
 
@@ -217,7 +269,7 @@ def _is_symmetric(builder: Callable[..., Any], arguments: dict[str, Any], name: 
     if value.ndim != 2 or len(value) < 2 or not np.array_equal(value, value.T):
         return False
     try:
-        builder(**{**arguments, name: _moved(value, (0, 1), 2.0**-20 * _size(value, (0, 1)), False)})
+        builder(**{**arguments, name: _moved(value, (0, 1), 2.0**-20 * largest_entry(value), False)})
     except (TypeError, ValueError):
         return True
     return False
@@ -231,7 +283,7 @@ def _enters_coefficients(
         other = builder(**{**arguments, name: _changed(value, 1.0 + 2.0**-10)})
         for index in list(np.ndindex(value.shape))[:MAX_TRIED]:
             # Entries may be tied to each other.
-            builder(**{**arguments, name: _moved(value, index, 2.0**-20 * _size(value, index), symmetric)})
+            builder(**{**arguments, name: _moved(value, index, 2.0**-20 * largest_entry(value), symmetric)})
     except (TypeError, ValueError):
         return False
     if other.dim != system.dim or other.sign != system.sign:
@@ -263,11 +315,6 @@ def _plain(value: Floats) -> Any:
     return value if value.ndim else float(value)
 
 
-def _size(value: Floats, index: tuple[int, ...]) -> float:
-    """Return the size of an entry, of a zero that of the largest one, else one."""
-    return abs(float(value[index])) or float(np.max(np.abs(value))) or 1.0
-
-
 def _moved(value: Floats, index: tuple[int, ...], by: float, symmetric: bool) -> Any:
     """Add to an entry; if the matrix must be symmetric half to it and half to its mirror image."""
     moved = value.copy()
@@ -279,79 +326,27 @@ def _moved(value: Floats, index: tuple[int, ...], by: float, symmetric: bool) ->
     return _plain(moved)
 
 
-def coefficients_of(system: Any) -> Coefficients:
-    """Return the coefficients of the monomials of H, each by its coordinates; functions of the user have none."""
-    found: Coefficients = {}
-    for term in system.hamiltonian.terms():
-        found[()] = found.get((), 0.0) + term.constant
-        if term.form is not None:
-            for i, value in enumerate(term.form.linear.tolist()):
-                if value:
-                    found[i,] = found.get((i,), 0.0) + value
-            pairs = zip(term.form.rows.tolist(), term.form.indices.tolist(), term.form.values.tolist(), strict=True)
-            for i, j, value in pairs:
-                if i <= j:
-                    found[i, j] = found.get((i, j), 0.0) + (0.5 * value if i == j else value)
-        elif isinstance(term, PolynomialTerm):
-            for exponents, value in term.polynomial.monomials.items():
-                key = _coordinates(exponents)
-                found[key] = found.get(key, 0.0) + float(value)
-    return found
-
-
-def _derivative(
+def _argument(
     builder: Callable[..., Any], arguments: dict[str, Any], name: str, value: Floats, symmetric: bool
-) -> Callable[[], EnergyDerivative]:
-    def derivative() -> EnergyDerivative:
+) -> Parameter:
+    """Return the parameter of an argument of a function that makes systems."""
+
+    def coefficients_at(shifts: Floats) -> Coefficients:
+        moved = value + (0.5 * (shifts + shifts.T) if symmetric else shifts)
+        return coefficients_of(builder(**{**arguments, name: _plain(moved)}))
+
+    @cache
+    def found() -> tuple[EnergyDerivative, Floats]:
         monomials: list[Monomial] = []
-        for index in np.ndindex(value.shape):
-            radius = RADIUS * _size(value, index)
-
-            def coefficients_at(shift: float, index: tuple[int, ...] = index) -> Coefficients:
-                return coefficients_of(builder(**{**arguments, name: _moved(value, index, shift, symmetric)}))
-
-            by_key = _by_interpolation(coefficients_at, radius)
-            if by_key is None:
+        radii = np.zeros(value.size)
+        for entry, derivatives in enumerate(derivatives_by_entries(coefficients_at, value)):
+            if derivatives is None:
                 raise ValueError(
-                    f"{name} cannot be differentiated: {builder.__name__} accepts no values near {value[index]:g}; "
-                    "build the system from its own Quadratic, and differentiate by M"
+                    f"{name} cannot be differentiated: {builder.__name__} accepts no values near "
+                    f"{value.flat[entry]:g}; build the system from its own Quadratic, and differentiate by M"
                 )
-            entry = int(np.ravel_multi_index(index, value.shape)) if index else 0
+            by_key, radii[entry] = derivatives
             monomials += [Monomial(key, entry, factor) for key, factor in by_key.items() if factor]
-        return EnergyDerivative.of_monomials(value.size, monomials)
+        return EnergyDerivative.of_monomials(value.size, monomials), radii.reshape(value.shape)
 
-    return derivative
-
-
-def _by_interpolation(coefficients_at: Callable[[float], Coefficients], largest: float) -> Coefficients | None:
-    """Return the derivatives of all coefficients by one entry, by interpolation in Chebyshev nodes.
-
-    The radius is reduced from the largest one where values are refused, and until the last terms of the series are
-    below rounding; the smallest last terms decide otherwise. None if all radii are refused.
-    """
-    nodes = np.cos((np.arange(NODES) + 0.5) * np.pi / NODES)
-    series = 2.0 / NODES * np.cos(np.outer(np.arange(NODES), np.arccos(nodes)))
-    orders = np.arange(1, NODES, 2)
-    # Of odd order, T_j has the derivative j (-1)^((j - 1) / 2) at zero.
-    weights = (orders * (-1.0) ** (orders // 2)) @ series[orders]
-    found, least = None, np.inf
-    for reduction in range(MAX_REDUCTIONS):
-        radius = largest * 0.25**reduction
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                samples = [coefficients_at(radius * node) for node in nodes.tolist()]
-        except (TypeError, ValueError):
-            continue
-        keys = sorted(set().union(*samples), key=lambda key: (len(key), key))
-        table = np.array([[sample.get(key, 0.0) for key in keys] for sample in samples])
-        size, last = np.max(np.abs(table), axis=0), np.sum(np.abs(series[-2:] @ table), axis=0)
-        if (error := float(np.sum(last)) / radius) < least:
-            straight = table[0] + np.outer((nodes - nodes[0]) / (nodes[-1] - nodes[0]), table[-1] - table[0])
-            affine = np.all(np.abs(table - straight) <= 4 * UNIT_ROUNDOFF * size, axis=0)
-            slope = np.where(affine, (table[-1] - table[0]) / (nodes[-1] - nodes[0]), weights @ table) / radius
-            slope[np.abs(slope) * radius <= ZERO_DERIVATIVE * size] = 0.0
-            found, least = dict(zip(keys, slope.tolist(), strict=True)), error
-        if np.all(last <= ZERO_DERIVATIVE * size):
-            break
-    return found
+    return Parameter(value, lambda: found()[0], lambda: found()[1])

@@ -6,7 +6,7 @@ Only these functions and the writers of records distinguish the classes of syste
 |---|---|
 | the system of a member, or all of them | `member_of`, `members_of`, `among` |
 | the Hamiltonian part and the forces | `unforced`, `forces_of` |
-| the shape of a state, and rows of numbers as states | `shape_of`, `states_of` |
+| the shape of a state, rows of numbers as states, and the inverse | `shape_of`, `states_of`, `rows_of` |
 | names of the components of a state | `coordinates_of` |
 | matrices with streams, traces and spectra | `is_matrix_system`, `unforced_matrix_system` |
 | the same with vectors as states | `as_vector_system` |
@@ -128,6 +128,17 @@ def states_of(system: Any, rows: Any) -> Any:
     if is_matrix_system(plain):
         return plain.states(rows)
     return rows.reshape(*rows.shape[:-1], *shape_of(plain))
+
+
+def rows_of(system: Any, states: Any) -> Any:
+    """Return states (..., *shape) as rows of numbers (..., dim): the inverse of `states_of`."""
+    shape = shape_of(system)
+    if len(shape) < 2:
+        return states
+    plain = unforced(system)
+    if is_matrix_system(plain):
+        return plain.to_vector(states)
+    return states.reshape(*states.shape[: -len(shape)], plain.dim)
 
 
 def coordinates_of(system: Any) -> tuple[str, ...]:

@@ -69,6 +69,12 @@ def forms_of(function: Any) -> Forms | None:
     return None if forms is None else forms._replace(weight=function.factor * forms.weight)
 
 
+def is_called_in_python(function: Any) -> bool:
+    """Return whether a function of (x, t), or a multiple of one, is called in Python by the loops, not compiled."""
+    inner = function.function if isinstance(function, MultipleOf) else function
+    return is_called_in_python(inner) if inner is not function else getattr(function, "called_in_python", False)
+
+
 def multiple_of(function: Any, factor: Coefficient, scalar: bool) -> Any:
     """Return the `MultipleOf` a function, or None for None; a fraction is rounded, since functions return floats."""
     factor = factor if isinstance(factor, int) else float(factor)
@@ -157,14 +163,17 @@ def sample_points(n: int) -> list[npt.NDArray[np.float64]]:
     return [draw[0] * signs, draw[1], 0.125 * draw[2], 1.0 + 7.0 * draw[3]]
 
 
-def evaluate(function: Callable[..., Any], x: Any, timed: bool) -> npt.NDArray[np.float64] | Exception:
-    """Return the value of a function at a sample point, or its exception: the point may lie outside its domain."""
+def evaluate(function: Callable[..., Any], x: Any, timed: bool, *, convert: bool = True) -> Any:
+    """Return the value of a function at a sample point, or its exception: the point may lie outside its domain.
+
+    The value is an array of float64, or with `convert` false what the function returns.
+    """
     with np.errstate(all="ignore"):
         try:
             result = function(x, SAMPLE_TIME) if timed else function(x)
             if result is None:
                 raise TypeError("it returns None")
-            return np.asarray(result, dtype=np.float64)
+            return np.asarray(result, dtype=np.float64) if convert else result
         except (ArithmeticError, ValueError, TypeError, IndexError) as reason:
             return reason
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Any, Protocol, Self, cast, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -13,14 +13,15 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
-from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import read_point
+from coadjoint.systems.hamiltonians.jax_function import JaxFunction, check_traceable, is_array_of_jax
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.summable import Summable
-from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, Term
+from coadjoint.systems.hamiltonians.traced_function import TracingError, traced_derivatives
+from coadjoint.systems.hamiltonians.user_hamiltonian import REQUIRED_ATTRIBUTES, check_user_hamiltonian
 from coadjoint.systems.user_functions import (
-    SAMPLE_TIME,
     all_take_time,
     check_derivative,
     evaluate,
@@ -71,31 +72,56 @@ class Hamiltonian(Summable):
     ----------
     value : callable
         Pure function of ``(x)`` or ``(x, t)``, x of shape (n,); returns a number.
-    gradient : callable
+    gradient : callable, optional
         Function of the same arguments that returns shape (n,). Checked against the central difference of `value`.
+        Without it both derivatives are derived from `value`; see Notes.
     hessian : callable, optional
         Function of the same arguments that returns shape (n, n). Needed for exact tangents.
 
     Raises
     ------
     TypeError
-        Not functions, or functions of different arguments.
+        Not functions, or functions of different arguments. In `bind`: no derivatives can be derived.
     ValueError
         In `bind`: a shape is wrong, or a derivative disagrees with a finite difference at a sample point.
+
+    Notes
+    -----
+    Derivatives are derived in `bind`, for the dimension of the system, exactly:
+
+    - If `value` returns an array of JAX, it is a function of JAX, such as a neural network, and is differentiated by
+      ``jax.grad`` and ``jax.hessian``. The loops call it in Python, 10 to 50 us for each gradient. Numbers must be of
+      float64, which JAX has with ``jax.config.update("jax_enable_x64", True)``.
+    - Otherwise its operations are recorded and differentiated one by one: arithmetic, and functions of NumPy with a
+      derivative everywhere in their domains. The results are compiled by Numba like functions that are given. A
+      function with comparisons, absolute values or more than 2000 operations is refused.
+
+    The representation of a bound Hamiltonian names which of them was used.
 
     Examples
     --------
     >>> H = Hamiltonian(lambda x: np.cosh(x[0]) + x[1] ** 2, lambda x: np.array([np.sinh(x[0]), 2 * x[1]]))
     >>> H.bind(2).gradient([0.0, 3.0])
     array([0., 6.])
+    >>> derived = Hamiltonian(lambda x: np.cosh(x[0]) + x[1] ** 2).bind(2)
+    >>> derived.gradient([0.0, 3.0])
+    array([0., 6.])
+    >>> derived
+    Hamiltonian(<lambda>, derivatives of recorded operations)
     """
 
     def __init__(
-        self, value: Callable[..., Any], gradient: Callable[..., Any], hessian: Callable[..., Any] | None = None
+        self,
+        value: Callable[..., Any],
+        gradient: Callable[..., Any] | None = None,
+        hessian: Callable[..., Any] | None = None,
     ) -> None:
+        if gradient is None and hessian is not None:
+            raise TypeError("hessian was given without gradient; give both, or neither to derive them from value")
         self.timed = all_take_time({"value": value, "gradient": gradient, "hessian": hessian})
         self.dim: int | None = None
         self._value, self._gradient, self._hessian = value, gradient, hessian
+        self._loop_value, self._derived_by = value, ""
 
     def bind(self, n: int) -> Hamiltonian:
         """Return this Hamiltonian bound to dimension `n`, after checking its functions at sample points.
@@ -122,6 +148,8 @@ class Hamiltonian(Summable):
         check_available_memory(
             BYTES_PER_COORDINATE * n, f"a Hamiltonian of {short(n)} coordinates, checked at sample points,"
         )
+        if self._gradient is None:
+            return self._derived(n).bind(n)
         functions, derivatives = [("value", self._value), ("gradient", self._gradient)], [("gradient", self._gradient)]
         if self._hessian is not None:
             derivatives.append(("hessian", self._hessian))
@@ -135,9 +163,29 @@ class Hamiltonian(Summable):
                 n=n,
                 timed=self.timed,
             )
-        bound = Hamiltonian(self._value, self._gradient, self._hessian)
+        bound = copy.copy(self)
         bound.dim = n
         return bound
+
+    def _derived(self, n: int) -> Self:
+        """Return this Hamiltonian with derivatives derived from its value."""
+        result = copy.copy(self)
+        values = (evaluate(self._value, x, self.timed, convert=False) for x in sample_points(n))
+        if any(map(is_array_of_jax, values)):
+            check_traceable(self._value, n, self.timed)
+            functions: tuple[Any, ...] = tuple(JaxFunction(self._value, order, self.timed) for order in range(3))
+            result._derived_by = "derivatives by JAX"
+        else:
+            try:
+                functions = traced_derivatives(self._value, n, self.timed)
+            except TracingError as reason:
+                raise TypeError(
+                    f"the gradient cannot be derived from the Hamiltonian alone: {reason}; give gradient=, or "
+                    "write the function with jax.numpy"
+                ) from reason
+            result._derived_by = "derivatives of recorded operations"
+        result._loop_value, result._gradient, result._hessian = functions
+        return result
 
     def times(self, factor: Coefficient) -> Self:
         """Return the Hamiltonian multiplied by a factor.
@@ -152,7 +200,9 @@ class Hamiltonian(Summable):
         Hamiltonian
         """
         result = copy.copy(self)
-        result._value = multiple_of(self._value, factor, scalar=True)
+        result._value, result._loop_value = (
+            multiple_of(function, factor, scalar=True) for function in (self._value, self._loop_value)
+        )
         result._gradient, result._hessian = (
             multiple_of(function, factor, scalar=False) for function in (self._gradient, self._hessian)
         )
@@ -169,10 +219,14 @@ class Hamiltonian(Summable):
 
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return the gradient, shape (n,)."""
+        if self._gradient is None:
+            return self.bind(np.size(x)).gradient(x, t)
         return np.asarray(self._call(self._gradient, x, t)[0])
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return the second derivatives, shape (n, n)."""
+        if self._gradient is None:
+            return self.bind(np.size(x)).hessian(x, t)
         if self._hessian is None:
             raise TypeError("this Hamiltonian has no second derivatives; give hessian=")
         return np.asarray(self._call(self._hessian, x, t)[0])
@@ -181,13 +235,13 @@ class Hamiltonian(Summable):
         """Return the single `FunctionTerm`, of all coordinates; the Hamiltonian must be bound."""
         if self.dim is None:
             raise TypeError("this Hamiltonian has no dimension yet; call bind(n) first")
-        coordinates = np.arange(self.dim, dtype=np.int64)
-        return (FunctionTerm(coordinates, self._value, self._gradient, self._hessian, timed=self.timed),)
+        coordinates, gradient = np.arange(self.dim, dtype=np.int64), cast("Callable[..., Any]", self._gradient)
+        return (FunctionTerm(coordinates, self._loop_value, gradient, self._hessian, timed=self.timed),)
 
     def __repr__(self) -> str:
-        functions = (self._value, self._gradient, self._hessian)
+        functions = (self._value,) if self._derived_by else (self._value, self._gradient, self._hessian)
         names = [getattr(f, "__name__", short(f)) for f in functions if f is not None]
-        return f"Hamiltonian({', '.join(names)})"
+        return f"Hamiltonian({', '.join([*names, *filter(None, [self._derived_by])])})"
 
 
 class PolynomialHamiltonian(Summable):
@@ -254,7 +308,8 @@ def as_hamiltonian(H: Any, n: int, owner: str = "the system") -> HamiltonianLike
         if len(monomials) > MAX_CACHED_MONOMIALS:
             return Quadratic.from_polynomial(H)
         return _quadratic(H, tuple(map(type, monomials.values())))
-    if isinstance(H, type) or not isinstance(H, HamiltonianLike):
+    # A Quadratic is one, and the test of a protocol takes much of the time to make a small system.
+    if isinstance(H, type) or not (type(H) is Quadratic or isinstance(H, HamiltonianLike)):
         missing = [name for name in REQUIRED_ATTRIBUTES if not hasattr(H, name)]
         what = f"the class {H.__name__}" if isinstance(H, type) else f"a {type(H).__name__}"
         is_incomplete = not isinstance(H, type) and 0 < len(missing) < len(REQUIRED_ATTRIBUTES) - 1
@@ -273,67 +328,3 @@ def as_hamiltonian(H: Any, n: int, owner: str = "the system") -> HamiltonianLike
     if type(H).__module__.partition(".")[0] != __name__.partition(".")[0]:
         check_user_hamiltonian(bound, n)
     return bound
-
-
-REQUIRED_ATTRIBUTES = ("dim", "timed", "bind", "value", "gradient", "hessian", "terms")
-
-
-def check_user_hamiltonian(H: Any, n: int) -> None:
-    """Raise an error if value, gradient, second derivatives and terms of a bound user-defined Hamiltonian disagree.
-
-    Compiled loops use the terms; Python code uses the functions.
-    """
-    kind = type(H).__name__
-    if getattr(H, "dim", None) != n:
-        raise ValueError(f"bind({n}) of {kind} returned a Hamiltonian of dimension {short(getattr(H, 'dim', None))}")
-    terms = H.terms()
-    for term in terms:
-        if not hasattr(term, "describe_to"):
-            raise TypeError(
-                f"{kind}.terms() holds {short(term)}; a term is a QuadraticTerm, PolynomialTerm or FunctionTerm"
-            )
-    value, gradient = (f"{kind}.{name}" for name in ("value", "gradient"))
-    check_derivative(H.value, H.gradient, names=(value, gradient), shapes=((), (n,)), n=n, timed=H.timed)
-    if not isinstance(evaluate(H.hessian, sample_points(n)[0], H.timed), TypeError):
-        names = (gradient, f"{kind}.hessian")
-        check_derivative(H.gradient, H.hessian, names=names, shapes=((n,), (n, n)), n=n, timed=H.timed)
-    for x in sample_points(n):
-        declared = evaluate(H.gradient, x, H.timed)
-        if isinstance(declared, Exception):
-            continue
-        term_gradient = _Gradient(x)
-        for term in terms:
-            term.describe_to(term_gradient)
-        total, size = term_gradient.total, term_gradient.size
-        if not np.all(np.abs(total - declared) <= 2.0**10 * UNIT_ROUNDOFF * (size + np.abs(declared))):
-            k = int(np.argmax(np.abs(total - declared)))
-            raise ValueError(
-                f"{kind}.terms() contradict {gradient}: component {k} is {total[k]:.6g} by the terms and "
-                f"{float(declared[k]):.6g} by the gradient at a sample point; correct the one that is wrong"
-            )
-
-
-class _Gradient:
-    """The gradient of a sum of terms at a sample point, and the sum of absolute values for tolerances."""
-
-    def __init__(self, x: npt.NDArray[np.float64]) -> None:
-        self.x, self.total, self.size = x, np.zeros(len(x)), 0.0
-
-    def _add(self, part: npt.NDArray[np.float64]) -> None:
-        self.total += part
-        self.size += float(np.max(np.abs(part), initial=0.0))
-
-    def quadratic(self, term: QuadraticTerm) -> None:
-        part = term.linear.astype(np.float64)
-        np.add.at(part, term.rows, term.values * self.x[term.indices])
-        self.size += float(np.max(np.abs(term.values), initial=0.0) * np.abs(self.x).sum())
-        self._add(part)
-
-    def polynomial(self, term: PolynomialTerm) -> None:
-        self._add(np.asarray(term.polynomial.gradient(self.x), dtype=np.float64))
-
-    def function(self, term: FunctionTerm) -> None:
-        y, part = self.x[term.coordinates], np.zeros(len(self.x))
-        values = term.gradient(y[0] if term.scalar else y, *((SAMPLE_TIME,) if term.timed else ()))
-        np.add.at(part, term.coordinates, np.asarray(values, dtype=np.float64).reshape(len(y)))
-        self._add(part)

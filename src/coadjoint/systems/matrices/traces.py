@@ -48,6 +48,10 @@ class Trace:
         gradient[..., self.rows, self.rows] = np.conj(np.swapaxes(derivative, -1, -2))
         return self.to_vector(gradient)
 
+    def sum_of_absolute_terms(self, x: Any) -> Any:
+        """Return the sum of the powers of the singular values, since eigenvalues may cancel."""
+        return np.sum(np.linalg.svd(self._base(self.to_matrices(x)), compute_uv=False) ** self.power, axis=-1)
+
     def _base(self, W: Matrix) -> Matrix:
         part = W[..., self.rows, self.rows]
         return -1j * part if self.kind.conjugate else part

@@ -228,3 +228,12 @@ class _Invariant:
 
     def __call__(self, x: Any) -> Any:
         return self._system.casimirs_at(x)[self._name]
+
+    def sum_of_absolute_terms(self, x: Any) -> Any:
+        """Return the sum of the products of the singular values, since eigenvalues may cancel."""
+        singular = np.linalg.svd(self._system.matrices(x), compute_uv=False)
+        theta, W = singular[..., 0, :], singular[..., 1, :]
+        power = int(self._name.rpartition("^")[2]) if "^" in self._name else 1
+        if self._name.startswith(mixed(2)):
+            return np.sum(W * theta**power, axis=-1)
+        return np.sum((W if self._name.startswith("tr W") else theta) ** power, axis=-1)

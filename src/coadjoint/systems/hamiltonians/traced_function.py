@@ -1,0 +1,264 @@
+"""Derivatives of Python functions: operations are recorded, differentiated exactly, and written as new functions."""
+
+from __future__ import annotations
+
+import hashlib
+import linecache
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, cast
+
+import numpy as np
+
+from coadjoint.errors import in_one_line
+from coadjoint.short_repr import short
+from coadjoint.validation import is_real
+
+MAX_OPERATIONS = 2000
+"""Recorded operations beyond which a function is refused; Numba compiles about 200 of them in a second."""
+
+UNARY: dict[str, Callable[[Any, Any], Any]] = {
+    "sin": lambda x, y: x.cos(),
+    "cos": lambda x, y: -x.sin(),
+    "tan": lambda x, y: 1 + y * y,
+    "arcsin": lambda x, y: 1 / (1 - x * x).sqrt(),
+    "arccos": lambda x, y: -1 / (1 - x * x).sqrt(),
+    "arctan": lambda x, y: 1 / (1 + x * x),
+    "sinh": lambda x, y: x.cosh(),
+    "cosh": lambda x, y: x.sinh(),
+    "tanh": lambda x, y: 1 - y * y,
+    "arcsinh": lambda x, y: 1 / (x * x + 1).sqrt(),
+    "arccosh": lambda x, y: 1 / (x * x - 1).sqrt(),
+    "arctanh": lambda x, y: 1 / (1 - x * x),
+    "exp": lambda x, y: y,
+    "expm1": lambda x, y: x.exp(),
+    "exp2": lambda x, y: y * math.log(2.0),
+    "log": lambda x, y: 1 / x,
+    "log1p": lambda x, y: 1 / (1 + x),
+    "log2": lambda x, y: 1 / (x * math.log(2.0)),
+    "log10": lambda x, y: 1 / (x * math.log(10.0)),
+    "sqrt": lambda x, y: 0.5 / y,
+    "cbrt": lambda x, y: 1 / (3 * y * y),
+}
+"""NumPy function -> its derivative at x, where its value is y."""
+
+BINARY: dict[str, tuple[str, Callable[..., tuple[Any, Any]]]] = {
+    "add": ("({} + {})", lambda a, b, y: (1, 1)),
+    "sub": ("({} - {})", lambda a, b, y: (1, -1)),
+    "mul": ("({} * {})", lambda a, b, y: (b, a)),
+    "div": ("({} / {})", lambda a, b, y: (1 / b, -y / b)),
+    "pow": ("({} ** {})", lambda a, b, y: _slopes_of_power(a, b, y)),
+    "arctan2": ("np.arctan2({}, {})", lambda a, b, y: (b / (a * a + b * b), -a / (a * a + b * b))),
+    "hypot": ("np.hypot({}, {})", lambda a, b, y: (a / y, b / y)),
+}
+"""Operation -> its text, and its derivatives by both arguments, a and b, where its value is y."""
+
+
+class TracingError(TypeError):
+    """A function does more with its argument than arithmetic and functions of NumPy."""
+
+
+def _slopes_of_power(base: Any, exponent: Any, value: Any) -> tuple[Any, Any]:
+    if not isinstance(exponent, Traced):
+        return exponent * (base ** (exponent - 1) if exponent != 1 else 1), 0
+    slope = exponent * base ** (exponent - 1)
+    return slope, value * (cast(Any, base).log() if isinstance(base, Traced) else math.log(base))
+
+
+class Graph:
+    """Recorded operations: each an operation with its arguments, which are earlier entries or constants."""
+
+    def __init__(self) -> None:
+        self.nodes: list[tuple[str, tuple[Any, ...]]] = []
+        self._known: dict[Any, Traced] = {}
+
+    def record(self, operation: str, *arguments: Any) -> Traced:
+        """Return the result of an operation; equal operations are recorded once."""
+        key = (operation, *((type(a), a.index if isinstance(a, Traced) else a) for a in arguments))
+        if key not in self._known:
+            if len(self.nodes) >= MAX_OPERATIONS:
+                raise TracingError(f"it takes more than {MAX_OPERATIONS} operations")
+            self._known[key] = Traced(self, len(self.nodes))
+            self.nodes.append((operation, arguments))
+        return self._known[key]
+
+    def gradient(self, result: Any, variables: Sequence[Traced]) -> list[Any]:
+        """Return the derivatives of a result by variables, Traced or constants, by differentiation in reverse."""
+        if not isinstance(result, Traced):
+            return [0] * len(variables)
+        slopes: dict[int, Any] = {result.index: 1}
+        for index in range(result.index, -1, -1):
+            operation, arguments = self.nodes[index]
+            slope = slopes.get(index, 0)
+            if (not isinstance(slope, Traced) and slope == 0) or not arguments or operation == "variable":
+                continue
+            value = Traced(self, index)
+            if operation == "neg":
+                factors: tuple[Any, ...] = (-1,)
+            elif operation in UNARY:
+                factors = (UNARY[operation](arguments[0], value),)
+            else:
+                factors = BINARY[operation][1](*arguments, value)
+            for argument, factor in zip(arguments, factors, strict=True):
+                if isinstance(argument, Traced):
+                    slopes[argument.index] = slopes.get(argument.index, 0) + slope * factor
+        return [slopes.get(variable.index, 0) for variable in variables]
+
+    def function(self, results: Sequence[Any], returned: str, timed: bool) -> Callable[..., Any]:
+        """Return a function of (x) or (x, t) that computes results, written as ``{0}, {1}, ...`` in `returned`."""
+        needed, pending = set[int](), [r.index for r in results if isinstance(r, Traced)]
+        while pending:
+            index = pending.pop()
+            if index not in needed:
+                needed.add(index)
+                pending += [a.index for a in self.nodes[index][1] if isinstance(a, Traced)]
+        lines = [f"    v{index} = {self._text(index)}" for index in sorted(needed)]
+        texts = [_operand(r) if isinstance(r, Traced) else repr(float(r)) for r in results]
+        heading = f"def derived(x{', t' if timed else ''}):"
+        return _defined("\n".join([heading, *lines, f"    return {returned.format(', '.join(texts))}", ""]))
+
+    def _text(self, index: int) -> str:
+        operation, arguments = self.nodes[index]
+        if operation == "variable":
+            return str(arguments[0])
+        operands = [_operand(a) for a in arguments]
+        if operation == "neg":
+            return f"-{operands[0]}"
+        return f"np.{operation}({operands[0]})" if operation in UNARY else BINARY[operation][0].format(*operands)
+
+
+def _operand(argument: Any) -> str:
+    return f"v{argument.index}" if isinstance(argument, Traced) else f"({argument!r})"
+
+
+def _defined(source: str) -> Callable[..., Any]:
+    """Define the function of a source text, which `inspect` finds like that of any other function."""
+    name = f"<derived {hashlib.blake2b(source.encode(), digest_size=8).hexdigest()}>"
+    linecache.cache[name] = len(source), None, source.splitlines(keepends=True), name
+    names: dict[str, Any] = {"np": np, "__name__": "derived_by_coadjoint"}
+    exec(compile(source, name, "exec", dont_inherit=True), names)
+    function: Callable[..., Any] = names["derived"]
+    return function
+
+
+def _constant(value: Any) -> int | float:
+    """Return a constant of the function as an int or a float."""
+    if not is_real(value):
+        raise TracingError(f"it combines a coordinate with {short(value)}")
+    number = int(value) if isinstance(value, int | np.integer) else float(value)
+    if not math.isfinite(number):
+        raise TracingError(f"it combines a coordinate with {number}")
+    return number
+
+
+def _folded(operation: str, a: Any, b: Any) -> Any:
+    """Return a sum or product with 0 or 1 without an operation, or None."""
+    if operation in ("add", "sub") and not isinstance(b, Traced) and b == 0:
+        return a
+    if operation == "add" and not isinstance(a, Traced) and a == 0:
+        return b
+    if operation == "mul":
+        for one, other in ((a, b), (b, a)):
+            if not isinstance(one, Traced) and one in (0, 1, -1):
+                return 0 if one == 0 else other if one == 1 else -other
+    if operation == "div" and not isinstance(a, Traced) and a == 0:
+        return 0
+    if operation in ("div", "pow") and not isinstance(b, Traced) and b == 1:
+        return a
+    return None
+
+
+def _binary(operation: str, swapped: bool = False) -> Callable[[Traced, Any], Any]:
+    def apply(self: Traced, other: Any) -> Any:
+        """Record the operation."""
+        if isinstance(other, np.ndarray) and other.ndim:
+            return NotImplemented
+        if isinstance(other, np.ndarray):
+            other = other.item()
+        if not isinstance(other, Traced):
+            other = _constant(other)
+        a, b = (other, self) if swapped else (self, other)
+        folded = _folded(operation, a, b)
+        return self.graph.record(operation, a, b) if folded is None else folded
+
+    return apply
+
+
+def _unary(operation: str) -> Callable[[Traced], Traced]:
+    def apply(self: Traced) -> Traced:
+        """Record the function."""
+        return self.graph.record(operation, self)
+
+    return apply
+
+
+def _refused(what: str) -> Callable[..., Any]:
+    def refuse(self: Traced, *arguments: Any) -> Any:
+        raise TracingError(what)
+
+    return refuse
+
+
+class Traced:
+    """A number whose operations are recorded; NumPy applies its functions to such objects by their methods."""
+
+    __slots__ = ("graph", "index")
+    __hash__ = None  # type: ignore[assignment]
+
+    def __init__(self, graph: Graph, index: int) -> None:
+        self.graph, self.index = graph, index
+
+    def conjugate(self) -> Traced:
+        """Return the number itself, since it is real."""
+        return self
+
+    __pos__ = conjugate
+    __neg__ = _unary("neg")
+    __add__, __radd__ = _binary("add"), _binary("add", swapped=True)
+    __sub__, __rsub__ = _binary("sub"), _binary("sub", swapped=True)
+    __mul__, __rmul__ = _binary("mul"), _binary("mul", swapped=True)
+    __truediv__, __rtruediv__ = _binary("div"), _binary("div", swapped=True)
+    __pow__, __rpow__ = _binary("pow"), _binary("pow", swapped=True)
+    arctan2, hypot = _binary("arctan2"), _binary("hypot")
+    __abs__ = _refused("it takes an absolute value, which has a kink")
+    __eq__ = __ne__ = _refused("it compares a coordinate")  # type: ignore[assignment]
+    __lt__ = __le__ = __gt__ = __ge__ = __bool__ = _refused("it compares a coordinate")
+    __float__ = __int__ = __complex__ = _refused("it needs a coordinate as a plain number, for example in `math.sin`")
+
+
+for _name in UNARY:
+    setattr(Traced, _name, _unary(_name))
+
+
+def traced_derivatives(
+    function: Callable[..., Any], n: int, timed: bool
+) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any] | None]:
+    """Return the value, the gradient and the Hessian of a function of (x) or (x, t), x of shape (n,).
+
+    They are plain functions of the recorded operations, which Numba compiles. The Hessian is None if it takes more
+    than `MAX_OPERATIONS`. Raise TracingError, with the reason, if the function cannot be recorded.
+    """
+    graph = Graph()
+    variables = [graph.record("variable", f"x[{k}]") for k in range(n)]
+    x = np.empty(n, dtype=object)
+    x[:] = variables
+    function = getattr(function, "py_func", function)
+    try:
+        result = function(x, graph.record("variable", "t")) if timed else function(x)
+    except TracingError:
+        raise
+    except Exception as reason:
+        raise TracingError(f"{type(reason).__name__}: {in_one_line(str(reason), 200)}") from reason
+    if isinstance(result, np.ndarray) and result.size == 1:
+        result = result.item()
+    if not isinstance(result, Traced):
+        result = _constant(result)
+    slopes = graph.gradient(result, variables)
+    value = graph.function([result], "{0}", timed)
+    gradient = graph.function(slopes, "np.array(({0},))", timed)
+    try:
+        lower = [graph.gradient(slope, variables[: k + 1]) for k, slope in enumerate(slopes)]
+    except TracingError:
+        return value, gradient, None
+    curvatures = [lower[max(i, j)][min(i, j)] for i in range(n) for j in range(n)]
+    return value, gradient, graph.function(curvatures, f"np.array(({{0}},)).reshape(({n}, {n}))", timed)
