@@ -6,13 +6,13 @@ coefficients of that part times J(x) grad G(x) at its rows, carried on by the ta
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.polynomials.monomials import exponents_of, factors_of
+from coadjoint.algebra.polynomials.monomials import exponents_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.actions import Action, build_action
 from coadjoint.program.generators import BasisMatrices
@@ -20,8 +20,8 @@ from coadjoint.program.parts.part import Parts
 from coadjoint.program.sparse_rows import SparseRows, joined_starts, starts_of
 from coadjoint.program.sweeps import JoinRules, Rows, Swept, rows_of
 from coadjoint.program.table import Program
-from coadjoint.program.term_table import LINEAR, POLYNOMIAL, Terms, TermTable
-from coadjoint.systems.energy_derivatives import EnergyDerivative, Monomial
+from coadjoint.program.term_table import Terms, TermTable
+from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
@@ -173,119 +173,6 @@ def terms_of(G: EnergyDerivative, n: int) -> tuple[Terms, CoefficientMap]:
             [G.linear_factor, G.quadratic_factor, G.quadratic_factor, np.array([one.factor for one in others])]
         ),
     )
-
-
-class _Places(NamedTuple):
-    """Coefficients of the parts of a program that are functions of coordinates, by the coordinates of monomials.
-
-    `rows` has the row of the angle of a coordinate, `entries` the entry of a row and a column, `monomials` the number
-    of a monomial; -1 if there are several.
-    """
-
-    rows: dict[int, int]
-    entries: dict[tuple[int, int], int]
-    monomials: dict[tuple[int, ...], int]
-
-    @classmethod
-    def of_program(cls, program: Program) -> _Places:
-        parts, terms = program.parts, program.terms
-        rows: dict[int, int] = {}
-        entries: dict[tuple[int, int], int] = {}
-        monomials: dict[tuple[int, ...], int] = {}
-        forms, called = parts.forms, set(parts.bodies)
-        for k in range(terms.size):
-            first, last = int(terms.row[k]), int(terms.row[k + 1])
-            if terms.kind[k] == LINEAR and k not in called:
-                for row in range(first, last):
-                    low, high = forms.start[row], forms.start[row + 1]
-                    if high != low + 1 or forms.value[low] != 1.0:
-                        continue
-                    coordinate = int(forms.coordinate[low])
-                    rows[coordinate] = -1 if coordinate in rows else row
-                    for entry in range(int(terms.entry[row]), int(terms.entry[row + 1])):
-                        entries[row, int(terms.column[entry])] = entry
-            elif terms.kind[k] == POLYNOMIAL:
-                for monomial in range(int(terms.monomial[k]), int(terms.monomial[k + 1])):
-                    factors = slice(int(terms.factor[monomial]), int(terms.factor[monomial + 1]))
-                    targets = terms.target[terms.factor_row[factors]].tolist()
-                    powers = zip(targets, terms.exponent[factors].tolist(), strict=True)
-                    key = tuple(sorted(i for i, e in powers for _ in range(e)))
-                    monomials[key] = -1 if key in monomials else monomial
-        return cls(rows, entries, monomials)
-
-    def find(self, key: tuple[int, ...], terms: Terms) -> list[tuple[int, float]] | None:
-        """Return the coefficients, with factors, that a monomial with the factor one changes; None if it has none."""
-        weights = len(terms.offset)
-        if (monomial := self.monomials.get(key)) is not None:
-            return None if monomial < 0 else [(weights + len(terms.weight) + monomial, 1.0)]
-        found: list[tuple[int, float]] = []
-        if len(key) == 1:
-            row = self.rows.get(key[0], -1)
-            return None if row < 0 else [(row, 1.0)]
-        if len(key) != 2:
-            return None
-        for i, j in {key, key[::-1]}:
-            entry = self.entries.get((self.rows.get(i, -1), j))
-            if entry is None:
-                return None
-            found.append((weights + entry, 2.0 if i == j else 1.0))
-        return found
-
-
-def in_parts(program: Program, G: EnergyDerivative) -> tuple[CoefficientMap, CoefficientMap] | None:
-    """Return how the coefficients of the parts, and the factors of the shifts, depend on parameters.
-
-    None if a monomial of G belongs to no part: parts with other forms than coordinates depend on the parameters in
-    another way. A square that a shift has removed is replaced by the rest of its Casimir, whose factor then depends on
-    the parameter.
-    """
-    places = _Places.of_program(program)
-    changed: list[tuple[int, int, float]] = []
-    shifts: list[tuple[int, int, float]] = []
-    cache: dict[tuple[int, ...], tuple[list[tuple[int, float]], int, float] | None] = {}
-    for key, column, size in _monomials(G):
-        if not key:
-            continue
-        if key not in cache:
-            cache[key] = _in_parts(key, places, program)
-        if (found := cache[key]) is None:
-            return None
-        changes, casimir, of_factor = found
-        changed += [(index, column, by * size) for index, by in changes]
-        if casimir >= 0:
-            shifts.append((casimir, column, of_factor * size))
-    return CoefficientMap.of_triplets(changed), CoefficientMap.of_triplets(shifts)
-
-
-def _monomials(G: EnergyDerivative) -> Iterator[Monomial]:
-    for i, column, size in zip(G.linear.tolist(), G.linear_entry.tolist(), G.linear_factor.tolist(), strict=True):
-        yield Monomial((i,), column, size)
-    pairs = zip(G.quadratic.tolist(), G.quadratic_entry.tolist(), G.quadratic_factor.tolist(), strict=True)
-    for pair, column, size in pairs:
-        yield Monomial((min(pair), max(pair)), column, size)
-    yield from G.others
-
-
-def _in_parts(
-    key: tuple[int, ...], places: _Places, program: Program
-) -> tuple[list[tuple[int, float]], int, float] | None:
-    """Return the changed coefficients for a monomial, and the shift that it changes, or -1, with the factor of that."""
-    if (found := places.find(key, program.terms)) is not None:
-        return found, -1, 0.0
-    for number, (casimir, _) in enumerate(program.shift):
-        by_key = {tuple(factors_of(exponents)): float(c) for exponents, c in casimir.monomials.items()}
-        if not by_key.get(key):
-            continue
-        changes: list[tuple[int, float]] = []
-        for other, c in by_key.items():
-            if other != key:
-                rest = places.find(other, program.terms)
-                if rest is None:
-                    break
-                changes += [(index, -c / by_key[key] * by) for index, by in rest]
-        else:
-            return changes, number, 1.0 / by_key[key]
-    return None
 
 
 def _moved(coefficients: CoefficientMap, starts: NDArray[np.int64], to: NDArray[np.int64]) -> CoefficientMap:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.actions import Action, build_action, run_entries
+from coadjoint.program.actions import Action, build_action
 from coadjoint.program.generators import BasisMatrices, SplittingTooExpensive
 from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.parts.decompose import decompose
@@ -26,9 +26,6 @@ from coadjoint.program.term_table import Terms, TermTable
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
-RENAMED_COLUMNS = {"kind": "term_kind", "row": "term_row", "coefficient": "coefficient_of_monomial"}
-"""Names in `Program.to_mapping` that differ from those in `Terms`."""
-
 
 @dataclass(frozen=True)
 class Program:
@@ -36,6 +33,8 @@ class Program:
 
     Parameters
     ----------
+    system : LiePoissonSystem
+        The system.
     rows : Rows
         The flows, in order of application.
     parts : Parts
@@ -61,6 +60,7 @@ class Program:
         Casimirs and factors subtracted from the Hamiltonian; `group` excludes their action on the group element.
     """
 
+    system: LiePoissonSystem
     rows: Rows
     parts: Parts
     terms: Terms
@@ -76,7 +76,7 @@ class Program:
     def to_mapping(self) -> dict[str, Any]:
         """Return the table as arrays, numbers and lists by name; `docs/table.md` documents them.
 
-        Arrays are integers, or of the number type of the program. As lists they can be written to JSON.
+        Arrays are of int64, or of the number type of the program. As lists they can be written to JSON.
 
         Examples
         --------
@@ -87,29 +87,9 @@ class Program:
         >>> [table[name].tolist() for name in ("state_part", "state_row", "state_column", "state_value")]
         [[0, 0, 1, 1], [1, 2, 0, 1], [2, 1, 1, 0], [-1.0, 1.0, -1.0, 1.0]]
         """
-        rows, terms = self.rows, self.terms
-        table: dict[str, Any] = {
-            "dim": int(self.state.size),
-            "section": rows.section,
-            "part": rows.part,
-            "coefficient": rows.coefficient,
-            "moment": rows.moment,
-            "share": self.share,
-            "frequency": self.frequency,
-            **{RENAMED_COLUMNS.get(name, name): getattr(terms, name) for name in terms._fields[1:]},
-            **_generators("state", self.state, self),
-            "shift": [
-                {
-                    "factor": factor,
-                    "exponents": [list(map(int, exponents)) for exponents in casimir.monomials],
-                    "coefficients": list(casimir.monomials.values()),
-                }
-                for casimir, factor in self.shift
-            ],
-            "functions": sorted(int(k) for k in self.functions),
-            "bodies": sorted(self.parts.bodies),
-        }
-        return table | (_generators("group", self.group, self) if self.group is not None else {})
+        from coadjoint.program.public_table import mapping_of
+
+        return mapping_of(self)
 
 
 def build_program(
@@ -141,6 +121,7 @@ def build_program(
     if method.rotation == "rational":
         frequency = rational_frequencies(system, parts, state, number)
     return Program(
+        system=system,
         rows=rows_of(method, JoinRules.from_parts(parts, frequency), system.sign, number),
         parts=parts,
         terms=table.table(number),
@@ -178,6 +159,13 @@ def _term_table(parts: Parts) -> TermTable:
     return table
 
 
+def dual_action(algebra: LieAlgebra, parts: Parts) -> Action:
+    """Return the action on cotangents of the state, by floating-point numbers."""
+    if len(parts.offset) <= MAX_PATTERN_SIZE:
+        return _cached_action(algebra, Pattern(parts, *parts.forms, parts.angle), dual=True)
+    return build_action(BasisMatrices.on_group(algebra, None), parts)
+
+
 def _state_action(algebra: LieAlgebra, parts: Parts, number: Number) -> Action:
     if number is not float:
         return build_action(BasisMatrices.coadjoint(algebra), parts, number)
@@ -194,8 +182,9 @@ _ACTIONS: WeakKeyDictionary[Parts, Action] = WeakKeyDictionary()
 
 
 @lru_cache(maxsize=256)
-def _cached_action(algebra: LieAlgebra, forms: Pattern[Parts]) -> Action:
-    return build_action(BasisMatrices.coadjoint(algebra), forms.source, float)
+def _cached_action(algebra: LieAlgebra, forms: Pattern[Parts], dual: bool = False) -> Action:
+    matrices = BasisMatrices.on_group(algebra, None) if dual else BasisMatrices.coadjoint(algebra)
+    return build_action(matrices, forms.source, float)
 
 
 def _group_action(system: LiePoissonSystem, group: Any, parts: Parts, number: Number) -> Action | None:
@@ -203,21 +192,3 @@ def _group_action(system: LiePoissonSystem, group: Any, parts: Parts, number: Nu
         return None
     representation = None if isinstance(group, str) else group
     return build_action(BasisMatrices.on_group(system.algebra, representation), parts, number)
-
-
-def _generators(name: str, action: Action, program: Program) -> dict[str, NDArray[Any]]:
-    """Return the entries of the generators D of all angles of all parts, sorted."""
-    entries = []
-    for part in range(len(program.parts)):
-        for run in range(action.run[part], action.run[part + 1]):
-            for q in range(action.angles[run]):
-                items = run_entries(action, run, q)
-                entries += [(part, int(action.angle[run]) + q, i, j, value) for (i, j), value in sorted(items.items())]
-    entries.sort(key=lambda entry: entry[:4])
-    columns = list(zip(*entries, strict=True)) or [()] * 5
-    indices = [np.array(column, dtype=np.int64) for column in columns[:4]]
-    values = array_of(program.number, np.array(columns[4], dtype=object)) if entries else array_of(program.number, [])
-    return {
-        f"{name}_{label}": column
-        for label, column in zip(("part", "angle", "row", "column", "value"), [*indices, values], strict=True)
-    }

@@ -1,0 +1,172 @@
+"""Export of programs as plain arrays by name: the table that `docs/table.md` documents."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.program.actions import Action, run_blocks
+from coadjoint.program.blocks import Kind
+from coadjoint.program.numbers import Number, array_of
+from coadjoint.program.provenance import Key, Provenance, monomials_of
+from coadjoint.program.sparse_rows import starts_of
+from coadjoint.program.table import Program
+from coadjoint.systems.coefficient_derivatives import coefficients_of
+from coadjoint.systems.parameters import parameters_of
+
+VERSION = 2
+"""Increased if a reader of the previous version would read a table wrongly."""
+
+RENAMED_COLUMNS = {"kind": "term_kind", "row": "term_row", "coefficient": "coefficient_of_monomial"}
+"""Names that differ from those in `Terms`."""
+
+DEPENDENT = ("offset", "weight", "coefficient_of_monomial")
+"""Arrays that depend on the energy, in the order of `CoefficientMap`."""
+
+
+def mapping_of(program: Program) -> dict[str, Any]:
+    """Return a program as arrays, numbers, lists and mappings by name."""
+    rows, terms = program.rows, program.terms
+    table: dict[str, Any] = {
+        "version": VERSION,
+        "dim": int(program.state.size),
+        "section": rows.section,
+        "part": rows.part,
+        "coefficient": rows.coefficient,
+        "moment": rows.moment,
+        "share": program.share,
+        "frequency": program.frequency,
+        **{RENAMED_COLUMNS.get(name, name): getattr(terms, name) for name in terms._fields[1:]},
+        **_blocks("state", program.state, program),
+        "shift": [
+            {
+                "factor": factor,
+                "exponents": [list(map(int, exponents)) for exponents in casimir.monomials],
+                "coefficients": list(casimir.monomials.values()),
+            }
+            for casimir, factor in program.shift
+        ],
+        "functions": sorted(int(k) for k in program.functions),
+        "bodies": sorted(program.parts.bodies),
+        **_provenance(program),
+    }
+    if program.group is not None:
+        table |= _blocks("group", program.group, program)
+    return {name: _with_long_integers(value) for name, value in table.items()}
+
+
+def _with_long_integers(value: Any) -> Any:
+    if isinstance(value, np.ndarray) and value.dtype.kind in "ui":
+        return value.astype(np.int64)
+    return value
+
+
+def _blocks(name: str, action: Action, program: Program) -> dict[str, Any]:
+    """Return the blocks of all parts in the order of application, with their constants and entries of D."""
+    angles: list[int] = []
+    entries: list[tuple[int, int, int, int, Any]] = []
+    kinds, lengths, degrees, count = [], [], [], [0]
+    constants: list[tuple[Any, Any, Any]] = []
+    for part in range(len(program.parts)):
+        for run in range(int(action.run[part]), int(action.run[part + 1])):
+            for q in range(int(action.angles[run])):
+                angle = int(action.angle[run]) + q
+                for coordinates, D in run_blocks(action, run, q):
+                    cells = np.argwhere(D != 0).tolist()
+                    entries += [(part, angle, int(coordinates[i]), int(coordinates[j]), D[i, j]) for i, j in cells]
+                    angles.append(angle)
+                    lengths.append(len(cells))
+                    kinds.append(int(action.kind[run]))
+                    degrees.append(int(action.degree[run]))
+                    constants.append(_constants(action, run, D))
+        count.append(len(kinds))
+    columns: Sequence[Any] = list(zip(*entries, strict=True)) or [()] * 5
+    numbers: Sequence[Any] = list(zip(*constants, strict=True)) or [()] * 3
+    integers = {
+        "block": count,
+        "kind": kinds,
+        "degree": degrees,
+        "entry": starts_of(np.array(lengths, dtype=np.int64)),
+        **dict(zip(("part", "angle", "row", "column"), columns[:4], strict=True)),
+    }
+    others = dict(zip(("value", "mean", "lambda", "norm"), (columns[4], *numbers), strict=True))
+    return {f"{name}_{label}": np.array(column, dtype=np.int64) for label, column in integers.items()} | {
+        f"{name}_{label}": _numbers(program.number, column) for label, column in others.items()
+    }
+
+
+def _constants(action: Action, run: int, D: NDArray[Any]) -> tuple[Any, Any, Any]:
+    """Return `mean` and `lambda` of (D - mean)^3 = lambda (D - mean), and the norm of a series that does not end."""
+    kind, zero = action.kind[run], abs(0 * D[0, 0])
+    if kind == Kind.SCALE:
+        return D[0, 0], zero, zero
+    if kind == Kind.ROTATE:
+        return zero, -(D[1, 0] ** 2), zero
+    if kind == Kind.PLANE:
+        half = (D[0, 0] - D[1, 1]) / 2
+        return (D[0, 0] + D[1, 1]) / 2, half * half + D[0, 1] * D[1, 0], zero
+    first = action.constants[int(action.constant[run])]
+    if kind == Kind.CUBIC:
+        return zero, first, zero
+    return zero, zero, first if kind == Kind.SERIES else zero
+
+
+def _numbers(number: Number, values: Sequence[Any]) -> NDArray[Any]:
+    return array_of(number, np.array(values, dtype=object)) if len(values) else array_of(number, [])
+
+
+def _provenance(program: Program) -> dict[str, Any]:
+    """Return the coefficients of the energy, the numbers that depend on them, and the parameters."""
+    system, parameters = program.system, {}
+    keys: dict[Key, int] = {}
+    values: list[float] = []
+    for key, value in coefficients_of(system).items():
+        if key:
+            keys[key] = len(keys)
+            values.append(float(value))
+    for name, parameter in parameters_of(system).items():
+        try:
+            monomials = [one for one in monomials_of(parameter.energy()) if one.coordinates]
+        except ValueError:  # its builder accepts no values near this one
+            continue
+        for one in monomials:
+            if keys.setdefault(one.coordinates, len(values)) == len(values):
+                values.append(0.0)
+        parameters[name] = {
+            "shape": list(parameter.value.shape),
+            "value": parameter.value.ravel(),
+            "linear": name not in (system.parameters or {}),
+            "monomial": np.array([keys[one.coordinates] for one in monomials], dtype=np.int64),
+            "entry": np.array([one.entry for one in monomials], dtype=np.int64),
+            "derivative": np.array([one.factor for one in monomials], dtype=np.float64),
+        }
+    found = Provenance(program)
+    changes = {number: found.changes(key) for key, number in keys.items()}
+    terms = program.terms
+    starts = starts_of(np.array([len(one) for one in (terms.offset, terms.weight, terms.coefficient)]))
+    dependent: dict[str, list[tuple[int, int, float]]] = {name: [] for name in (*DEPENDENT, "shift")}
+    for monomial, change in changes.items():
+        if change is None:
+            continue
+        for number, factor in change.coefficients:
+            kind = int(np.searchsorted(starts[1:], number, side="right"))
+            dependent[DEPENDENT[kind]].append((number - int(starts[kind]), monomial, factor))
+        dependent["shift"] += [(number, monomial, factor) for number, factor in change.shifts]
+    return {
+        "energy": {"monomials": [list(key) for key in keys], "coefficients": np.array(values, dtype=np.float64)},
+        "provenance": {name: _columns(rows) for name, rows in dependent.items()},
+        "fixed": [monomial for monomial, change in changes.items() if change is None],
+        "parameters": parameters,
+    }
+
+
+def _columns(rows: Sequence[tuple[int, int, float]]) -> dict[str, NDArray[Any]]:
+    index, monomial, factor = zip(*sorted(rows), strict=True) if rows else ((), (), ())
+    return {
+        "index": np.array(index, dtype=np.int64),
+        "monomial": np.array(monomial, dtype=np.int64),
+        "factor": np.array(factor, dtype=np.float64),
+    }
