@@ -128,6 +128,8 @@ BY_RULE = {
 }  # fmt: skip
 BY_NUMBERS = {"step", "tangent", "tangent_loop", "formal_step", "loop", "compiled", "program", "expanded"}
 DIFFERENT = {
+    "fixed_steps": "tests/runs/test_derivatives_of_own_steps.py",
+    "next_length": "tests/runs/test_derivatives_of_own_steps.py",
     "instead": "names what to compose in place of a base; a wrapper is composed inside",
     "tables_of_any_step": "tables of a wrapper are made for each step anew",
     "symmetrized": "a wrapper is symmetrized inside",

@@ -10,12 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre
-from coadjoint.methods.numerics.isospectral_stages import (
-    derivative_of,
-    increment_of,
-    stages_of,
-    two_layer_increment,
-)
+from coadjoint.methods.numerics.isospectral_derivatives import LayerDerivatives, StageDerivatives, TwoLayerDerivatives
+from coadjoint.methods.numerics.isospectral_stages import increment_of, of_blocks, stages_of, two_layer_stages
+from coadjoint.methods.protocol.linearized import Linearized
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.substep_method import SubstepMethod
@@ -35,7 +32,7 @@ MAX_STAGES = 8
 
 
 @dataclass(frozen=True)
-class IsospectralGauss(SubstepMethod, VariedTangents):
+class IsospectralGauss(SubstepMethod, Linearized, VariedTangents):
     """Isospectral Gauss methods for matrices: Poisson maps that preserve the whole spectrum; implicit, of order 2 s.
 
     ``V_i = 1 + h sum_j a_ij P_j V_j``, ``U_i = 1 - h sum_j a_ij U_j P_j``, ``M_i = V_i W U_i``, ``P_i = stream(M_i)``,
@@ -135,7 +132,7 @@ class IsospectralGauss(SubstepMethod, VariedTangents):
         matrices = matrices_of(system)
         (a, b), W = _coefficients(self.stages), matrices.matrices(x)
         if isinstance(matrices, TwoLayerSystem):
-            end = W + two_layer_increment(matrices, W, t, h, a, b)
+            end = W + of_blocks(increment_of(two_layer_stages(matrices, W, t, h, a), h, b))
         else:
             end = W + increment_of(stages_of(matrices, W, t, h, a, str(self)), h, b)
         return np.asarray(matrices.to_vector(end) if matrices.is_in_numbers(x) else end)
@@ -143,7 +140,7 @@ class IsospectralGauss(SubstepMethod, VariedTangents):
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its derivative in coordinates, for the projection on the algebra.
 
-        Nonlinear streams given as functions, and steps of two layers, are differentiated by differences.
+        Nonlinear streams given as functions are differentiated by differences.
 
         Raises
         ------
@@ -152,17 +149,19 @@ class IsospectralGauss(SubstepMethod, VariedTangents):
         IntegrationError
             The iteration does not converge.
         """
+        step = self.linearized(system, x, t, h)
+        return step.end, step.tangents(np.eye(len(step.end))).T
+
+    def linearized(self, system: System, x: Any, t: float, h: float) -> StageDerivatives:
+        """Return one step with its derivative, which is applied to matrices; errors as in `tangent`."""
         matrices, (a, b) = matrices_of(system), _coefficients(self.stages)
-        if isinstance(matrices, TwoLayerSystem):
-            return super().tangent(matrices, matrices.to_vector(matrices.matrices(x)), t, h)  # type: ignore[arg-type]
         W = matrices.matrices(x)
-        stages = stages_of(matrices, W, t, h, a, str(self))
-        end = W + increment_of(stages, h, b)
-        return matrices.to_vector(end), derivative_of(matrices, W, stages, t, h, a, b)
+        if isinstance(matrices, TwoLayerSystem):
+            return TwoLayerDerivatives(matrices, W, t, h, a, b)
+        return LayerDerivatives(matrices, W, t, h, a, b, str(self))
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
-        matrices = matrices_of(system)
-        return "formula" if matrices.linear_stream and not isinstance(matrices, TwoLayerSystem) else "differences"
+        return "formula" if matrices_of(system).linear_stream else "differences"
 
 
 def matrices_of(system: Any) -> MatrixSystem:

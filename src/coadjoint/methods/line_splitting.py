@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
+from coadjoint.methods.protocol.linearized import Linearized
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.substep_method import SubstepMethod
@@ -42,7 +43,7 @@ class Line(NamedTuple):
 
 
 @dataclass(frozen=True)
-class LineSplitting(SubstepMethod):
+class LineSplitting(SubstepMethod, Linearized):
     """McLachlan's splitting of the fluid on the torus into lines of modes: an explicit, isospectral Poisson map.
 
     For a prime N the N^2 - 1 modes form N + 1 lines ``{j k}`` through the origin, each of N - 1 modes that commute. H
@@ -156,21 +157,61 @@ class LineSplitting(SubstepMethod):
         end, changes = self._advance(torus, modes_of(torus.matrices(x)), h, modes_of(units))
         return torus.to_vector(matrix_of(end)), torus.to_vector(matrix_of(changes)).T
 
+    def linearized(self, system: System, x: Any, t: float, h: float) -> FlowsOfLines:
+        """Return one step with its exact derivative, which is applied to modes."""
+        torus = torus_of(system)
+        return FlowsOfLines(self, torus, modes_of(torus.matrices(x)), h)
+
+    def flows(self, N: int, h: float) -> Iterator[tuple[Line, float]]:
+        """Yield the lines whose flows make up a step, and the time of each."""
+        forward = lines(N)
+        for fraction in self.fractions:
+            for line in forward[:-1]:
+                yield line, fraction * h / 2
+            yield forward[-1], fraction * h
+            for line in forward[-2::-1]:
+                yield line, fraction * h / 2
+
     def _advance(
         self, torus: MatrixSystem, v: Complexes, h: float, changes: Complexes | None
     ) -> tuple[Complexes, Complexes]:
         """Return modes and tangent vectors, changes of modes (directions, N, N), after a step."""
         N = torus.algebra.N
         factor, constant = stream_of_modes(torus)
-        forward = lines(N)
         dv = np.zeros((0, N, N), dtype=np.complex128) if changes is None else changes
-        for fraction in self.fractions:
-            for line in forward[:-1]:
-                v, dv = flow(v, dv, factor, constant, line, fraction * h / 2)
-            v, dv = flow(v, dv, factor, constant, forward[-1], fraction * h)
-            for line in forward[-2::-1]:
-                v, dv = flow(v, dv, factor, constant, line, fraction * h / 2)
+        for line, time in self.flows(N, h):
+            v, dv = flow(v, dv, factor, constant, line, time)
         return v, dv
+
+
+class FlowsOfLines:
+    """The derivative of a step at modes v (N, N); `end` is the state after it, as a vector."""
+
+    def __init__(self, method: LineSplitting, torus: MatrixSystem, v: Complexes, h: float) -> None:
+        self._torus, (self._factor, self._constant) = torus, stream_of_modes(torus)
+        self._flows = list(method.flows(torus.algebra.N, h))
+        self._before, none = [], np.zeros((0, *v.shape), dtype=np.complex128)
+        for line, time in self._flows:
+            self._before.append(v)
+            v, _ = flow(v, none, self._factor, self._constant, line, time)
+        self.end = torus.to_vector(matrix_of(v))
+
+    def tangents(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the tangents (k, n) after the step for vectors before it, which are projected on the algebra."""
+        torus = self._torus
+        changes = modes_of(torus.algebra.projected(torus.from_vector(rows)))
+        for v, (line, time) in zip(self._before, self._flows, strict=True):
+            _, changes = flow(v, changes, self._factor, self._constant, line, time)
+        return torus.to_vector(matrix_of(changes))
+
+    def cotangent(self, row: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the cotangent (n,) before the step, projected on the algebra."""
+        torus = self._torus
+        # The matrices of modes are orthogonal and of one length, which cancels.
+        after = modes_of(torus.from_vector(row))
+        for v, (line, time) in zip(reversed(self._before), reversed(self._flows), strict=True):
+            after = transposed_flow(v, after, self._factor, self._constant, line, time)
+        return torus.to_vector(torus.algebra.projected(matrix_of(after)))
 
 
 @cache
@@ -194,8 +235,8 @@ def flow(
     """
     N = len(v)
     indices = np.arange(N)
-    j, d, s = indices[None, :], indices[:, None], indices[None, :]
-    index = (j * line.k[0] + d * line.l[0]) % N, (j * line.k[1] + d * line.l[1]) % N
+    d, s = indices[:, None], indices[None, :]
+    index = modes_by_coset(N, line)
     p = (factor * v if constant is None else factor * v + constant)[index[0][0], index[1][0]]
     dp = (factor * dv)[:, index[0][0], index[1][0]]
     # The diagonal of the stream is i theta, also for complex changes.
@@ -209,6 +250,33 @@ def flow(
         phase * np.fft.fft(dv[:, index[0], index[1]], axis=-1) + phase_change * spectrum, axis=-1
     )
     return result, result_changes
+
+
+def transposed_flow(
+    v: Complexes, after: Complexes, factor: NDArray[np.float64], constant: Complexes | None, line: Line, h: float
+) -> Complexes:
+    """Return the cotangent (N, N) before the flow of a line for that after it, by real and imaginary parts."""
+    N = len(v)
+    indices = np.arange(N)
+    d, s = indices[:, None], indices[None, :]
+    index = modes_by_coset(N, line)
+    first = index[0][0], index[1][0]
+    theta = -1j * np.fft.fft((factor * v if constant is None else factor * v + constant)[first])
+    phase = np.exp(1j * h * (theta[(s + d) % N] - theta[(s - d) % N]))
+    # The transpose of an inverse Fourier transform is a transform over N, and that of a transform N times an inverse.
+    of_spectrum = np.fft.fft(after[index], axis=-1) / N
+    before = np.empty_like(v)
+    before[index] = N * np.fft.ifft(np.conj(phase) * of_spectrum, axis=-1)
+    of_phase = -1j * h * np.conj(phase * np.fft.fft(v[index], axis=-1)) * of_spectrum
+    of_theta = np.sum(of_phase[d, (s - d) % N] - of_phase[d, (s + d) % N], axis=0)
+    before[first] += (factor[first] * 1j * N) * np.fft.ifft(of_theta)
+    return before
+
+
+def modes_by_coset(N: int, line: Line) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the indices (N, N) of modes: a row for each coset of a line, of which the first is the line."""
+    j, d = np.arange(N)[None, :], np.arange(N)[:, None]
+    return (j * line.k[0] + d * line.l[0]) % N, (j * line.k[1] + d * line.l[1]) % N
 
 
 def stream_of_modes(torus: MatrixSystem) -> tuple[NDArray[np.float64], Complexes | None]:

@@ -180,12 +180,7 @@ class ReversibleSteps(Wrapper, OwnSteps):
         speed, y, elapsed = self._speed(system), np.asarray(x), 0 * h
         rho = None
         for _ in range(MAX_STEPS):
-            Q, rate = speed.at(y)
-            rate = rate if h.real > 0 else -rate
-            rho = Q + self.stride * rate / 2 if rho is None else rho + self.stride * rate
-            if not (rho.real > 0 and Q.real > 0):
-                raise IntegrationError(NO_STEP_MESSAGE, step=1, time=float(t), residual=float(rho.real))
-            length = self.stride / rho if h.real > 0 else -(self.stride / rho)
+            length, rho = self._length(speed, y, t, h, rho)
             remaining = h - elapsed
             if abs(remaining.real) <= abs(length.real):
                 return np.asarray(self.base.step(system, y, t + elapsed, remaining)) if remaining != 0 else y
@@ -199,6 +194,23 @@ class ReversibleSteps(Wrapper, OwnSteps):
             time=float(t),
             residual=0.0,
         )
+
+    @property
+    def fixed_steps(self) -> Method:
+        """The base."""
+        return self.base
+
+    def next_length(self, system: System, x: NDArray[np.float64], h: float, memory: Any) -> tuple[float, Any]:
+        return self._length(self._speed(system), x, 0.0, h, memory)
+
+    def _length(self, speed: Speed, x: NDArray[Any], t: Any, h: Any, rho: Any) -> tuple[Any, Any]:
+        """Return the length of the next step from a state, and rho, from that of the step before."""
+        Q, rate = speed.at(x)
+        rate = rate if h.real > 0 else -rate
+        rho = Q + self.stride * rate / 2 if rho is None else rho + self.stride * rate
+        if not (rho.real > 0 and Q.real > 0):
+            raise IntegrationError(NO_STEP_MESSAGE, step=1, time=float(t), residual=float(rho.real))
+        return (self.stride / rho if h.real > 0 else -(self.stride / rho)), rho
 
     def finer(self, steps: int, times: float) -> FinerRun:
         """Return a run with a shorter stride, whose output points only sample the size of the motion."""

@@ -20,7 +20,7 @@ from coadjoint.methods.numerics.projection import (
     restored_invariants,
 )
 from coadjoint.methods.numerics.series_cost import LANES, series_operations
-from coadjoint.methods.numerics.taylor_series import TOO_SHORT_MESSAGE, Dual, advance_by_own_steps, expand
+from coadjoint.methods.numerics.taylor_series import TOO_SHORT_MESSAGE, Dual, advance_by_own_steps, expand, own_step
 from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.cost_model import (
     LANE_SERIES_FACTOR,
@@ -244,6 +244,17 @@ class Taylor(CompiledStepMethod, OwnSteps):
         tolerance = max(self.tolerance / (TOLERANCE_REDUCTION * times), MIN_TOLERANCE)
         finer = replace(self, order=min(self.order + 2, MAX_ORDER), tolerance=tolerance)
         return FinerRun(finer, max(steps, SIZE_SAMPLES), min(0.5, tolerance / self.tolerance))
+
+    @property
+    def fixed_steps(self) -> Taylor:
+        """The same series without a tolerance."""
+        return replace(self, tolerance=None)
+
+    def next_length(self, system: System, x: NDArray[np.float64], h: float, memory: Any) -> tuple[float, Any]:
+        assert self.tolerance is not None
+        start = x.astype(object)
+        _, _, length, memory = own_step(system.vector_field, start, h, self.order, self.tolerance, memory)
+        return length, memory
 
     def composed(self, coefficients: Sequence[float]) -> Method:
         """Return the scheme whose step consists of these substeps; raise TypeError with a tolerance."""

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
@@ -49,14 +48,14 @@ def stages_of(system: MatrixSystem, W: Matrix, t: float, h: float, a: Floats, sc
     P0 = system.stream_of(W, t)
     V = np.stack([identity + h * row.sum() * P0 for row in a])
     U = np.stack([identity - h * row.sum() * P0 for row in a])
-    stagnation, change = _StagnationTest(len(W)), np.inf
+    stagnation, change = StagnationTest(len(W)), np.inf
     for _ in range(MAX_ITERATIONS):
         if system.algebra.skew:
             U = np.conj(np.swapaxes(V, -1, -2))
         M = V @ W @ U
         P = np.stack([system.stream_of(m, time) for m, time in zip(M, times, strict=True)])
-        V_new, U_new = identity + h * _weighted_sums(a, P @ V), identity - h * _weighted_sums(a, U @ P)
-        change = max(_largest(V_new - V), 0.0 if system.algebra.skew else _largest(U_new - U))
+        V_new, U_new = identity + h * weighted_sums(a, P @ V), identity - h * weighted_sums(a, U @ P)
+        change = max(largest(V_new - V), 0.0 if system.algebra.skew else largest(U_new - U))
         V, U = V_new, U_new
         if stagnation.after(change, 1.0):
             return Stages(V, U, M, P, times)
@@ -71,49 +70,8 @@ def stages_of(system: MatrixSystem, W: Matrix, t: float, h: float, a: Floats, sc
 
 
 def increment_of(stages: Stages, h: float, b: Floats) -> Matrix:
-    """Return the change of W in the step."""
+    """Return the change of W in the step; of two layers in blocks."""
     return np.asarray(h * np.tensordot(b, stages.P @ stages.M - stages.M @ stages.P, 1))
-
-
-def derivative_of(system: MatrixSystem, W: Matrix, stages: Stages, t: float, h: float, a: Floats, b: Floats) -> Floats:
-    """Return the derivative (n, n) of a step in coordinates, for the projection on the algebra.
-
-    The linear equations of the stages are iterated for all directions at once, like the stages. IntegrationError: the
-    iteration does not converge.
-    """
-    n, s = system.dim, len(b)
-    check_available_memory(8 * 13 * s * n**2, f"the derivative of a step of {n} numbers")
-    directions = system.algebra.projected(system.from_vector(np.eye(n)))
-    V, U, M, P, times = stages
-    # Axes: stage, direction, row, column.
-    dV, dU = np.zeros((2, s, *directions.shape), dtype=M.dtype)
-    dM, dP = dV, dU
-    V1, U1, M1, P1 = (array[:, None] for array in (V, U, M, P))
-
-    def slopes(along: Matrix) -> Matrix:
-        return np.stack([slope_along(system, m, dm, time) for m, dm, time in zip(M, along, times, strict=True)])
-
-    stagnation, change = _StagnationTest(len(W)), np.inf
-    for _ in range(MAX_ITERATIONS):
-        dM_new = dV @ W @ U1 + V1 @ directions @ U1 + V1 @ W @ dU
-        # A difference is linear in its direction up to an error relative to it. Along the corrections of dM these
-        # errors shrink with them; along dM they would stay, and corrections might cycle above ROUND_OFF_CANDIDATE.
-        dP = slopes(dM_new) if system.linear_stream else dP + slopes(dM_new - dM)
-        dM = dM_new
-        dV_new, dU_new = h * _weighted_sums(a, dP @ V1 + P1 @ dV), -h * _weighted_sums(a, dU @ P1 + U1 @ dP)
-        change = max(_largest(dV_new - dV), _largest(dU_new - dU))
-        dV, dU = dV_new, dU_new
-        if stagnation.after(change, _largest(dV)):
-            rows = directions + h * np.tensordot(b, dP @ M1 + P1 @ dM - dM @ P1 - M1 @ dP, 1)
-            return system.to_vector(rows).T
-        if not change < DIVERGED:
-            break
-    raise IntegrationError(
-        "the linear equations of the stages do not converge; take a smaller step",
-        step=1,
-        time=float(t),
-        residual=change,
-    )
 
 
 def slope_along(system: MatrixSystem, M: Matrix, directions: Matrix, t: float) -> Matrix:
@@ -121,20 +79,22 @@ def slope_along(system: MatrixSystem, M: Matrix, directions: Matrix, t: float) -
     if system.linear_stream:
         return system.slope_of(directions, t)
     sizes = np.abs(directions).max(axis=(-2, -1), keepdims=True)
-    small = DIFFERENCE_STEP * (_largest(M) or 1.0) / np.where(sizes > 0.0, sizes, 1.0)
+    small = DIFFERENCE_STEP * (largest(M) or 1.0) / np.where(sizes > 0.0, sizes, 1.0)
     ahead, behind = (system.slope_of(M + side * small * directions, t) for side in (1.0, -1.0))
     return np.asarray((ahead - behind) / (2.0 * small))
 
 
-def _weighted_sums(a: Floats, stages: Matrix) -> Matrix:
+def weighted_sums(a: Floats, stages: Matrix) -> Matrix:
+    """Return the sums over stages (s, ...) with coefficients (s, s)."""
     return np.tensordot(a, stages, 1)
 
 
-def _largest(values: Matrix) -> float:
+def largest(values: Matrix) -> float:
+    """Return the size of the largest entry."""
     return float(np.abs(values).max(initial=0.0))
 
 
-class _StagnationTest:
+class StagnationTest:
     """Test whether the corrections of an iteration stagnate at round-off."""
 
     def __init__(self, N: int) -> None:
@@ -153,7 +113,7 @@ class _StagnationTest:
 
 
 def as_blocks(X: Matrix) -> Matrix:
-    """Return A + eps B, given as (2, N, N), as the matrix ``[[A, B], [0, A]]``: products are those of dual numbers.
+    """Return A + eps B, given as (..., 2, N, N), as matrices ``[[A, B], [0, A]]``: products are those of dual numbers.
 
     Examples
     --------
@@ -161,26 +121,26 @@ def as_blocks(X: Matrix) -> Matrix:
     array([[1., 2.],
            [0., 1.]])
     """
-    return np.block([[X[0], X[1]], [np.zeros_like(X[0]), X[0]]])
+    A, B = X[..., 0, :, :], X[..., 1, :, :]
+    rows = np.concatenate([A, B], axis=-1), np.concatenate([np.zeros_like(A), A], axis=-1)
+    return np.concatenate(rows, axis=-2)
 
 
 def of_blocks(A: Matrix) -> Matrix:
-    """Return the two layers: the inverse of `as_blocks`."""
-    N = len(A) // 2
-    return np.stack([A[:N, :N], A[:N, N:]])
+    """Return the two layers (..., 2, N, N): the inverse of `as_blocks`."""
+    N = A.shape[-1] // 2
+    return np.stack([A[..., :N, :N], A[..., :N, N:]], axis=-3)
 
 
-def two_layer_increment(
-    system: TwoLayerSystem, X: Matrix, t: Any, h: Any, a: NDArray[np.float64], b: NDArray[np.float64]
-) -> Matrix:
-    """Return the change (2, N, N) of a state in a step; raise IntegrationError if the stages do not converge."""
+def two_layer_stages(system: TwoLayerSystem, X: Matrix, t: Any, h: Any, a: NDArray[np.float64]) -> Stages:
+    """Return the stages, in blocks, of a step of a state (2, N, N); IntegrationError if they do not converge."""
     W, identity = as_blocks(X), np.eye(2 * len(X[0]))
 
     def stream(M: Matrix) -> Matrix:
         return as_blocks(system.stream_of(of_blocks(M)))
 
-    Y = [stream(W) for _ in b]
-    M, previous, change = [W for _ in b], np.inf, np.inf
+    Y = [stream(W) for _ in a]
+    M, previous, change = [W for _ in a], np.inf, np.inf
     for _ in range(MAX_ITERATIONS):
         # V and U are solved exactly for given streams, unlike in the kernels: an independent implementation.
         V, U = _solve_stages(h * a, Y, identity, left=False), _solve_stages(-h * a, Y, identity, left=True)
@@ -188,8 +148,7 @@ def two_layer_increment(
         change = max(float(np.abs(n - m).max()) for n, m in zip(new, M, strict=True))
         M, Y = new, [stream(m) for m in new]
         if change == 0.0 or (change <= ROUND_OFF * float(np.abs(W).max()) and not change < previous):
-            increment = sum(weight * (y @ m - m @ y) for weight, y, m in zip(b, Y, M, strict=True))
-            return of_blocks(np.asarray(h * increment))
+            return Stages(np.stack(V), np.stack(U), np.stack(M), np.stack(Y), [t] * len(Y))
         if not change < DIVERGED * float(np.abs(W).max()):
             break
         previous = change

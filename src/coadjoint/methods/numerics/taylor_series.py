@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from fractions import Fraction
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,11 +147,9 @@ def advance_by_own_steps(
     >>> bool(abs(end[0] - 2) < 1e-10)
     True
     """
-    elapsed, largest, scale = h * 0, 0.0, _time_of_change(field, x, h)
+    elapsed, memory = h * 0, None
     for _ in range(MAX_STEPS):
-        largest = max(largest, _size(x))
-        terms = expand(field, x, scale, order)
-        length = scale * near_power_of_two(logarithm_of_step([_size(term) for term in terms], largest, tolerance))
+        terms, scale, length, memory = own_step(field, x, h, order, tolerance, memory)
         remaining = h - elapsed
         if abs(remaining) <= abs(length):
             return to_level_set(x + _sum(terms, remaining / scale))
@@ -159,8 +157,32 @@ def advance_by_own_steps(
         elapsed = elapsed + length
         if not abs(length) > UNIT_ROUNDOFF * abs(elapsed):
             break
-        scale = math.copysign(2.0 ** math.floor(near_log2(abs(length))), float(h))
     raise IntegrationError(TOO_SHORT_MESSAGE, step=1, time=float(elapsed), residual=float(length))
+
+
+class StepMemory(NamedTuple):
+    """Largest size of a state so far, and the time unit of the terms of the next step."""
+
+    largest: float
+    scale: float
+
+
+def own_step(
+    field: Callable[[NDArray[Any]], NDArray[Any]],
+    x: NDArray[Any],
+    h: Any,
+    order: int,
+    tolerance: float,
+    memory: StepMemory | None,
+) -> tuple[list[NDArray[Any]], float, float, StepMemory]:
+    """Return the terms of the motion from x, their time unit, the length of the step, and the memory for the next."""
+    largest, scale = memory or StepMemory(0.0, _time_of_change(field, x, h))
+    largest = max(largest, _size(x))
+    terms = expand(field, x, scale, order)
+    length = scale * near_power_of_two(logarithm_of_step([_size(term) for term in terms], largest, tolerance))
+    if length == 0.0:
+        raise IntegrationError(TOO_SHORT_MESSAGE, step=1, time=0.0, residual=0.0)
+    return terms, scale, length, StepMemory(largest, math.copysign(2.0 ** math.floor(near_log2(abs(length))), float(h)))
 
 
 def _time_of_change(field: Callable[[NDArray[Any]], NDArray[Any]], x: NDArray[Any], h: Any) -> float:

@@ -15,6 +15,7 @@ from coadjoint.methods.protocol.composing import Composable
 from coadjoint.methods.protocol.derivatives import CompiledDerivatives, DerivativeTables
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.formal_step import FormalStep, with_formal_step
+from coadjoint.methods.protocol.linearized import JoinedSteps, Linearized, LinearizedStep, linearized
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.restored import RestoresInvariants, restored
@@ -112,7 +113,7 @@ class ComposedFlows(Composed, FlowsOfBase):
 
 
 @dataclass(frozen=True)
-class Substeps(Composed, FormalStep, CompiledTangents, CompiledDerivatives, Composable, RestoresInvariants):
+class Substeps(Composed, FormalStep, CompiledTangents, CompiledDerivatives, Linearized, Composable, RestoresInvariants):
     """The step of the base, repeated at each fraction."""
 
     offered = False
@@ -167,6 +168,14 @@ class Substeps(Composed, FormalStep, CompiledTangents, CompiledDerivatives, Comp
             x, derivative = self.base.tangent(system, x, t, h * fraction)
             product, t = derivative @ product, t + h * fraction
         return x, product
+
+    def linearized(self, system: System, x: Any, t: float, h: float) -> LinearizedStep:
+        """Return the substeps with their derivatives."""
+        steps: list[LinearizedStep] = []
+        for fraction in self.coefficients:
+            steps.append(linearized(self.base, system, x, t, h * fraction))
+            x, t = steps[-1].end, t + h * fraction
+        return JoinedSteps(steps)
 
     def work(self, system: System, group: Representation = None) -> Work:
         return self.base.work_of_substeps(system, group, len(self.coefficients))

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from coadjoint.kernels.tables.cotangents import flow_cotangents, with_step
-from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.methods.protocol.derivatives import ADDED_PART, EXACT, DerivativeTables
-from coadjoint.program.added_part import CoefficientMap, in_parts, with_added_part
+from coadjoint.program.added_part import CoefficientMap, with_added_part
+from coadjoint.program.provenance import in_parts
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 
 if TYPE_CHECKING:
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 FORWARD, BACKWARD = "flow_directions", "flow_cotangents"
+COEFFICIENTS = ("base.terms.offset", "base.terms.weight", "base.terms.coefficient")
 
 
 def flow_derivatives(
@@ -45,7 +46,7 @@ def flow_derivatives(
     terms = built.tables.base.terms
 
     def tables_at(step: float) -> Any:
-        return as_structure(built.tables if step == h else with_step(built.tables, step))
+        return built.tables if step == h else with_step(built.tables, step)
 
     empty = CoefficientMap.of_triplets(())
     return DerivativeTables(
@@ -59,4 +60,6 @@ def flow_derivatives(
         rules={name: ADDED_PART if name in others else EXACT for name in energies},
         shift=program.shift,
         reversible=True,
+        located=COEFFICIENTS,
+        parts=program.parts,
     )

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from coadjoint.kernels.tables.cotangents import runge_kutta_cotangents
-from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.methods.protocol.derivatives import EXACT, DerivativeTables
 from coadjoint.program.added_part import CoefficientMap, terms_of
 from coadjoint.systems.energy_derivatives import EnergyDerivative
@@ -30,9 +29,8 @@ def runge_kutta_derivatives(
     added, coefficients = terms_of(EnergyDerivative.joined(list(energies.values())), system.dim)
     loop = method.loop_of_substeps(system, h, representation, fractions)
     built = runge_kutta_cotangents(loop, system, added)
-    tables = as_structure(built.tables)
     return DerivativeTables(
-        tables_at=lambda step: tables,
+        tables_at=lambda step: built.tables,
         keepalive=built.keepalive,
         forward=FORWARD,
         backward=BACKWARD,
