@@ -25,6 +25,8 @@ class IntegrationError(RuntimeError):
         Size of the last correction of an iteration that did not converge; NaN for an overflow.
     partial : Solution, optional
         The solution up to the last saved point before the failure.
+    derivatives : Tangents or Gradient, optional
+        If derivatives of a run overflow: those of all members, of which others are not affected.
 
     Examples
     --------
@@ -34,20 +36,39 @@ class IntegrationError(RuntimeError):
     (3, 0.2)
     """
 
-    def __init__(self, message: str, *, step: int, time: float, residual: float, partial: Any = None) -> None:
+    def __init__(
+        self, message: str, *, step: int, time: float, residual: float, partial: Any = None, derivatives: Any = None
+    ) -> None:
         super().__init__(message)
         self.step = step
         self.time = time
         self.residual = residual
-        self.partial = partial
+        self.partial, self.derivatives = partial, derivatives
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the error by its arguments."""
-        return _restored, (str(self), self.step, self.time, self.residual, self.partial)
+        return _restored, (str(self), self.step, self.time, self.residual, self.partial, self.derivatives)
 
 
-def _restored(message: str, step: int, time: float, residual: float, partial: Any) -> IntegrationError:
-    return IntegrationError(message, step=step, time=time, residual=residual, partial=partial)
+def _restored(
+    message: str, step: int, time: float, residual: float, partial: Any, derivatives: Any
+) -> IntegrationError:
+    return IntegrationError(message, step=step, time=time, residual=residual, partial=partial, derivatives=derivatives)
+
+
+class LargeStepWarning(UserWarning):
+    """Warning that the step of a run is so large that the scheme does not follow the motion; see `Solution.step_error`.
+
+    Invariants do not show this, since a scheme that preserves them does so at any step.
+
+    Examples
+    --------
+    Make it an error:
+
+    >>> import warnings
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("error", LargeStepWarning)
+    """
 
 
 class OneLineError(ValueError):

@@ -70,13 +70,14 @@ def _output_paths(
     """Validate the paths of archive, dataset, figure and movie, from the options or else the configuration."""
     from coadjoint.files.archives.resume import check_new
     from coadjoint.files.configuration.construction import section
+    from coadjoint.files.output.movie_file import check_movie
     from coadjoint.files.output.output_files import DATASETS, FIGURES, check_target
 
     results: tuple[tuple[str, str | None, str | None, Callable[[str], Path]], ...] = (
         ("archive", archive, configuration.archive, check_new),
         ("file", out, configuration.output, lambda path: check_target(path, DATASETS)),
         ("figure", figure, configuration.figure, lambda path: check_target(path, FIGURES)),
-        ("movie", movie, configuration.movie, lambda path: _movie_target(configuration, path)),
+        ("movie", movie, configuration.movie, check_movie),
     )
     paths: list[Path | None] = []
     for key, option, configured, check in results:
@@ -88,19 +89,6 @@ def _output_paths(
             with section(configuration.path, f"output.{key}"):
                 paths.append(check(configured))
     return paths
-
-
-def _movie_target(configuration: Configuration, path: str) -> Path:
-    from coadjoint.files.configuration.construction import section
-    from coadjoint.files.output.movie_file import check_movie
-    from coadjoint.systems.protocol import unforced
-
-    target = check_movie(path)
-    from coadjoint.pictures.movie import declared_picture
-
-    with section(configuration.path, "output.movie"):
-        declared_picture(unforced(configuration.system).name)
-    return target
 
 
 def _summarize(solution: Solution, written: Sequence[Path]) -> None:

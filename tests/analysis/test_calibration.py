@@ -94,7 +94,7 @@ def accurate_runs() -> tuple[list[float], list[float]]:
         end = 7.3 + sense * rng.uniform(10.0, 60.0)
         sol = co.integrate(body, x0, (7.3, end), accuracy=10.0 ** -rng.uniform(3, 7), method=methods[seed % 4])
         error = np.linalg.norm(sol.x[-1] - body.exact(x0, end - 7.3)) / np.linalg.norm(x0)
-        estimated.append(error / sol.error_estimate)
+        estimated.append(error / sol.error_estimate())
         expected.append(error / sol.choice.error)
     return estimated, expected
 

@@ -404,7 +404,7 @@ def test_a_run_with_an_element_does_not_change_one_without():
         # Watched runs know the drift at all steps, others at the saved points.
         every = subject.run(X0[None], 0.1, 150, save_every=1)
         for watch, energies in ((True, every.energy), (False, every.energy[::150])):
-            found = subject.run(X0[None], 0.1, 150, watch=watch).drift()["energy"]
+            found = subject.run(X0[None], 0.1, 150, watch=watch).drift(relative=False)["energy"]
             assert found == pytest.approx(np.max(np.abs(energies - energies[0])), abs=1e-15)
 
 

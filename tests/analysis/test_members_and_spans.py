@@ -112,7 +112,7 @@ TABLE: dict[str, dict[str, Entry]] = {
 ENTRIES = [(name, kind) for name, kinds in TABLE.items() for kind in kinds]
 each_entry = pytest.mark.parametrize(("name", "kind"), ENTRIES, ids=[f"{name}-{kind}" for name, kind in ENTRIES])
 # Functions with a span or a solution that is no run of a system, or none of the above.
-ELSEWHERE: dict[str, str] = {}
+ELSEWHERE: dict[str, str] = {"fit.fit": "tests/analysis/test_fit.py"}
 
 
 def reference_of(sol: co.Solution, attitude: bool = False) -> co.Solution:
@@ -348,6 +348,9 @@ OTHERS = {
     "events": "tests/runs/test_events.py",
     "choice": "test_error_at_end.py",
     "error_estimate": "test_error_at_end.py",
+    "step_error": "tests/runs/test_step_error.py",
+    "rotation": "tests/pictures",
+    "to_pandas": "tests/pictures",
     "spectrum": "test_spectra_of_members_are_theirs",
     "to_xarray": "tests/files/test_members_read_back.py",
     "plot": "tests/pictures/test_read_back.py",

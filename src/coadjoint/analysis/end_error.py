@@ -13,7 +13,9 @@ from coadjoint.methods.protocol.own_steps import FinerRun, OwnSteps
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.start import momenta_of, with_group
 from coadjoint.runs.times import Times
+from coadjoint.systems.protocol import forces_of, is_batch
 
 # Numbers of steps of the finer runs, relative to the run; the next one is used if the error is not yet resolved. They
 # are not powers of two, so that the rounding of their steps differs from that of the run.
@@ -29,34 +31,38 @@ FEW_STEPS = 20
 
 
 def error_at_end(solution: Solution) -> NDArray[np.float64]:
-    """Estimate the error of each member at the end of a run with ``accuracy=``, shape (members,).
+    """Estimate the error of each member at the end of a run, shape (members,), relative to its largest momentum.
 
-    It is relative to the largest momentum of the member. The run is compared with one of 1.5 times as many steps,
-    corrected by the order; if the difference is within round-off, also with a further one. Infinite if all four finer
-    runs fail.
+    The run is compared with one of 1.5 times as many steps, corrected by the order; if the difference is within
+    round-off, also with a further one. Infinite if all four finer runs fail.
     """
-    choice = solution.choice
-    if choice is None:
+    system = solution.system
+    if any(force.random for _, force in forces_of(system)):
         raise TypeError(
-            "error_estimate needs a run with accuracy=; give integrate accuracy= in place of step=, or "
-            "compare this run with one of half the step"
+            f"{system.name} has random forces, whose noise belongs to the step; compare averages of ensembles with two "
+            "steps"
         )
-    ends, starts = solution.x[-1:] if solution.x.ndim == 2 else solution.x[-1], solution.record.starts
-    assert starts is not None
+    (ends, _), starts = momenta_of(system, solution.x[-1]), solution.record.starts
+    if starts is None:
+        starts, _ = momenta_of(system, solution.x0)
     time = float(solution.t[-1]) - solution.t_span[0]
     steps = math.ceil(abs(time) / solution.step * (1.0 - WHOLE_STEP_TOLERANCE))
     if steps == 0:
         return np.zeros(len(starts))
+    # Without a choice the growth of rounding is not known, and is taken as a random walk.
+    roundoff = UNIT_ROUNDOFF * math.sqrt(steps) if solution.choice is None else solution.choice.roundoff
     squares, counts, pending = np.zeros(len(starts)), np.zeros(len(starts), dtype=int), np.arange(len(starts))
     for refinement in REFINEMENTS:
         if not len(pending):
             break
-        distances = _distances(solution, starts[pending], ends[pending], time, steps, refinement)
+        members = np.arange(len(starts)) if is_batch(system) else pending
+        distances = _distances(solution, starts[members], ends[members], time, steps, refinement)
+        distances = distances[pending] if is_batch(system) else distances
         valid = np.isfinite(distances)
         squares[pending[valid]] += distances[valid] ** 2
         counts[pending[valid]] += 1
         # A single difference within round-off may be small by chance, so a second one is required.
-        resolved = valid & ((distances > ROUNDOFF_FACTOR * choice.roundoff) | (counts[pending] == 2))
+        resolved = valid & ((distances > ROUNDOFF_FACTOR * roundoff) | (counts[pending] == 2))
         pending = pending[~resolved]
     squares[counts == 0] = np.inf
     return np.maximum(np.sqrt(squares / np.maximum(counts, 1)), UNIT_ROUNDOFF)
@@ -89,6 +95,7 @@ def _distances(
     plan = Times(solution.t_span[0], time / finer.steps, finer.steps, every)
     prepared = PreparedRun(solution.system, finer.method, abs(plan.h), watch=False)
     size = max(1, MAX_SAVED_NUMBERS // (points * starts.shape[1]))
+    size = len(starts) if is_batch(solution.system) else size
     groups = [slice(first, first + size) for first in range(0, len(starts), size)]
     distances = [_group_distances(prepared, plan, starts[group], ends[group]) for group in groups]
     return np.concatenate(distances) / (1.0 - finer.left)
@@ -97,7 +104,7 @@ def _distances(
 def _group_distances(
     prepared: PreparedRun, plan: Times, starts: NDArray[np.float64], ends: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    run = prepared.begun(plan, prepared.start(starts))
+    run = prepared.begun(plan, with_group(prepared.system, starts, False, None, False))
     run.advance()
     x: Any = run.saved["x"][..., : starts.shape[1]]
     failed = run.state["status"] != 0

@@ -71,7 +71,7 @@ def fitted_drift(
     drifts, floor = [], []
     for count in counts:
         run = integrate(case.system, case.x0, (0.0, case.end), case.end / count, method, save_every=count)
-        drift = run.drift()[invariant]
+        drift = run.drift(relative=False)[invariant]
         drifts.append(float(drift))
         floor.append(roundoff(count, abs(float(drift.initial))))
     return fit_order([case.end / count for count in counts], drifts, floor)

@@ -57,7 +57,8 @@ def certify(
     method : Method or callable
         A scheme, or a function ``step(x, h)`` (``step(x, t, h)`` if the Hamiltonian depends on time) that returns the
         state after a step of length h, which may be negative. `order`, `properties` and `symmetric` are the
-        declarations of a function. Undeclared properties are measured and cannot fail.
+        declarations of a function. Undeclared properties are measured and cannot fail, except the convergence to the
+        motion of the system for small steps, which is always required.
     x0 : array_like, shape (n,) or (k, n)
         A state, or a sample of states. Fewer than four are extended along the motion; for steps longer than a quarter
         of a millisecond, two states suffice. Of more than eight, the first eight are used.

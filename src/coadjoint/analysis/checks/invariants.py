@@ -17,7 +17,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.results.solution import Solution
-from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
+from coadjoint.systems.absolute_terms import sum_of_absolute_terms
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 
 Floats = NDArray[np.float64]
@@ -148,8 +148,9 @@ def _row(
         errors = np.abs(values[1] - values[0])
         rounding = subject.rounding(h, step.stats.evaluations / len(subject.states)) + 8 * UNIT_ROUNDOFF + 8 * noise
         k = int(np.argmax(errors / np.where(sizes > 0.0, sizes, 1.0)))
-        text, source = f"{errors[k]:.2g} in a step of {h:.3g}", "round-off of a step, 4 n u each evaluation"
-        measurements.append((float(errors[k]), float(rounding * sizes[k]), text, source))
+        scale = step.drift()[name].scale[k]
+        text, source = f"{errors[k] / scale:.2g} in a step of {h:.3g}", "round-off of a step, 4 n u each evaluation"
+        measurements.append((float(errors[k] / scale), float(rounding * sizes[k] / scale), text, source))
         evidence[f"errors in a step of {h:.6g}"] = errors
     if run.solution is not None and len(run.solution.t) > 1:
         solution = run.solution
@@ -157,14 +158,17 @@ def _row(
         evidence |= {"times": solution.t, "deviations": values - values[0]}
         fitted = growth(solution.t, values - values[0])
         evidence |= {"window times": fitted.times, "window sizes": fitted.sizes, "power of time": fitted.power}
-        worst = float(solution.drift()[name])
+        drift = solution.drift()[name]
         samples = np.linspace(0, len(solution.x) - 1, SIZE_SAMPLES).astype(int)
-        size = float(np.max(_sizes(invariant, solution.x[samples].reshape(-1, subject.system.dim))))
+        sizes = np.max([_sizes(invariant, states) for states in solution.x[samples]], axis=0) / drift.scale
+        members = np.asarray(drift.members)
+        k = int(np.argmax(members / np.where(sizes > 0.0, sizes, 1.0)))
         evaluations = solution.stats.evaluations / len(subject.states) + solution.stats.steps + 1
         rounding = 4 * subject.system.dim * UNIT_ROUNDOFF * evaluations + 8 * noise * solution.stats.steps
-        text = f"{worst:.2g} after {solution.stats.steps} steps, growth {fitted.kind}"
+        value, scale = float(members[k]), drift.scale[k]
+        text = f"{value:.2g} after {solution.stats.steps} steps, relative to {scale:.2g}, growth {fitted.kind}"
         source = "round-off of the run, 4 n u each evaluation, all of one sign"
-        measurements.append((worst, rounding * size, text, source))
+        measurements.append((value, float(rounding * sizes[k]), text, source))
     finite = [entry for entry in measurements if np.isfinite(entry[0]) and np.isfinite(entry[1])]
     if not finite or len(finite) < len(measurements):
         return Row(**{**vars(row), "verdict": UNDECIDED, "reason": run.failed or "its value is not finite"})
@@ -203,7 +207,7 @@ def _series(solution: Solution, name: str) -> Floats:
 def size_of(invariant: Any, x: Floats) -> float:
     """Return |gradient| |x| plus the sum of the absolute terms, the effect of rounding in units of u."""
     value = invariant(x) if callable(invariant) else invariant.value(x)
-    terms = max(abs(float(value)), _sum_of_absolute_terms(invariant, x))
+    terms = max(abs(float(value)), float(sum_of_absolute_terms(invariant, x)))
     return terms + float(np.linalg.norm(_gradient(invariant, x)) * np.linalg.norm(x))
 
 
@@ -213,32 +217,3 @@ def _gradient(invariant: Any, x: Floats) -> Floats:
     small = 2.0**-17 * (float(np.max(np.abs(x))) or 1.0)
     slopes = [(invariant(x + small * e) - invariant(x - small * e)) / (2 * small) for e in np.eye(len(x))]
     return np.array(slopes, dtype=np.float64)
-
-
-def _sum_of_absolute_terms(invariant: Any, x: Floats) -> float:
-    """Return the sum of the absolute values of the terms; 0 for functions."""
-    if isinstance(invariant, Polynomial):
-        invariant = as_hamiltonian(invariant, len(x))
-    if not hasattr(invariant, "terms"):
-        return 0.0
-    return float(sum(term.describe_to(_AbsoluteSum(np.abs(x))) or 0.0 for term in invariant.terms()))
-
-
-class _AbsoluteSum:
-    """Visitor of the terms of a Hamiltonian that returns the sum of their absolute values."""
-
-    def __init__(self, size: Floats) -> None:
-        self.size = size
-
-    def quadratic(self, term: Any) -> float:
-        x = self.size
-        couplings = float(np.sum(x[term.rows] * np.abs(term.values) * x[term.indices])) / 2
-        return abs(term.constant) + float(np.abs(term.linear) @ x) + couplings
-
-    def polynomial(self, term: Any) -> float:
-        return sum(
-            abs(float(c)) * float(np.prod(self.size ** np.array(e))) for e, c in term.polynomial.monomials.items()
-        )
-
-    def function(self, term: Any) -> float:
-        return 0.0

@@ -50,7 +50,7 @@ def _drifts(case: ReferenceProblem, method: Method) -> dict[str, float]:
     """Return the drifts over many steps in units of their round-off bound."""
     run = integrate(case.system, case.x0, (0.0, LONG_STEPS * STEP), STEP, method, save_every=LONG_STEPS)
     size = float(case.x0 @ case.x0)
-    return {name: float(drift) / roundoff(LONG_STEPS, size) for name, drift in run.drift().items()}
+    return {name: float(drift) / roundoff(LONG_STEPS, size) for name, drift in run.drift(relative=False).items()}
 
 
 def _gauss_order(case: ReferenceProblem) -> Statement:

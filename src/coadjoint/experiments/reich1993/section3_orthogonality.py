@@ -86,7 +86,7 @@ def _not_symmetric() -> Statement:
 def _radau() -> Statement:
     body = paper_rigid_body()
     run = integrate(body, CALM_START, (0.0, 20.0), STEP, RadauEnergy(2))
-    drift = run.drift()
+    drift = run.drift(relative=False)
     lost = float(run.casimirs["|x|^2"][-1] - run.casimirs["|x|^2"][0])
     bound = roundoff(run.stats.steps, float(drift["energy"].initial))
     return judge(
@@ -132,7 +132,7 @@ def _dissipation() -> Statement:
     run = integrate(body, CALM_START, (0.0, 2000.0), STEP, MODIFIED, save_every=1000)
     growth = run.casimirs["|x|^2"] - run.casimirs["|x|^2"][0]
     shown = {t: float(growth[int(t / 100)]) for t in (100, 1000, 2000)}
-    energy = float(run.drift()["energy"])
+    energy = float(run.drift(relative=False)["energy"])
     bound = roundoff(run.stats.steps, float(np.dot(CALM_START, CALM_START)))
     return judge(
         "no_dissipation",
@@ -197,7 +197,7 @@ def _modified_either() -> Statement:
     drifts = {}
     for freeze in ("structure", "gradient"):
         run = integrate(body, CALM_START, (0.0, 100.0), STEP, ModifiedGaussLegendre(1, freeze=freeze), save_every=1000)
-        drifts[freeze] = {name: float(value) for name, value in run.drift().items()}
+        drifts[freeze] = {name: float(value) for name, value in run.drift(relative=False).items()}
     bound = roundoff(1000, float(np.dot(CALM_START, CALM_START)))
     preserved = max(drifts["structure"]["energy"], drifts["gradient"]["|x|^2"])
     lost = min(drifts["structure"]["|x|^2"], drifts["gradient"]["energy"])

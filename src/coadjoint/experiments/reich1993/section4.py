@@ -127,7 +127,7 @@ def _example_flows() -> Statement:
         y = _turn(axis, share * STEP * m[axis] * y[axis], y)
     difference = float(np.linalg.norm(stepper(body, COORDINATES, STEP)(x) - y))
     run = integrate(body, x, (0.0, STEPS * STEP), STEP, COORDINATES, save_every=STEPS)
-    drift, bound = float(run.drift()["|x|^2"]), roundoff(5 * STEPS, float(x @ x))
+    drift, bound = float(run.drift(relative=False)["|x|^2"]), roundoff(5 * STEPS, float(x @ x))
     small = roundoff(5, float(np.linalg.norm(x)))
     return judge(
         "example_4_1",
@@ -145,7 +145,7 @@ def _orthogonal_not_poisson() -> Statement:
     body, x = paper_rigid_body(), np.array(CALM_START)
     method = ModifiedGaussLegendre(1, freeze="gradient")
     defect = poisson_defect(stepper(body, method, STEP), x)
-    drift = float(integrate(body, x, (0.0, 100.0), STEP, method, save_every=1000).drift()["|x|^2"])
+    drift = float(integrate(body, x, (0.0, 100.0), STEP, method, save_every=1000).drift(relative=False)["|x|^2"])
     bound = roundoff(1000, float(x @ x))
     return judge(
         "orthogonal_not_poisson",
@@ -193,7 +193,7 @@ def _casimirs() -> Statement:
             casimir: roundoff((2 * system.dim - 1) * STEPS, _size(system.casimirs[casimir], run.x))
             for casimir in run.casimirs
         }
-        drift = run.drift()
+        drift = run.drift(relative=False)
         worst[name] = max(float(drift[casimir]) / bound[casimir] for casimir in bound)
     return judge(
         "lemma_4_2",

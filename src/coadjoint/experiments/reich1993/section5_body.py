@@ -98,7 +98,9 @@ def _attitude_order() -> Statement:
 
 
 def _energy_by_gauss() -> Statement:
-    gauss, modified = (body_run(m, BODY_START, BODY_LATER, BODY_STEP).solution.drift() for m in (MIDPOINT, MODIFIED))
+    gauss, modified = (
+        body_run(m, BODY_START, BODY_LATER, BODY_STEP).solution.drift(relative=False) for m in (MIDPOINT, MODIFIED)
+    )
     bound = roundoff(BODY_LATER / BODY_STEP, float(gauss["energy"].initial))
     return judge(
         "energy_by_gauss",

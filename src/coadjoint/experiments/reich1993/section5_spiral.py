@@ -71,7 +71,7 @@ def _flows() -> Statement:
 
 
 def _parameter() -> Statement:
-    drifts = {a: float(spiral_run(COORDINATES, a).drift()["log C"]) for a in (2.0, 1.0, 0.5, -1.5)}
+    drifts = {a: float(spiral_run(COORDINATES, a).drift(relative=False)["log C"]) for a in (2.0, 1.0, 0.5, -1.5)}
     bound = roundoff(5 * SPIRAL_END / SPIRAL_STEP, 1.0)
     return judge(
         "spiral_parameter",
@@ -95,7 +95,7 @@ def _printed_casimir() -> Statement:
     jumps = np.diff(printed)
     size = float(np.max(np.abs(jumps)))
     bound = roundoff(5 * run.stats.steps, 1.0)
-    unwrapped = float(run.drift()["log C"])
+    unwrapped = float(run.drift(relative=False)["log C"])
     crossings = np.flatnonzero(np.diff(np.sign(x1)) != 0)
     return judge(
         "spiral_casimir",
@@ -114,8 +114,8 @@ def _printed_casimir() -> Statement:
 def _figure_1() -> Statement:
     run = spiral_run(COORDINATES)
     half = integrate(paper_a37(A), SPIRAL_START, (0.0, SPIRAL_END), SPIRAL_STEP / 2, COORDINATES, save_every=100)
-    energy, casimir = float(run.drift()["energy"]), float(run.drift()["log C"])
-    ratio = energy / float(half.drift()["energy"])
+    energy, casimir = float(run.drift(relative=False)["energy"]), float(run.drift(relative=False)["log C"])
+    ratio = energy / float(half.drift(relative=False)["energy"])
     bound = roundoff(5 * run.stats.steps, 1.0)
     return judge(
         "figure_1",
@@ -132,9 +132,9 @@ def _figure_1() -> Statement:
 def _figure_2() -> Statement:
     run = spiral_run(MODIFIED)
     half = integrate(paper_a37(A), SPIRAL_START, (0.0, SPIRAL_END), SPIRAL_STEP / 2, MODIFIED, save_every=100)
-    energy, casimir = float(run.drift()["energy"]), float(run.drift()["log C"])
-    ratio = casimir / float(half.drift()["log C"])
-    bound = roundoff(run.stats.steps, float(run.drift()["energy"].initial))
+    energy, casimir = float(run.drift(relative=False)["energy"]), float(run.drift(relative=False)["log C"])
+    ratio = casimir / float(half.drift(relative=False)["log C"])
+    bound = roundoff(run.stats.steps, float(run.drift(relative=False)["energy"].initial))
     return judge(
         "figure_2",
         "figure 2",

@@ -46,38 +46,6 @@ class Statistics:
     seconds: float
 
 
-class Drift(float):
-    """The largest absolute deviation of an invariant from its initial value: a float with the deviations in detail.
-
-    Attributes
-    ----------
-    tenths : ndarray, shape (10,) or (members, 10)
-        Largest deviation in each tenth of the run.
-    members : ndarray or None
-        For an ensemble, the largest deviation of each member; the float is the largest over all members.
-    initial : float or ndarray
-        Initial value.
-    """
-
-    tenths: NDArray[np.float64]
-    members: NDArray[np.float64] | None
-    initial: Any
-
-    def __new__(cls, tenths: NDArray[np.float64], initial: Any) -> Drift:
-        """Construct the drift from its tenths."""
-        drift = super().__new__(cls, np.max(tenths))
-        drift.tenths = tenths
-        drift.members = None if tenths.ndim == 1 else tenths.max(axis=-1)
-        drift.initial = initial
-        return drift
-
-    @property
-    def growth(self) -> Any:
-        """Ratio of the last tenth to the first: 1 for bounded error, 10 for linear growth, inf if the first is 0."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.divide(self.tenths[..., -1], self.tenths[..., 0])
-
-
 class RunAttributes:
     """Attributes of a `Solution`, which are fields of its record; see there."""
 

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import FrozenInstanceError
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.runs.results.run_record import SOLUTION_FIELDS, Drift, RunAttributes, RunRecord
+from coadjoint.keyword_hints import NamedValues
+from coadjoint.runs.results.drift import Drift, scales_of_invariants
+from coadjoint.runs.results.run_record import SOLUTION_FIELDS, RunRecord
+from coadjoint.runs.results.solution_output import SolutionOutput
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.protocol import is_batch, unforced_matrix_system
 
 if TYPE_CHECKING:
-    import xarray
-    from matplotlib.figure import Figure
-
     from coadjoint.runs.results.state_at import StateAt
 
 
-class Solution(RunAttributes):
+class Solution(SolutionOutput):
     """The result of a run: arrays over the k saved times, (k, ...) for one member, (k, members, ...) for an ensemble.
 
     Attributes
@@ -92,7 +91,10 @@ class Solution(RunAttributes):
 
         def __getattr__(self, name: str) -> Any:
             if name in SOLUTION_FIELDS and name in self.record:
-                value = self.__dict__[name] = getattr(self.record, name)
+                value = getattr(self.record, name)
+                if type(value) is dict and name in ("casimirs", "observed", "initial", "work"):
+                    value = NamedValues(value)
+                self.__dict__[name] = value
                 return value
             # If the computation of an attribute failed, raise that error.
             if hasattr(type(self), name):
@@ -124,29 +126,51 @@ class Solution(RunAttributes):
         """Copy and pickle a stored run by reopening it, and a run in memory with all its attributes."""
         return self.record.reopen if "reopen" in self.record else (Solution, (self.record,))
 
-    def drift(self) -> dict[str, Drift]:
+    def drift(self, relative: bool = True) -> dict[str, Drift]:
         """Return the largest deviation of each invariant from its initial value.
+
+        Small deviations do not show that a run is accurate: a scheme that preserves an invariant does so at any step.
+        See `error_estimate` and `step_error`.
+
+        Parameters
+        ----------
+        relative : bool
+            Relative to the size of the invariant, ``drift()["energy"].scale``: its absolute initial value, or where its
+            terms nearly cancel, the sum of their absolute values. Otherwise, and where both are zero, absolute.
 
         Returns
         -------
         dict
-            ``"energy"`` and the name of each Casimir -> `Drift`: a float, the largest absolute deviation over every
-            step (with ``watch=False`` over the saved points, or the steps at or before the times of `t_eval`), with
-            `tenths`, the same for each tenth of the run.
+            ``"energy"`` and the name of each Casimir -> `Drift`: a float, the largest deviation over every step (with
+            ``watch=False`` over the saved points, or the steps at or before the times of `t_eval`), with its `scale`,
+            the `absolute` deviation, and `tenths`, the same for each tenth of the run.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+        >>> drift = co.integrate(body, (10.0, 2.0, 1.0), (0, 10), 0.01).drift()["energy"]
+        >>> drift.scale == body.energy((10.0, 2.0, 1.0)), bool(abs(drift.absolute / drift.scale - drift) < 1e-18)
+        (True, True)
         """
         if self.work:
             raise TypeError(
                 f"energy and Casimirs of {self.system.name} are changed by its forces; take balance(), the change "
                 "minus the work of the forces, or change()"
             )
-        return self._deviations(0)
+        return self._deviations(0, relative)
 
-    def balance(self) -> dict[str, Drift]:
+    def balance(self, relative: bool = True) -> dict[str, Drift]:
         """Return the change of each invariant minus the work of the forces: the error of the scheme.
 
         The work of a force is the difference of the invariant before and after each flow of the force, added up over
         the run with compensated sums; `work` has it at the saved points. If the Hamiltonian depends on time, the
         balance also contains the energy that this brings in.
+
+        Parameters
+        ----------
+        relative : bool
+            As for `drift`.
 
         Returns
         -------
@@ -160,34 +184,40 @@ class Solution(RunAttributes):
         >>> body = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(co.forces.LinearDamping(0.1))
         >>> sol = co.integrate(body, (1.0, 0.2, 0.1), t_span=(0, 10), step=0.125, method=co.GaussLegendre(2))
         >>> lost, done = sol.energy[-1] - sol.energy[0], sol.work["LinearDamping"]["energy"][-1]
-        >>> bool(lost < -0.4), bool(abs(lost - done) < 1e-15), bool(sol.balance()["energy"] < 1e-15)
+        >>> bool(lost < -0.4), bool(abs(lost - done) < 1e-15), bool(sol.balance()["energy"] < 1e-14)
         (True, True, True)
         """
         if not self.work:
-            return self._deviations(0)
+            return self._deviations(0, relative)
         accounted = {invariant for _, invariant in self.record.accounts}
         conserves_casimirs = accounted == {"energy"}  # the forces preserve all Casimirs
-        deviations = self._deviations(1 + len(self.casimirs))
-        return {name: drift for name, drift in deviations.items() if conserves_casimirs or name in accounted}
+        deviations = self._deviations(1 + len(self.casimirs), relative)
+        balances = {name: drift for name, drift in deviations.items() if conserves_casimirs or name in accounted}
+        return NamedValues(balances)
 
-    def change(self) -> dict[str, Drift]:
+    def change(self, relative: bool = True) -> dict[str, Drift]:
         """Return the largest change of each invariant from its initial value, by forces and scheme.
+
+        Parameters
+        ----------
+        relative : bool
+            As for `drift`.
 
         Returns
         -------
         dict
             As `drift`; without forces it is `drift`.
         """
-        return self._deviations(0)
+        return self._deviations(0, relative)
 
-    @property
     def error_estimate(self) -> Any:
-        """The estimated error of the last state, relative to the largest momentum during the run.
+        """Return the estimated error of the last state, relative to the largest momentum during the run.
 
-        It is computed lazily, by a second run of 1.5 times as many steps. If both agree to rounding, a third run of
-        1.75 times as many steps is compared. This takes 1.5 or 3.25 times as long as the run. The estimate is accurate
-        within a factor of 10. If the error is below the expected rounding, the estimate is that rounding. If a finer
-        run fails, another is tried, four at most; if all fail, the estimate is infinite.
+        Choose it to know how accurate a run is; conserved invariants do not show it. It is computed once, by a second
+        run of 1.5 times as many steps. If both agree to rounding, a third run of 1.75 times as many steps is compared.
+        This takes 1.5 or 3.25 times as long as the run. The estimate is accurate within a factor of 10, if it is well
+        below one. If the error is below the expected rounding, the estimate is that rounding. If a finer run fails,
+        another is tried, four at most; if all fail, the estimate is infinite.
 
         Returns
         -------
@@ -197,25 +227,68 @@ class Solution(RunAttributes):
         Raises
         ------
         TypeError
-            The run was not given an `accuracy`.
+            The system has random forces.
 
         Examples
         --------
         >>> import coadjoint as co
-        >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
-        >>> sol = co.integrate(body, (1.0, 0.2, 0.5), (0, 100), accuracy=1e-6)
-        >>> sol.error_estimate <= 1e-6
-        True
+        >>> body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.5)
+        >>> sol = co.integrate(body, x0, (0, 100), step=0.5, method=co.Taylor(order=4))
+        >>> bool(sol.drift()["energy"] < 1e-14), bool(1e-6 < sol.error_estimate() < 1e-2)
+        (True, True)
         """
         error = self.record.error
         if error is None:
             error = self.record.error = shortcut("error_at_end")(self)
         return float(error[0]) if self.failed is None else error
 
-    def _deviations(self, first: int) -> dict[str, Drift]:
+    def step_error(self) -> float:
+        """Return the error of a step, relative to the change of the state in it: a cheap test of the step.
+
+        At five points of the run a step is compared with two half steps. Above 0.02 the scheme does not follow the
+        motion, whatever its invariants, and `integrate` warns. For the error at the end see `error_estimate`.
+
+        Returns
+        -------
+        float
+            The root mean square over the points; of an ensemble that of the worst of at most 64 members.
+
+        Raises
+        ------
+        TypeError
+            The scheme chooses its own steps, or the system has random forces.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> top, x0 = co.systems.heavy_top(), (1.0, 0.0, 2.0, 0.1, 0.0, 1.0)
+        >>> co.integrate(top, x0, (0, 10), step=0.05, method=co.Splitting(order=4)).step_error() < 1e-3
+        True
+        """
+        from coadjoint.runs.step_error import step_error
+
+        error: float | None = self.__dict__.get("_step_error")
+        if error is None:
+            error = self.__dict__["_step_error"] = step_error(self)
+        return error
+
+    def _deviations(self, first: int, relative: bool) -> dict[str, Drift]:
         # Balances have the initial values of the invariants.
-        worst = self.record.worst
-        return {name: Drift(worst[..., first + i], value) for i, (name, value) in enumerate(self.initial.items())}
+        worst, scales = self.record.worst, self._scales if relative else {}
+        return NamedValues(
+            {
+                name: Drift(worst[..., first + i], value, scales.get(name, 1.0))
+                for i, (name, value) in enumerate(self.initial.items())
+            }
+        )
+
+    @property
+    def _scales(self) -> dict[str, Any]:
+        """Sizes of the invariants, to which deviations are relative."""
+        scales: dict[str, Any] | None = self.__dict__.get("_scales_found")
+        if scales is None:
+            scales = self.__dict__["_scales_found"] = scales_of_invariants(self.system, self.x0, self.initial)
+        return scales
 
     def spectrum(self) -> NDArray[Any]:
         """Return the eigenvalues of the saved matrices of a `MatrixSystem`, invariants of isospectral schemes.
@@ -327,103 +400,6 @@ class Solution(RunAttributes):
         from coadjoint.runs.results.state_at import state_at
 
         return state_at(self, t)
-
-    def to_xarray(self) -> xarray.Dataset:
-        """Return the run as an xarray dataset, with everything needed to repeat it.
-
-        Returns
-        -------
-        xarray.Dataset
-            Variables over ``time`` (and ``member``), to be written as NetCDF or Zarr.
-        """
-        if "to_xarray" in self.record:
-            return self.record.to_xarray()
-        return shortcut("dataset_of")(self)
-
-    def plot(self, panels: Any = None, components: Any = None, axes: Any = None, members: Any = None) -> Figure:
-        """Plot drift, components, and the pictures that the system declares.
-
-        Lines are drawn only where the motion between the points is known. If the saved points are too far apart, `at`
-        computes states between them, at most 10 000 and for about 1.5 s. If that is not enough, dots are drawn. If
-        there are more oscillations than a printed line can show, an envelope is drawn.
-
-        Parameters
-        ----------
-        panels : sequence of str or Picture, optional
-            Kinds of pictures, such as ``["drift", "body axis"]``; ``co.plotting.kinds()`` lists them. By default the
-            drift, the components, the observed quantities, and the pictures that the system declares.
-        components : sequence of int or str, optional
-            Coordinates plotted over time, by number from 0 or by name.
-        axes : Axes or sequence of Axes, optional
-            Existing axes to draw into, one for each panel.
-        members : sequence of int, optional
-            Members of an ensemble to draw, from 0; at most 20.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            The figure, neither shown nor saved.
-
-        Raises
-        ------
-        TypeError, ValueError
-            Unknown panel or coordinate, with the nearest name; or a panel that this run cannot show, with the reason.
-
-        Examples
-        --------
-        >>> import coadjoint as co
-        >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
-        >>> sol = co.integrate(body, (0.01, 1.0, 0.01), (0, 40), 0.05, attitude=True)
-        >>> [axes.get_title() for axes in sol.plot(["body axis"]).axes]
-        ['body axis 2 in space']
-        """
-        return shortcut("draw_solution")(self, panels, components, axes, members)
-
-    def movie(
-        self,
-        path: str | Path,
-        picture: Any = None,
-        frames: int = 240,
-        fps: float = 24.0,
-        size: tuple[int, int] = (960, 540),
-    ) -> Path:
-        """Write the run as a movie: a picture of one time, such as the vorticity of a fluid, at the saved times.
-
-        Parameters
-        ----------
-        path : str or Path
-            ``.mp4``, which needs the program ffmpeg, or ``.gif``.
-        picture : str or Picture, optional
-            The picture to show, such as ``Picture("vorticity", part="large")``. The default is the first picture of one
-            time that the system declares. See `coadjoint.pictures.movie.frames_of`.
-        frames : int
-            Largest number of frames, from 2 to 5000. They show saved times, evenly spread, and are drawn one by one.
-        fps : float
-            Frames per second; at most 50 for a GIF.
-        size : (int, int)
-            Width and height in pixels, even numbers.
-
-        Returns
-        -------
-        Path
-
-        Raises
-        ------
-        TypeError, ValueError
-            The system has no picture for a movie, ffmpeg is missing, or an argument is invalid.
-
-        Examples
-        --------
-        >>> import coadjoint as co
-        >>> sol = co.integrate(co.systems.rigid_body((1, 2, 3)), (1, 0.2, 0.1), (0, 1), 0.1)
-        >>> sol.movie("body.gif")
-        Traceback (most recent call last):
-        coadjoint.pictures.register.CannotShow: rigid_body declares no picture that a movie can show; give one: ...
-        """
-        target = shortcut("check_movie")(path)
-        rate = shortcut("check_speed")(fps, target)
-        shortcut("write_movie")(shortcut("frames_of")(self, picture, frames, size), target, rate)
-        return target
 
 
 def with_choice(solution: Solution, choice: Any) -> Solution:

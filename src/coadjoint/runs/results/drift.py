@@ -1,0 +1,98 @@
+"""Deviations of invariants over a run, and the sizes to which they are relative."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.systems.absolute_terms import sum_of_absolute_terms
+from coadjoint.systems.evaluation import ignore_overflow
+from coadjoint.systems.protocol import is_batch, is_matrix_system, member_of, unforced
+
+Floats = NDArray[np.float64]
+
+# A value below this fraction of the sum of its absolute terms is small by cancellation.
+CANCELLATION = 2.0**-10
+# Number of invariants whose terms are always summed; those of further ones only if their values are far smaller than
+# others.
+SUMMED_INVARIANTS = 64
+SUMMED_NUMBERS = 2**18
+
+
+class Drift(float):
+    """The largest deviation of an invariant from its initial value: a float with the deviations in detail.
+
+    Attributes
+    ----------
+    scale : float or ndarray, shape (members,)
+        The size of the invariant, to which all deviations are relative: the absolute initial value, or where its terms
+        nearly cancel, the sum of their absolute values. It is 1 for absolute deviations, and where both are zero.
+    absolute : float
+        The largest absolute deviation.
+    tenths : ndarray, shape (10,) or (members, 10)
+        Largest deviation in each tenth of the run.
+    members : ndarray or None
+        For an ensemble, the largest deviation of each member; the float is the largest over all members.
+    initial : float or ndarray
+        Initial value.
+    """
+
+    scale: Any
+    absolute: float
+    tenths: Floats
+    members: Floats | None
+    initial: Any
+
+    def __new__(cls, tenths: Floats, initial: Any, scale: Any = 1.0) -> Drift:
+        """Construct the drift from the absolute deviations in its tenths."""
+        relative = tenths / np.asarray(scale)[..., None]
+        drift = super().__new__(cls, np.max(relative))
+        drift.absolute, drift.scale = float(np.max(tenths)), scale
+        drift.tenths = relative
+        drift.members = None if tenths.ndim == 1 else relative.max(axis=-1)
+        drift.initial = initial
+        return drift
+
+    def __getnewargs__(self) -> tuple[Any, ...]:  # type: ignore[override]
+        return self.tenths * np.asarray(self.scale)[..., None], self.initial, self.scale
+
+    @property
+    def growth(self) -> Any:
+        """Ratio of the last tenth to the first: 1 for bounded error, 10 for linear growth, inf if the first is 0."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.divide(self.tenths[..., -1], self.tenths[..., 0])
+
+
+@ignore_overflow
+def scales_of_invariants(system: Any, x0: Any, initial: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the size of each invariant, a float or an array (members,); 1 where it is zero or not finite.
+
+    `x0` and `initial` are those of a solution.
+    """
+    single = all(np.ndim(value) == 0 for value in initial.values())
+    states = np.asarray(x0)[None] if single else np.asarray(x0)
+    values = {name: np.abs(np.atleast_1d(value)).astype(np.float64) for name, value in initial.items()}
+    largest = np.max(list(values.values()), axis=0)
+    scales: dict[str, Any] = {}
+    for number, (name, value) in enumerate(values.items()):
+        # Each member by itself, so that it has the same size alone.
+        summed = np.arange(len(value)) if number < SUMMED_INVARIANTS else np.flatnonzero(value < CANCELLATION * largest)
+        size = value.copy()
+        for members in _groups(system, summed, states[0].size):
+            plain = unforced(member_of(system, int(members[0])))
+            invariant = plain.hamiltonian if name == "energy" else plain.casimirs.get(name)
+            rows = states[members] if is_matrix_system(plain) else states[members].reshape(len(members), -1)
+            terms = sum_of_absolute_terms(invariant, rows)
+            size[members] = np.where(value[members] < CANCELLATION * terms, terms, value[members])
+        size[~(np.isfinite(size) & (size > 0.0))] = 1.0
+        scales[name] = float(size[0]) if single else size
+    return scales
+
+
+def _groups(system: Any, members: NDArray[np.int64], numbers: int) -> list[NDArray[np.int64]]:
+    """Return members in groups whose terms are summed together; those of a batch one by one."""
+    length = 1 if is_batch(system) else max(1, SUMMED_NUMBERS // numbers)
+    return [members[k : k + length] for k in range(0, len(members), length)]

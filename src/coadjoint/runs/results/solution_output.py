@@ -1,0 +1,208 @@
+"""Conversions of solutions: tables, rotations, figures and movies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.runs.results.run_record import RunAttributes, RunRecord
+from coadjoint.shortcuts import shortcut
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray
+    from matplotlib.figure import Figure
+    from scipy.spatial.transform import Rotation
+
+ORTHOGONALITY = 1e-6
+"""Largest deviation from orthogonality of attitudes that are taken for rotations."""
+
+
+class SolutionOutput(RunAttributes):
+    """Base class of `Solution` with its conversions, figures and movies."""
+
+    record: RunRecord
+
+    @property
+    def rotation(self) -> Rotation:
+        """The attitude as rotations of SciPy, from the body to space: the group element, or its first block.
+
+        Returns
+        -------
+        scipy.spatial.transform.Rotation
+            One rotation for each saved time; for an ensemble one for each time and member, (k * members,), the members
+            at the first time first.
+
+        Raises
+        ------
+        TypeError
+            The run has no attitude, or the attitude is not a rotation in three dimensions.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+        >>> sol = co.integrate(body, (1.0, 0, 0), t_span=(0, 1), step=0.1, attitude=True)
+        >>> sol.rotation[-1].as_rotvec().round(12)
+        array([1., 0., 0.])
+        """
+        from scipy.spatial.transform import Rotation
+
+        A = rotations_of(self.attitude if self.carried == "representation" else None)
+        if A is None:
+            raise TypeError(
+                f"the run of {self.system.name} has no attitude that is a rotation in three dimensions; integrate a "
+                "body or a top with attitude=True"
+            )
+        return Rotation.from_matrix(A.reshape(-1, 3, 3))
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the run as an xarray dataset, with everything needed to repeat it.
+
+        Returns
+        -------
+        xarray.Dataset
+            Variables over ``time`` (and ``member``), to be written as NetCDF or Zarr.
+        """
+        if "to_xarray" in self.record:
+            return self.record.to_xarray()
+        return shortcut("dataset_of")(self)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return the run as a table: coordinates, energy, Casimirs, and observed numbers over time.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row for each saved time, with the index ``time``; for an ensemble one for each member and time, with the
+            indices ``member`` and ``time``. Columns are the names of the coordinates, ``energy``, and the names of the
+            Casimirs and of the observed numbers. Complex entries of matrices remain complex.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+        >>> co.integrate(body, (1.0, 0.2, 0.1), t_span=(0, 1), step=0.5).to_pandas().columns.tolist()
+        ['x1', 'x2', 'x3', 'energy', '|x|^2']
+        """
+        return shortcut("table_of")(self)
+
+    def plot(
+        self,
+        panels: Any = None,
+        components: Any = None,
+        axes: Any = None,
+        members: Any = None,
+        width: float | None = None,
+        style: Any = None,
+    ) -> Figure:
+        """Plot drift, components, and the pictures that the system declares.
+
+        Lines are drawn only where the motion between the points is known. If the saved points are too far apart, `at`
+        computes states between them, at most 10 000 and for about 1.5 s. If that is not enough, dots are drawn. If
+        there are more oscillations than a printed line can show, an envelope is drawn.
+
+        Parameters
+        ----------
+        panels : sequence of str or Picture, optional
+            Kinds of pictures, such as ``["drift", "body axis"]``; ``co.plotting.kinds()`` lists them, and
+            ``help(co.plotting.kinds()["body axis"])`` explains the options of one, which `Picture` sets. By default the
+            drift, the components, the observed quantities, and the pictures that the system declares. Kinds that show a
+            single time, such as ``"spins"``, are shown at the start and at the end.
+        components : sequence of int or str, optional
+            Coordinates plotted over time, by number from 0 or by name.
+        axes : Axes or sequence of Axes, optional
+            Existing axes to draw into, one for each panel.
+        members : sequence of int, optional
+            Members of an ensemble to draw, from 0; at most 20. Their colours are their energies at the start, if these
+            differ.
+        width : float, optional
+            Width of the figure in inches, such as 3.4 for a column of a journal: panels are arranged in as many columns
+            as fit, and text is smaller below 5 inches. By default the figure is as wide as its panels need.
+        style : str, mapping, or list of these, optional
+            Style of Matplotlib for this figure, such as ``"grayscale"`` or ``{"font.family": "serif"}``. Settings in
+            Matplotlib's ``rcParams`` that differ from its defaults are used as well.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure, neither shown nor saved; ``figure.savefig("figure.pdf")`` writes vector graphics. Its layout is
+            computed when it is drawn, also after a change of its size.
+
+        Raises
+        ------
+        TypeError, ValueError
+            Unknown panel or coordinate, with the nearest name; or a panel that this run cannot show, with the reason.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+        >>> sol = co.integrate(body, (0.01, 1.0, 0.01), (0, 40), 0.05, attitude=True)
+        >>> [axes.get_title() for axes in sol.plot(["body axis"]).axes]
+        ['body axis 2 in space']
+        """
+        return shortcut("draw_solution")(self, panels, components, axes, members, width, style)
+
+    def movie(
+        self,
+        path: str | Path,
+        picture: Any = None,
+        frames: int = 240,
+        fps: float = 24.0,
+        size: tuple[int, int] = (960, 540),
+    ) -> Path:
+        """Write the run as a movie: one picture at the saved times, such as the body in space.
+
+        Parameters
+        ----------
+        path : str or Path
+            ``.gif``, or ``.mp4``, which needs the program ffmpeg.
+        picture : str or Picture, optional
+            The picture to show, such as ``"phase portrait"`` or ``Picture("vorticity", part="large")``. By default that
+            of a single time that the system declares; the body in space for runs with ``attitude=True``; otherwise a
+            declared picture, whose paths grow with time, or the components.
+        frames : int
+            Largest number of frames, from 2 to 5000. They show saved times, evenly spread, and are drawn one by one.
+        fps : float
+            Frames per second; at most 50 for a GIF.
+        size : (int, int)
+            Width and height in pixels, even numbers.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        TypeError, ValueError
+            The run cannot show the picture, ffmpeg is missing, or an argument is invalid.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> import tempfile
+        >>> sol = co.integrate(co.systems.rigid_body((1, 2, 3)), (1, 0.2, 0.1), (0, 1), 0.1, attitude=True)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     sol.movie(f"{folder}/body.gif", frames=3, size=(160, 120)).name
+        'body.gif'
+        """
+        target = shortcut("check_movie")(path)
+        rate = shortcut("check_speed")(fps, target)
+        shortcut("write_movie")(shortcut("frames_of")(self, picture, frames, size), target, rate)
+        return target
+
+
+def rotations_of(attitude: Any) -> NDArray[np.float64] | None:
+    """Return group elements (..., d, d), or their first block in SE(3), as rotation matrices (..., 3, 3), or None."""
+    if attitude is None or attitude.shape[-1] not in (3, 4) or np.iscomplexobj(attitude):
+        return None
+    A = np.asarray(attitude)[..., :3, :3]
+    ends = np.stack([A[0], A[-1]])
+    with np.errstate(all="ignore"):
+        products = ends @ np.swapaxes(ends, -1, -2)
+    finite = products[np.isfinite(products).all(axis=(-1, -2))]  # members that have failed are not tested
+    return A if np.abs(finite - np.eye(3)).max(initial=0.0) < ORTHOGONALITY else None

@@ -1,0 +1,108 @@
+"""The error of a step, measured by two half steps at a few points of a run, and a warning if it is large."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import LargeStepWarning
+from coadjoint.long_operations import warn_caller
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.start import momenta_of, with_group
+from coadjoint.runs.times import Times
+from coadjoint.systems.protocol import forces_of, is_batch, member_of
+
+Floats = NDArray[np.float64]
+
+# Largest number of points, and of members, at which the step is repeated.
+POINTS, MEMBERS = 5, 64
+# Largest number of entries of the states that are repeated; at least one state.
+NUMBERS = 2**20
+# Differences between a step and two half steps by rounding alone, relative to the state.
+ROUNDING = 64 * UNIT_ROUNDOFF
+# Largest error of a step, relative to the change of the state in it, without a warning, and that of the step suggested.
+WARNED, SUGGESTED = 0.02, 0.002
+
+
+def step_error(solution: Solution, prepared: PreparedRun | None = None) -> float:
+    """Return the largest error of a step among the members, relative to the change of the state; see `Solution`."""
+    # An archive need not know its scheme and system.
+    described: Any = solution if prepared is None else prepared
+    method, system = described.method, described.system
+    if method.own_steps:
+        raise TypeError(f"{method} chooses its own steps, and controls their error; there is no step to measure")
+    if any(force.random for _, force in forces_of(system)):
+        raise TypeError(f"{system.name} has random forces, which are defined for whole steps only")
+    # Loops of a run with attitudes need elements.
+    if prepared is None or prepared.representation is not None:
+        prepared = PreparedRun(system, method, solution.step, watch=False)
+    h = math.copysign(solution.step, solution.t_span[1] - solution.t_span[0])
+    points = _points(solution, system)
+    if is_batch(system) or member_of(system).hamiltonian.timed:
+        pairs = [_squares(prepared, states, t, h) for t, states in points]
+    else:
+        members = len(points[0][1])
+        squares = _squares(prepared, np.concatenate([states for _, states in points]), points[0][0], h)
+        pairs = [squares[:, k * members : (k + 1) * members] for k in range(len(points))]
+    errors, changes = np.sum(pairs, axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.sqrt(errors / changes)
+    return float(np.nanmax(relative, initial=0.0))
+
+
+def _points(solution: Solution, system: Any) -> list[tuple[float, Floats]]:
+    """Return a few times of a run, the start included, and the states (members, n) of some members."""
+    count = 1 if solution.failed is None else len(solution.failed)
+    members = count if is_batch(system) else min(count, MEMBERS)
+    start = momenta_of(system, solution.x0)[0][:members]
+    count = max(1, min(POINTS, NUMBERS // start.size, len(solution.t) - 1))
+    points = [(solution.t_span[0], start)]
+    if "saved" not in solution.record:  # states of archives are not read for this
+        return points
+    for k in np.linspace(0, len(solution.t) - 1, count, endpoint=False).astype(int)[1:].tolist():
+        # Members that have ended or failed take their first step again.
+        states, _ = momenta_of(system, np.where(np.isfinite(solution.x[k]), solution.x[k], solution.x0))
+        points.append((float(solution.t[k]), states[:members]))
+    return points
+
+
+def _squares(prepared: PreparedRun, states: Floats, t: float, h: float) -> Floats:
+    """Return squared errors and changes of a step, (2, members); zeros where the step cannot be repeated."""
+    full, halves = (_run(prepared, states, Times(t, h / steps, steps, 1)) for steps in (1, 2))
+    # The difference of two half steps from a step of order p is all but 2^-p of the error of the latter.
+    factor = 1.0 / (1.0 - 0.5**prepared.method.order)
+    with np.errstate(over="ignore", invalid="ignore"):
+        errors = factor * np.linalg.norm(full[-1] - halves[-1], axis=1)
+        errors = np.maximum(0.0, errors - ROUNDING * np.linalg.norm(states, axis=1))
+        changes = np.max([np.linalg.norm(after - states, axis=1) for after in (full[-1], halves[1])], axis=0)
+        squares: Floats = np.array([errors, changes]) ** 2
+    squares[:, ~np.isfinite(squares).all(axis=0)] = 0.0
+    return squares
+
+
+def _run(prepared: PreparedRun, states: Floats, times: Times) -> Floats:
+    run = prepared.begun(times, with_group(prepared.system, states, False, None, False))
+    run.advance()
+    x: Any = run.saved["x"][..., : states.shape[1]]
+    x[:, run.state["status"] != 0] = np.nan
+    return x
+
+
+def warn_of_large_step(solution: Solution, prepared: PreparedRun) -> None:
+    """Warn if the error of a step is a large part of the change of the state in it."""
+    if prepared.method.own_steps or any(force.random for _, force in forces_of(prepared.system)):
+        return
+    error = solution.__dict__["_step_error"] = step_error(solution, prepared)
+    if error > WARNED:
+        suggested = solution.step * (SUGGESTED / error) ** (1.0 / prepared.method.order)
+        warn_caller(
+            f"the step {solution.step:g} is too large for this motion: the error of a step of {prepared.method} is "
+            f"{error:.2g} of the change of the state, though invariants may be kept; take a step of about "
+            f"{suggested:.1g}",
+            LargeStepWarning,
+        )

@@ -1,0 +1,154 @@
+"""Equilibria on coadjoint orbits: axes of a body, the sleeping top, every kind of algebra, spirals, refusals."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.analysis.orbit import Orbit
+from coadjoint.systems.lattices.neighbours import graph
+
+
+@pytest.mark.parametrize(("axis", "stability"), [(0, "stable"), (1, "unstable"), (2, "stable")])
+def test_axes_of_a_rigid_body(axis, stability):
+    inertia, L = np.array([1.0, 2.0, 3.0]), 1.5
+    found = co.equilibrium(co.systems.rigid_body(inertia=inertia), L * np.eye(3)[axis])
+    others = [k for k in range(3) if k != axis]
+    square = L**2 * np.prod(1.0 / inertia[axis] - 1.0 / inertia[others])
+    rate = np.sqrt(abs(square))
+    assert found.stability == stability
+    expected = (0.0, rate) if stability == "unstable" else (rate, 0.0)
+    assert np.allclose((found.frequencies[0], found.growth), expected, rtol=0, atol=1e-14)
+    assert np.array_equal(found.x, L * np.eye(3)[axis]) and found.energy == L**2 / (2 * inertia[axis])
+
+
+@pytest.mark.parametrize("I3", [0.5, 1.0, 2.0])
+def test_sleeping_top_is_stable_by_the_condition_of_lagrange(I3):
+    """m3^2 > 4 I1 mgl, for every I3, from both sides; frequencies in space are those of the quadratic equation."""
+    I1, weight = 1.5, 0.7
+    top = co.systems.heavy_top(inertia=(I1, I1, I3), lever=(0.0, 0.0, weight))
+    threshold = np.sqrt(4.0 * I1 * weight)
+    for m3, stability in ((0.99, "unstable"), (1.01, "stable"), (-1.01, "stable"), (3.0, "stable")):
+        m = m3 * threshold
+        found = co.equilibrium(top, (0.0, 0.0, m, 0.0, 0.0, 1.0), relax="none")
+        assert found.stability == stability
+        root = np.sqrt(complex(m**2 - 4 * I1 * weight)) / (2 * I1)
+        turning = m / I3 - m / (2 * I1)
+        assert np.allclose(found.growth, root.imag, rtol=0, atol=1e-6)
+        assert np.allclose(found.frequencies, np.sort(np.abs([turning + root.real, turning - root.real])), atol=1e-6)
+    hanging = co.equilibrium(top, (0.1, 0.0, 0.3, 0.1, 0.2, 1.0))
+    assert hanging.stability == "stable" and hanging.x[5] < -1.0
+
+
+CASES = {
+    "so(4)": (co.algebras.so(4), np.linspace(0.9, -0.6, 6)),
+    "e(3)": (co.algebras.e(3), np.array([0.3, -0.4, 0.5, 0.2, 0.9, -0.3])),
+    "sl(2)": (co.algebras.sl(2), np.array([0.3, 0.7, 0.5])),
+    "A3,7": (co.algebras.A3_7(0.7), np.array([0.4, -0.5, 0.3])),
+    "A3,7 and so(3)": (co.algebras.direct_sum(co.algebras.A3_7(0.7), co.algebras.so(3)), np.linspace(-0.5, 0.8, 6)),
+}
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("name", CASES)
+def test_minimum_on_an_orbit_of_any_algebra(name, sign):
+    algebra, x0 = CASES[name]
+    n = algebra.dim
+    B = np.random.default_rng(2).uniform(-0.2, 0.2, (n, n))
+    M = np.diag(np.linspace(0.6, 1.4, n)) + B + B.T
+    # Some orbits of A3,7 end in singular ones; the energy is lowest near x0.
+    linear = -M @ x0 + 0.05 * np.cos(np.arange(n)) if "A3,7" in name else np.zeros(n)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(M, linear=linear), sign=sign)
+    found = co.equilibrium(system, x0)
+    assert found.stability == "stable" and found.growth == 0.0
+    assert found.residual < 1e-14
+    for casimir in system.casimirs.values():
+        assert abs(casimir(found.x) - casimir(x0)) < 1e-13
+    # The nonzero eigenvalues of the whole linearization, and energies around the point.
+    eigenvalues = np.linalg.eigvals(system.jacobian(found.x))
+    moving = np.sort(np.abs(eigenvalues.imag))[::-1][: 2 * len(found.frequencies)]
+    assert np.allclose(np.repeat(found.frequencies, 2), moving[::-1], rtol=0, atol=1e-9)
+    assert len(found.frequencies) == algebra.generic_rank() // 2
+    orbit, rng = Orbit(system), np.random.default_rng(3)
+    near = [orbit.moved(found.x, v) for v in rng.normal(scale=0.1, size=(50, n))]
+    assert min(map(system.energy, near)) >= found.energy - 1e-14
+    assert np.allclose(co.equilibrium(system, found.x).x, found.x, rtol=0, atol=1e-14)
+
+
+def test_highest_and_nearest_equilibria():
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    for relax, axis in (("up", 0), ("down", 2), ("none", 1)):
+        found = co.equilibrium(body, (0.05, 2.0, 0.06), relax)
+        assert abs(abs(found.x[axis]) - np.sqrt(4.0061)) < 1e-13
+
+
+def test_spiral_of_a_ring_with_dzyaloshinskii_moriya_coupling():
+    """D = J tan(2 pi/6): the angle between neighbours is 60 degrees, the energy of each -sqrt(J^2 + D^2)."""
+    sites, D = 12, np.tan(np.pi / 3)
+    ring = co.systems.spin_lattice("ring", sites, dm=(0.0, 0.0, -D), on_site=(0.0, 0.0, -0.1))
+    for turn in (1.0, -1.0):
+        angle = turn * np.pi / 3 * np.arange(sites) + 0.05 * np.sin(np.arange(sites) ** 2)
+        x0 = np.stack([np.cos(angle), np.sin(angle), np.zeros(sites)], axis=1).ravel()
+        found = co.equilibrium(ring, x0)
+        lowest = -sites * np.sqrt(1 + D**2)
+        if turn == 1.0:
+            assert abs(found.energy - lowest) < 1e-12
+            assert found.stability == "undecided"  # all spirals turned about the third axis have the same energy
+            assert found.frequencies[0] < 1e-6 < found.frequencies[1] and found.growth == 0.0
+        else:
+            assert found.energy > lowest + 1e-3
+
+
+@pytest.mark.parametrize(("centre", "stability"), [((0.4, 0.3), "stable"), ((0.0, 0.0), "undecided")])
+def test_skyrmion_on_a_site_and_between_four(centre, stability):
+    """One covers the sphere once; between sites, where a symmetric start ends, its energy is highest."""
+    side = 8
+    edges = graph("square", (side, side), True)[1]
+    first_axis = np.arange(len(edges)) < side * side
+    dm = np.where(first_axis[:, None], (1.2, 0.0, 0.0), (0.0, 1.2, 0.0))
+    lattice = co.systems.spin_lattice("square", (side, side), True, dm=dm, field=(0.0, 0.0, 0.8))
+    x, y = np.indices((side, side)) - 0.5 * (side - 1) - np.reshape(centre, (2, 1, 1))
+    tilt, angle = np.pi * np.exp(-(x**2 + y**2) / 4.0), np.arctan2(y, x)
+    parts = [np.sin(tilt) * np.sin(angle), -np.sin(tilt) * np.cos(angle), np.cos(tilt)]
+    found = co.equilibrium(lattice, np.stack(parts, axis=-1).ravel())
+    S = found.x.reshape(side, side, 3)
+    assert np.allclose(np.linalg.norm(S, axis=-1), 1.0, rtol=0, atol=1e-13)
+    assert found.residual < 1e-13 and found.growth == 0.0
+    assert found.energy < -(2 + 0.8) * side**2 - 2.4  # of the uniform state
+    assert charge(S) == pytest.approx(-1.0, abs=1e-9)
+    assert found.stability == stability
+    assert 1e-3 < found.frequencies[0] < 0.1 < found.frequencies[1]
+
+
+def charge(S):
+    """Number of times that the spins cover the sphere: signed areas of triangles over 4 pi."""
+    total = 0.0
+    a, b, c, d = S, np.roll(S, -1, 0), np.roll(S, (-1, -1), (0, 1)), np.roll(S, -1, 1)
+    for p, q, r in ((a, b, c), (a, c, d)):
+        volume = np.einsum("ijk,ijk->ij", p, np.cross(q, r))
+        one = 1 + sum(np.einsum("ijk,ijk->ij", u, v) for u, v in ((p, q), (q, r), (r, p)))
+        total += np.sum(2 * np.arctan2(volume, one))
+    return total / (4 * np.pi)
+
+
+def test_what_has_no_equilibrium_is_refused_by_name():
+    body = co.systems.rigid_body()
+    with pytest.raises(ValueError, match=r"singular coadjoint orbit, of dimension 0; .* dimension 2"):
+        co.equilibrium(body, (0, 0, 0))
+    with pytest.raises(ValueError, match=r"of dimension 2; .* dimension 4"):
+        co.equilibrium(co.systems.heavy_top(), (1, 0, 0, 0, 0, 0))
+    with pytest.raises(ValueError, match=r"x0 has shape \(2,\); rigid_body needs \(3,\)"):
+        co.equilibrium(body, (1, 0))
+    with pytest.raises(TypeError, match="has forces"):
+        co.equilibrium(body.with_forces(co.forces.LinearDamping(0.1)), (1, 0, 0))
+    with pytest.raises(TypeError, match="has no structure constants"):
+        co.equilibrium(co.systems.sphere_euler(N=4), np.zeros((4, 4)))
+    with pytest.raises(TypeError, match="depends on time"):
+        co.equilibrium(co.systems.spin_lattice(field=lambda t: np.array([0.0, 0.0, t])), (1, 0, 0, 0, 1, 0))
+    plane = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic(0.0, linear=[1.0, 0.0, 0.0]))
+    with pytest.raises(ValueError, match="no minimum on the orbit"):
+        co.equilibrium(plane, (0.3, 0.7, 0.5))
+    spiral = co.LiePoissonSystem(co.algebras.A3_7(0.7), co.Quadratic([1.0, 1.2, 0.8]))
+    with pytest.raises(ValueError, match="approaches a singular orbit"):
+        co.equilibrium(spiral, (0.4, -0.5, 0.3))
+    with pytest.raises(ValueError, match="relax"):
+        co.equilibrium(body, (1, 0, 0), "sideways")

@@ -1,0 +1,173 @@
+"""Fits of parameters and initial values, against Euler's equations by SciPy and the scatter of noisy fits."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+import coadjoint as co
+
+INERTIA, X0 = np.array([1.0, 2.0, 2.5]), np.array([1.0, 0.2, 0.5])
+A0 = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
+SPAN, EVERY, SIGMA = (1.0, 21.0), 10, 0.01
+UNKNOWN = {"inertia": (0, 2), "x0": True, "attitude0": True}
+SCHEME = co.Splitting(order=4)
+
+
+def body(inertia=INERTIA):
+    return co.prepare(co.systems.rigid_body(inertia=inertia), SCHEME, step=0.05, attitude=True)
+
+
+def rotations(rng, count):
+    return Rotation.from_rotvec(SIGMA * rng.standard_normal((count, 3))).as_matrix()
+
+
+def by_euler(z, t):
+    """Attitudes of a free body with changed inertia, momentum and initial attitude, by SciPy."""
+    moments = INERTIA + np.array([z[0], 0.0, z[1]])
+    start = Rotation.from_rotvec(z[5:]).as_matrix() @ A0
+
+    def field(t, y):
+        velocity = y[:3] / moments
+        hat = np.cross(velocity, np.eye(3)).T  # hat @ v = velocity x v
+        return np.concatenate([np.cross(y[:3], velocity), (y[3:].reshape(3, 3) @ hat).ravel()])
+
+    y0 = np.concatenate([X0 + z[2:5], start.ravel()])
+    end = solve_ivp(field, (t[0], t[-1]), y0, method="DOP853", t_eval=t, rtol=1e-11, atol=1e-12)
+    return end.y[3:].T
+
+
+def fitted(measured, **options):
+    ready = body(INERTIA * [1.1, 1.0, 0.95])
+    return co.fit(ready, X0 * 1.05, SPAN, measured, UNKNOWN, EVERY, sigma={"attitude": SIGMA}, attitude=A0, **options)
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return body().run(X0, SPAN, EVERY, attitude=A0)
+
+
+def test_measurements_without_noise(exact):
+    """Round-off of a sum of 369 squares of 1e-14 / sigma; the covariance is that of the true Jacobian."""
+    found = fitted({"attitude": exact.attitude})
+    np.testing.assert_allclose(found.values["inertia"], INERTIA, rtol=1e-10)
+    np.testing.assert_allclose(found.values["x0"], X0, rtol=1e-10)
+    np.testing.assert_allclose(found.values["attitude0"], A0, atol=1e-11)
+    assert np.abs(found.residuals).max() < 1e-9
+    np.testing.assert_array_equal(found.solution.t, exact.t)
+
+
+def test_covariance_against_differences_of_euler_equations(exact):
+    """The scheme has an error of 1e-6, and a central difference one of 1e-11 / 1e-4."""
+    found, step = fitted({"attitude": exact.attitude}), 1e-4
+    np.testing.assert_allclose(by_euler(np.zeros(8), exact.t), exact.attitude.reshape(-1, 9), atol=1e-5)
+    columns = [(by_euler(step * e, exact.t) - by_euler(-step * e, exact.t)).ravel() / (2 * step) for e in np.eye(8)]
+    J = np.transpose(columns) / (np.sqrt(2) * SIGMA)
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(J.T @ J), rtol=1e-3, atol=1e-8)
+    assert [name for name, _ in found.unknowns] == ["inertia"] * 2 + ["x0"] * 3 + ["attitude0"] * 3
+    np.testing.assert_array_equal(found.standard_deviation("x0"), np.sqrt(np.diag(found.covariance)[2:5]))
+
+
+def coverage(exact, count):
+    """Squares of errors in units of the covariance, and sums of squares of the residuals, of noisy fits."""
+    rng, squares, sums = np.random.default_rng(11), [], []
+    for _ in range(count):
+        found = fitted({"attitude": exact.attitude @ rotations(rng, len(exact.t))})
+        turned = Rotation.from_matrix(found.values["attitude0"] @ A0.T).as_rotvec()
+        error = np.concatenate([(found.values["inertia"] - INERTIA)[[0, 2]], found.values["x0"] - X0, turned])
+        squares.append(error @ np.linalg.solve(found.covariance, error))
+        sums.append(np.sum(found.residuals**2))
+    return np.array(squares), np.array(sums)
+
+
+@pytest.mark.parametrize("count", [6, pytest.param(100, marks=pytest.mark.long)])
+def test_coverage_of_the_covariance(exact, count):
+    """The means of chi-squared variables of 8, and of 3 * 41 - 8 degrees of freedom, within 4 standard deviations."""
+    squares, sums = coverage(exact, count)
+    degrees = 3 * len(exact.t) - 8
+    assert abs(squares.mean() - 8) < 4 * np.sqrt(2 * 8 / count)
+    assert abs(sums.mean() - degrees) < 4 * np.sqrt(2 * degrees / count)
+
+
+def test_states_of_a_heavy_top():
+    """In e(3), with a standard deviation for each coordinate, backward in time."""
+    x0, lever = np.array([0.3, 0.2, 1.0, 0.6, 0.0, 0.8]), np.array([0.75, 0.5, 1.0])
+    run = co.prepare(co.systems.heavy_top(lever=lever), co.GaussLegendre(2), step=0.05)
+    guess = co.prepare(co.systems.heavy_top(lever=lever + 0.05), co.GaussLegendre(2), step=0.05)
+    times, deviations = np.linspace(2.0, -1.5, 12), np.array([0.01, 0.02, 0.01, 0.1, 0.1, 0.05])
+    span, exact = (2.0, -2.0), run.run(x0, (2.0, -2.0), t_eval=times).x
+    unknown = {"lever": True, "x0": (0, 1, 2)}
+    found = co.fit(guess, x0 + np.eye(6)[1] / 20, span, {"x": exact}, unknown, t_eval=times, sigma={"x": deviations})
+    np.testing.assert_allclose(found.values["lever"], lever, rtol=1e-9)
+    np.testing.assert_allclose(found.values["x0"], x0, atol=1e-10)
+    step, columns = 1e-5, []
+    for e in np.eye(6):
+        ends = []
+        for sign in (1, -1):
+            system = co.systems.heavy_top(lever=lever + sign * step * e[:3])
+            start = x0 + sign * step * np.concatenate([e[3:], np.zeros(3)])
+            ends.append(co.integrate(system, start, span, 0.05, co.GaussLegendre(2), t_eval=times).x / deviations)
+        columns.append((ends[0] - ends[1]).ravel() / (2 * step))
+    J = np.transpose(columns)
+    expected = np.linalg.inv(J.T @ J)
+    np.testing.assert_allclose(found.covariance, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+
+
+def test_attitudes_of_members_of_larger_groups():
+    """In so(4): a coordinate of the algebra for each unknown of the initial attitude."""
+    so4 = co.algebras.so(4)
+    system = co.LiePoissonSystem(so4, co.Quadratic([1.0, 0.5, 0.4, 0.3, 0.2, 0.7]))
+    ready = co.prepare(system, SCHEME, step=0.05, attitude=True)
+    x0 = np.array([0.5, 0.2, -0.4, 0.3, 0.6, -0.1])
+    exact = ready.run(x0, (0, 5), 10)
+    from scipy.linalg import expm
+
+    start = expm(0.1 * np.tensordot(np.cos(np.arange(6.0)), ready.representation, 1))
+    measured = {"attitude": exact.attitude, "x": exact.x}
+    unknown = {"attitude0": (0, 1, 2, 3, 4, 5), "M": (0, 3)}
+    found = co.fit(ready, x0, (0, 5), measured, unknown, 10, sigma={"attitude": 0.1, "x": 0.1}, attitude=start)
+    np.testing.assert_allclose(found.values["attitude0"], np.eye(4), atol=1e-10)
+    np.testing.assert_allclose(found.values["M"], [1.0, 0.5, 0.4, 0.3, 0.2, 0.7], rtol=1e-9)
+    assert found.standard_deviation("M").shape == (2,)
+
+
+GOOD = {"attitude": np.zeros((41, 3, 3))}
+
+
+@pytest.mark.parametrize(
+    "changed, error, why",
+    [
+        ({"unknown": {"mass": True}}, ValueError, "mass"),
+        ({"unknown": {"inertia": (3,)}}, ValueError, "inertia"),
+        ({"unknown": {}}, TypeError, "unknown"),
+        ({"x0": np.ones((2, 3))}, ValueError, "one run"),
+        ({"measured": {"energy": np.zeros(41)}}, ValueError, "energy"),
+        ({"measured": {"attitude": np.zeros((40, 3, 3))}}, ValueError, "shape"),
+        ({"measured": {"attitude": np.full((41, 3, 3), np.nan)}}, ValueError, "finite"),
+        ({"measured": {}}, TypeError, "measured"),
+        ({"sigma": {"x": 1.0}}, ValueError, "sigma"),
+        ({"sigma": {"attitude": 0.0}}, ValueError, "positive"),
+        ({"sigma": {"attitude": np.ones(7)}}, ValueError, "broadcast"),
+        ({"unknown": {"inertia": True, "x0": True}}, ValueError, "inertia and x0"),
+        ({"t_span": (0.0, 0.0)}, ValueError, "shape"),
+    ],
+)
+def test_refused_arguments(changed, error, why):
+    """Momentum and inertia have a common scale, which attitudes do not determine."""
+    arguments = {
+        "ready": body(), "x0": X0, "t_span": SPAN, "measured": GOOD, "unknown": {"x0": True}, "save_every": EVERY,
+        "sigma": {"attitude": SIGMA},
+    }  # fmt: skip
+    with pytest.raises(error, match=why):
+        co.fit(**(arguments | changed))
+
+
+def test_fewer_measurements_than_unknowns_are_refused():
+    ready = co.prepare(co.systems.heavy_top(), SCHEME, step=0.1)
+    measured, sigma = {"x": np.zeros((1, 6))}, {"x": 1.0}
+    with pytest.raises(ValueError, match="6 numbers were measured for 12 unknowns"):
+        unknown = {"x0": True, "lever": True, "inertia": True}
+        co.fit(ready, np.ones(6), (0, 1), measured, unknown, t_eval=[1.0], sigma=sigma)
+    end = ready.run(np.ones(6), (0, 1)).x[-1:]
+    found = co.fit(ready, 1.01 * np.ones(6), (0, 1), {"x": end}, {"x0": True}, t_eval=[1.0], sigma=sigma)
+    np.testing.assert_allclose(found.values["x0"], np.ones(6), rtol=1e-10)

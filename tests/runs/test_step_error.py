@@ -1,0 +1,132 @@
+"""The error of a step, by two half steps: its size against exact motions, and the warning of too large steps."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.runs import step_error as module
+
+BODY, X0 = co.systems.rigid_body(inertia=(1, 2, 3)), np.array([0.3, 1.0, 0.2])
+TOP, TOP_X0 = co.systems.heavy_top(), np.array([1.0, 0.0, 2.0, 0.1, 0.0, 1.0])
+SEVEN = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic([1.0, 0.5, 0.3, 0.8, 0.2, 0.6]))
+
+
+def error_of_step(body, states, method, h):
+    """Return the error of a step from the states, relative to the change of the state, root mean square."""
+    after = np.array([co.integrate(body, x, (0, h), abs(h), method).x[-1] for x in states])
+    exact = np.array([body.exact(x, h) for x in states])
+    return np.linalg.norm(after - exact) / np.linalg.norm(exact - states)
+
+
+@pytest.mark.parametrize("h", [0.25, -0.25])
+@pytest.mark.parametrize(
+    "method", [co.Splitting(), co.Splitting(order=4), co.GaussLegendre(1), co.Taylor(order=4), co.Kahan()]
+)
+def test_it_is_the_error_of_a_step(method, h):
+    """Against the closed form; the estimate by half steps lacks terms of the next order."""
+    sol = co.integrate(BODY, X0, (0, 40 * h), abs(h), method)
+    points = sol.x[[0, 8, 16, 24, 32]]
+    assert sol.step_error() == pytest.approx(error_of_step(BODY, points, method, h), rel=0.15)
+
+
+def test_changes_are_those_of_half_a_step_where_a_whole_one_returns():
+    """After a whole turn of a spin the state is the same again, but not after half of it."""
+    spin = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([0.0, 0.0, 0.0], linear=[0.0, 0.0, 1.0]))
+    sol = co.integrate(spin, (1.0, 0.0, 0.3), (0, 20 * np.pi), 2 * np.pi, co.GaussLegendre(8))
+    assert sol.step_error() < 1e-3
+
+
+def test_at_rest_there_is_none():
+    assert co.integrate(BODY, (0.0, 0.0, 2.0), (0, 1), 0.1).step_error() == 0.0
+    assert co.integrate(BODY, (0.0, 0.0, 0.0), (0, 1), 0.1).step_error() == 0.0
+
+
+def test_rounding_does_not_count():
+    """Near an equilibrium the change in a step is no larger than rounding."""
+    assert co.integrate(BODY, (1e-15, 0.0, 2.0), (0, 1), 0.01).step_error() == 0.0
+
+
+def test_the_worst_member_counts():
+    states = np.array([X0, 3 * X0, 0.5 * X0])
+    runs = [co.integrate(BODY, x, (0, 8), 0.1) for x in states]
+    assert co.integrate(BODY, states, (0, 8), 0.1).step_error() == max(run.step_error() for run in runs)
+    assert runs[1].step_error() > 2 * runs[0].step_error()
+
+
+def test_of_batches_each_with_its_own_system():
+    bodies = [co.systems.rigid_body(inertia=(1.0, 2.0, third)) for third in (1.2, 2.0, 2.9)]
+    errors = [co.integrate(body, X0, (3, 11), 0.1).step_error() for body in bodies]
+    assert co.integrate(co.batch(bodies), X0, (3, 11), 0.1).step_error() == max(errors)
+
+
+def test_of_driven_systems_at_the_times_of_the_points():
+    """A field that is switched on after the first tenth of the run."""
+
+    def field(t):
+        return 0.0, 0.0, 40.0 / (1.0 + np.exp(-50.0 * (t - 4.0)))
+
+    spin = co.systems.spin_lattice("chain", 1, field=field)
+    early = co.integrate(spin, (0.6, 0.0, 0.8), (0, 2), 0.1, co.GaussLegendre(1))
+    late = co.integrate(spin, (0.6, 0.0, 0.8), (0, 10), 0.1, co.GaussLegendre(1))
+    assert early.step_error() < 1e-3 < 0.1 < late.step_error()
+
+
+def test_of_matrices_forces_archives_and_read_runs(tmp_path):
+    fluid = co.systems.sphere_euler(N=5)
+    W = fluid.matrices(np.random.default_rng(1).normal(size=fluid.dim))
+    coarse, fine = (co.integrate(fluid, W, (0, 2), h).step_error() for h in (0.1, 0.05))
+    assert 3.0 < coarse / fine < 5.0  # order two, relative to a change of order one
+    damped = BODY.with_forces(co.forces.LinearDamping(0.1))
+    coarse, fine = (co.integrate(damped, X0, (0, 2), h).step_error() for h in (0.1, 0.05))
+    assert 3.0 < coarse / fine < 5.0
+    # Of archives only the start is measured.
+    stored = co.integrate(BODY, X0, (0, 20), 0.1, archive=tmp_path / "run.zarr")
+    assert stored.step_error() == pytest.approx(error_of_step(BODY, [X0], co.Splitting(), 0.1), rel=0.15)
+
+
+@pytest.mark.parametrize("system, x0", [(BODY, X0), (TOP, TOP_X0), (SEVEN, np.arange(1.0, 7.0) / 4)])
+def test_the_warning_comes_just_above_the_threshold_and_not_below(system, x0):
+    """The step is bisected until the errors of two neighbouring ones lie on both sides."""
+    low, high = 1e-3, 4.0
+    for _ in range(40):
+        middle = (low * high) ** 0.5
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", co.LargeStepWarning)
+            error = co.integrate(system, x0, (0, 20 * middle), middle).step_error()
+        low, high = (middle, high) if error <= module.WARNED else (low, middle)
+    assert high < 1.01 * low
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", co.LargeStepWarning)
+        co.integrate(system, x0, (0, 20 * low), low)
+    with pytest.warns(co.LargeStepWarning, match="too large.*take a step of about") as caught:
+        co.integrate(system, x0, (0, 20 * high), high)
+    assert len(caught) == 1 and caught[0].filename == __file__
+
+
+@pytest.mark.parametrize("method", [co.Splitting(), co.Taylor(order=4), co.GaussLegendre(1)])
+def test_the_step_suggested_follows_the_motion(method):
+    with pytest.warns(co.LargeStepWarning) as caught:
+        co.integrate(TOP, TOP_X0, (0, 24), 0.75, method)
+    step = float(str(caught[0].message).rpartition(" ")[2])
+    steps = round(24 / step)
+    assert 1e-4 < co.integrate(TOP, TOP_X0, (0, 24), 24 / steps, method).step_error() < module.WARNED / 2
+
+
+def test_long_runs_at_small_steps_do_not_warn():
+    """The error of a long run may be large, by its phase, where each step is small."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", co.LargeStepWarning)
+        sol = co.integrate(TOP, TOP_X0, (0, 400), 0.04, save_every=100)
+    assert sol.step_error() < 1e-3
+
+
+def test_own_steps_and_accuracy_need_no_test():
+    taylor = co.Taylor(tolerance=1e-6)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", co.LargeStepWarning)
+        sol = co.integrate(TOP, TOP_X0, (0, 10), 10.0, taylor)
+        co.integrate(TOP, TOP_X0, (0, 10), accuracy=1e-3)
+    with pytest.raises(TypeError, match="chooses its own steps"):
+        sol.step_error()
