@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -11,6 +11,7 @@ import numpy as np
 import coadjoint as co
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from group_elements import random_element
+from long import long_where
 from verification.schemes_under_test import schemes, serves
 
 U = 2.0**-53
@@ -39,6 +40,19 @@ def fits(method: Any, system: Any) -> bool:
         return getattr(method, "rotation", "exact") == "exact" or bool(method.program(system))
     except ValueError:
         return False
+
+
+def with_each_once(pairs: Sequence[tuple[str, str]], share: int) -> list[Any]:
+    """Return cases for `parametrize`, of which one of about `share` is not long, but at least one for each name.
+
+    Those stay whose ranks among the first and the second names add up to a multiple of `share`.
+    """
+    ranks = [{name: k for k, name in enumerate(dict.fromkeys(names))} for names in zip(*pairs, strict=True)]
+    stay = {pair for pair in pairs if sum(rank[name] for rank, name in zip(ranks, pair, strict=True)) % share == 0}
+    for column, rank in enumerate(ranks):
+        for name in rank.keys() - {pair[column] for pair in stay}:
+            stay.add(next(pair for pair in pairs if pair[column] == name))
+    return long_where([pair for pair in pairs if pair not in stay], pairs)
 
 
 def element_for(system: Any, attitude: Any, seed: int, members: int | None = None) -> np.ndarray | None:

@@ -154,6 +154,7 @@ def assert_same_parts(ready, system):
         assert first.order == second.order and [n for n, _ in first.shift] == [n for n, _ in second.shift]
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(("name", "scheme"), long_beyond(12, cases_of_rules()))
 def test_derivatives_by_parameters_agree_with_40_digits(name, scheme):
     """Exact ones with differences of systems, added parts with a small part between the flows."""

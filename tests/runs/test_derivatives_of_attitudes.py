@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from derivative_cases import H, U, attitudes_of, element_for, fits, flow_schemes
+from derivative_cases import H, U, attitudes_of, element_for, fits, flow_schemes, with_each_once
 from derivative_references import difference, exact, floats, reference_of
 
 import coadjoint as co
 from coadjoint.program.parts.decompose import decompose
+from coadjoint.runs.derivatives import attitudes
 from verification.systems_under_test import cases
 
-pytestmark = pytest.mark.thinned(20)
+pytestmark = pytest.mark.thinned(1)
 
 
 def tilted(y, t):
@@ -85,7 +86,7 @@ def compare(found, expected, rounding):
     assert np.abs(found - value).max() <= rounding * max(1.0, np.abs(value).max())
 
 
-@pytest.mark.parametrize(("scheme", "name"), PAIRS)
+@pytest.mark.parametrize(("scheme", "name"), with_each_once(PAIRS, 16))
 def test_derivatives_by_states_and_attitudes_agree_with_40_digits(scheme, name):
     system, x0 = systems()[name]
     k = PAIRS.index((scheme, name))
@@ -110,3 +111,15 @@ def test_derivatives_by_states_and_attitudes_agree_with_40_digits(scheme, name):
         compare(tangents.x, of_x, rounding)
         if of_attitude is not None:
             compare(tangents.attitude, of_attitude, rounding)
+
+
+@pytest.mark.parametrize("count", [1, 9])
+def test_exponentials_in_blocks_are_those_one_by_one(monkeypatch, count):
+    """The unshifted element is the unit one; with many directions those of a basis are combined."""
+    ready = co.prepare(co.systems.rigid_body((1, 2, 3)), co.Splitting(), H, attitude=True)
+    x0, rng, found = np.array([0.3, 1.0, 0.2]), np.random.default_rng(1), []
+    directions = {"x0": rng.standard_normal((3, count)), "inertia": rng.standard_normal((3, count))}
+    for largest in (2, 3):
+        monkeypatch.setattr(attitudes, "LARGEST_BLOCK", largest)
+        found.append(ready.jvp(x0, (0.0, 1.0), directions)[1].attitude)
+    np.testing.assert_allclose(found[0], found[1], rtol=0, atol=2**6 * U * np.abs(found[0]).max())

@@ -7,6 +7,8 @@ import coadjoint as co
 from coadjoint.methods import registry
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.parameters import with_parameters
+from coadjoint.systems.protocol import shape_of
+from coadjoint.systems.registry import ready_made_systems
 
 WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
 # So small that the choice of the parts does not change.
@@ -158,6 +160,17 @@ def test_derivatives_step_by_step_are_those_of_runs(case):
     assert abs(backward - differences) <= DIFFERENCE_ERROR * size
 
 
+def test_differences_by_an_entry_far_below_the_others_do_not_show_rounding():
+    """The derivative changes by as little as the entry; differences on the scale of the entry would lose ten digits."""
+    found = []
+    for entry in (0.0, 1e-9):
+        M = [[1.0, entry, 0.1], [entry, 0.7, 0.0], [0.1, 0.0, 0.4]]
+        ready = co.prepare(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M)), co.Kahan(), 0.05)
+        _, tangents = ready.jvp(X3, (0.0, 0.2), {"M": np.eye(9)[3].reshape(3, 3)}, save_every=4)
+        found.append(tangents.x[-1])
+    assert np.abs(found[1] - found[0]).max() <= DIFFERENCE_ERROR
+
+
 @pytest.mark.parametrize("step", [0.25, 4.0])
 @pytest.mark.parametrize("method", [co.GaussLegendre(2), co.GaussLegendre(4)], ids=str)
 def test_derivatives_of_long_steps_are_those_of_runs(method, step):
@@ -179,21 +192,56 @@ def test_derivatives_of_long_steps_are_those_of_runs(method, step):
     np.testing.assert_allclose(tangents.x.sum(axis=(0, 1)), gradient, rtol=0, atol=2.0**12 * UNIT_ROUNDOFF * size)
 
 
-def test_every_scheme_has_derivatives_or_is_refused_by_name():
-    """A new scheme is differentiated step by step; only those with their own steps, and of matrices, are not."""
-    refused = set()
+@pytest.mark.parametrize("system", [BODY, TOP, SPINS, co.systems.matrix_body((1.0, 2.0, 3.0))], ids=str)
+def test_every_scheme_has_derivatives(system):
+    """A new scheme is differentiated step by step."""
+    x0 = {3: X3, 6: UNIT_SPINS if system is SPINS else X6}.get(system.dim)
+    x0 = system.algebra.projected(np.arange(9.0).reshape(3, 3) / 9) if x0 is None else x0
     for name in registry.names():
         try:
-            ready = co.prepare(BODY, name, 0.05)
+            ready = co.prepare(system, name, 0.05)
         except (TypeError, ValueError):
             continue
+        sol, pullback = ready.vjp(x0, (0.0, 0.1))
+        gradient = pullback(sol.x, energy=sol.energy)
+        _, tangents = ready.jvp(x0, (0.0, 0.1), {"x0": x0})
+        product = np.sum(sol.x * tangents.x) + sol.energy @ tangents.energy
+        size = np.sum(np.abs(gradient["x0"] * x0))
+        assert abs(np.sum(gradient["x0"] * x0) - product) <= 2.0**10 * UNIT_ROUNDOFF * size
+
+
+MATRICES = {"matrix_body": {"inertia": (1.0, 2.0, 3.0)}} | {
+    name: {"N": 3} for name in ("sphere_euler", "torus_euler", "reduced_mhd", "passive_scalar")
+}
+WITHOUT: set[str] = set()
+
+
+def test_every_ready_made_system_is_differentiated_or_refused():
+    """Those of `WITHOUT` are refused by name."""
+    refused = set()
+    for name in ready_made_systems():
+        system = co.systems.get(name, **MATRICES.get(name, {}))
         try:
-            _, pullback = ready.vjp(X3, (0.0, 0.1))
-            assert np.isfinite(pullback(x=np.ones((3, 3)))["x0"]).all()
+            ready = co.prepare(system, None, 2.0**-10)
+        except ValueError:  # no parts with exact flows
+            ready = co.prepare(system, co.GaussLegendre(2), 2.0**-10)
+        rows = 0.1 * np.cos(np.arange(1.0, 1.0 + system.dim))
+        x0 = (
+            rows
+            if len(shape_of(system)) == 1
+            else system.states(system.to_vector(system.algebra.projected(system.from_vector(rows))))
+        )
+        try:
+            sol, tangents = ready.jvp(x0, (0.0, 2.0**-9), {"x0": x0})
         except TypeError as error:
-            assert type(ready.method).__name__ in str(error)
+            assert system.name in str(error) or "hessian" in str(error), error
             refused.add(name)
-    assert refused <= {"ReversibleSteps"}
+            continue
+        _, pullback = ready.vjp(x0, (0.0, 2.0**-9))
+        gradient = pullback.gradient(sol.x, None, None, None, ())["x0"]
+        product, size = np.sum(np.real(np.conj(sol.x) * tangents.x)), np.sum(np.abs(gradient * x0))
+        assert abs(np.sum(np.real(np.conj(gradient) * x0)) - product) <= 2.0**12 * UNIT_ROUNDOFF * size, name
+    assert refused == WITHOUT
 
 
 @pytest.mark.parametrize("case", [COMPILED[0], COMPILED[3], COMPILED[7]], ids=named)

@@ -54,11 +54,11 @@ def test_saving_does_not_change_bits(name):
     few = co.integrate(system, W, (0.0, 1.0), 0.125, co.IsospectralGauss(2), save_every=8)
     assert np.array_equal(every.x[[0, -1]], few.x) and not every.watched
     # Invariants are taken at the saved points.
-    assert every.drift()["energy"] == np.abs(every.energy - every.energy[0]).max() > 0.0
+    assert every.drift(relative=False)["energy"] == np.abs(every.energy - every.energy[0]).max() > 0.0
     # Step k of 8 is in the tenth 10 (k - 1) / 8, rounded down.
-    off, tenths = np.abs(every.energy - every.energy[0])[1:], every.drift()["energy"].tenths
+    off, tenths = np.abs(every.energy - every.energy[0])[1:], every.drift(relative=False)["energy"].tenths
     assert np.array_equal(tenths[[0, 1, 2, 3, 5, 6, 7, 8]], off) and tenths[4] == tenths[9] == 0.0
-    assert few.drift()["energy"] == abs(few.energy[1] - few.energy[0])
+    assert few.drift(relative=False)["energy"] == abs(few.energy[1] - few.energy[0])
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
@@ -119,12 +119,12 @@ def test_drift_of_a_time_dependent_energy(way, monkeypatch):
     alone = co.integrate(system, W[1], (2.0, 2.0 + way), 0.125, save_every=3)
     for k, t in enumerate(sol.t):
         assert np.array_equal(sol.energy[k], system.energy(sol.x[k], float(t)))
-    drift, off = sol.drift()["energy"], sol.energy - sol.energy[0]
+    drift, off = sol.drift(relative=False)["energy"], sol.energy - sol.energy[0]
     assert (np.sign(off[1:]) == way).all() and np.array_equal(drift.members, np.abs(off).max(axis=0))
     assert np.array_equal(drift.initial, [system.energy(one, 2.0) for one in W])
     # Steps 3, 6 and 8 of 8 are in the tenths 2, 6 and 8.
     assert np.array_equal(drift.tenths[:, [2, 6, 8]], np.abs(off[1:]).T) and np.count_nonzero(drift.tenths) == 6
-    assert alone.drift()["energy"].tenths.tolist() == drift.tenths[1].tolist()
+    assert alone.drift(relative=False)["energy"].tenths.tolist() == drift.tenths[1].tolist()
 
 
 def test_balance_of_several_forces():
@@ -134,7 +134,7 @@ def test_balance_of_several_forces():
     for name, values in {"energy": sol.energy, "tr W^2": sol.casimirs["tr W^2"]}.items():
         done = [work[name] for work in sol.work.values()]
         assert len(done) == 3 and all(np.abs(work[-1]).min() > 1e-3 * np.abs(values[0]).max() for work in done)
-        left, drift = np.abs(values - values[0] - sum(done)), sol.balance()[name]
+        left, drift = np.abs(values - values[0] - sum(done)), sol.balance(relative=False)[name]
         # The sums are rounded in another order.
         assert np.abs(drift.members - left.max(axis=0)).max() <= 16 * 2.0**-53 * np.abs(values).max()
         assert drift < 0.01 * np.abs(values - values[0]).max()
@@ -269,7 +269,7 @@ def test_compiled_and_python_streams_agree():
     for function in (lambda W: W @ W + W.T, lambda W: np.einsum("ij,jk->ik", W, W) + W.T):
         system = co.MatrixSystem(g, function, energy=lambda W: np.trace(W @ W @ W) / 3 + np.sum(W * W) / 2)
         sol = co.integrate(system, 2.0 * state_of(system), (0.0, 1.0), 0.125, co.IsospectralGauss(2))
-        assert np.abs(sol.x[-1] - sol.x[0]).max() > 0.1 and sol.drift()["energy"] < 1e-14
+        assert np.abs(sol.x[-1] - sol.x[0]).max() > 0.1 and sol.drift(relative=False)["energy"] < 1e-14
         ends.append(sol.x[-1])
     assert np.abs(ends[0] - ends[1]).max() < 1e-15
 
@@ -308,4 +308,4 @@ def test_forced_matrices_are_measured_at_the_saved_points():
     W = system.system.random(seed=1, degrees=(1, 4))
     few, every = (co.integrate(system, W, (0.0, 1.0), 0.125, save_every=k) for k in (8, 1))
     assert not few.watched and np.array_equal(few.x[-1], every.x[-1])
-    assert few.change()["energy"] == abs(few.energy[-1] - few.energy[0]) > 0.0
+    assert few.change(relative=False)["energy"] == abs(few.energy[-1] - few.energy[0]) > 0.0

@@ -203,7 +203,18 @@ def test_solution_lists_lazy_attributes():
     sol = co.integrate(BODY, X, (0, 1), 0.1)
     public = {name for name in SOLUTION_FIELDS if name in sol.record} | {"record", "drift", "change", "balance"}
     assert len(public) == 27 and not hasattr(sol, "path")
-    public |= {"modified_energy", "spectrum", "to_xarray", "plot", "movie", "error_estimate", "at"}
+    public |= {
+        "modified_energy",
+        "spectrum",
+        "to_xarray",
+        "plot",
+        "movie",
+        "error_estimate",
+        "step_error",
+        "at",
+        "rotation",
+        "to_pandas",
+    }
     assert {name for name in dir(sol) if not name.startswith("_")} == public
     assert not hasattr(Solution, "of") and Solution.__getattribute__ is object.__getattribute__
     assert repr(sol).endswith("by Splitting(order=2): 11 points from t = 0 to 1, step 0.1>")

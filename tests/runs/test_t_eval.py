@@ -500,4 +500,4 @@ class TestAt:
     def test_error_estimate_without_the_end_in_t_eval(self):
         sol = co.integrate(BODY, X, (0, 20), accuracy=1e-6, t_eval=[3.3, 7.7])
         error = np.linalg.norm(sol.x[-1] - BODY.exact(X, 7.7)) / np.linalg.norm(X)
-        assert error / 10 < sol.error_estimate < 10 * error
+        assert error / 10 < sol.error_estimate() < 10 * error

@@ -34,7 +34,22 @@ from coadjoint.validation import are_finite, read_numbers
 Floats = NDArray[np.float64]
 
 # Reserved: parameters of a run.
-RESERVED_NAMES = frozenset(("x", "x0", "t", "t_span", "save_every", "attitude", "progress", "self"))
+RESERVED_NAMES = frozenset(
+    (
+        "x",
+        "x0",
+        "t",
+        "t_span",
+        "t_eval",
+        "save_every",
+        "attitude",
+        "events",
+        "progress",
+        "directions",
+        "reverse",
+        "self",
+    )
+)
 SEED = 1993
 
 
@@ -163,6 +178,16 @@ class Inputs:
             )
         return self._input_indices
 
+    @property
+    def changing(self) -> NDArray[np.int64]:
+        """Indices of the values that are inputs, in the order in which they were prepared."""
+        return self._input_indices
+
+    @property
+    def in_energy(self) -> NDArray[np.int64]:
+        """Coordinates of the linear term that are inputs."""
+        return self._input_indices[self._input_indices < len(self._linear)]
+
     def random_values(self) -> tuple[Floats, Floats]:
         """Return two arrays of values in which the inputs have reproducible random digits."""
         first, second = self.values.copy(), self.values.copy()
@@ -175,11 +200,12 @@ class Inputs:
         coordinates = np.sort(self._input_indices[self._input_indices < len(self._linear)])
         return settled(method, self._unforced, coordinates.tolist()) if len(coordinates) else method
 
-    def system_at(self, values: Floats) -> Any:
-        """Return the system with these values, (m,)."""
-        size = len(self._linear)
-        system = with_linear(self._unforced, values[:size]) if size else self._unforced
-        forces: list[Any] = [force for _, force in forces_of(self.system)]
+    def system_at(self, values: Floats, of: Any = None) -> Any:
+        """Return the system, or another one that differs in its parameters, with these values, (m,)."""
+        size, system = len(self._linear), self._unforced if of is None else unforced(of)
+        if size:
+            system = with_linear(system, values[:size])
+        forces: list[Any] = [force for _, force in forces_of(self.system if of is None else of)]
         if not forces:
             return system
         for k, indices in self._torques.items():

@@ -13,6 +13,7 @@ from coadjoint.methods.registry import read_method
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution, with_choice
 from coadjoint.runs.run import read_progress
+from coadjoint.runs.step_error import warn_of_large_step
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
@@ -155,6 +156,8 @@ def integrate(
         sol = shortcut("archive_run")(
             prepared, x0, t_span, save_every, archive, t_eval=t_eval, progress=progress, events=events
         )
+    if choice is None:
+        warn_of_large_step(sol, prepared)
     return with_choice(sol, choice)
 
 

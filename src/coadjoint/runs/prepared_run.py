@@ -21,8 +21,10 @@ from coadjoint.methods.suggested_scheme import default_scheme
 from coadjoint.runs.crossings.crossings import WatchedEvents
 from coadjoint.runs.crossings.event_run import EventRun
 from coadjoint.runs.derivatives.backward import Pullback
-from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory, parameters_of_run
+from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, parameters_of_run
 from coadjoint.runs.derivatives.forward import tangents_of_run
+from coadjoint.runs.derivatives.located_trajectory import trajectory_of
+from coadjoint.runs.derivatives.members import PullbackOfMembers, by_member, tangents_of_members
 from coadjoint.runs.derivatives.results import Tangents
 from coadjoint.runs.events import Event, read_events
 from coadjoint.runs.final_state import ENDS_ONLY, FinalStateRun
@@ -45,7 +47,7 @@ from coadjoint.systems.protocol import among, is_batch, member_of, members_of, u
 from coadjoint.systems.system_checks import System, check_system
 from coadjoint.validation import read_bool, read_integer
 
-UNPICKLED = ("_lock", "_final_state_runs", "_observed", "_events", "_loops_by_step", "_derivatives")
+UNPICKLED = ("_lock", "_of_members", "_final_state_runs", "_observed", "_events", "_loops_by_step", "_derivatives")
 
 
 class PreparedRun:
@@ -93,6 +95,7 @@ class PreparedRun:
         self._loops_by_step: dict[float, Loops | InputLoops] = {}
         self._observed: Observed | None = None
         self._events: WatchedEvents | None = None
+        self._of_members: dict[int, PreparedRun] = {}
         self._lock = threading.RLock()
         # A call removes an entry while it runs, so that concurrent calls never share one.
         self._final_state_runs: list[FinalStateRun] = []
@@ -111,7 +114,9 @@ class PreparedRun:
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, _observed=None, _events=None, _lock=threading.RLock(), _final_state_runs=[])
+        self.__dict__.update(
+            state, _observed=None, _events=None, _lock=threading.RLock(), _final_state_runs=[], _of_members={}
+        )
 
     def among(self, first: int, last: int, threads: int | None = None) -> PreparedRun:
         """Return the run of the members `first` to `last` - 1 alone; each is bitwise equal to the member in the whole
@@ -151,6 +156,25 @@ class PreparedRun:
         """Return the run of another system, prepared in the same way; inputs are dropped."""
         options: dict[str, Any] = {"attitude": self._attitude, "watch": self._watching, "observe": self.observe}
         return PreparedRun(system, self.method, self.step, threads=self._threads, **options)
+
+    def at_fixed_steps(self, scheme: Method) -> PreparedRun:
+        """Return the same run by another scheme; this run itself if it is its own."""
+        if scheme is self._scheme:
+            return self
+        options: dict[str, Any] = {"attitude": self._attitude, "watch": False, "threads": 1}
+        return PreparedRun(self.system, scheme, self.step, **options)
+
+    def of_member(self, member: int) -> PreparedRun:
+        """Return the run of one member alone; of a system that members share this run itself."""
+        if not is_batch(self.system):
+            return self
+        if member not in self._of_members:
+            attitude = self._attitude
+            if isinstance(attitude, np.ndarray) and attitude.ndim > 2:
+                attitude = attitude[member]
+            options: dict[str, Any] = {"attitude": attitude, "watch": self._watching, "observe": self.observe}
+            self._of_members[member] = PreparedRun(self.system[member], self.method, self.step, threads=1, **options)
+        return self._of_members[member]
 
     def run(
         self,
@@ -221,8 +245,8 @@ class PreparedRun:
 
         Those of a ready-made system are its arguments that enter coefficients of the Hamiltonian, such as ``inertia``,
         ``lever`` or ``exchange``; of other systems ``M`` and ``linear`` of a `Quadratic`, or the ``coefficients`` of a
-        `Polynomial`, in the order of its monomials. ``M`` has the shape (n,) if it is diagonal, and (n, n) otherwise,
-        above 128 coordinates that of its nonzero entries.
+        `Polynomial`, in the order of its monomials. Those of a batch have a first axis of members. ``M`` has the shape
+        (n,) if it is diagonal, and (n, n) otherwise, above 128 coordinates that of its nonzero entries.
 
         Examples
         --------
@@ -230,7 +254,7 @@ class PreparedRun:
         >>> co.prepare(co.systems.heavy_top(), co.Splitting(), step=0.1).parameters
         {'inertia': array([...]), 'lever': array([...])}
         """
-        return {name: parameter.value for name, parameter in parameters_of_run(self.system).items()}
+        return {name: parameter.value.copy() for name, parameter in parameters_of_run(self.system).items()}
 
     @cached_property
     def _derivatives(self) -> DifferentiableRun:
@@ -255,6 +279,8 @@ class PreparedRun:
         *,
         t_eval: Any = None,
         attitude: Any = None,
+        events: Any = None,
+        **inputs: Any,
     ) -> tuple[Solution, Tangents]:
         """Integrate, with the derivatives of the run along directions (forward mode).
 
@@ -263,11 +289,14 @@ class PreparedRun:
 
         Parameters
         ----------
-        x0, t_span, save_every, t_eval, attitude
+        x0, t_span, save_every, t_eval, attitude, events
             As in `run`.
         directions : mapping
             Directions by name: of the initial state ("x0"), of the initial attitude ("attitude0"), or of a name in
-            `parameters`; each in the shape of what it changes, or all of them with one more axis of k directions.
+            `parameters`; and "inputs", a mapping from names of inputs to their directions. Each has the shape of what
+            it changes, or all of them have one more axis of k directions.
+        **inputs : array_like
+            Inputs of this run, as in `run`.
 
         Returns
         -------
@@ -294,6 +323,9 @@ class PreparedRun:
         other schemes are differentiated in Python, one by one: by the state through `Method.tangent`, and by parameters
         through central differences of order 8, with about twelve digits, "differences".
 
+        The lengths of steps that a scheme chooses are fixed. Crossings of events are differentiated with their times,
+        in `tangents.events`; the point at which an event ends a run moves with its crossing.
+
         Examples
         --------
         >>> import numpy as np
@@ -303,8 +335,13 @@ class PreparedRun:
         >>> sol.x.shape, tangents.x.shape, tangents.rule
         ((5, 3), (5, 3, 3), {'inertia': 'exact'})
         """
+        watched = read_events(events)
+        if by_member(self, x0, watched):
+            self._check_without_inputs()
+            return tangents_of_members(self, x0, t_span, directions, save_every, t_eval, attitude, watched)
         run = self._derivatives
-        return tangents_of_run(run, Trajectory(run, x0, t_span, save_every, t_eval, attitude, None), directions)
+        trajectory = trajectory_of(run, x0, t_span, save_every, t_eval, attitude, None, watched, inputs)
+        return tangents_of_run(run, trajectory, directions)
 
     def vjp(
         self,
@@ -315,7 +352,9 @@ class PreparedRun:
         t_eval: Any = None,
         attitude: Any = None,
         reverse: str = "exact",
-    ) -> tuple[Solution, Pullback]:
+        events: Any = None,
+        **inputs: Any,
+    ) -> tuple[Solution, Pullback | PullbackOfMembers]:
         """Integrate, and return a function for gradients by the initial state and all parameters (reverse mode).
 
         The steps are differentiated backward, from checkpoints between which they are repeated. A gradient costs a few
@@ -323,22 +362,25 @@ class PreparedRun:
 
         Parameters
         ----------
-        x0, t_span, save_every, t_eval, attitude
+        x0, t_span, save_every, t_eval, attitude, events
             As in `run`.
         reverse : str
             "exact": the steps are repeated from stored states, so that the derivatives are exact to round-off.
             "reversible": the steps are undone from the last state, in constant memory and less time. The states then
             differ by the round-off that has grown on the way back; for splittings and other schemes of exact flows.
+        **inputs : array_like
+            Inputs of this run, as in `run`.
 
         Returns
         -------
         sol : Solution
             The run, with the same bits as without derivatives.
         pullback : Pullback
-            A function ``pullback(x=None, *, attitude=None, energy=None, observed=None)``. Its arguments are the
-            derivatives of a number by ``sol.x``, ``sol.attitude``, ``sol.energy`` and quantities of ``sol.observed``,
-            in their shapes. It returns a `Gradient`: a mapping with the derivatives by "x0", by each of `parameters`
-            and, with an attitude, "attitude0".
+            A function ``pullback(x=None, *, attitude=None, energy=None, observed=None, events=None)``. Its arguments
+            are the derivatives of a number by ``sol.x``, ``sol.attitude``, ``sol.energy``, quantities of
+            ``sol.observed``, and ``{"t": ..., "x": ...}`` of ``sol.events``, in their shapes. It returns a `Gradient`:
+            a mapping with the derivatives by "x0", by each of `parameters`, with an attitude "attitude0", and with
+            inputs "inputs": a mapping from their names to derivatives.
 
         Raises
         ------
@@ -363,10 +405,22 @@ class PreparedRun:
         >>> gradient["x0"].shape, gradient["inertia"].shape
         ((3,), (3,))
         """
+        watched = read_events(events)
+        if by_member(self, x0, watched):
+            self._check_without_inputs()
+            found = PullbackOfMembers(self, x0, t_span, save_every, t_eval, attitude, reverse, watched)
+            return found.solution, found
         run = self._derivatives
         run.check_reverse(reverse, self.step)
-        trajectory = Trajectory(run, x0, t_span, save_every, t_eval, attitude, reverse)
+        trajectory = trajectory_of(run, x0, t_span, save_every, t_eval, attitude, reverse, watched, inputs)
         return trajectory.solution, Pullback(run, trajectory)
+
+    def _check_without_inputs(self) -> None:
+        if self._inputs is not None:
+            raise TypeError(
+                "members are differentiated one by one if they have systems, steps or events of their own, and then "
+                "without inputs; prepare a run of each member"
+            )
 
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
         """Return only the final state of a run, with a fifth of the overhead of `run`.
@@ -412,6 +466,11 @@ class PreparedRun:
         state = final_run(x0, t_span)
         self._final_state_runs.append(final_run)
         return self.run(x0, t_span, ENDS_ONLY).x[-1] if state is None else state
+
+    @property
+    def inputs(self) -> Inputs | None:
+        """The prepared inputs."""
+        return self._inputs
 
     @property
     def takes_inputs(self) -> bool:

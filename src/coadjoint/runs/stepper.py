@@ -17,7 +17,8 @@ from coadjoint.methods.protocol.derivatives import derivative_tables, has_deriva
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.tangents import tangent_by
 from coadjoint.methods.registry import read_method
-from coadjoint.runs.derivatives.step_tangents import StepTangents, linear_inputs
+from coadjoint.runs.derivatives.input_derivatives import tables_with_inputs
+from coadjoint.runs.derivatives.step_tangents import StepTangents
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import momenta_of
@@ -61,7 +62,7 @@ class Stepper:
         self.system: Any = system
         self.method, self._inputs = method, inputs
         self._prepared: dict[bool | str, PreparedRun] = {}
-        self._tangents: dict[Any, StepTangents] = {}
+        self._tangents: dict[bool, StepTangents] = {}
 
     def __repr__(self) -> str:
         return f"stepper({self.system!r}, {self.method!r}, {self.h!r})"
@@ -201,11 +202,11 @@ class Stepper:
         TypeError
             The Hamiltonian was given without second derivatives.
         """
-        method, system = self._scheme(inputs)
-        point, time = self._read_point(x, t)
-        found = self._compiled_tangents(method, system, point, time, False)
+        values, (point, time) = self._read_values(inputs), self._read_point(x, t)
+        found = self._compiled_tangents(values, point, time, False)
         if found is not None:
             return found
+        method, system = self._scheme(values)
         with long_operation("tangent"):
             return method.tangent(system, point, time, self.h)[1]
 
@@ -246,9 +247,8 @@ class Stepper:
             raise TypeError(
                 "the stepper has no inputs; give inputs=True, or coordinates of the linear term, to stepper"
             )
-        method, system = self._scheme(inputs)
-        point, time = self._read_point(x, t)
-        found = self._compiled_tangents(method, system, point, time, True)
+        values, (point, time) = self._read_values(inputs), self._read_point(x, t)
+        found = self._compiled_tangents(values, point, time, True)
         if found is None:
             raise IntegrationError(
                 f"the derivative by the inputs at t = {time:g} is not finite; take a smaller step than {abs(self.h):g}",
@@ -259,24 +259,30 @@ class Stepper:
         return found
 
     def _compiled_tangents(
-        self, method: Method, system: Any, x: NDArray[np.float64], t: float, by_inputs: bool
+        self, values: NDArray[np.float64] | None, x: NDArray[np.float64], t: float, by_inputs: bool
     ) -> NDArray[np.float64] | None:
         """Return a derivative by the compiled loop, None if there is no such loop or the result is not finite."""
+        # A call removes the arrays while it uses them, so that concurrent calls never share any.
+        tangents = self._tangents.pop(by_inputs, None)
+        if tangents is None:
+            tangents = self._build_tangents(by_inputs)
+            if tangents is None:
+                return None
+        found = tangents(x, t, values)
+        self._tangents[by_inputs] = tangents
+        return None if found is None else found[:, self.system.dim :] if by_inputs else found
+
+    def _build_tangents(self, by_inputs: bool) -> StepTangents | None:
+        prepared = self._prepared_with(False)
+        system, scheme, n = self.system, prepared.scheme, self.system.dim
         # Functions of the user would have to be compiled.
         called = system.algebra is None or any(term.called for term in system.hamiltonian.terms())
-        if not by_inputs and (called or not has_derivatives(method)):
+        if not by_inputs and (called or not has_derivatives(scheme)):
             return None
-        key = (system, by_inputs)
-        tangents = self._tangents.pop(key, None)
-        if tangents is None:
-            coordinates = self._prepared_with(False).input_coordinates if by_inputs else np.zeros(0, dtype=np.int64)
-            energies = {"inputs": linear_inputs(coordinates)} if by_inputs else {}
-            tables = derivative_tables(method, system, self.h, None, energies)
-            tangents = StepTangents(tables, system.dim, self.h, len(coordinates))
-        found = tangents(x, t)
-        # A call removes the arrays while it uses them, so that concurrent calls never share any.
-        self._tangents = {key: tangents}
-        return None if found is None else found[:, system.dim :] if by_inputs else found
+        if prepared.inputs is None:
+            return StepTangents(derivative_tables(scheme, system, self.h, None, {}), n, self.h)
+        coordinates = prepared.input_coordinates.tolist() if by_inputs else ()
+        return StepTangents(tables_with_inputs(prepared.inputs, scheme, self.h, None, {}), n, self.h, coordinates)
 
     @ignore_overflow
     def tangent_by(self, x: Any, t: float = 0.0, **inputs: Any) -> str:
@@ -294,15 +300,19 @@ class Stepper:
         str
             The first two are exact to round-off; differences have about nine digits.
         """
-        method, system = self._scheme(inputs)
+        method, system = self._scheme(self._read_values(inputs))
         return tangent_by(method, system, *self._read_point(x, t), self.h)
 
-    def _scheme(self, inputs: Mapping[str, Any]) -> tuple[Method, Any]:
-        """Return the scheme and the system of a step with these inputs, for evaluation in Python."""
-        prepared = self._prepared_with(False)
-        values = prepared.values_of(inputs)
+    def _read_values(self, inputs: Mapping[str, Any]) -> NDArray[np.float64] | None:
+        """Validate the inputs of a step; return their values, None if none were prepared."""
+        values = self._prepared_with(False).values_of(inputs)
         if values is not None and values.ndim > 1:
             raise ValueError(f"{next(iter(inputs))} has values for members; a tangent is taken at one state, with one")
+        return values
+
+    def _scheme(self, values: NDArray[np.float64] | None) -> tuple[Method, Any]:
+        """Return the scheme and the system of a step with these inputs, for evaluation in Python."""
+        prepared = self._prepared_with(False)
         system = prepared.system_at(values)
         return effective_scheme(system, prepared.method), system
 

@@ -13,6 +13,9 @@ from coadjoint.program.shifts.shift import quadratic_entries
 
 Floats = NDArray[np.float64]
 
+# Largest matrix whose exponential is differentiated in all directions at once, by blocks of twice the size.
+LARGEST_BLOCK = 16
+
 
 class AttitudeDerivatives:
     """The attitude A = A0 exp(t X) G of the element G of a loop, with X linear in the initial momentum.
@@ -53,12 +56,17 @@ class AttitudeDerivatives:
         X = self._generator(x0)
         dX = np.einsum("c,kj,cjab->kab", self.factors, dx0, self.of_casimir)
         dX += np.einsum("kc,j,cjab->kab", factors, x0, self.of_casimir)
+        # The derivative of the exponential is linear: many directions are combined from those of a basis.
+        basis, weights = dX, np.eye(len(dX))
+        if len(dX) > len(x0) + len(self.factors):
+            of_x0 = np.einsum("c,cjab->jab", self.factors, self.of_casimir)
+            of_factors = np.einsum("j,cjab->cab", x0, self.of_casimir)
+            basis, weights = np.concatenate([of_x0, of_factors]), np.concatenate([dx0, factors], axis=1)
         out = np.empty_like(dG)
         for point, t in enumerate(times.tolist()):
-            E = expm(t * X)
-            for k in range(len(dX)):
-                dE = expm_frechet(t * X, t * dX[k], compute_expm=False) if t and dX[k].any() else np.zeros_like(E)
-                out[point, k] = dA0[k] @ E @ G[point] + A0 @ (dE @ G[point] + E @ dG[point, k])
+            E, of_basis = _exponentials(t * X, t * basis)
+            dE = np.tensordot(weights, of_basis, axes=1)
+            out[point] = dA0 @ (E @ G[point]) + A0 @ (dE @ G[point] + E @ dG[point])
         return out
 
     def cotangents(
@@ -81,6 +89,21 @@ class AttitudeDerivatives:
                 of_x0 += self.factors @ by_pair
                 of_factors += by_pair @ x0
         return of_x0, of_A0, of_factors, of_G
+
+
+def _exponentials(X: Floats, directions: Floats) -> tuple[Floats, Floats]:
+    """Return the exponential of X and its derivatives along directions (k, d, d)."""
+    count, d = len(directions), len(X)
+    if d > LARGEST_BLOCK:
+        nonzero = directions.any(axis=(1, 2))
+        derivatives = np.zeros((count, d, d))
+        for k in np.flatnonzero(nonzero):
+            derivatives[k] = expm_frechet(X, directions[k], compute_expm=False)
+        return expm(X), derivatives
+    blocks = np.zeros((count, 2 * d, 2 * d))
+    blocks[:, :d, :d] = blocks[:, d:, d:] = X
+    blocks[:, :d, d:] = directions
+    return expm(X), expm(blocks)[:, :d, d:]
 
 
 def _dual_coadjoint(system: Any) -> Floats:

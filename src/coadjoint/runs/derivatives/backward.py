@@ -12,10 +12,14 @@ from coadjoint.errors import IntegrationError, unknown_name
 from coadjoint.methods.protocol.derivatives import DerivativeTables
 from coadjoint.methods.protocol.step_derivatives import derivative_of
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory
-from coadjoint.runs.derivatives.forward import gradients_at
+from coadjoint.runs.derivatives.forward import read_states
+from coadjoint.runs.derivatives.input_derivatives import INPUTS
+from coadjoint.runs.derivatives.observed import function_of_rows
 from coadjoint.runs.derivatives.results import Gradient
 from coadjoint.runs.results.solution import Solution
-from coadjoint.validation import are_finite, read_numbers
+from coadjoint.systems.energy_gradients import gradients_at
+from coadjoint.systems.protocol import rows_of, states_of
+from coadjoint.validation import read_numbers
 
 Floats = NDArray[np.float64]
 
@@ -41,6 +45,7 @@ class Pullback:
         attitude: Any = None,
         energy: Any = None,
         observed: Mapping[str, Any] | None = None,
+        events: Mapping[str, Any] | None = None,
     ) -> Gradient:
         """Return the gradient of a number whose derivatives by the outputs of the run are given.
 
@@ -50,11 +55,13 @@ class Pullback:
             Derivatives by ``sol.x``, ``sol.attitude`` and ``sol.energy``, in their shapes; zero if omitted.
         observed : mapping, optional
             Derivatives by the quantities of ``sol.observed``, by name.
+        events : mapping, optional
+            Derivatives by the crossings of events: "t" by ``sol.events.t``, and "x" by ``sol.events.x``.
 
         Returns
         -------
         Gradient
-            Derivatives by "x0", each parameter, and with an attitude "attitude0".
+            Derivatives by "x0", each parameter, with an attitude "attitude0", and with inputs "inputs", by their names.
 
         Raises
         ------
@@ -63,7 +70,8 @@ class Pullback:
         IntegrationError
             The derivatives overflow.
         """
-        return self.gradient(x, attitude, energy, observed, self._run.parameters)
+        inputs = [] if self._run.inputs is None else [INPUTS]
+        return self.gradient(x, attitude, energy, observed, [*self._run.parameters, *inputs], events=events)
 
     def gradient(
         self,
@@ -73,30 +81,56 @@ class Pullback:
         observed: Mapping[str, Any] | None,
         names: Iterable[str],
         by_member: bool = False,
+        events: Mapping[str, Any] | None = None,
     ) -> Gradient:
-        """Return the gradient by x0, attitude0 and the parameters of these names.
+        """Return the gradient by x0, attitude0 and the parameters of these names, `INPUTS` for the inputs.
 
         `by_member`: derivatives by parameters have an axis of members, over which they are not summed.
         """
         run, trajectory = self._run, self._trajectory
         solution, members = trajectory.solution, trajectory.members
-        tables = run.tables(trajectory.times.h, names)
+        wanted = frozenset(names)
+        tables = run.tables(trajectory.times.h, wanted)
         states, groups = trajectory.outputs
-        of_x = trajectory.with_members(_read(x, solution.x, "x")).copy()
-        parameters = {name: np.zeros((members, run.parameters[name].value.size)) for name in tables.rules}
-        if energy is not None:
-            of_energy = trajectory.with_members(_read(energy, solution.energy, "energy"))
-            of_x += of_energy[..., None] * gradients_at(run.system, states, solution.t)
+        rows, points = trajectory.saved_rows, len(trajectory.t)
+        given = None if x is None else read_states(run.system, x, "x")
+        of_x, of_energy = np.zeros(states.shape), np.zeros(states.shape[:2])
+        of_x[rows] = trajectory.with_members(rows_of(run.system, _checked(given, solution.x, "x")))
+        if observed is not None:
+            of_x[rows] += self._of_observed(states[rows], trajectory.t[rows], observed)
+        of_energy[rows] = trajectory.with_members(_read(energy, solution.energy, "energy"))
+        of_attitude = None
+        if attitude is not None and run.representation is not None:
+            of_attitude = np.zeros((points, members, trajectory.side, trajectory.side))
+            of_attitude[rows] = trajectory.with_members(_read(attitude, solution.attitude, "attitude"))
+        if events is not None and trajectory.crossings is None:
+            raise ValueError("events was given to a pullback of a run without them; give events= to vjp")
+        if trajectory.crossings is not None:
+            of_events = {"t": None, "x": None} | dict(events or {})
+            if unknown := set(of_events) - {"t", "x"}:
+                raise unknown_name("result of events", min(unknown), ("t", "x"))
+            found: Any = solution.events
+            given = None if of_events["x"] is None else read_states(run.system, of_events["x"], "x of events")
+            of_x[trajectory.crossings.rows, 0] += rows_of(run.system, _checked(given, found.x, "x of events"))
+            trajectory.crossings.pull(_read(of_events["t"], found.t, "t of events"), of_x, of_attitude, of_energy)
+        parameters = {
+            name: np.zeros((members, one.value.size)) for name, one in run.parameters.items() if name in wanted
+        }
+        of_inputs = None
+        if run.inputs is not None and INPUTS in wanted:
+            of_inputs = np.zeros((members, len(run.inputs.values)))
+        if of_energy.any():
+            of_x += of_energy[..., None] * gradients_at(trajectory.system, states, trajectory.t)
+            if run.inputs is not None and of_inputs is not None:
+                at = run.inputs.in_energy
+                of_inputs[:, at] += np.einsum("pm,pmi->mi", of_energy, states[..., at])
             for name, total in parameters.items():
                 total += np.einsum("pm,pmj->mj", of_energy, run.energy(name).at(states))
-        if observed is not None:
-            of_x += self._of_observed(states, observed)
         attitudes = run.attitudes(tables)
         if attitude is not None and attitudes is None:
             raise ValueError("attitude was given to a pullback of a run without one; prepare it with attitude=True")
         of_x0, of_A0, of_groups = np.zeros((members, trajectory.n)), np.zeros(groups.shape[1:]), np.zeros(groups.shape)
-        if attitudes is not None and attitude is not None:
-            of_attitude = trajectory.with_members(_read(attitude, solution.attitude, "attitude"))
+        if attitudes is not None and of_attitude is not None:
             for m in range(members):
                 of_x0[m], of_A0[m], of_factors, of_groups[:, m] = attitudes.cotangents(
                     trajectory.start.momenta[m],
@@ -109,7 +143,8 @@ class Pullback:
                     total[m] += tables.factors[name].of_entries(of_factors, total.shape[1])
         through_steps, of_element, coefficients = self._through_steps(tables, of_x, of_groups)
         of_x0 += through_steps
-        values = {"x0": of_x0[0] if trajectory.start.single else of_x0}
+        states0 = states_of(run.system, of_x0)
+        values: dict[str, Any] = {"x0": states0[0] if trajectory.start.single else states0}
         for name, total in parameters.items():
             by_coefficients, entries = tables.coefficients[name], total.shape[1]
             shape = run.parameters[name].value.shape
@@ -122,18 +157,28 @@ class Pullback:
         if attitudes is not None:
             of_start = of_A0 if attitudes.shifted else of_element
             values["attitude0"] = of_start[0] if trajectory.start.single else of_start
-        for name, value in values.items():
-            if not are_finite(np.asarray(value)):
+        arrays = dict(values)
+        if of_inputs is not None:
+            of_inputs += [tables.coefficients[INPUTS].of_entries(row, of_inputs.shape[1]) for row in coefficients]
+            values[INPUTS] = {
+                name: (of_inputs if one.by_member else of_inputs.sum(axis=0))[..., one.indices]
+                for name, one in trajectory.inputs.items()
+            }
+            arrays |= {f"{INPUTS}.{name}": one for name, one in values[INPUTS].items()}
+        gradient = Gradient(values, {name: rule for name, rule in tables.rules.items() if name in wanted})
+        for name, value in arrays.items():
+            if not np.isfinite(value).all():
                 raise IntegrationError(
                     f"the derivative by {name} overflows: small changes grow beyond all numbers; take a shorter span",
                     step=trajectory.times.steps,
                     time=float(trajectory.times.end),
                     residual=float("nan"),
                     partial=solution,
+                    derivatives=gradient,
                 )
-        return Gradient(values, tables.rules)
+        return gradient
 
-    def _of_observed(self, states: Floats, observed: Mapping[str, Any]) -> Floats:
+    def _of_observed(self, states: Floats, times: Floats, observed: Mapping[str, Any]) -> Floats:
         """Return the cotangents of the states (points, members, n) for those of observed quantities."""
         trajectory, total = self._trajectory, np.zeros_like(states)
         functions = self._run.prepared.observe
@@ -141,13 +186,9 @@ class Pullback:
             if name not in functions:
                 raise unknown_name("observed quantity of this run", name, functions)
             cotangents = trajectory.with_members(_read(given, trajectory.solution.observed[name], f"observed {name}"))
-            function = functions[name]
-
-            def flat(state: Floats, function: Any = function) -> Floats:
-                return np.ravel(function(state))
-
-            for index in np.ndindex(states.shape[:2]):
-                total[index] += np.ravel(cotangents[index]) @ derivative_of(flat, states[index]).derivative
+            for k, m in np.ndindex(states.shape[:2]):
+                function = function_of_rows(self._run.system, functions[name], float(times[k]))
+                total[k, m] += np.ravel(cotangents[k, m]) @ derivative_of(function, states[k, m]).derivative
         return total
 
     def _through_steps(
@@ -180,6 +221,11 @@ class Pullback:
         cotangents, group_cotangents = np.zeros((members, n)), np.zeros((members, d, d))
         for stretch in reversed(trajectory.stretches):
             inside = trajectory.inside(stretch)
+            if trajectory.finished:
+                # The cotangents are those of the saved step that ends the stretch.
+                at_steps[inside] += cotangents
+                groups_at_steps[inside] += group_cotangents
+                cotangents, group_cotangents = np.zeros_like(cotangents), np.zeros_like(group_cotangents)
             trajectory.backward(
                 tables,
                 stretch,
@@ -197,11 +243,15 @@ class Pullback:
 
 def _read(cotangent: Any, series: Any, name: str) -> Floats:
     """Validate the cotangent of a series of a solution; zero if it is None."""
-    if cotangent is None:
-        return np.zeros(np.shape(series))
-    numbers = read_numbers(cotangent, name)
+    return np.asarray(_checked(None if cotangent is None else read_numbers(cotangent, name), series, name))
+
+
+def _checked(numbers: Any, series: Any, name: str) -> Any:
+    """Validate the shape and the numbers of a cotangent; zero if it is None."""
+    if numbers is None:
+        return np.zeros_like(series)
     if numbers.shape != np.shape(series):
         raise ValueError(f"{name} has the shape {numbers.shape}; as in the solution it must be {np.shape(series)}")
-    if not are_finite(numbers):
+    if not np.isfinite(numbers).all():
         raise ValueError(f"{name} contains NaN or infinity; every number must be finite")
     return numbers

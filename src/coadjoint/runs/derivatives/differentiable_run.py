@@ -2,31 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
+from coadjoint.kernels.functions.compiled_functions import raised_by
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import StopFlag
 from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun, advance_tables
 from coadjoint.kernels.tables.tangents import check_differentiable
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.protocol.derivatives import DerivativeTables, derivative_tables, has_derivatives
-from coadjoint.methods.protocol.stepwise_derivatives import stepwise_derivatives
+from coadjoint.methods.protocol.derivatives import DerivativeTables, Kernel, derivative_tables, has_derivatives
+from coadjoint.methods.protocol.own_steps import fixed_steps
+from coadjoint.methods.protocol.stepwise_derivatives import (
+    StepwiseDerivatives,
+    nearby_parameters,
+    stepwise_derivatives,
+)
 from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
+from coadjoint.runs.derivatives.input_derivatives import INPUTS, changed_inputs, tables_with_inputs, without_inputs
+from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops.execution import sum_in_threads
 from coadjoint.runs.loops.rows import split_members
 from coadjoint.runs.output_times import OutputTimes, check_partial_steps, resample
 from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.parameters import Parameter, parameters_of
-from coadjoint.systems.protocol import forces_of, is_batch, is_matrix_system
+from coadjoint.systems.protocol import forces_of, is_batch, rows_of, shape_of
 from coadjoint.validation import read_choice
 
 if TYPE_CHECKING:
+    from coadjoint.runs.derivatives.crossings import Crossings
     from coadjoint.runs.prepared_run import PreparedRun
 
 Floats = NDArray[np.float64]
@@ -41,7 +50,8 @@ BYTES_OF_CHECKPOINTS = 2**25
 class Stretch(NamedTuple):
     """Steps k0 + 1 to k1 of all members, from t0 + k0 h, and the unfinished states from which they start.
 
-    If `undone`, the states are those at the end, from which the steps are undone.
+    Step k is number `before` + k of the run; None for a partial step. If `undone`, the states are those at the end,
+    from which the steps are undone.
     """
 
     t0: float
@@ -53,6 +63,7 @@ class Stretch(NamedTuple):
     groups: Floats
     group_errors: Floats
     undone: bool = False
+    before: int | None = 0
 
 
 class DifferentiableRun:
@@ -66,48 +77,72 @@ class DifferentiableRun:
         for unsupported, what, instead in (
             (is_batch(system), "of a batch", "differentiate the run of each member"),
             (bool(forces_of(system)), "of a system with forces", "take the system without them"),
-            (is_matrix_system(system), "of a system of matrices", "only systems of vectors have them"),
-            (prepared.takes_inputs, "prepared with inputs", "prepare without inputs=, and differentiate by parameters"),
         ):
             if unsupported:
                 raise TypeError(f"runs {what} have no derivatives: {system!r}; {instead}")
-        if prepared.method.own_steps:
-            raise TypeError(f"{prepared.method} chooses its own steps, and its runs have no derivatives; give a step")
-        if has_derivatives(prepared.scheme):
+        self.scheme = fixed_steps(prepared.scheme)
+        if has_derivatives(self.scheme):
             check_differentiable(system)
         self.prepared, self.system = prepared, system
         self.parameters: Mapping[str, Parameter] = parameters_of_run(system) if parameters is None else parameters
-        self.representation = prepared.representation
+        self.representation, self.inputs = prepared.representation, prepared.inputs
         self._energies: dict[str, EnergyDerivative] = {}
         self._tables: dict[Any, DerivativeTables] = {}
 
     def energy(self, name: str) -> EnergyDerivative:
         """Return the derivative of the energy by a parameter."""
         if name not in self._energies:
-            self._energies[name] = self.parameters[name].energy()
+            energy = self.parameters[name].energy()
+            self._energies[name] = energy if self.inputs is None else without_inputs(energy, self.inputs)
         return self._energies[name]
 
     def tables(self, h: float, names: Iterable[str]) -> DerivativeTables:
-        """Return the tables of the scheme for a step, with the parameters of these names."""
+        """Return the tables of the scheme for a step, with the parameters of these names, `INPUTS` for the inputs."""
         chosen = frozenset(names)
         if (h, chosen) not in self._tables:
-            self._tables[h, chosen] = self._build_tables(h, [name for name in self.parameters if name in chosen])
+            self._tables[h, chosen] = self._build_tables(
+                h, [name for name in self.parameters if name in chosen], INPUTS in chosen
+            )
         return self._tables[h, chosen]
 
-    def _build_tables(self, h: float, names: Sequence[str]) -> DerivativeTables:
-        scheme = self.prepared.scheme
+    def _build_tables(self, h: float, names: Sequence[str], by_inputs: bool) -> DerivativeTables:
+        scheme, inputs = self.scheme, self.inputs
         if has_derivatives(scheme):
             energies = {name: self.energy(name) for name in names}
+            if inputs is not None:
+                return tables_with_inputs(inputs, scheme, h, self.representation, energies)
             return derivative_tables(scheme, self.system, h, self.representation, energies)
         if self.representation is not None:
             raise TypeError(
                 f"attitudes by {scheme} have no derivatives; take Splitting or GaussLegendre, or no attitude"
             )
-        return stepwise_derivatives(scheme, self.system, {name: self.parameters[name] for name in names})
+        nearby = nearby_parameters(self.system, {name: self.parameters[name] for name in names})
+        sizes = {name: self.parameters[name].value.size for name in names}
+        if inputs is None:
+            steps = StepwiseDerivatives(scheme, self.system, nearby)
+            return stepwise_derivatives(lambda: steps, sizes)
+
+        def steps_at(values: Floats) -> StepwiseDerivatives:
+            at_values = [
+                one._replace(pairs=[(inputs.system_at(values, a), inputs.system_at(values, b)) for a, b in one.pairs])
+                for one in nearby
+            ]
+            if by_inputs:
+                at_values += changed_inputs(inputs, self.system, values, h)
+            return StepwiseDerivatives(scheme, inputs.system_at(values), at_values)
+
+        tables = stepwise_derivatives(steps_at, sizes | ({INPUTS: len(inputs.changing)} if by_inputs else {}))
+        if by_inputs:
+            # The entries are those of all values.
+            numbered = tables.coefficients[INPUTS]._replace(entry=inputs.changing)
+            tables = tables._replace(coefficients={**tables.coefficients, INPUTS: numbered})
+        return tables
 
     def check_reverse(self, reverse: Any, h: float) -> None:
         """Validate how a run is differentiated backward; raise TypeError for a scheme whose steps cannot be undone."""
-        if read_choice(reverse, "reverse", REVERSES) == "reversible" and not self.tables(h, self.parameters).reversible:
+        if read_choice(reverse, "reverse", REVERSES) == "exact":
+            return
+        if self.prepared.method.own_steps or not self.tables(h, self.parameters).reversible:
             raise TypeError(f'{self.prepared.method} has no steps that can be undone; take reverse="exact"')
 
     def attitudes(self, tables: DerivativeTables) -> AttitudeDerivatives | None:
@@ -127,6 +162,10 @@ class Trajectory:
     the loops. Output k is `length[k]` after the step with the number steps[point[k]], `elapsed[k]` after the start.
     """
 
+    crossings: Crossings | None = None
+    finished: bool = False
+    """Whether every stretch is one step that starts from the saved state after the one before."""
+
     def __init__(
         self,
         run: DifferentiableRun,
@@ -136,14 +175,19 @@ class Trajectory:
         t_eval: Any,
         attitude: Any,
         reverse: str | None,
+        inputs: Mapping[str, Any] | None = None,
     ) -> None:
         prepared = run.prepared
+        given = {} if inputs is None else inputs
+        self.values = prepared.values_of(given)
         times, moments = prepared.times_of(t_span, save_every, t_eval)
         if moments is not None:
             check_partial_steps(run.system, moments)
             times = times.with_saved_steps(moments.marks)
-        self.times, self.start = times, prepared.start(x0, attitude)
-        self._run = prepared.begun(times, self.start)
+        self.times, self.start = times, prepared.start(x0, attitude, self.values)
+        self.system = prepared.system_at(self.values)
+        self.inputs = given_inputs(run.inputs, given)
+        self._run = prepared.begun(times, self.start, self.values)
         self.members, self.n = self.start.momenta.shape
         self.side = self.start.groups.shape[1]
         distance = self._stretch_length() if reverse == "exact" else max(1, times.steps)
@@ -160,6 +204,8 @@ class Trajectory:
         self.solution: Solution = self._run.solution(prepared.observed(self.start))
         self.length, self.point = moments.length, np.searchsorted(self.steps, moments.number)
         self.elapsed = moments.number * times.h + moments.length
+        self.t: Floats = self.solution.t
+        self.started = times.t0 + self.steps * times.h
 
     def _integrated(self, step: int, distance: int) -> Stretch:
         """Take the steps of a stretch."""
@@ -190,7 +236,7 @@ class Trajectory:
         """Return the partial step to output k."""
         point, members = self.point[k], self.members
         return Stretch(
-            t0=float(self.times.t0 + self.steps[point] * self.times.h),
+            t0=float(self.started[point]),
             h=float(self.length[k]),
             k0=0,
             k1=1,
@@ -198,12 +244,31 @@ class Trajectory:
             errors=np.zeros((members, self.n)),
             groups=self.groups[point],
             group_errors=np.zeros((members, self.side, self.side)),
+            before=None,
         )
+
+    @property
+    def workers(self) -> int:
+        """Number of threads."""
+        return self._run.workers
+
+    @property
+    def saved_rows(self) -> Any:
+        """Outputs that are the points of the solution."""
+        return slice(None)
+
+    @property
+    def start_shape(self) -> tuple[int, ...]:
+        """Shape of the initial states."""
+        shape = shape_of(self.start.system)
+        return shape if self.start.single else (self.members, *shape)
 
     @property
     def outputs(self) -> tuple[Floats, Floats]:
         """States (points, members, n) and elements of the loop (points, members, d, d) at the outputs."""
-        return self.with_members(self.solution.x), np.swapaxes(self._elements()[: len(self.point)], 2, 3)
+        return self.with_members(rows_of(self.start.system, self.solution.x)), np.swapaxes(
+            self._elements()[: len(self.point)], 2, 3
+        )
 
     def with_members(self, series: Any) -> Floats:
         """Return a series of the solution with an axis of members."""
@@ -214,12 +279,13 @@ class Trajectory:
     ) -> tuple[Floats, Floats]:
         """Carry tangents (members, count, n) and (members, count, d, d) over a stretch.
 
-        Returns those after its saved steps, or after a partial step, with a first axis of points.
+        `coefficients` are (count, their number), or with a first axis of members. Returns those after its saved steps,
+        or after a partial step, with a first axis of points.
         """
         marks = self._marks(stretch)
         at_points, at_groups = (np.zeros((len(marks), *one.shape)) for one in (of_x, of_groups))
         fields = stretch._asdict()
-        del fields["group_errors"], fields["undone"]
+        del fields["group_errors"], fields["undone"], fields["before"]
         run = ForwardRun(
             size=self.n,
             square=self.side**2,
@@ -234,7 +300,9 @@ class Trajectory:
             coefficients=coefficients,
             **fields,
         )
-        self._call(tables.forward, tables.tables_at(stretch.h), run)
+        for structure, first, last in self._tables_of_members(tables, stretch.h, coefficients.ndim == 3):
+            one = run if coefficients.ndim == 2 else run._replace(coefficients=coefficients[first])
+            self._call(tables.forward, tables, structure, one, first, last)
         return at_points, at_groups
 
     def backward(
@@ -251,7 +319,8 @@ class Trajectory:
 
         Those of its saved steps, or of a partial step, are added; derivatives by coefficients (members, count) as well.
         """
-        marks = self._marks(stretch)
+        marks, fields = self._marks(stretch), stretch._asdict()
+        del fields["before"]
         run = BackwardRun(
             size=self.n,
             square=self.side**2,
@@ -263,31 +332,57 @@ class Trajectory:
             cotangents=cotangents,
             group_cotangents=group_cotangents,
             coefficients=coefficients,
-            **stretch._asdict(),
+            **fields,
         )
-        self._call(tables.backward, tables.tables_at(stretch.h), run)
+        for structure, first, last in self._tables_of_members(tables, stretch.h):
+            self._call(tables.backward, tables, structure, run, first, last)
+
+    def _tables_of_members(
+        self, tables: DerivativeTables, h: float, each: bool = False
+    ) -> Iterator[tuple[Any, int, int]]:
+        """Yield the tables of a step with the inputs of members, and the first and last of these members.
+
+        `each`: of one member after the other.
+        """
+        values, members = self.values, self.members
+        if values is not None and values.ndim == 2:
+            yield from ((tables.tables_at(h, values[m]), m, m + 1) for m in range(members))
+            return
+        shared = tables.tables_at(h) if values is None else tables.tables_at(h, values)
+        yield from ((shared, m, m + 1) for m in range(members)) if each else ((shared, 0, members),)
 
     def inside(self, stretch: Stretch) -> NDArray[np.bool_]:
         """Return which saved steps belong to a stretch of whole steps."""
-        return (self.steps > stretch.k0) & (self.steps <= stretch.k1)
+        assert stretch.before is not None
+        return (self.steps > stretch.before + stretch.k0) & (self.steps <= stretch.before + stretch.k1)
 
     def _marks(self, stretch: Stretch) -> NDArray[np.int64]:
-        if stretch.h != self.times.h or stretch.t0 != self.times.t0:
+        if stretch.before is None:
             return np.ones(1, dtype=np.int64)
-        return self.steps[self.inside(stretch)]
+        return self.steps[self.inside(stretch)] - stretch.before
 
-    def _call(self, kernel: str | Callable[[Any], None], tables: Any, run: ForwardRun | BackwardRun) -> None:
-        """Call a kernel for all members, on the threads of the run, or a function."""
+    def _call(
+        self,
+        kernel: Kernel,
+        tables: DerivativeTables,
+        structure: Any,
+        run: ForwardRun | BackwardRun,
+        first: int,
+        last: int,
+    ) -> None:
+        """Call a kernel for the members `first` to `last` - 1, on the threads of the run, or a function."""
         if not isinstance(kernel, str):
-            return kernel(run)
+            return kernel(structure, run, first, last)
         name = kernel
         stop = StopFlag()
-        ranges = split_members(0, self.members, self._run.workers, limit("MOST_LANES"))
+        ranges = split_members(first, last, self.workers, limit("MOST_LANES"))
 
         def unsolved(members: tuple[int, int]) -> int:
-            return not advance_tables(name, tables, run, *members, stop)
+            return not advance_tables(name, structure, run, *members, stop)
 
-        count = unsolved(ranges[0]) if len(ranges) == 1 else sum_in_threads(unsolved, ranges, self._run.workers, stop)
+        count = unsolved(ranges[0]) if len(ranges) == 1 else sum_in_threads(unsolved, ranges, self.workers, stop)
+        if (raised := raised_by(tables.keepalive)) is not None:
+            raise raised
         if count:
             raise IntegrationError(
                 f"the linear equations of the derivatives between t = {run.t0 + run.k0 * run.h:g} and "
@@ -299,8 +394,35 @@ class Trajectory:
             )
 
 
-def parameters_of_run(system: Any) -> dict[str, Parameter]:
-    """Return the parameters of the system of a run; none for systems that cannot be differentiated."""
-    if is_batch(system) or forces_of(system) or is_matrix_system(system):
+class GivenInput(NamedTuple):
+    """The indices of an input among the values, in their shape, and whether each member has its own value."""
+
+    indices: NDArray[np.int64]
+    by_member: bool
+
+
+def given_inputs(inputs: Inputs | None, given: Mapping[str, Any]) -> dict[str, GivenInput]:
+    """Return the inputs of a run by name."""
+    if inputs is None:
         return {}
-    return parameters_of(system)
+    return {
+        name: GivenInput(indices, name in given and np.ndim(given[name]) > indices.ndim)
+        for name, indices in inputs.indices.items()
+    }
+
+
+def parameters_of_run(system: Any) -> Mapping[str, Parameter]:
+    """Return the parameters of the system of a run; none for systems that cannot be differentiated.
+
+    Those of a batch have an axis of members; they are those that all members have, in one shape.
+    """
+    if forces_of(system):
+        return {}
+    if not is_batch(system):
+        return parameters_of(system)
+    members = [parameters_of(member) for member in system]
+    found = {}
+    for name, first in members[0].items():
+        if all(name in one and one[name].value.shape == first.value.shape for one in members):
+            found[name] = first._replace(value=np.stack([one[name].value for one in members]))
+    return found

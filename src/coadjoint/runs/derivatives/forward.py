@@ -12,46 +12,55 @@ from coadjoint.errors import IntegrationError, unknown_name
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.derivatives import DerivativeTables
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory
+from coadjoint.runs.derivatives.input_derivatives import INPUTS
 from coadjoint.runs.derivatives.results import Tangents
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
-from coadjoint.validation import are_finite, read_numbers
+from coadjoint.systems.energy_gradients import gradients_at
+from coadjoint.systems.protocol import is_matrix_system, rows_of, shape_of, states_of
+from coadjoint.validation import read_numbers, to_array
 
 Floats = NDArray[np.float64]
 
 
 class Directions:
-    """Directions of the initial states, the initial attitudes and the parameters, `count` of each.
+    """Directions of the initial states, the initial attitudes, the parameters and the inputs, `count` of each.
 
-    `x0` is (members, count, n), `attitude0` (members, count, d, d), and each of `parameters` (count, entries).
+    `x0` is (members, count, n), `attitude0` (members, count, d, d), and each of `parameters` (count, entries). `inputs`
+    are None without a direction, or those of all values, (count, values) or (members, count, values).
     """
 
     def __init__(self, run: DifferentiableRun, trajectory: Trajectory, given: Mapping[str, Any]) -> None:
         members, n, d = trajectory.members, trajectory.n, trajectory.side
         single = trajectory.start.single
-        shapes: dict[str, tuple[int, ...]] = {"x0": (n,) if single else (members, n)}
+        shapes: dict[str, tuple[int, ...]] = {"x0": trajectory.start_shape}
         if d:
             shapes["attitude0"] = (d, d) if single else (members, d, d)
         shapes |= {name: parameter.value.shape for name, parameter in run.parameters.items()}
-        if not isinstance(given, Mapping):
-            raise TypeError(f"directions is {short(given)}; give a mapping from names to arrays")
+        shapes |= {
+            f"{INPUTS}.{name}": (members, *one.indices.shape) if one.by_member else one.indices.shape
+            for name, one in trajectory.inputs.items()
+        }
+        given = _flat(given, run)
         counts: dict[str, int | None] = {}
         arrays = {}
         for name, value in given.items():
             if name not in shapes:
                 raise unknown_name("direction of this run", name, shapes)
-            array, shape = read_numbers(value, f"the direction {name}"), shapes[name]
+            what, shape = f"the direction {name}", shapes[name]
+            array = read_states(run.system, value, what) if name == "x0" else read_numbers(value, what)
             if array.shape != shape and array.shape[:-1] != shape:
                 raise ValueError(
                     f"the direction {name} has the shape {array.shape}; it must be {shape}, or with a last axis of "
                     "directions"
                 )
-            if not are_finite(array):
+            if not np.isfinite(array).all():
                 raise ValueError(f"the direction {name} contains NaN or infinity; every number must be finite")
             counts[name] = array.shape[-1] if array.ndim > len(shape) else None
             arrays[name] = array
         if not arrays:
-            raise ValueError(f"no direction was given; the names are {', '.join(shapes)}")
+            known = dict.fromkeys(name.partition(".")[0] for name in shapes)
+            raise ValueError(f"no direction was given; the names are {', '.join(known)}")
         if len(set(counts.values())) > 1:
             raise ValueError(f"the directions differ in number: {counts}; give all of them the same last axis")
         number = next(iter(counts.values()))
@@ -66,17 +75,45 @@ class Directions:
             array = arrays[name]
             return array[None] if self.single else np.moveaxis(array, -1, 0)
 
-        self.x0 = np.ascontiguousarray(np.moveaxis(rows("x0").reshape(self.count, members, n), 0, 1))
+        x0 = self._states(run.system, rows("x0")).reshape(self.count, members, n)
+        self.x0 = np.ascontiguousarray(np.moveaxis(x0, 0, 1))
         groups = rows("attitude0").reshape(self.count, members, d, d) if d else np.zeros((self.count, members, 0, 0))
         self.attitude0 = np.ascontiguousarray(np.moveaxis(groups, 0, 1))
         self.parameters = {name: rows(name).reshape(self.count, -1) for name in run.parameters if name in arrays}
+        directed = {name: one for name, one in trajectory.inputs.items() if f"{INPUTS}.{name}" in arrays}
+        self.inputs: Floats | None = None
+        if directed and trajectory.values is not None:
+            by_member = any(one.by_member for one in directed.values())
+            leading = (members, self.count) if by_member else (self.count,)
+            self.inputs = np.zeros((*leading, trajectory.values.shape[-1]))
+            for name, one in directed.items():
+                found = rows(f"{INPUTS}.{name}")
+                found = np.swapaxes(found, 0, 1) if one.by_member else found
+                leading = found.shape[: found.ndim - one.indices.ndim]
+                self.inputs[..., one.indices.ravel()] = found.reshape(*leading, -1)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the parameters with directions, and `INPUTS` if there are directions of inputs."""
+        return [*self.parameters, *([] if self.inputs is None else [INPUTS])]
+
+    @staticmethod
+    def _states(system: Any, directions: Any) -> Floats:
+        """Return directions of states (..., *shape) as rows; matrices must be in the algebra."""
+        if is_matrix_system(system):
+            return system.read(directions.reshape(-1, *shape_of(system)), "the direction x0")
+        return np.asarray(rows_of(system, directions))
 
     def of_coefficients(self, tables: DerivativeTables) -> Floats:
-        """Return the directions of the coefficients of the tables, (count, their number)."""
+        """Return the directions of the coefficients of the tables, (count, their number), or of each member."""
         total = np.zeros((self.count, tables.coefficient_count))
         for name, directions in self.parameters.items():
             total += tables.coefficients[name].of_coefficients(directions, tables.coefficient_count)
-        return total
+        if self.inputs is None:
+            return total
+        rows = self.inputs.reshape(-1, self.inputs.shape[-1])
+        by_inputs = tables.coefficients[INPUTS].of_coefficients(rows, tables.coefficient_count)
+        return total + by_inputs.reshape(*self.inputs.shape[:-1], tables.coefficient_count)
 
     def of_factors(self, tables: DerivativeTables) -> Floats:
         """Return the directions of the factors of subtracted Casimirs, (count, their number)."""
@@ -99,7 +136,7 @@ def tangents_of_outputs(run: DifferentiableRun, trajectory: Trajectory, given: M
     """Return the tangents of the states and the attitudes of a run along directions."""
     directions = Directions(run, trajectory, given)
     # Parameters without a direction need no added part.
-    tables = run.tables(trajectory.times.h, directions.parameters)
+    tables = run.tables(trajectory.times.h, directions.names)
     points, numbers = len(trajectory.steps), trajectory.members * (trajectory.n + trajectory.side**2)
     check_available_memory(
         16 * points * numbers * directions.count, f"the tangents of {points} points along {directions.count} directions"
@@ -130,43 +167,67 @@ def tangents_of_run(
     """Return the solution of a run and its tangents along directions."""
     directions, tables, of_x, of_attitudes = tangents_of_outputs(run, trajectory, given)
     solution, (x, _) = trajectory.solution, trajectory.outputs
-    of_energy = np.einsum("pmi,pmki->pmk", gradients_at(run.system, x, solution.t), of_x)
+    of_energy = np.einsum("pmi,pmki->pmk", gradients_at(trajectory.system, x, trajectory.t), of_x)
     for name, of_entries in directions.parameters.items():
         of_energy += run.energy(name).at(x) @ of_entries.T
+    if run.inputs is not None and directions.inputs is not None:
+        at = run.inputs.in_energy
+        of_inputs = np.broadcast_to(directions.inputs, (trajectory.members, *directions.inputs.shape[-2:]))
+        of_energy += np.einsum("pmi,mki->pmk", x[..., at], of_inputs[..., at])
+    of_times = None
+    if trajectory.crossings is not None:
+        of_times = trajectory.crossings.follow(of_x, of_attitudes, of_energy)
 
-    for name, series in (("x", of_x), ("attitude", of_attitudes), ("energy", of_energy)):
-        if series is None:
-            continue
-        finite = np.isfinite(series).reshape(len(series), -1).all(axis=1)
-        if not finite.all():
-            first = int(np.argmin(finite))
-            raise IntegrationError(
-                f"the derivative of {name} overflows at t = {solution.t[first]:g}: small changes grow beyond all "
-                "numbers; take a shorter span",
-                step=int(trajectory.steps[trajectory.point[first]]),
-                time=float(solution.t[first]),
-                residual=float("nan"),
-                partial=solution,
-            )
-
-    def shaped(series: Floats) -> Floats:
+    def shaped(series: Floats, rows: Any = trajectory.saved_rows) -> Floats:
         """Move directions (points, members, count, ...) to the last axis, and drop axes that were not given."""
-        last = np.moveaxis(series, 2, -1)
+        last = np.moveaxis(series[rows], 2, -1)
         last = last[..., 0] if directions.single else last
         return last[:, 0] if trajectory.start.single else last
 
-    return solution, Tangents(
-        x=shaped(of_x),
+    states, events = states_of(run.system, of_x), {}
+    if trajectory.crossings is not None and of_times is not None:
+        rows = trajectory.crossings.rows
+        events = {"t": shaped(of_times, slice(None)), "x": shaped(states, rows)}
+    tangents = Tangents(
+        x=shaped(states),
         attitude=None if of_attitudes is None else shaped(of_attitudes),
         energy=shaped(of_energy),
-        rule={name: tables.rules[name] for name in directions.parameters},
+        events=events,
+        rule={name: tables.rules[name] for name in directions.names},
     )
+    for name, series in (("x", of_x), ("attitude", of_attitudes), ("energy", of_energy)):
+        if series is None:
+            continue
+        finite = np.isfinite(series).all(axis=tuple(range(1, series.ndim)))
+        if not finite.all():
+            first = int(np.argmin(finite))
+            raise IntegrationError(
+                f"the derivative of {name} overflows at t = {trajectory.t[first]:g}: small changes grow beyond all "
+                "numbers; take a shorter span",
+                step=int(trajectory.steps[trajectory.point[first]]),
+                time=float(trajectory.t[first]),
+                residual=float("nan"),
+                partial=solution,
+                derivatives=tangents,
+            )
+    return solution, tangents
 
 
-def gradients_at(system: Any, x: Floats, times: Floats) -> Floats:
-    """Return grad H at states (points, members, n)."""
-    gradient = system.hamiltonian.gradient
-    return np.array([[gradient(state, t) for state in states] for states, t in zip(x, times.tolist(), strict=True)])
+def _flat(given: Any, run: DifferentiableRun) -> dict[str, Any]:
+    """Return directions by name, with those of inputs as "inputs.name"."""
+    if not isinstance(given, Mapping):
+        raise TypeError(f"directions is {short(given)}; give a mapping from names to arrays")
+    found = {name: value for name, value in given.items() if name != INPUTS or run.inputs is None}
+    if run.inputs is not None and INPUTS in given:
+        if not isinstance(given[INPUTS], Mapping):
+            raise TypeError(
+                f"the direction inputs is {short(given[INPUTS])}; give a mapping from names of inputs to arrays"
+            )
+        for name, value in given[INPUTS].items():
+            if name not in run.inputs.indices:
+                raise unknown_name("input of this run", name, run.inputs.indices)
+            found[f"{INPUTS}.{name}"] = value
+    return found
 
 
 def _tangents_at_outputs(
@@ -179,10 +240,17 @@ def _tangents_at_outputs(
     coefficients = directions.of_coefficients(tables)
     of_x0, of_A0 = directions.x0, directions.attitude0
     stored = np.zeros_like(of_A0) if shifted else np.ascontiguousarray(np.swapaxes(of_A0, 2, 3))
-    (stretch,) = trajectory.stretches
-    at_points, at_groups = trajectory.forward(tables, stretch, of_x0, stored, coefficients)
-    if trajectory.steps[0] == 0:
-        at_points, at_groups = np.concatenate([of_x0[None], at_points]), np.concatenate([stored[None], at_groups])
+    points, start = len(trajectory.steps), trajectory.steps[0] == 0
+    at_points, at_groups = (np.zeros((points, *one.shape)) for one in (of_x0, stored))
+    if start:
+        at_points[0], at_groups[0] = of_x0, stored
+    last = of_x0, stored
+    for stretch in trajectory.stretches:
+        inside = trajectory.inside(stretch)
+        at_points[inside], at_groups[inside] = trajectory.forward(tables, stretch, *last, coefficients)
+        if trajectory.finished:
+            (end,) = np.flatnonzero(inside)
+            last = at_points[end], at_groups[end]
     of_x, of_groups = at_points[trajectory.point], at_groups[trajectory.point]
     for k in np.flatnonzero(trajectory.length).tolist():
         point = trajectory.point[k]
@@ -190,3 +258,10 @@ def _tangents_at_outputs(
             tables, trajectory.partial(k), at_points[point], at_groups[point], coefficients
         )
     return of_x, np.swapaxes(of_groups, 3, 4)
+
+
+def read_states(system: Any, given: Any, what: str) -> Any:
+    """Return numbers in the form of states, which are complex for some matrices."""
+    if is_matrix_system(system) and system.complex and len(shape_of(system)) > 1:
+        return to_array(given, what, "iufc").astype(np.complex128)
+    return read_numbers(given, what)

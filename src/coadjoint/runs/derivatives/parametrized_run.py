@@ -16,6 +16,7 @@ from coadjoint.runs.output_times import check_partial_steps
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.short_repr import short
 from coadjoint.systems.parameters import parameters_at, with_parameters
+from coadjoint.systems.protocol import shape_of
 
 Floats = NDArray[np.float64]
 Shape = tuple[int, ...]
@@ -32,6 +33,15 @@ class ParametrizedRun:
     def __init__(self, prepared: PreparedRun, t_span: Any, save_every: Any, t_eval: Any, caller: str) -> None:
         if type(prepared) is not PreparedRun:
             raise TypeError(f"{caller} was given {short(prepared)}; give co.prepare(system, method, step)")
+        if prepared.takes_inputs:
+            raise TypeError(f"{caller} was given a run prepared with inputs; prepare without inputs=")
+        if len(shape_of(prepared.system)) > 1:
+            raise TypeError(
+                f"{caller} takes states that are vectors, and those of {prepared.system.name} are matrices; use "
+                "prepared.jvp and prepared.vjp"
+            )
+        if prepared.method.own_steps:
+            raise TypeError(f"{caller} takes schemes with a given step, and {prepared.method} chooses its own steps")
         self._prepared = prepared
         self._run = DifferentiableRun(prepared)
         times, moments = prepared.times_of(t_span, save_every, t_eval)
@@ -116,6 +126,10 @@ class ParametrizedRun:
             gradient = pullback.gradient(of_x, next(iter(of_attitude), None), None, None, parameters, by_member)
             found.append([gradient[name] for name in wanted])
         return [np.array(one) for one in zip(*found, strict=True)]
+
+    def prepared_at(self, values: Mapping[str, Floats]) -> PreparedRun:
+        """Return the prepared run at values of parameters."""
+        return self._run_at(values).prepared
 
     def _run_at(self, values: Mapping[str, Floats]) -> DifferentiableRun:
         """Return the run at values of parameters."""

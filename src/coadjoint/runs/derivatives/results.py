@@ -24,6 +24,9 @@ class Tangents:
         In the same way for ``sol.attitude``.
     energy : ndarray
         In the same way for ``sol.energy``.
+    events : mapping
+        In the same way for the crossings of events: "t" for ``sol.events.t``, and "x" for ``sol.events.x``; empty
+        without events.
     rule : mapping
         For each parameter, "exact" if the derivative is that of the computed map, "added part" or "differences"; see
         the notes of `PreparedRun.jvp`.
@@ -32,13 +35,15 @@ class Tangents:
     x: Floats
     attitude: Floats | None
     energy: Floats
+    events: Mapping[str, Floats] = field(default_factory=dict)
     rule: Mapping[str, str] = field(default_factory=dict)
 
 
-class Gradient(Mapping[str, Floats]):
+class Gradient(Mapping[str, Any]):
     """Derivatives of a number by the initial state and the parameters of a run; see `PreparedRun.vjp`.
 
-    A mapping with the keys "x0", the names of the parameters and, with an attitude, "attitude0".
+    A mapping with the keys "x0", the names of the parameters, with an attitude "attitude0", and with inputs "inputs": a
+    mapping from their names to derivatives.
 
     Attributes
     ----------
@@ -46,7 +51,7 @@ class Gradient(Mapping[str, Floats]):
         As in `Tangents`.
     """
 
-    def __init__(self, values: Mapping[str, Floats], rule: Mapping[str, str]) -> None:
+    def __init__(self, values: Mapping[str, Any], rule: Mapping[str, str]) -> None:
         self._values, self.rule = dict(values), dict(rule)
 
     def __getitem__(self, name: str) -> Any:
@@ -59,4 +64,7 @@ class Gradient(Mapping[str, Floats]):
         return len(self._values)
 
     def __repr__(self) -> str:
-        return f"<gradient by {', '.join(f'{name} {np.shape(value)}' for name, value in self.items())}>"
+        arrays = {name: value for name, value in self.items() if not isinstance(value, Mapping)}
+        for group in (value for value in self.values() if isinstance(value, Mapping)):
+            arrays |= group
+        return f"<gradient by {', '.join(f'{name} {np.shape(value)}' for name, value in arrays.items())}>"

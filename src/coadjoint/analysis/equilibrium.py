@@ -1,0 +1,284 @@
+"""Equilibria on coadjoint orbits: relaxation, Newton's method on the orbit, frequencies, and stability."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from coadjoint.analysis.orbit import Orbit, Tangents, second_variation, tangents_of
+from coadjoint.memory import check_available_memory
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.evaluation import ignore_overflow
+from coadjoint.systems.protocol import forces_of, has_structure_constants
+from coadjoint.validation import read_choice, read_finite
+
+Floats = NDArray[np.float64]
+
+DIRECTIONS = {"down": 1.0, "up": -1.0, "none": 0.0}
+MAX_DESCENTS, MAX_NEWTON = 500, 200
+NEWTON_FROM = 1e-3  # residual, relative to its terms, below which Newton's method takes over
+MAX_ANGLE = 1.0  # largest norm of the exponent of a Newton step
+ARMIJO = 0.25  # share of the decrease predicted by the gradient that a step must have
+ROUNDS = 64.0  # residual, in units of the round-off of its terms, at which a state is an equilibrium
+STAGNANT = 1e-12  # the same, relative to the terms, if it no longer falls
+ZERO = 1e-8  # eigenvalues of a second variation below this, relative to the largest, are zero
+GROWTH = 1e-6  # real parts of eigenvalues below this, relative to the largest eigenvalue, are zero
+SINGULAR = 1e-12  # the same in Newton's equation
+UNBOUNDED = 1e5  # growth of the state, or decrease of J(x), at which there is no equilibrium
+MAX_SHIFTS = 200  # evaluations of the search for multipliers of integrals
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """A critical point of the energy on a coadjoint orbit.
+
+    Attributes
+    ----------
+    x : ndarray, shape (n,)
+        The state, on the orbit of x0.
+    energy : float
+        H(x).
+    frequencies : ndarray, shape (r/2,)
+        Frequencies of small motions on the orbit, of dimension r, ascending: imaginary parts of the eigenvalues, one of
+        each pair, in radians per unit of time.
+    growth : float
+        Largest real part of an eigenvalue, the rate at which small motions grow; zero if none does, to round-off.
+    stability : {"stable", "unstable", "undecided"}
+        "stable" if the second variation of the energy on the orbit, with any multiples of the system's integrals that
+        are critical at x, is definite; "unstable" if small motions grow exponentially; otherwise "undecided".
+    residual : float
+        Largest component of J(x) grad H(x).
+    """
+
+    x: Floats
+    energy: float
+    frequencies: Floats
+    growth: float
+    stability: str
+    residual: float
+
+
+@ignore_overflow
+def equilibrium(system: Any, x0: ArrayLike, relax: str = "down") -> Equilibrium:
+    """Return an equilibrium on the coadjoint orbit of a state, with its frequencies and its stability.
+
+    Choose it for ground states and textures of spins, steady rotations, and the stability of any steady motion. The
+    double-bracket flow lowers the energy on the orbit, so that every Casimir keeps its value, until Newton's method on
+    the orbit converges. If x0 is an equilibrium already, it is returned, also if it is a saddle.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem
+        On any algebra, with a Hamiltonian that has second derivatives and does not depend on time; at most a few
+        thousand coordinates.
+    x0 : array_like, shape (n,)
+        The initial state. It selects the orbit, and of several equilibria the one that is found.
+    relax : {"down", "up", "none"}
+        Lower or raise the energy; "none" starts Newton's method at once, for saddles near x0.
+
+    Returns
+    -------
+    Equilibrium
+
+    Raises
+    ------
+    ValueError
+        The orbit of x0 has a lower dimension than those around it (on such orbits the energy does not decide about
+        stability), or the energy has no minimum on it.
+    TypeError
+        The system has forces, a nonlinear bracket or matrices as states, or its Hamiltonian depends on time or has no
+        second derivatives.
+    RuntimeError
+        No equilibrium was found from x0.
+
+    Notes
+    -----
+    The energy-Casimir method, restricted to the tangent space of the orbit: there the second variation of H plus a
+    function of the Casimirs is that of H along ``exp(D_v) x``. Definiteness on an orbit of maximal dimension implies
+    nonlinear stability. Zero eigenvalues, such as those of a symmetry that x breaks, leave it undecided.
+
+    References
+    ----------
+    D. D. Holm, J. E. Marsden, T. Ratiu, A. Weinstein, Nonlinear stability of fluid and plasma equilibria, Physics
+    Reports 123 (1985); R. W. Brockett, Dynamical systems that sort lists, Linear Algebra Appl. 146 (1991).
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> found = co.equilibrium(body, (0.1, 0.2, 2.0))
+    >>> found.stability, found.x.round(12).tolist()
+    ('stable', [0.0, 0.0, 2.01246117975])
+    >>> co.equilibrium(body, (0, 1, 0)).stability
+    'unstable'
+    """
+    start = _validated(system, x0)
+    direction = DIRECTIONS[read_choice(relax, "relax", tuple(DIRECTIONS))]
+    orbit = Orbit(system)
+    x = _critical_point(system, orbit, start, direction)
+    tangents = tangents_of(system, x)
+    linearized = np.asarray(system.jacobian(x), dtype=np.float64)
+    eigenvalues = np.linalg.eigvals(tangents.basis.T @ linearized @ tangents.basis)
+    largest = float(np.max(np.abs(eigenvalues)))
+    growth = float(np.max(eigenvalues.real))
+    growth = growth if growth > GROWTH * largest else 0.0
+    frequencies = np.sort(np.abs(eigenvalues.imag))[::2]
+    stability = "unstable" if growth else "undecided"
+    if not growth and _is_definite(system, orbit, x, tangents):
+        stability = "stable"
+    residual = float(np.max(np.abs(system.vector_field(x))))
+    return Equilibrium(x, float(system.energy(x)), frequencies, growth, stability, residual)
+
+
+def _validated(system: Any, x0: ArrayLike) -> Floats:
+    if forces_of(system):
+        raise TypeError(f"{system.name} has forces; equilibrium takes the Hamiltonian part, system.system")
+    if not has_structure_constants(system) or not hasattr(system.algebra, "generic_rank"):
+        raise TypeError(f"{system.name} has no structure constants; equilibrium needs a LiePoissonSystem")
+    x = read_finite(x0, "x0")
+    if x.shape != (system.dim,):
+        raise ValueError(f"x0 has shape {x.shape}; {system.name} needs ({system.dim},)")
+    check_available_memory(64 * system.dim**2, f"the linearization of {system.name}, of dimension {system.dim},")
+    if system.hamiltonian.timed:
+        raise TypeError(f"the Hamiltonian of {system.name} depends on time, so that it has no equilibria")
+    system.hamiltonian.hessian(x, 0.0)  # raises TypeError without second derivatives
+    rank, generic = tangents_of(system, x).basis.shape[1], system.algebra.generic_rank()
+    if rank < generic:
+        raise ValueError(
+            f"x0 lies on a singular coadjoint orbit, of dimension {rank}; those around it have dimension {generic}, "
+            "and energy on the orbit does not decide about stability; move x0, or take the subalgebra or quotient in "
+            "which it is regular"
+        )
+    if generic == 0:
+        raise ValueError(f"the coadjoint orbits of {system.name} are points, and every state is an equilibrium")
+    return np.asarray(x, dtype=np.float64)
+
+
+def _critical_point(system: Any, orbit: Orbit, x: Floats, direction: float) -> Floats:
+    """Relax by steps of the double-bracket flow, then by Newton's method; a direction of zero is Newton's alone."""
+    length, last, reference, scale = 0.0, np.inf, _sizes(orbit, x), _field_scale(system, orbit, x)
+    for count in range(MAX_DESCENTS + MAX_NEWTON):
+        gradient = np.asarray(system.hamiltonian.gradient(x, 0.0), dtype=np.float64)
+        field = orbit.product(x, gradient)
+        residual = float(np.max(np.abs(field)))
+        stagnant = residual >= 0.5 * last and residual <= STAGNANT * scale
+        if residual <= ROUNDS * UNIT_ROUNDOFF * scale or stagnant:
+            return x
+        if direction and count < MAX_DESCENTS and residual > NEWTON_FROM * scale:
+            length = min(2.0 * length or np.inf, MAX_ANGLE / orbit.norm(field))
+            slope = float(field @ field)
+            x, length = _searched(system, orbit, x, direction * field, length, slope, direction)
+        else:
+            last = residual
+            x = _newton_step(system, orbit, x, field, direction)
+        _check_bounded(system, reference, _sizes(orbit, x), direction)
+    raise RuntimeError(
+        f"no equilibrium of {system.name} was found from x0: the residual is {residual:.1e} after "
+        f"{MAX_DESCENTS + MAX_NEWTON} iterations; start nearer to one"
+    )
+
+
+def _field_scale(system: Any, orbit: Orbit, x: Floats) -> float:
+    """Return the size of the terms of J(x) grad H(x), which cancel at an equilibrium."""
+    hessian = np.abs(np.asarray(system.hamiltonian.hessian(x, 0.0), dtype=np.float64))
+    gradient = np.abs(np.asarray(system.hamiltonian.gradient(x, 0.0), dtype=np.float64))
+    return float(np.max(np.abs(x))) * orbit.norm(gradient + hessian @ np.abs(x))
+
+
+def _sizes(orbit: Orbit, x: Floats) -> tuple[float, float]:
+    """Return the sizes of x and of J(x)."""
+    return float(np.max(np.abs(x))), float(np.max(orbit.absolute_product(x, np.ones(orbit.dim))))
+
+
+def _check_bounded(system: Any, first: tuple[float, float], now: tuple[float, float], direction: float) -> None:
+    grown, shrunk = not now[0] < UNBOUNDED * first[0], now[1] * UNBOUNDED < first[1]
+    if grown or shrunk:
+        extremum = {1.0: "minimum", -1.0: "maximum", 0.0: "equilibrium near x0"}[direction]
+        raise ValueError(
+            f"the energy of {system.name} has no {extremum} on the orbit of x0: the state "
+            f"{'grows without bound' if grown else 'approaches a singular orbit'}; take another value of relax, or x0"
+        )
+
+
+def _searched(
+    system: Any, orbit: Orbit, x: Floats, v: Floats, length: float, slope: float, sign: float
+) -> tuple[Floats, float]:
+    """Return exp(D_(length v)) x with a length that lowers `sign` H, halved until it does; `slope` is its decrease."""
+    energy = sign * float(system.energy(x))
+    while True:
+        moved = orbit.moved(x, length * v)
+        change = sign * float(system.energy(moved)) - energy
+        if change <= -ARMIJO * length * slope or length * slope <= ROUNDS * UNIT_ROUNDOFF * (1.0 + abs(energy)):
+            return moved, length
+        length *= 0.5
+
+
+def _newton_step(system: Any, orbit: Orbit, x: Floats, field: Floats, direction: float) -> Floats:
+    """Return a Newton step; in a descent, eigenvalues of the other sign are reversed, and the energy must decrease."""
+    tangents = tangents_of(system, x)
+    values, vectors = np.linalg.eigh(second_variation(system, x, system.hamiltonian, tangents))
+    if direction:
+        values = direction * np.abs(values)
+    zero = np.abs(values) <= SINGULAR * np.max(np.abs(values), initial=0.0)
+    gradient = vectors.T @ (tangents.basis.T @ field)
+    components = np.where(zero, 0.0, gradient / np.where(zero, 1.0, values))
+    v = tangents.basis @ (vectors @ components)
+    size = orbit.norm(v)
+    length = min(1.0, MAX_ANGLE / size) if size > 0.0 else 1.0
+    if not direction:
+        return orbit.moved(x, length * v)
+    return _searched(system, orbit, x, v, length, float(direction * (gradient @ components)), direction)[0]
+
+
+def _is_definite(system: Any, orbit: Orbit, x: Floats, tangents: Tangents) -> bool:
+    """Return whether the second variation of H plus multiples of the critical integrals is definite."""
+    variations = [second_variation(system, x, system.hamiltonian, tangents)]
+    for integral in system.integrals.values():
+        u = np.asarray(integral.gradient(x), dtype=np.float64)
+        field = orbit.product(x, u)
+        flat = np.max(np.abs(field)) <= np.sqrt(UNIT_ROUNDOFF) * np.max(orbit.absolute_product(x, u), initial=0.0)
+        if flat and hasattr(integral, "hessian"):
+            variations.append(second_variation(system, x, _Integral(integral), tangents))
+    sizes = [float(np.max(np.abs(variation))) for variation in variations]
+    used = [variation / size for variation, size in zip(variations, sizes, strict=True) if size > 0.0]
+    if not sizes[0]:
+        return False
+
+    return any(_has_positive_sum([sign * used[0], *used[1:]]) for sign in (1.0, -1.0))
+
+
+def _has_positive_sum(matrices: list[Floats]) -> bool:
+    """Return whether a search finds a positive definite sum of the first matrix and multiples of the others.
+
+    The smallest eigenvalue is a concave function of the multipliers.
+    """
+    from scipy.optimize import minimize
+
+    def total(multipliers: Any) -> Floats:
+        shifts = (m * matrix for m, matrix in zip(multipliers, matrices[1:], strict=True))
+        return np.asarray(sum(shifts, start=matrices[0]))
+
+    def height(multipliers: Any) -> float:
+        return -float(np.linalg.eigvalsh(total(multipliers))[0])
+
+    multipliers = np.zeros(len(matrices) - 1)
+    if len(matrices) > 1 and height(multipliers) >= -ZERO:
+        options: Any = {"maxfev": MAX_SHIFTS * (len(matrices) - 1), "xatol": ZERO, "fatol": ZERO}
+        multipliers = minimize(height, multipliers, method="Nelder-Mead", options=options).x
+    return bool(-height(multipliers) > ZERO * np.max(np.abs(total(multipliers))))
+
+
+class _Integral:
+    """An integral with the signatures of a Hamiltonian."""
+
+    def __init__(self, integral: Any) -> None:
+        self._integral = integral
+
+    def gradient(self, x: Floats, t: float) -> Any:
+        return self._integral.gradient(x)
+
+    def hessian(self, x: Floats, t: float) -> Any:
+        return self._integral.hessian(x)

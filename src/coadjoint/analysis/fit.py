@@ -1,0 +1,285 @@
+"""Fits of initial states, initial attitudes and parameters to measured trajectories, by least squares."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import IntegrationError, unknown_name
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
+from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.results.solution import Solution
+from coadjoint.short_repr import short
+from coadjoint.validation import are_finite, read_integer, read_numbers
+
+Floats = NDArray[np.float64]
+OUTPUTS = ("x", "attitude")
+FIRST_STEP = 1000.0
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit:
+    """The result of `fit`.
+
+    Parameters
+    ----------
+    values : dict
+        The fitted "x0", "attitude0" and parameters by name, each complete.
+    unknowns : tuple of (str, int)
+        The name and the number of each unknown, in the order of `covariance`. Those of "attitude0" are coordinates xi
+        of the algebra: the attitude is ``exp(xi) attitude0``, for a body a rotation about axes in space.
+    covariance : ndarray, shape (p, p)
+        Of the unknowns, for measurements with independent normal errors of the given `sigma`.
+    residuals : ndarray
+        Measured minus fitted values, divided by their standard deviations.
+    solution : Solution
+        The fitted run.
+    """
+
+    values: dict[str, Floats]
+    unknowns: tuple[tuple[str, int], ...]
+    covariance: Floats
+    residuals: Floats
+    solution: Solution
+
+    def standard_deviation(self, name: str) -> Floats:
+        """Return the standard deviations of the unknowns of a name."""
+        chosen = [k for k, (of, _) in enumerate(self.unknowns) if of == name]
+        if not chosen:
+            raise unknown_name("unknown of this fit", name, dict.fromkeys(of for of, _ in self.unknowns))
+        return np.sqrt(np.diag(self.covariance)[chosen])
+
+    def __repr__(self) -> str:
+        names = ", ".join(dict.fromkeys(name for name, _ in self.unknowns))
+        total = float(np.sum(self.residuals**2))
+        return f"<fit of {names}: {len(self.unknowns)} unknowns, sum of squares of the residuals {total:.4g}>"
+
+
+def fit(
+    ready: PreparedRun,
+    x0: Any,
+    t_span: tuple[float, float],
+    measured: Mapping[str, Any],
+    unknown: Mapping[str, Any],
+    save_every: int = 1,
+    *,
+    sigma: Mapping[str, Any],
+    t_eval: Any = None,
+    attitude: Any = None,
+) -> Fit:
+    """Fit the initial state, the initial attitude and parameters of a run to measurements, by least squares.
+
+    The Jacobian is exact, by `PreparedRun.jvp`; the minimum is found by ``scipy.optimize.least_squares``. For other
+    residuals or robust losses call that function with `jvp`; for many parameters use gradients by `PreparedRun.vjp`.
+
+    Parameters
+    ----------
+    ready : PreparedRun
+        The run, prepared with a step, for guessed parameters. It must have an attitude if attitudes are measured.
+    x0, attitude
+        Guesses of the initial state, shape (n,), and of the initial attitude, as in `PreparedRun.run`.
+    t_span, save_every, t_eval
+        As in `PreparedRun.run`; the measurements are those of the saved times.
+    measured : mapping
+        "x" of shape (k, n), "attitude" of shape (k, d, d), or both.
+    unknown : mapping
+        The names to fit, "x0", "attitude0" or names of ``ready.parameters``: True for all entries, or the numbers of
+        the unknown ones (of an array of several axes, in C order).
+    sigma : mapping
+        Standard deviations of the measured values by name: a number, or an array that broadcasts to their shape. Of
+        attitudes, for rotations, it is that of each component of the rotation vector of the error, in radians.
+
+    Returns
+    -------
+    Fit
+        With `values` by name, `covariance` of the `unknowns`, `standard_deviation` of a name, `residuals` and the
+        `solution` at the minimum.
+
+    Raises
+    ------
+    ValueError
+        For unknown names and wrong shapes, for measurements that do not determine the unknowns, or if the minimum is
+        not found.
+    TypeError
+        For runs without derivatives, ensembles, or values that are not numbers.
+
+    Notes
+    -----
+    The residuals of attitudes are the entries of ``attitude - measured``, divided by ``sqrt(2) sigma``. If an attitude
+    is multiplied by a small rotation, the sum of their squares is that of the rotation vector divided by sigma. So the
+    sum over a run has a chi-squared distribution of three degrees of freedom for each attitude, and n for each state,
+    less the number of unknowns.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1.0, 2.0, 2.5))
+    >>> x0 = (1.0, 0.2, 0.5)
+    >>> measured = {"x": co.integrate(body, x0, (0, 10), 0.05, co.Splitting(order=4)).x}
+    >>> guess = co.prepare(co.systems.rigid_body(inertia=(1.1, 2.0, 2.4)), co.Splitting(order=4), step=0.05)
+    >>> found = co.fit(guess, x0, (0, 10), measured, {"inertia": (0, 2)}, sigma={"x": 0.01})
+    >>> found.values["inertia"].round(8).tolist()
+    [1.0, 2.0, 2.5]
+    """
+    from scipy.optimize import least_squares
+
+    problem = _Problem.of(ready, x0, attitude, ParametrizedRun(ready, t_span, save_every, t_eval, "co.fit"), unknown)
+    weights = _weights(measured, sigma, problem.outputs())
+    targets = {name: read_numbers(measured[name], f"measured {name}") for name in weights}
+
+    def residuals_of(outputs: Mapping[str, Floats]) -> Floats:
+        return np.concatenate([(weights[name] * (outputs[name] - targets[name])).ravel() for name in weights])
+
+    def residuals(z: Floats) -> Floats:
+        try:
+            return residuals_of(problem.outputs(z))
+        except (IntegrationError, ValueError):
+            if not z.any():
+                raise
+            return np.full(sum(target.size for target in targets.values()), np.inf)  # the trial step is shortened
+
+    def jacobian(z: Floats) -> Floats:
+        tangents = problem.tangents(z)
+        columns = [(weights[name] * tangents[name]).reshape(len(z), -1) for name in weights]
+        return np.concatenate(columns, axis=1).T
+
+    start = np.zeros(len(problem.unknowns))
+    first = jacobian(start)
+    _check_determined(first, problem.unknowns)
+    # The first step may change each unknown by this many standard deviations.
+    scale = FIRST_STEP / np.linalg.norm(first, axis=0)
+    end = least_squares(residuals, start, jacobian, x_scale=scale, xtol=1e-12, ftol=1e-10, gtol=1e-12)
+    if end.status <= 0:
+        raise ValueError(f"the minimum was not found in {end.nfev} evaluations; give closer guesses")
+    # At a guess moved to the minimum, coordinates of the attitude are those of a small rotation.
+    moved = problem.moved(end.x)
+    problem = problem._replace(values=moved)
+    J = jacobian(np.zeros(len(start)))
+    _check_determined(J, problem.unknowns)
+    scale = np.linalg.norm(J, axis=0)
+    _, values, vectors = np.linalg.svd(J / scale, full_matrices=False)
+    root = vectors.T / values / scale[:, None]
+    parameters = {name: value for name, value in moved.items() if name not in ("x0", "attitude0")}
+    run = problem.run.prepared_at(parameters)
+    solution = run.run(moved["x0"], t_span, save_every, t_eval=t_eval, attitude=moved.get("attitude0"))
+    return Fit(moved, problem.unknowns, root @ root.T, -residuals_of(problem.outputs()), solution)
+
+
+class _Problem(NamedTuple):
+    """A run with unknown entries of its values, as a function of their changes z."""
+
+    run: ParametrizedRun
+    values: dict[str, Floats]
+    chosen: dict[str, NDArray[np.int64]]
+    generators: Floats
+    unknowns: tuple[tuple[str, int], ...]
+
+    @classmethod
+    def of(cls, ready: PreparedRun, x0: Any, attitude: Any, run: ParametrizedRun, unknown: Any) -> _Problem:
+        """Validate the guesses and the names of the unknowns."""
+        state = read_numbers(x0, "x0")
+        if state.shape != (ready.system.dim,):
+            raise ValueError(f"x0 has the shape {state.shape}; co.fit takes one run, with x0 of ({ready.system.dim},)")
+        if not isinstance(unknown, Mapping) or not unknown:
+            raise TypeError(f"unknown is {short(unknown)}; give a mapping from names to True or numbers of entries")
+        values: dict[str, Floats] = {"x0": state, **ready.parameters}
+        generators = np.zeros((0, 0, 0))
+        if ready.representation is not None:
+            initial = ready.initial_attitude if attitude is None else attitude
+            side = run.output_shapes(state.shape)[1][-1]
+            values["attitude0"] = np.eye(side) if isinstance(initial, bool | str) else read_numbers(initial, "attitude")
+            if not isinstance(ready.representation, str):
+                generators = ready.representation
+        chosen: dict[str, NDArray[np.int64]] = {}
+        for name, entries in unknown.items():
+            if name not in values:
+                raise unknown_name("unknown of this run", name, values)
+            if name == "attitude0" and not len(generators):
+                raise TypeError("attitude0 cannot be fitted in this representation; give matrices of the basis")
+            count = len(generators) if name == "attitude0" else values[name].size
+            numbers = range(count) if entries is True else np.atleast_1d(entries).tolist()
+            what = f"a number of an unknown entry of {name}"
+            chosen[name] = np.array([read_integer(k, what, 0, count - 1) for k in numbers], dtype=np.int64)
+        unknowns = tuple((name, int(k)) for name, numbers in chosen.items() for k in numbers)
+        return cls(run, values, chosen, generators, unknowns)
+
+    def moved(self, z: Floats) -> dict[str, Floats]:
+        """Return all values after the changes z of the unknowns."""
+        from scipy.linalg import expm
+
+        values, first = dict(self.values), 0
+        for name, numbers in self.chosen.items():
+            change = z[first : first + len(numbers)]
+            first += len(numbers)
+            if name == "attitude0":
+                rotation = expm(np.tensordot(change, self.generators[numbers], 1))
+                values[name] = rotation @ values[name] if change.any() else values[name]
+            else:
+                values[name] = values[name].copy()
+                values[name].ravel()[numbers] += change
+        return values
+
+    def outputs(self, z: Floats | None = None) -> dict[str, Floats]:
+        """Return states and attitudes at the saved times."""
+        values = self.values if z is None else self.moved(z)
+        return dict(zip(OUTPUTS, self.run.solve(values, False), strict=False))
+
+    def tangents(self, z: Floats) -> dict[str, Floats]:
+        """Return their derivatives by z, with a first axis of unknowns."""
+        from scipy.linalg import expm_frechet
+
+        moved, directions, first = self.moved(z), {}, 0
+        for name, numbers in self.chosen.items():
+            direction = np.zeros((len(z), *moved[name].shape))
+            if name == "attitude0":
+                basis = self.generators[numbers]
+                exponent = np.tensordot(z[first : first + len(numbers)], basis, 1)
+                for k, matrix in enumerate(basis):
+                    direction[first + k] = expm_frechet(exponent, matrix, compute_expm=False) @ self.values[name]
+            else:
+                direction.reshape(len(z), -1)[np.arange(first, first + len(numbers)), numbers] = 1.0
+            first += len(numbers)
+            directions[name] = direction
+        return dict(zip(OUTPUTS, self.run.tangents(moved, directions), strict=False))
+
+
+def _weights(measured: Any, sigma: Any, outputs: Mapping[str, Floats]) -> dict[str, Floats]:
+    """Return the factors of the residuals; raise an error for measurements that do not match the run."""
+    if not isinstance(measured, Mapping) or not measured or not isinstance(sigma, Mapping):
+        raise TypeError('measured and sigma must be mappings from "x" or "attitude" to numbers')
+    weights = {}
+    for name, value in measured.items():
+        if name not in outputs:
+            raise unknown_name("measured value of this run", name, outputs)
+        array, shape = read_numbers(value, f"measured {name}"), outputs[name].shape
+        if array.shape != shape or not are_finite(array):
+            raise ValueError(f"measured {name} has the shape {array.shape}; it must be {shape}, of finite numbers")
+        if name not in sigma:
+            raise ValueError(f"sigma has no standard deviation of {name}; give one")
+        deviation = read_numbers(sigma[name], f"sigma of {name}")
+        if not (are_finite(deviation) and np.all(deviation > 0)):
+            raise ValueError(f"sigma of {name} is {short(sigma[name])}; give positive numbers")
+        try:
+            weights[name] = np.broadcast_to(1.0 / deviation, shape) / (np.sqrt(2.0) if name == "attitude" else 1.0)
+        except ValueError:
+            raise ValueError(f"sigma of {name} has the shape {deviation.shape}; it must broadcast to {shape}") from None
+    return weights
+
+
+def _check_determined(J: Floats, unknowns: tuple[tuple[str, int], ...]) -> None:
+    """Raise ValueError if the Jacobian has a direction without influence on the measurements."""
+    if len(J) < len(unknowns):
+        raise ValueError(f"{len(J)} numbers were measured for {len(unknowns)} unknowns; measure more")
+    scale = np.linalg.norm(J, axis=0)
+    _, values, vectors = np.linalg.svd(J / np.where(scale > 0, scale, 1.0), full_matrices=False)
+    if values[-1] <= 16 * max(J.shape) * UNIT_ROUNDOFF * values[0] or not scale.all():
+        direction = np.abs(vectors[-1] / np.where(scale > 0, scale, 1.0))
+        involved = dict.fromkeys(unknowns[k][0] for k in np.flatnonzero(direction > 1e-3 * direction.max()))
+        raise ValueError(
+            f"the measurements do not determine all unknown entries of {' and '.join(involved)}; fit fewer of them"
+        )

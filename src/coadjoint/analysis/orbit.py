@@ -1,0 +1,79 @@
+"""Coadjoint orbits near a state: motion along the orbit, its tangent space, and the second variation of the energy."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.systems.evaluation import scatter
+
+Floats = NDArray[np.float64]
+
+RANK_TOLERANCE = 1e-10  # singular values of J(x) below this, relative to the largest, are zero
+MAX_DEGREE = 40  # of the series of an exponential, whose substeps have norms of at most one
+NEGLIGIBLE = 2.0**-60
+
+
+class Orbit:
+    """Motion along the coadjoint orbits of a system, by its sparse structure constants."""
+
+    def __init__(self, system: Any) -> None:
+        i, j, k, c = system.algebra.triples
+        self.dim, self.sign = system.dim, float(system.sign)
+        self._rows, self._factors, self._states = np.concatenate([i, j]), np.concatenate([j, i]), np.concatenate([k, k])
+        self._constants = self.sign * np.concatenate([c, -c]).astype(np.float64)
+
+    def product(self, x: Floats, v: Floats) -> Floats:
+        """Return D_v x = sign J(x) v."""
+        return np.asarray(scatter(self._rows, self._constants * x[self._states] * v[self._factors], self.dim))
+
+    def absolute_product(self, x: Floats, v: Floats) -> Floats:
+        """Return the sums of the absolute terms of `product`, the scale of its round-off."""
+        terms = np.abs(self._constants * x[self._states] * v[self._factors])
+        return np.asarray(scatter(self._rows, terms, self.dim))
+
+    def norm(self, v: Floats) -> float:
+        """Return the largest row sum of the absolute entries of D_v."""
+        return float(np.max(scatter(self._rows, np.abs(self._constants * v[self._factors]), self.dim), initial=0.0))
+
+    def moved(self, x: Floats, v: Floats) -> Floats:
+        """Return exp(D_v) x, on the orbit of x."""
+        substeps = max(1, int(np.ceil(self.norm(v))))
+        for _ in range(substeps):
+            term, change = x, np.zeros_like(x)
+            for degree in range(1, MAX_DEGREE):
+                term = self.product(term, v) / (degree * substeps)
+                change = change + term
+                if np.max(np.abs(term), initial=0.0) <= NEGLIGIBLE * np.max(np.abs(x), initial=0.0):
+                    break
+            x = x + change
+        return x
+
+
+class Tangents(NamedTuple):
+    """The tangent space of an orbit: P = sign J(x), an orthonormal basis (n, r), and P in it with its inverse."""
+
+    P: Floats
+    basis: Floats
+    inverse: Floats
+
+
+def tangents_of(system: Any, x: Floats) -> Tangents:
+    """Return the tangent space of the orbit of x, from a singular value decomposition of J(x)."""
+    P = system.sign * np.asarray(system.structure_matrix(x), dtype=np.float64)
+    left, sizes, _ = np.linalg.svd(P)
+    basis = left[:, sizes > RANK_TOLERANCE * sizes[0]] if sizes[0] > 0.0 else left[:, :0]
+    return Tangents(P, basis, np.linalg.inv(basis.T @ P @ basis))
+
+
+def second_variation(system: Any, x: Floats, function: Any, tangents: Tangents) -> Floats:
+    """Return the second derivatives of F(exp(D_v) x) by v, at v = 0, in the basis of the tangent space."""
+    P, U, _ = tangents
+    u = np.asarray(function.gradient(x, 0.0), dtype=np.float64)
+    hessian = np.asarray(function.hessian(x, 0.0), dtype=np.float64)
+    D = system.sign * np.asarray(system.algebra.coadjoint(u), dtype=np.float64)
+    PU = P @ U
+    Q = PU.T @ hessian @ PU - U.T @ D @ PU
+    return np.asarray(0.5 * (Q + Q.T))

@@ -1,0 +1,123 @@
+"""Derivatives of the times and states of crossings, and of runs that they end, against differences of whole runs."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.parameters import with_parameters
+
+WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
+# So small that no crossing appears or moves over a saved point.
+DISTANCE = 2.0**-12
+# Rounding of the crossings over the distance, and of differences along a step for their rates.
+DIFFERENCE_ERROR = 2.0**10 * UNIT_ROUNDOFF / DISTANCE
+H = 0.1
+
+BODY = co.systems.rigid_body(inertia=(1.0, 2.0, 2.5))
+TOP = co.systems.heavy_top(inertia=(1.0, 2.0, 2.5), lever=(0.1, 0.2, 1.0))
+X = np.array([1.0, 0.2, 0.5])
+PAIR = np.array([X, [0.5, 0.3, 0.9]])
+X6 = np.array([0.3, 1.0, 0.2, 0.1, 0.4, 0.9])
+END = co.Event("x2", terminal=True)
+BATCH = co.batch([BODY, co.systems.rigid_body(inertia=(1.0, 2.0, 2.7))])
+
+
+def moving(x, t):
+    return x[1] * x[2] - 0.1 * t
+
+
+CASES = {
+    "forward": (BODY, co.Splitting(order=4), X, (0.5, 20.5), {"events": END, "save_every": 3}, False),
+    "backward": (BODY, co.Splitting(), X, (0.5, -19.5), {"events": END, "t_eval": [0.43, -0.2, -1.5, -8.0]}, False),
+    "attitude": (BODY, co.Splitting(order=4), X, (0.5, 20.5), {"events": END}, True),
+    "moving": (
+        BODY,
+        co.GaussLegendre(2),
+        X,
+        (0.5, 20.5),
+        {"events": [co.Event(moving), co.Event("x2", count=2, terminal=True)], "save_every": 7},
+        False,
+    ),
+    "polynomial": (
+        BODY,
+        co.Splitting(order=4),
+        X,
+        (0.5, 5.5),
+        {"events": co.Event(co.Polynomial({(0, 1, 1): 1.0, (1, 0, 0): -0.03}))},
+        False,
+    ),
+    "stepwise": (TOP, co.Taylor(order=8), X6, (0.0, 2.0), {"events": co.Event(2)}, False),
+    "ensemble": (BODY, co.Splitting(order=4), PAIR, (0.5, 20.5), {"events": END, "save_every": 3}, False),
+    "batch": (BATCH, co.Splitting(order=4), PAIR, (0.5, 20.5), {"events": END, "save_every": 3}, True),
+    "none": (BODY, co.Splitting(), X, (0.0, 0.1), {"events": END}, False),
+}
+
+
+def moved(system, values):
+    if not isinstance(system, type(BATCH)):
+        return with_parameters(system, values)
+    return co.batch([with_parameters(s, {k: v[m] for k, v in values.items()}) for m, s in enumerate(system)])
+
+
+def outputs(result):
+    found = {name: getattr(result, name) for name in ("x", "energy", "attitude")}
+    events = result.events if isinstance(result.events, dict) else {k: getattr(result.events, k) for k in ("t", "x")}
+    return {name: one for name, one in found.items() if one is not None}, events
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_derivatives_of_crossings_are_those_of_runs(name):
+    system, method, x0, span, options, attitude = CASES[name]
+    rng, ready = np.random.default_rng(5), co.prepare(system, method, H, attitude=attitude)
+    plain = ready.run(x0, span, **options)
+    sol, pullback = ready.vjp(x0, span, **options)
+    assert np.array_equal(sol.t, plain.t) and np.array_equal(sol.x, plain.x, equal_nan=True)
+    series, events = outputs(sol)
+    assert (len(events["t"]) > 0) == (name != "none")
+    # Members of ensembles that have ended are NaN.
+    weights = {k: np.where(np.isfinite(one), rng.standard_normal(one.shape), 0.0) for k, one in series.items()}
+    of_events = {k: rng.standard_normal(one.shape) for k, one in events.items()}
+    gradient = pullback(**weights, events=of_events)
+    directions = {"x0": rng.standard_normal(x0.shape)}
+    directions |= {k: rng.standard_normal(v.shape) for k, v in ready.parameters.items()}
+    _, tangents = ready.jvp(x0, span, directions, **options)
+    assert tangents.x.shape == sol.x.shape and tangents.events["x"].shape == sol.events.x.shape
+
+    def functional(result):
+        series, events = outputs(result)
+        total = sum(np.sum(one[weights[k] != 0.0] * weights[k][weights[k] != 0.0]) for k, one in series.items())
+        return total + sum(np.sum(one * of_events[k]) for k, one in events.items())
+
+    def after(by):
+        values = {k: v + by * directions[k] for k, v in ready.parameters.items()}
+        other = co.prepare(moved(system, values), method, H, attitude=attitude)
+        return functional(other.run(x0 + by * directions["x0"], span, **options))
+
+    differences = sum(w * (after(k * DISTANCE) - after(-k * DISTANCE)) / DISTANCE for k, w in enumerate(WEIGHTS, 1))
+    backward = sum(np.sum(gradient[k] * direction) for k, direction in directions.items())
+    size = sum(np.sum(np.abs(gradient[k] * direction)) for k, direction in directions.items())
+    assert abs(backward - functional(tangents)) <= 2.0**12 * UNIT_ROUNDOFF * size
+    assert abs(backward - differences) <= DIFFERENCE_ERROR * size
+
+
+def test_the_time_of_a_crossing_follows_the_closed_form():
+    """A body that spins about a symmetry axis with the rate w crosses x1 = 0 at a quarter turn, pi / (2 w)."""
+    body = co.systems.rigid_body(inertia=(1.0, 1.0, 2.0))
+    ready = co.prepare(body, co.Splitting(order=8), 0.05)
+    # x1 + i x2 turns with the rate x3 (1/I3 - 1/I1) = -x3/2.
+    sol, tangents = ready.jvp([1.0, 0.0, 1.0], (0.0, 5.0), {"x0": np.eye(3)}, events=co.Event("x1"))
+    np.testing.assert_allclose(sol.events.t, [np.pi], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(np.abs(tangents.events["t"]), [[0.0, 2.0, np.pi]], rtol=0, atol=1e-11)
+
+
+def test_events_of_a_pullback_without_them_are_refused():
+    ready = co.prepare(BODY, co.Splitting(), H)
+    _, pullback = ready.vjp(X, (0.0, 1.0))
+    with pytest.raises(ValueError, match="give events= to vjp"):
+        pullback(events={"t": []})
+    _, pullback = ready.vjp(X, (0.0, 20.0), events=END)
+    with pytest.raises(ValueError, match=r"t of events has the shape \(2,\)"):
+        pullback(events={"t": [1.0, 2.0]})
+    with pytest.raises(ValueError, match="unknown result of events 'time'"):
+        pullback(events={"time": [1.0]})
