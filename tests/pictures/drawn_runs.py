@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 import coadjoint as co
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import kinds
+from coadjoint.runs.results.drift import scales_of_invariants
 
 T0 = 7.3
 SENSES = [1.0, -1.0]
@@ -23,6 +24,7 @@ def made(t: np.ndarray, x: np.ndarray, system: Any = BODY, **series: Any) -> Any
     """Return the data of a run, of members if x is (k, members, n)."""
     failed = np.zeros(x.shape[1], dtype=bool) if x.ndim > 2 else None
     empty = {
+        "energy": np.zeros(x.shape[: x.ndim - 1]),
         "failed": failed,
         "casimirs": {},
         "work": {},
@@ -32,6 +34,13 @@ def made(t: np.ndarray, x: np.ndarray, system: Any = BODY, **series: Any) -> Any
         "attitude": None,
     }
     return SimpleNamespace(t=t, x=x, system=system, **{**empty, **series})
+
+
+def sizes_of(run: Any) -> dict[str, np.ndarray]:
+    """Return the sizes of the invariants at the first point, to which deviations are relative, by member."""
+    series = {"energy": run.energy, **run.casimirs}
+    sizes = scales_of_invariants(run.system, run.x[0], {name: values[0] for name, values in series.items()})
+    return {name: np.atleast_1d(size) for name, size in sizes.items()}
 
 
 def axes_of(run: Any, name: str, members: Any = None, **options: Any) -> Any:

@@ -191,9 +191,10 @@ def test_eigenvalues_and_relative_drift(ball):
     axes = shown(ball, "drift")
     assert axes.get_ylabel() == "relative deviation from start"
     lines = {line.get_label(): np.nanmax(line.get_ydata()) for line in axes.lines}
-    cube = np.abs(ball.casimirs["tr W^3"] - ball.casimirs["tr W^3"][0]).max() / np.sum(np.abs(spectrum) ** 3)
+    cube = np.abs(ball.casimirs["tr W^3"] - ball.casimirs["tr W^3"][0]).max()
+    cube /= ball.drift()["tr W^3"].scale
     assert lines[r"$\mathrm{tr}\,W^3$"] == pytest.approx(cube, rel=1e-6, abs=0.0) and 0.0 < cube < 1e-13
-    assert lines["$H$"] == pytest.approx(np.abs(ball.energy - ball.energy[0]).max() / np.abs(ball.energy).max())
+    assert lines["$H$"] == pytest.approx(np.abs(ball.energy / ball.energy[0] - 1).max())
 
 
 @pytest.mark.long
@@ -205,7 +206,7 @@ def test_a_run_is_drawn_in_pairs_of_low_pictures(ball):
     assert titles[1:] == ["energy by scale", first, last, "spectra of energy and enstrophy", "spectrum of $W$"]
     figure.draw_without_rendering()
     left = [axes.get_position().x0 for axes in panels]
-    assert left[0] == left[1] < left[2] < left[4] and left[4] == pytest.approx(left[5])
+    assert left[0] == left[1] < left[2] < left[4] and left[4] == pytest.approx(left[5], abs=0.05)
     assert panels[2].get_position().y0 > panels[3].get_position().y1
 
 

@@ -9,6 +9,7 @@ import drawn_runs
 import numpy as np
 import pytest
 from drawn_runs import BARE, BODY, SENSES, SPIN, T0, axes_of, data
+from matplotlib import colormaps
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
@@ -109,7 +110,7 @@ def test_components_functions_and_titles():
     alone = axes_of(run, "components", functions=lambda n: {"E": lambda x: n * x[..., 1]})
     for m, line in enumerate(alone.lines):
         np.testing.assert_array_equal(line.get_ydata(), 3.0 * x[:, m, 1])
-        assert line.get_color() == colour(m)
+        assert line.get_color() == colour(0), "all have the same energy"
     assert alone.get_ylabel() == "angular momentum $E$" and alone.get_legend() is None
     named = axes_of(run, "components", chosen=lambda n: [n - 1, 0])
     assert [line.get_ydata()[0] for line in named.lines] == [x[0, 0, 2], x[0, 1, 2], x[0, 0, 0], x[0, 1, 0]]
@@ -131,7 +132,7 @@ def test_portraits_have_a_dot_at_each_start_and_the_scales_asked_for():
         curve, dot = axes.lines[2 * place : 2 * place + 2]
         np.testing.assert_array_equal(data(curve), [2.0 * x[:, m, 1], x[:, m, 0]])
         np.testing.assert_array_equal(data(dot)[:, 0], [2.0 * x[0, m, 1], x[0, m, 0]])
-        assert curve.get_color() == dot.get_color() == colour(place)
+        assert curve.get_color() == dot.get_color() == colour(0)
     assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_aspect()) == ("a", "b", 1.0)
     assert axes.get_title() == "an orbit (dot: start)"
     free = axes_of(run, "phase portrait")
@@ -214,10 +215,12 @@ def test_points_of_a_sphere_that_are_not_joined_are_strong_in_front_and_faint_be
     points = np.random.default_rng(2).normal(size=(50, 3))
     points /= np.linalg.norm(points, axis=1)[:, None]
     before = len(axes.lines)
-    globe.path(points, "C0", joined=False, alpha=0.5)
+    globe.path(points, "C0", joined=False)
     near, far = axes.lines[before:]
-    for line, own, strength in ((near, points[:, 0] >= 0.0, 0.5), (far, points[:, 0] < 0.0, 0.14)):
-        np.testing.assert_allclose(data(line).T, points[own][:, 1:], atol=1e-15)
+    for line, own, strength in ((near, points[:, 0] >= 0.0, 1.0), (far, points[:, 0] < 0.0, 0.28)):
+        assert len(line.get_xdata()) == 50, "each point has its place, for movies"
+        np.testing.assert_allclose(data(line).T[own], points[own][:, 1:], atol=1e-15)
+        assert np.isnan(data(line).T[~own]).all()
         assert line.get_linestyle() == "None" and line.get_alpha() == pytest.approx(strength)
 
 
@@ -257,7 +260,7 @@ def test_axes_in_space_of_members_that_hang_down():
         np.testing.assert_allclose(axes.lines[2 * m].get_ydata(), wanted, rtol=0, atol=1e-6)
     path, _ = axis_in_space(PlottedRun(run), given, None)
     np.testing.assert_allclose(path, np.swapaxes(A @ given, 0, 1) / 5.0, rtol=0, atol=1e-15)
-    assert given.tolist() == [0.0, 3.0, 4.0] and axes.get_title() == "nutation of the axis of the body"
+    assert given.tolist() == [0.0, 3.0, 4.0] and axes.get_title() == "nutation of the axis of the body (dot: start)"
     for wrong in ((0.0, 0.0, 0.0), (1.0, 2.0)):
         with pytest.raises(ValueError, match="the number of an axis, or a direction"):
             axes_of(run, "nutation", axis=wrong)
@@ -275,8 +278,8 @@ def test_a_nutation_ends_for_each_member_where_it_has_turned_enough():
         np.testing.assert_allclose(axes.lines[2 * m].get_xdata()[: len(kept) - 1], kept[:-1], rtol=0, atol=1e-9)
         assert len(axes.lines[2 * m].get_xdata()) in (len(kept), len(kept) - 1)
         np.testing.assert_allclose(axes.lines[2 * m + 1].get_data(), [[0.0], [np.degrees(0.3)]], atol=1e-9)
-    assert axes.get_title() == "nutation of body axis 3, for the first 180 degrees"
-    assert axes_of(run, "nutation", [1]).get_title() == "nutation of body axis 3"
+    assert axes.get_title() == "nutation of body axis 3, for the first 180 degrees (dot: start)"
+    assert axes_of(run, "nutation", [1]).get_title() == "nutation of body axis 3 (dot: start)"
 
 
 def test_group_elements_that_are_no_rotations_have_no_axes():
@@ -307,7 +310,7 @@ def test_a_path_in_space_is_framed_with_its_strokes():
         np.testing.assert_array_equal(own[:, 0], place[at, m])
         np.testing.assert_allclose(own[:, 1] - own[:, 0], 0.09 * widest * g[at, m, :3, 1], rtol=0, atol=1e-12)
         np.testing.assert_array_equal(np.ravel(axes.lines[3 * m + 2].get_data_3d()), place[0, m])
-        assert axes.lines[3 * m].get_color() == colour(m)
+        assert axes.lines[3 * m].get_color() == colour(0)
     ends = np.concatenate([own[:, 1] for own in strokes])
     for i, (low, high) in enumerate((axes.get_xlim(), axes.get_ylim(), axes.get_zlim())):
         assert low < min(place[..., i].min(), ends[:, i].min()) and high > max(place[..., i].max(), ends[:, i].max())
@@ -333,7 +336,7 @@ def test_the_surface_is_that_of_the_first_member_drawn(members):
         path, dot = axes.lines[2 * place : 2 * place + 2]
         np.testing.assert_array_equal(np.array(path.get_data_3d()).T, x[:, m])
         np.testing.assert_array_equal(np.ravel(dot.get_data_3d()), x[0, m])
-        shade = colour(place)
+        shade = colour(0)
         assert path.get_color() == shade and dot.get_color() == (shade if len(members) > 1 else colour(1))
     several = "orbits, and the level surface of $|x|^2$ of the first"
     assert axes.get_title().startswith(several if len(members) > 1 else "orbit on the level surface of $|x|^2$")
@@ -455,14 +458,15 @@ def test_spins_from_the_side_are_named_and_none_is_cut_off():
     lattice = co.systems.spin_lattice("square", (2, 5))
     S = np.random.default_rng(5).normal(size=(4, 2, 30))
     axes = axes_of(made(S, lattice), "spins", [1], at=1.0, seen="side")
-    (arrows,) = axes.collections
+    arrows, dots = axes.collections
+    np.testing.assert_array_equal(dots.get_array(), arrows.get_array())
     own = S[3, 1].reshape(-1, 3)
     own = own / np.linalg.norm(own, axis=1).max()
     np.testing.assert_allclose(np.stack([arrows.U, arrows.get_array(), arrows.V], axis=-1), own)
-    assert axes.get_title() == f"spins at $t$ = {T0 + 0.03:g}: arrows $(S_1, S_3)$"
-    assert axes.figure.axes[-1].get_ylabel() == "$S_2$ over the largest $|S|$" and arrows.get_clim() == (-1.0, 1.0)
+    assert axes.get_title() == f"spins of member 1 at $t$ = {T0 + 0.03:g}: arrows $(S_1, S_3)$"
+    assert axes.child_axes[-1].get_ylabel() == "$S_2$ over the largest $|S|$" and arrows.get_clim() == (-1.0, 1.0)
     assert axes.get_xlim() == (-0.8, 1.8) and axes.get_ylim() == (-0.8, 4.8)
-    np.testing.assert_array_equal(data(axes.lines[0]).T, arrows.XY)
+    np.testing.assert_array_equal(dots.get_offsets(), arrows.XY)
 
 
 # Curves between saved points
@@ -551,9 +555,11 @@ def test_crossings_are_drawn_for_the_coordinates_that_vary_most():
     figure = draw_crossings(events)
     (axes,) = figure.axes
     assert (axes.get_xlabel(), axes.get_ylabel()) == (r"$m_{2}$", r"$\gamma_{2}$")
-    for line in axes.lines:
-        own = [i for i in range(30) if colour(int(events.member[i])) == line.get_color()]
+    shades = colormaps["viridis"]
+    for line, m in zip(axes.lines, np.unique(events.member), strict=True):
+        own = events.member == m
         np.testing.assert_array_equal(data(line), x[own][:, [1, 4]].T)
+        assert line.get_color() == shades(m / 10.0)
     assert sum(len(line.get_xdata()) for line in axes.lines) == 30
     assert axes.get_title() == "30 crossings of up, down"
 
@@ -573,12 +579,12 @@ def test_what_the_page_says_of_a_run():
     run = co.integrate(BODY, (0.1, 1.0, 0.2), (T0, T0 - 2.0), 0.1)
     text = _describe(run)
     assert text.startswith("rigid_body(inertia=(1.0, 2.0, 3.0)), ") and "step 0.1, t from 7.3 to 5.3;" in text
-    assert f"up to {np.abs(run.energy).max():.1e}, stays within {run.drift()['energy']:.1e}" in text
+    assert f"stays within {run.drift()['energy']:.1e} of its size {abs(run.energy[0]):.1e}" in text
 
 
 def test_the_page_has_the_size_of_negative_energies():
     run = co.integrate(SPIN, (1.0, 0.0, -0.5), (T0, T0 + 1.0), 0.1)
-    assert "the energy, up to 5.0e-01" in _describe(run)
+    assert "of its size 5.0e-01" in _describe(run)
 
 
 def test_modified_energies_of_long_runs_are_thinned_in_step():

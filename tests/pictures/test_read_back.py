@@ -19,6 +19,7 @@ from matplotlib.quiver import Quiver
 
 import coadjoint as co
 from coadjoint.pictures.globe import Globe
+from coadjoint.pictures.members import MemberColours
 from coadjoint.pictures.modified_energy import draw_modified_energy
 from coadjoint.pictures.phase_drift import draw_phase_drift
 from coadjoint.pictures.plot_data import PlottedRun
@@ -42,13 +43,14 @@ def bodies(sense: float = 1.0, count: int = 3, steps: int = 240) -> co.Solution:
     return co.integrate(co.batch(systems), starts, span, 0.0625, attitude=True, observe=observe)
 
 
-def curves(axes: Any, shade: str | None = None, least: int = 20) -> list[Any]:
+def curves(axes: Any, shade: Any | None = None, least: int = 20) -> list[Any]:
     """Return the lines of an axes with many points, of one colour."""
     found = [line for line in axes.lines if len(line.get_xdata()) >= least]
     return [line for line in found if shade is None or to_hex(line.get_color()) == to_hex(shade)]
 
 
 COMPARED = {
+    "body",
     "body axis", "coadjoint orbit", "components", "directions", "drift", "eigenvalues", "energy by scale", "error",
     "field spectra", "nutation", "observed", "path in space", "phase ellipse", "phase portrait", "section",
     "space-time", "spins", "vorticity", "field", "sphere field",
@@ -57,16 +59,17 @@ COMPARED = {
 
 def test_every_kind_of_picture_is_read_back():
     assert set(kinds()) == COMPARED
-    moving = {name for name, kind in kinds().items() if kind.moves}
-    assert moving == set(MOVING), "and every kind that a movie shows is read back at several times"
+    single = {name for name, kind in kinds().items() if kind.moves and kind.shows_one_time}
+    assert single == {*MOVING, "body"}, "and every kind that shows one time is read back at several times"
 
 
 @pytest.mark.parametrize("sense", SENSES)
 def test_each_member_has_its_own_curve_and_colour_over_time(sense):
     run = bodies(sense)
     axes = shown(run, Picture("components", chosen=[1]))
+    shades = MemberColours(PlottedRun(run))
     for m in range(3):
-        (line,) = curves(axes, colour(m))
+        (line,) = curves(axes, shades[m])
         np.testing.assert_array_equal(data(line), [run.t, run.x[:, m, 1]])
     assert axes.get_xlabel() == "time $t$" and "x_{2}" in axes.get_ylabel()
     several = shown(run, Picture("components", chosen=[2, 0]))
@@ -96,7 +99,7 @@ def test_members_that_are_chosen_are_those_that_are_shown():
             np.testing.assert_array_equal(line.get_ydata(), run.observed["sum"][:, m])
 
 
-def shown_on_globe(axes: Any, shade: str, view: tuple[float, float], path: np.ndarray) -> None:
+def shown_on_globe(axes: Any, shade: Any, view: tuple[float, float], path: np.ndarray) -> None:
     """Check a path on a sphere: each point on its side, near or far, and none left out."""
     around, above = np.radians(view)
     towards = np.array([np.cos(above) * np.cos(around), np.cos(above) * np.sin(around), np.sin(above)])
@@ -120,7 +123,7 @@ def test_axes_and_directions_of_each_member_are_where_they_point(sense):
     axes = shown(run, Picture("body axis", axis=0, up=[0, 1, 2], view=view))
     direction = shown(run, Picture("directions", vectors={"x": [0, 1, 2]}, view=view))
     marks = {line.get_label(): line for line in axes.lines if line.get_label() in ("start", "end")}
-    globe = Globe(Figure().add_subplot(), ("", "", ""), view)
+    globe, shades = Globe(Figure().add_subplot(), ("", "", ""), view), MemberColours(PlottedRun(run))
     for m in range(3):
         momentum = run.attitude[0, m] @ run.x[0, m]
         k = momentum / np.linalg.norm(momentum)
@@ -130,10 +133,10 @@ def test_axes_and_directions_of_each_member_are_where_they_point(sense):
         p = run.attitude[:, m, :, 0]
         path = p * np.cos(angle) + np.cross(axis, p) * np.sin(angle)
         path += np.outer(p @ axis, axis) * (1.0 - np.cos(angle))
-        shown_on_globe(axes, colour(m), view, path)
+        shown_on_globe(axes, shades[m], view, path)
         unit = run.x[:, m] / np.linalg.norm(run.x[:, m], axis=1)[:, None]
-        shown_on_globe(direction, colour(m), view, unit)
-        dot = [line for line in direction.lines if len(line.get_xdata()) == 1 and line.get_color() == colour(m)]
+        shown_on_globe(direction, shades[m], view, unit)
+        dot = [line for line in direction.lines if len(line.get_xdata()) == 1 and line.get_color() == shades[m]]
         np.testing.assert_allclose(data(dot[0])[:, 0], globe.project(unit[0])[0], atol=1e-12)
         if m == 0:
             for label, k in (("start", 0), ("end", -1)):
@@ -143,8 +146,9 @@ def test_axes_and_directions_of_each_member_are_where_they_point(sense):
 def test_portraits_on_a_circle_have_no_line_across_and_every_point():
     run = bodies(1.0, 3, 699)
     axes = shown(run, Picture("phase portrait", across=lambda x: 40.0 * np.arctan2(x[..., 0], x[..., 1]), cyclic=2.0))
+    shades = MemberColours(PlottedRun(run))
     for m in range(3):
-        (line,) = curves(axes, colour(m))
+        (line,) = curves(axes, shades[m])
         x, y = data(line)
         wanted = 40.0 * np.arctan2(run.x[:, m, 0], run.x[:, m, 1])
         kept = np.isfinite(x)

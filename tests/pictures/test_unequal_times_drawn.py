@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from drawn_runs import BODY, SENSES, SPIN, T0, axes_of, made
+from drawn_runs import BODY, SENSES, SPIN, T0, axes_of, made, sizes_of
 from matplotlib import colormaps
 from matplotlib.collections import PolyCollection, QuadMesh
 from matplotlib.colors import to_rgba
@@ -53,7 +53,7 @@ def test_rows_of_sites_and_their_scale(sense, count):
         assert mesh.get_coordinates()[0, :, 0].tolist() == [0.5, 1.5, 2.5, 3.5]
         largest = np.abs(values).max()
         assert mesh.get_clim() == ((-largest, largest) if centred else (values.min(), values.max()))
-    assert axes.get_title() == "b over site and time" and axes.get_xlabel() == "site"
+    assert axes.get_title() == "b over site and time, member 1" and axes.get_xlabel() == "site"
 
 
 @pytest.mark.thinned(4)
@@ -82,7 +82,7 @@ def test_ellipses_paths_and_colours_up_to_a_time(sense, until):
                 wanted = colormaps["plasma"](float((t[k] - first) / (last - first)))
                 # The colormap has 256 colours, which differ by at most 0.02.
                 assert to_rgba(line.get_color()) == pytest.approx(wanted, abs=0.02)
-        bar = axes.figure.axes[-1]
+        bar = axes.child_axes[-1]
         if last > first:
             assert sorted(bar.get_ylim()) == pytest.approx([first, last])
         assert (axes.get_xlabel(), axes.get_ylabel()) == ("position $q$", "momentum $p$")
@@ -124,15 +124,18 @@ def test_series_of_members_in_the_order_in_which_they_are_chosen(sense, members)
     for i in (2, 0):
         for m in order:
             np.testing.assert_array_equal(next(curves).get_data(), [t, x[:, m, i]])
-    lines = iter(axes_of(run, "drift", members).lines)
-    for series, done in ((energy, damping + torque), (casimir, 2.0 * damping)):
+    lines, sizes = iter(axes_of(run, "drift", members).lines), sizes_of(run)
+    for name, series, done in (("energy", energy, damping + torque), ("|x|^2", casimir, 2.0 * damping)):
+        size = sizes[name]
         for m in order:
-            changed = np.abs(series[:, m] - series[0, m])
+            changed = np.abs(series[:, m] - series[0, m]) / size[m]
             np.testing.assert_array_equal(next(lines).get_data(), [t, np.where(changed > 0.0, changed, np.nan)])
         for m in order:
-            wanted = np.abs(series[:, m] - series[0, m] - done[:, m])
+            wanted = np.abs(series[:, m] - series[0, m] - done[:, m]) / size[m]
             # Sums of four numbers below ten, in another order.
-            np.testing.assert_allclose(next(lines).get_ydata()[1:], wanted[1:], rtol=0, atol=16 * 10 * 2.0**-53)
+            np.testing.assert_allclose(
+                next(lines).get_ydata()[1:], wanted[1:], rtol=0, atol=16 * 10 * 2.0**-53 / size[m]
+            )
     shown = axes_of(run, "observed", members)
     assert [text.get_text() for text in shown.get_legend().get_texts()] == ["count", "above", "size"]
     lines = iter(shown.lines)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coadjoint.optional_packages import require_packages
-from coadjoint.pictures.style import INK, colour, legend, plain_axes, symbol
+from coadjoint.pictures.style import colour, ink, legend, plain_axes, set_title, setting, symbol, with_figure_settings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,6 +17,7 @@ PASS_COLOUR, FAIL_COLOUR, UNDECIDED_COLOUR = "#009E73", "#D55E00", "#7F7F7F"
 DEFECT_LABELS = {"symmetry": "step back", "reversibility": "reflected step", "poisson": "Poisson bracket"}
 
 
+@with_figure_settings
 def draw_certificate(certificate: Any) -> Figure:
     """Return a figure of a certificate: the convergence, the defects, the invariants, and the verdicts.
 
@@ -30,8 +31,9 @@ def draw_certificate(certificate: Any) -> Figure:
     """
     require_packages("drawing a certificate", "matplotlib")
     from coadjoint.pictures.figure import ShownFigure
+    from coadjoint.pictures.layout import PanelLayout
 
-    figure = ShownFigure(figsize=(11.0, 7.6), layout="constrained")
+    figure = ShownFigure(figsize=(11.0, 7.6), layout=PanelLayout())
     grid = figure.add_gridspec(2, 2, height_ratios=[1.0, 1.0])
     rows = {row.key: row for row in certificate.rows}
     _draw_errors(figure.add_subplot(grid[0, 0]), rows["order"], certificate.subject["step"])
@@ -43,7 +45,7 @@ def draw_certificate(certificate: Any) -> Figure:
     if not certificate.declares:
         result = "nothing declared"
     text = f"{subject['system']['name']},  {subject['scheme']['shown']},  step {subject['step']:g}:  {result}"
-    figure.suptitle("\n".join(textwrap.wrap(text.replace("$", r"\$"), 110)), fontsize=10.5)
+    figure.suptitle(text.replace("$", r"\$"))
     return figure
 
 
@@ -62,7 +64,7 @@ def _draw_errors(axes: Any, row: Any, step: float) -> None:
         power = row.value + (1.0 if single_steps else 0.0)
         if single_steps:
             axes.plot(h, e, "s", color=colour(3), markersize=4, label="error of a step")
-        axes.plot(h, e[-1] * (h / h[-1]) ** power, "--", color=INK, linewidth=0.9, label=f"$h^{{{power:.2f}}}$")
+        axes.plot(h, e[-1] * (h / h[-1]) ** power, "--", color=ink(), linewidth=0.9, label=f"$h^{{{power:.2f}}}$")
     axes.axvline(abs(step), color=UNDECIDED_COLOUR, linewidth=0.6)
     legend(axes)
 
@@ -98,12 +100,12 @@ def _draw_invariants(axes: Any, rows: Any) -> None:
     if not any(np.any(np.asarray(row.evidence["deviations"])) for row in shown):
         return _write_note(axes, "no deviation in any bit" if shown else "no invariant is followed")
     axes.set(xscale="log", yscale="log")
-    legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    legend(axes, beside=True)
 
 
 def _draw_verdicts(axes: Any, rows: Any) -> None:
     axes.axis("off")
-    axes.set_title("asked, declared, and found", fontsize=9.5)
+    set_title(axes, "asked, declared, and found")
     line_height = 1.0 / max(1, len(rows))
     for number, row in enumerate(rows):
         height = 1.0 - (number + 0.6) * line_height
@@ -111,12 +113,41 @@ def _draw_verdicts(axes: Any, rows: Any) -> None:
             row.verdict, FAIL_COLOUR if row.claimed and "not dec" in row.verdict else UNDECIDED_COLOUR
         )
         name = row.what if len(row.what) <= 30 else f"{row.what[:27]}..."
-        axes.text(-0.04, height, name.replace("$", r"\$"), fontsize=8, color=INK, transform=axes.transAxes)
+        axes.text(
+            -0.04,
+            height,
+            name.replace("$", r"\$"),
+            fontsize=setting("legend.fontsize"),
+            color=ink(),
+            transform=axes.transAxes,
+        )
         declared = row.declared if len(row.declared) <= 22 else f"{row.declared[:19]}..."
-        axes.text(0.40, height, declared, fontsize=7.5, color=UNDECIDED_COLOUR, transform=axes.transAxes)
-        axes.text(0.68, height, row.verdict, fontsize=8, color=verdict_colour, weight="bold", transform=axes.transAxes)
+        axes.text(
+            0.40,
+            height,
+            declared,
+            fontsize=setting("legend.fontsize"),
+            color=UNDECIDED_COLOUR,
+            transform=axes.transAxes,
+        )
+        axes.text(
+            0.68,
+            height,
+            row.verdict,
+            fontsize=setting("legend.fontsize"),
+            color=verdict_colour,
+            weight="bold",
+            transform=axes.transAxes,
+        )
 
 
 def _write_note(axes: Any, text: str) -> None:
     axes.set(xticks=[], yticks=[])
-    axes.text(0.5, 0.5, "\n".join(textwrap.wrap(text, 50)), transform=axes.transAxes, ha="center", fontsize=9)
+    axes.text(
+        0.5,
+        0.5,
+        "\n".join(textwrap.wrap(text, 50)),
+        transform=axes.transAxes,
+        ha="center",
+        fontsize=setting("axes.labelsize"),
+    )

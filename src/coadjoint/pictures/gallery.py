@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.example_run import run_example
 from coadjoint.runs.results.solution import Solution
@@ -140,10 +138,10 @@ def _describe(solution: Solution) -> str:
     system = solution.system
     values = ", ".join(f"{key}={short(value)}" for key, value in (getattr(system, "parameters", None) or {}).items())
     start, end = solution.t_span
-    drift, energy = solution.drift()["energy"], np.abs(solution.energy).max()
+    drift = solution.drift()["energy"]
     return (
         f"{system.name}({values}), {solution.method}, step {solution.step:g}, t from {start:g} to {end:g}; "
-        f"the energy, up to {energy:.1e}, stays within {drift:.1e}"
+        f"the energy stays within {drift:.1e} of its size {drift.scale:.1e}"
     )
 
 

@@ -7,13 +7,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.style import INK, dots
+from coadjoint.pictures.style import dots, ink, on_paper, paper, setting, thickness
 
 Floats = npt.NDArray[np.float64]
 
 FACE_COLOUR, LINES = "#EDF2F8", "#C3CEDB"
 VIEW = (35.0, 22.0)
 """Direction of view in degrees: around the third axis from the first, and above the plane of the first two."""
+FAR_ALPHA = 0.28
+"""Opacity of paths on the far side."""
 VIEW_OFFSET = 25.0
 """Degrees of azimuth from the middle of a path, so that the label of an axis there does not cover it."""
 
@@ -48,13 +50,20 @@ class Globe:
         from matplotlib.patches import Circle
 
         self.axes.add_patch(
-            Circle((0.0, 0.0), self.radius, facecolor=FACE_COLOUR, edgecolor=LINES, linewidth=0.8, zorder=0)
+            Circle(
+                (0.0, 0.0),
+                self.radius,
+                facecolor=on_paper(FACE_COLOUR, 0.1),
+                edgecolor=on_paper(LINES, 0.3),
+                linewidth=0.8,
+                zorder=0,
+            )
         )
         turn = np.linspace(0.0, 2.0 * np.pi, 181)
         c, s, o = np.cos(turn), np.sin(turn), np.zeros_like(turn)
         circles = [np.stack(circle, axis=-1) for circle in ((c, s, o), (c, o, s), (o, c, s))]
         for circle in circles:
-            self._path(self.radius * circle, near={"color": LINES, "linewidth": 0.7}, far=None, zorder=1)
+            self._path(self.radius * circle, near={"color": on_paper(LINES, 0.3), "linewidth": 0.7}, far=None, zorder=1)
 
     def _draw_axes(self, names: Any) -> None:
         for direction, name in zip(np.eye(3), names, strict=True):
@@ -64,42 +73,49 @@ class Globe:
                 "",
                 xy=ends[1],
                 xytext=ends[0],
-                arrowprops={"arrowstyle": "-|>", "color": INK, "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0},
+                arrowprops={"arrowstyle": "-|>", "color": ink(), "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0},
                 zorder=order,
             )
             position = ends[1] + 0.1 * self.radius * _outward(ends[1])
             near = depth[0] > 0.0
-            box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8} if near else None
-            text = {"color": INK, "fontsize": 9.5, "ha": "center", "va": "center", "zorder": 6 if near else -1}
+            box = {"facecolor": paper(), "edgecolor": "none", "alpha": 0.75, "pad": 0.8} if near else None
+            text = {
+                "color": ink(),
+                "fontsize": setting("axes.titlesize"),
+                "ha": "center",
+                "va": "center",
+                "zorder": 6 if near else -1,
+            }
             self.axes.text(*position, name, bbox=box, **text)
 
-    def path(self, points: Floats, colour: str, joined: bool, linewidth: float = 1.1, alpha: float = 1.0) -> None:
-        """Draw a path (k, 3) on the sphere, as lines if `joined`, else as dots.
+    def path(
+        self, points: Floats, colour: Any, joined: bool, linewidth: float = 1.1, label: str | None = None
+    ) -> list[Any]:
+        """Draw a path (k, 3) on the sphere, as lines if `joined`, else as dots; return the lines, each of k points."""
+        form = {"linewidth": thickness(linewidth)} if joined else dots(len(points))
+        near = {"color": colour, "alpha": 1.0, **form}
+        lines = self._path(points, near=near, far={**near, "alpha": FAR_ALPHA}, zorder=3, joined=joined)
+        if lines and label is not None:
+            lines[0].set_label(label)
+        return lines
 
-        `linewidth` and `alpha` are those of the near side.
-        """
-        if joined:
-            near = {"color": colour, "linewidth": linewidth, "alpha": alpha}
-            self._path(points, near=near, far={**near, "alpha": 0.28 * alpha}, zorder=3)
-            return
+    def _path(
+        self, points: Floats, near: dict[str, Any], far: dict[str, Any] | None, zorder: int, joined: bool = True
+    ) -> list[Any]:
         flat, depth = self.project(points)
-        for side, side_alpha in ((depth >= 0.0, alpha), (depth < 0.0, 0.28 * alpha)):
-            self.axes.plot(*flat[side].T, color=colour, alpha=side_alpha, **dots(len(points)))
-
-    def _path(self, points: Floats, near: dict[str, Any], far: dict[str, Any] | None, zorder: int) -> None:
-        flat, depth = self.project(points)
-        front = depth >= 0.0
+        front, lines = depth >= 0.0, []
         for side, style, order in ((front, near, zorder), (~front, far, zorder - 1)):
             if style is not None and side.any():
                 # Segments across the edge belong to both sides, to avoid gaps.
-                shown = side | np.append(side[1:], False)
-                self.axes.plot(*np.where(shown[:, None], flat, np.nan).T, zorder=order, **style)
+                shown = side | np.append(side[1:], False) if joined else side
+                lines += self.axes.plot(*np.where(shown[:, None], flat, np.nan).T, zorder=order, **style)
+        return lines
 
-    def mark(self, point: Floats, colour: str, label: str | None = None, marker: str = "o", size: float = 5.0) -> None:
-        """Mark a point (3,) of the sphere, hollow on the far side."""
+    def mark(self, point: Floats, colour: Any, label: str | None = None, marker: str = "o", size: float = 5.0) -> Any:
+        """Mark a point (3,) of the sphere, hollow on the far side; return the mark."""
         flat, depth = self.project(point)
-        filled = colour if depth >= 0.0 else "white"
-        self.axes.plot(
+        filled = colour if depth >= 0.0 else paper()
+        (mark,) = self.axes.plot(
             *flat[:, None],
             marker=marker,
             markersize=size,
@@ -109,6 +125,7 @@ class Globe:
             label=label,
             zorder=5,
         )
+        return mark
 
 
 def _outward(flat: Floats) -> Floats:

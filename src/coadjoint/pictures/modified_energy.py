@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coadjoint.optional_packages import require_packages
-from coadjoint.pictures.style import colour, legend, plain_axes
+from coadjoint.pictures.style import colour, legend, plain_axes, with_figure_settings
 from coadjoint.runs.results.solution import check_solution
 from coadjoint.validation import read_integer, read_list
 
@@ -21,6 +21,7 @@ MAX_POINTS = 5000
 """Largest number of points drawn; a printed line does not resolve more."""
 
 
+@with_figure_settings
 def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) -> Figure:
     r"""Return a figure of the deviations of the energy and of modified energies from their initial values.
 
@@ -49,14 +50,15 @@ def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) 
     check_solution(solution)
     require_packages("drawing modified energies", "matplotlib")
     from coadjoint.pictures.figure import ShownFigure
+    from coadjoint.pictures.layout import PanelLayout
 
     listed = read_list(orders, "orders", "give whole numbers such as (4, 6)")
     checked = [read_integer(order, "an order") for order in listed]
-    figure = ShownFigure(figsize=(7.2, 4.2), layout="constrained")
+    figure = ShownFigure(figsize=(7.2, 4.2), layout=PanelLayout())
     axes = figure.add_subplot()
     draw_deviations(axes, solution, checked)
     axes.set_title(f"{solution.system.name}, {solution.method}, step {solution.step:g}".replace("$", r"\$"))
-    legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    legend(axes, beside=True)
     return figure
 
 

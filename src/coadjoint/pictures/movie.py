@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from typing import Any
 
 from coadjoint.optional_packages import require_packages
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Kind, kinds, read_picture
-from coadjoint.pictures.style import INK
+from coadjoint.pictures.style import figure_settings, setting
 from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.systems.gallery_entry import Picture
-from coadjoint.systems.registry import gallery_entry_of
 from coadjoint.validation import read_integer, read_list
 
 MAX_FRAMES = 5000
@@ -30,20 +30,31 @@ class SavedFrames:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
+        from coadjoint.pictures.layout import PanelLayout
+
         self.count, self.size, self._indices = len(indices), size, indices
         width, height = size
         dpi = min(width / MIN_WIDTH, height / MIN_HEIGHT)
-        figure = Figure(figsize=(width / dpi, height / dpi), dpi=dpi, layout="compressed", facecolor="white")
-        self._canvas = FigureCanvasAgg(figure)
-        figure.suptitle(drawn.solution.system.name.replace("$", r"\$"), fontsize=9, color=INK)
-        update = kind.prepare(drawn, **picture.options)(figure.add_subplot(projection=kind.projection))
-        assert update is not None, f"the kind {kind.name!r} is registered with moves=True, but returns no update"
-        self._update = update
-        figure.draw_without_rendering()
+        with figure_settings():
+            figure = Figure(figsize=(width / dpi, height / dpi), dpi=dpi, layout=PanelLayout(compress=True))
+            self._canvas = FigureCanvasAgg(figure)
+            figure.suptitle(drawn.solution.system.name.replace("$", r"\$"), fontsize=setting("axes.titlesize"))
+            update = kind.prepare(drawn, **picture.options)(figure.add_subplot(projection=kind.projection))
+            assert update is not None, f"the kind {kind.name!r} is registered with moves=True, but returns no update"
+            self._update = update
+            update(indices[-1])
+            figure.draw_without_rendering()
         figure.set_layout_engine("none")  # keeps the layout constant between frames
 
     def __iter__(self) -> Iterator[memoryview]:
-        for k in self._indices:
+        return self._frames(self._indices)
+
+    def samples(self) -> Iterator[memoryview]:
+        """Yield the first, the middle and the last frame, which together have the colours of all."""
+        return self._frames([self._indices[i] for i in (0, self.count // 2, -1)])
+
+    def _frames(self, indices: Sequence[int]) -> Iterator[memoryview]:
+        for k in indices:
             self._update(k)
             self._canvas.draw()  # type: ignore[no-untyped-call]
             yield self._canvas.buffer_rgba()  # type: ignore[no-untyped-call]
@@ -52,9 +63,9 @@ class SavedFrames:
 def frames_of(
     solution: Solution, picture: str | Picture | None = None, frames: int = 240, size: tuple[int, int] = (960, 540)
 ) -> SavedFrames:
-    """Return the frames of a movie of the first member of a run, drawn lazily.
+    """Return the frames of a movie of a run, drawn lazily.
 
-    `picture` is a kind with `Kind.moves`, by name or with options; by default the first one that the system declares.
+    `picture` is a kind with `Kind.moves`, by name or with options; by default that of `default_picture`.
     At most `frames` (2 to 5000) saved times, evenly spread, are shown, without interpolation, with colour scales that
     are constant in time. `size` is in pixels, even. Raises TypeError or ValueError for invalid values.
     """
@@ -76,34 +87,38 @@ def _read_size(size: Any) -> tuple[int, int]:
     return sides[0], sides[1]
 
 
-def declared_picture(name: str) -> Picture:
-    """Return the first declared picture of a system that shows a single time; raise CannotShow if there is none.
+def default_picture(drawn: PlottedRun) -> Picture:
+    """Return the picture of a movie of a run: the first that the run can show.
 
-    Examples
-    --------
-    >>> declared_picture("spin_lattice").kind
-    'spins'
+    Declared pictures of a single time come first, then the body in space, other declared pictures, and the components.
     """
-    gallery_entry = gallery_entry_of(name)
-    moving = _moving_kinds()
-    picture = next((p for p in (gallery_entry.pictures if gallery_entry else ()) if p.kind in moving), None)
-    if picture is None:
-        raise CannotShow(f"{name} declares no picture that a movie can show; give one: {', '.join(moving)}")
-    return picture
-
-
-def _moving_kinds() -> list[str]:
-    return [name for name, kind in kinds().items() if kind.moves]
+    declared = () if drawn.gallery_entry is None else drawn.gallery_entry.pictures
+    known = kinds()
+    moving = [picture for picture in declared if known[picture.kind].moves]
+    axis = next((picture for picture in moving if picture.kind == "body axis"), Picture("body axis"))
+    candidates = [
+        *(picture for picture in moving if known[picture.kind].shows_one_time),
+        Picture("body", **axis.options),
+        *moving,
+        Picture("coadjoint orbit"),
+        Picture("eigenvalues"),
+    ]
+    for picture in candidates:
+        with suppress(CannotShow):
+            known[picture.kind].prepare(drawn, **picture.options)
+            return picture
+    return Picture("components") if drawn.gallery_entry is None else drawn.gallery_entry.components
 
 
 def _read_moving(drawn: PlottedRun, picture: Any) -> tuple[Kind, Picture]:
     """Parse the picture of a movie; return its kind and the picture at the start."""
     if picture is None:
-        picture = declared_picture(drawn.unforced.name)
+        picture = default_picture(drawn)
     elif isinstance(picture, str) and drawn.gallery_entry is not None:
-        picture = next((p for p in drawn.gallery_entry.pictures if p.kind == picture), picture)
+        entry = drawn.gallery_entry
+        picture = next((p for p in (entry.components, *entry.pictures) if p.kind == picture), picture)
     kind, read = read_picture(picture)
     if not kind.moves:
-        moving = ", ".join(_moving_kinds())
-        raise CannotShow(f"the picture {kind.name!r} shows no single time; a movie shows one of: {moving}")
-    return kind, Picture(kind.name, **{**read.options, "at": 0.0})
+        moving = ", ".join(name for name, known in kinds().items() if known.moves)
+        raise CannotShow(f"the picture {kind.name!r} does not change in time; a movie shows one of: {moving}")
+    return kind, Picture(kind.name, **{**read.options, **({"at": 0.0} if kind.shows_one_time else {})})

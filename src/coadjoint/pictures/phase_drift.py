@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coadjoint.optional_packages import require_packages
-from coadjoint.pictures.style import colour, legend, plain_axes
+from coadjoint.pictures.style import colour, legend, plain_axes, with_figure_settings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@with_figure_settings
 def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
     """Return a figure of a `PhaseDrift`; `predicted` is a slope drawn in addition to the fitted line.
 
@@ -25,8 +26,9 @@ def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
     """
     require_packages("drawing a phase error", "matplotlib")
     from coadjoint.pictures.figure import ShownFigure
+    from coadjoint.pictures.layout import PanelLayout
 
-    figure = ShownFigure(figsize=(7.2, 5.4), layout="constrained")
+    figure = ShownFigure(figsize=(7.2, 5.4), layout=PanelLayout())
     lead, rest = figure.subplots(2, 1, sharex=True)
     line = drift.intercept + drift.slope * drift.t
     lead.plot(drift.t, drift.lead, color=colour(0), linewidth=0.9, label="measured")
@@ -47,7 +49,6 @@ def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
     for axes in (lead, rest):
         plain_axes(axes)
         axes.ticklabel_format(axis="y", style="sci", scilimits=(-3, 4), useMathText=True)
-        axes.yaxis.get_offset_text().set_fontsize(8)
     return figure
 
 

@@ -14,7 +14,9 @@ from coadjoint.errors import IntegrationError
 from coadjoint.pictures.refinement_times import coarse_times, fastest_turn, times_between
 from coadjoint.pictures.register import CannotShow
 from coadjoint.pictures.style import coordinate
+from coadjoint.runs.results.drift import scales_of_invariants
 from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.results.solution_output import rotations_of
 from coadjoint.runs.results.summary import is_driven
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
@@ -124,19 +126,25 @@ class PlottedRun:
     @cached_property
     def rotation(self) -> Floats | None:
         """Attitude as rotation matrices (members, k, 3, 3): the group element or its first block, or None."""
-        g = self.attitude
-        if g is None or g.shape[-1] not in (3, 4):
+        A = self.attitude
+        if A is None:
             return None
-        A = g[..., :3, :3]
-        first = A[:, :1] @ np.swapaxes(A[:, :1], -1, -2)
-        last = A[:, -1:] @ np.swapaxes(A[:, -1:], -1, -2)
-        return A if max(np.abs(first - np.eye(3)).max(), np.abs(last - np.eye(3)).max()) < 1e-6 else None
+        rotations = rotations_of(np.swapaxes(A, 0, 1))
+        return None if rotations is None else np.swapaxes(rotations, 0, 1)
 
     @cached_property
     def invariants(self) -> Mapping[str, Floats]:
         """The energy and the Casimirs, {name: (members, k)}."""
         series = {"energy": self.solution.energy, **self.solution.casimirs}
         return {name: self.select(values) for name, values in series.items()}
+
+    @cached_property
+    def scales(self) -> Mapping[str, Floats]:
+        """The sizes of the invariants at the first saved point, (members, 1), as in `Solution.drift`."""
+        solution = self.solution
+        series = {"energy": solution.energy, **solution.casimirs}
+        sizes = scales_of_invariants(solution.system, solution.x[0], {name: each[0] for name, each in series.items()})
+        return {name: np.atleast_1d(size)[self._chosen][:, None] for name, size in sizes.items()}
 
     @property
     def driven(self) -> bool:
@@ -154,6 +162,11 @@ class PlottedRun:
             done = [self.select(by[name]) for by in work.values() if name in by]
             changes[name] = values - values[:, :1] - sum(done)
         return changes
+
+    @property
+    def of_member(self) -> str:
+        """For titles of pictures of the first drawn member: its number, if the run has several."""
+        return "" if self.member_count == 1 else f" of member {int(self._chosen[0])}"
 
     @property
     def quantity(self) -> str:

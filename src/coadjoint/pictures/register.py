@@ -6,14 +6,14 @@ import importlib
 import inspect
 import pkgutil
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from coadjoint.errors import unknown_name
+from coadjoint.keyword_hints import unknown_picture
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import Picture
-from coadjoint.validation import read_choice
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,32 +35,63 @@ class Kind:
     """A kind of picture.
 
     ``prepare(drawn, **options)`` returns a `Paint`, or raises `CannotShow`. `over_time` panels are wide and low, and
-    stacked; two `low` pictures share a column. `projection` is that of Matplotlib axes. Kinds with `moves` show a
-    single time, and can be updated to another one for movies.
+    stacked; two `low` pictures share a column (a function of the run, if it depends on that). `projection` is that of
+    Matplotlib axes. Kinds with `moves` can be updated to another time for movies; those with an option `at` show a
+    single time. ``help`` of a kind explains its options.
     """
 
     name: str
-    prepare: Prepare
+    prepare: Prepare = field(repr=False)
     over_time: bool = False
     projection: str | None = None
-    low: bool = False
+    low: bool | Callable[[Any], bool] = False
     moves: bool = False
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "__doc__", inspect.getdoc(self.prepare))
+
+    @property
+    def options(self) -> Mapping[str, inspect.Parameter]:
+        """The options by name, with their default values."""
+        return MappingProxyType(dict(list(inspect.signature(self.prepare).parameters.items())[1:]))
+
+    @property
+    def shows_one_time(self) -> bool:
+        """Whether the picture shows a single time, given by the option `at`."""
+        return "at" in self.options
+
+    def is_low(self, drawn: Any) -> bool:
+        """Whether the picture of a `PlottedRun` is low."""
+        return self.low(drawn) if callable(self.low) else self.low
+
     def check(self, picture: Picture) -> None:
-        """Raise ValueError, with the nearest option, for options that this kind does not have."""
-        known = list(inspect.signature(self.prepare).parameters)[1:]
+        """Raise ValueError for options that this kind does not have, and CannotShow without those that it needs."""
+        known = list(self.options)
         for option in picture.options:
             if option not in known:
                 if not known:
                     raise ValueError(f"a picture of the kind {self.name!r} takes no options, and was given {option!r}")
                 raise unknown_name(f"option of the picture {self.name!r}", option, known)
+        needed = [name for name, option in self.options.items() if option.default is inspect.Parameter.empty]
+        missing = [name for name in needed if name not in picture.options]
+        if missing:
+            example = ", ".join(f"{name}=..." for name in needed)
+            raise CannotShow(
+                f"the picture {self.name!r} needs {' and '.join(missing)}, which this system does not declare; give "
+                f"co.plotting.Picture({self.name!r}, {example}), and see help(co.plotting.kinds()[{self.name!r}])"
+            )
 
 
 _KINDS: dict[str, Kind] = {}
 
 
 def kind(
-    name: str, *, over_time: bool = False, projection: str | None = None, low: bool = False, moves: bool = False
+    name: str,
+    *,
+    over_time: bool = False,
+    projection: str | None = None,
+    low: bool | Callable[[Any], bool] = False,
+    moves: bool = False,
 ) -> Callable[[Prepare], Prepare]:
     """Register a function that prepares a picture as a kind.
 
@@ -93,8 +124,8 @@ def kinds() -> Mapping[str, Kind]:
 
     Examples
     --------
-    >>> kinds()["body axis"].over_time
-    False
+    >>> list(kinds()["body axis"].options)
+    ['axis', 'up', 'vertical', 'view']
     """
     package = importlib.import_module("coadjoint.pictures.kinds")
     for module in pkgutil.iter_modules(package.__path__):
@@ -115,6 +146,8 @@ def read_picture(given: Any) -> tuple[Kind, Picture]:
         raise TypeError(f"a panel is {short(given)}; give the name of a kind of picture, or a Picture")
     picture = Picture(given) if isinstance(given, str) else given
     known = kinds()
-    kind = known[read_choice(picture.kind, "kind of picture", known)]
+    if picture.kind not in known:
+        raise unknown_picture(picture.kind, known)
+    kind = known[picture.kind]
     kind.check(picture)
     return kind, picture

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from coadjoint.pictures.style import thickness
 
 Floats = npt.NDArray[np.float64]
 
 COLUMNS = 600
 """Number of time intervals that a printed line resolves."""
 MAX_VALUE = 1e280  # the limits of a scale with margins for larger values overflow
+MAX_CHANGE = 1e-5
+"""Relative change of a series below which the change is drawn in place of the values."""
 MAX_TURNING_POINTS = COLUMNS // 2
 """Number of turning points above which an envelope is drawn: two columns per half oscillation."""
 
@@ -39,11 +44,28 @@ def draw_series(axes: Any, t: Floats, values: Floats, joined: bool, label: str |
     axes.plot(t, values, label=label, linestyle="none", marker="o", markersize=2.0, markeredgewidth=0.0, **style)
 
 
-def draw_members(axes: Any, t: Floats, members: Floats, joined: bool, colour: str, label: str | None) -> None:
+def draw_members(axes: Any, t: Floats, members: Floats, joined: bool, colour: Any, label: str | None) -> None:
     """Draw a series (members, k), thin and light if there are several; `joined` as for `draw_series`."""
-    width, alpha = (0.5, 0.5) if len(members) > 1 else (0.9, 1.0)
+    width, alpha = (thickness(0.5), 0.5) if len(members) > 1 else (thickness(0.9), 1.0)
+    # The label is that of a member that is drawn.
+    labelled = int(np.argmax(np.isfinite(members).any(axis=-1)))
     for m, values in enumerate(members):
-        draw_series(axes, t, values, joined, label=None if m else label, color=colour, linewidth=width, alpha=alpha)
+        own = label if m == labelled else None
+        draw_series(axes, t, values, joined, label=own, color=colour, linewidth=width, alpha=alpha)
+
+
+def from_start(lines: Mapping[str, Floats]) -> tuple[dict[str, Floats], str]:
+    """Return series (members, k) less their first values, and a note, if they change by round-off of their size only.
+
+    Otherwise axes would have an offset in place of numbers. Returns the series and an empty note if any changes more.
+    """
+    with np.errstate(all="ignore"):
+        for members in lines.values():
+            size = np.abs(members).max(axis=-1)
+            change = np.ptp(members, axis=-1)
+            if not np.all(change < MAX_CHANGE * size) or not np.any(change > 0.0):
+                return dict(lines), ""
+    return {name: members - members[:, :1] for name, members in lines.items()}, " less its start"
 
 
 def _mostly_isolated(values: Floats) -> bool:

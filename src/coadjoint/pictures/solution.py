@@ -2,30 +2,38 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
+from coadjoint.keyword_hints import unknown_picture
 from coadjoint.optional_packages import require_packages
+from coadjoint.pictures.arrangement import Panel, arrange
 from coadjoint.pictures.plot_data import PlottedRun
-from coadjoint.pictures.register import CannotShow, Kind, Paint, read_picture
+from coadjoint.pictures.register import CannotShow, Kind, Paint, kinds, read_picture
+from coadjoint.pictures.style import figure_settings
 from coadjoint.runs.results.solution import check_solution
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import Picture
-from coadjoint.validation import read_list
+from coadjoint.validation import read_list, read_number
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from coadjoint.runs.results.solution import Solution
 
-FIGURE_HEIGHT = 5.6
-COLUMN_WIDTHS = {True: 6.0, False: 5.4}  # a column of panels over time, or one picture
+MIN_WIDTH, MAX_WIDTH = 2.0, 100.0
+"""Widths of figures in inches."""
 
 
 def draw_solution(
-    solution: Solution, panels: Any = None, components: Any = None, axes: Any = None, members: Any = None
+    solution: Solution,
+    panels: Any = None,
+    components: Any = None,
+    axes: Any = None,
+    members: Any = None,
+    width: Any = None,
+    style: Any = None,
 ) -> Figure:
     """Return a figure of a run: drift, components, and the pictures that its system declares; see `Solution.plot`.
 
@@ -36,16 +44,26 @@ def draw_solution(
     >>> import coadjoint as co
     >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 10), step=0.1)
     >>> [axes.get_ylabel() for axes in draw_solution(sol).axes[:2]]
-    ['absolute deviation from start', 'angular momentum $x_i$']
+    ['relative deviation from start', 'angular momentum $x_i$']
     """
     check_solution(solution)
     require_packages("drawing a solution", "matplotlib")
+    if width is not None:
+        width = read_number(width, "width")
+        if not MIN_WIDTH <= width <= MAX_WIDTH:
+            raise ValueError(f"width is {width:g}; give inches, from {MIN_WIDTH:g} to {MAX_WIDTH:g}")
+        if axes is not None:
+            raise ValueError("width is that of a new figure, and axes are given; give one of them")
     drawn = PlottedRun(solution, members)
     series = _components_picture(drawn, components)
-    prepared = _declared(drawn, series) if panels is None else _requested(drawn, panels, series)
-    if axes is not None:
-        return _draw_into(axes, prepared)
-    return _figure(solution, drawn, prepared)
+    with figure_settings(style, width):
+        if axes is not None:
+            listed = _read_axes(axes)
+            pictures = _declared(drawn, series) if panels is None else _requested(drawn, panels, series, len(listed))
+            return _draw_into(listed, pictures)
+        pictures = _declared(drawn, series) if panels is None else _requested(drawn, panels, series)
+        shown = [Panel.of(kind, paint, drawn) for kind, paint in pictures]
+        return arrange(shown, _headline(solution, drawn), width)
 
 
 def _components_picture(drawn: PlottedRun, chosen: Any) -> Picture:
@@ -84,22 +102,56 @@ def _prepare(drawn: PlottedRun, picture: str | Picture) -> tuple[Kind, Paint]:
     return kind, kind.prepare(drawn, **read.options)
 
 
-def _requested(drawn: PlottedRun, panels: Any, series: Picture) -> list[tuple[Kind, Paint]]:
+def _requested(drawn: PlottedRun, panels: Any, series: Picture, count: int | None = None) -> list[tuple[Kind, Paint]]:
+    """Prepare the requested panels; kinds that show a single time, by name, are shown at the declared times.
+
+    If `count` panels are needed, as many as there are names, each name is one of them.
+    """
     rule = "give kinds of pictures, such as ['drift', 'coadjoint orbit']"
     listed = (panels,) if isinstance(panels, str | Picture) else read_list(panels, "panels", rule)
     if not listed:
         raise ValueError(f"panels is empty; {rule}")
-    return [_prepare(drawn, _as_declared(drawn, series, panel)) for panel in listed]
+    pictures = [_as_declared(drawn, series, panel) for panel in listed]
+    if count == len(pictures):
+        pictures = [listed[:1] for listed in pictures]
+    return [_prepare(drawn, picture) for listed in pictures for picture in listed]
 
 
-def _as_declared(drawn: PlottedRun, series: Picture, panel: Any) -> Any:
-    """Replace the name of a kind by the picture of this kind that the system declares, if any."""
+def _as_declared(drawn: PlottedRun, series: Picture, panel: Any) -> list[Any]:
+    """Return the pictures of this kind that the system declares, if a name is given and there are any.
+
+    Other kinds that show a single time are shown at the start and at the end.
+    """
+    if not isinstance(panel, str):
+        return [panel]
     declared = () if drawn.gallery_entry is None else drawn.gallery_entry.pictures
-    return next((p for p in (series, *declared) if isinstance(panel, str) and p.kind == panel), panel)
+    found: list[Any] = [p for p in (series, *declared) if p.kind == panel]
+    if found:
+        return found
+    check_picture_name(drawn, panel)
+    kind = kinds()[panel]
+    needs_more = any(option.default is option.empty for option in kind.options.values())
+    return [Picture(panel, at=at) for at in (0.0, 1.0)] if kind.shows_one_time and not needs_more else [panel]
 
 
-def _draw_into(axes: Any, prepared: list[tuple[Kind, Paint]]) -> Figure:
-    listed = (axes,) if hasattr(axes, "plot") else read_list(axes, "axes", "give the axes of each panel")
+def check_picture_name(drawn: PlottedRun, name: str) -> None:
+    """Raise ValueError for an unknown kind, with the panel that shows what was meant, such as a coordinate."""
+    if name in kinds():
+        return
+    if name in drawn.names:
+        raise ValueError(f"unknown kind of picture {short(name)}; this is a coordinate: give components=[{name!r}]")
+    if name in (getattr(drawn.solution, "observed", None) or {}):
+        raise ValueError(f"unknown kind of picture {short(name)}; observed quantities are in 'observed'")
+    if name in (getattr(drawn.solution, "casimirs", None) or {}):
+        raise ValueError(f"unknown kind of picture {short(name)}; the energy and the Casimirs are in 'drift'")
+    raise unknown_picture(name, kinds())
+
+
+def _read_axes(axes: Any) -> Any:
+    return (axes,) if hasattr(axes, "plot") else read_list(axes, "axes", "give the axes of each panel")
+
+
+def _draw_into(listed: Any, prepared: list[tuple[Kind, Paint]]) -> Figure:
     if len(listed) != len(prepared):
         names = ", ".join(kind.name for kind, _ in prepared)
         raise ValueError(f"axes has {len(listed)} entries, and there are {len(prepared)} panels to draw: {names}")
@@ -114,47 +166,10 @@ def _draw_into(axes: Any, prepared: list[tuple[Kind, Paint]]) -> Figure:
     return figure
 
 
-def _figure(solution: Solution, drawn: PlottedRun, prepared: list[tuple[Kind, Paint]]) -> Figure:
-    from coadjoint.pictures.figure import ShownFigure
-
-    rows = [(kind, paint) for kind, paint in prepared if kind.over_time]
-    columns = _columns([(kind, paint) for kind, paint in prepared if not kind.over_time])
-    widths = [COLUMN_WIDTHS[True]] * bool(rows) + [COLUMN_WIDTHS[False]] * len(columns)
-    figure = ShownFigure(figsize=(max(7.2, sum(widths)), max(FIGURE_HEIGHT, 2.4 * len(rows))), layout="constrained")
-    grid = figure.add_gridspec(1, len(widths), width_ratios=widths)
-    row_grid = grid[0].subgridspec(max(1, len(rows)), 1)
-    first: Any = None
-    for row, (_, paint) in enumerate(rows):
-        axes = figure.add_subplot(row_grid[row], sharex=first)
-        first = first or axes
-        paint(axes)
-        if row < len(rows) - 1:
-            axes.tick_params(labelbottom=False)
-            axes.set_xlabel("")
-    for index, column in enumerate(columns, start=int(bool(rows))):
-        column_grid = grid[index].subgridspec(len(column), 1)
-        for k, (kind, paint) in enumerate(column):
-            paint(figure.add_subplot(column_grid[k], projection=kind.projection))
-    figure.suptitle(_headline(solution, drawn, int(16 * sum(widths)) - 60), fontsize=10.5)
-    return figure
-
-
-def _columns(pictures: list[tuple[Kind, Paint]]) -> list[list[tuple[Kind, Paint]]]:
-    """Arrange one picture per column, or two low ones."""
-    columns: list[list[tuple[Kind, Paint]]] = []
-    for picture in pictures:
-        if picture[0].low and columns and len(columns[-1]) == 1 and columns[-1][0][0].low:
-            columns[-1].append(picture)
-        else:
-            columns.append([picture])
-    return columns
-
-
-def _headline(solution: Solution, drawn: PlottedRun, letters: int) -> str:
+def _headline(solution: Solution, drawn: PlottedRun) -> str:
     parts = [solution.system.name, str(solution.method), f"step {solution.step:g}"]
     if len(drawn.x) < drawn.member_count:
         parts.append(f"{len(drawn.x)} of {drawn.member_count} members")
     elif drawn.member_count > 1:
         parts.append(f"{drawn.member_count} members")
-    text = ",  ".join(parts).replace("$", r"\$")
-    return "\n".join(textwrap.wrap(text, max(letters, 75)))
+    return ",  ".join(parts)

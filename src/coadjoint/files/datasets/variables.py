@@ -61,7 +61,7 @@ def state_of(dataset: xarray.Dataset, name: str, allowed: tuple[tuple[str, ...],
 if TYPE_CHECKING:
     import xarray
 
-    from coadjoint.runs.results.run_record import Drift
+    from coadjoint.runs.results.drift import Drift
     from coadjoint.runs.results.solution import Solution
 
 Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
@@ -124,12 +124,12 @@ def summary_variables(solution: Solution) -> Variables:
     """Return the variables of the whole run: deviations of invariants, and failures of members."""
     member = _member(solution)
     over = "in each tenth of the run, over " + ("every step" if solution.watched else "the saved points")
-    changes, about = solution.change(), f"largest absolute deviation from the start {over}"
+    changes, about = solution.change(relative=False), f"largest absolute deviation from the start {over}"
     dims = (*member, "invariant", "tenth")
     variables: Variables = {"change" if solution.work else "drift": (dims, _tenth_array(changes), cf_attributes(about))}
     if solution.work:
         about = f"largest absolute deviation of an invariant, less the work of all forces, {over}"
-        variables["balance"] = (dims, _balance_array(solution.balance(), changes), cf_attributes(about))
+        variables["balance"] = (dims, _balance_array(solution.balance(relative=False), changes), cf_attributes(about))
     if solution.failed is not None:
         variables["failed"] = (
             member,
@@ -166,7 +166,7 @@ def coordinates_of(solution: Solution) -> Variables:
         add("component", list(names), "coordinate")
     elif of_state[-1] == "part":
         add("part", list(COMPLEX_PARTS), "part of a complex number")
-    changes = solution.change()
+    changes = solution.change(relative=False)
     add("invariant", list(changes), "what the motion keeps")
     tenths = next(iter(changes.values())).tenths.shape[-1]
     add("tenth", np.arange(1, tenths + 1), "number of a tenth of the run")

@@ -31,6 +31,9 @@ class Frames(Protocol):
     def __iter__(self) -> Iterator[memoryview]:
         """Yield each frame as RGBA bytes, (height, width, 4)."""
 
+    def samples(self) -> Iterator[memoryview]:
+        """Yield a few frames that have the colours of all."""
+
 
 def check_movie(path: str | Path) -> Path:
     """Validate the path of a movie, ``.mp4`` or ``.gif``, as `check_target`; OutputError if ffmpeg is missing."""
@@ -68,7 +71,7 @@ def _ffmpeg() -> str | None:
 
 
 def _write_gif(frames: Frames, path: Path, fps: float) -> None:
-    """Write a GIF with the palette of the first frame, each colour counted once: its colour bar has all colours."""
+    """Write a GIF with one palette, of the colours of a few frames, each counted once."""
     from PIL import Image
 
     width, height = frames.size
@@ -77,15 +80,14 @@ def _write_gif(frames: Frames, path: Path, fps: float) -> None:
     )
 
     def images() -> Iterator[Image.Image]:
-        palette = None
+        samples = [np.unique(np.asarray(frame)[..., :3].reshape(-1, 3), axis=0) for frame in frames.samples()]
+        shades = np.unique(np.concatenate(samples), axis=0)
+        shades = shades[(shades < GIF_WHITE_THRESHOLD).any(axis=1)]
+        colours = Image.fromarray(shades[None]).quantize(255).getpalette() or []
+        palette = Image.new("P", (1, 1))
+        palette.putpalette([*colours[: 3 * 255], *3 * [255]])
         for frame in frames:
             image = Image.fromarray(np.ascontiguousarray(np.asarray(frame)[..., :3]))
-            if palette is None:
-                shades = np.unique(np.asarray(image).reshape(-1, 3), axis=0)
-                shades = shades[(shades < GIF_WHITE_THRESHOLD).any(axis=1)]
-                colours = Image.fromarray(shades[None]).quantize(255).getpalette() or []
-                palette = Image.new("P", (1, 1))
-                palette.putpalette([*colours[: 3 * 255], *3 * [255]])
             yield image.quantize(palette=palette, dither=Image.Dither.NONE)
 
     image_iterator = images()

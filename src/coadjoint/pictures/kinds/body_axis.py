@@ -8,15 +8,17 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.pictures.globe import Globe, view_of
+from coadjoint.pictures.members import MemberColours
+from coadjoint.pictures.path_update import PathUpdate
 from coadjoint.pictures.plot_data import PlottedRun
-from coadjoint.pictures.register import CannotShow, Paint, kind
-from coadjoint.pictures.style import INK, colour, legend
+from coadjoint.pictures.register import CannotShow, Paint, Update, kind
+from coadjoint.pictures.style import colour, ink, legend, set_title
 from coadjoint.validation import read_finite, read_integer
 
 Floats = npt.NDArray[np.float64]
 
 
-@kind("body axis")
+@kind("body axis", moves=True)
 def body_axis(
     drawn: PlottedRun, axis: Any = 2, up: Any = None, vertical: str = "", view: tuple[float, float] | None = None
 ) -> Paint:
@@ -33,19 +35,23 @@ def body_axis(
     view : (float, float), optional
         Direction of view in degrees: around the vertical, and above the horizon. By default from the side of the path.
     """
-    drawn = drawn.refined
+    saved, drawn = drawn, drawn.refined
     path, name = axis_in_space(drawn, axis, up)
 
-    def paint(axes: Any) -> None:
+    def paint(axes: Any) -> Update:
         globe = Globe(axes, ("$X$", "$Y$", f"$Z$\n{vertical}" if vertical else "$Z$"), view or view_of(path[0]))
-        several = len(path) > 1
+        shades, update = MemberColours(saved), PathUpdate(saved, axes, f"{name} in space")
+        several, indices = len(path) > 1, drawn.curve_indices
         for m, points in enumerate(path):
-            line_colour = colour(m if several else 0)
-            globe.path(points[drawn.curve_indices], line_colour, drawn.axis_joined, linewidth=0.9 if several else 1.1)
+            curve = points[indices]
+            lines = globe.path(curve, shades[m], drawn.axis_joined, linewidth=0.9 if several else 1.1)
             globe.mark(points[0], colour(1), label="start" if m == 0 else None)
-            globe.mark(points[-1], INK, label="end" if m == 0 else None, marker="s", size=4.0)
-        axes.set_title(f"{name} in space", fontsize=9.5, color=INK)
+            end = globe.mark(points[-1], ink(), label="end" if m == 0 else None, marker="s", size=4.0)
+            update.add(lines, drawn.t[indices], globe.project(curve)[0], end)
+        shades.add_bar(axes)
+        set_title(axes, f"{name} in space")
         legend(axes, loc="lower right")
+        return update
 
     return paint
 

@@ -11,16 +11,19 @@ import numpy.typing as npt
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.pictures.level_surface import level_surface
+from coadjoint.pictures.members import MemberColours
+from coadjoint.pictures.path_update import PathUpdate
 from coadjoint.pictures.plot_data import PlottedRun
-from coadjoint.pictures.register import CannotShow, Paint, kind
-from coadjoint.pictures.style import COLOURS, GRID, INK, colour, dots, symbol
+from coadjoint.pictures.register import CannotShow, Paint, Update, kind
+from coadjoint.pictures.style import colour, dots, ink, set_title, setting, symbol, thickness
 
 SURFACE_COLOUR = "#B8CCE0"
 MAX_COORDINATE = 1e75  # larger coordinates, of members that fail, overflow in the normals of a surface
+LABEL_PAD = -2.0
 LIGHT_DIRECTION = np.array([0.3, -0.5, 0.81])  # a direction from above and the left
 
 
-@kind("coadjoint orbit", projection="3d")
+@kind("coadjoint orbit", projection="3d", moves=True)
 def coadjoint_orbit(drawn: PlottedRun, view: tuple[float, float] = (-60.0, 30.0)) -> Paint:
     """Show orbits of three coordinates on the level surface of a Casimir.
 
@@ -29,21 +32,21 @@ def coadjoint_orbit(drawn: PlottedRun, view: tuple[float, float] = (-60.0, 30.0)
     view : (float, float)
         Direction of view in degrees: around the third axis, and above the plane of the others.
     """
-    n, drawn = drawn.n, drawn.refined
+    n, saved, drawn = drawn.n, drawn, drawn.refined
     if n != 3:
         raise CannotShow(f"the state has {n} coordinates, and a coadjoint orbit is drawn as a surface in 3")
 
-    def paint(axes: Any) -> None:
+    def paint(axes: Any) -> Update:
+        shades, members = MemberColours(saved), drawn.x[:, drawn.curve_indices]
+        on_surface = drawn.unexplained_change is None
         labels = [drawn.label(i) for i in range(3)]
-        draw_orbit(
-            axes,
-            drawn.x[:, drawn.curve_indices],
-            drawn.system.casimirs,
-            labels,
-            drawn.joined,
-            drawn.unexplained_change is None,
-        )
-        axes.view_init(azim=view[0], elev=view[1])  # type: ignore[attr-defined]
+        axes.view_init(azim=view[0], elev=view[1])
+        lines, title = draw_orbit(axes, members, drawn.system.casimirs, labels, drawn.joined, on_surface, shades)
+        shades.add_bar(axes)
+        update = PathUpdate(saved, axes, title)
+        for line, path in zip(lines, members, strict=True):
+            update.add([line], drawn.t[drawn.curve_indices], path)
+        return update
 
     return paint
 
@@ -64,11 +67,15 @@ def draw_orbit(
     names: Sequence[str] = ("$x_1$", "$x_2$", "$x_3$"),
     joined: bool = True,
     on_surface: bool = True,
-) -> None:
+    shades: MemberColours | None = None,
+) -> tuple[list[Any], str]:
     """Draw orbits (members, k, 3) and the level surface of a Casimir through the first point of the first orbit.
 
-    Points are dots unless `joined`. `on_surface` is false if forces move the orbits away from the surface.
+    Points are dots unless `joined`. `on_surface` is false if forces move the orbits away from the surface. Parts of
+    orbits behind the surface are faint. Returns the lines of the orbits, and the title without a note.
     """
+    from coadjoint.pictures.hidden_lines import FadingLine, Hides, hides_behind
+
     name = surface_casimir(casimirs)
     members = np.where(np.abs(members) < MAX_COORDINATE, members, np.nan)
     box = _box_of(members)
@@ -77,7 +84,8 @@ def draw_orbit(
     triangles = np.empty((0, 3, 3))
     if name is not None:
         casimir = casimirs[name]
-        triangles, box = _surface(casimir, float(casimir(members[0, 0])), members)
+        level = float(casimir(members[0, 0]))
+        triangles, box = _surface(casimir, level, members)
         title = f"{subject} on the level surface of {symbol(name)}"
         if not len(triangles):
             title = f"{subject}; the level set of {symbol(name)} is no surface"
@@ -85,23 +93,29 @@ def draw_orbit(
             title = f"orbits, and the level surface of {symbol(name)} of the first"
         elif not on_surface:
             title = f"{subject}, and the level surface of {symbol(name)} at its start"
+
+    hides: Hides = _hides_nothing
     if len(triangles):
         _draw_surface(axes, triangles)
-    several = len(members) > 1
+        hides = hides_behind(casimir, level, box, getattr(casimir, "period", 0.0))
+    several, lines = len(members) > 1, []
     for m, orbit in enumerate(members):
-        shade, alpha = (colour(m), 0.8) if several else (colour(0), 1.0)
-        style: dict[str, Any] = {"linewidth": 0.8 if several else 1.0} if joined else dots(len(orbit))
-        axes.plot(*orbit.T, color=shade, alpha=alpha, zorder=5, **style)
-        axes.plot(
-            *orbit[:1].T,
-            marker="o",
-            markersize=2.5 if several else 4,
-            color=shade if several else COLOURS[1],
-            linestyle="none",
-            zorder=6,
-        )
+        shade = colour(0) if shades is None else shades[m]
+        width = thickness(0.9 if several else 1.1)
+        style: dict[str, Any] = {"linewidth": width} if joined else dots(len(orbit))
+        line = FadingLine(orbit, hides, color=shade, zorder=5, **style)
+        mark = {"marker": "o", "linestyle": "none", "color": shade if several else colour(1), "zorder": 6}
+        start = FadingLine(orbit[:1], hides, markersize=2.5 if several else 4.0, **mark)
+        for artist in (line, start):
+            axes.add_line(artist)
+        lines.append(line)
     frame_space(axes, box, names)
-    axes.set_title(title + "\n(dot: start)", fontsize=9.5, color=INK)
+    set_title(axes, title + "\n(dot: start)")
+    return lines, title
+
+
+def _hides_nothing(points: npt.NDArray[np.float64], towards: Any) -> npt.NDArray[np.bool_]:
+    return np.zeros(len(points), dtype=np.bool_)
 
 
 def _surface(casimir: Any, level: float, members: npt.NDArray[np.float64]) -> tuple[Any, Any]:
@@ -149,19 +163,23 @@ def _draw_surface(axes: Any, triangles: npt.NDArray[np.float64]) -> None:
 def frame_space(axes: Any, box: npt.NDArray[np.float64], names: Sequence[str]) -> None:
     """Set limits (the box, (3, 2)), labels and thin lines of three-dimensional axes."""
     axes.computed_zorder = False
+    axes.set_proj_type("ortho")
     axes.set(xlim=box[0], ylim=box[1], zlim=box[2])
     axes.set_box_aspect((1, 1, 1), zoom=0.93)  # the layout ignores labels in space
-    for set_label, name in zip((axes.set_xlabel, axes.set_ylabel, axes.set_zlabel), names, strict=True):
-        set_label(name, fontsize=9, labelpad=-2)
-    axes.tick_params(labelsize=7, width=0.5, pad=0, colors=INK)
-    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+    for axis, name in zip((axes.xaxis, axes.yaxis, axes.zaxis), names, strict=True):
+        # Labels that follow the axes may be upside down.
+        axis.set_rotate_label(False)
+        axis.set_label_text(name, fontsize=setting("axes.labelsize"), rotation=0.0)
+        axis.labelpad = LABEL_PAD
         axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
-        axis._axinfo["grid"].update(color=GRID, linewidth=0.4)
-        axis.line.set(linewidth=0.5, color=INK)
+        axis._axinfo["grid"].update(color=setting("grid.color"), linewidth=setting("grid.linewidth"))
+        axis.line.set(linewidth=setting("axes.linewidth"), color=ink())
         axis.set_major_locator(_few_ticks())
+    size, width = setting("xtick.labelsize"), setting("xtick.major.width")
+    axes.tick_params(labelsize=size, width=width, pad=0, colors=setting("xtick.color"))
 
 
 def _few_ticks() -> Any:
     from matplotlib.ticker import MaxNLocator
 
-    return MaxNLocator(5)
+    return MaxNLocator(4)

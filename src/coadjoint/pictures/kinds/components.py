@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.pictures.members import MemberColours
 from coadjoint.pictures.plot_data import PlottedRun, spread
-from coadjoint.pictures.register import Paint, kind
-from coadjoint.pictures.series import draw_members
-from coadjoint.pictures.style import INK, colour, coordinate, legend, plain_axes
+from coadjoint.pictures.register import Paint, Update, kind
+from coadjoint.pictures.series import draw_members, draw_series, from_start
+from coadjoint.pictures.style import colour, coordinate, ink, legend, plain_axes, setting, thickness
 
 MAX_COMPONENTS = 8
 BISECTIONS = 52
@@ -20,7 +21,7 @@ Floats = npt.NDArray[np.float64]
 Function = Callable[[Any], Any]
 
 
-@kind("components", over_time=True)
+@kind("components", over_time=True, moves=True)
 def components(
     drawn: PlottedRun,
     chosen: Sequence[int | str] | Callable[[int], Sequence[int]] | None = None,
@@ -42,7 +43,7 @@ def components(
     quantity : str, optional
         Label of the axis; by default the quantity of the coordinates of the system.
     """
-    n, drawn = drawn.n, drawn.refined
+    n, saved, drawn = drawn.n, drawn, drawn.refined
     chosen = chosen(n) if callable(chosen) else chosen
     functions = functions(n) if callable(functions) else functions
     indices = [drawn.index_of(i) for i in chosen or ()]
@@ -52,14 +53,16 @@ def components(
     for name, function in (functions or {}).items():
         with np.errstate(all="ignore"):  # nonfinite values are not drawn
             lines[coordinate(name)] = np.asarray(function(drawn.x))
+    lines, note = from_start(lines)
     flip_index = None if flips is None else drawn.index_of(flips)
 
-    def paint(axes: Any) -> None:
+    def paint(axes: Any) -> Update:
+        shades = MemberColours(saved)
         by_member = len(drawn.x) > 1 and len(lines) == 1
         for line, (label, members) in enumerate(lines.items()):
             if by_member:
                 for m, values in enumerate(members):
-                    draw_members(axes, drawn.t, values[None], drawn.dense, colour(m), None)
+                    draw_series(axes, drawn.t, values, drawn.dense, color=shades[m], linewidth=thickness(0.7))
             else:
                 draw_members(axes, drawn.t, members, drawn.dense, colour(line), label)
         name = drawn.quantity if quantity is None else quantity
@@ -73,14 +76,30 @@ def components(
             ylabel = f"{name} {next(iter(lines))}"
         elif all(label.startswith("$x_{") for label in lines):
             ylabel = f"{name} $x_i$"
-        axes.set(xlabel="time $t$", ylabel=ylabel, title=title)
+        axes.set(xlabel="time $t$", ylabel=ylabel + note, title=title)
         plain_axes(axes)
-        if not by_member:
-            legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        if by_member:
+            shades.add_bar(axes)
+        else:
+            legend(axes, beside=True)
         if flip_index is not None:
             _mark_flips(axes, drawn, flip_index)
+        return _cursor(axes, saved, title)
 
     return paint
+
+
+def _cursor(axes: Any, drawn: PlottedRun, title: str) -> Update:
+    """Return the update of a picture over time: a line at the time, added by the first call."""
+    lines: list[Any] = []
+
+    def update(k: int) -> None:
+        if not lines:
+            lines.append(axes.axvline(drawn.t[k], color=ink(), linewidth=thickness(0.8)))
+        lines[0].set_xdata([drawn.t[k], drawn.t[k]])
+        axes.title.set_text(f"{title}, $t$ = {drawn.t[k]:.4g}")
+
+    return update
 
 
 def _mark_flips(axes: Any, drawn: PlottedRun, i: int) -> None:
@@ -94,15 +113,15 @@ def _mark_flips(axes: Any, drawn: PlottedRun, i: int) -> None:
     axes.set_ylim(low, high + 0.22 * (high - low))
     height = high + 0.07 * (high - low)
     for time in times:
-        axes.plot([time, time], [0.0, height], color=INK, linewidth=0.6, linestyle=":")
-    arrow = {"arrowstyle": "<->", "color": INK, "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0}
+        axes.plot([time, time], [0.0, height], color=ink(), linewidth=0.6, linestyle=":")
+    arrow = {"arrowstyle": "<->", "color": ink(), "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", xy=(times[1], height), xytext=(times[0], height), arrowprops=arrow)
     text = f"{drawn.label(i)} changes sign after {abs(times[1] - times[0]):.6g}"
     left, right = axes.get_xlim()
     middle = (times.mean() - left) / (right - left)
     side = "left" if middle < 0.3 else "right" if middle > 0.7 else "center"
     position = {"left": times.min(), "right": times.max(), "center": times.mean()}[side]
-    axes.text(position, height, text, ha=side, va="bottom", fontsize=8, color=INK)
+    axes.text(position, height, text, ha=side, va="bottom", fontsize=setting("legend.fontsize"), color=ink())
 
 
 def flip_times(

@@ -9,13 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.pictures.globe import Globe, view_of
+from coadjoint.pictures.members import MemberColours
+from coadjoint.pictures.path_update import PathUpdate
 from coadjoint.pictures.plot_data import PlottedRun
-from coadjoint.pictures.register import CannotShow, Paint, kind
-from coadjoint.pictures.style import INK, colour, legend
+from coadjoint.pictures.register import CannotShow, Paint, Update, kind
+from coadjoint.pictures.style import colour, legend, set_title
 from coadjoint.validation import read_finite
 
 
-@kind("directions")
+@kind("directions", moves=True)
 def directions(
     drawn: PlottedRun,
     vectors: Mapping[str, Any],
@@ -39,22 +41,28 @@ def directions(
         Direction of view in degrees: around the third axis, and above the plane of the others. By default from the side
         of the paths.
     """
-    drawn = drawn.refined
+    saved, drawn = drawn, drawn.refined
     paths = {name: _unit(_components(drawn, vector)) for name, vector in vectors.items()}
 
-    def paint(axes: Any) -> None:
+    def paint(axes: Any) -> Update:
         points = np.concatenate([members.reshape(-1, 3) for members in paths.values()])
         globe = Globe(axes, axes_named, view or view_of(points))
-        several = len(drawn.x) > 1
+        shades, update = MemberColours(saved), PathUpdate(saved, axes, title or "directions")
+        several, indices = len(drawn.x) > 1, drawn.curve_indices
         for i, (name, members) in enumerate(paths.items()):
-            if len(paths) > 1:
-                axes.plot([], [], color=colour(i), label=name)
             for m, path in enumerate(members):
-                shade = colour(m) if several and len(paths) == 1 else colour(i)
-                globe.path(path[drawn.curve_indices], shade, drawn.joined)
+                shade = shades[m] if len(paths) == 1 else colour(i)
+                curve = path[indices]
+                label = name if m == 0 and len(paths) > 1 else None
+                lines = globe.path(curve, shade, drawn.joined, linewidth=0.9 if several else 1.1, label=label)
                 globe.mark(path[0], shade, label="start" if i == m == 0 else None, size=3.0 if several else 5.0)
-        axes.set_title(title or "directions", fontsize=9.5, color=INK)
+                if lines:
+                    update.add(lines, drawn.t[indices], globe.project(curve)[0])
+        if len(paths) == 1:
+            shades.add_bar(axes)
+        set_title(axes, title or "directions")
         legend(axes, loc="lower right")
+        return update
 
     return paint
 

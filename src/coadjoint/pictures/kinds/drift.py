@@ -2,39 +2,31 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.fluids import carried_field, vorticity_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.series import draw_members
-from coadjoint.pictures.style import colour, legend, plain_axes, symbol
-from coadjoint.systems.protocol import is_matrix_system
+from coadjoint.pictures.style import colour, legend, plain_axes, setting, symbol, thickness
 
 MAX_CASIMIRS = 5
 """Largest number of Casimirs drawn as lines; of more, the worst four are drawn, with a band of all."""
 BAND_COLOUR = "#9AA7B5"
-TRACE = re.compile(r"tr (W|Theta)( Theta)?(?:\^(\d+))?")
 
 
 @kind("drift", over_time=True)
 def drift(drawn: PlottedRun) -> Paint:
-    """Show the absolute deviations from the start on a logarithmic scale.
+    """Show the deviations from the start, relative as in `Solution.drift`, on a logarithmic scale.
 
     If the Hamiltonian depends on time, the title states that the energy is driven. Of many Casimirs the worst four are
     drawn as lines, and a band spans the deviations of all. With forces, dotted lines show the change minus the work of
-    the forces: the error of the run. For matrices, deviations are relative to the sizes of the traces, which are large.
+    the forces: the error of the run.
     """
-    sizes = _sizes(drawn)
-    deviations = {
-        name: np.abs(values - values[:, :1]) / sizes.get(name, 1.0) for name, values in drawn.invariants.items()
-    }
-    measure = "relative" if sizes else "absolute"
+    sizes = drawn.scales
+    deviations = {name: np.abs(values - values[:, :1]) / sizes[name] for name, values in drawn.invariants.items()}
     energy = deviations.pop("energy")
     lines = {"energy": energy, **_worst(deviations)}
 
@@ -47,9 +39,9 @@ def drift(drawn: PlottedRun) -> Paint:
             label = "$H$, driven" if name == "energy" and drawn.driven else symbol(name)
             draw_members(axes, drawn.t, visible, drawn.dense, colour(i), label)
             if drawn.unexplained_change is not None:
-                change = np.abs(drawn.unexplained_change[name]) / sizes.get(name, 1.0)
+                change = np.abs(drawn.unexplained_change[name]) / sizes[name]
                 _draw_dotted(axes, drawn, change, colour(i), None if i else "$H$ less their work")
-        axes.set(yscale="log", ylabel=f"{measure} deviation from start")
+        axes.set(yscale="log", ylabel="relative deviation from start")
         title = "drift of the energy $H$ and the Casimirs"
         if drawn.unexplained_change is not None:
             title = "change of the energy $H$ and the Casimirs by forces"
@@ -57,41 +49,25 @@ def drift(drawn: PlottedRun) -> Paint:
             title = "change of the driven energy $H$, drift of the Casimirs"
         axes.set_title(f"{title}, at the saved points")
         if not any(np.any(values > 0.0) for values in (energy, *deviations.values())):
-            axes.text(0.5, 0.5, "no deviation in any bit", transform=axes.transAxes, ha="center", fontsize=9)
+            axes.text(
+                0.5,
+                0.5,
+                "no deviation in any bit",
+                transform=axes.transAxes,
+                ha="center",
+                fontsize=setting("axes.labelsize"),
+            )
         _widen_to_two_decades(axes)
         plain_axes(axes)
-        legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        legend(axes, beside=True)
 
     return paint
-
-
-def _sizes(drawn: PlottedRun) -> Mapping[str, float]:
-    """Return the scales of the invariants at the start of the first member, for matrices only.
-
-    The scale of a trace is the sum of its absolute terms, since the terms cancel.
-    """
-    if not is_matrix_system(drawn.unforced):
-        return {}
-    state = drawn.state(0)
-    scales = {"energy": float(np.nanmax(np.abs(drawn.invariants["energy"])))}
-    singular = {
-        "W": np.linalg.svd(vorticity_of(state), compute_uv=False),
-        "Theta": np.linalg.svd(carried_field(state), compute_uv=False),
-    }
-    for name in drawn.invariants:
-        trace = TRACE.fullmatch(name)
-        if trace is not None:
-            first, second = singular[trace[1]], singular["Theta" if trace[2] else trace[1]]
-            power = int(trace[3] or 1) if trace[2] else int(trace[3] or 1) - 1
-            scales[name] = float(np.sum(first * second**power))
-    complete = all(np.isfinite(scales.get(name, np.nan)) and scales[name] > 0.0 for name in drawn.invariants)
-    return scales if complete else {}
 
 
 def _draw_dotted(axes: Any, drawn: PlottedRun, members: npt.NDArray[np.float64], shade: str, label: str | None) -> None:
     for m, values in enumerate(members):
         visible = np.where(values > 0.0, values, np.nan)
-        axes.plot(drawn.t, visible, ":", color=shade, linewidth=0.8, label=label if m == 0 else None)
+        axes.plot(drawn.t, visible, ":", color=shade, linewidth=thickness(0.8), label=label if m == 0 else None)
 
 
 def _worst(deviations: dict[str, npt.NDArray[np.float64]]) -> dict[str, npt.NDArray[np.float64]]:

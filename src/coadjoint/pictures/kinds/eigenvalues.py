@@ -8,7 +8,7 @@ import numpy as np
 
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, kind
-from coadjoint.pictures.style import colour, legend, plain_axes
+from coadjoint.pictures.style import colour, legend, plain_axes, thickness
 from coadjoint.systems.protocol import is_matrix_system
 
 MAX_MARKED = 40
@@ -40,7 +40,7 @@ def eigenvalues(drawn: PlottedRun, at: float = 1.0) -> Paint:
 
     def paint(axes: Any) -> None:
         for values, j, line, width in ((first, 0, 4, 3.0), (last, k, 6, 0.9)):
-            style = {"color": colour(line), "linewidth": width, "label": f"$t$ = {drawn.t[j]:.4g}"}
+            style = {"color": colour(line), "linewidth": thickness(width), "label": f"$t$ = {drawn.t[j]:.4g}"}
             if np.iscomplexobj(values):
                 style |= {"linestyle": "none", "marker": "o", "markersize": 3.0 * width}
                 axes.plot(values.real / size, values.imag / size, **style)
@@ -51,8 +51,8 @@ def eigenvalues(drawn: PlottedRun, at: float = 1.0) -> Paint:
             axes.set(xlabel="real part over the largest", ylabel="imaginary part over the largest")
         else:
             axes.set(xlabel="part of the eigenvalues below", ylabel=f"eigenvalues of $-i{name}$ over the largest")
-        axes.set_title(f"spectrum of ${name}$: moved by {moved:.1e} of the largest")
+        axes.set_title(f"spectrum of ${name}${drawn.of_member}: moved by {moved:.1e} of the largest")
         plain_axes(axes)
-        legend(axes, loc="upper left")
+        legend(axes, beside=True)
 
     return paint

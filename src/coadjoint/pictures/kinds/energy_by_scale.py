@@ -9,7 +9,7 @@ import numpy as np
 from coadjoint.pictures.fluids import fluid_of, surface_of, vorticity_of
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import Paint, kind
-from coadjoint.pictures.style import colour, legend, plain_axes
+from coadjoint.pictures.style import colour, legend, plain_axes, thickness
 
 MAX_TIMES = 200
 MAX_SCALES = 6
@@ -35,10 +35,10 @@ def energy_by_scale(drawn: PlottedRun) -> Paint:
     def paint(axes: Any) -> None:
         for line, i in enumerate(largest):
             label = f"${LETTER[surface_of(fluid)]} = {scales[i]:g}$"
-            axes.plot(drawn.t[times], shares[:, i], color=colour(line), linewidth=0.9, label=label)
-        axes.set(xlabel="time $t$", ylabel="share of the energy", title="energy by scale")
+            axes.plot(drawn.t[times], shares[:, i], color=colour(line), linewidth=thickness(0.9), label=label)
+        axes.set(xlabel="time $t$", ylabel="share of the energy", title=f"energy by scale{drawn.of_member}")
         axes.set_ylim(0.0, None)
         plain_axes(axes)
-        legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        legend(axes, beside=True)
 
     return paint

@@ -9,7 +9,7 @@ import numpy as np
 
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
-from coadjoint.pictures.style import INK
+from coadjoint.pictures.style import colour_bar, plain_axes, set_title
 from coadjoint.validation import read_positive
 
 CELLS = 160
@@ -69,19 +69,18 @@ def field(
         coordinates = [np.linspace(0.0, side, count) for count in first.shape[::-1]]
         style = {"levels": np.linspace(-size, size, LEVELS), "cmap": "RdBu_r"}
         contours = axes.contourf(*coordinates, first, **style)
-        bar = axes.figure.colorbar(contours, ax=axes, shrink=0.7, pad=0.02, ticks=MaxNLocator(5))
-        bar.set_label(label, fontsize=9)
-        bar.ax.tick_params(labelsize=8)
-        axes.tick_params(width=0.6, length=3.0, labelsize=8, colors=INK)
+        colour_bar(axes, contours, label, ticks=MaxNLocator(5))
+        plain_axes(axes)
+        axes.grid(False)
         axes.set(xlabel="$X$", ylabel="$Y$")
         axes.set_aspect("equal")
-        title = axes.set_title(f"{label} at $t$ = {drawn.t[k]:.4g}", fontsize=9.5, color=INK)
+        title = set_title(axes, f"{label}{drawn.of_member} at $t$ = {drawn.t[k]:.4g}")
 
         def update(j: int) -> None:
             nonlocal contours
             contours.remove()
             contours = axes.contourf(*coordinates, np.clip(field_at(j), -size, size), **style)
-            title.set_text(f"{label} at $t$ = {drawn.t[j]:.4g}")
+            title.set_text(f"{label}{drawn.of_member} at $t$ = {drawn.t[j]:.4g}")
 
         return update
 

@@ -9,7 +9,7 @@ import numpy as np
 from coadjoint.pictures.fluids import fluid_of, surface_of, vorticity_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import Paint, kind
-from coadjoint.pictures.style import colour, legend, plain_axes
+from coadjoint.pictures.style import colour, legend, plain_axes, thickness
 
 AXIS_LABELS = {"sphere": "degree $l$", "torus": "wave number $|n|$"}
 DECADES = 8.0
@@ -37,17 +37,20 @@ def field_spectra(drawn: PlottedRun, at: float = 1.0) -> Paint:
 
     def paint(axes: Any) -> None:
         for line, name in enumerate(spectra):
-            for j, style in {0: {"linestyle": "--", "linewidth": 0.8}, k: {"linestyle": "-", "linewidth": 1.2}}.items():
+            for j, style in {
+                0: {"linestyle": "--", "linewidth": thickness(0.8)},
+                k: {"linestyle": "-", "linewidth": thickness(1.2)},
+            }.items():
                 scales, values = points[name, j]
                 label = f"{name}, $t$ = {drawn.t[j]:.4g}"
                 axes.plot(scales, np.where(values > 0.0, values, np.nan), color=colour(line), label=label, **style)
         axes.set(xscale="log", xlabel=AXIS_LABELS[surface_of(fluid)])
-        axes.set(ylabel="energy and enstrophy", title="spectra of energy and enstrophy")
+        axes.set(ylabel="energy and enstrophy", title=f"spectra of energy and enstrophy{drawn.of_member}")
         top = max(float(values.max()) for _, values in points.values())
         if top > 0.0:  # a fluid at rest has no logarithms
             low = min(float(values[values > top * 10.0**-DECADES].min(initial=top)) for _, values in points.values())
             axes.set(yscale="log", ylim=(low / 2, top * 3))
         plain_axes(axes)
-        legend(axes)
+        legend(axes, beside=True)
 
     return paint

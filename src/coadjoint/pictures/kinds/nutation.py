@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 
 from coadjoint.pictures.kinds.body_axis import axis_in_space
+from coadjoint.pictures.members import MemberColours
+from coadjoint.pictures.path_update import PathUpdate
 from coadjoint.pictures.plot_data import PlottedRun
-from coadjoint.pictures.register import Paint, kind
-from coadjoint.pictures.style import INK, colour, dots, legend, plain_axes
+from coadjoint.pictures.register import Paint, Update, kind
+from coadjoint.pictures.style import colour, dots, plain_axes, set_title, thickness
 
 
-@kind("nutation")
+@kind("nutation", moves=True)
 def nutation(drawn: PlottedRun, axis: Any = 2, up: Any = None, turns: float = 0.5) -> Paint:
     """Show the inclination of a body axis to the vertical over its azimuth, both in degrees; needs attitude.
 
@@ -25,10 +27,11 @@ def nutation(drawn: PlottedRun, axis: Any = 2, up: Any = None, turns: float = 0.
     turns : float
         Number of revolutions of the axis after which the curve ends.
     """
-    drawn = drawn.refined
+    saved, drawn = drawn, drawn.refined
     path, name = axis_in_space(drawn, axis, up)
 
-    def paint(axes: Any) -> None:
+    def paint(axes: Any) -> Update:
+        shades, update = MemberColours(saved), PathUpdate(saved, axes, f"nutation of {name}")
         truncated = False
         for m, directions in enumerate(path):
             points = directions[drawn.curve_indices]
@@ -38,15 +41,17 @@ def nutation(drawn: PlottedRun, axis: Any = 2, up: Any = None, turns: float = 0.
             beyond = np.flatnonzero(np.abs(azimuth) > 360.0 * turns)
             last = int(beyond[0]) if beyond.size else len(azimuth)
             truncated |= bool(beyond.size)
-            style: dict[str, Any] = {"linewidth": 1.1} if drawn.axis_joined else dots(len(points))
-            axes.plot(azimuth[:last], inclination[:last], color=colour(m), **style)
-            start = {"label": "start"} if m == 0 else {}
-            axes.plot(azimuth[:1], inclination[:1], "o", markersize=5, color=colour(1), **start)
+            style: dict[str, Any] = {"linewidth": thickness(1.1)} if drawn.axis_joined else dots(len(points))
+            curve = np.stack([azimuth[:last], inclination[:last]], axis=-1)
+            lines = axes.plot(*curve.T, color=shades[m], **style)
+            axes.plot(azimuth[:1], inclination[:1], "o", markersize=5, color=colour(1))
+            update.add(lines, drawn.t[drawn.curve_indices[:last]], curve)
         axes.invert_yaxis()
         axes.set(xlabel="azimuth [degrees]", ylabel="inclination to the vertical [degrees]")
-        axes.set_title(f"nutation of {name}" + (f", for the first {360.0 * turns:g} degrees" if truncated else ""))
+        extent = f", for the first {360.0 * turns:g} degrees" if truncated else ""
+        set_title(axes, f"nutation of {name}{extent} (dot: start)")
         plain_axes(axes)
-        axes.title.set_color(INK)
-        legend(axes)
+        shades.add_bar(axes)
+        return update
 
     return paint

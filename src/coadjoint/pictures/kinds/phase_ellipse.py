@@ -9,7 +9,7 @@ import numpy as np
 
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
-from coadjoint.pictures.style import INK, plain_axes
+from coadjoint.pictures.style import colour_bar, ink, plain_axes, thickness
 from coadjoint.validation import read_integer, read_number
 
 Lump = tuple[Any, Any, Any, Any, Any]
@@ -60,14 +60,17 @@ def phase_ellipse(
         indices = spread(end, count)
         scale = Normalize(float(drawn.t[indices].min()), float(drawn.t[indices].max()))
         shades = ScalarMappable(scale, colormaps["plasma"].with_extremes())
+        width = thickness(1.2)
         for q, p, qq, qp, pp in distributions:
-            axes.plot(q[:end], p[:end], color=INK, linewidth=0.4, alpha=0.6)
+            axes.plot(q[:end], p[:end], color=ink(), linewidth=thickness(0.4), alpha=0.6)
             for k in indices:
-                axes.plot(*_ellipse(q[k], p[k], qq[k], qp[k], pp[k]), color=shades.to_rgba(drawn.t[k]), linewidth=1.2)
-        bar = axes.figure.colorbar(shades, ax=axes, shrink=0.8, pad=0.02)
-        bar.set_label("time $t$", fontsize=9)
-        bar.ax.tick_params(labelsize=8)
-        axes.set(xlabel=labels[0], ylabel=labels[1], title="ellipses of one standard deviation")
+                axes.plot(
+                    *_ellipse(q[k], p[k], qq[k], qp[k], pp[k]),
+                    color=shades.to_rgba(drawn.t[k]),
+                    linewidth=width,
+                )
+        colour_bar(axes, shades, "time $t$")
+        axes.set(xlabel=labels[0], ylabel=labels[1], title=f"ellipses of one standard deviation{drawn.of_member}")
         plain_axes(axes)
 
     return paint

@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.pictures.members import MemberColours
+from coadjoint.pictures.path_update import PathUpdate
 from coadjoint.pictures.plot_data import PlottedRun
-from coadjoint.pictures.register import CannotShow, Paint, kind
-from coadjoint.pictures.style import colour, dots, plain_axes
+from coadjoint.pictures.register import CannotShow, Paint, Update, kind
+from coadjoint.pictures.style import dots, plain_axes, set_title, thickness
 
 Floats = npt.NDArray[np.float64]
 
 
-@kind("phase portrait")
+@kind("phase portrait", moves=True)
 def phase_portrait(
     drawn: PlottedRun,
     across: int | str | Callable[[Any], Any] = 0,
@@ -43,28 +45,33 @@ def phase_portrait(
     for chosen in (across, up):
         if isinstance(chosen, int) and chosen >= drawn.n:
             raise CannotShow(f"coordinate {chosen} is drawn, and the state has {drawn.n}")
-    drawn = drawn.refined
+    saved, drawn = drawn, drawn.refined
     values = [_evaluate(drawn, chosen) for chosen in (across, up)]
     names = labels or tuple("" if callable(chosen) else drawn.label(drawn.index_of(chosen)) for chosen in (across, up))
 
-    def paint(axes: Any) -> None:
+    def paint(axes: Any) -> Update:
+        shades, update = MemberColours(saved), PathUpdate(saved, axes, title)
         for m, (x, y) in enumerate(zip(*values, strict=True)):
+            times, shown_x, shown_y = drawn.t[drawn.curve_indices], x, y
             if cyclic > 0.0:
                 x = _wrap(x, cyclic)
                 # NaN interrupts the curve where it wraps around.
                 jumps = np.flatnonzero(np.abs(np.diff(x)) > 0.5 * cyclic) + 1
                 shown_x, shown_y = np.insert(x, jumps, np.nan), np.insert(y, jumps, np.nan)
-            else:
-                shown_x, shown_y = x, y
-            style: dict[str, Any] = {"linewidth": 0.9} if drawn.joined else dots(len(x))
-            axes.plot(shown_x, shown_y, color=colour(m), **style)
-            axes.plot(x[:1], y[:1], "o", markersize=4, color=colour(m))
-        axes.set(xlabel=names[0], ylabel=names[1], title=f"{title} (dot: start)")
+                times = np.insert(times, jumps, times[jumps])
+            style: dict[str, Any] = {"linewidth": thickness(0.9)} if drawn.joined else dots(len(x))
+            lines = axes.plot(shown_x, shown_y, color=shades[m], **style)
+            axes.plot(x[:1], y[:1], "o", markersize=4, color=shades[m])
+            update.add(lines, times, np.stack([shown_x, shown_y], axis=-1))
+        axes.set(xlabel=names[0], ylabel=names[1])
+        set_title(axes, f"{title} (dot: start)")
         if cyclic > 0.0:
             axes.set_xlim(-0.5 * cyclic, 0.5 * cyclic)
         plain_axes(axes)
+        shades.add_bar(axes)
         if equal:
             axes.set_aspect("equal", adjustable="datalim")
+        return update
 
     return paint
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,7 +10,16 @@ import numpy as np
 from coadjoint.optional_packages import require_packages
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, kind
-from coadjoint.pictures.style import COLOURS, coordinate, plain_axes
+from coadjoint.pictures.style import (
+    COLOURS,
+    colour,
+    colour_bar,
+    coordinate,
+    legend,
+    plain_axes,
+    set_title,
+    with_figure_settings,
+)
 from coadjoint.runs.events import RecordedEvents
 from coadjoint.validation import read_choice, read_integer, read_list
 
@@ -46,6 +56,7 @@ def section(drawn: PlottedRun, event: str | int | None = None, components: Any =
     return paint
 
 
+@with_figure_settings
 def draw_crossings(events: RecordedEvents, components: Any = None, axes: Any = None) -> Figure:
     """Draw the crossings of events in two coordinates (right, up), by default those that vary most.
 
@@ -53,23 +64,40 @@ def draw_crossings(events: RecordedEvents, components: Any = None, axes: Any = N
     """
     require_packages("pictures", "matplotlib")
     from coadjoint.pictures.figure import ShownFigure
+    from coadjoint.pictures.layout import PanelLayout
 
     names = events.coordinates
     across, up = drawn_coordinates(events, components)
     if axes is None:
-        axes = ShownFigure(figsize=(5.2, 4.8), layout="constrained").add_subplot()
+        axes = ShownFigure(figsize=(5.2, 4.8), layout=PanelLayout()).add_subplot()
     plain_axes(axes)
     size = 2.0 if len(events) <= MAX_LARGE_DOTS else max(0.15, 2.0 * (MAX_LARGE_DOTS / len(events)) ** 0.5)
-    for i, colour in enumerate(COLOURS):
-        members = events.member % len(COLOURS) == i
-        if members.any():
-            x = events.x[members]
-            style = {"linestyle": "none", "marker": "o", "markersize": size, "markeredgewidth": 0.0}
-            axes.plot(x[:, across], x[:, up], color=colour, rasterized=True, **style)
+    style = {"linestyle": "none", "marker": "o", "markersize": size, "markeredgewidth": 0.0, "rasterized": True}
+    members = np.unique(events.member)
+    shades, bar = _colours_of(members)
+    for m in members:
+        x = events.x[events.member == m]
+        axes.plot(x[:, across], x[:, up], color=shades(m), label=f"member {m}", **style)
     axes.set(xlabel=coordinate(names[across]), ylabel=coordinate(names[up]))
-    axes.set_title(f"{len(events)} crossings of {', '.join(events.names)}")
+    set_title(axes, f"{len(events)} crossings of {', '.join(events.names)}")
+    if bar is not None:
+        colour_bar(axes, bar, "member")
+    elif len(members) > 1:
+        legend(axes, beside=True, markerscale=4.0 / size)
     figure: Figure = axes.figure
     return figure
+
+
+def _colours_of(members: Any) -> tuple[Callable[[int], Any], Any]:
+    """Return the colours of members by number, and what a colour bar shows if they are too many for a legend."""
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    if len(members) <= len(COLOURS):
+        return lambda m: colour(int(np.searchsorted(members, m))), None
+    shades = ScalarMappable(Normalize(float(members[0]), float(members[-1])), colormaps["viridis"])
+    return lambda m: shades.to_rgba(np.array(float(m))), shades
 
 
 def drawn_coordinates(events: RecordedEvents, components: Any = None) -> tuple[int, int]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
-from coadjoint.pictures.style import plain_axes
+from coadjoint.pictures.style import colour_bar, plain_axes
 
 MAX_ROWS = 400
 
@@ -52,10 +52,9 @@ def space_time(
         mesh = axes.pcolormesh(
             np.arange(1, len(indices) + 1), drawn.t[rows], values, shading="nearest", rasterized=True, **limits
         )
-        bar = axes.figure.colorbar(mesh, ax=axes, shrink=0.8, pad=0.02)
-        bar.set_label(label, fontsize=9)
-        bar.ax.tick_params(labelsize=8)
-        axes.set(xlabel=across, ylabel="time $t$", title=title or f"{label} over {across} and time")
+        colour_bar(axes, mesh, label)
+        full_title = (title or f"{label} over {across} and time") + drawn.of_member.replace(" of", ",")
+        axes.set(xlabel=across, ylabel="time $t$", title=full_title)
         plain_axes(axes)
         axes.grid(False)
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from coadjoint.pictures.globe import VIEW, Globe
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import Paint, Update, kind
-from coadjoint.pictures.style import INK
+from coadjoint.pictures.style import colour_bar, set_title
 
 Floats = npt.NDArray[np.float64]
 
@@ -57,14 +57,12 @@ def sphere_field(
             pixels(grid), extent=(-1, 1, -1, 1), origin="lower", cmap="RdBu_r", vmin=-size, vmax=size, zorder=0.5
         )
         axes.set(xlim=(-1.42, 1.42), ylim=(-1.42, 1.42))
-        bar = axes.figure.colorbar(picture, ax=axes, shrink=0.6, pad=0.02)
-        bar.set_label(label, fontsize=9)
-        bar.ax.tick_params(labelsize=8)
-        title = axes.set_title(f"{label} at $t$ = {drawn.t[k]:.4g}", fontsize=9.5, color=INK)
+        colour_bar(axes, picture, label)
+        title = set_title(axes, f"{label}{drawn.of_member} at $t$ = {drawn.t[k]:.4g}")
 
         def update(j: int) -> None:
             picture.set_data(pixels(np.asarray(values(drawn.unforced, drawn.state(j)), dtype=np.float64)))
-            title.set_text(f"{label} at $t$ = {drawn.t[j]:.4g}")
+            title.set_text(f"{label}{drawn.of_member} at $t$ = {drawn.t[j]:.4g}")
 
         return update
 

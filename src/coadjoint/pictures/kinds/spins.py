@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
-from coadjoint.pictures.style import INK
+from coadjoint.pictures.style import colour_bar, set_title, setting
 from coadjoint.validation import read_choice
 
 Floats = npt.NDArray[np.float64]
@@ -33,9 +34,25 @@ SITES_PER_ROW = 30
 """Largest number of sites in one row; longer chains are folded into rows, like text."""
 
 
+MAX_ARROWS = 2500
+"""Largest number of spins drawn as arrows; more are drawn as colours."""
+FLATTEST = 0.3
+"""Smallest height of the picture relative to its width."""
+DOT = 0.26
+"""Diameter of the dots at the sites, in units of the distance between them."""
+PIXELS = 720
+"""Pixels along the longer side of an image of spins."""
+SITE_RADIUS = 0.85
+"""Largest distance of a pixel from the spin that colours it."""
+SATURATION = 0.8
+
+
 @kind("spins", moves=True)
 def spins(drawn: PlottedRun, at: float = 1.0, seen: str = "plane") -> Paint:
     """Show the spins of a lattice at one time, for the first member.
+
+    Of more than 2500 spins (50 x 50), colours alone show the directions: hues those in the plane, lightness the
+    component perpendicular to it.
 
     Parameters
     ----------
@@ -54,40 +71,36 @@ def spins(drawn: PlottedRun, at: float = 1.0, seen: str = "plane") -> Paint:
     if len(positions) != n // 3:
         raise CannotShow(f"the lattice has {len(positions)} sites, and there are {n // 3} spins")
     row = sites_of_row(lattice, n // 3)
-    folded = "" if row == n // 3 else f"\nrows of {row} sites, the first one above"
-    if n > 3 and lattice is None:
-        folded = "\non a circle, since the lattice is not known"
+    arrangement = "" if row == n // 3 else f"\nrows of {row} sites, the first one above"
+    if n > 3 and row == n // 3 and lattice is None:
+        arrangement = "\non a circle, since the lattice is not known"
     flat, out = ((0, 1), 2) if read_choice(seen, "way to see spins", FLAT) == "plane" else ((0, 2), 1)
     k = drawn.index_at(at)
     size = float(np.linalg.norm(drawn.x[0, k].reshape(-1, 3), axis=1).max()) or 1.0
+    coloured = n // 3 > MAX_ARROWS
 
-    def arrows(j: int) -> tuple[Any, ...]:
+    def components(j: int) -> Floats:
         S = drawn.x[0, j].reshape(-1, 3) / size
-        return S[:, flat[0]], S[:, flat[1]], S[:, out]
+        return S[:, [*flat, out]].T
 
     def title_at(j: int) -> str:
-        return f"spins at $t$ = {drawn.t[j]:g}: arrows $(S_{flat[0] + 1}, S_{flat[1] + 1})${folded}"
+        arrows = "" if coloured else f": arrows $(S_{flat[0] + 1}, S_{flat[1] + 1})$"
+        return f"spins{drawn.of_member} at $t$ = {drawn.t[j]:g}{arrows}{arrangement}"
 
     def paint(axes: Any) -> Update:
-        from matplotlib.colors import LinearSegmentedColormap
-
-        shades = LinearSegmentedColormap.from_list("out of the plane", SHADES)
-        style = {"angles": "xy", "scale_units": "xy", "scale": 1.05, "pivot": "mid", "cmap": shades}
-        drawn_arrows = axes.quiver(
-            *positions.T, *arrows(k), clim=(-1.0, 1.0), width=0.006, headwidth=4.0, minlength=0.0, **style
-        )
-        axes.plot(*positions.T, ".", markersize=1.5, color=INK, zorder=0)
-        bar = axes.figure.colorbar(drawn_arrows, ax=axes, shrink=0.7, pad=0.02)
-        bar.set_label(f"$S_{out + 1}$ over the largest $|S|$", fontsize=9)
-        bar.ax.tick_params(labelsize=8)
+        show = (_draw_colours if coloured else _draw_arrows)(axes, positions, components(k), flat, out)
         low, high = positions.min(axis=0) - 0.8, positions.max(axis=0) + 0.8
+        # Single rows have room for a colour bar.
+        lacking = max(0.0, FLATTEST * (high[0] - low[0]) - (high[1] - low[1]))
+        low, high = low - [0.0, 0.5 * lacking], high + [0.0, 0.5 * lacking]
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xticks=[], yticks=[])
         axes.set_aspect("equal")
         axes.spines[:].set_visible(False)
-        title = axes.set_title(title_at(k), fontsize=9.5, color=INK)
+        axes.grid(False)
+        title = set_title(axes, title_at(k))
 
         def update(j: int) -> None:
-            drawn_arrows.set_UVC(*arrows(j))
+            show(components(j))
             title.set_text(title_at(j))
 
         return update
@@ -95,32 +108,120 @@ def spins(drawn: PlottedRun, at: float = 1.0, seen: str = "plane") -> Paint:
     return paint
 
 
-def sites_of_row(lattice: Any, count: int) -> int:
-    """Return the number of sites per row of a folded chain, `count` if it is not folded.
+Show = Callable[[Floats], None]
+
+
+def _draw_arrows(axes: Any, positions: Floats, S: Floats, flat: tuple[int, int], out: int) -> Show:
+    """Draw dots and arrows in the colour of the third of the components, (3, sites)."""
+    from matplotlib.collections import EllipseCollection
+    from matplotlib.colors import LinearSegmentedColormap
+
+    shades = LinearSegmentedColormap.from_list("out of the plane", SHADES)
+    # All sizes are in units of the distance between sites, so that arrows keep their shape.
+    style = {"angles": "xy", "scale_units": "xy", "units": "xy", "scale": 1.05, "pivot": "mid", "cmap": shades}
+    shape = {"width": 0.09, "headwidth": 4.0, "headlength": 4.0, "headaxislength": 3.5, "minlength": 0.0}
+    arrows = axes.quiver(*positions.T, *S, clim=(-1.0, 1.0), zorder=3, **shape, **style)
+    dot = np.full(len(positions), DOT)
+    places: dict[str, Any] = {"units": "xy", "offsets": positions, "offset_transform": axes.transData, "cmap": shades}
+    dots = EllipseCollection(dot, dot, np.zeros(len(positions)), linewidth=0.0, zorder=2, **places)
+    dots.set_array(S[2])
+    dots.set_clim(-1.0, 1.0)
+    axes.add_collection(dots, autolim=False)
+    colour_bar(axes, arrows, f"$S_{out + 1}$ over the largest $|S|$")
+
+    def show(S: Floats) -> None:
+        arrows.set_UVC(*S)
+        dots.set_array(S[2])
+
+    return show
+
+
+def _draw_colours(axes: Any, positions: Floats, S: Floats, flat: tuple[int, int], out: int) -> Show:
+    """Draw an image of the colours of the nearest spins, with a disc as key."""
+    from scipy.spatial import KDTree
+
+    low, high = positions.min(axis=0) - 0.5, positions.max(axis=0) + 0.5
+    pixel = float(np.max(high - low)) / PIXELS
+    x, y = (np.arange(low[i] + 0.5 * pixel, high[i], pixel) for i in range(2))
+    distance, nearest = KDTree(positions).query(np.stack(np.meshgrid(x, y), axis=-1))
+    outside = distance > SITE_RADIUS
+
+    def image(S: Floats) -> Floats:
+        pixels = direction_colours(S)[nearest]
+        pixels[outside] = 1.0
+        return pixels
+
+    extent = (low[0], low[0] + pixel * len(x), low[1], low[1] + pixel * len(y))
+    picture = axes.imshow(image(S), extent=extent, origin="lower", interpolation="nearest")
+    key = axes.inset_axes((1.03, 0.72, 0.28, 0.28), label="<colorbar>")
+    edge = np.linspace(-1.0, 1.0, 101)
+    across, up = np.meshgrid(edge, edge)
+    height = np.sqrt(np.maximum(1.0 - across**2 - up**2, 0.0))
+    disc = direction_colours(np.stack([across.ravel(), up.ravel(), height.ravel()])).reshape(101, 101, 3)
+    disc[across**2 + up**2 > 1.0] = 1.0
+    key.imshow(disc, extent=(-1, 1, -1, 1), origin="lower")
+    key.set(xticks=[], yticks=[])
+    key.spines[:].set_visible(False)
+    key.grid(False)
+    key.set_xlabel(f"$S_{flat[0] + 1}$")
+    key.set_ylabel(f"$S_{flat[1] + 1}$", rotation=0.0, labelpad=6.0)
+    key.yaxis.set_label_position("right")
+    note = f"white: $S_{out + 1}$ up\nblack: down"
+    axes.text(1.03, 0.6, note, transform=axes.transAxes, va="top", fontsize=setting("legend.fontsize"))
+
+    def show(S: Floats) -> None:
+        picture.set_data(image(S))
+
+    return show
+
+
+def direction_colours(S: Floats) -> Floats:
+    """Return colours (k, 3) of vectors (3, k) of length at most 1: hue of the first two components, lightness of the
+    third, from black to white.
 
     Examples
     --------
-    >>> sites_of_row("chain", 20), sites_of_row("chain", 100), sites_of_row("square", 100)
-    (20, 15, 100)
+    >>> direction_colours(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, -1.0, 0.0]])).round(2)
+    array([[1. , 1. , 1. ],
+           [0. , 0. , 0. ],
+           [0.9, 0.1, 0.1]])
     """
-    return count if lattice != "chain" or count <= SITES_PER_ROW else math.ceil((2.0 * count) ** 0.5)
+    hue = np.arctan2(S[1], S[0]) / (2.0 * np.pi)
+    lightness = 0.5 + 0.5 * np.clip(S[2], -1.0, 1.0)
+    strength = SATURATION * np.minimum(lightness, 1.0 - lightness)
+    # The formula of colours by hue, saturation and lightness.
+    parts = (np.array([0.0, 8.0, 4.0])[:, None] + 12.0 * hue) % 12.0
+    colours: Floats = lightness - strength * np.clip(np.minimum(parts - 3.0, 9.0 - parts), -1.0, 1.0)
+    return colours.T
+
+
+def sites_of_row(lattice: Any, count: int) -> int:
+    """Return the number of sites per row of a long chain, ring or graph, which is folded; `count` if it is not folded.
+
+    Examples
+    --------
+    >>> sites_of_row("chain", 20), sites_of_row("chain", 100), sites_of_row(None, 100), sites_of_row("square", 100)
+    (20, 15, 15, 100)
+    """
+    in_plane = isinstance(lattice, str) and lattice in CELL_GEOMETRY and lattice != "chain"
+    return count if in_plane or count <= SITES_PER_ROW else math.ceil((2.0 * count) ** 0.5)
 
 
 def site_positions(lattice: Any, shape: Any, count: int) -> Floats:
     """Return the positions (count, 2) of sites in the plane, cell by cell, along the last axis of `shape` first.
 
-    Long chains are folded into rows, the first on top; rings and general graphs are drawn as a circle. Raises
-    CannotShow for three-dimensional lattices.
+    Long chains, rings and general graphs are folded into rows, the first on top; short rings and graphs are drawn as a
+    circle. Raises CannotShow for three-dimensional lattices.
     """
     if lattice == "cubic":
         raise CannotShow("the lattice is three-dimensional, and spins are drawn in a plane")
-    if not isinstance(lattice, str) or lattice not in CELL_GEOMETRY or shape is None:
-        turn = 2.0 * np.pi * np.arange(count) / count
-        return np.stack([np.sin(turn), np.cos(turn)], axis=-1) * max(1.0, count / 6.0)
     row = sites_of_row(lattice, count)
     if row < count:
         site = np.arange(count)
         return np.stack([site % row, -1.4 * (site // row)], axis=-1)
+    if not isinstance(lattice, str) or lattice not in CELL_GEOMETRY or shape is None:
+        turn = 2.0 * np.pi * np.arange(count) / count
+        return np.stack([np.sin(turn), np.cos(turn)], axis=-1) * max(1.0, count / 6.0)
     edges, sites = (np.array(part) for part in CELL_GEOMETRY[lattice])
     sizes = np.atleast_1d(shape).tolist()
     cells = np.indices(sizes).reshape(len(sizes), -1).T @ edges

@@ -13,7 +13,7 @@ from coadjoint.pictures.kinds.sphere_field import on_grid
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.projections import PROJECTIONS, Projection
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
-from coadjoint.pictures.style import INK
+from coadjoint.pictures.style import colour_bar, ink, plain_axes, set_title, thickness
 from coadjoint.validation import read_choice, read_number, read_positive
 
 Floats = npt.NDArray[np.float64]
@@ -33,7 +33,12 @@ GRID_SPACING = 30.0
 """Degrees between the grid lines of a map."""
 
 
-@kind("vorticity", low=True, moves=True)
+def _is_low(drawn: PlottedRun) -> bool:
+    """Whether the picture is low: maps of the sphere are, squares of the torus are not."""
+    return surface_of(fluid_of(drawn)) == "sphere"
+
+
+@kind("vorticity", low=_is_low, moves=True)
 def vorticity(
     drawn: PlottedRun,
     at: float = 1.0,
@@ -77,10 +82,8 @@ def vorticity(
         style = {"cmap": "RdBu_r", "vmin": -size, "vmax": size, "origin": "lower"}
         image = axes.imshow(pixels(first), **options, **style)
         ends = "both" if largest > size else "neither"
-        bar = axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02, extend=ends)
-        bar.set_label(PART_TITLES[part], fontsize=9)
-        bar.ax.tick_params(labelsize=8)
-        title = axes.set_title(_title(drawn, part, k), fontsize=9.5, color=INK)
+        colour_bar(axes, image, PART_TITLES[part], extend=ends)
+        title = set_title(axes, _title(drawn, part, k))
 
         def update(j: int) -> None:
             image.set_data(pixels(on_fluid_grid(drawn.unforced, drawn.state(j))))
@@ -92,7 +95,7 @@ def vorticity(
 
 
 def _title(drawn: PlottedRun, part: str, k: int) -> str:
-    return f"{PART_TITLES[part]} at $t$ = {drawn.t[k]:.4g}"
+    return f"{PART_TITLES[part]}{drawn.of_member} at $t$ = {drawn.t[k]:.4g}"
 
 
 def _shape(N: int, surface: str) -> tuple[int, int]:
@@ -109,9 +112,9 @@ def _map(axes: Any, across: Projection, centre: tuple[float, float]) -> Pixels:
     wide = across.half_width
     towards = across.directions(COLUMNS, centre)
     edge = np.linspace(0.0, 2 * np.pi, 361)
-    axes.plot(wide * np.cos(edge), np.sin(edge), color=INK, linewidth=0.6)
+    axes.plot(wide * np.cos(edge), np.sin(edge), color=ink(), linewidth=thickness(0.6))
     turn, rise = np.radians(np.linspace(-180.0, 180.0, 361)), np.radians(np.linspace(-90.0, 90.0, 181))
-    lines = {"color": INK, "linewidth": 0.3, "alpha": 0.4}
+    lines = {"color": ink(), "linewidth": thickness(0.3), "alpha": 0.4}
     for latitude in np.arange(-90.0 + GRID_SPACING, 89.0, GRID_SPACING):
         axes.plot(*across.line(turn, np.full_like(turn, np.radians(latitude)), centre), **lines)
     for longitude in np.arange(-180.0, 179.0, 2 * GRID_SPACING):
@@ -134,7 +137,9 @@ def _square(axes: Any, across: Projection, centre: tuple[float, float]) -> Pixel
     axes.set_xticks(list(ticks), list(ticks.values()))
     axes.set_yticks(list(ticks), list(ticks.values()))
     axes.set(xlabel="$x$", ylabel="$y$")
-    axes.tick_params(width=0.6, length=3.0, labelsize=8, colors=INK)
+    plain_axes(axes)
+    axes.grid(False)
+    axes.spines[:].set_visible(True)
 
     def pixels(values: Floats) -> Floats:
         # values at cell centres; the first ones are repeated at the opposite edge
