@@ -17,7 +17,7 @@ import coadjoint as co
 from coadjoint import commands
 from coadjoint.analysis.certificates.certificate import Row
 from coadjoint.files.configuration.schema import schema
-from coadjoint.runs.results.run_record import Drift
+from coadjoint.runs.results.drift import Drift
 from coadjoint.runs.stepper import Stepper
 
 PAGE = Path(__file__).with_name("api.md")
@@ -53,7 +53,8 @@ MEMBERS_OF = (
     (
         "A solution",
         co.Solution,
-        "at balance change drift error_estimate modified_energy movie plot spectrum to_xarray",
+        "at balance change drift error_estimate modified_energy movie plot rotation spectrum step_error to_pandas "
+        "to_xarray",
     ),
     ("A drift", Drift, "growth"),
     ("A prepared run", co.PreparedRun, "end jvp parameters run vjp"),

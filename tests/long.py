@@ -52,11 +52,12 @@ def _may_be_thinned(item: pytest.Item) -> bool:
 
 def _thin_one(cases: Sequence[Any], share: int) -> None:
     """Mark cases of one test as long."""
-    ranks: dict[tuple[str, int], int] = {}
-    counts: dict[str, int] = {}
+    ranks: dict[tuple[int, str], int] = {}
+    counts: dict[int, int] = {}
     values = []
     for case in cases:
-        values.append(set(case.callspec.indices.items()))
+        # One name for each `parametrize`; pytest numbers the cases, not the values, in `indices`.
+        values.append(set(enumerate(case.callspec._idlist)))
         for key in values[-1] - ranks.keys():
             ranks[key] = counts.get(key[0], 0)
             counts[key[0]] = ranks[key] + 1

@@ -35,8 +35,9 @@ def test_copies_of_errors_have_all_parts(again):
     np.testing.assert_array_equal(found.residual, error.residual)
     np.testing.assert_array_equal(found.partial.x, error.partial.x)
     np.testing.assert_array_equal(found.partial.t, error.partial.t)
-    error = co.IntegrationError("no", step=3, time=-0.2, residual=1e-3, partial=("part", 2))
-    assert vars(again(error)) == vars(error) == {"step": 3, "time": -0.2, "residual": 1e-3, "partial": ("part", 2)}
+    parts = {"step": 3, "time": -0.2, "residual": 1e-3, "partial": ("part", 2), "derivatives": (1.0, 3)}
+    error = co.IntegrationError("no", **parts)
+    assert vars(again(error)) == vars(error) == parts
 
 
 NAMES = ["rigid_body", "heavy_top", "lagrange_top", "so(3)", "GaussLegendre", "Splitting", "toda", "spin_lattice"]

@@ -176,6 +176,10 @@ CALLS = {
     "choose": (lambda system, x0, t_span, accuracy, **more: co.choose(system, x0, t_span, accuracy, **more),
                {"system": BODY, "x0": X, "t_span": (0, 1), "accuracy": 1e-3, "attitude": False,
                 "methods": co.GaussLegendre(2), "processed": False}),
+    "fit": (co.fit, {"ready": READY, "x0": X, "t_span": (0, 1), "measured": {"x": READY.run(X, (0, 1)).x},
+            "unknown": {"x0": True}, "save_every": 1, "sigma": {"x": 0.1}, "attitude": None}),
+    "an unknown": (lambda k: co.fit(READY, X, (0, 1), {"x": READY.run(X, (0, 1)).x}, {"x0": k}, sigma={"x": 0.1}),
+                   {"k": (0, 1)}),
     "lyapunov": (co.lyapunov, {"system": BODY, "x0": X, "t_span": (0, 1), "step": 0.1, "method": None,
                  "exponents": None, "renormalize_every": 10, "transient": 0.0, "save_every": None, "threads": None}),
     "certify": (co.certify, {"system": BODY, "method": co.Splitting(), "x0": X, "step": 0.1, "steps": 10, "order": None,
@@ -233,7 +237,8 @@ CALLS = {
 }  # fmt: skip
 
 # Created by the library, or called without arguments.
-NOT_CALLED = {"Certificate", "Choice", "Corrector", "Frequencies", "IntegrationError", "LongWait",
+NOT_CALLED = {"Certificate", "Choice", "Corrector", "Frequencies", "IntegrationError", "LargeStepWarning",
+              "LongWait", "Equilibrium", "equilibrium",
               "LyapunovExponents", "ModifiedField", "ModifiedHamiltonian", "PhaseDrift", "PreparedRun",
               "RecordedEvents", "Section", "Solution"}  # fmt: skip
 SLOW = [("predicted_drift", "step"), ("certify", "step"), ("exact", "t"), ("level_surface", "box")]

@@ -15,7 +15,7 @@ Main names, each with `help(co.integrate)` and so on; `dir(co)` lists all, and d
 - Schemes: `Splitting`, `GaussLegendre`, `IsospectralGauss`, `Taylor`, `ReversibleSteps`, ...; `choose`, `methods`
 - Runs: `integrate`, `prepare`, `stepper`, `batch`, `integrate_ensemble`, `Event`, `poincare_section`, `Solution`
 - Files: `load`, `resume`, `open_archive`, `results`
-- Analysis: `certify`, `modified_hamiltonian`, `lyapunov`, `analysis`; pictures: `plotting`
+- Analysis: `certify`, `fit`, `modified_hamiltonian`, `lyapunov`, `analysis`; pictures: `plotting`
 
 Names are loaded lazily: importing this package loads NumPy and nothing heavier.
 """

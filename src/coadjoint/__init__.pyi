@@ -21,6 +21,9 @@ from .analysis.backward_error.modified_hamiltonian import ModifiedHamiltonian as
 from .analysis.backward_error.modified_hamiltonian import modified_hamiltonian as modified_hamiltonian
 from .analysis.certificates.certificate import Certificate as Certificate
 from .analysis.certificates.certify import certify as certify
+from .analysis.equilibrium import Equilibrium as Equilibrium
+from .analysis.equilibrium import equilibrium as equilibrium
+from .analysis.fit import fit as fit
 from .analysis.frequencies import Frequencies as Frequencies
 from .analysis.frequencies import frequencies as frequencies
 from .analysis.lyapunov import LyapunovExponents as LyapunovExponents
@@ -32,6 +35,7 @@ from .analysis.suggested_step import suggest_step as suggest_step
 from .choosing.accuracy import Choice as Choice
 from .choosing.accuracy import choose as choose
 from .errors import IntegrationError as IntegrationError
+from .errors import LargeStepWarning as LargeStepWarning
 from .files.archives.archived_solution import open_archive as open_archive
 from .files.archives.ensemble import ensemble as ensemble
 from .files.archives.ensemble import integrate_ensemble as integrate_ensemble

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
-from coadjoint.errors import nearest
+from coadjoint.errors import nearest, unknown_name
 from coadjoint.short_repr import short
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+Value = TypeVar("Value")
 
 STEP = "step=, the size of a step, which is used as given"
 ACCURACY = "accuracy=, the required error of the momentum at the end, from which a constant step is chosen"
@@ -47,15 +48,48 @@ ATTRIBUTES: Mapping[str, str] = {
     **dict.fromkeys(("t_events", "y_events", "crossings"), "events"),
     **dict.fromkeys(("success", "status", "message"), "failed, for each member; a single run raises instead"),
     **dict.fromkeys(("nfev", "njev", "nsteps", "statistics"), "stats"),
-    **dict.fromkeys(("R", "g", "rotation", "orientation"), "attitude, in a run with attitude=True"),
+    **dict.fromkeys(("R", "g", "orientation"), "attitude, in a run with attitude=True"),
     **dict.fromkeys(("invariants",), "energy and casimirs"),
     **dict.fromkeys(
-        ("save", "to_netcdf", "to_csv", "to_pandas", "to_dataframe"),
+        ("save", "to_netcdf"),
         "to_xarray(), whose result can be written to a file",
     ),
+    **dict.fromkeys(("to_csv", "to_dataframe", "to_frame", "dataframe"), "to_pandas(), a table"),
+    **dict.fromkeys(("quaternion", "quaternions", "euler_angles"), "rotation, of SciPy, in a run with attitude=True"),
+    **dict.fromkeys(("animate", "animation"), "movie(path)"),
     **dict.fromkeys(("error",), "error_estimate, of a run with accuracy="),
 }
 """Solution attribute of other libraries -> the corresponding one here."""
+
+
+PICTURES: Mapping[str, str] = {
+    **dict.fromkeys(("energy", "hamiltonian", "h", "casimirs", "casimir", "invariants", "energy drift"), "drift"),
+    **dict.fromkeys(("momentum", "momenta", "x", "state", "states", "time series", "trajectory"), "components"),
+    **dict.fromkeys(("orbit", "orbits", "sphere", "phase space", "level surface", "surface"), "coadjoint orbit"),
+    **dict.fromkeys(("attitude", "rotation", "axis", "top", "orientation"), "body axis"),
+    **dict.fromkeys(("path", "position", "positions"), "path in space"),
+    **dict.fromkeys(("portrait", "phase", "phase plane"), "phase portrait"),
+    **dict.fromkeys(("poincare", "poincare section", "crossings", "events"), "section"),
+    **dict.fromkeys(("eigenvalue", "spectrum"), "eigenvalues"),
+    **dict.fromkeys(("spectra", "energy spectrum", "enstrophy"), "field spectra"),
+    **dict.fromkeys(("observe", "observables"), "observed"),
+    **dict.fromkeys(("lattice", "spin", "magnetization"), "spins"),
+    **dict.fromkeys(("spacetime", "space time", "wave", "waves", "kymograph"), "space-time"),
+    **dict.fromkeys(("stream", "streamfunction", "map"), "vorticity"),
+    **dict.fromkeys(("exact", "closed form", "phase error"), "error"),
+}
+"""Usual name of a picture, in lower case -> the kind of picture here."""
+FUNCTIONS: Mapping[str, str] = {
+    **dict.fromkeys(("solve", "solve_ivp", "odeint", "run", "simulate", "propagate", "evolve"), "co.integrate"),
+    **dict.fromkeys(("diffeqsolve", "ODEProblem", "solve_ode"), "co.integrate"),
+    **dict.fromkeys(("movie", "animate", "animation"), "sol.movie, of a solution of co.integrate"),
+    **dict.fromkeys(("plot", "figure", "show", "draw"), "sol.plot, of a solution of co.integrate"),
+    **dict.fromkeys(("drift", "energy", "casimirs"), "an attribute of a solution of co.integrate, such as sol.drift()"),
+    **dict.fromkeys(("RigidBody", "body", "HeavyTop", "top"), "in co.systems, such as co.systems.rigid_body"),
+    **dict.fromkeys(("ensemble",), "co.integrate with x0 of the shape (members, n), or co.integrate_ensemble"),
+    **dict.fromkeys(("open", "read"), "co.load"),
+}
+"""Usual name of a function -> where it is here."""
 
 
 def suggest_keywords(function: Function) -> Function:
@@ -137,3 +171,49 @@ def unknown_solution_attribute(name: str, known: list[str]) -> AttributeError:
         return AttributeError(f"{text}; here it is {ATTRIBUTES[name]}")
     near = None if name.startswith("_") else nearest(name, known)
     return AttributeError(f"{text}; did you mean {near!r}?" if near else text)
+
+
+def unknown_picture(name: str, known: Iterable[str]) -> ValueError:
+    """Return the ValueError for an unknown kind of picture, with the kind that is meant or the nearest one.
+
+    Examples
+    --------
+    >>> print(unknown_picture("energy", ["drift", "energy by scale"]))
+    unknown kind of picture 'energy'; here it is 'drift'
+    """
+    names = list(known)
+    meant = PICTURES.get(name.strip().casefold().replace("_", " ").replace("-", " "))
+    if meant in names:
+        return ValueError(f"unknown kind of picture {short(name)}; here it is {meant!r}")
+    return unknown_name("kind of picture", name, names)
+
+
+def unknown_function(name: str) -> AttributeError | None:
+    """Return the AttributeError for a usual name of a function that has another one here, or None.
+
+    Examples
+    --------
+    >>> print(unknown_function("solve"))
+    coadjoint has no attribute 'solve'; here it is co.integrate
+    """
+    meant = FUNCTIONS.get(name)
+    return None if meant is None else AttributeError(f"coadjoint has no attribute {name!r}; here it is {meant}")
+
+
+class NamedValues(dict[str, Value]):
+    """Dictionary of quantities of a run, whose KeyError has the name that is meant, or the nearest one.
+
+    Examples
+    --------
+    >>> NamedValues({"energy": 0.0, "|x|^2": 1.0})["Energy"]
+    Traceback (most recent call last):
+    KeyError: "there is no 'Energy'; did you mean 'energy'?"
+    """
+
+    def __missing__(self, name: Any) -> Value:
+        """Raise the KeyError."""
+        text = f"there is no {short(name)}"
+        if not isinstance(name, str):
+            raise KeyError(f"{text}; give a name: {', '.join(self)}")
+        near = "energy" if ATTRIBUTES.get(name) == "energy" and "energy" in self else nearest(name, self)
+        raise KeyError(f"{text}; did you mean {near!r}?" if near else f"{text}; there are: {', '.join(self)}")

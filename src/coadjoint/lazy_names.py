@@ -18,8 +18,10 @@ def attach(package: str, file: str, shown: str = "") -> tuple[Callable[[str], An
     def __getattr__(name: str) -> Any:
         if name not in names:
             from coadjoint.errors import unknown_attribute
+            from coadjoint.keyword_hints import unknown_function
 
-            raise unknown_attribute(shown or package, name, names)
+            elsewhere = unknown_function(name) if package == "coadjoint" else None
+            raise elsewhere or unknown_attribute(shown or package, name, names)
         return resolve(name)
 
     def __dir__() -> list[str]:

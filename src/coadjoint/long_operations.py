@@ -29,7 +29,7 @@ class LongWait(UserWarning):
 def warn_if_long(what: str, seconds: float, instead: str = "") -> None:
     """Warn if an operation is estimated to take longer than `WARNING_SECONDS`; `instead` is a faster alternative."""
     if seconds > WARNING_SECONDS:
-        _warn(f"{what} takes about {seconds:.2g} s" + (f"; {instead}" if instead else ""))
+        warn_caller(f"{what} takes about {seconds:.2g} s" + (f"; {instead}" if instead else ""), LongWait)
 
 
 class long_operation(ContextDecorator):
@@ -70,10 +70,12 @@ def note_progress(computing: str, part: float | None = None) -> None:
         return
     current.warned = True
     left = f", and about {spent * (1.0 / part - 1.0):.2g} s are left" if part else ""
-    _warn(f"{current.what} has taken {spent:.2g} s so far{left}; now it computes {computing}; Ctrl-C ends it")
+    warn_caller(
+        f"{current.what} has taken {spent:.2g} s so far{left}; now it computes {computing}; Ctrl-C ends it", LongWait
+    )
 
 
-def _warn(text: str) -> None:
+def warn_caller(text: str, category: type[Warning]) -> None:
     """Warn at the line that called the library."""
     frame: FrameType | None = sys._getframe()
     level, outermost = 1, 0
@@ -83,4 +85,4 @@ def _warn(text: str) -> None:
         if name == "coadjoint" or (name in DECORATOR_MODULES and level == outermost + 1):
             outermost = level
         frame, level = frame.f_back, level + 1
-    warnings.warn(text, LongWait, stacklevel=outermost + 1)
+    warnings.warn(text, category, stacklevel=outermost + 1)

@@ -8,6 +8,7 @@ import os
 EXTRAS = {
     "numba": "functions",
     "xarray": "io",
+    "pandas": "io",
     "h5netcdf": "io",
     "h5py": "io",
     "zarr": "io",

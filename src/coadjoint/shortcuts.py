@@ -19,6 +19,7 @@ SHORTCUTS = {
     "frames_of": "coadjoint.pictures.movie:frames_of",
     "modified_hamiltonian": "coadjoint.analysis.backward_error.modified_hamiltonian:modified_hamiltonian",
     "run_to_accuracy": "coadjoint.choosing.validated_run:SampledRun",
+    "table_of": "coadjoint.files.datasets.table:table_of",
     "write_movie": "coadjoint.files.output.movie_file:write_movie",
 }
 """Name -> "module:function"."""

@@ -67,7 +67,7 @@ def test_error_estimate_is_that_of_the_tolerance():
         for accuracy in (1e-4, 1e-8):
             sol = co.integrate(system, x0, (0.0, time), accuracy=accuracy, method=co.Taylor(tolerance=1e-3))
             error = np.linalg.norm(sol.x[-1] - exact) / np.max(np.linalg.norm(sol.x, axis=1))
-            assert error / 10 < sol.error_estimate < 10 * error
+            assert error / 10 < sol.error_estimate() < 10 * error
 
 
 def test_order_grows_with_accuracy():

@@ -206,10 +206,10 @@ def test_error_contains_unwritten_points(tmp_path, monkeypatch, small_pieces):
     for disturb in (remove, lock_again):
         pieces = itertools.count()
 
-        def meanwhile(self, disturb=disturb, pieces=pieces):
+        def meanwhile(self, relative=True, disturb=disturb, pieces=pieces):
             if path.exists() and next(pieces) == 4:
                 disturb()
-            return original(self)
+            return original(self, relative)
 
         with monkeypatch.context() as patched:
             patched.setattr(co.Solution, "change", meanwhile)
@@ -228,12 +228,12 @@ def test_second_writer_is_refused(tmp_path, monkeypatch):
     path, refusals = tmp_path / "run.zarr", []
     original = co.Solution.change
 
-    def meanwhile(self):
+    def meanwhile(self, relative=True):
         if path.exists() and not refusals:
             refusals.append(pytest.raises(ArchiveError, match="another process is writing to this archive"))
             with refusals[0]:
                 co.resume(path)
-        return original(self)
+        return original(self, relative)
 
     monkeypatch.setattr(co.Solution, "change", meanwhile)
     found = co.integrate(*RUN, archive=path)

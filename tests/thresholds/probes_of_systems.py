@@ -116,7 +116,7 @@ class Stated:
 
 @probe(
     (
-        "systems/hamiltonians/hamiltonian.py",
+        "systems/hamiltonians/user_hamiltonian.py",
         "np.abs(total - declared) <= 2.0 ** 10 * UNIT_ROUNDOFF * (size + np.abs(declared))",
     ),
     at=2.0**10 * U,

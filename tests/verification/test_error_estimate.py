@@ -18,7 +18,7 @@ FACTOR = 10.0
 
 def check_estimate(sol: co.Solution, exact: np.ndarray, largest: float) -> None:
     """Compare an estimate with the error; both may lie below the expected rounding."""
-    error, estimate = np.linalg.norm(sol.x[-1] - exact) / largest, sol.error_estimate
+    error, estimate = np.linalg.norm(sol.x[-1] - exact) / largest, sol.error_estimate()
     assert error / FACTOR <= estimate <= FACTOR * max(error, sol.choice.roundoff), (
         f"{estimate:.1e} for {error:.1e}: {sol.choice}"
     )
