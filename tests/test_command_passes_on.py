@@ -38,7 +38,6 @@ def folder(tmp_path, monkeypatch):
         (BODY, 'figure = "none/a.png"', "output.figure: none/a.png: the folder none does not exist"),
         (BODY, 'archive = "held.zarr"', "output.archive: held.zarr: exists"),
         (BODY, 'archive = "none/a.zarr"', "output.archive: none/a.zarr: the folder none does not exist"),
-        (BODY, 'movie = "a.gif"', "output.movie: rigid_body declares no picture that a movie can show"),
         (FLUID, 'movie = "a.png"', "output.movie: a.png: the suffix sets the format"),
         (FLUID, 'movie = "none/a.gif"', "output.movie: none/a.gif: the folder none does not exist"),
     ],
