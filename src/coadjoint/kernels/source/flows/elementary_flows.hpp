@@ -112,17 +112,29 @@ INLINE void shear_blocks(const AngleBlocks& blocks, const A& theta, const Vector
         shear<summation>(scaled * blocks.constants[block], blocks.pairs + 2 * block, x);
 }
 
-// Apply a flow that is not a whole row.
-template <Summation summation, bool with_group, class G>
-INLINE void apply_flow(const ElementaryFlow& flow, const Vectors<double>& x, const Vectors<G>& group) {
-    double theta = flow.offset;
+// The rotations of a flow that was applied, with which derivatives undo it.
+template <class A>
+struct AppliedRotations {
+    Rotation<A> momentum, group;
+};
+
+// Apply a flow that rotates or shears, and unless null, store its rotations.
+template <Summation summation, bool with_group, class A, class G>
+INLINE void apply_flow(const ElementaryFlow& flow, const Vectors<A>& x, const Vectors<G>& group,
+                       AppliedRotations<A>* applied = nullptr) {
+    A theta(flow.offset);
     for (uint32_t entry = 0; entry < flow.entries; ++entry)
-        theta = fma(flow.weight[entry], x.at[flow.column[entry]], theta);
+        theta = fma(A(flow.weight[entry]), x.at[flow.column[entry]], theta);
     if (__builtin_expect(flow.kind == ROTATE, 1)) {
-        CachedRotation<double> cached;
-        rotate<summation>(cached.by(theta * flow.momentum.factor, false), flow.momentum.pairs, flow.momentum.repeat, x);
-        if constexpr (with_group)
-            rotate<CORRECTED>(cached.by(theta * flow.group.factor, true), flow.group.pairs, flow.group.repeat, group);
+        CachedRotation<A> cached;
+        const Rotation<A> of_momentum = cached.by(theta * flow.momentum.factor, false);
+        rotate<summation>(of_momentum, flow.momentum.pairs, flow.momentum.repeat, x);
+        if (applied) applied->momentum = of_momentum;
+        if constexpr (with_group) {
+            const Rotation<A> of_group = cached.by(theta * flow.group.factor, true);
+            rotate<CORRECTED>(of_group, flow.group.pairs, flow.group.repeat, group);
+            if (applied) applied->group = of_group;
+        }
     } else {
         shear_blocks<summation>(flow.momentum, theta, x);
         if constexpr (with_group) shear_blocks<CORRECTED>(flow.group, theta, group);

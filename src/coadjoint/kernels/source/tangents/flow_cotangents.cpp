@@ -3,6 +3,26 @@
 
 namespace coadjoint {
 
+// Apply a flow of CUBIC blocks, and store its factors.
+template <Summation summation, bool with_group, class A, class G>
+static INLINE void apply_cubic_flow(const FlowTables& tables, const ElementaryFlow& flow, const Vectors<A>& x,
+                                    const Vectors<G>& group, AppliedRotations<A>* applied) {
+    A theta(flow.offset);
+    for (uint32_t entry = 0; entry < flow.entries; ++entry)
+        theta = fma(A(flow.weight[entry]), x.at[flow.column[entry]], theta);
+    const auto move = [&](auto sum, const Action& action, uint32_t run, double factor, const auto& vectors) {
+        const CubicFactors<A> factors(action, SharedConstants{}, run, factor * theta);
+        gather(BlockRows(action, run), vectors);
+        cubic_by<decltype(sum)::value>(action, SharedConstants{}, run, factors, vectors);
+        return Rotation<A>{factors.s, factors.c};
+    };
+    applied->momentum = move(std::integral_constant<Summation, summation>(), tables.state, flow.momentum.run,
+                             flow.momentum.factor, x);
+    if (with_group)
+        applied->group = move(std::integral_constant<Summation, CORRECTED>(), tables.group, flow.group.run,
+                              flow.group.factor, group);
+}
+
 // Members as lanes, or one member with the rows of its group element as lanes.
 template <Summation summation, bool with_group, class A, class G>
 static void run_backward(const FlowCotangents& all, const BackwardRun& run, int64_t first, int64_t count,
@@ -57,23 +77,27 @@ static void run_backward(const FlowCotangents& all, const BackwardRun& run, int6
         std::copy_n(group.at, square, groups.at + k * square);
     };
     const int64_t work = Numbers<A>::lanes * work_of_flows(tables);
+    const size_t longest = std::max(opening.size(), repeated.size());
+    AlignedArray<AppliedRotations<A>> rotations(run.undone ? 0 : steps * longest);
+    const auto rotations_of = [&](int64_t k) { return run.undone ? nullptr : rotations.at + (k - run.k0 - 1) * longest; };
     store(0);
     for (int64_t k = run.k0 + 1; !run.undone && k <= run.k1; ++k) {
         interrupts.after(work);
         const A t(run.t0 + double(k - 1) * run.h);
         const auto& flows = k == 1 ? opening : repeated;
-        if constexpr (Numbers<A>::lanes == 1) {
-            for (const ElementaryFlow& flow : flows)
-                if (__builtin_expect(flow.kind == ROTATE || flow.kind == SHEAR, 1))
-                    apply_flow<summation, with_group>(flow, momentum, element);
-                else if (int64_t(tables.part[flow.row]) != all.added)
-                    apply_row<summation, with_group, false>(tables, SharedConstants{}, flow.row, momentum, element, t,
-                                                            run.h, angles);
+        for (size_t position = 0; position < flows.size(); ++position) {
+            const ElementaryFlow& flow = flows[position];
+            AppliedRotations<A>* applied = rotations_of(k) + position;
+            if (flow.kind == CUBIC)
+                apply_cubic_flow<summation, with_group>(tables, flow, momentum, element, applied);
+            else if (flow.kind != WHOLE_ROW)
+                apply_flow<summation, with_group>(flow, momentum, element, applied);
+            else if (int64_t(tables.part[flow.row]) != all.added)
+                apply_row<summation, with_group>(tables, SharedConstants{}, flow.row, momentum, element, t, run.h, angles);
         }
-        if (Numbers<A>::lanes > 1 || flows.empty())
-            for (uint32_t r = tables.section[k == 1 ? 0 : 1]; r < tables.section[k == 1 ? 1 : 2]; ++r)
-                if (int64_t(tables.part[r]) != all.added)
-                    apply_row<summation, with_group>(tables, SharedConstants{}, r, momentum, element, t, run.h, angles);
+        for (uint32_t r = tables.section[k == 1 ? 0 : 1]; flows.empty() && r < tables.section[k == 1 ? 1 : 2]; ++r)
+            if (int64_t(tables.part[r]) != all.added)
+                apply_row<summation, with_group>(tables, SharedConstants{}, r, momentum, element, t, run.h, angles);
         store(k - run.k0);
     }
     int64_t mark = run.marked;
@@ -106,7 +130,7 @@ static void run_backward(const FlowCotangents& all, const BackwardRun& run, int6
         }
         backward.sweep(tables.section[k == 1 ? 0 : 1], tables.section[k == 1 ? 1 : 2], k == 1 ? opening : repeated,
                        {x.at, cotangents.at, {group.at, nullptr, rows, group_scratch.at},
-                        {group_cotangents.at, nullptr, rows, group_scratch.at}}, t, run.h);
+                        {group_cotangents.at, nullptr, rows, group_scratch.at}}, t, run.h, rotations_of(k));
     }
     each_number(cotangents.at, size,
                 [&](A& entry, int lane, int64_t position) { run.cotangents[position] = lane_of(entry, lane); });

@@ -7,7 +7,7 @@
 
 #include "numbers/linear_solve.hpp"
 #include "stages/runge_kutta_loop.hpp"
-#include "tangents/flow_cotangents.hpp"
+#include "tangents/angle_cotangents.hpp"
 
 namespace coadjoint {
 

@@ -1,0 +1,220 @@
+// Cotangents of the angles of parts and of the coefficients of terms.
+#pragma once
+
+#include "flows/flow_alone.hpp"
+#include "tangents/second_derivatives.hpp"
+
+namespace coadjoint {
+
+// out[a] += cotangents . D_a x for all angles of a part, for vectors side by side.
+template <class V>
+NOINLINE void angle_cotangents(const Action& action, uint32_t part, const V* x, const V* cotangents, int64_t rows,
+                               V* out) {
+    for (uint32_t run = action.run[part]; run < action.run[part + 1]; ++run) {
+        const int kind = action.kind[run] % RATIONAL;
+        const uint32_t repeat = action.repeat[run], count = action.angles[run];
+        const uint32_t* index = action.indices + action.position[run];
+        const double* constants = action.constants + action.constant[run];
+        V* total = out + action.angle[run];
+        if (kind == CUBIC || kind == SERIES) {
+            const BlockRows block(action, run);
+            const double* values = constants + (kind == CUBIC ? CUBIC_HEADER : 1);
+            for (uint32_t k = 0; k < block.width; ++k)
+                for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry) {
+                    const V value(values[entry]);
+                    const int64_t i = block.coordinates[k] * rows, j = block.coordinates[block.columns[entry]] * rows;
+                    for (int64_t row = 0; row < rows; ++row)
+                        *total = fma(value * x[j + row], cotangents[i + row], *total);
+                }
+            continue;
+        }
+        for (uint32_t q = 0; q < count; ++q, ++total)
+            for (uint32_t b = 0; b < repeat; ++b, index += kind == SCALE ? 1 : 2) {
+                const int64_t i = index[0] * rows, j = kind == SCALE ? i : index[1] * rows;
+                const V first(constants[kind == SHEAR ? q * repeat + b : kind == PLANE ? 4 * q : q]);
+                for (int64_t row = 0; row < rows; ++row) {
+                    const V a = x[i + row], c = x[j + row], u = cotangents[i + row], w = cotangents[j + row];
+                    if (kind == SCALE) {
+                        *total = fma(first * a, u, *total);
+                    } else if (kind == ROTATE) {
+                        *total = fma(first, fma(a, w, -(c * u)), *total);
+                    } else if (kind == SHEAR) {
+                        *total = fma(first * c, u, *total);
+                    } else {
+                        const double* plane = constants + 4 * q;
+                        const V mean(plane[0]), half(plane[1]), upper(plane[2]), lower(plane[3]);
+                        *total = fma(fma(mean + half, a, upper * c), u, *total);
+                        *total = fma(fma(lower, a, (mean - half) * c), w, *total);
+                    }
+                }
+            }
+    }
+}
+
+// The sum over the rows of a group element that are lanes; members as lanes remain.
+template <class A, class G>
+INLINE A over_rows(const G& total) {
+    if constexpr (Numbers<A>::lanes == Numbers<G>::lanes) {
+        return total;
+    } else {
+        A sum(0.0);
+        for (int lane = 0; lane < Numbers<G>::lanes; ++lane) sum += lane_of(total, lane);
+        return sum;
+    }
+}
+
+// Derivatives by the offsets, weights and coefficients of the terms, one after the other.
+template <class A>
+struct CoefficientCotangents {
+    A *offset, *weight, *coefficient;
+    CoefficientCotangents(const Terms& terms, A* at)
+        : offset(at), weight(at + rows_of(terms)), coefficient(weight + terms.entry[rows_of(terms)]) {}
+    static int64_t rows_of(const Terms& terms) { return terms.row[terms.size]; }
+    static int64_t count(const Terms& terms) {
+        return rows_of(terms) + terms.entry[rows_of(terms)] + terms.monomial[terms.size];
+    }
+};
+
+// Add to the cotangents of the coefficients of term k, and unless `of_coefficients_only`, of x. Those of its rows are
+// `of_rows`, which begin at row `first`.
+template <class A>
+NOINLINE void term_cotangents(const Terms& terms, const int64_t* hessians, int64_t k, const A* x, const A& t,
+                              const A* of_rows, int64_t first, bool of_coefficients_only, A* cotangents,
+                              const CoefficientCotangents<A>& coefficients, HessianWorkspace<A>& workspace) {
+    const int64_t start = terms.row[k], stop = terms.row[k + 1], count = stop - start;
+    if (terms.kind[k] == LINEAR) {
+        for (int64_t row = start; row < stop; ++row) {
+            const A of_row = of_rows[row - first];
+            coefficients.offset[row] += of_row;
+            for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry) {
+                const uint32_t column = terms.column[entry];
+                coefficients.weight[entry] = fma(of_row, x[column], coefficients.weight[entry]);
+                if (!of_coefficients_only)
+                    cotangents[column] = fma(A(terms.weight[entry]), of_row, cotangents[column]);
+            }
+        }
+    } else if (terms.kind[k] == POLYNOMIAL) {
+        for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial) {
+            const uint32_t low = terms.factor[monomial], high = terms.factor[monomial + 1];
+            const auto product_without = [&](uint32_t one, uint32_t other) {
+                A product(1.0);
+                for (uint32_t factor = low; factor < high; ++factor)
+                    product *= factor_derivative(x[terms.target[terms.factor_row[factor]]], terms.exponent[factor],
+                                                 (factor == one) + (factor == other));
+                return product;
+            };
+            for (uint32_t one = low; one < high; ++one) {
+                const A of_row = of_rows[terms.factor_row[one] - first];
+                coefficients.coefficient[monomial] =
+                    fma(of_row, product_without(one, high), coefficients.coefficient[monomial]);
+                if (of_coefficients_only) continue;
+                for (uint32_t other = low; other < high; ++other) {
+                    if (one == other && terms.exponent[one] < 2) continue;
+                    A& cotangent = cotangents[terms.target[terms.factor_row[other]]];
+                    cotangent = fma(A(terms.coefficient[monomial]) * product_without(one, other), of_row, cotangent);
+                }
+            }
+        }
+    } else if (!of_coefficients_only) {
+        for (int64_t i = 0; i < count; ++i) workspace.arguments.at[i] = x[terms.target[start + i]];
+        call_function(SharedConstants{}, hessians, k, workspace.arguments.at, count, t, workspace.matrix.at,
+                      count * count, workspace.calls.data());
+        for (int64_t i = 0; i < count; ++i)
+            for (int64_t j = 0; j < count; ++j) {
+                A& cotangent = cotangents[terms.target[start + j]];
+                cotangent = fma(workspace.matrix.at[i * count + j], of_rows[start + i - first], cotangent);
+            }
+    }
+}
+
+// One term of an entry of D_a: x[to] changes by factor x[from], and if it rotates, x[from] by -factor x[to].
+struct GeneratorEntry {
+    uint32_t to, from;
+    double factor;
+    bool rotates;
+};
+
+// The angles of the added part: its generators and the linear terms, preprocessed when a loop starts.
+class AddedAngles {
+  public:
+    bool simple = false;  // only linear terms, and blocks of one or two coordinates
+
+    explicit AddedAngles(const FlowCotangents& all, bool with_group) {
+        if (all.added < 0) return;
+        const FlowTables& tables = all.base;
+        const Terms& terms = tables.terms;
+        const uint32_t part = uint32_t(all.added), low = tables.share[part], high = tables.share[part + 1];
+        first = terms.row[low], count = terms.row[high] - first;
+        simple = append(tables.state, part, state) && (!with_group || append(tables.group, part, group));
+        for (uint32_t k = low; k < high; ++k) simple = simple && terms.kind[k] == LINEAR;
+    }
+
+    // Add the cotangents of the coefficients for a flow over the time tau.
+    template <class A, class G, class C>
+    INLINE void add(const Terms& terms, double tau, const C& at, bool with_group, const A& zero, A* of_offset,
+                    A* of_weight) const {
+        for (uint32_t a = 0; a < count; ++a) {
+            A total = zero;
+            for (uint32_t e = state.start[a]; e < state.start[a + 1]; ++e)
+                total = product(state.entries[e], at.x, at.of_x, total);
+            if (with_group) {
+                const int64_t rows = at.group.rows;
+                G sum(0.0);
+                for (uint32_t e = group.start[a]; e < group.start[a + 1]; ++e)
+                    for (int64_t row = 0; row < rows; ++row) {
+                        const GeneratorEntry& entry = group.entries[e];
+                        const GeneratorEntry moved{uint32_t(entry.to * rows + row), uint32_t(entry.from * rows + row),
+                                                   entry.factor, entry.rotates};
+                        sum = product(moved, at.group.at, at.of_group.at, sum);
+                    }
+                total += over_rows<A>(sum);
+            }
+            total *= A(tau);
+            const uint32_t row = first + a;
+            of_offset[row] += total;
+            for (uint32_t e = terms.entry[row]; e < terms.entry[row + 1]; ++e)
+                of_weight[e] = fma(total, at.x[terms.column[e]], of_weight[e]);
+        }
+    }
+
+  private:
+    struct Generators {
+        std::vector<uint32_t> start;
+        std::vector<GeneratorEntry> entries;
+    };
+    Generators state, group;
+    uint32_t first = 0, count = 0;
+
+    template <class V>
+    static INLINE V product(const GeneratorEntry& entry, const V* x, const V* cotangents, const V& total) {
+        const V factor(entry.factor);
+        V moved = x[entry.from] * cotangents[entry.to];
+        if (entry.rotates) moved = moved - x[entry.to] * cotangents[entry.from];
+        return fma(factor, moved, total);
+    }
+
+    bool append(const Action& action, uint32_t part, Generators& to) const {
+        std::vector<std::vector<GeneratorEntry>> of_angle(count);
+        for (uint32_t run = action.run[part]; run < action.run[part + 1]; ++run) {
+            const int kind = action.kind[run];
+            if (kind != ROTATE && kind != SHEAR && kind != SCALE) return false;
+            const uint32_t repeat = action.repeat[run], *index = action.indices + action.position[run];
+            const double* constants = action.constants + action.constant[run];
+            for (uint32_t q = 0; q < action.angles[run]; ++q)
+                for (uint32_t b = 0; b < repeat; ++b, index += kind == SCALE ? 1 : 2) {
+                    const double factor = constants[kind == SHEAR ? q * repeat + b : q];
+                    const uint32_t from = kind == SCALE ? index[0] : index[1];
+                    of_angle[action.angle[run] + q].push_back(
+                        {index[0], from, kind == ROTATE ? -factor : factor, kind == ROTATE});
+                }
+        }
+        to.start.push_back(0);
+        for (const auto& entries : of_angle) {
+            to.entries.insert(to.entries.end(), entries.begin(), entries.end());
+            to.start.push_back(uint32_t(to.entries.size()));
+        }
+        return true;
+    }
+};
+
+}  // namespace coadjoint
