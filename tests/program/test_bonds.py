@@ -155,7 +155,7 @@ def test_other_refusals(monkeypatch):
     for spin in range(bound.dim // 3):
         # Each of them is the first or the second one of some bond.
         with pytest.raises(ValueError, match=rf'parts="bonds" takes no inputs for S1\[{spin + 1}\]'):
-            co.prepare(bound, by_bonds(), 0.1, inputs={"field": (3 * spin, 3 * spin + 1, 3 * spin + 2)})
+            co.prepare(bound, by_bonds(), 0.1, inputs={"here": (3 * spin, 3 * spin + 1, 3 * spin + 2)})
     monkeypatch.setattr("coadjoint.program.parts.bonds.MAX_BONDS", 4)
     with pytest.raises(ValueError, match=r"it has 5 bonds; .* at most 4"):
         by_bonds().properties(co.systems.spin_lattice("chain", 6))

@@ -466,3 +466,16 @@ def test_events_and_observables_with_inputs_per_member(method, way):
         for name, values in seen.casimirs.items():
             assert np.array_equal(between.casimirs[name][:, m], values)
     assert stopped == 3 and len(together.events["other"]) >= 3
+
+
+def test_names_of_parameters_are_no_names_of_the_linear_term():
+    satellite = co.systems.gyrostat(inertia=(1, 2, 3), rotors=(0, 0, 0.5))
+    with pytest.raises(ValueError, match=r"'rotors', a parameter of gyrostat, .*coefficients of the linear term"):
+        co.prepare(satellite, None, 0.1, inputs={"rotors": (0, 1, 2)})
+    with pytest.raises(ValueError, match="'field', a parameter of spin_lattice"):
+        co.prepare(co.systems.spin_lattice(shape=2), co.Splitting(order=2), 0.1, inputs={"field": (0, 1, 2)})
+    own = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 2, 3], linear=[0, 0, 1]), sign=-1)
+    assert co.prepare(own, None, 0.1, inputs={"linear": (0, 2), "field": (1,)}).takes_inputs
+    pushed = satellite.with_forces(co.forces.Torque((0, 0, 0)))
+    ready = co.prepare(pushed, co.Splitting(order=2), 0.1, inputs={"rotors": "Torque"})  # a torque is no coefficient
+    assert ready.run((1, 0, 0), (0, 0.1), rotors=(0, 0, 1)).x.shape == (2, 3)

@@ -15,15 +15,15 @@ ACCURACY = 1e-8
 def effort(x0, steps):
     """Return the least effort of torques that are constant in steps, as on the page."""
     h, satellite = T / steps, co.systems.rigid_body(inertia=I)
-    ready = co.prepare(satellite, co.Splitting(order=2), h, attitude=True, inputs={"rotors": (0, 1, 2)})
+    ready = co.prepare(satellite, co.Splitting(order=2), h, attitude=True, inputs=True)
     u, du = np.zeros((steps, 3)), np.eye(3 * steps).reshape(steps, 3, -1)
     for angle in [np.pi / 4] + 9 * [np.pi / 2]:
         x, A, k = x0, np.eye(3), x0
         dx, dA, dk = np.zeros((3, 3 * steps)), np.zeros((3, 3, 3 * steps)), np.zeros((3, 3 * steps))
         for n in range(steps):
-            rotors, by_u = -(k + h / 2 * u[n]) / I, -(dk + h / 2 * du[n]) / I[:, None]
-            directions = {"x0": dx, "attitude0": dA, "inputs": {"rotors": by_u}}
-            sol, tangents = ready.jvp(x, (0, h), directions, attitude=A, rotors=rotors)
+            linear, by_u = -(k + h / 2 * u[n]) / I, -(dk + h / 2 * du[n]) / I[:, None]
+            directions = {"x0": dx, "attitude0": dA, "inputs": {"linear": by_u}}
+            sol, tangents = ready.jvp(x, (0, h), directions, attitude=A, linear=linear)
             x, A, k = sol.x[-1], sol.attitude[-1], k + h * u[n]
             dx, dA, dk = tangents.x[-1], tangents.attitude[-1], dk + h * du[n]
         turns = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix() @ satellite.representation

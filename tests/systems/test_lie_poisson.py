@@ -12,6 +12,7 @@ from coadjoint.algebra.families.products import direct_sum
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.systems.bodies.rigid_body import rigid_body
 from coadjoint.systems.forces.linear_damping import LinearDamping
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -248,10 +249,10 @@ def test_everything_given_is_found_again(sign):
     np.testing.assert_array_equal(given.representation, representation)
     assert given.sign == sign and type(given.sign) is int and given.name == "own" and given.layout == layout
     assert given.closed_form is exact and given.exact(1, 2) == (1, 2, False) and given.exact(1, 2, 3) == (1, 2, 3)
-    assert repr(given).startswith("<own: ") and repr(given).endswith(f"on so(3), sign={sign:+d}>")
+    assert repr(given).startswith("<own: ") and f"on so(3), sign={sign:+d}: x'" in repr(given)
     plain = LiePoissonSystem(LieAlgebra(dense_constants(so3)), Quadratic(1.0), sign)
     assert plain.name == "Lie-Poisson system on g*" and plain.layout == {} and plain.representation is None
-    assert repr(plain).endswith(f"on an algebra of dimension 3, sign={sign:+d}>")
+    assert f"on an algebra of dimension 3, sign={sign:+d}: " in repr(plain)
     curved = PoissonSystem(so3.structure_matrix, Quadratic(1.0), np.int8(sign), dim=np.int64(3), exact=exact)
     assert (curved.sign, curved.dim, curved.name) == (sign, 3, "Poisson system of dimension 3")
     assert type(curved.sign) is type(curved.dim) is int and curved.exact(1, 2, 3) == (1, 2, 3)
@@ -315,3 +316,23 @@ def test_what_is_given_and_returned_is_copied():
 def test_a_layout_that_is_none_is_refused(layout, said):
     with pytest.raises((TypeError, ValueError), match=re.escape(said)):
         LiePoissonSystem(catalogue.so(3), Quadratic(1.0), layout=layout)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_representation_says_which_bracket_holds(sign):
+    x, M = np.array([0.3, -1.0, 0.7]), np.array([[2.0, 0.3, 0.0], [0.3, 1.0, 0.1], [0.0, 0.1, 0.5]])
+    own = LiePoissonSystem(catalogue.so(3), Quadratic(M), sign=sign)
+    if sign < 0:
+        assert "x' = cross(x, grad H), as co.systems.rigid_body" in repr(own)
+        expected = np.cross(x, M @ x)
+    else:
+        assert "x' = cross(grad H, x), a rigid body backward in time; take sign=-1, or co.systems." in repr(own)
+        expected = np.cross(M @ x, x)
+    np.testing.assert_allclose(own.vector_field(x), expected, rtol=0, atol=1e-15)
+    saddle = LiePoissonSystem(catalogue.so(3), Quadratic(M - np.eye(3)), sign=sign)
+    assert ("rigid_body" in repr(saddle)) == (sign < 0)
+    other = LiePoissonSystem(catalogue.sl(2), Quadratic(M), sign=sign)
+    assert f"{{x_i, x_j}} = {'' if sign > 0 else '-'}sum c_ij^k x_k" in repr(other)
+    bracket = sign * np.einsum("ijk,k->ij", dense_constants(other.algebra), x)
+    np.testing.assert_allclose(other.vector_field(x), bracket @ M @ x, rtol=0, atol=1e-15)
+    assert repr(rigid_body()).endswith("on so(3), sign=-1>")

@@ -93,7 +93,8 @@ class Inputs:
         self._torques: dict[int, NDArray[np.int64]] = {}
         self.indices: dict[str, NDArray[np.int64]] = {}
         for name, target in named.items():
-            self.indices[_read_name(name)] = (
+            self._check_name(name, of_linear_term=not isinstance(target, str))
+            self.indices[name] = (
                 self._torque_indices(target, name)
                 if isinstance(target, str)
                 else _read_coordinates(target, name, system.dim)
@@ -106,6 +107,17 @@ class Inputs:
         if len(np.unique(self._input_indices)) < len(self._input_indices):
             repeated = int(np.flatnonzero(np.bincount(self._input_indices) > 1)[0])
             raise ValueError(f"inputs name coordinate {repeated} more than once; each coefficient is one input")
+
+    def _check_name(self, name: Any, of_linear_term: bool) -> None:
+        if not isinstance(name, str) or not name.isidentifier():
+            raise TypeError(f"inputs has the name {short(name)}; it must be a valid Python identifier, such as linear")
+        if name in RESERVED_NAMES:
+            raise ValueError(f"inputs has the name {name!r}, which is reserved; choose another one")
+        if of_linear_term and name != "linear" and name in (getattr(self._unforced, "parameters", None) or ()):
+            raise ValueError(
+                f"inputs has the name {name!r}, a parameter of {self._unforced.name}, and its values would be "
+                "coefficients of the linear term of H instead; choose another name, such as linear"
+            )
 
     def _torque_indices(self, label: str, name: str) -> NDArray[np.int64]:
         """Append the torque of this label to the values, and return its indices."""
@@ -217,14 +229,6 @@ class Inputs:
         if values.ndim == 1:
             return self.system_at(values)
         return Batch([self.system_at(row) for row in values])
-
-
-def _read_name(name: Any) -> str:
-    if not isinstance(name, str) or not name.isidentifier():
-        raise TypeError(f"inputs has the name {short(name)}; it must be a valid Python identifier, such as field")
-    if name in RESERVED_NAMES:
-        raise ValueError(f"inputs has the name {name!r}, which is reserved; choose another one")
-    return name
 
 
 def _read_coordinates(value: Any, name: str, n: int) -> NDArray[np.int64]:

@@ -26,6 +26,7 @@ from coadjoint.systems.evaluation import (
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import summands_of
 from coadjoint.systems.recorded_invariants import known_or_found_casimirs, read_casimirs, read_integrals
@@ -328,7 +329,20 @@ class LiePoissonSystem:
 
     def __repr__(self) -> str:
         algebra = self.algebra.name or f"an algebra of dimension {self.dim}"
-        return f"<{self.name}: {self.hamiltonian!r} on {algebra}, sign={self.sign:+d}>"
+        return f"<{self.name}: {self.hamiltonian!r} on {algebra}, sign={self.sign:+d}{self._convention()}>"
+
+    def _convention(self) -> str:
+        """Return the bracket that the sign of a user's system means; on so(3) the equation, of a body or in space."""
+        if self._parameters is not None:
+            return ""
+        if self.algebra.name != "so(3)":
+            return f": {{x_i, x_j}} = {'-' if self.sign < 0 else ''}sum c_ij^k x_k"
+        if self.sign < 0:
+            return ": x' = cross(x, grad H), as co.systems.rigid_body in its own axes"
+        hint = ""
+        if isinstance(self.hamiltonian, Quadratic) and np.linalg.eigvalsh(self.hamiltonian.hessian(np.zeros(3)))[0] > 0:
+            hint = ", a rigid body backward in time; take sign=-1, or co.systems.rigid_body"
+        return f": x' = cross(grad H, x){hint}"
 
     def _repr_html_(self) -> str:
         from coadjoint.systems.description import system_table
