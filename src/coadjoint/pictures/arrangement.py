@@ -23,8 +23,8 @@ MIN_WIDTH = 3.2
 MAX_COLUMNS = 3
 TIME_HEIGHT, LOW_HEIGHT, FULL_HEIGHT = 0.46, 0.5, 0.96
 """Heights of panels relative to their widths."""
-TIME_INCHES = 1.9
-"""Smallest height of panels over time, for legends of eight lines."""
+TIME_INCHES, MOST_TIME_INCHES = 1.9, 2.8
+"""Smallest height of panels over time, for legends of eight lines, and the largest of those without other pictures."""
 HEADLINE_HEIGHT = 0.3
 
 
@@ -62,6 +62,8 @@ def arrange(panels: Sequence[Panel], headline: str, width: float | None) -> Figu
         widths = [width * size / sum(widths) for size in widths]
     rows = sum(panel.kind.over_time for panel in panels)
     height = max(size * part for size, part in zip(widths, heights, strict=True))
+    if all(over_time):
+        height = min(height, MOST_TIME_INCHES * rows)
     height = max(height, TIME_INCHES * rows) + HEADLINE_HEIGHT
     if width is None:
         height = max(MIN_HEIGHT, height)
