@@ -36,30 +36,30 @@ SPLIT = co.LiePoissonSystem(
 X3, X6 = np.array([0.3, 1.0, 0.2]), np.array([0.3, 1.0, 0.2, 0.1, 0.4, 0.9])
 UNIT_SPINS = np.array([0.6, 0.0, 0.8, 0.48, 0.64, 0.6, 0.0, 0.6, -0.8])
 
-ROTORS, TWO = {"rotors": (0, 2)}, {"rotors": np.array([0.3, -0.1])}
+RATES, TWO = {"rates": (0, 2)}, {"rates": np.array([0.3, -0.1])}
 FIELDS = {"fields": [[3, 4], [5, 1]], "rotor": (0,)}
 FOUR = {"fields": np.array([[0.3, 0.1], [0.2, 0.4]]), "rotor": np.array([-0.2])}
 COMPILED = [
-    (BODY, co.Splitting(order=2), X3, ROTORS, TWO, True),
-    (BODY, co.Splitting(order=2, rotation="rational", parts="coordinates"), X3, ROTORS, TWO, True),
-    (GYROSTAT, co.Splitting(order=4), X3, ROTORS, TWO, True),
+    (BODY, co.Splitting(order=2), X3, RATES, TWO, True),
+    (BODY, co.Splitting(order=2, rotation="rational", parts="coordinates"), X3, RATES, TWO, True),
+    (GYROSTAT, co.Splitting(order=4), X3, RATES, TWO, True),
     (FULL, co.Splitting(order=4), X3, True, {"linear": np.array([0.3, -0.1, 0.2])}, "coadjoint"),
     (FULL, co.Splitting(order=2, compensated=True), X3, {"one": (1,)}, {"one": [0.3]}, True),
     (CUBIC, co.Splitting(order=2), X3, True, {"linear": np.array([0.3, 0.1, 0.2])}, False),
-    (SPLIT, co.Splitting(order=2), X3, ROTORS, TWO, False),
+    (SPLIT, co.Splitting(order=2), X3, RATES, TWO, False),
     (TOP, co.Splitting(order=4), X6, FIELDS, FOUR, True),
     (TOP, co.Splitting(scheme="blanes_casas_murua6"), X6, FIELDS, {"rotor": [0.4]}, "coadjoint"),
     (SPINS, co.Splitting(order=2), UNIT_SPINS, {"B": np.arange(9).reshape(3, 3)}, {"B": np.eye(3) / 4}, False),
     (FULL, co.GaussLegendre(2), X3, True, {"linear": np.array([0.3, -0.1, 0.2])}, "coadjoint"),
-    (CUBIC, co.GaussLegendre(2), X3, ROTORS, TWO, False),
+    (CUBIC, co.GaussLegendre(2), X3, RATES, TWO, False),
     (TOP, co.ExplicitRungeKutta("rk4"), X6, FIELDS, FOUR, "coadjoint"),
     (TOP, co.Composition(co.GaussLegendre(1), (0.7, -0.4, 0.7)), X6, FIELDS, FOUR, False),
 ]
 STEPWISE = [
-    (BODY, co.Taylor(order=8), X3, ROTORS, TWO, False),
-    (BODY, co.RadauEnergy(), X3, ROTORS, TWO, False),
+    (BODY, co.Taylor(order=8), X3, RATES, TWO, False),
+    (BODY, co.RadauEnergy(), X3, RATES, TWO, False),
     (TOP, co.CommutatorFree(), X6, FIELDS, FOUR, False),
-    (FULL, co.Projected(co.GaussLegendre(1)), X3, ROTORS, TWO, False),
+    (FULL, co.Projected(co.GaussLegendre(1)), X3, RATES, TWO, False),
 ]
 SPANS = {
     "forward": ((0.5, 1.5), {"save_every": 7}),
@@ -202,47 +202,47 @@ def test_several_directions_of_inputs_are_carried_together():
     assert not tangents.x[..., 4].any()
 
 
-READY = co.prepare(BODY, co.Splitting(), 0.125, inputs=ROTORS)
+READY = co.prepare(BODY, co.Splitting(), 0.125, inputs=RATES)
 
 
 @pytest.mark.parametrize(
     ("directions", "error", "words"),
     [
         ({"inputs": [1.0, 2.0]}, TypeError, "the direction inputs is [1.0, 2.0]; give a mapping from names of inputs"),
-        ({"inputs": {"rotor": [1.0, 2.0]}}, ValueError, "unknown input of this run 'rotor'; did you mean 'rotors'"),
-        ({"inputs": {"rotors": [1.0]}}, ValueError, "the direction inputs.rotors has the shape (1,); it must be (2,)"),
-        ({"rotors": [1.0, 2.0]}, ValueError, "unknown direction of this run 'rotors'"),
+        ({"inputs": {"rate": [1.0, 2.0]}}, ValueError, "unknown input of this run 'rate'; did you mean 'rates'"),
+        ({"inputs": {"rates": [1.0]}}, ValueError, "the direction inputs.rates has the shape (1,); it must be (2,)"),
+        ({"rates": [1.0, 2.0]}, ValueError, "unknown direction of this run 'rates'"),
         ({"inputs": {}}, ValueError, "no direction was given; the names are x0, inertia, inputs"),
-        ({"inputs": {"rotors": np.ones((2, 3))}, "x0": X3}, ValueError, "the directions differ in number"),
+        ({"inputs": {"rates": np.ones((2, 3))}, "x0": X3}, ValueError, "the directions differ in number"),
     ],
 )
 def test_wrong_directions_of_inputs_are_refused(directions, error, words):
     with pytest.raises(error, match=re.escape(words)):
-        READY.jvp(X3, (0.0, 1.0), directions, rotors=[0.1, 0.2])
+        READY.jvp(X3, (0.0, 1.0), directions, rates=[0.1, 0.2])
 
 
 def test_wrong_inputs_are_refused():
     for call in (READY.vjp, lambda *args, **given: READY.jvp(*args, {"x0": X3}, **given)):
-        with pytest.raises(ValueError, match="rotors has the shape"):
-            call(X3, (0.0, 1.0), rotors=[0.1])
+        with pytest.raises(ValueError, match="rates has the shape"):
+            call(X3, (0.0, 1.0), rates=[0.1])
         with pytest.raises(ValueError, match="unknown input"):
             call(X3, (0.0, 1.0), rotor=[0.1])
     with pytest.raises(TypeError, match="prepared without inputs"):
-        co.prepare(BODY, co.Splitting(), 0.125).vjp(X3, (0.0, 1.0), rotors=[0.1, 0.2])
+        co.prepare(BODY, co.Splitting(), 0.125).vjp(X3, (0.0, 1.0), rates=[0.1, 0.2])
 
 
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.Splitting(order=4), co.GaussLegendre(2)], ids=str)
 @pytest.mark.parametrize("system", [BODY, FULL], ids=["body", "full"])
 def test_tangents_by_new_inputs_are_no_new_preparation(system, method):
     """A derivative at new values costs at most ten steps; preparing would take a hundred."""
-    step, values = co.stepper(system, method, 0.1, inputs=ROTORS), np.linspace(-0.5, 0.5, 80).reshape(40, 2)
+    step, values = co.stepper(system, method, 0.1, inputs=RATES), np.linspace(-0.5, 0.5, 80).reshape(40, 2)
     times = {}
     for call in (step, step.tangent_by_inputs, step.tangent):
-        call(X3, rotors=[0.0, 0.0])
+        call(X3, rates=[0.0, 0.0])
         elapsed = []
         for value in values:
             begin = time.perf_counter()
-            call(X3, rotors=value)
+            call(X3, rates=value)
             elapsed.append(time.perf_counter() - begin)
         times[call] = min(elapsed)
     assert max(times[step.tangent_by_inputs], times[step.tangent]) <= 10 * times[step]
