@@ -50,6 +50,12 @@ class Commutation:
         clash = np.flatnonzero(inside[i] & inside[j])
         return (int(i[clash[0]]), int(j[clash[0]])) if clash.size else None
 
+    def noncommuting(self, first: Integers, second: Integers) -> NDArray[np.bool_]:
+        """Test for pairs of coordinates whether they do not commute."""
+        i, j, _, _ = self._algebra.triples
+        size = self._algebra.dim
+        return np.isin(first * size + second, i * size + j)
+
     def has_noncommuting(self, label: Integers) -> NDArray[np.bool_]:
         """Test for each label (all >= 0) whether two coordinates with this label do not commute."""
         i, j, _, _ = self._algebra.triples

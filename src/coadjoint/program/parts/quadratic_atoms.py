@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -12,6 +13,7 @@ from coadjoint.algebra.exact.components import connected
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.program.commutation import Commutation
 from coadjoint.program.generators import check_products
+from coadjoint.program.parts.few_parts import first_fit_one_by_one
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.parts.sparse_squares import DENSE_ROW, SparseSquares, sparse_squares
 from coadjoint.program.parts.squares import MAX_RATIONAL_SIZE
@@ -29,6 +31,10 @@ def quadratic_atoms(term: QuadraticTerm, commutation: Commutation, separate: boo
     With `separate` the squares of coupled coordinates are completed even if these commute.
     """
     label, members, squared = _sets(term, commutation, separate)
+    if not separate and np.any(squared):
+        terms = separated_products(term, commutation, squared[label] & (label >= 0), label)
+        if len(terms) > 1:
+            return Parts.concatenate([quadratic_atoms(one, commutation, separate) for one in terms])
     plain = members[~squared[label[members]]]
     atoms = [_coupled(term, plain, label[plain])]
     owner = [label[plain][run_starts(label[plain])]]
@@ -83,6 +89,65 @@ def _sets(
     if not separate:
         squared = squared & commutation.has_noncommuting(label)[: len(size)]
     return label, members, squared
+
+
+def separated_products(
+    term: QuadraticTerm, commutation: Commutation, squared: NDArray[np.bool_], label: Integers
+) -> list[QuadraticTerm]:
+    """Split the products of large sparse sets into terms of which all coordinates commute; squares would fill up.
+
+    In a lattice of spins with couplings of different components, products of two spins commute, and few terms contain
+    all of them. Products within a set of noncommuting coupled coordinates, as of one spin, are left to squares.
+    """
+    rows, size = term.rows, len(term.linear)
+    number = np.bincount(label[squared], minlength=size)
+    entries = np.bincount(label[rows][squared[rows]], minlength=size)
+    large = squared & ((number > MAX_RATIONAL_SIZE) & (entries < DENSE_ROW * number))[label]
+    above = np.flatnonzero((rows < term.indices) & large[rows])
+    i, j = rows[above], term.indices[above].astype(np.int64)
+    bound = commutation.noncommuting(i, j)
+    site = connected(size, i[bound], j[bound])
+    if np.bincount(site[large], minlength=1).max(initial=0) > MAX_RATIONAL_SIZE:
+        return [term]
+    between = site[i] != site[j]
+    i, j = i[between], j[between]
+    pairs = np.stack([i, j], axis=1)
+    units = Parts.linear(
+        SparseRows.units(pairs.ravel()), np.zeros(2 * len(i)), SparseRows.empty(2 * len(i)), 2 * np.arange(len(i) + 1)
+    )
+    first, second = commutation.coupled_pairs(units)
+    distinct = first != second
+    color = first_fit_one_by_one(len(i), first[distinct], second[distinct])
+    # Each entry of M goes with its product, and what concerns one coordinate with the first of its products.
+    colors = int(color.max(initial=-1)) + 1
+    owner = np.full(size, colors)
+    np.minimum.at(owner, pairs.ravel(), np.repeat(color, 2))
+    owner[np.bincount(site, minlength=size)[site] > 1] = colors
+    of_entry = np.where(rows == term.indices, owner[rows], colors)
+    key = i * size + j
+    order = np.argsort(key)
+    keys = np.minimum(rows, term.indices) * size + np.maximum(rows, term.indices)
+    position = np.minimum(np.searchsorted(key[order], keys), len(key) - 1)
+    product = key[order][position] == keys if len(key) else np.zeros(len(keys), dtype=bool)
+    of_entry[product] = color[order][position[product]]
+    terms: list[QuadraticTerm] = []
+    for c in range(colors + 1):
+        chosen = of_entry == c
+        linear = np.where(owner == c, term.linear, 0.0)
+        if np.any(chosen) or np.any(linear):
+            indptr = np.searchsorted(rows[chosen], np.arange(size + 1))
+            constant = term.constant if not terms else 0 * term.constant
+            terms.append(
+                replace(
+                    term,
+                    indptr=indptr,
+                    indices=term.indices[chosen],
+                    values=term.values[chosen],
+                    linear=linear,
+                    constant=constant,
+                )
+            )
+    return terms
 
 
 def _coupled(term: QuadraticTerm, members: Integers, label: Integers) -> Parts:
