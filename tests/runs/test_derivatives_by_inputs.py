@@ -33,6 +33,12 @@ SPLIT = co.LiePoissonSystem(
         [((0,), co.Polynomial({(1,): 0.2, (4,): 0.1})), ((1,), co.Quadratic(0.4)), ((2,), co.Quadratic(0.7))]
     ),
 )
+DRIVEN = co.LiePoissonSystem(
+    co.algebras.so(3),
+    co.Quadratic([1.0, 0.5, 0.4])
+    + co.Separable({0: (lambda y, t: np.cos(3 * t) * y, lambda y, t: np.cos(3 * t), lambda y, t: 0 * y)}),
+    name="driven",
+)
 X3, X6 = np.array([0.3, 1.0, 0.2]), np.array([0.3, 1.0, 0.2, 0.1, 0.4, 0.9])
 UNIT_SPINS = np.array([0.6, 0.0, 0.8, 0.48, 0.64, 0.6, 0.0, 0.6, -0.8])
 
@@ -58,6 +64,7 @@ COMPILED = [
 STEPWISE = [
     (BODY, co.Taylor(order=8), X3, RATES, TWO, False),
     (BODY, co.RadauEnergy(), X3, RATES, TWO, False),
+    (DRIVEN, co.CommutatorFree(), X3, RATES, TWO, False),
     (TOP, co.CommutatorFree(), X6, FIELDS, FOUR, False),
     (FULL, co.Projected(co.GaussLegendre(1)), X3, RATES, TWO, False),
 ]
@@ -66,6 +73,7 @@ SPANS = {
     "backward": ((1.0, 0.0), {"save_every": 3}),
     "times": ((0.5, 1.5), {"t_eval": [0.5, 0.52, 1.0, 1.33]}),
     "brief": ((0.5, 0.65), {"t_eval": [0.52, 0.65]}),
+    "back": ((0.5, 0.35), {"t_eval": [0.48, 0.35]}),
 }
 
 
@@ -124,9 +132,10 @@ def test_compiled_derivatives_by_inputs_are_those_of_runs(case, span):
     assert gradient.rule["inputs"] == "exact"
 
 
+@pytest.mark.parametrize("span", ["brief", "back"])
 @pytest.mark.parametrize("case", STEPWISE, ids=named)
-def test_derivatives_by_inputs_step_by_step_are_those_of_runs(case):
-    gradient = assert_derivatives(case, "brief", case[2], case[4], 6)
+def test_derivatives_by_inputs_step_by_step_are_those_of_runs(case, span):
+    gradient = assert_derivatives(case, span, case[2], case[4], 6)
     assert gradient.rule["inputs"] == "differences"
 
 

@@ -88,6 +88,7 @@ SPANS = {
     "backward": ((1.0, 0.0), {"save_every": 3}),
     "times": ((0.5, 1.5), {"t_eval": [0.5, 0.52, 1.0, 1.33]}),
     "brief": ((0.5, 0.8), {"t_eval": [0.52, 0.73, 0.8]}),
+    "back": ((0.5, 0.2), {"t_eval": [0.48, 0.3, 0.2]}),
 }
 
 
@@ -152,9 +153,10 @@ def test_derivatives_of_ensembles_are_those_of_runs(case, members):
     assert abs(backward - differences) <= DIFFERENCE_ERROR * size
 
 
+@pytest.mark.parametrize("span", ["brief", "back"])
 @pytest.mark.parametrize("case", STEPWISE, ids=named)
-def test_derivatives_step_by_step_are_those_of_runs(case):
-    backward, forward, differences, size, gradient = derivatives(case, "brief", 5)
+def test_derivatives_step_by_step_are_those_of_runs(case, span):
+    backward, forward, differences, size, gradient = derivatives(case, span, 5)
     assert set(gradient.rule.values()) == {"differences"}
     assert abs(backward - forward) <= 2.0**10 * UNIT_ROUNDOFF * size
     assert abs(backward - differences) <= DIFFERENCE_ERROR * size
