@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -111,16 +111,17 @@ class LieAlgebra(Structure):
         self,
         triples: Triples,
         dim: int,
-        basis: tuple[str, ...],
+        basis: tuple[str, ...] | Callable[[], tuple[str, ...]],
         name: str | None,
         representation: Floats | None,
         casimirs: Mapping[str, Any],
     ) -> None:
+        """Store valid data; names of the basis, which may be millions, can be a function, called when they are read."""
         for column in (*triples, *(() if representation is None else (representation,))):
             column.flags.writeable = False
         self._triples, self._dim, self._basis, self._name = triples, dim, basis, name
         self._representation = representation
-        coordinates = names_of_basis(basis)
+        coordinates = names_of_basis(self.basis) if casimirs else ()
         self._casimirs = {
             key: casimir.named(coordinates) if isinstance(casimir, Polynomial) else casimir
             for key, casimir in casimirs.items()
@@ -194,6 +195,8 @@ class LieAlgebra(Structure):
     @property
     def basis(self) -> tuple[str, ...]:
         """Names of the basis elements."""
+        if not isinstance(self._basis, tuple):
+            self._basis = self._basis()
         return self._basis
 
     @property
@@ -221,18 +224,18 @@ class LieAlgebra(Structure):
         count = count_of_brackets(self._triples)
         if not 0 < count <= FEW_BRACKETS:
             return f"LieAlgebra({label}dim={self._dim}{f', {count} brackets' if count else ', commutative'})"
-        return f"LieAlgebra({label}dim={self._dim}: {', '.join(format_brackets(self._triples, self._basis, count))})"
+        return f"LieAlgebra({label}dim={self._dim}: {', '.join(format_brackets(self._triples, self.basis, count))})"
 
     def __str__(self) -> str:
         heading = f"{self._name or 'a Lie algebra'}, of dimension {self._dim}"
-        count, lines = count_of_brackets(self._triples), format_brackets(self._triples, self._basis, MAX_BRACKETS)
+        count, lines = count_of_brackets(self._triples), format_brackets(self._triples, self.basis, MAX_BRACKETS)
         remainder = [f"and {count - len(lines)} more"] if count > len(lines) else []
         return "\n  ".join([heading, *lines, *remainder])
 
     def _repr_html_(self) -> str:
-        count, lines = count_of_brackets(self._triples), format_brackets(self._triples, self._basis, MAX_BRACKETS)
+        count, lines = count_of_brackets(self._triples), format_brackets(self._triples, self.basis, MAX_BRACKETS)
         brackets = (", ".join(lines) or "none") + (f", and {count - len(lines)} more" if count > len(lines) else "")
-        rows = {"dimension": self._dim, "basis": short(self._basis), "brackets": brackets}
+        rows = {"dimension": self._dim, "basis": short(self.basis), "brackets": brackets}
         return html_table(self._name or "a Lie algebra", rows)
 
     def __eq__(self, other: object) -> bool:
@@ -293,7 +296,7 @@ class LieAlgebra(Structure):
         """
         from coadjoint.algebra.invariants.casimirs import EmptyCasimirs, casimirs
 
-        coordinates = names_of_basis(self._basis)
+        coordinates = names_of_basis(self.basis)
         polynomials = {
             key: casimir.named(coordinates) for key, casimir in casimirs(self._triples, self._dim, max_degree).items()
         }

@@ -133,11 +133,15 @@ def copies(g: LieAlgebra, count: int) -> LieAlgebra:
     return LieAlgebra._from_valid(
         Triples(i, j, k, np.tile(c, count)),
         g.dim * count,
-        tuple([f"{label}[{number}]" for number in range(1, count + 1) for label in g.basis]),
+        functools.partial(_names_of_copies, g, count),
         truncate_title(f"{count} {g.name or 'g'}"),
         _block_diagonal([g.representation] * count) if fits else None,
         known,
     )
+
+
+def _names_of_copies(g: LieAlgebra, count: int) -> tuple[str, ...]:
+    return tuple([f"{label}[{number}]" for number in range(1, count + 1) for label in g.basis])
 
 
 def _casimirs_fit_memory(algebras: Sequence[LieAlgebra], count: int = 1) -> bool:
