@@ -71,6 +71,7 @@ BETTER = co.corrector(BODY, co.Splitting(), X)
 TIMES = np.arange(128) * 0.1
 LINES = co.frequencies(TIMES, np.cos(TIMES), 1)
 LONG = co.integrate(BODY, X, (0, 20), 0.1)
+SPINS = co.systems.spin_lattice()
 ALONG = co.integrate(BODY, X, (0, 20), 0.5, attitude=True)
 
 
@@ -191,6 +192,8 @@ CALLS = {
     "the signal of a run": (lambda signal: co.frequencies(LONG, signal, 1), {"signal": None}),
     "a sum of lines": (LINES, {"t": TIMES}),
     "combinations": (LINES.combinations, {"basis": None, "largest": 8}),
+    "thermal_states": (co.thermal_states, {"system": SPINS, "temperature": 0.5, "members": 2, "seed": 1, "sweeps": 2,
+                                           "method": "Metropolis", "over_relaxation": 1, "x0": np.ones(6)}),
     "phase_drift": (co.phase_drift, {"solution": ALONG, "reference": None, "of": "momentum"}),
     "predicted_drift": (co.predicted_drift, {"system": BODY, "x0": X, "modified": KEPT, "step": 0.1, "gradient": None,
                         "field": None, "attitude": True}),
@@ -238,7 +241,7 @@ CALLS = {
 
 # Created by the library, or called without arguments.
 NOT_CALLED = {"Certificate", "Choice", "Corrector", "Frequencies", "IntegrationError", "LargeStepWarning",
-              "LongWait", "Equilibrium", "equilibrium",
+              "LongWait", "Equilibrium", "equilibrium", "ThermalStates",
               "LyapunovExponents", "ModifiedField", "ModifiedHamiltonian", "PhaseDrift", "PreparedRun",
               "RecordedEvents", "Section", "Solution"}  # fmt: skip
 SLOW = [("predicted_drift", "step"), ("certify", "step"), ("exact", "t"), ("level_surface", "box")]

@@ -32,6 +32,8 @@ from .analysis.phase_drift import PhaseDrift as PhaseDrift
 from .analysis.phase_drift import phase_drift as phase_drift
 from .analysis.predicted_drift import predicted_drift as predicted_drift
 from .analysis.suggested_step import suggest_step as suggest_step
+from .analysis.thermal_states import ThermalStates as ThermalStates
+from .analysis.thermal_states import thermal_states as thermal_states
 from .choosing.accuracy import Choice as Choice
 from .choosing.accuracy import choose as choose
 from .errors import IntegrationError as IntegrationError

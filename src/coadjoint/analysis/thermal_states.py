@@ -1,0 +1,212 @@
+"""States of spins in thermal equilibrium, by Monte Carlo sweeps: Metropolis, heat bath and over-relaxation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from coadjoint.analysis.spin_energy import SpinEnergy, spin_energy
+from coadjoint.analysis.spin_moves import METHODS, StepSizes, directions, over_relax, step_sizes, uniform_words
+from coadjoint.long_operations import long_operation, note_progress
+from coadjoint.memory import check_available_memory
+from coadjoint.short_repr import short
+from coadjoint.systems.evaluation import ignore_overflow
+from coadjoint.systems.forces.heat_bath import MAX_SEED
+from coadjoint.validation import read_choice, read_finite, read_integer
+
+Floats = NDArray[np.float64]
+
+SPINS_AT_ONCE = 2**15  # of the members that are swept together
+BYTES_PER_SPIN = 600  # peak, of those
+MAX_SWEEPS = 2**40
+MAX_OVER_RELAXATION = 100
+MIN_TEMPERATURE = 1e-300  # its inverse is finite
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ThermalStates:
+    """States from a Monte Carlo simulation of spins, and its record; `thermal_states` computes them.
+
+    Attributes
+    ----------
+    x : ndarray, shape (members, n)
+        The states after the last sweep; initial states of `integrate`.
+    temperature : ndarray, shape (members,)
+        Boltzmann's constant times the temperature of each member.
+    energy : ndarray, shape (sweeps + 1, members)
+        H at the start and after each sweep.
+    acceptance : ndarray, shape (sweeps, members)
+        Accepted fraction of the proposed moves of each sweep, over-relaxation excluded.
+    """
+
+    x: Floats
+    temperature: Floats
+    energy: Floats
+    acceptance: Floats
+
+    def __repr__(self) -> str:
+        members, n = self.x.shape
+        low, high = np.min(self.temperature), np.max(self.temperature)
+        kT = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
+        return (
+            f"<{members} states of {n // 3} spins at kT = {kT} after {len(self.acceptance)} sweeps, acceptance "
+            f"{np.mean(self.acceptance):.2f}>"
+        )
+
+
+@long_operation("thermal_states")
+@ignore_overflow
+def thermal_states(
+    system: Any,
+    temperature: ArrayLike,
+    members: int | None = None,
+    *,
+    seed: int,
+    sweeps: int = 1000,
+    method: str = "heat bath",
+    over_relaxation: int = 0,
+    x0: ArrayLike | None = None,
+) -> ThermalStates:
+    """Return states of spins drawn from the Boltzmann distribution exp(-H/kT), by Monte Carlo sweeps.
+
+    Choose it for initial states at a temperature, and for averages in equilibrium. The members are independent Markov
+    chains. Whether they have reached equilibrium is seen from the record of their energies, whose integrated
+    autocorrelation time is that of `co.spectra.autocorrelation`.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem
+        Copies of so(3) with an energy that is at most quadratic, such as `spin_lattice` with any of its couplings.
+    temperature : float or (members,) array_like
+        Boltzmann's constant times the temperature, in units of the energy; positive. One for all members, or for each.
+    members : int, optional
+        Number of members; None is that of `x0` or `temperature`, else 1.
+    seed : int
+        Seed of the random numbers, from 0 to 2^62. To continue from earlier states give another seed.
+    sweeps : int
+        Number of sweeps over all spins.
+    method : {"heat bath", "Metropolis"}
+        "heat bath": new directions from the distribution in the local field; with anisotropy on site, they are accepted
+        with the probability that corrects for it. "Metropolis": a small rotation (half of the proposals), a random
+        direction or a reversal (a quarter each); for anisotropy on site far above the temperature.
+    over_relaxation : int
+        Number of additional sweeps after each, up to 100, which rotate spins by half a turn about their local field:
+        without anisotropy on site at constant energy. They shorten correlations near phase transitions.
+    x0 : (n,) or (members, n) array_like, optional
+        Start, from which the spins have their lengths. None is random directions of length one.
+
+    Returns
+    -------
+    ThermalStates
+
+    Raises
+    ------
+    TypeError
+        The system has forces, other coordinates than spins, or an energy that depends on time or is not quadratic.
+    ValueError
+        An argument is out of range or has a wrong shape, or the memory does not suffice.
+
+    Notes
+    -----
+    Spins that are not coupled to each other are updated together. Each spin of each member and sweep has random numbers
+    of its own, by Philox: a member is the same, to the bit, for any number of members. With forces, `HeatBath` has the
+    same equilibrium, and its dynamics.
+
+    References
+    ----------
+    Y. Miyatake, M. Yamamoto, J. J. Kim, M. Toyonaga, O. Nagai, J. Phys. C 19, 2539 (1986), the heat bath;
+    M. Creutz, Phys. Rev. D 36, 515 (1987), over-relaxation; D. Hinzke, U. Nowak, Comput. Phys. Commun. 121, 334 (1999),
+    the moves.
+
+    Examples
+    --------
+    Two spins, whose mean energy is -(coth(1/kT) - kT):
+
+    >>> import coadjoint as co
+    >>> states = co.thermal_states(co.systems.spin_lattice(), 0.5, members=4000, sweeps=10, seed=1)
+    >>> states.x.shape, bool(abs(states.energy[-1].mean() + 0.537315) < 0.02)
+    ((4000, 6), True)
+    """
+    energies = spin_energy(system, "thermal_states")
+    choice = read_choice(method, "method", tuple(METHODS))
+    key = read_integer(seed, "seed", 0, MAX_SEED)
+    count = read_integer(sweeps, "sweeps", 1, MAX_SWEEPS, floats=True)
+    extra = read_integer(over_relaxation, "over_relaxation", 0, MAX_OVER_RELAXATION)
+    kT = read_finite(temperature, "temperature")
+    start = None if x0 is None else read_finite(x0, "x0")
+    number = _members(members, kT, start, system.dim, system.name)
+    if np.any(kT < MIN_TEMPERATURE):
+        raise ValueError(
+            f"temperature is {float(kT.min())!r}; it must be positive, from {MIN_TEMPERATURE:g} up; co.equilibrium "
+            "finds states of lowest energy"
+        )
+    group = max(1, min(number, SPINS_AT_ONCE // energies.sites))
+    check_available_memory(
+        8 * number * (system.dim + 2 * count) + BYTES_PER_SPIN * group * energies.sites,
+        f"{short(count)} sweeps of {short(number)} members of {energies.sites} spins",
+        "take fewer sweeps at a time, or fewer members",
+    )
+    temperatures = np.array(np.broadcast_to(kT, number))
+    result = ThermalStates(
+        np.empty((number, system.dim)), temperatures, np.empty((count + 1, number)), np.empty((count, number))
+    )
+    for first in range(0, number, group):
+        chains = slice(first, min(first + group, number))
+        S = _start(start, key, energies.sites, chains)
+        _sweep(energies, S, result, chains, (key, choice, extra))
+        result.x[chains] = S.reshape(system.dim, -1).T
+    if not (np.all(np.isfinite(result.energy)) and np.all(np.isfinite(result.x))):
+        raise ValueError(f"energies of {system.name} leave the range of float64; take larger units")
+    return result
+
+
+def _sweep(energies: SpinEnergy, S: Floats, result: ThermalStates, chains: slice, how: tuple[int, str, int]) -> None:
+    """Sweep over the spins S (sites, 3, members), in place, and record energies and acceptance."""
+    key, choice, extra = how
+    lengths, beta = np.sqrt(np.sum(S**2, axis=1)), 1.0 / result.temperature[chains]
+    sizes = step_sizes(energies, lengths, beta)
+    move, number, count = METHODS[choice], len(result.temperature), len(result.acceptance)
+    result.energy[0, chains] = energies.energy(S)
+    for sweep in range(count):
+        accepted = np.zeros(S.shape[2])
+        for part in range(1 + extra):
+            words = uniform_words(key, (sweep + 1, part), energies.sites, chains)
+            for sublattice in energies.sublattices:
+                here = StepSizes(lengths[sublattice.sites], beta, sizes[sublattice.sites])
+                if part:
+                    over_relax(sublattice, S, here, words)
+                else:
+                    accepted += move(sublattice, S, here, words)
+        result.acceptance[sweep, chains] = accepted / energies.sites
+        result.energy[sweep + 1, chains] = energies.energy(S)
+        note_progress("Monte Carlo sweeps", (chains.start + (sweep + 1) / count * S.shape[2]) / number)
+
+
+def _start(x0: Floats | None, key: int, sites: int, chains: slice) -> Floats:
+    """Return initial spins (sites, 3, members)."""
+    if x0 is None:
+        u = uniform_words(key, (0, 0), sites, chains)
+        return directions(u[0], u[1])
+    members = chains.stop - chains.start
+    rows = np.broadcast_to(x0, (members, 3 * sites)) if x0.ndim == 1 else x0[chains]
+    return np.array(rows.T.reshape(sites, 3, members), order="C")
+
+
+def _members(members: Any, kT: Floats, start: Floats | None, dim: int, name: str) -> int:
+    """Return the number of members, after a check of the shapes."""
+    if start is not None and (start.ndim not in (1, 2) or start.shape[-1] != dim or not start.size):
+        raise ValueError(f"x0 has shape {start.shape}; {name} needs ({dim},) or (members, {dim})")
+    if kT.ndim > 1 or not kT.size:
+        raise ValueError(f"temperature has shape {kT.shape}; give one number, or one for each member")
+    counts = {"temperature": len(kT)} if kT.ndim else {}
+    if start is not None and start.ndim == 2:
+        counts["x0"] = len(start)
+    if members is not None:
+        counts["members"] = read_integer(members, "members (None is those of x0 and temperature)")
+    if len(set(counts.values())) > 1:
+        listed = ", ".join(f"{count} of {what}" for what, count in counts.items())
+        raise ValueError(f"numbers of members differ: {listed}; give one number of them")
+    return next(iter(counts.values()), 1)
