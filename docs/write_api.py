@@ -82,6 +82,7 @@ NAMESPACES = (
     ("Forces ([forces.md](forces.md))", "forces"),
     ("Schemes of your own ([own_schemes.md](own_schemes.md))", "methods"),
     ("Analysis", "analysis"),
+    ("Correlations in space and time ([spins.md](spins.md))", "spectra"),
     ("Plotting ([gallery.md](gallery.md))", "plotting"),
     ("Stored results ([files.md](files.md))", "results"),
     ("Functions of JAX ([derivatives.md](derivatives.md#jax))", "jax"),

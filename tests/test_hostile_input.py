@@ -72,6 +72,7 @@ TIMES = np.arange(128) * 0.1
 LINES = co.frequencies(TIMES, np.cos(TIMES), 1)
 LONG = co.integrate(BODY, X, (0, 20), 0.1)
 SPINS = co.systems.spin_lattice()
+WAVES = co.integrate(co.systems.spin_lattice("ring", 4), np.tile([0.6, 0.0, 0.8, 0.0, 0.6, 0.8], 2), (0, 1), 0.1)
 ALONG = co.integrate(BODY, X, (0, 20), 0.5, attitude=True)
 
 
@@ -194,6 +195,8 @@ CALLS = {
     "combinations": (LINES.combinations, {"basis": None, "largest": 8}),
     "thermal_states": (co.thermal_states, {"system": SPINS, "temperature": 0.5, "members": 2, "seed": 1, "sweeps": 2,
                                            "method": "Metropolis", "over_relaxation": 1, "x0": np.ones(6)}),
+    "structure_factor": (co.spectra.structure_factor, {"solution": WAVES, "path": [0.0, 0.5], "window": "hann"}),
+    "autocorrelation": (co.spectra.autocorrelation, {"given": TIMES, "signal": np.cos(TIMES), "window": 5.0}),
     "phase_drift": (co.phase_drift, {"solution": ALONG, "reference": None, "of": "momentum"}),
     "predicted_drift": (co.predicted_drift, {"system": BODY, "x0": X, "modified": KEPT, "step": 0.1, "gradient": None,
                         "field": None, "attitude": True}),

@@ -183,7 +183,7 @@ def test_overrides_do_not_repeat_docstrings(name):
 
 
 @pytest.mark.parametrize(
-    "space", ["algebras", "analysis", "forces", "jax", "methods", "plotting", "results", "systems", "torch"]
+    "space", ["algebras", "analysis", "forces", "jax", "methods", "plotting", "results", "spectra", "systems", "torch"]
 )
 def test_namespaces_are_lazy_and_name_what_is_near(space):
     module = getattr(co, space)

@@ -6,6 +6,7 @@ from . import jax as jax
 from . import methods as methods
 from . import plotting as plotting
 from . import results as results
+from . import spectra as spectra
 from . import systems as systems
 from . import torch as torch
 from .algebra.families.matrix_algebra import MatrixAlgebra as MatrixAlgebra

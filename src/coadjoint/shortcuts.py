@@ -15,6 +15,7 @@ SHORTCUTS = {
     "draw_crossings": "coadjoint.pictures.kinds.section:draw_crossings",
     "draw_phase_drift": "coadjoint.pictures.phase_drift:draw_phase_drift",
     "draw_solution": "coadjoint.pictures.solution:draw_solution",
+    "draw_structure_factor": "coadjoint.pictures.structure_factor:draw_structure_factor",
     "error_at_end": "coadjoint.analysis.end_error:error_at_end",
     "frames_of": "coadjoint.pictures.movie:frames_of",
     "modified_hamiltonian": "coadjoint.analysis.backward_error.modified_hamiltonian:modified_hamiltonian",

@@ -112,7 +112,11 @@ TABLE: dict[str, dict[str, Entry]] = {
 ENTRIES = [(name, kind) for name, kinds in TABLE.items() for kind in kinds]
 each_entry = pytest.mark.parametrize(("name", "kind"), ENTRIES, ids=[f"{name}-{kind}" for name, kind in ENTRIES])
 # Functions with a span or a solution that is no run of a system, or none of the above.
-ELSEWHERE: dict[str, str] = {"fit.fit": "tests/analysis/test_fit.py"}
+ELSEWHERE: dict[str, str] = {
+    "fit.fit": "tests/analysis/test_fit.py",
+    "structure_factor.structure_factor": "tests/analysis/test_structure_factor.py",
+    "autocorrelation.autocorrelation": "tests/analysis/test_autocorrelation.py, where members share one mean",
+}
 
 
 def reference_of(sol: co.Solution, attitude: bool = False) -> co.Solution:

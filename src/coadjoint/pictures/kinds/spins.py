@@ -12,6 +12,7 @@ import numpy.typing as npt
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import colour_bar, set_title, setting
+from coadjoint.systems.lattices.geometry import CELL_GEOMETRY, lattice_positions
 from coadjoint.validation import read_choice
 
 Floats = npt.NDArray[np.float64]
@@ -19,16 +20,6 @@ Floats = npt.NDArray[np.float64]
 FLAT = ("plane", "side")
 SHADES = ("#0072B2", "#8A8A8A", "#D55E00")
 """Colours for down, in the plane, and up; the middle one is dark enough for arrows on white."""
-
-COS_60, SIN_60 = 0.5, math.sqrt(0.75)
-# Edges of a cell, and positions of its sites.
-CELL_GEOMETRY: dict[str, tuple[tuple[tuple[float, float], ...], tuple[tuple[float, float], ...]]] = {
-    "chain": (((1.0, 0.0),), ((0.0, 0.0),)),
-    "square": (((1.0, 0.0), (0.0, 1.0)), ((0.0, 0.0),)),
-    "triangular": (((1.0, 0.0), (COS_60, SIN_60)), ((0.0, 0.0),)),
-    "honeycomb": (((2 * SIN_60, 0.0), (SIN_60, 1.5)), ((0.0, 0.0), (SIN_60, COS_60))),
-    "kagome": (((2.0, 0.0), (1.0, 2 * SIN_60)), ((0.0, 0.0), (1.0, 0.0), (COS_60, SIN_60))),
-}
 
 SITES_PER_ROW = 30
 """Largest number of sites in one row; longer chains are folded into rows, like text."""
@@ -203,7 +194,7 @@ def sites_of_row(lattice: Any, count: int) -> int:
     >>> sites_of_row("chain", 20), sites_of_row("chain", 100), sites_of_row(None, 100), sites_of_row("square", 100)
     (20, 15, 15, 100)
     """
-    in_plane = isinstance(lattice, str) and lattice in CELL_GEOMETRY and lattice != "chain"
+    in_plane = isinstance(lattice, str) and lattice in CELL_GEOMETRY and lattice not in ("chain", "ring")
     return count if in_plane or count <= SITES_PER_ROW else math.ceil((2.0 * count) ** 0.5)
 
 
@@ -219,10 +210,7 @@ def site_positions(lattice: Any, shape: Any, count: int) -> Floats:
     if row < count:
         site = np.arange(count)
         return np.stack([site % row, -1.4 * (site // row)], axis=-1)
-    if not isinstance(lattice, str) or lattice not in CELL_GEOMETRY or shape is None:
+    if not isinstance(lattice, str) or lattice not in CELL_GEOMETRY or lattice == "ring" or shape is None:
         turn = 2.0 * np.pi * np.arange(count) / count
         return np.stack([np.sin(turn), np.cos(turn)], axis=-1) * max(1.0, count / 6.0)
-    edges, sites = (np.array(part) for part in CELL_GEOMETRY[lattice])
-    sizes = np.atleast_1d(shape).tolist()
-    cells = np.indices(sizes).reshape(len(sizes), -1).T @ edges
-    return (cells[:, None] + sites[None]).reshape(-1, 2)
+    return lattice_positions(lattice, shape)

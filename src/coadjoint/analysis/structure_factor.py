@@ -1,0 +1,224 @@
+"""Dynamic structure factors of spin lattices, from runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from coadjoint.analysis.reciprocal_path import reciprocal_path
+from coadjoint.analysis.signals import sampled
+from coadjoint.long_operations import long_operation, note_progress
+from coadjoint.memory import check_available_memory
+from coadjoint.runs.results.solution import Solution, check_solution
+from coadjoint.short_repr import short
+from coadjoint.shortcuts import shortcut
+from coadjoint.systems.lattices.geometry import CELL_GEOMETRY, cell_coordinates
+from coadjoint.systems.protocol import members_of, unforced
+from coadjoint.validation import read_number
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+
+MIN_TIMES = 8
+NUMBERS_AT_ONCE = 2**22  # spins times times that are copied together
+BYTES_PER_VALUE = 100  # peak, of a wave vector at a time
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StructureFactor:
+    """The dynamic structure factor of a lattice along a path in reciprocal space; `structure_factor` computes it.
+
+    Attributes
+    ----------
+    q : ndarray, shape (k, axes)
+        Wave vectors, in units of the reciprocal edges of the cell.
+    omega : ndarray, shape (m,)
+        Angular frequencies, ascending, positive and negative.
+    intensity : ndarray, shape (k, m)
+        S(q, omega), summed over the three components of the spins, mean of the members.
+    error : ndarray, shape (k, m)
+        Its standard error, from the scatter of the members; NaN for a single run.
+    components : ndarray, shape (3, k, m)
+        The same for each component.
+    static : ndarray, shape (k,)
+        Equal-time structure factor S(q) of the same states, the mean over times (weighted by the square of the window)
+        and members.
+    distance : ndarray, shape (k,)
+        Length of the path from its start, in units of the inverse distance between neighbours.
+    corners : ndarray of int, shape (corners,)
+        Indices of the corners of the path.
+    """
+
+    q: Floats
+    omega: Floats
+    intensity: Floats
+    error: Floats
+    components: Floats
+    static: Floats
+    distance: Floats
+    corners: NDArray[np.int64]
+
+    def __repr__(self) -> str:
+        return (
+            f"<structure factor of {len(self.q)} wave vectors and {len(self.omega)} frequencies up to "
+            f"{self.omega[-1]:.4g}>"
+        )
+
+    def plot(self) -> Figure:
+        """Plot S(q, omega) as colours over the path and positive frequencies.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure, neither shown nor saved.
+        """
+        figure: Figure = shortcut("draw_structure_factor")(self)
+        return figure
+
+
+@long_operation("structure_factor")
+def structure_factor(solution: Solution, path: ArrayLike | None = None, window: Any = "hann") -> StructureFactor:
+    """Return the dynamic structure factor S(q, omega) of the spins of a lattice from a run, the mean over its members.
+
+    Choose it for spin-wave spectra, linewidths and comparisons with neutron scattering. Start the members from
+    `co.thermal_states`, and integrate without a heat bath, which would broaden the lines.
+
+    Parameters
+    ----------
+    solution : Solution
+        A run of a lattice by name (`spin_lattice`), with at least 8 equidistant times. The largest frequency is pi over
+        their distance; faster motion is aliased.
+    path : (corners, axes) array_like, optional
+        Corners of a path in reciprocal space, in units of the reciprocal edges of the cell; S is computed at all wave
+        vectors of the lattice on the lines between them. For chains numbers suffice. None is the usual path: the first
+        zone of chains; Gamma, X, M, Gamma of square ones, Gamma, M, K, Gamma of triangular, honeycomb and kagome ones;
+        Gamma, X, M, R, Gamma of cubic ones.
+    window : str, tuple or None
+        Window over the time by its name in `scipy.signal.get_window`, with its parameters: ``("kaiser", 8.0)``; None is
+        none, as is ``"boxcar"``.
+
+    Returns
+    -------
+    StructureFactor
+
+    Raises
+    ------
+    ValueError
+        The system has no lattice, the times are not equidistant, a corner does not fit the lattice, a member failed, or
+        the window is unknown.
+    TypeError
+        Not a solution.
+
+    Notes
+    -----
+    ``S_a(q, omega) = dt / (2 pi N sum w^2) |sum over i and t of w(t) S_a,i(t) exp(i (omega t - q . r_i))|^2``, N sites:
+    a wave with positive omega travels along q. The sum over all frequencies times their distance is the equal-time
+    structure factor ``|sum over i of S_a,i exp(-i q . r_i)|^2 / N``, exactly. Sites of cells with several are at their
+    positions, so that S is not periodic in q there.
+
+    Examples
+    --------
+    Spin waves of a cold chain, omega = 2 (1 - cos q):
+
+    >>> import coadjoint as co
+    >>> ring = co.systems.spin_lattice("ring", 16)
+    >>> states = co.thermal_states(ring, 0.001, members=4, seed=1)
+    >>> sol = co.integrate(ring, states.x, (0, 100), 0.02, save_every=25)
+    >>> S = co.spectra.structure_factor(sol, path=[1 / 8, 1 / 2])
+    >>> peaks = abs(S.omega[S.intensity.argmax(axis=1)])
+    >>> bool(abs(peaks - 2 * (1 - np.cos(2 * np.pi * S.q[:, 0]))).max() < 0.1)
+    True
+    """
+    check_solution(solution)
+    lattice, shape = _lattice(solution)
+    signal = sampled(solution, None, MIN_TIMES)
+    members, count, n = signal.values.shape
+    line = reciprocal_path(lattice, shape, path)
+    k = len(line.q)
+    check_available_memory(
+        BYTES_PER_VALUE * k * count + 16 * k * n,
+        f"the structure factor at {k} wave vectors and {count} times",
+        "give a shorter path, or save fewer times",
+    )
+    weight = _window(window, count)
+    spacing = float(signal.t[-1] - signal.t[0]) / (count - 1)
+    phase = 2.0 * np.pi * (line.q @ cell_coordinates(lattice, shape).T)
+    scale = abs(spacing) / (2.0 * np.pi * (n // 3) * np.sum(weight**2))
+    mean, square, static = np.zeros((3, k, count)), np.zeros((k, count)), np.zeros(k)
+    for member, rows in enumerate(signal.values):
+        amplitudes = _amplitudes(rows if spacing > 0.0 else rows[::-1], phase)
+        static += np.sum(np.abs(amplitudes) ** 2 * weight**2, axis=(0, 2)) / (n // 3 * np.sum(weight**2) * members)
+        # ifft has the sign of exp(+i omega t), and divides by the number of times.
+        power = scale * np.abs(count * np.fft.ifft(amplitudes * weight, axis=2)) ** 2
+        total = power.sum(axis=0)
+        # Welford's update.
+        before = mean.sum(axis=0)
+        mean += (power - mean) / (member + 1)
+        square += (total - before) * (total - mean.sum(axis=0))
+        note_progress("the spectrum of a member", (member + 1) / members)
+    with np.errstate(invalid="ignore"):
+        error = np.sqrt(square / (members - 1) / members) if members > 1 else np.full_like(square, np.nan)
+    order = np.argsort(np.fft.fftfreq(count), kind="stable")
+    omega = 2.0 * np.pi * np.fft.fftfreq(count, abs(spacing))[order]
+    spectrum = mean[:, :, order]
+    return StructureFactor(
+        line.q, omega, spectrum.sum(axis=0), error[:, order], spectrum, static, line.distance, line.corners
+    )
+
+
+def _lattice(solution: Solution) -> tuple[str, Any]:
+    """Return the lattice and the shape of the system of a run; ValueError if they are not known."""
+    layouts = [dict(getattr(unforced(member), "layout", None) or {}) for member in members_of(solution.system)]
+    layout, name = layouts[0], solution.system.name
+    lattice = layout.get("lattice")
+    if not isinstance(lattice, str) or lattice not in CELL_GEOMETRY:
+        raise ValueError(
+            f"{name} has no lattice in space; structure_factor needs one of {', '.join(CELL_GEOMETRY)}, as "
+            "spin_lattice and layout= give"
+        )
+    if any(other != layout for other in layouts):
+        raise ValueError(f"the members of {name} have different lattices; integrate those of one lattice")
+    sites = len(cell_coordinates(lattice, layout.get("shape", 0)))
+    if 3 * sites != solution.system.dim:
+        raise ValueError(f"the lattice of {name} has {sites} sites, and its states {solution.system.dim} coordinates")
+    return lattice, layout["shape"]
+
+
+def _window(window: Any, count: int) -> Floats:
+    if window is None:
+        return np.ones(count)
+    from scipy.signal import get_window
+
+    name, *parameters = window if isinstance(window, tuple) and window else (window,)
+    refusal = ValueError(f"window is {short(window)}; give a name of scipy.signal.get_window, or (name, parameter)")
+    if not isinstance(name, str):
+        raise refusal
+    given: Any = (name, *(read_number(parameter, "a parameter of window") for parameter in parameters))
+    try:
+        with np.errstate(all="ignore"):
+            weight = np.asarray(get_window(given, count), dtype=np.float64)
+    except (ValueError, TypeError) as reason:
+        raise refusal from reason
+    if not (np.all(np.isfinite(weight)) and np.sum(weight**2) > 0.0):
+        raise ValueError(f"window is {short(window)}, which cannot be computed at {count} times; give another one")
+    return weight
+
+
+def _amplitudes(rows: Floats, phase: Floats) -> NDArray[np.complex128]:
+    """Return the sums of spins (times, 3 sites) times exp(-i phase), phase (k, sites); shape (3, k, times)."""
+    count, n = rows.shape
+    k = len(phase)
+    result = np.empty((3, k, count), dtype=np.complex128)
+    waves = np.concatenate([np.cos(phase), -np.sin(phase)]).T.copy()
+    every = max(1, NUMBERS_AT_ONCE // n)
+    for first in range(0, count, every):
+        part = slice(first, first + every)
+        for axis in range(3):
+            sums = np.ascontiguousarray(rows[part, axis::3]) @ waves
+            result[axis, :, part] = (sums[:, :k] + 1j * sums[:, k:]).T
+    return result

@@ -1,0 +1,20 @@
+"""Correlations in space and time: structure factors of lattices, autocorrelation functions (``co.spectra``)."""
+
+from __future__ import annotations
+
+from coadjoint.analysis.autocorrelation import Autocorrelation, autocorrelation
+from coadjoint.analysis.structure_factor import StructureFactor, structure_factor
+from coadjoint.errors import unknown_attribute
+
+__all__ = ["Autocorrelation", "StructureFactor", "autocorrelation", "structure_factor"]
+
+TYPE_CHECKING = False
+
+if not TYPE_CHECKING:  # type checkers know the names above and must report any other
+
+    def __getattr__(name: str) -> None:
+        raise unknown_attribute("co.spectra", name, __all__)
+
+
+def __dir__() -> list[str]:
+    return __all__
