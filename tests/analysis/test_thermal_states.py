@@ -180,7 +180,7 @@ def test_systems_without_thermal_states_are_refused_by_name():
     cubic = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(0, 0, 4): 1.0}))
     refused = {
         "copies of so": co.systems.heavy_top(inertia=(1, 1, 2)),
-        "not quadratic": cubic,
+        "not given as a quadratic form": cubic,
         "forces": pair.with_forces(co.forces.HeatBath(0.1, temperature=1.0, seed=1)),
         "depends on time": co.systems.spin_lattice(field=lambda t: np.array([0.0, 0.0, np.cos(t)])),
         "batch": co.batch([pair, pair]),

@@ -155,6 +155,7 @@ DOMAINS = {
         "on_site": vector((0.0, 0.25, -1.0), real(), FULL, [FULL] * 3).plus(
             outside=(SKEWED, [FULL], [FULL, FULL, SKEWED], np.eye(2))
         ),
+        "dipolar": real(0.0),
     },
     "toda": {"sites": whole(2, usual=3)},
     "toda_ring": {"sites": whole(2, usual=3)},

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra import catalogue
 from coadjoint.memory import check_available_memory
+from coadjoint.systems.lattices.dipolar import DipolarFunction
 from coadjoint.systems.protocol import forces_of, has_structure_constants, is_batch
 from coadjoint.systems.system_checks import check_system
 
@@ -126,26 +127,35 @@ def spin_energy(system: Any, asking: str) -> SpinEnergy:
         raise TypeError(f"{system.name} is not made of spins; {asking} needs copies of so(3), as spin_lattice has")
     if system.hamiltonian.timed:
         raise TypeError(f"the Hamiltonian of {system.name} depends on time, so that it has no thermal equilibrium")
-    forms = [term.form for term in system.hamiltonian.terms()]
-    if any(form is None for form in forms):
-        raise TypeError(
-            f"the Hamiltonian of {system.name} is not quadratic; {asking} needs couplings of pairs of spins, "
-            "anisotropies and fields"
-        )
     n = system.dim
-    check_available_memory(
-        BYTES_PER_ENTRY * (n + sum(len(form.values) for form in forms)), f"the couplings of {system.name}"
-    )
-    matrix = sum(
-        (scipy.sparse.csr_matrix((form.values, form.indices, form.indptr), shape=(n, n)) for form in forms),
-        start=scipy.sparse.csr_matrix((n, n)),
-    ).tocoo()
+    parts = [_matrix_and_linear(term, n) for term in system.hamiltonian.terms()]
+    if any(part is None for part in parts):
+        raise TypeError(
+            f"the Hamiltonian of {system.name} is not given as a quadratic form; {asking} needs couplings of pairs of "
+            "spins, anisotropies and fields, as spin_lattice has"
+        )
+    matrix = sum((part[0] for part in parts if part), start=scipy.sparse.csr_matrix((n, n))).tocoo()
     on_site, same = np.zeros((n // 3, 3, 3)), matrix.row // 3 == matrix.col // 3
     on_site[matrix.row[same] // 3, matrix.row[same] % 3, matrix.col[same] % 3] = matrix.data[same]
     entries = (matrix.data[~same], (matrix.row[~same], matrix.col[~same]))
     coupling = scipy.sparse.coo_matrix(entries, shape=(n, n)).tocsr()
-    linear = np.sum([form.linear for form in forms], axis=0)
-    return SpinEnergy(coupling, on_site, linear, sum(form.constant for form in forms))
+    linear = np.sum([part[1] for part in parts if part], axis=0)
+    return SpinEnergy(coupling, on_site, linear, sum(part[2] for part in parts if part))
+
+
+def _matrix_and_linear(term: Any, n: int) -> tuple[Any, Floats, float] | None:
+    """Return a term as a sparse matrix, linear part and constant; None if it is not known to be quadratic."""
+    import scipy.sparse
+
+    form, function = term.form, getattr(term, "value", None)
+    if form is not None:
+        check_available_memory(BYTES_PER_ENTRY * (n + len(form.values)), f"couplings of {n} coordinates")
+        rows = (form.values, form.indices, form.indptr)
+        return scipy.sparse.csr_matrix(rows, shape=(n, n)), form.linear, form.constant
+    if isinstance(function, DipolarFunction):
+        check_available_memory(BYTES_PER_ENTRY * n**2, f"dipolar couplings of {n} coordinates, each with each,")
+        return scipy.sparse.csr_matrix(function.dipoles.matrix()), np.zeros(n), 0.0
+    return None
 
 
 def are_spins(system: Any) -> bool:

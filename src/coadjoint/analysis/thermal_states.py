@@ -79,7 +79,8 @@ def thermal_states(
     Parameters
     ----------
     system : LiePoissonSystem
-        Copies of so(3) with an energy that is at most quadratic, such as `spin_lattice` with any of its couplings.
+        Copies of so(3) with an energy that is at most quadratic, such as `spin_lattice` with any of its couplings. With
+        dipolar coupling spins are updated one by one, in time N^2 for each sweep.
     temperature : float or (members,) array_like
         Boltzmann's constant times the temperature, in units of the energy; positive. One for all members, or for each.
     members : int, optional

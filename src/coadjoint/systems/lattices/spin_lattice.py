@@ -17,6 +17,7 @@ from coadjoint.systems.closed_forms.spins import precession, total_spins
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.driven import Driven
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.lattices.dipolar import dipolar_energy
 from coadjoint.systems.lattices.neighbours import graph
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
@@ -82,6 +83,7 @@ def spin_lattice(
     dm: npt.ArrayLike = (0.0, 0.0, 0.0),
     field: Any = (0.0, 0.0, 0.0),
     on_site: npt.ArrayLike = (0.0, 0.0, 0.0),
+    dipolar: float = 0.0,
 ) -> LiePoissonSystem:
     """Return classical spins on a lattice or any graph, ``S_i' = S_i cross B_i`` with ``B_i = -dH/dS_i``.
 
@@ -109,6 +111,12 @@ def spin_lattice(
         B, including the gyromagnetic ratio (energy per spin). Numba compiles the function.
     on_site : (3,), (3, 3) or (sites, 3, 3)
         K, diagonal or full, symmetric (energy per spin squared): (0, 0, K) with K > 0 is an easy third axis.
+    dipolar : number
+        Strength of the dipolar energy, the factor of the sum over all pairs of
+        ``(S_i . S_j - 3 (S_i . e) (S_j . e)) / r^3``, with the unit vector e between the sites and their distance r in
+        distances of neighbours (energy per spin squared). For open lattices by name; a chain lies along the first axis,
+        other lattices in the plane of the first two. Computed by FFT in time N log N: `SphericalMidpoint` and
+        Runge-Kutta methods support it, splittings do not.
 
     Returns
     -------
@@ -159,7 +167,11 @@ def spin_lattice(
     if driven:
         H = Driven(H, field, sites, 3, "field")
     parameters = None if driven else _plain_parameters(lattice, shape, periodic, exchange, tensor, dm, field, on_site)
-    exact = None if driven or np.any(D) else precession(sites, edges, J, T, K, B)
+    strength = float(_numbers(dipolar, "dipolar", ((),)))
+    if strength:
+        H = H + dipolar_energy(lattice, shape, periodic, strength)
+        parameters = None if parameters is None else {**parameters, "dipolar": strength}
+    exact = None if driven or strength or np.any(D) else precession(sites, edges, J, T, K, B)
     return LiePoissonSystem(
         _spins(sites) if sites <= 8 else copies(catalogue.so(3), sites),
         H,
@@ -168,7 +180,7 @@ def spin_lattice(
         name="spin_lattice",
         parameters=parameters,
         exact=exact,
-        integrals=total_spins(sites, T, D, K, B, H.uniform if driven else None),
+        integrals={} if strength else total_spins(sites, T, D, K, B, H.uniform if driven else None),
         layout={"lattice": lattice, "shape": shape} if isinstance(lattice, str) else {"lattice": "graph"},
     )
 
