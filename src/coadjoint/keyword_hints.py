@@ -88,6 +88,9 @@ FUNCTIONS: Mapping[str, str] = {
     **dict.fromkeys(("RigidBody", "body", "HeavyTop", "top"), "in co.systems, such as co.systems.rigid_body"),
     **dict.fromkeys(("ensemble",), "co.integrate with x0 of the shape (members, n), or co.integrate_ensemble"),
     **dict.fromkeys(("open", "read"), "co.load"),
+    **dict.fromkeys(("monte_carlo", "metropolis", "sample", "thermalize", "sampler"), "co.thermal_states"),
+    **dict.fromkeys(("structure_factor", "dispersion", "intensities"), "co.spectra.structure_factor"),
+    **dict.fromkeys(("autocorrelation", "acf", "integrated_time", "correlation_time"), "co.spectra.autocorrelation"),
 }
 """Usual name of a function -> where it is here."""
 

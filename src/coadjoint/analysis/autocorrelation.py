@@ -16,7 +16,8 @@ Floats = NDArray[np.float64]
 
 MIN_SAMPLES = 16
 WINDOW = 5.0  # integrated times in the window, of Sokal's rule
-BYTES_PER_SAMPLE = 64  # peak, of one member and channel, padded
+BYTES_PER_SAMPLE = 80  # peak, of one member and channel, padded
+BYTES_PER_LAG = 40  # of each channel
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -104,7 +105,7 @@ def autocorrelation(given: Any, signal: Any = None, window: float = WINDOW) -> A
     factor = read_positive(window, "window")
     members, count, channels = series.values.shape
     check_available_memory(
-        BYTES_PER_SAMPLE * count + 16 * channels * count,
+        BYTES_PER_SAMPLE * count + BYTES_PER_LAG * channels * count,
         f"the autocorrelation of {count} times and {channels} channels",
     )
     mean = series.values.mean(axis=(0, 1))

@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 
 MIN_TIMES = 8
 NUMBERS_AT_ONCE = 2**22  # spins times times that are copied together
-BYTES_PER_VALUE = 100  # peak, of a wave vector at a time
+BYTES_PER_VALUE = 500  # peak, of a wave vector at a time
 
 
 @dataclass(frozen=True, eq=False, repr=False)
