@@ -103,6 +103,18 @@ def test_square_lattice_has_the_energy_of_its_series():
     assert 4.5 * check(states, expected, per=side**2, transient=20) < 36 * L**5 * slope
 
 
+@pytest.mark.long
+def test_cubic_lattice_has_the_published_cumulant_at_its_critical_point():
+    """C. Holm, W. Janke, Phys. Rev. B 48, 936 (1993): J/kT = 0.6930(1), 1 - <m^4> / (3 <m^2>^2) = 0.6217(8)."""
+    cubic = co.systems.spin_lattice("cubic", (6, 6, 6), periodic=True)
+    states = co.thermal_states(cubic, 1.0 / 0.693, 2000, sweeps=100, seed=1, over_relaxation=2)
+    square = np.sum(states.x.reshape(2000, -1, 3).mean(axis=1) ** 2, axis=1)
+    blocks = square.reshape(20, 100)
+    cumulants = 1.0 - np.mean(blocks**2, axis=1) / (3.0 * np.mean(blocks, axis=1) ** 2)
+    error = cumulants.std(ddof=1) / np.sqrt(20)
+    assert abs(1.0 - np.mean(square**2) / (3.0 * np.mean(square) ** 2) - 0.6217) < 4.0 * error < 0.01
+
+
 def test_a_member_has_the_same_bits_in_any_company(monkeypatch):
     lattice = co.systems.spin_lattice("triangular", (3, 4), dm=(0, 0, 0.3), on_site=(0, 0, 0.5), field=(0.1, 0, 0))
     kT = np.linspace(0.3, 2.0, 7)
