@@ -160,8 +160,6 @@ def _check(name: str, casimir: Polynomial | Quadratic | Invariant, n: int, produ
 
 
 TIMES = (0.0, 1.0)
-MANY_COORDINATES = 1 << 16
-"""Dimension above which integrals are checked at one point, whose coordinates are a sample themselves."""
 
 
 @ignore_overflow
@@ -174,7 +172,7 @@ def read_integrals(integrals: Any, H: HamiltonianLike, n: int, product: Product,
     result = read_invariants(integrals, n, "integral")
     polynomial = H.polynomial if isinstance(H, PolynomialHamiltonian) else H if isinstance(H, Quadratic) else None
     points = sample_points(n) if any(F.gradient is not None for F in result.values()) else []
-    for x in points[: 1 if n > MANY_COORDINATES else None]:
+    for x in points:
         for t in TIMES if H.timed else TIMES[:1]:
             force = evaluate(lambda y, t=t: H.gradient(y, t), x, False)
             if isinstance(force, Exception) or not np.all(np.isfinite(force)):

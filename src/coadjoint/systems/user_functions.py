@@ -19,6 +19,8 @@ from coadjoint.short_repr import short
 
 SEED = 1993
 SAMPLE_TIME = 0.625
+MANY_COORDINATES = 1 << 16
+"""Dimension above which one point is a sample."""
 
 
 @dataclass(frozen=True)
@@ -157,10 +159,14 @@ def all_take_time(functions: dict[str, Callable[..., Any] | None]) -> bool:
 
 
 def sample_points(n: int) -> list[npt.NDArray[np.float64]]:
-    """Return seeded sample points of different kinds: mixed signs, all positive, small, and larger than one."""
-    draw = np.random.default_rng(SEED).uniform(0.25, 1.0, size=(4, n))
+    """Return seeded sample points of different kinds: mixed signs, all positive, small, and larger than one.
+
+    Of many coordinates, which are a sample themselves, only the first.
+    """
+    count = 1 if n > MANY_COORDINATES else 4
+    draw = np.random.default_rng(SEED).uniform(0.25, 1.0, size=(count, n))
     signs = np.where(np.random.default_rng(SEED + 1).uniform(size=n) < 0.5, -1.0, 1.0)
-    return [draw[0] * signs, draw[1], 0.125 * draw[2], 1.0 + 7.0 * draw[3]]
+    return [draw[0] * signs, draw[1], 0.125 * draw[2], 1.0 + 7.0 * draw[3]] if count > 1 else [draw[0] * signs]
 
 
 def evaluate(function: Callable[..., Any], x: Any, timed: bool, *, convert: bool = True) -> Any:
