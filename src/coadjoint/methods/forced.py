@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from coadjoint.methods.protocol.tangents import tangent_by
 from coadjoint.methods.protocol.wrapper import Wrapper
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
+from coadjoint.systems.forces.rates import has_matrix_state
 from coadjoint.systems.protocol import forces_of
 
 if TYPE_CHECKING:
@@ -49,6 +50,40 @@ def check_direction(system: Any, h: float) -> None:
     irreversible = [label for label, force in forces_of(system) if not force.reversible]
     if h < 0.0 and irreversible:
         raise ValueError(f"{irreversible[0]} does not run backward, and t_span ends before it starts")
+
+
+class FlowOfForce(NamedTuple):
+    """The flow of a force with its derivative: a number, a diagonal (n,), or a matrix (n, n); `by` says how."""
+
+    end: NDArray[np.float64]
+    derivative: NDArray[np.float64]
+    by: str
+
+    def tangents(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the tangents (k, n) after the flow for those before it."""
+        return np.asarray((self.derivative @ rows.T).T if self.derivative.ndim == 2 else self.derivative * rows)
+
+    def cotangent(self, row: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the cotangent (n,) before the flow for that after it."""
+        return np.asarray(row @ self.derivative if self.derivative.ndim == 2 else self.derivative * row)
+
+
+def flow_of_force(force: Force, system: Any, x: NDArray[np.float64], t: float, tau: float) -> FlowOfForce:
+    """Return the flow of a force on the Hamiltonian part with its derivative.
+
+    That of a function on matrices is taken after a projection on the algebra, so that gradients lie in it.
+    """
+    from coadjoint.methods.protocol.step_derivatives import derivative_of
+
+    known = force.tangent(system, x, t, tau)
+    if known is not None:
+        end = np.asarray(force.flow(system, x, t, tau), dtype=np.float64)
+        return FlowOfForce(end, np.asarray(known, dtype=np.float64), "formula")
+    found = derivative_of(lambda z: force.flow(system, z, t, tau), x)
+    derivative = found.derivative
+    if has_matrix_state(system):
+        derivative = system.to_vector(system.algebra.projected(system.from_vector(derivative)))
+    return FlowOfForce(found.value, np.asarray(derivative), found.by)
 
 
 @dataclass(frozen=True)
@@ -134,16 +169,14 @@ class Forced(Wrapper):
         return max(self._with_tangent(system, x, t, h)[2], key=TANGENT_METHODS.index)
 
     def _with_tangent(self, system: Any, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any], list[str]]:
-        from coadjoint.methods.protocol.step_derivatives import derivative_of
-
         self.properties(system)
         plain, half, y, P, by = system.system, 0.5 * h, np.asarray(x, dtype=np.float64), np.eye(system.dim), []
 
         def chain_tangent(force: Force, time: float) -> None:
             nonlocal y, P
-            result = derivative_of(lambda z: force.flow(plain, z, time, half), y)
-            y, P = result.value, result.derivative @ P
-            by.append(result.by)
+            flow = flow_of_force(force, plain, y, time, half)
+            y, P = flow.end, flow.tangents(P.T).T
+            by.append(flow.by)
 
         for force in system.forces:
             chain_tangent(force, t)

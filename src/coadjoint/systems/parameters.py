@@ -24,6 +24,8 @@ from coadjoint.systems.coefficient_derivatives import (
 )
 from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.energy_derivatives import EnergyDerivative, Monomial
+from coadjoint.systems.force_parameters import force_parameters, with_force_values
+from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, as_hamiltonian
 from coadjoint.systems.hamiltonians.linear_term import with_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -61,7 +63,7 @@ def parameters_of(system: Any) -> Mapping[str, Parameter]:
     """Return the parameters of a system by name; none for Hamiltonians that are functions of the user.
 
     Those of a ready-made system are its arguments that enter coefficients of its Hamiltonian. Otherwise they are `M`
-    and `linear` of a `Quadratic`, and `coefficients` of a polynomial.
+    and `linear` of a `Quadratic`, and `coefficients` of a polynomial. Those of forces follow, each after its label.
     """
     if system not in _PARAMETERS:
         _PARAMETERS[system] = _find_parameters(system)
@@ -69,6 +71,8 @@ def parameters_of(system: Any) -> Mapping[str, Parameter]:
 
 
 def _find_parameters(system: Any) -> dict[str, Parameter]:
+    if isinstance(system, ForcedSystem):
+        return {**parameters_of(system.system), **_of_forces(system)}
     if is_matrix_system(system):
         builder = ready_made_systems().get(system.name)
         return {} if builder is None or not system.parameters else _of_matrix_builder(system, builder)
@@ -79,6 +83,13 @@ def _find_parameters(system: Any) -> dict[str, Parameter]:
         if found:
             return found
     return _of_hamiltonian(system)
+
+
+def _of_forces(system: ForcedSystem) -> dict[str, Parameter]:
+    def parameter(value: Floats, radii: Floats) -> Parameter:
+        return Parameter(value, lambda: EnergyDerivative.of_monomials(value.size), lambda: radii)
+
+    return {name: parameter(one.value, one.radii) for name, one in force_parameters(system).items()}
 
 
 def _of_hamiltonian(system: Any) -> dict[str, Parameter]:
@@ -112,6 +123,10 @@ def with_parameters(system: Any, values: Mapping[str, Floats]) -> Any:
     M counts with its symmetric part, as in the energy. Raises the errors of the builder or the Hamiltonian for values
     that these refuse.
     """
+    if isinstance(system, ForcedSystem):
+        of_forces = {name: value for name, value in values.items() if name in force_parameters(system)}
+        rest = {name: value for name, value in values.items() if name not in of_forces}
+        return with_force_values(system, with_parameters(system.system, rest) if rest else system.system, of_forces)
     builder = _builder_of(system, values)
     if builder is not None:
         found = builder(**{**system.parameters, **{name: _plain(value) for name, value in values.items()}})
@@ -124,6 +139,11 @@ def parameters_at(system: Any, values: Mapping[str, Floats]) -> dict[str, Parame
 
     They have the shapes of `values` also where coefficients of that system are zero.
     """
+    if isinstance(system, ForcedSystem):
+        of_forces = _of_forces(with_parameters(system, values))
+        return {name: one for name, one in of_forces.items() if name in values} | parameters_at(
+            system.system, {name: value for name, value in values.items() if name not in of_forces}
+        )
     builder = _builder_of(system, values)
     if builder is None or is_matrix_system(system):
         found = parameters_of(with_parameters(system, values)) if is_matrix_system(system) else _of_hamiltonian(system)
@@ -141,6 +161,13 @@ def parameters_at(system: Any, values: Mapping[str, Floats]) -> dict[str, Parame
 
 def with_entry_moved(system: Any, name: str, value: Floats, index: tuple[int, ...], by: float) -> Any:
     """Return the system with one entry of a parameter moved; half its mirror image if the matrix must be symmetric."""
+    if isinstance(system, ForcedSystem):
+        found = force_parameters(system).get(name)
+        if found is None:
+            return ForcedSystem(with_entry_moved(system.system, name, value, index, by), system.forces)
+        forces = list(system.forces)
+        forces[found.index] = found.moved(forces[found.index], value, index, by)
+        return ForcedSystem(system.system, forces)
     builder = _builder_of(system, [name])
     symmetric = builder is not None and _is_symmetric(builder, dict(system.parameters), name, value)
     return with_parameters(system, {name: np.asarray(_moved(value, index, by, symmetric))})

@@ -66,6 +66,12 @@ class Force(ABC):
     random: ClassVar[bool] = False
     """Whether it is random, and therefore has no field."""
 
+    uses_energy: ClassVar[bool] = True
+    """Whether its flow may depend on the Hamiltonian or another parameter of the system."""
+
+    selectors: ClassVar[tuple[str, ...]] = ()
+    """Parameters that select among cases, by which runs are not differentiated although they are numbers."""
+
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         # `given_to` is the former name.
@@ -138,6 +144,24 @@ class Force(ABC):
         -------
         (n,) array
         """
+
+    def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64] | None:
+        """Return the derivative of `flow` by the state, or None if no formula for it is known.
+
+        Without a formula the flow is differentiated by complex steps if it supports complex numbers, else by
+        differences with about nine digits.
+
+        Parameters
+        ----------
+        system, x, t, tau
+            As for `flow`.
+
+        Returns
+        -------
+        ndarray or None
+            A multiple of the unit matrix as a number, a diagonal, (n,), or a matrix, (n, n).
+        """
+        return None
 
     @abstractmethod
     def describe_to(self, reader: ForceReader, system: Any) -> Any:

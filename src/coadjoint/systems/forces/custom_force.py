@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,8 @@ class OwnForce(Force):
     name: str = "own force"
     keeps_casimirs: bool = False
     backward: bool = True
+
+    uses_energy: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check_arguments(self.function, "the flow of an OwnForce", "x, t, tau")

@@ -91,13 +91,17 @@ class DoubleBracketDamping(Force):
         return self.alpha * apply_metric(self.metric, system.vector_field(x, t))
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
+        return exponential(system, self._midpoint(system, x, t, tau)[1], x)
+
+    def _midpoint(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return the midpoint of the flow, and the direction of its exponential."""
         middle, last_change = x, np.inf
         for _ in range(MAX_SUBSTEPS):
-            v = tau * self._damping_direction(system, middle, t + 0.5 * tau)
-            previous, middle = middle, exponential(system, 0.5 * v, x)
-            change = float(np.sum(np.abs(middle - previous)))
+            before, v = middle, tau * self._damping_direction(system, middle, t + 0.5 * tau)
+            middle = exponential(system, 0.5 * v, x)
+            change = float(np.sum(np.abs(middle - before)))
             if change == 0.0 or (change >= 0.5 * last_change and change <= SERIES_TOLERANCE * float(np.sum(np.abs(x)))):
-                return exponential(system, v, x)
+                return before, v
             last_change = change
         raise IntegrationError(
             f"the midpoint rule of {type(self).__name__} did not converge; take a smaller step",
@@ -105,6 +109,17 @@ class DoubleBracketDamping(Force):
             time=float(t),
             residual=last_change,
         )
+
+    def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64] | None:
+        """Return the derivative of the midpoint rule, by that of its equation; None without that of the field."""
+        if getattr(system, "jacobian", None) is None:
+            return None
+        middle, v = self._midpoint(system, x, t, tau)
+        of_direction = tau * self.alpha * _product_of(self.metric, system.jacobian(middle, t + 0.5 * tau))
+        _, by_x, by_v = exponential_with_tangent(system, 0.5 * v, x)
+        of_middle = np.linalg.solve(np.eye(len(x)) - 0.5 * by_v @ of_direction, by_x)
+        _, by_x, by_v = exponential_with_tangent(system, v, x)
+        return np.asarray(by_x + by_v @ of_direction @ of_middle)
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         root = metric_root(self.metric, "metric")
@@ -120,10 +135,13 @@ def _product(system: Any, x: NDArray[Any], u: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(system.sign * (system.algebra.structure_matrix(x) @ u))
 
 
+def _product_of(metric: Any, matrix: NDArray[Any]) -> NDArray[Any]:
+    return np.asarray(apply_metric(metric, matrix) if np.ndim(metric) != 1 else np.asarray(metric)[:, None] * matrix)
+
+
 def exponential(system: Any, v: NDArray[Any], x: NDArray[Any]) -> NDArray[Any]:
     """Return exp(D_v) x, D_v x = sign J(x) v, by its power series in substeps."""
-    D = system.sign * np.asarray(system.algebra.coadjoint(v), dtype=np.float64)
-    substeps = max(1, int(np.ceil(np.max(np.sum(np.abs(D), axis=1), initial=0.0))))
+    D, substeps = _generator(system, v)
     for _ in range(substeps):
         term, total = x, np.zeros_like(x)
         for k in range(1, MAX_TERMS):
@@ -133,3 +151,30 @@ def exponential(system: Any, v: NDArray[Any], x: NDArray[Any]) -> NDArray[Any]:
                 break
         x = x + total
     return np.asarray(x)
+
+
+def exponential_with_tangent(
+    system: Any, v: NDArray[Any], x: NDArray[Any]
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Return exp(D_v) x and its derivatives (n, n) by x and by v, of the same series."""
+    D, substeps = _generator(system, v)
+    # Columns: the state, its derivatives by x, and those by v, for which D_w x = sign J(x) w is a source.
+    n, J = len(x), system.algebra.structure_matrix
+    columns = np.concatenate([x[:, None], np.eye(n), np.zeros((n, n))], axis=1)
+    for _ in range(substeps):
+        term, total = columns, np.zeros_like(columns)
+        for k in range(1, MAX_TERMS):
+            image = D @ term
+            image[:, n + 1 :] += system.sign * np.asarray(J(term[:, 0]), dtype=np.float64)
+            term = image / (k * substeps)
+            total += term
+            if not np.any(np.abs(term) > 2.0**-60 * np.abs(columns).max(axis=0).max()):
+                break
+        columns = columns + total
+    return columns[:, 0], columns[:, 1 : n + 1], columns[:, n + 1 :]
+
+
+def _generator(system: Any, v: NDArray[Any]) -> tuple[NDArray[np.float64], int]:
+    """Return the matrix of D_v, and the number of substeps of its exponential, each of norm at most one."""
+    D = system.sign * np.asarray(system.algebra.coadjoint(v), dtype=np.float64)
+    return D, max(1, int(np.ceil(np.max(np.sum(np.abs(D), axis=1), initial=0.0))))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.systems.forces.base import Noise, normal_deviates
-from coadjoint.systems.forces.double_bracket import DoubleBracketDamping, exponential
+from coadjoint.systems.forces.double_bracket import DoubleBracketDamping, exponential, exponential_with_tangent
 from coadjoint.systems.forces.rates import Plain, apply_metric, metric_root
 from coadjoint.validation import read_integer, read_number
 
@@ -110,18 +111,38 @@ class HeatBath(DoubleBracketDamping):
         x = self._apply_noise(system, x, float(t), float(tau), 0)
         return self._apply_noise(system, super().flow(system, x, t, tau), float(t), float(tau), 1)
 
+    def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64] | None:
+        """Return the derivative of the flow with the same noise."""
+        product, y = np.eye(len(x)), x
+        for v in self._noise_directions(system, t, tau, 0):
+            y, by_x, _ = exponential_with_tangent(system, v, y)
+            product = by_x @ product
+        damping = super().tangent(system, y, t, tau)
+        if damping is None:
+            return None
+        y, product = super().flow(system, y, t, tau), damping @ product
+        for v in self._noise_directions(system, t, tau, 1):
+            y, by_x, _ = exponential_with_tangent(system, v, y)
+            product = by_x @ product
+        return np.asarray(product)
+
     def _apply_noise(self, system: Any, x: NDArray[Any], t: float, tau: float, half: int) -> NDArray[Any]:
-        """Apply half of the noise, set by set; the second half uses the reverse order."""
+        """Apply half of the noise, set by set."""
+        for v in self._noise_directions(system, t, tau, half):
+            x = exponential(system, v, x)
+        return x
+
+    def _noise_directions(self, system: Any, t: float, tau: float, half: int) -> Iterator[NDArray[np.float64]]:
+        """Yield the directions of the exponentials of half of the noise; the second half uses the reverse order."""
         noise = self.noise(system)
         if noise is None:
-            return x
+            return
         deviates = normal_deviates(self.seed, self.stream, t, half, system.dim)
         root = metric_root(self.metric, "metric")
         for directions in reversed(noise.sets) if half else noise.sets:
             selected = np.zeros(system.dim)
             selected[list(directions)] = deviates[list(directions)]
-            x = exponential(system, self.amplitude * np.sqrt(0.5 * tau) * apply_metric(root, selected), x)
-        return x
+            yield self.amplitude * np.sqrt(0.5 * tau) * apply_metric(root, selected)
 
 
 def commuting_sets(algebra: Any, metric: Plain) -> tuple[tuple[int, ...], ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,8 @@ class LinearDamping(Force):
     rate: Any
     toward: Any = 0.0
 
+    uses_energy: ClassVar[bool] = False
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "rate", read_matrix(self.rate, "rate of LinearDamping"))
         object.__setattr__(self, "toward", read_state(self.toward, "toward of LinearDamping", number=True))
@@ -81,6 +83,12 @@ class LinearDamping(Force):
             generator[:n, :n], generator[:n, n] = -tau * rate, -tau * (rate @ deviation)
             return np.asarray(x + expm(generator)[:n, n])
         return np.asarray(x + np.expm1(-tau * rate) * deviation)
+
+    def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64]:
+        from scipy.linalg import expm
+
+        rate = np.asarray(self.rate)
+        return np.asarray(expm(-tau * rate) if rate.ndim == 2 else np.exp(-tau * rate))
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         return reader.damping(np.asarray(self.rate), state_vector(self.toward, system))

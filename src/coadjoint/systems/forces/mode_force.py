@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.memory import check_available_memory
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.matrices.mode_basis import LAYERS, ModeBasis, Numbers, layer_index, mode_basis_of
 from coadjoint.validation import read_choice, read_number
@@ -89,11 +91,15 @@ class ModeRates(OnLayer):
     def _scale_modes(
         self, system: Any, x: NDArray[Any], factor: Callable[[NDArray[Any]], NDArray[Any]]
     ) -> NDArray[Any]:
-        modes = modes_of(system, self.label)
-        selected, rates = self._selected_modes(modes)
         W = self.layer_matrix(system, x)
         rest = self._rest_state(system)
-        W = W if rest is None else W - rest
+        return self._scale_matrix(system, W if rest is None else W - rest, factor)
+
+    def _scale_matrix(
+        self, system: Any, W: NDArray[Any], factor: Callable[[NDArray[Any]], NDArray[Any]]
+    ) -> NDArray[Any]:
+        modes = modes_of(system, self.label)
+        selected, rates = self._selected_modes(modes)
         coefficients = [
             factor(rate) * modes.coefficients(W, d, numbers)
             for d, (numbers, rate) in enumerate(zip(selected, rates, strict=True))
@@ -114,8 +120,23 @@ class ModeRates(OnLayer):
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         return np.asarray(x + self._scale_modes(system, x, lambda rate: np.expm1(-tau * rate)))
 
+    def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64]:
+        """Return the matrix of the flow, which does not depend on the state; the last ones are cached."""
+        return _matrix_of_flow(self, system, tau)
+
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         modes = modes_of(system, self.label)
         rest = self._rest_state(system)
         target = None if rest is None else np.ascontiguousarray(rest).view(np.float64).ravel()
         return reader.mode_rates(modes, *self._selected_modes(modes), target, self.layer_index(system))
+
+
+@lru_cache(maxsize=4)
+def _matrix_of_flow(force: ModeRates, system: Any, tau: float) -> NDArray[np.float64]:
+    n = system.dim
+    check_available_memory(8 * n**2, f"the derivative of the flow of {force.label}, of dimension {n},")
+    # Units are projected: gradients then lie in the algebra.
+    rows = system.to_vector(system.algebra.projected(system.from_vector(np.eye(n))))
+    for row in rows:
+        row += force._scale_matrix(system, force.layer_matrix(system, row), lambda rate: np.expm1(-tau * rate))
+    return np.ascontiguousarray(rows.T)

@@ -63,6 +63,7 @@ class RandomForcing(OnLayer):
 
     reversible: ClassVar[bool] = False
     random: ClassVar[bool] = True
+    selectors: ClassVar[tuple[str, ...]] = ("band",)
 
     def __post_init__(self) -> None:
         rate = read_number(self.energy_rate, "energy_rate of RandomForcing")
@@ -127,6 +128,9 @@ class RandomForcing(OnLayer):
             multiplicity = 2.0 if d == 0 else 1.0
             coefficients.append(multiplicity * np.sqrt(0.5 * tau) * amplitude * (real + 1j * imaginary))
         return np.asarray(x + self.layer_vector(system, modes.matrix(coefficients, numbers)))
+
+    def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64]:
+        return np.array(1.0)
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         modes = modes_of(system, self.label)

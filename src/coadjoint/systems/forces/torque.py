@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,8 @@ class Torque(Force):
     """
 
     torque: Any
+
+    uses_energy: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         if callable(self.torque):
@@ -114,6 +116,10 @@ class Torque(Force):
         k3 = self.field(system, x + 0.5 * tau * k2, t + 0.5 * tau)
         k4 = self.field(system, x + tau * k3, t + tau)
         return np.asarray(x + tau * (k1 + 2.0 * k2 + 2.0 * k3 + k4) / 6.0)
+
+    def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64] | None:
+        """Return one, or None for a function of the state."""
+        return np.array(1.0) if not callable(self.torque) or self._arguments() == "t" else None
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         if callable(self.torque):
