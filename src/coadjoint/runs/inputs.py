@@ -191,6 +191,16 @@ class Inputs:
         return self._input_indices
 
     @property
+    def of_hamiltonian(self) -> Inputs | None:
+        """The inputs of the Hamiltonian part, whose values are the first ones; None if all inputs are torques."""
+        named = {name: indices for name, indices in self.indices.items() if np.all(indices < len(self._linear))}
+        return Inputs(self._unforced, named) if named else None
+
+    def force_of(self, index: int) -> int | None:
+        """Return the index of the force whose torque a value is; None for a coefficient of the linear term."""
+        return next((k for k, indices in self._torques.items() if index in indices), None)
+
+    @property
     def changing(self) -> NDArray[np.int64]:
         """Indices of the values that are inputs, in the order in which they were prepared."""
         return self._input_indices

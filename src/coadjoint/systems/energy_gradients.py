@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm
-from coadjoint.systems.protocol import is_batch, is_matrix_system
+from coadjoint.systems.protocol import is_batch, is_matrix_system, unforced
 
 Floats = NDArray[np.float64]
 
@@ -28,6 +28,7 @@ def gradients_at(system: Any, x: Floats, times: Floats) -> Floats:
     if is_batch(system):
         members = [gradients_at(member, x[:, m : m + 1], times) for m, member in enumerate(system)]
         return np.concatenate(members, axis=1)
+    system = unforced(system)
     H = system.hamiltonian
     if is_matrix_system(system) and not system.timed:
         return np.asarray(H.gradient(x))

@@ -29,6 +29,10 @@ class NearbySystems(NamedTuple):
         """Construct from a function of the change of the entry."""
         return cls(distance, [(moved(node * distance), moved(-node * distance)) for node in NODES.tolist()])
 
+    def with_systems(self, changed: Callable[[Any], Any]) -> NearbySystems:
+        """Return the pairs of systems that a function makes of these."""
+        return self._replace(pairs=[(changed(plus), changed(minus)) for plus, minus in self.pairs])
+
     def difference(self, function: Callable[[Any], Floats]) -> Floats:
         """Return the derivative of a function of the system by the entry, with about twelve digits."""
         changes = [

@@ -43,6 +43,10 @@ class AttitudeDerivatives:
     def _generator(self, x0: Floats) -> Floats:
         return np.asarray(np.einsum("c,j,cjab->ab", self.factors, x0, self.of_casimir))
 
+    def element(self, x0: Floats, A0: Floats, t: float, G: Floats) -> Floats:
+        """Return the attitude (d, d) at a time since the start."""
+        return np.asarray(A0 @ expm(t * self._generator(x0)) @ G) if self.shifted else G
+
     def tangents(
         self, x0: Floats, A0: Floats, times: Floats, G: Floats, dx0: Floats, dA0: Floats, factors: Floats, dG: Floats
     ) -> Floats:

@@ -17,7 +17,7 @@ from coadjoint.runs.derivatives.results import Tangents
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.energy_gradients import gradients_at
-from coadjoint.systems.protocol import is_matrix_system, rows_of, shape_of, states_of
+from coadjoint.systems.protocol import rows_of, shape_of, states_of, unforced_matrix_system
 from coadjoint.validation import read_numbers, to_array
 
 Floats = NDArray[np.float64]
@@ -100,8 +100,9 @@ class Directions:
     @staticmethod
     def _states(system: Any, directions: Any) -> Floats:
         """Return directions of states (..., *shape) as rows; matrices must be in the algebra."""
-        if is_matrix_system(system):
-            return system.read(directions.reshape(-1, *shape_of(system)), "the direction x0")
+        matrices = unforced_matrix_system(system)
+        if matrices is not None:
+            return matrices.read(directions.reshape(-1, *shape_of(system)), "the direction x0")
         return np.asarray(rows_of(system, directions))
 
     def of_coefficients(self, tables: DerivativeTables) -> Floats:
@@ -262,6 +263,7 @@ def _tangents_at_outputs(
 
 def read_states(system: Any, given: Any, what: str) -> Any:
     """Return numbers in the form of states, which are complex for some matrices."""
-    if is_matrix_system(system) and system.complex and len(shape_of(system)) > 1:
+    matrices = unforced_matrix_system(system)
+    if matrices is not None and matrices.complex and len(shape_of(system)) > 1:
         return to_array(given, what, "iufc").astype(np.complex128)
     return read_numbers(given, what)

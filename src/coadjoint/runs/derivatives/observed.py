@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.protocol import is_matrix_system, states_of
+from coadjoint.systems.protocol import states_of, unforced_matrix_system
 from coadjoint.systems.user_functions import takes_time
 
 
@@ -24,10 +24,12 @@ def function_of_rows(system: Any, quantity: Any, t: float) -> Callable[[NDArray[
         is_function = not isinstance(quantity, Polynomial | Invariant)
         time_argument = (t,) if is_function and takes_time(quantity, "observe") else ()
 
+    matrices = unforced_matrix_system(system)
+
     def of_row(row: NDArray[Any]) -> NDArray[Any]:
         state = states_of(system, row)
-        if is_matrix_system(system):
-            state = system.algebra.projected(system.from_vector(row))
+        if matrices is not None:
+            state = matrices.algebra.projected(matrices.from_vector(row))
         return np.ravel(quantity(state, *time_argument))
 
     return of_row
