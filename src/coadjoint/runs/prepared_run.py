@@ -173,7 +173,9 @@ class PreparedRun:
             if isinstance(attitude, np.ndarray) and attitude.ndim > 2:
                 attitude = attitude[member]
             options: dict[str, Any] = {"attitude": attitude, "watch": self._watching, "observe": self.observe}
-            self._of_members[member] = PreparedRun(self.system[member], self.method, self.step, threads=1, **options)
+            self._of_members[member] = PreparedRun(
+                member_of(among(self.system, member, member + 1)), self.method, self.step, threads=1, **options
+            )
         return self._of_members[member]
 
     def run(

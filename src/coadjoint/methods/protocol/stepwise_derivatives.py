@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,28 +32,50 @@ def nearby_parameters(system: Any, parameters: Mapping[str, Parameter]) -> list[
     ]
 
 
+class ElementSteps(Protocol):
+    """The group element g of a step, A -> A g, and its derivatives."""
+
+    def at(self, system: Any, x: Floats, t: float, h: float) -> Floats:
+        """Return the elements (m, d, d) of a step of a system from states (m, n)."""
+
+    def with_derivative(self, system: Any, x: Floats, t: float, h: float) -> tuple[Floats, Floats]:
+        """Return the element (d, d) of a step, and its derivative (n, d, d) by the state."""
+
+
 class StepwiseDerivatives:
     """The derivatives of the steps of a scheme by the state and by the entries of parameters.
 
     The former is that of `linearized`. The latter are central differences of order 8 of the step in Python, with
-    about twelve digits.
+    about twelve digits. With an attitude, `elements` are those of the steps.
     """
 
-    def __init__(self, method: Method, system: Any, nearby: Sequence[NearbySystems]) -> None:
-        self._method, self._system, self._nearby = method, system, nearby
+    def __init__(
+        self, method: Method, system: Any, nearby: Sequence[NearbySystems], elements: ElementSteps | None = None
+    ) -> None:
+        self._method, self._system, self._nearby, self._elements = method, system, nearby, elements
 
     def step(self, x: Floats, t: float, h: float) -> LinearizedStep:
         """Return a step with its derivative by the state."""
         return linearized(self._method, self._system, x, t, h)
 
-    def by_parameters(self, x: Floats, t: float, h: float) -> Floats:
-        """Return the derivatives (entries, n) of a step by the entries of the parameters."""
+    def element(self, x: Floats, t: float, h: float) -> tuple[Floats, Floats]:
+        """Return the element (d, d) of a step, and its derivative (n, d, d) by the state; empty without an attitude."""
+        if self._elements is None:
+            return np.zeros((0, 0)), np.zeros((len(x), 0, 0))
+        return self._elements.with_derivative(self._system, x, t, h)
+
+    def by_parameters(self, x: Floats, t: float, h: float) -> tuple[Floats, Floats]:
+        """Return the derivatives (entries, n) of a step and (entries, d, d) of its element by entries of parameters."""
 
         def after(system: Any) -> Floats:
             return np.asarray(self._method.step(system, x, t, h), dtype=np.float64)
 
+        def turned(system: Any) -> Floats:
+            return np.zeros((0, 0)) if self._elements is None else self._elements.at(system, x[None], t, h)[0]
+
         rows = [nearby.difference(after) for nearby in self._nearby]
-        return np.array(rows).reshape(len(rows), len(x))
+        of_element = [nearby.difference(turned) for nearby in self._nearby]
+        return np.array(rows).reshape(len(rows), len(x)), np.array(of_element)
 
     @np.errstate(over="ignore", invalid="ignore")
     def forward(self, run: ForwardRun, first: int, last: int) -> None:
@@ -61,40 +83,62 @@ class StepwiseDerivatives:
         directed = bool(run.coefficients.any())
         for member in range(first, last):
             x, vectors, mark = run.momenta[member], run.tangents[member], 0
+            group, of_group = matrix_of(run, member), run.group_tangents[member]
             for k in range(run.k0 + 1, run.k1 + 1):
                 t = run.t0 + (k - 1) * run.h
                 note_progress(f"the derivative of step {k} of {run.k1}")
-                step = self.step(x, t, run.h)
+                step, (g, by_state) = self.step(x, t, run.h), self.element(x, t, run.h)
+                of_g = np.tensordot(vectors, by_state, axes=1)
                 vectors = step.tangents(vectors)
                 if directed:
-                    vectors = vectors + run.coefficients @ self.by_parameters(x, t, run.h)
+                    by_entries, of_elements = self.by_parameters(x, t, run.h)
+                    vectors = vectors + run.coefficients @ by_entries
+                    of_g = of_g + np.tensordot(run.coefficients, of_elements, axes=1)
+                # Elements are stored transposed.
+                of_group, group = g.T @ of_group + np.swapaxes(of_g, 1, 2) @ group, g.T @ group
                 x = step.end
                 if mark < run.marked and run.marks[mark] == k:
-                    run.at_points[mark, member] = vectors
+                    run.at_points[mark, member], run.at_groups[mark, member] = vectors, of_group
                     mark += 1
-            run.tangents[member] = vectors
+            run.tangents[member], run.group_tangents[member] = vectors, of_group
 
     @np.errstate(over="ignore", invalid="ignore")
     def backward(self, run: BackwardRun, first: int, last: int) -> None:
         """Carry cotangents of members, as the compiled kernels do."""
         for member in range(first, last):
-            x, states = run.momenta[member], []
+            x, group, states, groups = run.momenta[member], matrix_of(run, member), [], []
             steps: list[LinearizedStep] = []
+            elements: list[tuple[Floats, Floats]] = []
             for k in range(run.k0 + 1, run.k1 + 1):
                 note_progress(f"the derivative of step {k} of {run.k1}")
+                t = run.t0 + (k - 1) * run.h
                 states.append(x)
-                steps.append(self.step(x, run.t0 + (k - 1) * run.h, run.h))
-                x = steps[-1].end
+                groups.append(group)
+                steps.append(self.step(x, t, run.h))
+                elements.append(self.element(x, t, run.h))
+                x, group = steps[-1].end, elements[-1][0].T @ group
             cotangent, mark = run.cotangents[member].copy(), run.marked
+            of_group = run.group_cotangents[member].copy()
             for k in range(run.k1, run.k0, -1):
                 if mark > 0 and run.marks[mark - 1] == k:
                     mark -= 1
                     cotangent = cotangent + run.at_points[mark, member]
+                    of_group = of_group + run.at_groups[mark, member]
+                number = k - run.k0 - 1
+                g, by_state = elements[number]
+                of_g = groups[number] @ of_group.T
                 if self._nearby:
-                    changes = self.by_parameters(states[k - run.k0 - 1], run.t0 + (k - 1) * run.h, run.h)
-                    run.coefficients[member] += changes @ cotangent
-                cotangent = steps[k - run.k0 - 1].cotangent(cotangent)
-            run.cotangents[member] = cotangent
+                    by_entries, of_elements = self.by_parameters(states[number], run.t0 + (k - 1) * run.h, run.h)
+                    run.coefficients[member] += by_entries @ cotangent + np.tensordot(of_elements, of_g, axes=2)
+                cotangent = steps[number].cotangent(cotangent) + np.tensordot(by_state, of_g, axes=2)
+                of_group = g @ of_group
+            run.cotangents[member], run.group_cotangents[member] = cotangent, of_group
+
+
+def matrix_of(run: ForwardRun | BackwardRun, member: int) -> Floats:
+    """Return the element of a member before the steps, transposed as in the loops."""
+    side = round(run.square**0.5)
+    return np.asarray(run.groups[member]).reshape(side, side)
 
 
 def stepwise_derivatives(steps_at: Callable[..., StepwiseDerivatives], sizes: Mapping[str, int]) -> DerivativeTables:

@@ -25,6 +25,7 @@ from coadjoint.methods.protocol.stepwise_derivatives import (
     stepwise_derivatives,
 )
 from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
+from coadjoint.runs.derivatives.element_differences import ElementDifferences
 from coadjoint.runs.derivatives.forced_steps import FlowEntry, ForcedSteps, forced_tables
 from coadjoint.runs.derivatives.input_derivatives import INPUTS, changed_inputs, tables_with_inputs, without_inputs
 from coadjoint.runs.inputs import InputLoops, Inputs
@@ -192,21 +193,17 @@ class DifferentiableRun:
             if inputs is not None:
                 return tables_with_inputs(inputs, scheme, h, self.representation, energies)
             return derivative_tables(scheme, system, h, self.representation, energies)
-        if self.representation is not None:
-            raise TypeError(
-                f"attitudes by {scheme} have no derivatives; take Splitting or GaussLegendre, or no attitude"
-            )
         nearby = nearby_parameters(system, {name: self.parameters[name] for name in names})
         sizes = {name: self.parameters[name].value.size for name in names}
         if inputs is None:
-            steps = StepwiseDerivatives(scheme, system, nearby)
+            steps = StepwiseDerivatives(scheme, system, nearby, self._elements(h))
             return stepwise_derivatives(lambda: steps, sizes)
 
         def steps_at(values: Floats) -> StepwiseDerivatives:
             at_values = [one.with_systems(partial(inputs.system_at, values)) for one in nearby]
             if by_inputs:
                 at_values += changed_inputs(inputs, system, values, h)
-            return StepwiseDerivatives(scheme, inputs.system_at(values), at_values)
+            return StepwiseDerivatives(scheme, inputs.system_at(values), at_values, self._elements(h))
 
         tables = stepwise_derivatives(steps_at, sizes | ({INPUTS: len(inputs.changing)} if by_inputs else {}))
         if by_inputs:
@@ -214,6 +211,10 @@ class DifferentiableRun:
             numbered = tables.coefficients[INPUTS]._replace(entry=inputs.changing)
             tables = tables._replace(coefficients={**tables.coefficients, INPUTS: numbered})
         return tables
+
+    def _elements(self, h: float) -> ElementDifferences | None:
+        """Return the group elements of single steps; None without an attitude."""
+        return None if self.representation is None else ElementDifferences(self._base, h, self.representation)
 
     def check_reverse(self, reverse: Any, h: float) -> None:
         """Validate how a run is differentiated backward; raise TypeError for a scheme whose steps cannot be undone."""

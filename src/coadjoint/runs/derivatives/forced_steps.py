@@ -17,6 +17,7 @@ from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun, advance
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.forced import FlowOfForce, flow_of_force
 from coadjoint.methods.protocol.derivatives import DIFFERENCES, EXACT, DerivativeTables
+from coadjoint.methods.protocol.stepwise_derivatives import matrix_of
 from coadjoint.program.added_part import CoefficientMap
 from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
 from coadjoint.runs.partial_steps import PartialSteps
@@ -326,8 +327,7 @@ class ForcedSteps:
 
 def _matrices(run: ForwardRun | BackwardRun, some: slice) -> Floats:
     """Return the elements of members, transposed as in the loops."""
-    side = round(run.square**0.5)
-    return np.array(run.groups[some]).reshape(some.stop - some.start, side, side)
+    return np.array([matrix_of(run, m) for m in range(some.start, some.stop)])
 
 
 def _changes(

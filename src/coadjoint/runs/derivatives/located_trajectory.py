@@ -160,7 +160,7 @@ class LocatedTrajectory(Trajectory):
 
     def _at_outputs(self) -> tuple[Floats, Floats]:
         """Return states (points, 1, n) and elements of the loop (points, 1, d, d) at the outputs."""
-        x = self.states[self.point, 0]
+        x = self.states[self.point, 0, : self.n]
         group = self.groups[self.point, 0].reshape(len(x), -1)
         partial = np.flatnonzero(self.length)
         if len(partial):
@@ -172,7 +172,9 @@ class LocatedTrajectory(Trajectory):
         x = np.ascontiguousarray(self.states[points, 0])
         group = np.ascontiguousarray(self.groups[points, 0].reshape(len(x), self.side**2))
         starts = np.asarray(self.started[points], dtype=np.float64)
-        return self.parts.take(x, group, starts, lengths, np.zeros(len(x), dtype=np.int64))
+        after, groups = self.parts.take(x, group, starts, lengths, np.zeros(len(x), dtype=np.int64))
+        # Behind the coordinates are the accounts of forces.
+        return after[:, : self.n], groups
 
     @property
     def workers(self) -> int:
