@@ -21,9 +21,9 @@ MAX_TRIED = 16
 
 
 class ForceParameter(NamedTuple):
-    """A parameter of the force of this index: its value, and by how much each entry may change."""
+    """A parameter of the force at this position: its value, and by how much each entry may change."""
 
-    index: int
+    position: int
     field: str
     value: Floats
     radii: Floats
@@ -58,8 +58,8 @@ def force_parameters(system: ForcedSystem) -> dict[str, ForceParameter]:
     """
     return {
         f"{label}.{found.field}": found
-        for index, (label, force) in enumerate(zip(system.labels, system.forces, strict=True))
-        for found in _numbers_of(index, force, system.system)
+        for position, (label, force) in enumerate(zip(system.labels, system.forces, strict=True))
+        for found in _numbers_of(position, force, system.system)
     }
 
 
@@ -67,11 +67,11 @@ def with_force_values(system: ForcedSystem, plain: Any, values: Mapping[str, Flo
     """Return another Hamiltonian part with the same forces, of which these parameters have other values."""
     forces, known = list(system.forces), force_parameters(system)
     for name, value in values.items():
-        forces[known[name].index] = with_value(forces[known[name].index], known[name].field, value)
+        forces[known[name].position] = with_value(forces[known[name].position], known[name].field, value)
     return ForcedSystem(plain, forces)
 
 
-def _numbers_of(index: int, force: Force, plain: Any) -> Iterator[ForceParameter]:
+def _numbers_of(position: int, force: Force, plain: Any) -> Iterator[ForceParameter]:
     if not is_dataclass(force):
         return
     for field, given in force.parameters().items():
@@ -81,7 +81,7 @@ def _numbers_of(index: int, force: Force, plain: Any) -> Iterator[ForceParameter
         largest = largest_entry(value)
         sizes = np.where(np.abs(value) > SMALL_ENTRY * largest, np.abs(value), largest)
         for reduction in range(MAX_REDUCTIONS):
-            found = ForceParameter(index, field, value, RADIUS * 0.25**reduction * sizes)
+            found = ForceParameter(position, field, value, RADIUS * 0.25**reduction * sizes)
             if _may_change(found, force, plain):
                 yield found
                 break

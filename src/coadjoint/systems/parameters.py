@@ -166,7 +166,7 @@ def with_entry_moved(system: Any, name: str, value: Floats, index: tuple[int, ..
         if found is None:
             return ForcedSystem(with_entry_moved(system.system, name, value, index, by), system.forces)
         forces = list(system.forces)
-        forces[found.index] = found.moved(forces[found.index], value, index, by)
+        forces[found.position] = found.moved(forces[found.position], value, index, by)
         return ForcedSystem(system.system, forces)
     builder = _builder_of(system, [name])
     symmetric = builder is not None and _is_symmetric(builder, dict(system.parameters), name, value)

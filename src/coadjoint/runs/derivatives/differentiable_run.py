@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -17,28 +16,19 @@ from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun, advance
 from coadjoint.kernels.tables.tangents import check_differentiable
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import Forced
-from coadjoint.methods.protocol.derivatives import DerivativeTables, Kernel, derivative_tables, has_derivatives
+from coadjoint.methods.protocol.derivatives import DerivativeTables, Kernel, has_derivatives
 from coadjoint.methods.protocol.own_steps import fixed_steps
-from coadjoint.methods.protocol.stepwise_derivatives import (
-    StepwiseDerivatives,
-    nearby_parameters,
-    stepwise_derivatives,
-)
 from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
-from coadjoint.runs.derivatives.element_differences import ElementDifferences
-from coadjoint.runs.derivatives.forced_steps import FlowEntry, ForcedSteps, forced_tables
-from coadjoint.runs.derivatives.input_derivatives import INPUTS, changed_inputs, tables_with_inputs, without_inputs
-from coadjoint.runs.inputs import InputLoops, Inputs
+from coadjoint.runs.derivatives.input_derivatives import INPUTS, without_inputs
+from coadjoint.runs.derivatives.run_tables import build_tables
+from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops.execution import sum_in_threads
-from coadjoint.runs.loops.loops import SystemLoops
 from coadjoint.runs.loops.rows import split_members
 from coadjoint.runs.output_times import OutputTimes, check_partial_steps, resample
-from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.energy_derivatives import EnergyDerivative
-from coadjoint.systems.force_parameters import force_parameters
 from coadjoint.systems.parameters import Parameter, parameters_of
-from coadjoint.systems.protocol import forces_of, is_batch, rows_of, shape_of, unforced
+from coadjoint.systems.protocol import is_batch, rows_of, shape_of, unforced
 from coadjoint.validation import read_choice
 
 if TYPE_CHECKING:
@@ -82,18 +72,16 @@ class DifferentiableRun:
     def __init__(self, prepared: PreparedRun, parameters: Mapping[str, Parameter] | None = None) -> None:
         system = prepared.system
         if is_batch(system):
-            raise TypeError(
-                f"runs of a batch have no derivatives: {system!r}; differentiate the run of each member"
-            )
+            raise TypeError(f"runs of a batch have no derivatives: {system!r}; differentiate the run of each member")
         self.scheme = fixed_steps(prepared.scheme)
         # The scheme of the Hamiltonian part.
-        self._base = self.scheme.base if isinstance(self.scheme, Forced) else self.scheme
-        if self._base.own_steps:
+        self.base = self.scheme.base if isinstance(self.scheme, Forced) else self.scheme
+        if self.base.own_steps:
             raise TypeError(
-                f"{self._base} chooses its own steps, and with forces its runs have no derivatives; take a scheme with "
+                f"{self.base} chooses its own steps, and with forces its runs have no derivatives; take a scheme with "
                 "a given step"
             )
-        if has_derivatives(self._base):
+        if has_derivatives(self.base):
             check_differentiable(unforced(system))
         self.prepared, self.system = prepared, system
         self.parameters: Mapping[str, Parameter] = parameters_of_run(system) if parameters is None else parameters
@@ -112,109 +100,10 @@ class DifferentiableRun:
         """Return the tables of the scheme for a step, with the parameters of these names, `INPUTS` for the inputs."""
         chosen = frozenset(names)
         if (h, chosen) not in self._tables:
-            self._tables[h, chosen] = self._build_tables(
-                h, [name for name in self.parameters if name in chosen], INPUTS in chosen
+            self._tables[h, chosen] = build_tables(
+                self, h, [name for name in self.parameters if name in chosen], INPUTS in chosen
             )
         return self._tables[h, chosen]
-
-    def _build_tables(self, h: float, names: Sequence[str], by_inputs: bool) -> DerivativeTables:
-        if not forces_of(self.system):
-            return self._tables_of_scheme(self.system, self.inputs, h, names, by_inputs)
-        plain, inputs = unforced(self.system), self.inputs
-        of_plain = None if inputs is None else inputs.of_hamiltonian
-        inner = self._tables_of_scheme(
-            plain,
-            of_plain,
-            h,
-            [name for name in names if name in parameters_of(plain)],
-            by_inputs and of_plain is not None,
-        )
-        entries = self._flow_entries(names)
-        attitudes = (
-            None if self.representation is None else AttitudeDerivatives(plain, inner.shift, self.representation)
-        )
-        loops: Any = (
-            SystemLoops(plain, self._base, h, self.representation)
-            if of_plain is None
-            else InputLoops(of_plain, self._base, h, self.representation)
-        )
-
-        def steps_at(step: float, *values: Floats) -> ForcedSteps:
-            system, moved, of_step, inner_values = self.system, list(entries), loops, ()
-            if inputs is not None:
-                system = inputs.system_at(*values)
-                moved = [
-                    one._replace(nearby=one.nearby.with_systems(partial(inputs.system_at, *values))) for one in moved
-                ]
-                if by_inputs:
-                    moved += self._flow_entries_of_inputs(inputs, *values, h)
-            if of_plain is not None:
-                inner_values = (values[0][: len(of_plain.values)],)
-                of_step = loops.at(*inner_values)
-            structure = inner.tables_at(step, *inner_values)
-            parts = PartialSteps(unforced(system), self._base, of_step)
-            return ForcedSteps(system, inner, structure, parts, moved, attitudes)
-
-        every = list(entries)
-        if by_inputs and inputs is not None:
-            every += self._flow_entries_of_inputs(inputs, inputs.values, h)
-        return forced_tables(inner, steps_at, every, [*names, *([INPUTS] if by_inputs else [])])
-
-    def _flow_entries(self, names: Sequence[str]) -> list[FlowEntry]:
-        """Return the entries of parameters by which flows of forces change."""
-        by_force, found = force_parameters(self.system), []
-        by_energy = tuple(j for j, (_, force) in enumerate(forces_of(self.system)) if force.uses_energy)
-        for name in names:
-            moving = (by_force[name].index,) if name in by_force else by_energy
-            nearby = nearby_parameters(self.system, {name: self.parameters[name]}) if moving else []
-            found += [FlowEntry(name, entry, one, moving) for entry, one in enumerate(nearby)]
-        return found
-
-    def _flow_entries_of_inputs(self, inputs: Inputs, values: Floats, h: float) -> list[FlowEntry]:
-        forces = forces_of(self.system)
-        by_energy = tuple(j for j, (_, force) in enumerate(forces) if force.uses_energy)
-        found = []
-        for index, nearby in zip(
-            inputs.changing.tolist(), changed_inputs(inputs, self.system, values, h), strict=True
-        ):
-            torque = inputs.force_of(index)
-            moving = by_energy if torque is None else (torque,)
-            if moving:
-                found.append(FlowEntry(INPUTS, index, nearby, moving))
-        return found
-
-    def _tables_of_scheme(
-        self, system: Any, inputs: Inputs | None, h: float, names: Sequence[str], by_inputs: bool
-    ) -> DerivativeTables:
-        """Return the tables of the scheme on the Hamiltonian part of the system."""
-        scheme = self._base
-        if has_derivatives(scheme):
-            energies = {name: self.energy(name) for name in names}
-            if inputs is not None:
-                return tables_with_inputs(inputs, scheme, h, self.representation, energies)
-            return derivative_tables(scheme, system, h, self.representation, energies)
-        nearby = nearby_parameters(system, {name: self.parameters[name] for name in names})
-        sizes = {name: self.parameters[name].value.size for name in names}
-        if inputs is None:
-            steps = StepwiseDerivatives(scheme, system, nearby, self._elements(h))
-            return stepwise_derivatives(lambda: steps, sizes)
-
-        def steps_at(values: Floats) -> StepwiseDerivatives:
-            at_values = [one.with_systems(partial(inputs.system_at, values)) for one in nearby]
-            if by_inputs:
-                at_values += changed_inputs(inputs, system, values, h)
-            return StepwiseDerivatives(scheme, inputs.system_at(values), at_values, self._elements(h))
-
-        tables = stepwise_derivatives(steps_at, sizes | ({INPUTS: len(inputs.changing)} if by_inputs else {}))
-        if by_inputs:
-            # The entries are those of all values.
-            numbered = tables.coefficients[INPUTS]._replace(entry=inputs.changing)
-            tables = tables._replace(coefficients={**tables.coefficients, INPUTS: numbered})
-        return tables
-
-    def _elements(self, h: float) -> ElementDifferences | None:
-        """Return the group elements of single steps; None without an attitude."""
-        return None if self.representation is None else ElementDifferences(self._base, h, self.representation)
 
     def check_reverse(self, reverse: Any, h: float) -> None:
         """Validate how a run is differentiated backward; raise TypeError for a scheme whose steps cannot be undone."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,33 +14,15 @@ from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import StopFlag
 from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun, advance_tables
 from coadjoint.long_operations import note_progress
-from coadjoint.methods.forced import FlowOfForce, flow_of_force
 from coadjoint.methods.protocol.derivatives import DIFFERENCES, EXACT, DerivativeTables
 from coadjoint.methods.protocol.stepwise_derivatives import matrix_of
 from coadjoint.program.added_part import CoefficientMap
 from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
+from coadjoint.runs.derivatives.force_flows import FlowEntry, ForceFlows, Half
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.systems.forced import ForcedSystem
-from coadjoint.systems.forces.base import Force
-from coadjoint.systems.parameter_differences import NearbySystems
 
 Floats = NDArray[np.float64]
-
-
-class FlowEntry(NamedTuple):
-    """Systems in which an entry of parameter `name` is moved, and the indices of the forces whose flows it changes."""
-
-    name: str
-    entry: int
-    nearby: NearbySystems
-    forces: tuple[int, ...]
-
-
-class _Member(NamedTuple):
-    """The system of a member, and the entries with nearby systems of the same noise."""
-
-    system: ForcedSystem
-    entries: Sequence[FlowEntry]
 
 
 class _Base(NamedTuple):
@@ -77,18 +58,6 @@ class ForcedSteps:
     def _shifted(self) -> bool:
         return self._attitudes is not None and self._attitudes.shifted
 
-    def _members(self, first: int, last: int) -> list[_Member]:
-        def numbered(system: ForcedSystem, member: int) -> ForcedSystem:
-            return system.numbered_from(member)
-
-        def of_member(member: int) -> _Member:
-            entries = [
-                one._replace(nearby=one.nearby.with_systems(partial(numbered, member=member))) for one in self._entries
-            ]
-            return _Member(numbered(self._system, member), entries)
-
-        return [of_member(m) for m in range(first, last)]
-
     def forward(self, run: ForwardRun, first: int, last: int) -> None:
         """Carry tangent vectors of members, as the compiled kernels do."""
         for start in range(first, last, limit("MOST_LANES")):
@@ -101,17 +70,17 @@ class ForcedSteps:
 
     @np.errstate(over="ignore", invalid="ignore")
     def _forward(self, run: ForwardRun, first: int, last: int) -> None:
-        some, members, mark = slice(first, last), self._members(first, last), 0
+        some, forces, mark = slice(first, last), ForceFlows(self._system, self._entries, first, last), 0
         x, dx, dg = run.momenta[some], run.tangents[some], run.group_tangents[some]
-        groups = _matrices(run, some)
+        groups, directions = _matrices(run, some), run.coefficients[:, self._flows]
         for k in range(run.k0 + 1, run.k1 + 1):
             note_progress(f"the derivative of step {k} of {run.k1}")
             t = run.t0 + (k - 1) * run.h
-            x, dx = self._push(members, x, dx, t, run.h, False, run.coefficients)
+            x, dx = forces.push(x, dx, Half(t, run.h, False), directions)
             base = self._step(x, groups, t, run.h)
             dx, dg = self._base_forward(base, dx, dg, t, run.h, run.coefficients)
-            x, groups = base.end, self._groups_after(base, run.h)
-            x, dx = self._push(members, x, dx, t, run.h, True, run.coefficients)
+            groups = self._groups_after(base, run.h)
+            x, dx = forces.push(base.end, dx, Half(t, run.h, True), directions)
             if mark < run.marked and run.marks[mark] == k:
                 run.at_points[mark, some], run.at_groups[mark, some] = dx, dg
                 mark += 1
@@ -119,90 +88,29 @@ class ForcedSteps:
 
     @np.errstate(over="ignore", invalid="ignore")
     def _backward(self, run: BackwardRun, first: int, last: int) -> None:
-        some, members, mark = slice(first, last), self._members(first, last), run.marked
+        some, forces, mark = slice(first, last), ForceFlows(self._system, self._entries, first, last), run.marked
         x, groups = run.momenta[some], _matrices(run, some)
         starts, steps = [], []
         for k in range(run.k0 + 1, run.k1 + 1):
             note_progress(f"the derivative of step {k} of {run.k1}")
             t = run.t0 + (k - 1) * run.h
             starts.append(x)
-            x = self._moved(members, x, t, run.h, False)
-            steps.append(self._step(x, groups, t, run.h))
+            steps.append(self._step(forces.apply(x, Half(t, run.h, False)), groups, t, run.h))
             groups = self._groups_after(steps[-1], run.h)
-            x = self._moved(members, steps[-1].end, t, run.h, True)
+            x = forces.apply(steps[-1].end, Half(t, run.h, True))
         of_x, of_groups = run.cotangents[some].copy(), run.group_cotangents[some].copy()
-        coefficients = np.zeros((len(members), run.coefficients.shape[1]))
+        coefficients = np.zeros((last - first, run.coefficients.shape[1]))
         for k in range(run.k1, run.k0, -1):
             if mark > 0 and run.marks[mark - 1] == k:
                 mark -= 1
                 of_x, of_groups = of_x + run.at_points[mark, some], of_groups + run.at_groups[mark, some]
             t, base = run.t0 + (k - 1) * run.h, steps[k - run.k0 - 1]
-            of_x = self._pull(members, base.end, of_x, t, run.h, True, coefficients)
+            by_entries = coefficients[:, self._flows]
+            of_x = forces.pull(base.end, of_x, Half(t, run.h, True), by_entries)
             of_x, of_groups = self._base_backward(base, of_x, of_groups, t, run.h, coefficients)
-            of_x = self._pull(members, starts[k - run.k0 - 1], of_x, t, run.h, False, coefficients)
+            of_x = forces.pull(starts[k - run.k0 - 1], of_x, Half(t, run.h, False), by_entries)
         run.cotangents[some], run.group_cotangents[some] = of_x, of_groups
         run.coefficients[some] += coefficients
-
-    def _order(self, forces: Sequence[Force], t: float, h: float, second: bool) -> list[tuple[int, Force, float]]:
-        """Return the forces of a half of the step in their order, with their indices and times."""
-        numbered = list(enumerate(forces))
-        return [(j, force, t + 0.5 * h if second else t) for j, force in (numbered[::-1] if second else numbered)]
-
-    def _moved(self, members: Sequence[_Member], x: Floats, t: float, h: float, second: bool) -> Floats:
-        """Return the states after half flows of the forces."""
-        after = []
-        for member, state in zip(members, x, strict=True):
-            for _, force, time in self._order(member.system.forces, t, h, second):
-                state = force.flow(member.system.system, state, time, 0.5 * h)
-            after.append(np.asarray(state, dtype=np.float64))
-        return np.array(after)
-
-    def _push(
-        self,
-        members: Sequence[_Member],
-        x: Floats,
-        dx: Floats,
-        t: float,
-        h: float,
-        second: bool,
-        coefficients: Floats,
-    ) -> tuple[Floats, Floats]:
-        """Return the states and the tangents after half flows of the forces."""
-        directions, after = coefficients[:, self._flows], []
-        directed = directions.any(axis=0)
-        for member, state, rows in zip(members, x, dx, strict=True):
-            for j, force, time in self._order(member.system.forces, t, h, second):
-                flow = flow_of_force(force, member.system.system, state, time, 0.5 * h)
-                rows = flow.tangents(rows)
-                for number, change in _changes(member, directed, j, state, time, 0.5 * h):
-                    rows = rows + directions[:, number, None] * change
-                state = flow.end
-            after.append((state, rows))
-        return np.array([state for state, _ in after]), np.array([rows for _, rows in after])
-
-    def _pull(
-        self,
-        members: Sequence[_Member],
-        x: Floats,
-        of_x: Floats,
-        t: float,
-        h: float,
-        second: bool,
-        coefficients: Floats,
-    ) -> Floats:
-        """Return the cotangents before half flows of the forces; derivatives by their entries are added."""
-        before, all_entries = [], np.ones(len(self._entries), dtype=bool)
-        for member, state, row, total in zip(members, x, of_x, coefficients, strict=True):
-            flows: list[tuple[int, float, Floats, FlowOfForce]] = []
-            for j, force, time in self._order(member.system.forces, t, h, second):
-                flows.append((j, time, state, flow_of_force(force, member.system.system, state, time, 0.5 * h)))
-                state = flows[-1][-1].end
-            for j, time, start, flow in reversed(flows):
-                for number, change in _changes(member, all_entries, j, start, time, 0.5 * h):
-                    total[self._flows][number] += change @ row
-                row = flow.cotangent(row)
-            before.append(row)
-        return np.array(before)
 
     def _step(self, x: Floats, groups: Floats, t: float, h: float) -> _Base:
         """Take a step of the Hamiltonian part; loops of shifted energies start at the unit element."""
@@ -328,21 +236,6 @@ class ForcedSteps:
 def _matrices(run: ForwardRun | BackwardRun, some: slice) -> Floats:
     """Return the elements of members, transposed as in the loops."""
     return np.array([matrix_of(run, m) for m in range(some.start, some.stop)])
-
-
-def _changes(
-    member: _Member, wanted: NDArray[np.bool_], j: int, x: Floats, t: float, tau: float
-) -> list[tuple[int, Floats]]:
-    """Return the derivatives of the flow of a force by the wanted entries, with their numbers."""
-
-    def after(system: ForcedSystem) -> Floats:
-        return np.asarray(system.forces[j].flow(system.system, x, t, tau), dtype=np.float64)
-
-    return [
-        (number, entry.nearby.difference(after))
-        for number, entry in enumerate(member.entries)
-        if wanted[number] and j in entry.forces
-    ]
 
 
 def forced_tables(

@@ -1,0 +1,119 @@
+"""Half flows of the forces of a step, for several members, with their derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.methods.forced import FlowOfForce, flow_of_force
+from coadjoint.systems.forced import ForcedSystem
+from coadjoint.systems.forces.base import Force
+from coadjoint.systems.parameter_differences import NearbySystems
+
+Floats = NDArray[np.float64]
+
+
+class FlowEntry(NamedTuple):
+    """Systems in which an entry of parameter `name` is moved, and the positions of the forces that it changes."""
+
+    name: str
+    entry: int
+    nearby: NearbySystems
+    forces: tuple[int, ...]
+
+
+class Half(NamedTuple):
+    """One of the two halves of a step from t, of length h: the second one ends it, in reverse order."""
+
+    t: float
+    h: float
+    second: bool
+
+    def order(self, forces: Sequence[Force]) -> list[tuple[int, Force]]:
+        """Return the forces in the order of their flows, with their positions."""
+        numbered = list(enumerate(forces))
+        return numbered[::-1] if self.second else numbered
+
+    @property
+    def start(self) -> float:
+        """Time at which the flows begin."""
+        return self.t + 0.5 * self.h if self.second else self.t
+
+
+class _Member(NamedTuple):
+    """The system of a member, and the entries with nearby systems of the same noise."""
+
+    system: ForcedSystem
+    entries: Sequence[FlowEntry]
+
+    def changes(self, wanted: NDArray[np.bool_], j: int, x: Floats, half: Half) -> list[tuple[int, Floats]]:
+        """Return the derivatives of the flow of force j by the wanted entries, with their numbers."""
+
+        def after(system: ForcedSystem) -> Floats:
+            return np.asarray(system.forces[j].flow(system.system, x, half.start, 0.5 * half.h), dtype=np.float64)
+
+        return [
+            (number, entry.nearby.difference(after))
+            for number, entry in enumerate(self.entries)
+            if wanted[number] and j in entry.forces
+        ]
+
+
+class ForceFlows:
+    """Half flows of the members `first` to `last` - 1 of a system with forces; noise is that of their numbers."""
+
+    def __init__(self, system: ForcedSystem, entries: Sequence[FlowEntry], first: int, last: int) -> None:
+        def numbered(one: ForcedSystem, member: int) -> ForcedSystem:
+            return one.numbered_from(member)
+
+        self._members = [
+            _Member(
+                numbered(system, m),
+                [one._replace(nearby=one.nearby.with_systems(partial(numbered, member=m))) for one in entries],
+            )
+            for m in range(first, last)
+        ]
+        self._count = len(entries)
+
+    def apply(self, x: Floats, half: Half) -> Floats:
+        """Return the states (members, n) after half flows of the forces."""
+        after = []
+        for member, state in zip(self._members, x, strict=True):
+            for _, force in half.order(member.system.forces):
+                state = force.flow(member.system.system, state, half.start, 0.5 * half.h)
+            after.append(np.asarray(state, dtype=np.float64))
+        return np.array(after)
+
+    def push(self, x: Floats, dx: Floats, half: Half, directions: Floats) -> tuple[Floats, Floats]:
+        """Return the states, and their tangents (members, k, n), along directions (k, entries) of the entries."""
+        directed = np.asarray(directions.any(axis=0))
+        states, tangents = [], []
+        for member, state, rows in zip(self._members, x, dx, strict=True):
+            for j, force in half.order(member.system.forces):
+                flow = flow_of_force(force, member.system.system, state, half.start, 0.5 * half.h)
+                rows = flow.tangents(rows)
+                for number, change in member.changes(directed, j, state, half):
+                    rows = rows + directions[:, number, None] * change
+                state = flow.end
+            states.append(state)
+            tangents.append(rows)
+        return np.array(states), np.array(tangents)
+
+    def pull(self, x: Floats, of_x: Floats, half: Half, by_entries: Floats) -> Floats:
+        """Return the cotangents (members, n) before the flows; derivatives by entries (members, entries) are added."""
+        before, every = [], np.ones(self._count, dtype=bool)
+        for member, state, row, total in zip(self._members, x, of_x, by_entries, strict=True):
+            flows: list[tuple[int, Floats, FlowOfForce]] = []
+            for j, force in half.order(member.system.forces):
+                flows.append((j, state, flow_of_force(force, member.system.system, state, half.start, 0.5 * half.h)))
+                state = flows[-1][-1].end
+            for j, start, flow in reversed(flows):
+                for number, change in member.changes(every, j, start, half):
+                    total[number] += change @ row
+                row = flow.cotangent(row)
+            before.append(row)
+        return np.array(before)

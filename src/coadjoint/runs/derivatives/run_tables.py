@@ -1,0 +1,129 @@
+"""Tables for the derivatives of a run: compiled ones, those of steps in Python, and with forces around either."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.methods.protocol.derivatives import DerivativeTables, derivative_tables, has_derivatives
+from coadjoint.methods.protocol.stepwise_derivatives import (
+    StepwiseDerivatives,
+    nearby_parameters,
+    stepwise_derivatives,
+)
+from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
+from coadjoint.runs.derivatives.element_differences import ElementDifferences
+from coadjoint.runs.derivatives.force_flows import FlowEntry
+from coadjoint.runs.derivatives.forced_steps import ForcedSteps, forced_tables
+from coadjoint.runs.derivatives.input_derivatives import INPUTS, changed_inputs, tables_with_inputs
+from coadjoint.runs.inputs import InputLoops, Inputs
+from coadjoint.runs.loops.loops import SystemLoops
+from coadjoint.runs.partial_steps import PartialSteps
+from coadjoint.systems.force_parameters import force_parameters
+from coadjoint.systems.parameters import parameters_of
+from coadjoint.systems.protocol import forces_of, unforced
+
+if TYPE_CHECKING:
+    from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun
+
+Floats = NDArray[np.float64]
+
+
+def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inputs: bool) -> DerivativeTables:
+    """Return the tables of a step h, with the parameters of these names, and with the inputs if `by_inputs`."""
+    if not forces_of(run.system):
+        return _of_scheme(run, run.system, run.inputs, h, names, by_inputs)
+    plain, inputs, representation = unforced(run.system), run.inputs, run.representation
+    of_plain = None if inputs is None else inputs.of_hamiltonian
+    in_energy = [name for name in names if name in parameters_of(plain)]
+    inner = _of_scheme(run, plain, of_plain, h, in_energy, by_inputs and of_plain is not None)
+    entries = _flow_entries(run, names)
+    attitudes = None if representation is None else AttitudeDerivatives(plain, inner.shift, representation)
+    loops: Any = (
+        SystemLoops(plain, run.base, h, representation)
+        if of_plain is None
+        else InputLoops(of_plain, run.base, h, representation)
+    )
+
+    def steps_at(step: float, *values: Floats) -> ForcedSteps:
+        system, moved, of_step = run.system, list(entries), loops
+        inner_values: tuple[Floats, ...] = ()
+        if inputs is not None:
+            at_values = partial(inputs.system_at, values[0])
+            system, moved = at_values(), [one._replace(nearby=one.nearby.with_systems(at_values)) for one in moved]
+            moved += _flow_entries_of_inputs(run, inputs, values[0], h) if by_inputs else []
+        if of_plain is not None:
+            inner_values = (values[0][: len(of_plain.values)],)
+            of_step = loops.at(*inner_values)
+        structure = inner.tables_at(step, *inner_values)
+        parts = PartialSteps(unforced(system), run.base, of_step)
+        return ForcedSteps(system, inner, structure, parts, moved, attitudes)
+
+    every = list(entries)
+    if by_inputs and inputs is not None:
+        every += _flow_entries_of_inputs(run, inputs, inputs.values, h)
+    return forced_tables(inner, steps_at, every, [*names, *([INPUTS] if by_inputs else [])])
+
+
+def _flow_entries(run: DifferentiableRun, names: Sequence[str]) -> list[FlowEntry]:
+    """Return the entries of parameters by which flows of forces change."""
+    of_forces, found = force_parameters(run.system), []
+    by_energy = _using_energy(run)
+    for name in names:
+        moving = (of_forces[name].position,) if name in of_forces else by_energy
+        nearby = nearby_parameters(run.system, {name: run.parameters[name]}) if moving else []
+        found += [FlowEntry(name, entry, one, moving) for entry, one in enumerate(nearby)]
+    return found
+
+
+def _flow_entries_of_inputs(run: DifferentiableRun, inputs: Inputs, values: Floats, h: float) -> list[FlowEntry]:
+    """Return the inputs by which flows of forces change."""
+    found, by_energy = [], _using_energy(run)
+    for index, nearby in zip(inputs.changing.tolist(), changed_inputs(inputs, run.system, values, h), strict=True):
+        torque = inputs.force_of(index)
+        moving = by_energy if torque is None else (torque,)
+        if moving:
+            found.append(FlowEntry(INPUTS, index, nearby, moving))
+    return found
+
+
+def _using_energy(run: DifferentiableRun) -> tuple[int, ...]:
+    return tuple(j for j, (_, force) in enumerate(forces_of(run.system)) if force.uses_energy)
+
+
+def _of_scheme(
+    run: DifferentiableRun, system: Any, inputs: Inputs | None, h: float, names: Sequence[str], by_inputs: bool
+) -> DerivativeTables:
+    """Return the tables of the scheme on a system without forces."""
+    scheme, representation = run.base, run.representation
+    if has_derivatives(scheme):
+        energies = {name: run.energy(name) for name in names}
+        if inputs is not None:
+            return tables_with_inputs(inputs, scheme, h, representation, energies)
+        return derivative_tables(scheme, system, h, representation, energies)
+
+    def elements() -> ElementDifferences | None:
+        return None if representation is None else ElementDifferences(scheme, h, representation)
+
+    nearby = nearby_parameters(system, {name: run.parameters[name] for name in names})
+    sizes = {name: run.parameters[name].value.size for name in names}
+    if inputs is None:
+        steps = StepwiseDerivatives(scheme, system, nearby, elements())
+        return stepwise_derivatives(lambda: steps, sizes)
+
+    def steps_at(values: Floats) -> StepwiseDerivatives:
+        at_values = [one.with_systems(partial(inputs.system_at, values)) for one in nearby]
+        if by_inputs:
+            at_values += changed_inputs(inputs, system, values, h)
+        return StepwiseDerivatives(scheme, inputs.system_at(values), at_values, elements())
+
+    tables = stepwise_derivatives(steps_at, sizes | ({INPUTS: len(inputs.changing)} if by_inputs else {}))
+    if by_inputs:
+        # The entries are those of all values.
+        numbered = tables.coefficients[INPUTS]._replace(entry=inputs.changing)
+        tables = tables._replace(coefficients={**tables.coefficients, INPUTS: numbered})
+    return tables
