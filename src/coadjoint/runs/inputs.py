@@ -182,14 +182,6 @@ class Inputs:
             "value for each member"
         )
 
-    def linear_coordinates(self) -> NDArray[np.int64]:
-        """Return the coordinates of the linear term that are inputs; raise TypeError if torques are inputs too."""
-        if self._torques:
-            raise TypeError(
-                "derivatives by inputs are those by coefficients of the linear term, and a torque is an input"
-            )
-        return self._input_indices
-
     @property
     def of_hamiltonian(self) -> Inputs | None:
         """The inputs of the Hamiltonian part, whose values are the first ones; None if all inputs are torques."""

@@ -489,11 +489,6 @@ class PreparedRun:
         """Whether the group element is computed."""
         return self._representations[0] is not None
 
-    @property
-    def input_coordinates(self) -> NDArray[np.int64]:
-        """Coordinates of the linear term that are inputs, in the order in which they were prepared."""
-        return np.zeros(0, dtype=np.int64) if self._inputs is None else self._inputs.linear_coordinates()
-
     def values_of(self, inputs: Mapping[str, Any]) -> NDArray[np.float64] | None:
         """Validate the inputs of a run and return their values, (m,) or (members, m); None if none were prepared."""
         if self._inputs is not None:

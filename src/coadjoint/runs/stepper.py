@@ -17,7 +17,8 @@ from coadjoint.methods.protocol.derivatives import derivative_tables, has_deriva
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.tangents import tangent_by
 from coadjoint.methods.registry import read_method
-from coadjoint.runs.derivatives.input_derivatives import tables_with_inputs
+from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun
+from coadjoint.runs.derivatives.input_derivatives import INPUTS, tables_with_inputs
 from coadjoint.runs.derivatives.step_tangents import StepTangents
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
@@ -228,13 +229,13 @@ class Stepper:
         Returns
         -------
         ndarray, shape (n, m)
-            d step_i / d u_j, for all coefficients of the linear term that are inputs, in the order in which they were
-            prepared.
+            d step_i / d u_j, for all coefficients of the linear term and torques that are inputs, in the order in which
+            they were prepared.
 
         Raises
         ------
         TypeError
-            There are no inputs, or torques among them; the scheme has no derivatives by parameters.
+            There are no inputs, or the scheme has no derivatives.
 
         Examples
         --------
@@ -277,12 +278,15 @@ class Stepper:
         system, scheme, n = self.system, prepared.scheme, self.system.dim
         # Functions of the user would have to be compiled.
         called = system.algebra is None or any(term.called for term in system.hamiltonian.terms())
-        if not by_inputs and (called or not has_derivatives(scheme)):
+        if by_inputs:
+            assert prepared.inputs is not None
+            tables = DifferentiableRun(prepared).tables(self.h, (INPUTS,))
+            return StepTangents(tables, n, self.h, prepared.inputs.changing.tolist())
+        if called or not has_derivatives(scheme):
             return None
         if prepared.inputs is None:
             return StepTangents(derivative_tables(scheme, system, self.h, None, {}), n, self.h)
-        coordinates = prepared.input_coordinates.tolist() if by_inputs else ()
-        return StepTangents(tables_with_inputs(prepared.inputs, scheme, self.h, None, {}), n, self.h, coordinates)
+        return StepTangents(tables_with_inputs(prepared.inputs, scheme, self.h, None, {}), n, self.h)
 
     @ignore_overflow
     def tangent_by(self, x: Any, t: float = 0.0, **inputs: Any) -> str:

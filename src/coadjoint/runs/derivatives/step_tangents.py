@@ -1,8 +1,9 @@
-"""Derivative of one step by its state and by inputs, in a compiled loop with arrays that are kept."""
+"""Derivative of one step by its state and by inputs, with arrays that are kept for compiled loops."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,17 +23,18 @@ class StepTangents:
 
     def __init__(self, tables: DerivativeTables, n: int, h: float, inputs: Sequence[int] = ()) -> None:
         count = n + len(inputs)
-        assert isinstance(tables.forward, str)
-        self._tables, self._tangents, self._name = tables, np.zeros((1, count, n)), tables.forward
+        self._tables, self._tangents = tables, np.zeros((1, count, n))
         self._units, self._momenta = np.eye(count, n), np.zeros((1, n))
-        self._h, self._fixed = h, None if INPUTS in tables.coefficients else as_structure(tables.tables_at(h))
+        self._h, self._fixed = h, None
+        if INPUTS not in tables.coefficients:
+            self._fixed = self._prepared(tables.tables_at(h))
         coefficients = np.zeros((count, tables.coefficient_count))
         if len(inputs):
             directions = np.zeros((count, 1 + max(inputs)))
             directions[np.arange(n, count), inputs] = 1.0
             coefficients += tables.coefficients[INPUTS].of_coefficients(directions, tables.coefficient_count)
-        self._after, empty = np.zeros((1, 1, count, n)), np.zeros(0)
-        self._run = as_structure(
+        self._after = np.zeros((1, 1, count, n))
+        self._run: Any = self._prepared(
             ForwardRun(
                 size=n,
                 square=0,
@@ -44,24 +46,32 @@ class StepTangents:
                 k1=1,
                 momenta=self._momenta,
                 errors=np.zeros((1, n)),
-                groups=empty,
+                groups=np.zeros((1, 0)),
                 marked=1,
                 marks=np.ones(1, dtype=np.int64),
                 at_points=self._after,
-                at_groups=empty,
+                at_groups=np.zeros((1, 1, count, 0, 0)),
                 tangents=self._tangents,
-                group_tangents=empty,
+                group_tangents=np.zeros((1, count, 0, 0)),
                 coefficients=coefficients,
             )
         )
 
+    def _prepared(self, table: Any) -> Any:
+        """Return a table as the compiled loop reads it, or itself for steps in Python."""
+        return as_structure(table) if isinstance(self._tables.forward, str) else table
+
     def __call__(self, x: Floats, t: float, values: Floats | None) -> Floats | None:
         """Return the derivatives side by side, (n, n + k), at values of the inputs; None if they are not finite."""
         structure = self._fixed if values is None else self._tables.tables_at(self._h, values)
-        self._momenta[0], self._tangents[0], self._run.t0 = x, self._units, t
-        if not advance_tables(self._name, structure, self._run, 0, 1, StopFlag()):
-            if (raised := raised_by(self._tables.keepalive)) is not None:
-                raise raised
-            return None
+        self._momenta[0], self._tangents[0] = x, self._units
+        if not isinstance(self._tables.forward, str):
+            self._tables.forward(structure, self._run._replace(t0=t), 0, 1)
+        else:
+            self._run.t0 = t
+            if not advance_tables(self._tables.forward, structure, self._run, 0, 1, StopFlag()):
+                if (raised := raised_by(self._tables.keepalive)) is not None:
+                    raise raised
+                return None
         found = self._after[0, 0].T.copy()
         return found if np.isfinite(found).all() else None
