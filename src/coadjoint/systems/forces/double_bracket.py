@@ -143,11 +143,11 @@ def exponential(system: Any, v: NDArray[Any], x: NDArray[Any]) -> NDArray[Any]:
     """Return exp(D_v) x, D_v x = sign J(x) v, by its power series in substeps."""
     D, substeps = _generator(system, v)
     for _ in range(substeps):
-        term, total = x, np.zeros_like(x)
+        term, total, negligible = x, np.zeros_like(x), 2.0**-60 * np.abs(x).max(initial=0.0)
         for k in range(1, MAX_TERMS):
             term = D @ term / (k * substeps)
             total = total + term
-            if not np.any(np.abs(term) > 2.0**-60 * np.abs(x).max(initial=0.0)):
+            if not np.abs(term).max(initial=0.0) > negligible:
                 break
         x = x + total
     return np.asarray(x)
@@ -162,13 +162,13 @@ def exponential_with_tangent(
     n, J = len(x), system.algebra.structure_matrix
     columns = np.concatenate([x[:, None], np.eye(n), np.zeros((n, n))], axis=1)
     for _ in range(substeps):
-        term, total = columns, np.zeros_like(columns)
+        term, total, negligible = columns, np.zeros_like(columns), 2.0**-60 * np.abs(columns).max()
         for k in range(1, MAX_TERMS):
             image = D @ term
             image[:, n + 1 :] += system.sign * np.asarray(J(term[:, 0]), dtype=np.float64)
             term = image / (k * substeps)
             total += term
-            if not np.any(np.abs(term) > 2.0**-60 * np.abs(columns).max(axis=0).max()):
+            if not np.abs(term).max() > negligible:
                 break
         columns = columns + total
     return columns[:, 0], columns[:, 1 : n + 1], columns[:, n + 1 :]
