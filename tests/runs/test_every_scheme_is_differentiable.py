@@ -82,6 +82,11 @@ STEPWISE = [
     (TOP, co.CommutatorFree(), X6, False),
     (BODY, co.Projected(co.GaussLegendre(1)), X3, False),
     (SPINS, co.SphericalMidpoint(), UNIT_SPINS, False),
+    (BODY, co.Taylor(order=6), X3, True),
+    (TOP, co.Taylor(order=3, projected=False), X6, "coadjoint"),
+    (SPINORS, co.CommutatorFree(3), X3, True),
+    (TOP, co.CommutatorFree(), X6, "coadjoint"),
+    (CUBIC, co.Taylor(order=4), X3, "coadjoint"),
 ]
 SPANS = {
     "forward": ((0.5, 1.5), {"save_every": 7}),
@@ -194,22 +199,55 @@ def test_derivatives_of_long_steps_are_those_of_runs(method, step):
     np.testing.assert_allclose(tangents.x.sum(axis=(0, 1)), gradient, rtol=0, atol=2.0**12 * UNIT_ROUNDOFF * size)
 
 
-@pytest.mark.parametrize("system", [BODY, TOP, SPINS, co.systems.matrix_body((1.0, 2.0, 3.0))], ids=str)
+BODIES = [BODY, TOP, SPINS, co.systems.matrix_body((1.0, 2.0, 3.0))]
+REFUSED = {("ReversibleSteps", "forces"): "chooses its own steps"}
+"""Schemes that are not differentiated with forces or with attitudes, and the reason."""
+MATRIX_SCHEMES = {"IsospectralGauss", "LineSplitting"}
+"""Schemes for matrices alone."""
+
+
+def assert_adjoint(ready, x0):
+    """Compare the tangent along the state and the attitude with the gradient, in a run of two steps."""
+    sol, pullback = ready.vjp(x0, (0.0, 0.1))
+    turned = sol.attitude is not None
+    gradient = pullback(sol.x, energy=sol.energy, attitude=sol.attitude)
+    directions = {"x0": x0} | ({"attitude0": sol.attitude[0]} if turned else {})
+    directions |= {name: np.ones(np.shape(value)) for name, value in ready.parameters.items()}
+    _, tangents = ready.jvp(x0, (0.0, 0.1), directions)
+    product = np.sum(sol.x * tangents.x) + sol.energy @ tangents.energy
+    product += np.sum(sol.attitude * tangents.attitude) if turned else 0.0
+    products = [gradient[name] * direction for name, direction in directions.items()]
+    size = sum(np.sum(np.abs(one)) for one in products)
+    assert abs(sum(np.sum(one) for one in products) - product) <= 2.0**10 * UNIT_ROUNDOFF * size
+
+
+@pytest.mark.parametrize("system", BODIES, ids=str)
 def test_every_scheme_has_derivatives(system):
-    """A new scheme is differentiated step by step."""
+    """A new scheme is differentiated step by step, with forces and with attitudes, or is on the list of refusals."""
     x0 = {3: X3, 6: UNIT_SPINS if system is SPINS else X6}.get(system.dim)
     x0 = system.algebra.projected(np.arange(9.0).reshape(3, 3) / 9) if x0 is None else x0
+    forced = system.with_forces(co.forces.LinearDamping(0.2))
+    seen = set()
     for name in registry.names():
-        try:
-            ready = co.prepare(system, name, 0.05)
-        except (TypeError, ValueError):
-            continue
-        sol, pullback = ready.vjp(x0, (0.0, 0.1))
-        gradient = pullback(sol.x, energy=sol.energy)
-        _, tangents = ready.jvp(x0, (0.0, 0.1), {"x0": x0})
-        product = np.sum(sol.x * tangents.x) + sol.energy @ tangents.energy
-        size = np.sum(np.abs(gradient["x0"] * x0))
-        assert abs(np.sum(gradient["x0"] * x0) - product) <= 2.0**10 * UNIT_ROUNDOFF * size
+        method = registry.scheme(name).examples()[0]
+        for attitude in (False, "coadjoint"):
+            for kind, one in (("alone", system), ("forces", forced)):
+                try:
+                    ready = co.prepare(one, method, 0.05, attitude=attitude)
+                except (TypeError, ValueError):
+                    continue
+                seen.add((name, kind, bool(attitude)))
+                reason = REFUSED.get((name, kind))
+                if reason is None:
+                    assert_adjoint(ready, x0)
+                else:
+                    with pytest.raises(TypeError, match=reason):
+                        ready.vjp(x0, (0.0, 0.1))
+    assert {one[1:] for one in seen} >= {("alone", False), ("forces", False)}
+    if system is BODY:
+        everything = {name for name in registry.names() if name not in MATRIX_SCHEMES}
+        assert {name for name, kind, _ in seen if kind == "forces"} == everything
+        assert {name for name, kind, turned in seen if kind == "forces" and turned} >= {"Taylor", "CommutatorFree"}
 
 
 MATRICES = {"matrix_body": {"inertia": (1.0, 2.0, 3.0)}} | {
