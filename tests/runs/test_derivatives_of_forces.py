@@ -142,6 +142,14 @@ def test_derivatives_of_runs_with_forces(kind, scheme, name, span):
     assert {"M", "linear"} <= set(gradient)
 
 
+def test_torques_of_time_are_differentiated_at_their_times():
+    """The second half flows of a step begin at its middle."""
+    system = plain("sl(2)").with_forces(F.Torque(lambda x, t: -t * x), F.LinearDamping(0.2, 0.5))
+    dx0 = np.array([0.3, -1.0, 0.5])
+    for span in SPANS.values():
+        assert_derivatives_are_those_of_runs(system, co.Splitting(), state(3), dx0, span)
+
+
 def test_a_shifted_energy_turns_the_attitude_of_each_step():
     """A Casimir is subtracted from the energy of this body; its factor of the attitude begins anew in each step."""
     body = co.systems.rigid_body(inertia=(1.0, 2.0, 2.5))

@@ -247,8 +247,9 @@ class PreparedRun:
 
         Those of a ready-made system are its arguments that enter coefficients of the Hamiltonian, such as ``inertia``,
         ``lever`` or ``exchange``; of other systems ``M`` and ``linear`` of a `Quadratic`, or the ``coefficients`` of a
-        `Polynomial`, in the order of its monomials. Those of a batch have a first axis of members. ``M`` has the shape
-        (n,) if it is diagonal, and (n, n) otherwise, above 128 coordinates that of its nonzero entries.
+        `Polynomial`, in the order of its monomials. Those of forces follow, such as ``LinearDamping.rate``. Those of a
+        batch have a first axis of members. ``M`` has the shape (n,) if it is diagonal, and (n, n) otherwise, above 128
+        coordinates that of its nonzero entries.
 
         Examples
         --------
@@ -323,7 +324,8 @@ class PreparedRun:
         energy is one more part of the splitting of size zero, "added part": the derivative of a scheme of the same
         order, which agrees with that of the motion to this order. Runge-Kutta methods are always "exact". The steps of
         other schemes are differentiated in Python, one by one: by the state through `Method.tangent`, and by parameters
-        through central differences of order 8, with about twelve digits, "differences".
+        through central differences of order 8, with about twelve digits, "differences". So are the flows of forces,
+        with the noise of the run; their parameters have names such as "LinearDamping.rate".
 
         The lengths of steps that a scheme chooses are fixed. Crossings of events are differentiated with their times,
         in `tangents.events`; the point at which an event ends a run moves with its crossing.
