@@ -74,6 +74,7 @@ COMPILED = [
     (BODY, co.ModifiedGaussLegendre(1, freeze="gradient"), X3, "coadjoint"),
     (TOP, co.IteratedGaussLegendre(2, iterations=3), X6, False),
     (TOP, co.Composition(co.GaussLegendre(1), (0.7, -0.4, 0.7)), X6, "coadjoint"),
+    (SPINORS, co.Splitting(order=4), X3, True),
 ]
 STEPWISE = [
     (BODY, co.Taylor(order=8), X3, False),

@@ -85,7 +85,8 @@ def integrate(
         Name -> `Polynomial`, `Quadratic` or function of x: further quantities, computed at the saved points. If states
         are matrices, functions of a matrix.
     threads : int, optional
-        Number of threads for the members of an ensemble. The default is one for each core. For matrices of more than
+        Number of threads, first for the members of an ensemble, then inside of large members that a splitting
+        advances, such as lattices of spins. The default is one for each core. For matrices of more than
         128 rows it is one, since BLAS uses threads itself.
     progress : bool
         Show a progress bar.

@@ -565,7 +565,7 @@ class PreparedRun:
         if isinstance(loops, InputLoops):
             assert values is not None
             loops, system = loops.at(values), partial(self.system_at, values)
-        return Run(system, self.method, loops, times, start, self._watching, workers, state)
+        return Run(system, self.method, loops, times, start, self._watching, workers, state, self._threads // workers)
 
     def _watched(self, events: tuple[Event, ...], x0: NDArray[np.float64], t0: float) -> WatchedEvents:
         """Return the compiled events; those of the last run are cached."""
@@ -648,7 +648,8 @@ def prepare(
     observe : mapping, optional
         Name -> `Polynomial` or function of x: further quantities, computed at the saved points.
     threads : int, optional
-        Number of threads for the members of an ensemble. The default is one for each core.
+        Number of threads, first for the members of an ensemble, then inside of large members that a splitting
+        advances, such as lattices of spins. The default is one for each core.
     inputs : True, sequence of int, or mapping, optional
         Quantities that may change from run to run: coefficients of the linear term of H (such as a field, the weight
         of a top, the momenta of rotors), and constant torques. Give the coordinates whose coefficients change, or True

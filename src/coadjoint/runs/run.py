@@ -40,7 +40,8 @@ SECONDS_BETWEEN_UPDATES = 0.2
 class Run:
     """Arrays of one run, from validated states and times, and the loops that fill them.
 
-    `system` may be a `partial` that builds it lazily. A run with a `state` resumes after its steps; earlier points are
+    `system` may be a `partial` that builds it lazily. `workers` threads advance members, and `inside` share the work of
+    each. A run with a `state` resumes after its steps; earlier points are
     not saved again.
 
     Attributes
@@ -67,11 +68,12 @@ class Run:
         watching: bool,
         workers: int = 1,
         state: RunState | None = None,
+        inside: int = 1,
     ) -> None:
         if state is not None:
             times = times.after(state.number)
         self.system, self.method, self.loops = system, method, loops
-        self.start, self.watching, self.workers = start, watching, workers
+        self.start, self.watching, self.workers, self.inside = start, watching, workers, inside
         self._allocate(times)
         square = start.groups.shape[1] ** 2
         if state is None:
@@ -97,7 +99,7 @@ class Run:
         self.plan = self.loops.plan(members, times.points, self.start.groups.shape[1] ** 2, self.workers)
         check_run_memory(self.plan.layout, times, members)
         self.saved = NamedArrays(self.plan.layout.saved)
-        self._schedule = schedule_of(*times[:4], self.watching, *times[4:6], events=events)
+        self._schedule = schedule_of(*times[:4], self.watching, *times[4:6], events=events, threads=self.inside)
 
     def release_points(self) -> None:
         """Release the saved points, and allocate arrays for those that follow."""
@@ -113,7 +115,7 @@ class Run:
     def enable_events(self, events: int) -> None:
         """Enable event detection, with the address of the event tables; these must outlive the run."""
         times, self._event_tables_address = self.times, events
-        self._schedule = schedule_of(*times[:4], self.watching, *times[4:6], events=events)
+        self._schedule = schedule_of(*times[:4], self.watching, *times[4:6], events=events, threads=self.inside)
 
     def close(self, last: NDArray[np.int64]) -> None:
         """Discard points saved after the last steps of members that events have ended."""

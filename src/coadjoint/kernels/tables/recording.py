@@ -36,7 +36,7 @@ class Schedule(NamedTuple):
 
     Saved are the `marked` steps at the address `marks`, ascending; if it is 0, every `save_every`-th step and the last.
     `starts` and `lengths`, if not 0, are addresses of the start and length of the one step of each member.
-    `events` is the address of `EventTables`, or 0.
+    `events` is the address of `EventTables`, or 0. `threads` may share the work of one member.
     """
 
     t0: float
@@ -50,6 +50,7 @@ class Schedule(NamedTuple):
     starts: int = 0
     lengths: int = 0
     events: int = 0
+    threads: int = 1
 
 
 def schedule_of(
@@ -61,10 +62,11 @@ def schedule_of(
     passed: int = 0,
     marks: NDArray[np.int64] | None = None,
     events: int = 0,
+    threads: int = 1,
 ) -> bytes:
     """Return a `Schedule` as bytes for the loops; the arrays of marks and events must live as long."""
     marked, address_of_marks = (0, 0) if marks is None else (len(marks), marks.ctypes.data)
-    return packer(Schedule)(t0, h, steps, save_every, passed, watching, marked, address_of_marks, 0, 0, events)
+    return packer(Schedule)(t0, h, steps, save_every, passed, watching, marked, address_of_marks, 0, 0, events, threads)
 
 
 SINGLE_STEP_MARK = np.array([1], dtype=np.int64)
@@ -76,7 +78,7 @@ def partial_step_schedule(starts: NDArray[np.float64], lengths: NDArray[np.float
     The run does not end with this step, so that no energy is computed. The arrays must live as long.
     """
     addresses = (SINGLE_STEP_MARK.ctypes.data, starts.ctypes.data, lengths.ctypes.data)
-    return packer(Schedule)(0.0, 0.0, 2, 1, 0, False, 1, *addresses, 0)
+    return packer(Schedule)(0.0, 0.0, 2, 1, 0, False, 1, *addresses, 0, 1)
 
 
 def values_along(watch: Any, points: NDArray[np.float64], times: NDArray[np.float64], out: NDArray[np.float64]) -> None:

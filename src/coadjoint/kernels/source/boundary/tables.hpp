@@ -81,10 +81,12 @@ TABLE(Extent, EXTENT_FIELDS)
 
 // The saved steps are the `marked` steps at `marks`, ascending; without marks every save_every-th from 0 on, and the
 // last. The first `passed` of them are already saved, and have no memory in a resumed run. With `starts` and `lengths`
-// every member takes a single step: from that time, of that length. `events` is the address of `EventTables`, or zero.
+// every member takes a single step: from that time, of that length. `events` is the address of `EventTables`, or zero. `threads` may share the
+// work of one member.
 #define SCHEDULE_FIELDS(_)                                                                                           \
     _(number, t0) _(number, h) _(integer, steps) _(integer, save_every) _(integer, passed) _(flag, watching)  \
-    _(integer, marked) _(integers, marks) _(numbers, starts) _(numbers, lengths) _(integer, events)
+    _(integer, marked) _(integers, marks) _(numbers, starts) _(numbers, lengths) _(integer, events)                  \
+    _(integer, threads)
 TABLE(Schedule, SCHEDULE_FIELDS)
 
 // The length of the steps of a member, and the time at which its step k begins; step k + 1 begins where step k ends.

@@ -21,14 +21,14 @@ struct CachedRotation {
 
 constexpr int SPREAD = 8;  // rotations of one trajectory whose sines are computed side by side
 
-// The rotations of a run, each by a different angle.
+// The rotations first to count - 1 of a run, each by a different angle.
 template <Summation summation, class A, class V, class C>
 NOINLINE void rotate_several(const Action& action, const C& constants, uint32_t run, double tau, const A* theta,
-                             Vectors<V> x) {
-    const uint32_t repeat = action.repeat[run], count = action.angles[run];
-    const uint32_t* index = action.indices + action.position[run];
+                             Vectors<V> x, uint32_t first, uint32_t count) {
+    const uint32_t repeat = action.repeat[run];
+    const uint32_t* index = action.indices + action.position[run] + 2 * repeat * first;
     const int64_t position = action.constant[run];
-    uint32_t q = 0;
+    uint32_t q = first;
     if constexpr (Numbers<A>::lanes == 1) {
         for (; q + SPREAD <= count; q += SPREAD) {
             typedef Lanes<SPREAD> Spread;
@@ -57,7 +57,7 @@ NOINLINE void act_run(const Action& action, const C& constants, uint32_t run, do
     const uint32_t* index = action.indices + action.position[run];
     int64_t position = action.constant[run];
     if (kind == ROTATE) {
-        rotate_several<summation>(action, constants, run, tau, theta, x);
+        rotate_several<summation>(action, constants, run, tau, theta, x, 0, count);
     } else if (kind == SHEAR) {
         for (uint32_t q = 0; q < count; ++q) {
             const A scaled = tau * theta[q];

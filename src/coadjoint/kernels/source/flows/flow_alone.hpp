@@ -1,6 +1,8 @@
 // The loop over steps of programs, for one trajectory.
 #pragma once
 
+#include <memory>
+
 #include "flows/elementary_flows.hpp"
 
 namespace coadjoint {
@@ -8,6 +10,8 @@ namespace coadjoint {
 // The rows of the group element are lanes, and finished states are lanes of steps.
 constexpr int ROWS = 4;
 typedef Lanes<ROWS> GroupRows;
+
+constexpr int64_t LEAST_SHARED = 2048;  // angles of a part from which on threads may share it
 
 template <Summation summation, class A>
 struct Finisher {
@@ -41,6 +45,11 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
     AlignedArray<GroupRows> checkpoint_elements(with_group ? 2 * d * rows : 0);
     AngleWorkspace<double> angles(tables.longest);
     angles.even = even_terms(tables.terms, tables.longest);
+    std::unique_ptr<Crew> crew;
+    if (schedule.threads > 1 && tables.longest >= LEAST_SHARED) {
+        crew = std::make_unique<Crew>(schedule.threads);
+        angles.crew = crew.get();
+    }
     PartialStep<double> partial_step;
     partial_step.set(tables, schedule, member, 0);
     if (partial_step.needed) angles.partial_step = &partial_step;
@@ -98,7 +107,12 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
         if (with_group) std::copy_n(elements.at, 2 * d * rows, checkpoint_elements.at);
     };
     const auto is_finite = [&](const double* at, const GroupRows* element) {
-        return finite(size, at) && (!with_group || all(finite(d * rows, element)));
+        std::atomic<bool> all_finite{true};
+        const auto check = [&](int64_t first, int64_t last) {
+            if (!finite(last - first, at + first)) all_finite.store(false, std::memory_order_relaxed);
+        };
+        crew ? crew->each(size, check) : check(0, size);
+        return all_finite && (!with_group || all(finite(d * rows, element)));
     };
     // The step in which a number of step k became infinite: if already the finish of the previous step overflows, it
     // was that one.

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "flows/bonds.hpp"
+#include "flows/crew.hpp"
 #include "boundary/loop.hpp"
 
 namespace coadjoint {
@@ -31,10 +32,9 @@ inline std::vector<bool> even_terms(const Terms& terms, int64_t longest) {
     return even;
 }
 
-// `gradient_rows` of such a term.
+// The rows start to stop - 1 of such a term, as by `gradient_rows`.
 template <class A>
-NOINLINE void even_rows(const Terms& terms, int64_t k, const A* x, A* out) {
-    const uint32_t start = terms.row[k], stop = terms.row[k + 1];
+NOINLINE void even_rows(const Terms& terms, uint32_t start, uint32_t stop, const A* x, A* out) {
     const uint32_t *entry = terms.entry, *column = terms.column;
     const A offset(terms.offset[start]), weight(terms.weight[entry[start]]);
     for (uint32_t row = start, e = entry[start]; row < stop; ++row) {
@@ -65,6 +65,7 @@ struct AngleWorkspace {
     AlignedArray<A> theta, rotated, arguments;
     std::vector<double> calls;
     std::vector<bool> even;
+    Crew* crew = nullptr;  // of one large member
     explicit AngleWorkspace(int64_t longest)
         : theta(longest), rotated(longest), arguments(longest), calls(2 * longest + 2) {}
 };
@@ -82,6 +83,29 @@ Rotations<A> rotations_of_part(const FlowTables& tables, const C& constants, uin
             Rotations<A>{rotations.angle + angle, rotations.sine + angle, rotations.cosm1 + angle, rotations.direct});
     }
     return rotations;
+}
+
+// Visit the rows of a term, on the threads of a crew if there is one.
+template <class Visit>
+INLINE void share_rows(Crew* crew, const Terms& terms, uint32_t k, const Visit& visit) {
+    const uint32_t start = terms.row[k], stop = terms.row[k + 1];
+    if (!crew) return visit(start, stop);
+    crew->each(stop - start, [&](int64_t first, int64_t last) { visit(start + uint32_t(first), start + uint32_t(last)); });
+}
+
+// `act` for many angles, with the rotations of each run on the threads of a crew.
+template <Summation summation, class A, class V, class C>
+NOINLINE void share_action(Crew& crew, const Action& action, const C& constants, uint32_t part, double tau,
+                           const A* theta, const Vectors<V>& x) {
+    for (uint32_t run = action.run[part]; run < action.run[part + 1]; ++run) {
+        const A* angles = theta + action.angle[run];
+        if (action.kind[run] != ROTATE)
+            act_run<summation>(action, constants, run, tau, angles, x);
+        else
+            crew.each(action.angles[run], [&](int64_t first, int64_t last) {
+                rotate_several<summation>(action, constants, run, tau, angles, x, uint32_t(first), uint32_t(last));
+            });
+    }
 }
 
 // Whether a part consists of bonds that rotate momenta directly. Compensated sums use the blocks.
@@ -127,7 +151,14 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
         const A moment = t + (partial_step ? A(tables.moment[r]) * partial_step->length : A(tables.moment[r] * h));
         for (uint32_t k = low; k < high; ++k)
             if (!workspace.even.empty() && workspace.even[k])
-                even_rows(terms, k, x.at, workspace.theta.at + (terms.row[k] - terms.row[low]));
+                share_rows(workspace.crew, terms, k, [&](uint32_t first, uint32_t last) {
+                    even_rows(terms, first, last, x.at, workspace.theta.at + (first - terms.row[low]));
+                });
+            else if (workspace.crew && terms.kind[k] == LINEAR)
+                share_rows(workspace.crew, terms, k, [&](uint32_t first, uint32_t last) {
+                    for (uint32_t angle = first; angle < last; ++angle)
+                        workspace.theta.at[angle - terms.row[low]] = linear_row(terms, constants, angle, x.at);
+                });
             else
                 gradient_rows(terms, constants, tables.addresses, k, x.at, moment, workspace.theta.at, terms.row[low],
                               workspace.arguments.at, workspace.calls.data());
@@ -135,7 +166,10 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
             workspace.theta.at[angle] = workspace.theta.at[angle] * partial_step->scale;
     }
     CachedRotation<A> cached;
-    act<summation, false>(tables.state, constants, part, tau, single, single_angle, workspace.theta.at, cached, x);
+    if (workspace.crew && !single)
+        share_action<summation>(*workspace.crew, tables.state, constants, part, tau, workspace.theta.at, x);
+    else
+        act<summation, false>(tables.state, constants, part, tau, single, single_angle, workspace.theta.at, cached, x);
     if constexpr (with_group) {
         if (__builtin_expect(tables.bent[part], 0)) {
             const int64_t base = single ? row : terms.row[tables.share[part]];

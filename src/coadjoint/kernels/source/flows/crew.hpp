@@ -1,0 +1,121 @@
+// Threads that share the loops over the coordinates of one large member. What they compute does not depend on their
+// number, since each element is computed by one of them as by a single thread.
+#pragma once
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <condition_variable>
+#include <cstdint>
+#include <mutex>
+#include <system_error>
+#include <thread>
+#include <vector>
+
+namespace coadjoint {
+
+class Crew {
+  public:
+    // `threads` includes the calling thread; there are fewer if the system starts no more.
+    explicit Crew(int64_t threads) {
+        try {
+            for (int64_t number = 1; number < threads; ++number)
+                others.emplace_back([this, number] { serve(number); });
+        } catch (const std::system_error&) {
+        }
+        measure();
+    }
+
+    ~Crew() {
+        {
+            std::lock_guard<std::mutex> lock(mutex);
+            ended = true;
+            job_number.fetch_add(1, std::memory_order_release);
+        }
+        wake.notify_all();
+        for (std::thread& other : others) other.join();
+    }
+
+    Crew(const Crew&) = delete;
+    Crew& operator=(const Crew&) = delete;
+
+    // Call `visit(first, last)` for slices of 0 to count - 1, on all threads; it must not throw. Few elements, for which
+    // sharing costs more than it saves, are one slice.
+    template <class Visit>
+    void each(int64_t count, const Visit& visit) {
+        if (count < smallest) return visit(int64_t(0), count);
+        share(count, visit);
+    }
+
+    // Number of elements from which on sharing saves time.
+    int64_t worthwhile() const { return smallest; }
+
+  private:
+    typedef void (*Job)(const void*, int64_t, int64_t);
+    static constexpr int64_t ALIGNED = 64;   // slices begin at multiples: of registers and of cache lines
+    static constexpr int SPINS = 1 << 12;    // polls before a thread sleeps
+    static constexpr int TRIALS = 8;
+    static constexpr double ELEMENT = 2e-9;  // least seconds for an element
+    std::vector<std::thread> others;
+    std::mutex mutex;
+    std::condition_variable wake;
+    std::atomic<uint64_t> job_number{0};
+    std::atomic<int64_t> left{0};
+    Job job = nullptr;
+    const void* context = nullptr;
+    int64_t total = 0, smallest = INT64_MAX;
+    bool ended = false;
+
+    template <class Visit>
+    void share(int64_t count, const Visit& visit) {
+        job = [](const void* at, int64_t first, int64_t last) { (*static_cast<const Visit*>(at))(first, last); };
+        context = &visit, total = count;
+        left.store(int64_t(others.size()), std::memory_order_relaxed);
+        {
+            std::lock_guard<std::mutex> lock(mutex);
+            job_number.fetch_add(1, std::memory_order_release);
+        }
+        wake.notify_all();
+        take_slice(0);
+        for (int spins = 0; left.load(std::memory_order_acquire) > 0; ++spins)
+            if (spins > SPINS) std::this_thread::yield();
+    }
+
+    void take_slice(int64_t number) const {
+        const int64_t threads = int64_t(others.size()) + 1, blocks = (total + ALIGNED - 1) / ALIGNED;
+        const int64_t first = std::min(total, blocks * number / threads * ALIGNED);
+        const int64_t last = std::min(total, blocks * (number + 1) / threads * ALIGNED);
+        if (first < last) job(context, first, last);
+    }
+
+    void serve(int64_t number) {
+        uint64_t done = 0;
+        while (true) {
+            int spins = 0;
+            while (job_number.load(std::memory_order_acquire) == done && spins < SPINS) ++spins;
+            if (spins == SPINS) {
+                std::unique_lock<std::mutex> lock(mutex);
+                wake.wait(lock, [&] { return job_number.load(std::memory_order_acquire) != done; });
+            }
+            done = job_number.load(std::memory_order_acquire);
+            if (ended) return;
+            take_slice(number);
+            left.fetch_sub(1, std::memory_order_release);
+        }
+    }
+
+    // Find the size from which on sharing takes less time than it saves, on this machine and with its present load.
+    void measure() {
+        if (others.empty()) return;
+        double least = 1.0;
+        for (int trial = 0; trial < TRIALS; ++trial) {
+            const auto begun = std::chrono::steady_clock::now();
+            share(0, [](int64_t, int64_t) {});
+            least = std::min(least, std::chrono::duration<double>(std::chrono::steady_clock::now() - begun).count());
+        }
+        const double threads = double(others.size() + 1);
+        smallest = std::max(ALIGNED * int64_t(threads), int64_t(least / (ELEMENT * (1.0 - 1.0 / threads))));
+    }
+};
+
+}  // namespace coadjoint
