@@ -14,6 +14,8 @@
 
 namespace coadjoint {
 
+constexpr int64_t LEAST_SHARED = 1024;  // elements from which on threads may share them
+
 class Crew {
   public:
     // `threads` includes the calling thread; there are fewer if the system starts no more.
@@ -23,7 +25,6 @@ class Crew {
                 others.emplace_back([this, number] { serve(number); });
         } catch (const std::system_error&) {
         }
-        measure();
     }
 
     ~Crew() {
@@ -39,35 +40,11 @@ class Crew {
     Crew(const Crew&) = delete;
     Crew& operator=(const Crew&) = delete;
 
-    // Call `visit(first, last)` for slices of 0 to count - 1, on all threads; it must not throw. Few elements, for which
-    // sharing costs more than it saves, are one slice.
+    // Call `visit(first, last)` for slices of 0 to count - 1, on all threads; it must not throw. Few elements are one
+    // slice.
     template <class Visit>
     void each(int64_t count, const Visit& visit) {
-        if (count < smallest) return visit(int64_t(0), count);
-        share(count, visit);
-    }
-
-    // Number of elements from which on sharing saves time.
-    int64_t worthwhile() const { return smallest; }
-
-  private:
-    typedef void (*Job)(const void*, int64_t, int64_t);
-    static constexpr int64_t ALIGNED = 64;   // slices begin at multiples: of registers and of cache lines
-    static constexpr int SPINS = 1 << 12;    // polls before a thread sleeps
-    static constexpr int TRIALS = 8;
-    static constexpr double ELEMENT = 2e-9;  // least seconds for an element
-    std::vector<std::thread> others;
-    std::mutex mutex;
-    std::condition_variable wake;
-    std::atomic<uint64_t> job_number{0};
-    std::atomic<int64_t> left{0};
-    Job job = nullptr;
-    const void* context = nullptr;
-    int64_t total = 0, smallest = INT64_MAX;
-    bool ended = false;
-
-    template <class Visit>
-    void share(int64_t count, const Visit& visit) {
+        if (count < LEAST_SHARED) return visit(int64_t(0), count);
         job = [](const void* at, int64_t first, int64_t last) { (*static_cast<const Visit*>(at))(first, last); };
         context = &visit, total = count;
         left.store(int64_t(others.size()), std::memory_order_relaxed);
@@ -80,6 +57,20 @@ class Crew {
         for (int spins = 0; left.load(std::memory_order_acquire) > 0; ++spins)
             if (spins > SPINS) std::this_thread::yield();
     }
+
+  private:
+    typedef void (*Job)(const void*, int64_t, int64_t);
+    static constexpr int64_t ALIGNED = 64;  // slices begin at multiples: of registers and of cache lines
+    static constexpr int SPINS = 1 << 12;   // polls before a thread sleeps
+    std::vector<std::thread> others;
+    std::mutex mutex;
+    std::condition_variable wake;
+    std::atomic<uint64_t> job_number{0};
+    std::atomic<int64_t> left{0};
+    Job job = nullptr;
+    const void* context = nullptr;
+    int64_t total = 0;
+    bool ended = false;
 
     void take_slice(int64_t number) const {
         const int64_t threads = int64_t(others.size()) + 1, blocks = (total + ALIGNED - 1) / ALIGNED;
@@ -103,19 +94,30 @@ class Crew {
             left.fetch_sub(1, std::memory_order_release);
         }
     }
+};
 
-    // Find the size from which on sharing takes less time than it saves, on this machine and with its present load.
-    void measure() {
-        if (others.empty()) return;
-        double least = 1.0;
-        for (int trial = 0; trial < TRIALS; ++trial) {
-            const auto begun = std::chrono::steady_clock::now();
-            share(0, [](int64_t, int64_t) {});
-            least = std::min(least, std::chrono::duration<double>(std::chrono::steady_clock::now() - begun).count());
-        }
-        const double threads = double(others.size() + 1);
-        smallest = std::max(ALIGNED * int64_t(threads), int64_t(least / (ELEMENT * (1.0 - 1.0 / threads))));
+// Whether the crew takes part in a step: of every 64 steps two are taken without it and two with it, and the others as
+// was faster, on this machine and with its present load.
+class SharedSteps {
+  public:
+    // Return whether the next step is shared.
+    bool begin() {
+        const int64_t trial = number++ % REPEATED;
+        if (trial == 0) least[0] = least[1] = std::chrono::steady_clock::duration::max();
+        shared = trial < 2 * TRIALS ? trial >= TRIALS : least[1] < least[0];
+        begun = std::chrono::steady_clock::now();
+        return shared;
     }
+
+    // The step is done.
+    void end() { least[shared] = std::min(least[shared], std::chrono::steady_clock::now() - begun); }
+
+  private:
+    static constexpr int64_t REPEATED = 64, TRIALS = 2;
+    int64_t number = 0;
+    bool shared = false;
+    std::chrono::steady_clock::time_point begun;
+    std::chrono::steady_clock::duration least[2];
 };
 
 }  // namespace coadjoint

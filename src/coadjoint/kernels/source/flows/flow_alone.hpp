@@ -11,8 +11,6 @@ namespace coadjoint {
 constexpr int ROWS = 4;
 typedef Lanes<ROWS> GroupRows;
 
-constexpr int64_t LEAST_SHARED = 2048;  // angles of a part from which on threads may share it
-
 template <Summation summation, class A>
 struct Finisher {
     static constexpr bool nothing = false, with_errors = summation != PLAIN;
@@ -46,10 +44,8 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
     AngleWorkspace<double> angles(tables.longest);
     angles.even = even_terms(tables.terms, tables.longest);
     std::unique_ptr<Crew> crew;
-    if (schedule.threads > 1 && tables.longest >= LEAST_SHARED) {
-        crew = std::make_unique<Crew>(schedule.threads);
-        angles.crew = crew.get();
-    }
+    SharedSteps shared_steps;
+    if (schedule.threads > 1 && tables.longest >= LEAST_SHARED) crew = std::make_unique<Crew>(schedule.threads);
     PartialStep<double> partial_step;
     partial_step.set(tables, schedule, member, 0);
     if (partial_step.needed) angles.partial_step = &partial_step;
@@ -111,7 +107,7 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
         const auto check = [&](int64_t first, int64_t last) {
             if (!finite(last - first, at + first)) all_finite.store(false, std::memory_order_relaxed);
         };
-        crew ? crew->each(size, check) : check(0, size);
+        angles.crew ? angles.crew->each(size, check) : check(0, size);
         return all_finite && (!with_group || all(finite(d * rows, element)));
     };
     // The step in which a number of step k became infinite: if already the finish of the previous step overflows, it
@@ -132,6 +128,7 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
     const int64_t work = work_of_step(loop);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
         loop.interrupts.after(work);
+        if (crew) angles.crew = shared_steps.begin() ? crew.get() : nullptr;
         const double t = start_of(schedule, member, k);
         const std::vector<ElementaryFlow>& flows = k == 1 ? opening : repeated;
         for (const ElementaryFlow& flow : flows)
@@ -148,7 +145,9 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
             for (uint32_t r = first; r < last; ++r)
                 apply_row<summation, with_group, false>(tables, SharedConstants{}, r, momentum, group, t, schedule.h,
                                                         angles);
-        if (__builtin_expect(!is_finite(x, elements.at), 0)) {
+        const bool valid = is_finite(x, elements.at);
+        if (crew) shared_steps.end();
+        if (__builtin_expect(!valid, 0)) {
             failed = step_that_failed(k);
             break;
         }
