@@ -22,6 +22,7 @@ SECTIONS = {
     "fluids": "Fluids",
     "ensembles": "Ensembles",
     "members_of_series": "Ensembles by Taylor series",
+    "families": "Families of runs",
     "gauss_legendre": "Gauss-Legendre",
     "round_off": "Round-off",
     "lyapunov": "Tangent vectors",

@@ -12,22 +12,30 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 
 from coadjoint.interruption import ignore_signals, install_handlers
 from coadjoint.optional_packages import require_packages
+
+STARTED = time.monotonic()
+"""Start of the process, to which the times reported by `run` refer."""
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command with `arguments` (default: the command line) and return its exit status, see the module."""
+def main(arguments: Sequence[str] | None = None, began: float | None = None) -> int:
+    """Run the command with `arguments` (default: the command line) and return its exit status, see the module.
+
+    Reported times are counted from `began`, a value of ``time.monotonic()``; by default from this call.
+    """
+    began = time.monotonic() if began is None else began
     try:
         require_packages("the command coadjoint", "click")
         from coadjoint.commands import perform
 
-        status, message = perform(arguments)
+        status, message = perform(arguments, began)
     except ImportError as error:
         status, message = 2, f"coadjoint: {error}"
     except KeyboardInterrupt:
@@ -49,7 +57,7 @@ def run() -> None:
     """Run the command and exit the interpreter with its status."""
     install_handlers()
     _open_closed_streams()
-    status = main()
+    status = main(began=STARTED)
     try:
         sys.stdout.flush()
     except BrokenPipeError:

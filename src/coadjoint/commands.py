@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import time
 import warnings
 from collections.abc import Sequence
 from typing import TextIO
@@ -51,7 +52,7 @@ def _one_line_message(error: click.ClickException) -> str:
     return message
 
 
-def perform(arguments: Sequence[str] | None) -> tuple[int, str]:
+def perform(arguments: Sequence[str] | None, began: float | None = None) -> tuple[int, str]:
     """Run a command; return its exit status and the text for standard error: one line per error, or else per warning.
 
     Examples
@@ -79,20 +80,21 @@ def perform(arguments: Sequence[str] | None) -> tuple[int, str]:
 
     with warnings.catch_warnings():
         warnings.showwarning = show_warning
-        status, message = _invoke(list(sys.argv[1:] if arguments is None else arguments))
+        began = time.monotonic() if began is None else began
+        status, message = _invoke(list(sys.argv[1:] if arguments is None else arguments), began)
     if status == 0:
         message = "\n".join(dict.fromkeys(recorded))
     return status, message
 
 
-def _invoke(arguments: list[str]) -> tuple[int, str]:
+def _invoke(arguments: list[str], began: float) -> tuple[int, str]:
     from coadjoint.files.archives.reading import ArchiveError
     from coadjoint.files.configuration.construction import ConfigurationError
     from coadjoint.files.output.output_files import OutputError
 
     try:
         # Replaces click's own `main`, which prints an empty line at an interrupt.
-        with commands.make_context("coadjoint", arguments) as context:
+        with commands.make_context("coadjoint", arguments, obj=began) as context:
             commands.invoke(context)
     except click.exceptions.Exit as done:
         return done.exit_code, ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -92,10 +93,11 @@ def _output_paths(
 
 
 def _summarize(solution: Solution, written: Sequence[Path]) -> None:
-    stats = solution.stats
+    stats, seconds = solution.stats, time.monotonic() - click.get_current_context().find_root().obj
     click.echo(
         in_one_line(f"{solution.system.name}, {solution.method}")
-        + f": {stats.steps} steps of {solution.step:g}, {stats.seconds:.3g} s"
+        + f": {stats.steps} steps of {solution.step:g}; {seconds:.3g} s, {stats.seconds:.3g} s in the "
+        + "loop"
     )
     extent = "every step" if solution.watched else "the saved points"
     columns: dict[str, Mapping[str, float]] = {"largest deviation from the start": solution.change()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -13,6 +14,7 @@ from coadjoint.methods.registry import read_method
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution, with_choice
 from coadjoint.runs.run import read_progress
+from coadjoint.runs.start import combined
 from coadjoint.runs.step_error import warn_of_large_step
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
@@ -54,8 +56,8 @@ def integrate(
     system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
         The system; a `batch` has one for each member.
     x0 : array_like, shape (n,) or (members, n)
-        Initial momentum, or one for each member of an ensemble; (n,) is shared by all members of a batch. For a
-        `MatrixSystem` a matrix (N, N), or (members, N, N).
+        Initial momentum, or one for each member of an ensemble; (n,) is shared by all members of a batch, and every
+        state by all systems of a `batch` with named axes. For a `MatrixSystem` a matrix (N, N), or (members, N, N).
     t_span : (float, float)
         Start and end. The run goes backward in time if the end is the smaller one. The span must be a whole number of
         steps.
@@ -136,7 +138,9 @@ def integrate(
     >>> bool(np.linalg.norm(sol.x[-1] - exact) < 1e-8)
     True
     """
+    began = time.perf_counter()
     method = None if method is None else read_method(method)
+    system, x0 = combined(system, x0)
     if rtol is not None or atol is not None:
         raise TypeError(f"integrate has no {'rtol' if atol is None else 'atol'}: {NO_ERROR_CONTROL}")
     if (step is None) == (accuracy is None):
@@ -159,6 +163,8 @@ def integrate(
         )
     if choice is None:
         warn_of_large_step(sol, prepared)
+    if archive is None:
+        sol.record.elapsed = time.perf_counter() - began
     return with_choice(sol, choice)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from collections.abc import Mapping
 from functools import cached_property, partial
 from typing import Any, cast
@@ -135,18 +136,26 @@ class PreparedRun:
         -------
         PreparedRun
         """
+        return self._selected(among(self.system, first, last), np.arange(first, last), threads)
+
+    def sampled(self, members: NDArray[np.int64]) -> PreparedRun:
+        """Return the run of these members of a batch, from the tables already built; their noise differs."""
+        return self._selected(self.system.selected(members), members)
+
+    def _selected(self, part: Any, members: NDArray[np.int64], threads: int | None = None) -> PreparedRun:
         system, state = self.system, self.__getstate__()
-        state["system"] = part = among(system, first, last)
+        state["system"] = part
         # Tables hold the number of the noise, which a member keeps.
-        unchanged = all(member is member_of(system, first + m) for m, member in enumerate(members_of(part)))
+        unchanged = part is system
         if is_batch(system):
-            state["_representations"] = self._representations[first:last]
+            unchanged = {id(one) for one in part.distinct} <= {id(one) for one in system.distinct}
+            state["_representations"] = tuple(self._representations[m] for m in members.tolist())
             loops = self._loops_by_step.items() if unchanged else ()
-            state["_loops_by_step"] = {h: cast(BatchLoops, loop).among(first, last) for h, loop in loops}
+            state["_loops_by_step"] = {h: cast(BatchLoops, loop).selected(members) for h, loop in loops}
         else:
             state["_loops_by_step"] = self._loops_by_step if unchanged else {}
         if isinstance(self._attitude, np.ndarray) and self._attitude.ndim > 2:
-            state["_attitude"] = self._attitude[first:last]
+            state["_attitude"] = self._attitude[members]
         state["_threads"] = threads or self._threads
         selected: PreparedRun = object.__new__(PreparedRun)
         selected.__setstate__(state)
@@ -225,10 +234,13 @@ class PreparedRun:
         IntegrationError
             As in `integrate`.
         """
+        began = time.perf_counter()
         progress = read_progress(progress)
         times, moments = self.times_of(t_span, save_every, t_eval)
         values, event_list = self.values_of(inputs), read_events(events)
-        return self.follow(times, self.start(x0, attitude, values), progress, values, event_list, moments)
+        solution = self.follow(times, self.start(x0, attitude, values), progress, values, event_list, moments)
+        solution.record.elapsed = time.perf_counter() - began
+        return solution
 
     def times_of(self, t_span: Any, save_every: Any = 1, t_eval: Any = None) -> tuple[Times, OutputTimes | None]:
         """Validate span, `save_every` and `t_eval`; return the steps of a run, and the output times or None."""

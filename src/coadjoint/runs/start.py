@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -14,11 +15,10 @@ from coadjoint.methods.protocol.attitude import check_attitude
 from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.batch import Batch
+from coadjoint.systems.batch import Axis, Batch, axis_coordinates, check_axis_name
 from coadjoint.systems.protocol import (
     is_batch,
     member_of,
-    members_of,
     shape_of,
     unforced,
     unforced_matrix_system,
@@ -27,6 +27,9 @@ from coadjoint.systems.system_checks import System, check_system
 from coadjoint.validation import SMALL_SIZE, are_finite, read_numbers
 
 Representation = NDArray[np.float64] | str | None
+
+BYTES_PER_MEMBER = 100
+"""Memory for a member of a family, besides its state."""
 
 
 class Start(NamedTuple):
@@ -92,6 +95,54 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
     if not len(momenta):
         raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs at least one member")
     return np.ascontiguousarray(momenta), single
+
+
+def combined(system: Any, x0: Any) -> tuple[Any, Any]:
+    """Return a batch with named axes and x0 as members: every system with every state; anything else unchanged.
+
+    Dimensions of an `xarray.DataArray` x0 that are axes of the batch belong to these; the others are further axes.
+    """
+    if not is_batch(system) or system.combined:
+        return system, x0
+    shape, dims = shape_of(system[0]), getattr(x0, "dims", None)
+    states, axes = np.asarray(x0 if dims is None else x0.values), system.axes
+    lengths = tuple(axis.length for axis in axes.values())
+    leading = states.ndim - len(shape)
+    if leading < 0 or states.shape[leading:] != shape:
+        raise ValueError(f"x0 has the shape {states.shape}; each state must be of shape {shape}, its last dimensions")
+    if dims is not None:
+        names = tuple(map(str, dims[:leading]))
+    elif leading <= 1:
+        names = ("member",)[:leading]
+    elif leading == len(axes) + 1 and states.shape[: len(axes)] == lengths:
+        names = (*axes, "member")
+    else:
+        raise ValueError(
+            f"x0 has the shape {states.shape}; give states for all systems, (k, {str(shape)[1:]}, for each of them, "
+            f"{(*lengths, 'k', *shape)}, or an xarray.DataArray whose dimensions have names"
+        )
+    new: dict[str, Axis] = {}
+    for name, length in zip(names, states.shape, strict=False):
+        values = axis_coordinates(x0.coords[name].values) if dims is not None and name in x0.coords else None
+        if name not in axes:
+            check_axis_name(name, new)
+            new[name] = Axis(length, values)
+            continue
+        own = axes[name].values
+        if length != axes[name].length or (values is not None and own is not None and not np.array_equal(values, own)):
+            raise ValueError(f"x0 has other values of {name} than the batch; give those of the batch, in its order")
+    all_lengths = (*lengths, *(axis.length for axis in new.values()))
+    members = math.prod(all_lengths)
+    if not members:
+        raise ValueError(f"x0 has the shape {states.shape}; an ensemble needs at least one member")
+    check_available_memory(
+        BYTES_PER_MEMBER * members + 3 * states.itemsize * members * math.prod(shape), f"a family of {members} members"
+    )
+    order = [name for name in (*axes, *new) if name in names]
+    states = states.transpose(*(names.index(name) for name in order), *range(leading, states.ndim))
+    sizes = [length if name in names else 1 for name, length in zip((*axes, *new), all_lengths, strict=True)]
+    states = np.broadcast_to(states.reshape(*sizes, *shape), (*all_lengths, *shape))
+    return system.with_state_axes(new), states.reshape(members, *shape)
 
 
 def read_attitude(attitude: Any) -> Any:
@@ -174,7 +225,11 @@ def representations_of(system: System | Batch, method: Method, attitude: Any) ->
     One unless `system` is a batch, whose members must have matrices of one size. ValueError if the scheme does not
     support it.
     """
-    representations = tuple(_read_representation(member, method, attitude) for member in members_of(system))
+    if is_batch(system):
+        of_systems = [_read_representation(member, method, attitude) for member in system.distinct]
+        representations = tuple(of_systems[owner] for owner in system.owners.tolist())
+    else:
+        representations = (_read_representation(system, method, attitude),)
     shapes = [getattr(representation, "shape", ()) for representation in representations]
     other = next((m for m, shape in enumerate(shapes) if shape != shapes[0]), None)
     if other is not None:

@@ -42,24 +42,34 @@ def step_error(solution: Solution, prepared: PreparedRun | None = None) -> float
     if prepared is None or prepared.representation is not None:
         prepared = PreparedRun(system, method, solution.step, watch=False)
     h = math.copysign(solution.step, solution.t_span[1] - solution.t_span[0])
-    points = _points(solution, system)
+    members = _members(solution, system)
+    points = _points(solution, system, members)
+    if is_batch(system) and len(members) < len(system):
+        prepared = prepared.sampled(members)
     if is_batch(system) or member_of(system).hamiltonian.timed:
         pairs = [_squares(prepared, states, t, h) for t, states in points]
     else:
-        members = len(points[0][1])
+        count = len(points[0][1])
         squares = _squares(prepared, np.concatenate([states for _, states in points]), points[0][0], h)
-        pairs = [squares[:, k * members : (k + 1) * members] for k in range(len(points))]
+        pairs = [squares[:, k * count : (k + 1) * count] for k in range(len(points))]
     errors, changes = np.sum(pairs, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.sqrt(errors / changes)
     return float(np.nanmax(relative, initial=0.0))
 
 
-def _points(solution: Solution, system: Any) -> list[tuple[float, Floats]]:
+def _members(solution: Solution, system: Any) -> NDArray[np.int64]:
+    """Return the members whose steps are repeated: the first few of each system."""
+    if not is_batch(system):
+        return np.arange(min(1 if solution.failed is None else len(solution.failed), MEMBERS))
+    order = np.argsort(system.owners, kind="stable")
+    owners = system.owners[order]
+    return np.sort(order[np.arange(len(order)) - np.searchsorted(owners, owners) < MEMBERS])
+
+
+def _points(solution: Solution, system: Any, members: NDArray[np.int64]) -> list[tuple[float, Floats]]:
     """Return a few times of a run, the start included, and the states (members, n) of some members."""
-    count = 1 if solution.failed is None else len(solution.failed)
-    members = count if is_batch(system) else min(count, MEMBERS)
-    start = momenta_of(system, solution.x0)[0][:members]
+    start = momenta_of(system, solution.x0)[0][members]
     count = max(1, min(POINTS, NUMBERS // start.size, len(solution.t) - 1))
     points = [(solution.t_span[0], start)]
     if "saved" not in solution.record:  # states of archives are not read for this
@@ -67,7 +77,7 @@ def _points(solution: Solution, system: Any) -> list[tuple[float, Floats]]:
     for k in np.linspace(0, len(solution.t) - 1, count, endpoint=False).astype(int)[1:].tolist():
         # Members that have ended or failed take their first step again.
         states, _ = momenta_of(system, np.where(np.isfinite(solution.x[k]), solution.x[k], solution.x0))
-        points.append((float(solution.t[k]), states[:members]))
+        points.append((float(solution.t[k]), states[members]))
     return points
 
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from itertools import zip_longest
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import product, repeat, zip_longest
+from math import prod
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.short_repr import short
 from coadjoint.systems.forced import ForcedSystem
@@ -16,20 +20,44 @@ Member = LiePoissonSystem | PoissonSystem
 KINDS = (LiePoissonSystem, PoissonSystem, ForcedSystem)
 
 
+SUFFIX = "_values"
+"""Ending of a variable of a dataset that has the name of an axis, such as ``energy_values`` beside ``energy``."""
+DIMENSIONS = frozenset(
+    ("time", "component", "row", "column", "layer", "part", "invariant", "tenth", "account", "crossing")
+)
+"""Dimensions of datasets, whose names no axis can have."""
+
+
+class Axis(NamedTuple):
+    """Length of a named axis of a batch, and its coordinates: an array of numbers or text, or None."""
+
+    length: int
+    values: NDArray[Any] | None = None
+
+
 class Batch:
     """Systems of the same structure with different constants, one for each member of an ensemble; `batch` makes it.
 
-    `systems` is the tuple of the members; `dim` and `sign` are common to all of them.
+    `systems` is the tuple of the members; `dim` and `sign` are common to all of them. `distinct` are the different
+    systems in the order of their first members, and `owners` (members,) the number of that of each member. `axes` are
+    the named axes, name -> `Axis`, of which the members are all combinations, the last one the fastest; mostly empty.
+    `combined` is whether each member has its own state, and not every system every state.
     """
 
-    def __init__(self, systems: Iterable[Member | ForcedSystem]) -> None:
+    def __init__(
+        self, systems: Iterable[Member | ForcedSystem], axes: Mapping[str, Axis] | None = None, combined: bool = True
+    ) -> None:
         rule = "give a list of systems, one for each member"
         if isinstance(systems, (*KINDS, Batch)):
             raise TypeError(f"the systems of a batch are {short(systems)}; {rule}")
         self.systems: tuple[Any, ...] = read_list(systems, "systems", rule)
         if not self.systems:
             raise ValueError("the batch is empty; give at least one system")
-        for m, system in enumerate(self.systems):
+        numbers = dict[int, int]()
+        self.owners = np.array([numbers.setdefault(id(system), len(numbers)) for system in self.systems])
+        firsts = np.unique(self.owners, return_index=True)[1].tolist()
+        self.distinct: tuple[Any, ...] = tuple(self.systems[m] for m in firsts)
+        for m, system in zip(firsts, self.distinct, strict=True):
             unforced = system.system if isinstance(system, ForcedSystem) else system
             if not isinstance(system, KINDS) or not isinstance(unforced, (LiePoissonSystem, PoissonSystem)):
                 raise TypeError(
@@ -39,21 +67,40 @@ class Batch:
             if difference:
                 raise ValueError(f"member {m} of the batch {difference}; members may differ only in their constants")
         self.dim, self.sign = self.systems[0].dim, self.systems[0].sign
+        self.axes, self.combined = dict(axes or {}), combined
+        lengths = [axis.length for axis in self.axes.values()]
+        if self.axes and prod(lengths) != len(self.systems):
+            raise ValueError(f"the axes have the lengths {lengths}, and there are {len(self.systems)} systems")
 
     def among(self, first: int, last: int) -> Batch:
         """Return the batch of members `first` to `last` - 1; noise keeps the numbering of this batch."""
+        return self.selected(np.arange(first, last), first)
+
+    def selected(self, members: NDArray[np.int64], first: int = 0) -> Batch:
+        """Return the batch of these members, without axes; their noise is numbered from `first`."""
         part: Batch = object.__new__(Batch)
-        part.systems = tuple(
-            system.numbered_from(first) if isinstance(system, ForcedSystem) else system
-            for system in self.systems[first:last]
+        _, firsts, places = np.unique(self.owners[members], return_index=True, return_inverse=True)
+        # In the order of their first members.
+        order = np.argsort(firsts)
+        chosen = [self.systems[m] for m in members[firsts[order]].tolist()]
+        part.distinct = tuple(
+            system.numbered_from(first) if isinstance(system, ForcedSystem) else system for system in chosen
         )
-        part.dim, part.sign = self.dim, self.sign
+        part.owners = np.argsort(order)[places]
+        part.systems = tuple(part.distinct[owner] for owner in part.owners.tolist())
+        part.dim, part.sign, part.axes, part.combined = self.dim, self.sign, {}, True
         return part
+
+    def with_state_axes(self, axes: Mapping[str, Axis]) -> Batch:
+        """Return the batch with further axes, the fastest ones: each member is repeated for all their combinations."""
+        count = prod(axis.length for axis in axes.values())
+        repeated = [system for member in self.systems for system in repeat(member, count)]
+        return Batch(repeated, {**self.axes, **axes})
 
     @property
     def name(self) -> str:
         """Names of the members (the first two if they differ) and their number."""
-        names = list(dict.fromkeys(system.name for system in self.systems))
+        names = list(dict.fromkeys(system.name for system in self.distinct))
         shown = ", ".join(names[:2]) + (", ..." if len(names) > 2 else "")
         return f"batch of {len(self)} ({shown})"
 
@@ -109,25 +156,35 @@ def _bracket_difference(first: Any, other: Any) -> str:
     return f"has another algebra: only in {owner} has [{e[i]}, {e[j]}] a component along {e[k]}"
 
 
-def batch(systems: Iterable[Member | ForcedSystem]) -> Batch:
+def batch(systems: Iterable[Member | ForcedSystem] | Callable[..., Member | ForcedSystem], **axes: Any) -> Batch:
     """Combine systems of equal structure and different constants into one ensemble, for `integrate` and `prepare`.
 
     Choose it for scans over parameters: inertias, coupling constants, constants of the algebra. The result of every
     member is bit-identical to a run of it alone. For one system with many initial states give x0 of shape
     (members, n) instead; to compute an ensemble in blocks on many processors, use `integrate_ensemble`, which also
-    takes a batch.
+    takes a batch. A system that occurs many times in the list is prepared once.
+
+    With named axes, a batch is a family: `integrate` and `integrate_ensemble` start every system from every state, and
+    the dataset of the run has the axes as dimensions.
 
     Parameters
     ----------
-    systems : iterable of LiePoissonSystem, of PoissonSystem, or of ForcedSystem
+    systems : iterable of LiePoissonSystem, of PoissonSystem, or of ForcedSystem; or callable
         One for each member. They must have the same type, dimension and sign, the same nonzero brackets, and Casimirs
         of the same names. Structure constants, Hamiltonians (also functions), Casimirs and representations may differ,
-        and so may the parameters of forces of the same types.
+        and so may the parameters of forces of the same types. With axes, a function of one value of each axis, passed
+        by name, that returns a system.
+    **axes : sequence
+        Name -> values, such as ``inertia=[(1, 2, 2.5), (1, 2, 3)]``. Every combination is a member, the last axis the
+        fastest. Values that are numbers or text are the coordinates of the axis in the dataset.
 
     Returns
     -------
     Batch
-        For `integrate` in place of a system; x0 has shape (members, n), or (n,) if shared by all.
+        For `integrate` in place of a system. Without axes x0 has shape (members, n), or (n,) if shared by all. With
+        axes, x0 of shape (k, n) are states for every system, with the axis ``member`` of the dataset; x0 with the shape
+        of the axes in front, (..., k, n), has states for each system. An `xarray.DataArray` names further axes: all its
+        dimensions but those of a state.
 
     Raises
     ------
@@ -144,5 +201,49 @@ def batch(systems: Iterable[Member | ForcedSystem]) -> Batch:
     >>> alone = co.integrate(bodies[2], (0.1, 1.0, 0.1), t_span=(0, 10), step=0.1)
     >>> bool((sol.x[:, 2] == alone.x).all())
     True
+
+    Parameters and initial states, with names:
+
+    >>> family = co.batch(lambda third: co.systems.rigid_body((1, 2, third)), third=[2.5, 2.75, 3])
+    >>> states = [(0.1, 1.0, 0.1), (1.0, 0.1, 0.1)]
+    >>> dataset = co.integrate(family, states, t_span=(0, 10), step=0.1).to_xarray()
+    >>> dataset.x.dims, dataset.x.sel(third=2.75, member=1, time=10.0).shape
+    (('time', 'third', 'member', 'component'), (3,))
     """
-    return Batch(systems)
+    if not axes:
+        if callable(systems) and not isinstance(systems, Iterable):
+            raise TypeError(f"the systems of a batch are {short(systems)}, a function; give the values of its axes too")
+        return Batch(systems)
+    if not callable(systems):
+        raise TypeError(
+            f"batch was given the axes {', '.join(axes)} and {short(systems)}; with axes give a function of one value of "
+            "each, which returns a system"
+        )
+    values = {name: read_list(listed, name, "give a list of values") for name, listed in axes.items()}
+    for name in axes:
+        check_axis_name(name)
+    empty = next((name for name, listed in values.items() if not listed), None)
+    if empty is not None:
+        raise ValueError(f"the axis {empty} is empty; give at least one value")
+    settings = [dict(zip(values, combination, strict=True)) for combination in product(*values.values())]
+    named = {name: Axis(len(listed), axis_coordinates(listed)) for name, listed in values.items()}
+    return Batch([systems(**setting) for setting in settings], named, combined=False)
+
+
+def axis_coordinates(values: Any) -> NDArray[Any] | None:
+    """Return values as coordinates of an axis: an array (k,) of numbers or text; None for anything else."""
+    try:
+        array = np.asarray(values)
+    except ValueError:  # lists of different lengths
+        return None
+    if array.ndim != 1 or array.dtype.kind not in "iufbU":
+        return None
+    return array.astype({"b": np.int64, "u": np.int64, "i": np.int64, "f": np.float64}.get(array.dtype.kind, str))
+
+
+def check_axis_name(name: str, others: Iterable[str] = ()) -> None:
+    """Raise ValueError for the name of an axis that is no identifier, a dimension of every dataset, or taken."""
+    if not name.isidentifier() or name.endswith(SUFFIX):
+        raise ValueError(f"{short(name)} is no name of an axis; give letters, digits and underscores, no end {SUFFIX}")
+    if name in DIMENSIONS or name in others:
+        raise ValueError(f"the axis {name!r} has the name of another dimension of the dataset; take another name")

@@ -15,6 +15,7 @@ from coadjoint.files.archives.archived_run import ACCOUNTS_ATTRIBUTE
 from coadjoint.files.archives.reading import ArchiveError, chunk_file, missing_chunk_error, open_folder, read_array
 from coadjoint.files.archives.stored_arrays import StoredArray
 from coadjoint.files.datasets.export import stored_inputs
+from coadjoint.files.datasets.named_axes import MEMBER, coordinate_variables, label_of, stored_axes, unstacked
 from coadjoint.files.datasets.stored_record import stored_record
 from coadjoint.memory import check_available_memory
 from coadjoint.runs.results.run_record import RunRecord
@@ -57,15 +58,22 @@ def archive_record(
 
         from coadjoint.files.archives.archived_variables import ArchivedArray, variable
 
+        coordinates = str(attributes.get("coordinates", "")).split()
+        own = {name: value for name, value in attributes.items() if name != "coordinates"}
+        x0 = arrays["x0"]
+        axes = stored_axes(attributes, x0.shape[0] if x0.dims[0] == MEMBER else 1)
         variables: dict[str, Any] = {}
         for name, array in arrays.items():
             if array.kind == "string":
                 variables[name] = (array.dims, list(map(str, read_entire(name))), dict(array.attributes))
+            elif axes and name in coordinates:
+                entry = {name: (array.dims, read_entire(name), dict(array.attributes))}
+                variables[name] = unstacked(xarray.Dataset(coords=entry, attrs=own))[name].variable
             else:
-                variables[name] = variable(ArchivedArray(path, name, array, may_be_missing(name)))
-        coordinates = str(attributes.get("coordinates", "")).split()
-        own = {name: value for name, value in attributes.items() if name != "coordinates"}
-        return xarray.Dataset(variables, attrs=own).set_coords([name for name in coordinates if name in variables])
+                variables[label_of(name, axes)] = variable(ArchivedArray(path, name, array, may_be_missing(name), axes))
+        variables |= coordinate_variables(axes)
+        coordinates = [name for name in [*coordinates, *coordinate_variables(axes)] if name in variables]
+        return xarray.Dataset(variables, attrs=own).set_coords(coordinates)
 
     return stored_record(
         arrays,

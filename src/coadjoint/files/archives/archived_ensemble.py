@@ -61,7 +61,8 @@ def archived_ensemble(path: Path, system: Any = None) -> Solution:
         """Return the work of the run; the seconds are summed over all workers."""
         evaluations, iterations = (sum(head.get(name, 0) for head in heads()) for name in ("evaluations", "iterations"))
         seconds = sum(float(head.get("seconds", 0.0)) for head in heads())
-        return Statistics(record.reached, evaluations, iterations, seconds)
+        elapsed = float(attributes.get("elapsed", np.nan))
+        return Statistics(record.reached, evaluations, iterations, seconds, elapsed)
 
     functions: Mapping[str, Callable[[RunRecord], Any]] = {
         "blocks": lambda record: blocks(),

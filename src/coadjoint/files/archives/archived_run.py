@@ -47,7 +47,7 @@ COMMIT_INTERVAL, COMMIT_RATIO = 10.0, 20
 
 
 class ArchivedRun:
-    """A run and the archive that it writes; parameters as for `PiecewiseRun`."""
+    """A run and the archive that it writes; parameters as for `PiecewiseRun`, and the time at which its call began."""
 
     def __init__(
         self,
@@ -56,10 +56,12 @@ class ArchivedRun:
         times: Times,
         start: Start,
         stored: Mapping[str, Any] | None = None,
+        began: float | None = None,
     ) -> None:
         self.store, self.run = store, PiecewiseRun(prepared, times, start, store.arrays["time"].chunk[0], stored)
         self._states = states_of(store.attributes)
-        self._seconds = float(store.attributes.get("seconds", 0.0))
+        self._seconds, self._elapsed = (float(store.attributes.get(name, 0.0)) for name in ("seconds", "elapsed"))
+        self._began = time.perf_counter() if began is None else began
         self._commit_seconds = 0.0
         self._committed = self.run.number
         self._failure: IntegrationError | None = None
@@ -145,6 +147,7 @@ class ArchivedRun:
             "evaluations": stats.evaluations,
             "iterations": stats.iterations,
             "seconds": self._seconds + stats.seconds,
+            "elapsed": self._elapsed + time.perf_counter() - self._began,
         }
 
 

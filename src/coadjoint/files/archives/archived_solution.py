@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from coadjoint.files.archives.archive_record import archive_record
 from coadjoint.files.archives.archived_ensemble import archived_ensemble
 from coadjoint.files.archives.archived_run import FINISHED, STEPS, states_of
@@ -49,6 +51,7 @@ def archived_solution(path: Path, system: Any = None) -> Solution:
             int(attributes["evaluations"]),
             int(attributes["iterations"]),
             float(attributes["seconds"]),
+            float(attributes.get("elapsed", np.nan)),
         ),
     )
     return Solution(record)

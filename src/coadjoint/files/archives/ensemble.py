@@ -12,6 +12,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.run import read_progress
+from coadjoint.runs.start import combined
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
@@ -53,7 +54,8 @@ def integrate_ensemble(
     Parameters
     ----------
     system, x0, t_span, step, method, save_every, attitude, watch, observe
-        As for `integrate`; x0 is (members, n), or of a `batch` also (n,).
+        As for `integrate`; x0 is (members, n), or of a `batch` also (n,), and a batch with named axes is combined
+        with every state.
     archive : str or Path, optional
         The folder of the archive, new or one of the same ensemble; all workers must see it by the same name. It is
         required with a client. Otherwise the default is a temporary folder that exists as long as the solution.
@@ -101,6 +103,7 @@ def integrate_ensemble(
     True
     """
     require_packages("an ensemble in an archive", "xarray", "zarr")
+    system, x0 = combined(system, x0)
     progress, pool = read_progress(progress), read_worker_pool(client, workers, threads)
     if archive is None and client is not None:
         raise TypeError(

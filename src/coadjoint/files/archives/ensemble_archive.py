@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+import time
 from collections.abc import Mapping
 from math import prod
 from pathlib import Path
@@ -221,8 +222,8 @@ def unfinished_blocks(store: ArchiveStore) -> list[Block]:
     return unfinished
 
 
-def finish_ensemble(store: ArchiveStore) -> dict[str, Any]:
-    """Mark the ensemble as finished in the root; return its attributes, including those of failures."""
+def finish_ensemble(store: ArchiveStore, began: float) -> dict[str, Any]:
+    """Mark the ensemble as finished in the root, with the time since its call began; return its attributes."""
     blocks = blocks_of(store.arrays["x0"].shape[0], int(store.attributes[BLOCK_SIZE_ATTRIBUTE]))
     heads = [read_head(store.folder, block.number) or {} for block in blocks]
     attributes: dict[str, Any] = {
@@ -231,6 +232,7 @@ def finish_ensemble(store: ArchiveStore) -> dict[str, Any]:
         "evaluations": sum(int(head["evaluations"]) for head in heads),
         "iterations": sum(int(head["iterations"]) for head in heads),
         "seconds": sum(float(head["seconds"]) for head in heads),
+        "elapsed": float(store.attributes.get("elapsed", 0.0)) + time.perf_counter() - began,
     }
     failures = [head for head in heads if head.get("run_failed")]
     if failures:

@@ -23,6 +23,7 @@ from coadjoint.files.archives.archived_run import (
 from coadjoint.files.archives.blocks import BLOCK_SIZE_ATTRIBUTE, MEMBER, STATUS
 from coadjoint.files.archives.reading import ArchiveError
 from coadjoint.files.archives.stored_arrays import StoredArray
+from coadjoint.files.datasets.named_axes import stored_axes
 from coadjoint.files.datasets.variables import TIME
 from coadjoint.files.records.entries import Entry, parsed
 from coadjoint.files.records.required_functions import FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE
@@ -94,6 +95,7 @@ def check_archive(path: Path, arrays: Mapping[str, StoredArray], attributes: Map
         if times.steps != attributes["steps"] or attributes[STEPS] > times.steps:
             raise entry["steps"].invalid_error(f"{times.steps}, and {STEPS} no larger")
         sizes = _check_arrays(arrays, accounts)
+        stored_axes(attributes, sizes.get(MEMBER, 1))
         if BLOCK_SIZE_ATTRIBUTE in attributes:
             entry[BLOCK_SIZE_ATTRIBUTE].integer(1)
             if STATUS not in arrays or MEMBER not in sizes or arrays["x0"].dims[0] != MEMBER:

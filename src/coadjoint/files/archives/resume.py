@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -66,7 +67,7 @@ def archive_run(
     require_packages("an archive of a run", "xarray", "zarr")
     if t_eval is not None or read_events(events):
         raise ValueError("an archive saves every save_every-th step and has no events; give neither t_eval nor events")
-    target = check_new(archive)
+    began, target = time.perf_counter(), check_new(archive)
     times, start = prepared.times_of(t_span, save_every)[0], prepared.start(x0)
     try:
         with PendingOutput(target) as unfinished:
@@ -74,7 +75,7 @@ def archive_run(
             store.moved(target)
     except OSError as reason:
         raise creation_error(target, reason) from None
-    return _continue_run(store, prepared, times, start, None, progress, until)
+    return _continue_run(store, prepared, times, start, None, progress, until, began)
 
 
 def create_archive(
@@ -196,7 +197,7 @@ def resume(
     from coadjoint.runs.prepared_run import PreparedRun
 
     require_packages("an archive of a run", "xarray", "zarr")
-    archive_path = read_archive_path(path)
+    began, archive_path = time.perf_counter(), read_archive_path(path)
     archive = open_archive(archive_path, system)
     if BLOCK_SIZE_ATTRIBUTE in archive.attributes:
         from coadjoint.files.archives.run_in_blocks import read_worker_pool, resume_in_blocks
@@ -248,7 +249,7 @@ def resume(
     except BaseException:
         store.close()
         raise
-    return _continue_run(store, prepared, times, start, stored, progress, until)
+    return _continue_run(store, prepared, times, start, stored, progress, until, began)
 
 
 def _continue_run(
@@ -259,10 +260,11 @@ def _continue_run(
     stored: Any,
     progress: bool,
     until: int | None,
+    began: float,
 ) -> Solution:
     try:
         with as_archive_errors(store.path):
-            run = ArchivedRun(store, prepared, times, start, stored)
+            run = ArchivedRun(store, prepared, times, start, stored, began)
         failure = run.advance(until, progress)
     except KeyboardInterrupt as interrupt:
         interrupt.partial = open_archive(store.path, prepared.system)  # type: ignore[attr-defined]

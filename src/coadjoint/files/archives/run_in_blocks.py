@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+import time
 import warnings
 import weakref
 from collections.abc import Mapping
@@ -144,7 +145,7 @@ def _run_unfinished(
     ensemble: Ensemble, path: Path, pool: WorkerPool, size: int | None, progress: bool, about: ExtraMetadata
 ) -> Solution:
     """Begin or continue the archive, and run its unfinished blocks."""
-    prepared = ensemble.prepared
+    began, prepared = time.perf_counter(), ensemble.prepared
     if path.exists():
         store = ArchiveStore.open_existing(path)
         try:
@@ -167,7 +168,7 @@ def _run_unfinished(
             else:
                 on_processes(pool.worker_count, store, remaining, prepared, pool.threads, progress)
         try:
-            attributes = finish_ensemble(store)
+            attributes = finish_ensemble(store, began)
         except OSError as reason:
             raise _unwritten(store, reason) from reason
     except KeyboardInterrupt as interrupt:

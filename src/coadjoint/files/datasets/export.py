@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from coadjoint import __version__
 from coadjoint.errors import IntegrationError, OneLineError
 from coadjoint.files.datasets.content_checksum import with_checksum
+from coadjoint.files.datasets.named_axes import axes_attribute, axes_of_system, stacked, unstacked
 from coadjoint.files.datasets.variables import (
     CONVENTIONS,
     OBSERVED_NAMES,
@@ -52,7 +53,7 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
     ``observed_<name>``, ``attitude`` over ``row`` and ``column``; ``drift`` over ``invariant`` and ``tenth`` of the
     run, replaced for systems with forces by ``change``, ``balance``, and ``work`` over ``account``; ``x0``,
     ``attitude0``, and ``event_...`` of crossings. Numbers in which the systems of a batch differ are coordinates, such
-    as ``swept_inertia_2``. Names, units and dimensions follow the CF conventions. Attributes: version, system and
+    as ``swept_inertia_2``; a batch with named axes has these as dimensions in place of ``member``. Names, units and dimensions follow the CF conventions. Attributes: version, system and
     method (JSON), step, times, and the names of functions that cannot be stored.
 
     Parameters
@@ -82,7 +83,7 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
     if solution.events is not None:
         variables |= variables_of(solution.events)
     coordinates = {**parameters_of(solution.system), **coordinates_of(solution)}
-    return with_checksum(xarray.Dataset(variables, coordinates, attributes_of(solution)))
+    return with_checksum(unstacked(xarray.Dataset(variables, coordinates, attributes_of(solution))))
 
 
 def attributes_of(solution: Solution) -> dict[str, Any]:
@@ -108,9 +109,11 @@ def attributes_of(solution: Solution) -> dict[str, Any]:
         "evaluations": solution.stats.evaluations,
         "iterations": solution.stats.iterations,
         "seconds": solution.stats.seconds,
+        "elapsed": solution.stats.elapsed,
     }
     if solution.t_span != solution.asked_span:
         attributes[ENDED_ATTRIBUTE] = solution.stats.steps
+    attributes |= axes_attribute(axes_of_system(solution.system))
     if solution.observed:
         attributes[OBSERVED_NAMES] = json.dumps(list(solution.observed))
     if solution.events is not None:
@@ -190,7 +193,7 @@ def solution_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = N
     (0.0, 1.0)
     """
     inputs = stored_inputs(dataset, system, events)
-    if _coadjoint_start(dataset) is not None:
+    if _coadjoint_start(stacked(dataset)) is not None:
         raise ValueError("the run began with its own coadjoint matrix, which `integrate` does not take; use `rebuild`")
     return inputs
 
@@ -219,6 +222,7 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
     missing = [key for key in REQUIRED_ATTRIBUTES if key not in attributes]
     if missing:
         raise ValueError(f"the dataset has no attribute {missing[0]!r}; it was not written by coadjoint")
+    dataset = stacked(dataset)
     entries = {key: Entry(attributes[key], key) for key in REQUIRED_ATTRIBUTES}
     x0 = state_of(dataset, "x0", STATE_DIMENSIONS)
     method_entry = parsed(attributes["method"], "method")
@@ -305,7 +309,7 @@ def rebuild(dataset: xarray.Dataset) -> Solution:
     from coadjoint.runs.prepared_run import PreparedRun
 
     inputs = stored_inputs(dataset)
-    element = _coadjoint_start(dataset)
+    element = _coadjoint_start(stacked(dataset))
     with as_value_errors(Entry(None, "the run of this dataset")):
         if element is None:
             return integrate(**inputs)

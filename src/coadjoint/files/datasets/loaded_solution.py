@@ -16,6 +16,7 @@ from coadjoint.files.archives.archived_solution import open_archive
 from coadjoint.files.archives.reading import HIDDEN_FOLDER
 from coadjoint.files.datasets.content_checksum import CHECKSUM, checksum_of
 from coadjoint.files.datasets.export import ENDED_ATTRIBUTE, REQUIRED_ATTRIBUTES, events_of_dataset, stored_inputs
+from coadjoint.files.datasets.named_axes import stacked
 from coadjoint.files.datasets.stored_record import initial_values, stored_record
 from coadjoint.files.output.file_validation import check_hdf5, check_zarr
 from coadjoint.memory import check_available_memory
@@ -23,6 +24,7 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.results.run_record import RunRecord, Statistics
 from coadjoint.runs.results.solution import Solution
+from coadjoint.systems.batch import SUFFIX
 from coadjoint.systems.protocol import coordinates_of, member_of
 from coadjoint.validation import read_path
 
@@ -32,6 +34,9 @@ if TYPE_CHECKING:
 FILE_SIGNATURES = {b"\x89HDF": ("h5netcdf", ("xarray", "h5netcdf", "h5py")), b"CDF": ("scipy", ("xarray", "scipy"))}
 """File signatures, with the xarray engine and the packages it needs."""
 
+RUN_VARIABLES = ("x", "x0", "energy", "time", "invariant")
+"""Variables of every run."""
+
 
 class LoadError(OneLineError):
     """A file or folder contains no readable run."""
@@ -39,6 +44,7 @@ class LoadError(OneLineError):
 
 def solution_of_dataset(path: Path, dataset: xarray.Dataset, system: Any = None) -> Solution:
     """Return the solution in a dataset that was read from a file into memory; `system` replaces the stored one."""
+    content, dataset = dataset, stacked(dataset)
     arrays = {
         str(name): SimpleNamespace(dims=values.dims, attributes=values.attrs)
         for name, values in dataset.variables.items()
@@ -55,11 +61,11 @@ def solution_of_dataset(path: Path, dataset: xarray.Dataset, system: Any = None)
         lambda name: np.asarray(dataset[name].values),
         {"initial": _initial, "ending": _ending, "stats": _stats, "worst": _worst, "events": _events},
         path=path,
-        dataset=dataset,
+        dataset=content,
         accounts=tuple(_split_account(label, names) for label in accounts),
         inputs=inputs,
-        to_xarray=dataset.copy,
-        reopen=(solution_of_dataset, (path, dataset, system)),
+        to_xarray=content.copy,
+        reopen=(solution_of_dataset, (path, content, system)),
     )
     return Solution(record)
 
@@ -87,9 +93,8 @@ def _ending(record: RunRecord) -> TerminalEvent | None:
 def _stats(record: RunRecord) -> Statistics:
     attributes = record.attributes
     steps = int(attributes[ENDED_ATTRIBUTE if ENDED_ATTRIBUTE in attributes else "steps"])
-    return Statistics(
-        steps, int(attributes["evaluations"]), int(attributes["iterations"]), float(attributes["seconds"])
-    )
+    work = int(attributes["evaluations"]), int(attributes["iterations"])
+    return Statistics(steps, *work, float(attributes["seconds"]), float(attributes.get("elapsed", np.nan)))
 
 
 def _worst(record: RunRecord) -> NDArray[np.float64]:
@@ -195,7 +200,9 @@ def load(path: str | Path, system: Any = None) -> Solution:
             missing = [
                 key for key in (*REQUIRED_ATTRIBUTES, "evaluations", "iterations", "seconds") if key not in opened.attrs
             ]
-            if missing or any(name not in opened.variables for name in ("x", "x0", "energy", "time", "invariant")):
+            if missing or any(
+                name not in opened.variables and f"{name}{SUFFIX}" not in opened.variables for name in RUN_VARIABLES
+            ):
                 raise LoadError(f"{shown}: holds no run; it was not written by this library")
             check_available_memory(2 * opened.nbytes, f"{shown}: the run in it", "read parts of it with xarray")
             dataset = opened.load()

@@ -187,15 +187,18 @@ def parameters_of(system: Any) -> Variables:
     """
     if not is_batch(system):
         return {}
-    parameters_of_members = [unforced(member).parameters or {} for member in system]
+    parameters_of_systems = [unforced(member).parameters or {} for member in system.distinct]
     differing = dict[str, list[Any]]()
-    for name in parameters_of_members[0]:
-        values = [parameters.get(name) for parameters in parameters_of_members]
+    for name in parameters_of_systems[0]:
+        values = [parameters.get(name) for parameters in parameters_of_systems]
         shapes = {_shape_of_numbers(value) for value in values}
         if len(shapes) == 1 and None not in shapes:
             differing[f"system.parameters.{name}"] = values
-    coordinates = over_members(differing)
-    return {name: entry for name, entry in coordinates.items() if np.any(entry[1] != entry[1][0])}
+    return {
+        name: (dims, values[system.owners], attributes)
+        for name, (dims, values, attributes) in over_members(differing).items()
+        if np.any(values != values[0])
+    }
 
 
 def over_members(values: Mapping[str, list[Any]]) -> Variables:

@@ -192,7 +192,7 @@ def functions_in(system: Any) -> list[str]:
 def system_contents(system: Any) -> Any:
     """Return everything that defines a system, for `fingerprint_of`."""
     if isinstance(system, Batch):
-        return [system_contents(member) for member in system]
+        return [system_contents(member) for member in system.distinct]
     if isinstance(system, ForcedSystem):
         forces = [[type(force).__name__, force, dict(force.parameters())] for force in system.forces]
         return [system_contents(system.system), forces]

@@ -13,6 +13,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
 from coadjoint.files.records.entries import CASIMIR, EXACT, INTEGRAL, Entry, as_value_errors
 from coadjoint.files.records.matrix_records import matrix_system_of
+from coadjoint.files.records.stored_axes import axes_of_record
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
@@ -24,6 +25,7 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import System
 
 BYTES_PER_COORDINATE = 400
+BYTES_PER_MEMBER = 100
 
 
 def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> System | ForcedSystem | Batch:
@@ -44,10 +46,16 @@ def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> Syst
     entry = record if isinstance(record, Entry) else Entry(dict(record), "system")
     if "members" not in entry:
         return _system_of(entry, dim)
-    entry.reject_unknown("name", "members", "not_stored")
+    entry.reject_unknown("name", "members", "repeated", "axes", "not_stored")
     members = [_system_of(member, dim) for member in entry["members"].entries()]
+    if "repeated" in entry:
+        pairs = [pair.entries(2) for pair in entry["repeated"].entries()]
+        runs = [(number.integer(0, len(members) - 1), count.integer(1)) for number, count in pairs]
+        check_available_memory(BYTES_PER_MEMBER * sum(count for _, count in runs), "the members of the stored batch")
+        members = [members[number] for number, count in runs for _ in range(count)]
+    axes = axes_of_record(entry["axes"], len(members)) if "axes" in entry else {}
     with as_value_errors(entry["members"]):
-        return Batch(members)
+        return Batch(members, axes)
 
 
 def _system_of(record: Entry, dim: int | None) -> System | ForcedSystem:

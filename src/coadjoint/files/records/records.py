@@ -15,6 +15,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.files.records.entries import CASIMIR, EXACT, INTEGRAL
 from coadjoint.files.records.matrix_records import matrix_record
 from coadjoint.files.records.reconstruction import system_of
+from coadjoint.files.records.stored_axes import axes_record
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces import registry as described
@@ -40,7 +41,8 @@ def record_of(system: System | Batch) -> dict[str, Any]:
     A ready-made system is its name and parameters. Any other is its structure constants (i, j, k, c), its Hamiltonian,
     sign, polynomial Casimirs and integrals, and representation, and the name, basis, Casimirs and representation of its
     algebra; a matrix system is its algebra and its stream. Functions cannot be stored, and are listed under
-    ``"not_stored"``. A batch is the list of its members, and a system with forces its Hamiltonian part and the forces.
+    ``"not_stored"``. A batch is the list of its different systems with the number of
+    the system and of the members in each run of equal ones, and a system with forces its Hamiltonian part and the forces.
 
     Examples
     --------
@@ -121,9 +123,19 @@ def invariants_record(casimirs: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _batch_record(batch: Batch) -> dict[str, Any]:
-    members = [record_of(member) for member in batch]
-    missing = [f"{what} (member {m})" for m, record in enumerate(members) for what in record.get("not_stored", [])]
+    members, firsts = [record_of(member) for member in batch.distinct], np.unique(batch.owners, return_index=True)[1]
+    missing = [
+        f"{what} (member {m})"
+        for m, record in zip(firsts.tolist(), members, strict=True)
+        for what in record.get("not_stored", [])
+    ]
     record: dict[str, Any] = {"name": batch.name, "members": members}
+    if len(members) < len(batch):
+        edges = np.flatnonzero(np.diff(batch.owners, prepend=-1))
+        counts = np.diff(edges, append=len(batch))
+        record["repeated"] = [list(pair) for pair in zip(batch.owners[edges].tolist(), counts.tolist(), strict=True)]
+    if batch.axes:
+        record["axes"] = axes_record(batch.axes)
     return {**record, "not_stored": missing} if missing else record
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm, expm_frechet
 
 from coadjoint.program.shifts.shift import quadratic_entries
 
@@ -77,6 +76,8 @@ class AttitudeDerivatives:
         self, x0: Floats, A0: Floats, times: Floats, G: Floats, of_attitudes: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Return the cotangents of x0, A0, the factors, and the elements of the loop, for those of the attitudes."""
+        from scipy.linalg import expm, expm_frechet
+
         d = A0.shape[0]
         of_x0, of_A0, of_factors = np.zeros(len(x0)), np.zeros((d, d)), np.zeros(len(self.factors))
         if not self.shifted:
@@ -97,6 +98,8 @@ class AttitudeDerivatives:
 
 def _exponentials(X: Floats, directions: Floats) -> tuple[Floats, Floats]:
     """Return the exponential of X and its derivatives along directions (k, d, d)."""
+    from scipy.linalg import expm, expm_frechet
+
     count, d = len(directions), len(X)
     if d > LARGEST_BLOCK:
         nonzero = directions.any(axis=(1, 2))

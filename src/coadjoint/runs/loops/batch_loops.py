@@ -39,7 +39,7 @@ class Group(NamedTuple):
     """Members with tables of one structure; `members` are their indices in the batch, ascending.
 
     `tables` and `watch` are those of the first member, with each array of constants (count,) widened to (count,
-    stride).
+    stride); without a stride all members share them.
     """
 
     members: NDArray[np.int64]
@@ -58,11 +58,13 @@ class BatchLoops(Loops):
     def __init__(self, batch: Batch, method: Method, h: float, representations: Sequence[Representation]) -> None:
         from coadjoint.kernels.tables.invariants import balance_tables, watch_tables
 
-        split_jointly(method, list(batch))
+        split_jointly(method, batch.distinct)
         names = list(batch[0].casimirs)
         prepared: list[CompiledLoop] = []
         watches: list[CompiledTables] = []
-        for m, (system, representation) in enumerate(zip(batch, representations, strict=True)):
+        firsts = np.unique(batch.owners, return_index=True)[1].tolist()
+        of_systems = [representations[m] for m in firsts]
+        for m, system, representation in zip(firsts, batch.distinct, of_systems, strict=True):
             try:
                 prepared.append(method.loop(system, h, representation))
             except (TypeError, ValueError) as error:
@@ -72,9 +74,9 @@ class BatchLoops(Loops):
             watches.append(balance_tables(system, tracked, accounts) if accounts else watch_tables(system, tracked))
         shift_corrections = [
             ShiftCorrection(system, loop.shift, representation) if loop.shift and representation is not None else None
-            for system, loop, representation in zip(batch, prepared, representations, strict=True)
+            for system, loop, representation in zip(batch.distinct, prepared, of_systems, strict=True)
         ]
-        self._set_up(batch.dim, ["energy", *names], prepared, watches, shift_corrections)
+        self._set_up(batch.dim, ["energy", *names], prepared, watches, shift_corrections, batch.owners)
 
     def _set_up(
         self,
@@ -83,27 +85,27 @@ class BatchLoops(Loops):
         prepared: list[CompiledLoop],
         watches: list[CompiledTables],
         shift_corrections: list[ShiftCorrection | None],
+        owners: NDArray[np.int64],
     ) -> None:
-        self.groups = groups_of(prepared, [watch.tables for watch in watches])
+        self.groups = groups_of(prepared, [watch.tables for watch in watches], owners)
         members = np.concatenate([group.members for group in self.groups])
-        self.order = None if len(self.groups) == 1 else members
+        self.order = None if np.array_equal(members, np.arange(len(members))) else members
         self._shift_corrections = shift_corrections
         self.corrected_groups = (
-            partial(corrected_groups_each, shift_corrections) if any(shift_corrections) else uncorrected_groups
+            partial(corrected_groups_each, shift_corrections, owners) if any(shift_corrections) else uncorrected_groups
         )
-        self._prepared, self._watches = prepared, watches
+        self._prepared, self._watches, self._owners = prepared, watches, owners
         self._first = np.cumsum([0] + [len(group.members) for group in self.groups])
         self.names, self._dim = names, dim
         self.accounts = prepared[0].accounts
         self.size, self.memory = dim + len(self.accounts), max(loop.memory for loop in prepared)
 
-    def among(self, first: int, last: int) -> BatchLoops:
-        """Return the loops of the members `first` to `last` - 1, from the tables already built."""
+    def selected(self, members: NDArray[np.int64]) -> BatchLoops:
+        """Return the loops of these members, from the tables already built."""
         loops = object.__new__(BatchLoops)
-        chosen = slice(first, last)
-        loops._set_up(
-            self._dim, self.names, self._prepared[chosen], self._watches[chosen], self._shift_corrections[chosen]
-        )
+        chosen, owners = np.unique(self._owners[members], return_inverse=True)
+        tables = [[listed[k] for k in chosen] for listed in (self._prepared, self._watches, self._shift_corrections)]
+        loops._set_up(self._dim, self.names, *tables, owners)  # type: ignore[arg-type]
         return loops
 
     @property
@@ -129,6 +131,7 @@ class BatchLoops(Loops):
             "loops": loops,
             "watches": watches,
             "shift_corrections": self._shift_corrections,
+            "owners": self._owners,
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -138,7 +141,7 @@ class BatchLoops(Loops):
             [restored_loop(stored) for stored in state["loops"]],
             [restored_tables(stored) for stored in state["watches"]],
         )
-        self._set_up(state["dim"], state["names"], loops, watches, state["shift_corrections"])
+        self._set_up(state["dim"], state["names"], loops, watches, state["shift_corrections"], state["owners"])
 
     def rounds(self, members: int, workers: int) -> list[list[MemberBatch]]:
         """Return rounds of member batches, each within one group and from a lane boundary."""
@@ -165,27 +168,39 @@ class BatchLoops(Loops):
         return [correction for correction in self._shift_corrections if correction is not None]
 
     def shift_correction_of(self, member: int) -> ShiftCorrection | None:
-        return self._shift_corrections[member]
+        return self._shift_corrections[self._owners[member]]
 
     def initial_groups(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
         rows, shifted = np.array(as_rows(groups)), [correction is not None for correction in self._shift_corrections]
-        rows[shifted] = unit_row(groups.shape[-1])
+        rows[np.array(shifted)[self._owners]] = unit_row(groups.shape[-1])
         return rows
 
 
 def corrected_groups_each(
-    shift_corrections: Sequence[ShiftCorrection | None], start: Start, times: Times, saved: NamedArrays, points: int
+    shift_corrections: Sequence[ShiftCorrection | None],
+    owners: NDArray[np.int64],
+    start: Start,
+    times: Times,
+    saved: NamedArrays,
+    points: int,
 ) -> NDArray[np.float64]:
     """Return the group elements (points, members, d, d), each corrected for the shift of its member's H."""
     groups, address = np.array(uncorrected_groups(start, times, saved, points), order="C"), saved.address_of("group")
-    for m, correction in enumerate(shift_corrections):
+    edges = [0, *(np.flatnonzero(np.diff(owners)) + 1).tolist(), len(owners)]
+    for first, last in pairwise(edges):
+        correction = shift_corrections[owners[first]]
         if correction is not None and points:
-            correction.fill(groups, start, times, address, m, m + 1)
+            correction.fill(groups, start, times, address, first, last)
     return groups
 
 
-def groups_of(prepared: Sequence[CompiledLoop], watches: Sequence[Any]) -> list[Group]:
+def groups_of(
+    prepared: Sequence[CompiledLoop], watches: Sequence[Any], owners: NDArray[np.int64] | None = None
+) -> list[Group]:
     """Group members with tables that differ only in constants, in the order of their first members.
+
+    `prepared` and `watches` are those of the distinct systems, and `owners` (members,) the number of that of each
+    member. The members of a system with so many that they fill the lanes are a group of their own.
 
     Examples
     --------
@@ -199,16 +214,25 @@ def groups_of(prepared: Sequence[CompiledLoop], watches: Sequence[Any]) -> list[
     from coadjoint.kernels.tables.structures import as_structure, stacked, structure_of
 
     block = limit("MOST_LANES")
-    members_by_structure: dict[Hashable, list[int]] = {}
-    for m, (loop, watch) in enumerate(zip(prepared, watches, strict=True)):
-        members_by_structure.setdefault((loop.name, structure_of(loop.tables), structure_of(watch)), []).append(m)
-    return [
-        Group(
-            np.array(members, dtype=np.int64),
-            prepared[members[0]].name,
-            as_structure(stacked([prepared[m].tables for m in members])),
-            as_structure(stacked([watches[m] for m in members])),
-            -(-len(members) // block) * block,
-        )
-        for members in members_by_structure.values()
-    ]
+    owners = np.arange(len(prepared)) if owners is None else owners
+    counts = np.bincount(owners)
+    owners_by_structure: dict[Hashable, list[int]] = {}
+    for k, (loop, watch) in enumerate(zip(prepared, watches, strict=True)):
+        alone = counts[k] >= block
+        structure = k if alone else (loop.name, structure_of(loop.tables), structure_of(watch))
+        owners_by_structure.setdefault(structure, []).append(k)
+    keys = list(owners_by_structure)
+    key_of_owner = {k: position for position, key in enumerate(keys) for k in owners_by_structure[key]}
+    member_keys = np.array([key_of_owner[k] for k in range(len(prepared))])[owners]
+    groups = []
+    for position, key in enumerate(keys):
+        members, loop = np.flatnonzero(member_keys == position), prepared[owners_by_structure[key][0]]
+        if isinstance(key, int):
+            groups.append(Group(members, loop.name, as_structure(loop.tables), as_structure(watches[key]), 0))
+            continue
+        in_columns = [
+            as_structure(stacked([tables[k] for k in owners[members]]))
+            for tables in ([p.tables for p in prepared], watches)
+        ]
+        groups.append(Group(members, loop.name, *in_columns, -(-len(members) // block) * block))
+    return sorted(groups, key=lambda group: int(group.members[0]))

@@ -93,6 +93,12 @@ def scales_of_invariants(system: Any, x0: Any, initial: Mapping[str, Any]) -> di
 
 
 def _groups(system: Any, members: NDArray[np.int64], numbers: int) -> list[NDArray[np.int64]]:
-    """Return members in groups whose terms are summed together; those of a batch one by one."""
-    length = 1 if is_batch(system) else max(1, SUMMED_NUMBERS // numbers)
-    return [members[k : k + length] for k in range(0, len(members), length)]
+    """Return members of one system in groups whose terms are summed together."""
+    length = max(1, SUMMED_NUMBERS // numbers)
+    if is_batch(system):
+        owners = system.owners[members]
+        order = np.argsort(owners, kind="stable")
+        of_systems = np.split(members[order], np.flatnonzero(np.diff(owners[order])) + 1)
+    else:
+        of_systems = [members]
+    return [same[k : k + length] for same in of_systems for k in range(0, len(same), length)]

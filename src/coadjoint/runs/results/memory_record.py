@@ -41,6 +41,7 @@ def record_of_run(run: Run, saved_points: int, observed: Observed | None) -> Run
             "state": state if state.numbers.size <= MAX_STATE_NUMBERS else state.subset(REPORTED_ARRAYS),
             "saved_points": saved_points,
             "seconds": run.seconds,
+            "elapsed": run.seconds,
             "times": run.times,
             "start": run.start,
             "names": loops.names,
@@ -123,6 +124,7 @@ def _stats(record: RunRecord) -> Statistics:
         evaluations=int(record.state["evaluations"].sum()),
         iterations=int(record.state["iterations"].sum()),
         seconds=record.seconds,
+        elapsed=record.elapsed,
     )
 
 

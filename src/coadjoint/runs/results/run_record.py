@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -37,13 +38,17 @@ class Statistics:
     iterations : int
         Iterations of implicit schemes, summed over members.
     seconds : float
-        Wall-clock time in the loop, including compilation at the first call.
+        Wall-clock time in the loop over the steps, including compilation at the first call; in an ensemble in blocks
+        summed over the workers.
+    elapsed : float
+        Wall-clock time of the call: validation, preparation, steps, and writing of an archive. NaN if it is not known.
     """
 
     steps: int
     evaluations: int
     iterations: int
     seconds: float
+    elapsed: float = math.nan
 
 
 class RunAttributes:
@@ -104,7 +109,8 @@ class RunRecord(RunAttributes):
         Estimated error of a run with `accuracy`, once it is known.
     times, start, ending
         Times, initial state, and the terminal event that ended the run.
-    given_system, saved, state, saved_points, names, seconds, corrected_groups, initial_values
+    given_system, saved, state, saved_points, names, seconds, elapsed,
+        corrected_groups, initial_values
         In memory: the system or a function that builds it, the arrays of the loops, and what is needed to read them.
     path, attributes, arrays, read, inputs, arguments
         Of stored runs: place, attributes and arrays; a function that reads an entire array; a function that returns
@@ -130,6 +136,7 @@ class RunRecord(RunAttributes):
     saved_points: int
     names: list[str]
     seconds: float
+    elapsed: float
     corrected_groups: GroupCorrection
     initial_values: NDArray[np.float64] | None
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 from coadjoint.short_repr import html_table
 from coadjoint.systems.protocol import member_of
 
 if TYPE_CHECKING:
+    from coadjoint.runs.results.run_record import Statistics
     from coadjoint.runs.results.solution import Solution
 
 MAX_CASIMIRS_SHOWN = 4
@@ -17,6 +19,12 @@ MAX_CASIMIRS_SHOWN = 4
 def is_driven(system: Any) -> bool:
     """Whether the Hamiltonian depends on time; a change of the energy is then not a drift."""
     return bool(getattr(member_of(system).hamiltonian, "timed", False))
+
+
+def seconds_text(stats: Statistics) -> str:
+    """Return the time of the call, and that in the loop, as text."""
+    loop = f"{stats.seconds:.3g} s in the loop"
+    return loop if math.isnan(stats.elapsed) else f"{stats.elapsed:.3g} s, {loop}"
 
 
 def table_of_run(solution: Solution) -> str:
@@ -31,7 +39,7 @@ def table_of_run(solution: Solution) -> str:
     """
     rows: dict[str, Any] = {
         "time": f"{solution.t_span[0]:g} to {solution.t_span[1]:g}, {len(solution.t)} saved points",
-        "step": f"{solution.step:g}, {solution.stats.steps} of them in {solution.stats.seconds:.3g} s",
+        "step": f"{solution.step:g}, {solution.stats.steps} of them; {seconds_text(solution.stats)}",
     }
     if solution.failed is not None:
         count = int(solution.failed.sum())

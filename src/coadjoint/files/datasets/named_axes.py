@@ -1,0 +1,124 @@
+"""Named axes of the members of a family in a dataset: stored over ``member``, and shown as dimensions."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from math import prod
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from coadjoint.files.records.entries import parsed
+from coadjoint.files.records.stored_axes import Axes, axes_of_record, axes_record
+from coadjoint.systems.batch import SUFFIX, Axis
+from coadjoint.systems.protocol import is_batch
+
+if TYPE_CHECKING:
+    import xarray
+
+AXES = "axes"
+"""Attribute with the axes: a list of [name, length, coordinates or null]."""
+MEMBER = "member"
+
+
+def axes_of_system(system: Any) -> Axes:
+    """Return the named axes of the members of a system; empty unless it is a batch with axes."""
+    return system.axes if is_batch(system) else {}
+
+
+def stored_axes(attributes: Mapping[str, Any], members: int) -> Axes:
+    """Return the axes in the attributes of a dataset or an archive."""
+    return axes_of_record(parsed(attributes[AXES], AXES), members) if AXES in attributes else {}
+
+
+def axes_attribute(axes: Mapping[str, Axis]) -> dict[str, str]:
+    """Return the attribute with the axes; empty without axes."""
+    return {AXES: json.dumps(axes_record(axes))} if axes else {}
+
+
+def unstacked(dataset: xarray.Dataset) -> xarray.Dataset:
+    """Return a dataset over ``member`` with the axes of its attributes as dimensions; unchanged if there are none.
+
+    Coordinates over the members that depend on some axes only are over these. A variable with the name of an axis gets
+    the suffix ``_values``.
+    """
+    axes = stored_axes(dataset.attrs, dataset.sizes.get(MEMBER, 1))
+    if not axes:
+        return dataset
+    import xarray
+
+    lengths = tuple(axis.length for axis in axes.values())
+    variables: dict[str, Any] = {}
+    for name, variable in dataset.variables.items():
+        dims, values = variable.dims, variable.values if MEMBER in variable.dims else variable
+        if MEMBER in dims:
+            k = dims.index(MEMBER)
+            values = values.reshape(values.shape[:k] + lengths + values.shape[k + 1 :])
+            dims = (*dims[:k], *axes, *dims[k + 1 :])
+            if variable.dims == (MEMBER,) and name in dataset.coords:
+                dims, values = _reduced(dims, values)
+            values = (dims, values, variable.attrs)
+        variables[label_of(str(name), axes)] = values
+    variables |= coordinate_variables(axes)
+    coordinates = [label_of(str(name), axes) for name in dataset.coords]
+    return xarray.Dataset(variables, attrs=dataset.attrs).set_coords([*coordinates, *coordinate_variables(axes)])
+
+
+def label_of(name: str, axes: Mapping[str, Axis]) -> str:
+    """Return the name of a variable in a dataset with these axes."""
+    return f"{name}{SUFFIX}" if name in axes else name
+
+
+def coordinate_variables(axes: Mapping[str, Axis]) -> dict[str, Any]:
+    """Return the coordinates of the axes as variables."""
+    return {name: ((name,), axis.values, {"long_name": name}) for name, axis in axes.items() if axis.values is not None}
+
+
+def _reduced(dims: tuple[str, ...], values: Any) -> tuple[tuple[str, ...], Any]:
+    """Drop the axes along which values are constant."""
+    for k in reversed(range(values.ndim)):
+        first = np.take(values, [0], axis=k)
+        if values.shape[k] > 1 and (values == first).all():
+            dims, values = (*dims[:k], *dims[k + 1 :]), np.take(values, 0, axis=k)
+    return dims, values
+
+
+def stacked(dataset: xarray.Dataset) -> xarray.Dataset:
+    """Return a dataset over ``member`` from one with axes as dimensions: the inverse of `unstacked`, without its attribute."""
+    if AXES not in dataset.attrs:
+        return dataset
+    names = [name.entries(3)[0].text() for name in parsed(dataset.attrs[AXES], AXES).entries()]
+    attributes = {name: value for name, value in dataset.attrs.items() if name != AXES}
+    dims = dataset["x0"].dims if "x0" in dataset else ()
+    if MEMBER in dims and dims[: len(names)] != tuple(names):  # an archive, read by other means
+        return dataset.drop_attrs(deep=False).assign_attrs(attributes)
+    missing = [name for name in names if name not in dataset.sizes]
+    if missing:
+        raise ValueError(f"the dataset has no dimension {missing[0]!r}, an axis of its attributes")
+    axes = stored_axes(dataset.attrs, prod(dataset.sizes[name] for name in names))
+    import xarray
+
+    lengths = tuple(axis.length for axis in axes.values())
+    variables: dict[str, Any] = {}
+    for label, variable in dataset.variables.items():
+        name = str(label).removesuffix(SUFFIX) if str(label).removesuffix(SUFFIX) in axes else str(label)
+        if label in axes:
+            continue
+        along = [dim for dim in variable.dims if dim in axes]
+        if not along:
+            variables[name] = variable
+            continue
+        k = variable.dims.index(along[0])
+        others = [dim for dim in variable.dims if dim not in axes]
+        # Other dimensions keep their places around the axes.
+        values = variable.transpose(*others[:k], *along, *others[k:]).values
+        expanded = tuple(axis.length if dim in along else 1 for dim, axis in axes.items())
+        before, after = values.shape[:k], values.shape[k + len(along) :]
+        if [dim for dim in axes if dim in along] != along:
+            raise ValueError(f"{label} is over {variable.dims}; its axes must be in the order {tuple(axes)}")
+        values = np.broadcast_to(values.reshape(*before, *expanded, *after), (*before, *lengths, *after))
+        dims = (*others[:k], MEMBER, *others[k:])
+        variables[name] = (dims, values.reshape(*before, prod(lengths), *after), variable.attrs)
+    coordinates = [str(name) for name in dataset.coords if name in variables and name not in axes]
+    return xarray.Dataset(variables, attrs=attributes).set_coords(coordinates)
