@@ -81,6 +81,8 @@ def _failure_error(
 def _interruption_error(
     name: str, interrupt: interruption.Interrupted, archive: Path | None, target: Path | None, dataset: Any
 ) -> RunStopped:
+    from coadjoint.files.datasets.export import incomplete_attributes
+
     partial: Any = interrupt.partial if archive is None else _open_partial_run(archive)
     written = ""
     if archive is not None and partial is not None:
@@ -88,7 +90,7 @@ def _interruption_error(
         written = f"; {archive} holds {content}: coadjoint resume {archive} continues it"
     elif target is not None and partial is not None and len(partial.t):
         time = float(partial.t[-1])
-        reason = {"run_incomplete": 1, "incomplete_reason": interrupt.description, "incomplete_time": time}
+        reason = incomplete_attributes(interrupt.description, time)
         written = _write(dataset(partial).assign_attrs(reason), target, ", marked as incomplete")
     message = f"{name}: {interrupt.description}{written}" if written else f"coadjoint: {interrupt.description}"
     return RunStopped(message, interrupt.number)

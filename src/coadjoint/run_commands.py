@@ -14,6 +14,8 @@ from coadjoint.errors import in_one_line
 from coadjoint.interrupted_runs import reporting_write_errors, saving_partial_run
 
 if TYPE_CHECKING:
+    import xarray
+
     from coadjoint.files.configuration.configuration import Configuration
     from coadjoint.runs.results.solution import Solution
 
@@ -41,53 +43,78 @@ def run_file(
     writes the solution so far, marked as incomplete; `coadjoint resume` continues an archive.
     """
     from coadjoint.files.configuration.loading import load
-    from coadjoint.files.output.output_files import write_dataset, write_figure
 
     configuration = load(file)
-    paths = _output_paths(configuration, archive, out, figure, movie)
+    paths = _output_paths(configuration.path, _declared(configuration), archive, out, figure, movie)
     archive_path, dataset_path, figure_path, movie_path = paths
     with saving_partial_run(configuration.path, archive_path, dataset_path, configuration.dataset):
         solution = configuration.integrate(progress=progress, archive=archive_path)
-    if dataset_path is not None:
-        with reporting_write_errors(configuration.path, dataset_path):
-            write_dataset(configuration.dataset(solution), dataset_path)
-    if figure_path is not None:
-        with reporting_write_errors(configuration.path, figure_path):
-            write_figure(solution.plot(), figure_path)
-    if movie_path is not None:
-        with reporting_write_errors(configuration.path, movie_path):
-            solution.movie(movie_path)
+    _write_results(configuration.path, solution, configuration.dataset, dataset_path, figure_path, movie_path)
     if not quiet:
         _summarize(solution, [path for path in paths if path is not None])
 
 
+def _write_results(
+    name: str,
+    solution: Solution,
+    dataset: Callable[[Solution], xarray.Dataset],
+    dataset_path: Path | None,
+    figure_path: Path | None,
+    movie_path: Path | None,
+) -> None:
+    """Write dataset, figure and movie of a run, as far as they have paths."""
+    from coadjoint.files.output.output_files import write_dataset, write_figure
+
+    if dataset_path is not None:
+        with reporting_write_errors(name, dataset_path):
+            write_dataset(dataset(solution), dataset_path)
+    if figure_path is not None:
+        with reporting_write_errors(name, figure_path):
+            write_figure(solution.plot(), figure_path)
+    if movie_path is not None:
+        with reporting_write_errors(name, movie_path):
+            solution.movie(movie_path)
+
+
+def _declared(configuration: Configuration) -> dict[str, str | None]:
+    """Return the paths of results that a configuration declares, by key."""
+    return {
+        "archive": configuration.archive,
+        "file": configuration.output,
+        "figure": configuration.figure,
+        "movie": configuration.movie,
+    }
+
+
 def _output_paths(
-    configuration: Configuration,
+    name: str,
+    declared: Mapping[str, str | None],
     archive: str | None = None,
     out: str | None = None,
     figure: str | None = None,
     movie: str | None = None,
 ) -> list[Path | None]:
-    """Validate the paths of archive, dataset, figure and movie, from the options or else the configuration."""
+    """Validate the paths of archive, dataset, figure and movie, from the options or else those declared in a file."""
     from coadjoint.files.archives.resume import check_new
     from coadjoint.files.configuration.construction import section
     from coadjoint.files.output.movie_file import check_movie
     from coadjoint.files.output.output_files import DATASETS, FIGURES, check_target
 
-    results: tuple[tuple[str, str | None, str | None, Callable[[str], Path]], ...] = (
-        ("archive", archive, configuration.archive, check_new),
-        ("file", out, configuration.output, lambda path: check_target(path, DATASETS)),
-        ("figure", figure, configuration.figure, lambda path: check_target(path, FIGURES)),
-        ("movie", movie, configuration.movie, check_movie),
+    results: tuple[tuple[str, str | None, Callable[[str], Path]], ...] = (
+        ("archive", archive, check_new),
+        ("file", out, lambda path: check_target(path, DATASETS)),
+        ("figure", figure, lambda path: check_target(path, FIGURES)),
+        ("movie", movie, check_movie),
     )
     paths: list[Path | None] = []
-    for key, option, configured, check in results:
+    for key, option, check in results:
+        configured = declared.get(key)
         if option is not None:
             paths.append(check(option))
         elif configured is None:
             paths.append(None)
         else:
-            with section(configuration.path, f"output.{key}"):
+            with section(name, f"output.{key}"):
                 paths.append(check(configured))
     return paths
 
@@ -130,7 +157,7 @@ def check_file(file: str) -> None:
     from coadjoint.files.configuration.loading import load
 
     configuration = load(file)
-    _output_paths(configuration)
+    _output_paths(configuration.path, _declared(configuration))
     dry_run = plan(configuration)
     click.echo(str(dry_run))
     if dry_run.failed:
@@ -140,6 +167,9 @@ def check_file(file: str) -> None:
 @click.command("resume")
 @click.argument("path", type=click.Path())
 @click.option("--t-end", type=float, metavar="T", help="A later end of the run (time).")
+@click.option("--out", metavar="PATH", help="Path of the solution: .nc or .zarr; by default that in the run's file.")
+@click.option("--figure", metavar="PATH", help="Path of a figure: .png, .pdf or .svg; by default that in the file.")
+@click.option("--movie", metavar="PATH", help="Path of a movie: .mp4 or .gif; by default that in the run's file.")
 @click.option(
     "--threads", type=int, metavar="N", help="Number of threads for the members of an ensemble; by default all cores."
 )
@@ -147,16 +177,25 @@ def check_file(file: str) -> None:
 @click.option("--progress", is_flag=True, help="Show a progress bar.")
 @click.option("--quiet", is_flag=True, help="Print nothing.")
 def resume_archive(
-    path: str, t_end: float | None, threads: int | None, workers: int | None, progress: bool, quiet: bool
+    path: str,
+    t_end: float | None,
+    out: str | None,
+    figure: str | None,
+    movie: str | None,
+    threads: int | None,
+    workers: int | None,
+    progress: bool,
+    quiet: bool,
 ) -> None:
     """Continue the run of the archive PATH, with the same bits as an uninterrupted run.
 
-    A finished run is left unchanged, unless a later end is given.
+    A finished run is left unchanged, unless a later end is given. At the end the results are written that the
+    configuration file of the run declares: file, figure and movie, relative to the current directory.
     """
     from coadjoint.files.archives.archived_solution import open_archive
     from coadjoint.files.archives.resume import resume
     from coadjoint.files.configuration.configuration import CONFIGURATION
-    from coadjoint.files.configuration.loading import system_of_text
+    from coadjoint.files.configuration.loading import outputs_of_text, system_of_text
     from coadjoint.files.records.required_functions import requires_argument
 
     archive, system = Path(path), None
@@ -164,10 +203,13 @@ def resume_archive(
     if CONFIGURATION in attributes and requires_argument(attributes, "system"):
         # Catalogue algebras may have Casimirs that are functions, which only the configuration file can restore.
         system = system_of_text(attributes[CONFIGURATION])
+    declared = outputs_of_text(attributes[CONFIGURATION]) if CONFIGURATION in attributes else {}
+    results = _output_paths(path, {**declared, "archive": None}, None, out, figure, movie)[1:]
     with saving_partial_run(path, archive, None, None):
         solution = resume(archive, t_end, system=system, threads=threads, workers=workers, progress=progress)
+    _write_results(path, solution, lambda resumed: resumed.to_xarray().drop_encoding(), *results)
     if not quiet:
-        _summarize(solution, [archive])
+        _summarize(solution, [archive, *(result for result in results if result is not None)])
 
 
 @click.command("certify")

@@ -11,6 +11,7 @@ from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Kind, kinds, read_picture
 from coadjoint.pictures.style import figure_settings, setting
 from coadjoint.runs.results.solution import Solution, check_solution
+from coadjoint.runs.results.summary import extent_text
 from coadjoint.systems.gallery_entry import Picture
 from coadjoint.validation import read_integer, read_list
 
@@ -38,7 +39,9 @@ class SavedFrames:
         with figure_settings():
             figure = Figure(figsize=(width / dpi, height / dpi), dpi=dpi, layout=PanelLayout(compress=True))
             self._canvas = FigureCanvasAgg(figure)
-            figure.suptitle(drawn.solution.system.name.replace("$", r"\$"), fontsize=setting("axes.titlesize"))
+            name = drawn.solution.system.name
+            cut = f", {extent_text(drawn.solution)}" if drawn.solution.incomplete else ""
+            figure.suptitle(f"{name}{cut}".replace("$", r"\$"), fontsize=setting("axes.titlesize"))
             update = kind.prepare(drawn, **picture.options)(figure.add_subplot(projection=kind.projection))
             assert update is not None, f"the kind {kind.name!r} is registered with moves=True, but returns no update"
             self._update = update

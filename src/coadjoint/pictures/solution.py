@@ -13,6 +13,7 @@ from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Kind, Paint, kinds, read_picture
 from coadjoint.pictures.style import figure_settings
 from coadjoint.runs.results.solution import check_solution
+from coadjoint.runs.results.summary import extent_text
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import Picture
 from coadjoint.validation import read_list, read_number
@@ -172,4 +173,6 @@ def _headline(solution: Solution, drawn: PlottedRun) -> str:
         parts.append(f"{len(drawn.x)} of {drawn.member_count} members")
     elif drawn.member_count > 1:
         parts.append(f"{drawn.member_count} members")
+    if solution.incomplete:
+        parts.append(extent_text(solution))
     return ",  ".join(parts)

@@ -44,7 +44,7 @@ from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
-from coadjoint.systems.protocol import among, is_batch, member_of, members_of, unforced_matrix_system
+from coadjoint.systems.protocol import among, is_batch, member_of, unforced_matrix_system
 from coadjoint.systems.system_checks import System, check_system
 from coadjoint.validation import read_bool, read_integer
 

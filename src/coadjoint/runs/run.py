@@ -199,7 +199,9 @@ class Run:
             return solution
         if self.start.single and self.state["status"][0]:
             saved_points = int(np.searchsorted(self.times.saved, self.state["step"][0]))
-        raise self.failure(self._solution(saved_points, observed))
+        solution = self._solution(saved_points, observed)
+        solution.record.incomplete = "failed" if self.start.single else None
+        raise self.failure(solution)
 
     def interrupted(self, observed: Observed | None) -> Solution:
         """Return the points saved before an interrupt, after which the run cannot be resumed.
@@ -227,7 +229,9 @@ class Run:
             for tenth in np.unique(tenths):
                 deviations = np.abs(values[:saved_points][tenths == tenth] - values[0])
                 worst[:, tenth] = np.fmax.reduce(deviations, axis=0, initial=0.0)
-        return self._solution(saved_points, observed)
+        solution = self._solution(saved_points, observed)
+        solution.record.incomplete = "interrupted"
+        return solution
 
     def failure(self, partial: Any) -> IntegrationError:
         """Return the error of a failed run with its partial solution."""

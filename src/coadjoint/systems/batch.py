@@ -216,8 +216,8 @@ def batch(systems: Iterable[Member | ForcedSystem] | Callable[..., Member | Forc
         return Batch(systems)
     if not callable(systems):
         raise TypeError(
-            f"batch was given the axes {', '.join(axes)} and {short(systems)}; with axes give a function of one value of "
-            "each, which returns a system"
+            f"batch was given the axes {', '.join(axes)} and {short(systems)}; with axes give a function of "
+            "one value of each, which returns a system"
         )
     values = {name: read_list(listed, name, "give a list of values") for name, listed in axes.items()}
     for name in axes:

@@ -52,6 +52,14 @@ def system_of_text(text: str) -> Any:
     return _system(name, tables.file, sweep)
 
 
+def outputs_of_text(text: str) -> dict[str, str | None]:
+    """Return the declared paths of results of a configuration from the text of its file, as stored with a result."""
+    from coadjoint.files.configuration.models import OutputTable
+
+    name = "the configuration of this run"
+    return _checked(name, OutputTable, parse_toml(name, text).get("output", {})).model_dump()
+
+
 def load(path: str | Path) -> Configuration:
     """Read and validate a configuration file.
 

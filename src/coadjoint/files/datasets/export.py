@@ -53,8 +53,9 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
     ``observed_<name>``, ``attitude`` over ``row`` and ``column``; ``drift`` over ``invariant`` and ``tenth`` of the
     run, replaced for systems with forces by ``change``, ``balance``, and ``work`` over ``account``; ``x0``,
     ``attitude0``, and ``event_...`` of crossings. Numbers in which the systems of a batch differ are coordinates, such
-    as ``swept_inertia_2``; a batch with named axes has these as dimensions in place of ``member``. Names, units and dimensions follow the CF conventions. Attributes: version, system and
-    method (JSON), step, times, and the names of functions that cannot be stored.
+    as ``swept_inertia_2``; a batch with named axes has these as dimensions in place of ``member``. Names, units and
+    dimensions follow the CF conventions. Attributes: version, system and method (JSON), step, times, and the names of
+    functions that cannot be stored.
 
     Parameters
     ----------
@@ -111,6 +112,8 @@ def attributes_of(solution: Solution) -> dict[str, Any]:
         "seconds": solution.stats.seconds,
         "elapsed": solution.stats.elapsed,
     }
+    if solution.incomplete and solution.incomplete != "failed" and len(solution.t):  # `mark_failed` has the failure
+        attributes |= incomplete_attributes(solution.incomplete, float(solution.t[-1]))
     if solution.t_span != solution.asked_span:
         attributes[ENDED_ATTRIBUTE] = solution.stats.steps
     attributes |= axes_attribute(axes_of_system(solution.system))
@@ -124,6 +127,11 @@ def attributes_of(solution: Solution) -> dict[str, Any]:
     if missing:
         attributes["not_stored"] = "functions are not stored: " + ", ".join(missing)
     return attributes
+
+
+def incomplete_attributes(reason: str, time: float) -> dict[str, Any]:
+    """Return the attributes of a run that was cut after a time."""
+    return {"run_incomplete": 1, "incomplete_reason": reason, "incomplete_time": time}
 
 
 def mark_failed(dataset: xarray.Dataset, error: IntegrationError) -> xarray.Dataset:

@@ -51,15 +51,18 @@ def unstacked(dataset: xarray.Dataset) -> xarray.Dataset:
     lengths = tuple(axis.length for axis in axes.values())
     variables: dict[str, Any] = {}
     for name, variable in dataset.variables.items():
-        dims, values = variable.dims, variable.values if MEMBER in variable.dims else variable
-        if MEMBER in dims:
-            k = dims.index(MEMBER)
-            values = values.reshape(values.shape[:k] + lengths + values.shape[k + 1 :])
+        dims = tuple(map(str, variable.dims))
+        if MEMBER not in dims:
+            variables[label_of(str(name), axes)] = variable
+            continue
+        k = dims.index(MEMBER)
+        values = variable.values
+        values = values.reshape(values.shape[:k] + lengths + values.shape[k + 1 :])
+        if len(dims) == 1 and name in dataset.coords:
+            dims, values = _reduced(tuple(axes), values)
+        else:
             dims = (*dims[:k], *axes, *dims[k + 1 :])
-            if variable.dims == (MEMBER,) and name in dataset.coords:
-                dims, values = _reduced(dims, values)
-            values = (dims, values, variable.attrs)
-        variables[label_of(str(name), axes)] = values
+        variables[label_of(str(name), axes)] = dims, values, variable.attrs
     variables |= coordinate_variables(axes)
     coordinates = [label_of(str(name), axes) for name in dataset.coords]
     return xarray.Dataset(variables, attrs=dataset.attrs).set_coords([*coordinates, *coordinate_variables(axes)])
@@ -85,7 +88,10 @@ def _reduced(dims: tuple[str, ...], values: Any) -> tuple[tuple[str, ...], Any]:
 
 
 def stacked(dataset: xarray.Dataset) -> xarray.Dataset:
-    """Return a dataset over ``member`` from one with axes as dimensions: the inverse of `unstacked`, without its attribute."""
+    """Return a dataset over ``member`` from one with axes as dimensions: the inverse of `unstacked`.
+
+    The attribute with the axes is removed.
+    """
     if AXES not in dataset.attrs:
         return dataset
     names = [name.entries(3)[0].text() for name in parsed(dataset.attrs[AXES], AXES).entries()]

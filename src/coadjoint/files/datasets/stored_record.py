@@ -112,6 +112,16 @@ def _optional(name: str) -> Callable[[RunRecord], NDArray[Any] | None]:
     return lambda record: record.read(name) if name in record.arrays else None
 
 
+def _incomplete(record: RunRecord) -> str | None:
+    """Return why the run has not reached its end; members that failed do not cut the others."""
+    attributes = record.attributes
+    if attributes.get("run_incomplete"):
+        return str(attributes.get("incomplete_reason", "interrupted"))
+    if attributes.get("run_failed") and record.failed is None:
+        return "failed"
+    return "unfinished" if "finished" in record and not record.finished else None
+
+
 STORED: Mapping[str, Callable[[RunRecord], Any]] = {
     **FROM_TIMES,
     "arguments": lambda record: record.inputs(),
@@ -132,5 +142,6 @@ STORED: Mapping[str, Callable[[RunRecord], Any]] = {
     "attitude": _optional("attitude"),
     "attitude0": _optional("attitude0"),
     "carried": _carried,
+    "incomplete": _incomplete,
     "failed": _optional("failed"),
 }

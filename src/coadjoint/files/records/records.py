@@ -41,8 +41,9 @@ def record_of(system: System | Batch) -> dict[str, Any]:
     A ready-made system is its name and parameters. Any other is its structure constants (i, j, k, c), its Hamiltonian,
     sign, polynomial Casimirs and integrals, and representation, and the name, basis, Casimirs and representation of its
     algebra; a matrix system is its algebra and its stream. Functions cannot be stored, and are listed under
-    ``"not_stored"``. A batch is the list of its different systems with the number of
-    the system and of the members in each run of equal ones, and a system with forces its Hamiltonian part and the forces.
+    ``"not_stored"``. A batch is the list of its different systems, with pairs of the
+    number of a system and of successive members that have it; a system with forces is its Hamiltonian part and the
+    forces.
 
     Examples
     --------

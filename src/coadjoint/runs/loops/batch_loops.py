@@ -104,8 +104,14 @@ class BatchLoops(Loops):
         """Return the loops of these members, from the tables already built."""
         loops = object.__new__(BatchLoops)
         chosen, owners = np.unique(self._owners[members], return_inverse=True)
-        tables = [[listed[k] for k in chosen] for listed in (self._prepared, self._watches, self._shift_corrections)]
-        loops._set_up(self._dim, self.names, *tables, owners)  # type: ignore[arg-type]
+        loops._set_up(
+            self._dim,
+            self.names,
+            [self._prepared[k] for k in chosen],
+            [self._watches[k] for k in chosen],
+            [self._shift_corrections[k] for k in chosen],
+            owners,
+        )
         return loops
 
     @property
@@ -230,9 +236,8 @@ def groups_of(
         if isinstance(key, int):
             groups.append(Group(members, loop.name, as_structure(loop.tables), as_structure(watches[key]), 0))
             continue
-        in_columns = [
-            as_structure(stacked([tables[k] for k in owners[members]]))
-            for tables in ([p.tables for p in prepared], watches)
-        ]
-        groups.append(Group(members, loop.name, *in_columns, -(-len(members) // block) * block))
+        own = owners[members].tolist()
+        tables = as_structure(stacked([prepared[k].tables for k in own]))
+        watch = as_structure(stacked([watches[k] for k in own]))
+        groups.append(Group(members, loop.name, tables, watch, -(-len(members) // block) * block))
     return sorted(groups, key=lambda group: int(group.members[0]))

@@ -42,6 +42,7 @@ def record_of_run(run: Run, saved_points: int, observed: Observed | None) -> Run
             "saved_points": saved_points,
             "seconds": run.seconds,
             "elapsed": run.seconds,
+            "incomplete": None,
             "times": run.times,
             "start": run.start,
             "names": loops.names,

@@ -72,6 +72,7 @@ class RunAttributes:
     failed: NDArray[np.bool_] | None
     events: RecordedEvents | None
     stats: Statistics
+    incomplete: str | None
     t_span: tuple[float, float]
     asked_span: tuple[float, float]
     step: float

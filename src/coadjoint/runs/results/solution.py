@@ -12,6 +12,7 @@ from coadjoint.keyword_hints import NamedValues
 from coadjoint.runs.results.drift import Drift, scales_of_invariants
 from coadjoint.runs.results.run_record import SOLUTION_FIELDS, RunRecord
 from coadjoint.runs.results.solution_output import SolutionOutput
+from coadjoint.runs.results.summary import extent_text, table_of_run
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.protocol import is_batch, unforced_matrix_system
@@ -47,6 +48,8 @@ class Solution(SolutionOutput):
         Steps, evaluations, iterations, seconds.
     failed : ndarray of bool, shape (members,), or None
         For an ensemble, which members failed.
+    incomplete : str or None
+        Why a run has not reached its end: "failed", "unfinished" (an archive), or what interrupted it.
     system, method, step, save_every, t_eval, watched, t_span, asked_span
         System (with the inputs of the run), scheme and arguments of the run; `t_span` ends before the requested
         `asked_span` if an event ended the run.
@@ -113,13 +116,10 @@ class Solution(SolutionOutput):
     def __repr__(self) -> str:
         if "text" in self.record:
             return self.record.text
-        points = f"{len(self.t)} points from t = {self.t_span[0]:g} to {self.t_span[1]:g}"
         members = "" if self.failed is None else f", {len(self.failed)} members"
-        return f"<solution of {self.system.name} by {self.method}: {points}, step {self.step:g}{members}>"
+        return f"<solution of {self.system.name} by {self.method}: {extent_text(self)}, step {self.step:g}{members}>"
 
     def _repr_html_(self) -> str:
-        from coadjoint.runs.results.summary import table_of_run
-
         return table_of_run(self)
 
     def __reduce__(self) -> tuple[Any, ...]:

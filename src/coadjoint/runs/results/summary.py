@@ -21,6 +21,22 @@ def is_driven(system: Any) -> bool:
     return bool(getattr(member_of(system).hamiltonian, "timed", False))
 
 
+def extent_text(solution: Solution) -> str:
+    """Return the number of saved points and their times, and what cut a run that has not reached its end.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> extent_text(co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 1), step=0.1))
+    '11 points from t = 0 to 1'
+    """
+    t, (first, last) = solution.t, solution.t_span
+    if not solution.incomplete:
+        return f"{len(t)} points from t = {first:g} to {last:g}"
+    reached = f"{t[-1]:g} of {last:g}" if len(t) else f"{last:g}"
+    return f"{len(t)} points from t = {first:g} to {reached}, {solution.incomplete}"
+
+
 def seconds_text(stats: Statistics) -> str:
     """Return the time of the call, and that in the loop, as text."""
     loop = f"{stats.seconds:.3g} s in the loop"
@@ -38,7 +54,7 @@ def table_of_run(solution: Solution) -> str:
     (True, True)
     """
     rows: dict[str, Any] = {
-        "time": f"{solution.t_span[0]:g} to {solution.t_span[1]:g}, {len(solution.t)} saved points",
+        "saved": extent_text(solution),
         "step": f"{solution.step:g}, {solution.stats.steps} of them; {seconds_text(solution.stats)}",
     }
     if solution.failed is not None:

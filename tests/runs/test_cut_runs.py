@@ -1,0 +1,78 @@
+"""Runs that were interrupted or failed state this in their text, summary, pictures and files."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.files.datasets.export import mark_failed
+from coadjoint.kernels.loop import MemberBatch
+
+BODY, X0 = co.systems.rigid_body(inertia=(1.0, 2.0, 3.0)), (1.0, 0.2, 0.1)
+STATED = "31 points from t = 0 to 600 of 20000, interrupted"
+
+
+@pytest.fixture
+def cut(monkeypatch):
+    """Return a run that was interrupted after 600 of 20000 time units."""
+    advance = MemberBatch.advance
+
+    def interrupted(self, layout, schedule, saved, state, k0, k1, stop):
+        advance(self, layout, schedule, saved, state, k0, 6000, stop)
+        saved["x"][31:] = np.nan
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(MemberBatch, "advance", interrupted)
+        with pytest.raises(KeyboardInterrupt) as raised:
+            co.integrate(BODY, X0, (0, 20000), 0.1, save_every=200, method=co.Splitting(order=4))
+    return raised.value.partial
+
+
+def test_text_and_summary_of_an_interrupted_run(cut):
+    assert cut.incomplete == "interrupted" and len(cut.t) == 31
+    assert STATED in repr(cut)
+    assert STATED in cut._repr_html_()
+
+
+def test_pictures_of_an_interrupted_run(cut, tmp_path):
+    title = cut.plot(["components"])._suptitle.get_text()
+    assert STATED in " ".join(title.split())
+
+
+@pytest.mark.parametrize("suffix", ["nc", "zarr"])
+def test_interrupted_runs_are_read_back_as_such(cut, suffix, tmp_path):
+    path, dataset = tmp_path / f"run.{suffix}", cut.to_xarray()
+    assert dataset.attrs["run_incomplete"] == 1 and dataset.attrs["incomplete_time"] == 600.0
+    dataset.to_netcdf(path, engine="h5netcdf") if suffix == "nc" else dataset.to_zarr(path, zarr_format=2)
+    loaded = co.load(path)
+    assert loaded.incomplete == "interrupted" and STATED in repr(loaded) and STATED in loaded._repr_html_()
+    np.testing.assert_array_equal(loaded.x, cut.x)
+    assert STATED in repr(co.load(path)), "again"
+
+
+def test_complete_runs_are_not_marked(tmp_path):
+    sol = co.integrate(BODY, X0, (0, 1), 0.1, archive=tmp_path / "run.zarr")
+    plain = co.integrate(BODY, X0, (0, 1), 0.1)
+    for run in (sol, plain, co.load(tmp_path / "run.zarr")):
+        assert run.incomplete is None and "interrupted" not in repr(run) + run._repr_html_()
+    assert "11 points from t = 0 to 1, step" in repr(plain)
+    assert "run_incomplete" not in plain.to_xarray().attrs
+
+
+def test_unfinished_archives(tmp_path):
+    from coadjoint.files.archives.resume import archive_run
+
+    prepared = co.prepare(BODY, co.Splitting(), 0.1)
+    sol = archive_run(prepared, X0, (0.0, 20.0), 10, tmp_path / "run.zarr", until=50)
+    assert sol.incomplete == "unfinished" and "6 points from t = 0 to 5 of 20, unfinished" in sol._repr_html_()
+    assert co.resume(tmp_path / "run.zarr").incomplete is None
+
+
+def test_failed_runs(tmp_path):
+    with pytest.raises(co.IntegrationError) as raised:
+        co.integrate(BODY, (1e3, 2e3, 1e3), (0, 10), 1.0, co.GaussLegendre(2))
+    partial = raised.value.partial
+    assert partial.incomplete == "failed" and repr(partial).count(" of 10, failed,") == 1
+    path = tmp_path / "run.nc"
+    mark_failed(partial.to_xarray(), raised.value).to_netcdf(path, engine="h5netcdf")
+    assert co.load(path).incomplete == "failed"
