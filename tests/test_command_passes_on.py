@@ -287,7 +287,7 @@ def test_exit_status_of_interrupts_and_missing_packages(monkeypatch, capsys):
         (ImportError("a is missing"), 2, "coadjoint: a is missing\n"),
     ):
         with monkeypatch.context() as patched:
-            patched.setattr(commands, "perform", lambda arguments, error=error: (_ for _ in ()).throw(error))
+            patched.setattr(commands, "perform", lambda *arguments, error=error: (_ for _ in ()).throw(error))
             assert cli.main(["methods"]) == status
         assert capsys.readouterr() == ("", message)
 

@@ -25,6 +25,7 @@ from .analysis.certificates.certify import certify as certify
 from .analysis.equilibrium import Equilibrium as Equilibrium
 from .analysis.equilibrium import equilibrium as equilibrium
 from .analysis.fit import fit as fit
+from .analysis.identify import identify as identify
 from .analysis.frequencies import Frequencies as Frequencies
 from .analysis.frequencies import frequencies as frequencies
 from .analysis.lyapunov import LyapunovExponents as LyapunovExponents

@@ -120,7 +120,8 @@ def _output_paths(
 
 
 def _summarize(solution: Solution, written: Sequence[Path]) -> None:
-    stats, seconds = solution.stats, time.monotonic() - click.get_current_context().find_root().obj
+    stats, context = solution.stats, click.get_current_context(silent=True)
+    seconds = stats.elapsed if context is None else time.monotonic() - context.find_root().obj
     click.echo(
         in_one_line(f"{solution.system.name}, {solution.method}")
         + f": {stats.steps} steps of {solution.step:g}; {seconds:.3g} s, {stats.seconds:.3g} s in the "

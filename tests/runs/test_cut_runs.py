@@ -69,10 +69,13 @@ def test_unfinished_archives(tmp_path):
 
 
 def test_failed_runs(tmp_path):
+    """The exact flow of a dilation overflows."""
+    H = co.Quadratic(((1.0, 0.3, 0.0), (0.3, -2.0, 0.1), (0.0, 0.1, 0.5)))
+    dilation = co.LiePoissonSystem(co.algebras.get("A3,7", a=2.0), H)
     with pytest.raises(co.IntegrationError) as raised:
-        co.integrate(BODY, (1e3, 2e3, 1e3), (0, 10), 1.0, co.GaussLegendre(2))
+        co.integrate(dilation, (1e3, 2e3, 3e3), (0, 20), 0.5)
     partial = raised.value.partial
-    assert partial.incomplete == "failed" and repr(partial).count(" of 10, failed,") == 1
+    assert partial.incomplete == "failed" and repr(partial).count(" of 20, failed,") == 1
     path = tmp_path / "run.nc"
     mark_failed(partial.to_xarray(), raised.value).to_netcdf(path, engine="h5netcdf")
     assert co.load(path).incomplete == "failed"
