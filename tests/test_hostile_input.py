@@ -180,6 +180,8 @@ CALLS = {
                 "methods": co.GaussLegendre(2), "processed": False}),
     "fit": (co.fit, {"ready": READY, "x0": X, "t_span": (0, 1), "measured": {"x": READY.run(X, (0, 1)).x},
             "unknown": {"x0": True}, "save_every": 1, "sigma": {"x": 0.1}, "attitude": None}),
+    "identify": (co.identify, {"algebra": co.algebras.so(3), "t": np.linspace(0, 4, 41),
+                 "x": READY.run(X, (0, 4)).x, "degree": 2, "sign": -1, "radius": 8}),
     "an unknown": (lambda k: co.fit(READY, X, (0, 1), {"x": READY.run(X, (0, 1)).x}, {"x0": k}, sigma={"x": 0.1}),
                    {"k": (0, 1)}),
     "lyapunov": (co.lyapunov, {"system": BODY, "x0": X, "t_span": (0, 1), "step": 0.1, "method": None,

@@ -25,9 +25,9 @@ from .analysis.certificates.certify import certify as certify
 from .analysis.equilibrium import Equilibrium as Equilibrium
 from .analysis.equilibrium import equilibrium as equilibrium
 from .analysis.fit import fit as fit
-from .analysis.identify import identify as identify
 from .analysis.frequencies import Frequencies as Frequencies
 from .analysis.frequencies import frequencies as frequencies
+from .analysis.identify import identify as identify
 from .analysis.lyapunov import LyapunovExponents as LyapunovExponents
 from .analysis.lyapunov import lyapunov as lyapunov
 from .analysis.phase_drift import PhaseDrift as PhaseDrift
