@@ -25,9 +25,10 @@ RESULTS = {"Certificate", "Choice", "Corrector", "Frequencies", "IntegrationErro
            "LyapunovExponents", "ModifiedField", "ModifiedHamiltonian", "PhaseDrift", "PreparedRun",
            "RecordedEvents", "Section", "Solution"}  # fmt: skip
 # Functions of existing systems and schemes; their arguments are in tests/test_hostile_input.py.
-USES = {"certify", "choose", "equilibrium", "fit", "frequencies", "identify", "integrate", "integrate_ensemble", "load", "lyapunov",
-        "make_corrector", "modified_field", "modified_hamiltonian", "open_archive", "phase_drift", "poincare_section",
-        "predicted_drift", "prepare", "resume", "stepper", "suggest_step", "thermal_states"}  # fmt: skip
+USES = {"certify", "choose", "equilibrium", "fit", "frequencies", "identify", "integrate", "integrate_ensemble", "load",
+        "lyapunov", "make_corrector", "modified_field", "modified_hamiltonian", "open_archive", "phase_drift",
+        "poincare_section", "predicted_drift", "prepare", "resume", "stepper", "suggest_step",
+        "thermal_states"}  # fmt: skip
 # Base classes of schemes, and parts that are checked only when a scheme is used.
 BASES = {"Coefficients", "CompiledStepMethod", "FlowMethod", "Method", "Operations", "RungeKuttaMethod", "StepMethod",
          "Sweep", "Work", "begin", "compile_step", "gauss_tableau", "iterate_to_stagnation", "register"}  # fmt: skip

@@ -116,7 +116,6 @@ ELSEWHERE: dict[str, str] = {
     "fit.fit": "tests/analysis/test_fit.py",
     "structure_factor.structure_factor": "tests/analysis/test_structure_factor.py",
     "autocorrelation.autocorrelation": "tests/analysis/test_autocorrelation.py, where members share one mean",
-    "identify.identify": "tests/analysis/test_identify.py",
 }
 
 
@@ -344,8 +343,8 @@ def test_a_suggested_step_for_a_sample_is_the_least_of_its_states():
 AXES: dict[str, int | None] = {
     "x": 1, "x0": 0, "energy": 1, "casimirs": 1, "attitude": 1, "attitude0": 0, "observed": 1, "work": 1, "initial": 0,
     "failed": 0, "drift": 0, "balance": 0, "change": 0, "modified_energy": 1, "at": 1, "t": None, "t_eval": None,
-    "t_span": None, "asked_span": None, "incomplete": None, "step": None, "save_every": None, "carried": None, "method": None,
-    "watched": None,
+    "t_span": None, "asked_span": None, "step": None, "save_every": None, "carried": None, "method": None,
+    "watched": None, "incomplete": None,
 }  # fmt: skip
 OTHERS = {
     "system": "tests/runs/test_batch.py",
