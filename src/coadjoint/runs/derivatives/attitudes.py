@@ -44,6 +44,8 @@ class AttitudeDerivatives:
 
     def element(self, x0: Floats, A0: Floats, t: float, G: Floats) -> Floats:
         """Return the attitude (d, d) at a time since the start."""
+        from scipy.linalg import expm
+
         return np.asarray(A0 @ expm(t * self._generator(x0)) @ G) if self.shifted else G
 
     def tangents(
