@@ -119,6 +119,16 @@ def _output_paths(
     return paths
 
 
+def _check_inside(name: str, declared: Mapping[str, str | None]) -> None:
+    """Raise OutputError if a result that an archive declares, which may come from others, is outside of this folder."""
+    from coadjoint.files.output.output_files import OutputError
+
+    for key, path in declared.items():
+        if path is not None and not Path(path).resolve().is_relative_to(Path.cwd().resolve()):
+            option = "out" if key == "file" else key
+            raise OutputError(f"{name}: output.{key}: {path} is outside of the current folder; give --{option}")
+
+
 def _summarize(solution: Solution, written: Sequence[Path]) -> None:
     stats, context = solution.stats, click.get_current_context(silent=True)
     seconds = stats.elapsed if context is None else time.monotonic() - context.find_root().obj
@@ -205,7 +215,10 @@ def resume_archive(
         # Catalogue algebras may have Casimirs that are functions, which only the configuration file can restore.
         system = system_of_text(attributes[CONFIGURATION])
     declared = outputs_of_text(attributes[CONFIGURATION]) if CONFIGURATION in attributes else {}
-    results = _output_paths(path, {**declared, "archive": None}, None, out, figure, movie)[1:]
+    given = {"archive": path, "file": out, "figure": figure, "movie": movie}
+    declared = {key: value for key, value in declared.items() if value is not None and given.get(key) is None}
+    _check_inside(path, declared)
+    results = _output_paths(path, declared, None, out, figure, movie)[1:]
     with saving_partial_run(path, archive, None, None):
         solution = resume(archive, t_end, system=system, threads=threads, workers=workers, progress=progress)
     _write_results(path, solution, lambda resumed: resumed.to_xarray().drop_encoding(), *results)

@@ -84,3 +84,24 @@ def test_unwritable_results_are_refused_before_the_run(begun, capsys):
     assert co.open_archive("run.zarr").reached == 10
     assert cli.main(["resume", "run.zarr", "--out", "run.csv"]) == 2
     assert cli.main(["resume", "run.zarr", "--out", "run.nc", "--quiet"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("declared", "option"),
+    [
+        ('file = "{above}/run.nc"', "--out"),
+        ('figure = "../run.png"', "--figure"),
+        ('movie = "linked/a.gif"', "--movie"),
+    ],
+)
+def test_results_outside_of_the_folder_are_refused(begun, tmp_path_factory, capsys, declared, option):
+    """An archive may come from others, who choose what it declares."""
+    above = tmp_path_factory.mktemp("above")
+    folder = begun(declared.format(above=above) + "\n")
+    (folder / "linked").symlink_to(above)
+    assert cli.main(["resume", "run.zarr"]) == 2
+    assert f"is outside of the current folder; give {option}" in capsys.readouterr().err
+    assert not list(above.iterdir()) and co.open_archive("run.zarr").reached == 10
+    suffix = {"--out": "nc", "--figure": "png", "--movie": "gif"}[option]
+    assert cli.main(["resume", "run.zarr", "--quiet", option, f"own.{suffix}"]) == 0
+    assert (folder / f"own.{suffix}").exists()
