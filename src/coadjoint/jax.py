@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from coadjoint.errors import unknown_attribute, unknown_name
@@ -13,7 +14,7 @@ __all__ = ["solution"]
 
 TYPE_CHECKING = False
 
-BACKENDS = ("compiled",)
+BACKENDS = ("compiled", "xla")
 
 
 def solution(
@@ -91,12 +92,17 @@ def solution(
     require_packages("co.jax.solution", "jax")
     from coadjoint.runs.derivatives.jax_primitives import solve
     from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
+    from coadjoint.runs.derivatives.xla_run import XlaRun
 
-    run = ParametrizedRun(ready, t_span, save_every, t_eval, "co.jax.solution")
+    compute: Callable[..., Any]
+    if backend == "xla":
+        compute = XlaRun(ready, t_span, save_every, t_eval)
+    else:
+        compute = partial(solve, ParametrizedRun(ready, t_span, save_every, t_eval, "co.jax.solution"))
 
     def solution_of(x0: Any, *, attitude0: Any = None, **parameters: Any) -> Any:
         """Return the states of the run, and the attitudes if it was prepared with one; see `co.jax.solution`."""
-        return solve(run, x0, attitude0, parameters)
+        return compute(x0, attitude0, parameters)
 
     return solution_of
 

@@ -118,9 +118,9 @@ def _numbers(number: Number, values: Sequence[Any]) -> NDArray[Any]:
     return array_of(number, np.array(values, dtype=object)) if len(values) else array_of(number, [])
 
 
-def _provenance(program: Program) -> dict[str, Any]:
-    """Return the coefficients of the energy, the numbers that depend on them, and the parameters."""
-    system, parameters = program.system, {}
+def energy_and_parameters(system: Any) -> dict[str, Any]:
+    """Return the coefficients of the energy of a system, and its parameters, as in its tables."""
+    parameters: dict[str, Any] = {}
     keys: dict[Key, int] = {}
     values: list[float] = []
     for key, value in coefficients_of(system).items():
@@ -143,8 +143,18 @@ def _provenance(program: Program) -> dict[str, Any]:
             "entry": np.array([one.entry for one in monomials], dtype=np.int64),
             "derivative": np.array([one.factor for one in monomials], dtype=np.float64),
         }
+    return {
+        "energy": {"monomials": [list(key) for key in keys], "coefficients": np.array(values, dtype=np.float64)},
+        "parameters": parameters,
+    }
+
+
+def _provenance(program: Program) -> dict[str, Any]:
+    """Return the coefficients of the energy, the numbers that depend on them, and the parameters."""
+    described = energy_and_parameters(program.system)
     found = Provenance(program)
-    changes = {number: found.changes(key) for key, number in keys.items()}
+    monomials = described["energy"]["monomials"]
+    changes = {number: found.changes(tuple(key)) for number, key in enumerate(monomials)}
     terms = program.terms
     starts = starts_of(np.array([len(one) for one in (terms.offset, terms.weight, terms.coefficient)]))
     dependent: dict[str, list[tuple[int, int, float]]] = {name: [] for name in (*DEPENDENT, "shift")}
@@ -156,10 +166,9 @@ def _provenance(program: Program) -> dict[str, Any]:
             dependent[DEPENDENT[kind]].append((number - int(starts[kind]), monomial, factor))
         dependent["shift"] += [(number, monomial, factor) for number, factor in change.shifts]
     return {
-        "energy": {"monomials": [list(key) for key in keys], "coefficients": np.array(values, dtype=np.float64)},
+        **described,
         "provenance": {name: _columns(rows) for name, rows in dependent.items()},
         "fixed": [monomial for monomial, change in changes.items() if change is None],
-        "parameters": parameters,
     }
 
 

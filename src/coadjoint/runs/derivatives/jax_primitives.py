@@ -23,17 +23,22 @@ Names = tuple[str, ...]
 
 def solve(run: ParametrizedRun, x0: Any, attitude0: Any, parameters: Mapping[str, Any]) -> Any:
     """Return the states of a run, and the attitudes if it has them, as functions of arrays of JAX."""
-    if not jax.config.jax_enable_x64:
-        raise TypeError(
-            'JAX computes in float32 and coadjoint in float64; call jax.config.update("jax_enable_x64", True) first'
-        )
-    values = {name: _double(name, value) for name, value in run.arguments(x0, attitude0, parameters).items()}
+    values = doubles(run.arguments(x0, attitude0, parameters))
     run.check({name: value.shape for name, value in values.items()})
     if "attitude0" in values:
         attitude = values["attitude0"]
         values["attitude0"] = jnp.broadcast_to(attitude, (*values["x0"].shape[:-1], *attitude.shape[-2:]))
     outputs = SOLUTION.bind(*values.values(), run=run, names=tuple(values), for_gradient=False)
     return tuple(outputs) if len(outputs) > 1 else outputs[0]
+
+
+def doubles(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert values to arrays of float64; raise TypeError for lower precision, or if JAX has no other."""
+    if not jax.config.jax_enable_x64:
+        raise TypeError(
+            'JAX computes in float32 and coadjoint in float64; call jax.config.update("jax_enable_x64", True) first'
+        )
+    return {name: _double(name, value) for name, value in values.items()}
 
 
 def _double(name: str, value: Any) -> Any:

@@ -44,7 +44,7 @@ class ParametrizedRun:
             raise TypeError(f"{caller} takes schemes with a given step, and {prepared.method} chooses its own steps")
         self._prepared = prepared
         self._run = DifferentiableRun(prepared)
-        times, moments = prepared.times_of(t_span, save_every, t_eval)
+        self.times, self.moments = times, moments = prepared.times_of(t_span, save_every, t_eval)
         if moments is not None:
             check_partial_steps(prepared.system, moments)
         self._run.tables(times.h, ())  # raises TypeError for a scheme without derivatives

@@ -1,0 +1,228 @@
+"""Runs as operations of JAX: steps of a table, or of Gauss stages, in loops of XLA."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from coadjoint.memory import check_available_memory
+from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.protocol.flow_method import FlowMethod
+from coadjoint.program.provenance import monomials_of
+from coadjoint.program.public_table import energy_and_parameters
+from coadjoint.runs.derivatives.jax_primitives import doubles
+from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
+from coadjoint.runs.derivatives.xla_flows import TableSteps
+from coadjoint.runs.derivatives.xla_stages import GaussSteps
+from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.coefficient_derivatives import coefficients_of
+from coadjoint.systems.parameters import parameters_at, with_parameters
+from coadjoint.systems.protocol import has_structure_constants
+
+CALLER = 'co.jax.solution with backend="xla"'
+
+# Shorter loops are not divided into segments.
+SHORTEST = 16
+# Segments may be longer than the root of the number of steps by this factor, so that they are of equal length.
+LONGEST = 8
+# Changes of coefficients of the energy below this multiple of their rounding are zero.
+ZERO_CHANGE = 256 * UNIT_ROUNDOFF
+
+
+class XlaRun:
+    """A prepared run over a time span as operations of JAX, for values by name: x0 and parameters."""
+
+    def __init__(self, prepared: PreparedRun, t_span: Any, save_every: Any, t_eval: Any) -> None:
+        self._run = ParametrizedRun(prepared, t_span, save_every, t_eval, CALLER)
+        self._system = prepared.system
+        if prepared.representation is not None:
+            raise TypeError(f'{CALLER} computes no attitudes; prepare without attitude=, or take backend="compiled"')
+        self._table = self._describe(prepared.method.expanded)
+        times, moments = self._run.times, self._run.moments
+        self._t0, self._h = times.t0, times.h
+        marks = times.saved if moments is None else moments.number
+        self._every = times.save_every if moments is None else math.gcd(*marks.tolist())
+        # Intervals between states that are computed, and the steps after them.
+        self._intervals, self._rest = divmod(int(marks[-1]), max(1, self._every))
+        self._chosen = None if moments is None else marks // max(1, self._every)
+        self._starts = times.at(marks)
+        self._lengths = np.zeros(len(marks)) if moments is None else moments.length
+        self.solve = jax.jit(self._solve)
+
+    def __call__(self, x0: Any, attitude0: Any, parameters: Mapping[str, Any]) -> Any:
+        """Return the states (points, n) or (points, members, n)."""
+        values = doubles(self._run.arguments(x0, attitude0, parameters))
+        self._run.check({name: value.shape for name, value in values.items()})
+        states = (self._intervals + 2) * values["x0"].size
+        check_available_memory(8 * states, f"the {self._intervals + 2} states of the run, with {CALLER},")
+        return self.solve(values)
+
+    def _describe(self, scheme: Any) -> Mapping[str, Any]:
+        """Return the coefficients of the energy and the parameters; set the steps of the scheme."""
+        system = self._system
+        if not has_structure_constants(system):
+            raise TypeError(f'{CALLER} takes systems on a Lie algebra, not {system.name}; take backend="compiled"')
+        if isinstance(scheme, GaussLegendre):
+            table = energy_and_parameters(system)
+            self._steps: Any = GaussSteps(system, scheme.stages, table["energy"]["monomials"])
+            return {"fixed": [], **table}
+        if not isinstance(scheme, FlowMethod):
+            raise TypeError(f'{CALLER} takes Splitting and GaussLegendre, not {scheme}; take backend="compiled"')
+        if scheme.compensates:
+            raise TypeError(f"{CALLER} has no compensated sums, as {scheme} wants; take compensated=False")
+        table = scheme.program(system).to_mapping()
+        if table["functions"]:
+            raise TypeError(
+                f"the Hamiltonian of {system.name} contains functions, which are in no table; {CALLER} takes them, if "
+                "they are of JAX, by GaussLegendre"
+            )
+        self._steps = TableSteps(table)
+        return table
+
+    # The coefficients of the energy.
+
+    def _energy(self, values: Mapping[str, Any]) -> Any:
+        """Return the coefficients of the energy at values of parameters."""
+        known, energy = self._table["parameters"], self._table["energy"]["coefficients"]
+        for name in values:
+            self._check_provenance(name)
+        if not values:
+            return energy
+        if not all(known[name]["linear"] for name in values):
+            return self._energy_on_host(values)
+        for name, value in values.items():
+            one = known[name]
+            change = one["derivative"] * (value.ravel() - one["value"])[one["entry"]]
+            energy = jnp.asarray(energy).at[one["monomial"]].add(change)
+        return energy
+
+    def _check_provenance(self, name: str) -> None:
+        one = self._table["parameters"].get(name)
+        if one is None or np.any(np.isin(one["monomial"], self._table["fixed"]) & (one["derivative"] != 0.0)):
+            raise ValueError(
+                f"{name} of {self._system.name} changes the parts of the splitting, and not only numbers of its table; "
+                'take parts="coordinates", no zeros in place of coefficients that change, or backend="compiled"'
+            )
+
+    def _energy_on_host(self, values: Mapping[str, Any]) -> Any:
+        """Return the coefficients of a ready-made system, whose function is called, and differentiated, on the host."""
+        names, arrays = tuple(values), tuple(values.values())
+        keys = [tuple(key) for key in self._table["energy"]["monomials"]]
+        count = sum(array.size for array in arrays)
+
+        def at(*arrays: Any) -> dict[str, Any]:
+            return {name: np.array(array) for name, array in zip(names, arrays, strict=True)}
+
+        def coefficients(*arrays: Any) -> Any:
+            found = coefficients_of(with_parameters(self._system, at(*arrays)))
+            found.pop((), None)
+            energy = np.array([found.pop(key, 0.0) for key in keys])
+            self._check_forms(energy, found)
+            return energy
+
+        def derivatives(*arrays: Any) -> Any:
+            number, start = {key: k for k, key in enumerate(keys)}, 0
+            found = np.zeros((len(keys), count))
+            for parameter in parameters_at(self._system, at(*arrays)).values():
+                for one in monomials_of(parameter.energy()):
+                    if one.coordinates:
+                        found[number[one.coordinates], start + one.entry] += one.factor
+                start += parameter.value.size
+            return found
+
+        def called(function: Callable[..., Any], shape: tuple[int, ...], *arrays: Any) -> Any:
+            result = jax.ShapeDtypeStruct(shape, np.float64)
+            return jax.pure_callback(function, result, *arrays, vmap_method="sequential")
+
+        @jax.custom_jvp
+        def energy(*arrays: Any) -> Any:
+            return called(coefficients, (len(keys),), *arrays)
+
+        @energy.defjvp
+        def energy_jvp(arrays: Any, tangents: Any) -> Any:
+            along = jnp.concatenate([tangent.ravel() for tangent in tangents])
+            return energy(*arrays), called(derivatives, (len(keys), count), *arrays) @ along
+
+        return energy(*arrays)
+
+    def _check_forms(self, energy: Any, others: Mapping[Any, float]) -> None:
+        """Raise ValueError if coefficients change on which the parts depend."""
+        fixed = self._table["fixed"]
+        changes = energy[fixed] - self._table["energy"]["coefficients"][fixed]
+        largest = np.max(np.abs(energy), initial=0.0)
+        if np.max(np.abs([*changes, *others.values()]), initial=0.0) > ZERO_CHANGE * largest:
+            raise ValueError(
+                f"these parameters of {self._system.name} change the parts of the splitting, and not only numbers of "
+                'its table; take parts="coordinates", or backend="compiled"'
+            )
+
+    # The steps.
+
+    def _solve(self, values: Mapping[str, Any]) -> Any:
+        parameters = {name: value for name, value in values.items() if name != "x0"}
+        constants, x0 = self._steps.constants(self._energy(parameters)), values["x0"]
+        if x0.ndim == 1:
+            return self._trajectory(constants, x0)
+        return jax.vmap(self._trajectory, (None, 0), 1)(constants, x0)
+
+    def _trajectory(self, constants: Any, x0: Any) -> Any:
+        """Return the states of one member."""
+        steps, h, every = self._steps, self._h, self._every
+
+        def step(x: Any, k: Any) -> Any:
+            return steps.step(constants, x, self._t0 + k * h, h), None
+
+        def interval(x: Any, first: Any) -> Any:
+            x, _ = scan_in_segments(step, x, first + jnp.arange(every))
+            return x, steps.finish(constants, x, h)
+
+        x, states = steps.begin(constants, x0, h), x0[None]
+        if self._intervals:
+            x, found = scan_in_segments(interval, x, every * jnp.arange(self._intervals))
+            states = jnp.concatenate([states, found])
+        if self._rest:
+            x, _ = scan_in_segments(step, x, every * self._intervals + jnp.arange(self._rest))
+            states = jnp.concatenate([states, steps.finish(constants, x, h)[None]])
+        if self._chosen is None:
+            return states
+        return self._partial_steps(constants, states[self._chosen])
+
+    def _partial_steps(self, constants: Any, states: Any) -> Any:
+        """Return the states after the steps of output times, each with a step of what remains of its time."""
+        partial = np.flatnonzero(self._lengths)
+        if not len(partial):
+            return states
+
+        def after(x: Any, t: Any, h: Any) -> Any:
+            steps = self._steps
+            return steps.finish(constants, steps.step(constants, steps.begin(constants, x, h), t, h), h)
+
+        ends = jax.vmap(after)(states[partial], jnp.asarray(self._starts[partial]), jnp.asarray(self._lengths[partial]))
+        return states.at[partial].set(ends)
+
+
+def scan_in_segments(body: Callable[..., Any], carry: Any, xs: Any) -> Any:
+    """Return `lax.scan` of a body over numbers, with states stored for reverse mode at segments only.
+
+    The steps of a segment are computed again from its first state, and each step from its own.
+    """
+    body, count = jax.checkpoint(body, prevent_cse=False), len(xs)
+    root = math.isqrt(count)
+    if count < SHORTEST:
+        return lax.scan(body, carry, xs)
+    length = next((d for d in range(root, LONGEST * root) if count % d == 0), root)
+    whole = count - count % length
+    segment = jax.checkpoint(lambda carry, own: lax.scan(body, carry, own), prevent_cse=False)
+    carry, ys = lax.scan(segment, carry, xs[:whole].reshape(-1, length))
+    ys = jax.tree.map(lambda y: y.reshape(whole, *y.shape[2:]), ys)
+    if whole < count:
+        carry, rest = lax.scan(body, carry, xs[whole:])
+        ys = jax.tree.map(lambda *both: jnp.concatenate(both), ys, rest)
+    return carry, ys

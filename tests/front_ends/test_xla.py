@@ -1,0 +1,328 @@
+"""Runs as operations of JAX: agreement with the compiled loops, transformations, devices, memory and refused runs."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from core_only import run_python
+
+jax = pytest.importorskip("jax")
+jnp = jax.numpy
+
+RNG = np.random.default_rng(41)
+X0 = np.array([1.0, 0.2, 0.5])
+INERTIA = np.array([1.1, 2.0, 2.4])
+C1 = 1 / (2 - 2 ** (1 / 3))
+
+
+@pytest.fixture(autouse=True)
+def double_precision():
+    jax.config.update("jax_enable_x64", True)
+    yield
+    jax.config.update("jax_enable_x64", False)
+
+
+def full(n):
+    half = 0.2 * RNG.standard_normal((n, n))
+    return co.Quadratic(half @ half.T + np.diag(RNG.uniform(0.3, 1.0, n)), 0.2 * RNG.standard_normal(n))
+
+
+def polynomial(n):
+    """A cubic energy of the last coordinates, and squares."""
+    squares = {tuple(2 * int(k == i) for k in range(n)): 0.2 + 0.1 * i for i in range(n)}
+    return co.Polynomial(squares | {tuple(3 * int(k == n - 1) for k in range(n)): 0.1})
+
+
+def of_algebra(algebra):
+    return co.LiePoissonSystem(algebra, full(algebra.dim), sign=-1)
+
+
+HALF_ANGLES = np.linspace(0.3, 1.0, 8)
+SYSTEMS = {
+    "body, 1": lambda: (co.systems.rigid_body((1, 2, 2.5)), co.Splitting(order=1)),
+    "body, adjoint": lambda: (co.systems.rigid_body((1, 2, 2.5)), co.Splitting(order=1, adjoint=True)),
+    "body, 8": lambda: (co.systems.rigid_body((1, 2, 2.5)), co.Splitting(order=8)),
+    "body, processed": lambda: (
+        co.systems.rigid_body((1, 2, 2.5)),
+        co.Splitting(scheme="blanes_casas_murua6"),
+    ),
+    "body, composition": lambda: (
+        co.systems.rigid_body((1, 2, 2.5)),
+        co.Composition(co.Splitting(order=2), (C1, 1 - 2 * C1, C1)),
+    ),
+    "body, rational": lambda: (co.systems.rigid_body((1, 2, 2.5)), co.Splitting(order=4, rotation="rational")),
+    "body, Gauss": lambda: (co.systems.rigid_body((1, 2, 2.5)), co.GaussLegendre(3)),
+    "so(3), cubic": lambda: (co.LiePoissonSystem(co.algebras.so(3), polynomial(3)), co.Splitting(order=4)),
+    "e(3), cubic": lambda: (co.LiePoissonSystem(co.algebras.e(3), polynomial(6)), co.Splitting()),
+    "so(5)": lambda: (of_algebra(co.algebras.so(5)), co.Splitting()),
+    "su(3)": lambda: (of_algebra(co.algebras.su(3)), co.Splitting()),
+    "sl(2)": lambda: (of_algebra(co.algebras.sl(2)), co.Splitting(order=4)),
+    "A3,7": lambda: (of_algebra(co.algebras.get("A3,7", a=0.5)), co.Splitting(order=4)),
+    "A4,10": lambda: (of_algebra(co.algebras.get("A4,10")), co.Splitting(order=4)),
+    "heisenberg": lambda: (of_algebra(co.algebras.heisenberg(2)), co.Splitting(order=4)),
+    "top": lambda: (co.systems.heavy_top(), co.Splitting(order=4)),
+    "top, free body": lambda: (co.systems.heavy_top(), co.Splitting(parts="free_body")),
+    "su(3), free body": lambda: (
+        co.LiePoissonSystem(co.algebras.su(3), co.Quadratic(HALF_ANGLES)),
+        co.Splitting(parts="free_body"),
+    ),
+    "full free body": lambda: (of_algebra(co.algebras.so(3)), co.Splitting(parts="free_body")),
+    "bonds": lambda: (co.systems.spin_lattice("chain", 3, field=(0.1, 0.2, 0.3)), co.Splitting(parts="bonds")),
+    "30 spins": lambda: (co.systems.spin_lattice(30), co.Splitting()),
+    "Toda": lambda: (co.systems.toda(sites=4), co.Splitting(order=4)),
+}
+SPANS = {
+    "forward": ((0.0, 2.0), {"save_every": 1}),
+    "late": ((1.5, 4.5), {"save_every": 7}),
+    "backward": ((3.0, 1.0), {"save_every": 20}),
+    "times": ((1.0, 3.0), {"t_eval": [1.0, 1.234, 1.25, 2.6, 2.96]}),
+    "backward times": ((3.0, 1.0), {"t_eval": [2.95, 2.3, 1.02]}),
+}
+
+
+@pytest.mark.thinned(3)
+@pytest.mark.parametrize("span", SPANS)
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_values_and_derivatives_agree_with_the_compiled_run(name, span):
+    system, method = SYSTEMS[name]()
+    ready, (ends, options) = co.prepare(system, method, 0.1), SPANS[span]
+    x0, v = (0.7 * RNG.standard_normal(system.dim) for _ in range(2))
+    f = co.jax.solution(ready, ends, backend="xla", **options)
+    sol, pullback = ready.vjp(x0, ends, **options)
+    weights = np.cos(np.arange(sol.x.size)).reshape(sol.x.shape)
+    # At most 1000 flows, which round a few times each.
+    largest = max(1.0, np.max(np.abs(sol.x)))
+    tolerance = 1000 * 8 * 2.0**-53 * largest
+    assert np.max(np.abs(f(x0) - sol.x)) < tolerance
+    wanted, growth = pullback(weights)["x0"], 32 * largest * sol.x.size
+    found = jax.grad(lambda x0: (weights * f(x0)).sum())(x0)
+    assert np.max(np.abs(found - wanted)) < growth * tolerance
+    _, along = jax.jvp(f, (x0,), (v,))
+    assert abs((weights * along).sum() - found @ v) < growth * tolerance * np.sum(np.abs(v))
+
+
+def prepared(inertia=(1.0, 2.0, 2.5), method=None, **options):
+    return co.prepare(co.systems.rigid_body(inertia=inertia), method or co.Splitting(order=4), 0.05, **options)
+
+
+@pytest.fixture
+def f():
+    return co.jax.solution(prepared(), (0, 5), 25, backend="xla")
+
+
+def number(f):
+    def weighted(x0, **parameters):
+        x = f(x0, **parameters)
+        return (jnp.cos(jnp.arange(x.size)).reshape(x.shape) * x).sum()
+
+    return weighted
+
+
+def parametrized(name):
+    """A run, a parameter of it, and another value."""
+    e3 = co.algebras.e(3)
+    M, linear = np.array([1.0, 0.6, 0.3, 0.2, 0.4, 0.1]), np.array([0.1, -0.2, 0.3, 0.3, 0.1, 0.2])
+    quadratic = co.LiePoissonSystem(e3, co.Quadratic(M, linear=linear))
+    cubic = co.LiePoissonSystem(e3, polynomial(6))
+    full_energy = co.LiePoissonSystem(co.algebras.so(3), full(3))
+    by_coordinates = co.Splitting(order=4, parts="coordinates")
+    system, method, parameter = {
+        "inertia": (co.systems.rigid_body((1, 2, 2.5)), co.Splitting(order=4), "inertia"),
+        "inertia, rational": (co.systems.rigid_body((1, 2, 2.5)), co.Splitting(rotation="rational"), "inertia"),
+        "inertia, Gauss": (co.systems.rigid_body((1, 2, 2.5)), co.GaussLegendre(2), "inertia"),
+        "lever": (co.systems.heavy_top(), co.Splitting(order=4), "lever"),
+        "exchange": (co.systems.spin_lattice(8, exchange=1.3), co.Splitting(), "exchange"),
+        "M": (quadratic, by_coordinates, "M"),
+        "M, Gauss": (full_energy, co.GaussLegendre(2), "M"),
+        "linear": (quadratic, by_coordinates, "linear"),
+        "coefficients": (cubic, co.Splitting(), "coefficients"),
+    }[name]
+    ready = co.prepare(system, method, 0.05)
+    value = ready.parameters[parameter]
+    return ready, parameter, value * RNG.uniform(0.95, 1.05, value.shape)
+
+
+NAMES = ["inertia", "inertia, rational", "inertia, Gauss", "lever", "exchange", "M", "M, Gauss", "linear"]
+
+
+@pytest.mark.parametrize("name", [*NAMES, "coefficients"])
+def test_parameters_agree_with_the_compiled_backend(name):
+    ready, parameter, value = parametrized(name)
+    x0 = 0.7 * RNG.standard_normal(ready.system.dim)
+    numbers = [
+        number(co.jax.solution(ready, (1, 3), 9, backend=backend)) for backend in ("compiled", "xla")
+    ]
+    values = [jax.value_and_grad(lambda x, v, g=g: g(x, **{parameter: v}), (0, 1))(x0, value) for g in numbers]
+    # As above. The derivative of the coefficients has the rounding of the interpolation, twelve digits and more.
+    for wanted, found in zip(*map(jax.tree.leaves, values), strict=True):
+        assert np.max(np.abs(found - wanted)) < 1e-10 * max(1.0, np.max(np.abs(wanted)))
+    plain = [float(g(x0)) for g in numbers]
+    assert abs(plain[0] - plain[1]) < 1e-11 and abs(plain[0] - values[0][0]) > 1e-5
+
+
+def test_transformations_compose(f):
+    g, many = number(f), np.array([X0, 2.0 * X0, X0[::-1]])
+    each = np.stack([f(x0) for x0 in many])
+    np.testing.assert_allclose(jax.jit(jax.vmap(f))(many), each, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(jax.lax.map(f, many), each, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(f(many), np.swapaxes(each, 0, 1), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(jax.jacfwd(f)(X0), jax.jacrev(f)(X0), rtol=0, atol=1e-12)
+    several = np.array([INERTIA, INERTIA + 0.1])
+    gradients = jax.jit(jax.vmap(jax.grad(lambda x0, i: g(x0, inertia=i), (0, 1))))(many[:2], several)
+    for k, inertia in enumerate(several):
+        alone = jax.grad(lambda x0, i: g(x0, inertia=i), (0, 1))(many[k], inertia)
+        for row, one in zip(gradients, alone, strict=True):
+            np.testing.assert_allclose(row[k], one, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.Splitting(parts="free_body"), co.GaussLegendre(2)])
+def test_second_derivatives_are_those_of_the_gradient(method):
+    g = number(co.jax.solution(prepared(method=method), (0, 2), 20, backend="xla"))
+    shift = 2.0**-17
+    differences = [
+        (jax.grad(g)(X0 + shift * unit) - jax.grad(g)(X0 - shift * unit)) / (2 * shift) for unit in np.eye(3)
+    ]
+    # The error is shift^2 times the fourth derivative, and the rounding divided by shift.
+    np.testing.assert_allclose(jax.hessian(g)(X0), differences, rtol=0, atol=1e-8)
+
+
+def test_a_million_steps_are_differentiated_in_little_memory():
+    for every in (1_000_000, 1000):
+        f = co.jax.solution(prepared(), (0, 50_000), every, backend="xla")
+        compiled = jax.jit(jax.grad(lambda x0, f=f: f(x0)[-1].sum())).lower(jnp.array(X0)).compile()
+        assert compiled.memory_analysis().temp_size_in_bytes < 2**22
+
+
+def hamiltonian(x):
+    return 0.5 * (x[0] ** 2 + 0.5 * x[1] ** 2 + 0.4 * x[2] ** 2) + 0.1 * jnp.sin(x[0] * x[2])
+
+
+def timed(x, t):
+    return hamiltonian(x) * (1.0 + 0.3 * jnp.cos(t))
+
+
+@pytest.mark.parametrize("H", [hamiltonian, timed])
+@pytest.mark.parametrize("ends", [(0.5, 4.5), (4.5, 0.5)])
+def test_functions_of_jax_are_stepped_by_gauss(H, ends):
+    ready = co.prepare(co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(H)), co.GaussLegendre(2), 0.1)
+    f = co.jax.solution(ready, ends, 10, backend="xla")
+    sol, pullback = ready.vjp(X0, ends, 10)
+    weights = np.cos(np.arange(15.0)).reshape(5, 3)
+    # The compiled iteration stops at rounding.
+    np.testing.assert_allclose(f(X0), sol.x, rtol=0, atol=1e-13)
+    found = jax.grad(lambda x0: (weights * f(x0)).sum())(X0)
+    np.testing.assert_allclose(found, pullback(weights)["x0"], rtol=0, atol=1e-12)
+
+
+def test_stages_that_do_not_converge_are_nan():
+    ready = prepared(method=co.GaussLegendre(2))
+    f = co.jax.solution(ready, (0, 0.05), backend="xla")
+    assert np.isfinite(f(X0)).all() and np.isnan(f(1e3 * X0)[-1]).all()
+
+
+SHARDED = """
+import os
+os.environ["XLA_FLAGS"] = "--xla_force_host_platform_device_count=4"
+import numpy as np, jax, coadjoint as co
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+jax.config.update("jax_enable_x64", True)
+assert len(jax.devices()) == 4
+over_members = NamedSharding(Mesh(np.array(jax.devices()), ("members",)), PartitionSpec("members"))
+ready = co.prepare(co.systems.rigid_body((1, 2, 2.5)), co.Splitting(order=4), 0.05)
+f = co.jax.solution(ready, (0, 1), save_every=10, backend="xla")
+many = np.random.default_rng(5).standard_normal((8, 3))
+x0 = jax.device_put(many, over_members)
+inertia = np.array([1.1, 2.0, 2.4])
+wanted = ready.run(many, (0, 1), save_every=10).x
+for g, axis in ((f, 1), (jax.vmap(f), 0)):
+    compiled = jax.jit(g).lower(x0).compile()
+    found = compiled(x0)
+    assert found.sharding.spec[axis] == "members" and len(found.sharding.device_set) == 4, found.sharding
+    assert "all-gather" not in compiled.as_text() and "all-reduce" not in compiled.as_text()
+    assert np.max(np.abs(np.moveaxis(found, axis, 1) - wanted)) < 1e-13
+
+@jax.jit
+def gradients(x0, inertia):
+    return jax.grad(lambda x0, i: (f(x0, inertia=i)[-1] ** 3).sum(), (0, 1))(x0, inertia)
+
+of_x0, of_inertia = gradients(x0, inertia)
+assert of_x0.sharding.spec[0] == "members"
+alone = gradients(many, inertia)
+assert np.max(np.abs(of_x0 - alone[0])) < 1e-12 and np.max(np.abs(of_inertia - alone[1])) < 1e-11
+print("sharded")
+"""
+
+
+def test_ensembles_are_sharded_over_devices():
+    done = run_python(SHARDED)
+    assert done.stdout == "sharded\n", done.stderr
+
+
+@pytest.mark.parametrize(
+    ("ready", "error", "message"),
+    [
+        (lambda: prepared(attitude=True), TypeError, "computes no attitudes; prepare without attitude="),
+        (lambda: prepared(method=co.GaussLegendre(2), inputs=True), TypeError, "prepare without inputs="),
+        (
+            lambda: prepared(method=co.Splitting(compensated=True)),
+            TypeError,
+            r"has no compensated sums, as Splitting\(order=2, compensated=True\) wants; take compensated=False",
+        ),
+        (
+            lambda: prepared(method=co.ExplicitRungeKutta("rk4")),
+            TypeError,
+            r'takes Splitting and GaussLegendre, not ExplicitRungeKutta.*; take backend="compiled"',
+        ),
+        (
+            lambda: co.prepare(
+                co.LiePoissonSystem(co.algebras.so(3), co.Separable({0: (np.cosh, np.sinh, np.cosh)})),
+                co.Splitting(),
+                0.1,
+            ),
+            TypeError,
+            "contains functions, which are in no table",
+        ),
+        (
+            lambda: co.prepare(
+                co.LiePoissonSystem(co.algebras.so(3), co.Separable({0: (np.cosh, np.sinh, np.cosh)})),
+                co.GaussLegendre(2),
+                0.1,
+            ),
+            TypeError,
+            "takes functions of JAX, and the Hamiltonian of .* has one of Python",
+        ),
+        (
+            lambda: co.prepare(co.systems.sklyanin(), co.GaussLegendre(2), 0.1),
+            TypeError,
+            "takes systems on a Lie algebra",
+        ),
+    ],
+    ids=["attitude", "inputs", "compensated", "scheme", "functions", "Python functions", "no algebra"],
+)
+def test_runs_that_are_not_supported_are_refused(ready, error, message):
+    with pytest.raises(error, match=message):
+        co.jax.solution(ready(), (0, 1), backend="xla")
+
+
+def test_parameters_that_change_the_parts_are_refused():
+    ready = co.prepare(co.LiePoissonSystem(co.algebras.so(3), full(3)), co.Splitting(), 0.1)
+    f = co.jax.solution(ready, (0, 1), backend="xla")
+    with pytest.raises(ValueError, match="M of .* changes the parts of the splitting"):
+        f(X0, M=np.eye(3))
+
+
+@pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit], ids=["at once", "jit"])
+def test_wrong_arguments_are_refused(f, wrapped):
+    for values, error, message in (
+        ({"inertia": INERTIA.astype(np.float32)}, TypeError, "inertia has the dtype float32; give float64"),
+        ({"inertia": INERTIA[:2]}, ValueError, r"inertia has the shape \(2,\); it must be \(3,\)"),
+        ({"inertai": INERTIA}, ValueError, "did you mean 'inertia'"),
+    ):
+        with pytest.raises(error, match=message):
+            wrapped(lambda x0, values=values: f(x0, **values))(X0)
+    with pytest.raises(jax.errors.JaxRuntimeError, match="inertia"):
+        wrapped(lambda inertia: f(X0, inertia=inertia))(-INERTIA)
+    jax.config.update("jax_enable_x64", False)
+    with pytest.raises(TypeError, match=r'call jax.config.update\("jax_enable_x64", True\) first'):
+        wrapped(f)(X0)
