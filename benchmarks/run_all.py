@@ -27,6 +27,7 @@ SECTIONS = {
     "round_off": "Round-off",
     "lyapunov": "Tangent vectors",
     "derivatives": "Derivatives of runs",
+    "derivatives_beside": "Gradients beside other solvers",
     "systems": "The ready-made systems",
     "work_against_precision": "Work against precision",
     "automatic_parts": "Automatic parts",

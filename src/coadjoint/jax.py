@@ -29,7 +29,7 @@ def solution(
 
     Use it to fit parameters or initial states inside of a program of JAX. ``grad``, ``value_and_grad``, ``jvp``,
     ``linearize``, ``vmap``, ``jit``, ``jacfwd`` and ``jacrev`` apply to it. The runs and their derivatives are those of
-    `PreparedRun.run`, `PreparedRun.jvp` and `PreparedRun.vjp`, in compiled loops on the processor.
+    `PreparedRun.run`, `PreparedRun.jvp` and `PreparedRun.vjp`, by default in compiled loops on the processor.
 
     Parameters
     ----------
@@ -37,8 +37,10 @@ def solution(
         The prepared run, with a step, of a scheme with derivatives.
     t_span, save_every, t_eval
         As in `PreparedRun.run`.
-    backend : {"compiled"}
-        Where runs are computed: by a callback into the compiled loops.
+    backend : {"compiled", "xla"}
+        Where runs are computed. ``"compiled"``: by a callback into the compiled loops. ``"xla"``: by operations of JAX,
+        on all devices, from the table of a splitting, or with 20 iterations in each step of `GaussLegendre`; not for
+        other schemes, attitudes and compensated sums. The numbers agree to rounding. See docs/derivatives.md.
 
     Returns
     -------
@@ -53,17 +55,19 @@ def solution(
     ImportError
         JAX is not installed; the extra is ``coadjoint[jax]``.
     TypeError
-        The run has no derivatives, or numbers are not of float64, which JAX has with
+        The run has no derivatives or is not supported by the backend, or numbers are not of float64, which JAX has with
         ``jax.config.update("jax_enable_x64", True)``.
     ValueError
         For unknown names and wrong shapes, when the function is called or traced.
     IntegrationError
-        As in `integrate`; inside of ``jit`` the error of JAX contains its message.
+        As in `integrate`; inside of ``jit`` the error of JAX contains its message. With ``backend="xla"`` states are
+        NaN in place of an error.
 
     Notes
     -----
     ``vmap`` over initial states makes one ensemble, the members of which are integrated side by side. Over parameters
-    the runs follow one after the other. Second derivatives are not available.
+    the runs follow one after the other. Second derivatives are not available. With ``backend="xla"`` they are, and
+    `vmap` makes one ensemble in all cases.
 
     See Also
     --------

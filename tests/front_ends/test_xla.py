@@ -58,6 +58,8 @@ SYSTEMS = {
     "su(3)": lambda: (of_algebra(co.algebras.su(3)), co.Splitting()),
     "sl(2)": lambda: (of_algebra(co.algebras.sl(2)), co.Splitting(order=4)),
     "A3,7": lambda: (of_algebra(co.algebras.get("A3,7", a=0.5)), co.Splitting(order=4)),
+    "A4,7": lambda: (of_algebra(co.algebras.get("A4,7")), co.Splitting()),
+    "A3,3": lambda: (of_algebra(co.algebras.get("A3,3")), co.Splitting(order=4)),
     "A4,10": lambda: (of_algebra(co.algebras.get("A4,10")), co.Splitting(order=4)),
     "heisenberg": lambda: (of_algebra(co.algebras.heisenberg(2)), co.Splitting(order=4)),
     "top": lambda: (co.systems.heavy_top(), co.Splitting(order=4)),
@@ -68,7 +70,7 @@ SYSTEMS = {
     ),
     "full free body": lambda: (of_algebra(co.algebras.so(3)), co.Splitting(parts="free_body")),
     "bonds": lambda: (co.systems.spin_lattice("chain", 3, field=(0.1, 0.2, 0.3)), co.Splitting(parts="bonds")),
-    "30 spins": lambda: (co.systems.spin_lattice(30), co.Splitting()),
+    "30 spins": lambda: (co.systems.spin_lattice(shape=30, periodic=True), co.Splitting()),
     "Toda": lambda: (co.systems.toda(sites=4), co.Splitting(order=4)),
 }
 SPANS = {
@@ -80,25 +82,27 @@ SPANS = {
 }
 
 
+PAIRS = [(name, list(SPANS)[k % 3]) for k, name in enumerate(SYSTEMS)]
+PAIRS += [(name, span) for name in ("body, rational", "body, Gauss") for span in ("times", "backward times")]
+PAIRS += [("top, free body", "times"), ("e(3), cubic", "backward times")]
+
+
 @pytest.mark.thinned(3)
-@pytest.mark.parametrize("span", SPANS)
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_values_and_derivatives_agree_with_the_compiled_run(name, span):
+@pytest.mark.parametrize(("name", "span"), PAIRS)
+def test_values_and_gradients_agree_with_the_compiled_run(name, span):
     system, method = SYSTEMS[name]()
     ready, (ends, options) = co.prepare(system, method, 0.1), SPANS[span]
-    x0, v = (0.7 * RNG.standard_normal(system.dim) for _ in range(2))
+    x0 = 0.7 * RNG.standard_normal(system.dim)
     f = co.jax.solution(ready, ends, backend="xla", **options)
     sol, pullback = ready.vjp(x0, ends, **options)
     weights = np.cos(np.arange(sol.x.size)).reshape(sol.x.shape)
+    x, transposed = jax.vjp(f, x0)
     # At most 1000 flows, which round a few times each.
     largest = max(1.0, np.max(np.abs(sol.x)))
     tolerance = 1000 * 8 * 2.0**-53 * largest
-    assert np.max(np.abs(f(x0) - sol.x)) < tolerance
-    wanted, growth = pullback(weights)["x0"], 32 * largest * sol.x.size
-    found = jax.grad(lambda x0: (weights * f(x0)).sum())(x0)
-    assert np.max(np.abs(found - wanted)) < growth * tolerance
-    _, along = jax.jvp(f, (x0,), (v,))
-    assert abs((weights * along).sum() - found @ v) < growth * tolerance * np.sum(np.abs(v))
+    assert np.max(np.abs(x - sol.x)) < tolerance
+    (found,) = transposed(jnp.array(weights))
+    assert np.max(np.abs(found - pullback(weights)["x0"])) < 32 * largest * sol.x.size * tolerance
 
 
 def prepared(inertia=(1.0, 2.0, 2.5), method=None, **options):
@@ -131,7 +135,7 @@ def parametrized(name):
         "inertia, rational": (co.systems.rigid_body((1, 2, 2.5)), co.Splitting(rotation="rational"), "inertia"),
         "inertia, Gauss": (co.systems.rigid_body((1, 2, 2.5)), co.GaussLegendre(2), "inertia"),
         "lever": (co.systems.heavy_top(), co.Splitting(order=4), "lever"),
-        "exchange": (co.systems.spin_lattice(8, exchange=1.3), co.Splitting(), "exchange"),
+        "exchange": (co.systems.spin_lattice(shape=8, periodic=True), co.Splitting(), "exchange"),
         "M": (quadratic, by_coordinates, "M"),
         "M, Gauss": (full_energy, co.GaussLegendre(2), "M"),
         "linear": (quadratic, by_coordinates, "linear"),
@@ -149,9 +153,7 @@ NAMES = ["inertia", "inertia, rational", "inertia, Gauss", "lever", "exchange", 
 def test_parameters_agree_with_the_compiled_backend(name):
     ready, parameter, value = parametrized(name)
     x0 = 0.7 * RNG.standard_normal(ready.system.dim)
-    numbers = [
-        number(co.jax.solution(ready, (1, 3), 9, backend=backend)) for backend in ("compiled", "xla")
-    ]
+    numbers = [number(co.jax.solution(ready, (1, 3), 9, backend=backend)) for backend in ("compiled", "xla")]
     values = [jax.value_and_grad(lambda x, v, g=g: g(x, **{parameter: v}), (0, 1))(x0, value) for g in numbers]
     # As above. The derivative of the coefficients has the rounding of the interpolation, twelve digits and more.
     for wanted, found in zip(*map(jax.tree.leaves, values), strict=True):
@@ -175,7 +177,7 @@ def test_transformations_compose(f):
             np.testing.assert_allclose(row[k], one, rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize("method", [co.Splitting(order=4), co.Splitting(parts="free_body"), co.GaussLegendre(2)])
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2)])
 def test_second_derivatives_are_those_of_the_gradient(method):
     g = number(co.jax.solution(prepared(method=method), (0, 2), 20, backend="xla"))
     shift = 2.0**-17
@@ -308,7 +310,7 @@ def test_runs_that_are_not_supported_are_refused(ready, error, message):
 def test_parameters_that_change_the_parts_are_refused():
     ready = co.prepare(co.LiePoissonSystem(co.algebras.so(3), full(3)), co.Splitting(), 0.1)
     f = co.jax.solution(ready, (0, 1), backend="xla")
-    with pytest.raises(ValueError, match="M of .* changes the parts of the splitting"):
+    with pytest.raises(ValueError, match=r"M of .* changes the parts of the splitting"):
         f(X0, M=np.eye(3))
 
 

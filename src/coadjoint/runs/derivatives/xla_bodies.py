@@ -61,7 +61,9 @@ class BodyAngles:
     def angles(self, tau: Any, x: Any) -> Any:
         """Return the angles of the flow over the time tau."""
         z = self.momenta.times(x).reshape(-1, 3)
-        angles = jax.vmap(partial(rotations, self.quaternion), (None, 0, 0, 0))(jnp.asarray(tau), self.moments, self.axes, z)
+        angles = jax.vmap(partial(rotations, self.quaternion), (None, 0, 0, 0))(
+            jnp.asarray(tau), self.moments, self.axes, z
+        )
         return (angles * self.scale[:, list(AXES)]).ravel()
 
 
@@ -112,7 +114,12 @@ def _after(q: Any, p: Any) -> Any:
     """Return the quaternion of the rotation q after p."""
     (a, b, c, d), (e, f, g, h) = q, p
     return jnp.stack(
-        [a * e - b * f - c * g - d * h, a * f + b * e + c * h - d * g, a * g + c * e + d * f - b * h, a * h + d * e + b * g - c * f]
+        [
+            a * e - b * f - c * g - d * h,
+            a * f + b * e + c * h - d * g,
+            a * g + c * e + d * f - b * h,
+            a * h + d * e + b * g - c * f,
+        ]
     )
 
 

@@ -7,6 +7,7 @@ and C for each coordinate, so that its operations do not depend on the number of
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -100,7 +101,7 @@ class Angles(NamedTuple):
     of it; `coordinates` are those that are multiplied, padded by one behind the last coordinate, where there is a one.
     """
 
-    count: int
+    size: int
     dim: int
     row: Any
     number: Any
@@ -111,12 +112,12 @@ class Angles(NamedTuple):
         """Return the offsets, the matrix of linear summands, and the sums of all others with their coordinates."""
         values, degree = self.factor * numbers[self.number], (self.coordinates < self.dim).sum(axis=1)
         offset, linear, other = degree == 0, degree == 1, degree > 1
-        offsets = jnp.zeros(self.count).at[self.row[offset]].add(values[offset])
-        matrix = sparse(self.row[linear], self.coordinates[linear, 0], values[linear], (self.count, self.dim))
+        offsets = jnp.zeros(self.size).at[self.row[offset]].add(values[offset])
+        matrix = sparse(self.row[linear], self.coordinates[linear, 0], values[linear], (self.size, self.dim))
         if not other.any():
             return offsets, matrix, None
         index = np.arange(int(other.sum()))
-        return offsets, matrix, sparse(self.row[other], index, values[other], (self.count, len(index)))
+        return offsets, matrix, sparse(self.row[other], index, values[other], (self.size, len(index)))
 
     def at(self, constants: Any, x: Any) -> Any:
         """Return the angles at a state."""
@@ -163,10 +164,13 @@ class TableSteps:
 
     def __init__(self, table: Table) -> None:
         if table["version"] > VERSION:
-            raise ValueError(f"the table has the version {table['version']}; this reader knows versions up to {VERSION}")
+            raise ValueError(
+                f"the table has the version {table['version']}; this reader knows versions up to {VERSION}"
+            )
         self.table = table
         self.parts = [Part(table, p) for p in range(len(table["share"]) - 1)]
-        self.step_rows, self.finish_rows = (range(*table["section"][k : k + 2].tolist()) for k in (1, 2))
+        sections = [range(*table["section"][k : k + 2].tolist()) for k in range(3)]
+        self.first_rows, self.step_rows, self.finish_rows = sections
 
     def constants(self, energy: Any) -> Any:
         """Return the constants of the parts for coefficients of the energy, those of `table["energy"]`."""
@@ -192,15 +196,18 @@ class TableSteps:
         """Return the finished state."""
         return self._flows(constants, self.finish_rows, h, x)
 
+    def whole(self, constants: Any, x: Any, t: Any, h: Any) -> Any:
+        """Take a step of a finished state to a finished state."""
+        return self._flows(constants, [*self.first_rows, *self.finish_rows], h, x)
+
     def _flows(self, constants: Any, rows: Sequence[int], h: Any, x: Any) -> Any:
-        parts, taus = self.table["part"][list(rows)], self.table["coefficient"][list(rows)]
-        flows: list[Callable[..., Any]] = [
-            lambda tau, x, part=part, own=own: part.flow(own, tau, x)
-            for part, own in zip(self.parts, constants, strict=True)
-        ]
+        if not len(rows):
+            return x
+        used, parts = np.unique(self.table["part"][list(rows)], return_inverse=True)
+        flows: list[Callable[..., Any]] = [partial(self.parts[part].flow, constants[part]) for part in used.tolist()]
         # A loop, since XLA would otherwise join flows into one, and compute their sines again for each use.
         flow = jax.checkpoint(lambda x, row: (lax.switch(row[0], flows, row[1] * h, x), None), prevent_cse=False)
-        return lax.scan(flow, x, (parts, taus))[0]
+        return lax.scan(flow, x, (parts, self.table["coefficient"][list(rows)]))[0]
 
 
 def _angles(table: Table, first: int, last: int) -> Angles:
@@ -223,9 +230,9 @@ def _angles(table: Table, first: int, last: int) -> Angles:
             found.append((row - rows.start, int(starts[2] + m), float(power), coordinates))
     width = max((len(one[3]) for one in found), default=0)
     padded = [(*one[3], *[n] * (max(1, width) - len(one[3]))) for one in found]
-    row, number, factor = (np.array([one[k] for one in found]) for k in range(3))
-    coordinates = np.array(padded, dtype=np.int64).reshape(len(found), max(1, width))
-    return Angles(rows.stop - rows.start, n, row.astype(int), number.astype(int), factor.astype(float), coordinates)
+    places = np.array(padded, dtype=np.int64).reshape(len(found), max(1, width))
+    angle, number = (np.array([one[k] for one in found], dtype=np.int64) for k in (0, 1))
+    return Angles(rows.stop - rows.start, n, angle, number, np.array([one[2] for one in found]), places)
 
 
 def _layers(table: Table, part: int, count: int) -> list[Layer | SeriesBlock]:

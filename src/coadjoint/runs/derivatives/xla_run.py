@@ -16,12 +16,12 @@ from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.program.provenance import monomials_of
 from coadjoint.program.public_table import energy_and_parameters
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.jax_primitives import doubles
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.derivatives.xla_flows import TableSteps
 from coadjoint.runs.derivatives.xla_stages import GaussSteps
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.coefficient_derivatives import coefficients_of
 from coadjoint.systems.parameters import parameters_at, with_parameters
 from coadjoint.systems.protocol import has_structure_constants
@@ -199,12 +199,8 @@ class XlaRun:
         partial = np.flatnonzero(self._lengths)
         if not len(partial):
             return states
-
-        def after(x: Any, t: Any, h: Any) -> Any:
-            steps = self._steps
-            return steps.finish(constants, steps.step(constants, steps.begin(constants, x, h), t, h), h)
-
-        ends = jax.vmap(after)(states[partial], jnp.asarray(self._starts[partial]), jnp.asarray(self._lengths[partial]))
+        times, lengths = jnp.asarray(self._starts[partial]), jnp.asarray(self._lengths[partial])
+        ends = jax.vmap(self._steps.whole, (None, 0, 0, 0))(constants, states[partial], times, lengths)
         return states.at[partial].set(ends)
 
 

@@ -35,7 +35,7 @@ class GaussSteps:
             if not isinstance(term.value, JaxFunction):
                 raise TypeError(
                     f'co.jax.solution with backend="xla" takes functions of JAX, and the Hamiltonian of {system.name} '
-                    "has one of Python; write it with jax.numpy, or take backend=\"compiled\""
+                    'has one of Python; write it with jax.numpy, or take backend="compiled"'
                 )
         # Stored for i < j.
         i, j, k, c = system.algebra.triples
@@ -68,6 +68,8 @@ class GaussSteps:
     def finish(self, constants: Any, x: Any, h: Any) -> Any:
         """Return the state."""
         return x
+
+    whole = step
 
     def _energy(self, x: Any, constants: Any, t: Any) -> Any:
         total = constants @ jnp.append(x, 1.0)[self.monomials].prod(axis=1) if len(self.monomials) else 0.0
