@@ -299,7 +299,7 @@ def test_ensembles_are_sharded_over_devices():
                 0.1,
             ),
             TypeError,
-            "takes functions of JAX, and the Hamiltonian of .* has one of Python",
+            "takes polynomials and functions of JAX, and the Hamiltonian of .* has another function",
         ),
         (
             lambda: co.prepare(co.systems.sklyanin(), co.GaussLegendre(2), 0.1),

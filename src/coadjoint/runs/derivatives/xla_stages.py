@@ -12,7 +12,7 @@ from jax import lax
 from coadjoint.methods.gauss_legendre import gauss_tableau
 from coadjoint.runs.derivatives.xla_sparse import sparse
 from coadjoint.systems.hamiltonians.jax_function import JaxFunction
-from coadjoint.systems.hamiltonians.terms import FunctionTerm
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm
 
 ITERATIONS = 20
 """Function iterations of a step: an error that halves in each of them is then 1e-6 of that of the first guess."""
@@ -30,12 +30,13 @@ class GaussSteps:
         self.tableau, self.sign, n = gauss_tableau(stages), system.sign, system.dim
         degree = max((len(key) for key in monomials), default=0)
         self.monomials = np.array([[*key, *[n] * (degree - len(key))] for key in monomials], dtype=np.int64)
-        self.functions = [term for term in system.hamiltonian.terms() if isinstance(term, FunctionTerm)]
+        others = [term for term in system.hamiltonian.terms() if term.form is None]
+        self.functions = [term for term in others if not isinstance(term, PolynomialTerm)]
         for term in self.functions:
-            if not isinstance(term.value, JaxFunction):
+            if not (isinstance(term, FunctionTerm) and isinstance(term.value, JaxFunction)):
                 raise TypeError(
-                    f'co.jax.solution with backend="xla" takes functions of JAX, and the Hamiltonian of {system.name} '
-                    'has one of Python; write it with jax.numpy, or take backend="compiled"'
+                    'co.jax.solution with backend="xla" takes polynomials and functions of JAX, and the Hamiltonian of '
+                    f'{system.name} has another function; write it with jax.numpy, or take backend="compiled"'
                 )
         # Stored for i < j.
         i, j, k, c = system.algebra.triples
