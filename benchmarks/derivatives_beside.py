@@ -3,9 +3,9 @@
     python benchmarks/derivatives_beside.py [--rounds N] [--time T] [--steps N]
 
 The first table: a gradient of the end of a run, by the initial state and the moments of inertia, with a required error.
-Of each solver the fastest of its steps or tolerances is taken. The second table: the time of one step, and of one step
-with its share of a gradient, of loops with given steps. Everything is run in turns, and the best of the rounds is
-taken; ratios are to the first row. Packages that are not installed are skipped, and named.
+Of each solver the largest of its steps or tolerances with this error is taken. The second table: the time of one step,
+and of one step with its share of a gradient, of loops with given steps. Everything is run in turns, and the best of the
+rounds is taken; ratios are to the first row. Packages that are not installed are skipped, and named.
 """
 
 from __future__ import annotations

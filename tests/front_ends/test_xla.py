@@ -108,6 +108,33 @@ def test_values_and_gradients_agree_with_the_compiled_run(name, span):
     assert np.max(np.abs(found - pullback(weights)["x0"])) < 32 * largest * sol.x.size * tolerance
 
 
+@pytest.mark.parametrize(
+    ("system", "parts", "x0"),
+    [
+        (co.systems.heavy_top(), "free_body", [0.0, 0.0, 0.0, 0.3, 0.1, 0.9]),
+        (co.systems.spin_lattice("chain", 2, field=(0.1, 0.2, 0.3)), "bonds", [0.5, 0.1, 0.2, -0.5, -0.1, -0.2]),
+    ],
+    ids=["body", "bond"],
+)
+def test_derivatives_at_rest(system, parts, x0):
+    """The rotation has no axis there, but derivatives."""
+    ready = co.prepare(system, co.Splitting(parts=parts), 0.1)
+    f = co.jax.solution(ready, (0, 1), 10, backend="xla")
+
+    def end(x):
+        return ready.run(x, (0, 1), 10).x[-1]
+
+    units = 1e-3 * np.eye(6)
+    wanted = [(8 * (end(x0 + e) - end(x0 - e)) - (end(x0 + 2 * e) - end(x0 - 2 * e))) / 12e-3 for e in units]
+    # The error of the differences is 1e-12 times a fifth derivative, and the rounding divided by 1e-3.
+    np.testing.assert_allclose(jax.jacfwd(f)(jnp.array(x0))[-1].T, wanted, rtol=0, atol=1e-10)
+    g, shift = number(f), 2.0**-17
+    second = jax.jit(jax.hessian(g))(jnp.array(x0))
+    first = jax.jit(jax.grad(g))
+    differences = [(first(x0 + shift * unit) - first(x0 - shift * unit)) / (2 * shift) for unit in np.eye(6)]
+    np.testing.assert_allclose(second, differences, rtol=0, atol=1e-8)
+
+
 def prepared(inertia=(1.0, 2.0, 2.5), method=None, **options):
     return co.prepare(co.systems.rigid_body(inertia=inertia), method or co.Splitting(order=4), 0.05, **options)
 

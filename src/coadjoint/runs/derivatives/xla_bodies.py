@@ -24,6 +24,8 @@ SHARES = tuple(0.5 * w for w in np.polynomial.legendre.leggauss(5)[1].tolist())
 # The longest piece of time, in units of 1/(|z| max |a|), and the largest number of pieces of a flow.
 PIECE = 0.125
 MOST_PIECES = 65536
+# Bodies with a smaller squared momentum are at rest.
+REST = 1e-100
 # The sine above which the rotation about the second axis counts as near a right angle.
 UPRIGHT = 0.9
 AXES = (2, 0, 1, 2)
@@ -139,8 +141,11 @@ def _body_quaternion(tau: Any, moments: Any, z: Any) -> Any:
     return jnp.where(reach <= MOST_PIECES, total, jnp.nan)
 
 
-def _piece(m: Any, a: Any, z: Any) -> tuple[Any, Any]:
+def _piece(m: Any, a: Any, momentum: Any) -> tuple[Any, Any]:
     """Return the momentum after a short time, which is contained in m and a, and the quaternion of the rotation."""
+    at_rest = momentum @ momentum < REST
+    # The formulas below divide by the momentum; the series up to second order has the derivatives at rest.
+    z = jnp.where(at_rest, 1.0, momentum)
     p = jnp.roll(a, -1) * jnp.roll(a, -2) * z * z
     middle = p.mean()
     e = middle - p
@@ -157,15 +162,18 @@ def _piece(m: Any, a: Any, z: Any) -> tuple[Any, Any]:
     across = s * a * jnp.roll(z, -1) * jnp.roll(z, -2)
     change = (z * (j * k + j + k - cosm1) + across * (1.0 + root)) / (1.0 + cosm1)
     length2 = z @ z
-    length2 = jnp.where(length2 == 0.0, 1.0, length2)
     rates = (change @ (m * z) + 2.0 * (m * z) @ z) / (change @ z + 2.0 * length2)
     change = change[-1]
     length = jnp.sqrt(length2)
     half = 0.5 * length * (jnp.array(SHARES) @ rates[:-1])
     whole = jnp.sqrt(1.0 - change @ change / (4.0 * length2))
     shortest = jnp.append(whole, jnp.cross(z, change) / (2.0 * length2 * whole))
-    z = z + change
-    return z, _after(jnp.append(jnp.cos(half), jnp.sin(half) / length * z), shortest)
+    after = z + change
+    q = _after(jnp.append(jnp.cos(half), jnp.sin(half) / length * after), shortest)
+    rate = m * momentum
+    turned = jnp.cross(rate, momentum)
+    slowly = jnp.append(1.0 - rate @ rate / 8, 0.5 * (rate + 0.5 * m * turned))
+    return jnp.where(at_rest, momentum + turned, after), jnp.where(at_rest, slowly, q)
 
 
 def _rotations(quaternion: Any, tau: Any, moments: Any, axes: Any, z: Any) -> Any:
