@@ -317,7 +317,7 @@ def test_summary_shows_changes_and_balances(folder, capsys):
 
 
 def test_missing_balance_is_printed_as_nan(capsys):
-    stats = SimpleNamespace(steps=1, seconds=0.5)
+    stats = SimpleNamespace(steps=1, seconds=0.5, elapsed=0.75)
     sol = SimpleNamespace(
         system=co.systems.rigid_body(), method="Splitting", stats=stats, step=0.1, watched=True, work={"a": {}},
         change=lambda: {"energy": 0.25, "own": 0.5}, balance=lambda: {"energy": 0.125},
@@ -331,7 +331,7 @@ def test_missing_balance_is_printed_as_nan(capsys):
 def test_driven_energy_is_marked(capsys):
     H = co.Hamiltonian(lambda x, t: np.cos(t) * x[2], lambda x, t: np.array([0.0, 0.0, np.cos(t)]))
     driven = co.LiePoissonSystem(co.algebras.so(3), H, name="a" * 199)
-    stats = SimpleNamespace(steps=1, seconds=0.5)
+    stats = SimpleNamespace(steps=1, seconds=0.5, elapsed=0.75)
     for system, shown in ((driven, "energy (driven, so that it changes)"), (co.systems.rigid_body(), "energy")):
         sol = SimpleNamespace(
             system=system, method="Splitting", stats=stats, step=0.1, watched=False, work=None,

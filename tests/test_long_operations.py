@@ -128,7 +128,7 @@ def test_command_prints_the_warning_immediately():
         [
             "import sys, warnings",
             "from coadjoint import commands, long_operations",
-            "def performed(arguments):",
+            "def performed(arguments, began):",
             "    warnings.warn('of another kind', UserWarning)",
             "    long_operations.warn_if_long('to prepare it', 42.0)",
             "    print('ready', file=sys.stderr)",

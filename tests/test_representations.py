@@ -106,7 +106,7 @@ def test_table_of_a_run():
     sol = co.integrate(co.systems.rigid_body((1, 2, 3)), (1, 0.2, 0.1), (0, 1), 0.1)
     assert repr(sol) == "<solution of rigid_body by Splitting(order=2): 11 points from t = 0 to 1, step 0.1>"
     table = sol._repr_html_()
-    assert "<b>rigid_body by Splitting(order=2)</b>" in table and "11 saved points" in table
+    assert "<b>rigid_body by Splitting(order=2)</b>" in table and "11 points from t = 0 to 1" in table
     assert f"<th>drift of energy</th><td>{sol.drift()['energy']:.2g}</td>" in table
     ensemble = co.integrate(co.systems.rigid_body((1, 2, 3)), np.ones((4, 3)), (0, 1), 0.1)
     assert repr(ensemble).endswith("step 0.1, 4 members>") and "<th>members</th><td>4</td>" in ensemble._repr_html_()

@@ -103,7 +103,7 @@ NEITHER = {("archive", "start left out"), *(("ensemble", name) for name in (*SIN
 PAIRS = [(way, name) for way in WAYS for name in RUNS if (way, name) not in NEITHER]
 PARTS = (
     "t", "x", "x0", "energy", "casimirs", "attitude", "attitude0", "observed", "work", "initial", "failed", "t_span",
-    "asked_span", "step", "save_every", "carried", "watched",
+    "asked_span", "step", "save_every", "carried", "watched", "incomplete",
 )  # fmt: skip
 
 
@@ -157,7 +157,13 @@ def test_read_run_equals_the_saved_run(way, name, tmp_path):
         np.testing.assert_equal(read, saved, err_msg=part)
     assert list(found.casimirs) == list(wanted.casimirs)
     for part in ("change", "balance") if wanted.work else ("drift", "change"):
-        np.testing.assert_equal(plain(getattr(found, part)()), plain(getattr(wanted, part)()), err_msg=part)
+        read, saved = getattr(found, part)(), getattr(wanted, part)()
+        if name == "start left out":
+            # Relative to the initial values.
+            for invariant, drift in saved.items():
+                np.testing.assert_allclose(read[invariant].tenths, drift.tenths, rtol=16 * UNIT_ROUNDOFF)
+            continue
+        np.testing.assert_equal(plain(read), plain(saved), err_msg=part)
     assert found.method == wanted.method and found.stats.evaluations == wanted.stats.evaluations
     several = isinstance(wanted.system, Batch)
     for m, t in enumerate((T0, T0 + 0.5, T0 + 1.0) if several else (T0,)):

@@ -320,7 +320,7 @@ def test_unstored_functions_are_named():
     lost = {
         "split": (co.LiePoissonSystem(co.LieAlgebra([], dim=3), piece), ["hamiltonian: cosh"]),
         "sum": (own(Q + FUNCTION), ["hamiltonian: value"]),
-        "batch": (co.batch([own(Q), inner, own(P), inner]), [f"hamiltonian: value (member {m})" for m in (1, 3)]),
+        "batch": (co.batch([own(Q), inner, own(P), inner]), ["hamiltonian: value (member 1)"]),
         "forces": (inner.with_forces(co.forces.LinearDamping(0.1), late), ["hamiltonian: value", "force: Torque"]),
         "another force": (BODY.with_forces(Torque((0.0, 0.0, 0.1))), ["force: Torque"]),
         "forces of members": (

@@ -308,7 +308,7 @@ def test_ensembles_are_sharded_over_devices():
         (
             lambda: prepared(method=co.ExplicitRungeKutta("rk4")),
             TypeError,
-            r'takes Splitting and GaussLegendre, not ExplicitRungeKutta.*; take backend="compiled"',
+            r'takes splittings and implicit Runge-Kutta methods, not ExplicitRungeKutta.*; take backend="compiled"',
         ),
         (
             lambda: co.prepare(

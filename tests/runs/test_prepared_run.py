@@ -202,7 +202,7 @@ def test_run_is_one_call_except_under_a_progress_bar(monkeypatch, capsys):
 def test_solution_lists_lazy_attributes():
     sol = co.integrate(BODY, X, (0, 1), 0.1)
     public = {name for name in SOLUTION_FIELDS if name in sol.record} | {"record", "drift", "change", "balance"}
-    assert len(public) == 27 and not hasattr(sol, "path")
+    assert len(public) == 28 and not hasattr(sol, "path")
     public |= {
         "modified_energy",
         "spectrum",

@@ -29,7 +29,7 @@ from coadjoint.analysis.weak_form import (
 from coadjoint.errors import IntegrationError
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.suggested_scheme import reference_scheme
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.arguments import read_sign
@@ -270,7 +270,7 @@ def _result(data: Samples, exponents: NDArray[np.int64], complement: Floats, bes
     step = abs(float(times[-1] - times[0])) / (len(times) - 1)
     try:
         span = (float(times[0]), float(times[0]) + math.copysign(step * (len(times) - 1), times[-1] - times[0]))
-        run = integrate(system, states[0], span, step / 2, GaussLegendre(4), save_every=2)
+        run = integrate(system, states[0], span, step / 2, reference_scheme(8), save_every=2)
     except IntegrationError:
         return found
     error = float(np.sqrt(np.mean((run.x - states) ** 2) / np.mean(states**2)))

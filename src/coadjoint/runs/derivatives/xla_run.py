@@ -12,15 +12,15 @@ import numpy as np
 from jax import lax
 
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.protocol.flow_method import FlowMethod
+from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.provenance import monomials_of
 from coadjoint.program.public_table import energy_and_parameters
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.jax_primitives import doubles
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.derivatives.xla_flows import TableSteps
-from coadjoint.runs.derivatives.xla_stages import GaussSteps
+from coadjoint.runs.derivatives.xla_stages import StageSteps
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.systems.coefficient_derivatives import coefficients_of
 from coadjoint.systems.parameters import parameters_at, with_parameters
@@ -69,19 +69,21 @@ class XlaRun:
         system = self._system
         if not has_structure_constants(system):
             raise TypeError(f'{CALLER} takes systems on a Lie algebra, not {system.name}; take backend="compiled"')
-        if isinstance(scheme, GaussLegendre):
+        if isinstance(scheme, RungeKuttaMethod) and scheme.solver == "implicit":
             table = energy_and_parameters(system)
-            self._steps: Any = GaussSteps(system, scheme.stages, table["energy"]["monomials"])
+            self._steps: Any = StageSteps(system, scheme.coefficients(), table["energy"]["monomials"])
             return {"fixed": [], **table}
         if not isinstance(scheme, FlowMethod):
-            raise TypeError(f'{CALLER} takes Splitting and GaussLegendre, not {scheme}; take backend="compiled"')
+            raise TypeError(
+                f'{CALLER} takes splittings and implicit Runge-Kutta methods, not {scheme}; take backend="compiled"'
+            )
         if scheme.compensates:
             raise TypeError(f"{CALLER} has no compensated sums, as {scheme} wants; take compensated=False")
         table = scheme.program(system).to_mapping()
         if table["functions"]:
             raise TypeError(
                 f"the Hamiltonian of {system.name} contains functions, which are in no table; {CALLER} takes them, if "
-                "they are of JAX, by GaussLegendre"
+                "they are of JAX, by implicit Runge-Kutta methods"
             )
         self._steps = TableSteps(table)
         return table

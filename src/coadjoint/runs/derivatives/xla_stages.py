@@ -1,4 +1,4 @@
-"""Steps of Gauss-Legendre methods as operations of JAX, with a fixed number of iterations."""
+"""Steps of implicit Runge-Kutta methods as operations of JAX, with a fixed number of iterations."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from coadjoint.methods.gauss_legendre import gauss_tableau
+from coadjoint.methods.numerics.stages import Coefficients
 from coadjoint.runs.derivatives.xla_sparse import sparse
 from coadjoint.systems.hamiltonians.jax_function import JaxFunction
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm
@@ -20,14 +20,14 @@ ITERATIONS = 20
 LARGEST_CORRECTION = 1e-10
 
 
-class GaussSteps:
-    """Steps of `GaussLegendre(stages)` for a Hamiltonian of polynomials and functions of JAX.
+class StageSteps:
+    """Steps of an implicit Runge-Kutta method for a Hamiltonian of polynomials and functions of JAX.
 
     `monomials` have coefficients, which are the constants of the steps. Raises TypeError for other functions.
     """
 
-    def __init__(self, system: Any, stages: int, monomials: Any) -> None:
-        self.tableau, self.sign, n = gauss_tableau(stages), system.sign, system.dim
+    def __init__(self, system: Any, tableau: Coefficients, monomials: Any) -> None:
+        self.tableau, self.sign, n = tableau, system.sign, system.dim
         degree = max((len(key) for key in monomials), default=0)
         self.monomials = np.array([[*key, *[n] * (degree - len(key))] for key in monomials], dtype=np.int64)
         others = [term for term in system.hamiltonian.terms() if term.form is None]

@@ -70,7 +70,8 @@ class Drift(float):
 def scales_of_invariants(system: Any, x0: Any, initial: Mapping[str, Any]) -> dict[str, Any]:
     """Return the size of each invariant, a float or an array (members,); 1 where it is zero or not finite.
 
-    `x0` and `initial` are those of a solution.
+    `x0` and `initial` are those of a solution. Without a system (None) the terms of invariants are unknown, and the
+    sizes are absolute values.
     """
     single = all(np.ndim(value) == 0 for value in initial.values())
     states = np.asarray(x0)[None] if single else np.asarray(x0)
@@ -81,7 +82,7 @@ def scales_of_invariants(system: Any, x0: Any, initial: Mapping[str, Any]) -> di
         # Each member by itself, so that it has the same size alone.
         summed = np.arange(len(value)) if number < SUMMED_INVARIANTS else np.flatnonzero(value < CANCELLATION * largest)
         size = value.copy()
-        for members in _groups(system, summed, states[0].size):
+        for members in _groups(system, summed, states[0].size) if system is not None else ():
             plain = unforced(member_of(system, int(members[0])))
             invariant = plain.hamiltonian if name == "energy" else plain.casimirs.get(name)
             rows = states[members] if is_matrix_system(plain) else states[members].reshape(len(members), -1)

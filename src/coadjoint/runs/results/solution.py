@@ -287,7 +287,11 @@ class Solution(SolutionOutput):
         """Sizes of the invariants, to which deviations are relative."""
         scales: dict[str, Any] | None = self.__dict__.get("_scales_found")
         if scales is None:
-            scales = self.__dict__["_scales_found"] = scales_of_invariants(self.system, self.x0, self.initial)
+            try:
+                system = self.system
+            except ValueError:  # a run that was read, with functions that are not stored
+                system = None
+            scales = self.__dict__["_scales_found"] = scales_of_invariants(system, self.x0, self.initial)
         return scales
 
     def spectrum(self) -> NDArray[Any]:

@@ -174,13 +174,20 @@ NOINLINE void called_changes(const FlowTables& tables, int64_t body, double tau,
     const Quaternion<R> q = called.rotation(momentum, tau);
     const uint32_t* column = called.column;
     const A vector[3] = {q.vector[0].value, q.vector[1].value, q.vector[2].value};
+    const A size = larger(absolute(called.momentum[0]),
+                          larger(absolute(called.momentum[1]), absolute(called.momentum[2])));
+    const auto moving = A(0.0) < size;
     A jacobian[9];  // by row: the change along a coordinate for each component of the momentum along the principal axes
     for (int c = 0; c < 3; ++c) {
         const A slope[3] = {q.vector[0].slope[c], q.vector[1].slope[c], q.vector[2].slope[c]};
         A crossed[3], along[3], outward[3];
         cross(slope, vector, crossed);
-        for (int i = 0; i < 3; ++i)
+        for (int i = 0; i < 3; ++i) {
+            // At rest, where the direction of the axis is not defined, the angular velocity is that of a small momentum.
+            const A at_rest = i == c ? called.moments[called.bond ? 0 : i] * A(tau) : A(0.0);
             along[i] = 2.0 * (fma(q.whole.value, slope[i], -(q.whole.slope[c] * vector[i])) - crossed[i]);
+            along[i] = select(moving, along[i], at_rest);
+        }
         called.outward(along, outward);
         for (int i = 0; i < 3; ++i) jacobian[3 * i + c] = outward[i];
     }

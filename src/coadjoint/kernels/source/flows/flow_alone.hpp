@@ -43,9 +43,9 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
     AlignedArray<GroupRows> checkpoint_elements(with_group ? 2 * d * rows : 0);
     AngleWorkspace<double> angles(tables.longest);
     angles.even = even_terms(tables.terms, tables.longest);
-    std::unique_ptr<Crew> crew;
+    std::unique_ptr<ThreadTeam> team;
     SharedSteps shared_steps;
-    if (schedule.threads > 1 && tables.longest >= LEAST_SHARED) crew = std::make_unique<Crew>(schedule.threads);
+    if (schedule.threads > 1 && tables.longest >= LEAST_SHARED) team = std::make_unique<ThreadTeam>(schedule.threads);
     PartialStep<double> partial_step;
     partial_step.set(tables, schedule, member, 0);
     if (partial_step.needed) angles.partial_step = &partial_step;
@@ -107,7 +107,7 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
         const auto check = [&](int64_t first, int64_t last) {
             if (!finite(last - first, at + first)) all_finite.store(false, std::memory_order_relaxed);
         };
-        angles.crew ? angles.crew->each(size, check) : check(0, size);
+        angles.team ? angles.team->each(size, check) : check(0, size);
         return all_finite && (!with_group || all(finite(d * rows, element)));
     };
     // The step in which a number of step k became infinite: if already the finish of the previous step overflows, it
@@ -128,7 +128,7 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
     const int64_t work = work_of_step(loop);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
         loop.interrupts.after(work);
-        if (crew) angles.crew = shared_steps.begin() ? crew.get() : nullptr;
+        if (team) angles.team = shared_steps.begin() ? team.get() : nullptr;
         const double t = start_of(schedule, member, k);
         const std::vector<ElementaryFlow>& flows = k == 1 ? opening : repeated;
         for (const ElementaryFlow& flow : flows)
@@ -146,7 +146,7 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
                 apply_row<summation, with_group, false>(tables, SharedConstants{}, r, momentum, group, t, schedule.h,
                                                         angles);
         const bool valid = is_finite(x, elements.at);
-        if (crew) shared_steps.end();
+        if (team) shared_steps.end();
         if (__builtin_expect(!valid, 0)) {
             failed = step_that_failed(k);
             break;

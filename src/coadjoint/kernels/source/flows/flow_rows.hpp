@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "flows/bonds.hpp"
-#include "flows/crew.hpp"
+#include "flows/thread_team.hpp"
 #include "boundary/loop.hpp"
 
 namespace coadjoint {
@@ -65,7 +65,7 @@ struct AngleWorkspace {
     AlignedArray<A> theta, rotated, arguments;
     std::vector<double> calls;
     std::vector<bool> even;
-    Crew* crew = nullptr;  // of one large member
+    ThreadTeam* team = nullptr;  // of one large member
     explicit AngleWorkspace(int64_t longest)
         : theta(longest), rotated(longest), arguments(longest), calls(2 * longest + 2) {}
 };
@@ -85,24 +85,24 @@ Rotations<A> rotations_of_part(const FlowTables& tables, const C& constants, uin
     return rotations;
 }
 
-// Visit the rows of a term, on the threads of a crew if there is one.
+// Visit the rows of a term, on the threads of a team if there is one.
 template <class Visit>
-INLINE void share_rows(Crew* crew, const Terms& terms, uint32_t k, const Visit& visit) {
+INLINE void share_rows(ThreadTeam* team, const Terms& terms, uint32_t k, const Visit& visit) {
     const uint32_t start = terms.row[k], stop = terms.row[k + 1];
-    if (!crew) return visit(start, stop);
-    crew->each(stop - start, [&](int64_t first, int64_t last) { visit(start + uint32_t(first), start + uint32_t(last)); });
+    if (!team) return visit(start, stop);
+    team->each(stop - start, [&](int64_t first, int64_t last) { visit(start + uint32_t(first), start + uint32_t(last)); });
 }
 
-// `act` for many angles, with the rotations of each run on the threads of a crew.
+// `act` for many angles, with the rotations of each run on the threads of a team.
 template <Summation summation, class A, class V, class C>
-NOINLINE void share_action(Crew& crew, const Action& action, const C& constants, uint32_t part, double tau,
+NOINLINE void share_action(ThreadTeam& team, const Action& action, const C& constants, uint32_t part, double tau,
                            const A* theta, const Vectors<V>& x) {
     for (uint32_t run = action.run[part]; run < action.run[part + 1]; ++run) {
         const A* angles = theta + action.angle[run];
         if (action.kind[run] != ROTATE)
             act_run<summation>(action, constants, run, tau, angles, x);
         else
-            crew.each(action.angles[run], [&](int64_t first, int64_t last) {
+            team.each(action.angles[run], [&](int64_t first, int64_t last) {
                 rotate_several<summation>(action, constants, run, tau, angles, x, uint32_t(first), uint32_t(last));
             });
     }
@@ -151,11 +151,11 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
         const A moment = t + (partial_step ? A(tables.moment[r]) * partial_step->length : A(tables.moment[r] * h));
         for (uint32_t k = low; k < high; ++k)
             if (!workspace.even.empty() && workspace.even[k])
-                share_rows(workspace.crew, terms, k, [&](uint32_t first, uint32_t last) {
+                share_rows(workspace.team, terms, k, [&](uint32_t first, uint32_t last) {
                     even_rows(terms, first, last, x.at, workspace.theta.at + (first - terms.row[low]));
                 });
-            else if (workspace.crew && terms.kind[k] == LINEAR)
-                share_rows(workspace.crew, terms, k, [&](uint32_t first, uint32_t last) {
+            else if (workspace.team && terms.kind[k] == LINEAR)
+                share_rows(workspace.team, terms, k, [&](uint32_t first, uint32_t last) {
                     for (uint32_t angle = first; angle < last; ++angle)
                         workspace.theta.at[angle - terms.row[low]] = linear_row(terms, constants, angle, x.at);
                 });
@@ -166,8 +166,8 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
             workspace.theta.at[angle] = workspace.theta.at[angle] * partial_step->scale;
     }
     CachedRotation<A> cached;
-    if (workspace.crew && !single)
-        share_action<summation>(*workspace.crew, tables.state, constants, part, tau, workspace.theta.at, x);
+    if (workspace.team && !single)
+        share_action<summation>(*workspace.team, tables.state, constants, part, tau, workspace.theta.at, x);
     else
         act<summation, false>(tables.state, constants, part, tau, single, single_angle, workspace.theta.at, cached, x);
     if constexpr (with_group) {

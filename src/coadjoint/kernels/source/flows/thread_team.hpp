@@ -16,10 +16,10 @@ namespace coadjoint {
 
 constexpr int64_t LEAST_SHARED = 1024;  // elements from which on threads may share them
 
-class Crew {
+class ThreadTeam {
   public:
     // `threads` includes the calling thread; there are fewer if the system starts no more.
-    explicit Crew(int64_t threads) {
+    explicit ThreadTeam(int64_t threads) {
         try {
             for (int64_t number = 1; number < threads; ++number)
                 others.emplace_back([this, number] { serve(number); });
@@ -27,7 +27,7 @@ class Crew {
         }
     }
 
-    ~Crew() {
+    ~ThreadTeam() {
         {
             std::lock_guard<std::mutex> lock(mutex);
             ended = true;
@@ -37,8 +37,8 @@ class Crew {
         for (std::thread& other : others) other.join();
     }
 
-    Crew(const Crew&) = delete;
-    Crew& operator=(const Crew&) = delete;
+    ThreadTeam(const ThreadTeam&) = delete;
+    ThreadTeam& operator=(const ThreadTeam&) = delete;
 
     // Call `visit(first, last)` for slices of 0 to count - 1, on all threads; it must not throw. Few elements are one
     // slice.
@@ -96,7 +96,7 @@ class Crew {
     }
 };
 
-// Whether the crew takes part in a step: of every 64 steps two are taken without it and two with it, and the others as
+// Whether the team takes part in a step: of every 64 steps two are taken without it and two with it, and the others as
 // was faster, on this machine and with its present load.
 class SharedSteps {
   public:
