@@ -270,7 +270,7 @@ def test_a_nutation_ends_for_each_member_where_it_has_turned_enough():
     fast, slow = rotations((0, 0, 1), -2.0 * TURN), rotations((0, 0, 1), 0.2 * TURN)
     tilt = rotations((0, 1, 0), np.full(200, 0.3))
     A = np.stack([fast @ tilt, slow @ tilt], axis=1)
-    run = made(np.ones((200, 2, 3)), attitude=A, carried="representation")
+    run = made(np.ones((200, 2, 3)), attitude=A, system=BARE, carried="representation")
     axes = axes_of(run, "nutation", turns=0.5)
     ends = [np.degrees(-2.0 * TURN), np.degrees(0.2 * TURN)]
     for m, azimuth in enumerate(ends):

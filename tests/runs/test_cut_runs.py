@@ -79,3 +79,13 @@ def test_failed_runs(tmp_path):
     path = tmp_path / "run.nc"
     mark_failed(partial.to_xarray(), raised.value).to_netcdf(path, engine="h5netcdf")
     assert co.load(path).incomplete == "failed"
+
+
+def test_a_failed_run_is_marked_in_a_file(tmp_path):
+    top = co.systems.heavy_top()
+    with pytest.raises(co.IntegrationError) as raised:
+        co.integrate(top, (0.3, 0.2, 3, 0.6, 0, 0.8), (0, 100), 5.0, co.Taylor(order=8))
+    raised.value.partial.to_xarray().to_netcdf(tmp_path / "failed.nc", engine="h5netcdf")
+    found = co.load(tmp_path / "failed.nc")
+    assert found.incomplete == raised.value.partial.incomplete == "failed"
+    assert "failed" in repr(found)

@@ -112,7 +112,7 @@ def attributes_of(solution: Solution) -> dict[str, Any]:
         "seconds": solution.stats.seconds,
         "elapsed": solution.stats.elapsed,
     }
-    if solution.incomplete and solution.incomplete != "failed" and len(solution.t):  # `mark_failed` has the failure
+    if solution.incomplete and len(solution.t):
         attributes |= incomplete_attributes(solution.incomplete, float(solution.t[-1]))
     if solution.t_span != solution.asked_span:
         attributes[ENDED_ATTRIBUTE] = solution.stats.steps

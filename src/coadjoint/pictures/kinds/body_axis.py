@@ -29,7 +29,7 @@ def body_axis(
     axis : int or array_like
         Number of the axis, 0 to 2, or a direction in the body.
     up : sequence of three ints or str, optional
-        Coordinates of a body vector that is constant in space; it points up in the picture.
+        Coordinates of a body vector that is constant in space, and points up in the picture.
     vertical : str
         Label of that vector.
     view : (float, float), optional
@@ -78,6 +78,13 @@ def axis_in_space(drawn: PlottedRun, axis: Any, up: Any) -> tuple[Floats, str]:
         for m in range(len(path)):
             path[m] = path[m] @ _rotation_to_vertical(A[m, 0] @ drawn.x[m, 0, indices]).T
     return path, name
+
+
+def declared_vertical(drawn: PlottedRun) -> tuple[Any, str]:
+    """Return the coordinates of the body vector that a ready-made system draws upward, and its name; None without."""
+    pictures = () if drawn.gallery_entry is None else drawn.gallery_entry.pictures
+    found = next((picture.options for picture in pictures if picture.kind == "body axis"), {})
+    return found.get("up"), str(found.get("vertical", ""))
 
 
 def _rotation_to_vertical(vertical: Floats) -> Floats:

@@ -41,7 +41,7 @@ def drift(drawn: PlottedRun) -> Paint:
             if drawn.unexplained_change is not None:
                 change = np.abs(drawn.unexplained_change[name]) / sizes[name]
                 _draw_dotted(axes, drawn, change, colour(i), None if i else "$H$ less their work")
-        axes.set(yscale="log", ylabel="relative deviation from start")
+        axes.set(yscale="log", xlabel="time $t$", ylabel="relative deviation from start")
         title = "drift of the energy $H$ and the Casimirs"
         if drawn.unexplained_change is not None:
             title = "change of the energy $H$ and the Casimirs by forces"

@@ -6,15 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.pictures.kinds.body_axis import axis_in_space
+from coadjoint.pictures.kinds.body_axis import axis_in_space, declared_vertical
 from coadjoint.pictures.members import MemberColours
-from coadjoint.pictures.path_update import PathUpdate
 from coadjoint.pictures.plot_data import PlottedRun
-from coadjoint.pictures.register import Paint, Update, kind
+from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.style import colour, dots, plain_axes, set_title, thickness
 
 
-@kind("nutation", moves=True)
+@kind("nutation")
 def nutation(drawn: PlottedRun, axis: Any = 2, up: Any = None, turns: float = 0.5) -> Paint:
     """Show the inclination of a body axis to the vertical over its azimuth, both in degrees; needs attitude.
 
@@ -23,15 +22,18 @@ def nutation(drawn: PlottedRun, axis: Any = 2, up: Any = None, turns: float = 0.
     axis : int or array_like
         Number of the axis, 0 to 2, or a direction in the body.
     up : sequence of three ints or str, optional
-        Coordinates of the body vector that is the vertical in space.
+        Coordinates of the body vector that is the vertical in space; by default that of the ready-made system, or else
+        the third axis of space.
     turns : float
         Number of revolutions of the axis after which the curve ends.
     """
     saved, drawn = drawn, drawn.refined
-    path, name = axis_in_space(drawn, axis, up)
+    declared, vertical = declared_vertical(drawn)
+    path, name = axis_in_space(drawn, axis, declared if up is None else up)
+    vertical = "vertical" if up is not None else vertical if declared is not None else "third axis of space"
 
-    def paint(axes: Any) -> Update:
-        shades, update = MemberColours(saved), PathUpdate(saved, axes, f"nutation of {name}")
+    def paint(axes: Any) -> None:
+        shades = MemberColours(saved)
         truncated = False
         for m, directions in enumerate(path):
             points = directions[drawn.curve_indices]
@@ -43,15 +45,13 @@ def nutation(drawn: PlottedRun, axis: Any = 2, up: Any = None, turns: float = 0.
             truncated |= bool(beyond.size)
             style: dict[str, Any] = {"linewidth": thickness(1.1)} if drawn.axis_joined else dots(len(points))
             curve = np.stack([azimuth[:last], inclination[:last]], axis=-1)
-            lines = axes.plot(*curve.T, color=shades[m], **style)
+            axes.plot(*curve.T, color=shades[m], **style)
             axes.plot(azimuth[:1], inclination[:1], "o", markersize=5, color=colour(1))
-            update.add(lines, drawn.t[drawn.curve_indices[:last]], curve)
         axes.invert_yaxis()
-        axes.set(xlabel="azimuth [degrees]", ylabel="inclination to the vertical [degrees]")
+        axes.set(xlabel="azimuth [degrees]", ylabel=f"inclination to the {vertical} [degrees]")
         extent = f", for the first {360.0 * turns:g} degrees" if truncated else ""
         set_title(axes, f"nutation of {name}{extent} (dot: start)")
         plain_axes(axes)
         shades.add_bar(axes)
-        return update
 
     return paint
