@@ -340,3 +340,39 @@ def test_systems_at_rest_have_derivatives(energy):
     x0, w = np.array([0.3, 1.0, 0.2]), np.array([0.5, -0.25, 1.0])
     _, tangents = ready.jvp(x0, (0, 8 * H), {"linear": w}, save_every=8)
     assert np.abs(tangents.x[-1] - 8 * H * np.cross(x0, w)).max() <= 200 * U
+
+
+TOP_AT_REST = (0.0, 0.0, 0.0, 0.3, 0.1, 0.9)
+
+
+@pytest.mark.parametrize(
+    ("system", "parts", "x0"),
+    [
+        (co.systems.heavy_top(inertia=(1.0, 2.0, 2.5)), "free_body", TOP_AT_REST),
+        (co.systems.heavy_top(inertia=(1.0, 1.0, 1.0)), "free_body", TOP_AT_REST),
+        (co.systems.spin_lattice(shape=2, exchange=1.3), "bonds", (0.6, 0.0, 0.8, -0.6, 0.0, -0.8)),
+    ],
+    ids=["top", "round top", "opposite spins"],
+)
+@pytest.mark.parametrize("members", [(), (40,)])
+def test_bodies_at_rest_and_opposite_spins_have_derivatives(system, parts, x0, members):
+    """Their rotation has no axis, but an angular velocity that is linear in the momentum."""
+    x0 = np.array(x0)
+    ready = co.prepare(system, co.Splitting(order=2, parts=parts), 0.1)
+    start = np.broadcast_to(x0, (*members, 6))
+    span = (0.5, 1.5)
+
+    def end(x):
+        return ready.run(x, span, 10).x[-1]
+
+    units = 1e-3 * np.eye(6)
+    wanted = [(8 * (end(x0 + e) - end(x0 - e)) - (end(x0 + 2 * e) - end(x0 - 2 * e))) / 12e-3 for e in units]
+    directions = np.broadcast_to(np.eye(6), (*members, 6, 6))
+    _, tangents = ready.jvp(start, span, {"x0": directions}, save_every=10)
+    # The error of the differences is 1e-12 times a fifth derivative, and the rounding divided by 1e-3.
+    np.testing.assert_allclose(tangents.x[-1], np.broadcast_to(np.transpose(wanted), (*members, 6, 6)), atol=1e-10)
+    sol, pullback = ready.vjp(start, span, save_every=10)
+    cotangent = np.zeros(sol.x.shape)
+    cotangent[-1] = np.arange(1.0, 7.0)
+    expected = np.broadcast_to(np.array(wanted) @ np.arange(1.0, 7.0), (*members, 6))
+    np.testing.assert_allclose(pullback(cotangent)["x0"], expected, atol=1e-9)
