@@ -109,8 +109,8 @@ class Identification:
     def __repr__(self) -> str:
         missing = f", {len(self.undetermined)} undetermined" if self.undetermined else ""
         return (
-            f"<identified {self.hamiltonian}: {len(self.exponents)} monomials{missing}, noise {self.noise.max():.2g}, "
-            f"error of a run {self.run_error:.2g}>"
+            f"<identified Hamiltonian of degree {self.hamiltonian.degree}: {len(self.exponents)} monomials{missing}, "
+            f"noise {self.noise.max():.2g}, error of a run {self.run_error:.2g}>"
         )
 
 

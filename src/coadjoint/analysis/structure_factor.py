@@ -125,6 +125,7 @@ def structure_factor(solution: Solution, path: ArrayLike | None = None, window: 
     --------
     Spin waves of a cold chain, omega = 2 (1 - cos q):
 
+    >>> import numpy as np
     >>> import coadjoint as co
     >>> ring = co.systems.spin_lattice("ring", 16)
     >>> states = co.thermal_states(ring, 0.001, members=4, seed=1)
