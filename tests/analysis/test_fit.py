@@ -131,6 +131,19 @@ def test_attitudes_of_members_of_larger_groups():
     assert found.standard_deviation("M").shape == (2,)
 
 
+@pytest.mark.parametrize("algebra", [co.algebras.so(4), co.algebras.get("A5,40")], ids=["so(4)", "A5,40"])
+def test_residuals_are_measured_minus_fitted_values(algebra):
+    """In units of the standard deviations, in the order of the measurements."""
+    rng, n = np.random.default_rng(3), algebra.dim
+    ready = co.prepare(co.LiePoissonSystem(algebra, co.Quadratic(np.linspace(0.5, 1.0, n))), SCHEME, 0.05)
+    x0, deviations = rng.uniform(0.2, 0.6, n), rng.uniform(0.005, 0.02, n)
+    exact = ready.run(x0, (0, 2), 4).x
+    measured = exact + deviations * rng.standard_normal(exact.shape)
+    found = co.fit(ready, x0, (0, 2), {"x": measured}, {"x0": True}, 4, sigma={"x": deviations})
+    wanted = ((measured - found.solution.x) / deviations).ravel()
+    np.testing.assert_allclose(found.residuals, wanted, rtol=0, atol=1e-10)
+
+
 GOOD = {"attitude": np.zeros((41, 3, 3))}
 
 

@@ -70,6 +70,21 @@ def test_batches_by_their_own_energies():
     assert scale.tolist() == [body.energy((1.0, 0.2, 0.5)) for body in bodies]
 
 
+@pytest.mark.parametrize("algebra", [co.algebras.so(4), co.algebras.get("A5,40")], ids=["so(4)", "A5,40"])
+def test_energies_of_batches_that_cancel_are_compared_with_their_own_terms(algebra):
+    """Systems of different sizes, some with several members in any order: each member as in a run of it alone."""
+    rng, n = np.random.default_rng(7), algebra.dim
+    x0 = rng.uniform(0.5, 1.0, n)
+    signs = rng.standard_normal(n)
+    signs -= signs.mean()  # the terms of the energy, which cancel
+    systems = [co.LiePoissonSystem(algebra, co.Quadratic(size * signs / x0**2)) for size in (0.25, 1.0, 3.0)]
+    order = [0, 1, 0, 2, 1, 2, 2]
+    scale = co.integrate(co.batch([systems[k] for k in order]), x0, (0, 0.1), 0.05).drift()["energy"].scale
+    alone = [co.integrate(system, x0, (0, 0.1), 0.05).drift()["energy"].scale for system in systems]
+    assert alone == pytest.approx(0.5 * np.abs(signs).sum() * np.array([0.25, 1.0, 3.0]), rel=1e-13)
+    assert scale.tolist() == [alone[k] for k in order]
+
+
 def test_traces_of_matrices_by_their_singular_values():
     fluid = co.systems.sphere_euler(N=5)
     W = fluid.matrices(np.random.default_rng(1).normal(size=fluid.dim))
