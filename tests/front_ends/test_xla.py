@@ -75,6 +75,7 @@ SYSTEMS = {
     "bonds": lambda: (co.systems.spin_lattice("chain", 3, field=(0.1, 0.2, 0.3)), co.Splitting(parts="bonds")),
     "30 spins": lambda: (co.systems.spin_lattice(shape=30, periodic=True), co.Splitting()),
     "Toda": lambda: (co.systems.toda(sites=4), co.Splitting(order=4)),
+    "A5,2": lambda: (of_algebra(co.algebras.get("A5,2")), co.Splitting(order=4)),
 }
 SPANS = {
     "forward": ((0.0, 2.0), {"save_every": 1}),
@@ -240,10 +241,11 @@ def timed(x, t):
 @pytest.mark.parametrize("H", [hamiltonian, timed])
 @pytest.mark.parametrize("ends", [(0.5, 4.5), (4.5, 0.5)])
 def test_functions_of_jax_are_stepped_by_gauss(H, ends):
+    """At multiples of seven steps, and at the last one, which is none."""
     ready = co.prepare(co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(H)), co.GaussLegendre(2), 0.1)
-    f = co.jax.solution(ready, ends, 10, backend="xla")
-    sol, pullback = ready.vjp(X0, ends, 10)
-    weights = np.cos(np.arange(15.0)).reshape(5, 3)
+    f = co.jax.solution(ready, ends, 7, backend="xla")
+    sol, pullback = ready.vjp(X0, ends, 7)
+    weights = np.cos(np.arange(21.0)).reshape(7, 3)
     # The compiled iteration stops at rounding.
     np.testing.assert_allclose(f(X0), sol.x, rtol=0, atol=1e-13)
     found = jax.grad(lambda x0: (weights * f(x0)).sum())(X0)

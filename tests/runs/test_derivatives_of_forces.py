@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.kernels.interface import limit
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.forces.registry import FORCES
@@ -250,6 +251,26 @@ def test_members_of_an_ensemble_have_the_noise_of_their_numbers():
         np.testing.assert_allclose(gradient["x0"][m], alone["x0"], rtol=0, atol=2.0**5 * UNIT_ROUNDOFF * size)
         total = total + alone["HeatBath.temperature"]
     assert abs(total - gradient["HeatBath.temperature"]) <= 2.0**4 * UNIT_ROUNDOFF * abs(total) * 3
+
+
+def test_members_beyond_those_of_one_loop_have_the_noise_of_their_numbers():
+    """Derivatives are computed for as many members at a time as the loops have lanes."""
+    base, last = plain("A5,40", full=False), limit("MOST_LANES") + 1
+    x0 = np.random.default_rng(2).uniform(0.2, 0.6, (last + 1, 5))
+
+    def run_from(stream):
+        bath = F.HeatBath(0.3, temperature=0.2, seed=5, stream=stream)
+        return co.prepare(base.with_forces(bath), co.Splitting(), H)
+
+    moving, span = {"HeatBath.temperature": np.array(0.5)}, (0.5, 0.5 + 2 * H)
+    sol, tangents = run_from(0).jvp(x0, span, moving)
+    single, alone = run_from(last).jvp(x0[last], span, moving)
+    assert np.array_equal(single.x, sol.x[:, last]) and np.array_equal(alone.x, tangents.x[:, last])
+    weights = np.zeros_like(sol.x)
+    weights[:, last] = 1.0
+    found = run_from(0).vjp(x0, span)[1](weights)["HeatBath.temperature"]
+    wanted = run_from(last).vjp(x0[last], span)[1](weights[:, last])["HeatBath.temperature"]
+    assert abs(found - wanted) <= 2.0**5 * UNIT_ROUNDOFF * abs(wanted)
 
 
 def test_members_of_a_batch_have_the_derivatives_of_single_runs():
