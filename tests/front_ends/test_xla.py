@@ -16,7 +16,8 @@ C1 = 1 / (2 - 2 ** (1 / 3))
 
 
 @pytest.fixture(autouse=True)
-def double_precision():
+def double_precision_and_same_draws():
+    RNG.bit_generator.state = np.random.default_rng(41).bit_generator.state  # alone and after other tests
     jax.config.update("jax_enable_x64", True)
     yield
     jax.config.update("jax_enable_x64", False)
@@ -91,7 +92,7 @@ PAIRS += [(name, span) for name in ("body, rational", "body, Gauss") for span in
 PAIRS += [("top, free body", "times"), ("e(3), cubic", "backward times")]
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize(("name", "span"), PAIRS)
 def test_values_and_gradients_agree_with_the_compiled_run(name, span):
     system, method = SYSTEMS[name]()
@@ -112,7 +113,7 @@ def test_values_and_gradients_agree_with_the_compiled_run(name, span):
 @pytest.mark.parametrize(
     ("system", "parts", "x0"),
     [
-        (co.systems.heavy_top(), "free_body", [0.0, 0.0, 0.0, 0.3, 0.1, 0.9]),
+        pytest.param(co.systems.heavy_top(), "free_body", [0.0, 0.0, 0.0, 0.3, 0.1, 0.9], marks=pytest.mark.long),
         (co.systems.spin_lattice("chain", 2, field=(0.1, 0.2, 0.3)), "bonds", [0.5, 0.1, 0.2, -0.5, -0.1, -0.2]),
     ],
     ids=["body", "bond"],
