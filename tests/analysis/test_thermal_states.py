@@ -133,6 +133,25 @@ def test_a_member_has_the_same_bits_in_any_company(monkeypatch):
         assert np.all(np.any(other.x != states.x, axis=1)) and len(np.unique(states.x[:, 0])) == 7
 
 
+def test_members_in_several_groups_continue_from_their_own_states(monkeypatch):
+    chain, kT = co.systems.spin_lattice("chain", 4), np.linspace(0.3, 2.0, 5)
+    first = co.thermal_states(chain, kT, seed=1, sweeps=3)
+    states = co.thermal_states(chain, kT, seed=2, sweeps=3, x0=first.x)
+    assert np.allclose(states.energy[0], first.energy[-1], rtol=1e-12, atol=1e-12)
+    monkeypatch.setattr(thermal_states, "SPINS_AT_ONCE", 8)
+    again = co.thermal_states(chain, kT, seed=2, sweeps=3, x0=first.x)
+    assert np.array_equal(again.energy, states.energy) and np.array_equal(again.x, states.x)
+
+
+def test_recorded_energies_are_those_of_the_system_with_its_constants():
+    pair = co.systems.spin_lattice(field=(0.1, 0.2, 0.3), on_site=(0.0, 0.4, 0.5))
+    parts = [pair.hamiltonian, co.Quadratic(np.zeros(6), constant=1.5), co.Quadratic(np.zeros(6), constant=-0.25)]
+    raised = co.LiePoissonSystem(pair.algebra, sum(parts[1:], start=parts[0]), sign=pair.sign)
+    states = co.thermal_states(raised, 0.5, 3, seed=1, sweeps=4)
+    assert np.allclose(states.energy[-1], [raised.energy(x) for x in states.x], rtol=1e-13)
+    assert np.allclose(states.energy, co.thermal_states(pair, 0.5, 3, seed=1, sweeps=4).energy + 1.25, rtol=1e-13)
+
+
 def test_random_numbers_belong_to_sites():
     """No two spins, sweeps or members share one, and none is that of the noise of a force."""
     from coadjoint.systems.forces.base import random_words
