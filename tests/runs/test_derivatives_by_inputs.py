@@ -199,6 +199,23 @@ def test_the_derivative_by_inputs_is_that_by_the_linear_term():
         np.testing.assert_allclose(found["M"], expected["M"], rtol=2.0**9 * UNIT_ROUNDOFF)
 
 
+@pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(2)], ids=str)
+def test_parameters_do_not_move_coefficients_that_are_inputs(method):
+    """The field of all spins acts on those coordinates that inputs have not replaced."""
+
+    def run(by):
+        spins = co.systems.spin_lattice(shape=3, field=np.array([0.1, 0.2, 0.3]) + by)
+        ready = co.prepare(spins, method, 0.05, inputs={"B": (0, 7)})
+        return ready, ready.run(UNIT_SPINS, (0.0, 1.0), B=[0.3, -0.2]).x
+
+    ready, _ = run(np.zeros(3))
+    _, tangents = ready.jvp(UNIT_SPINS, (0.0, 1.0), {"field": np.eye(3)}, B=[0.3, -0.2])
+    for k, unit in enumerate(np.eye(3)):
+        moved = ((run(j * DISTANCE * unit)[1], run(-j * DISTANCE * unit)[1]) for j in range(1, 5))
+        differences = sum(w * (one - other) / DISTANCE for w, (one, other) in zip(WEIGHTS, moved, strict=True))
+        np.testing.assert_allclose(tangents.x[..., k], differences, rtol=0, atol=DIFFERENCE_ERROR)
+
+
 def test_several_directions_of_inputs_are_carried_together():
     ready = co.prepare(TOP, co.Splitting(order=4), 0.05, inputs=FIELDS)
     units = {"fields": np.zeros((2, 2, 5)), "rotor": np.zeros((1, 5))}

@@ -22,6 +22,13 @@ X6 = np.array([0.3, 1.0, 0.2, 0.1, 0.4, 0.9])
 END = co.Event("x2", terminal=True)
 BATCH = co.batch([BODY, co.systems.rigid_body(inertia=(1.0, 2.0, 2.7))])
 
+DRIVEN = co.LiePoissonSystem(
+    co.algebras.so(3),
+    co.Quadratic([1.0, 0.5, 0.4])
+    + co.Separable({0: (lambda y, t: np.cos(3 * t) * y, lambda y, t: np.cos(3 * t), lambda y, t: 0 * y)}),
+    name="driven",
+)
+
 
 def moving(x, t):
     return x[1] * x[2] - 0.1 * t
@@ -48,6 +55,7 @@ CASES = {
         False,
     ),
     "stepwise": (TOP, co.Taylor(order=8), X6, (0.0, 2.0), {"events": co.Event(2)}, False),
+    "driven": (DRIVEN, co.GaussLegendre(2), X, (0.5, 5.5), {"events": co.Event("x2"), "save_every": 7}, False),
     "ensemble": (BODY, co.Splitting(order=4), PAIR, (0.5, 20.5), {"events": END, "save_every": 3}, False),
     "batch": (BATCH, co.Splitting(order=4), PAIR, (0.5, 20.5), {"events": END, "save_every": 3}, True),
     "none": (BODY, co.Splitting(), X, (0.0, 0.1), {"events": END}, False),
@@ -56,7 +64,7 @@ CASES = {
 
 def moved(system, values):
     if not isinstance(system, type(BATCH)):
-        return with_parameters(system, values)
+        return with_parameters(system, values) if values else system
     return co.batch([with_parameters(s, {k: v[m] for k, v in values.items()}) for m, s in enumerate(system)])
 
 

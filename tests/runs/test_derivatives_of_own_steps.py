@@ -9,6 +9,7 @@ import coadjoint as co
 from coadjoint.methods.protocol.own_steps import OwnSteps
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.parameters import with_parameters
+from group_elements import random_element
 
 WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
 DISTANCE = 2.0**-11
@@ -120,24 +121,28 @@ def test_members_of_a_batch_have_the_derivatives_of_single_runs(method, attitude
         attitude = "coadjoint"
     rng, x0, span = np.random.default_rng(3), np.array([X3, X3[::-1], [0.5, 0.2, 0.9]]), (1.0, -0.5)
     ready = co.prepare(BATCH, method, 0.125, attitude=attitude)
+    starts = random_element(BATCH[0].representation, 4, members=3) if attitude else [None] * 3
+    start = starts if attitude else None
     assert ready.parameters["inertia"].tolist() == [[1.0, 2.0, 2.25], [1.0, 2.0, 2.5], [1.0, 2.0, 2.75]]
     directions = {"x0": rng.standard_normal((3, 3, 2)), "inertia": rng.standard_normal((3, 3, 2))}
-    sol, tangents = ready.jvp(x0, span, directions, save_every=5)
-    _, pullback = ready.vjp(x0, span, save_every=5)
-    weights = rng.standard_normal(sol.x.shape)
-    gradient = pullback(weights, energy=sol.energy)
-    assert np.array_equal(sol.x, ready.run(x0, span, save_every=5).x)
+    sol, tangents = ready.jvp(x0, span, directions, save_every=5, attitude=start)
+    _, pullback = ready.vjp(x0, span, save_every=5, attitude=start)
+    weights = {
+        name: rng.standard_normal(getattr(sol, name).shape) for name in ("x", *(["attitude"] if attitude else []))
+    }
+    gradient = pullback(**weights, energy=sol.energy)
+    assert np.array_equal(sol.x, ready.run(x0, span, save_every=5, attitude=start).x)
     assert tangents.x.shape == (*sol.x.shape, 2) and gradient["inertia"].shape == (3, 3)
     for m, system in enumerate(BATCH):
         single = co.prepare(system, method, 0.125, attitude=attitude)
         given = {name: direction[m] for name, direction in directions.items()}
-        alone, one = single.jvp(x0[m], span, given, save_every=5)
+        alone, one = single.jvp(x0[m], span, given, save_every=5, attitude=starts[m])
         assert np.array_equal(sol.x[:, m], alone.x)
         for name in ("x", "energy", "attitude"):
             if getattr(one, name) is not None:
                 assert np.array_equal(getattr(tangents, name)[:, m], getattr(one, name))
-        _, pullback = single.vjp(x0[m], span, save_every=5)
-        found = pullback(weights[:, m], energy=alone.energy)
+        _, pullback = single.vjp(x0[m], span, save_every=5, attitude=starts[m])
+        found = pullback(**{name: one[:, m] for name, one in weights.items()}, energy=alone.energy)
         assert all(np.array_equal(gradient[name][m], found[name]) for name in found)
 
 
