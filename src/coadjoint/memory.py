@@ -4,12 +4,36 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, Generic, TypeVar
 
 UNCHECKED_BYTES = 2**26
 """Allocations below this size (bytes) are not checked."""
 
 NO_LIMIT = 2**62
+MAX_KEPT_NUMBERS = 2**16
+
+Arrays = TypeVar("Arrays")
+
+
+class cached_if_small(Generic[Arrays]):
+    """A cached property of one array, or a tuple of arrays, that is computed again each time if it is large."""
+
+    def __init__(self, build: Callable[[Any], Arrays]) -> None:
+        self.build, self.__doc__ = build, build.__doc__
+
+    def __get__(self, instance: Any, owner: type) -> Arrays:
+        if instance is None:
+            return self  # type: ignore[return-value]
+        value = self.build(instance)
+        if _count(value) <= MAX_KEPT_NUMBERS:
+            instance.__dict__[self.build.__name__] = value
+        return value
+
+
+def _count(arrays: Any) -> int:
+    return sum(map(_count, arrays)) if isinstance(arrays, tuple) else int(arrays.size)
 
 
 def available() -> int:

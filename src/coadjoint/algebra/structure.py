@@ -14,7 +14,7 @@ from coadjoint.algebra.exact.numbers import exact_numbers
 from coadjoint.algebra.exact.ranks import generic_rank
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.sparse_actions import actions, coadjoint_entries, neighbours, structure_operator
-from coadjoint.memory import check_available_memory
+from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.validation import not_numbers_error, read_integer, to_array
 
 if TYPE_CHECKING:
@@ -155,7 +155,7 @@ class Structure:
         np.subtract.at(matrix, (j, k), constants * vector[i])
         return matrix
 
-    @cached_property
+    @cached_if_small
     def actions(self) -> tuple[Integers, Triples]:
         """Starts and sorted entries (i, row, column, value) of all matrices D_{e_i}; read-only.
 
@@ -266,7 +266,7 @@ class Structure:
     def _rank(self) -> int:
         return generic_rank(self._triples, self._dim)
 
-    @cached_property
+    @cached_if_small
     def _neighbours(self) -> tuple[Integers, Integers]:
         return neighbours(self._triples, self._dim)
 

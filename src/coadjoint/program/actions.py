@@ -13,6 +13,7 @@ from coadjoint.program.blocks import CUBIC_HEADER, Kind
 from coadjoint.program.generators import BasisMatrices, check_products
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.program.parts.part import Parts
+from coadjoint.program.repeated_blocks import repeated_block_table
 from coadjoint.program.sparse_rows import layers, order_by, run_starts, starts_of
 
 
@@ -47,7 +48,12 @@ def build_action(matrices: BasisMatrices, parts: Parts, number: Number = float) 
     The angles have the order of `parts.forms`. Raises SplittingTooExpensive for generators of too many products.
     """
     check_products(matrices.products(parts.forms), "the Hamiltonian")
-    tables = [block_table(generators, roundoff(number)) for generators in matrices.combinations(parts.forms, number)]
+    repeated = repeated_block_table(matrices, parts.forms) if number is float else None
+    tables = (
+        [block_table(generators, roundoff(number)) for generators in matrices.combinations(parts.forms, number)]
+        if repeated is None
+        else [repeated]
+    )
     if not tables:
         return _empty_action(matrices.size, len(parts), number)
     blocks = joined_tables(tables)

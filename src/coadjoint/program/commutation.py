@@ -40,7 +40,8 @@ class Commutation:
     @property
     def products(self) -> Integers:
         """The number of entries in the generator of each coordinate, shape (n,)."""
-        return np.diff(self._algebra.actions[0])
+        i, j, _, _ = self._algebra.triples
+        return np.bincount(i, minlength=self._algebra.dim) + np.bincount(j, minlength=self._algebra.dim)
 
     def first_noncommuting(self, coordinates: Iterable[int]) -> tuple[int, int] | None:
         """Return two of the coordinates whose basis elements do not commute, or None."""

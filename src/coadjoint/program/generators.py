@@ -41,6 +41,11 @@ class BasisMatrices:
         self.size = size
         self._start, self._rows, self._columns, self._values = start, rows, columns, values
 
+    @property
+    def entries(self) -> tuple[Integers, Integers, Integers, NDArray[Any]]:
+        """Starts, rows, columns and values of all matrices."""
+        return self._start, self._rows, self._columns, self._values
+
     @classmethod
     def coadjoint(cls, algebra: LieAlgebra) -> BasisMatrices:
         """Construct D_i with J(x) e_i = D_i x: the action on momenta, (D_i)_jk = c_ji^k."""

@@ -117,7 +117,7 @@ def build_program(
         )
     table = _term_table(parts)
     state = _state_action(system.algebra, parts, number)
-    frequency = array_of(number, np.zeros(len(parts.offset), dtype=np.int64))
+    frequency = array_of(number, np.zeros(len(parts.offset)))
     if method.rotation == "rational":
         frequency = rational_frequencies(system, parts, state, number)
     return Program(

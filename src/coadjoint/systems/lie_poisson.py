@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.representation import check_representation
-from coadjoint.memory import check_available_memory
+from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.systems.arguments import read_closed_form, read_layout, read_name, read_parameters, read_sign
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
 from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of
@@ -109,10 +109,6 @@ class LiePoissonSystem:
     _exact: Callable[..., Any] | None
     _integrals: dict[str, Any]
     _layout: dict[str, Any]
-    _rows: npt.NDArray[np.int64]
-    _factors: npt.NDArray[np.int64]
-    _states: npt.NDArray[np.int64]
-    _constants: npt.NDArray[np.float64]
 
     def __init__(
         self,
@@ -136,15 +132,10 @@ class LiePoissonSystem:
         for summand in summands_of(self.hamiltonian):
             if isinstance(summand, SplitHamiltonian):
                 summand.check_commuting(algebra)
-        i, j, k, c = algebra.triples
+        c = algebra.triples.c
         check_available_memory(
             BYTES_PER_CONSTANT * c.size, f"a system on {algebra.name or 'g*'}, of dimension {algebra.dim},"
         )
-        # J(x) u: row i gets c x_k u_j, and, by antisymmetry, row j gets -c x_k u_i.
-        set_field(self, "_rows", np.concatenate([i, j]))
-        set_field(self, "_factors", np.concatenate([j, i]))
-        set_field(self, "_states", np.concatenate([k, k]))
-        set_field(self, "_constants", np.concatenate([c, -c]))
         products = self._product, self._absolute_product
         given_casimirs = None if casimirs is None else read_casimirs(casimirs, algebra.dim, *products)
         set_field(self, "_casimirs", given_casimirs)
@@ -196,14 +187,19 @@ class LiePoissonSystem:
         """The given function ``exact(x0, t, attitude)``, or None."""
         return self._exact
 
+    @cached_if_small
+    def _brackets(self) -> tuple[npt.NDArray[Any], ...]:
+        """Rows, factors, states and constants of J(x) u: row i gets c x_k u_j, and row j gets -c x_k u_i."""
+        i, j, k, c = self.algebra.triples
+        return np.concatenate([i, j]), np.concatenate([j, i]), np.concatenate([k, k]), np.concatenate([c, -c])
+
     def _product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        return scatter(
-            self._rows, lossless_coefficients(self._constants, x) * x[self._states] * u[self._factors], self.dim
-        )
+        rows, factors, states, constants = self._brackets
+        return scatter(rows, lossless_coefficients(constants, x) * x[states] * u[factors], self.dim)
 
     def _absolute_product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        products = np.abs(self._constants * x[self._states] * u[self._factors])
-        return scatter(self._rows, products, self.dim)
+        rows, factors, states, constants = self._brackets
+        return scatter(rows, np.abs(constants * x[states] * u[factors]), self.dim)
 
     @vectorized_over_states
     @ignore_overflow

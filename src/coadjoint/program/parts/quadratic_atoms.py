@@ -78,7 +78,7 @@ def _sets(
     """
     rows = term.rows
     above = rows < term.indices
-    label = connected(len(term.linear), rows[above], term.indices[above])
+    label = connected(len(term.linear), rows[above], term.indices[above].astype(np.int64))
     used = term.linear != 0
     used[rows] = True
     label[~used] = -1

@@ -99,7 +99,7 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, QuadraticCasimir
         raise ValueError("a shift needs a quadratic term in the Hamiltonian, outside the pieces of a SplitHamiltonian")
     term = terms[index].form
     assert term is not None
-    entries = [(term.rows, term.indices, term.values)]
+    entries = [(term.rows, term.indices.astype(np.int64), term.values)]
     for name, factor in shift:
         casimir = casimirs[name]
         entries.append((casimir.rows, casimir.columns, -factor * casimir.values))

@@ -12,11 +12,11 @@ import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.monomials import Coefficient, factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.memory import check_available_memory
+from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow, lossless_coefficients, read_point, scatter
 from coadjoint.systems.hamiltonians.summable import Summable
-from coadjoint.systems.hamiltonians.terms import QuadraticTerm, Term
+from coadjoint.systems.hamiltonians.terms import QuadraticTerm, Term, rows_of, starts_of_rows
 from coadjoint.systems.matrix_entries import BYTES_PER_ENTRY, check_symmetric, real_array, sparse_entries
 from coadjoint.validation import read_finite, read_integer, read_number
 
@@ -114,14 +114,14 @@ class Quadratic(Summable):
         if n == 0:
             raise ValueError("M has no entries; give at least one coordinate")
         if self._linear is None:
-            self._linear = np.zeros(n)
+            self._linear = np.broadcast_to(0.0, n)
         if self._linear.size != n:
             size = f"M has {n} entries" if mirrored else f"M is {n} x {n}"
             raise ValueError(
                 f"{size} and linear has {self._linear.size}; give both one for each coordinate of the system"
             )
-        rows, columns = rows.astype(np.int64), columns.astype(np.int64)
         if not mirrored:
+            rows, columns = rows.astype(np.int64), columns.astype(np.int64)
             check_symmetric(n, rows, columns, entries.astype(np.float64))
             upper = (rows <= columns) & (entries != 0)
             above = upper & (rows < columns)
@@ -130,10 +130,14 @@ class Quadratic(Summable):
             order = np.lexsort((columns, rows))
             rows, columns, entries = rows[order], columns[order], entries[order]
         self.dim = n
-        self._rows, self._indices, self._entries = rows, columns, entries
-        self._indptr = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=n))]).astype(np.int64)
-        for array in (self._rows, self._indices, self._indptr, self._entries, self._linear):
+        self._indices, self._entries = columns.astype(np.uint32), entries
+        self._indptr = starts_of_rows(rows, n)
+        for array in (self._indices, self._indptr, self._entries, self._linear):
             array.flags.writeable = False
+
+    @cached_if_small
+    def _rows(self) -> npt.NDArray[np.int64]:
+        return rows_of(self._indptr)
 
     @classmethod
     def from_polynomial(cls, polynomial: Polynomial) -> Self:
@@ -307,7 +311,7 @@ class Quadratic(Summable):
         """Return M, both triangles sorted by rows, and the linear part, bound, with fractions unchanged."""
         if self.dim is None or self._linear is None:
             raise TypeError("Quadratic of a number has no dimension yet; call bind(n) first")
-        return Entries(self._rows, self._indices, self._entries, self._linear)
+        return Entries(self._rows, self._indices.astype(np.int64), self._entries, self._linear)
 
     def times(self, factor: Coefficient) -> Self:
         """Return the Hamiltonian multiplied by a factor; fractions stay exact.
@@ -412,9 +416,9 @@ class Quadratic(Summable):
 
     @cached_property
     def _terms(self) -> tuple[Term, ...]:
-        _, columns, entries, linear = self.as_given()
-        floats = entries.astype(np.float64), linear.astype(np.float64)
-        return (QuadraticTerm(self._indptr, columns, *floats, float(self._constant)),)
+        _, _, entries, linear = self.as_given()
+        floats = entries.astype(np.float64, copy=False), linear.astype(np.float64, copy=False)
+        return (QuadraticTerm(self._indptr, self._indices, *floats, float(self._constant)),)
 
     def __repr__(self) -> str:
         if self._scalar is not None:

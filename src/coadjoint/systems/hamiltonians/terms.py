@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.memory import cached_if_small
 
 
 class TermReader(Protocol):
@@ -67,13 +67,26 @@ class Term(Protocol):
         """Pass the term to a reader, in one or several of its forms; return the last result."""
 
 
+def starts_of_rows(rows: npt.NDArray[Any], n: int) -> npt.NDArray[np.int64]:
+    """Return the starts of n compressed sparse rows whose entries have these rows."""
+    starts = np.zeros(n + 1, dtype=np.int64)
+    if len(rows):
+        np.cumsum(np.bincount(rows, minlength=n), out=starts[1:])
+    return starts
+
+
+def rows_of(starts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Return the row of every entry of compressed sparse rows."""
+    return np.repeat(np.arange(len(starts) - 1, dtype=np.int64), np.diff(starts))
+
+
 @dataclass(frozen=True, eq=False)
 class QuadraticTerm:
     """The term ``constant + linear . x + x . M x / 2``, M symmetric and sparse.
 
     Parameters
     ----------
-    indptr, indices : ndarray of int64, shapes (n + 1,) and (nnz,)
+    indptr, indices : ndarray of int64 and uint32, shapes (n + 1,) and (nnz,)
         Compressed sparse rows of M (both triangles), columns sorted in each row, no stored zeros.
     values : ndarray of float64, shape (nnz,)
         The entries of M.
@@ -86,7 +99,7 @@ class QuadraticTerm:
     """
 
     indptr: npt.NDArray[np.int64]
-    indices: npt.NDArray[np.int64]
+    indices: npt.NDArray[np.uint32]
     values: npt.NDArray[np.float64]
     linear: npt.NDArray[np.float64]
     constant: float = 0.0
@@ -112,9 +125,9 @@ class QuadraticTerm:
 
     def placed(self, where: npt.NDArray[np.int64], n: int, piece: int) -> QuadraticTerm:
         """Return the term with its entries in new rows and columns."""
-        rows, columns = where[self.rows], where[self.indices]
+        rows, columns = where[self.rows], where[self.indices].astype(np.uint32)
         order = np.lexsort((columns, rows))
-        indptr = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=n))]).astype(np.int64)
+        indptr = starts_of_rows(rows, n)
         linear = np.zeros(n)
         linear[where] = self.linear
         return QuadraticTerm(indptr, columns[order], self.values[order], linear, self.constant, piece)
@@ -123,10 +136,10 @@ class QuadraticTerm:
         """Pass the term to `reader.quadratic`."""
         return reader.quadratic(self)
 
-    @cached_property
+    @cached_if_small
     def rows(self) -> npt.NDArray[np.int64]:
         """Row number of every stored entry of M, shape (nnz,)."""
-        return np.repeat(np.arange(self.linear.size, dtype=np.int64), np.diff(self.indptr))
+        return rows_of(self.indptr)
 
 
 @dataclass(frozen=True, eq=False)

@@ -162,7 +162,7 @@ def spin_lattice(
     coupling = -J[..., None, None] * T + np.einsum("...k,kab->...ab", D, LEVI_CIVITA)
     H: Any = Quadratic(
         _matrix(sites, edges, coupling, -2.0 * K),
-        linear=np.broadcast_to(-B, (sites, 3)).ravel(),
+        linear=np.broadcast_to(-B, (sites, 3)).ravel() if np.any(B) else None,
     )
     if driven:
         H = Driven(H, field, sites, 3, "field")
@@ -220,12 +220,14 @@ def _matrix(sites: int, edges: npt.NDArray[np.int64], coupling: Floats, on_site:
     c, d = np.nonzero(np.any(on_site.reshape(-1, 3, 3), axis=0))
     value = np.broadcast_to(coupling, (len(edges), 3, 3))[:, a, b].ravel()
     on_site_values = np.broadcast_to(on_site, (sites, 3, 3))[:, c, d].ravel()
-    rows, columns = (3 * edges[:, :1] + a).ravel(), (3 * edges[:, 1:] + b).ravel()
-    site = 3 * np.arange(sites)[:, None]
+    kind = np.int32 if 3 * sites <= np.iinfo(np.int32).max else np.int64
+    first, second = 3 * edges[:, :1].astype(kind), 3 * edges[:, 1:].astype(kind)
+    rows, columns = (first + a.astype(kind)).ravel(), (second + b.astype(kind)).ravel()
+    site = 3 * np.arange(sites, dtype=kind)[:, None]
     entries = np.concatenate([value, value, on_site_values])
     indices = (
-        np.concatenate([rows, columns, (site + c).ravel()]),
-        np.concatenate([columns, rows, (site + d).ravel()]),
+        np.concatenate([rows, columns, (site + c.astype(kind)).ravel()]),
+        np.concatenate([columns, rows, (site + d.astype(kind)).ravel()]),
     )
     return scipy.sparse.coo_matrix((entries, indices), shape=(3 * sites, 3 * sites))
 
