@@ -12,7 +12,7 @@ UNCHECKED_BYTES = 2**26
 """Allocations below this size (bytes) are not checked."""
 
 NO_LIMIT = 2**62
-MAX_KEPT_NUMBERS = 2**16
+MAX_CACHED_SIZE = 2**16
 
 Arrays = TypeVar("Arrays")
 
@@ -27,7 +27,7 @@ class cached_if_small(Generic[Arrays]):
         if instance is None:
             return self  # type: ignore[return-value]
         value = self.build(instance)
-        if _count(value) <= MAX_KEPT_NUMBERS:
+        if _count(value) <= MAX_CACHED_SIZE:
             instance.__dict__[self.build.__name__] = value
         return value
 

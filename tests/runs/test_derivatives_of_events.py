@@ -119,6 +119,21 @@ def test_the_time_of_a_crossing_follows_the_closed_form():
     np.testing.assert_allclose(np.abs(tangents.events["t"]), [[0.0, 2.0, np.pi]], rtol=0, atol=1e-11)
 
 
+@pytest.mark.parametrize("end", [5.0, 5.2, 8.0])
+def test_tangents_after_the_end_of_a_member_are_those_of_no_state(end):
+    body = co.systems.rigid_body(inertia=(1.0, 2.0, 2.5))
+    ready = co.prepare(body, co.Splitting(order=4), 0.1, attitude=True)
+    x0 = np.array([[1.0, 0.2, 0.5], [0.5, 0.3, 0.9], [0.9, -0.1, 0.4]])
+    event = co.Event("x2", terminal=True)
+    sol, tangents = ready.jvp(x0, (0, end), {"x0": np.ones((3, 3))}, save_every=4, events=event)
+    assert np.isnan(sol.x[-1]).any()
+    for m in range(3):
+        gone = np.isnan(sol.x[:, m, 0])
+        assert np.isnan(tangents.x[gone, m]).all() and np.isfinite(tangents.x[~gone, m]).all()
+        assert np.isnan(tangents.energy[gone, m]).all() and np.isfinite(tangents.energy[~gone, m]).all()
+        assert np.isnan(tangents.attitude[gone, m]).all() and np.isfinite(tangents.attitude[~gone, m]).all()
+
+
 def test_events_of_a_pullback_without_them_are_refused():
     ready = co.prepare(BODY, co.Splitting(), H)
     _, pullback = ready.vjp(X, (0.0, 1.0))

@@ -158,6 +158,27 @@ def test_forces_are_applied_in_their_order_and_labelled_by_it():
         system.with_forces(some.HeatBath(0.7, temperature=0.5, seed=5, stream=4))
 
 
+@pytest.mark.parametrize("pattern", [(0, 1, 0, 1), (1, 0, 0, 2, 1), (2, 2, 1)])
+@pytest.mark.parametrize("count", [1, 6])
+def test_members_of_batches_have_the_noise_of_their_numbers_in_any_order(pattern, count):
+    noise = co.forces.HeatBath(0.3, temperature=0.5, seed=4, stream=3)
+    kinds = [
+        co.systems.rigid_body(inertia=(1.0, 2.0, 2.0)),
+        co.systems.rigid_body(inertia=(1.0, 2.0, 2.25)),
+        co.systems.rigid_body(inertia=(1.0, 1.5, 2.25)),
+    ]
+    order = pattern * count
+    batch = co.batch([kinds[k].with_forces(noise) for k in order])
+    x0 = np.random.default_rng(8).standard_normal((len(order), 3))
+    together = co.integrate(batch, x0, (0.0, 1.0), 0.125).x
+    apart = co.integrate_ensemble(batch, x0, (0.0, 1.0), 0.125, members_per_block=2).x
+    for m, k in enumerate(order):
+        own = co.forces.HeatBath(0.3, temperature=0.5, seed=4, stream=3 + m)
+        alone = co.integrate(kinds[k].with_forces(own), x0[m], (0.0, 1.0), 0.125).x
+        np.testing.assert_array_equal(together[:, m], alone)
+        np.testing.assert_array_equal(apart[:, m], alone)
+
+
 @pytest.mark.parametrize("t", [0.0, 0.7, -2.0])
 def test_power_energy_and_field_of_a_driven_system_are_those_at_the_time(t):
     H = co.Hamiltonian(

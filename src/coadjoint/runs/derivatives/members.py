@@ -95,15 +95,19 @@ def tangents_of_members(
 
     found, error = _of_each(members, of_member)
     solution = members.solution
-    with_events = solution.events is not None
-    x = [_padded(one.x, solution.x.shape[0]) for one in found]
+    points = len(solution.t)
+    ended = ~np.isnan(solution.events.ends(members.count)) if solution.events is not None else np.zeros(members.count)
+
+    def stacked(name: str) -> Any:
+        return np.stack([_padded(getattr(one, name), points, e) for one, e in zip(found, ended, strict=True)], axis=1)
+
     crossings = {}
-    if with_events:
+    if solution.events is not None:
         crossings = {name: np.concatenate([one.events[name] for one in found]) for name in ("t", "x")}
     tangents = Tangents(
-        x=np.stack(x, axis=1),
-        attitude=None if found[0].attitude is None else _stacked(found, "attitude", solution.x.shape[0]),
-        energy=_stacked(found, "energy", solution.x.shape[0]),
+        x=stacked("x"),
+        attitude=None if found[0].attitude is None else stacked("attitude"),
+        energy=stacked("energy"),
         events=crossings,
         rule=found[0].rule,
     )
@@ -233,14 +237,10 @@ def _cut(series: Any, points: int, solution: Solution) -> Any:
     return np.concatenate([series[: points - 1], np.zeros_like(series[:1])])
 
 
-def _padded(series: Any, points: int) -> Any:
-    """Return tangents at the points of the ensemble: NaN after the end of a member, as in its states."""
-    if len(series) == points:
+def _padded(series: Any, points: int, ended: bool) -> Any:
+    """Return tangents at the points of the ensemble: NaN from the crossing on that has ended a member."""
+    if not ended:
         return series
     rest = np.full((points, *series.shape[1:]), np.nan, dtype=series.dtype)
     rest[: len(series) - 1] = series[:-1]
     return rest
-
-
-def _stacked(found: list[Tangents], name: str, points: int) -> Any:
-    return np.stack([_padded(getattr(one, name), points) for one in found], axis=1)

@@ -76,6 +76,8 @@ class BatchLoops(Loops):
             ShiftCorrection(system, loop.shift, representation) if loop.shift and representation is not None else None
             for system, loop, representation in zip(batch.distinct, prepared, of_systems, strict=True)
         ]
+        # The noise of a member is that of its row.
+        self._in_order = any(force.random for system in batch.distinct for force in getattr(system, "forces", ()))
         self._set_up(batch.dim, ["energy", *names], prepared, watches, shift_corrections, batch.owners)
 
     def _set_up(
@@ -87,7 +89,7 @@ class BatchLoops(Loops):
         shift_corrections: list[ShiftCorrection | None],
         owners: NDArray[np.int64],
     ) -> None:
-        self.groups = groups_of(prepared, [watch.tables for watch in watches], owners)
+        self.groups = groups_of(prepared, [watch.tables for watch in watches], owners, self._in_order)
         members = np.concatenate([group.members for group in self.groups])
         self.order = None if np.array_equal(members, np.arange(len(members))) else members
         self._shift_corrections = shift_corrections
@@ -103,6 +105,7 @@ class BatchLoops(Loops):
     def selected(self, members: NDArray[np.int64]) -> BatchLoops:
         """Return the loops of these members, from the tables already built."""
         loops = object.__new__(BatchLoops)
+        loops._in_order = self._in_order
         chosen, owners = np.unique(self._owners[members], return_inverse=True)
         loops._set_up(
             self._dim,
@@ -138,6 +141,7 @@ class BatchLoops(Loops):
             "watches": watches,
             "shift_corrections": self._shift_corrections,
             "owners": self._owners,
+            "in_order": self._in_order,
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -147,6 +151,7 @@ class BatchLoops(Loops):
             [restored_loop(stored) for stored in state["loops"]],
             [restored_tables(stored) for stored in state["watches"]],
         )
+        self._in_order = state["in_order"]
         self._set_up(state["dim"], state["names"], loops, watches, state["shift_corrections"], state["owners"])
 
     def rounds(self, members: int, workers: int) -> list[list[MemberBatch]]:
@@ -201,12 +206,16 @@ def corrected_groups_each(
 
 
 def groups_of(
-    prepared: Sequence[CompiledLoop], watches: Sequence[Any], owners: NDArray[np.int64] | None = None
+    prepared: Sequence[CompiledLoop],
+    watches: Sequence[Any],
+    owners: NDArray[np.int64] | None = None,
+    in_order: bool = False,
 ) -> list[Group]:
     """Group members with tables that differ only in constants, in the order of their first members.
 
     `prepared` and `watches` are those of the distinct systems, and `owners` (members,) the number of that of each
-    member. The members of a system with so many that they fill the lanes are a group of their own.
+    member. The members of a system with so many that they fill the lanes are a group of their own. With `in_order` a
+    group has only members that follow each other.
 
     Examples
     --------
@@ -230,9 +239,16 @@ def groups_of(
     keys = list(owners_by_structure)
     key_of_owner = {k: position for position, key in enumerate(keys) for k in owners_by_structure[key]}
     member_keys = np.array([key_of_owner[k] for k in range(len(prepared))])[owners]
+    edges = [0, *(np.flatnonzero(np.diff(member_keys)) + 1).tolist(), len(member_keys)]
+    sets = (
+        [np.arange(first, last) for first, last in pairwise(edges)]
+        if in_order
+        else [np.flatnonzero(member_keys == position) for position in range(len(keys))]
+    )
     groups = []
-    for position, key in enumerate(keys):
-        members, loop = np.flatnonzero(member_keys == position), prepared[owners_by_structure[key][0]]
+    for members in sets:
+        key = keys[member_keys[members[0]]]
+        loop = prepared[owners_by_structure[key][0]]
         if isinstance(key, int):
             groups.append(Group(members, loop.name, as_structure(loop.tables), as_structure(watches[key]), 0))
             continue
