@@ -8,6 +8,7 @@ import pytest
 import coadjoint as co
 from coadjoint.runs.derivatives import parametrized_run
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
+from coadjoint.systems.parameters import with_parameters
 from core_only import run_python
 
 jax = pytest.importorskip("jax")
@@ -210,6 +211,36 @@ def test_parameters_of_hamiltonians_keep_their_shapes_at_zeros():
         ends = [number(*(a + sign * unit if i == of else a for i, a in enumerate(arguments))) for sign in (1, -1)]
         # The difference has an error of shift^2 and u / shift; an added part one of order 4 of the step, 0.05^4 / 120.
         assert abs((ends[0] - ends[1]) / (2 * shift) - found[of][k]) < 1e-7
+
+
+def test_equal_values_of_different_parameters_are_not_confused():
+    """The runs of the last values are cached."""
+    ready = co.prepare(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(ALONG, X0)), co.Splitting(order=4), 0.05)
+    g, names, weights = co.jax.solution(ready, (0, 1), 20), ("M", "linear"), np.array([0.0 * ALONG, ALONG])
+    runs = {
+        name: co.prepare(with_parameters(ready.system, {name: INERTIA}), ready.method, 0.05).vjp(X0, (0, 1), 20)
+        for name in names
+    }
+    for name in names:
+        assert np.array_equal(g(X0, **{name: INERTIA}), runs[name][0].x)
+    for name in names:
+        found = jax.grad(lambda value, name=name: (weights * g(X0, **{name: value})).sum())(INERTIA)
+        assert np.array_equal(found, runs[name][1](weights)[name])
+
+
+def test_gradients_by_parameters_of_forces_are_those_at_the_given_values():
+    """Not those at the prepared ones: the flows of the forces depend on their parameters."""
+    body = co.systems.rigid_body(inertia=(1.0, 2.0, 2.5))
+    forces = (co.forces.LinearDamping(0.1, toward=(0.5, 0.0, 0.25)), co.forces.DoubleBracketDamping(0.125))
+    ready = co.prepare(body.with_forces(*forces), co.Splitting(order=4), 0.05)
+    g = co.jax.solution(ready, (0, 1), 20)
+    values = {name: 1.5 * value + 0.25 for name, value in ready.parameters.items() if "." in name}
+    assert {name.partition(".")[0] for name in values} == {"LinearDamping", "DoubleBracketDamping"}
+    _, pullback = co.prepare(with_parameters(ready.system, values), ready.method, 0.05).vjp(X0, (0, 1), 20)
+    wanted = pullback(np.array([0.0 * ALONG, ALONG]))
+    found = jax.grad(lambda given: g(X0, **given)[-1] @ ALONG)(values)
+    for name, one in found.items():
+        assert np.array_equal(one, wanted[name]) and np.any(wanted[name]), name
 
 
 def test_gradient_descent_recovers_an_inertia():

@@ -34,6 +34,11 @@ def moving(x, t):
     return x[1] * x[2] - 0.1 * t
 
 
+def turning(x, t):
+    """A component along an axis that turns, so that its gradient depends on the time."""
+    return np.cos(0.5 * t) * x[1] + np.sin(0.5 * t) * x[2]
+
+
 CASES = {
     "forward": (BODY, co.Splitting(order=4), X, (0.5, 20.5), {"events": END, "save_every": 3}, False),
     "backward": (BODY, co.Splitting(), X, (0.5, -19.5), {"events": END, "t_eval": [0.43, -0.2, -1.5, -8.0]}, False),
@@ -44,6 +49,14 @@ CASES = {
         X,
         (0.5, 20.5),
         {"events": [co.Event(moving), co.Event("x2", count=2, terminal=True)], "save_every": 7},
+        False,
+    ),
+    "turning": (
+        BODY,
+        co.GaussLegendre(2),
+        X,
+        (0.5, 10.5),
+        {"events": co.Event(turning, count=2, terminal=True), "save_every": 7},
         False,
     ),
     "polynomial": (
