@@ -170,6 +170,14 @@ def test_paths_take_every_wave_vector_on_their_lines():
             reciprocal_path("square", shape, path)
 
 
+@pytest.mark.parametrize(("lattice", "edge"), [("triangular", 1.0), ("honeycomb", np.sqrt(3.0)), ("kagome", 2.0)])
+def test_distances_along_a_path_are_those_in_space(lattice, edge):
+    """Gamma, M, K, Gamma: the reciprocal edges are oblique, and sqrt(3) times as long as the sides of the zone."""
+    line, reciprocal = reciprocal_path(lattice, (6, 6), None), 4.0 * np.pi / np.sqrt(3.0) / edge
+    lengths = reciprocal * np.array([1.0 / 2.0, 1.0 / np.sqrt(12.0), 1.0 / np.sqrt(3.0)])
+    assert np.allclose(np.diff(line.distance[line.corners]), lengths, rtol=1e-14)
+
+
 def test_what_has_no_structure_factor_is_refused_by_name():
     ring = co.systems.spin_lattice("ring", 6)
     sol = co.integrate(ring, nearly_up(6)[0], (0, 1), 0.05)

@@ -4,6 +4,7 @@ import gc
 import json
 import os
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -85,6 +86,17 @@ def test_ensembles_have_the_bits_of_one_run(tmp_path, name, size):
     assert_same(co.open_archive(archive), found)
     with xarray.open_zarr(archive, chunks=None) as plain:
         np.testing.assert_array_equal(plain["energy"], found.energy)
+
+
+def test_blocks_have_the_systems_of_their_members():
+    """Systems recur in another order in each block, whose tables are built for its own noise."""
+    owners = (0, 1, 2, 3, 1, 3, 0, 2, 3, 2, 0)
+    bodies, noise = [BATCH[k] for k in (0, 4, 8, 2)], co.forces.HeatBath(0.3, temperature=0.5, seed=4)
+    distinct = [body.with_forces(noise) for body in bodies]
+    found = co.ensemble(co.batch([distinct[k] for k in owners]), X, (0, 2), 0.125, members_per_block=4)
+    for m, k in enumerate(owners):
+        alone = bodies[k].with_forces(replace(noise, stream=m))
+        np.testing.assert_array_equal(found.x[:, m], co.integrate(alone, X[m], (0, 2), 0.125).x)
 
 
 def test_backward_and_empty_spans():

@@ -357,6 +357,17 @@ def test_movies_begin_at_the_start_whatever_time_a_picture_has():
     assert first[0] == first[1] == first[2]
 
 
+@pytest.mark.parametrize("name", ["gyrostat", "lorenz_1960", "spin_lattice"])
+def test_components_by_name_are_those_that_the_system_declares(name):
+    system, entry = co.systems.get(name), gallery_entry_of(name)
+    run = co.integrate(system, np.reshape(entry.start(), (-1, system.dim))[0], (0.0, 1.0), 0.1)
+    by_name, declared, every = (
+        [bytes(frame) for frame in frames_of(run, picture, frames=3, size=(320, 180))]
+        for picture in ("components", entry.components, Picture("components"))
+    )
+    assert by_name == declared and by_name != every
+
+
 def area(polygon):
     X, Y = polygon.T
     return 0.5 * abs(np.sum(X * np.roll(Y, -1) - Y * np.roll(X, -1)))
