@@ -136,6 +136,14 @@ def test_vmap_over_ensembles_merges_the_members(f, monkeypatch):
         np.testing.assert_allclose(along[m], alone, rtol=0, atol=ROUNDING)
 
 
+def test_gradients_by_parameters_have_the_axes_of_all_vmaps(number):
+    several, gradient = np.array([MANY, 1.5 * MANY]), jax.grad(number, 1)
+    rows = jax.vmap(jax.vmap(gradient, (0, None)), (0, None))(several, INERTIA)
+    assert rows.shape == several.shape
+    for row, x0 in zip(rows.reshape(-1, 3), several.reshape(-1, 3), strict=True):
+        np.testing.assert_allclose(row, gradient(x0, INERTIA), rtol=0, atol=ROUNDING)
+
+
 def test_vmap_over_parameters_agrees_with_a_loop(f, number):
     several = np.array([INERTIA, INERTIA + 0.1])
     values = jax.vmap(lambda inertia: f(X0, inertia=inertia))(several)

@@ -19,6 +19,7 @@ from coadjoint.pictures.globe import VIEW, Globe, view_of
 from coadjoint.pictures.kinds.body_axis import _rotation_to_vertical, axis_in_space
 from coadjoint.pictures.kinds.section import draw_crossings
 from coadjoint.pictures.level_surface import level_surface
+from coadjoint.pictures.members import LIGHTEST
 from coadjoint.pictures.modified_energy import draw_modified_energy
 from coadjoint.pictures.movie import frames_of
 from coadjoint.pictures.plot_data import PlottedRun
@@ -545,6 +546,20 @@ def test_components_asked_for_are_those_of_the_figure():
     with pytest.raises(ValueError, match="give from 1 to 20 different"):
         PlottedRun(many, list(range(21)))
     assert PlottedRun(many, list(range(20))).x.shape == (20, 3, 3)
+
+
+def test_members_have_the_colours_of_their_energies_at_the_start():
+    """Also if forces change their order; the bar runs from the lowest energy to the highest one."""
+    energy = np.array([[1.0, 5.0, 3.0], [5.0, 3.0, 0.5], [4.0, 0.25, 8.0]])
+    run = made(np.random.default_rng(2).normal(size=(3, 3, 3)), energy=energy)
+    axes = axes_of(run, "components", chosen=[1])
+    wanted = colormaps["viridis"](LIGHTEST * (energy[0] - 1.0) / 4.0)
+    for m, line in enumerate(axes.lines[:3]):
+        np.testing.assert_array_equal(data(line), [run.t, run.x[:, m, 1]])
+        # Of 256 colours the nearest one.
+        np.testing.assert_allclose(line.get_color(), wanted[m], rtol=0, atol=4 / 256)
+    (bar,) = axes.child_axes
+    assert bar.get_ylim() == (1.0, 5.0) and bar.get_ylabel() == "energy $H$ at the start"
 
 
 def test_crossings_are_drawn_for_the_coordinates_that_vary_most():

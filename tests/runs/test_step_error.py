@@ -31,6 +31,22 @@ def test_it_is_the_error_of_a_step(method, h):
     assert sol.step_error() == pytest.approx(error_of_step(BODY, points, method, h), rel=0.15)
 
 
+@pytest.mark.parametrize("span", [(3.0, 7.0), (3.0, -1.0)])
+def test_with_forces_it_is_that_of_steps_in_the_direction_of_the_run(span):
+    """Against fine steps; with a damping steps forward and backward differ."""
+    damped, h = BODY.with_forces(co.forces.LinearDamping(0.5)), 0.4
+    sol = co.integrate(damped, X0, span, h, co.Splitting())
+    forward = np.sign(span[1] - span[0])
+    ends = [
+        [co.integrate(damped, x, (t, t + forward * h), h / fine, co.Splitting()).x[-1] for fine in (1, 128)]
+        for x, t in zip(sol.x[::2][:5], sol.t[::2][:5], strict=True)
+    ]
+    after, exact = np.swapaxes(ends, 0, 1)
+    assert sol.step_error() == pytest.approx(
+        np.linalg.norm(after - exact) / np.linalg.norm(exact - sol.x[::2][:5]), rel=0.15
+    )
+
+
 def test_changes_are_those_of_half_a_step_where_a_whole_one_returns():
     """After a whole turn of a spin the state is the same again, but not after half of it."""
     spin = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([0.0, 0.0, 0.0], linear=[0.0, 0.0, 1.0]))

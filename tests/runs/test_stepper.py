@@ -91,3 +91,44 @@ def test_wrong_arguments_of_steppers_are_refused():
             co.Splitting(),
             0.1,
         )
+
+
+STEERED = co.systems.rigid_body(inertia=(1, 2, 2.5)), {"rotors": (2, 0)}
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", ["tangent", "tangent_by_inputs"])
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.Taylor(order=4)])
+def test_derivatives_belong_to_the_caller(method, name):
+    """Later calls do not change those of earlier ones, and these may be written to."""
+    step = co.stepper(STEERED[0], method, 0.1, inputs=STEERED[1])
+    derivative, states = getattr(step, name), np.array([[1.0, 0.2, 0.5], [0.3, -1.0, 0.4]])
+    first = derivative(states[0], rotors=(0.1, -0.2))
+    kept = first.copy()
+    assert not np.array_equal(derivative(states[1], rotors=(0.5, 0.3)), kept)
+    assert np.array_equal(first, kept)
+    first[:] = 7.0
+    assert np.array_equal(derivative(states[0], rotors=(0.1, -0.2)), kept)
+
+
+def fading(x, t, tau):
+    """A damping that depends on time."""
+    return x * np.exp(-tau - np.sin(t + tau) + np.sin(t))
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.Taylor(order=4)])
+def test_derivatives_of_a_step_are_those_at_its_time(method):
+    damped = STEERED[0].with_forces(co.forces.OwnForce(fading))
+    step = co.stepper(damped, method, 0.25, inputs=STEERED[1])
+    x, u, e = np.array([1.0, 0.2, 0.5]), np.array([0.1, -0.2]), 2.0**-7
+    for t in (0.0, 2.0, -3.0):
+
+        def difference(after):
+            """Of order 4, with an error of some e^4 and U / e."""
+            return (8 * (after(e) - after(-e)) - (after(2 * e) - after(-2 * e))) / (12 * e)
+
+        by_x = [difference(lambda by, v=v, t=t: step(x + by * v, t, rotors=u)) for v in np.eye(3)]
+        by_u = [difference(lambda by, v=v, t=t: step(x, t, rotors=u + by * v)) for v in np.eye(2)]
+        np.testing.assert_allclose(step.tangent(x, t, rotors=u), np.transpose(by_x), rtol=0, atol=8 * e**4)
+        np.testing.assert_allclose(step.tangent_by_inputs(x, t, rotors=u), np.transpose(by_u), rtol=0, atol=8 * e**4)
