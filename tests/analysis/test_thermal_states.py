@@ -196,6 +196,17 @@ def test_over_relaxation_keeps_the_energy_and_moves_every_spin():
     assert np.allclose(energies.energy(S), before, rtol=1e-13) and np.abs(S - first).max(axis=1).min() > 1e-3
 
 
+def test_every_sweep_of_over_relaxation_is_a_half_turn():
+    """Of spins without couplings, about the field: two of them are none, and three of them one."""
+    free = co.systems.spin_lattice("chain", 5, exchange=0.0, field=(0.3, -0.2, 0.5))
+    found = [co.thermal_states(free, 0.7, 3, sweeps=4, seed=2, over_relaxation=k).x for k in range(4)]
+    along = np.reshape([0.3, -0.2, 0.5], (1, 3)) / np.linalg.norm([0.3, -0.2, 0.5])
+    drawn = found[0].reshape(-1, 3)
+    turned = 2.0 * (drawn @ along.T) * along - drawn
+    for k, spins in enumerate(found):
+        np.testing.assert_allclose(spins.reshape(-1, 3), turned if k % 2 else drawn, rtol=0, atol=1e-14)
+
+
 def test_the_heat_bath_of_a_run_keeps_the_distribution():
     """Its equilibrium is the same, for exchange with anisotropy on the bonds and on site."""
     ring = co.systems.spin_lattice("ring", 6, tensor=(1.0, 1.0, 1.5), on_site=(0.0, 0.0, 0.3))

@@ -91,6 +91,13 @@ def test_states_named_after_an_axis_of_the_batch_belong_to_its_systems():
     np.testing.assert_array_equal(dataset["x"].sel(third=2.75)[:, 4], alone(2.75, x0.values[4, 1]).x)
 
 
+def test_data_have_all_axes_whatever_their_values():
+    """Only coordinates are over fewer axes; no member fails, and all states are the same."""
+    dataset = co.integrate(family(), np.ones((2, 3)), SPAN, STEP).to_xarray()
+    assert dataset["failed"].dims == ("third", "member") and dataset["swept_inertia_2"].dims == ("third",)
+    assert all({"third", "member"} <= set(data.dims) for data in dataset.data_vars.values())
+
+
 def test_two_axes_of_parameters():
     both = co.batch(lambda second, third: co.systems.rigid_body((1, second, third)), second=[2.25, 2.0], third=THIRDS)
     dataset = co.integrate(both, (0.1, 1.0, 0.2), SPAN, STEP).to_xarray()

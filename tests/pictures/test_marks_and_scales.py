@@ -533,6 +533,15 @@ def test_a_kind_by_name_is_the_picture_that_the_system_declares():
     assert shapes == [(64, 96, 4)] * 3
 
 
+def test_one_axes_for_a_kind_that_is_declared_twice_has_the_first_picture():
+    lattice = co.systems.spin_lattice("square", (3, 2))
+    run = co.integrate(lattice, np.random.default_rng(4).normal(size=18), (T0, T0 + 1.0), 0.1)
+    both = [axes.get_title() for axes in run.plot("spins").axes if axes.get_title()]
+    axes, last = Figure().subplots(1, 2)
+    run.plot(["spins", "drift"], axes=[axes, last])
+    assert len(both) == 2 and axes.get_title() == both[0] != both[1]
+
+
 def test_components_asked_for_are_those_of_the_figure():
     run = co.integrate(BODY, [(0.1, 1.0, 0.2), (1.0, 0.2, 0.3)], (T0, T0 + 0.5), 0.01)
     axes = Figure().subplots(1, 2)

@@ -372,6 +372,28 @@ def test_parameters_of_forces_have_the_names_of_their_labels():
     assert set(found) == {"rotation", "Viscosity.nu", "RandomForcing.energy_rate"}
 
 
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(
+    ("method", "full", "rule"),
+    [
+        (co.Splitting(order=4), False, "exact"),
+        (co.Splitting(order=4), True, "added part"),
+        (co.Taylor(order=4), False, "differences"),
+    ],
+)
+def test_rules_of_parameters_that_flows_of_forces_depend_on_are_differences(method, full, rule):
+    """Others have the rule of the scheme without forces."""
+    for damping, moves in ((F.LinearDamping(0.1), False), (F.DoubleBracketDamping(0.1), True)):
+        ready = co.prepare(plain("so(3)", full).with_forces(damping), method, H)
+        sol, pullback = ready.vjp(state(3), (0.0, 2 * H))
+        found = pullback(np.ones(sol.x.shape)).rule
+        own = {name: found[name] for name in ready.parameters if "." in name}
+        assert own and set(own.values()) == {"differences"}
+        assert found["M"] == ("differences" if moves and rule == "exact" else rule)
+        directions = {name: np.ones(value.shape) for name, value in ready.parameters.items()}
+        assert ready.jvp(state(3), (0.0, 2 * H), directions)[1].rule == found
+
+
 class Spring(Force):
     """A force of the user without formula, parameters and complex numbers."""
 
