@@ -257,6 +257,13 @@ def test_stages_that_do_not_converge_are_nan():
     ready = prepared(method=co.GaussLegendre(2))
     f = co.jax.solution(ready, (0, 0.05), backend="xla")
     assert np.isfinite(f(X0)).all() and np.isnan(f(1e3 * X0)[-1]).all()
+    # Also where the iteration is only too slow: every number that is returned is that of the converged stages.
+    scales = 2.0 ** np.arange(0.0, 8.0, 0.25)
+    ends = [f(scale * X0)[-1] for scale in scales]
+    converged = [bool(np.isfinite(x).all()) for x in ends]
+    assert converged == sorted(converged, reverse=True) and 8 < sum(converged) < 30
+    for scale, x in zip(scales[converged], ends, strict=False):
+        np.testing.assert_allclose(x, ready.run(scale * X0, (0, 0.05)).x[-1], rtol=1e-9)
 
 
 SHARDED = """
