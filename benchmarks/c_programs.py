@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -31,8 +32,9 @@ def build(name: str, *flags: str, target: str | None = None) -> Path:
     return program
 
 
-def run(program: Path, arguments: list[str]) -> tuple[float, np.ndarray]:
-    """Return the nanoseconds a step and the final state that a program prints."""
-    done = subprocess.run([str(program), *arguments], check=True, capture_output=True, text=True)
+def run(program: Path, arguments: list[str], threads: int = 1) -> tuple[float, np.ndarray]:
+    """Return the nanoseconds a step and the final state that a program prints; `threads` if it uses OpenMP."""
+    environment = os.environ | {"OMP_NUM_THREADS": str(threads), "OMP_PROC_BIND": "true"}
+    done = subprocess.run([str(program), *arguments], check=True, capture_output=True, text=True, env=environment)
     nanoseconds, *state = (float(word) for word in done.stdout.split())
     return nanoseconds, np.array(state)

@@ -1,6 +1,6 @@
 """Spins per second: lattices in coadjoint, and in hand-written C that takes the same steps on the same neighbour list.
 
-python benchmarks/spins.py [--spins N] [--steps S] [--rounds R] [--only chain cubic disordered]
+python benchmarks/spins.py [--spins N ...] [--steps S] [--rounds R] [--threads T ...] [--only chain cubic disordered]
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Lattice(NamedTuple):
     title: str
     kind: str
     sites: int
-    prepared: Any
+    system: Any
     x0: np.ndarray
     file: Path
     ready: float  # seconds
@@ -50,15 +50,17 @@ def made(name: str, spins: int) -> Lattice:
     x0 = np.column_stack([np.sin(1.0 + k), np.cos(2.0 * k), np.sin(3.0 * k)]).ravel()
     begun = time.perf_counter()
     system = co.systems.spin_lattice(lattice, shape, periodic, exchange=exchange, tensor=TENSOR)
-    prepared = co.prepare(system, co.Splitting(order=2), STEP, watch=False, threads=1)
+    prepared(system, 1)
     ready = time.perf_counter() - begun
     file = HERE / "build" / f"{name}_{sites}.list"
     file.parent.mkdir(exist_ok=True)
     write(file, sites, edges, np.broadcast_to(-np.asarray(exchange, dtype=np.float64), len(edges)))
     title = f"{name} of {sites} spins, {2 * len(edges) / sites:.0f} neighbours"
-    return Lattice(
-        title, "couplings read" if name == "disordered" else "one coupling", sites, prepared, x0, file, ready
-    )
+    return Lattice(title, "couplings read" if name == "disordered" else "one coupling", sites, system, x0, file, ready)
+
+
+def prepared(system: Any, threads: int) -> Any:
+    return co.prepare(system, co.Splitting(order=2), STEP, watch=False, threads=threads)
 
 
 def write(file: Path, sites: int, edges: np.ndarray, couplings: np.ndarray) -> None:
@@ -72,9 +74,9 @@ def write(file: Path, sites: int, edges: np.ndarray, couplings: np.ndarray) -> N
         out.write(np.concatenate([couplings, couplings])[order].tobytes())
 
 
-def solve(lattice: Lattice, steps: int) -> Any:
+def solve(lattice: Lattice, run: Any, steps: int) -> Any:
     """Take the steps in coadjoint; only the end is saved."""
-    return lattice.prepared.run(lattice.x0, (0.0, steps * STEP), save_every=steps)
+    return run.run(lattice.x0, (0.0, steps * STEP), save_every=steps)
 
 
 def arguments(lattice: Lattice, steps: int, kind: str) -> list[str]:
@@ -84,7 +86,7 @@ def arguments(lattice: Lattice, steps: int, kind: str) -> list[str]:
 
 def check_same_steps(lattice: Lattice, program: Path) -> None:
     """Compare the states after few steps: each of its flows rounds a component some 8 times in either program."""
-    s = solve(lattice, CHECKED_STEPS).x[-1].reshape(-1, 3)
+    s = solve(lattice, prepared(lattice.system, 1), CHECKED_STEPS).x[-1].reshape(-1, 3)
     found = np.concatenate([s.sum(axis=0), s[0], s[-1]])
     tolerance = 16 * 2.0**-53 * CHECKED_STEPS * 6 * lattice.x0.size
     for kind in {lattice.kind, "couplings read"}:
@@ -93,43 +95,54 @@ def check_same_steps(lattice: Lattice, program: Path) -> None:
             raise SystemExit(f"{lattice.title}: coadjoint and C differ by {np.max(np.abs(found - expected)):.2g}")
 
 
-def compare(name: str, spins: int, steps: int, rounds: int) -> list[str]:
-    program, lattice = build("spin_lattice"), made(name, spins)
+def compare(name: str, spins: int, steps: int, rounds: int, threads: list[int]) -> list[str]:
+    """Time both programs in turn; gains are over the first number of threads."""
+    program, lattice = build("spin_lattice", "-fopenmp"), made(name, spins)
     check_same_steps(lattice, program)
     kinds = list(dict.fromkeys([lattice.kind, "couplings read"]))
-    theirs: dict[str, list[float]] = {kind: [] for kind in kinds}
-    ours: list[float] = []
+    runs = {count: prepared(lattice.system, count) for count in threads}
+    theirs: dict[tuple[str, int], list[float]] = {(kind, count): [] for kind in kinds for count in threads}
+    ours: dict[int, list[float]] = {count: [] for count in threads}
     for _ in range(rounds):
-        ours.append(1e9 * solve(lattice, steps).stats.seconds / steps)
-        for kind in kinds:
-            theirs[kind].append(run(program, arguments(lattice, steps, kind))[0])
+        for count in threads:
+            ours[count].append(1e9 * solve(lattice, runs[count], steps).stats.seconds / steps)
+            for kind in kinds:
+                theirs[kind, count].append(run(program, arguments(lattice, steps, kind), count)[0])
     lines = []
     for kind in kinds:
-        ratio = statistics.median(a / b for a, b in zip(ours, theirs[kind], strict=True))
-        best = min(ours), min(theirs[kind])
-        speeds = [1e3 * lattice.sites / t for t in best[::-1]]  # nanoseconds to millions a second
-        lines.append(
-            f"| {lattice.title} | {kind} | {speeds[0]:.1f} | {speeds[1]:.1f} | {best[0] / best[1]:.2f} | {ratio:.2f} | "
-            f"{lattice.ready:.1f} |"
-        )
+        for count in threads:
+            ratio = statistics.median(a / b for a, b in zip(ours[count], theirs[kind, count], strict=True))
+            best = min(ours[count]), min(theirs[kind, count])
+            speeds = [1e3 * lattice.sites / t for t in best[::-1]]  # nanoseconds to millions a second
+            gains = min(theirs[kind, threads[0]]) / best[1], min(ours[threads[0]]) / best[0]
+            lines.append(
+                f"| {lattice.title} | {kind} | {count} | {speeds[0]:.1f} | {speeds[1]:.1f} | {best[0] / best[1]:.2f} | "
+                f"{ratio:.2f} | {gains[0]:.2f} | {gains[1]:.2f} | {lattice.ready:.1f} |"
+            )
     return lines
 
 
 def table(rows: list[str]) -> str:
-    head = "| lattice | C | C, 10^6 spins/s | coadjoint, 10^6 spins/s | ratio | median of the rounds | ready after s |"
-    return "\n".join([head, "|---|---|---|---|---|---|---|", *rows])
+    head = (
+        "| lattice | C | threads | C, 10^6 spins/s | coadjoint, 10^6 spins/s | ratio | median of the rounds | "
+        "gain of C | gain of coadjoint | ready after s |"
+    )
+    return "\n".join([head, "|---|---|---|---|---|---|---|---|---|---|", *rows])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="lattices of spins: coadjoint and hand-written C")
-    parser.add_argument("--spins", type=int, default=1_000_000)
-    parser.add_argument("--steps", type=int, default=30)
+    parser.add_argument("--spins", type=int, nargs="+", default=[1_000_000])
+    parser.add_argument("--steps", type=int, help="by default 3 10^7 updates of spins", default=None)
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--threads", type=int, nargs="+", default=[1])
     parser.add_argument("--only", nargs="+", choices=["chain", "cubic", "disordered"])
     given = parser.parse_args()
     rows = []
     for name in given.only or ["chain", "cubic", "disordered"]:
-        rows += compare(name, given.spins, given.steps, given.rounds)
+        for spins in given.spins:
+            steps = given.steps or max(3, 3 * 10**7 // spins)
+            rows += compare(name, spins, steps, given.rounds, given.threads)
     print(table(rows))
     print(f"most memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.1f} GB")
 

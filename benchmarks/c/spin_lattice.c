@@ -2,7 +2,8 @@
 
    spin_lattice STEPS h N a b c FILE KIND; spin k starts at (sin(1 + k), cos(2 k), sin(3 k)). The file has N + 1 starts
    and the neighbours of all sites, 32 bits each, then a coupling J for each neighbour, doubles. KIND 0: couplings are
-   read; 1: all of them are the first one. Prints the sums of x, y and z and the first and the last spin. */
+   read; 1: all of them are the first one. Prints the sums of x, y and z and the first and the last spin. Compiled with
+   OpenMP, its threads share the sites. */
 #include "program.h"
 #include <stdint.h>
 
@@ -19,6 +20,7 @@ static inline void rotate(double *s, long k, double angle, int first) {
 
 static inline void turn(double *s, long N, double tau, int first, int kind) {
     if (kind) tau *= coupling[0];
+#pragma omp parallel for schedule(static)
     for (long k = 0; k < N; k++) {
         double field = 0;
         if (kind)

@@ -87,9 +87,9 @@ def integrate(
         Name -> `Polynomial`, `Quadratic` or function of x: further quantities, computed at the saved points. If states
         are matrices, functions of a matrix.
     threads : int, optional
-        Number of threads, first for the members of an ensemble, then inside of large members that a splitting
-        advances, such as lattices of spins. The default is one for each core. For matrices of more than
-        128 rows it is one, since BLAS uses threads itself.
+        Number of threads, first for the members of an ensemble, then inside of members of 1024 coordinates or more,
+        such as lattices of spins. The default is one for each core. For matrices of more than 128 rows it is one,
+        since BLAS uses threads itself.
     progress : bool
         Show a progress bar.
     events : Event or sequence of Event, optional

@@ -660,8 +660,8 @@ def prepare(
     observe : mapping, optional
         Name -> `Polynomial` or function of x: further quantities, computed at the saved points.
     threads : int, optional
-        Number of threads, first for the members of an ensemble, then inside of large members that a splitting
-        advances, such as lattices of spins. The default is one for each core.
+        Number of threads, first for the members of an ensemble, then inside of members of 1024 coordinates or more,
+        such as lattices of spins. The default is one for each core.
     inputs : True, sequence of int, or mapping, optional
         Quantities that may change from run to run: coefficients of the linear term of H (such as a field, the weight
         of a top, the momenta of rotors), and constant torques. Give the coordinates whose coefficients change, or True

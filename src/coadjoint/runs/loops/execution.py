@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import threading
 from collections.abc import Callable, Sequence
+from queue import Empty, SimpleQueue
 from typing import Any, TypeVar
 
 from coadjoint.kernels.interface import codes
@@ -12,6 +15,33 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.loops import Loops
 
 BatchT = TypeVar("BatchT")
+Task = tuple[Callable[[], None], "SimpleQueue[None]"]
+
+POLLING_SECONDS = 0.01  # while threads stop
+
+# Threads that wait for work, each by its queue. Daemon threads, since the interpreter would wait for others at exit.
+_IDLE: list[SimpleQueue[Task]] = []
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_IDLE.clear)
+
+
+def _start(work: Callable[[], None], done: SimpleQueue[None]) -> None:
+    """Call `work`, which must not raise, in an idle thread or a new one, which then reports to `done`."""
+    try:
+        tasks = _IDLE.pop()
+    except IndexError:
+        tasks = SimpleQueue()
+        threading.Thread(target=_serve, args=(tasks,), daemon=True).start()
+    tasks.put((work, done))
+
+
+def _serve(tasks: SimpleQueue[Task]) -> None:
+    while True:
+        work, done = tasks.get()
+        work()
+        del work  # with all that it refers to
+        _IDLE.append(tasks)
+        done.put(None)
 
 
 def run_in_threads(
@@ -48,9 +78,10 @@ def sum_in_threads(
 ) -> int:
     """Sum the results of `advance` over all batches, or ranges, of members; the first error stops all threads.
 
-    It is raised. Daemon threads, since the interpreter would wait for the threads of a pool at exit.
+    It is raised.
     """
     waiting, lock = list(reversed(member_batches)), threading.Lock()
+    advanced: list[None] = []  # an entry for each batch at present
     counts: list[int] = []
     errors: list[BaseException] = []
 
@@ -61,25 +92,30 @@ def sum_in_threads(
                     if not waiting:
                         return
                     member_batch = waiting.pop()
-                counts.append(advance(member_batch))
+                    advanced.append(None)
+                try:
+                    counts.append(advance(member_batch))
+                finally:
+                    advanced.pop()
         except BaseException as error:
             errors.append(error)
             waiting.clear()
             stop.request()
 
-    threads = [threading.Thread(target=work, daemon=True) for _ in range(min(workers, len(member_batches)))]
+    done: SimpleQueue[None] = SimpleQueue()
     try:
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        threads = min(workers, len(member_batches))
+        for _ in range(threads):
+            _start(work, done)
+        for _ in range(threads):
+            done.get()
     except BaseException:
         with lock:
             waiting.clear()
         stop.request()
-        for thread in threads:
-            if thread.ident is not None:
-                thread.join()
+        while advanced:
+            with contextlib.suppress(Empty):
+                done.get(timeout=POLLING_SECONDS)
         raise
     if errors:
         raise errors[0]

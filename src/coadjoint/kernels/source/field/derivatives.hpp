@@ -47,12 +47,15 @@ NOINLINE void hessian_times(const Field& field, const C& constants, const A* x, 
     for (int64_t k = 0; k < terms.size; ++k) {
         const uint32_t start = terms.row[k], stop = terms.row[k + 1];
         if (terms.kind[k] == LINEAR) {
-            for (uint32_t row = start; row < stop; ++row) {
-                A total(0.0);
-                for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)
-                    total = fma(constants.template number_at<A>(terms.weight, entry), v[terms.column[entry]], total);
-                out[terms.target[row]] += total;
-            }
+            share(stop - start, [&](int64_t first, int64_t last) {
+                for (uint32_t row = start + uint32_t(first); row < start + uint32_t(last); ++row) {
+                    A total(0.0);
+                    for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)
+                        total =
+                            fma(constants.template number_at<A>(terms.weight, entry), v[terms.column[entry]], total);
+                    out[terms.target[row]] += total;
+                }
+            });
         } else if (terms.kind[k] == POLYNOMIAL) {
             for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial) {
                 const uint32_t low = terms.factor[monomial], high = terms.factor[monomial + 1];
@@ -96,15 +99,17 @@ NOINLINE void jacobian_times(const Field& field, const C& constants, const A* x,
     A* second_derivative = workspace.gradient.at;
     hessian_times(field, constants, x, v, t, second_derivative, workspace);
     if (!field.nonlinear) {
-        for (int64_t i = 0; i < n; ++i) {
-            A total(0.0);
-            for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q) {
-                const uint32_t j = field.column[q], k = field.state[q];
-                total = fma(constants.template number_at<A>(field.constant, q),
-                            fma(v[k], u[j], x[k] * second_derivative[j]), total);
+        share(n, [&](int64_t first, int64_t last) {
+            for (int64_t i = first; i < last; ++i) {
+                A total(0.0);
+                for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q) {
+                    const uint32_t j = field.column[q], k = field.state[q];
+                    total = fma(constants.template number_at<A>(field.constant, q),
+                                fma(v[k], u[j], x[k] * second_derivative[j]), total);
+                }
+                out[i] = factor * total;
             }
-            out[i] = factor * total;
-        }
+        });
         return;
     }
     product(field, constants, x, second_derivative, factor, out, workspace.field);

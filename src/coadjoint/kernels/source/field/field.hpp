@@ -34,14 +34,17 @@ INLINE void gradient(const Field& field, const C& constants, const A* x, const A
     if (!whole || terms.row[1] < field.size)
         for (int64_t i = 0; i < field.size; ++i) u[i] = A(0.0);
     if (__builtin_expect(whole, 1)) {
-        const uint32_t *target = terms.target, *high = terms.entry + 1, *column = terms.column;
-        const double *offset = terms.offset, *weight = terms.weight;
-        for (uint32_t row = 0, entry = 0, stop = terms.row[1]; row < stop; ++row) {
-            A total = constants.template number_at<A>(offset, row);
-            for (const uint32_t last = high[row]; entry < last; ++entry)
-                total = fma(constants.template number_at<A>(weight, entry), x[column[entry]], total);
-            u[target[row]] = total;
-        }
+        share(terms.row[1], [&](int64_t first, int64_t above) __attribute__((always_inline)) {
+            const uint32_t *target = terms.target, *high = terms.entry + 1, *column = terms.column;
+            const double *offset = terms.offset, *weight = terms.weight;
+            const uint32_t stop = uint32_t(above);
+            for (uint32_t row = uint32_t(first), entry = terms.entry[first]; row < stop; ++row) {
+                A total = constants.template number_at<A>(offset, row);
+                for (const uint32_t last = high[row]; entry < last; ++entry)
+                    total = fma(constants.template number_at<A>(weight, entry), x[column[entry]], total);
+                u[target[row]] = total;
+            }
+        });
         return;
     }
     for (int64_t k = 0; k < terms.size; ++k) {
@@ -74,14 +77,17 @@ INLINE void product(const Field& field, const C& constants, const A* x, const A*
         }
         return;
     }
-    const uint32_t *high = field.first + 1, *state = field.state, *column = field.column;
-    const double* constant = field.constant;
-    for (uint32_t i = 0, q = 0; i < n; ++i) {
-        A total(0.0);
-        for (const uint32_t last = high[i]; q < last; ++q)
-            total = fma(constants.template number_at<A>(constant, q) * x[state[q]], u[column[q]], total);
-        f[i] = factor * total;
-    }
+    share(n, [&](int64_t first, int64_t above) __attribute__((always_inline)) {
+        const uint32_t *high = field.first + 1, *state = field.state, *column = field.column;
+        const double* constant = field.constant;
+        const uint32_t stop = uint32_t(above);
+        for (uint32_t i = uint32_t(first), q = field.first[first]; i < stop; ++i) {
+            A total(0.0);
+            for (const uint32_t last = high[i]; q < last; ++q)
+                total = fma(constants.template number_at<A>(constant, q) * x[state[q]], u[column[q]], total);
+            f[i] = factor * total;
+        }
+    });
 }
 
 // Set out = factor * sign * J(x) M, for the dense n x n matrix M.

@@ -4,6 +4,7 @@
 #include "field/forms.hpp"
 #include "boundary/codes.hpp"
 #include "numbers/constants.hpp"
+#include "numbers/thread_team.hpp"
 
 namespace coadjoint {
 
@@ -84,15 +85,17 @@ NOINLINE void gradient_rows(const Terms& terms, const C& constants, const int64_
                             const A& t, A* out, int64_t first, A* y, double* workspace) {
     int64_t start = terms.row[k], stop = terms.row[k + 1];
     if (terms.kind[k] == LINEAR) {
-        const uint32_t *high = terms.entry + 1, *column = terms.column;
-        const double *offset = terms.offset, *weight = terms.weight;
-        uint32_t entry = terms.entry[start];
-        for (int64_t row = start; row < stop; ++row) {
-            A total = constants.template number_at<A>(offset, row);
-            for (const uint32_t last = high[row]; entry < last; ++entry)
-                total = fma(constants.template number_at<A>(weight, entry), x[column[entry]], total);
-            out[row - first] = total;
-        }
+        share(stop - start, [&](int64_t low, int64_t above) {
+            const uint32_t *high = terms.entry + 1, *column = terms.column;
+            const double *offset = terms.offset, *weight = terms.weight;
+            uint32_t entry = terms.entry[start + low];
+            for (int64_t row = start + low; row < start + above; ++row) {
+                A total = constants.template number_at<A>(offset, row);
+                for (const uint32_t last = high[row]; entry < last; ++entry)
+                    total = fma(constants.template number_at<A>(weight, entry), x[column[entry]], total);
+                out[row - first] = total;
+            }
+        });
     } else if (terms.kind[k] == POLYNOMIAL) {
         for (int64_t row = start; row < stop; ++row) out[row - first] = A(0.0);
         for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial)
@@ -111,13 +114,18 @@ INLINE A value_of_term(const Terms& terms, const C& constants, const int64_t* ad
     int64_t start = terms.row[k], stop = terms.row[k + 1];
     A total(0.0);
     if (terms.kind[k] == LINEAR) {
-        for (int64_t row = start; row < stop; ++row) {
-            A weighted(0.0);
-            for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)
-                weighted = fma(constants.template number_at<A>(terms.weight, entry), x[terms.column[entry]], weighted);
-            A offset = constants.template number_at<A>(terms.offset, row);
-            total = fma(x[terms.target[row]], fma(A(0.5), weighted, offset), total);
-        }
+        total = shared_sum<A>(stop - start, [&](int64_t low, int64_t above) {
+            A sum(0.0);
+            for (int64_t row = start + low; row < start + above; ++row) {
+                A weighted(0.0);
+                for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)
+                    weighted =
+                        fma(constants.template number_at<A>(terms.weight, entry), x[terms.column[entry]], weighted);
+                A offset = constants.template number_at<A>(terms.offset, row);
+                sum = fma(x[terms.target[row]], fma(A(0.5), weighted, offset), sum);
+            }
+            return sum;
+        });
     } else if (terms.kind[k] == POLYNOMIAL) {
         for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial) {
             A product = constants.template number_at<A>(terms.coefficient, monomial);

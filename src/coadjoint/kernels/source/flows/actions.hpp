@@ -21,18 +21,18 @@ struct CachedRotation {
 
 constexpr int SPREAD = 8;  // rotations of one trajectory whose sines are computed side by side
 
-// The rotations first to count - 1 of a run, each by a different angle.
+// The rotations first to count - 1 of a run, each by a different angle; `theta` is that of the first.
 template <Summation summation, class A, class V, class C>
 NOINLINE void rotate_several(const Action& action, const C& constants, uint32_t run, double tau, const A* theta,
                              Vectors<V> x, uint32_t first, uint32_t count) {
     const uint32_t repeat = action.repeat[run];
-    const uint32_t* index = action.indices + action.position[run] + 2 * repeat * first;
+    const uint32_t* index = action.indices + action.position[run] + uint64_t(2) * repeat * first;
     const int64_t position = action.constant[run];
     uint32_t q = first;
     if constexpr (Numbers<A>::lanes == 1) {
         for (; q + SPREAD <= count; q += SPREAD) {
             typedef Lanes<SPREAD> Spread;
-            const Spread phi = load<Spread>(theta + q) * (Spread(tau) * load<Spread>(action.constants + position + q));
+            const Spread phi = load<Spread>(theta + (q - first)) * (Spread(tau) * load<Spread>(action.constants + position + q));
             const Rotation<Spread> rotations = rotation_by(phi);
             double sines[SPREAD], cosm1s[SPREAD];
             store(sines, rotations.sine);
@@ -43,42 +43,54 @@ NOINLINE void rotate_several(const Action& action, const C& constants, uint32_t 
     }
     for (; q < count; ++q, index += 2 * repeat)
         rotate<summation>(
-            rotation_by(theta[q] * (tau * constants.template number_at<A>(action.constants, position + q))), index,
-            repeat, x);
+            rotation_by(theta[q - first] * (tau * constants.template number_at<A>(action.constants, position + q))),
+            index, repeat, x);
 }
 
-// Runs that are rare, or so long that the cost of a call is negligible; not inlined.
+// The angles first to count - 1 of a run.
 template <Summation summation, class A, class V, class C>
-NOINLINE void act_run(const Action& action, const C& constants, uint32_t run, double tau, const A* theta,
-                      Vectors<V> x) {
+NOINLINE void act_slice(const Action& action, const C& constants, uint32_t run, double tau, const A* theta,
+                        Vectors<V> x, uint32_t first, uint32_t count) {
     auto constant = [&](int64_t position) { return constants.template number_at<A>(action.constants, position); };
     const int kind = action.kind[run];
-    const uint32_t repeat = action.repeat[run], count = action.angles[run];
-    const uint32_t* index = action.indices + action.position[run];
+    const uint32_t repeat = action.repeat[run];
+    const uint64_t blocks = uint64_t(repeat) * first, coordinates = kind == SCALE ? 1 : 2;
+    const uint32_t* index = action.indices + action.position[run] + coordinates * blocks;
     int64_t position = action.constant[run];
     if (kind == ROTATE) {
-        rotate_several<summation>(action, constants, run, tau, theta, x, 0, count);
+        rotate_several<summation>(action, constants, run, tau, theta + first, x, first, count);
     } else if (kind == SHEAR) {
-        for (uint32_t q = 0; q < count; ++q) {
+        position += int64_t(blocks);
+        for (uint32_t q = first; q < count; ++q) {
             const A scaled = tau * theta[q];
             for (uint32_t block = 0; block < repeat; ++block, ++position, index += 2)
                 shear<summation>(scaled * constant(position), index, x);
         }
     } else if (kind == RATIONAL_ROTATE) {
-        for (uint32_t q = 0; q < count; ++q, index += 2 * repeat)
+        for (uint32_t q = first; q < count; ++q, index += 2 * repeat)
             rotate<summation>(rational_rotation(theta[q] * (tau * constant(position + q))), index, repeat, x);
     } else if (kind == CUBIC || kind == RATIONAL_CUBIC) {
         cubic<summation>(action, constants, run, tau * theta[0], x);
     } else if (kind == SCALE) {
-        for (uint32_t q = 0; q < count; ++q, index += repeat)
+        for (uint32_t q = first; q < count; ++q, index += repeat)
             scale<summation>(growth_by(theta[q] * (tau * constant(position + q))).expm1, index, repeat, x);
     } else if (kind == PLANE) {
-        for (uint32_t q = 0; q < count; ++q, position += 4, index += 2 * repeat)
+        position += 4 * int64_t(first);
+        for (uint32_t q = first; q < count; ++q, position += 4, index += 2 * repeat)
             plane<summation, A, V>(constant(position), constant(position + 1), constant(position + 2),
                                    constant(position + 3), index, repeat, tau * theta[q], x);
     } else {
         series<summation>(action, constants, run, tau * theta[0], x);
     }
+}
+
+// Runs that are rare, or so long that the cost of a call is negligible; not inlined. Their blocks are disjoint.
+template <Summation summation, class A, class V, class C>
+NOINLINE void act_run(const Action& action, const C& constants, uint32_t run, double tau, const A* theta,
+                      Vectors<V> x) {
+    share(action.angles[run], [&](int64_t first, int64_t last) {
+        act_slice<summation>(action, constants, run, tau, theta, x, uint32_t(first), uint32_t(last));
+    });
 }
 
 // The runs of a part with a single angle, one after the other.

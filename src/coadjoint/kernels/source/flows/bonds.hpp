@@ -30,12 +30,10 @@ INLINE void rotate_bond(const FlowTables& tables, const C& constants, int64_t bo
     for (int i = 0; i < 3; ++i) x[column[i]] = z[i] + change[i], x[column[3 + i]] = w[i] - change[i];
 }
 
-// Rotate the momenta by all bonds of a part, which are disjoint and have basis elements of unit scale. The many bonds
-// of one trajectory on a lattice are lanes.
+// Rotate the momenta by the bonds of the shares k to last - 1, which are disjoint and have basis elements of unit scale.
+// The many bonds of one trajectory on a lattice are lanes.
 template <class A, class C>
-NOINLINE void rotate_bonds(const FlowTables& tables, const C& constants, uint32_t part, double tau, A* x) {
-    uint32_t k = tables.share[part];
-    const uint32_t last = tables.share[part + 1];
+NOINLINE void rotate_shares(const FlowTables& tables, const C& constants, uint32_t k, uint32_t last, double tau, A* x) {
     if constexpr (Numbers<A>::lanes == 1) {
         for (; k + WIDTH <= last; k += WIDTH) {
             double strength[WIDTH], momenta[6][WIDTH];
@@ -55,6 +53,15 @@ NOINLINE void rotate_bonds(const FlowTables& tables, const C& constants, uint32_
         }
     }
     for (; k < last; ++k) rotate_bond(tables, constants, tables.called[k], tau, x);
+}
+
+// The same for all bonds of a part.
+template <class A, class C>
+INLINE void rotate_bonds(const FlowTables& tables, const C& constants, uint32_t part, double tau, A* x) {
+    const uint32_t begin = tables.share[part];
+    share(tables.share[part + 1] - begin, [&](int64_t first, int64_t last) {
+        rotate_shares(tables, constants, begin + uint32_t(first), begin + uint32_t(last), tau, x);
+    });
 }
 
 }  // namespace coadjoint

@@ -214,12 +214,15 @@ NOINLINE void act_called(const Action& action, const C& constants, uint32_t part
         const uint32_t first = action.angle[run];
         const auto rotate_all = [&] {
             if (!rotations.direct) return act_run<summation>(action, constants, run, 1.0, rotations.angle + first, x);
-            const uint32_t repeat = action.repeat[run], *index = action.indices + action.position[run];
-            for (uint32_t q = 0; q < action.angles[run]; ++q, index += 2 * repeat) {
-                const A w = constants.template number_at<A>(action.constants, action.constant[run] + q);
-                rotate<summation>(Rotation<A>{rotations.sine[first + q] * w, rotations.cosm1[first + q]}, index, repeat,
-                                  x);
-            }
+            share(action.angles[run], [&](int64_t low, int64_t above) {
+                const uint32_t repeat = action.repeat[run];
+                const uint32_t* index = action.indices + action.position[run] + uint64_t(2) * repeat * low;
+                for (uint32_t q = uint32_t(low); q < above; ++q, index += 2 * repeat) {
+                    const A w = constants.template number_at<A>(action.constants, action.constant[run] + q);
+                    rotate<summation>(Rotation<A>{rotations.sine[first + q] * w, rotations.cosm1[first + q]}, index,
+                                      repeat, x);
+                }
+            });
         };
         if (first % BODY_ROTATIONS != 0) {
             rotate_all();

@@ -43,13 +43,14 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
     AlignedArray<GroupRows> checkpoint_elements(with_group ? 2 * d * rows : 0);
     AngleWorkspace<double> angles(tables.longest);
     angles.even = even_terms(tables.terms, tables.longest);
-    std::unique_ptr<ThreadTeam> team;
-    SharedSteps shared_steps;
-    if (schedule.threads > 1 && tables.longest >= LEAST_SHARED) team = std::make_unique<ThreadTeam>(schedule.threads);
+    if (tables.longest >= FUSED) angles.fused = fused_parts(tables);
+    if (schedule.threads > 1) angles.apart = parts_apart(tables);
+    SharedSteps shared_steps(schedule.threads, size);
     PartialStep<double> partial_step;
     partial_step.set(tables, schedule, member, 0);
     if (partial_step.needed) angles.partial_step = &partial_step;
     Finisher<summation, Side> finisher(tables, schedule, size, member);
+    finisher.angles.even = angles.even, finisher.angles.apart = angles.apart, finisher.angles.fused = angles.fused;
     MemberRecorder<Side, SharedConstants, Finisher<summation, Side>> recorder(loop.watch, arrays, schedule,
                                                                               SharedConstants{}, finisher);
     recorder.begin(member, SharedConstants{}, loop.k0);
@@ -70,7 +71,7 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
     const Vectors<double> momentum{x, dx, 1, scratch.at};
     // The group element is finished on a copy, and rotated by angles of a copy of the momentum.
     auto finish_copies = [&](int64_t k) {
-        std::copy_n(x, 2 * size, copies.at);
+        shared_copy(x, 2 * size, copies.at);
         if (with_group) std::copy_n(elements.at, 2 * d * rows, finished.at);
         const double t = start_of(schedule, member, k);
         const Vectors<GroupRows> copy{finished.at, finished.at + d * rows, rows, group_scratch.at};
@@ -99,16 +100,11 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
     int64_t checkpoint = loop.k0;
     const auto store_checkpoint = [&](int64_t k) {
         checkpoint = k;
-        std::copy_n(x, 2 * size, checkpoint_momenta.at);
+        shared_copy(x, 2 * size, checkpoint_momenta.at);
         if (with_group) std::copy_n(elements.at, 2 * d * rows, checkpoint_elements.at);
     };
     const auto is_finite = [&](const double* at, const GroupRows* element) {
-        std::atomic<bool> all_finite{true};
-        const auto check = [&](int64_t first, int64_t last) {
-            if (!finite(last - first, at + first)) all_finite.store(false, std::memory_order_relaxed);
-        };
-        angles.team ? angles.team->each(size, check) : check(0, size);
-        return all_finite && (!with_group || all(finite(d * rows, element)));
+        return finite(size, at) && (!with_group || all(finite(d * rows, element)));
     };
     // The step in which a number of step k became infinite: if already the finish of the previous step overflows, it
     // was that one.
@@ -128,7 +124,7 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
     const int64_t work = work_of_step(loop);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
         loop.interrupts.after(work);
-        if (team) angles.team = shared_steps.begin() ? team.get() : nullptr;
+        shared_steps.begin();
         const double t = start_of(schedule, member, k);
         const std::vector<ElementaryFlow>& flows = k == 1 ? opening : repeated;
         for (const ElementaryFlow& flow : flows)
@@ -145,14 +141,13 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
             for (uint32_t r = first; r < last; ++r)
                 apply_row<summation, with_group, false>(tables, SharedConstants{}, r, momentum, group, t, schedule.h,
                                                         angles);
-        const bool valid = is_finite(x, elements.at);
-        if (team) shared_steps.end();
-        if (__builtin_expect(!valid, 0)) {
+        if (__builtin_expect(!is_finite(x, elements.at), 0)) {
             failed = step_that_failed(k);
             break;
         }
         if (k % CHECKPOINT_INTERVAL == 0) store_checkpoint(k);
         if ((failed = recorder.after(k, x, dx, finished_group))) break;
+        shared_steps.end();
     }
     // Momenta are finished several at a time; a pending one may have failed earlier.
     if (const int64_t earlier = recorder.flush()) failed = earlier;

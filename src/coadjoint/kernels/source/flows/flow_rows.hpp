@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "flows/bonds.hpp"
-#include "flows/thread_team.hpp"
 #include "boundary/loop.hpp"
 
 namespace coadjoint {
@@ -44,6 +43,103 @@ NOINLINE void even_rows(const Terms& terms, uint32_t start, uint32_t stop, const
     }
 }
 
+inline bool is_called(const FlowTables& tables, uint32_t part) { return tables.called[tables.share[part]] >= 0; }
+
+constexpr int64_t FUSED = 256;  // angles of a part that are rotated by at a time
+
+inline int64_t number_of_parts(const FlowTables& tables) {
+    const uint32_t rows = tables.section[3];
+    return rows ? int64_t(*std::max_element(tables.part, tables.part + rows)) + 1 : 0;
+}
+
+// Find the parts of many linear shares and of many runs that move different coordinates, as those of copies of an
+// algebra: threads may share them run by run. Parts with a few long runs are shared within these.
+inline std::vector<bool> parts_apart(const FlowTables& tables) {
+    const Action& action = tables.state;
+    std::vector<bool> apart(number_of_parts(tables));
+    std::vector<int64_t> moved_by(action.size, -1);
+    for (int64_t part = 0; part < int64_t(apart.size()); ++part) {
+        const uint32_t first = action.run[part], last = action.run[part + 1];
+        if (last - first < LEAST_SHARED || is_called(tables, uint32_t(part))) continue;
+        apart[part] = std::all_of(tables.terms.kind + tables.share[part], tables.terms.kind + tables.share[part + 1],
+                                  [](uint8_t kind) { return kind == LINEAR; });
+        for (uint32_t run = first; apart[part] && run < last; ++run) {
+            const uint32_t* index = action.indices + action.position[run];
+            const uint64_t blocks = uint64_t(action.angles[run]) * action.repeat[run];
+            const bool listed = action.entries[run] > 0;  // sparse rows follow its coordinates
+            if (action.kind[run] == SERIES) apart[part] = false;
+            const uint64_t count = listed ? action.width[run] : blocks * action.width[run];
+            for (uint64_t k = 0; k < count; ++k) {
+                if (moved_by[index[k]] == int64_t(run)) continue;  // blocks of one angle may share coordinates
+                if (moved_by[index[k]] >= int64_t(first)) apart[part] = false;
+                moved_by[index[k]] = run;
+            }
+        }
+    }
+    return apart;
+}
+
+// Find the parts of many linear shares and rotations whose angles depend on no coordinate that the part moves, as those
+// of a lattice of spins: every rotation may follow its angle, while the coordinates are in the cache.
+inline std::vector<bool> fused_parts(const FlowTables& tables) {
+    const Action& action = tables.state;
+    const Terms& terms = tables.terms;
+    std::vector<bool> fused(number_of_parts(tables));
+    std::vector<int64_t> moved_by(action.size, -1);
+    for (int64_t part = 0; part < int64_t(fused.size()); ++part) {
+        const uint32_t low = tables.share[part], high = tables.share[part + 1];
+        if (terms.row[high] - terms.row[low] < FUSED || is_called(tables, uint32_t(part))) continue;
+        bool possible = std::all_of(terms.kind + low, terms.kind + high, [](uint8_t kind) { return kind == LINEAR; });
+        for (uint32_t run = action.run[part]; possible && run < action.run[part + 1]; ++run) {
+            possible = action.kind[run] == ROTATE;
+            const uint32_t* index = action.indices + action.position[run];
+            const uint64_t count = possible ? uint64_t(2) * action.angles[run] * action.repeat[run] : 0;
+            for (uint64_t k = 0; k < count; ++k) moved_by[index[k]] = part;
+        }
+        const uint32_t *entry = terms.column + terms.entry[terms.row[low]],
+                       *stop = terms.column + terms.entry[terms.row[high]];
+        fused[part] = possible && std::all_of(entry, stop, [&](uint32_t k) { return moved_by[k] != part; });
+    }
+    return fused;
+}
+
+// Angles and rotations of such a part, a few at a time.
+template <Summation summation, class A, class C>
+NOINLINE void rotate_fused(const FlowTables& tables, const C& constants, uint32_t part, double tau,
+                           const Vectors<A>& x, bool even) {
+    const Action& action = tables.state;
+    const Terms& terms = tables.terms;
+    for (uint32_t run = action.run[part]; run < action.run[part + 1]; ++run)
+        share(action.angles[run], [&](int64_t first, int64_t last) {
+            A theta[FUSED];
+            const uint32_t origin = terms.row[tables.share[part]] + action.angle[run];
+            for (int64_t q = first; q < last; q += FUSED) {
+                const uint32_t begin = uint32_t(q), end = uint32_t(std::min(last, q + FUSED));
+                if (even)
+                    even_rows(terms, origin + begin, origin + end, x.at, theta);
+                else
+                    for (uint32_t angle = begin; angle < end; ++angle)
+                        theta[angle - begin] = linear_row(terms, constants, origin + angle, x.at);
+                rotate_several<summation>(action, constants, run, tau, theta, x, begin, end);
+            }
+        });
+}
+
+// `act` for a part whose runs are apart.
+template <Summation summation, class A, class C>
+NOINLINE void act_apart(const Action& action, const C& constants, uint32_t part, double tau, const A* theta,
+                        const Vectors<A>& x) {
+    const uint32_t begin = action.run[part], end = action.run[part + 1];
+    const uint32_t widest = *std::max_element(action.width + begin, action.width + end);
+    share(end - begin, [&](int64_t first, int64_t last) {
+        AlignedArray<A> scratch(3 * widest);
+        Vectors<A> here = x;
+        here.workspace = scratch.at;
+        for (uint32_t run = begin + uint32_t(first); run < begin + uint32_t(last); ++run)
+            act_slice<summation>(action, constants, run, tau, theta + action.angle[run], here, 0, action.angles[run]);
+    });
+}
+
 // A step of another length than that of the tables: every angle is scaled by `scale`.
 template <class A>
 struct PartialStep {
@@ -64,8 +160,7 @@ struct AngleWorkspace {
     const PartialStep<A>* partial_step = nullptr;  // of a step of another length
     AlignedArray<A> theta, rotated, arguments;
     std::vector<double> calls;
-    std::vector<bool> even;
-    ThreadTeam* team = nullptr;  // of one large member
+    std::vector<bool> even, apart, fused;
     explicit AngleWorkspace(int64_t longest)
         : theta(longest), rotated(longest), arguments(longest), calls(2 * longest + 2) {}
 };
@@ -76,36 +171,16 @@ Rotations<A> rotations_of_part(const FlowTables& tables, const C& constants, uin
                                AngleWorkspace<A>& workspace) {
     const Rotations<A> rotations{workspace.theta.at, workspace.rotated.at, workspace.arguments.at,
                                  (tables.direct[part] & DIRECT) != 0};
-    for (uint32_t k = tables.share[part], first = tables.terms.row[k]; k < tables.share[part + 1]; ++k) {
-        const uint32_t angle = tables.terms.row[k] - first;
-        called_rotations(
-            tables, constants, tables.called[k], tau, x,
-            Rotations<A>{rotations.angle + angle, rotations.sine + angle, rotations.cosm1 + angle, rotations.direct});
-    }
+    const uint32_t begin = tables.share[part], origin = tables.terms.row[begin];
+    share(tables.share[part + 1] - begin, [&](int64_t first, int64_t last) {
+        for (uint32_t k = begin + uint32_t(first); k < begin + uint32_t(last); ++k) {
+            const uint32_t angle = tables.terms.row[k] - origin;
+            called_rotations(tables, constants, tables.called[k], tau, x,
+                             Rotations<A>{rotations.angle + angle, rotations.sine + angle, rotations.cosm1 + angle,
+                                          rotations.direct});
+        }
+    });
     return rotations;
-}
-
-// Visit the rows of a term, on the threads of a team if there is one.
-template <class Visit>
-INLINE void share_rows(ThreadTeam* team, const Terms& terms, uint32_t k, const Visit& visit) {
-    const uint32_t start = terms.row[k], stop = terms.row[k + 1];
-    if (!team) return visit(start, stop);
-    team->each(stop - start, [&](int64_t first, int64_t last) { visit(start + uint32_t(first), start + uint32_t(last)); });
-}
-
-// `act` for many angles, with the rotations of each run on the threads of a team.
-template <Summation summation, class A, class V, class C>
-NOINLINE void share_action(ThreadTeam& team, const Action& action, const C& constants, uint32_t part, double tau,
-                           const A* theta, const Vectors<V>& x) {
-    for (uint32_t run = action.run[part]; run < action.run[part + 1]; ++run) {
-        const A* angles = theta + action.angle[run];
-        if (action.kind[run] != ROTATE)
-            act_run<summation>(action, constants, run, tau, angles, x);
-        else
-            team.each(action.angles[run], [&](int64_t first, int64_t last) {
-                rotate_several<summation>(action, constants, run, tau, angles, x, uint32_t(first), uint32_t(last));
-            });
-    }
 }
 
 // Whether a part consists of bonds that rotate momenta directly. Compensated sums use the blocks.
@@ -113,8 +188,6 @@ template <Summation summation>
 bool rotates_bonds_directly(const FlowTables& tables, uint32_t part) {
     return summation == PLAIN && (tables.direct[part] & BONDS) != 0;
 }
-
-inline bool is_called(const FlowTables& tables, uint32_t part) { return tables.called[tables.share[part]] >= 0; }
 
 // Apply row r: angles from its share, then the action on the momentum and on the group element. Without `is_partial`
 // the step is that of the tables.
@@ -148,26 +221,36 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
                 act_called<CORRECTED>(tables.group, constants, part, rotations, group, tables.group.size);
             return;
         }
+        if (!with_group && !partial_step && __builtin_expect(!workspace.fused.empty() && workspace.fused[part], 0)) {
+            const bool even = high == low + 1 && !workspace.even.empty() && workspace.even[low];
+            return rotate_fused<summation>(tables, constants, part, tau, x, even);
+        }
         const A moment = t + (partial_step ? A(tables.moment[r]) * partial_step->length : A(tables.moment[r] * h));
-        for (uint32_t k = low; k < high; ++k)
+        const bool apart = !workspace.apart.empty() && workspace.apart[part];
+        if (apart)
+            share(terms.row[high] - terms.row[low], [&](int64_t first, int64_t last) {
+                for (uint32_t angle = uint32_t(first); angle < last; ++angle)
+                    workspace.theta.at[angle] = linear_row(terms, constants, terms.row[low] + angle, x.at);
+            });
+        for (uint32_t k = low; k < high && !apart; ++k)
             if (!workspace.even.empty() && workspace.even[k])
-                share_rows(workspace.team, terms, k, [&](uint32_t first, uint32_t last) {
-                    even_rows(terms, first, last, x.at, workspace.theta.at + (first - terms.row[low]));
-                });
-            else if (workspace.team && terms.kind[k] == LINEAR)
-                share_rows(workspace.team, terms, k, [&](uint32_t first, uint32_t last) {
-                    for (uint32_t angle = first; angle < last; ++angle)
-                        workspace.theta.at[angle - terms.row[low]] = linear_row(terms, constants, angle, x.at);
+                share(terms.row[k + 1] - terms.row[k], [&](int64_t first, int64_t last) {
+                    const uint32_t start = terms.row[k] + uint32_t(first);
+                    even_rows(terms, start, terms.row[k] + uint32_t(last), x.at,
+                              workspace.theta.at + (start - terms.row[low]));
                 });
             else
                 gradient_rows(terms, constants, tables.addresses, k, x.at, moment, workspace.theta.at, terms.row[low],
                               workspace.arguments.at, workspace.calls.data());
-        for (uint32_t angle = 0; partial_step && angle < terms.row[high] - terms.row[low]; ++angle)
-            workspace.theta.at[angle] = workspace.theta.at[angle] * partial_step->scale;
+        if (partial_step)
+            share(terms.row[high] - terms.row[low], [&](int64_t first, int64_t last) {
+                for (int64_t angle = first; angle < last; ++angle)
+                    workspace.theta.at[angle] = workspace.theta.at[angle] * partial_step->scale;
+            });
     }
     CachedRotation<A> cached;
-    if (workspace.team && !single)
-        share_action<summation>(*workspace.team, tables.state, constants, part, tau, workspace.theta.at, x);
+    if (__builtin_expect(!single && !workspace.apart.empty() && workspace.apart[part], 0))
+        act_apart<summation>(tables.state, constants, part, tau, workspace.theta.at, x);
     else
         act<summation, false>(tables.state, constants, part, tau, single, single_angle, workspace.theta.at, cached, x);
     if constexpr (with_group) {

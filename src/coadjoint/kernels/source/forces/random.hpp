@@ -7,6 +7,7 @@
 #include <cstring>
 
 #include "numbers/lanes.hpp"
+#include "numbers/thread_team.hpp"
 
 namespace coadjoint {
 
@@ -121,19 +122,22 @@ inline void normals_of(const uint64_t* words, int64_t count, double* out) {
 // time: a function of these and of the seed only.
 inline void normal_deviates(uint64_t seed, uint64_t stream, double moment, uint64_t part, int64_t count, double* out) {
     constexpr int64_t CHUNK = 256;
-    uint64_t when, words[CHUNK];
+    uint64_t when;
     moment += 0.0;  // normalize minus zero
     std::memcpy(&when, &moment, 8);
-    for (int64_t low = 0; low < count; low += CHUNK) {
-        const int64_t size = count - low < CHUNK ? count - low : CHUNK, filled = (size + 7) / 8 * 8;
-        for (int64_t k = 0; k < filled; k += 4) {
-            const Words four = philox({{uint64_t((low + k) / 4), when, stream, part}}, seed, 0);
-            for (int j = 0; j < 4; ++j) words[k + j] = four.at[j];
-        }
+    share<CHUNK>(count, [&](int64_t first, int64_t last) {
+        uint64_t words[CHUNK];
         double deviates[CHUNK];
-        normals_of(words, filled, deviates);
-        std::memcpy(out + low, deviates, 8 * size);
-    }
+        for (int64_t low = first; low < last; low += CHUNK) {
+            const int64_t size = last - low < CHUNK ? last - low : CHUNK, filled = (size + 7) / 8 * 8;
+            for (int64_t k = 0; k < filled; k += 4) {
+                const Words four = philox({{uint64_t((low + k) / 4), when, stream, part}}, seed, 0);
+                for (int j = 0; j < 4; ++j) words[k + j] = four.at[j];
+            }
+            normals_of(words, filled, deviates);
+            std::memcpy(out + low, deviates, 8 * size);
+        }
+    });
 }
 
 }  // namespace coadjoint

@@ -38,8 +38,7 @@ class SpinBath {
 
     // Half of the noise, the midpoint rule of the damping, and half of the noise, as `Force::stay_on_orbit`.
     int64_t flow(double* x, double t, double tau, int64_t member, FieldWorkspace<double>& workspace) {
-        for (int a = 0; a < 3; ++a)
-            for (int64_t s = 0; s < spins.size(); ++s) start[a * stride + s] = x[spins.coordinate[a][s]];
+        by_component(x, start);
         const double before = measures() ? rows.energy(start.at, stride) : 0.0;
         if (table.amplitude > 0.0) shake(t, tau, 0, member);
         if (rows.empty()) std::copy_n(x, field.size, point.data());
@@ -47,8 +46,7 @@ class SpinBath {
         if (status != DONE) return status;
         if (table.amplitude > 0.0) shake(t, tau, 1, member);
         if (measures()) change = rows.energy(start.at, stride) - before;
-        for (int a = 0; a < 3; ++a)
-            for (int64_t s = 0; s < spins.size(); ++s) x[spins.coordinate[a][s]] = start[a * stride + s];
+        to_coordinates(start, x);
         return finite(field.size, x) ? DONE : OVERFLOWED;
     }
 
@@ -99,22 +97,37 @@ class SpinBath {
         const double size = table.amplitude * std::sqrt(0.5 * tau);
         normal_deviates(uint64_t(table.seed), uint64_t(table.stream + member), t, uint64_t(half), field.size,
                         deviates.data());
-        for (int a = 0; a < 3; ++a)
-            for (int64_t s = 0; s < spins.size(); ++s) slope[a * stride + s] = deviates[spins.coordinate[a][s]];
-        for (int64_t s = 0; s < stride; s += W) {
-            A x[3];
-            for (int a = 0; a < 3; ++a) x[a] = load<A>(&start[a * stride + s]);
-            const A turning = load<A>(&turn[s]);
-            for (int k = 0; k < 3; ++k) {
-                const int a = half ? 2 - k : k, b = (a + 1) % 3, c = (a + 2) % 3;
-                const A length = A(size) * load<A>(&slope[a * stride + s]);
-                const Rotation<A> rotation = rotation_by(turning * (load<A>(&root[a * stride + s]) * length));
-                const A one = x[b], two = x[c];
-                x[b] = one + fma(rotation.cosm1, one, rotation.sine * two);
-                x[c] = two + fma(rotation.cosm1, two, -(rotation.sine * one));
+        by_component(deviates.data(), slope);
+        share(stride, [&](int64_t first, int64_t last) {
+            for (int64_t s = first; s < last; s += W) {
+                A x[3];
+                for (int a = 0; a < 3; ++a) x[a] = load<A>(&start[a * stride + s]);
+                const A turning = load<A>(&turn[s]);
+                for (int k = 0; k < 3; ++k) {
+                    const int a = half ? 2 - k : k, b = (a + 1) % 3, c = (a + 2) % 3;
+                    const A length = A(size) * load<A>(&slope[a * stride + s]);
+                    const Rotation<A> rotation = rotation_by(turning * (load<A>(&root[a * stride + s]) * length));
+                    const A one = x[b], two = x[c];
+                    x[b] = one + fma(rotation.cosm1, one, rotation.sine * two);
+                    x[c] = two + fma(rotation.cosm1, two, -(rotation.sine * one));
+                }
+                for (int a = 0; a < 3; ++a) store(&start[a * stride + s], x[a]);
             }
-            for (int a = 0; a < 3; ++a) store(&start[a * stride + s], x[a]);
-        }
+        });
+    }
+
+    // Copy numbers of the coordinates of spins, spin after spin, to components side by side, and back.
+    void by_component(const double* from, Components& to) {
+        for (int a = 0; a < 3; ++a)
+            share(spins.size(), [&](int64_t first, int64_t last) {
+                for (int64_t s = first; s < last; ++s) to[a * stride + s] = from[spins.coordinate[a][s]];
+            });
+    }
+    void to_coordinates(Components& from, double* to) {
+        for (int a = 0; a < 3; ++a)
+            share(spins.size(), [&](int64_t first, int64_t last) {
+                for (int64_t s = first; s < last; ++s) to[spins.coordinate[a][s]] = from[a * stride + s];
+            });
     }
 
     // sin(w)/w and (1 - cos(w))/w^2 for the square of w, each lane by itself.
@@ -155,24 +168,24 @@ class SpinBath {
     int64_t settle(double t, double tau, FieldWorkspace<double>& workspace) {
         std::copy_n(start.at, 3 * stride, middle.at);
         double last = std::numeric_limits<double>::infinity(), first = last;
-        A largest(0.0);
-        for (int64_t k = 0; k < 3 * stride; k += W) largest = larger(largest, absolute(load<A>(&start[k])));
-        const double scale = largest_lane(largest);
+        const double scale = largest_of_blocks([&](int64_t s) {
+            A largest(0.0);
+            for (int a = 0; a < 3; ++a) largest = larger(largest, absolute(load<A>(&start[a * stride + s])));
+            return largest;
+        });
         iterations = evaluations = 0;
         for (;;) {
             if (++iterations > MOST_MIDPOINTS) return NOT_CONVERGED;
             ++evaluations;
             InterruptCheck::of_this_call().after(work_of(field) + 64 * field.size);
             if (rows.empty()) general_gradient(t, workspace);
-            A sum(0.0), most(0.0);
-            const double* y_all = middle.at;
-            for (int64_t s = 0; s < stride; s += W) {
-                A x[3], y[3], u[3], v[3], half[3];
+            residual = largest_of_blocks([&](int64_t s) {
+                A x[3], y[3], u[3], v[3], half[3], most(0.0);
                 const A turning = load<A>(&turn[s]);
                 for (int a = 0; a < 3; ++a) {
                     x[a] = load<A>(&start[a * stride + s]);
                     y[a] = load<A>(&middle[a * stride + s]);
-                    u[a] = rows.empty() ? load<A>(&slope[a * stride + s]) : rows(y_all, s, a);
+                    u[a] = rows.empty() ? load<A>(&slope[a * stride + s]) : rows(middle.at, s, a);
                 }
                 turned(turning, y, u, v);
                 for (int a = 0; a < 3; ++a) {
@@ -182,16 +195,14 @@ class SpinBath {
                 A now[3];
                 rotate(turning, half, x, now);
                 for (int a = 0; a < 3; ++a) {
-                    const A change = absolute(now[a] - y[a]);
-                    sum += change;
-                    most = larger(most, change);
+                    most = larger(most, absolute(now[a] - y[a]));
                     store(&next[a * stride + s], now[a]);
                     store(&slope[a * stride + s], v[a]);
                 }
-            }
+                return most;
+            });
             std::swap(middle.at, next.at);
-            if (!all(sum - sum == A(0.0))) return OVERFLOWED;
-            residual = largest_lane(most);
+            if (!(residual - residual == 0.0)) return OVERFLOWED;
             if (iterations == 1) first = residual;
             // Stop if the next correction, extrapolated, is round-off, or if corrections are, and have stopped falling.
             const bool falling = residual < 0.5 * last;
@@ -200,13 +211,38 @@ class SpinBath {
             if (residual > GROWN * (first + scale)) return NOT_CONVERGED;
             last = residual;
         }
-        for (int64_t s = 0; s < stride; s += W) {
-            A x[3], v[3], now[3];
-            for (int a = 0; a < 3; ++a) x[a] = load<A>(&start[a * stride + s]), v[a] = load<A>(&slope[a * stride + s]);
-            rotate(load<A>(&turn[s]), v, x, now);
-            for (int a = 0; a < 3; ++a) store(&start[a * stride + s], now[a]);
-        }
+        share(stride, [&](int64_t first, int64_t last) {
+            for (int64_t s = first; s < last; s += W) {
+                A x[3], v[3], now[3];
+                for (int a = 0; a < 3; ++a)
+                    x[a] = load<A>(&start[a * stride + s]), v[a] = load<A>(&slope[a * stride + s]);
+                rotate(load<A>(&turn[s]), v, x, now);
+                for (int a = 0; a < 3; ++a) store(&start[a * stride + s], now[a]);
+            }
+        });
         return DONE;
+    }
+
+    // The largest number that `visit` returns for eight spins, for all of them; NaN if any is.
+    template <class Visit>
+    double largest_of_blocks(const Visit& visit) {
+        AlignedArray<A> found((stride + SUMMED - 1) / SUMMED);
+        shared_sum<A>(stride, [&](int64_t first, int64_t last) {
+            A most(0.0), sum(0.0);
+            for (int64_t s = first; s < last; s += W) {
+                const A one = visit(s);
+                most = larger(most, one);
+                sum += one;
+            }
+            found.at[first / SUMMED] = most + 0.0 * sum;
+            return most;
+        });
+        A most(0.0), sum(0.0);
+        for (int64_t b = 0; b < (stride + SUMMED - 1) / SUMMED; ++b) {
+            most = larger(most, found.at[b]);
+            sum += 0.0 * found.at[b];
+        }
+        return all(sum == A(0.0)) ? largest_lane(most) : std::numeric_limits<double>::quiet_NaN();
     }
 
     // The gradient of any H at the middle.

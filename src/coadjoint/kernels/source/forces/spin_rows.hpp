@@ -84,13 +84,15 @@ class SpinRows {
 
     // The energy without its constant.
     double energy(const double* x, int64_t stride) const {
-        A sum(0.0);
-        for (int64_t block = 0; block < stride; block += W)
-            for (int a = 0; a < 3; ++a) {
-                const A linear = load<A>(offset.data() + 3 * block + W * a);
-                sum = fma(load<A>(x + a * stride + block), 0.5 * ((*this)(x, block, a) + linear), sum);
-            }
-        return sum_of_lanes(sum);
+        return sum_of_lanes(shared_sum<A>(stride, [&](int64_t first, int64_t last) {
+            A sum(0.0);
+            for (int64_t block = first; block < last; block += W)
+                for (int a = 0; a < 3; ++a) {
+                    const A linear = load<A>(offset.data() + 3 * block + W * a);
+                    sum = fma(load<A>(x + a * stride + block), 0.5 * ((*this)(x, block, a) + linear), sum);
+                }
+            return sum;
+        }));
     }
 
     // Component a of the gradient for the spins `block` to block + 7, from the components x of all of them, which are

@@ -6,6 +6,7 @@
 
 #include "boundary/interrupts.hpp"
 #include "numbers/lanes.hpp"
+#include "numbers/thread_team.hpp"
 
 namespace coadjoint {
 
@@ -22,13 +23,34 @@ struct Krylov {
           sine(RESTART), right(RESTART + 1) {}
 
     static double dot(const double* a, const double* b, int64_t size) {
-        Lanes<8> sum(0.0);
-        int64_t i = 0;
-        for (; i + 8 <= size; i += 8) sum = fma(load<Lanes<8>>(a + i), load<Lanes<8>>(b + i), sum);
-        double total = 0.0;
-        for (int lane = 0; lane < 8; ++lane) total += sum[lane];
-        for (; i < size; ++i) total = fma(a[i], b[i], total);
-        return total;
+        return shared_sum<double>(size, [=](int64_t first, int64_t last) {
+            Lanes<8> sum(0.0);
+            int64_t i = first;
+            for (; i + 8 <= last; i += 8) sum = fma(load<Lanes<8>>(a + i), load<Lanes<8>>(b + i), sum);
+            double total = 0.0;
+            for (int lane = 0; lane < 8; ++lane) total += sum[lane];
+            for (; i < last; ++i) total = fma(a[i], b[i], total);
+            return total;
+        });
+    }
+
+    // y += factor x.
+    static void add(double factor, const double* x, double* y, int64_t size) {
+        share(size, [=](int64_t first, int64_t last) {
+            const Lanes<8> by(factor);
+            int64_t i = first;
+            for (; i + 8 <= last; i += 8) store(y + i, fma(by, load<Lanes<8>>(x + i), load<Lanes<8>>(y + i)));
+            for (; i < last; ++i) y[i] = fma(factor, x[i], y[i]);
+        });
+    }
+    // y = x / divisor.
+    static void divide(const double* x, double divisor, double* y, int64_t size) {
+        share(size, [=](int64_t first, int64_t last) {
+            const Lanes<8> by(divisor);
+            int64_t i = first;
+            for (; i + 8 <= last; i += 8) store(y + i, load<Lanes<8>>(x + i) / by);
+            for (; i < last; ++i) y[i] = x[i] / divisor;
+        });
     }
 
     // Overwrite the right-hand side r by an approximate solution y of operate(y) = r; false without convergence.
@@ -51,10 +73,11 @@ struct Krylov {
                 for (int64_t k = i + 1; k < count; ++k) total = fma(-at(i, k), weights[k], total);
                 weights[i] = total / at(i, i);
             }
-            for (int64_t k = 0; k < count; ++k)
-                for (int64_t i = 0; i < size; ++i) y[i] = fma(weights[k], basis[k * size + i], y[i]);
+            for (int64_t k = 0; k < count; ++k) add(weights[k], basis.data() + k * size, y.data(), size);
             operate(y.data(), image.data());
-            for (int64_t i = 0; i < size; ++i) residual[i] = r[i] - image[i];
+            share(size, [&](int64_t first, int64_t last) {
+                for (int64_t i = first; i < last; ++i) residual[i] = r[i] - image[i];
+            });
         }
         return false;
     }
@@ -66,7 +89,7 @@ struct Krylov {
     // tolerance.
     template <class Operate>
     int64_t build(double norm, double goal, Operate operate) {
-        for (int64_t i = 0; i < size; ++i) basis[i] = residual[i] / norm;
+        divide(residual.data(), norm, basis.data(), size);
         std::fill(right.begin(), right.end(), 0.0);
         right[0] = norm;
         for (int64_t k = 0; k < RESTART; ++k) {
@@ -77,7 +100,7 @@ struct Krylov {
                 const double* old = basis.data() + j * size;
                 const double along = dot(next, old, size);
                 at(j, k) = along;
-                for (int64_t i = 0; i < size; ++i) next[i] = fma(-along, old[i], next[i]);
+                add(-along, old, next, size);
             }
             const double left = std::sqrt(dot(next, next, size));
             for (int64_t j = 0; j < k; ++j) {
@@ -93,7 +116,7 @@ struct Krylov {
             right[k + 1] = -sine[k] * right[k];
             right[k] = cosine[k] * right[k];
             if (!(std::fabs(right[k + 1]) > goal)) return k + 1;
-            for (int64_t i = 0; i < size; ++i) next[i] /= left;
+            divide(next, left, next, size);
         }
         return RESTART;
     }

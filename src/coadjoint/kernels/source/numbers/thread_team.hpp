@@ -1,5 +1,5 @@
 // Threads that share the loops over the coordinates of one large member. What they compute does not depend on their
-// number, since each element is computed by one of them as by a single thread.
+// number: each element is computed by one of them as by a single thread, and sums are those of blocks of fixed length.
 #pragma once
 
 #include <algorithm>
@@ -7,14 +7,23 @@
 #include <chrono>
 #include <condition_variable>
 #include <cstdint>
+#include <memory>
 #include <mutex>
 #include <system_error>
 #include <thread>
 #include <vector>
 
+#if !defined(_WIN32)
+#include <pthread.h>
+#endif
+
+#include "numbers/aligned_array.hpp"
+#include "numbers/lanes.hpp"
+
 namespace coadjoint {
 
 constexpr int64_t LEAST_SHARED = 1024;  // elements from which on threads may share them
+constexpr int64_t SUMMED = 4096;         // elements of a block of a sum
 
 class ThreadTeam {
   public:
@@ -40,13 +49,12 @@ class ThreadTeam {
     ThreadTeam(const ThreadTeam&) = delete;
     ThreadTeam& operator=(const ThreadTeam&) = delete;
 
-    // Call `visit(first, last)` for slices of 0 to count - 1, on all threads; it must not throw. Few elements are one
-    // slice.
+    // Call `visit(first, last)` for slices of 0 to count - 1, on all threads; it must not throw. Slices begin at
+    // multiples of `aligned`.
     template <class Visit>
-    void each(int64_t count, const Visit& visit) {
-        if (count < LEAST_SHARED) return visit(int64_t(0), count);
+    void each(int64_t count, int64_t aligned, const Visit& visit) {
         job = [](const void* at, int64_t first, int64_t last) { (*static_cast<const Visit*>(at))(first, last); };
-        context = &visit, total = count;
+        context = &visit, total = count, multiple = aligned;
         left.store(int64_t(others.size()), std::memory_order_relaxed);
         {
             std::lock_guard<std::mutex> lock(mutex);
@@ -60,8 +68,7 @@ class ThreadTeam {
 
   private:
     typedef void (*Job)(const void*, int64_t, int64_t);
-    static constexpr int64_t ALIGNED = 64;  // slices begin at multiples: of registers and of cache lines
-    static constexpr int SPINS = 1 << 12;   // polls before a thread sleeps
+    static constexpr int SPINS = 1 << 12;  // polls before a thread sleeps
     std::vector<std::thread> others;
     std::mutex mutex;
     std::condition_variable wake;
@@ -69,13 +76,13 @@ class ThreadTeam {
     std::atomic<int64_t> left{0};
     Job job = nullptr;
     const void* context = nullptr;
-    int64_t total = 0;
+    int64_t total = 0, multiple = 1;
     bool ended = false;
 
     void take_slice(int64_t number) const {
-        const int64_t threads = int64_t(others.size()) + 1, blocks = (total + ALIGNED - 1) / ALIGNED;
-        const int64_t first = std::min(total, blocks * number / threads * ALIGNED);
-        const int64_t last = std::min(total, blocks * (number + 1) / threads * ALIGNED);
+        const int64_t threads = int64_t(others.size()) + 1, blocks = (total + multiple - 1) / multiple;
+        const int64_t first = std::min(total, blocks * number / threads * multiple);
+        const int64_t last = std::min(total, blocks * (number + 1) / threads * multiple);
         if (first < last) job(context, first, last);
     }
 
@@ -96,28 +103,120 @@ class ThreadTeam {
     }
 };
 
-// Whether the team takes part in a step: of every 64 steps two are taken without it and two with it, and the others as
-// was faster, on this machine and with its present load.
+// The team that shares the loops of this thread, if any: that of the member whose step it takes.
+inline thread_local ThreadTeam* team_of_this_thread = nullptr;
+
+constexpr int64_t ALIGNED = 64;  // slices begin at multiples: of registers and of cache lines
+
+template <class Visit>
+NOINLINE void share_among(ThreadTeam& team, int64_t count, int64_t aligned, const Visit& visit) {
+    team_of_this_thread = nullptr;  // loops inside are not shared again
+    team.each(count, aligned, visit);
+    team_of_this_thread = &team;
+}
+
+// Call `visit(first, last)` for slices of 0 to count - 1, on the threads of the team if there is one; it must not throw.
+template <int64_t aligned = ALIGNED, class Visit>
+INLINE void share(int64_t count, const Visit& visit) {
+    if (__builtin_expect(count >= LEAST_SHARED && team_of_this_thread, 0))
+        return share_among(*team_of_this_thread, count, aligned, visit);
+    visit(int64_t(0), count);
+}
+
+// The sum of `part(first, last)` over blocks, added in their order.
+template <class A, class Part>
+NOINLINE A sum_of_blocks(int64_t count, const Part& part) {
+    const int64_t blocks = (count + SUMMED - 1) / SUMMED;
+    AlignedArray<A> sums(blocks);
+    const auto fill = [&](int64_t first, int64_t last) {
+        for (int64_t b = first; b < last; ++b) sums.at[b] = part(b * SUMMED, std::min(count, (b + 1) * SUMMED));
+    };
+    if (team_of_this_thread)
+        share_among(*team_of_this_thread, blocks, 1, fill);
+    else
+        fill(0, blocks);
+    A total(0.0);
+    for (int64_t b = 0; b < blocks; ++b) total = total + sums.at[b];
+    return total;
+}
+
+template <class A, class Part>
+INLINE A shared_sum(int64_t count, const Part& part) {
+    if (__builtin_expect(count > SUMMED, 0)) return sum_of_blocks<A>(count, part);
+    return part(int64_t(0), count);
+}
+
+inline void shared_copy(const double* from, int64_t count, double* to) {
+    share(count, [=](int64_t first, int64_t last) { std::copy(from + first, from + last, to + first); });
+}
+
+// A team, and how long the last steps took without and with it. One is kept for the next call, since threads take time
+// to start, and a call may take one step only.
+struct MeasuredTeam {
+    const int64_t threads, size;
+    std::unique_ptr<ThreadTeam> team;  // made when a step is shared
+    int64_t number = 0;
+    std::chrono::steady_clock::duration least[2] = {};
+};
+
+inline std::atomic<MeasuredTeam*> kept_team{nullptr};
+
+inline MeasuredTeam* take_team(int64_t threads, int64_t size) {
+#if !defined(_WIN32)
+    static const int once = pthread_atfork(nullptr, nullptr, [] { kept_team.store(nullptr); });  // it has no threads there
+    (void)once;
+#endif
+    std::unique_ptr<MeasuredTeam> kept(kept_team.exchange(nullptr));
+    if (kept && kept->threads == threads && kept->size == size) return kept.release();
+    return new MeasuredTeam{threads, size, kept && kept->threads == threads ? std::move(kept->team) : nullptr};
+}
+
+// The steps of one member, of `size` coordinates, and the threads that may share them: of every 64 steps two are taken
+// without the team and two with it, and the others as was faster, on this machine and with its present load. Without a
+// team of its own a loop that another loop calls is shared by that of the other.
 class SharedSteps {
   public:
-    // Return whether the next step is shared.
-    bool begin() {
-        const int64_t trial = number++ % REPEATED;
-        if (trial == 0) least[0] = least[1] = std::chrono::steady_clock::duration::max();
-        shared = trial < 2 * TRIALS ? trial >= TRIALS : least[1] < least[0];
-        begun = std::chrono::steady_clock::now();
-        return shared;
+    SharedSteps(int64_t threads, int64_t size) {
+        threads = std::min(threads, 2 * size / LEAST_SHARED);
+        if (threads > 1) measured.reset(take_team(threads, size));
     }
+    ~SharedSteps() {
+        team_of_this_thread = outer;
+        if (measured) delete kept_team.exchange(measured.release());
+    }
+    SharedSteps(const SharedSteps&) = delete;
+    SharedSteps& operator=(const SharedSteps&) = delete;
 
-    // The step is done.
-    void end() { least[shared] = std::min(least[shared], std::chrono::steady_clock::now() - begun); }
+    // A step begins: until its end, the loops of this thread are shared, or not.
+    INLINE void begin() {
+        if (__builtin_expect(measured != nullptr, 0)) decide();
+    }
+    INLINE void end() {
+        if (__builtin_expect(measured != nullptr, 0)) measure();
+    }
 
   private:
     static constexpr int64_t REPEATED = 64, TRIALS = 2;
-    int64_t number = 0;
+    std::unique_ptr<MeasuredTeam> measured;
+    ThreadTeam* const outer = team_of_this_thread;
     bool shared = false;
     std::chrono::steady_clock::time_point begun;
-    std::chrono::steady_clock::duration least[2];
+
+    NOINLINE void decide() {
+        auto& least = measured->least;
+        const int64_t trial = measured->number++ % REPEATED;
+        if (trial == 0) least[0] = least[1] = std::chrono::steady_clock::duration::max();
+        shared = trial < 2 * TRIALS ? trial >= TRIALS : least[1] < least[0];
+        if (shared && !measured->team) measured->team = std::make_unique<ThreadTeam>(measured->threads);
+        team_of_this_thread = shared ? measured->team.get() : outer;
+        begun = std::chrono::steady_clock::now();
+    }
+
+    NOINLINE void measure() {
+        auto& least = measured->least;
+        least[shared] = std::min(least[shared], std::chrono::steady_clock::now() - begun);
+        team_of_this_thread = outer;
+    }
 };
 
 }  // namespace coadjoint

@@ -150,9 +150,11 @@ class MemberRecorder {
 
     INLINE void gather(int64_t k, const double* x, const double* dx) {
         double *to = reinterpret_cast<double*>(states.at), *remainder = reinterpret_cast<double*>(errors.at);
-        for (int64_t i = 0; i < size; ++i) to[i * lanes + waiting] = x[i];
-        if (Finish::with_errors)
-            for (int64_t i = 0; i < size; ++i) remainder[i * lanes + waiting] = dx[i];
+        share(size, [&](int64_t first, int64_t last) {
+            for (int64_t i = first; i < last; ++i) to[i * lanes + waiting] = x[i];
+            if (Finish::with_errors)
+                for (int64_t i = first; i < last; ++i) remainder[i * lanes + waiting] = dx[i];
+        });
         step[waiting++] = k;
     }
 

@@ -12,9 +12,11 @@ namespace coadjoint {
 // Whether every component is finite: then 0 times it is 0.
 template <class A>
 INLINE auto finite(int64_t size, const A* x) {
-    A total(0.0);
-    for (int64_t i = 0; i < size; ++i) total = total + 0.0 * x[i];
-    return total == A(0.0);
+    return shared_sum<A>(size, [=](int64_t first, int64_t last) {
+        A total(0.0);
+        for (int64_t i = first; i < last; ++i) total = total + 0.0 * x[i];
+        return total;
+    }) == A(0.0);
 }
 
 INLINE int64_t tenth_of(const Schedule& schedule, int64_t k) {
@@ -63,7 +65,9 @@ INLINE void record_value(const Arrays& arrays, int64_t count, int64_t i, double 
 template <class A>
 INLINE void save_state(const Arrays& arrays, int64_t member, int64_t slot, int64_t size, const A* x, int lane) {
     double* to = arrays.x + (slot * arrays.members + member) * size;
-    for (int64_t i = 0; i < size; ++i) to[i] = lane_of(x[i], lane);
+    share(size, [=](int64_t first, int64_t last) {
+        for (int64_t i = first; i < last; ++i) to[i] = lane_of(x[i], lane);
+    });
 }
 
 // Record the first `count` lanes, consecutive steps of one member: deviations of the invariants, and saved points, each

@@ -34,24 +34,33 @@ NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve s
             mix_each<Layout>(y.mix + b * s, s, y.slopes.at, m, y.error, [&](int64_t c, const typename Layout::A& sum) {
                 y.change.at[b * m + c] = (Layout::spread(y.base[c]) - y.points.at[b * m + c]) + sum;
             });
-        for (int64_t i = 0; i < s; ++i)
-            for (int64_t c = 0; c < m; ++c) defect[i * m + c] = Layout::at(y.change.at, m, c, i);
+        share(m, [&](int64_t first, int64_t last) {
+            for (int64_t i = 0; i < s; ++i)
+                for (int64_t c = first; c < last; ++c) defect[i * m + c] = Layout::at(y.change.at, m, c, i);
+        });
         if (!solve(defect.data())) return outcome;
-        double largest = 0.0, size = 0.0, nan_sum = 0.0;
+        double largest = 0.0, size = 0.0, sum = 0.0;
         for (int64_t i = 0; i < s; ++i) {
-            double moved = 0.0, extent = 0.0;
-            for (int64_t c = 0; c < m; ++c) {
-                const double change = defect[i * m + c], point = Layout::at(y.points.at, m, c, i) + change;
-                Layout::put(y.points.at, m, c, i, point);
-                moved += absolute(change);
-                extent += absolute(point);
-                nan_sum += 0.0 * point;
-            }
+            const double moved = shared_sum<double>(m, [&](int64_t first, int64_t last) {
+                double total = 0.0;
+                for (int64_t c = first; c < last; ++c) {
+                    const double change = defect[i * m + c];
+                    Layout::put(y.points.at, m, c, i, Layout::at(y.points.at, m, c, i) + change);
+                    total += absolute(change);
+                }
+                return total;
+            });
+            const double extent = shared_sum<double>(m, [&](int64_t first, int64_t last) {
+                double total = 0.0;
+                for (int64_t c = first; c < last; ++c) total += absolute(Layout::at(y.points.at, m, c, i));
+                return total;
+            });
             largest = larger(largest, moved);
             size = larger(size, extent);
+            sum += extent;
         }
         Layout::repeat_last(y.points.at, m, s);
-        if (!(nan_sum == 0.0)) return outcome;
+        if (!(0.0 * sum == 0.0)) return outcome;
         outcome.residual = largest;
         if (passed == enough) {
             evaluate();

@@ -46,10 +46,12 @@ void advance_alone(const RungeKuttaLoop& loop, Single& one, int64_t member, cons
     AlreadyFinished nothing;
     MemberRecorder<Side, C, AlreadyFinished> recorder(loop.watch, arrays, schedule, constants, nothing);
     recorder.begin(member, constants, loop.k0);
+    SharedSteps shared_steps(schedule.threads, n);
     const int64_t work = work_of_step(loop);
     const double h = length_of(schedule, member);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
         loop.interrupts.after(work);
+        shared_steps.begin();
         const double start = start_of(schedule, member, k);
         bool found = true;
         for (int64_t part = 0; part < loop.tables.substeps && found; ++part) {
@@ -65,6 +67,7 @@ void advance_alone(const RungeKuttaLoop& loop, Single& one, int64_t member, cons
             break;
         }
         recorder.after(k, one.x, one.dx, [&](int64_t, double* to) { return std::copy_n(one.g, square, to), true; });
+        shared_steps.end();
     }
     recorder.flush();
     loop.arrays.iterations[member] += one.iterations;

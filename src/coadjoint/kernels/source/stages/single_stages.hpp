@@ -171,15 +171,19 @@ struct SingleStages : Stages<Layout, C> {
         const int64_t m = y.size;
         LinearWorkspace<A> linear(field, s, blocks, m);
         auto operate = [&](const double* v, double* image) {
-            for (int64_t i = 0; i < s; ++i)
-                for (int64_t c = 0; c < m; ++c) Layout::put(linear.input.at, m, c, i, v[i * m + c]);
+            share(m, [&](int64_t first, int64_t last) {
+                for (int64_t i = 0; i < s; ++i)
+                    for (int64_t c = first; c < last; ++c) Layout::put(linear.input.at, m, c, i, v[i * m + c]);
+            });
             Layout::repeat_last(linear.input.at, m, s);
             multiply(linear, linear.input.at, linear.output.at);
             for (int64_t b = 0; b < blocks; ++b)
                 mix_each<Layout>(mix.at + b * s, s, linear.output.at, m, linear.none.data(),
                                  [&](int64_t c, const A& sum) { linear.input.at[b * m + c] -= sum; });
-            for (int64_t i = 0; i < s; ++i)
-                for (int64_t c = 0; c < m; ++c) image[i * m + c] = Layout::at(linear.input.at, m, c, i);
+            share(m, [&](int64_t first, int64_t last) {
+                for (int64_t i = 0; i < s; ++i)
+                    for (int64_t c = first; c < last; ++c) image[i * m + c] = Layout::at(linear.input.at, m, c, i);
+            });
         };
         auto solve = [&](double* r) { return linear.krylov.solve(r, operate); };
         return taken(correct(y, evaluate, solve, [] { return true; }));

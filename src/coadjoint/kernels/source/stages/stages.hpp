@@ -130,21 +130,29 @@ struct MemberLanes {
     }
 };
 
-// Visit sum_j coefficient_j y_j + errors for every component, several at a time so that their sums are interleaved.
+// Visit sum_j coefficient_j y_j + errors for the components first to last - 1, several at a time so that their sums are interleaved.
 template <class Layout, class Visit>
-INLINE void mix_each(const typename Layout::Coefficient* coefficient, int64_t stages, const typename Layout::A* y,
-                     int64_t size, const typename Layout::V* errors, Visit visit) {
+INLINE void mix_slice(const typename Layout::Coefficient* coefficient, int64_t stages, const typename Layout::A* y,
+                      int64_t size, const typename Layout::V* errors, int64_t first, int64_t last, Visit visit) {
     constexpr int M = Layout::together;
     typename Layout::A totals[M];
-    int64_t c = 0;
-    for (; c + M <= size; c += M) {
+    int64_t c = first;
+    for (; c + M <= last; c += M) {
         Layout::template mix<M>(coefficient, stages, y + c, size, errors + c, totals);
         for (int m = 0; m < M; ++m) visit(c + m, totals[m]);
     }
-    for (; c < size; ++c) {
+    for (; c < last; ++c) {
         Layout::template mix<1>(coefficient, stages, y + c, size, errors + c, totals);
         visit(c, totals[0]);
     }
+}
+
+template <class Layout, class Visit>
+INLINE void mix_each(const typename Layout::Coefficient* coefficient, int64_t stages, const typename Layout::A* y,
+                     int64_t size, const typename Layout::V* errors, Visit visit) {
+    share(size, [&](int64_t first, int64_t last) __attribute__((always_inline)) {
+        mix_slice<Layout>(coefficient, stages, y, size, errors, first, last, visit);
+    });
 }
 
 // x += sum_j out_j L_j, with compensation.
@@ -152,17 +160,19 @@ template <class Layout>
 NOINLINE void add_slopes(const double* out, int64_t stages, const typename Layout::A* slopes, int64_t size,
                          typename Layout::V* x, typename Layout::V* errors) {
     typedef typename Layout::V V;
-    for (int64_t c = 0; c < size; ++c) {
-        V even = errors[c], odd(0.0);
-        int64_t j = 0;
-        for (; j + 1 < stages; j += 2) {
-            even = fma(V(out[j]), Layout::at(slopes, size, c, j), even);
-            odd = fma(V(out[j + 1]), Layout::at(slopes, size, c, j + 1), odd);
+    share(size, [&](int64_t first, int64_t last) {
+        for (int64_t c = first; c < last; ++c) {
+            V even = errors[c], odd(0.0);
+            int64_t j = 0;
+            for (; j + 1 < stages; j += 2) {
+                even = fma(V(out[j]), Layout::at(slopes, size, c, j), even);
+                odd = fma(V(out[j + 1]), Layout::at(slopes, size, c, j + 1), odd);
+            }
+            if (j < stages) even = fma(V(out[j]), Layout::at(slopes, size, c, j), even);
+            const V old = x[c];
+            two_sum(old, even + odd, x[c], errors[c]);
         }
-        if (j < stages) even = fma(V(out[j]), Layout::at(slopes, size, c, j), even);
-        const V old = x[c];
-        two_sum(old, even + odd, x[c], errors[c]);
-    }
+    });
 }
 
 }  // namespace coadjoint

@@ -43,7 +43,9 @@ struct Unknowns {
 
     void start_at_base() {
         for (int64_t b = 0; b < blocks; ++b)
-            for (int64_t c = 0; c < size; ++c) points.at[b * size + c] = Layout::spread(base[c]);
+            share(size, [&](int64_t first, int64_t last) {
+                for (int64_t c = first; c < last; ++c) points.at[b * size + c] = Layout::spread(base[c]);
+            });
     }
 
     // Start at the extrapolation of the polynomial through the slopes of the previous step, unless that is not finite;
@@ -51,10 +53,15 @@ struct Unknowns {
     auto start_extrapolated(const typename Layout::Coefficient* forecast) {
         A total(0.0);
         for (int64_t b = 0; b < blocks; ++b)
-            mix_each<Layout>(forecast + b * stages, stages, before.at, size, error, [&](int64_t c, const A& sum) {
-                const A point = Layout::spread(base[c]) + sum;
-                total = total + 0.0 * point;
-                points.at[b * size + c] = point;
+            total = total + shared_sum<A>(size, [&](int64_t first, int64_t last) __attribute__((always_inline)) {
+                A nothing(0.0);
+                mix_slice<Layout>(forecast + b * stages, stages, before.at, size, error, first, last,
+                                  [&](int64_t c, const A& sum) {
+                                      const A point = Layout::spread(base[c]) + sum;
+                                      nothing = nothing + 0.0 * point;
+                                      points.at[b * size + c] = point;
+                                  });
+                return nothing;
             });
         const auto valid = Layout::every(total == A(0.0));
         if (all(valid)) return valid;
@@ -70,16 +77,20 @@ struct Unknowns {
     template <bool watched>
     INLINE void update_points(int64_t low, int64_t high, int64_t count) {
         for (int64_t b = low; b < high; ++b) {
-            A far(0.0);
             A *here = points.at + b * size, *changed = change.at + b * size;
-            mix_each<Layout>(mix + b * stages, count, slopes.at, size, error, [&](int64_t c, const A& sum) {
-                const A point = Layout::spread(base[c]) + sum;
-                if constexpr (watched) {
-                    const A distance = absolute(point - here[c]);
-                    changed[c] = distance;
-                    far = far + distance;
-                }
-                here[c] = point;
+            const A far = shared_sum<A>(size, [&](int64_t first, int64_t last) __attribute__((always_inline)) {
+                A moves(0.0);
+                mix_slice<Layout>(mix + b * stages, count, slopes.at, size, error, first, last,
+                                  [&](int64_t c, const A& sum) {
+                                      const A point = Layout::spread(base[c]) + sum;
+                                      if constexpr (watched) {
+                                          const A distance = absolute(point - here[c]);
+                                          changed[c] = distance;
+                                          moves = moves + distance;
+                                      }
+                                      here[c] = point;
+                                  });
+                return moves;
             });
             if constexpr (watched) moved.at[b] = far;
         }
@@ -89,9 +100,11 @@ struct Unknowns {
     // first move too.
     INLINE void measure(int64_t blocks, int64_t size) {
         for (int64_t b = 0; b < blocks; ++b) {
-            A total(0.0);
-            for (int64_t c = 0; c < size; ++c) total = total + absolute(points.at[b * size + c]);
-            noise.at[b] = A(NOISE) * total;
+            noise.at[b] = A(NOISE) * shared_sum<A>(size, [&](int64_t first, int64_t last) {
+                A total(0.0);
+                for (int64_t c = first; c < last; ++c) total = total + absolute(points.at[b * size + c]);
+                return total;
+            });
         }
     }
     void measure_move(const typename Numbers<V>::Mask& where, int64_t blocks) {
@@ -114,16 +127,19 @@ struct Unknowns {
     // and each must stop falling. One unit in the last place is ignored, since among many components one would always
     // fall.
     INLINE auto falling(const typename Numbers<V>::Mask& where, int64_t blocks, int64_t size) {
-        auto found = A(0.0) < A(0.0);
-        for (int64_t k = 0; k < blocks * size; ++k) {
-            const A unit = A(2.0 * UNIT_ROUNDOFF) * absolute(points.at[k]);
-            const A correction = select(change.at[k] <= unit, A(0.0), change.at[k]);
-            auto decreased = correction < least.at[k];
-            if constexpr (Numbers<V>::lanes > 1) decreased = decreased & where;
-            least.at[k] = select(decreased, correction, least.at[k]);
-            found = found | decreased;
-        }
-        return Layout::some(found);
+        const A number = shared_sum<A>(blocks * size, [&](int64_t first, int64_t last) {
+            auto found = A(0.0) < A(0.0);
+            for (int64_t k = first; k < last; ++k) {
+                const A unit = A(2.0 * UNIT_ROUNDOFF) * absolute(points.at[k]);
+                const A correction = select(change.at[k] <= unit, A(0.0), change.at[k]);
+                auto decreased = correction < least.at[k];
+                if constexpr (Numbers<V>::lanes > 1) decreased = decreased & where;
+                least.at[k] = select(decreased, correction, least.at[k]);
+                found = found | decreased;
+            }
+            return select(found, A(1.0), A(0.0));
+        });
+        return Layout::some(A(0.0) < number);
     }
 };
 

@@ -171,12 +171,14 @@ static void advance(const Loop<Stepping>& loop, const MemberRange& range) {
         double *g = arrays.groups + member * square, *dg = arrays.group_errors + member * square;
         const double h = length_of(schedule, member);
         OwnSteps* const over = dynamic_cast<OwnSteps*>(scheme);
+        SharedSteps shared_steps(schedule.threads, n);
         for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
             // Schemes with their own step sizes are evaluated only at recorded states.
             if (over) k = std::min(recorder.next_recorded(k), loop.k1);
             int64_t failing = k;
             const double start = start_of(schedule, member, k);
             int64_t status;
+            shared_steps.begin();
             if (over)
                 status = reach(*over, start_of(schedule, member, 1), k, h, x, dx, g, dg, loop.interrupts, failing);
             else
@@ -194,6 +196,7 @@ static void advance(const Loop<Stepping>& loop, const MemberRange& range) {
             }
             if (schedule.events && tables.substeps == 1) recorder.set_series(scheme->series_of_step());
             recorder.after(k, x, dx, [&](int64_t, double* to) { return std::copy_n(g, square, to), true; });
+            shared_steps.end();
         }
         std::copy_n(x, n, arrays.momenta + member * n);
         std::copy_n(dx, n, arrays.errors + member * n);
