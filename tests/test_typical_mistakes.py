@@ -290,3 +290,11 @@ def test_broken_solution_raises_attribute_error():
     with pytest.raises(AttributeError, match="times"):
         _ = broken.t
     assert not hasattr(RUN, "_ipython_display_") and not hasattr(RUN, "__array__")
+
+
+def test_help_and_message_of_tolerances_agree():
+    with pytest.raises(TypeError) as refused:
+        full(rtol=1e-6, atol=1e-9)
+    help_of_tolerances = re.search(r"rtol, atol : None\n(.*?)\n\n", co.integrate.__doc__, re.DOTALL)[1]
+    for words in ("accuracy", "Taylor(tolerance=...)", "ReversibleSteps(Splitting(...))", "chosen by an estimate"):
+        assert words in str(refused.value) and words in " ".join(help_of_tolerances.split())

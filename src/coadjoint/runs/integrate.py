@@ -100,7 +100,8 @@ def integrate(
         does not grow with the length of the run. The folder can be read at any time, and `resume` continues the run
         after any interruption. The solution reads from the folder lazily.
     rtol, atol : None
-        Not available: no scheme chooses each step by an estimate of the error. The message says what to use instead.
+        Not available: a step that is chosen by an estimate of the error would lose what the schemes keep over long
+        times. Give `accuracy`, or take `Taylor(tolerance=...)` or `ReversibleSteps(Splitting(...))`.
 
     Returns
     -------
