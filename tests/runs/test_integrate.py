@@ -217,9 +217,29 @@ def test_iteration_that_does_not_converge_is_an_error():
     assert failure.value.residual > 0 and failure.value.step >= 1
 
 
+BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
+ESCAPE = co.LiePoissonSystem(  # x2' = x2^2 from 1 escapes at t = 1
+    co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1}}), co.Polynomial("x1*x2", basis=("x1", "x2")), sign=-1
+)
+
+
+@pytest.mark.parametrize("start", [(1.0, 1.0), [(1.0, 0.1), (1.0, 1.0)]])
+@pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2), co.Taylor(order=8)])
+def test_failure_of_a_growing_motion_names_both_reasons(method, start):
+    with pytest.raises(co.IntegrationError, match=r"smaller step.* near the same time, the motion itself") as failure:
+        co.integrate(ESCAPE, start, (0, 2), 0.01, method)
+    assert abs(failure.value.time - 1.0) < 0.05
+
+
+@pytest.mark.parametrize(("method", "failed_in"), [(co.GaussLegendre(2), 2), (co.Taylor(order=8), 1)])
+def test_failure_of_a_bounded_motion_is_that_of_the_step(method, failed_in):
+    with pytest.raises(co.IntegrationError, match=r"take a smaller step than 5$") as failure:
+        co.integrate(BODY, (1.0, 5.0, 2.0), (0, 100), 5.0, method)
+    assert failure.value.step == failed_in
+
+
 # Refusals
 
-BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
 BARE = co.LiePoissonSystem(
     co.LieAlgebra.from_brackets(3, {(0, 2): {0: 2.0, 1: -1.0}, (1, 2): {0: 1.0, 1: 2.0}}),
     co.Quadratic(1.0),

@@ -35,6 +35,8 @@ from coadjoint.validation import read_bool
 
 SECONDS_BETWEEN_UPDATES = 0.2
 """Target time between updates of a progress bar, which happen between calls of the compiled loop."""
+GROWTH = 2.0
+"""Growth of a state from which on a failure may be that of the motion, which grows without bound in finite time."""
 
 
 class Run:
@@ -299,10 +301,20 @@ class Run:
         reason = failure_text(status, self.method, self.loops, residual)
         # The step of a run does not affect adaptive schemes.
         advice = "end t_span before" if self.method.own_steps else f"take a smaller step than {abs(self.times.h):g}"
+        if step > 1 and status != "PARALLEL" and not self.method.own_steps and self._grown(member):
+            advice += (
+                "; if that fails near the same time, the motion itself grows without bound there: end t_span before"
+            )
         message = f"in step {step}, at t = {when:g}, {reason}{members}; {advice}"
         if status == "PARALLEL":
             message += ", or make the vectors orthonormal more often: give a smaller renormalize_every"
         return IntegrationError(message, step=step, time=when, residual=residual, partial=partial)
+
+    def _grown(self, member: int) -> bool:
+        """Whether the state of a failed member has grown since the start, as it does where the motion blows up."""
+        start = self.start.momenta[member]
+        last = self.state["momenta"][member, : len(start)]
+        return not np.abs(last).max() <= GROWTH * np.abs(start).max()
 
     def _solution(self, saved_points: int, observed: Observed | None) -> Solution:
         return Solution(record_of_run(self, saved_points, observed))
