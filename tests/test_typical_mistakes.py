@@ -145,7 +145,7 @@ MISTAKES = {
     "sol.y": (lambda: RUN.y, "a Solution has no attribute 'y'; here it is x"),
     "sol.sol": (lambda: RUN.sol, "a Solution has no attribute 'sol'; here it is at(t), the states at any times"),
     "sol.enregy": (lambda: RUN.enregy, "a Solution has no attribute 'enregy'; did you mean 'energy'?"),
-    "a panel": (lambda: RUN.plot("orbits"), "unknown kind of picture 'orbits'; did you mean 'coadjoint orbit'?"),
+    "a panel": (lambda: RUN.plot("orbits"), "unknown kind of picture 'orbits'; here it is 'coadjoint orbit'"),
     # systems
     "an algebra for a system": (
         lambda: co.integrate(SO3, X0, SPAN, 0.1),
