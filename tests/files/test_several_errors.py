@@ -103,6 +103,48 @@ def lines_of(text, tmp_path, monkeypatch, capsys, *command):
     return [line.removeprefix("run.toml: ") for line in message.err.splitlines()]
 
 
+MISPLACED = """
+step = 0.1
+[system]
+name = "heavy_top"
+levr = 2.0
+[initial]
+x = [0.3, 0.2, 3.0, 0.6, 0.0, 0.8]
+t_span = [0.0, 1.0]
+[method]
+name = "Splitting"
+lever = 2.0
+save_every = 3
+[run]
+step = 0.1
+t_span = [0.0, 1.0]
+order = 4
+method = "Splitting"
+file = "a.nc"
+"""
+
+
+def test_unknown_keys_name_the_tables_to_which_they_belong(tmp_path, monkeypatch, capsys):
+    assert set(lines_of(MISPLACED, tmp_path, monkeypatch, capsys, "run")) == {
+        "step: unknown key; 'step' belongs to [run]",
+        "system.levr: unknown key; did you mean 'lever', which belongs to [system.parameters]?",
+        "initial.t_span: unknown key; 't_span' belongs to [run]",
+        "method.lever: unknown key; 'lever' belongs to [system.parameters]",
+        "method.save_every: unknown key; 'save_every' belongs to [run]",
+        "run.order: unknown key; 'order' belongs to [method]",
+        "run.method: unknown key; 'method' is a table of its own, [method]",
+        "run.file: unknown key; 'file' belongs to [output]",
+    }
+
+
+def test_keys_of_named_states_name_their_tables(tmp_path, monkeypatch, capsys):
+    text = MISPLACED.replace("x = [0.3, 0.2, 3.0, 0.6, 0.0, 0.8]", 'kind = "random"')
+    text = text.replace("heavy_top", "sphere_euler").replace("levr = 2.0", "parameters = {N = 4}")
+    text = "\n".join(line for line in text.splitlines() if not line.startswith(("step = 0.1", "lever", "method =")))
+    lines = lines_of(text, tmp_path, monkeypatch, capsys, "run")
+    assert "initial.t_span: unknown key; 't_span' belongs to [run]" in lines
+
+
 @pytest.mark.parametrize("command", ["run", "check", "certify"])
 def test_errors_of_all_stages_are_one_line_each(tmp_path, monkeypatch, capsys, command):
     lines = lines_of(MANY, tmp_path, monkeypatch, capsys, command)

@@ -63,7 +63,7 @@ def state_by_name(name: str, table: InitialTable, system: Any) -> Any:
     Systems list named states in ``states_by_name``, and have a method for each. A relative ``path`` begins at the
     folder of the file. ConfigurationError: unknown state or parameter, or an invalid value.
     """
-    from coadjoint.files.configuration.models import unknown_key
+    from coadjoint.files.configuration.models import keys_by_table, unknown_key
 
     if table.kind is None:
         return None
@@ -75,7 +75,8 @@ def state_by_name(name: str, table: InitialTable, system: Any) -> Any:
     parameters = inspect.signature(function).parameters
     for key in table.parameters:
         if key not in parameters:
-            raise ConfigurationError(f"{name}: initial.{key}: {unknown_key(key, parameters)}")
+            elsewhere = {table: keys for table, keys in keys_by_table().items() if table != "[initial]"}
+            raise ConfigurationError(f"{name}: initial.{key}: {unknown_key(key, parameters, elsewhere)}")
     arguments = dict(table.parameters)
     if isinstance(arguments.get("path"), str):
         arguments["path"] = str(Path(name).parent / arguments["path"])

@@ -190,18 +190,51 @@ class SweepOnly(BaseModel):
     sweep: SweepTable
 
 
-def unknown_key(key: str, known: Iterable[str]) -> str:
-    """Describe an unknown key, with the nearest known one, or all known ones if none is near.
+CLOSE = 0.75
+"""Smallest similarity of an unknown key and the key of another table that is suggested."""
+NO_TABLES: Mapping[str, Iterable[str]] = types.MappingProxyType({})
+
+
+def keys_by_table() -> dict[str, Iterable[str]]:
+    """Return the keys of each table of a file; names and parameters, which several have, are omitted."""
+    tables: dict[str, Iterable[str]] = {"the top of the file": ["sign"], "[[forces]]": []}
+    tables |= {f"[{key}]": [] for key in File.model_fields if key not in ("name", "sign", "forces")}
+    for key in ("algebra", "hamiltonian", "initial", "run", "output"):
+        tables[f"[{key}]"] = [name for name in known_keys((key,)) if name not in ("name", "parameters")]
+    return tables
+
+
+def places_of(key: str, elsewhere: Mapping[str, Iterable[str]]) -> tuple[str | None, list[str]]:
+    """Return the table of this name, and the tables that have a key of this name."""
+    own_table = next((table for table in elsewhere if table.strip("[]") == key), None)
+    return own_table, [table for table, keys in elsewhere.items() if key in keys]
+
+
+def unknown_key(key: str, known: Iterable[str], elsewhere: Mapping[str, Iterable[str]] = NO_TABLES) -> str:
+    """Describe an unknown key, with its table, the nearest known one, or all known ones if none is near.
+
+    `elsewhere` are the keys of other tables, as from `keys_by_table`.
 
     Examples
     --------
     >>> unknown_key("stpe", ["t_span", "step"])
     "unknown key; did you mean 'step'?"
+    >>> unknown_key("levr", ["name"], {"[system.parameters]": ["lever"]})
+    "unknown key; did you mean 'lever', which belongs to [system.parameters]?"
     """
+    own_table, tables = places_of(key, elsewhere)
+    if own_table is not None:
+        return f"unknown key; {key!r} is a table of its own, {own_table}"
+    if tables:
+        return f"unknown key; {key!r} belongs to {' or '.join(tables)}"
     names = sorted(known)
     near = nearest(key, names)
     if near is not None:
         return f"unknown key; did you mean {near!r}?"
+    for table, keys in elsewhere.items():
+        near = nearest(key, keys, CLOSE)
+        if near is not None:
+            return f"unknown key; did you mean {near!r}, which belongs to {table}?"
     return f"unknown key; known here: {', '.join(names)}" if names else "unknown key; there are none here"
 
 
@@ -217,10 +250,11 @@ def known_keys(table_path: Sequence[str | int], value: Any = None) -> list[str]:
     return [key for key in _table_at(table_path).model_fields if not is_table or key not in ("name", "sign")]
 
 
-def all_errors(error: ValidationError) -> list[str]:
+def all_errors(error: ValidationError, elsewhere: Mapping[str, Iterable[str]] = NO_TABLES) -> list[str]:
     """Return the errors in the tables of a file: dotted key and reason.
 
-    Unknown keys come first; a missing key is omitted if it is one of them, misspelled.
+    `elsewhere` are the keys of other tables; the default is `keys_by_table`. Unknown keys come first; a missing key is
+    omitted if it is one of them, misspelled.
 
     Examples
     --------
@@ -233,6 +267,7 @@ def all_errors(error: ValidationError) -> list[str]:
     rank = {"extra_forbidden": 0, "missing": 2}
     entries = sorted(error.errors(), key=lambda entry: rank.get(entry["type"], 1))
     messages: dict[str, str] = {}
+    elsewhere = elsewhere or keys_by_table()
     for entry in entries:
         # pydantic appends "[key]" for an invalid key of a table.
         key_path = [key for key in entry["loc"] if key != "[key]"]
@@ -240,7 +275,7 @@ def all_errors(error: ValidationError) -> list[str]:
             f"[{key}]" if isinstance(key, int) else f".{in_one_line(key, MAX_SHOWN_LENGTH)}" for key in key_path
         )
         path = path.lstrip(".")
-        reason = _reason(entry["type"], entry["msg"], entry["input"], entry.get("ctx", {}), key_path)
+        reason = _reason(entry["type"], entry["msg"], entry["input"], entry.get("ctx", {}), key_path, elsewhere)
         misspelled = entry["type"] == "missing" and any(
             f"did you mean {key_path[-1]!r}?" in message for message in messages.values()
         )
@@ -250,9 +285,16 @@ def all_errors(error: ValidationError) -> list[str]:
     return list(messages.values())
 
 
-def _reason(kind: str, message: str, value: Any, context: Mapping[str, Any], key_path: list[int | str]) -> str:
+def _reason(
+    kind: str,
+    message: str,
+    value: Any,
+    context: Mapping[str, Any],
+    key_path: list[int | str],
+    elsewhere: Mapping[str, Iterable[str]],
+) -> str:
     if kind == "extra_forbidden":
-        return unknown_key(str(key_path[-1]), known_keys(key_path[:-1], value))
+        return unknown_key(str(key_path[-1]), known_keys(key_path[:-1], value), elsewhere)
     if kind == "missing":
         return "is missing; give it"
     if kind == "value_error":

@@ -131,11 +131,13 @@ def valid_tables(raw: Mapping[str, Any]) -> ValidTables:
     """
     from pydantic import ValidationError
 
-    from coadjoint.files.configuration.models import File, all_errors
+    from coadjoint.files.configuration.models import File, all_errors, keys_by_table
 
     messages: list[str] = []
     invalid: set[str] = set()
-    tables = _correct_parameter_names(raw, messages)
+    parameters = _parameters(raw)
+    elsewhere = {**keys_by_table(), **{f"[{'.'.join(path)}]": names for path, names in parameters.items()}}
+    tables = _correct_parameter_names(raw, parameters, elsewhere, messages)
     file = None
     # First as written, then with unknown keys corrected, then without invalid tables.
     for _ in range(3):
@@ -143,34 +145,53 @@ def valid_tables(raw: Mapping[str, Any]) -> ValidTables:
             file = File.model_validate(tables)
             break
         except ValidationError as error:
-            messages += all_errors(error)
-            tables, invalid_names = _repair(tables, error)
+            messages += all_errors(error, elsewhere)
+            tables, invalid_names = _repair(tables, error, elsewhere)
             invalid |= invalid_names
     return ValidTables(file, tuple(dict.fromkeys(messages)), frozenset(invalid))
 
 
-def _correct_parameter_names(raw: Mapping[str, Any], messages: list[str]) -> Mapping[str, Any]:
-    """Correct unknown parameter names of the system and of the scheme; append the errors to `messages`."""
+def _parameters(raw: Mapping[str, Any]) -> dict[tuple[str, ...], list[str]]:
+    """Return the parameter names of the system and of the scheme, by the tables to which they belong."""
     system, method = raw.get("system"), raw.get("method")
-    known_names: dict[tuple[str, ...], Iterable[str]] = {}
+    names: dict[tuple[str, ...], list[str]] = {}
     if isinstance(system, Mapping) and isinstance(name := system.get("name"), str) and name in ready_made_systems():
-        known_names["system", "parameters"] = inspect.signature(ready_made_systems()[name]).parameters
+        names["system", "parameters"] = list(inspect.signature(ready_made_systems()[name]).parameters)
     if isinstance(method, Mapping) and isinstance(name := method.get("name"), str) and name in registry.names():
-        known_names["method",] = (*registry.parameters_of(name), "name", "parameters")
+        names["method",] = list(registry.parameters_of(name))
+    return names
+
+
+def _correct_parameter_names(
+    raw: Mapping[str, Any],
+    parameters: Mapping[tuple[str, ...], list[str]],
+    elsewhere: Mapping[str, Iterable[str]],
+    messages: list[str],
+) -> Mapping[str, Any]:
+    """Correct unknown parameter names of the system and of the scheme; append the errors to `messages`."""
     from coadjoint.files.configuration.models import unknown_key
 
-    for table_path, names in known_names.items():
+    for table_path, names in parameters.items():
         table = _value_at(raw, table_path)
         if not isinstance(table, Mapping):
             continue
-        for key in [key for key in table if key not in names]:
-            suggestions = [name for name in names if table_path != ("method",) or name not in ("name", "parameters")]
-            messages.append(f"{'.'.join(table_path)}.{key}: {unknown_key(key, suggestions)}")
-            raw = _rename_key(raw, (*table_path, key), names)
+        known = {*names, "name", "parameters"} if table_path == ("method",) else {*names}
+        for key in [key for key in table if key not in known]:
+            messages.append(f"{'.'.join(table_path)}.{key}: {unknown_key(key, names, elsewhere)}")
+            raw = _rename_key(raw, (*table_path, key), _suggestions(key, known, elsewhere))
     return raw
 
 
-def _repair(raw: Mapping[str, Any], error: ValidationError) -> tuple[Mapping[str, Any], set[str]]:
+def _suggestions(key: str, known: Iterable[str], elsewhere: Mapping[str, Iterable[str]]) -> Iterable[str]:
+    """Return the known keys to which an unknown one may be corrected: none if it belongs to another table."""
+    from coadjoint.files.configuration.models import places_of
+
+    return () if any(places_of(key, elsewhere)) else known
+
+
+def _repair(
+    raw: Mapping[str, Any], error: ValidationError, elsewhere: Mapping[str, Iterable[str]]
+) -> tuple[Mapping[str, Any], set[str]]:
     """Correct unknown keys and replace invalid tables; return also the names of the latter."""
     from coadjoint.files.configuration.models import known_keys
 
@@ -178,7 +199,8 @@ def _repair(raw: Mapping[str, Any], error: ValidationError) -> tuple[Mapping[str
     for entry in error.errors():
         key_path = tuple(str(key) for key in entry["loc"])
         if entry["type"] == "extra_forbidden":
-            raw = _rename_key(raw, key_path, known_keys(key_path[:-1], entry["input"]))
+            known = known_keys(key_path[:-1], entry["input"])
+            raw = _rename_key(raw, key_path, _suggestions(key_path[-1], known, elsewhere))
         elif key_path:
             invalid.add(key_path[0])
     valid = {key: value for key, value in raw.items() if key not in invalid}
