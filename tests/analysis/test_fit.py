@@ -1,5 +1,7 @@
 """Fits of parameters and initial values, against Euler's equations by SciPy and the scatter of noisy fits."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -144,6 +146,57 @@ def test_residuals_are_measured_minus_fitted_values(algebra):
     np.testing.assert_allclose(found.residuals, wanted, rtol=0, atol=1e-10)
 
 
+def test_several_trajectories_are_those_of_single_runs_together():
+    """Two states and two initial attitudes, and the moments that they share."""
+    starts, attitudes = np.array([X0, [0.2, -0.9, 0.4]]), np.array([A0, A0.T])
+    exact = body().run(starts, SPAN, EVERY, attitude=attitudes)
+    measured, sigma = {"attitude": exact.attitude, "x": exact.x}, {"attitude": SIGMA, "x": 0.02}
+    unknown = {"inertia": (0, 2), "x0": (0, 1, 2, 4), "attitude0": (0, 2, 3, 4, 5)}
+    turned = (
+        Rotation.from_rotvec([0.02, 0.0, -0.01]).as_matrix() @ A0,
+        Rotation.from_rotvec([0.01, 0.02, 0]).as_matrix() @ A0.T,
+    )
+    guess = starts + [[0.05, -0.02, 0.01], [0.0, 0.03, 0.0]]
+    ready = body(INERTIA * [1.1, 1.0, 0.95])
+    found = co.fit(ready, guess, SPAN, measured, unknown, EVERY, sigma=sigma, attitude=np.array(turned))
+    np.testing.assert_allclose(found.values["inertia"], INERTIA, rtol=1e-9)
+    np.testing.assert_allclose(found.values["x0"], starts, atol=1e-10)
+    np.testing.assert_allclose(found.values["attitude0"], attitudes, atol=1e-10)
+    np.testing.assert_allclose(found.solution.x, exact.x, atol=1e-9)
+    J = np.zeros((2, 41 * 12, 11))
+    columns = ([0, 1, 2, 3, 4, 6, 7], [0, 1, 5, 8, 9, 10])  # of the unknowns that each run has
+    chosen = (([0, 1, 2], [0, 2]), ([1], [0, 1, 2]))
+    for m in range(2):
+        of_x, of_attitude = chosen[m]
+        count = len(columns[m])
+        directions = {"inertia": np.zeros((3, count)), "x0": np.zeros((3, count)), "attitude0": np.zeros((3, 3, count))}
+        directions["inertia"][[0, 2], [0, 1]] = 1.0
+        directions["x0"][of_x, np.arange(2, 2 + len(of_x))] = 1.0
+        for k, axis in enumerate(of_attitude):
+            hat = np.cross(np.eye(3)[axis], np.eye(3)).T
+            directions["attitude0"][..., 2 + len(of_x) + k] = hat @ attitudes[m]
+        _, tangents = body().jvp(starts[m], SPAN, directions, EVERY, attitude=attitudes[m])
+        rows = tangents.attitude.reshape(-1, count) / (np.sqrt(2) * SIGMA), tangents.x.reshape(-1, count) / 0.02
+        J[m][:, columns[m]] = np.concatenate(rows)
+    J = J.reshape(-1, 11)
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(J.T @ J), rtol=1e-6, atol=1e-14)
+
+
+def test_entries_without_which_the_rest_is_determined():
+    """Of a quadratic form M, symmetric entries and a multiple of the Casimir are not determined."""
+    H = co.Polynomial("x1^2 + 0.5*x2^2 + 0.3*x3^2 + 0.1*x1*x2", dim=3)
+    ready = co.prepare(co.LiePoissonSystem(co.algebras.so(3), H), SCHEME, step=0.05)
+    starts = [X0, (0.2, -0.9, 0.4)]
+    measured = {"x": ready.run(starts, (0, 5), 5).x}
+    with pytest.raises(ValueError, match="all unknown entries of M; omit, for instance, M") as refused:
+        co.fit(ready, starts, (0, 5), measured, {"M": True}, 5, sigma={"x": 0.01})
+    entries = re.findall(r"M\[(\d), (\d)\] \(number (\d)\)", str(refused.value))
+    assert len(entries) == 4 and all(3 * int(i) + int(j) == int(k) for i, j, k in entries)
+    rest = sorted({*range(9)} - {int(k) for _, _, k in entries})
+    found = co.fit(ready, starts, (0, 5), measured, {"M": rest}, 5, sigma={"x": 0.01})
+    np.testing.assert_allclose(found.values["M"], ready.parameters["M"], atol=1e-9)
+
+
 GOOD = {"attitude": np.zeros((41, 3, 3))}
 
 
@@ -153,7 +206,9 @@ GOOD = {"attitude": np.zeros((41, 3, 3))}
         ({"unknown": {"mass": True}}, ValueError, "mass"),
         ({"unknown": {"inertia": (3,)}}, ValueError, "inertia"),
         ({"unknown": {}}, TypeError, "unknown"),
-        ({"x0": np.ones((2, 3))}, ValueError, "one run"),
+        ({"x0": np.ones((2, 4))}, ValueError, r"it must be \(3,\) or \(members, 3\)"),
+        ({"x0": np.ones((2, 3))}, ValueError, r"it must be \(41, 2, 3, 3\)"),
+        ({"x0": np.ones((2, 3)), "attitude": np.ones((3, 3, 3))}, ValueError, r"attitude has the shape \(3, 3, 3\)"),
         ({"measured": {"energy": np.zeros(41)}}, ValueError, "energy"),
         ({"measured": {"attitude": np.zeros((40, 3, 3))}}, ValueError, "shape"),
         ({"measured": {"attitude": np.full((41, 3, 3), np.nan)}}, ValueError, "finite"),
@@ -161,7 +216,7 @@ GOOD = {"attitude": np.zeros((41, 3, 3))}
         ({"sigma": {"x": 1.0}}, ValueError, "sigma"),
         ({"sigma": {"attitude": 0.0}}, ValueError, "positive"),
         ({"sigma": {"attitude": np.ones(7)}}, ValueError, "broadcast"),
-        ({"unknown": {"inertia": True, "x0": True}}, ValueError, "inertia and x0"),
+        ({"unknown": {"inertia": True, "x0": True}}, ValueError, r"inertia and x0; omit, for instance, \w+\[\d\]$"),
         ({"t_span": (0.0, 0.0)}, ValueError, "shape"),
     ],
 )

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import IntegrationError, unknown_name
+from coadjoint.errors import MAX_LISTED_NAMES, IntegrationError, unknown_name
+from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
@@ -20,6 +21,8 @@ from coadjoint.validation import are_finite, read_integer, read_numbers
 Floats = NDArray[np.float64]
 OUTPUTS = ("x", "attitude")
 FIRST_STEP = 1000.0
+# Peak memory, in arrays of the size of the Jacobian.
+COPIES = 10
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -32,7 +35,8 @@ class Fit:
         The fitted "x0", "attitude0" and parameters by name, each complete.
     unknowns : tuple of (str, int)
         The name and the number of each unknown, in the order of `covariance`. Those of "attitude0" are coordinates xi
-        of the algebra: the attitude is ``exp(xi) attitude0``, for a body a rotation about axes in space.
+        of the algebra: the attitude is ``exp(xi) attitude0``, for a body a rotation about axes in space. Of several
+        trajectories, the numbers of "x0" and "attitude0" go through the first member, then the second, and so on.
     covariance : ndarray, shape (p, p)
         Of the unknowns, for measurements with independent normal errors of the given `sigma`.
     residuals : ndarray
@@ -82,14 +86,16 @@ def fit(
     ready : PreparedRun
         The run, prepared with a step, for guessed parameters. It must have an attitude if attitudes are measured.
     x0, attitude
-        Guesses of the initial state, shape (n,), and of the initial attitude, as in `PreparedRun.run`.
+        Guesses of the initial state, shape (n,), and of the initial attitude, as in `PreparedRun.run`; for several
+        trajectories, (members, n). They share the parameters and the times.
     t_span, save_every, t_eval
         As in `PreparedRun.run`; the measurements are those of the saved times.
     measured : mapping
-        "x" of shape (k, n), "attitude" of shape (k, d, d), or both.
+        "x" of shape (k, n) or (k, members, n), "attitude" of shape (k, d, d) or (k, members, d, d), or both.
     unknown : mapping
         The names to fit, "x0", "attitude0" or names of ``ready.parameters``: True for all entries, or the numbers of
-        the unknown ones (of an array of several axes, in C order).
+        the unknown ones (of an array of several axes, in C order). Entries of "x0" and "attitude0" are those of all
+        members.
     sigma : mapping
         Standard deviations of the measured values by name: a number, or an array that broadcasts to their shape. Of
         attitudes, for rotations, it is that of each component of the rotation vector of the error, in radians.
@@ -106,7 +112,7 @@ def fit(
         For unknown names and wrong shapes, for measurements that do not determine the unknowns, or if the minimum is
         not found.
     TypeError
-        For runs without derivatives, ensembles, or values that are not numbers.
+        For runs without derivatives, batches, or values that are not numbers.
 
     Notes
     -----
@@ -125,12 +131,25 @@ def fit(
     >>> found = co.fit(guess, x0, (0, 10), measured, {"inertia": (0, 2)}, sigma={"x": 0.01})
     >>> found.values["inertia"].round(8).tolist()
     [1.0, 2.0, 2.5]
+
+    Several trajectories, as `identify` takes them:
+
+    >>> starts = [(1.0, 0.2, 0.5), (0.1, 1.0, 0.4)]
+    >>> measured = {"x": co.integrate(body, starts, (0, 10), 0.05, co.Splitting(order=4)).x}
+    >>> co.fit(guess, starts, (0, 10), measured, {"inertia": (0, 2), "x0": True}, sigma={"x": 0.01})
+    <fit of inertia, x0: 8 unknowns, sum of squares of the residuals ...>
     """
     from scipy.optimize import least_squares
 
     problem = _Problem.of(ready, x0, attitude, ParametrizedRun(ready, t_span, save_every, t_eval, "co.fit"), unknown)
     weights = _weights(measured, sigma, problem.outputs())
     targets = {name: read_numbers(measured[name], f"measured {name}") for name in weights}
+
+    numbers = sum(target.size for target in targets.values())
+    needed = COPIES * 8 * numbers * len(problem.unknowns)
+    check_available_memory(
+        needed, f"a fit of {len(problem.unknowns)} unknowns to {numbers} numbers", "fit fewer of them"
+    )
 
     def residuals_of(outputs: Mapping[str, Floats]) -> Floats:
         return np.concatenate([(weights[name] * (outputs[name] - targets[name])).ravel() for name in weights])
@@ -141,7 +160,7 @@ def fit(
         except (IntegrationError, ValueError):
             if not z.any():
                 raise
-            return np.full(sum(target.size for target in targets.values()), np.inf)  # the trial step is shortened
+            return np.full(numbers, np.inf)  # the trial step is shortened
 
     def jacobian(z: Floats) -> Floats:
         tangents = problem.tangents(z)
@@ -150,7 +169,7 @@ def fit(
 
     start = np.zeros(len(problem.unknowns))
     first = jacobian(start)
-    _check_determined(first, problem.unknowns)
+    _check_determined(first, problem)
     # The first step may change each unknown by this many standard deviations.
     scale = FIRST_STEP / np.linalg.norm(first, axis=0)
     end = least_squares(residuals, start, jacobian, x_scale=scale, xtol=1e-12, ftol=1e-10, gtol=1e-12)
@@ -160,7 +179,7 @@ def fit(
     moved = problem.moved(end.x)
     problem = problem._replace(values=moved)
     J = jacobian(np.zeros(len(start)))
-    _check_determined(J, problem.unknowns)
+    _check_determined(J, problem)
     scale = np.linalg.norm(J, axis=0)
     _, values, vectors = np.linalg.svd(J / scale, full_matrices=False)
     root = vectors.T / values / scale[:, None]
@@ -182,9 +201,9 @@ class _Problem(NamedTuple):
     @classmethod
     def of(cls, ready: PreparedRun, x0: Any, attitude: Any, run: ParametrizedRun, unknown: Any) -> _Problem:
         """Validate the guesses and the names of the unknowns."""
-        state = read_numbers(x0, "x0")
-        if state.shape != (ready.system.dim,):
-            raise ValueError(f"x0 has the shape {state.shape}; co.fit takes one run, with x0 of ({ready.system.dim},)")
+        state, n = read_numbers(x0, "x0"), ready.system.dim
+        if state.ndim not in (1, 2) or state.shape[-1] != n or not state.size:
+            raise ValueError(f"x0 has the shape {state.shape}; it must be ({n},) or (members, {n})")
         if not isinstance(unknown, Mapping) or not unknown:
             raise TypeError(f"unknown is {short(unknown)}; give a mapping from names to True or numbers of entries")
         values: dict[str, Floats] = {"x0": state, **ready.parameters}
@@ -192,7 +211,11 @@ class _Problem(NamedTuple):
         if ready.representation is not None:
             initial = ready.initial_attitude if attitude is None else attitude
             side = run.output_shapes(state.shape)[1][-1]
-            values["attitude0"] = np.eye(side) if isinstance(initial, bool | str) else read_numbers(initial, "attitude")
+            start = np.eye(side) if isinstance(initial, bool | str) else read_numbers(initial, "attitude")
+            shape = (*state.shape[:-1], side, side)
+            if start.shape not in (shape, shape[-2:]):
+                raise ValueError(f"attitude has the shape {start.shape}; it must be {shape}")
+            values["attitude0"] = np.broadcast_to(start, shape).copy()
             if not isinstance(ready.representation, str):
                 generators = ready.representation
         chosen: dict[str, NDArray[np.int64]] = {}
@@ -201,7 +224,8 @@ class _Problem(NamedTuple):
                 raise unknown_name("unknown of this run", name, values)
             if name == "attitude0" and not len(generators):
                 raise TypeError("attitude0 cannot be fitted in this representation; give matrices of the basis")
-            count = len(generators) if name == "attitude0" else values[name].size
+            members = state.size // n
+            count = members * len(generators) if name == "attitude0" else values[name].size
             numbers = range(count) if entries is True else np.atleast_1d(entries).tolist()
             what = f"a number of an unknown entry of {name}"
             chosen[name] = np.array([read_integer(k, what, 0, count - 1) for k in numbers], dtype=np.int64)
@@ -217,12 +241,26 @@ class _Problem(NamedTuple):
             change = z[first : first + len(numbers)]
             first += len(numbers)
             if name == "attitude0":
-                rotation = expm(np.tensordot(change, self.generators[numbers], 1))
-                values[name] = rotation @ values[name] if change.any() else values[name]
+                rotations = expm(self._exponents(numbers, change)).reshape(values[name].shape)
+                values[name] = rotations @ values[name] if change.any() else values[name]
             else:
                 values[name] = values[name].copy()
                 values[name].ravel()[numbers] += change
         return values
+
+    def entry(self, name: str, number: int) -> str:
+        """Describe an unknown entry by its indices in the array of this name, and by its number."""
+        value = self.values[name]
+        if name == "attitude0" or value.ndim < 2:
+            return f"{name}[{number}]"
+        index = ", ".join(str(k) for k in np.unravel_index(number, value.shape))
+        return f"{name}[{index}] (number {number})"
+
+    def _exponents(self, numbers: NDArray[np.int64], change: Floats) -> Floats:
+        """Return the elements of the algebra (members, d, d) by which initial attitudes change."""
+        coordinates = np.zeros((self.values["x0"].size // self.values["x0"].shape[-1], len(self.generators)))
+        coordinates.ravel()[numbers] = change
+        return np.tensordot(coordinates, self.generators, 1)
 
     def outputs(self, z: Floats | None = None) -> dict[str, Floats]:
         """Return states and attitudes at the saved times."""
@@ -237,10 +275,11 @@ class _Problem(NamedTuple):
         for name, numbers in self.chosen.items():
             direction = np.zeros((len(z), *moved[name].shape))
             if name == "attitude0":
-                basis = self.generators[numbers]
-                exponent = np.tensordot(z[first : first + len(numbers)], basis, 1)
-                for k, matrix in enumerate(basis):
-                    direction[first + k] = expm_frechet(exponent, matrix, compute_expm=False) @ self.values[name]
+                exponents = self._exponents(numbers, z[first : first + len(numbers)])
+                starts, by_member = self.values[name].reshape(exponents.shape), direction.reshape(-1, *exponents.shape)
+                for k, (m, j) in enumerate(zip(*divmod(numbers, len(self.generators)), strict=True)):
+                    change = expm_frechet(exponents[m], self.generators[j], compute_expm=False)
+                    by_member[first + k, m] = change @ starts[m]
             else:
                 direction.reshape(len(z), -1)[np.arange(first, first + len(numbers)), numbers] = 1.0
             first += len(numbers)
@@ -271,15 +310,24 @@ def _weights(measured: Any, sigma: Any, outputs: Mapping[str, Floats]) -> dict[s
     return weights
 
 
-def _check_determined(J: Floats, unknowns: tuple[tuple[str, int], ...]) -> None:
-    """Raise ValueError if the Jacobian has a direction without influence on the measurements."""
+def _check_determined(J: Floats, problem: _Problem) -> None:
+    """Raise ValueError if the Jacobian has directions without influence on the measurements."""
+    from scipy.linalg import qr
+
+    unknowns = problem.unknowns
     if len(J) < len(unknowns):
         raise ValueError(f"{len(J)} numbers were measured for {len(unknowns)} unknowns; measure more")
     scale = np.linalg.norm(J, axis=0)
-    _, values, vectors = np.linalg.svd(J / np.where(scale > 0, scale, 1.0), full_matrices=False)
-    if values[-1] <= 16 * max(J.shape) * UNIT_ROUNDOFF * values[0] or not scale.all():
-        direction = np.abs(vectors[-1] / np.where(scale > 0, scale, 1.0))
-        involved = dict.fromkeys(unknowns[k][0] for k in np.flatnonzero(direction > 1e-3 * direction.max()))
+    scaled = J / np.where(scale > 0, scale, 1.0)
+    _, values, vectors = np.linalg.svd(scaled, full_matrices=False)
+    free = values <= 16 * max(J.shape) * UNIT_ROUNDOFF * values[0]
+    if free.any():
+        directions = np.abs(vectors[free] / np.where(scale > 0, scale, 1.0))
+        involved = np.flatnonzero((directions > 1e-3 * directions.max(axis=1, keepdims=True)).any(axis=0))
+        names = " and ".join(dict.fromkeys(unknowns[k][0] for k in involved))
+        # Without the last columns of a pivoted factorization, the others are independent.
+        order = qr(scaled, mode="r", pivoting=True)[1]
+        omitted = ", ".join(problem.entry(*unknowns[k]) for k in sorted(order[-free.sum() :])[:MAX_LISTED_NAMES])
         raise ValueError(
-            f"the measurements do not determine all unknown entries of {' and '.join(involved)}; fit fewer of them"
+            f"the measurements do not determine all unknown entries of {names}; omit, for instance, {omitted}"
         )
