@@ -47,6 +47,39 @@ def test_panels_of_a_body(body_run: co.Solution) -> None:
     assert "rigid_body" in figure.get_suptitle()
 
 
+TITLES = {"drift": "drift", "components": "components", "body axis": "in space", "coadjoint orbit": "level surface"}
+
+
+@pytest.mark.parametrize("width", [None, 6.8, 3.4])
+@pytest.mark.parametrize(
+    "panels",
+    [
+        ("body axis", "drift", "components"),
+        ("components", "coadjoint orbit", "drift"),
+        ("drift", "body axis", "components", "coadjoint orbit"),
+        ("body axis", "coadjoint orbit", "drift", "body axis", "components"),
+    ],
+)
+def test_panels_have_the_order_in_which_they_are_requested(panels: tuple[str, ...], width: float | None) -> None:
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    run = co.integrate(body, (0.01, 1.0, 0.01), (0, 40), 0.05, attitude=True)
+    figure = run.plot(list(panels), width=width)
+    figure.draw_without_rendering()
+    titles = [" ".join(axes.get_title().split()) for axes in figure.axes]
+    assert all(TITLES[name] in title for name, title in zip(panels, titles, strict=True))
+    cells = [axes.get_subplotspec().get_position(figure) for axes in figure.axes]
+    timed = [name in ("drift", "components") for name in panels]
+    for k in range(len(cells) - 1):
+        if cells[k].x1 <= cells[k + 1].x0:
+            continue
+        assert cells[k + 1].y1 <= cells[k].y0 + 1e-9 and cells[k].x0 == pytest.approx(cells[k + 1].x0)
+    joined = [k for k in range(len(cells) - 1) if timed[k] and timed[k + 1]]
+    assert all(cells[k].x0 == pytest.approx(cells[k + 1].x0) for k in joined)
+    first = timed.index(True)
+    shared = [axes for axes, is_timed in zip(figure.axes, timed, strict=True) if is_timed]
+    assert all(axes.get_shared_x_axes().joined(axes, figure.axes[first]) for axes in shared)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("system", "x0", "name"),

@@ -1,4 +1,4 @@
-"""Arrangement of pictures in a figure: panels over time in one column, the others beside or below them."""
+"""Arrangement of pictures in a figure, in their order: panels over time are stacked, with the others beside them."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def arrange(panels: Sequence[Panel], headline: str, width: float | None) -> Figu
         widths = widths if sum(widths) > LEAST_WIDTH else [LEAST_WIDTH * size / sum(widths) for size in widths]
     else:
         widths = [width * size / sum(widths) for size in widths]
-    rows = sum(panel.kind.over_time for panel in panels)
+    rows = max(sum(panel.kind.over_time for panel in column) for column in columns)
     height = max(size * part for size, part in zip(widths, heights, strict=True))
     if all(over_time):
         height = min(height, MOST_TIME_INCHES * rows)
@@ -72,9 +72,7 @@ def arrange(panels: Sequence[Panel], headline: str, width: float | None) -> Figu
     grid = figure.add_gridspec(1, len(columns), width_ratios=widths)
     first: Any = None
     for index, column in enumerate(columns):
-        timed = [panel for panel in column if panel.kind.over_time]
-        others = [panel for panel in column if not panel.kind.over_time]
-        parts = [timed] * bool(timed) + [[panel] for panel in others]
+        parts = parts_of(column)
         part_heights = [sum(panel.height for panel in part) for part in parts]
         column_grid = grid[index].subgridspec(len(parts), 1, height_ratios=part_heights)
         for k, part in enumerate(parts):
@@ -93,24 +91,29 @@ def arrange(panels: Sequence[Panel], headline: str, width: float | None) -> Figu
 
 
 def columns_of(panels: Sequence[Panel], count: int) -> list[list[Panel]]:
-    """Distribute panels over at most `count` columns: those over time in the first, the others evenly in order."""
-    timed = [panel for panel in panels if panel.kind.over_time]
-    others = [panel for panel in panels if not panel.kind.over_time]
-    if not others or count == 1:
-        return [[*timed, *others]]
-    free = min(count - bool(timed), len(others))
-    best: list[list[Panel]] = []
-    for k in range(1, free + 1):
+    """Distribute panels over at most `count` columns in their order; consecutive ones over time share a column."""
+    parts = parts_of(panels)
+    best: list[list[list[Panel]]] = []
+    for k in range(1, min(count, len(parts)) + 1):
         splits = (
-            [others[i:j] for i, j in itertools.pairwise((0, *cuts, len(others)))]
-            for cuts in itertools.combinations(range(1, len(others)), k - 1)
+            [parts[i:j] for i, j in itertools.pairwise((0, *cuts, len(parts)))]
+            for cuts in itertools.combinations(range(1, len(parts)), k - 1)
         )
-        best = min(splits, key=_greatest_height)
+        best = min(splits, key=_cost)
         # Two low pictures share a column.
-        if _greatest_height(best) <= 2 * LOW_HEIGHT:
+        if _cost(best) <= (0, 2 * LOW_HEIGHT):
             break
-    return [timed, *best] if timed else best
+    return [[panel for part in column for panel in part] for column in best]
 
 
-def _greatest_height(columns: list[list[Panel]]) -> float:
-    return max(sum(panel.height for panel in column) for column in columns)
+def parts_of(panels: Sequence[Panel]) -> list[list[Panel]]:
+    """Return panels in stacks of consecutive ones over time, and each of the others by itself."""
+    grouped = ((timed, list(group)) for timed, group in itertools.groupby(panels, lambda panel: panel.kind.over_time))
+    return [part for timed, group in grouped for part in ([group] if timed else [[panel] for panel in group])]
+
+
+def _cost(columns: list[list[list[Panel]]]) -> tuple[int, float]:
+    """Return the number of columns where panels over time share with others, and the greatest height of the others."""
+    mixed = sum(len({panel.kind.over_time for part in column for panel in part}) > 1 for column in columns)
+    others = ([panel.height for part in column for panel in part if not panel.kind.over_time] for column in columns)
+    return mixed, max(sum(heights) for heights in others)

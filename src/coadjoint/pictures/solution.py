@@ -63,6 +63,8 @@ def draw_solution(
             pictures = _declared(drawn, series) if panels is None else _requested(drawn, panels, series, len(listed))
             return _draw_into(listed, pictures)
         pictures = _declared(drawn, series) if panels is None else _requested(drawn, panels, series)
+        if panels is None:
+            pictures.sort(key=lambda picture: not picture[0].over_time)
         shown = [Panel.of(kind, paint, drawn) for kind, paint in pictures]
         return arrange(shown, _headline(solution, drawn), width)
 

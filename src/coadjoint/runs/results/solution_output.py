@@ -109,9 +109,10 @@ class SolutionOutput(RunAttributes):
         ----------
         panels : sequence of str or Picture, optional
             Kinds of pictures, such as ``["drift", "body axis"]``; ``co.plotting.kinds()`` lists them, and
-            ``help(co.plotting.kinds()["body axis"])`` explains the options of one, which `Picture` sets. By default the
-            drift, the components, the observed quantities, and the pictures that the system declares. Kinds that show a
-            single time, such as ``"spins"``, are shown at the start and at the end.
+            ``help(co.plotting.kinds()["body axis"])`` explains the options of one, which `Picture` sets. They are drawn
+            in this order, column by column; consecutive ones over time are stacked, and share their axis. By default
+            the drift, the components, the observed quantities, and the pictures that the system declares. Kinds that
+            show a single time, such as ``"spins"``, are shown at the start and at the end.
         components : sequence of int or str, optional
             Coordinates plotted over time, by number from 0 or by name.
         axes : Axes or sequence of Axes, optional
