@@ -33,7 +33,7 @@ def made(t: np.ndarray, x: np.ndarray, system: Any = BODY, **series: Any) -> Any
         "carried": None,
         "attitude": None,
     }
-    return SimpleNamespace(t=t, x=x, system=system, **{**empty, **series})
+    return SimpleNamespace(t=t, x=x, system=system, incomplete=None, **{**empty, **series})
 
 
 def sizes_of(run: Any) -> dict[str, np.ndarray]:

@@ -286,7 +286,8 @@ def test_states_that_are_complex_matrices(stretch, joined, members):
     system = SimpleNamespace(
         name="quantized", dim=8, shape=(2, 2), algebra=None, vector_field=lambda W, t: P @ W - W @ P
     )
-    run = SimpleNamespace(t=t, x=x, system=system, failed=None if members is None else np.zeros(members, dtype=bool))
+    failed = None if members is None else np.zeros(members, dtype=bool)
+    run = SimpleNamespace(t=t, x=x, system=system, failed=failed, incomplete=None)
     drawn = PlottedRun(run)
     assert drawn.x.shape == (members or 1, 41, 8) and drawn.names == tuple(f"x{i + 1}" for i in range(8))
     np.testing.assert_array_equal(drawn.x[0, :, 2], turned[:, 0, 1].real)

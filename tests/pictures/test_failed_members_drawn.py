@@ -142,11 +142,13 @@ def test_whether_lines_are_drawn_is_seen_on_a_member_that_lives_with_its_own_fie
     )
     x[1:, 0] = np.nan
     run = SimpleNamespace(
-        t=t, x=x, system=co.batch(systems), failed=np.array([True, False]), carried=None, attitude=None
+        incomplete=None, t=t, x=x, system=co.batch(systems), failed=np.array([True, False]), carried=None, attitude=None
     )
     drawn = PlottedRun(run)
     assert (drawn.dense, drawn.joined) == (joined, joined)
-    alone = SimpleNamespace(t=t, x=x[:, 1:], system=co.batch(systems[1:]), failed=np.array([False]), carried=None)
+    alone = SimpleNamespace(
+        t=t, x=x[:, 1:], system=co.batch(systems[1:]), failed=np.array([False]), carried=None, incomplete=None
+    )
     assert PlottedRun(alone).dense is joined
 
 

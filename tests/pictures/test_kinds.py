@@ -183,6 +183,7 @@ def test_with_forces_invariants_change_and_what_their_work_leaves_is_the_error()
     system = body.with_forces(co.forces.LinearDamping(0.25))
     halves = [{name: part * (values - values[0]) for name, values in exact.items()} for part in (0.75, 0.25)]
     run = SimpleNamespace(
+        incomplete=None,
         t=t,
         x=x,
         system=system,

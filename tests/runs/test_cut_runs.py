@@ -39,6 +39,36 @@ def test_pictures_of_an_interrupted_run(cut, tmp_path):
     assert STATED in " ".join(title.split())
 
 
+def test_interrupted_ensembles_work_on_members_as_far_as_they_ran(monkeypatch):
+    """The first member runs to t = 60, the second to t = 20, and the third has not begun."""
+    advance = MemberBatch.advance
+    states = np.array([X0, (0.3, 1.0, 0.1), (0.2, 0.3, 1.0)])
+
+    def interrupted(self, layout, schedule, saved, state, k0, k1, stop):
+        advance(self, layout, schedule, saved, state, k0, 600, stop)
+        for m, points in enumerate((31, 11, 0)):
+            for name in ("x", "values"):
+                saved[name][points:, m] = np.nan
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(MemberBatch, "advance", interrupted)
+        with pytest.raises(KeyboardInterrupt) as raised:
+            co.integrate(BODY, states, (0, 20000), 0.1, save_every=20, threads=1)
+    cut = raised.value.partial
+    first, second = (co.integrate(BODY, states[m], (0, end), 0.1, save_every=20) for m, end in ((0, 60.0), (1, 20.0)))
+    energies = cut.drift()["energy"].members
+    assert np.isnan(energies[2]) and 0 < cut.drift()["energy"] == max(energies[:2])
+    error = cut.error_estimate()
+    np.testing.assert_array_equal(error, [first.error_estimate(), np.nan, np.nan])
+    there = cut.at([15.05, 45.05]).x
+    np.testing.assert_array_equal(there[0], [first.at(15.05).x, second.at(15.05).x, [np.nan] * 3])
+    np.testing.assert_array_equal(there[1], [first.at(45.05).x, [np.nan] * 3, [np.nan] * 3])
+    assert len(cut.plot("components", members=[0, 1]).axes) == 1
+    with pytest.raises(ValueError, match=r"members \[2\] of the run have not been computed, and 2 of 3 have"):
+        cut.plot("components", members=[0, 2])
+
+
 @pytest.mark.parametrize("suffix", ["nc", "zarr"])
 def test_interrupted_runs_are_read_back_as_such(cut, suffix, tmp_path):
     path, dataset = tmp_path / f"run.{suffix}", cut.to_xarray()

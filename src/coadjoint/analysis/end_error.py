@@ -34,7 +34,7 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
     """Estimate the error of each member at the end of a run, shape (members,), relative to its largest momentum.
 
     The run is compared with one of 1.5 times as many steps, corrected by the order; if the difference is within
-    round-off, also with a further one. Infinite if all four finer runs fail.
+    round-off, also with a further one. Infinite if all four finer runs fail; NaN without a last state.
     """
     system = solution.system
     if any(force.random for _, force in forces_of(system)):
@@ -42,16 +42,26 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
             f"{system.name} has random forces, whose noise belongs to the step; compare averages of ensembles with two "
             "steps"
         )
-    (ends, _), starts = momenta_of(system, solution.x[-1]), solution.record.starts
+    starts = solution.record.starts
     if starts is None:
         starts, _ = momenta_of(system, solution.x0)
+    last = np.asarray(solution.x[-1])
+    lost = ~np.isfinite(last.reshape(len(starts), -1)).all(axis=1)
+    if lost.all():
+        raise ValueError(
+            "no member has a state at the end of the run: they have not run yet, have failed, or were ended"
+        )
+    # Those without a last state are replaced, and left out.
+    ends, _ = momenta_of(
+        system, np.where(lost.reshape(-1, *(1,) * (solution.x0.ndim - 1)), solution.x0, last) if lost.any() else last
+    )
     time = float(solution.t[-1]) - solution.t_span[0]
     steps = math.ceil(abs(time) / solution.step * (1.0 - WHOLE_STEP_TOLERANCE))
     if steps == 0:
         return np.zeros(len(starts))
     # Without a choice the growth of rounding is not known, and is taken as a random walk.
     roundoff = UNIT_ROUNDOFF * math.sqrt(steps) if solution.choice is None else solution.choice.roundoff
-    squares, counts, pending = np.zeros(len(starts)), np.zeros(len(starts), dtype=int), np.arange(len(starts))
+    squares, counts, pending = np.zeros(len(starts)), np.zeros(len(starts), dtype=int), np.flatnonzero(~lost)
     for refinement in REFINEMENTS:
         if not len(pending):
             break
@@ -65,6 +75,7 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
         resolved = valid & ((distances > ROUNDOFF_FACTOR * roundoff) | (counts[pending] == 2))
         pending = pending[~resolved]
     squares[counts == 0] = np.inf
+    squares[lost] = np.nan
     return np.maximum(np.sqrt(squares / np.maximum(counts, 1)), UNIT_ROUNDOFF)
 
 

@@ -18,6 +18,7 @@ from coadjoint.runs.results.drift import scales_of_invariants
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_output import rotations_of
 from coadjoint.runs.results.summary import is_driven
+from coadjoint.runs.results.unfinished_members import unfinished_members
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.evaluation import ignore_overflow
@@ -51,18 +52,23 @@ class PlottedRun:
     def __init__(self, solution: Solution, members: Any = None) -> None:
         self.solution = solution
         chosen = None if members is None else _read_members(solution, members)
-        self.system: Any = member_of(solution.system, 0 if chosen is None else int(chosen[0]))
-        self.unforced: Any = unforced(self.system)
-        self.gallery_entry: GalleryEntry | None = gallery_entry_of(self.unforced.name)
         self.single = solution.failed is None
         # Complex matrices are drawn as interleaved real and imaginary parts.
         states = np.ascontiguousarray(solution.x)
         self._type = states.dtype
         states = states.view(np.float64) if np.iscomplexobj(states) else states
-        self.n = int(np.prod(shape_of(self.system))) * (self._type.itemsize // states.dtype.itemsize)
+        self.n = int(np.prod(shape_of(member_of(solution.system)))) * (self._type.itemsize // states.dtype.itemsize)
         states = states.reshape(len(solution.t), -1, self.n)
         self.member_count = states.shape[1]  # of the run
-        self._chosen = spread(self.member_count, MAX_MEMBERS) if chosen is None else chosen
+        computed = np.arange(self.member_count)
+        if solution.incomplete:
+            waiting = unfinished_members(solution) & ~np.isfinite(states).all(axis=2).any(axis=0)
+            _check_computed(waiting, chosen)
+            computed = np.flatnonzero(~waiting)
+        self._chosen = computed[spread(len(computed), MAX_MEMBERS)] if chosen is None else chosen
+        self.system: Any = member_of(solution.system, int(self._chosen[0]))
+        self.unforced: Any = unforced(self.system)
+        self.gallery_entry: GalleryEntry | None = gallery_entry_of(self.unforced.name)
         self.t = solution.t
         self.x = self._select_members(states)
 
@@ -278,6 +284,17 @@ def _read_members(solution: Solution, members: Any) -> npt.NDArray[np.int64]:
     if not chosen or len(chosen) > MAX_MEMBERS or len(set(chosen)) < len(chosen):
         raise ValueError(f"members are {short(members)}; give from 1 to {MAX_MEMBERS} different numbers of members")
     return np.array(chosen, dtype=np.int64)
+
+
+def _check_computed(waiting: npt.NDArray[np.bool_], chosen: npt.NDArray[np.int64] | None) -> None:
+    """Raise ValueError if chosen members have not been computed, or none has."""
+    missing = waiting if chosen is None else waiting[chosen]
+    if missing.any() and (chosen is not None or missing.all()):
+        numbers = np.flatnonzero(waiting) if chosen is None else chosen[missing]
+        raise ValueError(
+            f"members {short(numbers.tolist())} of the run have not been computed, and {np.sum(~waiting)} of "
+            f"{len(waiting)} have; choose among these, or compute the others: `resume` continues an archive"
+        )
 
 
 def spread(count: int, max_count: int) -> npt.NDArray[np.int64]:

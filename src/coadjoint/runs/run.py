@@ -231,6 +231,7 @@ class Run:
             for tenth in np.unique(tenths):
                 deviations = np.abs(values[:saved_points][tenths == tenth] - values[0])
                 worst[:, tenth] = np.fmax.reduce(deviations, axis=0, initial=0.0)
+        worst[~np.isfinite(x[:saved_points]).any(axis=(0, 2))] = np.nan
         solution = self._solution(saved_points, observed)
         solution.record.incomplete = "interrupted"
         return solution

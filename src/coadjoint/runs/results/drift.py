@@ -35,7 +35,7 @@ class Drift(float):
     tenths : ndarray, shape (10,) or (members, 10)
         Largest deviation in each tenth of the run.
     members : ndarray or None
-        For an ensemble, the largest deviation of each member; the float is the largest over all members.
+        For an ensemble, the largest deviation of each member; the float is the largest over all members that have run.
     initial : float or ndarray
         Initial value.
     """
@@ -45,19 +45,24 @@ class Drift(float):
     tenths: Floats
     members: Floats | None
     initial: Any
+    _waiting: Any
 
-    def __new__(cls, tenths: Floats, initial: Any, scale: Any = 1.0) -> Drift:
-        """Construct the drift from the absolute deviations in its tenths."""
+    def __new__(cls, tenths: Floats, initial: Any, scale: Any = 1.0, waiting: Any = False) -> Drift:
+        """Construct the drift from the absolute deviations in its tenths; members that wait to be run are NaN."""
         relative = tenths / np.asarray(scale)[..., None]
-        drift = super().__new__(cls, np.max(relative))
-        drift.absolute, drift.scale = float(np.max(tenths)), scale
+        counted = ~(np.asarray(waiting)[..., None] & np.isnan(relative))
+        largest, absolute = (
+            np.max(values, where=counted, initial=0.0) if counted.any() else np.nan for values in (relative, tenths)
+        )
+        drift = super().__new__(cls, largest)
+        drift.absolute, drift.scale, drift._waiting = float(absolute), scale, waiting
         drift.tenths = relative
         drift.members = None if tenths.ndim == 1 else relative.max(axis=-1)
         drift.initial = initial
         return drift
 
     def __getnewargs__(self) -> tuple[Any, ...]:  # type: ignore[override]
-        return self.tenths * np.asarray(self.scale)[..., None], self.initial, self.scale
+        return self.tenths * np.asarray(self.scale)[..., None], self.initial, self.scale, self._waiting
 
     @property
     def growth(self) -> Any:

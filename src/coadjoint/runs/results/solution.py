@@ -13,6 +13,7 @@ from coadjoint.runs.results.drift import Drift, scales_of_invariants
 from coadjoint.runs.results.run_record import SOLUTION_FIELDS, RunRecord
 from coadjoint.runs.results.solution_output import SolutionOutput
 from coadjoint.runs.results.summary import extent_text, table_of_run
+from coadjoint.runs.results.unfinished_members import unfinished_members
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.protocol import is_batch, unforced_matrix_system
@@ -143,7 +144,8 @@ class Solution(SolutionOutput):
         dict
             ``"energy"`` and the name of each Casimir -> `Drift`: a float, the largest deviation over every step (with
             ``watch=False`` over the saved points, or the steps at or before the times of `t_eval`), with its `scale`,
-            the `absolute` deviation, and `tenths`, the same for each tenth of the run.
+            the `absolute` deviation, and `tenths`, the same for each tenth of the run. Members of an ensemble that have
+            not run yet are left out, and NaN in its `members`.
 
         Examples
         --------
@@ -222,12 +224,15 @@ class Solution(SolutionOutput):
         Returns
         -------
         float, or ndarray of shape (members,)
-            Error relative to the same scale as `accuracy`.
+            Error relative to the same scale as `accuracy`; NaN for members without a last state, which have not run
+            yet, have failed, or were ended by an event.
 
         Raises
         ------
         TypeError
             The system has random forces.
+        ValueError
+            No member has a last state.
 
         Examples
         --------
@@ -275,9 +280,10 @@ class Solution(SolutionOutput):
     def _deviations(self, first: int, relative: bool) -> dict[str, Drift]:
         # Balances have the initial values of the invariants.
         worst, scales = self.record.worst, self._scales if relative else {}
+        waiting = False if self.failed is None else unfinished_members(self)
         return NamedValues(
             {
-                name: Drift(worst[..., first + i], value, scales.get(name, 1.0))
+                name: Drift(worst[..., first + i], value, scales.get(name, 1.0), waiting)
                 for i, (name, value) in enumerate(self.initial.items())
             }
         )
@@ -369,8 +375,8 @@ class Solution(SolutionOutput):
 
         From the saved point before a time, whole steps are recomputed, followed by a partial step of the same scheme.
         So the state has the order and the conservation properties of the scheme, unlike an interpolating polynomial.
-        For many times, ``integrate(..., t_eval=times)`` is faster. Members of an ensemble that were ended by events are
-        NaN after their ends.
+        For many times, ``integrate(..., t_eval=times)`` is faster. Members of an ensemble that were ended by events, or
+        have not run so far, are NaN after their ends.
 
         Parameters
         ----------

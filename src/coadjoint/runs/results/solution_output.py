@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.runs.results.run_record import RunAttributes, RunRecord
+from coadjoint.runs.results.unfinished_members import members_text
 from coadjoint.shortcuts import shortcut
 
 if TYPE_CHECKING:
@@ -40,6 +41,8 @@ class SolutionOutput(RunAttributes):
         ------
         TypeError
             The run has no attitude, or the attitude is not a rotation in three dimensions.
+        ValueError
+            Members have no attitude at some times.
 
         Examples
         --------
@@ -56,6 +59,12 @@ class SolutionOutput(RunAttributes):
             raise TypeError(
                 f"the run of {self.system.name} has no attitude that is a rotation in three dimensions; integrate a "
                 "body or a top with attitude=True"
+            )
+        lost = np.atleast_1d(~np.isfinite(A).all(axis=(0, -1, -2)))
+        if lost.any():
+            raise ValueError(
+                f"attitudes of {members_text(lost)} are missing at some times, since these have not run so "
+                "far, have failed, or were ended by events; take Rotation.from_matrix of attitude[:, m] of the others"
             )
         return Rotation.from_matrix(A.reshape(-1, 3, 3))
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
+from coadjoint.runs.results.unfinished_members import last_times, members_text, unfinished_members
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import short
 from coadjoint.validation import are_finite, read_numbers
@@ -73,7 +74,8 @@ def state_at(solution: Solution, t: Any) -> StateAt:
     if not are_finite(requested):
         raise ValueError(f"t is {short(t)}; every time must be finite")
     queries, direction = np.atleast_1d(requested), 1.0 if solution.t_span[1] >= solution.t_span[0] else -1.0
-    ends = _ends(solution)
+    unfinished = unfinished_members(solution)
+    ends = np.where(unfinished, last_times(solution, unfinished, direction), _ends(solution))
     if solution.failed is not None and (solution.failed & np.isnan(ends)).any():
         raise ValueError("members of the run have failed; integrate the others alone for states at any time")
     known = np.append(solution.t_span[0], solution.t)  # t_eval may omit the start
@@ -84,6 +86,8 @@ def state_at(solution: Solution, t: Any) -> StateAt:
     if len(outside):
         raise ValueError(f"t is {queries[outside[0]]:g}; it must lie within the run, from {known[0]:g} to {end:g}")
     late = np.flatnonzero(np.all(direction * queries[:, None] > direction * ends + near, axis=1))
+    if len(late) and unfinished.all():
+        raise ValueError(f"t is {queries[late[0]]:g}, which {members_text(unfinished)} of this run have not reached")
     if len(late):
         latest = float(direction * np.max(direction * ends))
         raise ValueError(
