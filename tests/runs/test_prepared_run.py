@@ -45,6 +45,9 @@ def test_each_direction_is_prepared_once(monkeypatch):
     )
     ready = co.prepare(BODY, None, 0.1)
     assert calls == [0.1]
+    ready.run(X, (0, 2))
+    assert calls[1:] == [0.05]  # the check of the step by the first run
+    calls.remove(0.05)
     there = ready.run(X, (0, 2))
     back = ready.run(there.x[-1], (2, 0))
     again = ready.run(there.x[-1], (2, 0))
@@ -189,6 +192,8 @@ def test_run_is_one_call_except_under_a_progress_bar(monkeypatch, capsys):
     )
     monkeypatch.setattr(run, "SECONDS_BETWEEN_UPDATES", 1e-3)
     ready = co.prepare(BODY, co.ExplicitRungeKutta("rk4"), 0.01, threads=1)
+    ready.run(X, (0, 0.01))  # which checks the step
+    cuts.clear()
     whole = ready.run(X, (0, 1e3), 10**4)
     assert cuts == [(0, 10**5)]
     cuts.clear()

@@ -1,5 +1,6 @@
 """The error of a step, by two half steps: its size against exact motions, and the warning of too large steps."""
 
+import pickle
 import warnings
 
 import numpy as np
@@ -146,3 +147,51 @@ def test_own_steps_and_accuracy_need_no_test():
         co.integrate(TOP, TOP_X0, (0, 10), accuracy=1e-3)
     with pytest.raises(TypeError, match="chooses its own steps"):
         sol.step_error()
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"attitude": True}, {"inputs": {"field": (0, 1, 2)}}], ids=["plain", "attitude", "inputs"]
+)
+def test_the_first_run_of_a_prepared_one_warns(options):
+    """Copies and later runs do not, and the loops of half a step are not kept."""
+    prepared = co.prepare(BODY, co.Splitting(), 2.0, **options)
+    twin = pickle.loads(pickle.dumps(prepared))
+    with pytest.warns(co.LargeStepWarning, match="the step 2 is too large for this motion") as caught:
+        sol = prepared.run(X0, (0, 20))
+    assert len(caught) == 1 and caught[0].filename == __file__
+    plain = co.prepare(BODY, co.Splitting(), 2.0, **options)
+    assert sol.step_error() == pytest.approx(twin.run(X0, (0, 20)).step_error())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", co.LargeStepWarning)
+        again = prepared.run(X0, (0, 20))
+        twin.run(X0, (0, 20))
+        co.prepare(BODY, co.Splitting(), 0.1, **options).run(X0, (0, 20))
+        co.prepare(BODY, accuracy=1e-6, x0=X0, t_span=(0, 20)).run(X0, (0, 20))
+    np.testing.assert_array_equal(again.x, sol.x)
+    assert prepared._loops_by_step.keys() == plain._loops_by_step.keys()
+
+
+def test_warnings_of_ensembles_name_a_member():
+    states = np.array([X0, 0.1 * X0, 10 * X0])
+    with pytest.warns(co.LargeStepWarning, match="too large for the motion of member 2: "):
+        co.integrate(BODY, states, (0, 4), 0.4)
+
+
+def test_ensembles_in_blocks_warn_once(tmp_path):
+    states = np.tile(0.1 * X0, (9, 1))
+    states[7] = 10 * X0
+    options = {"archive": tmp_path / "many.zarr", "members_per_block": 2}
+    with pytest.warns(co.LargeStepWarning, match="too large for the motion of member 7: ") as caught:
+        many = co.integrate_ensemble(BODY, states, (0, 4), 0.4, **options)
+    assert len([one for one in caught if one.category is co.LargeStepWarning]) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", co.LargeStepWarning)
+        again = co.integrate_ensemble(BODY, states, (0, 4), 0.4, **options)
+        co.integrate_ensemble(BODY, states[:7], (0, 4), 0.4)
+    np.testing.assert_array_equal(again.x, many.x)
+    with warnings.catch_warnings(), pytest.raises(co.LargeStepWarning):
+        warnings.simplefilter("error", co.LargeStepWarning)
+        co.integrate_ensemble(BODY, states, (0, 4), 0.4, archive=tmp_path / "refused.zarr")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", co.LargeStepWarning)
+        np.testing.assert_array_equal(co.resume(tmp_path / "refused.zarr").x, many.x)

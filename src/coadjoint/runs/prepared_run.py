@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import threading
 import time
@@ -48,7 +49,16 @@ from coadjoint.systems.protocol import among, is_batch, member_of, unforced_matr
 from coadjoint.systems.system_checks import System, check_system
 from coadjoint.validation import read_bool, read_integer
 
-UNPICKLED = ("_lock", "_of_members", "_final_state_runs", "_observed", "_events", "_loops_by_step", "_derivatives")
+UNPICKLED = (
+    "_lock",
+    "_checks_step",
+    "_of_members",
+    "_final_state_runs",
+    "_observed",
+    "_events",
+    "_loops_by_step",
+    "_derivatives",
+)
 
 
 class PreparedRun:
@@ -64,6 +74,9 @@ class PreparedRun:
 
     most_evaluations: float = math.inf
     """Runs with more evaluations are passed from `end` to `run`."""
+
+    _checks_step: bool = False
+    """Whether the next run warns of a step that is too large; copies do not."""
 
     def __init__(
         self,
@@ -240,7 +253,18 @@ class PreparedRun:
         values, event_list = self.values_of(inputs), read_events(events)
         solution = self.follow(times, self.start(x0, attitude, values), progress, values, event_list, moments)
         solution.record.elapsed = time.perf_counter() - began
+        if self._checks_step:
+            self._check_step(solution)
         return solution
+
+    def _check_step(self, solution: Solution) -> None:
+        """Warn if the step is too large for this run; loops of half a step are those of a copy, and not kept."""
+        from coadjoint.runs.step_error import warn_of_large_step
+
+        self._checks_step = False
+        repeated = copy.copy(self)
+        repeated._threads = 1
+        warn_of_large_step(solution, repeated)
 
     def times_of(self, t_span: Any, save_every: Any = 1, t_eval: Any = None) -> tuple[Times, OutputTimes | None]:
         """Validate span, `save_every` and `t_eval`; return the steps of a run, and the output times or None."""
@@ -671,7 +695,8 @@ def prepare(
     Returns
     -------
     PreparedRun
-        Its method ``run(x0, t_span, save_every=1)`` returns a `Solution`. Threads may share it.
+        Its method ``run(x0, t_span, save_every=1)`` returns a `Solution`. Threads may share it. The first run warns of
+        a step that is too large, as `integrate` does; for later ones ask `Solution.step_error`.
 
     Raises
     ------
@@ -734,4 +759,5 @@ def prepare(
         system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads, inputs=inputs
     )
     prepared.loops(prepared.step).build_all()
+    prepared._checks_step = True
     return prepared

@@ -31,6 +31,11 @@ WARNED, SUGGESTED = 0.02, 0.002
 
 def step_error(solution: Solution, prepared: PreparedRun | None = None) -> float:
     """Return the largest error of a step among the members, relative to the change of the state; see `Solution`."""
+    return _worst(solution, prepared)[0]
+
+
+def _worst(solution: Solution, prepared: PreparedRun | None) -> tuple[float, int]:
+    """Return the largest error of a step among the members, and the number of the member."""
     # An archive need not know its scheme and system.
     described: Any = solution if prepared is None else prepared
     method, system = described.method, described.system
@@ -38,8 +43,8 @@ def step_error(solution: Solution, prepared: PreparedRun | None = None) -> float
         raise TypeError(f"{method} chooses its own steps, and controls their error; there is no step to measure")
     if any(force.random for _, force in forces_of(system)):
         raise TypeError(f"{system.name} has random forces, which are defined for whole steps only")
-    # Loops of a run with attitudes need elements.
-    if prepared is None or prepared.representation is not None:
+    # Loops of a run with attitudes need elements, and those with inputs their values.
+    if prepared is None or prepared.representation is not None or prepared.takes_inputs:
         prepared = PreparedRun(system, method, solution.step, watch=False)
     h = math.copysign(solution.step, solution.t_span[1] - solution.t_span[0])
     members = _members(solution, system)
@@ -54,8 +59,9 @@ def step_error(solution: Solution, prepared: PreparedRun | None = None) -> float
         pairs = [squares[:, k * count : (k + 1) * count] for k in range(len(points))]
     errors, changes = np.sum(pairs, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        relative = np.sqrt(errors / changes)
-    return float(np.nanmax(relative, initial=0.0))
+        relative = np.nan_to_num(np.sqrt(errors / changes), nan=0.0)
+    worst = int(np.argmax(relative))
+    return float(relative[worst]), int(members[worst])
 
 
 def _members(solution: Solution, system: Any) -> NDArray[np.int64]:
@@ -107,11 +113,13 @@ def warn_of_large_step(solution: Solution, prepared: PreparedRun) -> None:
     """Warn if the error of a step is a large part of the change of the state in it."""
     if prepared.method.own_steps or any(force.random for _, force in forces_of(prepared.system)):
         return
-    error = solution.__dict__["_step_error"] = step_error(solution, prepared)
+    error, member = _worst(solution, prepared)
+    solution.__dict__["_step_error"] = error
     if error > WARNED:
         suggested = solution.step * (SUGGESTED / error) ** (1.0 / prepared.method.order)
+        motion = "this motion" if solution.failed is None else f"the motion of member {member}"
         warn_caller(
-            f"the step {solution.step:g} is too large for this motion: the error of a step of {prepared.method} is "
+            f"the step {solution.step:g} is too large for {motion}: the error of a step of {prepared.method} is "
             f"{error:.2g} of the change of the state, though invariants may be kept; take a step of about "
             f"{suggested:.1g}",
             LargeStepWarning,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import shutil
 import tempfile
 import time
@@ -33,6 +34,7 @@ from coadjoint.files.records.required_functions import resume_arguments
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.progress import progress_bar
+from coadjoint.runs.step_error import warn_of_large_step
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer
 
@@ -145,7 +147,7 @@ def _run_unfinished(
     ensemble: Ensemble, path: Path, pool: WorkerPool, size: int | None, progress: bool, about: ExtraMetadata
 ) -> Solution:
     """Begin or continue the archive, and run its unfinished blocks."""
-    began, prepared = time.perf_counter(), ensemble.prepared
+    began, prepared, is_new = time.perf_counter(), ensemble.prepared, False
     if path.exists():
         store = ArchiveStore.open_existing(path)
         try:
@@ -156,7 +158,11 @@ def _run_unfinished(
             raise
     else:
         store = create_archive(ensemble, path, size, pool.worker_count, about)
+        is_new = True
     try:
+        if is_new:
+            # A copy, since loops of half a step are not sent to workers.
+            warn_of_large_step(open_archive(path, prepared.system), copy.copy(prepared))
         remaining = unfinished_blocks(store)
         if pool.client is None and pool.workers is None:
             _run_serially(store, remaining, prepared, progress)
