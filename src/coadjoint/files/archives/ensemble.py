@@ -62,8 +62,9 @@ def integrate_ensemble(
     client : distributed.Client, optional
         Client of the cluster.
     workers : int, optional
-        Number of processes on this machine, instead of a client. A script must guard such a call by ``if __name__ ==
-        "__main__":``, since each process imports it. With neither, this process runs all blocks.
+        Number of processes on this machine, instead of a client. They take some seconds to start, so that threads are
+        faster on one machine, unless functions of the user run in Python. A script must guard such a call by ``if
+        __name__ == "__main__":``, since each process imports it. With neither, this process runs all blocks.
     members_per_block : int, optional
         Number of members of a block. By default there are about four blocks for each worker, or more if members have
         many numbers. For an existing archive, the number is that of the archive.
