@@ -195,3 +195,58 @@ def test_ensembles_in_blocks_warn_once(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", co.LargeStepWarning)
         np.testing.assert_array_equal(co.resume(tmp_path / "refused.zarr").x, many.x)
+
+
+def kepler():
+    J = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.eye(2), np.zeros((2, 2))]])
+
+    def energy(x):
+        return 0.5 * (x[2] ** 2 + x[3] ** 2) - (x[0] ** 2 + x[1] ** 2) ** -0.5
+
+    return co.PoissonSystem(lambda x: J, co.Hamiltonian(energy), dim=4, name="kepler")
+
+
+def orbit(eccentricity):
+    """The state at the apocentre of an orbit with the period 2 pi."""
+    return np.array([1 + eccentricity, 0.0, 0.0, ((1 - eccentricity) / (1 + eccentricity)) ** 0.5])
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+@pytest.mark.parametrize("every", [1, 13])
+def test_the_fastest_step_is_found_at_every_or_between_saved_points(every, sense):
+    """A pericentre in one of 120 steps, by 0.4 of the error of that step against the motion in small steps."""
+    system, x0, count = kepler(), orbit(0.9), 120
+    span, step, method = (0, sense * 2 * np.pi), 2 * np.pi / count, co.GaussLegendre(2)
+    with pytest.warns(co.LargeStepWarning, match="too large for this motion"):
+        sol = co.integrate(system, x0, span, step, method, save_every=every)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", co.LargeStepWarning)
+        states = co.integrate(system, x0, span, step, method).x
+    k = int(np.argmax(np.linalg.norm(np.diff(states, axis=0), axis=1)))
+    exact = co.integrate(system, states[k], (0, sense * step), step / 256, co.GaussLegendre(4)).x[-1]
+    error = np.linalg.norm(states[k + 1] - exact) / np.linalg.norm(exact - states[k])
+    assert sol.step_error() == pytest.approx(module.FASTEST * error, rel=0.35)
+    ends = [co.integrate(system, orbit(0.9), (0, 2 * np.pi), 2 * np.pi / n, method).x[-1] for n in (count, 6400)]
+    assert np.linalg.norm(ends[0] - ends[1]) > 0.1
+
+
+def test_long_runs_are_searched_in_pieces(monkeypatch):
+    """With a limit of a few numbers the fastest of many pieces is found first."""
+    runs = [co.integrate(kepler(), orbit(0.9), (0, 2 * np.pi), 2 * np.pi / 120, co.GaussLegendre(2)) for _ in range(2)]
+    error = runs[0].step_error()
+    monkeypatch.setattr(module, "NUMBERS", 64)
+    assert runs[1].__dict__.pop("_step_error") == error == runs[1].step_error()
+
+
+@pytest.mark.parametrize("as_batch", [False, True])
+def test_the_member_with_the_fastest_passage_is_named(as_batch):
+    states = np.array([orbit(0.1), orbit(0.3), orbit(0.9), orbit(0.5)])
+    system = co.batch([kepler() for _ in states]) if as_batch else kepler()
+    run = (0, 2 * np.pi), 2 * np.pi / 120, co.GaussLegendre(2)
+    with pytest.warns(co.LargeStepWarning, match="too large for the motion of member 2: "):
+        sol = co.integrate(system, states, *run)
+    with pytest.warns(co.LargeStepWarning, match="too large for this motion: "):
+        assert co.integrate(kepler(), states[2], *run).step_error() == sol.step_error()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", co.LargeStepWarning)
+        co.integrate(kepler(), states[[0, 1, 3]], *run)
