@@ -1,5 +1,6 @@
 """The error of a step, by two half steps: its size against exact motions, and the warning of too large steps."""
 
+import dataclasses
 import pickle
 import warnings
 
@@ -8,6 +9,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.runs import step_error as module
+from methods.own_schemes import Interpreted
 
 BODY, X0 = co.systems.rigid_body(inertia=(1, 2, 3)), np.array([0.3, 1.0, 0.2])
 TOP, TOP_X0 = co.systems.heavy_top(), np.array([1.0, 0.0, 2.0, 0.1, 0.0, 1.0])
@@ -250,3 +252,21 @@ def test_the_member_with_the_fastest_passage_is_named(as_batch):
     with warnings.catch_warnings():
         warnings.simplefilter("error", co.LargeStepWarning)
         co.integrate(kepler(), states[[0, 1, 3]], *run)
+
+
+def test_errors_of_half_steps_do_not_end_runs():
+    """A scheme of the user that refuses other steps than one; `step_error` raises what it raises."""
+
+    @dataclasses.dataclass(frozen=True)
+    class OneStep(Interpreted):
+        compiles = False
+
+        def step(self, system, x, t, h):
+            if h != 0.25:
+                raise LookupError("no table for this step")
+            return super().step(system, x, t, h)
+
+    for sol in (co.integrate(BODY, X0, (0, 1), 0.25, OneStep()), co.prepare(BODY, OneStep(), 0.25).run(X0, (0, 1))):
+        assert sol.x.shape == (5, 3)
+        with pytest.raises(LookupError, match="no table for this step"):
+            sol.step_error()

@@ -115,12 +115,14 @@ def _error_of_passage(
     system, t = prepared.system, float(solution.t[k])
     if is_batch(system):
         prepared = prepared.sampled(np.array([m]))
-    state = momenta_of(solution.system, solution.x[k])[0][members[m]][None]
+    # Other members may have ended or failed.
+    states = np.where(np.isfinite(solution.x[k]), solution.x[k], solution.x0)
+    state = momenta_of(solution.system, states)[0][members[m]][None]
     steps = math.ceil(abs(float(solution.t[k + 1]) - t) / abs(h) * (1.0 - ROUNDING))
     if 1 < steps <= STEPS:
-        states = _run(prepared, state, Times(t, h, steps, 1))
-        j = int(np.argmax(np.nan_to_num(np.linalg.norm(np.diff(states[:, 0], axis=0), axis=1), nan=0.0)))
-        state, t = states[j], t + j * h
+        path = _run(prepared, state, Times(t, h, steps, 1))
+        j = int(np.argmax(np.nan_to_num(np.linalg.norm(np.diff(path[:, 0], axis=0), axis=1), nan=0.0)))
+        state, t = path[j], t + j * h
     errors, changes = _squares(prepared, state, t, h)
     return float(np.sqrt(errors[0] / changes[0])) if changes[0] > 0.0 else 0.0
 
@@ -174,7 +176,11 @@ def warn_of_large_step(solution: Solution, prepared: PreparedRun) -> None:
     """Warn if the error of a step is a large part of the change of the state in it."""
     if prepared.method.own_steps or any(force.random for _, force in forces_of(prepared.system)):
         return
-    error, member = _worst(solution, prepared)
+    try:
+        error, member = _worst(solution, prepared)
+    except Exception:
+        # Functions of the user may refuse half steps, which are no part of the run; `step_error` raises their errors.
+        return
     solution.__dict__["_step_error"] = error
     if error > WARNED:
         suggested = solution.step * (SUGGESTED / error) ** (1.0 / prepared.method.order)
