@@ -179,6 +179,12 @@ class PreparedRun:
         options: dict[str, Any] = {"attitude": self._attitude, "watch": self._watching, "observe": self.observe}
         return PreparedRun(system, self.method, self.step, threads=self._threads, **options)
 
+    def in_one_thread(self) -> PreparedRun:
+        """Return a copy that uses one thread, and whose further loops are its own."""
+        copied = copy.copy(self)
+        copied._threads = 1
+        return copied
+
     def at_fixed_steps(self, scheme: Method) -> PreparedRun:
         """Return the same run by another scheme; this run itself if it is its own."""
         if scheme is self._scheme:
@@ -262,9 +268,7 @@ class PreparedRun:
         from coadjoint.runs.step_error import warn_of_large_step
 
         self._checks_step = False
-        repeated = copy.copy(self)
-        repeated._threads = 1
-        warn_of_large_step(solution, repeated)
+        warn_of_large_step(solution, self.in_one_thread())
 
     def times_of(self, t_span: Any, save_every: Any = 1, t_eval: Any = None) -> tuple[Times, OutputTimes | None]:
         """Validate span, `save_every` and `t_eval`; return the steps of a run, and the output times or None."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import shutil
 import tempfile
 import time
@@ -162,7 +161,7 @@ def _run_unfinished(
     try:
         if is_new:
             # A copy, since loops of half a step are not sent to workers.
-            warn_of_large_step(open_archive(path, prepared.system), copy.copy(prepared))
+            warn_of_large_step(open_archive(path, prepared.system), prepared.in_one_thread())
         remaining = unfinished_blocks(store)
         if pool.client is None and pool.workers is None:
             _run_serially(store, remaining, prepared, progress)
