@@ -1,7 +1,7 @@
 """Run tests and random runs on kernels built with sanitizers: `python sanitize.py KIND`.
 
 address: out-of-bounds accesses and undefined behaviour, over the tests of kernels, methods and runs, and 300 random
-runs. threads: data races, over random ensembles. Building takes some minutes.
+runs. threads: data races, over random ensembles and threads that share one member. Building takes some minutes.
 """
 
 from __future__ import annotations
@@ -42,7 +42,10 @@ COMMANDS = {
         [*PYTEST, *OMITTED, "-n", "2", "tests/kernels", "tests/methods", "tests/runs", "tests/choosing"],
         ["-m", "random_runs.soak", "1000000", "300", "--limit", "1200", "--jobs", "2"],
     ],
-    "threads": [["-m", "random_runs.on_threads", "2000000", "200"]],
+    "threads": [
+        ["-m", "random_runs.on_threads", "2000000", "200"],
+        [*PYTEST, "tests/runs/test_threads_inside.py"],
+    ],
 }
 
 

@@ -49,6 +49,7 @@ from coadjoint.systems.protocol import among, is_batch, member_of, unforced_matr
 from coadjoint.systems.system_checks import System, check_system
 from coadjoint.validation import read_bool, read_integer
 
+MAX_THREADS_INSIDE = 1024  # most threads that share one member
 UNPICKLED = (
     "_lock",
     "_checks_step",
@@ -605,7 +606,8 @@ class PreparedRun:
         if isinstance(loops, InputLoops):
             assert values is not None
             loops, system = loops.at(values), partial(self.system_at, values)
-        return Run(system, self.method, loops, times, start, self._watching, workers, state, self._threads // workers)
+        inside = min(self._threads // workers, MAX_THREADS_INSIDE)
+        return Run(system, self.method, loops, times, start, self._watching, workers, state, inside)
 
     def _watched(self, events: tuple[Event, ...], x0: NDArray[np.float64], t0: float) -> WatchedEvents:
         """Return the compiled events; those of the last run are cached."""

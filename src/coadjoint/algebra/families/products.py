@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.constants import Triples, check_algebra_memory
+from coadjoint.algebra.constants import BYTES_PER_CONSTANT, Triples, check_algebra_memory
 from coadjoint.algebra.exact.sparse_sums import Floats, groups
 from coadjoint.algebra.families.matrix_bases import MAX_REPRESENTATION_NUMBERS
 from coadjoint.algebra.invariants.logarithmic import LogarithmicInvariant
@@ -16,6 +16,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.quadratic_forms import casimirs_fit, embedded
 from coadjoint.algebra.representation import check_representation
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer, truncate_title
 
@@ -121,7 +122,9 @@ def copies(g: LieAlgebra, count: int) -> LieAlgebra:
         raise TypeError(f"copies are made of a LieAlgebra, not of a {type(g).__name__}")
     count = read_integer(count, "count of copies(g, count)")
     i, j, k, c = g.triples
-    check_algebra_memory(f"the sum of {short(count)} copies", g.dim * count, c.size * count)
+    # Names are made when they are read.
+    title = f"the sum of {short(count)} copies, of dimension {short(g.dim * count)},"
+    check_available_memory(BYTES_PER_CONSTANT * c.size * count, title, "take fewer")
     shift = np.repeat(np.arange(count, dtype=np.int64) * g.dim, c.size)
     i, j, k = (np.tile(column, count) + shift for column in (i, j, k))
     size = 0 if g.representation is None else g.representation.shape[1]

@@ -25,7 +25,7 @@ from coadjoint.validation import read_finite, to_array
 
 Floats = npt.NDArray[np.float64]
 
-BYTES_PER_SPIN, BYTES_PER_EDGE = 1000, 500  # peak, during construction
+BYTES_PER_SPIN, BYTES_PER_EDGE = 500, 200  # peak, during construction
 MAX_STORED_VALUES = 2**16  # largest number of values stored as parameters
 MAX_COUPLING = 1e100
 MAX_RECORDED_SPINS = 682  # largest number of spins with a recorded Casimir each, the limit of `copies`

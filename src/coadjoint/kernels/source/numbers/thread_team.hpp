@@ -150,7 +150,7 @@ inline void shared_copy(const double* from, int64_t count, double* to) {
     share(count, [=](int64_t first, int64_t last) { std::copy(from + first, from + last, to + first); });
 }
 
-// A team, and how long the last steps took without and with it. One is kept for the next call, since threads take time
+// A team, and how long the last steps took without and with it. One waits for the next call, since threads take time
 // to start, and a call may take one step only.
 struct MeasuredTeam {
     const int64_t threads, size;
@@ -159,16 +159,16 @@ struct MeasuredTeam {
     std::chrono::steady_clock::duration least[2] = {};
 };
 
-inline std::atomic<MeasuredTeam*> kept_team{nullptr};
+inline std::atomic<MeasuredTeam*> idle_team{nullptr};
 
 inline MeasuredTeam* take_team(int64_t threads, int64_t size) {
 #if !defined(_WIN32)
-    static const int once = pthread_atfork(nullptr, nullptr, [] { kept_team.store(nullptr); });  // it has no threads there
+    static const int once = pthread_atfork(nullptr, nullptr, [] { idle_team.store(nullptr); });  // it has no threads there
     (void)once;
 #endif
-    std::unique_ptr<MeasuredTeam> kept(kept_team.exchange(nullptr));
-    if (kept && kept->threads == threads && kept->size == size) return kept.release();
-    return new MeasuredTeam{threads, size, kept && kept->threads == threads ? std::move(kept->team) : nullptr};
+    std::unique_ptr<MeasuredTeam> idle(idle_team.exchange(nullptr));
+    if (idle && idle->threads == threads && idle->size == size) return idle.release();
+    return new MeasuredTeam{threads, size, idle && idle->threads == threads ? std::move(idle->team) : nullptr};
 }
 
 // The steps of one member, of `size` coordinates, and the threads that may share them: of every 64 steps two are taken
@@ -182,7 +182,7 @@ class SharedSteps {
     }
     ~SharedSteps() {
         team_of_this_thread = outer;
-        if (measured) delete kept_team.exchange(measured.release());
+        if (measured) delete idle_team.exchange(measured.release());
     }
     SharedSteps(const SharedSteps&) = delete;
     SharedSteps& operator=(const SharedSteps&) = delete;
