@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
-from coadjoint.program.blocks import CUBIC_HEADER, Block, Kind, larger_block
+from coadjoint.program.blocks import CUBIC_HEADER, Block, Kind, larger_block, wide_series
 from coadjoint.program.generators import Components, Generators, components_of
 from coadjoint.program.sparse_rows import joined_starts, starts_of
 
@@ -188,13 +188,18 @@ def _cyclic_blocks(sets: Components, u: Any) -> BlockTable:
         value_key = tuple(value) if value.dtype == object else value.tobytes()
         key = (width[s], row.tobytes(), column.tobytes(), value_key)
         if key not in model_numbers:
-            local = tuple(zip(row.tolist(), column.tolist(), value.tolist(), strict=True))
+            model = wide_series(width[s], row, column, value)
+            if model is None:
+                local = tuple(zip(row.tolist(), column.tolist(), value.tolist(), strict=True))
+                model = larger_block(width[s], local, u)
             model_numbers[key] = len(models)
-            models.append(model := larger_block(width[s], local, u))
+            models.append(model)
             is_series = model.kind == Kind.SERIES  # its entries, possibly very many, are those of D
             tails.append(_sparse_tail(width[s], row, column) if is_series else _sparse_tail_of(model))
             model_constants.append(
-                np.array([*model.constants, *value] if is_series else _flat_constants(model), dtype=value.dtype)
+                np.append(np.array(model.constants, dtype=value.dtype), value)
+                if is_series
+                else np.array(_flat_constants(model), dtype=value.dtype)
             )
         model_of_set[s] = model_numbers[key]
     begin = starts_of(sets.width + np.array([len(tail) for tail in tails])[model_of_set])

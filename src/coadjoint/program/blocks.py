@@ -63,9 +63,9 @@ def larger_block(size: int, local: tuple[tuple[int, int, Any], ...], u: Any) -> 
     """
     coordinates = tuple(range(size))
     rows, columns, values = (np.array(column) for column in zip(*local, strict=True))
-    if size > MAX_SQUARED_SIZE and values.dtype == np.float64 and _surely_series(size, rows, columns, values):
-        norm = float(np.max(np.bincount(columns, weights=np.abs(values), minlength=size)))
-        return Block(Kind.SERIES, coordinates, (norm,), local, TAYLOR_DEGREE)
+    wide = wide_series(size, rows, columns, values)
+    if wide is not None:
+        return wide._replace(entries=local)
     matrix = np.zeros((size, size), dtype=values.dtype)
     matrix[rows, columns] = values
     power, bound = matrix, abs(matrix)
@@ -78,6 +78,14 @@ def larger_block(size: int, local: tuple[tuple[int, int, Any], ...], u: Any) -> 
         return _cubic(coordinates, matrix)
     norm = max(np.cumsum(abs(matrix), axis=0)[-1].tolist())
     return Block(Kind.SERIES, coordinates, (norm,), local, TAYLOR_DEGREE)
+
+
+def wide_series(size: int, rows: NDArray[Any], columns: NDArray[Any], values: NDArray[Any]) -> Block | None:
+    """Return the SERIES block of a wide matrix, without its entries; None if `larger_block` must classify it."""
+    if size <= MAX_SQUARED_SIZE or values.dtype != np.float64 or not _surely_series(size, rows, columns, values):
+        return None
+    norm = float(np.max(np.bincount(columns, weights=np.abs(values), minlength=size)))
+    return Block(Kind.SERIES, tuple(range(size)), (norm,), degree=TAYLOR_DEGREE)
 
 
 def _surely_series(size: int, rows: NDArray[Any], columns: NDArray[Any], values: NDArray[np.float64]) -> bool:

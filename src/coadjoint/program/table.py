@@ -163,7 +163,9 @@ def dual_action(algebra: LieAlgebra, parts: Parts) -> Action:
     """Return the action on cotangents of the state, by floating-point numbers."""
     if len(parts.offset) <= MAX_PATTERN_SIZE:
         return _cached_action(algebra, Pattern(parts, *parts.forms, parts.angle), dual=True)
-    return build_action(BasisMatrices.on_group(algebra, None), parts)
+    if parts not in _DUAL_ACTIONS:
+        _DUAL_ACTIONS[parts] = build_action(BasisMatrices.on_group(algebra, None), parts)
+    return _DUAL_ACTIONS[parts]
 
 
 def _state_action(algebra: LieAlgebra, parts: Parts, number: Number) -> Action:
@@ -179,6 +181,7 @@ def _state_action(algebra: LieAlgebra, parts: Parts, number: Number) -> Action:
 # Building the action takes seconds for large systems, so all schemes and steps share it. Parts are cached for the
 # lifetime of their system, and their actions with them.
 _ACTIONS: WeakKeyDictionary[Parts, Action] = WeakKeyDictionary()
+_DUAL_ACTIONS: WeakKeyDictionary[Parts, Action] = WeakKeyDictionary()
 
 
 @lru_cache(maxsize=256)

@@ -13,13 +13,13 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import check_supports, effective_scheme
-from coadjoint.methods.protocol.derivatives import derivative_tables, has_derivatives
+from coadjoint.methods.protocol.derivatives import has_derivatives
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.tangents import tangent_by
 from coadjoint.methods.registry import read_method
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun
 from coadjoint.runs.derivatives.input_derivatives import INPUTS, tables_with_inputs
-from coadjoint.runs.derivatives.step_tangents import StepTangents
+from coadjoint.runs.derivatives.step_tangents import StepTangents, compiled_tangents, has_user_functions
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import momenta_of
@@ -276,16 +276,14 @@ class Stepper:
     def _build_tangents(self, by_inputs: bool) -> StepTangents | None:
         prepared = self._prepared_with(False)
         system, scheme, n = self.system, prepared.scheme, self.system.dim
-        # Functions of the user would have to be compiled.
-        called = system.algebra is None or any(term.called for term in system.hamiltonian.terms())
         if by_inputs:
             assert prepared.inputs is not None
             tables = DifferentiableRun(prepared).tables(self.h, (INPUTS,))
             return StepTangents(tables, n, self.h, prepared.inputs.changing.tolist())
-        if called or not has_derivatives(scheme):
-            return None
         if prepared.inputs is None:
-            return StepTangents(derivative_tables(scheme, system, self.h, None, {}), n, self.h)
+            return compiled_tangents(scheme, system, self.h)
+        if has_user_functions(system) or not has_derivatives(scheme):
+            return None
         return StepTangents(tables_with_inputs(prepared.inputs, scheme, self.h, None, {}), n, self.h)
 
     @ignore_overflow

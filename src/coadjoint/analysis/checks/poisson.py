@@ -19,6 +19,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.step_derivatives import AGREEMENT, derivative_of
 from coadjoint.methods.protocol.tangents import tangent_by
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.derivatives.step_tangents import compiled_tangents
 from coadjoint.systems.protocol import has_structure_constants
 
 SLOPE_STEPS = 4
@@ -144,7 +145,11 @@ def _directional_defect(subject: Subject, x: NDArray[np.float64], h: float) -> t
 def _carried(
     method: Method, system: Any, x: NDArray[np.float64], t: float, h: float, vectors: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return tangent vectors (n, k) after a step; flows carry them without the whole derivative."""
+    """Return tangent vectors (n, k) after a step; compiled loops and flows carry them without the whole derivative."""
+    compiled = compiled_tangents(method, system, h, np.ascontiguousarray(vectors.T))
+    found = None if compiled is None else compiled(x, t, None)
+    if found is not None:
+        return found
     form = method.expanded
     if isinstance(form, FlowMethod):
         return form.tangent_on(system, x, t, h, vectors)
@@ -199,7 +204,9 @@ def tangent(subject: Subject, x: NDArray[np.float64], h: float) -> Tangent:
     method, system = subject.method, subject.system
     try:
         by = tangent_by(method, system, x, 0.0, h)
-        P = np.asarray(method.tangent(system, x, 0.0, h)[1], dtype=np.float64)
+        P = _formula(subject, x, h) if by == "formula" else None
+        if P is None:
+            P = np.asarray(method.tangent(system, x, 0.0, h)[1], dtype=np.float64)
     except TypeError:
         # The system lacks a derivative; differentiate the step itself.
         by, P = _differences(subject, x, h)
@@ -210,6 +217,12 @@ def tangent(subject: Subject, x: NDArray[np.float64], h: float) -> Tangent:
         if precise is not None and np.max(np.abs(precise - P)) <= AGREEMENT * size:
             return Tangent(precise, "multiprecision")
     return Tangent(P, by)
+
+
+def _formula(subject: Subject, x: NDArray[np.float64], h: float) -> NDArray[np.float64] | None:
+    """Return the derivative by the compiled loop; None if there is no such loop, or the result is not finite."""
+    compiled = subject.tangents(h)
+    return None if compiled is None else compiled(x, 0.0, None)
 
 
 def _differences(subject: Subject, x: NDArray[np.float64], h: float) -> tuple[str, NDArray[np.float64]]:

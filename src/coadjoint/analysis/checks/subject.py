@@ -15,6 +15,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.derivatives.step_tangents import StepTangents, compiled_tangents
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.protocol import is_matrix_system
@@ -53,6 +54,7 @@ class Subject:
     compiled: bool = True
     _prepared: dict[Any, PreparedRun] = field(default_factory=dict)
     _conditions: dict[Any, float] = field(default_factory=dict)
+    _tangents: dict[float, StepTangents | None] = field(default_factory=dict)
 
     @cached_property
     def states(self) -> Floats:
@@ -179,6 +181,12 @@ class Subject:
             values = np.linalg.svd(P, compute_uv=False)[: self.system.algebra.dim]
             return float(np.linalg.norm(values) * np.linalg.norm(1.0 / values))
         return float(np.linalg.norm(P) * np.linalg.norm(np.linalg.inv(P)))
+
+    def tangents(self, h: float) -> StepTangents | None:
+        """Return the derivatives of a step of length h in the compiled loop; None if there is no such loop."""
+        if h not in self._tangents:
+            self._tangents[h] = compiled_tangents(self.method, self.system, h)
+        return self._tangents[h]
 
     def step(self, x: Floats, h: float, t: float = 0.0) -> Floats:
         """Return the states (k, n) after a step of length h from time t."""

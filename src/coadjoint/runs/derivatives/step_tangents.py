@@ -12,19 +12,32 @@ from coadjoint.kernels.functions.compiled_functions import raised_by
 from coadjoint.kernels.loop import StopFlag
 from coadjoint.kernels.tables.cotangents import ForwardRun, advance_tables
 from coadjoint.kernels.tables.structures import as_structure
-from coadjoint.methods.protocol.derivatives import DerivativeTables
+from coadjoint.methods.protocol.derivatives import DerivativeTables, derivative_tables, has_derivatives
+from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.derivatives.input_derivatives import INPUTS
+from coadjoint.systems.system_checks import System
 
 Floats = NDArray[np.float64]
 
 
 class StepTangents:
-    """The derivatives (n, n) by the state and (n, k) by k inputs, if any, of a step of length h."""
+    """The derivatives (n, n) by the state and (n, k) by k inputs, if any, of a step of length h.
 
-    def __init__(self, tables: DerivativeTables, n: int, h: float, inputs: Sequence[int] = ()) -> None:
-        count = n + len(inputs)
+    `vectors` (k, n) in rows replace the unit vectors of the state, for derivatives along them, (n, k).
+    """
+
+    def __init__(
+        self,
+        tables: DerivativeTables,
+        n: int,
+        h: float,
+        inputs: Sequence[int] = (),
+        vectors: Floats | None = None,
+    ) -> None:
+        units = np.eye(n + len(inputs), n) if vectors is None else vectors
+        count = len(units)
         self._tables, self._tangents = tables, np.zeros((1, count, n))
-        self._units, self._momenta = np.eye(count, n), np.zeros((1, n))
+        self._units, self._momenta = units, np.zeros((1, n))
         self._h, self._fixed = h, None
         if INPUTS not in tables.coefficients:
             self._fixed = self._prepared(tables.tables_at(h))
@@ -75,3 +88,18 @@ class StepTangents:
                 return None
         found = self._after[0, 0].T.copy()
         return found if np.isfinite(found).all() else None
+
+
+def compiled_tangents(method: Method, system: System, h: float, vectors: Floats | None = None) -> StepTangents | None:
+    """Return the derivatives of a step in the compiled loop of a scheme; None if there is no such loop.
+
+    Functions of the user would have to be compiled: systems with any have none.
+    """
+    if has_user_functions(system) or not has_derivatives(method):
+        return None
+    return StepTangents(derivative_tables(method, system, h, None, {}), system.dim, h, vectors=vectors)
+
+
+def has_user_functions(system: System) -> bool:
+    """Return whether J(x) or the Hamiltonian contains functions of the user."""
+    return system.algebra is None or any(term.called for term in system.hamiltonian.terms())
