@@ -1,10 +1,11 @@
-"""Choice of a scheme and a step for a given accuracy, by trial runs and counted work, without timing.
+"""Choice of a scheme and a step for a given accuracy, by trial runs and counted work.
 
 `_choose` takes these steps in order; one that leaves no scheme raises an error that names a remedy.
 
 1. Candidates: the given schemes, or those that `candidate_schemes` offers and that support system and attitude.
 2. Pilot: a reference over a window at the start of the motion of at most four members, and its rounding.
-3. Rounding of every scheme: no accuracy is reached if it grows to half the size of the motion.
+3. Rounding of every scheme: no accuracy is reached if it grows to half the size of the motion. Steps of the user are
+   timed; the work of all others is counted.
 4. First trials: schemes that choose their own steps run once over the window, which limits the cost of all others.
 5. Constant steps: fitted by trials, cheapest prediction first; schemes that are predicted to be too expensive are not.
 6. Own steps: tolerances are fitted, at most to the lowest cost so far.
@@ -25,6 +26,7 @@ import numpy as np
 from coadjoint.choosing.candidates import Candidate, supported_candidates
 from coadjoint.choosing.cost_model import StepPredictor
 from coadjoint.choosing.fitting import Fit, confirmed_fit, fit
+from coadjoint.choosing.measured_work import with_measured_work
 from coadjoint.choosing.member_sample import sample_of
 from coadjoint.choosing.pilot import Pilot
 from coadjoint.choosing.roundoff import ROUNDING_SHARE, least_roundoff
@@ -69,7 +71,8 @@ class Choice:
     roundoff : float
         The part of `error` that is rounding.
     cost : float
-        Work of the whole run of one member, in units of one rotation in a flow (about 11 ns).
+        Work of the whole run of one member, in units of one rotation in a flow (about 11 ns); measured for steps of
+        your own.
     others : tuple of Choice
         The other schemes considered, the cheapest first, without those abandoned early as too expensive.
 
@@ -114,8 +117,10 @@ def choose(
 ) -> Choice:
     """Choose the scheme and the step that reach a required accuracy with the least work.
 
-    Operations are counted and no time is measured, so the same inputs give the same choice. Each scheme integrates from
-    x0 over a window at the beginning of the span, and is compared with an accurate reference. Schemes that these trials
+    Operations are counted, so the same inputs give the same choice. Only steps of your own (`StepMethod`, and
+    `CompiledStepMethod` with a step of your own in C++) that define no `work` are timed, in turns with a compiled
+    scheme, since they may be Python calls or compiled; schemes of nearly the same cost may then change places. Each
+    scheme integrates from x0 over a window at the beginning of the span, and is compared with an accurate reference. Schemes that these trials
     predict to be more expensive are skipped. The error at other steps follows from the order. The error at the end of
     the span is extrapolated from its growth over a quarter, a half and the whole window; the growth is assumed to be at
     least linear, and at least quadratic for schemes that are neither symmetric nor Poisson maps. Rounding is estimated.
@@ -191,6 +196,7 @@ def _choose(
         return Choice(candidates[0].method, 1.0, required, 0.0, 0.0, 0.0)
     pilot = Pilot(system, sample_of(system, momenta, t0, t1 - t0), t0, t1 - t0, required)
     _check_rounding(pilot, candidates)
+    candidates = [with_measured_work(pilot, each) for each in candidates]
     first_trials = _first_trials(pilot, candidates, required)
     fits = _fits_of_constant_steps(pilot, candidates, required, first_trials)
     fits += _fits_of_own_steps(pilot, required, first_trials, fits)
