@@ -120,12 +120,12 @@ def choose(
     Operations are counted, so the same inputs give the same choice. Only steps of your own (`StepMethod`, and
     `CompiledStepMethod` with a step of your own in C++) that define no `work` are timed, in turns with a compiled
     scheme, since they may be Python calls or compiled; schemes of nearly the same cost may then change places. Each
-    scheme integrates from x0 over a window at the beginning of the span, and is compared with an accurate reference. Schemes that these trials
-    predict to be more expensive are skipped. The error at other steps follows from the order. The error at the end of
-    the span is extrapolated from its growth over a quarter, a half and the whole window; the growth is assumed to be at
-    least linear, and at least quadratic for schemes that are neither symmetric nor Poisson maps. Rounding is estimated.
-    The chosen step is run over the window once more, and corrected if the error is too large. Changes in the character
-    of the motion after the window are not predicted.
+    scheme integrates from x0 over a window at the beginning of the span, and is compared with an accurate reference.
+    Schemes that these trials predict to be more expensive are skipped. The error at other steps follows from the order.
+    The error at the end of the span is extrapolated from its growth over a quarter, a half and the whole window; the
+    growth is assumed to be at least linear, and at least quadratic for schemes that are neither symmetric nor Poisson
+    maps. Rounding is estimated. The chosen step is run over the window once more, and corrected if the error is too
+    large. Changes in the character of the motion after the window are not predicted.
 
     Parameters
     ----------

@@ -6,6 +6,7 @@ import math
 import time
 from dataclasses import replace
 from statistics import median
+from typing import Any
 
 import numpy as np
 
@@ -46,14 +47,14 @@ def _is_uncounted(method: Method) -> bool:
     if isinstance(base, Method):
         return _is_uncounted(base)
     if isinstance(method, StepMethod):
-        plain = StepMethod
+        plain: Any = StepMethod.work_of_substeps
     elif isinstance(method, CompiledStepMethod) and not isinstance(method, OwnSteps):
         if isinstance(method.compiled_step, str) or type(method).operations is not CompiledStepMethod.operations:
             return False
-        plain = CompiledStepMethod
+        plain = CompiledStepMethod.work_of_substeps
     else:
         return False
-    return type(method).work is SubstepMethod.work and type(method).work_of_substeps is plain.work_of_substeps
+    return type(method).work is SubstepMethod.work and type(method).work_of_substeps is plain
 
 
 def _measured_cost(pilot: Pilot, method: Method) -> float | None:

@@ -16,19 +16,14 @@ from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.systems.arguments import read_closed_form, read_layout, read_name, read_parameters, read_sign
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
 from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of
-from coadjoint.systems.evaluation import (
-    ignore_overflow,
-    lossless_coefficients,
-    read_point,
-    scatter,
-    vectorized_over_states,
-)
+from coadjoint.systems.evaluation import ignore_overflow, read_point, scatter, vectorized_over_states
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import summands_of
+from coadjoint.systems.product_sums import ProductSums
 from coadjoint.systems.recorded_invariants import known_or_found_casimirs, read_casimirs, read_integrals
 
 BYTES_PER_CONSTANT = 120  # both orders of every bracket, and temporaries of J(x) u
@@ -193,9 +188,15 @@ class LiePoissonSystem:
         i, j, k, c = self.algebra.triples
         return np.concatenate([i, j]), np.concatenate([j, i]), np.concatenate([k, k]), np.concatenate([c, -c])
 
+    @cached_if_small
+    def _sums(self) -> ProductSums:
+        return ProductSums(self._brackets[0], self._brackets[3], self.dim)
+
     def _product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
         rows, factors, states, constants = self._brackets
-        return scatter(rows, lossless_coefficients(constants, x) * x[states] * u[factors], self.dim)
+        if x.dtype == object:
+            return self._sums((x, states), (u, factors))
+        return scatter(rows, constants * x[states] * u[factors], self.dim)
 
     def _absolute_product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
         rows, factors, states, constants = self._brackets

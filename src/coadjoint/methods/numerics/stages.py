@@ -43,13 +43,14 @@ class Step(NamedTuple):
 
     def fields(self, points: NDArray[Any]) -> NDArray[Any]:
         """Return L_j = h scale_j f(X_j), shape (s, n)."""
+        # Arrays are the first factors: mpmath prints an array that is the second one, for an error that is caught.
         parts = zip(points, self.times, self.lengths, strict=True)
-        return np.stack([length * self.system.vector_field(X, t) for X, t, length in parts])
+        return np.stack([self.system.vector_field(X, t) * length for X, t, length in parts])
 
     def jacobians(self, points: NDArray[Any]) -> NDArray[np.float64]:
         """Return h scale_j f'(X_j), shape (s, n, n)."""
         parts = zip(points, self.times, self.lengths, strict=True)
-        return np.stack([length * self.system.jacobian(X, t) for X, t, length in parts])
+        return np.stack([self.system.jacobian(X, t) * length for X, t, length in parts])
 
     def gradients(self, points: NDArray[Any]) -> NDArray[Any]:
         """Return grad H(X_j), shape (s, n)."""
@@ -59,7 +60,7 @@ class Step(NamedTuple):
         """Return h scale_j sign J(Z_j) u_j, shape (s, n)."""
         sign, J = self.system.sign, self.system.structure_matrix
         parts = zip(momenta, gradients, self.lengths, strict=True)
-        return np.stack([length * sign * (J(Z) @ u) for Z, u, length in parts])
+        return np.stack([(J(Z) @ u) * (length * sign) for Z, u, length in parts])
 
     def stage_derivatives(self, derivatives: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return dX_i / dx = 1 + sum_j mix_ij dL_j / dx, shape (s, n, n)."""
@@ -70,12 +71,12 @@ class Step(NamedTuple):
         sign, H, J = self.system.sign, self.system.hamiltonian, self.system.structure_matrix
         states = momenta if points is None else points
         parts = zip(momenta, states, self.times, self.lengths, strict=True)
-        return np.stack([length * sign * (J(Z) @ H.hessian(X, t)) for Z, X, t, length in parts])
+        return np.stack([(J(Z) @ H.hessian(X, t)) * (length * sign) for Z, X, t, length in parts])
 
     def structure_derivatives(self, momenta: NDArray[Any], gradients: NDArray[Any]) -> NDArray[Any]:
         """Return the derivatives of h scale_j sign J(Z) u_j at Z_j, shape (s, n, n), such as h scale_j sign D_u."""
         parts = zip(momenta, gradients, self.lengths, strict=True)
-        return np.stack([length * structure_derivative(self.system, Z, u) for Z, u, length in parts])
+        return np.stack([structure_derivative(self.system, Z, u) * length for Z, u, length in parts])
 
     def solve_stages(self, blocks: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
         """Return the solution of Y_i = sum_j mix_ij W_j Y_j + right_i; right has shape (s, n) or (s, n, lanes)."""

@@ -18,6 +18,7 @@ from coadjoint.systems.evaluation import ignore_overflow, lossless_coefficients,
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm, Term, rows_of, starts_of_rows
 from coadjoint.systems.matrix_entries import BYTES_PER_ENTRY, check_symmetric, real_array, sparse_entries
+from coadjoint.systems.product_sums import ProductSums
 from coadjoint.validation import read_finite, read_integer, read_number
 
 
@@ -407,7 +408,13 @@ class Quadratic(Summable):
     def _linear_part(self, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return self._numbers(self._linear if self._linear is not None else np.zeros(x.size), x)
 
+    @cached_if_small
+    def _sums(self) -> ProductSums:
+        return ProductSums(self._rows, self._entries, len(self._indptr) - 1)
+
     def _product(self, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        if x.dtype == object:
+            return self._sums((x, self._indices))
         return scatter(self._rows, self._numbers(self._entries, x) * x[self._indices], x.size)
 
     def terms(self) -> tuple[Term, ...]:
