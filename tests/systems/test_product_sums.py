@@ -49,6 +49,8 @@ def test_sums_are_the_exact_ones_rounded_once(seed, digits):
 def test_other_numbers_are_not_taken():
     sums = ProductSums(np.array([0, 1]), np.array([1.0, 2.0]), 2)
     index = np.arange(2)
+    accepted = np.array([mp.mpf(1), mp.ldexp(1, MAX_BITS)], dtype=object)
+    assert sums.by_integers((accepted, index)).tolist() == [1, mp.ldexp(1, MAX_BITS + 1)]
     mixed = np.array([mp.mpf(1), 1.0], dtype=object)
     spread = np.array([mp.mpf(1), mp.ldexp(1, MAX_BITS + 1)], dtype=object)
     cases = [[mp.mpf(1), mp.inf], [mp.nan, mp.mpf(1)], [Fraction(1), Fraction(2)], [mp.mpc(1), mp.mpc(2)]]
