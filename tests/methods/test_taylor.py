@@ -12,6 +12,7 @@ import pytest
 import coadjoint as co
 from coadjoint.methods.numerics.projection import independent
 from coadjoint.methods.numerics.taylor_series import Dual, PowerSeries, expand
+from coadjoint.methods.numerics.taylor_tangents import expand_quadratic
 from energies import polynomial
 
 pytestmark = pytest.mark.thinned(3)
@@ -132,6 +133,26 @@ def test_tangent_is_the_derivative_of_the_step(name, projected):
     assert np.max(np.abs(P @ direction - slope)) < 1e4 * n * U * np.max(np.abs(P))
     assert np.max(np.abs(new - method.step(system, x0, 0.0, h))) < 64 * U
     assert np.max(np.abs(P - np.eye(n))) > 1e-2
+
+
+@pytest.mark.parametrize("algebra", ["so(4)", "su(3)", "e(3)", "A3,2"])
+@pytest.mark.parametrize("seed", range(3))
+def test_terms_and_tangents_by_matrices_are_those_of_dual_numbers(seed, algebra):
+    rng, g = np.random.default_rng(seed), co.algebras.get(algebra)
+    half, order, h = rng.normal(size=(g.dim, g.dim)), 7, rng.choice([-0.2, 0.3])
+    linear = rng.normal(size=g.dim) * (seed > 0)
+    system = co.LiePoissonSystem(g, co.Quadratic(half + half.T, linear=linear), sign=int(rng.choice([-1, 1])))
+    x = rng.normal(size=g.dim) / 2
+    duals = np.empty(g.dim, dtype=object)
+    duals[:] = [Dual(value, row) for value, row in zip(x, np.eye(g.dim), strict=True)]
+    terms, changes = expand_quadratic(system, x, h, order)
+    # Products of k derivatives of the field, whose sums may cancel.
+    reach = abs(h) * np.max(np.sum(np.abs(system.jacobian(x)), axis=1))
+    for k, expected in enumerate(expand(system.vector_field, duals, h, order), 1):
+        value, derivative = np.array([v.value for v in expected]), np.array([v.derivative for v in expected])
+        assert np.max(np.abs(terms[k - 1] - value)) <= 32 * U * reach**k * np.max(np.abs(x))
+        assert np.max(np.abs(changes[k - 1] - derivative)) <= 32 * U * reach**k
+        assert np.max(np.abs(derivative)) > 1e-9
 
 
 @pytest.mark.thinned(6)

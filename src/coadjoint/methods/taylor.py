@@ -21,6 +21,7 @@ from coadjoint.methods.numerics.projection import (
 )
 from coadjoint.methods.numerics.series_cost import LANES, series_operations
 from coadjoint.methods.numerics.taylor_series import TOO_SHORT_MESSAGE, Dual, advance_by_own_steps, expand, own_step
+from coadjoint.methods.numerics.taylor_tangents import expand_quadratic, has_quadratic_energy
 from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.cost_model import (
     LANE_SERIES_FACTOR,
@@ -33,6 +34,7 @@ from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.own_steps import SIZE_SAMPLES, FinerRun, OwnSteps
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
+from coadjoint.systems.protocol import has_structure_constants
 from coadjoint.systems.system_checks import System, check_vector_states
 from coadjoint.validation import read_bool, read_integer, read_number
 
@@ -300,6 +302,12 @@ class Taylor(CompiledStepMethod, OwnSteps):
         """
         self.properties(system)
         start = np.asarray(x, dtype=np.float64)
+        if self.tolerance is None and has_structure_constants(system) and has_quadratic_energy(system):
+            terms, changes = expand_quadratic(system, start, float(h), self.order)
+            end, derivative = start + sum(reversed(terms)), np.eye(len(start)) + sum(reversed(changes))
+            return (
+                project_with_tangent(system, start, end, derivative, float(t)) if self.projected else (end, derivative)
+            )
 
         def to_level_set(end: NDArray[Any]) -> NDArray[Any]:
             if not self.projected:

@@ -196,35 +196,34 @@ def _empty_action(size: int, parts: int, number: Number) -> Action:
 
 
 def run_blocks(action: Action, run: int, q: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
-    """Return the blocks of a run at its angle number q, as (coordinates, matrix)."""
+    """Return the blocks of a run at its angle number q, as (coordinates, matrix); all but shears share one matrix."""
     kind, repeat = action.kind[run], int(action.repeat[run])
     width, index, constant = int(action.width[run]), int(action.position[run]), int(action.constant[run])
     constants = action.constants
-    zero = 0 * constants[constant]
-    blocks = []
-    for b in range(repeat):
-        first = index + (q * repeat + b) * width
-        coordinates = action.indices[first : first + width].astype(np.int64)
-        matrix = np.full((width, width), zero, dtype=constants.dtype)
-        if kind == Kind.SCALE:
-            matrix[0, 0] = constants[constant + q]
-        elif kind == Kind.ROTATE:
-            matrix[1, 0] = constants[constant + q]
-            matrix[0, 1] = -matrix[1, 0]
-        elif kind == Kind.SHEAR:
-            matrix[0, 1] = constants[constant + q * repeat + b]
-        elif kind == Kind.PLANE:
-            mean, half, upper, lower = constants[constant + 4 * q : constant + 4 * q + 4]
-            matrix[:] = [[mean + half, upper], [lower, mean - half]]
-        else:
-            count = int(action.entries[run])
-            header = CUBIC_HEADER if kind == Kind.CUBIC else 1
-            starts = action.indices[index + width : index + 2 * width + 1].astype(np.int64)
-            rows = np.repeat(np.arange(width), np.diff(starts))
-            columns = action.indices[index + 2 * width + 1 :][:count]
-            matrix[rows, columns] = constants[constant + header :][:count]
-        blocks.append((coordinates, matrix))
-    return blocks
+    first = index + q * repeat * width
+    coordinates = action.indices[first : first + repeat * width].astype(np.int64).reshape(repeat, width)
+    matrix = np.full((width, width), 0 * constants[constant], dtype=constants.dtype)
+    if kind == Kind.SHEAR:
+        matrices = [matrix.copy() for _ in range(repeat)]
+        for b, each in enumerate(matrices):
+            each[0, 1] = constants[constant + q * repeat + b]
+        return list(zip(coordinates, matrices, strict=True))
+    if kind == Kind.SCALE:
+        matrix[0, 0] = constants[constant + q]
+    elif kind == Kind.ROTATE:
+        matrix[1, 0] = constants[constant + q]
+        matrix[0, 1] = -matrix[1, 0]
+    elif kind == Kind.PLANE:
+        mean, half, upper, lower = constants[constant + 4 * q : constant + 4 * q + 4]
+        matrix[:] = [[mean + half, upper], [lower, mean - half]]
+    else:
+        count = int(action.entries[run])
+        header = CUBIC_HEADER if kind == Kind.CUBIC else 1
+        starts = action.indices[index + width : index + 2 * width + 1].astype(np.int64)
+        rows = np.repeat(np.arange(width), np.diff(starts))
+        columns = action.indices[index + 2 * width + 1 :][:count]
+        matrix[rows, columns] = constants[constant + header :][:count]
+    return [(each, matrix) for each in coordinates]
 
 
 def run_entries(action: Action, run: int, q: int) -> dict[tuple[int, int], Any]:

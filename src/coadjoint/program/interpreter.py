@@ -189,7 +189,13 @@ class Interpreter:
         for run in range(action.run[part], action.run[part + 1]):
             for q in range(action.angles[run]):
                 angle = theta[int(action.angle[run]) + q]
-                for coordinates, block in run_blocks(action, run, q):
+                blocks = run_blocks(action, run, q)
+                if action.kind[run] <= Kind.ROTATE:  # all blocks at once, number by number
+                    together = np.stack([coordinates for coordinates, _ in blocks], axis=1)
+                    local = vectors[together]
+                    vectors[together] = local + self._increment(action, run, angle, blocks[0][1], local)
+                    continue
+                for coordinates, block in blocks:
                     local = vectors[coordinates]
                     vectors[coordinates] = local + self._increment(action, run, angle, block, local)
 
