@@ -7,7 +7,7 @@ and G is the derivation of [F, G] = sign {G, F}.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from functools import cache
 from math import comb
@@ -88,11 +88,23 @@ class AdjointOperator:
         slopes = [G.derivative(i) for i, _ in self._moving]
         count = sum(len(slope) * len(component) for slope, (_, component) in zip(slopes, self._moving, strict=True))
         self._commutators.check_available_memory(count)
-        total = self._ring.zero
-        for slope, (_, component) in zip(slopes, self._moving, strict=True):
-            if slope != 0:
-                total += component * slope
-        return self._ring.truncated(total)
+        products = (component * slope for slope, (_, component) in zip(slopes, self._moving, strict=True) if slope != 0)
+        return self._ring.truncated(_sum_in_pairs(products, self._ring.zero))
+
+
+def _sum_in_pairs(polynomials: Iterable[Exact], zero: Exact) -> Exact:
+    """Add polynomials in pairs of like numbers of summands: one after the other, each sum would copy all before it."""
+    sums: list[tuple[int, Exact]] = []
+    for polynomial in polynomials:
+        count, total = 1, polynomial
+        while sums and sums[-1][0] == count:
+            total = sums.pop()[1] + total
+            count *= 2
+        sums.append((count, total))
+    total = zero
+    for _, partial in reversed(sums):
+        total += partial
+    return total
 
 
 def sweep_logarithm(commutators: Commutators, flows: Sequence[Flow], highest: int) -> list[Exact]:
