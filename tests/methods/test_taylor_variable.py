@@ -8,6 +8,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.methods.numerics.taylor_series import logarithm_of_step, near_log2, near_power_of_two
+from coadjoint.methods.registry import description_of, from_description
 from coadjoint.runs.loops.loops import SystemLoops
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import start_of
@@ -318,13 +319,27 @@ def test_what_is_declared():
     assert co.Taylor().order == 16 and co.Taylor() == co.Taylor(16)
     orders = [co.Taylor(tolerance=tolerance).order for tolerance in (0.1, 1e-3, 1e-6, 1e-9, 1e-12, 1e-18)]
     assert orders == sorted(orders) and orders[0] >= 3 and orders[-1] <= 30
-    assert co.methods.registry.from_description(co.methods.registry.description_of(method)) == method
+    assert from_description(description_of(method)) == method
     assert method.properties(body) == co.Taylor(9).properties(body)
     certificate = co.certify(body, method, (0.3, 1.0, 0.2), 0.5, steps=100)
     assert certificate.passed
     for refused in (lambda: method.composed((0.5, 0.5)), lambda: co.modified_hamiltonian(body, method)):
         with pytest.raises(TypeError, match=r"cannot be composed|not made of exact flows"):
             refused()
+
+
+def test_shorter_steps_that_are_no_better_are_no_limit(monkeypatch):
+    body, x0 = co.systems.rigid_body(inertia=(1, 2, 2.5)), (0.3, 1.0, 0.2)
+
+    def limit():
+        rows = co.certify(body, co.Taylor(tolerance=1e-6), x0, 0.5, steps=20).rows
+        return next(row for row in rows if row.key == "reference")
+
+    found = limit()
+    assert found.verdict == "holds" and found.value < 1e-7 < 20 * found.bound
+    finer = co.Taylor.finer
+    monkeypatch.setattr(co.Taylor, "finer", lambda self, *given: finer(self, *given)._replace(method=self))
+    assert limit().verdict == "fails"
 
 
 def test_time_is_summed_exactly():

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.analysis.certificates.certificate import Row, verdict
 from coadjoint.analysis.checks.reference import motion
@@ -12,6 +14,7 @@ from coadjoint.analysis.checks.study import ERROR_RATIO, LARGE_ERROR, Study
 from coadjoint.analysis.checks.subject import Subject
 from coadjoint.analysis.fits import FLOOR_FACTOR, Slope, slope
 from coadjoint.errors import IntegrationError
+from coadjoint.methods.protocol.own_steps import OwnSteps
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 MAX_SINGLE_STEPS = 12
@@ -24,6 +27,7 @@ MARGIN = 0.25
 # Largest ratio of the error to its estimate from the last change of the step. If steps are halved, errors of half the
 # declared order exceed the estimate by at most 1 + 2^(p/2).
 ERROR_FACTOR = 6.0
+SHORTER = 2.0  # factor by which own steps are shorter for the limit
 LIMIT_ROW = "limit of small steps"
 
 
@@ -135,7 +139,12 @@ def _reference_row(subject: Subject, study: Study, p: int | None, declared: str,
     """Return the row on the limit of small steps, which every scheme must pass; it detects wrong speeds."""
     last, bound = study.errors[-1], FLOOR_FACTOR * study.floors[-1]
     size = float(np.linalg.norm(study.reference.states)) or 1.0
-    if len(study.counts) > 1:
+    shorter = _by_shorter_own_steps(subject, study)
+    if shorter is not None:
+        end, left = shorter
+        last = float(np.linalg.norm(end - study.reference.states)) / size
+        bound += allowed_error(float(np.linalg.norm(end - study.ends[-1])) / size, 1.0 / left, 1)
+    elif len(study.counts) > 1:
         change = float(np.linalg.norm(study.ends[-1] - study.ends[-2])) / size
         bound += allowed_error(change, study.counts[-1] / study.counts[-2], p)
     holds: bool | None = last <= bound
@@ -145,7 +154,7 @@ def _reference_row(subject: Subject, study: Study, p: int | None, declared: str,
     if study.given in study.counts:
         error = study.errors[study.counts.index(study.given)]
         measured = f"error {error:.2g} at the given step after t = {study.span:.3g}, "
-        measured += f"{last:.2g} at {study.steps[-1]:.3g}"
+        measured += f"{last:.2g} at {study.steps[-1]:.3g}" if shorter is None else f"{last:.2g} by shorter steps"
     else:
         error = last
         measured = f"error {last:.2g} at the step {study.steps[-1]:.3g} after t = {study.span:.3g}"
@@ -163,6 +172,23 @@ def _reference_row(subject: Subject, study: Study, p: int | None, declared: str,
         reason=reason,
         evidence={**evidence, "error at the given step": error, "error of the reference": study.reference.error},
     )
+
+
+def _by_shorter_own_steps(subject: Subject, study: Study) -> tuple[NDArray[np.float64], float] | None:
+    """Return the end by shorter steps of a scheme that chooses them, and the fraction of the error that is left.
+
+    None for other schemes, and if these steps fail.
+    """
+    method = subject.method
+    if not isinstance(method, OwnSteps) or not method.own_steps:
+        return None
+    finer = method.finer(study.counts[-1], SHORTER)
+    with_shorter = replace(subject, method=finer.method, _prepared={}, _conditions={}, _tangents={})
+    try:
+        end = with_shorter.run(subject.states, study.span / finer.steps, finer.steps).x[-1]
+    except IntegrationError:
+        return None
+    return end, finer.left
 
 
 def allowed_error(change: float, ratio: float, order: int | None) -> float:

@@ -78,8 +78,13 @@ def offsets_of_squares(parts: Parts) -> list[tuple[list[int], ExactSums | Reduct
     linear = np.ones(len(parts.offset), dtype=bool)
     for s in parts.nonlinear_shares:
         linear[parts.row[s] : parts.row[s + 1]] = False
+    owner = forms.owner
+    # The angle of a coordinate that depends on others is no square, but a derivative of products.
+    alone, weights = np.diff(forms.start) == 1, parts.weights
+    own = np.zeros(len(alone), dtype=np.uint32)
+    own[alone] = forms.coordinate[forms.start[:-1][alone]]
+    linear[weights.owner[alone[weights.owner] & (weights.coordinate != own[weights.owner])]] = False
     angles = np.flatnonzero(linear)
-    owner = np.repeat(np.arange(len(parts.offset)), np.diff(forms.start))
     entries = np.flatnonzero(linear[owner])
     # Nodes are the angles, then the coordinates.
     count, coordinate = len(parts.offset), forms.coordinate[entries].astype(np.int64)
