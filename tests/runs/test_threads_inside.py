@@ -1,5 +1,9 @@
 """Threads that share one large member: the same bits on any number of them."""
 
+import os
+import signal
+import threading
+
 import numpy as np
 import pytest
 import scipy.sparse as sparse
@@ -187,3 +191,33 @@ def test_progress_and_resumed_stretches_have_the_same_bits(capsys):
     np.testing.assert_array_equal(run(system, x0, 3, progress=True).x, run(system, x0, 1).x)
     first = run(system, x0, 3, save_every=10**6).x[-1]
     np.testing.assert_array_equal(first, run(system, x0, 1, save_every=10**6).x[-1])
+
+
+def test_threads_wait_between_calls():
+    system, x0 = isotropic(), spins(14)
+    body, states = co.systems.rigid_body(inertia=(1, 2, 2.5)), np.random.default_rng(3).standard_normal((200, 3))
+    inside = co.prepare(system, METHODS["plain"], 0.01, watch=False, threads=4)
+    members = co.prepare(body, co.Splitting(order=4), 0.05, threads=3)
+
+    def threads():
+        inside.run(x0, (0, 0.1))
+        members.run(states, (0, 1))
+        return len(os.listdir("/proc/self/task")) if os.path.isdir("/proc/self/task") else threading.active_count()
+
+    first = threads()
+    assert [threads() for _ in range(5)] == [first] * 5
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes of this system are not forked")
+def test_a_forked_process_has_threads_of_its_own():
+    system, x0 = isotropic(), spins(15)
+    body, states = co.systems.rigid_body(inertia=(1, 2, 2.5)), np.random.default_rng(4).standard_normal((200, 3))
+    inside = co.prepare(system, METHODS["plain"], 0.01, watch=False, threads=4)
+    members = co.prepare(body, co.Splitting(order=4), 0.05, threads=3)
+    wanted = inside.run(x0, (0, 0.7)).x, members.run(states, (0, 1)).x
+    child = os.fork()
+    if child == 0:
+        signal.alarm(60)
+        found = inside.run(x0, (0, 0.7)).x, members.run(states, (0, 1)).x
+        os._exit(0 if all(np.array_equal(a, b) for a, b in zip(found, wanted, strict=True)) else 1)
+    assert os.waitpid(child, 0)[1] == 0
