@@ -199,13 +199,14 @@ def test_threads_wait_between_calls():
     inside = co.prepare(system, METHODS["plain"], 0.01, watch=False, threads=4)
     members = co.prepare(body, co.Splitting(order=4), 0.05, threads=3)
 
-    def threads():
-        inside.run(x0, (0, 0.1))
-        members.run(states, (0, 1))
+    def count():
         return len(os.listdir("/proc/self/task")) if os.path.isdir("/proc/self/task") else threading.active_count()
 
-    first = threads()
-    assert [threads() for _ in range(5)] == [first] * 5
+    before = count()
+    for _ in range(20):
+        inside.run(x0, (0, 0.1))
+        members.run(states, (0, 1))
+    assert count() <= before + 3 + 3
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes of this system are not forked")
