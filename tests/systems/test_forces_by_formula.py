@@ -168,7 +168,8 @@ def test_members_of_batches_have_the_noise_of_their_numbers_in_any_order(pattern
         co.systems.rigid_body(inertia=(1.0, 1.5, 2.25)),
     ]
     order = pattern * count
-    batch = co.batch([kinds[k].with_forces(noise) for k in order])
+    forced = [kind.with_forces(noise) for kind in kinds]
+    batch = co.batch([forced[k] for k in order])
     x0 = np.random.default_rng(8).standard_normal((len(order), 3))
     together = co.integrate(batch, x0, (0.0, 1.0), 0.125).x
     apart = co.integrate_ensemble(batch, x0, (0.0, 1.0), 0.125, members_per_block=2).x
