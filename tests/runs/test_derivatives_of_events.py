@@ -147,6 +147,28 @@ def test_tangents_after_the_end_of_a_member_are_those_of_no_state(end):
         assert np.isnan(tangents.attitude[gone, m]).all() and np.isfinite(tangents.attitude[~gone, m]).all()
 
 
+def test_observed_quantities_of_the_time_move_with_the_crossing_that_ends_a_run():
+    body = co.systems.rigid_body(inertia=(1.0, 2.0, 2.5))
+    observe = {"clock": lambda x, t: t, "both": lambda x, t: x[0] * t**2, "state": lambda x: x[2] ** 2}
+    ready = co.prepare(body, co.Splitting(order=4), step=0.05, observe=observe)
+    event, x0 = co.Event(lambda x: x[1] + 0.2, terminal=True), np.array([1.0, 0.2, 0.5])
+    sol, pullback = ready.vjp(x0, (1.0, 21.0), save_every=7, events=event)
+    assert sol.events.ends(1)[0] < 20.0
+    weights = {name: np.random.default_rng(k).standard_normal(len(sol.t)) for k, name in enumerate(observe)}
+    found = pullback(observed=weights)["x0"]
+
+    def total(x):
+        run = ready.run(x, (1.0, 21.0), save_every=7, events=event)
+        return sum(weights[name] @ run.observed[name] for name in observe)
+
+    h = 2.0**-12
+    nodes, factors = (1, 2, 3, 4), (4 / 5, -1 / 5, 4 / 105, -1 / 280)
+    for i, unit in enumerate(np.eye(3)):
+        pairs = zip(nodes, factors, strict=True)
+        wanted = sum(w / h * (total(x0 + k * h * unit) - total(x0 - k * h * unit)) for k, w in pairs)
+        assert abs(found[i] - wanted) < 1e-8 * np.abs(found).max()
+
+
 def test_events_of_a_pullback_without_them_are_refused():
     ready = co.prepare(BODY, co.Splitting(), H)
     _, pullback = ready.vjp(X, (0.0, 1.0))

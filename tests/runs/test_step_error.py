@@ -271,3 +271,16 @@ def test_errors_of_half_steps_do_not_end_runs():
         assert sol.x.shape == (5, 3)
         with pytest.raises(LookupError, match="no table for this step"):
             sol.step_error()
+
+
+def test_steps_with_forces_of_the_time_are_repeated_at_their_times():
+    def pushing(t):
+        return np.array([0.0, 0.0, 30.0 * np.sin(20.0 * t) if t > 1.5 else 0.0])
+
+    pushed = co.systems.rigid_body(inertia=(1, 2, 2.5)).with_forces(co.forces.Torque(pushing))
+    x0, span = np.array([1.0, 0.2, 0.5]), (1.0, 11.0)
+    with pytest.warns(co.LargeStepWarning):
+        alone = co.integrate(pushed, x0, span, 0.2, co.Splitting(order=2))
+    with pytest.warns(co.LargeStepWarning):
+        in_batch = co.integrate(co.batch([pushed]), x0[None], span, 0.2, co.Splitting(order=2))
+    assert alone.step_error() == in_batch.step_error() > 0.02

@@ -57,7 +57,7 @@ def _worst(solution: Solution, prepared: PreparedRun | None) -> tuple[float, int
     points = _points(solution, system, members)
     if is_batch(system) and len(members) < len(system):
         prepared = prepared.sampled(members)
-    if is_batch(system) or member_of(system).hamiltonian.timed:
+    if is_batch(system) or member_of(system).hamiltonian.timed or forces_of(system):
         pairs = [_squares(prepared, states, t, h) for t, states in points]
     else:
         count = len(points[0][1])

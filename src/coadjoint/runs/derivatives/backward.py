@@ -112,7 +112,10 @@ class Pullback:
             found: Any = solution.events
             given = None if of_events["x"] is None else read_states(run.system, of_events["x"], "x of events")
             of_x[trajectory.crossings.rows, 0] += rows_of(run.system, _checked(given, found.x, "x of events"))
-            trajectory.crossings.pull(_read(of_events["t"], found.t, "t of events"), of_x, of_attitude, of_energy)
+            of_times = _read(of_events["t"], found.t, "t of events")
+            if observed is not None:
+                of_times = of_times + self._of_moments(states, observed)
+            trajectory.crossings.pull(of_times, of_x, of_attitude, of_energy)
         parameters = {
             name: np.zeros((members, one.value.size)) for name, one in run.parameters.items() if name in wanted
         }
@@ -189,6 +192,20 @@ class Pullback:
             for k, m in np.ndindex(states.shape[:2]):
                 function = function_of_rows(self._run.system, functions[name], float(times[k]))
                 total[k, m] += np.ravel(cotangents[k, m]) @ derivative_of(function, states[k, m]).derivative
+        return total
+
+    def _of_moments(self, states: Floats, observed: Mapping[str, Any]) -> Floats:
+        """Return the cotangents of the times of crossings at which quantities are observed that depend on the time."""
+        trajectory, functions = self._trajectory, self._run.prepared.observe
+        assert trajectory.crossings is not None
+        numbers = np.arange(len(states))
+        total = np.zeros(len(numbers[trajectory.crossings.rows]))
+        for c, row in enumerate(numbers[trajectory.crossings.rows].tolist()):
+            for k in np.flatnonzero(numbers[trajectory.saved_rows] == row).tolist():
+                for name, given in observed.items():
+                    cotangents = trajectory.with_members(_read(given, trajectory.solution.observed[name], name))
+                    slope = trajectory.crossings.slope(self._run.system, functions[name], c, states[row, 0])
+                    total[c] += np.ravel(cotangents[k, 0]) @ slope
         return total
 
     def _through_steps(

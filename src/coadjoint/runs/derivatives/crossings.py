@@ -40,6 +40,7 @@ class Crossings:
         self.of_x, self.of_g = np.zeros((len(rows), n)), np.zeros(len(rows))
         self.of_energy, self.of_attitude = np.zeros(len(rows)), np.zeros((len(rows), d, d))
         distance = DISTANCE * trajectory.scale[rows] * np.sign(trajectory.times.h)
+        self._t, self._distance = t, distance
         for node, weight in zip(NODES.tolist(), WEIGHTS.tolist(), strict=True):
             for sign in (1.0, -1.0):
                 by, factor = sign * node * distance, sign * weight / distance
@@ -57,6 +58,15 @@ class Crossings:
         self._gradients = np.zeros((len(rows), n))
         for row, (event, time) in enumerate(zip(found.which.tolist(), t.tolist(), strict=True)):
             self._gradients[row] = _gradient(system, found.asked[event].g, x[row], time)
+
+    def slope(self, system: Any, quantity: Any, crossing: int, x: Floats) -> Floats:
+        """Return the derivative of an observed quantity by the time of a crossing, at a fixed state."""
+        t, distance = float(self._t[crossing]), float(self._distance[crossing])
+        total: Any = 0.0
+        for node, weight in zip(NODES.tolist(), WEIGHTS.tolist(), strict=True):
+            after, before = (function_of_rows(system, quantity, t + by * distance)(x) for by in (node, -node))
+            total = total + weight / distance * (after - before)
+        return np.ravel(total)
 
     def follow(self, of_x: Floats, of_attitude: Floats | None, of_energy: Floats) -> Floats:
         """Return the tangents of the times, (crossings, 1, k), and let the rows of the tangents follow them."""
