@@ -117,7 +117,7 @@ def suggested_steps() -> np.ndarray:
         method = co.Splitting(parts="coordinates")
         h = co.suggest_step(body, method, x0, wanted)
         sol = co.integrate(body, x0, (7.3, 7.3 - 2000 * h), h, method)
-        found.append(np.sqrt(sol.drift()["energy"] / wanted))
+        found.append(np.sqrt(sol.drift()["energy"].absolute / wanted))
     return np.array(found)
 
 
