@@ -163,6 +163,7 @@ def test_several_trajectories_are_those_of_single_runs_together():
     np.testing.assert_allclose(found.values["x0"], starts, atol=1e-10)
     np.testing.assert_allclose(found.values["attitude0"], attitudes, atol=1e-10)
     np.testing.assert_allclose(found.solution.x, exact.x, atol=1e-9)
+    np.testing.assert_allclose(found.solution.attitude, exact.attitude, atol=1e-9)
     J = np.zeros((2, 41 * 12, 11))
     columns = ([0, 1, 2, 3, 4, 6, 7], [0, 1, 5, 8, 9, 10])  # of the unknowns that each run has
     chosen = (([0, 1, 2], [0, 2]), ([1], [0, 1, 2]))

@@ -368,6 +368,19 @@ def test_components_by_name_are_those_that_the_system_declares(name):
     assert by_name == declared and by_name != every
 
 
+@pytest.mark.parametrize("span", [(0.0, 4.0), (3.0, -1.0)])
+def test_paths_grow_from_the_start_in_the_direction_of_the_run(span):
+    run = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.3, 1.0, 0.2), span, 0.1)
+    kind, picture = read_picture(Picture("phase portrait", across=0, up=1))
+    axes = Figure().add_subplot()
+    update = kind.prepare(PlottedRun(run), **picture.options)(axes)
+    for k in (0, 7, 40, 20):
+        update(k)
+        x, y = axes.lines[0].get_data()
+        np.testing.assert_array_equal([x[0], y[0]], run.x[0, :2])
+        np.testing.assert_array_equal([x[-1], y[-1]], run.x[k, :2])
+
+
 def area(polygon):
     X, Y = polygon.T
     return 0.5 * abs(np.sum(X * np.roll(Y, -1) - Y * np.roll(X, -1)))

@@ -169,6 +169,27 @@ def test_observed_quantities_of_the_time_move_with_the_crossing_that_ends_a_run(
         assert abs(found[i] - wanted) < 1e-8 * np.abs(found).max()
 
 
+def without(series, gone, value):
+    """Return cotangents with other values where a member has ended."""
+    return {k: np.where(gone.reshape(*gone.shape, *[1] * (one.ndim - 2)), value, one) for k, one in series.items()}
+
+
+@pytest.mark.parametrize("end", [5.0, 5.2, 8.0])
+def test_cotangents_after_the_end_of_a_member_do_not_count(end):
+    """They are those of no state, and may be NaN like the states."""
+    rng = np.random.default_rng(3)
+    ready = co.prepare(BODY, co.Splitting(order=4), 0.1, attitude=True)
+    x0 = np.array([[1.0, 0.2, 0.5], [0.5, 0.3, 0.9], [0.9, -0.1, 0.4]])
+    sol, pullback = ready.vjp(x0, (0, end), save_every=4, events=END)
+    gone = np.isnan(sol.x[..., 0])
+    assert gone.any()
+    weights = {name: rng.standard_normal(getattr(sol, name).shape) for name in ("x", "energy", "attitude")}
+    wanted = pullback(**without(weights, gone, 0.0))
+    for given in (weights, without(weights, gone, np.nan)):
+        found = pullback(**given)
+        assert all(np.array_equal(found[name], value) for name, value in wanted.items())
+
+
 def test_events_of_a_pullback_without_them_are_refused():
     ready = co.prepare(BODY, co.Splitting(), H)
     _, pullback = ready.vjp(X, (0.0, 1.0))

@@ -22,6 +22,15 @@ DIFFERENCE_ERROR = 2.0**10 * UNIT_ROUNDOFF / DISTANCE
 # Functions of the user without complex numbers are differentiated with about nine digits.
 FUNCTION_ERROR = 2.0**-30
 
+WAVING_SQUARE = (
+    lambda y, t: np.cos(3 * t) * y**2,
+    lambda y, t: 2 * np.cos(3 * t) * y,
+    lambda y, t: 2 * np.cos(3 * t) + 0 * y,
+)
+DRIVEN = co.LiePoissonSystem(
+    co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.4]) + co.Separable({0: WAVING_SQUARE}), name="driven"
+)
+
 ALGEBRAS = {
     "so(3)": (co.algebras.so(3), -1),
     "so(4)": (co.algebras.so(4), -1),
@@ -197,6 +206,7 @@ def examples():
     vector, torus = plain("so(4)"), co.systems.torus_euler(N=5)
     found = [(force, vector) for kind in ("damping", "functions", "orbit", "noise") for force in forces_of(kind, 6)]
     found += [(force, co.systems.sphere_euler(N=4, rotation=0.7)) for force in FLUIDS["sphere"][1]]
+    found += [(force, DRIVEN) for force in forces_of("orbit", 3) + forces_of("noise", 3)]
     return found + [(F.BetaPlane(0.5), torus), (F.RandomForcing(0.3, band=(1, 2), seed=1), torus)]
 
 
@@ -350,6 +360,21 @@ def test_crossings_of_events_with_forces():
     assert abs(tangents.events["t"][0] - (times[0] - times[1]) * 2.0**11) <= 1e-4 * abs(tangents.events["t"][0])
     found = pullback(events={"t": [1.0]})["LinearDamping.rate"]
     assert abs(found - tangents.events["t"][0]) <= ADJOINT_ERROR * abs(found)
+
+
+def test_entries_of_a_symmetric_matrix_of_rates_change_alone():
+    """Rates need not be symmetric, unlike the metric of a damping along orbits."""
+    rate = np.array([[0.3, 0.1, 0.05], [0.1, 0.2, -0.04], [0.05, -0.04, 0.25]])
+    x0, span = (1.0, 0.2, 0.5), (0.5, 1.0)
+
+    def at(rate):
+        return co.prepare(plain("so(3)").with_forces(F.LinearDamping(rate)), co.Splitting(order=4), H)
+
+    _, tangents = at(rate).jvp(x0, span, {"LinearDamping.rate": np.eye(9).reshape(3, 3, 9)})
+    for k, unit in enumerate(DISTANCE * np.eye(9).reshape(9, 3, 3)):
+        moved = [at(rate + by * unit).run(x0, span).x for by in (1, -1, 2, -2, 3, -3, 4, -4)]
+        differences = sum(w * (moved[2 * j] - moved[2 * j + 1]) / DISTANCE for j, w in enumerate(WEIGHTS))
+        np.testing.assert_allclose(tangents.x[..., k], differences, rtol=0, atol=DIFFERENCE_ERROR)
 
 
 def test_parameters_of_forces_have_the_names_of_their_labels():

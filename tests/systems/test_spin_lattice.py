@@ -293,6 +293,20 @@ def test_each_spin_without_coupling_turns_about_its_own_field_at_all_times():
     np.testing.assert_array_equal(found[:, 6:], np.broadcast_to(x0[6:], (4, 3)))
 
 
+def test_equal_anisotropies_in_fields_of_each_site():
+    """Of spins without exchange each has the motion that it has alone, by the same squares with its own offsets."""
+    K = np.array([[0.3, 0.2, 0.1], [0.2, -0.4, 0.15], [0.1, 0.15, 0.25]])
+    fields = np.array([[0.3, 0.1, -0.2], [-0.4, 0.2, 0.6], [0.0, 0.5, 0.1]])
+    x0 = spins_of(5, 3)
+    lattice = spin_lattice("chain", 3, exchange=0.0, on_site=K, field=fields)
+    found = co.integrate(lattice, x0, (0, 2), 0.05, co.Splitting(order=4)).x.reshape(-1, 3, 3)
+    for site, field in enumerate(fields):
+        alone = spin_lattice("chain", 1, on_site=K, field=field)
+        wanted = co.integrate(alone, x0[3 * site : 3 * site + 3], (0, 2), 0.05, co.Splitting(order=4)).x
+        # 40 steps of some ten rotations, each with a few roundings.
+        np.testing.assert_allclose(found[:, site], wanted, rtol=0, atol=1e-13)
+
+
 def test_many_spins():
     system = spin_lattice("square", (100, 120), periodic=True, tensor=(1, 1, 0.5), field=(0, 0, 1))
     assert system.dim == 36000 and list(system.casimirs) == ["sum of |x|^2"] and list(system.integrals) == ["total S3"]
