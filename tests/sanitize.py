@@ -27,7 +27,7 @@ OPTIONS = {
 SETTINGS = {
     "ASAN_OPTIONS": "detect_leaks=0:halt_on_error=1:allocator_may_return_null=1",
     "UBSAN_OPTIONS": "halt_on_error=1:print_stacktrace=1",
-    "TSAN_OPTIONS": "halt_on_error=1:exitcode=66:suppressions={suppressions}",
+    "TSAN_OPTIONS": "halt_on_error=1:exitcode=66:die_after_fork=0:suppressions={suppressions}",
     "COADJOINT_LEVEL": f"v{LEVEL}",
     "PYTHONMALLOC": "malloc",
 }

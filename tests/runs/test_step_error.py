@@ -284,3 +284,17 @@ def test_steps_with_forces_of_the_time_are_repeated_at_their_times():
     with pytest.warns(co.LargeStepWarning):
         in_batch = co.integrate(co.batch([pushed]), x0[None], span, 0.2, co.Splitting(order=2))
     assert alone.step_error() == in_batch.step_error() > 0.02
+
+
+def test_the_first_run_with_inputs_is_judged_with_their_values():
+    body, x0 = co.systems.rigid_body(inertia=(1, 2, 2.5)), np.array([1.0, 0.2, 0.5])
+    slow, fast = (0.0, 0.0, 0.0), (1.0, -2.0, 3.0)
+    errors: dict[tuple[float, ...], set[float]] = {slow: set(), fast: set()}
+    for order in ((slow, fast), (fast, slow)):
+        ready = co.prepare(body, co.GaussLegendre(1), 0.3, inputs={"rotor": (0, 1, 2)})
+        for values in order:
+            with warnings.catch_warnings(record=True) as found:
+                warnings.simplefilter("always", co.LargeStepWarning)
+                errors[values].add(ready.run(x0, (0, 6), rotor=values).step_error())
+            assert len(found) == (values == order[0] == fast)
+    assert len(errors[slow]) == len(errors[fast]) == 1 and max(errors[fast]) > 0.05 > 10 * max(errors[slow])

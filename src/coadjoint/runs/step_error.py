@@ -42,8 +42,8 @@ def step_error(solution: Solution, prepared: PreparedRun | None = None) -> float
 
 def _worst(solution: Solution, prepared: PreparedRun | None) -> tuple[float, int]:
     """Return the largest error of a step among the members, and the number of the member."""
-    # An archive need not know its scheme and system.
-    described: Any = solution if prepared is None else prepared
+    # An archive need not know its scheme and system; that of a run with inputs has their values.
+    described: Any = solution if prepared is None or prepared.takes_inputs else prepared
     method, system = described.method, described.system
     if method.own_steps:
         raise TypeError(f"{method} chooses its own steps, and controls their error; there is no step to measure")
