@@ -1,6 +1,6 @@
-"""What a short call costs that is made ready: with an attitude or not, with inputs or not, one step or a hundred.
+"""Overhead of short calls of prepared runs: with or without attitude and inputs, of one member or many.
 
-python benchmarks/short_calls.py [--rounds R] [--calls C] [--only NAME ...]
+python benchmarks/short_calls.py [--rounds R] [--calls C] [--steps N ...] [--only NAME ...]
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ def full(n: int) -> np.ndarray:
 
 
 CASES: dict[str, tuple[co.LiePoissonSystem, co.methods.base.Method]] = {
+    "rigid body": (co.systems.rigid_body(inertia=(1, 2, 3)), co.Splitting(order=2)),
+    "Toda ring, Taylor": (co.systems.get("toda"), co.Taylor(16)),
     "gyrostat": (co.systems.gyrostat(), co.Splitting(order=2)),
     "gyrostat, Gauss": (co.systems.gyrostat(), co.GaussLegendre(2)),
     "gyrostat, Taylor": (co.systems.gyrostat(), co.Taylor(12)),
@@ -46,6 +48,7 @@ CASES: dict[str, tuple[co.LiePoissonSystem, co.methods.base.Method]] = {
 def calls_of(system: co.LiePoissonSystem, method: Any, steps: int) -> dict[str, Callable[[int], Any]]:
     """Return the calls that are compared, each with another state and another linear term."""
     rng, span = np.random.default_rng(1993), (0.0, steps * STEP)
+    spans = [(first * STEP, (first + steps) * STEP) for first in range(256)]
     states, linear = 0.5 * rng.standard_normal((256, system.dim)), 0.2 * rng.standard_normal((256, system.dim))
     # The same parts in all of them.
     steered = co.prepare(system, method, STEP, inputs=True)
@@ -56,6 +59,8 @@ def calls_of(system: co.LiePoissonSystem, method: Any, steps: int) -> dict[str, 
     ensemble = 0.5 * rng.standard_normal((MEMBERS, system.dim))
     calls: dict[str, Callable[[int], Any]] = {
         "alone": lambda k: alone.run(states[k % 256], span, steps).x,
+        "unread": lambda k: alone.run(states[k % 256], span, steps),
+        "new span": lambda k: alone.run(states[k % 256], spans[k % 256], steps).x,
         "end": lambda k: alone.end(states[k % 256], span),
         "inputs": lambda k: steered.run(states[k % 256], span, steps, linear=linear[k % 256]).x,
         "ensemble": lambda k: many.run(ensemble, span, steps).x,
@@ -76,19 +81,20 @@ def calls_of(system: co.LiePoissonSystem, method: Any, steps: int) -> dict[str, 
 
 
 def main() -> None:
-    """Print microseconds of the call alone, and what the others take over it."""
+    """Print microseconds of processor time of the call alone, and what the others take over it."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--calls", type=int, default=256)
+    parser.add_argument("--steps", nargs="*", type=int, default=[1, 4, 100])
     parser.add_argument("--only", nargs="*", default=list(CASES))
     given = parser.parse_args()
-    columns = ["end", "inputs", "attitude", "attitude from g"]
+    columns = ["end", "unread", "new span", "inputs", "attitude", "attitude from g"]
     ensembles = ["ensemble", "ensemble, one input", "ensemble, an input each"]
     print(f"| system | steps | alone, us | {' | '.join(f'+ {c}' for c in columns)} | {' | '.join(ensembles)} |")
     print(f"|---|---|---|{'---|' * len(columns + ensembles)}")
     for name in given.only:
         system, method = CASES[name]
-        for steps in (1, 100):
+        for steps in given.steps:
             best = microseconds(calls_of(system, method, steps), given.rounds, given.calls)
             more = [f"{best[c] - best['alone']:+.1f}" if c in best else "" for c in columns]
             cells = [name, str(steps), f"{best['alone']:.1f}", *more, *(f"{best[c]:.0f}" for c in ensembles)]

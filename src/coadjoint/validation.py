@@ -18,6 +18,7 @@ from coadjoint.short_repr import short
 Floats = NDArray[np.float64]
 
 REAL_KINDS = "iuf"
+FLOAT64 = np.dtype(np.float64)
 SMALL_SIZE = 64  # up to this many numbers plain Python is faster than NumPy
 UNCHECKED_SIZE = 2**16  # up to this many numbers memory is not checked
 MAX_TITLE_LENGTH = 200
@@ -95,6 +96,8 @@ def to_array(values: Any, what: str, kinds: str = REAL_KINDS) -> NDArray[Any]:
 
 def read_numbers(values: Any, what: str) -> Floats:
     """Validate real numbers and return a float64 copy."""
+    if type(values) is np.ndarray and values.dtype is FLOAT64 and values.size <= UNCHECKED_SIZE:
+        return np.array(values)
     array = to_array(values, what)
     if array.size > UNCHECKED_SIZE:
         check_available_memory(8 * array.size, f"a copy of {what}, of shape {array.shape},")

@@ -15,6 +15,7 @@ from coadjoint.methods.protocol.newton import took_newton
 from coadjoint.methods.suggested_scheme import reference_scheme
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.run import Run
+from coadjoint.runs.run_setup import RunSetup
 from coadjoint.runs.start import with_group
 from coadjoint.runs.times import Times
 from coadjoint.systems.system_checks import System
@@ -319,4 +320,5 @@ def short_run_at_start(
     start = with_group(system, momenta, False, None, False)
     times = Times(t0, time / steps, steps, save_every)
     note_progress(f"a pilot run of {steps} steps by {type(method).__name__}")
-    return Run(system, method, loops_of(system, method, times.h), times, start, False)
+    setup = RunSetup(loops_of(system, method, times.h), times, start.groups.shape)
+    return Run(system, method, setup, start)

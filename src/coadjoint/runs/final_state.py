@@ -15,14 +15,13 @@ from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.runs.loops.loops import SystemLoops
 from coadjoint.runs.memory_estimate import check_run_memory
 from coadjoint.runs.start import momenta_of
-from coadjoint.runs.times import Times, span_of, times_between
+from coadjoint.runs.times import Times, is_same_span, is_unchangeable, span_of, times_between
 from coadjoint.systems.protocol import unforced_matrix_system
-from coadjoint.validation import are_finite
+from coadjoint.validation import FLOAT64, are_finite
 
 if TYPE_CHECKING:
     from coadjoint.runs.prepared_run import PreparedRun
 
-FLOAT64 = np.dtype(np.float64)
 ENDS_ONLY = 2**53
 """A `save_every` that saves only the start and the end."""
 MAX_CACHED_NUMBERS = 2**16
@@ -52,7 +51,7 @@ class FinalStateRun:
 
     def __call__(self, x0: Any, t_span: Any) -> NDArray[np.float64] | None:
         """Return the final state; None if a full run is needed, for instance to raise the error."""
-        if t_span is not self._span and not self._is_prepared_for(t_span):
+        if t_span is not self._span and not is_same_span(t_span, self._span):
             self._prepare_span(t_span)
         if self._advance is None:
             return None
@@ -81,16 +80,6 @@ class FinalStateRun:
             return None
         return self._end.copy()
 
-    def _is_prepared_for(self, t_span: Any) -> bool:
-        """Whether the span is bitwise equal to that of the previous call."""
-        return (
-            type(t_span) is tuple
-            and len(t_span) == 2
-            and type(t_span[0]) is type(t_span[1]) is float
-            and t_span == self._span
-            and math.copysign(1.0, t_span[0]) == math.copysign(1.0, self._span[0])
-        )
-
     def _prepare_span(self, t_span: Any) -> None:
         """Prepare the call for another span."""
         self._span = self._advance = None
@@ -101,7 +90,7 @@ class FinalStateRun:
             schedule = schedule_of(*times[:4], False)
             arrays = self._saved, self._state
             self._advance = self._member_batch.bound_advance(self._layout, schedule, *arrays, times.steps, self._stop)
-        if type(t_span) is tuple and all(type(end) in (float, int) for end in t_span):
+        if is_unchangeable(t_span):
             self._span = t_span
 
     def _allocate(self, times: Times) -> None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.blas_threads import concurrent_members, matrix_rows
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
+from coadjoint.memory import UNCHECKED_BYTES
 from coadjoint.methods.forced import effective_scheme
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
@@ -33,14 +34,26 @@ from coadjoint.runs.final_state import ENDS_ONLY, FinalStateRun
 from coadjoint.runs.inputs import InputLoops, Inputs
 from coadjoint.runs.loops.batch_loops import BatchLoops
 from coadjoint.runs.loops.loops import Loops, SystemLoops
+from coadjoint.runs.memory_estimate import bytes_of_run
 from coadjoint.runs.output_times import OutputTimes, check_partial_steps, output_times_of, resample
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.results.observables import Observed, check_observe
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.run import Run, read_progress
-from coadjoint.runs.start import Representation, Start, momenta_of, read_attitude, representations_of, with_group
+from coadjoint.runs.run import Run, read_progress, solution_of_one_call
+from coadjoint.runs.run_setup import RunSetup
+from coadjoint.runs.start import (
+    Representation,
+    Start,
+    momenta_of,
+    no_groups,
+    read_attitude,
+    representations_of,
+    vector_size,
+    vectors_of,
+    with_group,
+)
 from coadjoint.runs.state import RunState
-from coadjoint.runs.times import Times, read_step, span_of, times_between
+from coadjoint.runs.times import RecentTimes, Times, read_step
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
@@ -59,6 +72,8 @@ UNPICKLED = (
     "_events",
     "_loops_by_step",
     "_derivatives",
+    "_recent_times",
+    "_recent_setup",
 )
 
 
@@ -114,6 +129,9 @@ class PreparedRun:
         self._lock = threading.RLock()
         # A call removes an entry while it runs, so that concurrent calls never share one.
         self._final_state_runs: list[FinalStateRun] = []
+        self._vector_size = vector_size(self.system)
+        self._recent_times = RecentTimes(self.step)
+        self._recent_setup: RunSetup | None = None
 
     def __repr__(self) -> str:
         return f"<prepared run of {self.system!r} by {self.method}, step {self.step:g}>"
@@ -130,7 +148,14 @@ class PreparedRun:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(
-            state, _observed=None, _events=None, _lock=threading.RLock(), _final_state_runs=[], _of_members={}
+            state,
+            _observed=None,
+            _events=None,
+            _lock=threading.RLock(),
+            _final_state_runs=[],
+            _of_members={},
+            _recent_times=RecentTimes(state["step"]),
+            _recent_setup=None,
         )
 
     def among(self, first: int, last: int, threads: int | None = None) -> PreparedRun:
@@ -255,9 +280,10 @@ class PreparedRun:
             As in `integrate`.
         """
         began = time.perf_counter()
-        progress = read_progress(progress)
+        progress = progress is not False and read_progress(progress)
         times, moments = self.times_of(t_span, save_every, t_eval)
-        values, event_list = self.values_of(inputs), read_events(events)
+        values = self.values_of(inputs) if inputs or self._inputs is not None else None
+        event_list = () if events is None else read_events(events)
         solution = self.follow(times, self.start(x0, attitude, values), progress, values, event_list, moments)
         solution.record.elapsed = time.perf_counter() - began
         if self._checks_step:
@@ -273,9 +299,11 @@ class PreparedRun:
 
     def times_of(self, t_span: Any, save_every: Any = 1, t_eval: Any = None) -> tuple[Times, OutputTimes | None]:
         """Validate span, `save_every` and `t_eval`; return the steps of a run, and the output times or None."""
-        times = times_between(span_of(t_span), self.step, save_every)
-        moments = None if t_eval is None else output_times_of(t_eval, times, save_every)
-        if moments is not None and self.method.own_steps:
+        times = self._recent_times.of(t_span, save_every)
+        if t_eval is None:
+            return times, None
+        moments = output_times_of(t_eval, times, save_every)
+        if self.method.own_steps:
             # Saved points do not alter adaptive steps; save as often as states are wanted, so that partial steps are
             # short.
             times = times.refined_times(len(moments.t))
@@ -555,12 +583,16 @@ class PreparedRun:
                 "attitude of a run is an initial group element, an array; the representation must be given "
                 f"to `prepare`, as attitude=True or 'coadjoint' (here {short(self._attitude)})"
             )
-        momenta, single = momenta_of(self.system, x0)
+        momenta, single = (
+            momenta_of(self.system, x0) if self._vector_size is None else vectors_of(x0, self._vector_size)
+        )
         if values is not None and values.ndim > 1:
             if single:
                 momenta, single = np.tile(momenta, (len(values), 1)), False
             elif len(momenta) != len(values):
                 raise ValueError(f"x0 has {len(momenta)} members and the inputs have values for {len(values)}")
+        if representation is None:
+            return Start(momenta, no_groups(len(momenta)), None, single, self.system)
         initial = self._attitude if attitude is None else attitude
         return with_group(self.system, momenta, single, representation, initial)
 
@@ -580,6 +612,10 @@ class PreparedRun:
         if moments is not None:
             check_partial_steps(self.system, moments)
             times = times.with_saved_steps(moments.marks)
+        if not (progress or events or self.observe or moments is not None):
+            setup, system = self._setup_of(times, start, values)
+            if setup.is_one_call:
+                return solution_of_one_call(system, self.method, setup, start)
         run = self.begun(times, start, values)
         observed = self.observed(start)
         try:
@@ -589,8 +625,7 @@ class PreparedRun:
             else:
                 run.advance(progress)
         except KeyboardInterrupt as stopped:
-            stopped.partial = run.interrupted(observed)  # type: ignore[attr-defined]
-            stopped.add_note("The solution so far is the attribute partial of the error; archive= stores it on disk")
+            run.describe_interrupt(stopped, observed)
             raise
         if moments is not None:
             resample(run, moments)
@@ -600,14 +635,34 @@ class PreparedRun:
         self, times: Times, start: Start, values: NDArray[np.float64] | None = None, state: RunState | None = None
     ) -> Run:
         """Return the run of `follow` before its first step, or resumed at a state."""
-        workers = min(len(start.momenta), self._threads)
-        system: Any = self.system
+        setup, system = self._setup_of(times, start, values)
+        return Run(system, self.method, setup, start, state)
+
+    def _setup_of(self, times: Times, start: Start, values: NDArray[np.float64] | None) -> tuple[RunSetup, Any]:
+        """Return the setup and the system of a run, with inputs a function that builds it; the last setup is cached."""
+        setup, groups = self._recent_setup, start.groups.shape
+        if setup is None or setup.groups != groups:
+            setup = self._new_setup(times, groups)
+        elif setup.times is not times:
+            shifted = setup.from_start(times)
+            if shifted is None:
+                setup = self._new_setup(times, groups)
+            else:
+                setup = self._recent_setup = shifted
+        if self._inputs is None:
+            return setup, self.system
         loops = self.loops(times.h)
-        if isinstance(loops, InputLoops):
-            assert values is not None
-            loops, system = loops.at(values), partial(self.system_at, values)
-        inside = min(self._threads // workers, MAX_THREADS_INSIDE)
-        return Run(system, self.method, loops, times, start, self._watching, workers, state, inside)
+        assert isinstance(loops, InputLoops) and values is not None
+        return setup.with_loops(loops.at(values)), partial(self.system_at, values)
+
+    def _new_setup(self, times: Times, groups: tuple[int, ...]) -> RunSetup:
+        loops, workers = self.loops(times.h), min(groups[0], self._threads)
+        options = self._watching, workers, min(self._threads // workers, MAX_THREADS_INSIDE)
+        setup = RunSetup(loops.base if isinstance(loops, InputLoops) else loops, times, groups, *options)
+        # The free memory is checked again for each large run.
+        if bytes_of_run(setup.plan.layout, times) <= UNCHECKED_BYTES:
+            self._recent_setup = setup
+        return setup
 
     def _watched(self, events: tuple[Event, ...], x0: NDArray[np.float64], t0: float) -> WatchedEvents:
         """Return the compiled events; those of the last run are cached."""

@@ -15,20 +15,17 @@ from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.blas_threads import limited_blas_threads
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import MemberBatch
-from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.loops.execution import failure_text, run_in_threads, status_name
-from coadjoint.runs.loops.loops import Loops
-from coadjoint.runs.memory_estimate import check_run_memory
 from coadjoint.runs.progress import progress_bar
-from coadjoint.runs.results.memory_record import record_of_run
+from coadjoint.runs.results.memory_record import record_of_arrays, record_of_run
 from coadjoint.runs.results.observables import Observed
 from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.run_setup import RunSetup
 from coadjoint.runs.start import Start
 from coadjoint.runs.state import RunState
-from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.system_checks import System
 from coadjoint.validation import read_bool
@@ -42,8 +39,7 @@ GROWTH = 2.0
 class Run:
     """Arrays of one run, from validated states and times, and the loops that fill them.
 
-    `system` may be a `partial` that builds it lazily. `workers` threads advance members, and `inside` share the work of
-    each. A run with a `state` resumes after its steps; earlier points are
+    `system` may be a `partial` that builds it lazily. A run with a `state` resumes after its steps; earlier points are
     not saved again.
 
     Attributes
@@ -59,53 +55,48 @@ class Run:
     """
 
     initial: NDArray[np.float64] | None = None
+    events: RecordedEvents | None = None
+    ending: TerminalEvent | None = None
+    seconds = 0.0
+    failed_count = 0
 
     def __init__(
         self,
         system: System | Batch | partial[System | Batch],
         method: Method,
-        loops: Loops,
-        times: Times,
+        setup: RunSetup,
         start: Start,
-        watching: bool,
-        workers: int = 1,
         state: RunState | None = None,
-        inside: int = 1,
     ) -> None:
         if state is not None:
-            times = times.after(state.number)
-        self.system, self.method, self.loops = system, method, loops
-        self.start, self.watching, self.workers, self.inside = start, watching, workers, inside
-        self._allocate(times)
-        square = start.groups.shape[1] ** 2
+            setup = setup.with_times(setup.times.after(state.number))
+        self.system, self.method, self.start = system, method, start
+        self.loops, self.workers, self.watching = setup.loops, setup.workers, setup.watching
+        self._allocate(setup)
         if state is None:
-            self.state = RunState(NamedArrays(self.plan.layout.state))
-            # Accounts follow the coordinates, and start at zero.
-            self.state["momenta"][:, : start.momenta.shape[1]] = start.momenta
-            if square:
-                self.state["groups"][:] = loops.initial_groups(start.groups)
+            arrays = NamedArrays(self.plan.layout.state)
+            self.state = RunState(arrays)
+            if self.plan.layout.extent.size == start.momenta.shape[1]:
+                arrays.numbers[arrays.offsets.slices["momenta"]] = start.momenta.ravel()
+            else:
+                # Accounts follow the coordinates, and start at zero.
+                arrays["momenta"][:, : start.momenta.shape[1]] = start.momenta
+            if setup.groups[1]:
+                arrays["groups"][:] = self.loops.initial_groups(start.groups)
         else:
             state.check_fits(self.plan.layout.state)
             self.state = state.copy()
             self.saved.numbers.fill(np.nan)
-        self.seconds = 0.0
-        self.failed_count = 0
         self.failure_reasons: dict[int, str] = {}
-        self.events: RecordedEvents | None = None
-        self.ending: TerminalEvent | None = None
 
-    def _allocate(self, times: Times, events: int = 0) -> None:
-        """Allocate the arrays for the saved points of these times."""
-        members = len(self.start.momenta)
-        self.times, self._event_tables_address = times, events
-        self.plan = self.loops.plan(members, times.points, self.start.groups.shape[1] ** 2, self.workers)
-        check_run_memory(self.plan.layout, times, members)
-        self.saved = NamedArrays(self.plan.layout.saved)
-        self._schedule = schedule_of(*times[:4], self.watching, *times[4:6], events=events, threads=self.inside)
+    def _allocate(self, setup: RunSetup) -> None:
+        """Allocate the arrays for the saved points of a setup."""
+        self.setup, self.times, self.plan = setup, setup.times, setup.plan
+        self.saved = NamedArrays(setup.plan.layout.saved)
 
     def release_points(self) -> None:
         """Release the saved points, and allocate arrays for those that follow."""
-        self._allocate(self.times.after(self.state.number), self._event_tables_address)
+        self._allocate(self.setup.with_times(self.times.after(self.state.number)))
         self.saved.numbers.fill(np.nan)
 
     @property
@@ -116,8 +107,7 @@ class Run:
 
     def enable_events(self, events: int) -> None:
         """Enable event detection, with the address of the event tables; these must outlive the run."""
-        times, self._event_tables_address = self.times, events
-        self._schedule = schedule_of(*times[:4], self.watching, *times[4:6], events=events, threads=self.inside)
+        self.setup = self.setup.with_events(events)
 
     def close(self, last: NDArray[np.int64]) -> None:
         """Discard points saved after the last steps of members that events have ended."""
@@ -158,28 +148,29 @@ class Run:
 
     def _advance(self, first: int, last: int, progress: bool) -> None:
         plan = self.plan
+        arrays = plan.layout, self.setup.schedule, self.saved, self.state.arrays
         if not progress:
             for member_batches in plan.rounds:
-                self.failed_count += self._advance_batches(member_batches, first, last)
+                self.failed_count += run_in_threads(member_batches, (*arrays, first, last), self.loops, self.workers)
         else:
             with progress_bar((last - first) * len(plan.rounds), progress) as bar:
                 for member_batches in plan.rounds:
-                    self.failed_count += self._advance_in_chunks(member_batches, first, last, bar)
-
-    def _advance_batches(self, member_batches: list[MemberBatch], done: int, target: int) -> int:
-        """Take the steps done + 1 to target of member batches; return the number of failed members."""
-        arguments = self.plan.layout, self._schedule, self.saved, self.state.arrays, done, target
-        return run_in_threads(member_batches, arguments, self.loops, self.workers)
+                    self.failed_count += self._advance_in_chunks(member_batches, arrays, first, last, bar)
 
     def _advance_in_chunks(
-        self, member_batches: list[MemberBatch], done: int, last: int, bar: Callable[[int], Any]
+        self,
+        member_batches: list[MemberBatch],
+        arrays: tuple[Any, ...],
+        done: int,
+        last: int,
+        bar: Callable[[int], Any],
     ) -> int:
         """Take the steps done + 1 to last of member batches in chunks between updates of the progress bar."""
         chunk = 1
         while True:
             target = min(last, done + chunk)
             before = time.perf_counter()
-            failed_count = self._advance_batches(member_batches, done, target)
+            failed_count = run_in_threads(member_batches, (*arrays, done, target), self.loops, self.workers)
             pace = (target - done) / max(time.perf_counter() - before, 1e-6)
             bar(target - done)
             chunk, done = max(1, min(int(pace * SECONDS_BETWEEN_UPDATES), 1000 * chunk)), target
@@ -193,15 +184,15 @@ class Run:
 
     def solution(self, observed: Observed | None) -> Solution:
         """Return the solution, or raise the failure with the partial solution."""
-        saved_points = self.times.points if self.ending is None else self.ending.points
+        saved_points = self.saved.offsets.shapes["x"][0] if self.ending is None else self.ending.points
         if not self.failed_count:
-            solution = self._solution(saved_points, observed)
+            solution = Solution(record_of_run(self, saved_points, observed))
             if self.start.representation is not None and self.loops.attitude_may_overflow(self.start, self.times):
                 self._check_attitude(solution)
             return solution
         if self.start.single and self.state["status"][0]:
             saved_points = int(np.searchsorted(self.times.saved, self.state["step"][0]))
-        solution = self._solution(saved_points, observed)
+        solution = Solution(record_of_run(self, saved_points, observed))
         solution.record.incomplete = "failed" if self.start.single else None
         raise self.failure(solution)
 
@@ -232,16 +223,21 @@ class Run:
                 deviations = np.abs(values[:saved_points][tenths == tenth] - values[0])
                 worst[:, tenth] = np.fmax.reduce(deviations, axis=0, initial=0.0)
         worst[~np.isfinite(x[:saved_points]).any(axis=(0, 2))] = np.nan
-        solution = self._solution(saved_points, observed)
+        solution = Solution(record_of_run(self, saved_points, observed))
         solution.record.incomplete = "interrupted"
         return solution
+
+    def describe_interrupt(self, stopped: KeyboardInterrupt, observed: Observed | None) -> None:
+        """Attach the points saved before an interrupt to it."""
+        stopped.partial = self.interrupted(observed)  # type: ignore[attr-defined]
+        stopped.add_note("The solution so far is the attribute partial of the error; archive= stores it on disk")
 
     def failure(self, partial: Any) -> IntegrationError:
         """Return the error of a failed run with its partial solution."""
         failed = self.state["status"].nonzero()[0]
         if len(failed):
             return self._error(int(failed[0]), len(failed), partial)
-        solution = self._solution(self.times.points, None)
+        solution = Solution(record_of_run(self, self.times.points, None))
         first = first_point_not_finite(solution.energy)
         assert first is not None
         return self.energy_error(int(self.times.saved[first]), float(solution.t[first]), partial)
@@ -317,8 +313,30 @@ class Run:
         last = self.state["momenta"][member, : len(start)]
         return not np.abs(last).max() <= GROWTH * np.abs(start).max()
 
-    def _solution(self, saved_points: int, observed: Observed | None) -> Solution:
-        return Solution(record_of_run(self, saved_points, observed))
+
+def solution_of_one_call(
+    system: System | Batch | partial[System | Batch], method: Method, setup: RunSetup, start: Start
+) -> Solution:
+    """Return the solution of a run that `is_one_call`, as a `Run` would; only failures and interrupts take one."""
+    layout = setup.plan.layout
+    saved, state = NamedArrays(layout.saved), NamedArrays(layout.state)
+    state.numbers[layout.state.slices["momenta"]] = start.momenta.ravel()
+    arguments = layout, setup.schedule, saved, state, 0, setup.times.steps
+    start_time = time.perf_counter()
+    try:
+        failed_count = run_in_threads(setup.plan.rounds[0], arguments, setup.loops)
+    except KeyboardInterrupt as stopped:
+        run = Run(system, method, setup, start)
+        run.saved, run.state = saved, RunState(state)
+        run.describe_interrupt(stopped, None)
+        raise
+    seconds = time.perf_counter() - start_time
+    if failed_count:
+        run = Run(system, method, setup, start)
+        run.saved, run.state = saved, RunState(state, setup.times.steps)
+        run.failed_count, run.seconds = failed_count, seconds
+        return run.solution(None)
+    return Solution(record_of_arrays(setup, method, system, start, saved, state, seconds))
 
 
 def first_point_not_finite(series: Any) -> int | None:

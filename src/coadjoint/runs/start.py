@@ -24,7 +24,7 @@ from coadjoint.systems.protocol import (
     unforced_matrix_system,
 )
 from coadjoint.systems.system_checks import System, check_system
-from coadjoint.validation import SMALL_SIZE, are_finite, read_numbers
+from coadjoint.validation import FLOAT64, SMALL_SIZE, are_finite, read_numbers
 
 Representation = NDArray[np.float64] | str | None
 
@@ -65,6 +65,9 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
 
     A batch takes one state for each member, or one for all.
     """
+    size = vector_size(system)
+    if size is not None:
+        return vectors_of(x0, size)
     matrices = unforced_matrix_system(system)
     if matrices is not None:
         rows = matrices.read(x0)
@@ -77,24 +80,44 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
         if momenta.shape[-len(shape) :] != shape or momenta.ndim > len(shape) + 1:
             raise ValueError(f"x0 has the shape {momenta.shape}; it must be {shape} or (members, {str(shape)[1:]}")
         momenta = momenta.reshape(*momenta.shape[: -len(shape)], n)
-    single = momenta.ndim == 1
     if is_batch(system):
         if momenta.shape not in ((n,), (len(system), n)):
             raise ValueError(
                 f"x0 has the shape {momenta.shape}; a batch of {len(system)} members needs ({len(system)}, {n}), "
                 f"or ({n},) for all of them"
             )
-        momenta, single = np.array(np.broadcast_to(momenta, (len(system), n)), order="C"), False
+        momenta = np.array(np.broadcast_to(momenta, (len(system), n)), order="C")
+    return _checked(momenta, n, x0)
+
+
+def vector_size(system: Any) -> int | None:
+    """Return the dimension of a system whose states are vectors and that all members share; otherwise None."""
+    is_other = is_batch(system) or len(shape_of(system)) > 1 or unforced_matrix_system(system) is not None
+    return None if is_other else int(system.dim)
+
+
+def vectors_of(x0: Any, n: int) -> tuple[NDArray[np.float64], bool]:
+    """Return what `momenta_of` returns for a system whose states are vectors of n numbers."""
+    if type(x0) is np.ndarray and x0.dtype is FLOAT64 and x0.shape == (n,) and n <= SMALL_SIZE:
+        # The short way of the most frequent case; numbers with a finite sum are finite.
+        momenta = x0.copy()
+        if math.isfinite(sum(momenta.tolist())):
+            return momenta[None], True
+    return _checked(read_numbers(x0, "x0"), n, x0)
+
+
+def _checked(momenta: NDArray[np.float64], n: int, x0: Any) -> tuple[NDArray[np.float64], bool]:
+    """Validate a copy of the numbers of x0; return it as (members, n), and whether it was a single state."""
     if momenta.ndim not in (1, 2) or momenta.shape[-1] != n:
         hint = "; np.ravel(x0) makes one state of its numbers" if momenta.size == n else ""
         raise ValueError(f"x0 has the shape {momenta.shape}; it must be ({n},) or (members, {n}){hint}")
     if not are_finite(momenta):
         raise ValueError("x0 contains NaN or infinity; every component must be finite")
     if momenta.ndim == 1:
-        momenta = momenta[None]
+        return momenta[None], True
     if not len(momenta):
         raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs at least one member")
-    return np.ascontiguousarray(momenta), single
+    return np.ascontiguousarray(momenta), False
 
 
 def combined(system: Any, x0: Any) -> tuple[Any, Any]:
@@ -159,7 +182,7 @@ def with_group(
     Otherwise the initial element is the unit element.
     """
     if representation is None:
-        return Start(momenta, np.zeros((len(momenta), 0, 0)), None, single, system)
+        return Start(momenta, no_groups(len(momenta)), None, single, system)
     size = system.dim if isinstance(representation, str) else representation.shape[1]
     if len(momenta) * size**2 > SMALL_SIZE:
         check_available_memory(
@@ -191,6 +214,12 @@ def _check_elements(system: System | Batch, groups: NDArray[np.float64], represe
         violation = group_element_violation(groups, representation)
     if violation is not None:
         raise ValueError(f"attitude is no element of the group of {member_of(system).name}: {violation}")
+
+
+@lru_cache(maxsize=4)
+def no_groups(members: int) -> NDArray[np.float64]:
+    """Return the cached group elements of a run without an attitude: an array without entries."""
+    return np.zeros((members, 0, 0))
 
 
 @lru_cache(maxsize=4)

@@ -20,6 +20,7 @@ from coadjoint.runs.loops.loops import Loops, SystemLoops, as_rows
 from coadjoint.runs.loops.rows import MemberTables
 from coadjoint.runs.loops.shifted_attitude import uncorrected_groups
 from coadjoint.runs.run import Run
+from coadjoint.runs.run_setup import RunSetup
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import short
@@ -65,7 +66,7 @@ def stretching(
     if None in prepared:
         return _step_by_step(system, systems, method, times, start, frame)
     loops = energy_loops(systems, method, times.h, prepared)
-    run = Run(system, method, loops, times, start, False, workers)
+    run = Run(system, method, RunSetup(loops, times, start.groups.shape, workers=workers), start)
     logarithms = np.full((times.points, len(start.momenta), len(frame.vectors)), np.nan)
     for point, number in enumerate(times.saved.tolist()):
         if number == 0:
@@ -87,7 +88,7 @@ def _step_by_step(
     _warn_once(type(method))
     every_step = times.with_saved_steps(np.arange(times.steps + 1))
     loops = energy_loops(systems, method, times.h, [None] * len(systems))
-    run = Run(system, method, loops, every_step, start, False)
+    run = Run(system, method, RunSetup(loops, every_step, start.groups.shape), start)
     run.advance()
     ends = np.where(run.state["status"] == 0, times.steps, run.state["step"] - 1)
     logarithms = np.full((times.points, len(start.momenta), len(frame.vectors)), np.nan)

@@ -139,7 +139,8 @@ def times_of(t_span: Any, step: Any, save_every: Any) -> Times:
 
 def times_between(ends: tuple[float, float], size: float, save_every: Any) -> Times:
     """Return the times of a run between validated ends, with a validated step; see `times_of`."""
-    every = read_integer(save_every, "save_every", floats=True)
+    unchanged = type(save_every) is int and save_every > 0
+    every = save_every if unchanged else read_integer(save_every, "save_every", floats=True)
     first, last = ends
     span = last - first
     if not math.isfinite(span):
@@ -161,6 +162,53 @@ def times_between(ends: tuple[float, float], size: float, save_every: Any) -> Ti
             "shift t_span towards zero"
         )
     return Times(first, math.copysign(size, span), steps, min(every, max(1, steps)))
+
+
+class RecentTimes:
+    """The times of runs of one step; those of the last call are cached for an unchanged span and `save_every`.
+
+    Threads may share it: a call reads and replaces the last span and its times at once.
+    """
+
+    def __init__(self, step: float) -> None:
+        self._step = step
+        self._last: tuple[tuple[float, float], int, Times] | None = None
+
+    def of(self, t_span: Any, save_every: Any) -> Times:
+        """Validate span and `save_every`; the times of an unchanged pair are the same object."""
+        last = self._last
+        if (
+            last is not None
+            and (t_span is last[0] or is_same_span(t_span, last[0]))
+            and (save_every is last[1] or (type(save_every) is int and save_every == last[1]))
+        ):
+            return last[2]
+        times = times_between(span_of(t_span), self._step, save_every)
+        if is_unchangeable(t_span) and type(save_every) is int:
+            self._last = t_span, save_every, times
+        return times
+
+
+def is_same_span(t_span: Any, last: Any) -> bool:
+    """Return whether a span is a tuple of floats with the bits of another one.
+
+    Examples
+    --------
+    >>> is_same_span((0.0, 2.0), (0, 2)), is_same_span((0.0, 2.0), (-0.0, 2.0))
+    (True, False)
+    """
+    return (
+        type(t_span) is tuple
+        and len(t_span) == 2
+        and type(t_span[0]) is type(t_span[1]) is float
+        and t_span == last
+        and math.copysign(1.0, t_span[0]) == math.copysign(1.0, last[0])
+    )
+
+
+def is_unchangeable(t_span: Any) -> bool:
+    """Return whether a validated span is a tuple of Python numbers, so that the same object remains the same span."""
+    return type(t_span) is tuple and type(t_span[0]) in (float, int) and type(t_span[1]) in (float, int)
 
 
 def read_step(step: Any) -> float:

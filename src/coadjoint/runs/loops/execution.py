@@ -9,12 +9,16 @@ from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
 from typing import Any, TypeVar
 
+from coadjoint.kernels.arrays import Layout, NamedArrays
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import MemberBatch, StopFlag
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.loops import Loops
 
 BatchT = TypeVar("BatchT")
+NEVER_STOPPED = StopFlag()
+"""Flag of runs in the calling thread, which no other thread stops."""
+
 Task = tuple[Callable[[], None], "SimpleQueue[None]"]
 
 POLLING_SECONDS = 0.01  # while threads stop
@@ -45,24 +49,26 @@ def _serve(tasks: SimpleQueue[Task]) -> None:
 
 
 def run_in_threads(
-    member_batches: Sequence[MemberBatch], arguments: tuple[Any, ...], loops: Loops, workers: int = 1
+    member_batches: Sequence[MemberBatch],
+    arguments: tuple[Layout, bytes, NamedArrays, NamedArrays, int, int],
+    loops: Loops,
+    workers: int = 1,
 ) -> int:
     """Advance member batches in `workers` threads (1: the calling thread); return the number of failed members.
 
     `arguments` are those of `MemberBatch.advance` except the last. Exceptions of user functions in `loops` take
     precedence over others.
     """
-    stop = StopFlag()
-
-    def advance(member_batch: MemberBatch) -> int:
-        return member_batch.advance(*(*arguments, stop))
-
     try:
-        failed_count = (
-            sum(map(advance, member_batches))
-            if workers == 1
-            else sum_in_threads(advance, member_batches, workers, stop)
-        )
+        if workers == 1:
+            failed_count = 0
+            for member_batch in member_batches:
+                failed_count += member_batch.advance(*arguments, NEVER_STOPPED)
+        else:
+            stop = StopFlag()
+            failed_count = sum_in_threads(
+                lambda member_batch: member_batch.advance(*arguments, stop), member_batches, workers, stop
+            )
     except BaseException as error:
         raised = loops.raised()
         if raised is not None:

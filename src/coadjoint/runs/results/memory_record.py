@@ -13,8 +13,12 @@ from coadjoint.runs.results.run_record import FROM_TIMES, RunRecord, Statistics
 from coadjoint.systems.protocol import states_of
 
 if TYPE_CHECKING:
+    from coadjoint.kernels.arrays import NamedArrays
+    from coadjoint.methods.protocol.method import Method
     from coadjoint.runs.results.observables import Observed
     from coadjoint.runs.run import Run
+    from coadjoint.runs.run_setup import RunSetup
+    from coadjoint.runs.start import Start
     from coadjoint.systems.batch import Batch
     from coadjoint.systems.system_checks import System
 
@@ -25,33 +29,12 @@ MAX_STATE_NUMBERS = 2**20
 
 def record_of_run(run: Run, saved_points: int, observed: Observed | None) -> RunRecord:
     """Return the record of the first saved points of a run in memory; the tables of the run are not kept alive."""
-    loops, state = run.loops, run.state.arrays
-    record = RunRecord(
-        IN_MEMORY,
-        {
-            "method": run.method,
-            "watched": run.watching,
-            "observed": {},
-            "choice": None,
-            "error": None,
-            "starts": None,
-            "events": run.events,
-            "ending": run.ending,
-            "saved": run.saved,
-            "state": state if state.numbers.size <= MAX_STATE_NUMBERS else state.subset(REPORTED_ARRAYS),
-            "saved_points": saved_points,
-            "seconds": run.seconds,
-            "elapsed": run.seconds,
-            "incomplete": None,
-            "times": run.times,
-            "start": run.start,
-            "names": loops.names,
-            "accounts": loops.accounts,
-            "corrected_groups": loops.corrected_groups,
-            "given_system": run.system,
-            "initial_values": run.initial,
-        },
-    )
+    state = run.state.arrays
+    if state.numbers.size > MAX_STATE_NUMBERS:
+        state = state.subset(REPORTED_ARRAYS)
+    record = record_of_arrays(run.setup, run.method, run.system, run.start, run.saved, state, run.seconds)
+    record.watched, record.times, record.saved_points = run.watching, run.times, saved_points
+    record.events, record.ending, record.initial_values = run.events, run.ending, run.initial
     if observed is not None:
         # Observed quantities do not use the accounts that may follow the coordinates.
         series = observed.along(record.t, _saved(record, "x"))
@@ -59,8 +42,26 @@ def record_of_run(run: Run, saved_points: int, observed: Observed | None) -> Run
     return record
 
 
+def record_of_arrays(
+    setup: RunSetup, method: Method, system: Any, start: Start, saved: NamedArrays, state: NamedArrays, seconds: float
+) -> RunRecord:
+    """Return the record of a run from its setup and its arrays; see `record_of_run`."""
+    fields = {
+        **setup.recorded,
+        "method": method,
+        "given_system": system,
+        "start": start,
+        "saved": saved,
+        "state": state,
+        "seconds": seconds,
+        "elapsed": seconds,
+    }
+    return RunRecord(IN_MEMORY, fields)
+
+
 def _saved(record: RunRecord, name: str) -> NDArray[Any]:
-    return record.saved[name][: record.saved_points]
+    points = record.saved[name]
+    return points if len(points) == record.saved_points else points[: record.saved_points]
 
 
 def _without_member_axis(record: RunRecord, series: NDArray[Any]) -> NDArray[Any]:
@@ -76,8 +77,9 @@ def _times(record: RunRecord) -> NDArray[np.float64]:
 
 
 def _x(record: RunRecord) -> NDArray[Any]:
+    rows = _without_member_axis(record, _saved(record, "x"))
     # Accounts of forces may follow the coordinates.
-    return _states(record, _without_member_axis(record, _saved(record, "x"))[..., : record.start.momenta.shape[1]])
+    return _states(record, rows[..., : record.start.momenta.shape[1]] if record.accounts else rows)
 
 
 def _states(record: RunRecord, rows: NDArray[np.float64]) -> NDArray[Any]:
@@ -136,6 +138,8 @@ def _built_system(record: RunRecord) -> System | Batch:
 
 IN_MEMORY: Mapping[str, Callable[[RunRecord], Any]] = {
     **FROM_TIMES,
+    **dict.fromkeys(("choice", "error", "starts", "incomplete"), lambda record: None),
+    "observed": lambda record: {},
     "system": _built_system,
     "t": _times,
     "x": _x,

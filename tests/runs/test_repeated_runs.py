@@ -1,0 +1,212 @@
+"""Calls of one prepared run, whatever came before, equal those of a fresh one: bits, errors and messages."""
+
+import dataclasses
+import itertools
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.runs import run as run_module
+from coadjoint.runs import times
+from methods.own_schemes import Failing
+
+BODY, STEP = co.systems.rigid_body(inertia=(1, 2, 2.5)), 0.0625
+X = np.array([0.3, -0.8, 0.5])
+MANY = X * np.linspace(0.5, 1.0, 4)[:, None]
+BLOWN = np.array([1e150, 1e150, -1e150])
+SPANS = [
+    (0.0, 0.25),
+    (-0.0, 0.25),
+    (0, 0.25),
+    (0, 1),
+    [0.0, 0.25],
+    np.array([0.0, 0.25]),
+    (np.float64(0.0), np.float32(0.25)),
+    (np.array(0.0), 0.25),
+    (0.25, 0.0),
+    (0.25, -0.0),
+    (0.5, 0.75),
+    (0.0, 0.0),
+    (0.0, 0.3),
+    (0.0, np.nan),
+    (0.0, True),
+    (0.0,),
+    None,
+]
+STATES = [
+    X,
+    tuple(X),
+    X.astype(np.float32),
+    np.array([1, 0, 1]),
+    np.repeat(X, 2)[::2],
+    X[::-1],
+    -0.0 * X,
+    MANY,
+    np.asfortranarray(MANY),
+    MANY[::2],
+    MANY[:1],
+    MANY.tolist(),
+    BLOWN,
+    np.array([X, BLOWN]),
+    np.array([X[0], np.nan, 0.0]),
+    np.array([np.inf, 0.0, 0.0]),
+    X[:2],
+    X[None, None],
+    MANY[:0],
+    "state",
+    np.array([True, False, True]),
+    X.astype(object),
+    X.astype(">f8"),
+]
+SAVED = [1, 2, 2.0, np.int64(2), True, 0, 10**6, 2**60, 1.5, None]
+
+
+class Case:
+    """A prepared run, and calls with their arguments."""
+
+    def __init__(self, method, **options):
+        self.method, self.options = method, {"threads": 1, **options}
+        self.inputs = (
+            [{"linear": value} for value in (X, [0, 0, 0], MANY, X[:2], -0.0 * X)] if "inputs" in options else []
+        )
+
+    def prepared(self):
+        return co.prepare(BODY, self.method, STEP, **self.options)
+
+    def calls(self, count):
+        rng = np.random.default_rng(count)
+        yield from ((X, span, 1, {}) for span in SPANS)
+        yield from ((state, SPANS[0], 1, {}) for state in STATES)
+        yield from ((X, SPANS[0], every, {}) for every in SAVED)
+        yield from ((state, SPANS[0], 1, given) for state in (X, MANY) for given in self.inputs)
+        yield X, SPANS[0], 1, {"linear": X}
+        yield X, SPANS[0], 1, {"t_eval": [0.1, 0.2]}
+        yield X, SPANS[0], 1, {"events": "x1"}
+        for _ in range(count):
+            given = self.inputs[rng.integers(len(self.inputs))] if self.inputs else {}
+            values = [
+                options[rng.integers(len(options))] if rng.random() < 0.4 else options[0]
+                for options in (STATES, SPANS, SAVED)
+            ]
+            yield *values, given
+
+
+CASES = {
+    "splitting": Case(co.Splitting(order=2)),
+    "Gauss": Case(co.GaussLegendre(2)),
+    "Taylor": Case(co.Taylor(6), watch=False),
+    "adaptive": Case(co.Taylor(tolerance=1e-9)),
+    "two threads": Case(co.Splitting(order=4), threads=2),
+    "observed": Case(co.Splitting(order=2), observe={"first": co.Polynomial("x1", dim=3)}),
+    "attitude": Case(co.Splitting(order=2), attitude=True),
+    "inputs": Case(co.Splitting(order=2), inputs=True),
+}
+
+
+def outcome(prepared, x0, span, every, given):
+    """Return everything that a call shows: bits of the arrays, or the error."""
+    try:
+        return shown(prepared.run(x0, span, every, **given))
+    except Exception as error:
+        partial = getattr(error, "partial", None)
+        return type(error), str(error), None if partial is None else shown(partial)
+
+
+def shown(sol):
+    arrays = [sol.t, sol.x, sol.x0, sol.energy, sol.drift()["energy"].tenths, sol.record.worst, *sol.casimirs.values()]
+    arrays += [*sol.observed.values(), *([] if sol.attitude is None else [sol.attitude])]
+    bits = [(np.shape(array), np.asarray(array).tobytes()) for array in arrays]
+    stats = dataclasses.replace(sol.stats, seconds=0.0, elapsed=0.0)
+    return (
+        bits,
+        stats,
+        repr(sol.t_span),
+        sol.save_every,
+        sol.incomplete,
+        repr(sol),
+        None if sol.failed is None else sol.failed.tolist(),
+    )
+
+
+@pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
+@pytest.mark.parametrize("name", CASES)
+def test_calls_are_those_of_a_fresh_prepared_run(name):
+    """Each call after every kind of other call, and repeated at once."""
+    case = CASES[name]
+    shared, calls = case.prepared(), list(case.calls(40))
+    expected = [outcome(case.prepared(), *call) for call in calls]
+    assert {len(found) for found in expected} == {3, 7}  # errors, and solutions
+    order = np.random.default_rng(1993).permutation(np.repeat(np.arange(len(calls)), 3))
+    for k in itertools.chain(range(len(calls)), order.tolist()):
+        for _ in range(2):
+            assert outcome(shared, *calls[k]) == expected[k], calls[k]
+
+
+@pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
+@pytest.mark.parametrize("name", ["splitting", "Gauss", "two threads", "inputs"])
+def test_calls_of_several_threads_are_those_of_a_fresh_prepared_run(name):
+    case = CASES[name]
+    shared, calls = case.prepared(), list(case.calls(10))
+    expected = [outcome(case.prepared(), *call) for call in calls]
+
+    def work(turn):
+        order = np.random.default_rng(turn).permutation(np.tile(np.arange(len(calls)), 5)).tolist()
+        return [k for k in order if outcome(shared, *calls[k]) != expected[k]]
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(work, range(4))) == [[]] * 4
+
+
+@pytest.mark.parametrize("members", [1, 4])
+def test_solutions_do_not_see_arrays_changed_afterwards(members):
+    prepared, x0, span = co.prepare(BODY, None, STEP, threads=1), MANY[:members].copy(), [0.0, 0.25]
+    x0 = x0[0] if members == 1 else x0
+    expected, sol = shown(prepared.run(x0.copy(), (0.0, 0.25))), prepared.run(x0, span)
+    first, start = prepared.run(x0, (0.0, 0.25)), x0.copy()
+    x0[...], span[1] = 7.0, 0.5
+    first.x[...] = first.energy[...] = first.x0[...] = 9.0
+    prepared.run(x0, (0.0, 0.25))
+    assert shown(sol) == expected == shown(prepared.run(start, (0.0, 0.25)))
+    assert prepared.run(start, span).t[-1] == 0.5
+
+
+@pytest.mark.filterwarnings("ignore:the steps of:RuntimeWarning")
+def test_exceptions_of_user_functions_leave_no_trace():
+    """One that was raised in a run is not raised in the next, whether the span changes or not."""
+    prepared = co.prepare(BODY, Failing(), 0.1)
+    expected = shown(co.prepare(BODY, Failing(), 0.1).run(X, (0.0, 0.3)))
+    for _ in range(3):
+        for span in ((0.0, 1.0), (0.0, 1.0)):
+            with pytest.raises(LookupError, match=r"t = 0\.6"):
+                prepared.run(X, span)
+        assert shown(prepared.run(X, (0.0, 0.3))) == expected
+
+
+def test_memory_of_large_runs_is_checked_in_each_call(monkeypatch):
+    for module in ("prepared_run", "memory_estimate"):
+        monkeypatch.setattr(f"coadjoint.runs.{module}.UNCHECKED_BYTES", 100)
+    prepared = co.prepare(BODY, None, STEP)
+    prepared.run(X, (0.0, 0.25))
+    monkeypatch.setattr("coadjoint.memory.available", lambda: 100)
+    for span in ((0.0, 0.25), (0.5, 0.75)):
+        with pytest.raises(ValueError, match="saved points"):
+            prepared.run(X, span)
+
+
+def test_unchanged_calls_are_not_prepared_again(monkeypatch):
+    """Nor do short runs take the arrays and attributes of `Run`, which failures, events and attitudes need."""
+    prepared, made = co.prepare(BODY, None, STEP, threads=1), []
+    prepared.run(X, (0.0, 0.25))  # looks at its step
+    between = times.times_between
+    monkeypatch.setattr(times, "times_between", lambda *given: made.append(given[0]) or between(*given))
+    real_init = run_module.Run.__init__
+    monkeypatch.setattr(run_module.Run, "__init__", lambda own, *given: made.append("run") or real_init(own, *given))
+    for span in ((0.0, 0.5), (0.0, 0.5), (-0.0, 0.5), (-0.0, 0.5), (0.0, 0.5)):
+        prepared.run(X, span)
+    assert list(map(str, made)) == ["(0.0, 0.5)", "(-0.0, 0.5)", "(0.0, 0.5)"]
+    made.clear()
+    with pytest.raises(co.IntegrationError):
+        co.prepare(BODY, co.GaussLegendre(2), STEP).run(BLOWN, (0.0, 0.5))
+    assert made.count("run") == 1
