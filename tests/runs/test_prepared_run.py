@@ -88,6 +88,7 @@ def test_one_worker_starts_no_thread(monkeypatch):
         raise AssertionError("a thread for one member")
 
     monkeypatch.setattr(execution.threading, "Thread", refused)
+    monkeypatch.setattr(execution, "_IDLE", [])  # threads of earlier runs wait for work
     assert co.prepare(BODY, None, 0.1, threads=8).run(X, (0, 1)).x.shape == (11, 3)
     assert co.prepare(BODY, None, 0.1, threads=1).run([X, X], (0, 1)).x.shape == (11, 2, 3)
     with pytest.raises(AssertionError, match="a thread"):

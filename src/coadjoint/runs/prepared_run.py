@@ -496,7 +496,7 @@ class PreparedRun:
             )
 
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
-        """Return only the final state of a run, with a fifth of the overhead of `run`.
+        """Return only the final state of a run, with a third of the overhead of `run`.
 
         For shooting methods, maps and control loops of few steps: the overhead of a call is about 3 us. The result is
         bitwise equal to ``run(x0, t_span).x[-1]``, with the same errors. Ensembles, batches, matrices, and runs
