@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.runs import run as run_module
 from coadjoint.runs import times
+from coadjoint.runs.run import Run
 from methods.own_schemes import Failing
 
 BODY, STEP = co.systems.rigid_body(inertia=(1, 2, 2.5)), 0.0625
@@ -201,8 +201,8 @@ def test_unchanged_calls_are_not_prepared_again(monkeypatch):
     prepared.run(X, (0.0, 0.25))  # looks at its step
     between = times.times_between
     monkeypatch.setattr(times, "times_between", lambda *given: made.append(given[0]) or between(*given))
-    real_init = run_module.Run.__init__
-    monkeypatch.setattr(run_module.Run, "__init__", lambda own, *given: made.append("run") or real_init(own, *given))
+    real_set = Run._set
+    monkeypatch.setattr(Run, "_set", lambda own, *given: made.append("run") or real_set(own, *given))
     for span in ((0.0, 0.5), (0.0, 0.5), (-0.0, 0.5), (-0.0, 0.5), (0.0, 0.5)):
         prepared.run(X, span)
     assert list(map(str, made)) == ["(0.0, 0.5)", "(-0.0, 0.5)", "(0.0, 0.5)"]

@@ -35,11 +35,12 @@ from coadjoint.runs.inputs import InputLoops, Inputs
 from coadjoint.runs.loops.batch_loops import BatchLoops
 from coadjoint.runs.loops.loops import Loops, SystemLoops
 from coadjoint.runs.memory_estimate import bytes_of_run
+from coadjoint.runs.one_call import solution_of_one_call
 from coadjoint.runs.output_times import OutputTimes, check_partial_steps, output_times_of, resample
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.results.observables import Observed, check_observe
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.run import Run, read_progress, solution_of_one_call
+from coadjoint.runs.run import Run, read_progress
 from coadjoint.runs.run_setup import RunSetup
 from coadjoint.runs.start import (
     Representation,

@@ -20,7 +20,7 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.loops.execution import failure_text, run_in_threads, status_name
 from coadjoint.runs.progress import progress_bar
-from coadjoint.runs.results.memory_record import record_of_arrays, record_of_run
+from coadjoint.runs.results.memory_record import record_of_run
 from coadjoint.runs.results.observables import Observed
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run_setup import RunSetup
@@ -70,9 +70,7 @@ class Run:
     ) -> None:
         if state is not None:
             setup = setup.with_times(setup.times.after(state.number))
-        self.system, self.method, self.start = system, method, start
-        self.loops, self.workers, self.watching = setup.loops, setup.workers, setup.watching
-        self._allocate(setup)
+        self._set(system, method, setup, start, NamedArrays(setup.plan.layout.saved))
         if state is None:
             arrays = NamedArrays(self.plan.layout.state)
             self.state = RunState(arrays)
@@ -87,16 +85,28 @@ class Run:
             state.check_fits(self.plan.layout.state)
             self.state = state.copy()
             self.saved.numbers.fill(np.nan)
+
+    def _set(self, system: Any, method: Method, setup: RunSetup, start: Start, saved: NamedArrays) -> None:
+        self.system, self.method, self.start = system, method, start
+        self.loops, self.workers, self.watching = setup.loops, setup.workers, setup.watching
+        self.setup, self.times, self.plan, self.saved = setup, setup.times, setup.plan, saved
         self.failure_reasons: dict[int, str] = {}
 
-    def _allocate(self, setup: RunSetup) -> None:
-        """Allocate the arrays for the saved points of a setup."""
-        self.setup, self.times, self.plan = setup, setup.times, setup.plan
-        self.saved = NamedArrays(setup.plan.layout.saved)
+    @classmethod
+    def of_arrays(
+        cls, system: Any, method: Method, setup: RunSetup, start: Start, saved: NamedArrays, state: RunState
+    ) -> Run:
+        """Return the run whose loops have filled these arrays."""
+        run: Run = object.__new__(cls)
+        run._set(system, method, setup, start, saved)
+        run.state = state
+        return run
 
     def release_points(self) -> None:
         """Release the saved points, and allocate arrays for those that follow."""
-        self._allocate(self.setup.with_times(self.times.after(self.state.number)))
+        setup = self.setup.with_times(self.times.after(self.state.number))
+        self.setup, self.times, self.plan = setup, setup.times, setup.plan
+        self.saved = NamedArrays(setup.plan.layout.saved)
         self.saved.numbers.fill(np.nan)
 
     @property
@@ -312,31 +322,6 @@ class Run:
         start = self.start.momenta[member]
         last = self.state["momenta"][member, : len(start)]
         return not np.abs(last).max() <= GROWTH * np.abs(start).max()
-
-
-def solution_of_one_call(
-    system: System | Batch | partial[System | Batch], method: Method, setup: RunSetup, start: Start
-) -> Solution:
-    """Return the solution of a run that `is_one_call`, as a `Run` would; only failures and interrupts take one."""
-    layout = setup.plan.layout
-    saved, state = NamedArrays(layout.saved), NamedArrays(layout.state)
-    state.numbers[layout.state.slices["momenta"]] = start.momenta.ravel()
-    arguments = layout, setup.schedule, saved, state, 0, setup.times.steps
-    start_time = time.perf_counter()
-    try:
-        failed_count = run_in_threads(setup.plan.rounds[0], arguments, setup.loops)
-    except KeyboardInterrupt as stopped:
-        run = Run(system, method, setup, start)
-        run.saved, run.state = saved, RunState(state)
-        run.describe_interrupt(stopped, None)
-        raise
-    seconds = time.perf_counter() - start_time
-    if failed_count:
-        run = Run(system, method, setup, start)
-        run.saved, run.state = saved, RunState(state, setup.times.steps)
-        run.failed_count, run.seconds = failed_count, seconds
-        return run.solution(None)
-    return Solution(record_of_arrays(setup, method, system, start, saved, state, seconds))
 
 
 def first_point_not_finite(series: Any) -> int | None:
