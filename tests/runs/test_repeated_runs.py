@@ -9,10 +9,12 @@ import pytest
 
 import coadjoint as co
 from coadjoint.runs import times
+from coadjoint.runs.loops.batch_loops import BATCHES_PER_ROUND
 from coadjoint.runs.run import Run
 from methods.own_schemes import Failing
 
 BODY, STEP = co.systems.rigid_body(inertia=(1, 2, 2.5)), 0.0625
+PUSHED = BODY.with_forces(co.forces.Torque(lambda t: np.array([t, 1.0 - t, t * t])))
 X = np.array([0.3, -0.8, 0.5])
 MANY = X * np.linspace(0.5, 1.0, 4)[:, None]
 BLOWN = np.array([1e150, 1e150, -1e150])
@@ -66,14 +68,14 @@ SAVED = [1, 2, 2.0, np.int64(2), True, 0, 10**6, 2**60, 1.5, None]
 class Case:
     """A prepared run, and calls with their arguments."""
 
-    def __init__(self, method, **options):
-        self.method, self.options = method, {"threads": 1, **options}
+    def __init__(self, method, system=BODY, **options):
+        self.system, self.method, self.options = system, method, {"threads": 1, **options}
         self.inputs = (
             [{"linear": value} for value in (X, [0, 0, 0], MANY, X[:2], -0.0 * X)] if "inputs" in options else []
         )
 
     def prepared(self):
-        return co.prepare(BODY, self.method, STEP, **self.options)
+        return co.prepare(self.system, self.method, STEP, **self.options)
 
     def calls(self, count):
         rng = np.random.default_rng(count)
@@ -102,6 +104,8 @@ CASES = {
     "observed": Case(co.Splitting(order=2), observe={"first": co.Polynomial("x1", dim=3)}),
     "attitude": Case(co.Splitting(order=2), attitude=True),
     "inputs": Case(co.Splitting(order=2), inputs=True),
+    "inputs, tables of each member": Case(co.ReversibleSteps(co.Splitting(order=2)), inputs=True),
+    "torque at times": Case(co.Splitting(order=2), PUSHED),
 }
 
 
@@ -115,7 +119,7 @@ def outcome(prepared, x0, span, every, given):
 
 
 def shown(sol):
-    arrays = [sol.t, sol.x, sol.x0, sol.energy, sol.drift()["energy"].tenths, sol.record.worst, *sol.casimirs.values()]
+    arrays = [sol.t, sol.x, sol.x0, sol.energy, sol.change()["energy"].tenths, sol.record.worst, *sol.casimirs.values()]
     arrays += [*sol.observed.values(), *([] if sol.attitude is None else [sol.attitude])]
     bits = [(np.shape(array), np.asarray(array).tobytes()) for array in arrays]
     stats = dataclasses.replace(sol.stats, seconds=0.0, elapsed=0.0)
@@ -210,3 +214,13 @@ def test_unchanged_calls_are_not_prepared_again(monkeypatch):
     with pytest.raises(co.IntegrationError):
         co.prepare(BODY, co.GaussLegendre(2), STEP).run(BLOWN, (0.0, 0.5))
     assert made.count("run") == 1
+
+
+def test_members_in_several_rounds_are_all_advanced():
+    """Members whose inputs need tables of their own, more than those of one round."""
+    prepared = co.prepare(BODY, co.ReversibleSteps(co.Splitting(order=2)), STEP, inputs=True, threads=1)
+    states = np.random.default_rng(1993).uniform(-0.5, 0.5, (BATCHES_PER_ROUND + 3, 3))
+    sol = prepared.run(states, (0.0, 0.25), linear=0.2 * states)
+    for m in (0, BATCHES_PER_ROUND - 1, BATCHES_PER_ROUND, len(states) - 1):
+        alone = prepared.run(states[m], (0.0, 0.25), linear=0.2 * states[m])
+        assert np.array_equal(sol.x[:, m], alone.x) and np.array_equal(sol.energy[:, m], alone.energy)

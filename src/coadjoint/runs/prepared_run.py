@@ -35,7 +35,7 @@ from coadjoint.runs.inputs import InputLoops, Inputs
 from coadjoint.runs.loops.batch_loops import BatchLoops
 from coadjoint.runs.loops.loops import Loops, SystemLoops
 from coadjoint.runs.memory_estimate import bytes_of_run
-from coadjoint.runs.one_call import solution_of_one_call
+from coadjoint.runs.one_round import solution_of_one_round
 from coadjoint.runs.output_times import OutputTimes, check_partial_steps, output_times_of, resample
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.results.observables import Observed, check_observe
@@ -615,8 +615,8 @@ class PreparedRun:
             times = times.with_saved_steps(moments.marks)
         if not (progress or events or self.observe or moments is not None):
             setup, system = self._setup_of(times, start, values)
-            if setup.is_one_call:
-                return solution_of_one_call(system, self.method, setup, start)
+            if setup.is_one_round:
+                return solution_of_one_round(system, self.method, setup, start)
         run = self.begun(times, start, values)
         observed = self.observed(start)
         try:

@@ -23,8 +23,8 @@ class RunSetup:
         The schedule for the loops.
     recorded : dict
         Fields of records that are the same for all runs.
-    is_one_call : bool
-        Whether a run is one call of a loop in the calling thread, from the momenta alone, with a small state.
+    is_one_round : bool
+        Whether a run is one round of calls of a loop in the calling thread, from the momenta alone, with a small state.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class RunSetup:
         }
         special = loops.rows or loops.measures or loops.order is not None or loops.accounts or groups[1]
         small = self.plan.layout.state.size <= MAX_STATE_NUMBERS
-        self.is_one_call = small and workers == 1 and not special and self.plan.is_one_batch
+        self.is_one_round = small and workers == 1 and not special and len(self.plan.rounds) == 1
 
     def with_times(self, times: Times) -> RunSetup:
         """Return the setup of the same runs for other times."""
@@ -87,5 +87,5 @@ class RunSetup:
         """Return the setup for loops that differ in the numbers in their tables only."""
         setup = self._copy()
         setup.loops, setup.plan = loops, loops.plan(*self._extent, self.workers)
-        setup.is_one_call = self.is_one_call and setup.plan.is_one_batch
+        setup.is_one_round = self.is_one_round and len(setup.plan.rounds) == 1
         return setup

@@ -38,11 +38,6 @@ class ExecutionPlan:
     def __init__(self, key: tuple[int, ...], layout: Layout, rounds: list[list[MemberBatch]]) -> None:
         self.key, self.layout, self.rounds = key, layout, rounds
 
-    @property
-    def is_one_batch(self) -> bool:
-        """Whether there is a single member batch."""
-        return len(self.rounds) == len(self.rounds[0]) == 1
-
 
 class Loops(ABC):
     """The compiled loops of a run, and further properties of its system; concurrent runs may share them.

@@ -1,4 +1,4 @@
-"""Short way of a run that is one call of a loop: its record is made of the arrays, without the attributes of `Run`."""
+"""Short way of a run that is one round of calls of a loop: its record is made of the arrays, without a `Run`."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from coadjoint.runs.start import Start
 from coadjoint.runs.state import RunState
 
 
-def solution_of_one_call(system: Any, method: Method, setup: RunSetup, start: Start) -> Solution:
-    """Return the solution of a run that `is_one_call`; failures and interrupts are those of `Run`."""
+def solution_of_one_round(system: Any, method: Method, setup: RunSetup, start: Start) -> Solution:
+    """Return the solution of a run that `is_one_round`; failures and interrupts are those of `Run`."""
     layout = setup.plan.layout
     saved, state = NamedArrays(layout.saved), NamedArrays(layout.state)
     state.numbers[layout.state.slices["momenta"]] = start.momenta.ravel()
