@@ -21,6 +21,18 @@ struct CachedRotation {
 
 constexpr int SPREAD = 8;  // rotations of one trajectory whose sines are computed side by side
 
+// Rotate pairs of coordinates, all of them different, of a single vector, each by an angle of its own.
+template <class Spread>
+INLINE void rotate_pairs(const Rotation<Spread>& rotations, const uint32_t* index, double* x) {
+    constexpr int count = Numbers<Spread>::lanes;
+    double first[count], second[count];
+    for (int k = 0; k < count; ++k) first[k] = x[index[2 * k]], second[k] = x[index[2 * k + 1]];
+    const Spread a = load<Spread>(first), b = load<Spread>(second);
+    store(first, a + fma(rotations.cosm1, a, -(rotations.sine * b)));
+    store(second, b + fma(rotations.cosm1, b, rotations.sine * a));
+    for (int k = 0; k < count; ++k) x[index[2 * k]] = first[k], x[index[2 * k + 1]] = second[k];
+}
+
 // The rotations first to count - 1 of a run, each by a different angle; `theta` is that of the first.
 template <Summation summation, class A, class V, class C>
 NOINLINE void rotate_several(const Action& action, const C& constants, uint32_t run, double tau, const A* theta,
@@ -34,6 +46,12 @@ NOINLINE void rotate_several(const Action& action, const C& constants, uint32_t 
             typedef Lanes<SPREAD> Spread;
             const Spread phi = load<Spread>(theta + (q - first)) * (Spread(tau) * load<Spread>(action.constants + position + q));
             const Rotation<Spread> rotations = rotation_by(phi);
+            if constexpr (summation == PLAIN && Numbers<V>::lanes == 1)
+                if (repeat == 1) {
+                    rotate_pairs(rotations, index, x.at);
+                    index += 2 * SPREAD;
+                    continue;
+                }
             double sines[SPREAD], cosm1s[SPREAD];
             store(sines, rotations.sine);
             store(cosm1s, rotations.cosm1);

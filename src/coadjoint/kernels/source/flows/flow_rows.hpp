@@ -31,11 +31,33 @@ inline std::vector<bool> even_terms(const Terms& terms, int64_t longest) {
     return even;
 }
 
-// The rows start to stop - 1 of such a term, as by `gradient_rows`.
+template <int length, class A>
+INLINE void rows_of_length(const A& offset, const A& weight, const uint32_t* column, uint32_t count, const A* x,
+                           A* out) {
+    for (uint32_t row = 0; row < count; ++row, column += length) {
+        A total = offset;
+#pragma GCC unroll 8
+        for (int e = 0; e < length; ++e) total = fma(weight, x[column[e]], total);
+        out[row] = total;
+    }
+}
+
+// The rows start to stop - 1 of such a term, as by `gradient_rows`. Sites with the usual numbers of neighbours have
+// loops of their own.
 template <class A>
 NOINLINE void even_rows(const Terms& terms, uint32_t start, uint32_t stop, const A* x, A* out) {
     const uint32_t *entry = terms.entry, *column = terms.column;
     const A offset(terms.offset[start]), weight(terms.weight[entry[start]]);
+    const uint32_t length = entry[start + 1] - entry[start], *first = column + entry[start];
+    bool equal = true;
+    for (uint32_t row = start; row < stop; ++row) equal &= entry[row + 1] - entry[row] == length;
+    if (equal) switch (length) {
+            case 2: return rows_of_length<2>(offset, weight, first, stop - start, x, out);
+            case 3: return rows_of_length<3>(offset, weight, first, stop - start, x, out);
+            case 4: return rows_of_length<4>(offset, weight, first, stop - start, x, out);
+            case 6: return rows_of_length<6>(offset, weight, first, stop - start, x, out);
+            default: break;
+        }
     for (uint32_t row = start, e = entry[start]; row < stop; ++row) {
         A total = offset;
         for (const uint32_t last = entry[row + 1]; e < last; ++e) total = fma(weight, x[column[e]], total);
