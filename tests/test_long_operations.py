@@ -167,11 +167,11 @@ BODY, X0 = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, 1.0, 0.2)
 def test_long_calls_warn_by_their_name(name, clock, monkeypatch):
     from coadjoint.analysis.checks import subject
     from coadjoint.choosing import pilot
-    from coadjoint.methods.numerics import taylor_series
+    from coadjoint.methods.numerics import taylor_tangents
     from coadjoint.program.parts import decompose
     from coadjoint.runs import tangent_stretching as stretching
 
-    modules = {"certify": subject, "choose": pilot, "lyapunov": stretching, "tangent": taylor_series}
+    modules = {"certify": subject, "choose": pilot, "lyapunov": stretching, "tangent": taylor_tangents}
     module = modules.get(name, decompose)
     slow_down(clock, monkeypatch, module, "note_progress")
     system = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic([1.0, 2.0, 3.0, 4.0, 5.0, 7.0]))

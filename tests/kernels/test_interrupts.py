@@ -126,7 +126,8 @@ def test_other_threads_hear_that_they_are_to_stop(monkeypatch):
     """A run in a thread of its own hears no signal, but what is said to it."""
     monkeypatch.setattr(loop.StopFlag, "__init__", lambda self: _flag(self))
     with pytest.raises(KeyboardInterrupt):
-        co.integrate(co.systems.rigid_body((1, 2, 3)), (0.1, 1.0, 0.2), (0, 1e6), 0.001, watch=False, save_every=10**9)
+        body, x0 = co.systems.rigid_body((1, 2, 3)), np.tile((0.1, 1.0, 0.2), (200, 1))
+        co.integrate(body, x0, (0, 1e6), 0.001, watch=False, save_every=10**9, threads=2)
 
 
 def _flag(stop):

@@ -10,11 +10,11 @@ import coadjoint as co
 from coadjoint.methods.numerics.taylor_series import logarithm_of_step, near_log2, near_power_of_two
 from coadjoint.methods.registry import description_of, from_description
 from coadjoint.runs.loops.loops import SystemLoops
-from coadjoint.runs.run import Run
 from coadjoint.runs.start import start_of
 from coadjoint.runs.state import RunState
 from coadjoint.runs.times import Times
 from drawn_matrices import full
+from started_runs import started
 
 pytestmark = pytest.mark.thinned(6)
 
@@ -140,7 +140,7 @@ def memory_after(system, method, x, t, points):
     """Return all that a run remembers at its end, after so many looks."""
     times = Times(0.0, t / points, points, 1)
     start = start_of(system, method, x, False)
-    run = Run(system, method, SystemLoops(system, method, times.h, None), times, start, False)
+    run = started(system, method, SystemLoops(system, method, times.h, None), times, start, False)
     run.advance()
     assert not np.any(run.state["status"])
     return run.state["memory"].copy()
@@ -175,20 +175,20 @@ def test_cut_and_gone_on_with_is_the_whole_run(name, h):
     method, x = co.Taylor(tolerance=1e-9), start_for(systems()[name])
     loops, times = SystemLoops(system, method, h, None), Times(0.0, h, 40, 1)
     start = start_of(system, method, x, False)
-    whole = Run(system, method, loops, times, start, True)
+    whole = started(system, method, loops, times, start, True)
     whole.advance()
     for cut in (1, 2, 7, 25, 39):
-        first = Run(system, method, loops, times, start, True)
+        first = started(system, method, loops, times, start, True)
         first.advance(until=cut)
         other = start_of(system, method, 0.5 * x, False)
-        Run(system, method, loops, times, other, True).advance()
+        started(system, method, loops, times, other, True).advance()
         kept = RunState.from_mapping(first.state.to_mapping())
-        rest = Run(system, method, SystemLoops(system, method, h, None), times, start, True, state=kept)
+        rest = started(system, method, SystemLoops(system, method, h, None), times, start, True, state=kept)
         rest.advance()
         assert np.array_equal(rest.saved["x"], whole.saved["x"][cut + 1 :])
         assert rest.state == whole.state
         # By the same loops too, which have taken the steps of a motion near by since.
-        Run(system, method, loops, times, start_of(system, method, 0.96875 * x, False), True).advance()
+        started(system, method, loops, times, start_of(system, method, 0.96875 * x, False), True).advance()
         first.advance()
         assert np.array_equal(first.saved["x"][-1], whole.saved["x"][-1]) and first.state == whole.state
 

@@ -7,8 +7,8 @@ import pytest
 
 import coadjoint as co
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.run import Run
 from coadjoint.runs.times import Times
+from started_runs import started
 
 STEPS, STEP = 70, 0.05
 MARKS = {
@@ -34,7 +34,7 @@ def run(method, members, times, watching, state=None, attitude=True):
     carried = method.properties(BODY).attitude != "none" and attitude
     ready = PreparedRun(BODY, method, STEP, attitude="coadjoint" if carried else False, watch=watching)
     x0 = X if members == 1 else np.multiply.outer(1.0 - 0.01 * np.arange(members), X)
-    found = Run(BODY, method, ready.loops(STEP), times, ready.start(x0), watching, state=state)
+    found = started(BODY, method, ready.loops(STEP), times, ready.start(x0), watching, state=state)
     found.advance()
     return found
 
@@ -70,7 +70,7 @@ def test_run_resumes_between_marked_steps(method):
     first = run(method, 1, Times(0.5, STEP, STEPS, 1), True)
     for number, held in ((0, 1), (1, 2), (20, 4), (32, 6), (69, 9), (70, 9)):
         ready = PreparedRun(BODY, method, STEP, attitude=whole.start.representation or False)
-        piece = Run(BODY, method, ready.loops(STEP), times, ready.start(X), True)
+        piece = started(BODY, method, ready.loops(STEP), times, ready.start(X), True)
         piece.advance(until=number)
         rest = run(method, 1, times, True, state=piece.state)
         assert rest.state == whole.state == first.state
@@ -88,7 +88,9 @@ def test_points_saved_after_a_failure_are_erased(members):
     x0 = np.array([0.5, 1.0, 0.25])
     marks = [1, 2, 3, *range(30, 101)]
     times = Times(0.0, 1.0, 100, 1).with_saved_steps(marks)
-    found = Run(system, co.Splitting(order=2), ready.loops(1.0), times, ready.start(np.tile(x0, (members, 1))), True)
+    found = started(
+        system, co.Splitting(order=2), ready.loops(1.0), times, ready.start(np.tile(x0, (members, 1))), True
+    )
     found.advance()
     assert found.failed_count == members
     failed = int(found.state["step"][0])

@@ -16,6 +16,7 @@ from coadjoint.runs.run import Run
 from coadjoint.runs.start import start_of
 from coadjoint.runs.tangent_stretching import energy_loops
 from coadjoint.runs.times import Times
+from started_runs import started
 
 NEVER = 2**40
 
@@ -23,7 +24,7 @@ NEVER = 2**40
 def run_with(system: Any, method: Any, x0: Any, times: Times, vectors: np.ndarray, every: int = NEVER) -> Run:
     """Run the given number of steps with these tangent vectors (k, n)."""
     loop = tangent_loop(method, system, times.h, Frame(vectors, every))
-    run = Run(
+    run = started(
         system,
         method,
         energy_loops([system], method, times.h, [loop]),

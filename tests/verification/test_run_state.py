@@ -8,9 +8,9 @@ import pytest
 import coadjoint as co
 from coadjoint.kernels.interface import limit
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.run import Run
 from coadjoint.runs.state import RunState
 from coadjoint.runs.times import Times
+from started_runs import started
 
 from .schemes_under_test import schemes, serves
 from .systems_under_test import matrices
@@ -31,7 +31,7 @@ def start_run(system, method, x0, attitude, workers=1, state=None, steps=STEPS):
     """Return a run of this number of steps, from the start or from a state."""
     ready = PreparedRun(system, method, 0.05, attitude=attitude)
     start = ready.start(x0)
-    return Run(system, method, ready.loops(0.05), Times(0.25, 0.05, steps, EVERY), start, True, workers, state)
+    return started(system, method, ready.loops(0.05), Times(0.25, 0.05, steps, EVERY), start, True, workers, state)
 
 
 def cases():

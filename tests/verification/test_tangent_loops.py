@@ -13,12 +13,12 @@ from coadjoint.kernels.interface import limit
 from coadjoint.kernels.tables.tangents import Frame
 from coadjoint.methods.protocol.tangents import tangent_loop
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.run import Run
 from coadjoint.runs.start import start_of
 from coadjoint.runs.state import RunState
 from coadjoint.runs.tangent_stretching import energy_loops
 from coadjoint.runs.times import Times
 from long import long_between, long_beyond
+from started_runs import started
 
 from .random_systems import drawn_bracket
 from .schemes_under_test import large_step, schemes, serves, witnesses
@@ -199,12 +199,12 @@ def test_run_with_tangents_resumes_from_its_state(scheme):
     times, ensemble = Times(0.25, 0.1, 12, 12).with_saved_steps([12]), x0 * np.linspace(0.9, 1.1, 4)[:, None]
     loop = tangent_loop(method, system, 0.1, Frame(np.eye(6)[::-1].copy(), 5))
     loops, start = energy_loops([system], method, 0.1, [loop]), start_of(system, method, ensemble, False)
-    whole = Run(system, method, loops, times, start, False)
+    whole = started(system, method, loops, times, start, False)
     whole.advance()
-    first = Run(system, method, loops, times, start, False)
+    first = started(system, method, loops, times, start, False)
     first.advance(until=7)
     copied = RunState.from_mapping(first.state.to_mapping())
-    second = Run(system, method, loops, times, start, False, state=copied)
+    second = started(system, method, loops, times, start, False, state=copied)
     second.advance()
     assert second.state == whole.state and np.array_equal(second.saved["x"], whole.saved["x"])
 

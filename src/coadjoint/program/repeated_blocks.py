@@ -15,6 +15,7 @@ from coadjoint.program.numbers import roundoff
 from coadjoint.program.sparse_rows import SparseRows
 
 MIN_REPEATED = 1 << 12  # smallest number of forms that are compared
+MAX_ENTRIES = 64  # largest sum of the different numbers of entries of a matrix
 MIN_TRANSLATES = 8  # smallest mean number of forms of a shape
 HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)
 
@@ -50,7 +51,10 @@ def _shapes(matrices: BasisMatrices, element: Integers) -> tuple[Integers, Integ
     lengths = np.diff(start)[element]
     shape, leaders = np.zeros(len(element), dtype=np.int64), [np.zeros(0, dtype=np.int64)]
     known = 0
-    for length in np.flatnonzero(np.bincount(lengths)).tolist():
+    different = np.flatnonzero(np.bincount(lengths))
+    if different.sum() > MAX_ENTRIES:
+        return None
+    for length in different.tolist():
         members = np.flatnonzero(lengths == length)
         hashed = np.zeros(len(members), dtype=np.uint64)
         for number in _numbers(matrices, element[members], length):
