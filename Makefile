@@ -25,7 +25,7 @@ BUILT := $(shell sed -n 's/^CMAKE_HOME_DIRECTORY:INTERNAL=//p' $(BUILD)/CMakeCac
 # Installing configures the build folder too.
 CONFIGURE := $(if $(BUILT),$(if $(MOVED),,$(if $(wildcard $(VENV)/installed),package)))
 
-.PHONY: moved demo test variants long core torch mutants soak fuzz sanitize compilers aarch64 bench kernels package packages release-checks clean
+.PHONY: moved demo test variants long core torch mutants soak fuzz sanitize compilers aarch64 bench site kernels package packages release-checks clean
 
 demo: kernels
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
@@ -92,11 +92,21 @@ aarch64: kernels
 bench: kernels $(VENV)/peers
 	$(BIN)/python benchmarks/run_all.py
 
+# The documentation in build/site: pages, reference, and pictures that are drawn now. Warnings, such as links that lead
+# nowhere, are errors.
+site: kernels $(VENV)/site
+	$(ONE_THREAD) $(BIN)/python docs/site/write_sources.py build/site-sources
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --jobs 2 build/site-sources build/site
+
+$(VENV)/site: $(VENV)/installed
+	$(PIP) --no-build-isolation --editable '.[docs]'
+	@touch $@
+
 # With the tools of the build beside the package, so that it can be built again without looking for them. What it needs
 # is loaded while the kernels are compiled.
 NEEDED := import tomllib; project = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
 	extras = project["optional-dependencies"]; \
-	print(*project["dependencies"], *(one for name in extras if not name.startswith(("bench", "torch")) \
+	print(*project["dependencies"], *(one for name in extras if not name.startswith(("bench", "torch", "docs")) \
 	for one in extras[name] if not one.startswith("coadjoint[")), sep="\n")
 
 $(VENV)/installed: pyproject.toml $(if $(MOVED),moved)

@@ -95,7 +95,7 @@ class LyapunovExponents:
 
     @property
     def pairing(self) -> NDArray[np.float64]:
-        """The deviation of the exponents from pairs +L and -L, and zeros: the largest |L_i + L_(n+1-i)| when sorted.
+        """Deviation of the exponents from pairs +L and -L, and zeros: the largest ``|L_i + L_(n+1-i)|`` when sorted.
 
         Zero in the limit for bounded motion on coadjoint orbits: a step is symplectic there, and each Casimir
         contributes a zero exponent. NaN if not all exponents were computed.

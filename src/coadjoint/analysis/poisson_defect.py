@@ -23,7 +23,7 @@ class PoissonDefect(NamedTuple):
     defect : float
         Frobenius norm of P J(x) P^T - J(step(x)).
     bound : float
-        Bound on the effect of round-off: 64 u times the number of operations times |P|^2 |J(x)|.
+        Bound on the effect of round-off: 64 u times the number of operations times ``|P|^2 |J(x)|``.
     """
 
     defect: float

@@ -99,8 +99,8 @@ def predicted_drift(
 
     In one period the attitude rotates about the momentum by psi (a dynamic and a geometric phase: Montgomery, How much
     does the rigid body rotate?, 1991). At equal times the computed attitude is ahead by n (psi~ - psi) after n periods,
-    and by the lead times the speed about the momentum, which is 2T/|x| for a free body:
-    (psi~ - psi) / P~ + 2T/|x| (P/P~ - 1) per unit of time.
+    and by the lead times the speed about the momentum, which is ``2T/|x|`` for a free body:
+    ``(psi~ - psi) / P~ + 2T/|x| (P/P~ - 1)`` per unit of time.
 
     Examples
     --------

@@ -32,7 +32,7 @@ def attitude_angle(A: npt.ArrayLike, B: npt.ArrayLike) -> Any:
 
     Notes
     -----
-    With R = A^T B, atan2(|axial vector of (R - R^T)/2|, (tr R - 1)/2); the arccosine alone would lose half of the
+    With R = A^T B, ``atan2(|axial vector of (R - R^T)/2|, (tr R - 1)/2)``; the arccosine alone would lose half of the
     digits near 0 and pi.
 
     Examples

@@ -31,7 +31,7 @@ class RadauEnergy(CompiledStepMethod):
 
     With s stages of order 2 s - 1: ``X_i = x + h sum_j a_ij (f(X_j) + lambda_j X_j)``, ``H(X_i) = H(x)``, ``x_new =
     X_s``. It supports any Hamiltonian that does not depend on time, where x . grad H is not zero. In the paper it is a
-    counterexample: exact energy does not keep the motion on the level sets of Casimirs (|x|^2 of the rigid body
+    counterexample: exact energy does not keep the motion on the level sets of Casimirs (``|x|^2`` of the rigid body
     drifts). For other purposes choose `Splitting`, `Taylor` or `GaussLegendre`.
 
     Parameters

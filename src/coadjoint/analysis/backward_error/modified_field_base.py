@@ -96,7 +96,7 @@ class ModifiedField(ABC):
         """Return the skew K(x, h) = J(x) + O(h^p) with the field sign K grad H, of a scheme that preserves the energy.
 
         If the terms are polynomials and H is quadratic, the entries of K are polynomials, `skew_terms`. Otherwise
-        K = J + sign (d g^T - g d^T) / |g|^2 with g = grad H, not zero, and d the field minus f_0.
+        ``K = J + sign (d g^T - g d^T) / |g|^2`` with g = grad H, not zero, and d the field minus f_0.
 
         Parameters
         ----------

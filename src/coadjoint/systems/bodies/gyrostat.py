@@ -74,8 +74,8 @@ def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (
     Returns
     -------
     LiePoissonSystem
-        Casimir |x|^2. If two principal moments are equal and k lies along the third axis, or if all three are equal,
-        the momentum along the axis of symmetry, such as ``"x3"``, is an integral, and
+        Casimir ``|x|^2``. If two principal moments are equal and k lies along the third axis, or if all three are
+        equal, the momentum along the axis of symmetry, such as ``"x3"``, is an integral, and
         ``exact(x0, t, attitude=False)`` is known in closed form.
 
     Raises

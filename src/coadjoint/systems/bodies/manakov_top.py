@@ -53,7 +53,8 @@ def manakov_top(a: npt.ArrayLike = (1.0, 2.0, 4.0, 7.0), b: npt.ArrayLike = (1.0
     LiePoissonSystem
         With the quadratic integrals ``"X^2 a"``, ``"X^2 a^2"``, ..., ``"X^2 a^(n-2)"``, ten at most, and those of
         higher degree, such as ``"X^4 a"``, up to n = 6: ``(-1)^j / m`` times the coefficient of mu^(m - 2j) of
-        ``tr (X + mu a)^m`` is called X^2j a^(m - 2j). The energy is a combination of the quadratic ones and of |x|^2.
+        ``tr (X + mu a)^m`` is called X^2j a^(m - 2j). The energy is a combination of the quadratic ones and
+        of ``|x|^2``.
 
     Raises
     ------

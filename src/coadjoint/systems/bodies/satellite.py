@@ -68,8 +68,8 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
 
     All vectors are in the body frame, which rotates by ``Omega = I^-1 L``: ``L' = L cross Omega + r cross dV/dr``,
     ``r' = r cross Omega + p / mass``, ``p' = p cross Omega - dV/dr``. Sign -1, ``H = L . I^-1 L / 2 +
-    |p|^2 / (2 mass) + V(r)``, ``V = -gravity (mass/|r| + (tr I - 3 u . I u) / (2 |r|^3))``, u = r/|r|: the expansion of
-    the potential to the second moments of the body.
+    |p|^2 / (2 mass) + V(r)``, ``V = -gravity (mass/|r| + (tr I - 3 u . I u) / (2 |r|^3))``, ``u = r/|r|``: the
+    expansion of the potential to the second moments of the body.
 
     Parameters
     ----------

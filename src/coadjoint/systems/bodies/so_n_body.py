@@ -69,7 +69,7 @@ def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem
     -------
     LiePoissonSystem
         Casimirs of so(n). Manakov's integrals with ``a = Lambda^2``, such as ``"X^2 a"``; see `manakov_top`. The energy
-        is a linear combination of the quadratic ones and |x|^2.
+        is a linear combination of the quadratic ones and ``|x|^2``.
 
     Raises
     ------

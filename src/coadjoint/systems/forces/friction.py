@@ -24,7 +24,8 @@ class Friction(ModeRates):
     Parameters
     ----------
     rate : float, or callable
-        Rate (1/time), or a function of one number: of the degree l on the sphere, of the wave number |n| on the torus.
+        Rate (1/time), or a function of one number: of the degree l on the sphere, of the wave number
+        ``|n|`` on the torus.
         A mode of rate zero keeps its bits. A function is called once for each scale and is not compiled.
     layer : {"vorticity", "carried"}
         The field on which it acts; "vorticity" if the state is one matrix.

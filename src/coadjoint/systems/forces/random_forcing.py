@@ -30,7 +30,7 @@ class RandomForcing(OnLayer):
     energy_rate : float
         Mean rate of energy input (energy/time), not negative.
     band : (float, float)
-        Lowest and highest degree l, or wave number |n|, inclusive.
+        Lowest and highest degree l, or wave number ``|n|``, inclusive.
     seed : int
         Seed of the noise, from 0 to 2^62; the noise does not depend on other forces or members.
     stream : int

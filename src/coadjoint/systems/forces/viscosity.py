@@ -19,8 +19,8 @@ MAX_POWER = 32
 class Viscosity(ModeRates):
     """Viscosity or hyperviscosity of a fluid of matrices: ``W' = -nu A^power W`` with ``A = -Laplacian``.
 
-    On the torus A is |n|^2 on the mode n. On the sphere it is l(l + 1) - 2 on the degree l, the divergence of the rate
-    of strain: a solid rotation has no strain and does not decay, so the angular momentum is preserved. With
+    On the torus A is ``|n|^2`` on the mode n. On the sphere it is l(l + 1) - 2 on the degree l, the divergence of the
+    rate of strain: a solid rotation has no strain and does not decay, so the angular momentum is preserved. With
     ``rotation=True``, and for a carried field (diffusion, resistivity), it is l(l + 1), and solid rotations decay. The
     flow is exact in every mode, for any rate.
 

@@ -89,7 +89,7 @@ def spin_lattice(
 
     The Landau-Lifshitz equations without damping: copies of so(3), sign +1, and, summed over edges (i, j) and sites i,
     ``H = sum(-J_ij S_i . T S_j + D_ij . (S_i cross S_j)) - sum(S_i . K S_i + B_i . S_i)``. J > 0 is ferromagnetic. One
-    spin in a field B precesses about it by the angle -|B| t.
+    spin in a field B precesses about it by the angle ``-|B| t``.
 
     Parameters
     ----------

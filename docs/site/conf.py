@@ -1,0 +1,50 @@
+"""Sphinx configuration of the documentation site, which `make site` builds from what `write_sources.py` writes."""
+
+import coadjoint
+
+project = "coadjoint"
+author = "The coadjoint developers"
+copyright = "The coadjoint developers"
+release = coadjoint.__version__
+
+extensions = [
+    "myst_parser",
+    "numpydoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "sphinx_design",
+]
+root_doc = "index"
+exclude_patterns = ["README.md"]
+mathjax_path = "mathjax/tex-chtml.js"  # copied by write_sources.py: no other server is asked
+suppress_warnings = ["config.cache"]
+
+myst_enable_extensions = ["colon_fence", "dollarmath"]
+myst_heading_anchors = 4
+mathjax3_config = {"options": {"enableMenu": False}}
+
+default_role = "py:obj"
+add_module_names = False
+autodoc_typehints = "none"
+numpydoc_show_class_members = False
+toc_object_entries = False
+
+html_theme = "pydata_sphinx_theme"
+html_title = "coadjoint"
+html_context = {"default_mode": "auto"}
+html_favicon = "_static/favicon.svg"
+html_static_path = ["_static"]
+html_css_files = ["coadjoint.css"]
+html_show_sourcelink = False
+html_copy_source = False
+html_theme_options = {
+    "github_url": "https://github.com/coadjoint/coadjoint",
+    "header_links_before_dropdown": 6,
+    "navbar_align": "left",
+    "navigation_with_keys": False,
+    "show_toc_level": 2,
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "pygments_light_style": "a11y-high-contrast-light",
+    "pygments_dark_style": "a11y-high-contrast-dark",
+}

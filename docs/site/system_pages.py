@@ -1,0 +1,177 @@
+"""Pages of the ready-made systems: equations, parameters, invariants, the picture, and the code that draws it."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import coadjoint as co
+from coadjoint.methods import registry
+from coadjoint.methods.suggested_scheme import suggested_scheme
+from coadjoint.pictures.register import CannotShow
+from coadjoint.runs.system_summary import summarize_system
+from coadjoint.systems.coordinates import in_coordinates_of
+from coadjoint.systems.gallery_entry import GalleryEntry
+from coadjoint.systems.registry import gallery_entry_of
+
+GROUPS = {
+    "bodies": "Bodies and tops",
+    "lattices": "Spins and lattices",
+    "fluids": "Fluids and plasmas",
+    "examples": "Light, growth and examples of the literature",
+}
+"""Titles of groups, by the folder of a system."""
+MAX_START = 12
+MAX_FORMULAS = 12
+MAX_LATEX = 400
+DOTS_PER_INCH = 90
+THUMBNAIL_WIDTH = 3.4
+
+
+def system_pages() -> dict[str, str]:
+    """Return the pages by their paths."""
+    pages = {f"systems/{name}.md": "\n".join(_page(name)) + "\n" for name in co.systems.names()}
+    return pages | {"systems/index.md": "\n".join(_index()) + "\n"}
+
+
+def draw_pictures(folder: Path) -> None:
+    """Draw the picture of each system by the code on its page, with a thumbnail."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+
+    library = max(file.stat().st_mtime for file in Path(co.__file__).parent.rglob("*.py"))
+    for name in co.systems.names():
+        path = folder / f"{name}.png"
+        if path.exists() and path.stat().st_mtime > library:
+            continue
+        names: dict[str, Any] = {}
+        exec(code(name), names)
+        names["figure"].savefig(path, dpi=DOTS_PER_INCH)
+        _thumbnail(names["sol"], _entry(name)).savefig(folder / f"{name}_small.png", dpi=DOTS_PER_INCH)
+
+
+def _thumbnail(sol: Any, entry: GalleryEntry) -> Any:
+    """Return a figure of the first declared picture that the run can show."""
+    for picture in (*entry.pictures, entry.components):
+        with contextlib.suppress(CannotShow):
+            return sol.plot([picture], width=THUMBNAIL_WIDTH)
+    raise ValueError(f"{sol.system.name} declares no picture that its run can show")
+
+
+def code(name: str) -> str:
+    """Return a script that runs a system as its gallery entry declares, and draws it as `figure`."""
+    entry = _entry(name)
+    start = np.asarray(entry.start())
+    scheme = repr(suggested_scheme(co.systems.get(name, **entry.parameters)))
+    if start.size > MAX_START or any(np.size(value) > MAX_START for value in entry.parameters.values()):
+        return (
+            "from coadjoint.runs.example_run import run_example\n\n"
+            f'sol = run_example("{name}")  # {scheme_name(scheme)}, step {entry.step}\nfigure = sol.plot()'
+        )
+    parameters = ", ".join(f"{key}={value!r}" for key, value in entry.parameters.items())
+    options = [scheme_name(scheme)]
+    options += ["attitude=True"] if entry.attitude else []
+    options += [f"save_every={entry.save_every}"] if entry.save_every > 1 else []
+    return (
+        "import coadjoint as co\n\n"
+        f"system = co.systems.{name}({parameters})\n"
+        f"x0 = {start.tolist()}\n"
+        f"sol = co.integrate(\n    system, x0, {entry.t_span}, {entry.step},\n    {', '.join(options)},\n)\n"
+        "figure = sol.plot()"
+    )
+
+
+def scheme_name(scheme: str) -> str:
+    """Return the text of a scheme with the arguments that differ from its defaults, as code."""
+    kind, _, rest = scheme.partition("(")
+    defaults = registry.parameters_of(kind)
+    given = [pair for pair in rest.removesuffix(")").split(", ") if pair]
+    shown = [pair for pair in given if pair != f"{pair.partition('=')[0]}={defaults[pair.partition('=')[0]]!r}"]
+    return f"co.{'' if kind in dir(co) else 'methods.'}{kind}({', '.join(shown)})"
+
+
+def _entry(name: str) -> GalleryEntry:
+    entry = gallery_entry_of(name)
+    if entry is None:
+        raise ValueError(f"{name} has no gallery entry; give @ready_made one, as docs/gallery.md shows")
+    return entry
+
+
+def _page(name: str) -> Iterator[str]:
+    summary, entry = summarize_system(name), _entry(name)
+    system = co.systems.get(name, **entry.parameters)
+    yield f"# {name}\n"
+    yield f"{_capital(summary['summary'].removeprefix('Return '))}\n"
+    yield f":::{{figure}} {name}.png\n:alt: {entry.caption}\n:target: {name}.png\n\n{entry.caption}\n:::\n"
+    yield f"```python\n{code(name)}\n```\n"
+    yield "## Equations and invariants\n"
+    sign = "" if summary["sign"] > 0 else "-"
+    yield f"$$ x' = {sign}J(x)\\,\\nabla H(x) $$\n"
+    yield from _displayed("H", getattr(system, "hamiltonian", None), system)
+    for number, casimir in enumerate(system.casimirs.values(), start=1):
+        yield from _displayed(f"C_{{{number}}}", casimir, system)
+    yield "| property | value |\n|---|---|"
+    yield f"| algebra | {_cell(summary['algebra'] or 'none: J(x) is not linear in x')} |"
+    yield f"| dimension, rank of J | {summary['dimension']}, {summary['rank']} |"
+    if len(summary["coordinates"]) <= MAX_FORMULAS:
+        yield f"| coordinates | {_cell(', '.join(summary['coordinates']))} |"
+    for kind, missing in (("casimirs", "none is known"), ("integrals", "none beside H and the Casimirs is known")):
+        title = "Casimirs" if kind == "casimirs" else kind
+        yield f"| {title} | {_cell(_formulas(summary[kind])) if summary[kind] else missing} |"
+    yield f"| closed form | {'`exact(x0, t)`' if summary['exact'] else 'none is known for these parameters'} |"
+    yield f"| scheme to begin with | {_link(summary['scheme'])}, step {entry.step:g} |"
+    yield "\n## Docstring\n"
+    yield f"```{{eval-rst}}\n.. autofunction:: coadjoint.systems.{name}\n```\n"
+    yield "[All systems](index.md). [Which scheme?](../schemes.md)"
+
+
+def _displayed(symbol: str, value: Any, system: Any) -> Iterator[str]:
+    """Yield a polynomial of the state as a displayed formula, unless it is long."""
+    if isinstance(value, co.Quadratic):
+        value = value.to_polynomial() if (value.dim or MAX_FORMULAS + 1) <= MAX_FORMULAS else None
+    if isinstance(value, co.Polynomial) and value.dim <= MAX_FORMULAS:
+        latex = in_coordinates_of(system, value).to_latex()
+        if len(latex) <= MAX_LATEX:
+            yield f"$$ {symbol} = {latex} $$\n"
+
+
+def _formulas(formulas: dict[str, str | None]) -> str:
+    shown = [name if formula in (None, name) else f"{name} = {formula}" for name, formula in formulas.items()]
+    rest = f"; and {len(shown) - MAX_FORMULAS} more" if len(shown) > MAX_FORMULAS else ""
+    return "; ".join(shown[:MAX_FORMULAS]) + rest
+
+
+def _cell(text: str) -> str:
+    """Return text as code in a cell of a table."""
+    return f"`{text}`".replace("|", "\\|")
+
+
+def _link(scheme: str) -> str:
+    return f"[`{scheme}`](../schemes/{scheme.partition('(')[0]}.md)"
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _index() -> Iterator[str]:
+    yield "# Ready-made systems\n"
+    yield "Every system of `co.systems.names()`. A picture leads to equations, invariants and the code that draws it.\n"
+    folders = {name: getattr(co.systems, name).__module__.split(".")[-2] for name in co.systems.names()}
+    for folder, title in GROUPS.items():
+        yield f"## {title}\n\n::::{{grid}} 2 2 3 3\n:gutter: 2\n"
+        for name in (name for name in co.systems.names() if folders[name] == folder):
+            yield f":::{{grid-item-card}} {name}\n:link: {name}\n:link-type: doc\n:img-bottom: {name}_small.png"
+            yield f":img-alt: {_entry(name).caption}\n:::\n"
+        yield "::::\n"
+    left = sorted(set(folders.values()) - set(GROUPS))
+    if left:
+        raise ValueError(f"systems of the folders {', '.join(left)} have no group; add a title to GROUPS")
+    yield "```{toctree}\n:hidden:\n"
+    yield from co.systems.names()
+    yield "```"

@@ -1,0 +1,92 @@
+"""Write the sources of the documentation site: ``python docs/site/write_sources.py FOLDER``.
+
+The Markdown pages are copied with links to source files made absolute. Pages of names, systems and schemes are written
+from the registries and docstrings, and the pictures are drawn by the code that the pages show.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import re
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+SITE = Path(__file__).resolve().parent
+DOCS, ROOT = SITE.parent, SITE.parent.parent
+sys.path.append(str(DOCS))
+
+SOURCES = "https://github.com/coadjoint/coadjoint/blob/main/"
+MATHJAX = "tex-chtml.js", "output/chtml/fonts/woff-v2"
+
+
+def write(folder: Path) -> None:
+    """Write all sources into a folder; pictures that are newer than the library are not drawn again."""
+    from reference_pages import reference_pages
+    from scheme_pages import scheme_pages
+    from system_pages import draw_pictures, system_pages
+
+    pages = {page.name: published(page) for page in [*DOCS.glob("*.md"), *SITE.glob("*.md")]}
+    pages["README.md"] = published(ROOT / "README.md")
+    pages |= system_pages() | scheme_pages()
+    reference, targets = reference_pages({path.removesuffix(".md") for path in pages})
+    pages |= reference
+    pages["api.md"] = linked(pages["api.md"], targets)
+    for path, text in pages.items():
+        write_if_changed(folder / path, text)
+    for old in {*folder.rglob("*.md"), *folder.rglob("*.rst")} - {folder / path for path in pages}:
+        old.unlink()
+    for file in [*DOCS.glob("*.png"), *DOCS.glob("*.svg"), *DOCS.glob("*.json")]:
+        shutil.copy2(file, folder)
+    shutil.copy2(SITE / "conf.py", folder)
+    shutil.copytree(SITE / "_static", folder / "_static", dirs_exist_ok=True)
+    copy_mathjax(folder / "_static" / "mathjax")
+    draw_pictures(folder / "systems")
+
+
+def published(page: Path) -> str:
+    """Return the text of a page with links as the site has them."""
+    text = page.read_text(encoding="utf-8")
+    if page.parent == DOCS:
+        return re.sub(r"\]\(\.\./(?=\w)", f"]({SOURCES}", text)
+    if page.parent == SITE:
+        return text.replace("](../", "](").replace("} ../", "} ")
+    return text.replace("](docs/", "](")
+
+
+def linked(text: str, targets: dict[str, str]) -> str:
+    """Return the list of public names with a link from each to its page."""
+
+    def link(match: re.Match[str]) -> str:
+        name = match[1]
+        page = targets.get(name) or targets.get(name.partition(".")[0])
+        return f"| [`{name}`]({page}) |" if page else match[0]
+
+    return re.sub(r"^\| `([\w.]+)` \|", link, text, flags=re.MULTILINE)
+
+
+def write_if_changed(path: Path, text: str) -> None:
+    """Write a page unless it has this text, so that Sphinx reads again only what has changed."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")
+
+
+def copy_mathjax(folder: Path) -> None:
+    """Copy the part of MathJax that sets formulas from the package that contains it."""
+    package = importlib.metadata.distribution("sphinx-mathjax-offline")
+    source = Path(str(package.locate_file("sphinx-mathjax-offline/static/mathjax")))
+    for name in MATHJAX:
+        for file in _files(source / name):
+            target = folder / file.relative_to(source)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(file, target)
+
+
+def _files(path: Path) -> Iterator[Path]:
+    yield from sorted(path.iterdir()) if path.is_dir() else [path]
+
+
+if __name__ == "__main__":
+    write(Path(sys.argv[1]))

@@ -1,0 +1,83 @@
+"""The documentation site, without Sphinx: its order of pages, and the reference of every public name."""
+
+import itertools
+import re
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+from reference_pages import reference_pages
+from scheme_pages import scheme_pages, text_of
+from system_pages import code, system_pages
+from write_sources import linked
+
+import coadjoint as co
+from coadjoint.methods import registry
+from coadjoint.runs.example_run import run_example
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+SITE = DOCS / "site"
+GENERATED = {"systems/index", "schemes/index", "reference/index"}
+
+
+def entries(page):
+    """Return the pages that the toctrees of a page list, in order."""
+    text = (SITE / f"{page}.md").read_text(encoding="utf-8")
+    return [
+        line
+        for block in re.findall(r"```\{toctree\}\n(.*?)```", text, re.DOTALL)
+        for line in block.split("\n")
+        if line and not line.startswith(":")
+    ]
+
+
+SECTIONS = entries("index")
+PAGES = [page for section in SECTIONS for page in entries(section)]
+
+
+def test_every_page_is_in_one_toctree():
+    assert sorted(SECTIONS) == sorted({page.stem for page in SITE.glob("*.md")} - {"index"})
+    assert len(PAGES) == len(set(PAGES))
+    assert set(PAGES) - GENERATED == {page.stem for page in DOCS.glob("*.md")}
+
+
+def test_every_page_links_the_next_one():
+    pages = [page for page in PAGES if page not in GENERATED]
+    for page, following in itertools.pairwise(pages):
+        last = (DOCS / f"{page}.md").read_text(encoding="utf-8").rstrip().rpartition("\n")[2]
+        title = (DOCS / f"{following}.md").read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
+        assert last == f"Next: [{title}]({following}.md).", page
+
+
+def test_every_public_name_has_a_page():
+    written = {f"systems/{name}" for name in co.systems.names()} | {f"schemes/{name}" for name in co.methods.names()}
+    pages, targets = reference_pages(written)
+    text = linked((DOCS / "api.md").read_text(encoding="utf-8"), targets)
+    left = re.findall(r"^\| `(\w[\w.]*)` \|", text, re.MULTILINE)
+    modules = {"co.__version__", *(f"co.{name}" for name in dir(co) if isinstance(getattr(co, name), ModuleType))}
+    assert [name for name in left if name not in modules] == []
+    assert {path for path in targets.values()} <= set(pages) | {f"{path}.md" for path in written}
+
+
+def test_every_system_and_scheme_has_a_page():
+    systems, schemes = system_pages(), scheme_pages()
+    assert set(systems) == {f"systems/{name}.md" for name in (*co.systems.names(), "index")}
+    assert set(schemes) == {f"schemes/{name}.md" for name in (*co.methods.names(), "index")}
+    for name in co.systems.names():
+        assert f"autofunction:: coadjoint.systems.{name}\n" in systems[f"systems/{name}.md"]
+
+
+def test_schemes_are_written_as_code():
+    for name in co.methods.names():
+        for example in registry.scheme(name).examples():
+            text = text_of(example)
+            if text.startswith("co."):
+                assert eval(text) == example, text
+
+
+def test_code_of_a_picture_is_the_run_of_the_gallery():
+    names = {}
+    exec(code("rigid_body").rpartition("\n")[0], names)
+    declared = run_example("rigid_body")
+    assert np.array_equal(names["sol"].x, declared.x) and np.array_equal(names["sol"].attitude, declared.attitude)
