@@ -96,7 +96,8 @@ bench: kernels $(VENV)/peers
 # nowhere, are errors.
 site: kernels $(VENV)/site
 	$(ONE_THREAD) $(BIN)/python docs/site/write_sources.py build/site-sources
-	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --jobs 2 build/site-sources build/site
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --jobs 2 \
+		--doctree-dir build/site-doctrees build/site-sources build/site
 
 $(VENV)/site: $(VENV)/installed
 	$(PIP) --no-build-isolation --editable '.[docs]'

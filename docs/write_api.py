@@ -155,7 +155,7 @@ def _sections() -> Iterator[str]:
         f"| `coadjoint {name}` | {_sentence(command.help or '')} |"
         for name, command in sorted(commands.commands.commands.items())
     ]
-    yield "\n".join(["## The command\n", "| command | |", "|---|---|", *lines])
+    yield "\n".join(["## The command\n", "| command | what it does |", "|---|---|", *lines])
     yield "\n`coadjoint COMMAND --help` shows the options. [files.md](files.md) describes configuration files."
 
 
@@ -184,7 +184,7 @@ def _attributes(kind: type) -> set[str]:
 
 def _table(title: str, rows: Iterable[tuple[str, Any]]) -> str:
     lines = [f"| `{name}` | {_summary(value)} | {_place(value)} |" for name, value in rows]
-    head = ["| name | | text |", "|---|---|---|"] if lines else []
+    head = ["| name | what it is | file |", "|---|---|---|"] if lines else []
     return "\n".join([*([f"## {title}\n"] if title else []), *head, *lines, *([""] if lines else [])])
 
 
@@ -211,7 +211,7 @@ def _place(value: Any) -> str:
     if not file:
         return ""
     found = Path(file).resolve().relative_to(PACKAGE.resolve()).as_posix()
-    return f"[{found}](../src/coadjoint/{found})"
+    return f"[`{found}`](../src/coadjoint/{found})"
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from coadjoint.runs.example_run import run_example
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 SITE = DOCS / "site"
-GENERATED = {"systems/index", "schemes/index", "reference/index"}
+GENERATED = {"systems/index", "schemes/index", "reference/index", "paper"}
 
 
 def entries(page):

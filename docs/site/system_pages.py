@@ -38,13 +38,12 @@ def system_pages() -> dict[str, str]:
     return pages | {"systems/index.md": "\n".join(_index()) + "\n"}
 
 
-def draw_pictures(folder: Path) -> None:
-    """Draw the picture of each system by the code on its page, with a thumbnail."""
+def draw_pictures(folder: Path, library: float) -> None:
+    """Draw pictures that are older than the library, by the code on the page of the system, with thumbnails."""
     import matplotlib
 
     matplotlib.use("Agg")
 
-    library = max(file.stat().st_mtime for file in Path(co.__file__).parent.rglob("*.py"))
     for name in co.systems.names():
         path = folder / f"{name}.png"
         if path.exists() and path.stat().st_mtime > library:
@@ -111,7 +110,8 @@ def _page(name: str) -> Iterator[str]:
     yield f"```python\n{code(name)}\n```\n"
     yield "## Equations and invariants\n"
     sign = "" if summary["sign"] > 0 else "-"
-    yield f"$$ x' = {sign}J(x)\\,\\nabla H(x) $$\n"
+    equation = "W' = [P, W]" if summary["attitude"] == "matrices" else f"x' = {sign}J(x)\\,\\nabla H(x)"
+    yield f"$$ {equation} $$\n"
     yield from _displayed("H", getattr(system, "hamiltonian", None), system)
     for number, casimir in enumerate(system.casimirs.values(), start=1):
         yield from _displayed(f"C_{{{number}}}", casimir, system)

@@ -23,12 +23,15 @@ MATHJAX = "tex-chtml.js", "output/chtml/fonts/woff-v2"
 
 def write(folder: Path) -> None:
     """Write all sources into a folder; pictures that are newer than the library are not drawn again."""
+    from paper_page import paper_page
     from reference_pages import reference_pages
     from scheme_pages import scheme_pages
     from system_pages import draw_pictures, system_pages
 
     pages = {page.name: published(page) for page in [*DOCS.glob("*.md"), *SITE.glob("*.md")]}
     pages["README.md"] = published(ROOT / "README.md")
+    library = max(file.stat().st_mtime for file in (ROOT / "src").rglob("*.py"))
+    pages["paper.md"] = paper_page(folder / "paper", library)
     pages |= system_pages() | scheme_pages()
     reference, targets = reference_pages({path.removesuffix(".md") for path in pages})
     pages |= reference
@@ -42,12 +45,13 @@ def write(folder: Path) -> None:
     shutil.copy2(SITE / "conf.py", folder)
     shutil.copytree(SITE / "_static", folder / "_static", dirs_exist_ok=True)
     copy_mathjax(folder / "_static" / "mathjax")
-    draw_pictures(folder / "systems")
+    draw_pictures(folder / "systems", library)
 
 
 def published(page: Path) -> str:
-    """Return the text of a page with links as the site has them."""
+    """Return the text of a page with links as the site has them: titles of pages in place of names of files."""
     text = page.read_text(encoding="utf-8")
+    text = re.sub(r"^(?!#)(.*)$", _titled, text, flags=re.MULTILINE)
     if page.parent == DOCS:
         return re.sub(r"\]\(\.\./(?=\w)", f"]({SOURCES}", text)
     if page.parent == SITE:
@@ -55,14 +59,21 @@ def published(page: Path) -> str:
     return text.replace("](docs/", "](")
 
 
+def _titled(line: re.Match[str]) -> str:
+    """Return a line whose links named by their files have no text, which Sphinx replaces by titles."""
+    return re.sub(r"\[(?:docs/)?(\w+\.md)\](?=\((?:docs/)?\1[#)])", "[]", line[0])
+
+
 def linked(text: str, targets: dict[str, str]) -> str:
-    """Return the list of public names with a link from each to its page."""
+    """Return the list of public names with a link from each to its page, in place of the link to its file."""
 
     def link(match: re.Match[str]) -> str:
         name = match[1]
         page = targets.get(name) or targets.get(name.partition(".")[0])
         return f"| [`{name}`]({page}) |" if page else match[0]
 
+    text = text.replace("| name | what it is | file |\n|---|---|---|", "| name | what it is |\n|---|---|")
+    text = re.sub(r"\| \[[^|]*\]\([^|]*\) \|$", "|", text, flags=re.MULTILINE)
     return re.sub(r"^\| `([\w.]+)` \|", link, text, flags=re.MULTILINE)
 
 
