@@ -12,6 +12,7 @@ import numpy as np
 import coadjoint as co
 from coadjoint.methods import registry
 from coadjoint.methods.suggested_scheme import suggested_scheme
+from coadjoint.pictures.gallery import SCENES
 from coadjoint.pictures.register import CannotShow
 from coadjoint.runs.system_summary import summarize_system
 from coadjoint.systems.coordinates import in_coordinates_of
@@ -109,9 +110,9 @@ def _page(name: str) -> Iterator[str]:
     yield f":::{{figure}} {name}.png\n:alt: {entry.caption}\n:target: {name}.png\n\n{entry.caption}\n:::\n"
     yield f"```python\n{code(name)}\n```\n"
     yield "## Equations and invariants\n"
-    sign = "" if summary["sign"] > 0 else "-"
-    equation = "W' = [P, W]" if summary["attitude"] == "matrices" else f"x' = {sign}J(x)\\,\\nabla H(x)"
-    yield f"$$ {equation} $$\n"
+    if summary["attitude"] != "matrices":
+        sign = "" if summary["sign"] > 0 else "-"
+        yield f"$$ x' = {sign}J(x)\\,\\nabla H(x) $$\n"
     yield from _displayed("H", getattr(system, "hamiltonian", None), system)
     for number, casimir in enumerate(system.casimirs.values(), start=1):
         yield from _displayed(f"C_{{{number}}}", casimir, system)
@@ -172,6 +173,10 @@ def _index() -> Iterator[str]:
     left = sorted(set(folders.values()) - set(GROUPS))
     if left:
         raise ValueError(f"systems of the folders {', '.join(left)} have no group; add a title to GROUPS")
+    scene = SCENES["decaying_turbulence"]
+    yield "## A large scene\n"
+    yield f":::{{figure}} ../decaying_turbulence.png\n:alt: {scene.caption}\n\n{scene.caption}\n:::\n"
+    yield f"{scene.summary} See [](../fluids.md).\n\n```sh\ncoadjoint gallery decaying_turbulence\n```\n"
     yield "```{toctree}\n:hidden:\n"
     yield from co.systems.names()
     yield "```"
