@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import warnings
 from pathlib import Path
 
+from coadjoint.errors import LargeStepWarning
 from coadjoint.experiments.reich1993 import reproduce
 
 FIGURES = {
@@ -28,7 +30,10 @@ def paper_page(folder: Path, library: float) -> str:
     """Return the page; the experiments run again if their table is older than the library."""
     table = folder / "table.csv"
     if not table.exists() or table.stat().st_mtime < library:
-        reproduce(folder, echo=lambda line: None)
+        with warnings.catch_warnings():
+            # The paper's steps are as large as that.
+            warnings.simplefilter("ignore", LargeStepWarning)
+            reproduce(folder, echo=lambda line: None)
     with table.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     counts = ", ".join(
