@@ -144,6 +144,17 @@ def test_energies_summed_in_blocks_are_those_of_the_system():
         assert abs(energy - system.energy(x)) <= 2.0**-53 * len(x0) * sizes
 
 
+@pytest.mark.parametrize("threads", [1, 5])
+def test_spins_without_neighbours_at_the_end_of_a_lattice_precess(threads):
+    edges = np.stack([np.arange(1499), np.arange(1, 1500)], axis=1)
+    system = co.systems.spin_lattice(edges, SPINS, exchange=0.7, field=(0.0, 0.0, 0.5))
+    x0 = spins(16)
+    sol = co.integrate(system, x0, (0, 0.7), 0.01, METHODS["plain"], save_every=STEPS, threads=threads)
+    alone = co.systems.spin_lattice(np.zeros((0, 2), dtype=int), SPINS - 1500, field=(0.0, 0.0, 0.5))
+    exact = alone.exact(x0[4500:], 0.7)
+    assert np.abs(sol.x[-1][4500:] - exact).max() < 16 * STEPS * 2.0**-53
+
+
 def test_states_of_one_step_calls_have_the_same_bits():
     system, x0 = isotropic(), spins(13)
     one = {threads: x0 for threads in (1, 3)}

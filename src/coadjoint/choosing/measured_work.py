@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.choosing.candidates import Candidate
-from coadjoint.choosing.pilot import REFERENCE, Pilot, short_run_at_start
+from coadjoint.choosing.pilot import REFERENCE, Pilot, short_run
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.cost_model import Work
@@ -93,7 +93,7 @@ class _Timed:
         self.count = copies * steps
         momenta = np.repeat(pilot.momenta[:1], copies, axis=0)
         length = math.copysign(steps * self._step, pilot.span)
-        run = short_run_at_start(pilot.system, self._method, momenta, pilot.t0, length, steps, steps)
+        run = short_run(pilot.system, self._method, momenta, pilot.t0, length, steps, steps, advanced=False)
         begun = time.process_time()  # less disturbed by other programs than the time of a clock
         run.advance()
         self.seconds = time.process_time() - begun

@@ -300,25 +300,16 @@ def short_run(
     time: float,
     steps: int,
     save_every: int = 1,
+    advanced: bool = True,
 ) -> Run:
-    """Run without attitude and watching; a failure is recorded in `status` of its state."""
-    run = short_run_at_start(system, method, momenta, t0, time, steps, save_every)
-    run.advance()
-    return run
+    """Run without attitude and watching; a failure is recorded in `status` of its state.
 
-
-def short_run_at_start(
-    system: System,
-    method: Method,
-    momenta: NDArray[np.float64],
-    t0: float,
-    time: float,
-    steps: int,
-    save_every: int = 1,
-) -> Run:
-    """Return the run of `short_run` before its first step."""
+    Unless `advanced`, the run is returned before its first step.
+    """
     start = with_group(system, momenta, False, None, False)
     times = Times(t0, time / steps, steps, save_every)
     note_progress(f"a pilot run of {steps} steps by {type(method).__name__}")
-    setup = RunSetup(loops_of(system, method, times.h), times, start.groups.shape)
-    return Run(system, method, setup, start)
+    run = Run(system, method, RunSetup(loops_of(system, method, times.h), times, start.groups.shape), start)
+    if advanced:
+        run.advance()
+    return run

@@ -42,12 +42,13 @@ INLINE void rows_of_length(const A& offset, const A& weight, const uint32_t* col
     }
 }
 
-// The rows start to stop - 1 of such a term, as by `gradient_rows`. Sites with the usual numbers of neighbours have
+// The rows start to stop - 1 of such a term k, as by `gradient_rows`. Sites with the usual numbers of neighbours have
 // loops of their own.
 template <class A>
-NOINLINE void even_rows(const Terms& terms, uint32_t start, uint32_t stop, const A* x, A* out) {
+NOINLINE void even_rows(const Terms& terms, uint32_t k, uint32_t start, uint32_t stop, const A* x, A* out) {
     const uint32_t *entry = terms.entry, *column = terms.column;
-    const A offset(terms.offset[start]), weight(terms.weight[entry[start]]);
+    // Rows may be empty, also the last ones; the term is not.
+    const A offset(terms.offset[start]), weight(terms.weight[entry[terms.row[k]]]);
     const uint32_t length = entry[start + 1] - entry[start], *first = column + entry[start];
     bool equal = true;
     for (uint32_t row = start; row < stop; ++row) equal &= entry[row + 1] - entry[row] == length;
@@ -138,7 +139,7 @@ NOINLINE void rotate_fused(const FlowTables& tables, const C& constants, uint32_
             for (int64_t q = first; q < last; q += FUSED) {
                 const uint32_t begin = uint32_t(q), end = uint32_t(std::min(last, q + FUSED));
                 if (even)
-                    even_rows(terms, origin + begin, origin + end, x.at, theta);
+                    even_rows(terms, tables.share[part], origin + begin, origin + end, x.at, theta);
                 else
                     for (uint32_t angle = begin; angle < end; ++angle)
                         theta[angle - begin] = linear_row(terms, constants, origin + angle, x.at);
@@ -258,7 +259,7 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
             if (!workspace.even.empty() && workspace.even[k])
                 share(terms.row[k + 1] - terms.row[k], [&](int64_t first, int64_t last) {
                     const uint32_t start = terms.row[k] + uint32_t(first);
-                    even_rows(terms, start, terms.row[k] + uint32_t(last), x.at,
+                    even_rows(terms, k, start, terms.row[k] + uint32_t(last), x.at,
                               workspace.theta.at + (start - terms.row[low]));
                 });
             else
