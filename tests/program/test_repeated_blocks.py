@@ -65,6 +65,18 @@ def test_elements_that_are_no_translates_have_shapes_of_their_own(changed, monke
     assert columns_of(by_shape) == columns_of(of_all)
 
 
+def test_shapes_in_several_chunks_give_the_blocks_of_all_elements(monkeypatch):
+    from coadjoint.algebra.exact import sparse_sums
+
+    monkeypatch.setattr(sparse_sums, "CHUNK", 8)
+    algebra = co.algebras.copies(CELLS["su(3)"], LEAST // 8 + 1)
+    diagonal = np.random.default_rng(3).uniform(0.5, 2.0, algebra.dim)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(diagonal), casimirs={})
+    by_shape, of_all, used = actions_of(system, "coordinates", monkeypatch)
+    assert used
+    assert columns_of(by_shape) == columns_of(of_all)
+
+
 def test_forms_that_are_no_basis_elements_are_taken_one_by_one():
     count = LEAST
     algebra = co.algebras.copies(co.algebras.so(3), count)

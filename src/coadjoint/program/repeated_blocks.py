@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
-from coadjoint.program.block_table import BlockTable, block_table
+from coadjoint.program.block_table import BlockTable, block_table, joined_tables
 from coadjoint.program.generators import BasisMatrices
 from coadjoint.program.numbers import roundoff
 from coadjoint.program.sparse_rows import SparseRows
@@ -34,8 +34,8 @@ def repeated_block_table(matrices: BasisMatrices, forms: SparseRows) -> BlockTab
     if found is None or len(found[1]) * MIN_TRANSLATES > count:
         return None
     shape, leaders = found
-    (generators,) = matrices.combinations(SparseRows.units(element[leaders]), float)
-    table = block_table(generators, roundoff(float))
+    leading = matrices.combinations(SparseRows.units(element[leaders]), float)
+    table = joined_tables([block_table(generators, roundoff(float)) for generators in leading])
     first = np.searchsorted(table.angle, np.arange(len(leaders) + 1))
     angle, chosen = expand(first[shape], first[shape + 1])
     blocks = table.take(chosen)
