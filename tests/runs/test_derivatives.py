@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import pickle
+import subprocess
+import sys
 import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -376,3 +380,33 @@ def test_bodies_at_rest_and_opposite_spins_have_derivatives(system, parts, x0, m
     cotangent[-1] = np.arange(1.0, 7.0)
     expected = np.broadcast_to(np.array(wanted) @ np.arange(1.0, 7.0), (*members, 6))
     np.testing.assert_allclose(pullback(cotangent)["x0"], expected, atol=1e-9)
+
+
+MEASURED_DERIVATIVES = """
+import resource, sys
+import numpy as np
+import coadjoint as co
+lattice = co.systems.spin_lattice("square", shape=(36, 36))
+system = co.LiePoissonSystem(lattice.algebra, lattice.hamiltonian, sign=lattice.sign)
+x0 = np.random.default_rng(1).standard_normal(system.dim)
+ready = co.prepare(system, {"splitting": co.Splitting(order=2), "gauss": co.GaussLegendre(1)}[sys.argv[1]], 0.01)
+ready.run(x0, (0, 0.02))
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+if sys.argv[2] == "vjp":
+    sol, pullback = ready.vjp(x0, (0, 0.02))
+    pullback(x=np.ones(sol.x.shape))
+else:
+    ready.jvp(x0, (0, 0.02), {"x0": x0})
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the largest memory of a process is read by getrusage")
+@pytest.mark.parametrize("scheme", ["splitting", "gauss"])
+@pytest.mark.parametrize("product", ["jvp", "vjp"])
+def test_memory_of_derivatives_is_not_quadratic(scheme, product):
+    """Matrices are needed for functions of the user alone: a part of 1296 angles has none of this size."""
+    environment = {**os.environ, "PYTHONPATH": str(Path(co.__file__).parents[1])}
+    command = [sys.executable, "-c", MEASURED_DERIVATIVES, scheme, product]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=True)
+    assert int(done.stdout) * (1 if sys.platform == "darwin" else 1024) < 1.5 * 8 * 1296**2

@@ -42,8 +42,7 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
     AlignedArray<GroupRows> elements(2 * d * rows), finished(2 * d * rows), group_scratch(3 * d * rows);
     AlignedArray<GroupRows> checkpoint_elements(with_group ? 2 * d * rows : 0);
     AngleWorkspace<double> angles(tables.longest);
-    angles.even = even_terms(tables.terms, tables.longest);
-    if (tables.longest >= FUSED) angles.fused = fused_parts(tables);
+    angles.find_properties(tables);
     if (schedule.threads > 1) angles.apart = parts_apart(tables);
     SharedSteps shared_steps(schedule.threads, size);
     PartialStep<double> partial_step;

@@ -186,6 +186,11 @@ struct AngleWorkspace {
     std::vector<bool> even, apart, fused;
     explicit AngleWorkspace(int64_t longest)
         : theta(longest), rotated(longest), arguments(longest), calls(2 * longest + 2) {}
+    // For programs whose constants are those of one system.
+    void find_properties(const FlowTables& tables) {
+        even = even_terms(tables.terms, tables.longest);
+        if (tables.longest >= FUSED) fused = fused_parts(tables);
+    }
 };
 
 // The rotations of a part with called shares.

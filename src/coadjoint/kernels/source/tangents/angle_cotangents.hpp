@@ -145,16 +145,18 @@ class AddedAngles {
         const Terms& terms = tables.terms;
         const uint32_t part = uint32_t(all.added), low = tables.share[part], high = tables.share[part + 1];
         first = terms.row[low], count = terms.row[high] - first;
+        for (uint32_t a = 0; a < count; ++a)
+            angle_of.insert(angle_of.end(), terms.entry[first + a + 1] - terms.entry[first + a], a);
         simple = append(tables.state, part, state) && (!with_group || append(tables.group, part, group));
         for (uint32_t k = low; k < high; ++k) simple = simple && terms.kind[k] == LINEAR;
     }
 
-    // Add the cotangents of the coefficients for a flow over the time tau.
+    // Add the cotangents of the coefficients for a flow over the time tau; fill `totals` with those of the angles.
     template <class A, class G, class C>
-    INLINE void add(const Terms& terms, double tau, const C& at, bool with_group, const A& zero, A* of_offset,
+    INLINE void add(const Terms& terms, double tau, const C& at, bool with_group, A* totals, A* of_offset,
                     A* of_weight) const {
         for (uint32_t a = 0; a < count; ++a) {
-            A total = zero;
+            A total(0.0);
             for (uint32_t e = state.start[a]; e < state.start[a + 1]; ++e)
                 total = product(state.entries[e], at.x, at.of_x, total);
             if (with_group) {
@@ -169,12 +171,13 @@ class AddedAngles {
                     }
                 total += over_rows<A>(sum);
             }
-            total *= A(tau);
-            const uint32_t row = first + a;
-            of_offset[row] += total;
-            for (uint32_t e = terms.entry[row]; e < terms.entry[row + 1]; ++e)
-                of_weight[e] = fma(total, at.x[terms.column[e]], of_weight[e]);
+            totals[a] = total * A(tau);
+            of_offset[first + a] += totals[a];
         }
+        const uint32_t* column = terms.column + terms.entry[first];
+        A* of_entry = of_weight + terms.entry[first];
+        for (size_t e = 0; e < angle_of.size(); ++e)
+            of_entry[e] = fma(totals[angle_of[e]], at.x[column[e]], of_entry[e]);
     }
 
   private:
@@ -183,6 +186,7 @@ class AddedAngles {
         std::vector<GeneratorEntry> entries;
     };
     Generators state, group;
+    std::vector<uint32_t> angle_of;  // the angles of the entries of the terms
     uint32_t first = 0, count = 0;
 
     template <class V>

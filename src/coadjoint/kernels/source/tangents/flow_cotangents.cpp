@@ -37,8 +37,9 @@ static void run_backward(const FlowCotangents& all, const BackwardRun& run, int6
     AlignedArray<G> groups((steps + 1) * square), group(2 * square), group_cotangents(square), copies(2 * square);
     AlignedArray<G> group_added(square), group_scratch(3 * square);
     AngleWorkspace<A> angles(tables.longest);
+    if constexpr (Numbers<A>::lanes == 1) angles.find_properties(tables);
     const CoefficientCotangents<A> derivatives(tables.terms, of_coefficients.at);
-    RowsBackward<A, G> backward(all, derivatives, with_group);
+    RowsBackward<A, G> backward(all, derivatives, with_group, angles);
     FlowsOfRows flows_of(tables, with_group, true);
     const auto opening = flows_of(tables.section[0], tables.section[1]);
     const auto repeated = flows_of(tables.section[1], tables.section[2]);

@@ -32,11 +32,12 @@ INLINE AppliedRotations<A> cubic_factors(const FlowTables& tables, const Element
 template <class A, class G>
 class RowsBackward {
   public:
-    RowsBackward(const FlowCotangents& tables, const CoefficientCotangents<A>& coefficients, bool with_group)
+    RowsBackward(const FlowCotangents& tables, const CoefficientCotangents<A>& coefficients, bool with_group,
+                 AngleWorkspace<A>& angles)
         : tables(tables.base), all(tables), coefficients(coefficients), size(tables.base.state.size),
-          with_group(with_group), added(tables, with_group), scratch(3 * size), units(3 * size),
+          with_group(with_group), added(tables, with_group), angles(angles), scratch(3 * size), units(3 * size),
           changes(BODY_ROTATIONS * 3), of_angles(tables.base.longest), of_groups(tables.base.longest),
-          angles(tables.base.longest), hessians(tables.base.longest) {}
+          hessians(tables.base.terms) {}
 
     // Undo the rows last - 1 to first of a step from t of length h; `flows` are their elementary flows, if there are any,
     // and `applied` their rotations if they are known.
@@ -44,7 +45,7 @@ class RowsBackward {
                const A& t, double h, const AppliedRotations<A>* applied = nullptr) {
         const auto whole = [&](uint32_t r) {
             if (added.simple && int64_t(tables.part[r]) == all.added)
-                added.template add<A, G>(tables.terms, tables.tau[r], at, with_group, A(0.0), coefficients.offset,
+                added.template add<A, G>(tables.terms, tables.tau[r], at, with_group, of_angles.at, coefficients.offset,
                                          coefficients.weight);
             else
                 row(r, at, t, h);
@@ -67,9 +68,9 @@ class RowsBackward {
     const int64_t size;
     const bool with_group;
     const AddedAngles added;
+    AngleWorkspace<A>& angles;
     AlignedArray<A> scratch, units, changes, of_angles;
     AlignedArray<G> of_groups;
-    AngleWorkspace<A> angles;
     HessianWorkspace<A> hessians;
 
     // The cotangent of the angle of shears, without their factor.
@@ -291,8 +292,11 @@ class RowsBackward {
         }
         A* theta = angles.theta.at;
         for (uint32_t k = low; k < high; ++k)
-            gradient_rows(terms, SharedConstants{}, tables.addresses, k, at.x, moment, theta, base, angles.arguments.at,
-                          angles.calls.data());
+            if (!angles.even.empty() && angles.even[k])
+                even_rows(terms, k, terms.row[k], terms.row[k + 1], at.x, theta + (terms.row[k] - base));
+            else
+                gradient_rows(terms, SharedConstants{}, tables.addresses, k, at.x, moment, theta, base,
+                              angles.arguments.at, angles.calls.data());
         if (simple) undo_simple(part, tau, theta, at);
         for (int64_t a = 0; a < count; ++a) {
             // A rational rotation by phi rotates by 2 atan(phi/2).

@@ -111,7 +111,7 @@ struct FlowTangentState {
     FlowTangentState(const FlowTables& tables, const int64_t* hessians, int64_t size, int64_t rows)
         : tables(tables), hessians(hessians), size(size), rows(rows), side(tables.group.size), scratch(3 * size),
           group_scratch(3 * side * side), wide(3 * size * rows), wide_group(3 * side * side * rows),
-          changes(tables.longest * rows), angles(tables.longest), workspace(tables.longest) {}
+          changes(tables.longest * rows), angles(tables.longest), workspace(tables.terms) {}
 
     void sweep(uint32_t first, uint32_t last, A* x, A* dx, V* vectors, const A& t, double h,
                const FurtherTangents<A, V>& further = {nullptr, nullptr, nullptr, -1}) {

@@ -5,11 +5,22 @@
 
 namespace coadjoint {
 
-// Scratch memory for the arguments of a function of the user, its matrix, and the call.
+// The rows of the longest term that is a function of the user.
+inline int64_t longest_function(const Terms& terms) {
+    int64_t longest = 0;
+    for (int64_t k = 0; k < terms.size; ++k)
+        if (terms.kind[k] == FUNCTION) longest = std::max<int64_t>(longest, terms.row[k + 1] - terms.row[k]);
+    return longest;
+}
+
+// Scratch memory for the arguments of such a function, its matrix, and the call.
 template <class A>
 struct HessianWorkspace {
     AlignedArray<A> arguments, matrix;
     std::vector<double> calls;
+    explicit HessianWorkspace(const Terms& terms) : HessianWorkspace(longest_function(terms)) {}
+
+  private:
     explicit HessianWorkspace(int64_t longest)
         : arguments(longest + 1), matrix(longest * longest), calls((longest + 1) * (longest + 1)) {}
 };
@@ -58,7 +69,7 @@ template <class V>
 class FieldChanges {
   public:
     FieldChanges(const Field& field, const Tangents& tangents, int64_t rows)
-        : field(field), tangents(tangents), rows(rows), workspace(field.longest), part(field.longest * rows),
+        : field(field), tangents(tangents), rows(rows), workspace(field.terms), part(field.longest * rows),
           second_derivative(field.size * rows), derivative(field.nonlinear ? field.size * field.size * field.size : 0),
           calls(field.nonlinear ? field.size * (1 + field.size * field.size) : 0) {}
 

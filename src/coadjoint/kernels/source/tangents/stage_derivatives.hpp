@@ -13,7 +13,7 @@ class StageTangents {
     StageTangents(StagePoints& at, int64_t rows)
         : at(at), rows(rows), n(at.n), s(at.s), d(at.d), tangents{n, 0, 0, nullptr, at.all.hessians, at.all.derivative},
           changes(at.field, tangents, rows), jacobians(at, false), momentum(at.tables, n, rows, false),
-          element(at.tables, at.square, rows, false), workspace(std::max(at.field.longest, at.longest_added())),
+          element(at.tables, at.square, rows, false), workspace(at.field.terms),
           of_gradients(s * n * rows), of_iterates(s * n * rows), of_slopes(s * n * rows), part(longest() * rows),
           found(jacobians.used ? 2 * s * n * rows : 0) {}
 
@@ -175,7 +175,7 @@ class StageCotangents {
   public:
     explicit StageCotangents(StagePoints& at)
         : at(at), n(at.n), s(at.s), d(at.d), jacobians(at, true), momentum(at.tables, n, 1, true), element(at.tables, at.square, 1, true),
-          workspace(std::max(at.field.longest, at.longest_added())), of_gradients(s * n), of_points(s * n),
+          workspace(at.field.terms), of_gradients(s * n), of_points(s * n),
           of_slopes(s * n), none_of(s * n), w(n), of_rows(std::max(at.field.longest, at.longest_added())),
           unused(CoefficientCotangents<double>::count(at.field.terms)), none(at.field.terms, unused.at),
           by_stage(CoefficientCotangents<double>::count(at.all.added)),
