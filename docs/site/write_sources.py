@@ -40,7 +40,7 @@ def write(folder: Path) -> None:
         write_if_changed(folder / path, text)
     for old in {*folder.rglob("*.md"), *folder.rglob("*.rst")} - {folder / path for path in pages}:
         old.unlink()
-    for file in [*DOCS.glob("*.png"), *DOCS.glob("*.svg"), *DOCS.glob("*.json")]:
+    for file in [file for kind in ("png", "gif", "svg", "json") for file in DOCS.glob(f"*.{kind}")]:
         shutil.copy2(file, folder)
     shutil.copy2(SITE / "conf.py", folder)
     shutil.copytree(SITE / "_static", folder / "_static", dirs_exist_ok=True)

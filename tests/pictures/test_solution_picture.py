@@ -2,6 +2,7 @@
 
 import importlib.util
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -298,7 +299,8 @@ def test_the_readme_shows_what_is_drawn(tmp_path):
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    first = readme.index("![")
-    assert readme[first:].partition("(")[2].startswith("docs/intermediate_axis_flip.png)")
-    assert module.PICTURE.stat().st_size > 20_000 and module.PICTURE.name == "intermediate_axis_flip.png"
-    assert [axes.get_title() for axes in module.draw().axes][-1] == "body axis 2 in space"
+    shown = re.findall(r"!\[[^]]*]\((docs/[^)]*)\)", readme)
+    for path, expected in zip(shown, (module.MOVIE, module.PICTURE), strict=False):
+        assert ROOT / path == expected and expected.stat().st_size > 20_000
+    assert module.MOVIE.stat().st_size < 2_000_000
+    assert [axes.get_title() for axes in module.run().plot().axes][-1] == "body axis 2 in space"
