@@ -84,7 +84,9 @@ class Samples(NamedTuple):
 
 def exponents_of(n: int, degree: int) -> NDArray[np.int64]:
     """Return the exponents (p, n) of all monomials of degree 1 to `degree`."""
-    check_available_memory(8 * n * math.comb(n + degree, degree), f"monomials of degree {degree} in {n} coordinates")
+    check_available_memory(
+        8 * n * math.comb(n + degree, degree), f"monomials of degree {short(degree)} in {n} coordinates"
+    )
     chosen = (c for d in range(1, degree + 1) for c in combinations_with_replacement(range(n), d))
     return np.array([np.bincount(c, minlength=n) for c in chosen], dtype=np.int64)
 

@@ -57,7 +57,7 @@ from coadjoint.runs.state import RunState
 from coadjoint.runs.times import RecentTimes, Times, read_step
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
-from coadjoint.systems.batch import Batch
+from coadjoint.systems.batch import Batch, selected
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.protocol import among, is_batch, member_of, unforced_matrix_system
 from coadjoint.systems.system_checks import System, check_system
@@ -180,7 +180,7 @@ class PreparedRun:
 
     def sampled(self, members: NDArray[np.int64]) -> PreparedRun:
         """Return the run of these members of a batch, from the tables already built; their noise differs."""
-        return self._selected(self.system.selected(members), members)
+        return self._selected(selected(cast(Batch, self.system), members), members)
 
     def _selected(self, part: Any, members: NDArray[np.int64], threads: int | None = None) -> PreparedRun:
         system, state = self.system, self.__getstate__()

@@ -15,7 +15,7 @@ from coadjoint.methods.protocol.attitude import check_attitude
 from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.batch import Axis, Batch, axis_coordinates, check_axis_name
+from coadjoint.systems.batch import Axis, Batch, axis_coordinates, check_axis_name, with_state_axes
 from coadjoint.systems.protocol import (
     is_batch,
     member_of,
@@ -165,7 +165,7 @@ def combined(system: Any, x0: Any) -> tuple[Any, Any]:
     states = states.transpose(*(names.index(name) for name in order), *range(leading, states.ndim))
     sizes = [length if name in names else 1 for name, length in zip((*axes, *new), all_lengths, strict=True)]
     states = np.broadcast_to(states.reshape(*sizes, *shape), (*all_lengths, *shape))
-    return system.with_state_axes(new), states.reshape(members, *shape)
+    return with_state_axes(system, new), states.reshape(members, *shape)
 
 
 def read_attitude(attitude: Any) -> Any:

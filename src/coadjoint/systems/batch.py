@@ -74,28 +74,7 @@ class Batch:
 
     def among(self, first: int, last: int) -> Batch:
         """Return the batch of members `first` to `last` - 1; noise keeps the numbering of this batch."""
-        return self.selected(np.arange(first, last), first)
-
-    def selected(self, members: NDArray[np.int64], first: int = 0) -> Batch:
-        """Return the batch of these members, without axes; their noise is numbered from `first`."""
-        part: Batch = object.__new__(Batch)
-        _, firsts, places = np.unique(self.owners[members], return_index=True, return_inverse=True)
-        # In the order of their first members.
-        order = np.argsort(firsts)
-        chosen = [self.systems[m] for m in members[firsts[order]].tolist()]
-        part.distinct = tuple(
-            system.numbered_from(first) if isinstance(system, ForcedSystem) else system for system in chosen
-        )
-        part.owners = np.argsort(order)[places]
-        part.systems = tuple(part.distinct[owner] for owner in part.owners.tolist())
-        part.dim, part.sign, part.axes, part.combined = self.dim, self.sign, {}, True
-        return part
-
-    def with_state_axes(self, axes: Mapping[str, Axis]) -> Batch:
-        """Return the batch with further axes, the fastest ones: each member is repeated for all their combinations."""
-        count = prod(axis.length for axis in axes.values())
-        repeated = [system for member in self.systems for system in repeat(member, count)]
-        return Batch(repeated, {**self.axes, **axes})
+        return selected(self, np.arange(first, last), first)
 
     @property
     def name(self) -> str:
@@ -115,6 +94,29 @@ class Batch:
 
     def __repr__(self) -> str:
         return f"<{self.name}>"
+
+
+def selected(batch: Batch, members: NDArray[np.int64], first: int = 0) -> Batch:
+    """Return the batch of some members, without axes; their noise is numbered from `first`."""
+    part: Batch = object.__new__(Batch)
+    _, firsts, places = np.unique(batch.owners[members], return_index=True, return_inverse=True)
+    # In the order of their first members.
+    order = np.argsort(firsts)
+    chosen = [batch.systems[m] for m in members[firsts[order]].tolist()]
+    part.distinct = tuple(
+        system.numbered_from(first) if isinstance(system, ForcedSystem) else system for system in chosen
+    )
+    part.owners = np.argsort(order)[places]
+    part.systems = tuple(part.distinct[owner] for owner in part.owners.tolist())
+    part.dim, part.sign, part.axes, part.combined = batch.dim, batch.sign, {}, True
+    return part
+
+
+def with_state_axes(batch: Batch, axes: Mapping[str, Axis]) -> Batch:
+    """Return a batch with further axes, the fastest ones: each member is repeated for all their combinations."""
+    count = prod(axis.length for axis in axes.values())
+    repeated = [system for member in batch.systems for system in repeat(member, count)]
+    return Batch(repeated, {**batch.axes, **axes})
 
 
 def _difference(first: Any, other: Any) -> str:

@@ -17,6 +17,7 @@ from coadjoint.runs.results.unfinished_members import unfinished_members
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.protocol import is_batch, unforced_matrix_system
+from coadjoint.validation import read_bool
 
 if TYPE_CHECKING:
     from coadjoint.runs.results.state_at import StateAt
@@ -280,7 +281,7 @@ class Solution(SolutionOutput):
 
     def _deviations(self, first: int, relative: bool) -> dict[str, Drift]:
         # Balances have the initial values of the invariants.
-        worst, scales = self.record.worst, self._scales if relative else {}
+        worst, scales = self.record.worst, self._scales if read_bool(relative, "relative") else {}
         waiting = False if self.failed is None else unfinished_members(self)
         return NamedValues(
             {
