@@ -73,6 +73,17 @@ TOO_LARGE = {
     ),
     "saved points": lambda: co.integrate(BODY, X, (0, 1e9), 0.1),
     "basis": lambda: co.LieAlgebra([], dim=2, basis=view(10**12)),
+    "directions": lambda: co.prepare(BODY, co.Splitting(), 0.5).jvp(X, (0, 100), {"inertia": np.ones((3, 50_000))}),
+    "tangent of a step": lambda: co.stepper(co.systems.spin_lattice(shape=1100), co.Splitting(), 0.1).tangent(
+        np.ones(3300)
+    ),
+    "fit": lambda: co.fit(
+        co.prepare(BODY, co.Splitting(), 0.125), X, (0, 5e4), {"x": np.zeros((400_001, 3))},
+        {"x0": True, "inertia": True}, sigma={"x": 1.0},
+    ),
+    "matrix of a viscosity": lambda: co.prepare(
+        co.systems.sphere_euler(60).with_forces(co.forces.Viscosity(0.1)), None, 0.1
+    ).jvp(np.zeros((60, 60)), (0, 0.1), {"x0": np.zeros((60, 60))}),
 }  # fmt: skip
 
 

@@ -198,6 +198,19 @@ def test_parameters_agree_with_the_compiled_backend(name):
     assert abs(plain[0] - plain[1]) < 1e-11 and abs(plain[0] - values[0][0]) > 1e-5
 
 
+def test_several_parameters_of_a_ready_made_system_have_their_own_derivatives():
+    ready = co.prepare(co.systems.lagrange_top(), co.Splitting(), 0.05)
+    assert list(ready.parameters) == ["equatorial", "axial", "lever"]
+    x0 = 0.7 * RNG.standard_normal(6)
+    values = {name: 1.02 * value for name, value in ready.parameters.items()}
+    wanted, found = (
+        jax.grad(lambda given, f=f: f(x0, **given)[-1].sum())(values)
+        for f in (co.jax.solution(ready, (0, 1), 20, backend=backend) for backend in ("compiled", "xla"))
+    )
+    for name, derivative in wanted.items():
+        assert abs(found[name] - derivative) < 1e-10 * max(1.0, abs(derivative)) and abs(derivative) > 1e-3
+
+
 def test_transformations_compose(f):
     g, many = number(f), np.array([X0, 2.0 * X0, X0[::-1]])
     each = np.stack([f(x0) for x0 in many])

@@ -99,6 +99,14 @@ def test_steps_of_own_lengths_are_not_undone():
         co.prepare(BODY, co.ReversibleSteps(co.Splitting(), 0.1), 1.0).vjp(X3, (0.0, 1.0), reverse="reversible")
 
 
+def test_a_thousand_steps_of_own_lengths_take_little_memory(monkeypatch):
+    """They store about a kilobyte each."""
+    monkeypatch.setattr("coadjoint.memory.available", lambda: 10**8)
+    ready = co.prepare(BODY, co.ReversibleSteps(co.Splitting(), 0.1), 300.0, attitude=True)
+    pullback = ready.vjp(X3, (0.0, 300.0))[1]
+    assert len(pullback._trajectory.stretches) > 1024
+
+
 @dataclasses.dataclass(frozen=True)
 class Unknown(co.ReversibleSteps):
     """A scheme that does not give its steps."""
@@ -153,3 +161,42 @@ def test_directions_of_a_batch_of_other_shapes_are_refused():
     _, pullback = ready.vjp(X3, (0.0, 1.0))
     with pytest.raises(ValueError, match=r"x has the shape \(9, 3\)"):
         pullback(np.ones((9, 3)))
+
+
+COEFFICIENTS = {(1, 0, 0): 0.3, (0, 3, 0): 0.2}
+DIFFERENT = {
+    "coefficients": [
+        co.LiePoissonSystem(co.algebras.so(3), co.Polynomial(terms))
+        for terms in (COEFFICIENTS, COEFFICIENTS | {(0, 0, 2): 0.4})
+    ],
+    "names": [co.systems.gyrostat(rotors=(0.1, 0.2, 0.0)), BODY],
+    "forces": [BODY.with_forces(co.forces.LinearDamping(rate)) for rate in (0.1, (0.1, 0.2, 0.3))],
+}
+SHARED = {"coefficients": [], "names": ["inertia"], "forces": ["inertia", "LinearDamping.toward"]}
+
+
+@pytest.mark.parametrize("name", DIFFERENT)
+def test_gradients_of_a_batch_are_by_the_parameters_of_all_members(name):
+    """Those that only some members have, or in another shape, are those of runs of single members."""
+    ready = co.prepare(co.batch(DIFFERENT[name]), co.GaussLegendre(2), 0.125)
+    assert list(ready.parameters) == SHARED[name]
+    x0 = np.array([X3, X3[::-1]])
+    sol, pullback = ready.vjp(x0, (0.0, 1.0))
+    gradient = pullback(sol.x)
+    assert list(gradient) == ["x0", *SHARED[name]] and list(gradient.rule) == SHARED[name]
+    for m, system in enumerate(DIFFERENT[name]):
+        _, single = co.prepare(system, co.GaussLegendre(2), 0.125).vjp(x0[m], (0.0, 1.0))
+        found = single(sol.x[:, m])
+        assert all(np.array_equal(gradient[one][m], found[one]) for one in gradient)
+
+
+def test_the_rule_of_a_batch_is_the_least_exact_of_its_members():
+    """Bodies with equal moments have fewer parts, of which the forms change with the moments."""
+    bodies = [co.systems.rigid_body(inertia) for inertia in ((1.0, 2.0, 2.5), (2.0, 2.0, 2.5))]
+    singles = [co.prepare(body, co.Splitting(), 0.125) for body in bodies]
+    rules = [one.jvp(X3, (0.0, 1.0), {"inertia": np.ones(3)})[1].rule for one in singles]
+    assert rules == [{"inertia": "exact"}, {"inertia": "added part"}]
+    for order in (bodies, bodies[::-1]):
+        ready = co.prepare(co.batch(order), co.Splitting(), 0.125)
+        sol, tangents = ready.jvp(X3, (0.0, 1.0), {"inertia": np.ones((2, 3))})
+        assert tangents.rule == ready.vjp(X3, (0.0, 1.0))[1](sol.x).rule == {"inertia": "added part"}

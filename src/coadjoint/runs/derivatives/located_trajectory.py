@@ -127,7 +127,7 @@ class LocatedTrajectory(Trajectory):
                 break
             if len(lengths) % 1024 == 0:
                 check_available_memory(
-                    1024 * 16 * (x.size + group.size) * len(lengths), "the states of the steps that the scheme chooses"
+                    16 * (x.size + group.size) * len(lengths), "the states of the steps that the scheme chooses"
                 )
             t = times.t0 + elapsed[-1]
             self.stretches.append(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError, unknown_name
+from coadjoint.methods.protocol.derivatives import ADDED_PART, DIFFERENCES, EXACT
 from coadjoint.runs.derivatives.results import Gradient, Tangents
 from coadjoint.short_repr import short
 from coadjoint.systems.protocol import is_batch, shape_of
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
     from coadjoint.runs.results.solution import Solution
 
 Floats = NDArray[np.float64]
+
+# The nearest to the derivative of the computed map first.
+RULES = (EXACT, DIFFERENCES, ADDED_PART)
 
 
 def by_member(prepared: PreparedRun, x0: Any, events: tuple[Event, ...]) -> bool:
@@ -109,7 +113,7 @@ def tangents_of_members(
         attitude=None if found[0].attitude is None else stacked("attitude"),
         energy=stacked("energy"),
         events=crossings,
-        rule=found[0].rule,
+        rule=_rules(found, found[0].rule),
     )
     if error is not None:
         raise _of_all(error, solution, tangents)
@@ -192,11 +196,13 @@ class PullbackOfMembers:
                 found.append(raised.derivatives)
                 error = error or raised
         values = {}
-        for name in found[0]:
+        # Members of a batch may have further parameters, or others of the same name.
+        parameters = [name for name in found[0] if name in members.prepared.parameters]
+        for name in [*(name for name in ("x0", "attitude0") if name in found[0]), *parameters]:
             stacked = np.stack([one[name] for one in found])
             summed = members.shared and name not in ("x0", "attitude0")
             values[name] = stacked.sum(axis=0) if summed else stacked
-        gradient = Gradient(values, found[0].rule)
+        gradient = Gradient(values, _rules(found, parameters))
         if error is not None:
             raise _of_all(error, solution, gradient)
         return gradient
@@ -214,6 +220,11 @@ def _of_each(members: _Members, function: Callable[..., Tangents]) -> tuple[list
             found.append(raised.derivatives)
             error = error or raised
     return found, error
+
+
+def _rules(found: Sequence[Tangents | Gradient], names: Iterable[str]) -> dict[str, str]:
+    """Return the rule of each parameter: the farthest one from the computed map among the members."""
+    return {name: max((one.rule[name] for one in found), key=RULES.index) for name in names}
 
 
 def _of_all(error: IntegrationError, solution: Solution, derivatives: Any) -> IntegrationError:

@@ -29,7 +29,7 @@ class Tangents:
         without events.
     rule : mapping
         For each parameter, "exact" if the derivative is that of the computed map, "added part" or "differences"; see
-        the notes of `PreparedRun.jvp`.
+        the notes of `PreparedRun.jvp`. Of a batch, the one farthest from the computed map.
     """
 
     x: Floats
