@@ -1,5 +1,6 @@
 """Runs as functions of JAX: values, derivatives, transformations and refused arguments."""
 
+import dataclasses
 import os
 
 import numpy as np
@@ -249,6 +250,26 @@ def test_gradients_by_parameters_of_forces_are_those_at_the_given_values():
     found = jax.grad(lambda given: g(X0, **given)[-1] @ ALONG)(values)
     for name, one in found.items():
         assert np.array_equal(one, wanted[name]) and np.any(wanted[name]), name
+
+
+@pytest.mark.parametrize(
+    ("force", "parameter"),
+    [
+        (co.forces.DoubleBracketDamping(0.125), "DoubleBracketDamping.alpha"),
+        (co.forces.HeatBath(0.125, temperature=0.5, seed=3), "HeatBath.temperature"),
+    ],
+    ids=["damping", "noise"],
+)
+def test_forces_may_be_given_values_at_which_they_have_no_derivative(force, parameter):
+    body = co.systems.rigid_body((1.0, 2.0, 2.5))
+    f = co.jax.solution(co.prepare(body.with_forces(force), co.Splitting(), 0.125), (0, 2), 4)
+    limit = body.with_forces(dataclasses.replace(force, **{parameter.partition(".")[2]: 0.0}))
+    wanted, pullback = co.prepare(limit, co.Splitting(), 0.125).vjp(X0, (0, 2), 4)
+    assert np.array_equal(f(X0, **{parameter: 0.0}), wanted.x)
+    by_x0 = jax.grad(lambda x: f(x, **{parameter: 0.0}).sum())(X0)
+    assert np.array_equal(by_x0, pullback(np.ones(wanted.x.shape))["x0"])
+    with pytest.raises(ValueError, match=rf"{parameter} cannot be differentiated at 0\.0"):
+        jax.grad(lambda value: f(X0, **{parameter: value}).sum())(0.0)
 
 
 def test_gradient_descent_recovers_an_inertia():

@@ -195,8 +195,9 @@ def test_events_of_a_pullback_without_them_are_refused():
     _, pullback = ready.vjp(X, (0.0, 1.0))
     with pytest.raises(ValueError, match="give events= to vjp"):
         pullback(events={"t": []})
-    _, pullback = ready.vjp(X, (0.0, 20.0), events=END)
-    with pytest.raises(ValueError, match=r"t of events has the shape \(2,\)"):
-        pullback(events={"t": [1.0, 2.0]})
-    with pytest.raises(ValueError, match="unknown result of events 'time'"):
-        pullback(events={"time": [1.0]})
+    for x0, wrong in ((X, (2,)), ([X, X], (3,))):
+        _, pullback = ready.vjp(x0, (0.0, 20.0), events=END)
+        with pytest.raises(ValueError, match=rf"t of events has the shape \({wrong[0]},\)"):
+            pullback(events={"t": np.ones(wrong)})
+        with pytest.raises(ValueError, match="unknown result of events 'time'"):
+            pullback(events={"time": [1.0]})

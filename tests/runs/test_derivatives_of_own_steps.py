@@ -158,6 +158,10 @@ def test_directions_of_a_batch_of_other_shapes_are_refused():
     ready = co.prepare(BATCH, co.Splitting(), 0.125)
     with pytest.raises(ValueError, match=r"direction inertia has the shape \(3,\); it must be \(3, 3\)"):
         ready.jvp(X3, (0.0, 1.0), {"inertia": np.ones(3)})
+    turning = co.prepare(BATCH, co.Splitting(), 0.125, attitude=True)
+    for wrong, shape in ((1.0, r"\(\)"), (np.eye(3)[:2], r"\(2, 3\)")):
+        with pytest.raises(ValueError, match=rf"attitude0 has the shape {shape}; its first axis must be that of the 3"):
+            turning.jvp(X3, (0.0, 1.0), {"attitude0": wrong})
     _, pullback = ready.vjp(X3, (0.0, 1.0))
     with pytest.raises(ValueError, match=r"x has the shape \(9, 3\)"):
         pullback(np.ones((9, 3)))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import unknown_name
+from coadjoint.short_repr import short
 from coadjoint.systems.coefficient_derivatives import (
     RADIUS,
     SMALL_ENTRY,
@@ -140,9 +141,10 @@ def parameters_at(system: Any, values: Mapping[str, Floats]) -> dict[str, Parame
     They have the shapes of `values` also where coefficients of that system are zero.
     """
     if isinstance(system, ForcedSystem):
-        of_forces = _of_forces(with_parameters(system, values))
-        return {name: one for name, one in of_forces.items() if name in values} | parameters_at(
-            system.system, {name: value for name, value in values.items() if name not in of_forces}
+        known, of_forces = force_parameters(system), _of_forces(with_parameters(system, values))
+        found = {name: of_forces.get(name) or _at_limit(name, values[name]) for name in values if name in known}
+        return found | parameters_at(
+            system.system, {name: value for name, value in values.items() if name not in known}
         )
     builder = _builder_of(system, values)
     if builder is None or is_matrix_system(system):
@@ -157,6 +159,17 @@ def parameters_at(system: Any, values: Mapping[str, Floats]) -> dict[str, Parame
         name: _argument(builder, arguments, name, value, _is_symmetric(builder, arguments, name, value))
         for name, value in values.items()
     }
+
+
+def _at_limit(name: str, value: Floats) -> Parameter:
+    """Return a parameter of a force at a value that cannot change in both directions, such as zero."""
+
+    def radii() -> Floats:
+        raise ValueError(
+            f"{name} cannot be differentiated at {short(_plain(value))}: the force accepts no values on both sides"
+        )
+
+    return Parameter(value, lambda: EnergyDerivative.of_monomials(value.size), radii)
 
 
 def with_entry_moved(system: Any, name: str, value: Floats, index: tuple[int, ...], by: float) -> Any:

@@ -89,8 +89,11 @@ def tangents_of_members(
                 f"the direction {name} has the shape {array.shape}; it must be {shape}, or with a last axis of "
                 "directions"
             )
-        if len(array) != members.count:
-            raise ValueError(f"the direction {name} has {len(array)} members; the run has {members.count}")
+        if array.shape[:1] != (members.count,):
+            raise ValueError(
+                f"the direction {name} has the shape {array.shape}; its first axis must be that of the {members.count} "
+                "members"
+            )
         leading[name] = array
 
     def of_member(m: int, single: PreparedRun, arguments: dict[str, Any]) -> Tangents:
@@ -171,8 +174,10 @@ class PullbackOfMembers:
         if events is not None:
             if solution.events is None:
                 raise ValueError("events was given to a pullback of a run without them; give events= to vjp")
+            if unknown := set(events) - {"t", "x"}:
+                raise unknown_name("result of events", min(unknown), ("t", "x"))
             of_events = {
-                name: _checked(value, getattr(solution.events, name, None), f"{name} of events")
+                name: _checked(value, getattr(solution.events, name), f"{name} of events")
                 for name, value in events.items()
             }
 
