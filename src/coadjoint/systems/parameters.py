@@ -141,7 +141,8 @@ def parameters_at(system: Any, values: Mapping[str, Floats]) -> dict[str, Parame
     They have the shapes of `values` also where coefficients of that system are zero.
     """
     if isinstance(system, ForcedSystem):
-        known, of_forces = force_parameters(system), _of_forces(with_parameters(system, values))
+        known = force_parameters(system)
+        of_forces = _of_forces(with_parameters(system, values))
         found = {name: of_forces.get(name) or _at_limit(name, values[name]) for name in values if name in known}
         return found | parameters_at(
             system.system, {name: value for name, value in values.items() if name not in known}
