@@ -294,6 +294,17 @@ def test_schemes_without_a_loop_go_step_by_step_and_say_so(monkeypatch):
         assert found.by in by and np.max(np.abs(found.stretches[1:] - wanted)) < 1e-12
 
 
+def test_members_of_a_batch_go_step_by_step_by_their_own_systems():
+    bodies = co.batch([co.systems.rigid_body(inertia=(1.0, 2.0, third)) for third in (3.0, 2.25)])
+    x0, given = np.array([[0.1, 1.0, 0.1], [0.3, 0.8, 0.2]]), {"renormalize_every": 4, "save_every": 8}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        together = co.lyapunov(bodies, x0, (0, 2), 0.125, Euler(), **given)
+        for m, body in enumerate(bodies):
+            alone = co.lyapunov(body, x0[m], (0, 2), 0.125, Euler(), **given)
+            assert together.stretches[:, m].tobytes() == alone.stretches.tobytes()
+
+
 @pytest.mark.thinned(3)
 @pytest.mark.parametrize("span", [(0.0, 2.0), (3.5, 5.5), (3.5, 1.5)])
 @pytest.mark.parametrize("method", [Euler(), co.Splitting(order=2), co.GaussLegendre(2)], ids=str)

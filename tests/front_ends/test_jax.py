@@ -159,6 +159,16 @@ def test_vmap_over_parameters_agrees_with_a_loop(f, number):
         np.testing.assert_allclose(along[k], one, rtol=0, atol=ROUNDING)
 
 
+def test_vmap_over_initial_states_and_directions_of_parameters_agrees_with_a_loop(f):
+    directions = np.array([ALONG, -ALONG, ALONG[::-1]])
+
+    def along(x0, direction):
+        return jax.jvp(lambda inertia: f(x0, inertia=inertia), (INERTIA,), (direction,))[1]
+
+    for row, x0, direction in zip(jax.vmap(along)(MANY, directions), MANY, directions, strict=True):
+        np.testing.assert_allclose(row, along(x0, direction), rtol=0, atol=ROUNDING)
+
+
 def test_ensembles_share_parameters(f):
     """The gradient of a sum over members is the sum of those of the members."""
     total = jax.grad(lambda inertia: (f(MANY, inertia=inertia)[-1] @ ALONG).sum())(INERTIA)

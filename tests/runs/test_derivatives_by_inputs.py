@@ -67,6 +67,7 @@ STEPWISE = [
     (DRIVEN, co.CommutatorFree(), X3, RATES, TWO, False),
     (TOP, co.CommutatorFree(), X6, FIELDS, FOUR, False),
     (FULL, co.Projected(co.GaussLegendre(1)), X3, RATES, TWO, False),
+    (DRIVEN, co.Composition(co.SphericalMidpoint(), (0.7, -0.4, 0.7)), X3, RATES, TWO, False),
 ]
 SPANS = {
     "forward": ((0.5, 1.5), {"save_every": 7}),

@@ -120,15 +120,15 @@ def fading(x, t, tau):
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.Taylor(order=4)])
 def test_derivatives_of_a_step_are_those_at_its_time(method):
     damped = STEERED[0].with_forces(co.forces.OwnForce(fading))
-    step = co.stepper(damped, method, 0.25, inputs=STEERED[1])
     x, u, e = np.array([1.0, 0.2, 0.5]), np.array([0.1, -0.2]), 2.0**-7
-    for t in (0.0, 2.0, -3.0):
+    for t, system, h in ((0.0, damped, 0.25), (2.0, damped, 0.25), (-3.0, damped, -0.25), (1.0, STEERED[0], -0.25)):
+        step = co.stepper(system, method, h, inputs=STEERED[1])
 
         def difference(after):
             """Of order 4, with an error of some e^4 and U / e."""
             return (8 * (after(e) - after(-e)) - (after(2 * e) - after(-2 * e))) / (12 * e)
 
-        by_x = [difference(lambda by, v=v, t=t: step(x + by * v, t, rotors=u)) for v in np.eye(3)]
-        by_u = [difference(lambda by, v=v, t=t: step(x, t, rotors=u + by * v)) for v in np.eye(2)]
+        by_x = [difference(lambda by, v=v, t=t, step=step: step(x + by * v, t, rotors=u)) for v in np.eye(3)]
+        by_u = [difference(lambda by, v=v, t=t, step=step: step(x, t, rotors=u + by * v)) for v in np.eye(2)]
         np.testing.assert_allclose(step.tangent(x, t, rotors=u), np.transpose(by_x), rtol=0, atol=8 * e**4)
         np.testing.assert_allclose(step.tangent_by_inputs(x, t, rotors=u), np.transpose(by_u), rtol=0, atol=8 * e**4)

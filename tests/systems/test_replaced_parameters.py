@@ -68,6 +68,11 @@ def test_stored_entries_of_a_large_matrix_are_replaced():
     assert value.shape == (3 * n - 2,)
     changed = with_parameters(system, {"M": 2.0 * value})
     assert abs(changed.hamiltonian.hessian(np.zeros(n)) - 2.0 * M.toarray()).max() == 0.0
+    # An entry alone counts with its symmetric part, as in smaller matrices.
+    moved = value.copy()
+    moved[1] += 0.5
+    hessian = with_parameters(system, {"M": moved}).hamiltonian.hessian(np.zeros(n))
+    assert M.toarray()[0, 1] == 0.1 and hessian[0, 1] == hessian[1, 0] == 0.5 * (0.6 + 0.1)
 
 
 def test_coefficients_are_replaced_in_the_order_of_the_monomials():
