@@ -143,8 +143,8 @@ def parameters_at(system: Any, values: Mapping[str, Floats]) -> dict[str, Parame
     if isinstance(system, ForcedSystem):
         known = force_parameters(system)
         of_forces = _of_forces(with_parameters(system, values))
-        found = {name: of_forces.get(name) or _at_limit(name, values[name]) for name in values if name in known}
-        return found | parameters_at(
+        moved = {name: of_forces.get(name) or _at_limit(name, values[name]) for name in values if name in known}
+        return moved | parameters_at(
             system.system, {name: value for name, value in values.items() if name not in known}
         )
     builder = _builder_of(system, values)

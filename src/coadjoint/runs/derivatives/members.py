@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-# The nearest to the derivative of the computed map first.
-RULES = (EXACT, DIFFERENCES, ADDED_PART)
-
 
 def by_member(prepared: PreparedRun, x0: Any, events: tuple[Event, ...]) -> bool:
     """Return whether the members of a run are differentiated one by one: their steps or times differ."""
@@ -229,7 +226,8 @@ def _of_each(members: _Members, function: Callable[..., Tangents]) -> tuple[list
 
 def _rules(found: Sequence[Tangents | Gradient], names: Iterable[str]) -> dict[str, str]:
     """Return the rule of each parameter: the farthest one from the computed map among the members."""
-    return {name: max((one.rule[name] for one in found), key=RULES.index) for name in names}
+    nearest_first = (EXACT, DIFFERENCES, ADDED_PART)
+    return {name: max((one.rule[name] for one in found), key=nearest_first.index) for name in names}
 
 
 def _of_all(error: IntegrationError, solution: Solution, derivatives: Any) -> IntegrationError:
