@@ -125,3 +125,30 @@ def test_exponentials_in_blocks_are_those_one_by_one(monkeypatch, count):
     each = [ready.jvp(x0, (0.0, 1.0), {name: v[:, k] for name, v in directions.items()})[1] for k in range(count)]
     for other in (found[1], np.stack([one.attitude for one in each], axis=-1)):
         np.testing.assert_allclose(found[0], other, rtol=0, atol=2**6 * U * np.abs(found[0]).max())
+
+
+# Rotations of four and more blocks by one angle, and parts of eight and more angles.
+LARGE = {
+    "so(6)": co.LiePoissonSystem(co.algebras.so(6), co.Quadratic(np.linspace(1, 3, 15))),
+    "su(4), in coordinates": co.LiePoissonSystem(co.algebras.su(4), co.Quadratic(np.linspace(1, 3, 15))),
+    "spins": co.systems.spin_lattice(shape=10, field=(0.1, 0.2, 0.3)),
+    "quartic spins": co.LiePoissonSystem(
+        co.algebras.copies(co.algebras.so(3), 10),
+        co.Polynomial({tuple(4 * int(i == k) for i in range(30)): 0.1 for k in range(30)}),
+    ),
+}
+
+
+@pytest.mark.parametrize("members", [1, 9])
+@pytest.mark.parametrize("name", LARGE)
+def test_tangents_keep_the_momentum_in_space_in_large_representations(name, members):
+    """Where A x = x0, dA x + A dx = dx0."""
+    system, rng = LARGE[name], np.random.default_rng(6)
+    method = co.Splitting(parts="coordinates") if "in coordinates" in name else co.Splitting()
+    x0, direction = rng.standard_normal((2, members, system.dim))
+    ready = co.prepare(system, method, 0.0625, attitude="coadjoint")
+    sol, tangents = ready.jvp(x0, (0, 0.25), {"x0": direction})
+    rotated, moved = (
+        np.einsum("pmij,pmj->pmi", *pair) for pair in ((tangents.attitude, sol.x), (sol.attitude, tangents.x))
+    )
+    np.testing.assert_allclose(rotated + moved, np.broadcast_to(direction, sol.x.shape), rtol=0, atol=1e-11)

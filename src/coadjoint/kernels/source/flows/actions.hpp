@@ -47,7 +47,7 @@ NOINLINE void rotate_several(const Action& action, const C& constants, uint32_t 
             const Spread phi = load<Spread>(theta + (q - first)) * (Spread(tau) * load<Spread>(action.constants + position + q));
             const Rotation<Spread> rotations = rotation_by(phi);
             if constexpr (summation == PLAIN && Numbers<V>::lanes == 1)
-                if (repeat == 1) {
+                if (repeat == 1 && x.rows == 1) {
                     rotate_pairs(rotations, index, x.at);
                     index += 2 * SPREAD;
                     continue;

@@ -89,7 +89,7 @@ NOINLINE inline void rotate_many(double sine, double cosm1, const uint32_t* inde
 template <Summation summation, class A, class V>
 INLINE void rotate(const Rotation<A>& rotation, const uint32_t* index, uint32_t repeat, const Vectors<V>& x) {
     if constexpr (summation == PLAIN && Numbers<V>::lanes == 1)
-        if (repeat >= MANY) return rotate_many(rotation.sine, rotation.cosm1, index, repeat, x.at);
+        if (repeat >= MANY && x.rows == 1) return rotate_many(rotation.sine, rotation.cosm1, index, repeat, x.at);
     const V sine(rotation.sine), cosm1(rotation.cosm1);
     const V deficit(summation == CORRECTED ? shortfall(rotation.sine, -rotation.cosm1, A(1.0)) : A(0.0));
     const auto wide = cosm1 < V(-0.5 * WIDE);
