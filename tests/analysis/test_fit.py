@@ -102,6 +102,8 @@ def test_states_of_a_heavy_top():
     found = co.fit(guess, x0 + np.eye(6)[1] / 20, span, {"x": exact}, unknown, t_eval=times, sigma={"x": deviations})
     np.testing.assert_allclose(found.values["lever"], lever, rtol=1e-9)
     np.testing.assert_allclose(found.values["x0"], x0, atol=1e-10)
+    np.testing.assert_array_equal(found.solution.t, times)
+    np.testing.assert_allclose(found.solution.x, exact, atol=1e-9)
     step, columns = 1e-5, []
     for e in np.eye(6):
         ends = []

@@ -558,6 +558,18 @@ def test_run_is_extended_to_a_later_end(tmp_path, monkeypatch, system, x0, metho
     assert_same(co.resume(path, last), co.integrate(system, x0, (0.7, last), STEP, method, save_every=every, **options))
 
 
+def test_deviations_that_fall_again_stay_in_their_tenth_of_a_longer_run(tmp_path):
+    """The axis turns over at t = 19, in the seventh tenth of 28 and the fifth of 40; steps 177 to 208 are in two."""
+    run, path = (BODY, (0.02, 1.0, 0.02)), tmp_path / "run.zarr"
+    expected = co.integrate(*run, (0.0, 40.0), STEP, co.Splitting(order=2))
+    peak = np.abs(expected.energy - expected.energy[0])
+    assert peak.argmax() == 151 and peak[192:].max() < 0.5 * peak.max()
+    archive_run(PreparedRun(BODY, co.Splitting(order=2), STEP), run[1], (0.0, 28.0), 1, path, until=176)
+    for cut_at in (208, None):
+        co.resume(path, until=cut_at)
+    assert_same(co.resume(path, 40.0), expected)
+
+
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("every", [1, 2])
 def test_states_as_large_as_a_chunk(tmp_path, monkeypatch, every):

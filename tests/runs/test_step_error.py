@@ -1,6 +1,7 @@
 """The error of a step, by two half steps: its size against exact motions, and the warning of too large steps."""
 
 import dataclasses
+import math
 import pickle
 import warnings
 
@@ -231,6 +232,24 @@ def test_the_fastest_step_is_found_at_every_or_between_saved_points(every, sense
     assert sol.step_error() == pytest.approx(module.FASTEST * error, rel=0.35)
     ends = [co.integrate(system, orbit(0.9), (0, 2 * np.pi), 2 * np.pi / n, method).x[-1] for n in (count, 6400)]
     assert np.linalg.norm(ends[0] - ends[1]) > 0.1
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+@pytest.mark.parametrize("every", [1, 13])
+def test_the_fastest_step_of_a_driven_run_is_repeated_at_its_time(every, sense):
+    """A field that turns a spin in a few of 120 steps, away from saved points; the angle is that of a midpoint rule."""
+    h, angle = sense * 0.1, 1.5
+
+    def field(t):
+        return 0.0, 0.0, angle / 0.1 * np.exp(-(((t - 58.5 * h) / 0.1) ** 2))
+
+    spin = co.systems.spin_lattice("chain", 1, field=field)
+    with pytest.warns(co.LargeStepWarning, match="too large for this motion"):
+        sol = co.integrate(spin, (0.6, 0.0, 0.8), (0, 120 * h), 0.1, co.GaussLegendre(1), save_every=every)
+    # The step turns by 2 atan(angle / 2), the field by its integral.
+    turned, exact = 2 * np.arctan(angle / 2), angle * np.pi**0.5 * math.erf(0.5)
+    error = np.sin((turned - exact) / 2) / np.sin(exact / 2)
+    assert sol.step_error() == pytest.approx(module.FASTEST * abs(error), rel=0.35)
 
 
 def test_long_runs_are_searched_in_pieces(monkeypatch):
