@@ -16,7 +16,7 @@ import coadjoint as co
 from coadjoint import cli
 from coadjoint.files.output.movie_file import check_speed, write_movie
 from coadjoint.files.output.output_files import OutputError
-from coadjoint.pictures.movie import frames_of
+from coadjoint.pictures.movie import default_picture, frames_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import kinds, read_picture
 from coadjoint.systems.gallery_entry import Picture
@@ -103,6 +103,15 @@ def values(system, x):
 
 def test_every_kind_that_shows_one_time_is_tried():
     assert {name for name, kind in kinds().items() if kind.moves and kind.shows_one_time} == set(MOVING)
+
+
+@pytest.mark.parametrize("name", ["heavy_top", "rigid_body", "kirchhoff_body"])
+def test_the_movie_of_a_body_has_the_axis_and_the_vertical_of_its_picture(name):
+    entry = gallery_entry_of(name)
+    declared = next(picture for picture in entry.pictures if picture.kind == "body axis")
+    run = co.integrate(co.systems.get(name), entry.start(), (0.0, 1.0), 0.1, attitude=True)
+    found = default_picture(PlottedRun(run))
+    assert found.kind == "body" and found.options == declared.options and set(found.options) >= {"axis", "up"}
 
 
 @pytest.mark.thinned(2)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 
 from coadjoint.algebra.polynomials.polynomial_format import GREEK, latex_name
-from coadjoint.errors import nearest
+from coadjoint.errors import in_one_line, nearest
 from coadjoint.short_repr import short
 
 if TYPE_CHECKING:
@@ -80,6 +80,9 @@ def figure_settings(style: Any = None, width: float | None = None) -> Iterator[N
         near = nearest(style, styles.available) if isinstance(style, str) else None
         hint = f"did you mean {near!r}?" if near else "give the name of a style of Matplotlib, or a mapping of rcParams"
         raise ValueError(f"style is {short(style)}, which Matplotlib does not know; {hint}") from None
+    except (KeyError, ValueError) as reason:
+        message = in_one_line(str(reason.args[0]))
+        raise ValueError(f"style is {short(style)}, which Matplotlib refuses: {message}") from None
     try:
         with matplotlib.rc_context(cast(Any, _unchanged_settings(width))):
             yield

@@ -29,10 +29,11 @@ def table_of(solution: Solution) -> pd.DataFrame:
     columns: dict[str, Any] = {name: states[..., i] for i, name in enumerate(_names(system, shape, count))}
     observed = {name: np.asarray(values) for name, values in solution.observed.items()}
     numbers = {name: values for name, values in observed.items() if values.ndim == (1 if members is None else 2)}
-    for name, values in {"energy": solution.energy, **solution.casimirs, **numbers}.items():
-        # An observed quantity may have the name of a coordinate.
-        label = name if name not in columns else f"observed {name}"
-        columns[label] = values.reshape(k, -1)
+    invariants = {"energy": solution.energy, **solution.casimirs}
+    for what, series in (("invariant", invariants), ("observed", numbers)):
+        for name, values in series.items():
+            # Names of coordinates, invariants and observed quantities may be equal.
+            columns[f"{what} {name}" if name in columns else name] = values.reshape(k, -1)
     if members is None:
         return pd.DataFrame({name: values[:, 0] for name, values in columns.items()}, index=_times(solution))
     index = pd.MultiIndex.from_product([range(members), solution.t], names=["member", "time"])

@@ -88,7 +88,8 @@ class SolutionOutput(RunAttributes):
         pandas.DataFrame
             One row for each saved time, with the index ``time``; for an ensemble one for each member and time, with the
             indices ``member`` and ``time``. Columns are the names of the coordinates, ``energy``, and the names of the
-            Casimirs and of the observed numbers. Complex entries of matrices remain complex.
+            Casimirs and of the observed numbers; a name that occurs twice begins with ``invariant`` or ``observed``.
+            Complex entries of matrices remain complex.
 
         Examples
         --------
