@@ -214,3 +214,11 @@ def test_one_member_of_an_ensemble_is_drawn_as_one():
         for one, other in zip(*(axes.lines for axes in both), strict=True):
             np.testing.assert_array_equal(one.get_data(), other.get_data())
             assert all(getattr(one, f"get_{part}")() == getattr(other, f"get_{part}")() for part in STYLE)
+
+
+@pytest.mark.parametrize("resting", [0, 1, 2])
+def test_legends_have_lines_whose_first_members_are_not_drawn(resting):
+    """Deviations of a body at rest are zero, and have no logarithm."""
+    starts = [*GOOD[:resting], [0.0, 0.0, 1.0], *GOOD[resting:]]
+    axes = axes_of(co.integrate(BODY, starts, (T0, T0 + 2.0), 0.1), "drift")
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["$H$", "$|x|^2$"]
