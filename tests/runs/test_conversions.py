@@ -1,4 +1,4 @@
-"""Solutions as tables of pandas, and attitudes as rotations of SciPy: rows, columns and members are those of the run."""
+"""Solutions as tables of pandas, and attitudes as rotations of SciPy: rows and members are those of the run."""
 
 import numpy as np
 import pytest
