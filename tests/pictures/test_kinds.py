@@ -374,3 +374,16 @@ def test_rings_and_graphs_stand_on_a_circle_with_neighbours_a_unit_apart(count):
     np.testing.assert_allclose(np.hypot(x, y), radius, rtol=1e-14)
     np.testing.assert_allclose(turn[1:], 2.0 * np.pi * np.arange(1, count) / count, rtol=1e-13)
     assert (x[0], y[0]) == (0.0, radius)
+
+
+@pytest.mark.parametrize("sides", [(1.0, 2.0, 3.0), (3.0, 1.0, 2.0)])
+def test_the_box_of_a_body_has_its_moments_of_inertia(sides):
+    """A homogeneous box with half sides a, b, c has the moments b^2 + c^2, ... over its mass / 3; seen along an axis."""
+    squares = np.square(sides)
+    box = co.systems.rigid_body(squares.sum() - squares)
+    run = co.integrate(box, (0.3, 1.0, 0.2), (0.0, 1.0), 0.1, attitude=True)
+    for view, across, up in (((0.0, 0.0), 1, 2), ((90.0, 0.0), 0, 2), ((-90.0, 90.0), 0, 1)):
+        axes = shown(run, Picture("body", at=0.0, view=view))
+        faces = next(part for part in axes.collections if isinstance(part, PolyCollection)).get_paths()
+        extent = np.ptp(np.concatenate([face.vertices for face in faces]), axis=0)
+        assert extent[0] / extent[1] == pytest.approx(sides[across] / sides[up])

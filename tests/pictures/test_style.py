@@ -3,8 +3,10 @@
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import coadjoint as co
+from coadjoint.pictures.layout import PanelLayout
 from coadjoint.pictures.style import COLOURS
 
 BODY = co.systems.rigid_body((1, 2, 3))
@@ -40,7 +42,6 @@ OWN = (10.5, 9.5, 9.0, 8.0, 8.0)
 def test_sizes_of_text_are_those_of_the_user(run, style, expected, how):
     """Given as a style, set in rcParams, or in effect where the axes of the user are drawn into."""
     from matplotlib import style as styles
-    from matplotlib.figure import Figure
 
     if how == "style":
         figure = run.plot(["components"], style=style)
@@ -102,3 +103,22 @@ def test_settings_end_with_the_figure(run):
     with pytest.raises(ValueError, match="unknown kind of picture"):
         run.plot(["component"], style="grayscale")
     assert dict(matplotlib.rcParams) == before
+
+
+@pytest.mark.parametrize("name", ["title", "xlabel", "ylabel"])
+def test_titles_and_labels_are_wrapped_to_their_panels(name):
+    """Anew where a figure is resized; texts that fit are not broken."""
+    words = " ".join(f"word{k}" for k in range(20))
+    figure = Figure(layout=PanelLayout())
+    axes = figure.add_subplot()
+    axes.set(**{"title": "one title", "xlabel": "one label", "ylabel": "one label", name: words})
+    texts = {"title": axes.title, "xlabel": axes.xaxis.label, "ylabel": axes.yaxis.label}
+    side, lines = "height" if name == "ylabel" else "width", []
+    for size in ((9.0, 9.0), (5.0, 3.5), (9.0, 9.0), (20.0, 20.0)):
+        figure.set_size_inches(size)
+        figure.draw_without_rendering()
+        length, available = (getattr(part.get_window_extent(), side) for part in (texts[name], axes))
+        lines.append(texts[name].get_text().split("\n"))
+        assert " ".join(lines[-1]) == words and length < 1.05 * available
+        assert all(text.get_text() in ("one title", "one label") for other, text in texts.items() if other != name)
+    assert lines[0] == lines[2] and len(lines[1]) > len(lines[0]) > len(lines[3]) == 1
