@@ -378,7 +378,7 @@ def test_rings_and_graphs_stand_on_a_circle_with_neighbours_a_unit_apart(count):
 
 @pytest.mark.parametrize("sides", [(1.0, 2.0, 3.0), (3.0, 1.0, 2.0)])
 def test_the_box_of_a_body_has_its_moments_of_inertia(sides):
-    """A homogeneous box with half sides a, b, c has the moments b^2 + c^2, ... over its mass / 3; seen along an axis."""
+    """A box with half sides a, b, c has the moments b^2 + c^2, ... over its mass / 3; seen along an axis."""
     squares = np.square(sides)
     box = co.systems.rigid_body(squares.sum() - squares)
     run = co.integrate(box, (0.3, 1.0, 0.2), (0.0, 1.0), 0.1, attitude=True)
