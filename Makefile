@@ -25,7 +25,7 @@ BUILT := $(shell sed -n 's/^CMAKE_HOME_DIRECTORY:INTERNAL=//p' $(BUILD)/CMakeCac
 # Installing configures the build folder too.
 CONFIGURE := $(if $(BUILT),$(if $(MOVED),,$(if $(wildcard $(VENV)/installed),package)))
 
-.PHONY: moved demo test variants long core torch mutants soak fuzz sanitize compilers aarch64 bench site kernels package packages release-checks clean
+.PHONY: moved demo test variants long core torch mutants soak fuzz sanitize compilers aarch64 bench site site-test kernels package packages release-checks clean
 
 demo: kernels
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
@@ -98,6 +98,14 @@ site: kernels $(VENV)/site
 	$(ONE_THREAD) $(BIN)/python docs/site/write_sources.py build/site-sources
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --jobs 2 \
 		--doctree-dir build/site-doctrees build/site-sources build/site
+
+# The pages as a browser shows them: needs Chromium or Chrome, found by its usual names or CHROMIUM=/path/to/it.
+site-test: site $(VENV)/browser
+	$(BIN)/python tests/browsed/site.py build/site
+
+$(VENV)/browser: tests/browsed/requirements.txt $(VENV)/installed
+	$(PIP) --requirement tests/browsed/requirements.txt
+	@touch $@
 
 $(VENV)/site: $(VENV)/installed
 	$(PIP) --no-build-isolation --editable '.[docs]'
