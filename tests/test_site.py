@@ -81,3 +81,15 @@ def test_code_of_a_picture_is_the_run_of_the_gallery():
     exec(code("rigid_body").rpartition("\n")[0], names)
     declared = run_example("rigid_body")
     assert np.array_equal(names["sol"].x, declared.x) and np.array_equal(names["sol"].attitude, declared.attitude)
+
+
+def test_coefficients_of_schemes_are_those_of_their_steps():
+    pages = scheme_pages()
+    assert (
+        "\n| 0.0 | 0.0 | 0.0 | 0.0 | 0.0 |\n| 0.5 | 0.5 | 0.0 | 0.0 | 0.0 |\n" in pages["schemes/ExplicitRungeKutta.md"]
+    )
+    row = re.search(r"\| (0\.211\S+) \| 0\.25 \| (-\S+) \|\n", pages["schemes/GaussLegendre.md"])
+    assert np.allclose([float(k) for k in row.groups()], [0.5 - 3**0.5 / 6, 0.25 - 3**0.5 / 6], rtol=0, atol=2**-52)
+    assert "| backward | 0.20724538589718786 |" in pages["schemes/Splitting.md"]
+    assert "| 3 | -0.657963087177503 |" in pages["schemes/LineSplitting.md"]
+    assert "## Coefficients" not in pages["schemes/Kahan.md"]

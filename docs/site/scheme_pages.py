@@ -57,6 +57,7 @@ def _page(name: str) -> Iterator[str]:
     yield "| system | Poisson map | energy | Casimirs | attitude | cost |\n|---|---|---|---|---|---|"
     for system in SYSTEMS:
         yield _row(shown, system)
+    yield from _coefficients(examples)
     yield "\n## Docstring\n"
     public = next((space for space in ("", "methods.") if name in dir(getattr(co, space[:-1], co))), None)
     qualified = scheme.__module__ if public is None else f"coadjoint.{public}".removesuffix(".")
@@ -66,6 +67,50 @@ def _page(name: str) -> Iterator[str]:
         yield f"   :members: {', '.join(members.split())}"
     yield "```\n"
     yield "[All schemes](index.md). [Which scheme?](../schemes.md)"
+
+
+def _coefficients(examples: list[Any]) -> Iterator[str]:
+    """Yield the section of coefficients: tableaux, sweeps and substeps of the examples that have them."""
+    tables = {}
+    for example in examples:
+        if lines := list(_tableau(example) or _sweeps(example) or _substeps(example)):
+            tables.setdefault(tuple(lines), text_of(example))
+    if not tables:
+        return
+    yield "\n## Coefficients\n"
+    for lines, name in tables.items():
+        yield f"`{name}`:\n"
+        yield from lines
+        yield ""
+
+
+def _tableau(scheme: Any) -> list[str]:
+    """Return the Butcher tableau of a Runge-Kutta method: nodes, weights and the matrix of the stages."""
+    if not callable(getattr(scheme, "coefficients", None)):
+        return []
+    found = scheme.coefficients()
+    rows = zip(found.node.tolist(), (found.mix * found.scale).tolist(), strict=True)
+    body = [f"| {c!r} | {' | '.join(map(repr, row))} |" for c, row in rows]
+    weights = f"| b | {' | '.join(map(repr, (found.scale * found.out).tolist()))} |"
+    columns = len(found.node)
+    return [f"| c | {' | '.join(f'a{k + 1}' for k in range(columns))} |", "|---" * (columns + 1) + "|", *body, weights]
+
+
+def _sweeps(scheme: Any) -> list[str]:
+    """Return the sweeps of a splitting, each through all parts, first to last."""
+    if getattr(scheme, "sweeps", None) is None:
+        return []
+    rows = [f"| {'forward' if one.forward else 'backward'} | {one.coefficient!r} |" for one in scheme.sweeps()]
+    return ["| through the parts | fraction of the step |", "|---|---|", *rows]
+
+
+def _substeps(scheme: Any) -> list[str]:
+    """Return the substeps of a composition."""
+    if len(scheme.fractions) == 1:
+        return []
+    return ["| substep | fraction of the step |", "|---|---|"] + [
+        f"| {k + 1} | {one!r} |" for k, one in enumerate(scheme.fractions)
+    ]
 
 
 def _default(scheme: Any, examples: list[Any]) -> Any:
