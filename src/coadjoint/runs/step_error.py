@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import LargeStepWarning
 from coadjoint.long_operations import warn_caller
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.passed_poles import passed_pole
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import momenta_of, with_group
@@ -40,8 +41,8 @@ def step_error(solution: Solution, prepared: PreparedRun | None = None) -> float
     return _worst(solution, prepared)[0]
 
 
-def _worst(solution: Solution, prepared: PreparedRun | None) -> tuple[float, int]:
-    """Return the largest error of a step among the members, and the number of the member."""
+def _worst(solution: Solution, prepared: PreparedRun | None) -> tuple[float, int, float | None]:
+    """Return the largest error of a step among the members, the number of the member, and the time of a pole passed."""
     # An archive need not know its scheme and system; that of a run with inputs has their values.
     described: Any = solution if prepared is None or prepared.takes_inputs else prepared
     method, system = described.method, described.system
@@ -74,7 +75,8 @@ def _worst(solution: Solution, prepared: PreparedRun | None) -> tuple[float, int
             m, k = passage
             fastest = FASTEST * _error_of_passage(solution, prepared, members, m, k, h)
             error, member = (fastest, int(members[m])) if fastest > error else (error, member)
-    return error, member
+    pole = passed_pole(solution, system, method, members, h)
+    return (error, member, None) if pole is None else (math.inf, int(members[pole.member]), pole.t)
 
 
 def _fastest(solution: Solution, system: Any, members: NDArray[np.int64]) -> tuple[int, int] | None:
@@ -177,14 +179,21 @@ def warn_of_large_step(solution: Solution, prepared: PreparedRun) -> None:
     if prepared.method.own_steps or any(force.random for _, force in forces_of(prepared.system)):
         return
     try:
-        error, member = _worst(solution, prepared)
+        error, member, pole = _worst(solution, prepared)
     except Exception:
         # Functions of the user may refuse half steps, which are no part of the run; `step_error` raises their errors.
         return
     solution.__dict__["_step_error"] = error
-    if error > WARNED:
+    motion = "this motion" if solution.failed is None else f"the motion of member {member}"
+    if pole is not None:
+        warn_caller(
+            f"{motion} passed through a pole of {prepared.method} at t = {pole:g}: 1 - h/2 f'(x) is singular for a "
+            f"shorter step than {solution.step:g}, the state goes through infinity, and later states are not those of "
+            "the motion; take a smaller step, or end the run earlier if the motion itself goes to infinity there",
+            LargeStepWarning,
+        )
+    elif error > WARNED:
         suggested = solution.step * (SUGGESTED / error) ** (1.0 / prepared.method.order)
-        motion = "this motion" if solution.failed is None else f"the motion of member {member}"
         warn_caller(
             f"the step {solution.step:g} is too large for {motion}: the error of a step of {prepared.method} is "
             f"{error:.2g} of the change of the state, though invariants may be kept; take a step of about "

@@ -258,7 +258,8 @@ class Solution(SolutionOutput):
         Returns
         -------
         float
-            The root mean square over the points; of an ensemble that of the worst of at most 64 members.
+            The root mean square over the points; of an ensemble that of the worst of at most 64 members. Infinite if a
+            step of `Kahan` has passed a pole.
 
         Raises
         ------

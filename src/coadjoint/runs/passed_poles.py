@@ -1,0 +1,89 @@
+"""Poles of Kahan's method that a run has passed: steps that jump through infinity."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.methods.composition import Composition
+from coadjoint.methods.kahan import Kahan, QuadraticField
+from coadjoint.methods.protocol.method import Method
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.start import momenta_of
+from coadjoint.systems.protocol import forces_of, is_batch, member_of
+
+Floats = NDArray[np.float64]
+
+# Largest number of entries of matrices f'(x) whose sizes are compared, and of those whose determinants are computed.
+COMPARED, EXAMINED = 2**22, 2**15
+# Least size of h/2 f' at the ends of saved intervals of several steps that are repeated; at a pole it is at least 1.
+LOW = 0.02
+# Rounding of numbers of steps between saved points, relative to them.
+ROUNDING = 64 * UNIT_ROUNDOFF
+# Largest number of systems of a batch.
+SYSTEMS = 16
+
+
+class Pole(NamedTuple):
+    """The number among the chosen members, and the time of the step."""
+
+    member: int
+    t: float
+
+
+def passed_pole(solution: Solution, system: Any, method: Method, members: NDArray[np.int64], h: float) -> Pole | None:
+    """Return the first step found that passes a pole; None for other schemes than Kahan's, and with forces.
+
+    The steps examined are those after the saved points where f' is largest.
+    """
+    base = method.innermost if isinstance(method, Composition) else method
+    if not isinstance(base, Kahan) or forces_of(system) or system.dim**3 > EXAMINED:
+        return None
+    if "saved" in solution.record and len(solution.t) > 1:
+        t, states = solution.t, solution.x.reshape(len(solution.t), -1, system.dim)[:, members]
+    else:  # states of archives are not read for this
+        t = np.array([solution.t_span[0], solution.t_span[0] + h])
+        states = np.repeat(momenta_of(system, solution.x0)[0][None, members], 2, 0)
+    owners = system.owners[members] if is_batch(system) else np.zeros(len(members), dtype=np.int64)
+    found = []
+    for owner in np.unique(owners)[:SYSTEMS].tolist():
+        chosen = np.flatnonzero(owners == owner)
+        field = QuadraticField.of(member_of(system, int(members[chosen[0]])))
+        pole = _first_pole(field, t, states[:, chosen], [h * fraction for fraction in method.fractions])
+        found += [] if pole is None else [pole._replace(member=int(chosen[pole.member]))]
+    return min(found, key=lambda pole: abs(pole.t - t[0]), default=None)
+
+
+def _first_pole(field: QuadraticField, t: Floats, states: Floats, lengths: list[float]) -> Pole | None:
+    """Return the first pole found between states (points, members, n), by steps of these substeps."""
+    n, h = states.shape[2], sum(lengths)
+    count = max(1, math.ceil(float(np.abs(np.diff(t)).max() / abs(h)) * (1.0 - ROUNDING)))
+    flat = states.reshape(-1, n)
+    sizes = np.nan_to_num(np.linalg.norm(flat, axis=1), nan=0.0, posinf=0.0)
+    near = _largest(sizes, COMPARED // n**2)
+    sizes[near] = np.linalg.norm(field.derivative(flat[near]), axis=(1, 2))
+    # The size in an interval is that at its larger end; a real eigenvalue is no larger than the norm.
+    sizes = sizes.reshape(len(t), -1)
+    sizes = (np.maximum(sizes[:-1], sizes[1:]) if count * len(lengths) > 1 else sizes[:-1]).ravel()
+    starts = _largest(sizes, max(1, EXAMINED // (n**2 * count * len(lengths))))
+    least = 2.0 / max(map(abs, lengths)) * (LOW if count * len(lengths) > 1 else 1.0)
+    starts = starts[sizes[starts] >= least]
+    x, first = flat[starts], None
+    for step in range(count):
+        for length in lengths:
+            x, passed = field.step(x, length)
+            for k in np.flatnonzero(passed).tolist():
+                point, member = divmod(int(starts[k]), states.shape[1])
+                pole = Pole(member, float(t[point]) + step * h)
+                if first is None or abs(pole.t - t[0]) < abs(first.t - t[0]):
+                    first = pole
+    return first
+
+
+def _largest(sizes: Floats, count: int) -> NDArray[np.int64]:
+    """Return the numbers of the largest sizes."""
+    return np.arange(len(sizes)) if len(sizes) <= count else np.argpartition(-sizes, count)[:count]
