@@ -252,6 +252,41 @@ def test_the_fastest_step_of_a_driven_run_is_repeated_at_its_time(every, sense):
     assert sol.step_error() == pytest.approx(module.FASTEST * abs(error), rel=0.35)
 
 
+@pytest.mark.parametrize("periods", [1, 3])
+@pytest.mark.parametrize("sense", [1, -1])
+def test_passages_between_equal_saved_points_are_found(periods, sense):
+    """Saved once a period, at the apocentre, states do not show the pericentre; nor do the two ends of one period."""
+    run, count = ((0, sense * periods * 2 * np.pi), 2 * np.pi / 120, co.GaussLegendre(2)), 120
+    with pytest.warns(co.LargeStepWarning, match="too large for this motion"):
+        sol = co.integrate(kepler(), orbit(0.9), *run, save_every=count)
+    with pytest.warns(co.LargeStepWarning):
+        every = co.integrate(kepler(), orbit(0.9), (0, sense * 2 * np.pi), *run[1:])
+    assert len(sol.t) == 1 + periods
+    assert sol.step_error() == pytest.approx(every.step_error(), rel=1e-9 if periods == 1 else 0.3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", co.LargeStepWarning)
+        co.integrate(kepler(), orbit(0.3), *run, save_every=count)
+
+
+@pytest.mark.parametrize("as_batch", [False, True])
+def test_the_member_with_the_fastest_passage_between_saved_points_is_named(as_batch):
+    states = np.array([orbit(0.1), orbit(0.3), orbit(0.9), orbit(0.5)])
+    system = co.batch([kepler() for _ in states]) if as_batch else kepler()
+    with pytest.warns(co.LargeStepWarning, match="too large for the motion of member 2: "):
+        co.integrate(system, states, (0, 4 * np.pi), 2 * np.pi / 120, co.GaussLegendre(2), save_every=120)
+
+
+def test_repeated_steps_between_saved_points_are_few(monkeypatch):
+    """Beyond a number of states they are a twentieth of the run at most: one of 25 periods, but not one of 15."""
+    monkeypatch.setattr(module, "REPEATED", 400)
+    for periods in (15, 25):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", co.LargeStepWarning)
+            run = (0, periods * 2 * np.pi), 2 * np.pi / 120, co.GaussLegendre(2)
+            sol = co.integrate(kepler(), orbit(0.9), *run, save_every=120)
+        assert (sol.step_error() > 0.02) == (periods == 25)
+
+
 def test_long_runs_are_searched_in_pieces(monkeypatch):
     """With a limit of a few numbers the fastest of many pieces is found first."""
     runs = [co.integrate(kepler(), orbit(0.9), (0, 2 * np.pi), 2 * np.pi / 120, co.GaussLegendre(2)) for _ in range(2)]

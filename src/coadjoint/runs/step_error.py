@@ -28,8 +28,10 @@ NUMBERS = 2**20
 FASTEST = 0.4
 # Least speed of a passage, relative to the mean speed; below, the steps at the points represent all.
 PASSAGE = 2.0
-# Largest number of steps between two saved points that are repeated to find the fastest one.
-STEPS = 1000
+# Largest number of steps between two saved points that are repeated to find the fastest one, and part of the run.
+STEPS, PART = 1000, 0.05
+# Largest number of entries of the states in repeated steps, if they are not a small part of the run.
+REPEATED = 2**18
 # Differences between a step and two half steps by rounding alone, relative to the state.
 ROUNDING = 64 * UNIT_ROUNDOFF
 # Largest error of a step, relative to the change of the state in it, without a warning, and that of the step suggested.
@@ -69,20 +71,22 @@ def _worst(solution: Solution, prepared: PreparedRun | None) -> tuple[float, int
         relative = np.nan_to_num(np.sqrt(errors / changes), nan=0.0)
     worst = int(np.argmax(relative))
     error, member = float(relative[worst]), int(members[worst])
-    if "saved" in solution.record and len(solution.t) > 2:
-        passage = _fastest(solution, system, members)
-        if passage is not None:
-            m, k = passage
-            fastest = FASTEST * _error_of_passage(solution, prepared, members, m, k, h)
-            error, member = (fastest, int(members[m])) if fastest > error else (error, member)
+    if "saved" in solution.record and len(solution.t) > 1:
+        passage, closest = _passages(solution, system, members)
+        found = [] if passage is None else [(_error_of_passage(solution, prepared, members, *passage, h), passage[0])]
+        found += _error_inside(solution, prepared, members, closest, h)
+        for fastest, m in found:
+            if FASTEST * fastest > error:
+                error, member = FASTEST * fastest, int(members[m])
     pole = passed_pole(solution, system, method, members, h)
     return (error, member, None) if pole is None else (math.inf, int(members[pole.member]), pole.t)
 
 
-def _fastest(solution: Solution, system: Any, members: NDArray[np.int64]) -> tuple[int, int] | None:
-    """Return the member, among the chosen ones, and the saved interval of the passage that is fastest beside the rest.
+def _passages(solution: Solution, system: Any, members: NDArray[np.int64]) -> tuple[tuple[int, int] | None, int]:
+    """Return the fastest passage, and the saved interval over which the states change least.
 
-    None if no passage is much faster. Of long runs, first the fastest of many equal pieces is found.
+    The passage is the member, among the chosen ones, and the saved interval; None if no passage is much faster than the
+    rest. Of long runs, first the fastest of many equal pieces is found.
     """
     count = len(solution.t) - 1
     stride = max(1, count * len(members) * system.dim // NUMBERS)
@@ -99,11 +103,58 @@ def _fastest(solution: Solution, system: Any, members: NDArray[np.int64]) -> tup
     mean = found.mean(axis=0)
     ratios = found.max(axis=0) / np.where(mean > 0.0, mean, np.inf)
     m = int(np.argmax(ratios))
+    closest = stride * int(np.argmin((found / np.where(mean > 0.0, mean, np.inf)).sum(axis=1)))
     if ratios[m] < PASSAGE:
-        return None
+        return None, closest
     first = stride * int(np.argmax(found[:, m]))
     last = min(first + stride, count)
-    return m, first + (int(np.argmax(speeds(first, last, 1)[:, m])) if stride > 1 else 0)
+    return (m, first + (int(np.argmax(speeds(first, last, 1)[:, m])) if stride > 1 else 0)), closest
+
+
+def _error_inside(
+    solution: Solution, prepared: PreparedRun, members: NDArray[np.int64], k: int, h: float
+) -> list[tuple[float, int]]:
+    """Return the error of the fastest step after saved point k, and its member, of the one with the fastest passage.
+
+    The list is empty if no member has one. States that return between saved points do not show their passages.
+    """
+    steps = _steps_after(solution, k, h)
+    states = _states_at(solution, members, k)
+    if not 1 < steps <= _most_steps(solution, states.size, h):
+        return []
+    if is_batch(prepared.system) and len(members) < len(prepared.system):
+        prepared = prepared.sampled(members)
+    t = float(solution.t[k])
+    path = _run(prepared, states, Times(t, h, steps, 1))
+    with np.errstate(over="ignore", invalid="ignore"):
+        lengths = np.nan_to_num(np.linalg.norm(np.diff(path, axis=0), axis=2), nan=0.0, posinf=0.0)
+    mean = lengths.mean(axis=0)
+    ratios = lengths.max(axis=0) / np.where(mean > 0.0, mean, np.inf)
+    m = int(np.argmax(ratios))
+    if ratios[m] < PASSAGE:
+        return []
+    j = int(np.argmax(lengths[:, m]))
+    if is_batch(prepared.system):
+        prepared = prepared.sampled(np.array([m]))
+    errors, changes = _squares(prepared, path[j, m][None], t + j * h, h)
+    return [(float(np.sqrt(errors[0] / changes[0])), m)] if changes[0] > 0.0 else []
+
+
+def _steps_after(solution: Solution, k: int, h: float) -> int:
+    """Return the number of steps to the next saved point, rounded up."""
+    return math.ceil(abs(float(solution.t[k + 1] - solution.t[k])) / abs(h) * (1.0 - ROUNDING))
+
+
+def _states_at(solution: Solution, members: NDArray[np.int64], k: int) -> Floats:
+    """Return the momenta of the members at a saved point; of members that have ended or failed, those at the start."""
+    states = np.where(np.isfinite(solution.x[k]), solution.x[k], solution.x0)
+    return momenta_of(solution.system, states)[0][members]
+
+
+def _most_steps(solution: Solution, numbers: int, h: float) -> int:
+    """Return the largest number of steps that are repeated from so many numbers: few, or a small part of the run."""
+    whole = abs(solution.t_span[1] - solution.t_span[0]) / abs(h)
+    return max(min(STEPS, REPEATED // numbers), min(int(PART * whole), NUMBERS // numbers))
 
 
 def _members_of(solution: Solution) -> int:
@@ -117,11 +168,9 @@ def _error_of_passage(
     system, t = prepared.system, float(solution.t[k])
     if is_batch(system):
         prepared = prepared.sampled(np.array([m]))
-    # Other members may have ended or failed.
-    states = np.where(np.isfinite(solution.x[k]), solution.x[k], solution.x0)
-    state = momenta_of(solution.system, states)[0][members[m]][None]
-    steps = math.ceil(abs(float(solution.t[k + 1]) - t) / abs(h) * (1.0 - ROUNDING))
-    if 1 < steps <= STEPS:
+    state = _states_at(solution, members[m : m + 1], k)
+    steps = _steps_after(solution, k, h)
+    if 1 < steps <= max(STEPS, _most_steps(solution, state.size, h)):
         path = _run(prepared, state, Times(t, h, steps, 1))
         j = int(np.argmax(np.nan_to_num(np.linalg.norm(np.diff(path[:, 0], axis=0), axis=1), nan=0.0)))
         state, t = path[j], t + j * h
