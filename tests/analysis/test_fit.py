@@ -8,6 +8,8 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
+from coadjoint.systems.parameters import is_symmetric_parameter
+from drawn_matrices import full
 
 INERTIA, X0 = np.array([1.0, 2.0, 2.5]), np.array([1.0, 0.2, 0.5])
 A0 = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
@@ -186,18 +188,90 @@ def test_several_trajectories_are_those_of_single_runs_together():
 
 
 def test_entries_without_which_the_rest_is_determined():
-    """Of a quadratic form M, symmetric entries and a multiple of the Casimir are not determined."""
+    """Of a quadratic form M, a multiple of the Casimir is not determined; mirror images are one unknown."""
     H = co.Polynomial("x1^2 + 0.5*x2^2 + 0.3*x3^2 + 0.1*x1*x2", dim=3)
     ready = co.prepare(co.LiePoissonSystem(co.algebras.so(3), H), SCHEME, step=0.05)
     starts = [X0, (0.2, -0.9, 0.4)]
     measured = {"x": ready.run(starts, (0, 5), 5).x}
-    with pytest.raises(ValueError, match="all unknown entries of M; omit, for instance, M") as refused:
+    with pytest.raises(ValueError, match=r"all unknown entries of M \(in 1 of 1 free dire.* by a Casimir") as refused:
         co.fit(ready, starts, (0, 5), measured, {"M": True}, 5, sigma={"x": 0.01})
     entries = re.findall(r"M\[(\d), (\d)\] \(number (\d)\)", str(refused.value))
-    assert len(entries) == 4 and all(3 * int(i) + int(j) == int(k) for i, j, k in entries)
+    assert len(entries) == 1 and all(3 * int(i) + int(j) == int(k) for i, j, k in entries)
     rest = sorted({*range(9)} - {int(k) for _, _, k in entries})
     found = co.fit(ready, starts, (0, 5), measured, {"M": rest}, 5, sigma={"x": 0.01})
     np.testing.assert_allclose(found.values["M"], ready.parameters["M"], atol=1e-9)
+
+
+def moved_matrix(M, numbers, by):
+    """Return a matrix with these entries and their mirror images moved."""
+    moved = M.copy()
+    for k, change in zip(numbers, by, strict=True):
+        i, j = divmod(k, len(M))
+        moved[i, j] += change
+        moved[j, i] = moved[i, j]
+    return moved
+
+
+@pytest.mark.parametrize(("algebra", "casimirs"), [(co.algebras.so(3), 1), (co.algebras.so(4), 2)], ids=str)
+def test_symmetric_matrices_are_fitted_by_their_upper_triangles(algebra, casimirs):
+    """The known M from exact data, except for one entry for each Casimir, which the message counts."""
+    n, rng = algebra.dim, np.random.default_rng(11)
+    M, starts = full(n, 3), rng.standard_normal((3, n))
+
+    def ready(M):
+        return co.prepare(co.LiePoissonSystem(algebra, co.Quadratic(M)), SCHEME, step=0.05)
+
+    run, sigma = ((0, 4), 4), {"x": 0.01}
+    measured = {"x": ready(M).run(starts, *run).x}
+    upper = [int(k) for k in np.flatnonzero(np.triu(np.ones((n, n))))]
+    with pytest.raises(ValueError, match=rf"in {casimirs} of {casimirs} free directions H changes by a Cas") as refused:
+        co.fit(ready(M), starts, run[0], measured, {"M": True}, run[1], sigma=sigma)
+    omitted = [int(k) for k in re.findall(r"number (\d+)", str(refused.value))]
+    assert len(omitted) == casimirs and set(omitted) < set(upper)
+    chosen = [k for k in upper if k not in omitted]
+    guess = moved_matrix(M, chosen, 0.05 * rng.standard_normal(len(chosen)))
+    # Numbers below the diagonal, and both, are the same unknowns.
+    mirrors = [n * (k % n) + k // n for k in chosen]
+    found, lower = (
+        co.fit(ready(guess), starts, run[0], measured, {"M": numbers}, run[1], sigma=sigma)
+        for numbers in (chosen, mirrors + chosen[:2])
+    )
+    np.testing.assert_allclose(found.values["M"], M, atol=1e-9)
+    np.testing.assert_array_equal(found.values["M"], found.values["M"].T)
+    assert found.unknowns == lower.unknowns == tuple(("M", k) for k in chosen)
+    np.testing.assert_array_equal(found.covariance, lower.covariance)
+    h = 1e-5
+    ends = [[ready(moved_matrix(M, [k], [by])).run(starts, *run).x.ravel() for by in (h, -h)] for k in chosen]
+    J = np.array([after - before for after, before in ends]).T / (2 * h * sigma["x"])
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(J.T @ J), rtol=1e-4, atol=1e-6 * found.covariance.max())
+    assert len(found.standard_deviation("M")) == len(chosen)
+
+
+def test_a_full_inertia_is_fitted_to_attitudes():
+    """Six unknowns with a known momentum, of a matrix that must be symmetric; a common factor needs the momentum."""
+    turned = Rotation.from_rotvec([0.1, 0.3, -0.2]).as_matrix()
+    true = turned @ np.diag(INERTIA) @ turned.T
+    true = (true + true.T) / 2
+    ready = [
+        co.prepare(co.systems.rigid_body(inertia=one), SCHEME, step=0.05, attitude=True) for one in (true, true * 1.02)
+    ]
+    measured = {"attitude": ready[0].run(X0, (0, 10), 10, attitude=A0).attitude}
+    found = co.fit(ready[1], X0, (0, 10), measured, {"inertia": True}, 10, sigma={"attitude": SIGMA}, attitude=A0)
+    assert found.unknowns == tuple(("inertia", k) for k in (0, 1, 2, 4, 5, 8))
+    np.testing.assert_allclose(found.values["inertia"], true, rtol=1e-8)
+    with pytest.raises(ValueError, match="entries of inertia and x0; omit"):
+        co.fit(
+            ready[1], X0, (0, 10), measured, {"inertia": True, "x0": True}, 10, sigma={"attitude": SIGMA}, attitude=A0
+        )
+
+
+def test_a_matrix_of_which_both_triangles_count_has_its_own_entries():
+    """A matrix of relaxation rates is equal to its transpose by accident, a metric of a damping must be."""
+    body = co.systems.rigid_body(inertia=INERTIA)
+    damped = body.with_forces(co.forces.LinearDamping(np.diag([0.1, 0.2, 0.3])))
+    on_orbit = body.with_forces(co.forces.DoubleBracketDamping(0.1, np.diag([0.1, 0.2, 0.3])))
+    assert not is_symmetric_parameter(damped, "LinearDamping.rate")
+    assert is_symmetric_parameter(on_orbit, "DoubleBracketDamping.metric")
 
 
 GOOD = {"attitude": np.zeros((41, 3, 3))}

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import MAX_LISTED_NAMES, IntegrationError, unknown_name
+from coadjoint.analysis.undetermined import check_determined
+from coadjoint.errors import IntegrationError, unknown_name
 from coadjoint.memory import check_available_memory
-from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
+from coadjoint.systems.parameters import is_symmetric_parameter
 from coadjoint.validation import are_finite, read_integer, read_numbers
 
 Floats = NDArray[np.float64]
@@ -35,7 +36,8 @@ class Fit:
         The fitted "x0", "attitude0" and parameters by name, each complete.
     unknowns : tuple of (str, int)
         The name and the number of each unknown, in the order of `covariance`. Those of "attitude0" are coordinates xi
-        of the algebra: the attitude is ``exp(xi) attitude0``, for a body a rotation about axes in space. Of several
+        of the algebra: the attitude is ``exp(xi) attitude0``, for a body a rotation about axes in space. Those of
+        symmetric matrices are entries of the upper triangle, which move with their mirror images. Of several
         trajectories, the numbers of "x0" and "attitude0" go through the first member, then the second, and so on.
     covariance : ndarray, shape (p, p)
         Of the unknowns, for measurements with independent normal errors of the given `sigma`.
@@ -95,7 +97,7 @@ def fit(
     unknown : mapping
         The names to fit, "x0", "attitude0" or names of ``ready.parameters``: True for all entries, or the numbers of
         the unknown ones (of an array of several axes, in C order). Entries of "x0" and "attitude0" are those of all
-        members.
+        members. An entry of a symmetric matrix, such as `M` of a `Quadratic`, and its mirror image are one unknown.
     sigma : mapping
         Standard deviations of the measured values by name: a number, or an array that broadcasts to their shape. Of
         attitudes, for rotations, it is that of each component of the rotation vector of the error, in radians.
@@ -169,7 +171,7 @@ def fit(
 
     start = np.zeros(len(problem.unknowns))
     first = jacobian(start)
-    _check_determined(first, problem)
+    check_determined(first, problem)
     # The first step may change each unknown by this many standard deviations.
     scale = FIRST_STEP / np.linalg.norm(first, axis=0)
     end = least_squares(residuals, start, jacobian, x_scale=scale, xtol=1e-12, ftol=1e-10, gtol=1e-12)
@@ -179,7 +181,7 @@ def fit(
     moved = problem.moved(end.x)
     problem = problem._replace(values=moved)
     J = jacobian(np.zeros(len(start)))
-    _check_determined(J, problem)
+    check_determined(J, problem)
     scale = np.linalg.norm(J, axis=0)
     _, values, vectors = np.linalg.svd(J / scale, full_matrices=False)
     root = vectors.T / values / scale[:, None]
@@ -192,9 +194,11 @@ def fit(
 class _Problem(NamedTuple):
     """A run with unknown entries of its values, as a function of their changes z."""
 
+    system: Any
     run: ParametrizedRun
     values: dict[str, Floats]
     chosen: dict[str, NDArray[np.int64]]
+    symmetric: frozenset[str]
     generators: Floats
     unknowns: tuple[tuple[str, int], ...]
 
@@ -219,6 +223,7 @@ class _Problem(NamedTuple):
             if not isinstance(ready.representation, str):
                 generators = ready.representation
         chosen: dict[str, NDArray[np.int64]] = {}
+        symmetric: set[str] = set()
         for name, entries in unknown.items():
             if name not in values:
                 raise unknown_name("unknown of this run", name, values)
@@ -229,8 +234,11 @@ class _Problem(NamedTuple):
             numbers = range(count) if entries is True else np.atleast_1d(entries).tolist()
             what = f"a number of an unknown entry of {name}"
             chosen[name] = np.array([read_integer(k, what, 0, count - 1) for k in numbers], dtype=np.int64)
+            if name in ready.parameters and is_symmetric_parameter(ready.system, name):
+                symmetric.add(name)
+                chosen[name] = np.unique(np.minimum(chosen[name], _mirror(chosen[name], len(values[name]))))
         unknowns = tuple((name, int(k)) for name, numbers in chosen.items() for k in numbers)
-        return cls(run, values, chosen, generators, unknowns)
+        return cls(ready.system, run, values, chosen, frozenset(symmetric), generators, unknowns)
 
     def moved(self, z: Floats) -> dict[str, Floats]:
         """Return all values after the changes z of the unknowns."""
@@ -244,9 +252,28 @@ class _Problem(NamedTuple):
                 rotations = expm(self._exponents(numbers, change)).reshape(values[name].shape)
                 values[name] = rotations @ values[name] if change.any() else values[name]
             else:
-                values[name] = values[name].copy()
-                values[name].ravel()[numbers] += change
+                values[name] = self._moved_entries(name, change, values[name].copy())
         return values
+
+    def split(self, z: Floats, names: Container[str]) -> tuple[dict[str, Floats], Floats]:
+        """Return changes z of the unknowns as directions of the values of these names, and the other changes."""
+        moved, rest, first = {}, np.zeros(0), 0
+        for name, numbers in self.chosen.items():
+            change = z[first : first + len(numbers)]
+            first += len(numbers)
+            if name in names:
+                moved[name] = self._moved_entries(name, change, np.zeros(self.values[name].shape))
+            else:
+                rest = np.concatenate([rest, change])
+        return moved, rest
+
+    def _moved_entries(self, name: str, change: Floats, value: Floats) -> Floats:
+        """Add changes of unknown entries in place, and of mirror images in a symmetric matrix; return the array."""
+        numbers, entries = self.chosen[name], value.ravel()
+        entries[numbers] += change
+        if name in self.symmetric:
+            entries[_mirror(numbers, len(value))] = entries[numbers]
+        return value
 
     def entry(self, name: str, number: int) -> str:
         """Describe an unknown entry by its indices in the array of this name, and by its number."""
@@ -281,10 +308,17 @@ class _Problem(NamedTuple):
                     change = expm_frechet(exponents[m], self.generators[j], compute_expm=False)
                     by_member[first + k, m] = change @ starts[m]
             else:
-                direction.reshape(len(z), -1)[np.arange(first, first + len(numbers)), numbers] = 1.0
+                for k, unit in enumerate(np.eye(len(numbers)), first):
+                    self._moved_entries(name, unit, direction[k])
             first += len(numbers)
             directions[name] = direction
         return dict(zip(OUTPUTS, self.run.tangents(moved, directions), strict=False))
+
+
+def _mirror(numbers: NDArray[np.int64], size: int) -> NDArray[np.int64]:
+    """Return the numbers of the mirror images of entries of a square matrix."""
+    i, j = np.divmod(numbers, size)
+    return j * size + i
 
 
 def _weights(measured: Any, sigma: Any, outputs: Mapping[str, Floats]) -> dict[str, Floats]:
@@ -308,26 +342,3 @@ def _weights(measured: Any, sigma: Any, outputs: Mapping[str, Floats]) -> dict[s
         except ValueError:
             raise ValueError(f"sigma of {name} has the shape {deviation.shape}; it must broadcast to {shape}") from None
     return weights
-
-
-def _check_determined(J: Floats, problem: _Problem) -> None:
-    """Raise ValueError if the Jacobian has directions without influence on the measurements."""
-    from scipy.linalg import qr
-
-    unknowns = problem.unknowns
-    if len(J) < len(unknowns):
-        raise ValueError(f"{len(J)} numbers were measured for {len(unknowns)} unknowns; measure more")
-    scale = np.linalg.norm(J, axis=0)
-    scaled = J / np.where(scale > 0, scale, 1.0)
-    _, values, vectors = np.linalg.svd(scaled, full_matrices=False)
-    free = values <= 16 * max(J.shape) * UNIT_ROUNDOFF * values[0]
-    if free.any():
-        directions = np.abs(vectors[free] / np.where(scale > 0, scale, 1.0))
-        involved = np.flatnonzero((directions > 1e-3 * directions.max(axis=1, keepdims=True)).any(axis=0))
-        names = " and ".join(dict.fromkeys(unknowns[k][0] for k in involved))
-        # Without the last columns of a pivoted factorization, the others are independent.
-        order = qr(scaled, mode="r", pivoting=True)[1]
-        omitted = ", ".join(problem.entry(*unknowns[k]) for k in sorted(order[-free.sum() :])[:MAX_LISTED_NAMES])
-        raise ValueError(
-            f"the measurements do not determine all unknown entries of {names}; omit, for instance, {omitted}"
-        )

@@ -28,10 +28,15 @@ class ForceParameter(NamedTuple):
     value: Floats
     radii: Floats
 
+    @property
+    def symmetric(self) -> bool:
+        """Whether it is a matrix that must be symmetric."""
+        return self.value.ndim == 2 and self.field == "metric" and np.array_equal(self.value, self.value.T)
+
     def moved(self, force: Force, value: Floats, index: tuple[int, ...], by: float) -> Force:
         """Return the force with one entry of the parameter moved; of a symmetric matrix half its mirror image too."""
         changed = value.copy()
-        if value.ndim == 2 and index[0] != index[1] and np.array_equal(value, value.T) and self.field == "metric":
+        if self.symmetric and index[0] != index[1]:
             changed[index] += 0.5 * by
             changed[index[::-1]] = changed[index]
         else:

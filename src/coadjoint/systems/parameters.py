@@ -42,6 +42,8 @@ MAX_TRIED = 16
 # Largest dimension of a matrix M with all entries as parameters; of larger ones those that are stored.
 MAX_DENSE_DIMENSION = 128
 SEED = 1993
+# Largest difference of derivatives by an entry and its mirror image, relative to them, of a symmetric matrix.
+ASYMMETRY = 1e-6
 
 
 class Parameter(NamedTuple):
@@ -103,6 +105,20 @@ def _of_hamiltonian(system: Any) -> dict[str, Parameter]:
         value = np.array([float(coefficient) for _, coefficient in monomials])
         return {"coefficients": _linear(value, lambda: EnergyDerivative.of_monomials(len(derivative), derivative))}
     return {}
+
+
+def is_symmetric_parameter(system: Any, name: str) -> bool:
+    """Return whether a parameter is a symmetric matrix that enters the energy by its symmetric part only."""
+    parameter = parameter_of(system, name)
+    value = parameter.value
+    if value.ndim != 2 or len(value) < 2 or not np.array_equal(value, value.T):
+        return False
+    if isinstance(system, ForcedSystem) and name in (of_forces := force_parameters(system)):
+        return of_forces[name].symmetric
+    by_entry = parameter.energy().at(np.random.default_rng(SEED).standard_normal((4, system.dim)))
+    by_entry = by_entry.reshape(-1, *value.shape)
+    asymmetry = np.abs(by_entry - by_entry.swapaxes(1, 2)).max()
+    return bool(asymmetry <= ASYMMETRY * np.abs(by_entry).max())
 
 
 def _linear(value: Floats, energy: Callable[[], EnergyDerivative]) -> Parameter:
