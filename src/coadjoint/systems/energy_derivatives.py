@@ -78,6 +78,18 @@ class EnergyDerivative(NamedTuple):
             others=tuple(one for piece in moved for one in piece.others),
         )
 
+    def along(self, x: Floats, w: Floats) -> Floats:
+        """Return the derivatives of dH/dp at a state (n,) along w, shape (size,)."""
+        total = np.zeros(self.size)
+        np.add.at(total, self.linear_entry, self.linear_factor * w[self.linear])
+        i, j = self.quadratic.T
+        np.add.at(total, self.quadratic_entry, self.quadratic_factor * (w[i] * x[j] + x[i] * w[j]))
+        for one in self.others:
+            for k, coordinate in enumerate(one.coordinates):
+                rest = one.coordinates[:k] + one.coordinates[k + 1 :]
+                total[one.entry] += one.factor * w[coordinate] * np.prod(x[list(rest)])
+        return total
+
     def at(self, x: Floats) -> Floats:
         """Return the derivatives of the energy at states (..., n), shape (..., size)."""
         flat = x.reshape(-1, x.shape[-1])

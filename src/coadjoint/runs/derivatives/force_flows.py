@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.forced import FlowOfForce, flow_of_force
+from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
+from coadjoint.systems.forces.double_bracket import DoubleBracketDamping
+from coadjoint.systems.forces.orbit_flow import OrbitFlow
 from coadjoint.systems.parameter_differences import NearbySystems
 
 Floats = NDArray[np.float64]
@@ -24,6 +27,7 @@ class FlowEntry(NamedTuple):
     entry: int
     nearby: NearbySystems
     forces: tuple[int, ...]
+    part: Any = None  # the parameter of the force, or the derivative of the energy; None if only systems are known
 
 
 class Half(NamedTuple):
@@ -49,6 +53,29 @@ class _Member(NamedTuple):
 
     system: ForcedSystem
     entries: Sequence[FlowEntry]
+
+    def parts(self, j: int) -> dict[str, Any]:
+        """Return the parameters on which the flow of force j depends."""
+        return {entry.name: entry.part for entry in self.entries if j in entry.forces}
+
+    def flow(self, j: int, force: Force, x: Floats, half: Half) -> FlowOfForce | OrbitFlow:
+        """Return the flow of force j with its derivative."""
+        flow = self.orbit_flow(j, force, x, half)
+        return flow_of_force(force, self.system.system, x, half.start, 0.5 * half.h) if flow is None else flow
+
+    def orbit_flow(self, j: int, force: Force, x: Floats, half: Half) -> OrbitFlow | None:
+        """Return the flow of force j by sparse products, if there is a formula for it and for all parameters."""
+        if not isinstance(force, DoubleBracketDamping):
+            return None
+        fields = force.scalings()
+        if not all(isinstance(one, EnergyDerivative) or one in fields for one in self.parts(j).values()):
+            return None
+        return force.orbit_flow(self.system.system, x, half.start, 0.5 * half.h)
+
+    def after(self, j: int, force: Force, x: Floats, half: Half) -> Any:
+        """Return the state after the flow of force j, the same as that of `flow`."""
+        flow = self.orbit_flow(j, force, x, half)
+        return force.flow(self.system.system, x, half.start, 0.5 * half.h) if flow is None else flow.end
 
     def changes(self, wanted: NDArray[np.bool_], j: int, x: Floats, half: Half) -> list[tuple[int, Floats]]:
         """Return the derivatives of the flow of force j by the wanted entries, with their numbers."""
@@ -83,8 +110,8 @@ class ForceFlows:
         """Return the states (members, n) after half flows of the forces."""
         after = []
         for member, state in zip(self._members, x, strict=True):
-            for _, force in half.order(member.system.forces):
-                state = force.flow(member.system.system, state, half.start, 0.5 * half.h)
+            for j, force in half.order(member.system.forces):
+                state = member.after(j, force, state, half)
             after.append(np.asarray(state, dtype=np.float64))
         return np.array(after)
 
@@ -107,11 +134,18 @@ class ForceFlows:
         """Return the cotangents (members, n) before the flows; derivatives by entries (members, entries) are added."""
         before, every = [], np.ones(self._count, dtype=bool)
         for member, state, row, total in zip(self._members, x, of_x, by_entries, strict=True):
-            flows: list[tuple[int, Floats, FlowOfForce]] = []
+            flows: list[tuple[int, Floats, FlowOfForce | OrbitFlow]] = []
             for j, force in half.order(member.system.forces):
-                flows.append((j, state, flow_of_force(force, member.system.system, state, half.start, 0.5 * half.h)))
-                state = flows[-1][-1].end
+                flow = member.flow(j, force, state, half)
+                flows.append((j, state, flow))
+                state = flow.end
             for j, start, flow in reversed(flows):
+                if isinstance(flow, OrbitFlow):
+                    row, found = flow.pull(row, member.parts(j))
+                    for number, entry in enumerate(member.entries):
+                        if j in entry.forces:
+                            total[number] += found[entry.name][entry.entry]
+                    continue
                 for number, change in member.changes(every, j, start, half):
                     total[number] += change @ row
                 row = flow.cotangent(row)

@@ -75,8 +75,13 @@ def _flow_entries(run: DifferentiableRun, names: Sequence[str]) -> list[FlowEntr
     by_energy = _using_energy(run)
     for name in names:
         moving = (of_forces[name].position,) if name in of_forces else by_energy
-        nearby = nearby_parameters(run.system, {name: run.parameters[name]}) if moving else []
-        found += [FlowEntry(name, entry, one, moving) for entry, one in enumerate(nearby)]
+        if not moving:
+            continue
+        nearby = nearby_parameters(run.system, {name: run.parameters[name]})
+        part: Any = None
+        if run.inputs is None:  # derivatives of the energy may depend on inputs
+            part = of_forces[name].field if name in of_forces else run.parameters[name].energy()
+        found += [FlowEntry(name, entry, one, moving, part) for entry, one in enumerate(nearby)]
     return found
 
 

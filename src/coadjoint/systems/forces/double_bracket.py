@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.systems.forces.base import Force, ForceReader, Noise
+from coadjoint.systems.forces.orbit_flow import Exponential, Midpoint, OrbitFlow, bracket_of, constant_hessian
 from coadjoint.systems.forces.rates import apply_metric, check_dimension, metric_root, read_matrix
 from coadjoint.validation import read_number
 
@@ -103,7 +104,49 @@ class DoubleBracketDamping(Force):
             if change == 0.0 or (change >= 0.5 * last_change and change <= SERIES_TOLERANCE * float(np.sum(np.abs(x)))):
                 return before, v
             last_change = change
-        raise IntegrationError(
+        raise self._not_converged(t, last_change)
+
+    def orbit_flow(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> OrbitFlow | None:
+        """Return the flow with its transposed derivative; None for time-dependent or general Hamiltonians."""
+        stage = self._midpoint_stage(system, x, t, tau)
+        return None if stage is None else OrbitFlow([stage], self.scalings())
+
+    def _midpoint_stage(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> Midpoint | None:
+        form = constant_hessian(system.hamiltonian, system.dim) if system.algebra is not None else None
+        if form is None:
+            return None
+        hessian, linear = form
+        bracket, scale = bracket_of(system.algebra, system.sign), tau * self.alpha
+        metric = np.asarray(self.metric)
+
+        def applied(y: NDArray[np.float64]) -> NDArray[np.float64]:
+            return np.asarray(apply_metric(metric, y))
+
+        middle, last_change = x, np.inf
+        for _ in range(MAX_SUBSTEPS):
+            before, gradient = middle, hessian @ middle + linear
+            v = scale * applied(bracket.product(middle, gradient))
+            half = Exponential.of(bracket, 0.5 * v, x)
+            middle = half.end
+            change = float(np.sum(np.abs(middle - before)))
+            if change == 0.0 or (change >= 0.5 * last_change and change <= SERIES_TOLERANCE * float(np.sum(np.abs(x)))):
+                gradient = hessian @ middle + linear
+                return Midpoint(Exponential.of(bracket, v, x), half, scale, applied, gradient, hessian)
+            last_change = change
+        raise self._not_converged(t, last_change)
+
+    def scalings(self) -> dict[str, tuple[Any, Any]]:
+        """Return the derivatives of log v by parameters, of the noise and of the damping."""
+        metric = np.asarray(self.metric)
+        found: dict[str, tuple[Any, Any]] = {}
+        if self.alpha > 0.0:
+            found["alpha"] = 0.5 / self.alpha, 1.0 / self.alpha
+        if metric.ndim < 2 and np.all(metric > 0.0):
+            found["metric"] = (0.5 / metric, 1.0 / metric)
+        return found
+
+    def _not_converged(self, t: Any, last_change: float) -> IntegrationError:
+        return IntegrationError(
             f"the midpoint rule of {type(self).__name__} did not converge; take a smaller step",
             step=1,
             time=float(t),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.systems.forces.base import Noise, normal_deviates
 from coadjoint.systems.forces.double_bracket import DoubleBracketDamping, exponential, exponential_with_tangent
+from coadjoint.systems.forces.orbit_flow import Exponential, OrbitFlow, bracket_of
 from coadjoint.systems.forces.rates import Plain, apply_metric, metric_root
 from coadjoint.validation import read_integer, read_number
 
@@ -126,6 +128,26 @@ class HeatBath(DoubleBracketDamping):
             product = by_x @ product
         return np.asarray(product)
 
+    def orbit_flow(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> OrbitFlow | None:
+        """Return the flow with the same noise, with its transposed derivative."""
+        stages: list[Any] = []
+
+        def noise(half: int) -> None:
+            for v in self._noise_directions(system, t, tau, half):
+                stages.append(Exponential.of(bracket, v, stages[-1].end if stages else x))
+
+        bracket = bracket_of(system.algebra, system.sign)
+        noise(0)
+        damping = self._midpoint_stage(system, stages[-1].end if stages else x, t, tau)
+        if damping is None:
+            return None
+        stages.append(damping)
+        noise(1)
+        return OrbitFlow(stages, self.scalings())
+
+    def scalings(self) -> dict[str, tuple[Any, Any]]:
+        return {**super().scalings(), "temperature": (0.5 / self.temperature if self.temperature else 0.0, 0.0)}
+
     def _apply_noise(self, system: Any, x: NDArray[Any], t: float, tau: float, half: int) -> NDArray[Any]:
         """Apply half of the noise, set by set."""
         for v in self._noise_directions(system, t, tau, half):
@@ -145,6 +167,7 @@ class HeatBath(DoubleBracketDamping):
             yield self.amplitude * np.sqrt(0.5 * tau) * apply_metric(root, selected)
 
 
+@lru_cache(maxsize=16)
 def commuting_sets(algebra: Any, metric: Plain) -> tuple[tuple[int, ...], ...]:
     """Partition noise directions into commuting sets: basis elements by first fit, else one column of the root each."""
     root = metric_root(metric, "metric")

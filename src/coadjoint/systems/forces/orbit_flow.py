@@ -1,0 +1,212 @@
+"""Exponentials exp(D_v) x on coadjoint orbits by sparse structure constants, with their transposed derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.systems.energy_derivatives import EnergyDerivative
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+MAX_TERMS = 60
+NEGLIGIBLE = 2.0**-60
+# Iterations of the transposed midpoint rule, of whose number a convergent one takes a few.
+MAX_ITERATIONS = 1000
+SETTLED = 2.0**-48
+
+
+class Bracket(NamedTuple):
+    """D_v x = sign J(x) v from padded rows of structure constants: by output, and by input x for the transpose."""
+
+    j: Integers
+    k: Integers
+    c: Floats
+    j_of_input: Integers
+    i_of_input: Integers
+    c_of_input: Floats
+
+    @classmethod
+    def of(cls, algebra: Any, sign: int) -> Bracket:
+        """Return the bracket of an algebra."""
+        i, j, k, c = algebra.triples
+        c = sign * np.asarray(c, dtype=np.float64)
+        i, j, k, c = np.append(i, j), np.append(j, i), np.append(k, k), np.append(c, -c)
+        rows, columns = _padded(i, (j, k), c, algebra.dim), _padded(k, (j, i), c, algebra.dim)
+        return cls(*rows, *columns)
+
+    def generator(self, v: Floats) -> Floats:
+        """Return the entries of D_v in padded rows."""
+        return self.c * v[self.j]
+
+    def transposed(self, v: Floats) -> Floats:
+        """Return the entries of the transpose of D_v in padded rows."""
+        return self.c_of_input * v[self.j_of_input]
+
+    def times(self, D: Floats, x: Floats) -> Floats:
+        """Return D_v x."""
+        return np.asarray(np.einsum("ij,ij->i", D, x[self.k]))
+
+    def transposed_times(self, D: Floats, row: Floats) -> Floats:
+        """Return D_v^T row."""
+        return np.asarray(np.einsum("ij,ij->i", D, row[self.i_of_input]))
+
+    def product(self, x: Floats, v: Floats) -> Floats:
+        """Return sign J(x) v, antisymmetric as a matrix that acts on v."""
+        return np.asarray(np.einsum("ij,ij,ij->i", self.c, x[self.k], v[self.j]))
+
+    def products(self, x: Floats, v: Floats) -> Floats:
+        """Return the sum of sign J(x) v over rows x, v (m, n)."""
+        return np.asarray(np.einsum("ij,mij,mij->i", self.c, x[:, self.k], v[:, self.j]))
+
+
+class Exponential(NamedTuple):
+    """A step y = exp(D_v) x: the substeps of its series, and the terms of each."""
+
+    bracket: Bracket
+    v: Floats
+    substeps: int
+    terms: tuple[Floats, ...]
+    end: Floats
+
+    @classmethod
+    def of(cls, bracket: Bracket, v: Floats, x: Floats) -> Exponential:
+        """Compute the series."""
+        D = bracket.generator(v)
+        substeps = max(1, int(np.ceil(np.max(np.abs(D).sum(axis=1), initial=0.0))))
+        series = []
+        for _ in range(substeps):
+            terms, negligible = [x], NEGLIGIBLE * np.abs(x).max(initial=0.0)
+            for k in range(1, MAX_TERMS):
+                terms.append(bracket.times(D, terms[-1]) / (k * substeps))
+                if not np.abs(terms[-1]).max(initial=0.0) > negligible:
+                    break
+            series.append(np.array(terms))
+            x = x + series[-1][1:].sum(axis=0)
+        return cls(bracket, v, substeps, tuple(series), x)
+
+    def pull(self, row: Floats) -> tuple[Floats, Floats]:
+        """Return the cotangents of x and v for that of the end."""
+        D, of_v = self.bracket.transposed(self.v), np.zeros_like(row)
+        for terms in reversed(self.terms):
+            rows = [row]
+            for k in range(len(terms) - 1, 0, -1):
+                rows.append(row + self.bracket.transposed_times(D, rows[-1]) / (k * self.substeps))
+            # Cotangents of the terms 1, 2, ..., each divided by the divisor of its term.
+            of_terms = np.array(rows[-2::-1]) / (self.substeps * np.arange(1, len(terms)))[:, None]
+            of_v -= self.bracket.products(terms[:-1], of_terms)
+            row = rows[-1]
+        return row, of_v
+
+
+class Midpoint(NamedTuple):
+    """The midpoint rule y = exp(D_v) x with v = scale P sign J(m) grad H(m) at m = exp(D_v/2) x."""
+
+    whole: Exponential
+    half: Exponential
+    scale: float
+    metric: Callable[[Floats], Floats]
+    gradient: Floats
+    hessian: Any
+
+    @property
+    def end(self) -> Floats:
+        """State after the flow."""
+        return self.whole.end
+
+    def pull(self, row: Floats) -> tuple[Floats, Floats]:
+        """Return the cotangents of x and of what is added to v."""
+        of_x, first = self.whole.pull(row)
+        of_v, last_change = first, np.inf
+        for _ in range(MAX_ITERATIONS):
+            of_middle = self._of_middle(of_v)
+            through, by_half = self.half.pull(of_middle)
+            before, of_v = of_v, first + 0.5 * by_half
+            change = float(np.abs(of_v - before).max(initial=0.0))
+            if change <= SETTLED * float(np.abs(of_v).max(initial=0.0)) or not change < last_change:
+                break
+            last_change = change
+        return of_x + through, of_v
+
+    def energy_direction(self, of_v: Floats) -> Floats:
+        """Return the cotangent of grad H(m) for that of v."""
+        return -self.half.bracket.product(self.half.end, self.scale * self.metric(of_v))
+
+    def _of_middle(self, of_v: Floats) -> Floats:
+        bracket = self.half.bracket
+        row = self.scale * self.metric(of_v)
+        through_gradient = self.hessian @ -bracket.product(self.half.end, row)
+        return bracket.transposed_times(bracket.transposed(self.gradient), row) + through_gradient
+
+
+class OrbitFlow(NamedTuple):
+    """The flow of a damping with noise on an orbit: exponentials, of which one may be a midpoint rule.
+
+    `scalings` are, by parameter of the force, how v of the noise and of the damping depend on it: v by p is v times the
+    first or the second factor.
+    """
+
+    stages: Sequence[Exponential | Midpoint]
+    scalings: dict[str, tuple[Any, Any]]
+
+    @property
+    def end(self) -> Floats:
+        """State after the flow."""
+        return self.stages[-1].end
+
+    def pull(self, row: Floats, wanted: dict[str, Any]) -> tuple[Floats, dict[str, Floats]]:
+        """Return the cotangents of the state and of wanted parameters, names of them or derivatives of the energy."""
+        found: dict[str, Floats] = {name: np.zeros(1) for name in wanted}
+        for stage in reversed(self.stages):
+            row, of_v = stage.pull(row)
+            damping = isinstance(stage, Midpoint)
+            v = stage.whole.v if damping else stage.v
+            for name, part in wanted.items():
+                if isinstance(part, EnergyDerivative):
+                    if damping:
+                        found[name] = found[name] + part.along(stage.half.end, stage.energy_direction(of_v))
+                else:
+                    factor = self.scalings[part][damping]
+                    each = of_v * v * factor
+                    found[name] = found[name] + (each if np.ndim(factor) else each.sum())
+        return row, found
+
+
+def _padded(rows: Integers, columns: Sequence[Integers], values: Floats, n: int) -> tuple[Any, ...]:
+    """Return columns and values in rows (n, width), padded with zeros."""
+    order = np.argsort(rows, kind="stable")
+    starts = np.searchsorted(rows[order], np.arange(n + 1))
+    place = np.arange(len(rows)) - starts[rows[order]]
+    width = int(np.max(np.diff(starts), initial=1))
+    found: list[Any] = []
+    for column in (*columns, values):
+        padded = np.zeros((n, width), dtype=column.dtype)
+        padded[rows[order], place] = column[order]
+        found.append(padded)
+    return tuple(found)
+
+
+@lru_cache(maxsize=16)
+def bracket_of(algebra: Any, sign: int) -> Bracket:
+    """Return the bracket of an algebra, which is cached."""
+    return Bracket.of(algebra, sign)
+
+
+@lru_cache(maxsize=16)
+def constant_hessian(hamiltonian: Any, n: int) -> Any:
+    """Return the sparse Hessian and the linear part of a quadratic Hamiltonian; None for other ones."""
+    from scipy.sparse import csr_array
+
+    terms = hamiltonian.terms() if hasattr(hamiltonian, "terms") else []
+    if not terms or any(term.form is None for term in terms):
+        return None
+    total, linear = csr_array((n, n)), np.zeros(n)
+    for term in terms:
+        total = total + csr_array((term.form.values, term.form.indices, term.form.indptr), shape=(n, n))
+        linear = linear + term.form.linear
+    return total.tocsr(), linear
