@@ -1,5 +1,7 @@
 """Derivatives of runs with forces and noise: adjoint to each other, and equal to differences of runs of order 8."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from coadjoint.kernels.interface import limit
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.forces.registry import FORCES
-from coadjoint.systems.parameters import with_parameters
+from coadjoint.systems.parameters import parameters_of, with_parameters
 from coadjoint.systems.protocol import unforced
 from verification.systems_under_test import full_matrix
 
@@ -453,3 +455,55 @@ def test_steps_with_forces_are_not_undone():
     ready = co.prepare(plain("so(3)").with_forces(F.LinearDamping(0.1)), co.Splitting(), H)
     with pytest.raises(TypeError, match="no steps that can be undone"):
         ready.vjp(state(3), (0.0, 1.0), reverse="reversible")
+
+
+@pytest.mark.parametrize("algebra", [co.algebras.so(4), co.algebras.e(3), co.algebras.sl(2)], ids=str)
+@pytest.mark.parametrize("metric", [0.8, "diagonal"])
+def test_transposed_flows_of_heat_baths_are_those_of_their_matrices(algebra, metric):
+    """Cotangents by sparse products, against the dense derivative and differences by the parameters."""
+    n, rng = algebra.dim, np.random.default_rng(8)
+    M = rng.standard_normal((n, n))
+    plain = co.LiePoissonSystem(algebra, co.Quadratic(M + M.T, linear=rng.standard_normal(n)), sign=-1)
+    diagonal = rng.uniform(0.5, 1.5, n) if metric == "diagonal" else metric
+    x, row, t, tau = rng.standard_normal(n), rng.standard_normal(n), 0.25, 0.125
+    for force in (co.forces.DoubleBracketDamping(0.1, diagonal), co.forces.HeatBath(0.1, diagonal, 0.2, seed=4)):
+        flow = force.orbit_flow(plain, x, t, tau)
+        np.testing.assert_allclose(flow.end, force.flow(plain, x, t, tau), rtol=1e-13, atol=1e-13)
+        names = ["alpha", "metric", *(["temperature"] if force.random else [])]
+        energy = parameters_of(plain)["M"].energy()
+        before, found = flow.pull(row, {name: name for name in names} | {"M": energy})
+        matrix = force.tangent(plain, x, t, tau)
+        np.testing.assert_allclose(before, row @ matrix, rtol=1e-11, atol=1e-12)
+
+        def value(plain=plain, force=force, **changes):
+            return dataclasses.replace(force, **changes).flow(plain, x, t, tau) @ row
+
+        h = 1e-6
+        for name in names:
+            center = np.asarray(getattr(force, name), dtype=float)
+            steps = h * np.eye(center.size).reshape(center.size, *center.shape)
+            differences = [
+                (value(**{name: (center + step)[()]}) - value(**{name: (center - step)[()]})) / (2 * h)
+                for step in steps
+            ]
+            np.testing.assert_allclose(found[name], differences, rtol=1e-6, atol=1e-8)
+        other = [
+            co.LiePoissonSystem(algebra, co.Quadratic(M + M.T + side * h * np.diag(np.arange(1.0, n + 1)),
+                                linear=plain.hamiltonian.gradient(np.zeros(n))), sign=-1)
+            for side in (1, -1)
+        ]  # fmt: skip
+        difference = (value(other[0]) - value(other[1])) / (2 * h)
+        assert found["M"].reshape(n, n).diagonal() @ np.arange(1.0, n + 1) == pytest.approx(difference, rel=1e-6)
+
+
+def test_gradients_of_heat_baths_need_no_matrices(monkeypatch):
+    """Neither the dense derivative of a flow nor a flow of a moved system is computed for a lattice with a bath."""
+    lattice = co.systems.spin_lattice("square", (4, 4), field=(0.0, 0.0, 0.3))
+    bath = lattice.with_forces(co.forces.HeatBath(0.1, temperature=0.2, seed=1))
+    x0 = np.random.default_rng(3).standard_normal((16, 3))
+    x0 = (x0 / np.linalg.norm(x0, axis=1)[:, None]).ravel()
+    for name in ("flow", "tangent"):
+        monkeypatch.setattr(co.forces.HeatBath, name, lambda *_: pytest.fail("a dense flow"))
+    sol, pull = co.prepare(bath, co.Splitting(), step=0.125).vjp(x0, (0, 1), 8)
+    gradient = pull(np.ones_like(sol.x))
+    assert np.isfinite(gradient["HeatBath.temperature"]) and np.isfinite(gradient["field"]).all()

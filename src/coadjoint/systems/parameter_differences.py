@@ -18,6 +18,21 @@ WEIGHTS = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])
 DISTANCE = 2.0**-5
 
 
+class _Pairs(Sequence[tuple[Any, Any]]):
+    """Pairs of systems that are made on first use: formulas may need none of them."""
+
+    def __init__(self, makers: Sequence[Callable[[], tuple[Any, Any]]]) -> None:
+        self._makers, self._made = makers, dict[int, tuple[Any, Any]]()
+
+    def __len__(self) -> int:
+        return len(self._makers)
+
+    def __getitem__(self, k: Any) -> Any:
+        if k not in self._made:
+            self._made[k] = self._makers[k]()
+        return self._made[k]
+
+
 class NearbySystems(NamedTuple):
     """Pairs of systems in which one entry of a parameter is moved up and down, for a central difference of order 8."""
 
@@ -27,11 +42,20 @@ class NearbySystems(NamedTuple):
     @classmethod
     def by(cls, distance: float, moved: Callable[[float], Any]) -> NearbySystems:
         """Construct from a function of the change of the entry."""
-        return cls(distance, [(moved(node * distance), moved(-node * distance)) for node in NODES.tolist()])
+
+        def made(by: float) -> tuple[Any, Any]:
+            return moved(by), moved(-by)
+
+        return cls(distance, _Pairs([partial(made, node * distance) for node in NODES.tolist()]))
 
     def with_systems(self, changed: Callable[[Any], Any]) -> NearbySystems:
         """Return the pairs of systems that a function makes of these."""
-        return self._replace(pairs=[(changed(plus), changed(minus)) for plus, minus in self.pairs])
+
+        def made(k: int) -> tuple[Any, Any]:
+            plus, minus = self.pairs[k]
+            return changed(plus), changed(minus)
+
+        return self._replace(pairs=_Pairs([partial(made, k) for k in range(len(self.pairs))]))
 
     def difference(self, function: Callable[[Any], Floats]) -> Floats:
         """Return the derivative of a function of the system by the entry, with about twelve digits."""

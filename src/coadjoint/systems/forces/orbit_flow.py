@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -22,7 +23,7 @@ SETTLED = 2.0**-48
 
 
 class Bracket(NamedTuple):
-    """D_v x = sign J(x) v from padded rows of structure constants: by output, and by input x for the transpose."""
+    """D_v x = sign J(x) v from padded columns of structure constants: by output, and by input x for the transpose."""
 
     j: Integers
     k: Integers
@@ -41,28 +42,31 @@ class Bracket(NamedTuple):
         return cls(*rows, *columns)
 
     def generator(self, v: Floats) -> Floats:
-        """Return the entries of D_v in padded rows."""
+        """Return the entries of D_v, padded."""
         return self.c * v[self.j]
 
     def transposed(self, v: Floats) -> Floats:
-        """Return the entries of the transpose of D_v in padded rows."""
+        """Return the entries of the transpose of D_v, padded."""
         return self.c_of_input * v[self.j_of_input]
 
     def times(self, D: Floats, x: Floats) -> Floats:
         """Return D_v x."""
-        return np.asarray(np.einsum("ij,ij->i", D, x[self.k]))
+        return np.asarray((D * x[self.k]).sum(axis=0))
 
     def transposed_times(self, D: Floats, row: Floats) -> Floats:
         """Return D_v^T row."""
-        return np.asarray(np.einsum("ij,ij->i", D, row[self.i_of_input]))
+        return np.asarray((D * row[self.i_of_input]).sum(axis=0))
 
     def product(self, x: Floats, v: Floats) -> Floats:
         """Return sign J(x) v, antisymmetric as a matrix that acts on v."""
-        return np.asarray(np.einsum("ij,ij,ij->i", self.c, x[self.k], v[self.j]))
+        return np.asarray((self.c * x[self.k] * v[self.j]).sum(axis=0))
 
     def products(self, x: Floats, v: Floats) -> Floats:
         """Return the sum of sign J(x) v over rows x, v (m, n)."""
-        return np.asarray(np.einsum("ij,mij,mij->i", self.c, x[:, self.k], v[:, self.j]))
+        total = np.zeros(self.c.shape)
+        for one, other in zip(x, v, strict=True):
+            total += one[self.k] * other[self.j]
+        return np.asarray((self.c * total).sum(axis=0))
 
 
 class Exponential(NamedTuple):
@@ -78,13 +82,15 @@ class Exponential(NamedTuple):
     def of(cls, bracket: Bracket, v: Floats, x: Floats) -> Exponential:
         """Compute the series."""
         D = bracket.generator(v)
-        substeps = max(1, int(np.ceil(np.max(np.abs(D).sum(axis=1), initial=0.0))))
+        norm = float(np.abs(D).sum(axis=0).max(initial=0.0))
+        substeps = max(1, math.ceil(norm))
         series = []
         for _ in range(substeps):
-            terms, negligible = [x], NEGLIGIBLE * np.abs(x).max(initial=0.0)
+            terms, bound = [x], 1.0
             for k in range(1, MAX_TERMS):
                 terms.append(bracket.times(D, terms[-1]) / (k * substeps))
-                if not np.abs(terms[-1]).max(initial=0.0) > negligible:
+                bound *= norm / (k * substeps)
+                if bound <= NEGLIGIBLE:
                     break
             series.append(np.array(terms))
             x = x + series[-1][1:].sum(axis=0)
@@ -178,15 +184,15 @@ class OrbitFlow(NamedTuple):
 
 
 def _padded(rows: Integers, columns: Sequence[Integers], values: Floats, n: int) -> tuple[Any, ...]:
-    """Return columns and values in rows (n, width), padded with zeros."""
+    """Return columns and values as arrays (width, n), padded with zeros: those of row i are at [:, i]."""
     order = np.argsort(rows, kind="stable")
     starts = np.searchsorted(rows[order], np.arange(n + 1))
     place = np.arange(len(rows)) - starts[rows[order]]
     width = int(np.max(np.diff(starts), initial=1))
     found: list[Any] = []
     for column in (*columns, values):
-        padded = np.zeros((n, width), dtype=column.dtype)
-        padded[rows[order], place] = column[order]
+        padded = np.zeros((width, n), dtype=column.dtype)
+        padded[place, rows[order]] = column[order]
         found.append(padded)
     return tuple(found)
 
