@@ -316,3 +316,12 @@ def test_fewer_measurements_than_unknowns_are_refused():
     end = ready.run(np.ones(6), (0, 1)).x[-1:]
     found = co.fit(ready, 1.01 * np.ones(6), (0, 1), {"x": end}, {"x0": True}, t_eval=[1.0], sigma=sigma)
     np.testing.assert_allclose(found.values["x0"], np.ones(6), rtol=1e-10)
+
+
+def test_more_numbers_than_entries_are_refused_before_they_are_listed():
+    body = co.systems.rigid_body((1.0, 2.0, 3.0))
+    ready, x0 = co.prepare(body, co.Splitting(order=2), 0.1), (1.0, 0.2, 0.1)
+    measured = {"x": ready.run(x0, (0, 1)).x}
+    numbers = np.broadcast_to(0, (10**7, 10**6))
+    with pytest.raises(ValueError, match=f"unknown gives {10**13} numbers of entries of x0, which has 3"):
+        co.fit(ready, x0, (0, 1), measured, {"x0": numbers}, sigma={"x": 0.1})

@@ -231,6 +231,8 @@ class _Problem(NamedTuple):
                 raise TypeError("attitude0 cannot be fitted in this representation; give matrices of the basis")
             members = state.size // n
             count = members * len(generators) if name == "attitude0" else values[name].size
+            if isinstance(entries, np.ndarray) and entries.size > count:
+                raise ValueError(f"unknown gives {entries.size} numbers of entries of {name}, which has {count}")
             numbers = range(count) if entries is True else np.atleast_1d(entries).tolist()
             what = f"a number of an unknown entry of {name}"
             chosen[name] = np.array([read_integer(k, what, 0, count - 1) for k in numbers], dtype=np.int64)
