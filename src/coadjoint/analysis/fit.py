@@ -17,7 +17,7 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.parameters import is_symmetric_parameter
-from coadjoint.validation import are_finite, read_integer, read_numbers
+from coadjoint.validation import are_finite, read_integer, read_numbers, to_array
 
 Floats = NDArray[np.float64]
 OUTPUTS = ("x", "attitude")
@@ -231,10 +231,11 @@ class _Problem(NamedTuple):
                 raise TypeError("attitude0 cannot be fitted in this representation; give matrices of the basis")
             members = state.size // n
             count = members * len(generators) if name == "attitude0" else values[name].size
-            if isinstance(entries, np.ndarray) and entries.size > count:
-                raise ValueError(f"unknown gives {entries.size} numbers of entries of {name}, which has {count}")
-            numbers = range(count) if entries is True else np.atleast_1d(entries).tolist()
             what = f"a number of an unknown entry of {name}"
+            given = np.arange(count) if entries is True else to_array(entries, f"unknown of {name}")
+            if given.size > count:
+                raise ValueError(f"unknown gives {given.size} numbers of entries of {name}, which has {count}")
+            numbers = given.ravel().tolist()
             chosen[name] = np.array([read_integer(k, what, 0, count - 1) for k in numbers], dtype=np.int64)
             if name in ready.parameters and is_symmetric_parameter(ready.system, name):
                 symmetric.add(name)
