@@ -1,14 +1,16 @@
 """The documentation site, without Sphinx: its order of pages, and the reference of every public name."""
 
 import itertools
+import json
 import re
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+import pytest
 from reference_pages import reference_pages
 from scheme_pages import scheme_pages, text_of
-from system_pages import code, system_pages
+from system_pages import code, system_pages, write_notebooks
 from write_sources import linked
 
 import coadjoint as co
@@ -93,3 +95,13 @@ def test_coefficients_of_schemes_are_those_of_their_steps():
     assert "| backward | 0.20724538589718786 |" in pages["schemes/Splitting.md"]
     assert "| 3 | -0.657963087177503 |" in pages["schemes/LineSplitting.md"]
     assert "## Coefficients" not in pages["schemes/Kahan.md"]
+
+
+def test_notebooks_have_the_code_of_the_pages(tmp_path):
+    pytest.importorskip("nbformat")
+    write_notebooks(tmp_path)
+    assert {path.stem for path in tmp_path.glob("*.ipynb")} == set(co.systems.names())
+    for path in tmp_path.glob("*.ipynb"):
+        read = json.loads(path.read_text(encoding="utf-8"))
+        text, cell = ("".join(one["source"]) for one in read["cells"])
+        assert text.startswith(f"# {path.stem}\n") and cell == f"%matplotlib inline\n{code(path.stem)}\nfigure"

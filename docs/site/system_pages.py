@@ -55,6 +55,23 @@ def draw_pictures(folder: Path, library: float) -> None:
         _thumbnail(names["sol"], _entry(name)).savefig(folder / f"{name}_small.png", dpi=DOTS_PER_INCH)
 
 
+def write_notebooks(folder: Path) -> None:
+    """Write a notebook of each system: what it is, and the code that draws its picture."""
+    import nbformat
+    from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in co.systems.names():
+        summary = _capital(summarize_system(name)["summary"].removeprefix("Return "))
+        text = f"# {name}\n\n{summary}\n\n{_entry(name).caption}"
+        # Numbers in place of random identifiers, so that a notebook is the same each time.
+        cells = [
+            new_markdown_cell(text, id="text"),
+            new_code_cell(f"%matplotlib inline\n{code(name)}\nfigure", id="code"),
+        ]
+        nbformat.write(new_notebook(cells=cells), folder / f"{name}.ipynb")
+
+
 def _thumbnail(sol: Any, entry: GalleryEntry) -> Any:
     """Return a figure of the first declared picture that the run can show."""
     for picture in (*entry.pictures, entry.components):
@@ -109,6 +126,7 @@ def _page(name: str) -> Iterator[str]:
     yield f"{_capital(summary['summary'].removeprefix('Return '))}\n"
     yield f":::{{figure}} {name}.png\n:alt: {entry.caption}\n:target: {name}.png\n\n{entry.caption}\n:::\n"
     yield f"```python\n{code(name)}\n```\n"
+    yield f"{{download}}`The same as a notebook <{name}.ipynb>`\n"
     yield "## Equations and invariants\n"
     if summary["attitude"] != "matrices":
         sign = "" if summary["sign"] > 0 else "-"

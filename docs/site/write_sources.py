@@ -26,7 +26,7 @@ def write(folder: Path) -> None:
     from paper_page import paper_page
     from reference_pages import reference_pages
     from scheme_pages import scheme_pages
-    from system_pages import draw_pictures, system_pages
+    from system_pages import draw_pictures, system_pages, write_notebooks
 
     pages = {page.name: published(page) for page in [*DOCS.glob("*.md"), *SITE.glob("*.md")]}
     pages["README.md"] = published(ROOT / "README.md")
@@ -46,6 +46,7 @@ def write(folder: Path) -> None:
     shutil.copytree(SITE / "_static", folder / "_static", dirs_exist_ok=True)
     copy_mathjax(folder / "_static" / "mathjax")
     draw_pictures(folder / "systems", library)
+    write_notebooks(folder / "systems")
 
 
 def published(page: Path) -> str:
