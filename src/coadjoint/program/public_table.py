@@ -14,7 +14,7 @@ from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.provenance import Key, Provenance, monomials_of
 from coadjoint.program.sparse_rows import starts_of
 from coadjoint.program.table import Program
-from coadjoint.systems.coefficient_derivatives import coefficients_of
+from coadjoint.systems.coefficients import coefficients_of
 from coadjoint.systems.parameters import parameters_of
 
 VERSION = 2
@@ -123,7 +123,7 @@ def energy_and_parameters(system: Any) -> dict[str, Any]:
     parameters: dict[str, Any] = {}
     keys: dict[Key, int] = {}
     values: list[float] = []
-    for key, value in coefficients_of(system).items():
+    for key, value in coefficients_of(system).by_key().items():
         if key:
             keys[key] = len(keys)
             values.append(float(value))

@@ -1,21 +1,21 @@
-"""Coefficients of Hamiltonians, and their derivatives by arguments of the functions that make systems."""
+"""Derivatives of coefficients of Hamiltonians by arguments of the functions that make systems."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.hamiltonians.terms import PolynomialTerm
+from coadjoint.systems.coefficients import Coefficients, Monomials
+from coadjoint.systems.energy_derivatives import EnergyDerivative
 
 Floats = NDArray[np.float64]
-Coefficients = dict[tuple[int, ...], float]
+Integers = NDArray[np.int64]
 
 # Nodes of the interpolation by which coefficients are differentiated, and its first radius relative to the parameter.
 # The nearest pole of a reciprocal is at four radii: the truncation is 7.9^-20, and rounding is amplified by 80.
@@ -32,31 +32,8 @@ SMALL_ENTRY = 0.125
 LOW_DEGREE = 32 * UNIT_ROUNDOFF
 # Changes of the coefficients below this multiple of their rounding are zero.
 ZERO_DERIVATIVE = 256 * UNIT_ROUNDOFF
-
-
-def coefficients_of(system: Any) -> Coefficients:
-    """Return the coefficients of the monomials of H, each by its coordinates; functions of the user have none."""
-    found: Coefficients = {}
-    for term in system.hamiltonian.terms():
-        found[()] = found.get((), 0.0) + term.constant
-        if term.form is not None:
-            for i, value in enumerate(term.form.linear.tolist()):
-                if value:
-                    found[i,] = found.get((i,), 0.0) + value
-            pairs = zip(term.form.rows.tolist(), term.form.indices.tolist(), term.form.values.tolist(), strict=True)
-            for i, j, value in pairs:
-                if i <= j:
-                    found[i, j] = found.get((i, j), 0.0) + (0.5 * value if i == j else value)
-        elif isinstance(term, PolynomialTerm):
-            for exponents, value in term.polynomial.monomials.items():
-                key = coordinates_of(exponents)
-                found[key] = found.get(key, 0.0) + float(value)
-    return found
-
-
-def coordinates_of(exponents: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the coordinates of a monomial, each as often as its exponent."""
-    return tuple(factors_of(exponents))
+# Entries are numbered with digits of this base, and those with the same digit change together.
+BASE = 4
 
 
 def largest_entry(value: Floats) -> float:
@@ -76,66 +53,96 @@ def radii_of_entry(value: Floats, index: tuple[int, ...]) -> list[float]:
 
 def derivatives_by_entries(
     coefficients_at: Callable[[Floats], Coefficients], value: Floats
-) -> list[tuple[Coefficients, float] | None]:
-    """Return the derivatives of all coefficients by each entry of a parameter, and the radii of the interpolations.
+) -> tuple[EnergyDerivative, Floats]:
+    """Return the derivatives of all coefficients by the entries of a parameter, and the radii of the interpolations.
 
-    `coefficients_at` takes the changes of all entries, and is called as rarely as the coefficients allow. None for an
-    entry near which all values are refused.
+    `coefficients_at` takes the changes of all entries, and is called as rarely as the coefficients allow. The radius is
+    NaN for an entry near which all values are refused.
     """
     unmoved = cache(lambda: coefficients_at(np.zeros(value.shape)))
-    entries, units = list(np.ndindex(value.shape)), np.eye(value.size).reshape(-1, *value.shape)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        radii = np.reshape([radii_of_entry(value, index)[0] for index in entries], value.shape)
-        separate = _derivatives_together(coefficients_at, unmoved, radii, units) if len(entries) > 1 else None
-        if separate is not None:
-            return list(zip(separate, radii.ravel().tolist(), strict=True))
+        sizes, largest = np.abs(value), largest_entry(value)
+        radii = np.asarray(RADIUS * np.where(sizes > SMALL_ENTRY * largest, sizes, largest))
+        together = _derivatives_together(coefficients_at, unmoved, radii) if value.size > 1 else None
+        if together is not None:
+            return EnergyDerivative.of_coefficients(value.size, [together]), radii
 
-        def along(unit: Floats) -> Callable[[float], Coefficients]:
-            return lambda shift: coefficients_at(shift * unit) if shift else unmoved()
+        def along(index: tuple[int, ...]) -> Callable[[float], Coefficients]:
+            def moved(shift: float) -> Coefficients:
+                shifts = np.zeros(value.shape)
+                shifts[index] = shift
+                return coefficients_at(shifts) if shift else unmoved()
 
-        return [
-            _derivatives_by_interpolation(along(unit), radii_of_entry(value, index))
-            for index, unit in zip(entries, units, strict=True)
-        ]
+            return moved
+
+        pieces, radii = [], np.full(value.shape, np.nan)
+        for entry, index in enumerate(np.ndindex(value.shape)):
+            found = _derivatives_by_interpolation(along(index), radii_of_entry(value, index))
+            if found is not None:
+                derivatives, radii[index] = found
+                pieces.append((np.full(derivatives.values.shape, entry), derivatives))
+        return EnergyDerivative.of_coefficients(value.size, pieces), radii
 
 
 def _derivatives_together(
-    coefficients_at: Callable[[Floats], Coefficients], unmoved: Callable[[], Coefficients], radii: Floats, units: Floats
-) -> list[Coefficients] | None:
-    """Return the derivatives by all entries, from samples where these change together.
+    coefficients_at: Callable[[Floats], Coefficients], unmoved: Callable[[], Coefficients], radii: Floats
+) -> tuple[Integers, Coefficients] | None:
+    """Return the entry of each coefficient and its derivative by it, from samples where entries change together.
 
-    This needs coefficients that depend on one entry each: those that change with it alone, and then take the same
-    values as when all entries change. None if there are others, if they have no low degree, or values are refused.
+    This needs coefficients that depend on one entry each: those that change with one block of entries for each digit,
+    and then take the same values as when all entries change. None if there are others, if they have no low degree, or
+    values are refused.
     """
     nodes, _, _ = _chebyshev(FEW_NODES)
-    owners: dict[tuple[int, ...], int] = {}
-    alone: Coefficients = {}
+    changes: list[tuple[int, Coefficients]] = []
+    rounds = 0
     try:
         start = unmoved()
-        for entry, direction in enumerate(units):
-            found = coefficients_at(nodes[0] * radii * direction)
-            changed = {key for key in found.keys() | start.keys() if found.get(key, 0.0) != start.get(key, 0.0)}
-            if not owners.keys().isdisjoint(changed):
-                return None
-            owners |= dict.fromkeys(changed, entry)
-            alone |= {key: found.get(key, 0.0) for key in changed}
-        samples = _Samples.of(lambda node: coefficients_at(node * radii) if node else start, 1.0, FEW_NODES)
+        for blocks in _blocks(radii.size):
+            changed = Monomials.joined([])
+            for number, block in blocks:
+                found = coefficients_at(nodes[0] * radii * block.reshape(radii.shape)).changed_from(start)
+                joined = Monomials.joined([changed, found.monomials])
+                if joined.size < changed.size + found.monomials.size:
+                    return None
+                changed = joined
+                changes.append((number, found))
+            rounds += 1
+        samples = _Samples.of(
+            lambda node: coefficients_at(node * radii) if node else start,
+            1.0,
+            FEW_NODES,
+            [found.monomials for _, found in changes],
+        )
     except (TypeError, ValueError):
         return None
-    if any(
-        first != alone.get(key, start.get(key, 0.0)) or (key not in owners and np.ptp(column))
-        for key, column, first in zip(samples.keys, samples.table.T, samples.table[0].tolist(), strict=True)
+    entry, count = np.zeros((2, samples.monomials.size), dtype=np.int64)
+    for number, found in changes:
+        at = samples.monomials.positions(found.monomials)
+        if not np.array_equal(samples.table[0, at], found.values):
+            return None
+        entry[at] += number
+        count[at] += 1
+    owned, slopes = count > 0, samples.exact_slopes()
+    if (
+        np.any(count[owned] < rounds)
+        or np.any(entry >= radii.size)
+        or np.any(np.ptp(samples.table[:, ~owned], axis=0))
+        or not np.isfinite(slopes).all()
     ):
         return None
-    slopes = samples.exact_slopes()
-    if not np.isfinite(slopes).all():
-        return None
-    derivatives: list[Coefficients] = [{} for _ in units]
-    for key, slope in zip(samples.keys, slopes.tolist(), strict=True):
-        if key in owners:
-            derivatives[owners[key]][key] = slope / radii.flat[owners[key]]
-    return derivatives
+    entry = entry[owned]
+    return entry, Coefficients(samples.monomials.where(owned), slopes[owned] / radii.ravel()[entry])
+
+
+def _blocks(count: int) -> Iterator[Iterator[tuple[int, NDArray[np.bool_]]]]:
+    """Yield the blocks of entries with the same digit, for each digit of their numbers, with its value."""
+    entries, place = np.arange(count), 1
+    while place < count:
+        digits = entries // place % BASE
+        yield ((digit * place, digits == digit) for digit in range(int(digits.max()) + 1))
+        place *= BASE
 
 
 def _derivatives_by_interpolation(
@@ -152,13 +159,13 @@ def _derivatives_by_interpolation(
             few = _Samples.of(coefficients_at, radius, FEW_NODES)
             slopes = few.exact_slopes()
             if np.isfinite(slopes).all():
-                return few.by_key(slopes), radius
+                return few.derivatives(slopes), radius
             many = _Samples.of(coefficients_at, radius, NODES)
         except (TypeError, ValueError):
             continue
         slopes, last = _slopes(many.table)
         if (error := float(np.sum(last)) / radius) < least:
-            found, least = (many.by_key(slopes), radius), error
+            found, least = (many.derivatives(slopes), radius), error
         if np.all(last <= ZERO_DERIVATIVE * many.sizes):
             break
     return found
@@ -167,16 +174,22 @@ def _derivatives_by_interpolation(
 class _Samples(NamedTuple):
     """Values `table` (nodes, coefficients) at the nodes, which are `radius` times those of `_chebyshev`."""
 
-    keys: Sequence[tuple[int, ...]]
+    monomials: Monomials
     radius: float
     table: Floats
 
     @classmethod
-    def of(cls, coefficients_at: Callable[[float], Coefficients], radius: float, count: int) -> _Samples:
+    def of(
+        cls,
+        coefficients_at: Callable[[float], Coefficients],
+        radius: float,
+        count: int,
+        further: Sequence[Monomials] = (),
+    ) -> _Samples:
         nodes, _, _ = _chebyshev(count)
         samples = [coefficients_at(radius * node) for node in nodes.tolist()]
-        keys = sorted(set().union(*samples), key=lambda key: (len(key), key))
-        return cls(keys, radius, np.array([[sample.get(key, 0.0) for key in keys] for sample in samples]))
+        monomials = Monomials.joined([*(sample.monomials for sample in samples), *further])
+        return cls(monomials, radius, np.array([sample.at(monomials) for sample in samples]))
 
     @property
     def sizes(self) -> Floats:
@@ -197,8 +210,8 @@ class _Samples(NamedTuple):
         slopes[invertible] = -of_inverse * self.table[FEW_NODES // 2, invertible] ** 2
         return slopes
 
-    def by_key(self, slopes: Floats) -> Coefficients:
-        return dict(zip(self.keys, (slopes / self.radius).tolist(), strict=True))
+    def derivatives(self, slopes: Floats) -> Coefficients:
+        return Coefficients(self.monomials, slopes / self.radius)
 
 
 @cache

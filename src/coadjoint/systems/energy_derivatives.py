@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.systems.coefficients import Coefficients, decoded
+
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
@@ -49,6 +51,40 @@ class EnergyDerivative(NamedTuple):
             np.array([one.entry for one in second], dtype=np.int64),
             np.array([one.factor for one in second], dtype=np.float64),
             tuple(one for one in monomials if len(one.coordinates) not in (1, 2)),
+        )
+
+    @classmethod
+    def of_coefficients(cls, size: int, pieces: Sequence[tuple[Integers, Coefficients]]) -> EnergyDerivative:
+        """Sort the derivatives of coefficients, with the entry of each, by degree and entry; zeros are dropped."""
+        empty = cls.of_monomials(size)
+        codes, entry, factor = [empty.linear], [empty.linear], [empty.linear_factor]
+        others: list[Monomial] = []
+        for entries, (monomials, factors) in pieces:
+            count = len(monomials.codes)
+            codes.append(monomials.codes)
+            entry.append(entries[:count])
+            factor.append(factors[:count])
+            rest = zip(monomials.others, entries[count:].tolist(), factors[count:].tolist(), strict=True)
+            others += [Monomial(*one) for one in rest if one[2]]
+        first, second = decoded(np.concatenate(codes))
+        all_entries, all_factors = np.concatenate(entry), np.concatenate(factor)
+
+        def chosen(which: NDArray[np.bool_]) -> Integers:
+            found = np.flatnonzero(which & (all_factors != 0.0))
+            return found[np.argsort(all_entries[found], kind="stable")]
+
+        constant, linear, quadratic = chosen(second < 0), chosen((first < 0) & (second >= 0)), chosen(first >= 0)
+        constants = zip(all_entries[constant].tolist(), all_factors[constant].tolist(), strict=True)
+        others += [Monomial((), *one) for one in constants]
+        return cls(
+            size,
+            second[linear],
+            all_entries[linear],
+            all_factors[linear],
+            np.stack([first[quadratic], second[quadratic]], axis=1),
+            all_entries[quadratic],
+            all_factors[quadratic],
+            tuple(sorted(others, key=lambda one: (one.entry, len(one.coordinates), one.coordinates))),
         )
 
     @classmethod

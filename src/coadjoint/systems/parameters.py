@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache, partial
+from itertools import islice
 from typing import Any, NamedTuple, cast
 from weakref import WeakKeyDictionary
 
@@ -14,15 +15,8 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import unknown_name
 from coadjoint.short_repr import short
-from coadjoint.systems.coefficient_derivatives import (
-    RADIUS,
-    SMALL_ENTRY,
-    Coefficients,
-    coefficients_of,
-    coordinates_of,
-    derivatives_by_entries,
-    largest_entry,
-)
+from coadjoint.systems.coefficient_derivatives import RADIUS, SMALL_ENTRY, derivatives_by_entries, largest_entry
+from coadjoint.systems.coefficients import Coefficients, coefficients_of, coordinates_of
 from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.energy_derivatives import EnergyDerivative, Monomial
 from coadjoint.systems.force_parameters import force_parameters, with_force_values
@@ -265,7 +259,7 @@ def _of_builder(system: Any, builder: Callable[..., Any]) -> dict[str, Parameter
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            if coefficients_of(builder(**arguments)) != coefficients_of(system):
+            if not coefficients_of(builder(**arguments)).equal(coefficients_of(system)):
                 return None
         except (TypeError, ValueError):
             return None
@@ -298,7 +292,7 @@ def _of_matrix_builder(system: Any, builder: Callable[..., Any]) -> dict[str, Pa
 
             try:
                 other = builder(**{**arguments, name: _changed(value, 1.0 + 2.0**-10)})
-                for index in list(np.ndindex(value.shape))[:MAX_TRIED]:
+                for index in islice(np.ndindex(value.shape), MAX_TRIED):
                     moved(index, 2.0**-20 * largest_entry(value))
             except (TypeError, ValueError):
                 continue
@@ -338,7 +332,7 @@ def _enters_coefficients(
     """Test whether a parameter may be a real number, and changes neither the algebra nor a function."""
     try:
         other = builder(**{**arguments, name: _changed(value, 1.0 + 2.0**-10)})
-        for index in list(np.ndindex(value.shape))[:MAX_TRIED]:
+        for index in islice(np.ndindex(value.shape), MAX_TRIED):
             # Entries may be tied to each other.
             builder(**{**arguments, name: _moved(value, index, 2.0**-20 * largest_entry(value), symmetric)})
     except (TypeError, ValueError):
@@ -346,7 +340,12 @@ def _enters_coefficients(
     if other.dim != system.dim or other.sign != system.sign:
         return False
     x = np.random.default_rng(SEED).standard_normal(system.dim)
-    if not np.array_equal(other.structure_matrix(x), system.structure_matrix(x)):
+    same = (
+        np.array_equal(other.structure_matrix(x), system.structure_matrix(x))
+        if system.algebra is None
+        else other.algebra == system.algebra
+    )
+    if not same:
         return False
     functions = [
         [term for term in one.hamiltonian.terms() if isinstance(term, FunctionTerm)] for one in (system, other)
@@ -394,16 +393,13 @@ def _argument(
 
     @cache
     def found() -> tuple[EnergyDerivative, Floats]:
-        monomials: list[Monomial] = []
-        radii = np.zeros(value.size)
-        for entry, derivatives in enumerate(derivatives_by_entries(coefficients_at, value)):
-            if derivatives is None:
-                raise ValueError(
-                    f"{name} cannot be differentiated: {builder.__name__} accepts no values near "
-                    f"{value.flat[entry]:g}; build the system from its own Quadratic, and differentiate by M"
-                )
-            by_key, radii[entry] = derivatives
-            monomials += [Monomial(key, entry, factor) for key, factor in by_key.items() if factor]
-        return EnergyDerivative.of_monomials(value.size, monomials), radii.reshape(value.shape)
+        energy, radii = derivatives_by_entries(coefficients_at, value)
+        refused = value[np.isnan(radii)]
+        if refused.size:
+            raise ValueError(
+                f"{name} cannot be differentiated: {builder.__name__} accepts no values near "
+                f"{refused[0]:g}; build the system from its own Quadratic, and differentiate by M"
+            )
+        return energy, radii
 
     return Parameter(value, lambda: found()[0], lambda: found()[1])

@@ -22,7 +22,7 @@ from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.derivatives.xla_flows import TableSteps
 from coadjoint.runs.derivatives.xla_stages import StageSteps
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.systems.coefficient_derivatives import coefficients_of
+from coadjoint.systems.coefficients import coefficients_of
 from coadjoint.systems.parameters import parameters_at, with_parameters
 from coadjoint.systems.protocol import has_structure_constants
 
@@ -123,7 +123,7 @@ class XlaRun:
             return {name: np.array(array) for name, array in zip(names, arrays, strict=True)}
 
         def coefficients(*arrays: Any) -> Any:
-            found = coefficients_of(with_parameters(self._system, at(*arrays)))
+            found = coefficients_of(with_parameters(self._system, at(*arrays))).by_key()
             found.pop((), None)
             energy = np.array([found.pop(key, 0.0) for key in keys])
             self._check_forms(energy, found)

@@ -1,0 +1,154 @@
+"""Coefficients of the monomials of Hamiltonians, as sorted arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.polynomials.monomials import factors_of
+from coadjoint.systems.hamiltonians.terms import PolynomialTerm
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Key = tuple[int, ...]
+"""A monomial: its coordinates, sorted, each as often as its exponent."""
+
+# Bits of a coordinate in the code of a monomial.
+CODE_BITS = 31
+
+
+class Monomials(NamedTuple):
+    """Distinct monomials, sorted: those up to the second degree by their codes, and then the others.
+
+    The code of x_i x_j, i <= j, is (i + 1) 2^31 + j + 1, that of x_i is i + 1, and that of a constant zero.
+    """
+
+    codes: Integers
+    others: tuple[Key, ...] = ()
+
+    @classmethod
+    def joined(cls, pieces: Sequence[Monomials]) -> Monomials:
+        """Return the monomials of all pieces."""
+        if not pieces:
+            return cls(np.zeros(0, dtype=np.int64))
+        codes = pieces[0].codes
+        if not all(np.array_equal(codes, one.codes) for one in pieces[1:]):
+            codes = np.unique(np.concatenate([one.codes for one in pieces]))
+        others = {key for one in pieces for key in one.others}
+        return cls(codes, tuple(sorted(others, key=lambda key: (len(key), key))))
+
+    @property
+    def size(self) -> int:
+        """Number of monomials."""
+        return len(self.codes) + len(self.others)
+
+    @property
+    def keys(self) -> list[Key]:
+        """The monomials by their coordinates."""
+        first, second = decoded(self.codes)
+        pairs = zip(first.tolist(), second.tolist(), strict=True)
+        return [(i, j) if i >= 0 else (j,) if j >= 0 else () for i, j in pairs] + list(self.others)
+
+    def positions(self, part: Monomials) -> Integers:
+        """Return the positions of some of these monomials."""
+        number = {key: k for k, key in enumerate(self.others, len(self.codes))} if part.others else {}
+        of_others = np.array([number[key] for key in part.others], dtype=np.int64)
+        return np.concatenate([np.searchsorted(self.codes, part.codes), of_others])
+
+    def where(self, chosen: NDArray[np.bool_]) -> Monomials:
+        """Return the chosen monomials."""
+        count = len(self.codes)
+        others = zip(self.others, chosen[count:].tolist(), strict=True)
+        return Monomials(self.codes[chosen[:count]], tuple(key for key, one in others if one))
+
+
+class Coefficients(NamedTuple):
+    """Coefficients `values` of monomials."""
+
+    monomials: Monomials
+    values: Floats
+
+    @classmethod
+    def summed(cls, codes: Integers, values: Floats, others: dict[Key, float]) -> Self:
+        """Construct from codes that may be repeated, whose values are added in their order, and other monomials."""
+        distinct, position = np.unique(codes, return_inverse=True)
+        sums = np.bincount(position, values, minlength=len(distinct))
+        keys = sorted(others, key=lambda key: (len(key), key))
+        return cls(Monomials(distinct, tuple(keys)), np.concatenate([sums, [others[key] for key in keys]]))
+
+    def equal(self, other: Coefficients) -> bool:
+        """Test whether the monomials and their coefficients are equal."""
+        return (
+            np.array_equal(self.monomials.codes, other.monomials.codes)
+            and self.monomials.others == other.monomials.others
+            and np.array_equal(self.values, other.values)
+        )
+
+    def at(self, monomials: Monomials) -> Floats:
+        """Return the coefficients of monomials, of which these are some; zero for others."""
+        found = np.zeros(monomials.size)
+        found[monomials.positions(self.monomials)] = self.values
+        return found
+
+    def where(self, chosen: NDArray[np.bool_]) -> Coefficients:
+        """Return the chosen monomials with their coefficients."""
+        return Coefficients(self.monomials.where(chosen), self.values[chosen])
+
+    def changed_from(self, start: Coefficients) -> Coefficients:
+        """Return the coefficients that differ from those at the start, zero for those that vanish."""
+        monomials = Monomials.joined([start.monomials, self.monomials])
+        values = self.at(monomials)
+        return Coefficients(monomials, values).where(values != start.at(monomials))
+
+    def by_key(self) -> dict[Key, float]:
+        """Return the coefficients by the coordinates of their monomials."""
+        return dict(zip(self.monomials.keys, self.values.tolist(), strict=True))
+
+
+def encoded(first: NDArray[Any], second: NDArray[Any]) -> Integers:
+    """Return the codes of x_i x_j for i <= j; with i = -1 those of x_j, and with both -1 that of a constant."""
+    return ((first.astype(np.int64) + 1) << CODE_BITS) + (second.astype(np.int64) + 1)
+
+
+def decoded(codes: Integers) -> tuple[Integers, Integers]:
+    """Return i and j of `encoded`."""
+    return (codes >> CODE_BITS) - 1, (codes & (2**CODE_BITS - 1)) - 1
+
+
+def coefficients_of(system: Any) -> Coefficients:
+    """Return the coefficients of the monomials of H; functions of the user have none."""
+    codes, values = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
+    others: dict[Key, float] = {}
+
+    def add(first: NDArray[Any], second: NDArray[Any], numbers: Any) -> None:
+        codes.append(encoded(first, second))
+        values.append(np.asarray(numbers, dtype=np.float64))
+
+    for term in system.hamiltonian.terms():
+        add(np.array([-1]), np.array([-1]), [term.constant])
+        if term.form is not None:
+            i = np.flatnonzero(term.form.linear)
+            add(np.full(len(i), -1), i, term.form.linear[i])
+            i, j = term.form.rows, term.form.indices
+            upper = i <= j
+            i, j, numbers = i[upper], j[upper], term.form.values[upper]
+            add(i, j, np.where(i == j, 0.5 * numbers, numbers))
+        elif isinstance(term, PolynomialTerm):
+            low = {}
+            for exponents, value in term.polynomial.monomials.items():
+                key = coordinates_of(exponents)
+                if len(key) > 2:
+                    others[key] = others.get(key, 0.0) + float(value)
+                else:
+                    low[(-1, -1, *key)[-2:]] = float(value)
+            first, second = np.array(list(low), dtype=np.int64).reshape(-1, 2).T
+            add(first, second, list(low.values()))
+    return Coefficients.summed(np.concatenate(codes), np.concatenate(values), others)
+
+
+def coordinates_of(exponents: tuple[int, ...]) -> Key:
+    """Return the coordinates of a monomial, each as often as its exponent."""
+    return tuple(factors_of(exponents))
