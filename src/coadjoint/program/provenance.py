@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.program.added_part import CoefficientMap
-from coadjoint.program.term_table import LINEAR, POLYNOMIAL, Terms
+from coadjoint.program.term_table import LINEAR, POLYNOMIAL
+from coadjoint.systems.coefficients import Key, encoded
 from coadjoint.systems.energy_derivatives import EnergyDerivative, Monomial
 
 if TYPE_CHECKING:
     from coadjoint.program.table import Program
-
-Key = tuple[int, ...]
-"""A monomial: its coordinates, sorted, each as often as its exponent."""
 
 
 class Changes(NamedTuple):
@@ -27,69 +29,90 @@ class Changes(NamedTuple):
     shifts: list[tuple[int, float]]
 
 
-class _Places(NamedTuple):
+class _Places:
     """Coefficients of the parts of a program that are functions of coordinates, by the coordinates of monomials.
 
-    `rows` has the row of the angle of a coordinate, `entries` the entry of a row and a column, `monomials` the number
-    of a monomial; -1 if there are several.
+    `rows` has the row of the angle of each coordinate, -1 if there is none or several; `entries` are those of `codes`,
+    row * n + column, which are sorted. `monomials` has the numbers of monomials, -1 if there are several.
     """
 
-    rows: dict[int, int]
-    entries: dict[tuple[int, int], int]
-    monomials: dict[tuple[int, ...], int]
+    def __init__(self, program: Program) -> None:
+        self._n, terms, forms = program.state.size, program.terms, program.parts.forms
+        self._weights, self._monomials = len(terms.offset), len(terms.offset) + len(terms.weight)
+        linear = terms.kind == LINEAR
+        linear[list(program.parts.bodies)] = False
+        rows = np.flatnonzero(np.repeat(linear, np.diff(terms.row).astype(np.int64)))
+        rows = rows[np.diff(forms.start)[rows] == 1]
+        rows = rows[forms.value[forms.start[rows]] == 1.0]
+        coordinate = forms.coordinate[forms.start[rows]]
+        self._rows = np.full(self._n, -1, dtype=np.int64)
+        self._rows[coordinate] = rows
+        self._rows[np.bincount(coordinate, minlength=self._n) > 1] = -1
+        owner, entries = expand(terms.entry[rows].astype(np.int64), terms.entry[rows + 1].astype(np.int64))
+        codes = rows[owner] * self._n + terms.column[entries]
+        order = np.argsort(codes)
+        self._codes, self._entries = codes[order], entries[order]
+        self._numbers: dict[Key, int] = {}
+        for k in np.flatnonzero(terms.kind == POLYNOMIAL).tolist():
+            for monomial in range(int(terms.monomial[k]), int(terms.monomial[k + 1])):
+                factors = slice(int(terms.factor[monomial]), int(terms.factor[monomial + 1]))
+                targets = terms.target[terms.factor_row[factors]].tolist()
+                powers = zip(targets, terms.exponent[factors].tolist(), strict=True)
+                key = tuple(sorted(i for i, e in powers for _ in range(e)))
+                self._numbers[key] = -1 if key in self._numbers else monomial
+        low = [(-1, *key)[-2:] for key in self._numbers if len(key) in (1, 2)]
+        self._low = encoded(*np.array(low, dtype=np.int64).reshape(-1, 2).T)
 
-    @classmethod
-    def of_program(cls, program: Program) -> _Places:
-        parts, terms = program.parts, program.terms
-        rows: dict[int, int] = {}
-        entries: dict[tuple[int, int], int] = {}
-        monomials: dict[tuple[int, ...], int] = {}
-        forms, called = parts.forms, set(parts.bodies)
-        for k in range(terms.size):
-            first, last = int(terms.row[k]), int(terms.row[k + 1])
-            if terms.kind[k] == LINEAR and k not in called:
-                for row in range(first, last):
-                    low, high = forms.start[row], forms.start[row + 1]
-                    if high != low + 1 or forms.value[low] != 1.0:
-                        continue
-                    coordinate = int(forms.coordinate[low])
-                    rows[coordinate] = -1 if coordinate in rows else row
-                    for entry in range(int(terms.entry[row]), int(terms.entry[row + 1])):
-                        entries[row, int(terms.column[entry])] = entry
-            elif terms.kind[k] == POLYNOMIAL:
-                for monomial in range(int(terms.monomial[k]), int(terms.monomial[k + 1])):
-                    factors = slice(int(terms.factor[monomial]), int(terms.factor[monomial + 1]))
-                    targets = terms.target[terms.factor_row[factors]].tolist()
-                    powers = zip(targets, terms.exponent[factors].tolist(), strict=True)
-                    key = tuple(sorted(i for i, e in powers for _ in range(e)))
-                    monomials[key] = -1 if key in monomials else monomial
-        return cls(rows, entries, monomials)
+    def of_coordinates(self, i: Integers) -> Integers:
+        """Return the coefficients that monomials x_i change; -1 where this takes a search by `find`."""
+        return np.where(np.isin(encoded(np.full(len(i), -1), i), self._low), -1, self._rows[i])
 
-    def find(self, key: tuple[int, ...], terms: Terms) -> list[tuple[int, float]] | None:
-        """Return the coefficients, with factors, that a monomial with the factor one changes; None if it has none."""
-        weights = len(terms.offset)
-        if (monomial := self.monomials.get(key)) is not None:
-            return None if monomial < 0 else [(weights + len(terms.weight) + monomial, 1.0)]
-        found: list[tuple[int, float]] = []
-        if len(key) == 1:
-            row = self.rows.get(key[0], -1)
-            return None if row < 0 else [(row, 1.0)]
-        if len(key) != 2:
-            return None
-        for i, j in {key, key[::-1]}:
-            entry = self.entries.get((self.rows.get(i, -1), j))
-            if entry is None:
-                return None
-            found.append((weights + entry, 2.0 if i == j else 1.0))
+    def of_pairs(self, i: Integers, j: Integers) -> Integers:
+        """Return the coefficients (k, 2) that monomials x_i x_j, i <= j, change; -1 where this takes a search.
+
+        The second one is -2 for squares.
+        """
+        found = np.stack([self._of_entries(i, j), self._of_entries(j, i)], axis=1)
+        found[np.any(found < 0, axis=1) | np.isin(encoded(i, j), self._low)] = -1
+        found[(i == j) & (found[:, 1] >= 0), 1] = -2
         return found
+
+    def _of_entries(self, i: Integers, j: Integers) -> Integers:
+        row = self._rows[i]
+        codes = row * self._n + j
+        if not len(self._codes):
+            return np.full(len(codes), -1)
+        at = np.minimum(np.searchsorted(self._codes, codes), len(self._codes) - 1)
+        return np.where((row >= 0) & (self._codes[at] == codes), self._weights + self._entries[at], -1)
+
+    def find(self, key: Key) -> list[tuple[int, float]] | None:
+        """Return the coefficients, with factors, that a monomial with the factor one changes; None if it has none."""
+        if (monomial := self._numbers.get(key)) is not None:
+            return None if monomial < 0 else [(self._monomials + monomial, 1.0)]
+        if len(key) == 1:
+            found = self.of_coordinates(np.array(key)).tolist()
+        elif len(key) == 2:
+            found = self.of_pairs(*np.array([key]).T)[0].tolist()
+        else:
+            return None
+        if found[0] < 0:
+            return None
+        return [(number, 2.0 if -2 in found else 1.0) for number in found if number >= 0]
 
 
 class Provenance:
     """The numbers of a program that depend on the coefficient of a monomial of the energy."""
 
     def __init__(self, program: Program) -> None:
-        self._program, self._places = program, _Places.of_program(program)
+        self.places = _Places(program)
         self._found: dict[Key, Changes | None] = {}
+        # Casimirs that were subtracted, by their monomials.
+        self._casimirs: dict[Key, list[tuple[int, dict[Key, float]]]] = {}
+        for number, (casimir, _) in enumerate(program.shift):
+            by_key = {tuple(factors_of(exponents)): float(c) for exponents, c in casimir.monomials.items()}
+            for key in by_key:
+                if by_key[key]:
+                    self._casimirs.setdefault(key, []).append((number, by_key))
 
     def changes(self, key: Key) -> Changes | None:
         """Return what changes with the coefficient of a monomial; None if it belongs to no part.
@@ -102,19 +125,15 @@ class Provenance:
         return self._found[key]
 
     def _changes(self, key: Key) -> Changes | None:
-        places, terms = self._places, self._program.terms
         if not key:
             return Changes([], [])
-        if (found := places.find(key, terms)) is not None:
+        if (found := self.places.find(key)) is not None:
             return Changes(found, [])
-        for number, (casimir, _) in enumerate(self._program.shift):
-            by_key = {tuple(factors_of(exponents)): float(c) for exponents, c in casimir.monomials.items()}
-            if not by_key.get(key):
-                continue
+        for number, by_key in self._casimirs.get(key, ()):
             changes: list[tuple[int, float]] = []
             for other, c in by_key.items():
                 if other != key:
-                    rest = places.find(other, terms)
+                    rest = self.places.find(other)
                     if rest is None:
                         break
                     changes += [(index, -c / by_key[key] * by) for index, by in rest]
@@ -130,21 +149,42 @@ def in_parts(program: Program, G: EnergyDerivative) -> tuple[CoefficientMap, Coe
     another way.
     """
     provenance = Provenance(program)
+    i, j = np.sort(G.quadratic, axis=1).T
+    linear, quadratic = provenance.places.of_coordinates(G.linear), provenance.places.of_pairs(i, j)
+    searched = np.concatenate([linear, quadratic[:, 0]]) < 0
     changed: list[tuple[int, int, float]] = []
     shifts: list[tuple[int, int, float]] = []
-    for key, column, size in monomials_of(G):
+    after: list[int] = []
+    at = [*np.flatnonzero(searched).tolist(), *range(len(searched), len(searched) + len(G.others))]
+    for position, (key, column, size) in zip(at, monomials_of(G, searched), strict=True):
         if (found := provenance.changes(key)) is None:
             return None
         changed += [(index, column, by * size) for index, by in found.coefficients]
         shifts += [(index, column, by * size) for index, by in found.shifts]
-    return CoefficientMap.of_triplets(changed), CoefficientMap.of_triplets(shifts)
+        after += [position] * len(found.coefficients)
+    numbers = np.concatenate([np.stack([linear, np.full(len(linear), -1)], axis=1), quadratic])
+    entries = np.concatenate([G.linear_entry, G.quadratic_entry])
+    factors = np.concatenate([G.linear_factor, np.where(i == j, 2.0, 1.0) * G.quadratic_factor])
+    monomial, _ = np.nonzero(numbers >= 0)
+    # Sums keep the order of the monomials.
+    order = np.argsort(np.concatenate([monomial, np.array(after, dtype=np.int64)]), kind="stable")
+    columns = zip(
+        (numbers[numbers >= 0], entries[monomial], factors[monomial]), CoefficientMap.of_triplets(changed), strict=True
+    )
+    return CoefficientMap(*(np.concatenate(pair)[order] for pair in columns)), CoefficientMap.of_triplets(shifts)
 
 
-def monomials_of(G: EnergyDerivative) -> Iterator[Monomial]:
-    """Yield the monomials of a derivative of the energy, with sorted coordinates."""
-    for i, column, size in zip(G.linear.tolist(), G.linear_entry.tolist(), G.linear_factor.tolist(), strict=True):
+def monomials_of(G: EnergyDerivative, chosen: NDArray[np.bool_] | None = None) -> Iterator[Monomial]:
+    """Yield the monomials of a derivative of the energy, with sorted coordinates.
+
+    `chosen`: those of the first and then of the second degree that are yielded, by default all.
+    """
+    every = np.ones(len(G.linear) + len(G.quadratic), dtype=bool) if chosen is None else chosen
+    linear, quadratic = every[: len(G.linear)], every[len(G.linear) :]
+    of_linear = (column[linear].tolist() for column in (G.linear, G.linear_entry, G.linear_factor))
+    for i, column, size in zip(*of_linear, strict=True):
         yield Monomial((i,), column, size)
-    pairs = zip(G.quadratic.tolist(), G.quadratic_entry.tolist(), G.quadratic_factor.tolist(), strict=True)
-    for pair, column, size in pairs:
+    pairs = (column[quadratic].tolist() for column in (G.quadratic, G.quadratic_entry, G.quadratic_factor))
+    for pair, column, size in zip(*pairs, strict=True):
         yield Monomial((min(pair), max(pair)), column, size)
     yield from G.others

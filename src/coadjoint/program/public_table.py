@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from coadjoint.program.actions import Action, run_blocks
 from coadjoint.program.blocks import Kind
 from coadjoint.program.numbers import Number, array_of
-from coadjoint.program.provenance import Key, Provenance, monomials_of
+from coadjoint.program.provenance import Provenance, monomials_of
 from coadjoint.program.sparse_rows import starts_of
 from coadjoint.program.table import Program
-from coadjoint.systems.coefficients import coefficients_of
+from coadjoint.systems.coefficients import Key, coefficients_of
 from coadjoint.systems.parameters import parameters_of
 
 VERSION = 2

@@ -40,7 +40,10 @@ Floats = NDArray[np.float64]
 REVERSES = ("exact", "reversible")
 # Numbers of the states of a stretch of steps of a member: they stay in the cache.
 NUMBERS_OF_STRETCH = 2**15
-# Largest memory of the first states of stretches, above which these are longer.
+# Steps of a stretch below which the allocations of a call take longer than its steps.
+STEPS_OF_STRETCH = 16
+# Largest memory of the first states of stretches, above which these are longer, and of states for stretches of
+# STEPS_OF_STRETCH steps.
 BYTES_OF_CHECKPOINTS = 2**25
 
 
@@ -186,10 +189,11 @@ class Trajectory:
     def _stretch_length(self) -> int:
         steps, numbers = self.times.steps, self.n + self.side**2
         length, bytes_of_each = max(1, NUMBERS_OF_STRETCH // numbers), 16 * numbers * self.members
-        length = max(length, -(-steps * bytes_of_each // BYTES_OF_CHECKPOINTS))
         lanes = min(self.members, limit("MOST_LANES"))
+        length = max(length, min(STEPS_OF_STRETCH, BYTES_OF_CHECKPOINTS // (8 * numbers * lanes)))
+        length = max(length, -(-steps * bytes_of_each // BYTES_OF_CHECKPOINTS))
         check_available_memory(
-            bytes_of_each * (steps // length + 1) + 8 * numbers * lanes * min(length, steps),
+            bytes_of_each * (steps // length + 1) + 8 * numbers * lanes * (min(length, steps) + 1),
             f"the states of {steps} steps of {self.members} members, from which they are repeated,",
         )
         return length
