@@ -210,6 +210,7 @@ def test_gradients_do_not_depend_on_checkpoints(case, scheme, monkeypatch):
         expected = derivatives(ready, x0, span, seeded(case), element)
         numbers = system.dim + (0 if element is None else element.shape[-1] ** 2)
         for steps in (1, 3):
+            monkeypatch.setattr(differentiable_run, "STEPS_OF_STRETCH", 1)
             monkeypatch.setattr(differentiable_run, "NUMBERS_OF_STRETCH", steps * numbers)
             found = derivatives(ready, x0, span, seeded(case), element)
             for name, value in expected.gradient.items():
@@ -221,6 +222,7 @@ def test_number_of_checkpoints_is_bounded(monkeypatch):
     """Of 48 bytes each, for the momentum and what its sums have lost."""
     ready = co.prepare(co.systems.rigid_body((1, 2, 3)), co.Splitting(), H)
     span, counts = (0.0, 1000 * H), []
+    monkeypatch.setattr(differentiable_run, "STEPS_OF_STRETCH", 1)
     monkeypatch.setattr(differentiable_run, "NUMBERS_OF_STRETCH", 3)
     for size in (2**25, 4800):
         monkeypatch.setattr(differentiable_run, "BYTES_OF_CHECKPOINTS", size)
@@ -240,6 +242,7 @@ def assert_same_run(one, other):
 
 @pytest.mark.parametrize("scheme", [*DIFFERENT, "Splitting 2 rational", "Composition of Splitting"])
 def test_runs_have_the_same_bits_with_derivatives(scheme, monkeypatch):
+    monkeypatch.setattr(differentiable_run, "STEPS_OF_STRETCH", 1)
     monkeypatch.setattr(differentiable_run, "NUMBERS_OF_STRETCH", 2 * (6 + 16))
     system = cases()["e(3), heavy top"].system
     ready = co.prepare(system, flow_schemes()[scheme], H, attitude=True, observe={"spin": lambda x: x[2]})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -95,9 +95,12 @@ class _Places:
             found = self.of_pairs(*np.array([key]).T)[0].tolist()
         else:
             return None
-        if found[0] < 0:
-            return None
-        return [(number, 2.0 if -2 in found else 1.0) for number in found if number >= 0]
+        return None if found[0] < 0 else with_factors(found)
+
+
+def with_factors(numbers: Sequence[int]) -> list[tuple[int, float]]:
+    """Return the coefficients that a monomial changes, of those that `_Places` returns, with their factors."""
+    return [(number, 2.0 if -2 in numbers else 1.0) for number in numbers if number >= 0]
 
 
 class Provenance:
@@ -123,6 +126,19 @@ class Provenance:
         if key not in self._found:
             self._found[key] = self._changes(key)
         return self._found[key]
+
+    def changes_of(self, keys: Sequence[Key]) -> list[Changes | None]:
+        """Return what changes with the coefficients of many monomials."""
+        pairs = [(-1, -1, *key)[-2:] if len(key) <= 2 else (-1, -1) for key in keys]
+        i, j = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+        linear, quadratic = (i < 0) & (j >= 0), i >= 0
+        numbers = np.full((len(keys), 2), -1, dtype=np.int64)
+        numbers[linear, 0] = self.places.of_coordinates(j[linear])
+        numbers[quadratic] = self.places.of_pairs(i[quadratic], j[quadratic])
+        return [
+            self.changes(key) if found[0] < 0 else Changes(with_factors(found), [])
+            for key, found in zip(keys, numbers.tolist(), strict=True)
+        ]
 
     def _changes(self, key: Key) -> Changes | None:
         if not key:

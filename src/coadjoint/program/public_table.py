@@ -154,7 +154,7 @@ def _provenance(program: Program) -> dict[str, Any]:
     described = energy_and_parameters(program.system)
     found = Provenance(program)
     monomials = described["energy"]["monomials"]
-    changes = {number: found.changes(tuple(key)) for number, key in enumerate(monomials)}
+    changes = dict(enumerate(found.changes_of([tuple(key) for key in monomials])))
     terms = program.terms
     starts = starts_of(np.array([len(one) for one in (terms.offset, terms.weight, terms.coefficient)]))
     dependent: dict[str, list[tuple[int, int, float]]] = {name: [] for name in (*DEPENDENT, "shift")}

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.exact.sparse_sums import distinct
 from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.systems.hamiltonians.terms import PolynomialTerm
 
@@ -36,7 +37,7 @@ class Monomials(NamedTuple):
             return cls(np.zeros(0, dtype=np.int64))
         codes = pieces[0].codes
         if not all(np.array_equal(codes, one.codes) for one in pieces[1:]):
-            codes = np.unique(np.concatenate([one.codes for one in pieces]))
+            codes = distinct(np.concatenate([one.codes for one in pieces]))
         others = {key for one in pieces for key in one.others}
         return cls(codes, tuple(sorted(others, key=lambda key: (len(key), key))))
 

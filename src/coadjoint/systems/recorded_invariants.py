@@ -186,8 +186,9 @@ def read_integrals(integrals: Any, H: HamiltonianLike, n: int, product: Product,
                 if scaled is None:
                     continue
                 gradient, scale, operations = scaled
-                rate = abs(float(gradient @ field))
-                if rate > (work + operations) * UNIT_ROUNDOFF * float(scale @ sizes):
+                # Products of long vectors by BLAS wait for its threads.
+                rate = abs(float(np.sum(gradient * field)))
+                if rate > (work + operations) * UNIT_ROUNDOFF * float(np.sum(scale * sizes)):
                     raise ValueError(
                         f"{short(name)} is not an integral: it changes at the rate {rate:.3g} at a sample point, and "
                         "its bracket with the Hamiltonian must vanish everywhere"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache, partial
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -173,7 +174,7 @@ def spin_lattice(
         parameters = None if parameters is None else {**parameters, "dipolar": strength}
     exact = None if driven or strength or np.any(D) else precession(sites, edges, J, T, K, B)
     return LiePoissonSystem(
-        _spins(sites) if sites <= 8 else copies(catalogue.so(3), sites),
+        _few_spins(sites) if sites <= 8 else _spins(sites),
         H,
         sign=+1,
         casimirs=None if sites <= MAX_RECORDED_SPINS else {"sum of |x|^2": Quadratic(np.full(3 * sites, 2.0))},
@@ -185,10 +186,19 @@ def spin_lattice(
     )
 
 
-@cache
+# Algebras of lattices that exist.
+_ALGEBRAS: WeakValueDictionary[int, LieAlgebra] = WeakValueDictionary()
+
+
 def _spins(sites: int) -> LieAlgebra:
-    """Return the algebra of few spins, cached: one object for all their systems."""
-    return copies(catalogue.so(3), sites)
+    """Return the algebra of spins, shared by all systems that exist: derivatives by parameters take tens of them."""
+    found = _ALGEBRAS.get(sites)
+    if found is None:
+        found = _ALGEBRAS[sites] = copies(catalogue.so(3), sites)
+    return found
+
+
+_few_spins = cache(_spins)
 
 
 def _numbers(argument: Any, what: str, shapes: tuple[tuple[int, ...], ...]) -> Floats:
