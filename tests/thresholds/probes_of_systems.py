@@ -419,7 +419,7 @@ def _largest_casimir(off):
 
 
 @probe(
-    ("systems/recorded_invariants.py", "rate > (work + operations) * UNIT_ROUNDOFF * float(scale @ sizes)"),
+    ("systems/recorded_invariants.py", "rate > (work + operations) * UNIT_ROUNDOFF * float(np.sum(scale * sizes))"),
     at=2 * (64 + 2 * 3 + 3) * U,
 )
 def a_function_is_an_integral(off):
