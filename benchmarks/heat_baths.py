@@ -49,9 +49,8 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=50)
     parser.add_argument("--rounds", type=int, default=3)
     given = parser.parse_args()
-    print(
-        "| lattice | force | ms a step | : step without | gradient, ms a step | gradient : run |\n|---|---|---|---|---|---|"
-    )
+    print("| lattice | force | ms a step | : step without | gradient, ms a step | gradient : run |")
+    print("|---|---|---|---|---|---|")
     for side in given.shape:
         print(*measured(side, given.steps, given.rounds), sep="\n", flush=True)
 

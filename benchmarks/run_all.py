@@ -23,6 +23,7 @@ SECTIONS = {
     "ensembles": "Ensembles",
     "members_of_series": "Ensembles by Taylor series",
     "families": "Families of runs",
+    "heat_baths": "Heat baths",
     "gauss_legendre": "Gauss-Legendre",
     "round_off": "Round-off",
     "lyapunov": "Tangent vectors",
