@@ -230,6 +230,21 @@ def test_certify_at_rest_is_undecidable(folder, capsys):
     assert "order (not decidable here)" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        (
+            '[system.parameters]\ninertia = [1, 2, 3]\n[sweep.over]\n"system.parameters.inertia[2]" = [2, 3]\n',
+            "sweep.over: a certificate is of one system",
+        ),
+        ('[[forces]]\nname = "LinearDamping"\nrate = 0.1\n', "forces: a certificate is of a system without forces"),
+    ],
+)
+def test_certify_names_the_table_that_it_does_not_take(table, message, folder, capsys):
+    Path("more.toml").write_text(f"{Path('body.toml').read_text()}\n{table}")
+    assert refused(capsys, "certify", "more.toml").startswith(f"more.toml: {message}; ")
+
+
 def test_systems_and_methods_are_listed(capsys):
     assert cli.main(["systems"]) == 0
     systems = capsys.readouterr().out

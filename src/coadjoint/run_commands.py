@@ -239,10 +239,19 @@ def certify_file(file: str, json_path: str | None, figure_path: str | None, step
     The exit status is 0 if every declared property holds, and 1 if one fails or cannot be decided.
     """
     from coadjoint.analysis.certificates.certify import certify
+    from coadjoint.files.configuration.construction import ConfigurationError
     from coadjoint.files.configuration.loading import load
     from coadjoint.files.output.output_files import FIGURES, TEXTS, check_target, write_figure, write_text
+    from coadjoint.systems.forced import ForcedSystem
+    from coadjoint.systems.protocol import is_batch
 
     configuration = load(file)
+    if is_batch(configuration.system):
+        problem = "sweep.over: a certificate is of one system; sweep over the initial state alone"
+        raise ConfigurationError(f"{configuration.path}: {problem}")
+    if isinstance(configuration.system, ForcedSystem):
+        problem = "forces: a certificate is of a system without forces; omit [[forces]]"
+        raise ConfigurationError(f"{configuration.path}: {problem}")
     json_target = None if json_path is None else check_target(json_path, TEXTS)
     figure_target = None if figure_path is None else check_target(figure_path, FIGURES)
     certificate = certify(

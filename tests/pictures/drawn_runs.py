@@ -33,7 +33,10 @@ def made(t: np.ndarray, x: np.ndarray, system: Any = BODY, **series: Any) -> Any
         "carried": None,
         "attitude": None,
     }
-    return SimpleNamespace(t=t, x=x, system=system, incomplete=None, **{**empty, **series})
+    fields = {**empty, **series}
+    invariants = {"energy": fields["energy"], **fields["casimirs"]}
+    start = {"x0": x[0], "t_span": (t[0], t[-1]), "initial": {name: values[0] for name, values in invariants.items()}}
+    return SimpleNamespace(t=t, x=x, system=system, incomplete=None, **{**start, **fields})
 
 
 def sizes_of(run: Any) -> dict[str, np.ndarray]:

@@ -144,12 +144,26 @@ class PlottedRun:
         series = {"energy": self.solution.energy, **self.solution.casimirs}
         return {name: self.select(values) for name, values in series.items()}
 
+    @property
+    def x0(self) -> Floats:
+        """The initial states (members, n), which `t_eval` may not save; real and imaginary parts as in `x`."""
+        states = np.ascontiguousarray(self.solution.x0)
+        states = states.view(np.float64) if np.iscomplexobj(states) else states
+        return states.reshape(-1, self.n)[self._chosen]
+
+    @cached_property
+    def changes(self) -> Mapping[str, Floats]:
+        """The invariants less their values at the start of the run, which `t_eval` may not save."""
+        return {
+            name: values - np.atleast_1d(self.solution.initial[name])[self._chosen][:, None]
+            for name, values in self.invariants.items()
+        }
+
     @cached_property
     def scales(self) -> Mapping[str, Floats]:
-        """The sizes of the invariants at the first saved point, (members, 1), as in `Solution.drift`."""
+        """The sizes of the invariants at the start, (members, 1), as in `Solution.drift`."""
         solution = self.solution
-        series = {"energy": solution.energy, **solution.casimirs}
-        sizes = scales_of_invariants(solution.system, solution.x[0], {name: each[0] for name, each in series.items()})
+        sizes = scales_of_invariants(solution.system, solution.x0, solution.initial)
         return {name: np.atleast_1d(size)[self._chosen][:, None] for name, size in sizes.items()}
 
     @property
@@ -164,9 +178,9 @@ class PlottedRun:
         if not work:
             return None
         changes = {}
-        for name, values in self.invariants.items():
+        for name, change in self.changes.items():
             done = [self.select(by[name]) for by in work.values() if name in by]
-            changes[name] = values - values[:, :1] - sum(done)
+            changes[name] = change - sum(done)
         return changes
 
     @property

@@ -11,8 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from coadjoint.files.archives.archived_run import ACCOUNTS_ATTRIBUTE
-from coadjoint.files.archives.reading import ArchiveError, chunk_file, missing_chunk_error, open_folder, read_array
+from coadjoint.files.archives.archived_run import ACCOUNTS_ATTRIBUTE, FINISHED, STEPS
+from coadjoint.files.archives.reading import (
+    ArchiveError,
+    chunk_file,
+    missing_chunk_error,
+    open_folder,
+    read_array,
+    read_root,
+)
 from coadjoint.files.archives.stored_arrays import StoredArray
 from coadjoint.files.datasets.export import stored_inputs
 from coadjoint.files.datasets.named_axes import MEMBER, coordinate_variables, label_of, stored_axes, unstacked
@@ -37,12 +44,19 @@ def archive_record(
     **values: Any,
 ) -> RunRecord:
     """Return the record of a run in an archive; `functions` and `values` add its own fields."""
+    steps = int(attributes.get(STEPS, 0))
+    # A later end replaces the last point of a run whose last interval is shorter than the others.
+    replaceable = attributes[FINISHED] and steps % int(attributes["save_every"]) > 0
+    check_last_point = partial(_check_steps, path, steps) if replaceable else None
 
     def read_entire(name: str) -> NDArray[Any]:
         array = arrays[name]
         what = f"{name} of the archive {path}"
         check_available_memory(16 * prod(array.shape), what, f"read a part of to_xarray()[{name!r}]")
-        return read_array(path, name, array, may_be_missing=may_be_missing(name))
+        values = read_array(path, name, array, may_be_missing=may_be_missing(name))
+        if array.grows and check_last_point is not None:
+            check_last_point()
+        return values
 
     def inputs(events: Any = ()) -> dict[str, Any]:
         import xarray
@@ -70,7 +84,8 @@ def archive_record(
                 entry = {name: (array.dims, read_entire(name), dict(array.attributes))}
                 variables[name] = unstacked(xarray.Dataset(coords=entry, attrs=own))[name].variable
             else:
-                variables[label_of(name, axes)] = variable(ArchivedArray(path, name, array, may_be_missing(name), axes))
+                lazy = ArchivedArray(path, name, array, may_be_missing(name), axes, check_last_point)
+                variables[label_of(name, axes)] = variable(lazy)
         variables |= coordinate_variables(axes)
         coordinates = [name for name in [*coordinates, *coordinate_variables(axes)] if name in variables]
         return xarray.Dataset(variables, attrs=own).set_coords(coordinates)
@@ -89,6 +104,15 @@ def archive_record(
         check_complete=partial(check_complete, path, arrays),
         **values,
     )
+
+
+def _check_steps(path: Path, steps: int) -> None:
+    """Raise ArchiveError if a run that had ended at a step has been resumed to a later end."""
+    if int(read_root(path)[1].get(STEPS, 0)) != steps:
+        raise ArchiveError(
+            f"{path}: was resumed to a later end after it was opened, and its last point at that time, of step "
+            f"{steps}, was replaced; open it again"
+        )
 
 
 def check_complete(path: Path, arrays: Mapping[str, StoredArray]) -> None:

@@ -24,7 +24,8 @@ from coadjoint.systems.batch import Axis
 class ArchivedArray(BackendArray):
     """An array of an archive that is read when indexed; parameters as for `read_array`.
 
-    With `axes`, these are dimensions in place of the members.
+    With `axes`, these are dimensions in place of the members. `check_last_point` is called when the last of the growing
+    rows has been read, and raises an error if it was replaced since.
     """
 
     def __init__(
@@ -34,8 +35,10 @@ class ArchivedArray(BackendArray):
         array: StoredArray,
         may_be_missing: Callable[[tuple[int, ...]], bool] | None,
         axes: Mapping[str, Axis] | None = None,
+        check_last_point: Callable[[], None] | None = None,
     ) -> None:
         self.path, self.name, self.array, self.may_be_missing = path, name, array, may_be_missing
+        self.check_last_point = check_last_point if array.grows else None
         self.shape, self.dims, self.dtype = array.shape, array.dims, np.dtype(array.kind)
         self._lengths: tuple[int, ...] = ()
         if axes and MEMBER in array.dims:
@@ -76,6 +79,8 @@ class ArchivedArray(BackendArray):
             16 * prod(map(len, ranges)), f"{self.name} of the archive {self.path}", "read a part of it"
         )
         values = read_array(self.path, self.name, self.array, ascending, self.may_be_missing)
+        if self.check_last_point is not None and self.array.shape[0] - 1 in ascending[0]:
+            self.check_last_point()
         restored = (
             (slice(None) if chosen_range.step > 0 else slice(None, None, -1)) if isinstance(index, slice) else 0
             for index, chosen_range in zip(key, ranges, strict=True)

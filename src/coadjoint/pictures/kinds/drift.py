@@ -26,7 +26,7 @@ def drift(drawn: PlottedRun) -> Paint:
     the forces: the error of the run.
     """
     sizes = drawn.scales
-    deviations = {name: np.abs(values - values[:, :1]) / sizes[name] for name, values in drawn.invariants.items()}
+    deviations = {name: np.abs(change) / sizes[name] for name, change in drawn.changes.items()}
     energy = deviations.pop("energy")
     lines = {"energy": energy, **_worst(deviations)}
 

@@ -27,9 +27,9 @@ def error(drawn: PlottedRun) -> Paint:
     indices = spread(len(drawn.t), MAX_TIMES)
     t = drawn.t[indices]
     errors_of_members = []
-    for states in drawn.x:
-        exact = np.asarray(system.exact(states[0], t - drawn.t[0]))
-        size = float(np.linalg.norm(states[0])) or 1.0
+    for states, x0 in zip(drawn.x, drawn.x0, strict=True):
+        exact = np.asarray(system.exact(x0, t - drawn.solution.t_span[0]))
+        size = float(np.linalg.norm(x0)) or 1.0
         errors_of_members.append(np.linalg.norm(states[indices] - exact, axis=-1) / size)
     errors = np.array(errors_of_members)
 

@@ -1,0 +1,34 @@
+"""Solutions of archives that are resumed to a later end after they were opened."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.files.archives.reading import ArchiveError
+
+BODY, X0 = co.systems.rigid_body(inertia=(1, 2, 3)), [(1.0, 0.2, 0.5), (0.1, 1.0, 0.1)]
+
+
+def _opened_and_resumed(path, save_every):
+    co.integrate(BODY, X0, (2, -1), 0.1, save_every=save_every, archive=path)
+    opened = co.open_archive(path)
+    dataset = opened.to_xarray()
+    co.resume(path, t_end=-2.0)
+    return opened, dataset
+
+
+def test_last_point_of_a_short_interval_that_was_replaced_is_refused(tmp_path):
+    opened, dataset = _opened_and_resumed(tmp_path / "run.zarr", 20)
+    for read in (lambda: opened.x, lambda: opened.energy, lambda: opened.t, lambda: dataset["x"][-1].values):
+        with pytest.raises(ArchiveError, match=r"resumed to a later end.*open it again"):
+            read()
+    expected = co.integrate(BODY, X0, (2, -1), 0.1, save_every=20).x
+    assert np.array_equal(dataset["x"][:2].values, expected[:2])
+
+
+def test_points_of_equal_intervals_are_those_of_the_opened_run(tmp_path):
+    opened, dataset = _opened_and_resumed(tmp_path / "run.zarr", 10)
+    expected = co.integrate(BODY, X0, (2, -1), 0.1, save_every=10)
+    assert np.array_equal(opened.x, expected.x)
+    assert np.array_equal(opened.t, expected.t)
+    assert np.array_equal(dataset["energy"].values, expected.energy)
