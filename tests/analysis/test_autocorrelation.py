@@ -51,6 +51,14 @@ def test_members_are_pooled():
     assert repr(one).startswith("<autocorrelation: integrated time")
 
 
+def test_lags_of_a_backward_series_are_those_of_the_forward_one():
+    t, series = 0.25 * np.arange(400), autoregressive(0.6, 400)[:, 0]
+    forward, backward = autocorrelation(t, series), autocorrelation(3.0 - t, series)
+    assert np.array_equal(backward.t, forward.t) and backward.t[1] == 0.25
+    assert (backward.time, backward.error, backward.window) == (forward.time, forward.error, forward.window)
+    assert np.array_equal(backward.values, forward.values) and backward.error > 0
+
+
 def test_complex_rotation_that_decays():
     a = 0.9 * np.exp(0.4j)
     noise = np.random.default_rng(2).normal(size=(2, 60000))

@@ -98,6 +98,14 @@ def test_data_have_all_axes_whatever_their_values():
     assert all({"third", "member"} <= set(data.dims) for data in dataset.data_vars.values())
 
 
+def test_a_coordinate_keeps_axes_of_one_value():
+    """Numbers that differ along axes without coordinates are over these, and over an axis of a single value."""
+    batch = co.batch(lambda pair, last: body(pair[1]), pair=[(2.0, 2.5), (2.0, 3.0)], last=[1])
+    dataset = co.integrate(batch, states(4), SPAN, STEP).to_xarray()
+    assert dataset["swept_inertia_2"].dims == ("pair", "last")
+    assert dataset["swept_inertia_2"].values.tolist() == [[2.5], [3.0]]
+
+
 def test_two_axes_of_parameters():
     both = co.batch(lambda second, third: co.systems.rigid_body((1, second, third)), second=[2.25, 2.0], third=THIRDS)
     dataset = co.integrate(both, (0.1, 1.0, 0.2), SPAN, STEP).to_xarray()
