@@ -17,13 +17,14 @@ def _opened_and_resumed(path, save_every):
     return opened, dataset
 
 
-def test_last_point_of_a_short_interval_that_was_replaced_is_refused(tmp_path):
-    opened, dataset = _opened_and_resumed(tmp_path / "run.zarr", 20)
+@pytest.mark.parametrize("save_every", [20, 1000])
+def test_last_point_of_a_short_interval_that_was_replaced_is_refused(save_every, tmp_path):
+    opened, dataset = _opened_and_resumed(tmp_path / "run.zarr", save_every)
     for read in (lambda: opened.x, lambda: opened.energy, lambda: opened.t, lambda: dataset["x"][-1].values):
         with pytest.raises(ArchiveError, match=r"resumed to a later end.*open it again"):
             read()
-    expected = co.integrate(BODY, X0, (2, -1), 0.1, save_every=20).x
-    assert np.array_equal(dataset["x"][:2].values, expected[:2])
+    expected = co.integrate(BODY, X0, (2, -1), 0.1, save_every=save_every).x
+    assert np.array_equal(dataset["x"][:-1].values, expected[:-1])
 
 
 def test_points_of_equal_intervals_are_those_of_the_opened_run(tmp_path):
@@ -32,3 +33,10 @@ def test_points_of_equal_intervals_are_those_of_the_opened_run(tmp_path):
     assert np.array_equal(opened.x, expected.x)
     assert np.array_equal(opened.t, expected.t)
     assert np.array_equal(dataset["energy"].values, expected.energy)
+
+
+def test_end_between_two_steps_is_refused_with_those_around_it(tmp_path):
+    co.integrate(BODY, X0, (2, -1), 0.125, archive=tmp_path / "run.zarr")
+    with pytest.raises(ArchiveError, match=r"t_end -1\.2 is between two steps of 0\.125; give -1\.125 or -1\.25$"):
+        co.resume(tmp_path / "run.zarr", t_end=-1.2)
+    assert co.resume(tmp_path / "run.zarr", t_end=-1.25).finished

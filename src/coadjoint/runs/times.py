@@ -123,6 +123,10 @@ class Times(NamedTuple):
         return np.asarray(self.t0 + numbers * self.h, dtype=np.float64)
 
 
+class StepDoesNotDivide(ValueError):
+    """A span is no whole number of steps."""
+
+
 def times_of(t_span: Any, step: Any, save_every: Any) -> Times:
     """Validate span, step and `save_every`; h has the sign of the span's direction.
 
@@ -152,7 +156,7 @@ def times_between(ends: tuple[float, float], size: float, save_every: Any) -> Ti
     # Ends, span, step and quotient are each rounded: 8 round-offs cover all of them.
     if abs(quotient - steps) > 8 * UNIT_ROUNDOFF * max(quotient, abs(first) / size):
         count = max(1, math.floor(quotient))
-        raise ValueError(
+        raise StepDoesNotDivide(
             f"step {size!r} does not divide the time {abs(span)!r}; "
             f"the nearest steps that do are {abs(span) / (count + 1)!r} and {abs(span) / count!r}"
         )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from coadjoint.files.archives.archived_run import ACCOUNTS_ATTRIBUTE, FINISHED, STEPS
+from coadjoint.files.archives.archived_run import ACCOUNTS_ATTRIBUTE, FINISHED, SAVE_EVERY, STEPS
 from coadjoint.files.archives.reading import (
     ArchiveError,
     chunk_file,
@@ -46,7 +46,7 @@ def archive_record(
     """Return the record of a run in an archive; `functions` and `values` add its own fields."""
     steps = int(attributes.get(STEPS, 0))
     # A later end replaces the last point of a run whose last interval is shorter than the others.
-    replaceable = attributes[FINISHED] and steps % int(attributes["save_every"]) > 0
+    replaceable = attributes[FINISHED] and steps % int(attributes.get(SAVE_EVERY, steps or 1)) > 0
     check_last_point = partial(_check_steps, path, steps) if replaceable else None
 
     def read_entire(name: str) -> NDArray[Any]:

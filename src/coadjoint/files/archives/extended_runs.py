@@ -9,6 +9,7 @@ the state at its start.
 from __future__ import annotations
 
 import json
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from coadjoint.files.archives.archived_run import FINISHED, SAVE_EVERY, STATES, 
 from coadjoint.files.archives.reading import ArchiveError, StoredState, read_state
 from coadjoint.files.archives.store import ArchiveStore
 from coadjoint.runs.piecewise_run import STATE_PREFIX, PiecewiseRun, larger_deviations
-from coadjoint.runs.times import times_between
+from coadjoint.runs.times import StepDoesNotDivide, times_between
 from coadjoint.validation import read_number
 
 if TYPE_CHECKING:
@@ -33,7 +34,15 @@ def extended_times(store: ArchiveStore, times: Times, prepared: PreparedRun, t_e
     The end must be a whole number of steps from the start, and later than the steps already taken.
     """
     end, attributes = read_number(t_end, "t_end"), store.attributes
-    extended = times_between((times.t0, end), prepared.step, attributes[SAVE_EVERY])
+    try:
+        extended = times_between((times.t0, end), prepared.step, attributes[SAVE_EVERY])
+    except StepDoesNotDivide:
+        # The step of a run that has begun cannot be changed.
+        before = times.t0 + math.floor((end - times.t0) / times.h) * times.h
+        raise ArchiveError(
+            f"{store.path}: t_end {end:g} is between two steps of {prepared.step:g}; give {before:.12g} or "
+            f"{before + times.h:.12g}"
+        ) from None
     if extended.steps == times.steps and extended.h == times.h:
         return times
     if attributes["between_steps"]:
