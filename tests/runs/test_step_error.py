@@ -94,6 +94,14 @@ def test_of_driven_systems_at_the_times_of_the_points():
     assert early.step_error() < 1e-3 < 0.1 < late.step_error()
 
 
+@pytest.mark.parametrize("x0", [(1e-3, 1.0, 1e-3), [(1.0, 0.2, 0.5), (1e-3, 1.0, 1e-3)]], ids=["one", "members"])
+def test_of_a_file_is_that_of_the_run(x0, tmp_path):
+    """The motion starts slowly, so that the start alone would give another error."""
+    sol = co.integrate(BODY, x0, (5, -35), 0.8, co.Splitting(order=2))
+    sol.to_xarray().to_netcdf(tmp_path / "run.nc")
+    assert co.load(tmp_path / "run.nc").step_error() == sol.step_error()
+
+
 def test_of_matrices_forces_archives_and_read_runs(tmp_path):
     fluid = co.systems.sphere_euler(N=5)
     W = fluid.matrices(np.random.default_rng(1).normal(size=fluid.dim))

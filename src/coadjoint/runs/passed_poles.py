@@ -35,6 +35,11 @@ class Pole(NamedTuple):
     t: float
 
 
+def states_in_memory(solution: Solution) -> bool:
+    """Test whether the states are those of a run or a file; those of archives are not read to check steps."""
+    return "saved" in solution.record or "dataset" in solution.record
+
+
 def passed_pole(solution: Solution, system: Any, method: Method, members: NDArray[np.int64], h: float) -> Pole | None:
     """Return the first step found that passes a pole; None for other schemes than Kahan's, and with forces.
 
@@ -43,9 +48,9 @@ def passed_pole(solution: Solution, system: Any, method: Method, members: NDArra
     base = method.innermost if isinstance(method, Composition) else method
     if not isinstance(base, Kahan) or forces_of(system) or system.dim**3 > EXAMINED:
         return None
-    if "saved" in solution.record and len(solution.t) > 1:
+    if states_in_memory(solution) and len(solution.t) > 1:
         t, states = solution.t, solution.x.reshape(len(solution.t), -1, system.dim)[:, members]
-    else:  # states of archives are not read for this
+    else:
         t = np.array([solution.t_span[0], solution.t_span[0] + h])
         states = np.repeat(momenta_of(system, solution.x0)[0][None, members], 2, 0)
     owners = system.owners[members] if is_batch(system) else np.zeros(len(members), dtype=np.int64)

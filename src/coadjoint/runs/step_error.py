@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import LargeStepWarning
 from coadjoint.long_operations import warn_caller
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.passed_poles import passed_pole
+from coadjoint.runs.passed_poles import passed_pole, states_in_memory
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import momenta_of, with_group
@@ -71,7 +71,7 @@ def _worst(solution: Solution, prepared: PreparedRun | None) -> tuple[float, int
         relative = np.nan_to_num(np.sqrt(errors / changes), nan=0.0)
     worst = int(np.argmax(relative))
     error, member = float(relative[worst]), int(members[worst])
-    if "saved" in solution.record and len(solution.t) > 1:
+    if states_in_memory(solution) and len(solution.t) > 1:
         passage, closest = _passages(solution, system, members)
         found = [] if passage is None else [(_error_of_passage(solution, prepared, members, *passage, h), passage[0])]
         found += _error_inside(solution, prepared, members, closest, h)
@@ -192,7 +192,7 @@ def _points(solution: Solution, system: Any, members: NDArray[np.int64]) -> list
     start = momenta_of(system, solution.x0)[0][members]
     count = max(1, min(POINTS, NUMBERS // start.size, len(solution.t) - 1))
     points = [(solution.t_span[0], start)]
-    if "saved" not in solution.record:  # states of archives are not read for this
+    if not states_in_memory(solution):
         return points
     for k in np.linspace(0, len(solution.t) - 1, count, endpoint=False).astype(int)[1:].tolist():
         # Members that have ended or failed take their first step again.
