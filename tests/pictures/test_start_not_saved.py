@@ -37,3 +37,14 @@ def test_change_less_work_is_the_balance_from_the_start():
     error = sol.energy - damped.energy(X0[0]) - sol.work["LinearDamping"]["energy"]
     assert np.allclose(lines[1], np.abs(error) / damped.energy(X0[0]), rtol=1e-9, atol=0)
     assert lines[1].max() <= sol.balance()["energy"]
+
+
+@pytest.mark.parametrize("ends", [(0.0, END), (END, 0.0)], ids=["forward", "backward"])
+@pytest.mark.parametrize("x0", [X0[0], X0], ids=["one", "members"])
+def test_modified_energies_deviate_from_those_of_the_initial_state(x0, ends):
+    lines = []
+    for times in (TIMES[:1], (ends[0], *TIMES[:1])):
+        sol = co.integrate(BODY, x0, ends, STEP, co.Splitting(order=2), t_eval=times)
+        lines.append([line.get_ydata()[-1] for line in co.plotting.draw_modified_energy(sol, (4, 6)).axes[0].lines])
+    assert np.allclose(*lines, rtol=1e-6, atol=0)
+    assert len(lines[0]) == 3 and min(lines[0]) > 0

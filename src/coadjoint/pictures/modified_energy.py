@@ -9,13 +9,11 @@ import numpy as np
 
 from coadjoint.optional_packages import require_packages
 from coadjoint.pictures.style import colour, legend, plain_axes, with_figure_settings
-from coadjoint.runs.results.solution import check_solution
+from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.validation import read_integer, read_list
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from coadjoint.runs.results.solution import Solution
 
 MAX_POINTS = 5000
 """Largest number of points drawn; a printed line does not resolve more."""
@@ -66,12 +64,22 @@ def draw_deviations(axes: Any, solution: Solution, orders: Sequence[int]) -> Non
     """Draw the deviations of energy and modified energies of the first member from their initial values into axes."""
     series = {"energy $H$": solution.energy}
     series |= {rf"$\tilde H$ of order {order}": solution.modified_energy(order) for order in orders}
+    at_start = [values.reshape(len(values), -1)[0, 0] for values in series.values()]
+    if solution.t[0] != solution.t_span[0]:  # t_eval does not save the start
+        at_start = _energies_at_start(solution, orders)
     every = max(1, -(-len(solution.t) // MAX_POINTS))
-    for line, (label, values) in enumerate(series.items()):
+    for line, ((label, values), initial) in enumerate(zip(series.items(), at_start, strict=True)):
         energy = values.reshape(len(values), -1)[:, 0]
-        deviation = np.abs(energy - energy[0])[::every]
+        deviation = np.abs(energy - initial)[::every]
         # Zero deviations have no logarithm, and leave gaps.
         visible = np.where(deviation > 0.0, deviation, np.nan)
         axes.plot(solution.t[::every], visible, color=colour(line), linewidth=0.9, label=label)
     axes.set(yscale="log", xlabel="time $t$", ylabel="absolute deviation from start")
     plain_axes(axes)
+
+
+def _energies_at_start(solution: Solution, orders: Sequence[int]) -> list[Any]:
+    """Return the energy and the modified energies of the initial state of the first member."""
+    start = Solution(solution.record)
+    start.__dict__["x"] = np.asarray(solution.x0)[None]  # as if it were the only saved point
+    return [np.ravel(solution.initial["energy"])[0], *(np.ravel(start.modified_energy(order))[0] for order in orders)]
