@@ -83,6 +83,24 @@ def test_backward_runs_and_other_start_times(body, run) -> None:
     assert back.slope == pytest.approx(co.phase_drift(run).slope, rel=2e-3) and back.growth == "linear"
 
 
+@pytest.mark.parametrize("of", ["momentum", "attitude"])
+@pytest.mark.parametrize("first", [0, 1], ids=["one", "members"])
+def test_the_closed_form_starts_where_the_run_does(body, of: str, first: int) -> None:
+    """Leads at times of `t_eval` after the start are those of the same run with its start."""
+    x0, times = np.array([(1.0, 0.2, 0.5), (0.1, 1.0, 0.1)]), 3.0 + 0.25 * np.arange(10, 130)
+    x0 = x0 if first else x0[0]
+    late, entire = (
+        co.integrate(body, x0, (3.0, 35.25), 0.125, co.Splitting(order=4), attitude=True, t_eval=saved)
+        for saved in (times, np.concatenate([[3.0], times]))
+    )
+    drifts = zip(
+        *(np.atleast_1d(np.array(co.phase_drift(sol, of=of), dtype=object)) for sol in (late, entire)), strict=True
+    )
+    for found, expected in drifts:
+        assert np.allclose(found.lead, expected.lead[1:], rtol=0, atol=1e-11)
+        assert np.abs(found.lead).max() > 1e-9
+
+
 def test_other_algebras_by_a_reference() -> None:
     """On sl(2) nothing has a closed form; the clock of the second run is wrong by a known factor."""
     algebra = co.algebras.get("A3,8")
@@ -186,6 +204,15 @@ def test_a_line_of_either_sign_is_as_early_as_its_motion(body: co.LiePoissonSyst
     # Middles of the windows: an eighth of the span, from the first to the last.
     assert given.t[[0, -1]] == pytest.approx(5.0 + sense * np.array([25.0, 375.0]), abs=0.5)
     assert given.lead == pytest.approx(1e-3 * right[0] * (given.t - 5.0), abs=1e-4)
+
+
+def test_lines_are_compared_with_the_motion_from_the_start_of_the_run(body: co.LiePoissonSystem) -> None:
+    """The times of `t_eval` begin after the start, where the energy of the scheme has changed."""
+    run = co.integrate(body, X0, (5.0, 205.0), 0.2, COORDINATES, t_eval=12.0 + 0.4 * np.arange(480))
+    w = co.frequencies(run, 1, count=1).frequency[0]
+    given = line_drift(run, w, lambda t: np.asarray(body.exact(X0, t - 5.0)), signal=1)
+    assert line_drift(run, w, signal=1).lead == pytest.approx(given.lead, abs=1e-9)
+    assert np.abs(given.lead).max() > 1e-3
 
 
 def test_one_reference_serves_all_members(body: co.LiePoissonSystem) -> None:

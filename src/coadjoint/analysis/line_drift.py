@@ -124,9 +124,9 @@ def _reference_signal(solution: Solution, run: Sampled, reference: Any, signal: 
         raise TypeError(f"signal is {short(signal)}; without a run for the reference give a component or a function")
     signals = []
     for member in range(len(run.values)):
-        x0 = solution.x[0, member] if run.members else solution.x[0]
+        x0 = solution.x0[member] if run.members else solution.x0
         system = member_of(solution.system, member)
-        start = run.t[0] if reference is None else 0.0
+        start = solution.t_span[0] if reference is None else 0.0
         states = motion_of(system, reference, x0)(run.t - start)
         values = states if signal is None else signal(states) if callable(signal) else states[:, signal]
         signals.append(np.asarray(values).reshape(len(run.t), -1))

@@ -184,20 +184,23 @@ def drift_of_series(t: ArrayLike, lead: ArrayLike, unit: str = TIMES) -> PhaseDr
 
 def _member_drift(run: Solution, reference: Any, of: str, member: int | None) -> PhaseDrift:
     system = member_of(run.system, member or 0)
-    x = run.x if member is None else run.x[:, member]
+    # The closed form starts where the run does, also if `t_eval` does not save the start.
+    x, x0 = (run.x, run.x0) if member is None else (run.x[:, member], run.x0[member])
+    start = run.t_span[0]
     if of == "attitude":
-        return drift_of_series(run.t, _precession(run, system, x, reference, member), ANGLES)
-    if reference is None and run.t[0] != 0.0:
-        start = run.t[0]
-        exact = motion_of(system, None, x[0])
+        return drift_of_series(run.t, _precession(run, system, x0, reference, member), ANGLES)
+    if reference is None and start != 0.0:
+        exact = motion_of(system, None, x0)
         return drift_of_series(run.t, leads(system, lambda t: exact(t - start), run.t, x))
-    return drift_of_series(run.t, leads(system, motion_of(system, reference, x[0], member), run.t, x))
+    return drift_of_series(run.t, leads(system, motion_of(system, reference, x0, member), run.t, x))
 
 
-def _precession(run: Solution, system: Any, x: Floats, reference: Any, member: int | None) -> Floats:
+def _precession(run: Solution, system: Any, x0: Floats, reference: Any, member: int | None) -> Floats:
     attitude = _attitude(run, member, "the run")
+    initial = np.asarray(run.attitude0)
+    initial = initial if initial.ndim == 2 else initial[member or 0]
     if reference is None:
-        exact = np.asarray(system.exact(x[0], run.t - run.t[0], attitude=attitude[0])[1])
+        exact = np.asarray(system.exact(x0, run.t - run.t_span[0], attitude=initial)[1])
     elif isinstance(reference, Solution):
         exact = _attitude(reference, member, "the reference")
         if not np.array_equal(reference.t, run.t):
@@ -206,7 +209,7 @@ def _precession(run: Solution, system: Any, x: Floats, reference: Any, member: i
         raise TypeError(
             f"reference is {short(reference)}; for the attitude give a Solution, or None for the closed form"
         )
-    return np.asarray(np.unwrap(twist(attitude, exact, attitude[0] @ x[0])))
+    return np.asarray(np.unwrap(twist(attitude, exact, initial @ x0)))
 
 
 def _attitude(run: Solution, member: int | None, name: str) -> Floats:
