@@ -8,6 +8,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.parameters import with_parameters
 
 WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
 DISTANCE = 2.0**-10
@@ -217,6 +218,38 @@ def test_parameters_do_not_move_coefficients_that_are_inputs(method):
         np.testing.assert_allclose(tangents.x[..., k], differences, rtol=0, atol=DIFFERENCE_ERROR)
 
 
+DAMPED = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.4], linear=[0.1, 0.2, 0.3])).with_forces(
+    co.forces.DoubleBracketDamping(0.3)
+)
+
+
+@pytest.mark.parametrize(
+    ("system", "method", "name", "x0"),
+    [
+        (TOP, co.CommutatorFree(), "lever", X6),
+        (CUBIC, co.Taylor(order=4), "coefficients", X3),
+        (DAMPED, co.Splitting(order=2), "linear", X3),
+    ],
+    ids=["steps in Python", "coefficients", "flow of a force"],
+)
+def test_differences_by_parameters_keep_coefficients_that_are_no_inputs(system, method, name, x0):
+    """Systems with moved parameters have their own linear terms where no input has replaced them."""
+    rates, span = {"u": (1,)}, (0.0, 0.15)
+    ready = co.prepare(system, method, 0.05, inputs=rates)
+    value, rng = ready.parameters[name], np.random.default_rng(9)
+    direction = rng.standard_normal(value.shape)
+
+    def run(by):
+        moved = co.prepare(with_parameters(system, {name: value + by * direction}), method, 0.05, inputs=rates)
+        return moved.run(x0, span, u=[0.3]).x
+
+    _, tangents = ready.jvp(x0, span, {name: direction}, u=[0.3])
+    moved = ((run(j * DISTANCE), run(-j * DISTANCE)) for j in range(1, 5))
+    differences = sum(w * (one - other) / DISTANCE for w, (one, other) in zip(WEIGHTS, moved, strict=True))
+    assert np.max(np.abs(differences)) > 0.01
+    np.testing.assert_allclose(tangents.x, differences, rtol=0, atol=DIFFERENCE_ERROR)
+
+
 def test_several_directions_of_inputs_are_carried_together():
     ready = co.prepare(TOP, co.Splitting(order=4), 0.05, inputs=FIELDS)
     units = {"fields": np.zeros((2, 2, 5)), "rotor": np.zeros((1, 5))}
@@ -226,6 +259,7 @@ def test_several_directions_of_inputs_are_carried_together():
     for k in range(5):
         _, one = ready.jvp(X6, (0.0, 1.0), {"inputs": {n: u[..., k] for n, u in units.items()}}, 20, **FOUR)
         np.testing.assert_allclose(tangents.x[..., k], one.x, rtol=0, atol=2.0**6 * UNIT_ROUNDOFF)
+        np.testing.assert_allclose(tangents.energy[..., k], one.energy, rtol=0, atol=2.0**6 * UNIT_ROUNDOFF)
     assert not tangents.x[..., 4].any()
 
 

@@ -215,10 +215,17 @@ class Inputs:
         return settled(method, self._unforced, coordinates.tolist()) if len(coordinates) else method
 
     def system_at(self, values: Floats, of: Any = None) -> Any:
-        """Return the system, or another one that differs in its parameters, with these values, (m,)."""
+        """Return the system, or another one that differs in its parameters, with these values, (m,).
+
+        Of the other one, coefficients that are no inputs are kept.
+        """
         size, system = len(self._linear), self._unforced if of is None else unforced(of)
         if size:
-            system = with_linear(system, values[:size])
+            linear, at = values[:size], self.in_energy
+            if of is not None:
+                linear = linear_of(system.hamiltonian, size)
+                linear[at] = values[at]
+            system = with_linear(system, linear)
         forces: list[Any] = [force for _, force in forces_of(self.system if of is None else of)]
         if not forces:
             return system
