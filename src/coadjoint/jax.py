@@ -40,7 +40,7 @@ def solution(
     backend : {"compiled", "xla"}
         Where runs are computed. ``"compiled"``: by a callback into the compiled loops. ``"xla"``: by operations of JAX,
         on all devices, from the table of a splitting, or with 20 iterations in each step of `GaussLegendre`; not for
-        other schemes, attitudes and compensated sums. The numbers agree to rounding. See docs/derivatives.md.
+        other schemes, forces, attitudes and compensated sums. The numbers agree to rounding. See docs/derivatives.md.
 
     Returns
     -------

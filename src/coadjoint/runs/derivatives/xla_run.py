@@ -24,7 +24,7 @@ from coadjoint.runs.derivatives.xla_stages import StageSteps
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.systems.coefficients import coefficients_of
 from coadjoint.systems.parameters import parameters_at, with_parameters
-from coadjoint.systems.protocol import has_structure_constants
+from coadjoint.systems.protocol import forces_of, has_structure_constants
 
 CALLER = 'co.jax.solution with backend="xla"'
 
@@ -44,6 +44,8 @@ class XlaRun:
         self._system = prepared.system
         if prepared.representation is not None:
             raise TypeError(f'{CALLER} computes no attitudes; prepare without attitude=, or take backend="compiled"')
+        if forces_of(self._system):
+            raise TypeError(f'{CALLER} takes no forces, and {self._system.name} has some; take backend="compiled"')
         self._table = self._describe(prepared.method.expanded)
         times, moments = self._run.times, self._run.moments
         self._t0, self._h = times.t0, times.h
