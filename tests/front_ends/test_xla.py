@@ -318,10 +318,28 @@ def test_ensembles_are_sharded_over_devices():
     assert done.stdout == "sharded\n", done.stderr
 
 
+def test_bonds_turn_by_angles_beyond_the_series():
+    """In a long step two spins turn about their sum by more than a radian."""
+    ready = co.prepare(co.systems.spin_lattice("chain", 3), co.Splitting(parts="bonds"), 1.5)
+    x0 = [0.6, 0.0, 0.8, 0.48, 0.64, 0.6, 0.0, 0.6, -0.8]
+    found = co.jax.solution(ready, (0, 6), backend="xla")(x0)
+    np.testing.assert_allclose(found, ready.run(x0, (0, 6)).x, rtol=0, atol=1e-13)
+
+
 @pytest.mark.parametrize(
     ("ready", "error", "message"),
     [
         (lambda: prepared(attitude=True), TypeError, "computes no attitudes; prepare without attitude="),
+        *(
+            (
+                lambda method=method: co.prepare(
+                    co.systems.rigid_body((1.0, 2.0, 2.5)).with_forces(co.forces.LinearDamping(0.1)), method, 0.1
+                ),
+                TypeError,
+                'takes no forces, and rigid_body with LinearDamping has some; take backend="compiled"',
+            )
+            for method in (co.Splitting(), co.GaussLegendre(2))
+        ),
         (lambda: prepared(method=co.GaussLegendre(2), inputs=True), TypeError, "prepare without inputs="),
         (
             lambda: prepared(method=co.Splitting(compensated=True)),
@@ -357,7 +375,17 @@ def test_ensembles_are_sharded_over_devices():
             "takes systems on a Lie algebra",
         ),
     ],
-    ids=["attitude", "inputs", "compensated", "scheme", "functions", "Python functions", "no algebra"],
+    ids=[
+        "attitude",
+        "forces",
+        "forces by stages",
+        "inputs",
+        "compensated",
+        "scheme",
+        "functions",
+        "Python functions",
+        "no algebra",
+    ],
 )
 def test_runs_that_are_not_supported_are_refused(ready, error, message):
     with pytest.raises(error, match=message):
