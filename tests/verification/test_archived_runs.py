@@ -236,5 +236,5 @@ def test_unfinished_run_gets_another_end(tmp_path):
     for end in (0.0, 41 * STEP, 59 * STEP, -100 * STEP):
         with pytest.raises(ValueError, match=r"t = 3 .*later end"):
             co.resume(path, end)
-    with pytest.raises(ValueError, match="does not divide"):
+    with pytest.raises(ValueError, match="between two steps"):
         co.resume(path, 61.5 * STEP)

@@ -1,4 +1,4 @@
-"""Poles of Kahan's method that a run has passed: steps that jump through infinity."""
+"""Poles that a run has passed, of schemes whose steps solve a linear system: steps that jump through infinity."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.composition import Composition
-from coadjoint.methods.kahan import Kahan, QuadraticField
+from coadjoint.methods.numerics.quadratic_field import QuadraticField
 from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.results.solution import Solution
@@ -41,25 +40,27 @@ def states_in_memory(solution: Solution) -> bool:
 
 
 def passed_pole(solution: Solution, system: Any, method: Method, members: NDArray[np.int64], h: float) -> Pole | None:
-    """Return the first step found that passes a pole; None for other schemes than Kahan's, and with forces.
+    """Return the first step found that passes a pole; None for schemes without poles, and with forces.
 
     The steps examined are those after the saved points where f' is largest.
     """
-    base = method.innermost if isinstance(method, Composition) else method
-    if not isinstance(base, Kahan) or forces_of(system) or system.dim**3 > EXAMINED:
+    if forces_of(system) or system.dim**3 > EXAMINED:
+        return None
+    owners = system.owners[members] if is_batch(system) else np.zeros(len(members), dtype=np.int64)
+    chosen = [np.flatnonzero(owners == owner) for owner in np.unique(owners)[:SYSTEMS]]
+    candidates = (method.field_with_poles(member_of(system, int(members[those[0]]))) for those in chosen)
+    fields = [field for field in candidates if field is not None]
+    if not fields:
         return None
     if states_in_memory(solution) and len(solution.t) > 1:
         t, states = solution.t, solution.x.reshape(len(solution.t), -1, system.dim)[:, members]
     else:
         t = np.array([solution.t_span[0], solution.t_span[0] + h])
         states = np.repeat(momenta_of(system, solution.x0)[0][None, members], 2, 0)
-    owners = system.owners[members] if is_batch(system) else np.zeros(len(members), dtype=np.int64)
-    found = []
-    for owner in np.unique(owners)[:SYSTEMS].tolist():
-        chosen = np.flatnonzero(owners == owner)
-        field = QuadraticField.of(member_of(system, int(members[chosen[0]])))
-        pole = _first_pole(field, t, states[:, chosen], [h * fraction for fraction in method.fractions])
-        found += [] if pole is None else [pole._replace(member=int(chosen[pole.member]))]
+    found, lengths = [], [h * fraction for fraction in method.fractions]
+    for field, those in zip(fields, chosen, strict=True):
+        pole = _first_pole(field, t, states[:, those], lengths)
+        found += [] if pole is None else [pole._replace(member=int(those[pole.member]))]
     return min(found, key=lambda pole: abs(pole.t - t[0]), default=None)
 
 
