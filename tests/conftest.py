@@ -8,6 +8,8 @@ import pytest
 
 from long import thin
 
+collect_ignore = ["browsed"]  # programs of `make site-test`, which has a browser
+
 
 def pytest_configure():
     """Let tests interrupt processes, also if they run in the background of a shell, which ignores interrupts."""

@@ -312,9 +312,9 @@ def test_leads_on_any_grid_are_those_on_the_steps(t0):
     assert np.array_equal(other.t, one.t[35::11])
     # Leads are iterated until they change by less than 2^-40 of the time.
     np.testing.assert_allclose(other.lead, one.lead[35::11], rtol=0, atol=2.0**-38 * 160.0)
-    # Without a reference the first saved point is right, at its own time.
-    assert abs(co.phase_drift(some).lead[0]) < 2.0**-38 * 160.0
-    close(co.phase_drift(fine), one, 1e-9)
+    # Without a reference the start of the run is right, also if it is not saved.
+    for sol, wanted in ((fine, one), (some, other)):
+        close(co.phase_drift(sol), wanted, 1e-9)
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])

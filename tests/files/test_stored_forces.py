@@ -99,7 +99,7 @@ def test_command_prints_change_and_balance(tmp_path, capsys):
     energy = next(line.split() for line in lines if line.split()[0] == "energy")
     assert float(energy[1]) > 0.01 > 1e-3 > float(energy[2])
     assert main(["certify", str(path)]) == 2
-    assert "has forces" in capsys.readouterr().err
+    assert "certificate is of a system without forces" in capsys.readouterr().err
 
 
 FLUID = """

@@ -69,7 +69,7 @@ def test_every_draw_keeps_every_casimir(name):
 def test_directions_that_commute_move_together():
     spins = co.algebras.copies(co.algebras.so(3), 4)
     assert commuting_sets(spins, 1.0) == ((0, 3, 6, 9), (1, 4, 7, 10), (2, 5, 8, 11))
-    assert commuting_sets(spins, np.array([0.0] * 3 + [1.0] * 9)) == ((3, 6, 9), (4, 7, 10), (5, 8, 11))
+    assert commuting_sets(spins, (0.0,) * 3 + (1.0,) * 9) == ((3, 6, 9), (4, 7, 10), (5, 8, 11))
     for algebra in ALGEBRAS.values():
         for some in commuting_sets(algebra, 1.0):
             assert all(algebra.commuting(i, j) for i in some for j in some)

@@ -135,6 +135,7 @@ DIFFERENT = {
     "symmetrized": "a wrapper is symmetrized inside",
     "composed": "tests/methods/test_composition.py",
     "reaching": "a wrapper has no tolerance of its own",
+    "field_with_poles": "tests/runs/test_passed_poles.py; only the steps of compositions are those of the base",
     "examples": "belongs to the class",
 }
 
