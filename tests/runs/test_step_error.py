@@ -303,6 +303,17 @@ def test_long_runs_are_searched_in_pieces(monkeypatch):
     assert runs[1].__dict__.pop("_step_error") == error == runs[1].step_error()
 
 
+@pytest.mark.parametrize("limit", [3, 6])
+def test_states_of_more_numbers_than_the_limit_are_compared(limit, monkeypatch):
+    """The pieces that are searched are no longer than the run."""
+    top, x0 = co.systems.heavy_top(), [0.1, 0.2, 1.0, 0.6, 0.0, 0.8]
+    sols = [co.integrate(top, x0, (0, 0.4), 0.2, co.Splitting(order=2), save_every=2) for _ in range(2)]
+    error = sols[0].step_error()
+    monkeypatch.setattr(module, "NUMBERS", limit)
+    assert len(sols[1].t) == 2
+    assert sols[1].__dict__.pop("_step_error") == error == sols[1].step_error() > 0.0
+
+
 @pytest.mark.parametrize("as_batch", [False, True])
 def test_the_member_with_the_fastest_passage_is_named(as_batch):
     states = np.array([orbit(0.1), orbit(0.3), orbit(0.9), orbit(0.5)])

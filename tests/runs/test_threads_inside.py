@@ -80,6 +80,12 @@ def bodies():
     return copies(co.algebras.so(3), 7)
 
 
+def unequal_heisenberg():
+    """Heisenberg algebras of different structure constants, as one algebra."""
+    triples = [(3 * k, 3 * k + 1, 3 * k + 2, 1.0 + k / SPINS) for k in range(SPINS)]
+    return co.LiePoissonSystem(co.LieAlgebra(triples, dim=3 * SPINS), co.Quadratic(np.ones(3 * SPINS)), casimirs={})
+
+
 def isotropic():
     return co.systems.spin_lattice("square", (50, 50), periodic=True, exchange=0.7)
 
@@ -102,6 +108,7 @@ MORE = {
     "squares of each copy": (bodies, co.Splitting(), 0.01),
     "full copies of sl(2)": (lambda: copies(co.algebras.sl(2), 8), co.Splitting(), 0.01),
     "scalings and shears": (lambda: copies(affine, 9), co.Splitting(), 0.01),
+    "shears by different constants": (unequal_heisenberg, co.Splitting(), 0.01),
     "Gauss": (isotropic, co.GaussLegendre(2), 0.05),
     "midpoint": (disordered, co.GaussLegendre(1), 0.05),
     "Gauss by Newton and Krylov": (isotropic, co.GaussLegendre(2), 0.8),

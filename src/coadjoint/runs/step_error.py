@@ -89,7 +89,7 @@ def _passages(solution: Solution, system: Any, members: NDArray[np.int64]) -> tu
     rest. Of long runs, first the fastest of many equal pieces is found.
     """
     count = len(solution.t) - 1
-    stride = max(1, count * len(members) * system.dim // NUMBERS)
+    stride = min(count, max(1, count * len(members) * system.dim // NUMBERS))
 
     def speeds(first: int, last: int, stride: int) -> Floats:
         """Speeds between every stride-th saved point, (intervals, members); of members that have ended 0."""
