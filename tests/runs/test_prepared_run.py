@@ -45,14 +45,49 @@ def test_each_direction_is_prepared_once(monkeypatch):
     )
     ready = co.prepare(BODY, None, 0.1)
     assert calls == [0.1]
-    ready.run(X, (0, 2))
-    assert calls[1:] == [0.05]  # the check of the step by the first run
-    calls.remove(0.05)
-    there = ready.run(X, (0, 2))
+    there = ready.run(X, (0, 2))  # the first run also takes half steps, to check the size of the step
     back = ready.run(there.x[-1], (2, 0))
     again = ready.run(there.x[-1], (2, 0))
-    assert calls == [0.1, -0.1]
+    assert calls == [0.1], "tables of half a step and of the negative step are multiples of those of the step"
     assert np.array_equal(back.x, again.x) and np.abs(back.x[-1] - X).max() < 1e-14 * 20
+
+
+@pytest.mark.parametrize("ratio", [-1.0, 0.5, -0.25, 4.0])
+@pytest.mark.parametrize(
+    ("system", "method"),
+    [
+        (BODY, co.Splitting(order=4)),
+        (BODY, co.Splitting(order=4, compensated=True)),
+        (BODY, co.Splitting(order=2, rotation="rational")),
+        (BODY, co.Splitting(order=2, parts="free_body")),
+        (co.systems.heavy_top(), co.Splitting(order=4)),
+        (co.systems.rigid_body((1, 2, 3)).with_forces(co.forces.LinearDamping(0.1)), co.Splitting(order=2)),
+        (co.systems.spin_lattice("chain", 4, field=lambda t: [0.0, t, 0.1]), co.Splitting(order=2)),
+        (co.systems.spin_lattice("chain", 4), co.Splitting(order=2, parts="bonds")),
+    ],
+    ids=str,
+)
+def test_loops_of_other_steps_are_those_prepared_for_them(system, method, ratio):
+    h, x0 = 0.1 * ratio, np.linspace(0.2, 1.1, system.dim)
+    first, fresh = (co.prepare(system, method, step, attitude="coadjoint") for step in (0.1, abs(h)))
+    found = first.loops(0.1).at_step(h)
+    if isinstance(system, co.ForcedSystem):
+        assert found is None, "steps with forces contain the loop of the scheme"
+        return
+    first._loops_by_step = {h: found}
+    fresh._loops_by_step.clear()
+    times, sols = fresh.times_of((1.0, 1.0 + 7 * h))[0], []
+    for ready in (first, fresh):
+        run = ready.begun(times, ready.start(x0))
+        run.advance(False)
+        sols.append(run.solution(None))
+    for name in ("x", "attitude", "energy"):
+        np.testing.assert_array_equal(getattr(sols[0], name), getattr(sols[1], name))
+
+
+@pytest.mark.parametrize(("h", "shared"), [(0.05, True), (-0.1, True), (0.1 / 3, False), (1e-320, False), (0.3, False)])
+def test_loops_are_shared_by_steps_that_differ_by_a_power_of_two(h, shared):
+    assert (co.prepare(BODY, co.Splitting(), 0.1).loops(0.1).at_step(h) is not None) == shared
 
 
 def test_solutions_own_their_arrays():

@@ -209,7 +209,7 @@ class PreparedRun:
     def in_one_thread(self) -> PreparedRun:
         """Return a copy that uses one thread, and whose further loops are its own."""
         copied = copy.copy(self)
-        copied._threads = 1
+        copied._threads, copied._loops_by_step = 1, dict(self._loops_by_step)
         return copied
 
     def at_fixed_steps(self, scheme: Method) -> PreparedRun:
@@ -686,6 +686,9 @@ class PreparedRun:
             return InputLoops(self._inputs, self._scheme, h, self._representations[0])
         if is_batch(self.system):
             return BatchLoops(self.system, self._scheme, h, self._representations)
+        for known in self._loops_by_step.values():
+            if isinstance(known, Loops) and (loops := known.at_step(h)) is not None:
+                return loops
         return SystemLoops(self.system, self._scheme, h, self._representations[0])
 
     def observed(self, start: Start) -> Observed | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -93,6 +94,15 @@ def flow_tables(program: Program, h: float, compensated: bool) -> CompiledTables
         h,
     )
     return CompiledTables(tables, keepalive)
+
+
+def at_step(tables: FlowTables, h: float) -> FlowTables | None:
+    """Return the tables of another step; None unless they are exact multiples by a power of two, with either sign."""
+    ratio = h / tables.step
+    if abs(math.frexp(ratio)[0]) != 0.5 or ratio * tables.step != h:
+        return None
+    tau = tables.tau * ratio
+    return tables._replace(tau=tau, step=h) if np.array_equal(tau / ratio, tables.tau) else None
 
 
 def mark_rational(action: Action, rational: NDArray[np.bool_]) -> Action:

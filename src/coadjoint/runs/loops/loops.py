@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -94,6 +95,10 @@ class Loops(ABC):
     @abstractmethod
     def rounds(self, members: int, workers: int) -> list[list[MemberBatch]]:
         """Return the rounds of member batches."""
+
+    def at_step(self, h: float) -> Loops | None:
+        """Return the loops of another step, by the same tables; None if they have to be built again."""
+        return None
 
     def rounds_among(self, members: NDArray[np.int64], workers: int) -> list[list[MemberBatch]] | None:
         """Return rounds of the given members, ascending, packed side by side; None if not supported."""
@@ -210,6 +215,18 @@ class SystemLoops(Loops):
         self.prepared, self.watch = prepared, watch.tables
         # Converted to C structures once for all plans.
         self._structures = prepared.name, as_structure(prepared.tables), as_structure(watch.tables)
+
+    def at_step(self, h: float) -> SystemLoops | None:
+        from coadjoint.kernels.tables.flow import FlowTables, at_step
+        from coadjoint.kernels.tables.structures import as_structure
+
+        tables = at_step(self.prepared.tables, h) if isinstance(self.prepared.tables, FlowTables) else None
+        if tables is None:
+            return None
+        loops: SystemLoops = object.__new__(SystemLoops)
+        loops.__dict__.update(vars(self), prepared=replace(self.prepared, tables=tables), _plan=None)
+        loops._structures = self._structures[0], as_structure(tables), self._structures[2]
+        return loops
 
     @property
     def is_picklable(self) -> bool:
