@@ -64,6 +64,25 @@ def test_at_rest_there_is_none():
     assert co.integrate(BODY, (0.0, 0.0, 0.0), (0, 1), 0.1).step_error() == 0.0
 
 
+@pytest.mark.parametrize(("share", "warned"), [(0.98, False), (1.02, True)])
+def test_near_equilibria_the_error_of_the_whole_run_counts(share, warned):
+    """Aligned spins are at rest, and all that a step changes is error: 2 percent of the state in the run are too much."""
+    h, x0 = 0.01, np.tile([1.0, 2.0, 3.0], 16)
+    lattice = co.systems.spin_lattice("square", (4, 4), periodic=True)
+    method = co.Splitting(order=2)
+    whole, halves = (co.integrate(lattice, x0, (0, h), h / k, method, save_every=k).x[-1] for k in (1, 2))
+    error = 4 / 3 * np.linalg.norm(whole - halves) / np.linalg.norm(x0)
+    steps = int(share * 0.02 / error)
+    assert steps > 100
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always", co.LargeStepWarning)
+        sol = co.integrate(lattice, x0, (1, 1 + steps * h), h, method, save_every=steps)
+    assert sol.step_error() > 0.9
+    assert len(found) == warned
+    if warned:
+        assert "take a step of about 0.003" in str(found[0].message)  # an error of a tenth
+
+
 def test_rounding_does_not_count():
     """Near an equilibrium the change in a step is no larger than rounding."""
     assert co.integrate(BODY, (1e-15, 0.0, 2.0), (0, 1), 0.01).step_error() == 0.0

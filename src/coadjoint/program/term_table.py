@@ -147,6 +147,9 @@ class ValueTable(TermTable):
     def quadratic(self, term: QuadraticTerm) -> None:
         """Add a quadratic term by its nonzero rows."""
         rows = np.flatnonzero((term.linear != 0) | (np.diff(term.indptr) > 0))
+        if len(rows) == len(term.linear):
+            super().quadratic(term)  # the arrays of the term, instead of copies
+            return
         selected = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values).take(rows)
         self.add_linear(rows, term.linear[rows], selected.start, selected.coordinate, selected.value)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,17 +34,29 @@ STEPS, PART = 1000, 0.05
 REPEATED = 2**18
 # Differences between a step and two half steps by rounding alone, relative to the state.
 ROUNDING = 64 * UNIT_ROUNDOFF
-# Largest error of a step, relative to the change of the state in it, without a warning, and that of the step suggested.
+# Largest error of a step, relative to the change of the state in it, without a warning, and that of the step suggested;
+# and largest error of a whole run without one, relative to the state: near an equilibrium all of the change is error.
 WARNED, SUGGESTED = 0.02, 0.002
 
 
 def step_error(solution: Solution, prepared: PreparedRun | None = None) -> float:
     """Return the largest error of a step among the members, relative to the change of the state; see `Solution`."""
-    return _worst(solution, prepared)[0]
+    return _worst(solution, prepared).error
 
 
-def _worst(solution: Solution, prepared: PreparedRun | None) -> tuple[float, int, float | None]:
-    """Return the largest error of a step among the members, the number of the member, and the time of a pole passed."""
+class Worst(NamedTuple):
+    """The largest error of a step among the members, with its member.
+
+    `total` is the error of that size in every step of the run, relative to the state; `pole` the time of a pole passed.
+    """
+
+    error: float
+    member: int
+    total: float
+    pole: float | None = None
+
+
+def _worst(solution: Solution, prepared: PreparedRun | None) -> Worst:
     # An archive need not know its scheme and system; that of a run with inputs has their values.
     described: Any = solution if prepared is None or prepared.takes_inputs else prepared
     method, system = described.method, described.system
@@ -70,16 +82,19 @@ def _worst(solution: Solution, prepared: PreparedRun | None) -> tuple[float, int
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.nan_to_num(np.sqrt(errors / changes), nan=0.0)
     worst = int(np.argmax(relative))
-    error, member = float(relative[worst]), int(members[worst])
+    steps = abs(solution.t_span[1] - solution.t_span[0]) / solution.step
+    size = math.sqrt(np.mean([np.sum(states[worst] ** 2) for _, states in points])) or 1.0
+    total = steps * math.sqrt(errors[worst] / len(points)) / size
+    largest = Worst(float(relative[worst]), int(members[worst]), total)
     if states_in_memory(solution) and len(solution.t) > 1:
         passage, closest = _passages(solution, system, members)
         found = [] if passage is None else [(_error_of_passage(solution, prepared, members, *passage, h), passage[0])]
         found += _error_inside(solution, prepared, members, closest, h)
         for fastest, m in found:
-            if FASTEST * fastest > error:
-                error, member = FASTEST * fastest, int(members[m])
+            if FASTEST * fastest > largest.error:
+                largest = Worst(FASTEST * fastest, int(members[m]), math.inf)
     pole = passed_pole(solution, system, method, members, h)
-    return (error, member, None) if pole is None else (math.inf, int(members[pole.member]), pole.t)
+    return largest if pole is None else Worst(math.inf, int(members[pole.member]), math.inf, pole.t)
 
 
 def _passages(solution: Solution, system: Any, members: NDArray[np.int64]) -> tuple[tuple[int, int] | None, int]:
@@ -228,7 +243,7 @@ def warn_of_large_step(solution: Solution, prepared: PreparedRun) -> None:
     if prepared.method.own_steps or any(force.random for _, force in forces_of(prepared.system)):
         return
     try:
-        error, member, pole = _worst(solution, prepared)
+        error, member, total, pole = _worst(solution, prepared)
     except Exception:
         # Functions of the user may refuse half steps, which are no part of the run; `step_error` raises their errors.
         return
@@ -241,8 +256,8 @@ def warn_of_large_step(solution: Solution, prepared: PreparedRun) -> None:
             "the motion; take a smaller step, or end the run earlier if the motion itself goes to infinity there",
             LargeStepWarning,
         )
-    elif error > WARNED:
-        suggested = solution.step * (SUGGESTED / error) ** (1.0 / prepared.method.order)
+    elif error > WARNED and total > WARNED:
+        suggested = solution.step * (SUGGESTED / min(error, total)) ** (1.0 / prepared.method.order)
         warn_caller(
             f"the step {solution.step:g} is too large for {motion}: the error of a step of {prepared.method} is "
             f"{error:.2g} of the change of the state, though invariants may be kept; take a step of about "
