@@ -72,6 +72,27 @@ def test_levels_are_chosen_by_name(tmp_path):
         assert set(commands(tree)) == {("_processor", "processor.cpp"), *libraries}
 
 
+@needs_tools
+@needs_levels
+@pytest.mark.parametrize(("state", "names"), [("wheel", {"v1"}), ("editable", set())])
+def test_wheels_run_on_every_processor(tmp_path, state, names):
+    """The tag of a wheel does not name the level of the machine that built it."""
+    tree = copied(tmp_path)
+    assert configured(tree, "-DSKBUILD=2", f"-DSKBUILD_STATE={state}")[0] == 0
+    libraries = {library for library, _ in commands(tree)}
+    assert libraries == {"_processor"} | {f"_kernels_{name}" for name in names | {f"v{processor_level()}"}}
+
+
+@needs_tools
+@needs_levels
+def test_32_bits_are_refused(tmp_path):
+    status, said = configured(
+        copied(tmp_path), "-DCMAKE_CXX_FLAGS=-m32", "-DCMAKE_TRY_COMPILE_TARGET_TYPE=STATIC_LIBRARY"
+    )
+    assert status != 0
+    assert "build with a 64-bit compiler, for a 64-bit Python" in said
+
+
 @pytest.mark.thinned(4)
 @needs_tools
 @needs_levels
