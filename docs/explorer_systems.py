@@ -1,0 +1,189 @@
+"""The systems of the explorer: their parameters, and the numbers of their tables as formulas of these."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import coadjoint as co
+
+Values = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Slider:
+    """A number that the reader changes: its range, its first value, and the distance of two values."""
+
+    name: str
+    label: str
+    low: float
+    high: float
+    value: float
+    step: float
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A system of the explorer.
+
+    `code` builds it, with the sliders as fields of a format string. `sources` are numbers in reverse Polish notation, of
+    which every entry of the tables that depends on the sliders is a sum of multiples. `view` is how the page draws it.
+    """
+
+    name: str
+    title: str
+    text: str
+    code: str
+    sliders: tuple[Slider, ...]
+    sources: tuple[str, ...]
+    x0: tuple[float, ...]
+    coordinates: tuple[str, ...]
+    view: Mapping[str, Any]
+    step: float
+    parts: str = ""
+
+    def build(self, values: Values) -> Any:
+        """Return the system with these values of the sliders."""
+        return eval(self.code.format(**{name: repr(float(value)) for name, value in values.items()}), {"co": co})
+
+
+def evaluate(source: str, values: Values) -> float:
+    """Evaluate a formula in reverse Polish notation, operation by operation, as the page does."""
+    stack: list[float] = []
+    operations: dict[str, Callable[[float, float], float]] = {
+        "+": lambda a, b: a + b,
+        "-": lambda a, b: a - b,
+        "*": lambda a, b: a * b,
+        "/": lambda a, b: a / b,
+    }
+    for token in source.split():
+        if token in operations:
+            second, first = stack.pop(), stack.pop()
+            stack.append(operations[token](first, second))
+        else:
+            stack.append(float(values[token]) if token in values else float(token))
+    (result,) = stack
+    return result
+
+
+# Of every body within these ranges one axis is the middle one, and no moment exceeds the sum of the others.
+INERTIA = (
+    Slider("I1", "inertia I₁", 1.0, 1.5, 1.0, 0.05),
+    Slider("I2", "inertia I₂", 1.6, 2.0, 1.8, 0.05),
+    Slider("I3", "inertia I₃", 2.1, 2.6, 2.5, 0.05),
+)
+SPINS = 8
+
+SHOWN = (
+    Shown(
+        "rigid_body",
+        "Rigid body",
+        "A free body seen from its own axes. Its angular momentum stays on a sphere; near the middle axis it tumbles.",
+        "co.systems.rigid_body(inertia=({I1}, {I2}, {I3}))",
+        INERTIA,
+        ("0.5 I1 /", "0.5 I2 /", "0.5 I3 /"),
+        (0.05, 1.0, 0.05),
+        ("x1", "x2", "x3"),
+        {"kind": "sphere", "balls": [[0, 1, 2]], "body": "inertia", "click": 0},
+        0.2,
+        "\"coordinates\"",
+    ),
+    Shown(
+        "heavy_top",
+        "Heavy top",
+        "A body on a fixed point under gravity. The vertical, seen from the body, stays on the unit sphere.",
+        "co.systems.heavy_top(inertia=({I1}, {I2}, {I3}), lever=({l1}, {l2}, {l3}))",
+        (
+            *INERTIA,
+            Slider("l1", "lever l₁", 0.05, 1.0, 0.05, 0.05),
+            Slider("l2", "lever l₂", 0.05, 1.0, 0.1, 0.05),
+            Slider("l3", "lever l₃", 0.1, 1.5, 1.0, 0.05),
+        ),
+        ("0.5 I1 /", "0.5 I2 /", "0.5 I3 /", "l1", "l2", "l3"),
+        (0.2, 0.1, 2.6, 0.6, 0.0, 0.8),
+        ("m1", "m2", "m3", "gamma1", "gamma2", "gamma3"),
+        {"kind": "sphere", "balls": [[3, 4, 5]], "body": "top", "click": 0,
+         "section": {"level": 2, "across": 3, "up": 4, "labels": ["γ₁", "γ₂"], "name": "m₃ through its mean"}},
+        0.1,
+        "((0,), (1,), (2,), (3, 4, 5))",
+    ),
+    Shown(
+        "spin_pair",
+        "Two spins",
+        "Two classical spins, coupled and in a field along z. Each keeps its own length.",
+        "co.systems.spin_lattice(shape=2, exchange={J}, tensor=(1.0, 1.0, {Delta}), field=(0.0, 0.0, {B}))",
+        (
+            Slider("J", "exchange J", 0.1, 2.0, 1.0, 0.05),
+            Slider("Delta", "anisotropy Δ", 0.05, 2.0, 0.4, 0.05),
+            Slider("B", "field B", -1.0, 1.0, 0.3, 0.05),
+        ),
+        ("J", "J Delta *", "B"),
+        (0.9, 0.1, 0.3, -0.3, 0.8, 0.2),
+        ("S1x", "S1y", "S1z", "S2x", "S2y", "S2z"),
+        {"kind": "sphere", "balls": [[0, 1, 2], [3, 4, 5]], "body": "arrows", "click": 0,
+         "section": {"level": 1, "across": 3, "up": 5, "labels": ["S₂x", "S₂z"], "name": "S₁y = 0"}},
+        0.2,
+        "((0, 3), (1, 4), (2, 5))",
+    ),
+    Shown(
+        "spin_chain",
+        "Spin chain",
+        "Eight classical spins in a row, coupled to their neighbours: a chaotic system on eight spheres.",
+        f"co.systems.spin_lattice(shape={SPINS}, exchange={{J}}, tensor=(1.0, 1.0, {{Delta}}), field=(0.0, 0.0, {{B}}))",
+        (
+            Slider("J", "exchange J", 0.1, 2.0, 1.0, 0.05),
+            Slider("Delta", "anisotropy Δ", 0.05, 2.0, 0.6, 0.05),
+            Slider("B", "field B", -1.0, 1.0, 0.2, 0.05),
+        ),
+        ("J", "J Delta *", "B"),
+        (0.96, 0.0, 0.28, 0.6, 0.8, 0.0, 0.0, 0.96, -0.28, -0.6, 0.64, 0.48,
+         -0.96, 0.0, -0.28, -0.48, -0.8, 0.36, 0.0, -0.8, 0.6, 0.8, -0.6, 0.0),
+        tuple(f"S{k + 1}{axis}" for k in range(SPINS) for axis in "xyz"),
+        {"kind": "sphere", "balls": [[3 * k, 3 * k + 1, 3 * k + 2] for k in range(SPINS)], "body": "arrows", "click": 0},
+        0.15,
+        str(tuple(tuple(range(axis, 3 * SPINS, 3)) for axis in range(3))),
+    ),
+    Shown(
+        "toda_ring",
+        "Toda ring",
+        "Four particles on a ring that repel each other exponentially, in Flaschka's variables: integrable.",
+        "co.systems.toda_ring(sites=4)",
+        (),
+        (),
+        (0.6, -0.2, 0.1, -0.5, 0.5, 0.3, 0.45, 0.35),
+        ("b1", "b2", "b3", "b4", "a1", "a2", "a3", "a4"),
+        {"kind": "path", "axes": [0, 1, 4], "labels": ["b₁", "b₂", "a₁"],
+         "section": {"level": 0, "across": 1, "up": 4, "labels": ["b₂", "a₁"], "name": "b₁ = 0"}},
+        0.2,
+    ),
+    Shown(
+        "maxwell_bloch",
+        "Maxwell-Bloch",
+        "Light in two-level atoms, a pendulum in disguise: polarization, inversion and field on a cylinder.",
+        "co.systems.maxwell_bloch(coupling={g})",
+        (Slider("g", "coupling", 0.2, 3.0, 1.0, 0.05),),
+        ("g",),
+        (1.9, 0.1, -1.0),
+        ("E", "P", "D"),
+        {"kind": "cylinder", "axes": [1, 2, 0], "labels": ["P", "D", "E"]},
+        0.3,
+        "\"coordinates\"",
+    ),
+    Shown(
+        "fluid_triad",
+        "Fluid: three waves",
+        "Three waves of an ideal fluid in two dimensions; the one of middle length is unstable.",
+        "co.systems.fluid_triad(first=(1.0, 0.0), second=({kx}, {ky}))",
+        (
+            Slider("kx", "second wave k_x", 0.25, 0.75, 0.5, 0.0625),
+            Slider("ky", "second wave k_y", 1.25, 2.0, 1.5, 0.0625),
+        ),
+        ("0.25", "0.25 kx kx * ky ky * + /", "0.25 1 kx + 1 kx + * ky ky * + /", "ky"),
+        (0.1, 1.0, 0.1),
+        ("x1", "x2", "x3"),
+        {"kind": "sphere", "balls": [[0, 1, 2]], "body": "vorticity", "click": 0},
+        0.3,
+        "\"coordinates\"",
+    ),
+)

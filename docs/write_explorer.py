@@ -1,0 +1,213 @@
+"""Write the tables of the explorer: ``python docs/write_explorer.py FOLDER`` writes ``tables.json``.
+
+For every system and scheme the tables that the compiled loops read, and the watched invariants, at the first values of
+the sliders; and for every entry that depends on them, its terms: multiples of the sources of the system. The terms of
+flows are those of the public table (``provenance``), and the others are found by trial values; all are then compared
+with the tables of the library at other values, bit for bit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from explorer_systems import SHOWN, Shown, Values, evaluate
+
+import coadjoint as co
+from coadjoint.kernels.interface import interface_text
+from coadjoint.runs.loops.loops import SystemLoops
+
+VERSION = 1
+# Name in the page, code of the scheme, and its title.
+SCHEMES = (
+    ("splitting2", "co.Splitting(order=2)", "Splitting, order 2"),
+    ("splitting4", "co.Splitting(order=4)", "Splitting, order 4"),
+    ("rk4", "co.ExplicitRungeKutta()", "Runge-Kutta 4"),
+    ("gauss", "co.GaussLegendre(stages=2)", "Gauss-Legendre, 2 stages"),
+    ("taylor", "co.Taylor()", "Taylor, order 16"),
+)
+FACTORS = (1.0, -1.0, 2.0, -2.0, 0.5, -0.5)
+CHECKED = 12  # values of the sliders at which all tables are compared
+STEPS = (1.0, 0.37)
+
+
+def flat(table: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the fields of a table and of the tables inside of it, by path."""
+    for name, value in zip(table._fields, table, strict=True):
+        if hasattr(value, "_fields"):
+            yield from flat(value, f"{path}{name}.")
+        else:
+            yield path + name, value
+
+
+def tables_of(shown: Shown, scheme: str, values: Values, h: float) -> tuple[dict[str, Any], Any]:
+    """Return the loop of a scheme, its tables and the watched invariants, by path, and the loops."""
+    system = shown.build(values)
+    loops = SystemLoops(system, eval(scheme, {"co": co}), h, None)
+    found = {f"tables.{path}": value for path, value in flat(loops.prepared.tables)}
+    found |= {f"watch.{path}": value for path, value in flat(loops.watch)}
+    if "tables.step" in found and isinstance(found["tables.step"], np.ndarray):
+        found["tables.step"] = np.zeros(1, dtype=np.int64)  # an address of this process
+    return found, loops
+
+
+def is_float(value: Any) -> bool:
+    """Return whether a field has numbers that may depend on sliders."""
+    return isinstance(value, np.ndarray) and value.dtype == np.float64
+
+
+def trial(shown: Shown, random: np.random.Generator) -> Values:
+    """Return values within the ranges of the sliders, with ten random bits: their squares are exact."""
+    return {slider.name: round(random.uniform(slider.low, slider.high) * 1024) / 1024 for slider in shown.sliders}
+
+
+def on_grid(shown: Shown, random: np.random.Generator) -> Values:
+    """Return values that the sliders of the page can have."""
+    found = {}
+    for slider in shown.sliders:
+        count = round((slider.high - slider.low) / slider.step)
+        found[slider.name] = float(format(slider.low + slider.step * random.integers(count + 1), ".6g"))
+    return found
+
+
+def code_of(scheme: str, shown: Shown) -> str:
+    """Return the code of a scheme for a system, whose splittings may have parts of their own."""
+    with_parts = shown.parts and scheme.startswith("co.Splitting(")
+    return f"{scheme[:-1]}, parts={shown.parts})" if with_parts else scheme
+
+
+def first_values(shown: Shown) -> Values:
+    """Return the first values of the sliders."""
+    return {slider.name: slider.value for slider in shown.sliders}
+
+
+def terms_of(entry: np.ndarray, sources: np.ndarray) -> list[list[float]] | None:
+    """Return an entry as multiples of one or two sources, given the values of both in some trials."""
+    singles = [(k, f) for k in range(len(sources)) for f in FACTORS]
+    for k, f in singles:
+        if np.array_equal(f * sources[k], entry):
+            return [[k, f]]
+    for (j, f), (k, g) in itertools.combinations(singles, 2):
+        if np.array_equal(f * sources[j] + g * sources[k], entry):
+            return [[j, f], [k, g]]
+    return None
+
+
+def moved(shown: Shown, scheme: str, base: dict[str, Any], random: np.random.Generator) -> dict[str, Any]:
+    """Return by path the entries that depend on the sliders, each with its terms; raise if one is no such sum."""
+    trials = [trial(shown, random) for _ in range(3)]
+    tables = [tables_of(shown, scheme, values, STEPS[0])[0] for values in trials]
+    sources = np.array([[evaluate(source, values) for values in trials] for source in shown.sources])
+    found: dict[str, Any] = {}
+    for path, value in base.items():
+        if not is_float(value):
+            continue
+        columns = np.array([table[path] for table in tables])
+        if columns.shape[1:] != value.shape:
+            raise ValueError(f"{shown.name}, {scheme}: the size of {path} depends on the sliders: give parts")
+        for index in np.flatnonzero((columns != value).any(axis=0)).tolist():
+            terms = terms_of(columns[:, index], sources)
+            if terms is None:
+                raise ValueError(f"{shown.name}, {scheme}: {path}[{index}] is no sum of two sources; add one")
+            found.setdefault(path, []).append([index, terms])
+    return found
+
+
+def moved_value(terms: list[list[float]], sources: list[float]) -> float:
+    """Return the sum of the terms, as the page computes it."""
+    total = terms[0][1] * sources[int(terms[0][0])]
+    for k, factor in terms[1:]:
+        total += factor * sources[int(k)]
+    return total
+
+
+def check(shown: Shown, scheme: str, base: dict[str, Any], moves: dict[str, Any], values: Values) -> None:
+    """Raise ValueError if the moved tables are not those of the library."""
+    expected, _ = tables_of(shown, scheme, values, STEPS[1])
+    sources = [evaluate(source, values) for source in shown.sources]
+    for path, value in base.items():
+        if path == "tables.tau":
+            value = value * STEPS[1]  # the base has the step 1
+        elif path == "tables.step" and not isinstance(value, np.ndarray):
+            value = STEPS[1]
+        value = np.array(value)
+        for index, terms in moves.get(path, ()):
+            value[index] = moved_value(terms, sources)
+        if not np.array_equal(value, expected[path]):
+            raise ValueError(f"{shown.name}, {scheme}: {path} is {value}, not {expected[path]}, for {values}")
+
+
+def written(value: Any) -> Any:
+    """Return a field for JSON; a float that is a whole number becomes an integer."""
+    if isinstance(value, np.ndarray):
+        return [int(x) if x == int(x) else x for x in value.tolist()]
+    return int(value) if value == int(value) else value
+
+
+def entry(shown: Shown, random: np.random.Generator) -> dict[str, Any]:
+    """Return everything that the page needs of a system."""
+    schemes = {}
+    invariants: list[str] = []
+    for name, scheme, _ in SCHEMES:
+        scheme = code_of(scheme, shown)
+        base, loops = tables_of(shown, scheme, first_values(shown), STEPS[0])
+        moves = moved(shown, scheme, base, random)
+        for k in range(CHECKED):
+            check(shown, scheme, base, moves, on_grid(shown, random) if k % 2 else trial(shown, random))
+        fields = {path: written(value) for path, value in base.items()}
+        schemes[name] = {"code": scheme, "loop": loops.prepared.name, "memory": loops.memory}
+        schemes[name] |= {"fields": fields, "moves": moves}
+        invariants = loops.names
+    return {
+        "title": shown.title,
+        "text": shown.text,
+        "code": shown.code,
+        "sliders": [vars(slider) for slider in shown.sliders],
+        "sources": shown.sources,
+        "x0": shown.x0,
+        "coordinates": shown.coordinates,
+        "invariants": invariants,
+        "view": shown.view,
+        "step": shown.step,
+        "schemes": schemes,
+    }
+
+
+def shared(entries: dict[str, Any]) -> dict[str, Any]:
+    """Return the systems with equal lists of fields replaced by their number in one list."""
+    number: dict[str, int] = {}
+    for system in entries.values():
+        for scheme in system["schemes"].values():
+            for path, value in scheme["fields"].items():
+                if isinstance(value, list) and len(value) > 2:
+                    scheme["fields"][path] = {"": number.setdefault(json.dumps(value), len(number))}
+    return {"arrays": [json.loads(text) for text in number], "systems": entries}
+
+
+def main() -> None:
+    """Write the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("folder", type=Path)
+    folder = parser.parse_args().folder
+    folder.mkdir(parents=True, exist_ok=True)
+    random = np.random.default_rng(1)
+    entries = {shown.name: entry(shown, random) for shown in SHOWN}
+    data = {
+        "version": VERSION,
+        "library": co.__version__,
+        "interface": interface_text(),
+        "schemes": [{"name": name, "title": title} for name, _, title in SCHEMES],
+        **shared(entries),
+    }
+    text = json.dumps(data, separators=(",", ":"), ensure_ascii=False)
+    (folder / "tables.json").write_text(text + "\n", encoding="utf-8")
+    print(f"{len(entries)} systems, {len(text) // 1000} kB")
+
+
+if __name__ == "__main__":
+    main()
