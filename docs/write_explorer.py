@@ -160,7 +160,7 @@ def entry(shown: Shown, random: np.random.Generator) -> dict[str, Any]:
         for k in range(CHECKED):
             check(shown, scheme, base, moves, on_grid(shown, random) if k % 2 else trial(shown, random))
         fields = {path: written(value) for path, value in base.items()}
-        schemes[name] = {"code": scheme, "loop": loops.prepared.name, "memory": loops.memory}
+        schemes[name] = {"code": scheme, "loop": loops.prepared.name}
         schemes[name] |= {"fields": fields, "moves": moves}
         invariants = loops.names
     return {
@@ -176,6 +176,22 @@ def entry(shown: Shown, random: np.random.Generator) -> dict[str, Any]:
         "step": shown.step,
         "schemes": schemes,
     }
+
+
+def rows_of_parts() -> dict[str, list[dict[str, Any]]]:
+    """Return the flows of splittings into one to three coordinates, for an algebra that is typed in the page."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for name, scheme, _ in SCHEMES:
+        if not scheme.startswith("co.Splitting"):
+            continue
+        method = eval(f"{scheme[:-1]}, parts='coordinates')", {"co": co})
+        for count in (1, 2, 3):
+            energy = co.Quadratic([1.0] * count + [0.0] * (3 - count))
+            loops = SystemLoops(co.LiePoissonSystem(co.algebras.so(3), energy), method, STEPS[0], None)
+            tables = loops.prepared.tables
+            rows = {path: written(getattr(tables, path)) for path in ("part", "tau", "moment", "section")}
+            found.setdefault(name, []).append(rows)
+    return found
 
 
 def shared(entries: dict[str, Any]) -> dict[str, Any]:
@@ -201,7 +217,8 @@ def main() -> None:
         "version": VERSION,
         "library": co.__version__,
         "interface": interface_text(),
-        "schemes": [{"name": name, "title": title} for name, _, title in SCHEMES],
+        "schemes": [{"name": name, "code": code, "title": title} for name, code, title in SCHEMES],
+        "rows": rows_of_parts(),
         **shared(entries),
     }
     text = json.dumps(data, separators=(",", ":"), ensure_ascii=False)

@@ -97,8 +97,8 @@ export class Kernels {
     return { fields, size: Math.ceil(size / 8) * 8 };
   }
 
-  run(loop: string, memorySize: number, fields: Fields, size: number, invariants: number): Run {
-    return new Run(this, loop, memorySize, fields, size, invariants);
+  run(loop: string, fields: Fields, size: number, invariants: number): Run {
+    return new Run(this, loop, fields, size, invariants);
   }
 }
 
@@ -128,26 +128,28 @@ export class Run {
   private readonly stop: number;
   private saved = 0;
   private capacity = 0;
+  private readonly memorySize: number;
 
   constructor(
-    private readonly kernels: Kernels, private readonly loop: string, private readonly memorySize: number,
-    fields: Fields, readonly size: number, readonly invariants: number,
+    private readonly kernels: Kernels, private readonly loop: string, fields: Fields, readonly size: number, readonly invariants: number,
   ) {
     const kind = TABLES[loop];
     if (!kind) throw new Error(`${loop} is no loop of the kernels`);
     this.tables = this.table(kind, "tables.", fields);
     this.watch = this.table("Watch", "watch.", fields);
+    if (loop === "stepping_advance") {
+      const pointer = this.offset("Stepping", "step");
+      const at = this.view.getUint32(this.tables + pointer, true);
+      this.view.setBigInt64(at, BigInt(kernels.wasm.taylor_address()), true);
+    }
+    const memorySize = kernels.wasm[`${loop}_memory_size`] as ((tables: number) => bigint) | undefined;
+    this.memorySize = memorySize ? Number(memorySize(this.tables)) : 0;
     this.extent = this.allocate(kernels.layouts.Extent.size);
     this.schedule = this.allocate(kernels.layouts.Schedule.size);
     this.members = this.allocate(8);
     this.stop = this.allocate(8);
     this.writeExtent(0);
     this.state = this.allocate(8 * this.length(kernels.state));
-    if (loop === "stepping_advance") {
-      const pointer = this.offset("Stepping", "step");
-      const at = this.view.getUint32(this.tables + pointer, true);
-      this.view.setBigInt64(at, BigInt(kernels.wasm.taylor_address()), true);
-    }
   }
 
   private get view(): DataView {

@@ -16,7 +16,6 @@ type Move = [number, Array<[number, number]>];
 export interface Scheme {
   code: string;
   loop: string;
-  memory: number;
   fields: Record<string, number | number[] | { "": number }>;
   moves: Record<string, Move[]>;
 }
@@ -57,7 +56,8 @@ export interface Tables {
   version: number;
   library: string;
   interface: string;
-  schemes: Array<{ name: string; title: string }>;
+  schemes: Array<{ name: string; code: string; title: string }>;
+  rows: Record<string, Array<Record<"part" | "tau" | "moment" | "section", number[]>>>; // of one to three parts
   arrays: number[][];
   systems: Record<string, System>;
 }

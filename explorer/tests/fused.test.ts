@@ -5,7 +5,7 @@ import { join } from "node:path";
 import { test } from "node:test";
 import { Kernels } from "../src/kernels";
 
-const kernels = await Kernels.load(readFileSync(join(process.cwd(), "../build/explorer/kernels.wasm")));
+const kernels = await Kernels.load(readFileSync(join(process.cwd(), "../build/explorer/public/kernels.wasm")));
 const fused = kernels.wasm.probe_fma;
 const view = new DataView(new ArrayBuffer(8));
 

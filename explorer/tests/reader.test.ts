@@ -20,8 +20,8 @@ interface Expected {
   invariants: number[][];
 }
 
-const kernels = await Kernels.load(readFileSync(join(BUILT, "kernels.wasm")));
-const tables = checked(JSON.parse(readFileSync(join(BUILT, "tables.json"), "utf-8")) as Tables);
+const kernels = await Kernels.load(readFileSync(join(BUILT, "public/kernels.wasm")));
+const tables = checked(JSON.parse(readFileSync(join(BUILT, "public/tables.json"), "utf-8")) as Tables);
 const runs = JSON.parse(readFileSync(join(BUILT, "runs.json"), "utf-8")) as Expected[];
 
 // The states and invariants at the saved steps, computed in pieces of this many steps.
@@ -30,7 +30,7 @@ function computed(run: Expected, piece: number): { x: number[][]; invariants: nu
   const scheme = system.schemes[run.scheme];
   const fields = fieldsOf(tables, system, scheme, run.values, run.step);
   const size = run.x0.length, count = system.invariants.length;
-  const one = kernels.run(scheme.loop, scheme.memory, fields, size, count);
+  const one = kernels.run(scheme.loop, fields, size, count);
   one.begin(run.x0);
   const x: number[][] = [], invariants: number[][] = [];
   for (let done = 0; done < run.steps; done += piece) {

@@ -5,13 +5,13 @@ import { Kernels } from "../src/kernels";
 import { checked, fieldsOf, type Tables } from "../src/tables";
 
 const BUILT = join(process.cwd(), "../build/explorer");
-const kernels = await Kernels.load(readFileSync(join(BUILT, "kernels.wasm")));
-const tables = checked(JSON.parse(readFileSync(join(BUILT, "tables.json"), "utf-8")) as Tables);
+const kernels = await Kernels.load(readFileSync(join(BUILT, "public/kernels.wasm")));
+const tables = checked(JSON.parse(readFileSync(join(BUILT, "public/tables.json"), "utf-8")) as Tables);
 for (const [name, system] of Object.entries(tables.systems)) {
   const found: string[] = [];
   for (const [label, scheme] of Object.entries(system.schemes)) {
     const values = Object.fromEntries(system.sliders.map((slider) => [slider.name, slider.value]));
-    const run = kernels.run(scheme.loop, scheme.memory, fieldsOf(tables, system, scheme, values, system.step), system.x0.length, system.invariants.length);
+    const run = kernels.run(scheme.loop, fieldsOf(tables, system, scheme, values, system.step), system.x0.length, system.invariants.length);
     run.begin(system.x0);
     let steps = 0;
     const start = performance.now();

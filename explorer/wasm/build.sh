@@ -1,11 +1,11 @@
 #!/bin/sh
-# Compiles the kernels to WebAssembly: wasm/build.sh OUTPUT_FOLDER. Sources are those of the library where they are short,
+# Compiles the kernels to WebAssembly: wasm/build.sh FOLDER writes FOLDER/public/kernels.wasm. Sources are those of the library where they are short,
 # and drivers over its headers for one trajectory. Exceptions are not caught: nothing throws but a failed allocation.
 set -e
 here=$(cd "$(dirname "$0")" && pwd)
 source="$here/../../src/coadjoint/kernels/source"
 out=$1
-mkdir -p "$out/objects"
+mkdir -p "$out/objects" "$out/public"
 options="-std=c++17 -ffp-contract=off -fno-math-errno -Os -msimd128 -DNDEBUG -DCOADJOINT_UNROLLED=1 -Wno-psabi -I$source -include $here/fused.hpp"
 set --
 for file in "$here/flows.cpp" "$here/stages.cpp" "$here/taylor.cpp" "$here/probes.cpp" "$source/steps/stepping.cpp" \
@@ -14,7 +14,7 @@ for file in "$here/flows.cpp" "$here/stages.cpp" "$here/taylor.cpp" "$here/probe
     emcc $options -c "$file" -o "$object"
     set -- "$@" "$object"
 done
-emcc -Os -msimd128 --no-entry "$@" -o "$out/kernels.wasm" -s STANDALONE_WASM=1 -s ALLOW_MEMORY_GROWTH=1 -s INITIAL_MEMORY=2MB \
+emcc -Os -msimd128 --no-entry "$@" -o "$out/public/kernels.wasm" -s STANDALONE_WASM=1 -s ALLOW_MEMORY_GROWTH=1 -s INITIAL_MEMORY=2MB \
     -s TOTAL_STACK=256KB \
     -s EXPORTED_FUNCTIONS=_flow_advance,_runge_kutta_advance,_stepping_advance,_runge_kutta_advance_memory_size,_stepping_advance_memory_size,_taylor_address,_description,_probe_fma,_malloc,_free
-gzip -9 -c "$out/kernels.wasm" | wc -c
+echo "kernels.wasm: $(wc -c < "$out/public/kernels.wasm") bytes, $(gzip -9c "$out/public/kernels.wasm" | wc -c) compressed"

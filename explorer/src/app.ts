@@ -1,0 +1,135 @@
+// The two runs of a choice, and everything that the page shows of the system.
+import { casimirs, cube, invariantsOf, satisfiesJacobi, typedCode, typedFields } from "./algebra";
+import { Attitude, inertiaOf } from "./body";
+import { python } from "./exports";
+import type { Kernels } from "./kernels";
+import { Shape } from "./scene";
+import { type Choice, firstChoice } from "./state";
+import { fieldsOf, type System, type Tables, type View } from "./tables";
+import { type Plan, Track } from "./track";
+
+const MAX_STEPS_OF_FRAME = 400;
+const FRAME_BUDGET = 9; // milliseconds for the steps of a frame
+const TYPED_VIEW: View = { kind: "path", axes: [0, 1, 2], labels: ["x₁", "x₂", "x₃"] };
+
+export class App {
+  tracks: Track[] = [];
+  shapes: Shape[] = [];
+  attitudes: Array<Attitude | null> = [];
+  playing = true;
+  problem = "";
+  private owed = 0;
+
+  constructor(readonly kernels: Kernels, readonly tables: Tables, public choice: Choice) {
+    this.restart();
+  }
+
+  get system(): System | undefined {
+    return this.tables.systems[this.choice.system];
+  }
+
+  get view(): View {
+    return this.system?.view ?? TYPED_VIEW;
+  }
+
+  get coordinates(): string[] {
+    return this.system?.coordinates ?? ["x1", "x2", "x3"];
+  }
+
+  // Names at the ends of the axes.
+  get axes(): string[] {
+    const { view } = this;
+    if (view.labels) return view.labels;
+    return view.balls!.length > 1 ? ["x", "y", "z"] : view.balls![0].map((i) => this.coordinates[i].replace("gamma", "γ"));
+  }
+
+  select(name: string): void {
+    const next = firstChoice(this.tables, name, this.choice.algebra);
+    this.choice = { ...next, schemes: this.choice.schemes, rate: this.choice.rate, turn: this.choice.turn };
+    this.restart();
+  }
+
+  schemeCode(name: string): string {
+    if (this.system) return this.system.schemes[name].code;
+    const { code } = this.tables.schemes.find((scheme) => scheme.name === name)!;
+    return code.startsWith("co.Splitting(") ? `${code.slice(0, -1)}, parts="coordinates")` : code;
+  }
+
+  systemCode(): string {
+    if (!this.system) return typedCode(this.choice.algebra);
+    return this.system.code.replace(/\{(\w+)\}/g, (_, name) => python(this.choice.values[name]));
+  }
+
+  title(name: string): string {
+    return this.tables.schemes.find((scheme) => scheme.name === name)!.title;
+  }
+
+  plans(): Plan[] {
+    const { choice, system, tables } = this;
+    return choice.schemes.map((name) => ({
+      title: this.title(name),
+      loop: tables.systems.rigid_body.schemes[name].loop,
+      fields: system
+        ? fieldsOf(tables, system, system.schemes[name], choice.values, choice.step)
+        : typedFields(tables, choice.algebra, name, choice.step),
+      invariants: system ? system.invariants : invariantsOf(choice.algebra),
+      step: choice.step,
+      x0: choice.x0,
+      section: this.view.section,
+    }));
+  }
+
+  get hasCasimirs(): boolean {
+    return this.system ? this.system.invariants.length > 1 : casimirs(cube(this.choice.algebra)).length > 0;
+  }
+
+  // Begin both runs again.
+  restart(): void {
+    for (const track of this.tracks) track.free();
+    this.tracks = [];
+    this.owed = 0;
+    this.problem = "";
+    const { algebra, x0, values } = this.choice;
+    if (!this.system) {
+      if (!satisfiesJacobi(cube(algebra))) this.problem = "These brackets violate the Jacobi identity: [[e1,e2],e3] + [[e2,e3],e1] + [[e3,e1],e2] is not zero.";
+      else if ([...algebra.squares, ...algebra.linear].every((x) => x === 0)) this.problem = "H is zero: give it a coefficient.";
+      if (this.problem) return;
+    }
+    const { view } = this, balls = (view.balls ?? [0]).length;
+    this.tracks = this.plans().map((plan) => new Track(this.kernels, plan, balls));
+    this.shapes = this.tracks.map(() => new Shape(view, x0));
+    const turns = view.body === "inertia" || view.body === "top";
+    this.attitudes = this.tracks.map(() => (turns ? new Attitude(view.body === "top", inertiaOf(values), x0) : null));
+  }
+
+  // Take the steps of one frame; fewer if they take too long.
+  advance(seconds: number): void {
+    if (!this.playing || !this.tracks.length) return;
+    this.owed = Math.min(this.owed + seconds * this.choice.rate, MAX_STEPS_OF_FRAME);
+    const steps = Math.floor(this.owed);
+    this.owed -= steps;
+    this.take(steps);
+  }
+
+  take(steps: number): void {
+    const start = performance.now(), pieces = this.attitudes[0] ? steps : Math.ceil(steps / 20);
+    let left = steps;
+    for (let piece = 0; piece < pieces && left > 0; ++piece) {
+      const taken = Math.ceil(left / (pieces - piece));
+      for (const [k, track] of this.tracks.entries()) {
+        track.advance(taken);
+        if (!track.failure) this.attitudes[k]?.step(track.x, this.choice.step * taken);
+      }
+      left -= taken;
+      if (performance.now() - start > FRAME_BUDGET) break;
+    }
+    if (this.view.kind === "path" && this.tracks.length) {
+      const both = this.tracks.flatMap((track) => (track.failure ? [] : [...track.states()]));
+      this.shapes = this.tracks.map(() => new Shape(this.view, this.choice.x0, both));
+    }
+  }
+
+  get steps(): number {
+    return Math.max(0, ...this.tracks.map((track) => track.step));
+  }
+}

@@ -1,0 +1,156 @@
+// The body in space, spins as arrows, and the vorticity of a fluid. The attitude is found from the momenta for the drawing
+// alone: by midpoint steps, each turned back so that what is fixed in space stays there.
+import { apply, between, length, type Matrix, plus, product, rotation, scaled, type Vector, dot } from "./camera";
+import { type Frame, frameOf, seen } from "./scene";
+import type { Values, View } from "./tables";
+import type { Colors } from "./theme";
+
+const UP: Vector = [0, 0, 1];
+
+export class Attitude {
+  matrix: Matrix; // from the body to space
+
+  constructor(private readonly top: boolean, private readonly inertia: Vector, private before: ArrayLike<number>) {
+    this.matrix = between(this.fixed(before), UP);
+    this.before = Array.from(before);
+  }
+
+  // What is vertical in space: the vertical itself, or the angular momentum.
+  private fixed(x: ArrayLike<number>): Vector {
+    return this.top ? [x[3], x[4], x[5]] : [x[0], x[1], x[2]];
+  }
+
+  step(x: ArrayLike<number>, h: number): void {
+    const turn = this.inertia.map((moment, i) => (0.5 * h * (x[i] + this.before[i])) / moment);
+    const moved = product(this.matrix, rotation(turn));
+    this.matrix = product(between(apply(moved, this.fixed(x)), UP), moved);
+    this.before = Array.from(x);
+  }
+}
+
+export function inertiaOf(values: Values): Vector {
+  return [values.I1, values.I2, values.I3];
+}
+
+// Half the edges of a uniform box with these moments, the longest of length one.
+function box(inertia: Vector): Vector {
+  const total = inertia[0] + inertia[1] + inertia[2];
+  const edges = inertia.map((moment) => Math.sqrt(Math.max(0.02, total / 2 - moment))) as Vector;
+  return scaled(edges, 1 / Math.max(...edges));
+}
+
+const FACES = [
+  [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1],
+] as const;
+
+function face(normal: readonly number[], half: Vector): Vector[] {
+  const k = normal.findIndex((x) => x !== 0), [i, j] = [(k + 1) % 3, (k + 2) % 3];
+  return [[1, 1], [-1, 1], [-1, -1], [1, -1]].map(([a, b]) => {
+    const corner: Vector = [0, 0, 0];
+    corner[k] = normal[k] * half[k];
+    corner[i] = a * half[i];
+    corner[j] = b * half[j];
+    return corner;
+  });
+}
+
+function solid(frame: Frame, attitude: Matrix, half: Vector, middle: Vector, color: string, colors: Colors): void {
+  const { context } = frame;
+  const light: Vector = [0.35, 0.5, 0.79];
+  for (const [number, normal] of FACES.entries()) {
+    const outward = apply(frame.matrix, apply(attitude, normal));
+    if (outward[2] <= 0) continue;
+    const corners = face(normal, half).map((corner) => seen(frame, apply(attitude, plus(corner, middle))));
+    context.beginPath();
+    corners.forEach(([x, y], k) => (k ? context.lineTo(x, y) : context.moveTo(x, y)));
+    context.closePath();
+    context.fillStyle = number % 2 ? colors.muted : color;
+    context.globalAlpha = 1;
+    context.fill();
+    context.fillStyle = dot(outward, light) > 0.5 ? "#fff" : "#000";
+    context.globalAlpha = Math.abs(dot(outward, light) - 0.5) * 0.5;
+    context.fill();
+    context.globalAlpha = 1;
+    context.strokeStyle = colors.panel;
+    context.stroke();
+  }
+}
+
+function arrow(frame: Frame, from: Vector, to: Vector, color: string, width: number): void {
+  const { context } = frame;
+  const [x0, y0] = seen(frame, from), [x1, y1] = seen(frame, to);
+  const along = Math.hypot(x1 - x0, y1 - y0) || 1, u = (x1 - x0) / along, v = (y1 - y0) / along, head = Math.min(9, along / 2);
+  context.strokeStyle = context.fillStyle = color;
+  context.lineWidth = width;
+  context.beginPath();
+  context.moveTo(x0, y0);
+  context.lineTo(x1 - u * head * 0.7, y1 - v * head * 0.7);
+  context.stroke();
+  context.beginPath();
+  context.moveTo(x1, y1);
+  context.lineTo(x1 - head * (u - 0.45 * v), y1 - head * (v + 0.45 * u));
+  context.lineTo(x1 - head * (u + 0.45 * v), y1 - head * (v - 0.45 * u));
+  context.fill();
+}
+
+export function drawBody(
+  canvas: HTMLCanvasElement, camera: Matrix, view: View, attitude: Attitude | null, x: ArrayLike<number>, values: Values, color: string, colors: Colors,
+): void {
+  if (view.body === "vorticity") return drawVorticity(canvas, x, values);
+  if (view.body === "arrows") return drawArrows(canvas, camera, view, x, color, colors);
+  if (!attitude) return;
+  const frame = frameOf(canvas, camera, view.body === "top" ? 0.26 : 0.3), half = box(inertiaOf(values));
+  if (view.body === "inertia") {
+    arrow(frame, [0, 0, -1.5], [0, 0, 1.5], colors.muted, 1);
+    solid(frame, attitude.matrix, half, [0, 0, 0], color, colors);
+    return;
+  }
+  const lever: Vector = [values.l1, values.l2, values.l3], reach = length(lever) || 1;
+  const middle = scaled(lever, 1.1 / reach);
+  arrow(frame, [0, 0, -1.6], [0, 0, 1.6], colors.muted, 1);
+  arrow(frame, [0, 0, 0], apply(attitude.matrix, middle), colors.text, 2);
+  solid(frame, attitude.matrix, scaled(half, 0.5), middle, color, colors);
+}
+
+function drawArrows(canvas: HTMLCanvasElement, camera: Matrix, view: View, x: ArrayLike<number>, color: string, colors: Colors): void {
+  const frame = frameOf(canvas, camera, 0.42), count = view.balls!.length;
+  const order = view.balls!.map((ball, k) => {
+    const at: Vector = [count > 1 ? (2 * k) / (count - 1) - 1 : 0, 0, 0];
+    return { at, ball, k, depth: apply(camera, at)[2] };
+  });
+  for (const { at, ball, k } of order.sort((a, b) => a.depth - b.depth)) {
+    const spin = scaled(ball.map((i) => x[i]), 0.42);
+    const shade = count > 2 ? `hsl(${Math.round((360 * k) / count)} 65% 50%)` : k ? "#d98b1f" : color;
+    arrow(frame, plus(at, scaled(spin, -0.6)), plus(at, spin), shade, 2.5);
+    const [u, v] = seen(frame, at);
+    frame.context.fillStyle = colors.muted;
+    frame.context.beginPath();
+    frame.context.arc(u, v, 2, 0, 2 * Math.PI);
+    frame.context.fill();
+  }
+}
+
+const CELLS = 44;
+let image: ImageData | null = null;
+
+// The sum of the three waves on a square of two of the longest wavelengths.
+function drawVorticity(canvas: HTMLCanvasElement, x: ArrayLike<number>, values: Values): void {
+  if (canvas.width !== CELLS) canvas.width = canvas.height = CELLS;
+  const context = canvas.getContext("2d")!;
+  image ??= context.createImageData(CELLS, CELLS);
+  const k1 = [1, 0], k2 = [values.kx, values.ky], most = Math.abs(x[0]) + Math.abs(x[1]) + Math.abs(x[2]) || 1;
+  for (let row = 0; row < CELLS; ++row)
+    for (let column = 0; column < CELLS; ++column) {
+      const u = (column / CELLS) * 4 * Math.PI, v = (row / CELLS) * 4 * Math.PI;
+      const first = k1[0] * u + k1[1] * v, second = k2[0] * u + k2[1] * v;
+      const value = (x[0] * Math.cos(first) + x[1] * Math.cos(second) + x[2] * Math.cos(first + second)) / most;
+      const at = 4 * (row * CELLS + column), far = Math.min(1, Math.abs(value) * 1.3);
+      const [r, g, b] = value > 0 ? [200, 60, 50] : [40, 100, 190];
+      image.data[at] = 246 + (r - 246) * far;
+      image.data[at + 1] = 246 + (g - 246) * far;
+      image.data[at + 2] = 246 + (b - 246) * far;
+      image.data[at + 3] = 255;
+    }
+  context.putImageData(image, 0, 0);
+}
+

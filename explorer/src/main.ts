@@ -1,0 +1,255 @@
+// The page: loads the kernels and the tables, draws a frame after the other, and keeps the choice in the address.
+import { App } from "./app";
+import { drawBody } from "./body";
+import { camera, clamp } from "./camera";
+import { element } from "./controls";
+import { csv, download, pythonScript } from "./exports";
+import { Kernels } from "./kernels";
+import { buildPanel } from "./panel";
+import { drawErrors, drawSection } from "./plots";
+import { drawScene, picked } from "./scene";
+import { FIRST_TURN, read, written } from "./state";
+import { checked, type Tables } from "./tables";
+import { applyTheme, colors, toggleTheme } from "./theme";
+
+const TURN_OF_KEY = 0.08, TURN_OF_PIXEL = 0.008, CLICK_PIXELS = 4;
+const FPS_FRAMES = 60;
+
+const message = document.getElementById("message")!;
+const at = (id: string) => document.getElementById(id)!;
+
+interface Card {
+  title: HTMLElement;
+  scene: HTMLCanvasElement;
+  body: HTMLCanvasElement;
+  readout: HTMLElement;
+}
+
+function card(name: string): Card & { figure: HTMLElement } {
+  const title = element("b"), readout = element("p", { className: "readout" });
+  const scene = element("canvas", { className: "scene", tabIndex: 0 }), body = element("canvas", { className: "body" });
+  scene.setAttribute("role", "img");
+  body.setAttribute("aria-hidden", "true");
+  const caption = element("figcaption", {}, title);
+  return { title, scene, body, readout, figure: element("figure", { className: `card ${name}` }, caption, scene, body, readout) };
+}
+
+const power = (error: number) => (error === 0 ? "0" : Number.isFinite(error) ? error.toExponential(1) : "not a number");
+
+class Page {
+  private readonly cards = ["a", "b"].map(card);
+  private readonly energy = this.plot("Energy error |H − H₀|, largest so far");
+  private readonly casimirs = this.plot("Casimir error |C − C₀|, largest so far");
+  private readonly section = this.plot("");
+  private palette = colors();
+  private last = 0;
+  private readonly times: number[] = [];
+  private pending = 0;
+
+  constructor(readonly app: App) {
+    at("scenes").append(...this.cards.map(({ figure }) => figure));
+    at("plots").append(...[this.energy, this.casimirs, this.section].map(({ figure }) => figure));
+    for (const [k, { scene }] of this.cards.entries()) this.listen(scene, k);
+    at("theme").addEventListener("click", () => {
+      toggleTheme();
+      this.palette = colors();
+    });
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+      applyTheme();
+      this.palette = colors();
+    });
+    addEventListener("hashchange", () => {
+      const text = location.hash.slice(1);
+      if (text === written(app.tables, app.choice)) return;
+      app.choice = read(app.tables, text);
+      app.restart();
+      this.rebuild();
+    });
+    addEventListener("keydown", (event) => {
+      const typing = (event.target as HTMLElement).closest("input, select, button, summary, a");
+      if (event.key !== " " || typing) return;
+      event.preventDefault();
+      at("play").click();
+    });
+    this.rebuild();
+    requestAnimationFrame((time) => this.frame(time));
+  }
+
+  private plot(text: string): { figure: HTMLElement; canvas: HTMLCanvasElement; caption: HTMLElement } {
+    const canvas = element("canvas", { className: "plot" }), caption = element("figcaption", {}, text);
+    canvas.setAttribute("role", "img");
+    canvas.setAttribute("aria-label", text);
+    return { canvas, caption, figure: element("figure", { className: "card" }, caption, canvas) };
+  }
+
+  // The settings of another system.
+  rebuild(): void {
+    this.app.restart();
+    at("controls").replaceChildren(...buildPanel(this.app, {
+      changed: (restart) => {
+        if (restart) this.app.restart();
+        this.changed();
+      },
+      rebuilt: () => this.rebuild(),
+      copyScript: () => this.copy(this.script(), "The script is in the clipboard."),
+      download: () => this.save(),
+      copyLink: () => {
+        this.store();
+        this.copy(location.href, "The link is in the clipboard.");
+      },
+    }));
+    this.changed();
+  }
+
+  private changed(): void {
+    const { app } = this, { view } = app;
+    message.textContent = app.problem;
+    for (const [k, { title, scene, body }] of this.cards.entries()) {
+      title.textContent = app.title(app.choice.schemes[k]);
+      title.className = k ? "b-text" : "a-text";
+      const click = view.click === undefined ? "" : " A click sets the initial state.";
+      scene.setAttribute("aria-label", `${app.title(app.choice.schemes[k])}: the orbit. Arrow keys turn it.${click}`);
+      body.hidden = !view.body;
+      body.width = body.height = 0;
+    }
+    this.casimirs.figure.hidden = !app.hasCasimirs;
+    this.section.figure.hidden = !view.section;
+    this.section.caption.textContent = view.section ? `Poincaré section: ${view.section.name}` : "";
+    this.section.canvas.setAttribute("aria-label", this.section.caption.textContent);
+    clearTimeout(this.pending);
+    this.pending = setTimeout(() => this.store(), 150) as unknown as number;
+  }
+
+  private store(): void {
+    const text = written(this.app.tables, this.app.choice);
+    history.replaceState(null, "", text ? `#${text}` : location.pathname + location.search);
+  }
+
+  script(): string {
+    const { app } = this, { choice } = app;
+    return pythonScript({
+      system: app.systemCode(), schemes: choice.schemes.map((name) => app.schemeCode(name)), x0: choice.x0, step: choice.step,
+      steps: Math.max(1, app.steps),
+    });
+  }
+
+  data(): string {
+    return csv(this.app.kernels, this.app.plans(), this.app.coordinates, Math.max(1, this.app.steps));
+  }
+
+  private save(): void {
+    download(`${this.app.choice.system}.csv`, this.data());
+    message.textContent = "Both runs are downloaded.";
+  }
+
+  private copy(text: string, done: string): void {
+    const shown = () => {
+      message.textContent = "";
+      const area = element("textarea", { value: text, readOnly: true, rows: 12, cols: 60 });
+      area.setAttribute("aria-label", "Text to copy");
+      message.append(area);
+      area.select();
+    };
+    if (!navigator.clipboard) return shown();
+    navigator.clipboard.writeText(text).then(() => (message.textContent = done), shown);
+  }
+
+  private listen(canvas: HTMLCanvasElement, number: number): void {
+    let from: [number, number] | null = null, moved = 0;
+    const { app } = this;
+    const turn = (across: number, up: number) => {
+      const [yaw, pitch] = app.choice.turn;
+      app.choice.turn = [Number((yaw + across).toFixed(3)), Number(clamp(pitch + up, -1.5, 1.5).toFixed(3))];
+      this.changed();
+    };
+    canvas.addEventListener("pointerdown", (event) => {
+      from = [event.clientX, event.clientY];
+      moved = 0;
+      canvas.setPointerCapture(event.pointerId);
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      if (!from) return;
+      const across = event.clientX - from[0], up = event.clientY - from[1];
+      moved += Math.abs(across) + Math.abs(up);
+      if (moved < CLICK_PIXELS) return;
+      from = [event.clientX, event.clientY];
+      turn(-across * TURN_OF_PIXEL, up * TURN_OF_PIXEL);
+    });
+    canvas.addEventListener("pointerup", (event) => {
+      if (from && moved < CLICK_PIXELS) this.click(canvas, number, event.offsetX, event.offsetY);
+      from = null;
+    });
+    canvas.addEventListener("pointercancel", () => (from = null));
+    canvas.addEventListener("keydown", (event) => {
+      const turns: Record<string, [number, number]> = {
+        ArrowLeft: [TURN_OF_KEY, 0], ArrowRight: [-TURN_OF_KEY, 0], ArrowUp: [0, -TURN_OF_KEY], ArrowDown: [0, TURN_OF_KEY],
+      };
+      const by = turns[event.key];
+      if (by) turn(...by);
+      else if (event.key === "Home") app.choice.turn = [...FIRST_TURN];
+      else return;
+      event.preventDefault();
+    });
+  }
+
+  // The initial state of the first momentum, under the pointer.
+  private click(canvas: HTMLCanvasElement, number: number, x: number, y: number): void {
+    const { app } = this, { view } = app;
+    if (view.click === undefined || !app.shapes[number]) return;
+    const point = picked(canvas, camera(app.choice.turn), x, y);
+    if (!point) return;
+    const radius = app.shapes[number].radius(view.click);
+    view.balls![view.click].forEach((i, k) => (app.choice.x0[i] = Number((radius * point[k]).toPrecision(6))));
+    this.rebuild();
+  }
+
+  private frame(time: number): void {
+    requestAnimationFrame((next) => this.frame(next));
+    const seconds = Math.min(0.1, (time - this.last) / 1000 || 0);
+    this.times.push(time);
+    if (this.times.length > FPS_FRAMES) this.times.shift();
+    this.last = time;
+    this.app.advance(seconds);
+    this.draw();
+  }
+
+  get framesPerSecond(): number {
+    const { times } = this;
+    return (1000 * (times.length - 1)) / (times[times.length - 1] - times[0]);
+  }
+
+  private draw(): void {
+    const { app, palette } = this, matrix = camera(app.choice.turn);
+    for (const [k, track] of app.tracks.entries()) {
+      const { scene, body, readout } = this.cards[k], color = k ? palette.b : palette.a;
+      drawScene(scene, matrix, track, app.shapes[k], app.view, app.axes, color, palette);
+      if (app.view.body) drawBody(body, matrix, app.view, app.attitudes[k], track.x, app.choice.values, color, palette);
+      const casimirs = app.hasCasimirs ? `, Casimirs ${power(track.casimirs.now)}` : "";
+      const text = track.failure || `Step ${track.step}. Errors: energy ${power(track.energy.now)}${casimirs}`;
+      if (readout.textContent !== text) readout.textContent = text;
+    }
+    if (!app.tracks.length) return;
+    drawErrors(this.energy.canvas, app.tracks.map((track) => track.energy), palette);
+    if (app.hasCasimirs) drawErrors(this.casimirs.canvas, app.tracks.map((track) => track.casimirs), palette);
+    const { section } = app.view;
+    if (section) drawSection(this.section.canvas, app.tracks, section.labels, palette);
+  }
+}
+
+async function fetched(name: string): Promise<Response> {
+  const answer = await fetch(new URL(name, document.baseURI));
+  if (!answer.ok) throw new Error(`${name} is not loaded: ${answer.status}`);
+  return answer;
+}
+
+async function main(): Promise<void> {
+  applyTheme();
+  const [kernels, tables] = await Promise.all([
+    fetched("kernels.wasm").then((answer) => Kernels.load(answer)),
+    fetched("tables.json").then(async (answer) => checked((await answer.json()) as Tables)),
+  ]);
+  const page = new Page(new App(kernels, tables, read(tables, location.hash.slice(1))));
+  Object.assign(window, { explorer: page }); // for tests
+}
+
+main().catch((error: unknown) => (message.textContent = `The explorer does not start: ${error instanceof Error ? error.message : error}`));

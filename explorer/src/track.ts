@@ -1,0 +1,113 @@
+// One of the two runs side by side: its last states, its errors and its section.
+import type { Fields, Kernels, Points, Run } from "./kernels";
+import type { Section } from "./tables";
+
+export const TRAIL = 2400; // coordinates triples kept, for all balls together
+const BINS_PER_DECADE = 40, DECADES = 9;
+const MAX_SECTION = 4000;
+
+export interface Plan {
+  title: string;
+  loop: string;
+  fields: Fields;
+  invariants: string[];
+  step: number;
+  x0: number[];
+  section?: Section;
+}
+
+// The largest error until each of some steps, which are evenly spaced on a logarithmic axis.
+export class Errors {
+  readonly largest = new Float64Array(BINS_PER_DECADE * DECADES).fill(NaN);
+  now = 0;
+  most = 0;
+  last = -1;
+
+  add(step: number, error: number): void {
+    this.now = error;
+    if (error > this.most || Number.isNaN(error)) this.most = error;
+    const bin = Math.min(this.largest.length - 1, Math.floor(Math.log10(Math.max(step, 1)) * BINS_PER_DECADE));
+    this.largest[bin] = this.most;
+    this.last = Math.max(this.last, bin);
+  }
+
+  static step(bin: number): number {
+    return 10 ** (bin / BINS_PER_DECADE);
+  }
+}
+
+export class Track {
+  readonly energy = new Errors();
+  readonly casimirs = new Errors();
+  readonly trail: Float64Array; // a ring of whole states
+  readonly capacity: number;
+  readonly crossings: number[] = [];
+  count = 0; // states so far
+  x: Float64Array;
+  failure = "";
+  private readonly run: Run;
+  private readonly first: Float64Array;
+
+  constructor(kernels: Kernels, readonly plan: Plan, balls: number) {
+    const size = plan.x0.length;
+    this.run = kernels.run(plan.loop, plan.fields, size, plan.invariants.length);
+    this.run.begin(plan.x0);
+    this.capacity = Math.floor(TRAIL / Math.max(1, balls));
+    this.trail = new Float64Array(this.capacity * size);
+    const start = this.run.advance(1, plan.step);
+    this.first = start.values.slice(0, plan.invariants.length);
+    this.x = start.x.slice(0, size);
+    this.add(start);
+  }
+
+  get step(): number {
+    return Math.max(0, this.count - 1);
+  }
+
+  free(): void {
+    this.run.free();
+  }
+
+  advance(steps: number): void {
+    if (this.failure || steps < 1) return;
+    this.add(this.run.advance(steps, this.plan.step));
+    this.failure = this.run.failure;
+  }
+
+  private add(points: Points): void {
+    const size = this.x.length, count = this.plan.invariants.length, { section } = this.plan;
+    for (let k = 0; k < points.count; ++k) {
+      const next = points.x.subarray(k * size, (k + 1) * size);
+      if (section && this.count) this.cross(section, this.x, next);
+      this.x = next;
+      this.trail.set(next, (this.count % this.capacity) * size);
+      let worst = 0;
+      for (let i = 1; i < count; ++i) worst = Math.max(worst, Math.abs(points.values[k * count + i] - this.first[i]));
+      if (this.count) {
+        this.energy.add(this.count, Math.abs(points.values[k * count] - this.first[0]));
+        this.casimirs.add(this.count, worst);
+      }
+      ++this.count;
+    }
+    if (this.x.length) this.x = this.x.slice();
+  }
+
+  // A point of the section, between two states, where a coordinate rises through zero.
+  private cross(section: Section, before: Float64Array, after: Float64Array): void {
+    const a = before[section.level], b = after[section.level];
+    if (!(a < 0 && b >= 0)) return;
+    const part = a / (a - b);
+    const at = (i: number) => before[i] + part * (after[i] - before[i]);
+    this.crossings.push(at(section.across), at(section.up));
+    if (this.crossings.length > 2 * MAX_SECTION) this.crossings.splice(0, 2);
+  }
+
+  // The states that are kept, from the oldest on.
+  *states(): Generator<Float64Array> {
+    const size = this.x.length, kept = Math.min(this.count, this.capacity);
+    for (let k = this.count - kept; k < this.count; ++k) {
+      const at = (k % this.capacity) * size;
+      yield this.trail.subarray(at, at + size);
+    }
+  }
+}
