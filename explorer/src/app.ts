@@ -12,6 +12,9 @@ const MAX_STEPS_OF_FRAME = 400;
 const FRAME_BUDGET = 9; // milliseconds for the steps of a frame
 const TYPED_VIEW: View = { kind: "path", axes: [0, 1, 2], labels: ["x₁", "x₂", "x₃"] };
 
+const SUBSCRIPTS = "₀₁₂₃₄₅₆₇₈₉";
+const subscripted = (name: string) => name.replace("gamma", "γ").replace(/\d/g, (digit) => SUBSCRIPTS[Number(digit)]);
+
 export class App {
   tracks: Track[] = [];
   shapes: Shape[] = [];
@@ -40,7 +43,7 @@ export class App {
   get axes(): string[] {
     const { view } = this;
     if (view.labels) return view.labels;
-    return view.balls!.length > 1 ? ["x", "y", "z"] : view.balls![0].map((i) => this.coordinates[i].replace("gamma", "γ"));
+    return view.balls!.length > 1 ? ["x", "y", "z"] : view.balls![0].map((i) => subscripted(this.coordinates[i]));
   }
 
   select(name: string): void {

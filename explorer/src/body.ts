@@ -1,7 +1,7 @@
 // The body in space, spins as arrows, and the vorticity of a fluid. The attitude is found from the momenta for the drawing
 // alone: by midpoint steps, each turned back so that what is fixed in space stays there.
 import { apply, between, length, type Matrix, plus, product, rotation, scaled, type Vector, dot } from "./camera";
-import { type Frame, frameOf, seen } from "./scene";
+import { type Frame, frameOf, hue, seen } from "./scene";
 import type { Values, View } from "./tables";
 import type { Colors } from "./theme";
 
@@ -54,6 +54,16 @@ function face(normal: readonly number[], half: Vector): Vector[] {
   });
 }
 
+// A spot in the middle of a face, which tells it from the opposite one.
+function mark(context: CanvasRenderingContext2D, corners: Vector[]): void {
+  const [x, y] = [0, 1].map((k) => (corners[0][k] + corners[2][k]) / 2);
+  context.globalAlpha = 0.85;
+  context.fillStyle = "#fff";
+  context.beginPath();
+  context.arc(x, y, 3, 0, 2 * Math.PI);
+  context.fill();
+}
+
 function solid(frame: Frame, attitude: Matrix, half: Vector, middle: Vector, color: string, colors: Colors): void {
   const { context } = frame;
   const light: Vector = [0.35, 0.5, 0.79];
@@ -64,12 +74,14 @@ function solid(frame: Frame, attitude: Matrix, half: Vector, middle: Vector, col
     context.beginPath();
     corners.forEach(([x, y], k) => (k ? context.lineTo(x, y) : context.moveTo(x, y)));
     context.closePath();
-    context.fillStyle = number % 2 ? colors.muted : color;
+    context.fillStyle = [color, "#d98b1f", "#8fa1b3"][number >> 1];
     context.globalAlpha = 1;
     context.fill();
-    context.fillStyle = dot(outward, light) > 0.5 ? "#fff" : "#000";
-    context.globalAlpha = Math.abs(dot(outward, light) - 0.5) * 0.5;
+    const shade = dot(outward, light) - 0.55;
+    context.fillStyle = shade > 0 ? "#fff" : "#000";
+    context.globalAlpha = Math.abs(shade) * 0.55;
     context.fill();
+    if (number % 2 === 0) mark(context, corners);
     context.globalAlpha = 1;
     context.strokeStyle = colors.panel;
     context.stroke();
@@ -113,15 +125,14 @@ export function drawBody(
 }
 
 function drawArrows(canvas: HTMLCanvasElement, camera: Matrix, view: View, x: ArrayLike<number>, color: string, colors: Colors): void {
-  const frame = frameOf(canvas, camera, 0.42), count = view.balls!.length;
+  const frame = frameOf(canvas, camera, 0.42), count = view.balls!.length, size = count > 2 ? 0.42 : 0.7;
   const order = view.balls!.map((ball, k) => {
-    const at: Vector = [count > 1 ? (2 * k) / (count - 1) - 1 : 0, 0, 0];
+    const at: Vector = [(1.6 * k) / (count - 1) - 0.8, 0, 0];
     return { at, ball, k, depth: apply(camera, at)[2] };
   });
   for (const { at, ball, k } of order.sort((a, b) => a.depth - b.depth)) {
-    const spin = scaled(ball.map((i) => x[i]), 0.42);
-    const shade = count > 2 ? `hsl(${Math.round((360 * k) / count)} 65% 50%)` : k ? "#d98b1f" : color;
-    arrow(frame, plus(at, scaled(spin, -0.6)), plus(at, spin), shade, 2.5);
+    const spin = scaled(ball.map((i) => x[i]), size);
+    arrow(frame, plus(at, scaled(spin, -0.6)), plus(at, spin), hue(color, k, count), 2.5);
     const [u, v] = seen(frame, at);
     frame.context.fillStyle = colors.muted;
     frame.context.beginPath();

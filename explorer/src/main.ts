@@ -20,6 +20,7 @@ const at = (id: string) => document.getElementById(id)!;
 
 interface Card {
   title: HTMLElement;
+  hint: HTMLElement;
   scene: HTMLCanvasElement;
   body: HTMLCanvasElement;
   readout: HTMLElement;
@@ -30,8 +31,8 @@ function card(name: string): Card & { figure: HTMLElement } {
   const scene = element("canvas", { className: "scene", tabIndex: 0 }), body = element("canvas", { className: "body" });
   scene.setAttribute("role", "img");
   body.setAttribute("aria-hidden", "true");
-  const caption = element("figcaption", {}, title);
-  return { title, scene, body, readout, figure: element("figure", { className: `card ${name}` }, caption, scene, body, readout) };
+  const hint = element("span", { className: "hint" }), caption = element("figcaption", {}, title, hint);
+  return { title, hint, scene, body, readout, figure: element("figure", { className: `card ${name}` }, caption, scene, body, readout) };
 }
 
 const power = (error: number) => (error === 0 ? "0" : Number.isFinite(error) ? error.toExponential(1) : "not a number");
@@ -104,11 +105,12 @@ class Page {
   private changed(): void {
     const { app } = this, { view } = app;
     message.textContent = app.problem;
-    for (const [k, { title, scene, body }] of this.cards.entries()) {
+    for (const [k, { title, hint, scene, body }] of this.cards.entries()) {
       title.textContent = app.title(app.choice.schemes[k]);
       title.className = k ? "b-text" : "a-text";
       const click = view.click === undefined ? "" : " A click sets the initial state.";
       scene.setAttribute("aria-label", `${app.title(app.choice.schemes[k])}: the orbit. Arrow keys turn it.${click}`);
+      hint.textContent = view.click === undefined ? "drag to turn" : "drag to turn, click to start there";
       body.hidden = !view.body;
       body.width = body.height = 0;
     }
@@ -196,7 +198,7 @@ class Page {
   private click(canvas: HTMLCanvasElement, number: number, x: number, y: number): void {
     const { app } = this, { view } = app;
     if (view.click === undefined || !app.shapes[number]) return;
-    const point = picked(canvas, camera(app.choice.turn), x, y);
+    const point = picked(canvas, camera(app.choice.turn), view, x, y);
     if (!point) return;
     const radius = app.shapes[number].radius(view.click);
     view.balls![view.click].forEach((i, k) => (app.choice.x0[i] = Number((radius * point[k]).toPrecision(6))));

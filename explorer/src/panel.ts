@@ -74,7 +74,7 @@ function start(app: App, actions: Actions): Node {
 export function buildPanel(app: App, actions: Actions): Node[] {
   const systems: Array<[string, string]> = [
     ...Object.entries(app.tables.systems).map(([name, { title }]): [string, string] => [name, title]),
-    [TYPED, "Algebra of dimension 3, typed by hand"],
+    [TYPED, "Your own algebra"],
   ];
   const play = button(app.playing ? "Pause" : "Play", () => {
     app.playing = !app.playing;

@@ -71,7 +71,8 @@ export function drawErrors(canvas: HTMLCanvasElement, errors: Errors[], colors: 
   }
   if (!Number.isFinite(high)) [low, high] = [LOWEST, 0];
   const top = Math.max(Math.ceil(high + 0.3), Math.floor(low) + 4);
-  const axes = logAxes(canvas, [0, Math.max(2, Math.log10(Errors.step(last)) * 1.02)], [Math.floor(low - 0.3), top], colors);
+  const end = Math.max(2, Math.log10(Errors.step(last)) * 1.02);
+  const axes = logAxes(canvas, [0, Math.floor(low - 0.3)], [end, top], colors);
   errors.forEach((one, number) => {
     const { context } = axes;
     context.strokeStyle = number ? colors.b : colors.a;

@@ -2,7 +2,9 @@
 import { apply, type Matrix, type Vector, length } from "./camera";
 import type { View } from "./tables";
 import type { Colors } from "./theme";
-import type { Track } from "./track";
+import { type Track, TRAIL } from "./track";
+
+const FLAT = 0.55; // heights on the cylinder, drawn smaller
 
 type Context = CanvasRenderingContext2D;
 
@@ -11,11 +13,12 @@ export interface Frame {
   context: Context;
   width: number;
   height: number;
+  middle: number; // of the scene, in pixels from the left
   radius: number; // pixels of one unit
   matrix: Matrix;
 }
 
-export function frameOf(canvas: HTMLCanvasElement, matrix: Matrix, part: number): Frame {
+export function frameOf(canvas: HTMLCanvasElement, matrix: Matrix, part: number, middle = 0.5): Frame {
   const ratio = Math.min(2, devicePixelRatio || 1);
   const width = canvas.clientWidth, height = canvas.clientHeight;
   if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
@@ -25,12 +28,12 @@ export function frameOf(canvas: HTMLCanvasElement, matrix: Matrix, part: number)
   const context = canvas.getContext("2d")!;
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.clearRect(0, 0, width, height);
-  return { context, width, height, radius: part * Math.min(width, height), matrix };
+  return { context, width, height, middle: middle * width, radius: part * Math.min(width, height), matrix };
 }
 
 export function seen(frame: Frame, point: ArrayLike<number>): Vector {
   const [x, y, z] = apply(frame.matrix, point);
-  return [frame.width / 2 + frame.radius * x, frame.height / 2 - frame.radius * y, z];
+  return [frame.middle + frame.radius * x, frame.height / 2 - frame.radius * y, z];
 }
 
 // What a scene shows of a state: points in units of the scene, one for each ball.
@@ -54,10 +57,11 @@ export class Shape {
     }
   }
 
-  point(ball: number, x: ArrayLike<number>, into: Vector): Vector {
+  // Of the state that begins at `from`.
+  point(ball: number, x: ArrayLike<number>, into: Vector, from = 0): Vector {
     const coordinates = this.balls[ball], scale = 1 / this.radii[ball];
-    for (let k = 0; k < 3; ++k) into[k] = (x[coordinates[k]] - this.middle[k]) * scale;
-    if (this.view.kind === "cylinder") into[2] *= 0.9;
+    for (let k = 0; k < 3; ++k) into[k] = (x[from + coordinates[k]] - this.middle[k]) * scale;
+    if (this.view.kind === "cylinder") into[2] *= FLAT;
     return into;
   }
 
@@ -113,14 +117,14 @@ function grid(frame: Frame, view: View, colors: Colors, front: boolean): void {
 }
 
 function ball(frame: Frame, colors: Colors): void {
-  const { context, width, height, radius } = frame;
-  const shade = context.createRadialGradient(width / 2 - radius * 0.35, height / 2 - radius * 0.4, radius * 0.1, width / 2, height / 2, radius);
+  const { context, middle, height, radius } = frame;
+  const shade = context.createRadialGradient(middle - radius * 0.35, height / 2 - radius * 0.4, radius * 0.1, middle, height / 2, radius);
   const [light, edge] = colors.dark ? ["rgba(150,175,200,0.26)", "rgba(60,75,95,0.34)"] : ["rgba(255,255,255,0.55)", "rgba(140,160,180,0.28)"];
   shade.addColorStop(0, light);
   shade.addColorStop(1, edge);
   context.fillStyle = shade;
   context.beginPath();
-  context.arc(width / 2, height / 2, radius, 0, 2 * Math.PI);
+  context.arc(middle, height / 2, radius, 0, 2 * Math.PI);
   context.fill();
   context.strokeStyle = colors.line;
   context.stroke();
@@ -144,51 +148,64 @@ function axes(frame: Frame, view: View, names: string[], colors: Colors): void {
     context.lineTo(x, y);
     context.stroke();
     context.fillStyle = colors.text;
-    context.fillText(names[k], x + (x - frame.width / 2) * 0.06, y + (y - frame.height / 2) * 0.06);
+    context.fillText(names[k], x + (x - frame.middle) * 0.06, y + (y - frame.height / 2) * 0.06);
   }
   context.globalAlpha = 1;
 }
 
 const AGES = 4;
+const BALL = 0.41; // radius of the sphere, of the smaller edge
+
+// Beside a body the scene is left of the middle.
+const middleOf = (view: View) => (view.body ? 0.39 : 0.5);
+
+// The pixels of the trail of a ball, from the oldest state on: x, y and whether it is in front, one after the other.
+const projected = new Float32Array(3 * (TRAIL + 1));
+
+function project(frame: Frame, track: Track, shape: Shape, number: number): number {
+  const scratch: Vector = [0, 0, 0], kept = Math.min(track.count, track.capacity), size = track.x.length;
+  const m = frame.matrix, middle = frame.middle, height = frame.height / 2;
+  for (let k = 0; k < kept; ++k) {
+    shape.point(number, track.trail, scratch, ((track.count - kept + k) % track.capacity) * size);
+    const [x, y, z] = scratch;
+    projected[3 * k] = middle + frame.radius * (m[0] * x + m[1] * y + m[2] * z);
+    projected[3 * k + 1] = height - frame.radius * (m[3] * x + m[4] * y + m[5] * z);
+    projected[3 * k + 2] = m[6] * x + m[7] * y + m[8] * z >= 0 ? 1 : 0;
+  }
+  return kept;
+}
 
 // The trail of one ball, older parts fainter; in front of the middle of the scene or behind it.
 function trail(frame: Frame, track: Track, shape: Shape, number: number, color: string, front: boolean): void {
-  const { context } = frame, kept = Math.min(track.count, track.capacity), scratch: Vector = [0, 0, 0];
+  const { context } = frame, kept = project(frame, track, shape, number), side = front ? 1 : 0;
   context.strokeStyle = color;
   context.lineWidth = front ? 1.7 : 1.2;
   context.lineJoin = "round";
-  let k = 0, age = -1, drawing = false;
-  let x = 0, y = 0, wasFront = false;
-  for (const state of track.states()) {
-    const at = Math.floor((AGES * k) / kept);
-    if (at !== age) {
-      if (age >= 0) context.stroke();
-      context.globalAlpha = (front ? 1 : 0.4) * (0.25 + (0.75 * (at + 1)) / AGES);
-      context.beginPath();
-      if (k) context.moveTo(x, y);
-      drawing = k > 0 && wasFront === front;
-      age = at;
+  for (let age = 0; age < AGES; ++age) {
+    const first = Math.floor((age * kept) / AGES), last = Math.floor(((age + 1) * kept) / AGES);
+    context.globalAlpha = (front ? 1 : 0.4) * (0.25 + (0.75 * (age + 1)) / AGES);
+    context.beginPath();
+    let drawing = false;
+    for (let k = Math.max(1, first); k < last; ++k) {
+      const inside = projected[3 * k + 2] === side;
+      if (inside) {
+        if (!drawing) context.moveTo(projected[3 * k - 3], projected[3 * k - 2]);
+        context.lineTo(projected[3 * k], projected[3 * k + 1]);
+      }
+      drawing = inside;
     }
-    const [nextX, nextY, z] = seen(frame, shape.point(number, state, scratch));
-    const isFront = z >= 0;
-    if (k && isFront === front) {
-      if (!drawing) context.moveTo(x, y);
-      context.lineTo(nextX, nextY);
-    }
-    drawing = isFront === front;
-    [x, y, wasFront] = [nextX, nextY, isFront];
-    ++k;
+    context.stroke();
   }
-  context.stroke();
   context.globalAlpha = 1;
 }
 
-const hue = (color: string, number: number, count: number) => (count > 2 ? `hsl(${Math.round((360 * number) / count)} 65% 50%)` : number ? "#d98b1f" : color);
+export const hue = (color: string, number: number, count: number) =>
+  count > 2 ? `hsl(${Math.round((360 * number) / count)} 65% 50%)` : number ? "#d98b1f" : color;
 
 export function drawScene(
   canvas: HTMLCanvasElement, matrix: Matrix, track: Track, shape: Shape, view: View, names: string[], color: string, colors: Colors,
 ): void {
-  const frame = frameOf(canvas, matrix, view.kind === "sphere" ? 0.41 : 0.47);
+  const frame = frameOf(canvas, matrix, view.kind === "sphere" ? BALL : 0.47, middleOf(view));
   const { context } = frame, count = shape.balls.length, scratch: Vector = [0, 0, 0];
   grid(frame, view, colors, false);
   for (let k = 0; k < count; ++k) trail(frame, track, shape, k, hue(color, k, count), false);
@@ -211,9 +228,9 @@ export function drawScene(
 }
 
 // The point of the sphere under a pixel, on the side of the reader, or null.
-export function picked(canvas: HTMLCanvasElement, matrix: Matrix, x: number, y: number): Vector | null {
-  const radius = 0.41 * Math.min(canvas.clientWidth, canvas.clientHeight);
-  const right = (x - canvas.clientWidth / 2) / radius, up = (canvas.clientHeight / 2 - y) / radius;
+export function picked(canvas: HTMLCanvasElement, matrix: Matrix, view: View, x: number, y: number): Vector | null {
+  const radius = BALL * Math.min(canvas.clientWidth, canvas.clientHeight);
+  const right = (x - canvas.clientWidth * middleOf(view)) / radius, up = (canvas.clientHeight / 2 - y) / radius;
   const rest = 1 - right * right - up * up;
   if (rest < 0) return null;
   const front = [right, up, Math.sqrt(rest)];
