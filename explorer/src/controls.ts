@@ -30,26 +30,27 @@ export function slider(range: Range, changed: (value: number) => void): HTMLLabe
   input.step = log ? "any" : "1";
   input.value = String(log ? Math.log10(range.value) : Math.round((range.value - range.low) / range.step));
   if (log) input.step = "0.01";
-  const output = element("output", {}, shown(range.value));
+  const number = element("span", { className: "number" }, shown(range.value));
   const describe = (value: number) => input.setAttribute("aria-valuetext", shown(value));
   describe(range.value);
   input.addEventListener("input", () => {
     const at = Number(input.value);
     const value = log ? Number((10 ** at).toPrecision(range.digits ?? 2)) : clean(range.low + at * range.step);
-    output.value = shown(value);
+    number.textContent = shown(value);
     describe(value);
     changed(Math.min(range.high, Math.max(range.low, value)));
   });
-  return element("label", { className: "slider" }, range.label, output, input);
+  return element("label", { className: "slider" }, range.label, number, input);
 }
 
 export function choice(
-  label: string, options: Array<[string, string]>, value: string, changed: (value: string) => void, className = "",
+  label: string, options: Array<[string, string]>, value: string, changed: (value: string) => void, className = "", named = true,
 ): HTMLLabelElement {
   const list = element("select", {}, ...options.map(([name, title]) => element("option", { value: name, selected: name === value }, title)));
   list.value = value;
   list.addEventListener("change", () => changed(list.value));
-  return element("label", { className }, label, list);
+  list.setAttribute("aria-label", label);
+  return element("label", { className }, named ? label : "", list);
 }
 
 export function button(label: string, pressed: () => void, className = ""): HTMLButtonElement {

@@ -44,6 +44,7 @@ class Page {
   private readonly section = this.plot("");
   private palette = colors();
   private last = 0;
+  private shown = false;
   private readonly times: number[] = [];
   private pending = 0;
 
@@ -213,6 +214,8 @@ class Page {
     this.last = time;
     this.app.advance(seconds);
     this.draw();
+    if (!this.shown) performance.mark("first picture");
+    this.shown = true;
   }
 
   get framesPerSecond(): number {

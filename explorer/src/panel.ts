@@ -19,7 +19,7 @@ function group(title: string, ...children: Node[]): HTMLFieldSetElement {
 
 function schemes(app: App, actions: Actions): Node[] {
   const options = app.tables.schemes.map(({ name, title }): [string, string] => [name, title]);
-  return ["Left", "Right"].map((label, k) =>
+  return ["Left scheme", "Right scheme"].map((label, k) =>
     choice(label, options, app.choice.schemes[k], (name) => {
       app.choice.schemes[k] = name;
       actions.changed(true);
@@ -90,10 +90,10 @@ export function buildPanel(app: App, actions: Actions): Node[] {
   const text = app.system?.text ?? "x′ = J(x) ∇H(x) on the dual of your own Lie algebra; the splitting is built in the page.";
   return [
     group("System",
-      element("div", {}, choice("", systems, app.choice.system, (name) => {
+      element("div", {}, choice("System", systems, app.choice.system, (name) => {
         app.select(name);
         actions.rebuilt();
-      })),
+      }, "", false)),
       element("p", { className: "about" }, text)),
     element("div", { className: "row" }, play, once, again),
     group("Schemes", ...schemes(app, actions)),

@@ -4,6 +4,8 @@ import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { test } from "node:test";
 import { Kernels } from "../src/kernels";
+import { casimirs, cube, invariantsOf, satisfiesJacobi, typedFields } from "../src/algebra";
+import type { Algebra } from "../src/state";
 import { checked, evaluate, fieldsOf, type Tables, type Values } from "../src/tables";
 
 const BUILT = join(process.cwd(), "../build/explorer");
@@ -20,9 +22,23 @@ interface Expected {
   invariants: number[][];
 }
 
+interface Typed {
+  name: string;
+  algebra: Algebra;
+  scheme: string;
+  step: number;
+  x0: number[];
+  exact: boolean;
+  x: number[][];
+  energy: number[];
+  casimirs: number;
+}
+
+const ROUND_OFF = 1e-12; // where the order of operations is another one
+
 const kernels = await Kernels.load(readFileSync(join(BUILT, "public/kernels.wasm")));
 const tables = checked(JSON.parse(readFileSync(join(BUILT, "public/tables.json"), "utf-8")) as Tables);
-const runs = JSON.parse(readFileSync(join(BUILT, "runs.json"), "utf-8")) as Expected[];
+const { runs, algebras } = JSON.parse(readFileSync(join(BUILT, "runs.json"), "utf-8")) as { runs: Expected[]; algebras: Typed[] };
 
 // The states and invariants at the saved steps, computed in pieces of this many steps.
 function computed(run: Expected, piece: number): { x: number[][]; invariants: number[][]; failure: string } {
@@ -54,6 +70,30 @@ for (const run of runs)
       assert.deepEqual(found.invariants, run.invariants);
     }
   });
+
+for (const [number, typed] of algebras.entries())
+  test(`${typed.name}, ${typed.scheme}, energy ${number % 3}`, () => {
+    const names = invariantsOf(typed.algebra), { loop } = tables.systems.rigid_body.schemes[typed.scheme];
+    const run = kernels.run(loop, typedFields(tables, typed.algebra, typed.scheme, typed.step), 3, names.length);
+    run.begin(typed.x0);
+    const points = run.advance(typed.x.length - 1, typed.step);
+    run.free();
+    const x = typed.x.map((_, k) => Array.from(points.x.subarray(3 * k, 3 * k + 3)));
+    const energy = typed.x.map((_, k) => points.values[names.length * k]);
+    assert.equal(casimirs(cube(typed.algebra)).length, typed.casimirs);
+    if (typed.exact) {
+      assert.deepEqual(x, typed.x);
+      assert.deepEqual(energy, typed.energy);
+    } else {
+      const size = Math.max(...typed.x.flat().map(Math.abs));
+      x.flat().forEach((value, k) => assert.ok(Math.abs(value - typed.x.flat()[k]) <= ROUND_OFF * size));
+    }
+  });
+
+test("Jacobi identity", () => {
+  for (const { algebra } of algebras) assert.ok(satisfiesJacobi(cube(algebra)));
+  assert.ok(!satisfiesJacobi(cube({ constants: [1, 0, 0, 0, 1, 0, 1, 0, 1], squares: [1, 1, 1], linear: [0, 0, 0] })));
+});
 
 test("formulas in reverse Polish notation", () => {
   assert.equal(evaluate("0.5 I1 /", { I1: 4 }), 0.125);

@@ -40,6 +40,48 @@ def run(shown: Shown, name: str, scheme: str, values: Values, step: float, x0: A
     }
 
 
+# Structure constants of [e1, e2], [e2, e3] and [e3, e1], by e1, e2 and e3: one algebra for each kind of block. The last is
+# so(3) in a skew basis, whose generators the library solves in closed form, and the page by their series.
+ALGEBRAS = {
+    "so(3)": (0, 0, 1, 1, 0, 0, 0, 1, 0),
+    "se(2)": (0, 0, 1, 0, 0, 0, 0, 1, 0),
+    "Heisenberg": (0, 0, 1, 0, 0, 0, 0, 0, 0),
+    "scalings": (0, 1, 0, 0, 0, 0, 0, 0, -0.5),
+    "equal scalings": (0, 0.7, 0, 0, 0, 0, 0, 0, -0.7),
+    "sl(2)": (0, 2, 0, 1, 0, 0, 0, 0, 2),
+    "planes": (0, 0.5, 1, 0, 0, 0, 0, 1, -0.5),
+    "III": (0, 1, 1, 0, 0, 0, 0, -1, -1),
+    "so(3), scaled": (0, 0, 1.5, -0.5, 0, 0, 0, 0.75, 0),
+    "so(3), skew": (0, 0, 1, 2, -1, 0, -1, 1, 0),
+}
+ENERGIES = (((1.0, 0.6, 0.4), (0.0, 0.0, 0.0)), ((0.5, 0.0, 0.9), (0.1, -0.3, 0.0)), ((0.8, 0.3, 0.0), (0.0, 0.0, 0.0)))
+ROUNDED = ("so(3), skew",)
+TYPED_STEPS, TYPED_STEP = 60, 0.1
+
+
+def typed(name: str, scheme: str, title: str, energy: Any) -> dict[str, Any]:
+    """Return a run on a typed algebra; `exact` unless the page computes in another order."""
+    c, (squares, linear) = ALGEBRAS[name], energy
+    pairs = ((0, 1), (1, 2), (2, 0))
+    triples = [(*pairs[n // 3], n % 3, float(x)) for n, x in enumerate(c) if x]
+    system = co.LiePoissonSystem(co.LieAlgebra(triples, dim=3), co.Quadratic(list(squares), linear=list(linear)))
+    splitting = title.startswith("splitting")
+    method = eval(f"{scheme[:-1]}, parts='coordinates')" if splitting else scheme, {"co": co})
+    x0, span = (0.3, -0.5, 0.4), (0.0, TYPED_STEPS * TYPED_STEP)
+    sol = co.integrate(system, x0, t_span=span, step=TYPED_STEP, method=method)
+    return {
+        "name": name,
+        "algebra": {"constants": c, "squares": squares, "linear": linear},
+        "scheme": title,
+        "step": TYPED_STEP,
+        "x0": x0,
+        "exact": title != "taylor" and not (splitting and name in ROUNDED),
+        "x": sol.x.tolist(),
+        "energy": sol.energy.tolist(),
+        "casimirs": len(system.casimirs),
+    }
+
+
 def runs() -> list[dict[str, Any]]:
     """Return two runs of each scheme on each system."""
     random, found = np.random.default_rng(2), []
@@ -54,4 +96,7 @@ def runs() -> list[dict[str, Any]]:
 
 if __name__ == "__main__":
     warnings.simplefilter("ignore")
-    Path(sys.argv[1]).write_text(json.dumps(runs()), encoding="utf-8")
+    algebras = [
+        typed(name, scheme, title, energy) for name in ALGEBRAS for title, scheme, _ in SCHEMES for energy in ENERGIES
+    ]
+    Path(sys.argv[1]).write_text(json.dumps({"runs": runs(), "algebras": algebras}), encoding="utf-8")

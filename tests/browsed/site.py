@@ -8,28 +8,18 @@ page may be wider than the window, and axe-core may find no serious fault. The p
 from __future__ import annotations
 
 import argparse
-import functools
-import http.server
 import io
-import os
-import shutil
 import sys
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
-import axe_core_python
 import numpy as np
+from browsing import COLORS, WINDOWS, browser_program, faults, served
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
 SCREENSHOTS = Path(__file__).with_name("screenshots")
-AXE = Path(axe_core_python.__file__).with_name("axe.min.js")
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-WINDOWS = ((1400, 1000), (390, 844))
-COLORS = ("light", "dark")
 PAGES = ("index", "start", "schemes", "systems/heavy_top", "own_algebra")
 # Further pages of each kind, which are not compared.
 OTHERS = ("systems/index", "schemes/Splitting", "api", "reference/coadjoint.integrate", "paper", "spins", "derivatives")
@@ -44,24 +34,6 @@ QUESTIONS = {
     "how to resume a run": "archives.html",
     "how accurate Taylor is": "accuracy.html",
 }
-
-
-@contextmanager
-def served(folder: Path) -> Iterator[str]:
-    """Serve a folder to this machine alone; yield the address."""
-
-    class Quiet(http.server.SimpleHTTPRequestHandler):
-        def log_message(self, *_: Any) -> None:
-            pass
-
-    handler = functools.partial(Quiet, directory=str(folder))
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        thread = threading.Thread(target=server.serve_forever, daemon=True)
-        thread.start()
-        try:
-            yield f"http://127.0.0.1:{server.server_port}/"
-        finally:
-            server.shutdown()
 
 
 @contextmanager
@@ -86,22 +58,6 @@ def opened(
     tab.evaluate("window.MathJax && window.MathJax.startup && window.MathJax.startup.promise")
     yield tab
     context.close()
-
-
-def faults(tab: Page, width: int) -> list[str]:
-    """Return what is wrong with an open page."""
-    found = []
-    if (wide := tab.evaluate("document.documentElement.scrollWidth")) > width:
-        found.append(f"the page is {wide} pixels wide")
-    if unset := tab.evaluate(
-        r"[...document.querySelectorAll('.math')].filter(m => !m.querySelector('mjx-container')).length"
-    ):
-        found.append(f"{unset} formulas are not set")
-    tab.evaluate(AXE.read_text(encoding="utf-8"))
-    for fault in tab.evaluate("axe.run()")["violations"]:
-        if fault["impact"] in ("serious", "critical"):
-            found.append(f"{fault['id']}: {fault['nodes'][0]['html'][:120]}")
-    return found
 
 
 def reduced(tab: Page) -> np.ndarray:
@@ -151,9 +107,7 @@ def main() -> int:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--write", action="store_true", help="store the windows")
     given = parser.parse_args()
-    program = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, NAMES)), None)
-    if program is None:
-        print("no browser: install Chromium, or set CHROMIUM=/path/to/it", file=sys.stderr)
+    if (program := browser_program()) is None:
         return 2
     wrong: list[str] = []
     with served(given.folder) as base, sync_playwright() as playwright:

@@ -1,0 +1,240 @@
+"""The explorer in a browser: ``python tests/browsed/explorer.py build/explorer/site``.
+
+The page loads nothing from elsewhere, every system runs, and the numbers of both runs are those that the script of the
+page prints. The address keeps the choice, and the page works by keyboard, on a narrow window, light and dark. Its size,
+the time until its first picture and its frames per second are printed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import csv
+import gzip
+import io
+import sys
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from browsing import COLORS, WINDOWS, browser_program, faults, served
+from playwright.sync_api import Browser, Page, sync_playwright
+
+LARGEST_SIZE = 500_000  # bytes of all files, compressed
+LEAST_FRAMES = 30.0  # per second, in software rendering
+LONGEST_START = 3000.0  # milliseconds until the first picture, on a busy machine
+STEPS = 150
+SYSTEMS = (
+    "rigid_body", "heavy_top", "spin_pair", "spin_chain", "toda_ring", "maxwell_bloch", "fluid_triad", "algebra",
+)  # fmt: skip
+SCHEMES = ("splitting2", "splitting4", "rk4", "gauss", "taylor")
+WAIT = 20_000
+
+
+@contextmanager
+def opened(
+    browser: Browser, base: str, address: str, wrong: list[str], window: tuple[int, int] = WINDOWS[0], color: str = "light"
+) -> Iterator[Page]:
+    """Open the page with a choice, and add what goes wrong to the list."""
+    width, height = window
+    where = f"#{address}, {width} pixels, {color}"
+    context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=color)  # type: ignore[arg-type]
+    tab = context.new_page()
+    tab.on("console", lambda message: message.type == "error" and wrong.append(f"{where}: {message.text}"))
+    tab.on("pageerror", lambda error: wrong.append(f"{where}: {error}"))
+    tab.on(
+        "request",
+        lambda request: (
+            request.url.startswith((base, "data:")) or wrong.append(f"{where}: {request.url} is loaded from elsewhere")
+        ),
+    )
+    tab.goto(f"{base}index.html#{address}")
+    tab.wait_for_function("window.explorer && performance.getEntriesByName('first picture').length", timeout=WAIT)
+    yield tab
+    context.close()
+
+
+def compressed_size(folder: Path) -> int:
+    """Return the size of all files, each compressed."""
+    return sum(len(gzip.compress(file.read_bytes(), 9)) for file in folder.rglob("*") if file.is_file())
+
+
+def take(tab: Page, steps: int) -> list[list[float]]:
+    """Begin both runs again, and return their states after some steps."""
+    states: list[list[float]] = tab.evaluate(
+        """steps => {
+            const { app } = explorer;
+            app.playing = false;
+            app.restart();
+            while (app.steps < steps && !app.problem) app.take(Math.min(10, steps - app.steps));
+            return app.tracks.map((track) => Array.from(track.x));
+        }""",
+        steps,
+    )
+    return states
+
+
+def printed(script: str) -> list[list[float]]:
+    """Return the states that the script of the page prints."""
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        exec(compile(script, "script of the explorer", "exec"), {})
+    return [eval(line[line.index("[") : line.index("]") + 1]) for line in output.getvalue().splitlines()]
+
+
+def check_numbers(browser: Browser, base: str, wrong: list[str]) -> None:
+    """Compare every system under every scheme with the script that the page writes."""
+    for system in SYSTEMS:
+        for first, second in (SCHEMES[:2], SCHEMES[2:4], (SCHEMES[4], SCHEMES[0])):
+            with opened(browser, base, f"system={system}&a={first}&b={second}", wrong) as tab:
+                states = take(tab, STEPS)
+                expected = printed(tab.evaluate("explorer.script()"))
+                rows = list(csv.reader(io.StringIO(tab.evaluate("explorer.data()"))))
+                size = len(states[0])
+                last = [[float(x) for x in rows[at][3 : 3 + size]] for at in (1 + STEPS, -1)]
+            for name, state, value, row in zip((first, second), states, expected, last, strict=True):
+                rounded = system == "algebra" and name == "taylor"
+                same = np.allclose(state, value, rtol=0, atol=1e-12) if rounded else state == value
+                if not same:
+                    wrong.append(f"{system}, {name}: {state} in the page, {value} in Python")
+                if state != row:
+                    wrong.append(f"{system}, {name}: {row} in the data, {state} in the page")
+
+
+def check_address(browser: Browser, base: str, wrong: list[str]) -> None:
+    """Change settings by keyboard, and open the address that results."""
+    with opened(browser, base, "system=heavy_top", wrong) as tab:
+        tab.get_by_label("lever l₃").focus()
+        for _ in range(3):
+            tab.keyboard.press("ArrowRight")
+        tab.get_by_label("step h").focus()
+        tab.keyboard.press("ArrowLeft")
+        tab.get_by_label("Right scheme", exact=True).select_option("gauss")
+        tab.get_by_label("gamma1").fill("0.5")
+        tab.keyboard.press("Enter")
+        tab.wait_for_timeout(400)
+        choice, address = tab.evaluate("explorer.app.choice"), tab.evaluate("location.hash.slice(1)")
+    if choice["values"]["l3"] != 1.15 or choice["schemes"][1] != "gauss" or choice["x0"][3] != 0.5:
+        wrong.append(f"keys and fields set {choice}")
+    with opened(browser, base, address, wrong) as tab:
+        again = tab.evaluate("explorer.app.choice")
+    if again != choice:
+        wrong.append(f"#{address} gives {again}, not {choice}")
+    with opened(browser, base, "system=none&h=-3&p.I1=x&turn=1&x=1,2", wrong) as tab:
+        if tab.evaluate("explorer.app.choice.system") != "rigid_body":
+            wrong.append("an address that cannot be read does not open the first system")
+    with opened(browser, base, "system=algebra&c=1,0,0,0,1,0,1,0,1", wrong) as tab:
+        if "Jacobi" not in tab.inner_text("#message"):
+            wrong.append("brackets without the Jacobi identity are not refused")
+
+
+def check_keys_and_clicks(browser: Browser, base: str, wrong: list[str]) -> None:
+    """Turn the scene and stop the runs by keys, and set the initial state by a click."""
+    with opened(browser, base, "", wrong) as tab:
+        scene = tab.locator("canvas.scene").first
+        reached = set()
+        for _ in range(40):
+            tab.keyboard.press("Tab")
+            reached.add(tab.evaluate("document.activeElement.className + document.activeElement.tagName"))
+        if "sceneCANVAS" not in reached or "SELECT" not in reached or "mainBUTTON" not in reached:
+            wrong.append(f"by Tab only {sorted(reached)} are reached")
+        scene.focus()
+        before = tab.evaluate("explorer.app.choice.turn")
+        tab.keyboard.press("ArrowLeft")
+        tab.keyboard.press("ArrowUp")
+        if np.isclose(tab.evaluate("explorer.app.choice.turn"), before).any():
+            wrong.append("arrow keys do not turn the scene")
+        tab.keyboard.press(" ")
+        if tab.evaluate("explorer.app.playing"):
+            wrong.append("the space bar does not stop the runs")
+        box = scene.bounding_box()
+        assert box is not None
+        start = np.array(tab.evaluate("explorer.app.choice.x0"))
+        tab.mouse.click(box["x"] + 0.35 * box["width"], box["y"] + 0.4 * box["height"])
+        clicked = np.array(tab.evaluate("explorer.app.choice.x0"))
+        if np.allclose(clicked, start) or abs(np.linalg.norm(clicked) / np.linalg.norm(start) - 1) > 1e-5:
+            wrong.append(f"a click on the sphere sets {clicked}, from {start}")
+        turned = tab.evaluate("explorer.app.choice.turn")
+        tab.mouse.move(box["x"] + 100, box["y"] + 100)
+        tab.mouse.down()
+        tab.mouse.move(box["x"] + 160, box["y"] + 130, steps=5)
+        tab.mouse.up()
+        if np.isclose(tab.evaluate("explorer.app.choice.turn"), turned).any():
+            wrong.append("dragging does not turn the scene")
+
+
+def check_drift(browser: Browser, base: str, wrong: list[str]) -> None:
+    """At the first settings Runge-Kutta leaves the sphere, and the splitting stays."""
+    with opened(browser, base, "", wrong) as tab:
+        take(tab, 3000)
+        stays, leaves = tab.evaluate("explorer.app.tracks.map((track) => track.casimirs.most)")
+        if not stays < 1e-13 < 1e-2 < leaves:
+            wrong.append(f"the errors of the Casimir are {stays} and {leaves}")
+
+
+def measured(browser: Browser, base: str, wrong: list[str]) -> dict[str, Any]:
+    """Return milliseconds until the first picture, frames per second, and steps a second of a rigid body."""
+    with opened(browser, base, "", wrong) as tab:
+        start = tab.evaluate("performance.getEntriesByName('first picture')[0].startTime")
+        time.sleep(3)
+        frames = tab.evaluate("explorer.framesPerSecond")
+        rate = tab.evaluate(
+            """() => {
+                const { app } = explorer, [plan] = app.plans();
+                const run = app.kernels.run(plan.loop, plan.fields, 3, plan.invariants.length);
+                run.begin(plan.x0);
+                run.advance(1000, plan.step);
+                const start = performance.now();
+                let steps = 0;
+                while (performance.now() - start < 500) run.advance(1000, plan.step), (steps += 1000);
+                run.free();
+                return 1000 * steps / (performance.now() - start);
+            }"""
+        )
+    if start > LONGEST_START:
+        wrong.append(f"the first picture takes {start:.0f} ms")
+    if frames < LEAST_FRAMES:
+        wrong.append(f"{frames:.0f} frames per second")
+    return {"start": start, "frames": frames, "rate": rate}
+
+
+def main() -> int:
+    """Test the page; print what is wrong."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("folder", type=Path)
+    folder = parser.parse_args().folder
+    if (program := browser_program()) is None:
+        return 2
+    wrong: list[str] = []
+    if (size := compressed_size(folder)) > LARGEST_SIZE:
+        wrong.append(f"the files have {size} bytes compressed; at most {LARGEST_SIZE} are allowed")
+    with served(folder) as base, sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        figures = measured(browser, base, wrong)
+        for system in SYSTEMS:
+            for window in WINDOWS:
+                for color in COLORS:
+                    with opened(browser, base, f"system={system}", wrong, window, color) as tab:
+                        tab.evaluate("explorer.app.playing = false")
+                        found = faults(tab, window[0])
+                        wrong += [f"{system}, {window[0]} pixels, {color}: {fault}" for fault in found]
+        check_numbers(browser, base, wrong)
+        check_address(browser, base, wrong)
+        check_keys_and_clicks(browser, base, wrong)
+        check_drift(browser, base, wrong)
+        browser.close()
+    print(*wrong, sep="\n")
+    print(
+        f"{size / 1000:.0f} kB compressed, first picture after {figures['start']:.0f} ms, {figures['frames']:.0f} frames "
+        f"per second, {figures['rate'] / 1000:.0f} thousand steps of a rigid body a second, {len(wrong)} faults"
+    )
+    return bool(wrong)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
