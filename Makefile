@@ -25,7 +25,7 @@ BUILT := $(shell sed -n 's/^CMAKE_HOME_DIRECTORY:INTERNAL=//p' $(BUILD)/CMakeCac
 # Installing configures the build folder too.
 CONFIGURE := $(if $(BUILT),$(if $(MOVED),,$(if $(wildcard $(VENV)/installed),package)))
 
-.PHONY: moved demo test variants long core torch mutants soak fuzz sanitize compilers aarch64 bench site site-test kernels package packages release-checks clean
+.PHONY: moved demo test variants long core torch mutants soak fuzz sanitize compilers aarch64 bench explorer explorer-test site site-test kernels package packages release-checks clean
 
 demo: kernels
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
@@ -92,15 +92,41 @@ aarch64: kernels
 bench: kernels $(VENV)/peers
 	$(BIN)/python benchmarks/run_all.py
 
+# The explorer in build/explorer/site: the kernels in WebAssembly, their tables, and the page. It needs emcc, of
+# Emscripten, and npm, of Node.js 20 or newer.
+EMCC := $(shell command -v emcc)
+NPM := $(shell command -v npm)
+EXPLORER := build/explorer
+WITH_EXPLORER := $(if $(EMCC),$(if $(NPM),$(EXPLORER)/site))
+
+explorer: kernels $(EXPLORER)/public/kernels.wasm explorer/node_modules/.package-lock.json
+	$(ONE_THREAD) $(BIN)/python docs/write_explorer.py $(EXPLORER)/public
+	npm --prefix explorer run --silent build
+
+$(EXPLORER)/public/kernels.wasm: $(wildcard explorer/wasm/*) $(wildcard src/coadjoint/kernels/source/*/*)
+	explorer/wasm/build.sh $(EXPLORER)
+
+explorer/node_modules/.package-lock.json: explorer/package-lock.json
+	npm --prefix explorer ci --silent
+	@touch $@
+
+# Its numbers in Node.js and in a browser, beside those of the library.
+explorer-test: explorer $(VENV)/browser
+	$(ONE_THREAD) $(BIN)/python tests/browsed/explorer_runs.py $(EXPLORER)/runs.json
+	npm --prefix explorer run --silent check
+	npm --prefix explorer run --silent test
+	$(ONE_THREAD) $(BIN)/python tests/browsed/explorer.py $(EXPLORER)/site
+
 # The documentation in build/site: pages, reference, and pictures that are drawn now. Warnings, such as links that lead
-# nowhere, are errors.
-site: kernels $(VENV)/site
-	$(ONE_THREAD) $(BIN)/python docs/site/write_sources.py build/site-sources
+# nowhere, are errors. Without emcc or npm the explorer is left out, and nothing links to it.
+site: kernels $(VENV)/site $(if $(WITH_EXPLORER),explorer)
+	$(if $(WITH_EXPLORER),,@echo "the site is built without the explorer: it needs emcc and npm")
+	$(ONE_THREAD) $(BIN)/python docs/site/write_sources.py build/site-sources $(WITH_EXPLORER)
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --jobs 2 \
 		--doctree-dir build/site-doctrees build/site-sources build/site
 
 # The pages as a browser shows them: needs Chromium or Chrome, found by its usual names or CHROMIUM=/path/to/it.
-site-test: site $(VENV)/browser
+site-test: site $(VENV)/browser $(if $(WITH_EXPLORER),explorer-test)
 	$(BIN)/python tests/browsed/site.py build/site
 
 $(VENV)/browser: tests/browsed/requirements.txt $(VENV)/installed
@@ -170,4 +196,4 @@ $(RELEASE)/installed: pyproject.toml
 	@touch $@
 
 clean:
-	rm -rf $(VENV) $(FIGURES) build src/coadjoint/kernels/*.so src/coadjoint/kernels/*.dylib
+	rm -rf $(VENV) $(FIGURES) build explorer/node_modules src/coadjoint/kernels/*.so src/coadjoint/kernels/*.dylib

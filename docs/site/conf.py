@@ -15,7 +15,7 @@ extensions = [
     "sphinx_design",
 ]
 root_doc = "index"
-exclude_patterns = ["README.md"]
+exclude_patterns = ["README.md", "extra"]
 mathjax_path = "mathjax/tex-chtml.js"  # copied by write_sources.py: no other server is asked
 suppress_warnings = ["config.cache"]
 
@@ -34,6 +34,7 @@ html_title = "coadjoint"
 html_context = {"default_mode": "auto"}
 html_favicon = "_static/favicon.svg"
 html_static_path = ["_static"]
+html_extra_path = ["extra"]
 html_css_files = ["coadjoint.css"]
 html_show_sourcelink = False
 html_copy_source = False

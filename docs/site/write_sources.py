@@ -1,7 +1,9 @@
-"""Write the sources of the documentation site: ``python docs/site/write_sources.py FOLDER``.
+"""Write the sources of the documentation site: ``python docs/site/write_sources.py FOLDER [EXPLORER]``.
 
 The Markdown pages are copied with links to source files made absolute. Pages of names, systems and schemes are written
-from the registries and docstrings, and the pictures are drawn by the code that the pages show.
+from the registries and docstrings, and the pictures are drawn by the code that the pages show. The explorer, given the
+folder where it is built, is part of the site, and pages link to it where they have the comment
+``<!-- explorer: TEXT -->``.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ SOURCES = "https://github.com/coadjoint/coadjoint/blob/main/"
 MATHJAX = "tex-chtml.js", "output/chtml/fonts/woff-v2"
 
 
-def write(folder: Path) -> None:
+def write(folder: Path, explorer: Path | None) -> None:
     """Write all sources into a folder; pictures that are newer than the library are not drawn again."""
     from paper_page import paper_page
     from reference_pages import reference_pages
@@ -37,7 +39,8 @@ def write(folder: Path) -> None:
     pages |= reference
     pages["api.md"] = linked(pages["api.md"], targets)
     for path, text in pages.items():
-        write_if_changed(folder / path, text)
+        write_if_changed(folder / path, with_explorer(text) if explorer else text)
+    copy_explorer(explorer, folder / "extra")
     for old in {*folder.rglob("*.md"), *folder.rglob("*.rst")} - {folder / path for path in pages}:
         old.unlink()
     for file in [file for kind in ("png", "gif", "svg", "json") for file in DOCS.glob(f"*.{kind}")]:
@@ -47,6 +50,19 @@ def write(folder: Path) -> None:
     copy_mathjax(folder / "_static" / "mathjax")
     draw_pictures(folder / "systems", library)
     write_notebooks(folder / "systems")
+
+
+def with_explorer(text: str) -> str:
+    """Return a page with links to the explorer in place of comments."""
+    return re.sub(r"<!-- explorer: (.*?) -->", r'<a href="explorer/index.html">\1</a>', text)
+
+
+def copy_explorer(explorer: Path | None, extra: Path) -> None:
+    """Copy the explorer to the files that become part of the site as they are."""
+    shutil.rmtree(extra, ignore_errors=True)
+    extra.mkdir(parents=True)
+    if explorer is not None:
+        shutil.copytree(explorer, extra / "explorer")
 
 
 def published(page: Path) -> str:
@@ -101,4 +117,4 @@ def _files(path: Path) -> Iterator[Path]:
 
 
 if __name__ == "__main__":
-    write(Path(sys.argv[1]))
+    write(Path(sys.argv[1]), Path(sys.argv[2]) if len(sys.argv) > 2 else None)

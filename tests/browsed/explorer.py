@@ -37,7 +37,12 @@ WAIT = 20_000
 
 @contextmanager
 def opened(
-    browser: Browser, base: str, address: str, wrong: list[str], window: tuple[int, int] = WINDOWS[0], color: str = "light"
+    browser: Browser,
+    base: str,
+    address: str,
+    wrong: list[str],
+    window: tuple[int, int] = WINDOWS[0],
+    color: str = "light",
 ) -> Iterator[Page]:
     """Open the page with a choice, and add what goes wrong to the list."""
     width, height = window
@@ -230,8 +235,9 @@ def main() -> int:
         browser.close()
     print(*wrong, sep="\n")
     print(
-        f"{size / 1000:.0f} kB compressed, first picture after {figures['start']:.0f} ms, {figures['frames']:.0f} frames "
-        f"per second, {figures['rate'] / 1000:.0f} thousand steps of a rigid body a second, {len(wrong)} faults"
+        f"{size / 1000:.0f} kB compressed, first picture after {figures['start']:.0f} ms, "
+        f"{figures['frames']:.0f} frames per second, {figures['rate'] / 1000:.0f} thousand steps of a rigid body a "
+        f"second, {len(wrong)} faults"
     )
     return bool(wrong)
 

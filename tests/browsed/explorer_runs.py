@@ -40,8 +40,8 @@ def run(shown: Shown, name: str, scheme: str, values: Values, step: float, x0: A
     }
 
 
-# Structure constants of [e1, e2], [e2, e3] and [e3, e1], by e1, e2 and e3: one algebra for each kind of block. The last is
-# so(3) in a skew basis, whose generators the library solves in closed form, and the page by their series.
+# Structure constants of [e1, e2], [e2, e3] and [e3, e1], by e1, e2 and e3: algebras for all kinds of blocks. The last
+# is so(3) in a skew basis, whose generators the library solves in closed form, and the page by their series.
 ALGEBRAS = {
     "so(3)": (0, 0, 1, 1, 0, 0, 0, 1, 0),
     "se(2)": (0, 0, 1, 0, 0, 0, 0, 1, 0),
