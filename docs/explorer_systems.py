@@ -27,8 +27,9 @@ class Slider:
 class Shown:
     """A system of the explorer.
 
-    `code` builds it, with the sliders as fields of a format string. `sources` are numbers in reverse Polish notation, of
-    which every entry of the tables that depends on the sliders is a sum of multiples. `view` is how the page draws it.
+    `code` builds it, with the sliders as fields of a format string. `sources` are numbers in reverse Polish notation;
+    every entry of the tables that depends on the sliders is a sum of multiples of them. `view` is how the page draws
+    it. `parts` are parts of splittings that do not depend on the sliders; those that the library chooses may.
     """
 
     name: str
