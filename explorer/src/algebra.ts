@@ -64,7 +64,8 @@ function seriesOf(entries: Entry[]): Block {
   const reach = (depth: number, from: number): number =>
     depth > 3 ? 4 : Math.max(depth, ...entries.filter(([, column]) => column === from).map(([row]) => reach(depth + 1, row)));
   const depth = Math.max(...[0, 1, 2].map((k) => reach(0, k)));
-  const norms = [0, 1, 2].map((k) => entries.filter(([, column]) => column === k).reduce((sum, [, , value]) => sum + Math.abs(value), 0));
+  const inColumn = (k: number) => entries.filter(([, column]) => column === k);
+  const norms = [0, 1, 2].map((k) => inColumn(k).reduce((sum, [, , value]) => sum + Math.abs(value), 0));
   const starts = [0, 1, 2, 3].map((row) => entries.filter(([r]) => r < row).length);
   return {
     kind: SERIES, coordinates: [0, 1, 2], constants: [depth <= 3 ? 0 : Math.max(...norms), ...entries.map(([, , value]) => value)],
@@ -81,11 +82,13 @@ function blocksOf(matrix: number[][]): Block[] {
   const found: Block[] = [];
   for (const label of [0, 1, 2]) {
     const members = [0, 1, 2].filter((k) => set[k] === label);
-    const entries: Entry[] = members.flatMap((i) => members.filter((j) => matrix[i][j] !== 0).map((j): Entry => [i, j, matrix[i][j]]));
+    const inRow = (i: number) => members.filter((j) => matrix[i][j] !== 0).map((j): Entry => [i, j, matrix[i][j]]);
+    const entries = members.flatMap(inRow);
     if (!entries.length) continue;
     const sheared = !entries.some(([row]) => entries.some(([, column]) => column === row));
     if (sheared) found.push(...sourcesOf(entries));
-    else if (members.length === 1) found.push({ kind: SCALE, coordinates: members, constants: [matrix[label][label]], tail: [], degree: 0 });
+    else if (members.length === 1)
+      found.push({ kind: SCALE, coordinates: members, constants: [matrix[label][label]], tail: [], degree: 0 });
     else if (members.length === 2) found.push(planeOf(members, matrix));
     else found.push(seriesOf(entries));
   }
@@ -97,7 +100,9 @@ function runsOf(blocks: Block[]): Block[][] {
   const groups: Block[][] = [];
   for (const block of blocks) {
     const group = groups.find(
-      ([first]) => first.kind === block.kind && block.kind !== SERIES && (block.kind === SHEAR || String(first.constants) === String(block.constants)),
+      ([first]) =>
+        first.kind === block.kind && block.kind !== SERIES &&
+        (block.kind === SHEAR || String(first.constants) === String(block.constants)),
     );
     if (group) group.push(block);
     else groups.push([block]);
@@ -250,7 +255,8 @@ export function casimirs(c: Cube): Casimir[] {
 }
 
 export function typedCode(algebra: Algebra): string {
-  const c = cube(algebra), brackets = PAIRS.flatMap(([i, j]) => [0, 1, 2].filter((k) => c[i][j][k]).map((k) => `(${i}, ${j}, ${k}, ${python(c[i][j][k])})`));
+  const c = cube(algebra), entry = (i: number, j: number, k: number) => `(${i}, ${j}, ${k}, ${python(c[i][j][k])})`;
+  const brackets = PAIRS.flatMap(([i, j]) => [0, 1, 2].filter((k) => c[i][j][k]).map((k) => entry(i, j, k)));
   const numbers = (values: number[]) => `[${values.map(python).join(", ")}]`;
   return `co.LiePoissonSystem(
     co.LieAlgebra([${brackets.join(", ")}], dim=3),

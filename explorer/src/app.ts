@@ -94,7 +94,8 @@ export class App {
     this.problem = "";
     const { algebra, x0, values } = this.choice;
     if (!this.system) {
-      if (!satisfiesJacobi(cube(algebra))) this.problem = "These brackets violate the Jacobi identity: [[e1,e2],e3] + [[e2,e3],e1] + [[e3,e1],e2] is not zero.";
+      if (!satisfiesJacobi(cube(algebra)))
+        this.problem = "These brackets violate the Jacobi identity: [[e₁,e₂],e₃] + [[e₂,e₃],e₁] + [[e₃,e₁],e₂] is not zero.";
       else if ([...algebra.squares, ...algebra.linear].every((x) => x === 0)) this.problem = "H is zero: give it a coefficient.";
       if (this.problem) return;
     }

@@ -106,7 +106,8 @@ function arrow(frame: Frame, from: Vector, to: Vector, color: string, width: num
 }
 
 export function drawBody(
-  canvas: HTMLCanvasElement, camera: Matrix, view: View, attitude: Attitude | null, x: ArrayLike<number>, values: Values, color: string, colors: Colors,
+  canvas: HTMLCanvasElement, camera: Matrix, view: View, attitude: Attitude | null, x: ArrayLike<number>, values: Values,
+  color: string, colors: Colors,
 ): void {
   if (view.body === "vorticity") return drawVorticity(canvas, x, values);
   if (view.body === "arrows") return drawArrows(canvas, camera, view, x, color, colors);
@@ -124,7 +125,9 @@ export function drawBody(
   solid(frame, attitude.matrix, scaled(half, 0.5), middle, color, colors);
 }
 
-function drawArrows(canvas: HTMLCanvasElement, camera: Matrix, view: View, x: ArrayLike<number>, color: string, colors: Colors): void {
+function drawArrows(
+  canvas: HTMLCanvasElement, camera: Matrix, view: View, x: ArrayLike<number>, color: string, colors: Colors,
+): void {
   const frame = frameOf(canvas, camera, 0.42), count = view.balls!.length, size = count > 2 ? 0.42 : 0.7;
   const order = view.balls!.map((ball, k) => {
     const at: Vector = [(1.6 * k) / (count - 1) - 0.8, 0, 0];

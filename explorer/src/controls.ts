@@ -46,7 +46,7 @@ export function slider(range: Range, changed: (value: number) => void): HTMLLabe
 export function choice(
   label: string, options: Array<[string, string]>, value: string, changed: (value: string) => void, className = "", named = true,
 ): HTMLLabelElement {
-  const list = element("select", {}, ...options.map(([name, title]) => element("option", { value: name, selected: name === value }, title)));
+  const list = element("select", {}, ...options.map(([name, title]) => element("option", { value: name }, title)));
   list.value = value;
   list.addEventListener("change", () => changed(list.value));
   list.setAttribute("aria-label", label);

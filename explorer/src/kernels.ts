@@ -210,7 +210,8 @@ export class Run {
 
   private axes(points: number): Record<string, number> {
     return {
-      members: 1, points, size: this.size, square: 0, invariants: this.invariants, memory_size: this.memorySize, ...this.kernels.codes.Limit,
+      members: 1, points, size: this.size, square: 0, invariants: this.invariants, memory_size: this.memorySize,
+      ...this.kernels.codes.Limit,
     };
   }
 
@@ -219,7 +220,7 @@ export class Run {
     return arrays.reduce((sum, array) => sum + array.axes.reduce((product, axis) => product * axes[axis], 1), 0);
   }
 
-  private array_offset(arrays: Array<{ name: string; axes: string[] }>, wanted: string, points: number): number {
+  private positionOf(arrays: Array<{ name: string; axes: string[] }>, wanted: string, points: number): number {
     return 8 * this.length(arrays.slice(0, arrays.findIndex((array) => array.name === wanted)), points);
   }
 
@@ -238,7 +239,7 @@ export class Run {
   // Begin at a state.
   begin(x0: ArrayLike<number>): void {
     const { view } = this;
-    const momenta = this.state + this.array_offset(this.kernels.state, "momenta", 0);
+    const momenta = this.state + this.positionOf(this.kernels.state, "momenta", 0);
     for (let i = 0; i < this.size; ++i) view.setFloat64(momenta + 8 * i, x0[i], true);
     this.step = 0;
     this.failure = "";
@@ -261,16 +262,21 @@ export class Run {
     );
     let count = points;
     if (failed !== 0n) {
-      const at = this.state + this.array_offset(this.kernels.state, "step", 0);
-      const status = Number(this.view.getBigInt64(this.state + this.array_offset(this.kernels.state, "status", 0), true));
-      const step = Number(this.view.getBigInt64(at, true));
-      count = Math.max(0, step - this.step - (this.step === 0 ? 0 : 1));
-      const names = Object.entries(this.kernels.codes.Status);
-      this.failure = `${status === 2 ? "a number overflowed" : names.find(([, code]) => code === status)?.[0].toLowerCase().replace("_", " ")} in step ${step}`;
+      const step = this.result("step"), status = this.result("status");
+      count = Math.max(0, step - this.step - (this.step === 0 ? 0 : 1)); // the states before it
+      const { OVERFLOWED } = this.kernels.codes.Status;
+      this.failure = `Step ${step} failed: ${status === OVERFLOWED ? "a number overflowed" : "an iteration did not converge"}.`;
     }
     this.step += steps;
-    const numbers = (name: string, width: number) =>
-      new Float64Array(this.kernels.wasm.memory.buffer, this.saved + this.array_offset(this.kernels.saved, name, points), count * width).slice();
+    const numbers = (name: string, width: number) => {
+      const at = this.saved + this.positionOf(this.kernels.saved, name, points);
+      return new Float64Array(this.kernels.wasm.memory.buffer, at, count * width).slice();
+    };
     return { count, x: numbers("x", this.size), values: numbers("values", this.invariants) };
+  }
+
+  // An integer of the state: the status, or the step that failed.
+  private result(name: string): number {
+    return Number(this.view.getBigInt64(this.state + this.positionOf(this.kernels.state, name, 0), true));
   }
 }

@@ -111,7 +111,7 @@ class Page {
       title.className = k ? "b-text" : "a-text";
       const click = view.click === undefined ? "" : " A click sets the initial state.";
       scene.setAttribute("aria-label", `${app.title(app.choice.schemes[k])}: the orbit. Arrow keys turn it.${click}`);
-      hint.textContent = view.click === undefined ? "drag to turn" : "drag to turn, click to start there";
+      hint.textContent = view.click === undefined ? "drag to turn" : "drag to turn · click to start";
       body.hidden = !view.body;
       body.width = body.height = 0;
     }
@@ -229,8 +229,8 @@ class Page {
       const { scene, body, readout } = this.cards[k], color = k ? palette.b : palette.a;
       drawScene(scene, matrix, track, app.shapes[k], app.view, app.axes, color, palette);
       if (app.view.body) drawBody(body, matrix, app.view, app.attitudes[k], track.x, app.choice.values, color, palette);
-      const casimirs = app.hasCasimirs ? `, Casimirs ${power(track.casimirs.now)}` : "";
-      const text = track.failure || `Step ${track.step}. Errors: energy ${power(track.energy.now)}${casimirs}`;
+      const casimirs = app.hasCasimirs ? ` · Casimirs ${power(track.casimirs.now)}` : "";
+      const text = track.failure || `Step ${track.step} · errors: energy ${power(track.energy.now)}${casimirs}`;
       if (readout.textContent !== text) readout.textContent = text;
     }
     if (!app.tracks.length) return;

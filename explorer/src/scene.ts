@@ -50,7 +50,11 @@ export class Shape {
     else if (view.kind === "cylinder") this.radii = [Math.hypot(...of(view.axes!.slice(0, 2), x0)) * 1.6 || 1];
     else {
       const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
-      for (const x of trail ?? []) this.balls[0].forEach((i, k) => ((low[k] = Math.min(low[k], x[i])), (high[k] = Math.max(high[k], x[i]))));
+      for (const x of trail ?? [])
+        this.balls[0].forEach((i, k) => {
+          low[k] = Math.min(low[k], x[i]);
+          high[k] = Math.max(high[k], x[i]);
+        });
       const found = Number.isFinite(low[0]);
       this.middle = found ? low.map((x, k) => (x + high[k]) / 2) : of(this.balls[0], x0);
       this.radii = [found ? Math.max(1e-9, ...low.map((x, k) => (high[k] - x) / 2)) * 1.3 : 1];
@@ -119,7 +123,9 @@ function grid(frame: Frame, view: View, colors: Colors, front: boolean): void {
 function ball(frame: Frame, colors: Colors): void {
   const { context, middle, height, radius } = frame;
   const shade = context.createRadialGradient(middle - radius * 0.35, height / 2 - radius * 0.4, radius * 0.1, middle, height / 2, radius);
-  const [light, edge] = colors.dark ? ["rgba(150,175,200,0.26)", "rgba(60,75,95,0.34)"] : ["rgba(255,255,255,0.55)", "rgba(140,160,180,0.28)"];
+  const [light, edge] = colors.dark
+    ? ["rgba(150,175,200,0.26)", "rgba(60,75,95,0.34)"]
+    : ["rgba(255,255,255,0.55)", "rgba(140,160,180,0.28)"];
   shade.addColorStop(0, light);
   shade.addColorStop(1, edge);
   context.fillStyle = shade;

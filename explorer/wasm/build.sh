@@ -1,20 +1,22 @@
 #!/bin/sh
-# Compiles the kernels to WebAssembly: wasm/build.sh FOLDER writes FOLDER/public/kernels.wasm. Sources are those of the library where they are short,
-# and drivers over its headers for one trajectory. Exceptions are not caught: nothing throws but a failed allocation.
+# Compiles the kernels to WebAssembly: wasm/build.sh FOLDER writes FOLDER/public/kernels.wasm. Sources are those of the
+# library where they are short, and drivers over its headers for one trajectory. Exceptions are not caught: nothing throws
+# but a failed allocation.
 set -e
 here=$(cd "$(dirname "$0")" && pwd)
 source="$here/../../src/coadjoint/kernels/source"
 out=$1
 mkdir -p "$out/objects" "$out/public"
-options="-std=c++17 -ffp-contract=off -fno-math-errno -Os -msimd128 -DNDEBUG -DCOADJOINT_UNROLLED=1 -Wno-psabi -I$source -include $here/fused.hpp"
+options="-std=c++17 -ffp-contract=off -fno-math-errno -Os -msimd128 -DNDEBUG -DCOADJOINT_UNROLLED=1 -Wno-psabi"
+exported=_flow_advance,_runge_kutta_advance,_stepping_advance,_runge_kutta_advance_memory_size
+exported=$exported,_stepping_advance_memory_size,_taylor_address,_description,_probe_fma,_malloc,_free
 set --
 for file in "$here/flows.cpp" "$here/stages.cpp" "$here/taylor.cpp" "$here/probes.cpp" "$source/steps/stepping.cpp" \
     "$source/boundary/description.cpp" "$source/boundary/interrupts.cpp" "$source/recording/watching.cpp"; do
     object="$out/objects/$(basename "$file" .cpp).o"
-    emcc $options -c "$file" -o "$object"
+    emcc $options "-I$source" -include "$here/fused.hpp" -c "$file" -o "$object"
     set -- "$@" "$object"
 done
-emcc -Os -msimd128 --no-entry "$@" -o "$out/public/kernels.wasm" -s STANDALONE_WASM=1 -s ALLOW_MEMORY_GROWTH=1 -s INITIAL_MEMORY=2MB \
-    -s TOTAL_STACK=256KB \
-    -s EXPORTED_FUNCTIONS=_flow_advance,_runge_kutta_advance,_stepping_advance,_runge_kutta_advance_memory_size,_stepping_advance_memory_size,_taylor_address,_description,_probe_fma,_malloc,_free
+emcc -Os -msimd128 --no-entry "$@" -o "$out/public/kernels.wasm" -s STANDALONE_WASM=1 -s ALLOW_MEMORY_GROWTH=1 \
+    -s INITIAL_MEMORY=2MB -s TOTAL_STACK=256KB -s "EXPORTED_FUNCTIONS=$exported"
 echo "kernels.wasm: $(wc -c < "$out/public/kernels.wasm") bytes, $(gzip -9c "$out/public/kernels.wasm" | wc -c) compressed"

@@ -173,6 +173,19 @@ def check_keys_and_clicks(browser: Browser, base: str, wrong: list[str]) -> None
             wrong.append("dragging does not turn the scene")
 
 
+def check_failures(browser: Browser, base: str, wrong: list[str]) -> None:
+    """Show a run that fails beside one that goes on, and refuse an energy of zero."""
+    with opened(browser, base, "system=heavy_top&h=2&x=9,9,9,0.6,0,0.8", wrong) as tab:
+        take(tab, 400)
+        tab.wait_for_timeout(200)
+        texts = tab.locator(".readout").all_inner_texts()
+        if "overflowed" not in texts[1] or "energy" not in texts[0]:
+            wrong.append(f"a run that overflows is described by {texts}")
+    with opened(browser, base, "system=algebra&squares=0,0,0", wrong) as tab:
+        if "H is zero" not in tab.inner_text("#message"):
+            wrong.append("an energy of zero is not refused")
+
+
 def check_drift(browser: Browser, base: str, wrong: list[str]) -> None:
     """At the first settings Runge-Kutta leaves the sphere, and the splitting stays."""
     with opened(browser, base, "", wrong) as tab:
@@ -232,6 +245,7 @@ def main() -> int:
         check_address(browser, base, wrong)
         check_keys_and_clicks(browser, base, wrong)
         check_drift(browser, base, wrong)
+        check_failures(browser, base, wrong)
         browser.close()
     print(*wrong, sep="\n")
     print(

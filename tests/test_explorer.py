@@ -1,0 +1,54 @@
+"""The tables that the explorer reads: every entry that depends on a slider is known by its terms."""
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+from explorer_systems import SHOWN, evaluate
+from write_explorer import SCHEMES, check, code_of, entry, first_values, moved, rows_of_parts, shared, tables_of
+
+import coadjoint as co
+
+
+@pytest.fixture
+def random():
+    return np.random.default_rng(3)
+
+
+@pytest.mark.parametrize("shown", SHOWN, ids=lambda shown: shown.name)
+def test_tables_at_other_values_are_those_of_the_library(shown, random):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        written = entry(shown, random)
+    assert set(written["schemes"]) == {name for name, _, _ in SCHEMES}
+    assert len(shown.x0) == len(shown.coordinates) == shown.build(first_values(shown)).dim
+    dependent = {path for scheme in written["schemes"].values() for path in scheme["moves"]}
+    assert bool(dependent) == bool(shown.sliders)
+    json.dumps(shared({shown.name: written}))
+
+
+def test_wrong_terms_are_found(random):
+    (shown,) = (shown for shown in SHOWN if shown.name == "rigid_body")
+    scheme = code_of("co.Splitting(order=2)", shown)
+    base, _ = tables_of(shown, scheme, first_values(shown), 1.0)
+    moves = moved(shown, scheme, base, random)
+    values = {"I1": 1.25, "I2": 1.75, "I3": 2.25}
+    check(shown, scheme, base, moves, values)
+    moves["watch.terms.weight"][1][1][0][1] = -2.0
+    with pytest.raises(ValueError, match=r"watch\.terms\.weight is .* not"):
+        check(shown, scheme, base, moves, values)
+
+
+def test_formulas_of_sources():
+    assert evaluate("0.5 I1 /", {"I1": 4.0}) == 0.125
+    assert evaluate("2 a - 3 *", {"a": 5.0}) == -9.0
+
+
+def test_flows_of_a_typed_algebra_are_those_of_its_splitting():
+    system = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, 0.0, 0.5]))
+    for order in (2, 4):
+        program = co.Splitting(order=order, parts="coordinates").program(system).to_mapping()
+        rows = rows_of_parts()[f"splitting{order}"][1]
+        assert np.array_equal(rows["part"], program["part"]) and np.array_equal(rows["section"], program["section"])
+        assert np.array_equal(rows["tau"], program["coefficient"])
