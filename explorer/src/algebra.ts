@@ -198,7 +198,7 @@ function fieldOf(path: string, algebra: Algebra): Fields {
   };
 }
 
-interface Casimir {
+export interface Casimir {
   name: string;
   rows: Row[];
 }

@@ -1,8 +1,10 @@
 // The two runs of a choice, and everything that the page shows of the system.
 import { casimirs, cube, invariantsOf, satisfiesJacobi, typedCode, typedFields } from "./algebra";
 import { Attitude, inertiaOf } from "./body";
+import type { Vector } from "./camera";
 import { python } from "./exports";
 import type { Kernels } from "./kernels";
+import { orbitLines } from "./orbit";
 import { Shape } from "./scene";
 import { type Choice, firstChoice } from "./state";
 import { fieldsOf, type System, type Tables, type View } from "./tables";
@@ -10,7 +12,7 @@ import { type Plan, Track } from "./track";
 
 const MAX_STEPS_OF_FRAME = 400;
 const FRAME_BUDGET = 9; // milliseconds for the steps of a frame
-const TYPED_VIEW: View = { kind: "path", axes: [0, 1, 2], labels: ["x₁", "x₂", "x₃"] };
+const TYPED_VIEW: View = { kind: "path", axes: [0, 1, 2], labels: ["x₁", "x₂", "x₃"], centered: true };
 
 const SUBSCRIPTS = "₀₁₂₃₄₅₆₇₈₉";
 const subscripted = (name: string) => name.replace("gamma", "γ").replace(/\d/g, (digit) => SUBSCRIPTS[Number(digit)]);
@@ -22,6 +24,7 @@ export class App {
   playing = true;
   problem = "";
   private owed = 0;
+  private surface: { radius: number; lines: Vector[] } = { radius: 0, lines: [] };
 
   constructor(readonly kernels: Kernels, readonly tables: Tables, public choice: Choice) {
     this.restart();
@@ -91,6 +94,7 @@ export class App {
     for (const track of this.tracks) track.free();
     this.tracks = [];
     this.owed = 0;
+    this.surface = { radius: 0, lines: [] };
     this.problem = "";
     const { algebra, x0, values } = this.choice;
     if (!this.system) {
@@ -131,6 +135,15 @@ export class App {
       const both = this.tracks.flatMap((track) => (track.failure ? [] : [...track.states()]));
       this.shapes = this.tracks.map(() => new Shape(this.view, this.choice.x0, both));
     }
+  }
+
+  // Lines of the level set of the Casimir of a typed algebra; it is computed again if the scale changes.
+  get orbit(): Vector[] {
+    const radius = this.shapes[0]?.radius(0) ?? 0;
+    if (this.system || radius === this.surface.radius) return this.surface.lines;
+    const [casimir] = casimirs(cube(this.choice.algebra));
+    this.surface = { radius, lines: casimir ? orbitLines(casimir, this.choice.x0, radius) : [] };
+    return this.surface.lines;
   }
 
   get steps(): number {

@@ -227,7 +227,7 @@ class Page {
     const { app, palette } = this, matrix = camera(app.choice.turn);
     for (const [k, track] of app.tracks.entries()) {
       const { scene, body, readout } = this.cards[k], color = k ? palette.b : palette.a;
-      drawScene(scene, matrix, track, app.shapes[k], app.view, app.axes, color, palette);
+      drawScene(scene, matrix, track, app.shapes[k], app.view, app.axes, color, palette, app.orbit);
       if (app.view.body) drawBody(body, matrix, app.view, app.attitudes[k], track.x, app.choice.values, color, palette);
       const casimirs = app.hasCasimirs ? ` · Casimirs ${power(track.casimirs.now)}` : "";
       const text = track.failure || `Step ${track.step} · errors: energy ${power(track.energy.now)}${casimirs}`;

@@ -11,6 +11,13 @@ export interface Actions {
   copyLink: () => void;
 }
 
+// Structure constants of [e1, e2], [e2, e3] and [e3, e1].
+const EXAMPLES: Record<string, number[]> = {
+  "so(3), the sphere": [0, 0, 1, 1, 0, 0, 0, 1, 0],
+  "se(2), the plane": [0, 0, 1, 0, 0, 0, 0, 1, 0],
+  "sl(2), hyperboloids": [0, 2, 0, 1, 0, 0, 0, 0, 2],
+  Heisenberg: [0, 0, 1, 0, 0, 0, 0, 0, 0],
+};
 const MANY = 9; // coordinates beyond which their fields are folded
 
 function group(title: string, ...children: Node[]): HTMLFieldSetElement {
@@ -53,12 +60,18 @@ function typed(app: App, actions: Actions): Node[] {
         algebra.constants.splice(3 * pair, 3, ...values);
       })),
   );
+  const names = Object.keys(EXAMPLES).map((name): [string, string] => [name, name]);
+  const examples = choice("Example", [["", "choose…"], ...names], "", (name) => {
+    if (!(name in EXAMPLES)) return;
+    algebra.constants = [...EXAMPLES[name]];
+    actions.rebuilt();
+  });
   const energy = [
     element("p", { className: "about" }, "H = Σ aᵢ xᵢ²/2 + bᵢ xᵢ"),
     element("label", {}, "a", fields(["a1", "a2", "a3"], algebra.squares, (values) => (algebra.squares = values))),
     element("label", {}, "b", fields(["b1", "b2", "b3"], algebra.linear, (values) => (algebra.linear = values))),
   ];
-  return [group("Structure constants", ...brackets), group("Energy", ...energy)];
+  return [group("Structure constants", examples, ...brackets), group("Energy", ...energy)];
 }
 
 function start(app: App, actions: Actions): Node {

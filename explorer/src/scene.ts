@@ -1,9 +1,11 @@
 // The orbit of a run: on the sphere of every momentum, on a cylinder, or as a path in three coordinates.
 import { apply, type Matrix, type Vector, length } from "./camera";
+import { drawOrbit } from "./orbit";
 import type { View } from "./tables";
 import type { Colors } from "./theme";
 import { type Track, TRAIL } from "./track";
 
+const SCALE = 1.25; // ratio of the scales of a centered path
 const FLAT = 0.55; // heights on the cylinder, drawn smaller
 
 type Context = CanvasRenderingContext2D;
@@ -56,8 +58,13 @@ export class Shape {
           high[k] = Math.max(high[k], x[i]);
         });
       const found = Number.isFinite(low[0]);
-      this.middle = found ? low.map((x, k) => (x + high[k]) / 2) : of(this.balls[0], x0);
-      this.radii = [found ? Math.max(1e-9, ...low.map((x, k) => (high[k] - x) / 2)) * 1.3 : 1];
+      if (view.centered) {
+        const most = Math.max(1e-9, ...(found ? [...low, ...high] : of(this.balls[0], x0)).map(Math.abs));
+        this.radii = [SCALE ** Math.ceil(Math.log(most * 1.1) / Math.log(SCALE))];
+      } else {
+        this.middle = found ? low.map((x, k) => (x + high[k]) / 2) : of(this.balls[0], x0);
+        this.radii = [found ? Math.max(1e-9, ...low.map((x, k) => (high[k] - x) / 2)) * 1.3 : 1];
+      }
     }
   }
 
@@ -209,14 +216,17 @@ export const hue = (color: string, number: number, count: number) =>
   count > 2 ? `hsl(${Math.round((360 * number) / count)} 65% 50%)` : number ? "#d98b1f" : color;
 
 export function drawScene(
-  canvas: HTMLCanvasElement, matrix: Matrix, track: Track, shape: Shape, view: View, names: string[], color: string, colors: Colors,
+  canvas: HTMLCanvasElement, matrix: Matrix, track: Track, shape: Shape, view: View, names: string[], color: string,
+  colors: Colors, orbit: Vector[],
 ): void {
   const frame = frameOf(canvas, matrix, view.kind === "sphere" ? BALL : 0.47, middleOf(view));
   const { context } = frame, count = shape.balls.length, scratch: Vector = [0, 0, 0];
   grid(frame, view, colors, false);
+  drawOrbit(frame, orbit, colors, false);
   for (let k = 0; k < count; ++k) trail(frame, track, shape, k, hue(color, k, count), false);
   if (view.kind === "sphere") ball(frame, colors);
   grid(frame, view, colors, true);
+  drawOrbit(frame, orbit, colors, true);
   axes(frame, view, names, colors);
   for (let k = 0; k < count; ++k) trail(frame, track, shape, k, hue(color, k, count), true);
   for (let k = 0; k < count; ++k) {

@@ -27,6 +27,7 @@ export interface View {
   labels?: string[];
   body?: "inertia" | "top" | "arrows" | "vorticity";
   click?: number;
+  centered?: boolean; // a path around the origin, whose scale changes in steps
   section?: Section;
 }
 

@@ -181,6 +181,12 @@ def check_failures(browser: Browser, base: str, wrong: list[str]) -> None:
         texts = tab.locator(".readout").all_inner_texts()
         if "overflowed" not in texts[1] or "energy" not in texts[0]:
             wrong.append(f"a run that overflows is described by {texts}")
+    with opened(browser, base, "system=algebra", wrong) as tab:
+        tab.get_by_label("Example").select_option("sl(2), hyperboloids")
+        if tab.evaluate("explorer.app.choice.algebra.constants") != [0, 2, 0, 1, 0, 0, 0, 0, 2]:
+            wrong.append("an example does not set the structure constants")
+        if not tab.evaluate("explorer.app.orbit.length"):
+            wrong.append("the level set of the Casimir of sl(2) has no lines")
     with opened(browser, base, "system=algebra&squares=0,0,0", wrong) as tab:
         if "H is zero" not in tab.inner_text("#message"):
             wrong.append("an energy of zero is not refused")
