@@ -66,7 +66,7 @@ def test_at_rest_there_is_none():
 
 @pytest.mark.parametrize(("share", "warned"), [(0.98, False), (1.02, True)])
 def test_near_equilibria_the_error_of_the_whole_run_counts(share, warned):
-    """Aligned spins are at rest, and all that a step changes is error: 2 percent of the state in the run are too much."""
+    """Aligned spins are at rest, and all that a step changes is error: 2 percent of the state are too much."""
     h, x0 = 0.01, np.tile([1.0, 2.0, 3.0], 16)
     lattice = co.systems.spin_lattice("square", (4, 4), periodic=True)
     method = co.Splitting(order=2)
