@@ -8,7 +8,7 @@ from pathlib import Path
 import coadjoint
 
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(coadjoint.__file__).parents[1])}
-CORE = {"coadjoint", "numpy", "scipy", "flint", "threadpoolctl", "lazy_loader"}
+CORE = {"coadjoint", "numpy", "scipy", "flint", "threadpoolctl", "lazy_loader", "filelock"}
 
 HIDE = """
 import sys

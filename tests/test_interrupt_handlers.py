@@ -163,3 +163,28 @@ def test_cleanups_are_unregistered_once():
     assert interruption._cleanups == [*before, time.sleep]
     interruption.unregister_cleanup(time.sleep)
     assert interruption._cleanups == before
+
+
+@pytest.mark.parametrize("present", [True, False])
+def test_break_of_windows_interrupts_where_it_exists(present):
+    """SIGUSR1 takes its place here; without such a signal the others are handled."""
+    place = "signal.SIGBREAK = signal.SIGUSR1\n" if present else "assert not hasattr(signal, 'SIGBREAK')\n"
+    raised = "signal.SIGBREAK" if present else "signal.SIGTERM"
+    code = f"""
+import signal
+{place}
+{BEGIN}
+if {present}:
+    signal.signal(signal.SIGBREAK, signal.SIG_DFL)
+install_handlers()
+try:
+    with raise_on_interrupt():
+        signal.raise_signal({raised})
+except Interrupted as error:
+    print(error.number == {raised}, error.description)
+signal.raise_signal({raised})
+"""
+    done = run_python(code)
+    number, message = (signal.SIGUSR1, "interrupted") if present else (signal.SIGTERM, "terminated")
+    assert (done.returncode, done.stdout) == (128 + number, f"True {message}\n")
+    assert done.stderr == f"coadjoint: {message}\n"

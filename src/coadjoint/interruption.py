@@ -1,4 +1,4 @@
-"""Interrupts (SIGINT, SIGTERM, SIGHUP): deferred during imports; handling in the command-line interface.
+"""Interrupts (SIGINT, SIGTERM, SIGHUP, SIGBREAK): deferred during imports; handling in the command-line interface.
 
 The command ends at once, with one line, and removes incomplete files. An exception would not suffice: Python drops
 those raised while a weak reference is cleared or a module is loaded, and the run would continue. Only during the steps
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from types import FrameType, ModuleType
     from typing import Any
 
-_DESCRIPTIONS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}
+# SIGBREAK is Ctrl-Break on Windows, which has no SIGHUP.
+_DESCRIPTIONS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up", "SIGBREAK": "interrupted"}
 _cleanups: list[Callable[[], object]] = []
 _raise_enabled = False
 _signal_received = 0
@@ -39,7 +40,7 @@ class Interrupted(KeyboardInterrupt):
     @property
     def description(self) -> str:
         """The kind of interrupt, such as "interrupted" or "hung up"."""
-        return _DESCRIPTIONS[signal.Signals(self.number).name]
+        return _description(self.number)
 
 
 class raise_on_interrupt:
@@ -221,6 +222,10 @@ def _handled_signals() -> list[signal.Signals]:
     return [getattr(signal, name) for name in _DESCRIPTIONS if hasattr(signal, name)]
 
 
+def _description(number: int) -> str:
+    return next(text for name, text in _DESCRIPTIONS.items() if getattr(signal, name, None) == number)
+
+
 def _exit_process(number: int, frame: FrameType | None) -> None:
     global _signal_received
     if _raise_enabled and not _signal_received:
@@ -235,7 +240,7 @@ def _exit_process(number: int, frame: FrameType | None) -> None:
     try:
         # The terminal may show ^C or a progress bar on this line.
         prefix = "\n" if os.isatty(2) else ""
-        os.write(2, f"{prefix}coadjoint: {_DESCRIPTIONS[signal.Signals(number).name]}\n".encode())
+        os.write(2, f"{prefix}coadjoint: {_description(number)}\n".encode())
     except OSError:
         pass
     os._exit(128 + number)

@@ -23,6 +23,7 @@ import json
 import os
 import secrets
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,7 @@ from coadjoint.files.archives.reading import (
     read_root_in,
 )
 from coadjoint.files.archives.stored_arrays import StoredArray, serialize_numbers
-from coadjoint.files.output.atomic_output import LOCK_FILE
+from coadjoint.files.output.atomic_output import LOCK_FILE, rename_when_free
 
 GROUP_METADATA = {"zarr_format": 3, "node_type": "group"}
 
@@ -137,21 +138,28 @@ class ArchiveStore:
         return store
 
     def moved(self, path: Path) -> None:
-        """Rename the folder; if the target exists, close the archive and raise OSError."""
+        """Rename the folder; if the target exists or another process opens it first, close it and raise OSError."""
         try:
-            os.rename(self.path, path)
-        except OSError:
+            self._release()  # Windows renames no folder in which a file is open
+            rename_when_free(lambda: os.rename(self.path, path))
+            self.path = path
+            self.folder.path = path.absolute()
+            self._lock = self.folder.lock(HIDDEN_FOLDER, self._lock_file)
+            if self._lock is None:
+                raise BlockingIOError(errno.EAGAIN, "another process is writing to it")
+        except BaseException:
             self.close()
             raise
-        self.path = path
-        self.folder.path = path.absolute()
 
     def close(self) -> None:
         """Release the lock and close the folder."""
-        if self._lock is not None:
-            os.close(self._lock)
-            self._lock = None
+        self._release()
         self.folder.close()
+
+    def _release(self) -> None:
+        lock, self._lock = self._lock, None
+        if lock is not None:
+            os.close(lock)
 
     def check_lock(self) -> None:
         """Raise ArchiveReplaced if the lock file was replaced (another process may write); OSError if it is gone."""
@@ -236,7 +244,9 @@ class ArchiveStore:
         retained = {state.file for state in states if state is not None}
         for file in self.folder.names(HIDDEN_FOLDER):
             if file.startswith(STATE_PREFIX) and file not in retained:
-                self.folder.remove(HIDDEN_FOLDER, file)
+                # Windows keeps the files that a reader has open; the next commit removes them.
+                with suppress(PermissionError):
+                    self.folder.remove(HIDDEN_FOLDER, file)
         self.check_not_replaced()
 
     def _write_arrays(self, arrays: Mapping[str, StoredArray]) -> None:

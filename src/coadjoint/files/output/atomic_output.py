@@ -8,11 +8,14 @@ import secrets
 import shutil
 import stat
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from hashlib import sha256
 from pathlib import Path
 from types import TracebackType
+
+from filelock import lock_descriptor
 
 from coadjoint import interruption
 
@@ -20,6 +23,8 @@ SYNC_UNSUPPORTED = (errno.EINVAL, errno.EBADF, errno.ENOTSUP, errno.ENOSYS)
 """Error numbers of file systems that cannot sync folders."""
 TEMPORARY_SUFFIX = ".writing"
 """Suffix of incomplete files; those of killed processes are ignored."""
+IN_USE_WAITS = tuple(2.0**-k for k in range(10, 0, -1))
+"""Waits (seconds) before a refused rename is tried again, a second in all: readers hold a file for less."""
 
 
 def write_atomically(path: Path, content: bytes, folder: int | None = None) -> None:
@@ -50,11 +55,21 @@ def write_atomically(path: Path, content: bytes, folder: int | None = None) -> N
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(temporary, path, src_dir_fd=folder, dst_dir_fd=folder)
+        rename_when_free(lambda: os.replace(temporary, path, src_dir_fd=folder, dst_dir_fd=folder))
     except BaseException:
         with suppress(OSError):
             os.unlink(temporary, dir_fd=folder)
         raise
+
+
+def rename_when_free(rename: Callable[[], None]) -> None:
+    """Rename, and try again while it is refused: Windows renames nothing that another process has open."""
+    for wait in IN_USE_WAITS:
+        try:
+            return rename()
+        except PermissionError:
+            time.sleep(wait)
+    return rename()
 
 
 def sync_to_disk(folder: int) -> None:
@@ -65,11 +80,6 @@ def sync_to_disk(folder: int) -> None:
         if reason.errno not in SYNC_UNSUPPORTED:
             raise
 
-
-try:
-    import fcntl
-except ImportError:  # Windows: leftovers stay, since live writers cannot be detected
-    fcntl = None  # type: ignore[assignment]
 
 LOCK_FILE = "lock"
 REPLACED_FOLDER = "replaced"
@@ -121,8 +131,12 @@ class PendingOutput:
     def _cleanup(self) -> None:
         self.abandon()
         interruption.unregister_cleanup(self.abandon)
-        if self._lock is not None:
-            os.close(self._lock)
+        self._release()
+
+    def _release(self) -> None:
+        lock, self._lock = self._lock, None
+        if lock is not None:
+            os.close(lock)
 
     @property
     def path(self) -> Path:
@@ -141,14 +155,16 @@ class PendingOutput:
         """Rename the result to its target."""
         if self._target.is_dir() and not self._target.is_symlink():
             # A folder cannot replace a non-empty one: move the old one into the hidden folder, to be deleted with it.
-            os.replace(self._target, self._folder / REPLACED_FOLDER)
-        os.replace(self.path, self._target)
+            rename_when_free(lambda: os.replace(self._target, self._folder / REPLACED_FOLDER))
+        rename_when_free(lambda: os.replace(self.path, self._target))
 
     def abandon(self) -> None:
         """Stop writing and remove the hidden folder; a result already renamed is unaffected."""
         with self._mutex:
             self._stopped = True
-        _restore_target(self._folder, self._target)
+        if _restore_target(self._folder, self._target):
+            self._release()
+            _remove_emptied(self._folder)
 
 
 def remove_leftovers(target: Path) -> None:
@@ -177,8 +193,10 @@ def _remove_if_unlocked(folder: Path, target: Path) -> None:
         folder.rmdir()  # Its run was killed before locking it, or is about to lock it, and then makes another.
         return
     if lock is not None:
-        _restore_target(folder, target)
+        emptied = _restore_target(folder, target)
         os.close(lock)
+        if emptied:
+            _remove_emptied(folder)
 
 
 def _prefix(target: Path) -> str:
@@ -191,8 +209,6 @@ def open_locked(path: Path, create: int = 0, folder: int | None = None) -> int |
 
     Symbolic links are not followed. `folder` is the descriptor that `path` is relative to.
     """
-    if fcntl is None and not create:
-        return None
     flags = os.O_RDWR | create | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     try:
         descriptor = os.open(path, flags, 0o600, dir_fd=folder)
@@ -203,39 +219,43 @@ def open_locked(path: Path, create: int = 0, folder: int | None = None) -> int |
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise OSError(errno.EINVAL, "the lock is no regular file")
-    if fcntl is None:
-        return descriptor
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(descriptor)
-        return None
+        # A lock of the operating system, which it releases when the process ends, however that happens.
+        locked = lock_descriptor(descriptor, blocking=False)
     except OSError:
-        if create:
-            return descriptor  # a file system without locks: no process will treat this folder as a leftover
-        os.close(descriptor)
-        return None
-    if os.fstat(descriptor).st_nlink == 0:
-        os.close(descriptor)
-        return None
-    return descriptor
+        locked = bool(create)  # a file system without locks: no process will treat this folder as a leftover
+    if locked and os.fstat(descriptor).st_nlink > 0:
+        return descriptor
+    os.close(descriptor)
+    return None
 
 
-def _restore_target(folder: Path, target: Path) -> None:
-    """Restore a replaced folder if the result was not completed, and remove the rest; nothing if it stays replaced."""
+def _restore_target(folder: Path, target: Path) -> bool:
+    """Restore a replaced folder if the result was not completed, and remove all but the lock.
+
+    Return whether the lock alone is left; nothing is removed if the folder stays replaced.
+    """
     with suppress(OSError):
         if (folder / REPLACED_FOLDER).is_dir() and not os.path.lexists(target):
             os.replace(folder / REPLACED_FOLDER, target)
-        _remove(folder)
+        return _remove_content(folder)
+    return False
 
 
-def _remove(folder: Path) -> None:
-    """Remove a hidden folder, its lock last, so that a partial removal remains recognizable."""
-    for entry in sorted(folder.iterdir(), key=lambda entry: entry.name == LOCK_FILE):
+def _remove_content(folder: Path) -> bool:
+    """Remove the content of a hidden folder but its lock, so that a partial removal remains recognizable."""
+    for entry in folder.iterdir():
         if entry.is_dir() and not entry.is_symlink():
             shutil.rmtree(entry, ignore_errors=True)
             if entry.exists():
-                return
-        else:
+                return False
+        elif entry.name != LOCK_FILE:
             entry.unlink()
-    folder.rmdir()
+    return True
+
+
+def _remove_emptied(folder: Path) -> None:
+    """Remove a hidden folder with its lock, which is no longer held: Windows removes no open file."""
+    with suppress(OSError):  # another process may be removing it as well
+        (folder / LOCK_FILE).unlink(missing_ok=True)
+        folder.rmdir()
