@@ -25,7 +25,7 @@ BUILT := $(shell sed -n 's/^CMAKE_HOME_DIRECTORY:INTERNAL=//p' $(BUILD)/CMakeCac
 # Installing configures the build folder too.
 CONFIGURE := $(if $(BUILT),$(if $(MOVED),,$(if $(wildcard $(VENV)/installed),package)))
 
-.PHONY: moved demo test variants long core torch mutants soak fuzz sanitize compilers aarch64 bench explorer explorer-test site site-test kernels package packages release-checks clean
+.PHONY: moved demo test variants long core torch minimum newest mutants soak fuzz sanitize compilers aarch64 bench explorer explorer-test site site-test kernels package packages release-checks clean
 
 demo: kernels
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
@@ -59,6 +59,22 @@ torch:
 	$(PYTHON) -m venv build/torch
 	build/torch/bin/python -m pip install --quiet --disable-pip-version-check . pytest torch==2.13.0
 	cd tests && ../build/torch/bin/python -m pytest front_ends/test_torch.py
+
+# What depends most on other packages, with the lowest versions that pyproject.toml permits, and with the newest, also
+# those that are not yet released.
+DEPENDENT := test_typical_session.py test_core_alone.py test_cli.py files/test_archives.py files/test_load.py \
+	files/test_output.py files/test_export.py files/test_foreign_stores.py files/test_hostile_files.py \
+	pictures/test_solution_picture.py pictures/test_movies.py pictures/test_kinds.py runs/test_integrate.py \
+	runs/test_functions_in_python.py algebra front_ends
+EXTRAS := functions,io,plot,cli,precision,algebra,fluids,cluster,jax
+
+minimum: VERSIONS := --constraint tests/minimum_versions.txt
+newest: VERSIONS := --upgrade --pre
+minimum newest:
+	rm -rf build/$@
+	$(PYTHON) -m venv build/$@
+	build/$@/bin/python -m pip install --quiet --disable-pip-version-check ".[$(EXTRAS)]" pytest hypothesis jsonschema $(VERSIONS)
+	cd tests && $(ONE_THREAD) ../build/$@/bin/python -m pytest -m "not long" $(DEPENDENT)
 
 # Plants the defects of tests/mutants one after the other, in a copy, and prints those that no test notices.
 mutants: kernels

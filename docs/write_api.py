@@ -1,7 +1,7 @@
-"""Write `docs/api.md`, every public name with the first sentence of its text, and what editors read.
+"""Write `docs/api.md`, every public name with the first sentence of its text, and what editors and reviewers read.
 
-That are the names of systems, and `docs/configuration.schema.json`, what `coadjoint schema` prints.
-``python docs/write_api.py`` writes all three.
+That are the names of systems, `docs/configuration.schema.json`, what `coadjoint schema` prints, and
+`docs/public_names.txt`, every public name with its parameters. ``python docs/write_api.py`` writes all four.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from coadjoint.runs.stepper import Stepper
 
 PAGE = Path(__file__).with_name("api.md")
 SCHEMA = Path(__file__).with_name("configuration.schema.json")
+SIGNATURES = Path(__file__).with_name("public_names.txt")
 PACKAGE = Path(co.__file__).parent
 SYSTEMS = PACKAGE / "systems" / "__init__.pyi"
 MEMBERS_OF = (
@@ -110,6 +111,49 @@ def written_schema() -> str:
 def page() -> str:
     """Return the text of the page."""
     return "\n".join([HEAD, *_sections()]) + "\n"
+
+
+def signatures() -> str:
+    """Return every public name with its parameters and their defaults, a line for each, sorted."""
+    lines = {f"co.{old} = co.{new}" for old, new in aliases(co).items()}
+    for module in ("", *(f".{name}" for name in ("algebras", *(name for _, name in NAMESPACES)))):
+        space = getattr(co, module[1:]) if module else co
+        lines |= {_signed(name, value) for name, value in _names_of(f"co{module}", space)}
+    lines |= {f"co.algebras.get({name!r})" for name in co.algebras.names()}
+    for _, kind, members in MEMBERS_OF:
+        lines |= {_signed(f"{kind.__name__}.{name}", _member(kind, name)) for name in members.split()}
+        if kind not in ATTRIBUTES_NOT_LISTED:
+            lines |= {f"{kind.__name__}.{name}" for name in _attributes(kind) - set(members.split())}
+    for name, command in commands.commands.commands.items():
+        options = (option for parameter in command.params for option in parameter.opts)
+        lines.add(" ".join([f"coadjoint {name}", *sorted(options)]))
+    return "\n".join(sorted(lines)) + "\n"
+
+
+def _signed(name: str, value: Any) -> str:
+    """Return a name with its parameters, which are those of its construction if it is a class."""
+    if not callable(value):
+        return name
+    try:
+        parameters = inspect.signature(value).parameters.values()
+    except ValueError:  # without any, as those of classes in C
+        return name
+    own = [parameter for parameter in parameters if not parameter.name.startswith("_")]
+    plain = [p.replace(annotation=p.empty, default=_default(p.default)) for p in own if p.name != "self"]
+    return f"{name}{inspect.Signature(plain)}"
+
+
+class _Shown(str):
+    """A text that is its own representation."""
+
+    __repr__ = str.__str__
+
+
+def _default(value: Any) -> Any:
+    """Return a default with a representation that is the same everywhere."""
+    if value is inspect.Parameter.empty:
+        return value
+    return _Shown(getattr(value, "__name__", None) or re.sub(r" at 0x[0-9a-f]+", "", repr(value)))
 
 
 def names_of_systems() -> str:
@@ -218,3 +262,4 @@ if __name__ == "__main__":
     PAGE.write_text(page(), encoding="utf-8")
     SYSTEMS.write_text(names_of_systems(), encoding="utf-8")
     SCHEMA.write_text(written_schema(), encoding="utf-8")
+    SIGNATURES.write_text(signatures(), encoding="utf-8")

@@ -221,3 +221,18 @@ def test_own_steps_are_python_calls():
     first, second = printed(code)
     assert first == "(11, 2, 3) ['RuntimeWarning', 'LargeStepWarning']"
     assert "steps of Euler are Python calls" in second and 'pip install "coadjoint[functions]"' in second
+
+
+def test_runs_of_small_systems_do_not_load_scipy():
+    """It takes longer to import than all the rest, and only some systems and analyses need it."""
+    code = """
+    import sys
+    for method in (co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(12)):
+        co.integrate(body, np.array([x0, x0]), (0, 1), 0.1, method, attitude=True, threads=2).drift()
+    top = co.systems.heavy_top()
+    co.integrate(top, np.full(top.dim, 0.3), (0, 1), accuracy=1e-9)
+    print(any(name.partition(".")[0] == "scipy" for name in sys.modules))
+    co.certify(body, co.Splitting(order=4), x0, step=0.1)
+    print("scipy" in sys.modules)
+    """
+    assert printed(code) == ["False", "True"]

@@ -1,6 +1,11 @@
 """Sphinx configuration of the documentation site, which `make site` builds from what `write_sources.py` writes."""
 
+import tomllib
+from pathlib import Path
+
 import coadjoint
+
+urls = tomllib.loads((Path(coadjoint.__file__).parents[2] / "pyproject.toml").read_text("utf-8"))["project"].get("urls", {})
 
 project = "coadjoint"
 author = "The coadjoint developers"
@@ -39,7 +44,7 @@ html_css_files = ["coadjoint.css"]
 html_show_sourcelink = False
 html_copy_source = False
 html_theme_options = {
-    "github_url": "https://github.com/coadjoint/coadjoint",
+    **({"github_url": urls["Source"]} if "Source" in urls else {}),
     "header_links_before_dropdown": 6,
     "navbar_align": "left",
     "navigation_with_keys": False,

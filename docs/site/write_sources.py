@@ -12,6 +12,7 @@ import importlib.metadata
 import re
 import shutil
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,7 +20,7 @@ SITE = Path(__file__).resolve().parent
 DOCS, ROOT = SITE.parent, SITE.parent.parent
 sys.path.append(str(DOCS))
 
-SOURCES = "https://github.com/coadjoint/coadjoint/blob/main/"
+URLS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"].get("urls", {})
 MATHJAX = "tex-chtml.js", "output/chtml/fonts/woff-v2"
 
 
@@ -70,7 +71,9 @@ def published(page: Path) -> str:
     text = page.read_text(encoding="utf-8")
     text = re.sub(r"^(?!#)(.*)$", _titled, text, flags=re.MULTILINE)
     if page.parent == DOCS:
-        return re.sub(r"\]\(\.\./(?=\w)", f"]({SOURCES}", text)
+        if "Source" in URLS:
+            return re.sub(r"\]\(\.\./(?=\w)", f"]({URLS['Source']}/blob/main/", text)
+        return re.sub(r"\[([^]\n]*)\]\(\.\./\w[^)\n]*\)", r"\1", text)  # files without a page, by their names
     if page.parent == SITE:
         return text.replace("](../", "](").replace("} ../", "} ")
     return text.replace("](docs/", "](")

@@ -25,7 +25,7 @@ from __future__ import annotations
 from coadjoint.interruption import complete_imports
 from coadjoint.lazy_names import attach
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 complete_imports()
 
