@@ -63,7 +63,7 @@ torch:
 # What depends most on other packages, with the lowest versions that pyproject.toml permits, and with the newest, also
 # those that are not yet released.
 DEPENDENT := test_typical_session.py test_core_alone.py test_cli.py files/test_archives.py files/test_load.py \
-	files/test_output.py files/test_export.py files/test_foreign_stores.py files/test_hostile_files.py \
+	files/test_output.py files/test_export.py files/test_hostile_files.py \
 	pictures/test_solution_picture.py pictures/test_movies.py pictures/test_kinds.py runs/test_integrate.py \
 	runs/test_functions_in_python.py algebra front_ends
 EXTRAS := functions,io,plot,cli,precision,algebra,fluids,cluster,jax

@@ -201,6 +201,7 @@ def _sections() -> Iterator[str]:
     ]
     yield "\n".join(["## The command\n", "| command | what it does |", "|---|---|", *lines])
     yield "\n`coadjoint COMMAND --help` shows the options. [files.md](files.md) describes configuration files."
+    yield "\nNext: [Changes before 1.0](changes_before_1.0.md)."
 
 
 def aliases(module: Any) -> dict[str, str]:

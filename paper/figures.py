@@ -24,6 +24,7 @@ SCHEMES = {
 
 
 def heavy_top() -> co.LiePoissonSystem:
+    """Return a heavy top without symmetries."""
     return co.systems.heavy_top(inertia=(1.0, 1.6, 2.2), lever=(0.4, 0.2, 1.0))
 
 

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import coadjoint
 
-urls = tomllib.loads((Path(coadjoint.__file__).parents[2] / "pyproject.toml").read_text("utf-8"))["project"].get("urls", {})
+urls = tomllib.loads((Path(coadjoint.__file__).parents[2] / "pyproject.toml").read_text("utf-8"))["project"].get(
+    "urls", {}
+)
 
 project = "coadjoint"
 author = "The coadjoint developers"

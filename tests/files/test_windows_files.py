@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
+from test_unfinished import leftover
 
 import coadjoint as co
 from coadjoint.files.archives import folder as archive_folder
@@ -23,7 +24,6 @@ from coadjoint.files.output.atomic_output import (
     write_atomically,
 )
 from coadjoint.files.output.output_files import write_dataset
-from test_unfinished import leftover
 
 pytestmark = pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="descriptors are not listed")
 BODY, X0 = co.systems.rigid_body((1, 2, 3)), (1.0, 0.2, 0.1)
