@@ -229,3 +229,22 @@ def test_folders_of_root_are_private_for_all(tmp_path):
             check_private(own)
     finally:
         own.rmdir()
+
+
+def test_folders_of_the_user_are_private_where_modes_are_not_those_of_posix(tmp_path, monkeypatch):
+    """As on Windows, whose temporary files are in the folder of the user."""
+    home = tmp_path.resolve() / "user"
+    (home / "temporary").mkdir(parents=True)
+    (tmp_path / "other").mkdir()
+    monkeypatch.setattr(Path, "home", lambda: home)
+    with pytest.MonkeyPatch.context() as windows:
+        windows.delattr(os, "geteuid")
+        check_private(home / "temporary")
+        with pytest.raises(PermissionError, match="other is not in the folder of this user"):
+            check_private(tmp_path.resolve() / "other")
+        windows.setattr(tempfile, "tempdir", str(home / "temporary"))
+        with private_folder() as folder:
+            assert folder.parent == home / "temporary"
+        windows.setattr(tempfile, "tempdir", str(tmp_path / "other"))
+        with pytest.raises(RuntimeError, match="set TMPDIR to a folder of your own"), private_folder():
+            pass

@@ -17,6 +17,11 @@ def check_private(folder: Path) -> None:
 
     `folder` must be a real path; OSError if it cannot be examined.
     """
+    if not hasattr(os, "geteuid"):
+        # Windows has access lists, which modes do not show; those of a user's own folder admit no other user.
+        if not folder.is_relative_to(os.path.realpath(Path.home())):
+            raise PermissionError(f"{folder} is not in the folder of this user, {Path.home()}")
+        return
     # From the root downward: the entries of a folder found safe cannot change afterwards.
     trusted = {0, os.geteuid(), os.lstat("/").st_uid}
     for path in (*reversed(folder.parents), folder):
