@@ -11,7 +11,7 @@ import pytest
 from reference_pages import reference_pages
 from scheme_pages import scheme_pages, text_of
 from system_pages import code, system_pages, write_notebooks
-from write_sources import linked
+from write_sources import URLS, linked, published
 
 import coadjoint as co
 from coadjoint.methods import registry
@@ -50,6 +50,14 @@ def test_every_page_links_the_next_one():
         last = (DOCS / f"{page}.md").read_text(encoding="utf-8").rstrip().rpartition("\n")[2]
         title = (DOCS / f"{following}.md").read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
         assert last == f"Next: [{title}]({following}.md).", page
+
+
+def test_pages_link_no_files_without_a_page():
+    """Files outside of the pages are named without a link, or linked where pyproject.toml names a repository."""
+    linked_files = [page.name for page in DOCS.glob("*.md") if re.search(r"\]\(\.\./", published(page))]
+    assert linked_files == []
+    api = published(DOCS / "api.md")
+    assert "`choosing/accuracy.py`" in api and ("choosing/accuracy.py)" in api) == ("Source" in URLS)
 
 
 def test_every_public_name_has_a_page():

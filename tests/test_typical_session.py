@@ -7,8 +7,10 @@ import sys
 from core_only import ENVIRONMENT
 
 SESSION = """
+import warnings
 import numpy as np
 import coadjoint as co
+warnings.filterwarnings("ignore", category=co.LongWait)  # of a busy machine
 body = co.systems.rigid_body(inertia=(1, 2, 3))
 x0 = (0.01, 1.0, 0.01)
 sol = co.integrate(body, x0, (0, 90), 0.05, co.Splitting(order=4), attitude=True)
