@@ -109,3 +109,16 @@ def test_prepared_runs_and_archives(tmp_path):
     # The first step of the run passes it, which is all that is known of an archive.
     with pytest.warns(co.LargeStepWarning, match="member 1 passed through a pole .* at t = 0:"):
         co.integrate_ensemble(RICCATI, [(0.0, 1.0), (0.0, 4.0)], (0, 3.0), 0.3, co.Kahan(), archive=tmp_path / "a")
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_steps_after_the_end_of_the_run_or_of_a_member_do_not_count(side):
+    """The pole at 1.45 lies in the ten steps after the saved point 1, but after the end of the run at 1.1 or 1.2."""
+    start = (0.0, side / 1.45)
+    assert "at t = 1.4:" in warned_of(RICCATI, start, side * 2.0, 0.1, save_every=10)[1][0].replace("-", "")
+    assert warned_of(RICCATI, start, side * 1.1, 0.1, save_every=10)[1] == []
+    assert warned_of(RICCATI, start, side * 1.1, 0.1, t_eval=[0.0, side * 1.0, side * 1.1])[1] == []
+    end = co.Event(lambda x, t: abs(x[1]) - 4.0, terminal=True)  # reached at 1.2
+    for members in ([start], [start, (0.0, side * 0.1)]):
+        sol, messages = warned_of(RICCATI, members, side * 2.0, 0.1, save_every=10, events=end)
+        assert messages == [] and sol.step_error() == 0.0

@@ -303,6 +303,38 @@ def test_the_member_with_the_fastest_passage_between_saved_points_is_named(as_ba
         co.integrate(system, states, (0, 4 * np.pi), 2 * np.pi / 120, co.GaussLegendre(2), save_every=120)
 
 
+@pytest.mark.parametrize("sense", [1, -1])
+@pytest.mark.parametrize("every", [1, 60, 400])
+def test_members_that_an_event_has_ended_are_judged_as_single_runs(every, sense):
+    """The pericentre, after the end, does not count; a member that still moves towards its own does."""
+    system, halfway = kepler(), co.Event(lambda x, t: x[0] ** 2 + x[1] ** 2 - 1.5, terminal=True)
+    run = (0, sense * 2 * np.pi), 2 * np.pi / 400, co.GaussLegendre(2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", co.LargeStepWarning)
+        alone = co.integrate(system, orbit(0.95), *run, save_every=every, events=halfway)
+        sol = co.integrate(system, [orbit(0.95), orbit(0.92)], *run, save_every=every, events=halfway)
+    assert sense * alone.t[-1] < np.pi
+    assert max(sol.step_error(), alone.step_error()) < 1e-4
+    states = [orbit(0.95), orbit(0.9)]
+    outside = co.Event(lambda x, t: x[0] ** 2 + x[1] ** 2 - 3.7, terminal=True)  # only the first goes so far
+    with pytest.warns(co.LargeStepWarning, match="too large for the motion of member 1: "):
+        co.integrate(system, states, run[0], 2 * np.pi / 120, run[2], save_every=every, events=outside)
+
+
+def test_ended_members_of_a_driven_ensemble_take_no_later_steps():
+    """A field that grows strong long after the members have been ended."""
+
+    def field(t):
+        return 0.0, 0.0, 1.0 + 40.0 / (1.0 + np.exp(-50.0 * (t - 4.0)))
+
+    spin, end = co.systems.spin_lattice("chain", 1, field=field), co.Event("S1[1]", terminal=True)
+    run = (0, 10), 0.1, co.GaussLegendre(1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", co.LargeStepWarning)
+        sol = co.integrate(spin, [(0.6, 0.0, 0.8), (0.0, -0.6, 0.8)], *run, events=end)
+    assert np.nanmax(sol.events.ends(2)) < 3.5 and sol.step_error() < 1e-3
+
+
 def test_repeated_steps_between_saved_points_are_few(monkeypatch):
     """Beyond a number of states they are a twentieth of the run at most: one of 25 periods, but not one of 15."""
     monkeypatch.setattr(module, "REPEATED", 400)

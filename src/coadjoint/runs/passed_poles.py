@@ -12,6 +12,7 @@ from coadjoint.methods.numerics.quadratic_field import QuadraticField
 from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.results.unfinished_members import ends_by_events
 from coadjoint.runs.start import momenta_of
 from coadjoint.systems.protocol import forces_of, is_batch, member_of
 
@@ -58,14 +59,20 @@ def passed_pole(solution: Solution, system: Any, method: Method, members: NDArra
         t = np.array([solution.t_span[0], solution.t_span[0] + h])
         states = np.repeat(momenta_of(system, solution.x0)[0][None, members], 2, 0)
     found, lengths = [], [h * fraction for fraction in method.fractions]
+    ends = np.fmin(abs(t[-1] - t[0]), np.abs(ends_by_events(solution)[members] - t[0]))
     for field, those in zip(fields, chosen, strict=True):
-        pole = _first_pole(field, t, states[:, those], lengths)
+        pole = _first_pole(field, t, states[:, those], lengths, ends[those])
         found += [] if pole is None else [pole._replace(member=int(those[pole.member]))]
     return min(found, key=lambda pole: abs(pole.t - t[0]), default=None)
 
 
-def _first_pole(field: QuadraticField, t: Floats, states: Floats, lengths: list[float]) -> Pole | None:
-    """Return the first pole found between states (points, members, n), by steps of these substeps."""
+def _first_pole(
+    field: QuadraticField, t: Floats, states: Floats, lengths: list[float], ends: Floats
+) -> Pole | None:
+    """Return the first pole found between states (points, members, n), by steps of these substeps.
+
+    `ends` are the lengths of the runs of the members; the steps after a saved point end at the next one.
+    """
     n, h = states.shape[2], sum(lengths)
     count = max(1, math.ceil(float(np.abs(np.diff(t)).max() / abs(h)) * (1.0 - ROUNDING)))
     flat = states.reshape(-1, n)
@@ -79,12 +86,15 @@ def _first_pole(field: QuadraticField, t: Floats, states: Floats, lengths: list[
     least = 2.0 / max(map(abs, lengths)) * (LOW if count * len(lengths) > 1 else 1.0)
     starts = starts[sizes[starts] >= least]
     x, first = flat[starts], None
+    points, owners = np.divmod(starts, states.shape[1])
+    elapsed = np.abs(t - t[0])
+    last = np.minimum(elapsed[points + 1], ends[owners]) - elapsed[points]
     for step in range(count):
+        inside = step * abs(h) < last - ROUNDING * max(abs(t[0]), abs(t[-1]))
         for length in lengths:
             x, passed = field.step(x, length)
-            for k in np.flatnonzero(passed).tolist():
-                point, member = divmod(int(starts[k]), states.shape[1])
-                pole = Pole(member, float(t[point]) + step * h)
+            for k in np.flatnonzero(passed & inside).tolist():
+                pole = Pole(int(owners[k]), float(t[points[k]]) + step * h)
                 if first is None or abs(pole.t - t[0]) < abs(first.t - t[0]):
                     first = pole
     return first

@@ -14,6 +14,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.passed_poles import passed_pole, states_in_memory
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.results.unfinished_members import ends_by_events
 from coadjoint.runs.start import momenta_of, with_group
 from coadjoint.runs.times import Times
 from coadjoint.systems.protocol import forces_of, is_batch, member_of
@@ -73,12 +74,12 @@ def _worst(solution: Solution, prepared: PreparedRun | None) -> Worst:
     if is_batch(system) and len(members) < len(system):
         prepared = prepared.sampled(members)
     if is_batch(system) or member_of(system).hamiltonian.timed or forces_of(system):
-        pairs = [_squares(prepared, states, t, h) for t, states in points]
+        pairs = [_squares(prepared, states, t, h) for t, states, _ in points]
     else:
         count = len(points[0][1])
-        squares = _squares(prepared, np.concatenate([states for _, states in points]), points[0][0], h)
+        squares = _squares(prepared, np.concatenate([states for _, states, _ in points]), points[0][0], h)
         pairs = [squares[:, k * count : (k + 1) * count] for k in range(len(points))]
-    errors, changes = np.sum(pairs, axis=0)
+    errors, changes = np.sum([np.where(held, pair, 0.0) for pair, (_, _, held) in zip(pairs, points, strict=True)], 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.nan_to_num(np.sqrt(errors / changes), nan=0.0)
     worst = int(np.argmax(relative))
@@ -107,23 +108,26 @@ def _passages(solution: Solution, system: Any, members: NDArray[np.int64]) -> tu
     stride = min(count, max(1, count * len(members) * system.dim // NUMBERS))
 
     def speeds(first: int, last: int, stride: int) -> Floats:
-        """Speeds between every stride-th saved point, (intervals, members); of members that have ended 0."""
+        """Speeds between every stride-th saved point, (intervals, members); NaN of members that have ended."""
         states = solution.x[first : last + 1 : stride]
         states = states.reshape(len(states), -1, states[0].size // max(1, _members_of(solution)))[:, members]
         elapsed = np.abs(np.diff(solution.t[first : last + 1 : stride]))[:, None]
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            return np.nan_to_num(np.linalg.norm(np.diff(states, axis=0), axis=2) / elapsed, nan=0.0, posinf=0.0)
+            found = np.linalg.norm(np.diff(states, axis=0), axis=2) / elapsed
+        return np.where(np.isfinite(found), found, np.nan)
 
     found = speeds(0, count, stride)
-    mean = found.mean(axis=0)
-    ratios = found.max(axis=0) / np.where(mean > 0.0, mean, np.inf)
-    m = int(np.argmax(ratios))
-    closest = stride * int(np.argmin((found / np.where(mean > 0.0, mean, np.inf)).sum(axis=1)))
-    if ratios[m] < PASSAGE:
+    known = ~np.isnan(found)
+    mean = np.where(known, found, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    ratios = np.where(known, found / np.where(mean > 0.0, mean, np.inf), 1.0)
+    m = int(np.argmax(ratios.max(axis=0)))
+    closest = stride * int(np.argmin(ratios.sum(axis=1)))
+    if ratios[:, m].max() < PASSAGE:
         return None, closest
-    first = stride * int(np.argmax(found[:, m]))
+    first = stride * int(np.argmax(ratios[:, m]))
     last = min(first + stride, count)
-    return (m, first + (int(np.argmax(speeds(first, last, 1)[:, m])) if stride > 1 else 0)), closest
+    inner = np.nan_to_num(speeds(first, last, 1)[:, m], nan=0.0) if stride > 1 else np.zeros(1)
+    return (m, first + int(np.argmax(inner))), closest
 
 
 def _error_inside(
@@ -141,6 +145,9 @@ def _error_inside(
         prepared = prepared.sampled(members)
     t = float(solution.t[k])
     path = _run(prepared, states, Times(t, h, steps, 1))
+    # Steps after the end of a member are not in the run.
+    left = (ends_by_events(solution)[members] - t) / h
+    path[np.arange(steps + 1)[:, None] - 1.0 > np.where(np.isnan(left), np.inf, left)] = np.nan
     with np.errstate(over="ignore", invalid="ignore"):
         lengths = np.nan_to_num(np.linalg.norm(np.diff(path, axis=0), axis=2), nan=0.0, posinf=0.0)
     mean = lengths.mean(axis=0)
@@ -202,17 +209,21 @@ def _members(solution: Solution, system: Any) -> NDArray[np.int64]:
     return np.sort(order[np.arange(len(order)) - np.searchsorted(owners, owners) < MEMBERS])
 
 
-def _points(solution: Solution, system: Any, members: NDArray[np.int64]) -> list[tuple[float, Floats]]:
-    """Return a few times of a run, the start included, and the states (members, n) of some members."""
+def _points(
+    solution: Solution, system: Any, members: NDArray[np.int64]
+) -> list[tuple[float, Floats, NDArray[np.bool_]]]:
+    """Return a few times of a run, the start included, the states (members, n) of some members, and who has one."""
     start = momenta_of(system, solution.x0)[0][members]
     count = max(1, min(POINTS, NUMBERS // start.size, len(solution.t) - 1))
-    points = [(solution.t_span[0], start)]
+    points = [(solution.t_span[0], start, np.ones(len(start), dtype=bool))]
     if not states_in_memory(solution):
         return points
     for k in np.linspace(0, len(solution.t) - 1, count, endpoint=False).astype(int)[1:].tolist():
-        # Members that have ended or failed take their first step again.
-        states, _ = momenta_of(system, np.where(np.isfinite(solution.x[k]), solution.x[k], solution.x0))
-        points.append((float(solution.t[k]), states[members]))
+        # Members that have ended or failed need some state; their steps are left out.
+        finite = np.isfinite(solution.x[k])
+        states, _ = momenta_of(system, np.where(finite, solution.x[k], solution.x0))
+        held = finite.reshape(_members_of(solution), -1).all(axis=1)
+        points.append((float(solution.t[k]), states[members], held[members]))
     return points
 
 

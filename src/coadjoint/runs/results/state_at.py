@@ -9,7 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.runs.results.unfinished_members import last_times, members_text, unfinished_members
+from coadjoint.runs.results.unfinished_members import (
+    ends_by_events,
+    last_times,
+    members_text,
+    unfinished_members,
+)
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import short
 from coadjoint.validation import are_finite, read_numbers
@@ -75,7 +80,7 @@ def state_at(solution: Solution, t: Any) -> StateAt:
         raise ValueError(f"t is {short(t)}; every time must be finite")
     queries, direction = np.atleast_1d(requested), 1.0 if solution.t_span[1] >= solution.t_span[0] else -1.0
     unfinished = unfinished_members(solution)
-    ends = np.where(unfinished, last_times(solution, unfinished, direction), _ends(solution))
+    ends = np.where(unfinished, last_times(solution, unfinished, direction), ends_by_events(solution))
     if solution.failed is not None and (solution.failed & np.isnan(ends)).any():
         raise ValueError("members of the run have failed; integrate the others alone for states at any time")
     known = np.append(solution.t_span[0], solution.t)  # t_eval may omit the start
@@ -158,13 +163,6 @@ def _from_point(
         casimirs = {name: _where(past_end, np.nan, series) for name, series in casimirs.items()}
     casimirs = {name: series[1:] for name, series in casimirs.items()}
     return StateAt(queries, x[1:], energy[1:], casimirs, None if attitude is None else attitude[1:])
-
-
-def _ends(solution: Solution) -> Floats:
-    """Return the times at which events ended the members; NaN where none did, and for a single run."""
-    if solution.failed is None or solution.events is None:
-        return np.full(1 if solution.failed is None else len(solution.failed), np.nan)
-    return solution.events.ends(len(solution.failed))
 
 
 def _where(mask: NDArray[np.bool_], values: Any, otherwise: Any) -> Any:

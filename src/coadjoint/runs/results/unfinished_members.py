@@ -27,6 +27,13 @@ def unfinished_members(solution: Solution) -> NDArray[np.bool_]:
     return waiting if solution.events is None else waiting & np.isnan(solution.events.ends(members))
 
 
+def ends_by_events(solution: Solution) -> NDArray[np.float64]:
+    """Return the times at which events ended the members; NaN where none did, and for a single run."""
+    if solution.failed is None or solution.events is None:
+        return np.full(1 if solution.failed is None else len(solution.failed), np.nan)
+    return solution.events.ends(len(solution.failed))
+
+
 def last_times(solution: Solution, unfinished: NDArray[np.bool_], direction: float) -> NDArray[np.float64]:
     """Return the last saved times of unfinished members, (members,); before all times where none is, and of others."""
     ends = np.full(len(unfinished), -direction * np.inf)
