@@ -39,8 +39,9 @@ def test_pictures_of_an_interrupted_run(cut, tmp_path):
     assert STATED in " ".join(title.split())
 
 
-def test_interrupted_ensembles_work_on_members_as_far_as_they_ran(monkeypatch):
-    """The first member runs to t = 60, the second to t = 20, and the third has not begun."""
+@pytest.mark.parametrize("t0, sense", [(0.0, 1), (7.0, -1)])
+def test_interrupted_ensembles_work_on_members_as_far_as_they_ran(t0, sense, monkeypatch, tmp_path):
+    """The first member runs for 60 units of time, the second for 20, and the third has not begun."""
     advance = MemberBatch.advance
     states = np.array([X0, (0.3, 1.0, 0.1), (0.2, 0.3, 1.0)])
 
@@ -54,16 +55,23 @@ def test_interrupted_ensembles_work_on_members_as_far_as_they_ran(monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(MemberBatch, "advance", interrupted)
         with pytest.raises(KeyboardInterrupt) as raised:
-            co.integrate(BODY, states, (0, 20000), 0.1, save_every=20, threads=1)
+            co.integrate(BODY, states, (t0, t0 + sense * 20000), 0.1, save_every=20, threads=1)
     cut = raised.value.partial
-    first, second = (co.integrate(BODY, states[m], (0, end), 0.1, save_every=20) for m, end in ((0, 60.0), (1, 20.0)))
+    first, second = (
+        co.integrate(BODY, states[m], (t0, t0 + sense * end), 0.1, save_every=20) for m, end in ((0, 60.0), (1, 20.0))
+    )
     energies = cut.drift()["energy"].members
     assert np.isnan(energies[2]) and 0 < cut.drift()["energy"] == max(energies[:2])
     error = cut.error_estimate()
     np.testing.assert_array_equal(error, [first.error_estimate(), np.nan, np.nan])
-    there = cut.at([15.05, 45.05]).x
-    np.testing.assert_array_equal(there[0], [first.at(15.05).x, second.at(15.05).x, [np.nan] * 3])
-    np.testing.assert_array_equal(there[1], [first.at(45.05).x, [np.nan] * 3, [np.nan] * 3])
+    cut.to_xarray().to_netcdf(tmp_path / "cut.nc", engine="h5netcdf")
+    for found in (cut, co.load(tmp_path / "cut.nc")):
+        # The last ones are just before the last saved point of the second member, and of the first.
+        for after, lost in ((15.05, False), (45.05, True), (19.95, False), (59.95, True)):
+            there, t = found.at(t0 + sense * after).x, t0 + sense * after
+            np.testing.assert_array_equal(there[0], first.at(t).x)
+            np.testing.assert_array_equal(there[1], [np.nan] * 3 if lost else second.at(t).x)
+            assert np.isnan(there[2]).all()
     assert len(cut.plot("components", members=[0, 1]).axes) == 1
     with pytest.raises(ValueError, match=r"members \[2\] of the run have not been computed, and 2 of 3 have"):
         cut.plot("components", members=[0, 2])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.methods.numerics.quadratic_field import QuadraticField
 from coadjoint.runs import passed_poles as module
 from coadjoint.runs.passed_poles import passed_pole
 
@@ -122,3 +123,30 @@ def test_steps_after_the_end_of_the_run_or_of_a_member_do_not_count(side):
     for members in ([start], [start, (0.0, side * 0.1)]):
         sol, messages = warned_of(RICCATI, members, side * 2.0, 0.1, save_every=10, events=end)
         assert messages == [] and sol.step_error() == 0.0
+
+
+@pytest.mark.parametrize("h", [0.07, -0.3])
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("name", ["so(3)", "e(3)", "A4,8", "sl(2)"])
+def test_steps_from_many_states_are_those_of_the_scheme(name, sign, h):
+    """Of a linear part, and of a constant one where J is a function with a constant part."""
+    rng = np.random.default_rng(6)
+    algebra = co.algebras.get(name)
+    n = algebra.dim
+    M, constant = rng.normal(size=(2, n, n))
+    linear, *states = rng.normal(size=(5, n))
+    states = np.array(states)
+    H = co.Quadratic(M + M.T, linear=linear)
+    plain = co.LiePoissonSystem(algebra, H, sign=sign)
+    affine = co.PoissonSystem(lambda x: plain.structure_matrix(x) + (constant - constant.T), H, sign, n)
+    for system in (plain, affine):
+        field = QuadraticField.of(system)
+        for x, slope in zip(states, field.derivative(states), strict=True):
+            columns = [(system.vector_field(x + e) - system.vector_field(x - e)) / 2 for e in np.eye(n)]
+            np.testing.assert_allclose(slope, np.transpose(columns), rtol=0, atol=1e-12)
+        after, passed = field.step(states, h)
+        expected = [co.Kahan().step(system, x, 0.0, h) for x in states]
+        np.testing.assert_allclose(after, expected, rtol=1e-10, atol=1e-10)
+        crossings = [np.linalg.eigvals(h / 2 * slope) for slope in field.derivative(states)]
+        odd = [np.count_nonzero((abs(r.imag) < 1e-9) & (r.real > 1)) % 2 == 1 for r in crossings]
+        assert passed.tolist() == odd
