@@ -210,5 +210,22 @@ def test_picture_has_the_corners_of_the_path():
     colours = axes.collections[0].get_array()
     assert colours.shape == (np.sum(S.omega >= 0), 7)
     brightest = S.omega[S.omega >= 0][np.argmax(colours, axis=0)]
-    assert np.allclose(brightest[1:-1], np.abs(peaks(S))[1:-1]) and axes.get_ylim()[1] > brightest.max()
+    assert np.allclose(brightest[1:-1], np.abs(peaks(S))[1:-1])
+    # Frequencies up to a little above the highest that is visible at any wave vector.
+    top = 10 * np.median(S.intensity[:, S.omega >= 0].max(axis=1))
+    visible = S.omega[np.any(S.intensity > 1e-4 * top, axis=0)].max()
+    assert axes.get_ylim() == (0.0, pytest.approx(min(S.omega[-1], 1.15 * visible)))
+    assert visible > brightest.max() and colours.max() <= top and colours.min() >= 0.99e-4 * top
     assert corner_name([2 / 3, 1 / 3]) == "(2/3, 1/3)" and repr(S).startswith("<structure factor of 7 wave vectors")
+
+
+def test_pictures_of_one_wave_vector_and_of_spins_at_rest():
+    """Spins along a field do not move: nothing is visible away from the static line, and nothing at all at q = 1/2."""
+    ring = co.systems.spin_lattice("ring", 8, field=(0.0, 0.0, 1.0))
+    up = np.tile([0.0, 0.0, 1.0], 8)
+    S = co.spectra.structure_factor(run(ring, up, 8.0), path=[1 / 2])
+    assert np.all(S.intensity < 1e-20)
+    axes = S.plot().axes[0]
+    left, right = axes.get_xlim()
+    assert (left, right) == (-0.5, 0.5) and axes.get_ylim()[1] == pytest.approx(1.15 * S.omega[S.omega >= 0][1])
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["1/2"]

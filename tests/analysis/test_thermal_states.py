@@ -233,6 +233,8 @@ def test_systems_without_thermal_states_are_refused_by_name():
             co.thermal_states(system, 1.0, seed=1)
     for words, options in {
         "temperature is 0.0; it must be positive": {"temperature": 0.0},
+        r"temperature has shape \(2, 1\)": {"temperature": [[1.0], [2.0]]},
+        r"temperature has shape \(0,\)": {"temperature": []},
         "numbers of members differ": {"temperature": [1.0, 2.0], "members": 3},
         "x0 has shape": {"x0": np.ones(5)},
         "method": {"method": "metropolis hastings"},

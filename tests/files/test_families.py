@@ -178,6 +178,13 @@ def test_forces_are_parameters_too():
     np.testing.assert_array_equal(dataset["x"].sel(rate=0.5)[:, 37], co.integrate(own, x0[37], SPAN, STEP).x)
 
 
+class FakeArray:
+    """Values with dimensions, which xarray would refuse."""
+
+    def __init__(self, values, dims):
+        self.values, self.dims, self.coords = values, dims, {}
+
+
 REFUSED = {
     "no function": (lambda: co.batch([body(2.5)], third=THIRDS), TypeError, "axes third .* function"),
     "no axes": (lambda: co.batch(body), TypeError, "function; give the values of its axes"),
@@ -190,6 +197,16 @@ REFUSED = {
         lambda: co.integrate(family(), np.ones((4, 2)), SPAN, STEP),
         ValueError,
         "each state must be of shape .3,",
+    ),
+    "taken": (
+        lambda: co.integrate(family(), xarray.DataArray(states(2), dims=("time", "component")), SPAN, STEP),
+        ValueError,
+        "'time' has the name of another",
+    ),
+    "twice": (
+        lambda: co.integrate(family(), FakeArray(states(2, 2), ("start", "start", "component")), SPAN, STEP),
+        ValueError,
+        "'start' has the name of another",
     ),
     "no states": (lambda: co.integrate(family(), np.ones((0, 3)), SPAN, STEP), ValueError, "at least one member"),
     "other values": (
@@ -244,3 +261,13 @@ def test_noise_of_repeated_systems_differs_by_member():
     blocks = co.integrate_ensemble(co.batch([noisy] * 70), x0, SPAN, STEP, members_per_block=33)
     np.testing.assert_array_equal(blocks.x, wanted)
     assert len(np.unique(found[-1, :, 0])) == 70
+
+
+def test_coordinates_have_the_values_that_were_given():
+    """Thirds and large integers are neither single precision nor short."""
+    assert co.batch(lambda kind: body(kind()), kind=[lambda: 2.5, lambda: 3.0]).axes["kind"].values is None
+    values = {"third": [2.1, 2.7], "number": [2**40 + 1, -3], "flag": [True, False], "text": ["a", "bc"]}
+    batch = co.batch(lambda third, number, flag, text: body(third), **values)
+    dataset = co.integrate(batch, (0.1, 1.0, 0.2), SPAN, STEP).to_xarray()
+    for name, wanted in values.items():
+        assert dataset[name].values.tolist() == wanted

@@ -12,6 +12,7 @@ from matplotlib.quiver import Quiver
 
 import coadjoint as co
 from coadjoint.pictures.globe import Globe
+from coadjoint.pictures.kinds import body as module
 from coadjoint.pictures.kinds.spins import site_positions, sites_of_row
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, kinds
@@ -389,3 +390,37 @@ def test_the_box_of_a_body_has_its_moments_of_inertia(sides):
         faces = next(part for part in axes.collections if isinstance(part, PolyCollection)).get_paths()
         extent = np.ptp(np.concatenate([face.vertices for face in faces]), axis=0)
         assert extent[0] / extent[1] == pytest.approx(sides[across] / sides[up])
+
+
+@pytest.mark.parametrize("view", [(30.0, 20.0), (-140.0, -35.0)])
+def test_the_box_turns_with_the_body_in_every_frame(view):
+    """Its corners are those of the box in the attitude of the time; nearer faces are those seen, lit from one side."""
+    sides = np.array([1.0, 2.0, 3.0])
+    box = co.systems.rigid_body((sides**2).sum() - sides**2)
+    starts = np.array([(0.3, 1.0, 0.2), (2.0, 0.3, -1.0)])
+    run = co.integrate(box, starts, (7.3, 10.3), 0.1, attitude=True)
+    axes = Figure().add_subplot()
+    globe = Globe(Figure().add_subplot(), ("", "", ""), view)
+    update = kinds()["body"].prepare(PlottedRun(run, [1]), at=1.0, view=view, axis=1)(axes)
+    half = module.BOX_SIZE * sides / np.linalg.norm(sides)
+    light = module.DIRECTION_OF_LIGHT
+    for k in (len(run.t) - 1, 12, 0, 5):
+        update(k)
+        A = run.attitude[k, 1]
+        normals = np.concatenate([A.T, -A.T])
+        seen = normals[(normals @ globe.frame.T)[:, 2] > 0]
+        faces = next(part for part in axes.collections if isinstance(part, PolyCollection))
+        found = {tuple(np.round(face.vertices[:4].mean(axis=0), 9)) for face in faces.get_paths()}
+        extents = np.abs(seen @ A) @ half
+        assert found == {tuple(np.round(globe.project(n * d)[0], 9)) for n, d in zip(seen, extents, strict=True)}
+        signs = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
+        corners = globe.project((signs * half) @ A.T)[0]
+        for face, colour in zip(faces.get_paths(), faces.get_facecolor(), strict=True):
+            gaps = np.linalg.norm(face.vertices[:4, None] - corners, axis=-1)
+            assert np.all(gaps.min(axis=1) < 1e-12) and len(set(gaps.argmin(axis=1))) == 4
+            n = seen[np.argmin([np.linalg.norm(globe.project(n * d)[0] - face.vertices[:4].mean(axis=0))
+                                for n, d in zip(seen, extents, strict=True)])]  # fmt: skip
+            brightness = 0.55 + 0.45 * max(0.0, globe.frame @ n @ light)
+            np.testing.assert_allclose(colour[:3], brightness * module.BOX_COLOUR, rtol=1e-12)
+        shaft, tip = axes.lines[-1].get_xydata(), globe.project(A[:, 1])[0]
+        np.testing.assert_allclose(shaft, [[0.0, 0.0], tip], atol=1e-12)

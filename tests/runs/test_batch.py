@@ -55,6 +55,23 @@ REFUSED = {
         ValueError,
         r"member 2 .* algebra.*\[e1, e2\].* e3",
     ),
+    "first": (lambda: [7, body(1, 2, 3)], TypeError, "member 0 of the batch is 7"),
+    "fewer brackets": (
+        lambda: [
+            co.LiePoissonSystem(co.LieAlgebra.from_brackets(3, brackets), co.Quadratic(1.0), casimirs={})
+            for brackets in ({(0, 1): {2: 1.0}, (0, 2): {1: 1.0}}, {(0, 1): {2: 1.0}})
+        ],
+        ValueError,
+        r"member 1 .* algebra: only in member 0 has \[e1, e3\] a component along e2",
+    ),
+    "more brackets": (
+        lambda: [
+            co.LiePoissonSystem(co.LieAlgebra.from_brackets(3, brackets), co.Quadratic(1.0), casimirs={})
+            for brackets in ({(0, 1): {2: 1.0}}, {(0, 1): {2: 1.0}, (0, 2): {1: 1.0}})
+        ],
+        ValueError,
+        r"member 1 .* algebra: only in it has \[e1, e3\] a component along e2",
+    ),
     "casimirs": (
         lambda: [body(1, 2, 3), co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(1.0), -1, casimirs={})],
         ValueError,

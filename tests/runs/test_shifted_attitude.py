@@ -264,3 +264,19 @@ def test_attitude_at_events_of_batches(t0):
     assert set(found.events.member.tolist()) == {0, 1, 2, 3}
     for row, (member, t) in enumerate(zip(found.events.member, found.events.t, strict=True)):
         assert np.abs(found.events.attitude[row] - motions[member](t - t0)[1]).max() < EVENT_ERROR
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("t0, way", [(3.0, 1.0), (-40.0, -1.0)])
+def test_attitude_at_an_end_after_chosen_times(t0, way):
+    """With `t_eval` the point at which an event ends the run is appended."""
+    system, method = SHIFTED["so(3)"], co.Splitting(order=4)
+    x0 = 0.6 * np.random.default_rng(5).standard_normal(3)
+    motion = motion_of(system, x0, np.eye(3), "representation", way)
+    last = plane_event(motion, way * 0.7, terminal=True)
+    times = t0 + way * np.array([0.0, 0.11, 0.5, 0.9])
+    sol = co.integrate(system, x0, (t0, t0 + way), EVENT_STEP, method, attitude=True, events=last, t_eval=times)
+    assert len(sol.t) == 4 and abs(sol.t[-1] - (t0 + way * 0.7)) < 10 * EVENT_ERROR
+    for t, x, g in zip(sol.t, sol.x, sol.attitude, strict=True):
+        wanted = motion(t - t0)
+        assert np.abs(x - wanted[0]).max() < EVENT_ERROR and np.abs(g - wanted[1]).max() < EVENT_ERROR

@@ -79,6 +79,14 @@ def test_the_field_of_a_flow_of_ones_own():
     with pytest.raises(ValueError, match="the flow of shift changes a state for tau = 0"):
         BODY.with_forces(co.forces.OwnForce(lambda x, t, tau: x + 0.1, name="shift"))
 
+    def failing(*arguments):
+        raise ValueError("no table")
+
+    with pytest.raises(ValueError, match=r"the flow of lost fails at every sample point \(no table\)"):
+        BODY.with_forces(co.forces.OwnForce(lambda x, t, tau: failing(), name="lost"))
+    with pytest.raises(ValueError, match=r"the torque fails at every sample point \(no table\)"):
+        BODY.with_forces(co.forces.Torque(lambda x: failing()))
+
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("name", ["so(3)", "e(3)", "A3,7", "sl(2)"])

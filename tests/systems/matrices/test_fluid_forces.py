@@ -322,6 +322,13 @@ WRONG = [
     (lambda: SPHERES[0].with_forces(co.forces.DoubleBracketDamping(0.1)), "structure constants"),
     (lambda: SPHERES[0].with_forces(co.forces.HeatBath(0.1, temperature=1.0, seed=1)), "structure constants"),
     (lambda: prepared_with_input(), "matrix"),
+    (lambda: co.forces.Viscosity(-0.1), "nu of Viscosity is -0.1; it must be zero or positive"),
+    (lambda: co.forces.Viscosity(0.1, power=0), "power of Viscosity"),
+    (lambda: co.forces.Friction(lambda k: 0.1, layer="stream"), "layer of Friction"),
+    (lambda: co.forces.Viscosity(0.1, layer="stream"), "layer of Viscosity"),
+    (lambda: co.forces.BetaPlane(np.nan), "beta of BetaPlane"),
+    (lambda: co.forces.RandomForcing(-1.0, (2, 3), seed=1), "energy_rate of RandomForcing is -1.0"),
+    (lambda: co.forces.LinearDamping(0.1, toward=[[0.0, 1j], [np.inf * 1j, 0.0]]), "finite numbers"),
     (lambda: co.systems.rigid_body().with_forces(co.forces.Viscosity(0.1)), "modes of a fluid"),
     (lambda: co.systems.rigid_body().with_forces(co.forces.Torque(np.zeros((3, 3)))), "matrix"),
 ]
@@ -359,3 +366,34 @@ def test_records_and_datasets():
     assert known == ["energy", "tr W^2"]
     with pytest.raises(TypeError, match="member 0"):
         co.batch([driven, driven])
+
+
+def test_torques_are_functions_of_matrices():
+    """In Python, where states are vectors, as in the compiled loops."""
+    for s in (SPHERES[0], TORUS):
+        W = random_state(s)
+        x, steady = s.to_vector(W), one_degree(s)
+        for torque, wanted in (
+            (lambda W, t: (1 + t) * np.abs(np.trace(W @ W)) * W, 1.7 * np.abs(np.trace(W @ W)) * W),
+            (lambda t: np.sin(t) * steady, np.sin(0.7) * steady),
+            (steady, steady),
+        ):
+            force = co.forces.Torque(torque)
+            found = s.from_vector(force.field(s, x, 0.7))
+            np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-13 * np.abs(wanted).max())
+            size = np.abs(force.flow(s, x, 0.7, 1e-6) - x - 1e-6 * s.to_vector(wanted)).max()
+            assert size < 1e-9 * np.abs(wanted).max()
+
+
+def test_flows_of_ones_own_are_those_of_matrices():
+    """In Python, where states are vectors, as in the compiled loops; not linear, and dependent on time."""
+
+    def flow(W, t, tau):
+        return W / (1 + tau * (1 + t) * np.abs(np.trace(W @ W)))
+
+    for s in (SPHERES[0], TORUS):
+        own, W = co.forces.OwnForce(flow, name="drag"), random_state(s)
+        x = s.to_vector(W)
+        np.testing.assert_allclose(s.from_vector(own.flow(s, x, 0.7, 0.25)), flow(W, 0.7, 0.25), rtol=0, atol=1e-14)
+        slope = s.from_vector(own.field(s, x, 0.7))
+        np.testing.assert_allclose(slope, -1.7 * np.abs(np.trace(W @ W)) * W, rtol=0, atol=1e-6 * np.abs(slope).max())
