@@ -155,6 +155,7 @@ def test_portraits_on_a_circle_have_no_line_across_and_every_point():
         np.testing.assert_array_equal(y[kept], run.x[:, m, 1])
         np.testing.assert_allclose(np.exp(1j * np.pi * x[kept]), np.exp(1j * np.pi * wanted), rtol=0, atol=1e-9)
         assert np.nanmax(np.abs(np.diff(x))) <= 1.0, "no line from one side to the other"
+        assert np.nanmax(np.abs(x)) <= 1.0
     assert axes.get_xlim() == (-1.0, 1.0)
 
 

@@ -150,3 +150,18 @@ def test_steps_from_many_states_are_those_of_the_scheme(name, sign, h):
         crossings = [np.linalg.eigvals(h / 2 * slope) for slope in field.derivative(states)]
         odd = [np.count_nonzero((abs(r.imag) < 1e-9) & (r.real > 1)) % 2 == 1 for r in crossings]
         assert passed.tolist() == odd
+
+
+def test_the_search_is_short_where_few_points_are_saved(monkeypatch):
+    """As many steps as determinants are allowed, whatever the number of steps between saved points."""
+    taken, step = [], QuadraticField.step
+
+    def counted(self, x, h):
+        taken.append(len(x))
+        return step(self, x, h)
+
+    monkeypatch.setattr(QuadraticField, "step", counted)
+    monkeypatch.setattr(module, "EXAMINED", 900)
+    body = co.systems.rigid_body(inertia=(1.0, 2.0, 2.5))
+    warned_of(body, (1.0, 0.2, 0.5), 200.0, 0.05, save_every=4000)
+    assert sum(taken) == len(taken) == 100

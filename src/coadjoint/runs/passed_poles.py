@@ -75,6 +75,8 @@ def _first_pole(
     """
     n, h = states.shape[2], sum(lengths)
     count = max(1, math.ceil(float(np.abs(np.diff(t)).max() / abs(h)) * (1.0 - ROUNDING)))
+    # Of many steps between saved points the first ones are repeated.
+    count = min(count, max(1, EXAMINED // (n**2 * len(lengths))))
     flat = states.reshape(-1, n)
     sizes = np.nan_to_num(np.linalg.norm(flat, axis=1), nan=0.0, posinf=0.0)
     near = _largest(sizes, COMPARED // n**2)
@@ -85,6 +87,8 @@ def _first_pole(
     starts = _largest(sizes, max(1, EXAMINED // (n**2 * count * len(lengths))))
     least = 2.0 / max(map(abs, lengths)) * (LOW if count * len(lengths) > 1 else 1.0)
     starts = starts[sizes[starts] >= least]
+    if not len(starts):
+        return None
     x, first = flat[starts], None
     points, owners = np.divmod(starts, states.shape[1])
     elapsed = np.abs(t - t[0])
