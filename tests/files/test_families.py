@@ -217,6 +217,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("case", REFUSED)
 def test_families_that_are_refused(case):
     make, kind, message = REFUSED[case]

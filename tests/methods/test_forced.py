@@ -411,6 +411,7 @@ def test_what_makes_no_sense_is_refused_by_name():
     assert sol.balance(relative=False)["energy"] < 1e-14
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("make", "error", "said"),
     [

@@ -334,6 +334,7 @@ WRONG = [
 ]
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(("make", "said"), WRONG)
 def test_refused_by_name(make, said):
     with pytest.raises((ValueError, TypeError), match=said):
