@@ -114,14 +114,14 @@ def test_errors_have_the_stated_covariance():
 
 
 def test_noise_is_not_underestimated_by_few_equations():
-    """The unknowns take their share of the residuals; squares over 40 seeds have a standard error of 0.03."""
+    """The unknowns take their share of the residuals; the mean of squares over 24 seeds is known to 0.08."""
     body = co.systems.rigid_body(inertia=(1.0, 2.0, 2.5))
-    sol = co.integrate(body, (1.0, 0.2, 0.5), (0, 8), 0.1, co.GaussLegendre(4))
+    sol = co.integrate(body, (1.0, 0.2, 0.5), (0, 6), 0.1, co.GaussLegendre(4))
     squares = []
-    for seed in range(40):
+    for seed in range(24):
         noisy = sol.x + SIGMA * np.random.default_rng(seed).standard_normal(sol.x.shape)
-        squares.append((co.identify(body.algebra, sol.t, noisy, sign=-1, radius=8).noise / SIGMA) ** 2)
-    assert 0.95 < np.mean(squares) < 1.15
+        squares.append((co.identify(body.algebra, sol.t, noisy, 3, sign=-1, radius=8).noise / SIGMA) ** 2)
+    assert 0.85 < np.mean(squares) < 1.3
 
 
 def test_noise_of_each_component_is_found():

@@ -66,9 +66,7 @@ def passed_pole(solution: Solution, system: Any, method: Method, members: NDArra
     return min(found, key=lambda pole: abs(pole.t - t[0]), default=None)
 
 
-def _first_pole(
-    field: QuadraticField, t: Floats, states: Floats, lengths: list[float], ends: Floats
-) -> Pole | None:
+def _first_pole(field: QuadraticField, t: Floats, states: Floats, lengths: list[float], ends: Floats) -> Pole | None:
     """Return the first pole found between states (points, members, n), by steps of these substeps.
 
     `ends` are the lengths of the runs of the members; the steps after a saved point end at the next one.
