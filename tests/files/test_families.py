@@ -188,6 +188,7 @@ class FakeArray:
 REFUSED = {
     "no function": (lambda: co.batch([body(2.5)], third=THIRDS), TypeError, "axes third .* function"),
     "no axes": (lambda: co.batch(body), TypeError, "function; give the values of its axes"),
+    "name": (lambda: co.batch(lambda **axes: body(2.5), **{"two words": [1]}), ValueError, "'two words' is no name"),
     "empty axis": (lambda: co.batch(body, third=[]), ValueError, "axis third is empty"),
     "dimension": (lambda: co.batch(lambda time: body(time), time=THIRDS), ValueError, "'time' has the name of another"),
     "text": (lambda: co.batch(body, third="abc"), TypeError, "third is 'abc'"),

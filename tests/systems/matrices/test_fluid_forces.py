@@ -376,7 +376,7 @@ def test_torques_are_functions_of_matrices():
         x, steady = s.to_vector(W), one_degree(s)
         for torque, wanted in (
             (lambda W, t: (1 + t) * np.abs(np.trace(W @ W)) * W, 1.7 * np.abs(np.trace(W @ W)) * W),
-            (lambda t: np.sin(t) * steady, np.sin(0.7) * steady),
+            (lambda t, W=steady: np.sin(t) * W, np.sin(0.7) * steady),
             (steady, steady),
         ):
             force = co.forces.Torque(torque)
