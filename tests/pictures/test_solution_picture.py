@@ -17,6 +17,7 @@ import coadjoint as co
 from coadjoint.analysis.periods import period
 from coadjoint.pictures.kinds.coadjoint_orbit import surface_casimir
 from coadjoint.pictures.kinds.components import flip_times
+from coadjoint.pictures.hidden_lines import hides_behind
 from coadjoint.pictures.level_surface import level_surface
 from coadjoint.pictures.style import symbol
 from coadjoint.runs.example_run import run_example
@@ -304,3 +305,32 @@ def test_the_readme_shows_what_is_drawn(tmp_path):
         assert ROOT / path == expected and expected.stat().st_size > 20_000
     assert module.MOVIE.stat().st_size < 2_000_000
     assert [axes.get_title() for axes in module.run().plot().axes][-1] == "body axis 2 in space"
+
+
+@pytest.mark.parametrize("turns", [0.0, 3.0])
+@pytest.mark.parametrize("turn", [0.3, np.pi - 0.1, np.pi, -2.0])
+def test_half_planes_of_an_angle_also_along_its_cut(turn: float, turns: float) -> None:
+    """The level of an angle with the period 2 pi is a half plane, of which the box holds a known area."""
+
+    def angle(x: np.ndarray) -> float:
+        return float(np.arctan2(x[1], x[0]))
+
+    direction = np.array([np.cos(turn), np.sin(turn)])
+    middle = 2.0 * direction
+    box = [(middle[0] - 0.5, middle[0] + 0.5), (middle[1] - 0.5, middle[1] + 0.5), (0.0, 0.7)]
+    level, period = turn + 2 * np.pi * turns, 2 * np.pi
+    triangles = level_surface(angle, level, box, cells=10, period=period)
+    points = triangles.reshape(-1, 3)
+    across = points[:, :2] @ (-direction[1], direction[0])
+    # Linear interpolation: an eighth of the square of a diagonal of 0.17 times the second derivative, over the slope.
+    assert np.max(np.abs(across)) < 0.17**2 / 8 / 1.3
+    length = 1.0 / np.max(np.abs(direction))
+    assert _area(triangles) == pytest.approx(0.7 * length, rel=0.01)
+    # Seen across the half plane, points on the far side are hidden; a sample of a ray at the angle pi lies on it.
+    towards = np.array([-direction[1], direction[0], 0.0])
+    centre = np.append(middle, 0.35)
+    hides = hides_behind(angle, level, np.array(box), period)
+    start = np.array([centre - 0.2 * towards, centre + 0.2 * towards, centre - 0.3 * towards + [0.0, 0.0, 0.3]])
+    assert hides(start, towards).tolist() == [True, False, True]
+    assert hides(start, -towards).tolist() == [False, True, False]
+    assert not hides_behind(angle, level + np.pi, np.array(box), period)(start, towards).any()

@@ -77,7 +77,9 @@ def hides_behind(function: Callable[[Any], Any], level: float, box: Floats, peri
             if period > 0.0:
                 distance = distance - period * np.rint(distance / period)
                 distance[np.abs(distance) > 0.25 * period] = np.nan
-            crossed: npt.NDArray[np.bool_] = np.any(distance[:, :-1] * distance[:, 1:] < 0.0, axis=1)
+            # A sample may lie on the surface.
+            changes = (distance[:, :-1] < 0.0) != (distance[:, 1:] < 0.0)
+            crossed: npt.NDArray[np.bool_] = np.any(changes & ~np.isnan(distance[:, :-1] + distance[:, 1:]), axis=1)
         nearest = np.searchsorted(tested, np.arange(len(points))).clip(0, len(tested) - 1)
         return np.asarray(crossed[nearest], dtype=np.bool_)
 
