@@ -569,6 +569,12 @@ def test_members_have_the_colours_of_their_energies_at_the_start():
         np.testing.assert_allclose(line.get_color(), wanted[m], rtol=0, atol=4 / 256)
     (bar,) = axes.child_axes
     assert bar.get_ylim() == (1.0, 5.0) and bar.get_ylabel() == "energy $H$ at the start"
+    # The first saved point of chosen times is not the start.
+    damped = BODY.with_forces(co.forces.LinearDamping((0.0, 0.5, 2.0)))
+    states = np.array([(0.2, 2.0, 0.1), (1.6, 0.1, 0.2), (0.1, 0.3, 2.5)])
+    late = co.integrate(damped, states, (0, 2), 0.1, t_eval=[1.0, 1.5, 2.0])
+    (bar,) = axes_of(late, "components", [2, 0], chosen=[1]).child_axes
+    np.testing.assert_allclose(bar.get_ylim(), sorted(damped.system.energy(states[m]) for m in (2, 0)), rtol=1e-14)
 
 
 def test_crossings_are_drawn_for_the_coordinates_that_vary_most():

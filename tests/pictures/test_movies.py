@@ -390,6 +390,42 @@ def test_paths_grow_from_the_start_in_the_direction_of_the_run(span):
         np.testing.assert_array_equal([x[-1], y[-1]], run.x[k, :2])
 
 
+@pytest.mark.parametrize("span", [(7.0, 9.0), (3.0, 1.0)])
+@pytest.mark.parametrize("name", ["path in space", "coadjoint orbit"])
+def test_paths_in_space_grow_for_every_member(name, span):
+    """Up to the time of the frame, with a mark at its end, and strokes along the path in space up to there."""
+    if name == "path in space":
+        body = co.systems.kirchhoff_body()
+        x0 = 0.5 * np.random.default_rng(3).normal(size=(2, 6))
+        run = co.integrate(body, x0, span, 0.02, attitude=True, save_every=5)
+    else:
+        x0 = np.array([(0.3, 1.0, 0.2), (1.0, 0.2, -0.4)])
+        run = co.integrate(co.systems.rigid_body((1, 2, 3)), x0, span, 0.02, save_every=5)
+    kind, picture = read_picture(name)
+    axes = Figure().add_subplot(projection=kind.projection)
+    drawn = PlottedRun(run)
+    update = kind.prepare(drawn, **picture.options)(axes)
+    fine = drawn.refined
+    whole = fine.attitude[..., :3, 3] if name == "path in space" else fine.x
+    before = len(axes.lines)
+    for k in (0, 7, 20, 13):
+        update(k)
+        assert len(axes.lines) == before + 2, "one mark for each member"
+        for m, mark in enumerate(axes.lines[before:]):
+            path = axes.lines[m * (before // 2)]
+            shown = np.array(path.get_data_3d(), dtype=float).T
+            done = (run.t[k] - fine.t) * np.sign(span[1] - span[0]) >= 0
+            np.testing.assert_array_equal(shown, whole[m][done])
+            np.testing.assert_array_equal(np.ravel(mark.get_data_3d()), whole[m][done][-1])
+            assert mark.get_color() == path.get_color()
+            if name == "path in space":
+                strokes = np.array(axes.lines[3 * m + 1].get_data_3d()).T.reshape(-1, 3, 3)
+                starts = strokes[:, 0]
+                assert np.abs(starts[:, None] - shown).sum(axis=-1).min(axis=1).max() == 0.0
+                assert len(strokes) == min(40, len(fine.t)) or k < 20
+        assert axes.get_title().endswith(f"$t$ = {run.t[k]:.4g}")
+
+
 def area(polygon):
     X, Y = polygon.T
     return 0.5 * abs(np.sum(X * np.roll(Y, -1) - Y * np.roll(X, -1)))

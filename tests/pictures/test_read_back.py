@@ -227,6 +227,9 @@ def test_spectra_and_shares_are_those_of_their_times(surface, sense):
             scales, values = (np.asarray(part, dtype=np.float64) for part in spectrum(run.x[j]))
             np.testing.assert_array_equal(data(lines[style]), [scales, np.where(values > 0.0, values, np.nan)])
             assert lines[style].get_label().endswith(f"$t$ = {run.t[j]:.4g}")
+    drawn = np.concatenate([line.get_ydata() for line in axes.lines])
+    drawn = drawn[drawn > 1e-8 * np.nanmax(drawn)]
+    np.testing.assert_allclose(axes.get_ylim(), [drawn.min() / 2, 3 * drawn.max()], rtol=1e-12)
     shares = shown(run, "energy by scale")
     scales = np.asarray(system.energy_spectrum(run.x[0])[0])
     energies = np.array([system.energy_spectrum(x)[1] for x in run.x])

@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 
 import coadjoint as co
 from coadjoint.analysis.periods import period
+from coadjoint.pictures.hidden_lines import hides_behind
 from coadjoint.pictures.kinds.coadjoint_orbit import surface_casimir
 from coadjoint.pictures.kinds.components import flip_times
-from coadjoint.pictures.hidden_lines import hides_behind
 from coadjoint.pictures.level_surface import level_surface
 from coadjoint.pictures.style import symbol
 from coadjoint.runs.example_run import run_example

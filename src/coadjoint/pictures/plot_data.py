@@ -151,6 +151,11 @@ class PlottedRun:
         states = states.view(np.float64) if np.iscomplexobj(states) else states
         return states.reshape(-1, self.n)[self._chosen]
 
+    @property
+    def initial_energies(self) -> Floats:
+        """The energies at the start of the run, (members,)."""
+        return np.atleast_1d(self.solution.initial["energy"])[self._chosen]
+
     @cached_property
     def changes(self) -> Mapping[str, Floats]:
         """The invariants less their values at the start of the run, which `t_eval` may not save."""
