@@ -390,6 +390,20 @@ def test_paths_grow_from_the_start_in_the_direction_of_the_run(span):
         np.testing.assert_array_equal([x[-1], y[-1]], run.x[k, :2])
 
 
+@pytest.mark.parametrize("span", [(7.0, 11.0), (3.0, -1.0)])
+def test_pictures_over_time_have_a_line_at_the_time_of_the_frame(span):
+    run = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.3, 1.0, 0.2), span, 0.1)
+    kind, picture = read_picture("components")
+    axes = Figure().add_subplot()
+    update = kind.prepare(PlottedRun(run), **picture.options)(axes)
+    before = len(axes.lines)
+    for k in (3, 0, 40, 20):
+        update(k)
+        assert len(axes.lines) == before + 1
+        assert list(axes.lines[-1].get_xdata()) == [run.t[k], run.t[k]] and list(axes.lines[-1].get_ydata()) == [0, 1]
+        assert axes.get_title().endswith(f"$t$ = {run.t[k]:.4g}")
+
+
 @pytest.mark.parametrize("span", [(7.0, 9.0), (3.0, 1.0)])
 @pytest.mark.parametrize("name", ["path in space", "coadjoint orbit"])
 def test_paths_in_space_grow_for_every_member(name, span):

@@ -124,3 +124,18 @@ def test_forces_and_copies():
 def test_values_that_are_not_finite_are_absolute():
     scales = module.scales_of_invariants(TOP, np.full((2, 6), np.nan), {"energy": np.array([np.nan, 2.0])})
     assert scales["energy"].tolist() == [1.0, 2.0]
+
+
+@pytest.mark.parametrize("as_batch", [False, True])
+def test_sizes_do_not_depend_on_how_many_members_are_summed_together(as_batch, monkeypatch):
+    """Members of two systems in turn, whose Casimirs cancel or not."""
+    other = co.systems.heavy_top(inertia=(1.0, 1.5, 2.0))
+    systems = [(TOP, other, TOP)[m % 3] if as_batch else TOP for m in range(7)]
+    states = np.tile([[1.0, 0.0, 0.0, 0.0, 0.6, 0.8], [0.8, -0.6, 0.0, 0.6, 0.8, 0.0]], (4, 1))[:7]
+    states *= np.linspace(1.0, 2.0, 7)[:, None]
+    alone = [co.integrate(s, x, (0, 0.1), 0.05).drift() for s, x in zip(systems, states, strict=True)]
+    for numbers in (6, 13, 2**18):
+        monkeypatch.setattr(module, "SUMMED_NUMBERS", numbers)
+        drifts = co.integrate(co.batch(systems) if as_batch else TOP, states, (0, 0.1), 0.05).drift()
+        for name, drift in drifts.items():
+            assert drift.scale.tolist() == [own[name].scale for own in alone]

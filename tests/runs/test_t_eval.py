@@ -9,6 +9,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.runs import output_times
+from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.results import state_at
 from failing_parts import failing_parts
 from group_elements import random_element
@@ -501,3 +502,19 @@ class TestAt:
         sol = co.integrate(BODY, X, (0, 20), accuracy=1e-6, t_eval=[3.3, 7.7])
         error = np.linalg.norm(sol.x[-1] - BODY.exact(X, 7.7)) / np.linalg.norm(X)
         assert error / 10 < sol.error_estimate() < 10 * error
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_part_of_a_step_that_fails_is_named(sense):
+    """The other rows do not matter; without owners, rows are members."""
+    method = co.GaussLegendre(1)
+    parts = PartialSteps(BODY, method, co.prepare(BODY, method, STEP).loops(STEP))
+    states, none = np.array([X, X, 1e200 * X]), np.zeros((3, 0))
+    times, lengths = 3.0 + np.arange(3.0), sense * np.full(3, 0.05)
+    fine = parts.take(states[:2], none[:2], times[:2], lengths[:2])[0]
+    np.testing.assert_allclose(fine[0], co.integrate(BODY, X, (0, lengths[0]), 0.05, method).x[-1], rtol=0, atol=1e-14)
+    for owners, member in ((None, 2), (np.array([4, 7, 9]), 9)):
+        message = rf"in a part of a step, of length {lengths[2]:g} from t = 5, .* for member {member}; take a smaller"
+        with pytest.raises(co.IntegrationError, match=message) as raised:
+            parts.take(states, none, times, lengths, owners)
+        assert raised.value.time == 5.0
