@@ -60,6 +60,7 @@ def test_noise_is_refused_by_name():
         sol.step_error()
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("span", [(0.0, 60.0), (2.0, -58.0)])
 @pytest.mark.parametrize("method", [None, co.Splitting(order=2), co.Splitting(order=4), co.GaussLegendre(2)])
 @pytest.mark.parametrize("accuracy", [1e-2, 1e-5])

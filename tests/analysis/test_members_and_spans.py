@@ -187,7 +187,7 @@ def member_of(result: Any, m: int) -> Any:
     return np.asarray(result)[m : m + 1]
 
 
-@pytest.mark.thinned(12)
+@pytest.mark.thinned(1)
 @each_entry
 def test_an_ensemble_is_its_members(name, kind):
     """To the bit, since the runs are."""
@@ -240,7 +240,7 @@ def skipped(found: Any) -> Any:
     return found
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(1)
 @each_entry
 def test_a_start_at_another_time_changes_labels_alone(name, kind):
     entry = TABLE[name][kind]
@@ -262,7 +262,7 @@ def mirrored(result: Any) -> Any:
     return result
 
 
-@pytest.mark.thinned(6)
+@pytest.mark.thinned(1)
 @each_entry
 def test_a_backward_run_is_the_mirror_image(name, kind):
     entry = TABLE[name][kind]

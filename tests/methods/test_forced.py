@@ -128,7 +128,7 @@ def oscillating_slope(y, t):
     return y * (1.0 + 0.5 * np.sin(3.0 * t))
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("h", [0.125, -0.125])
 @pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2)], ids=str)
 def test_accounts_of_driven_systems(method, h):

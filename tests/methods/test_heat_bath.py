@@ -31,7 +31,7 @@ def metrics(n):
     return 0.7, np.linspace(0.0, 1.0, n), B @ B.T, 0.5 * (thin + thin.T)
 
 
-@pytest.mark.thinned(8)
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("name", ALGEBRAS)
 @pytest.mark.parametrize("sign", [1, -1])
 def test_the_flow_is_the_one_that_is_read_in_python(name, sign):

@@ -45,7 +45,7 @@ def spinning(phase: np.ndarray, t: np.ndarray, sense: float = 1.0) -> Any:
 # Axes and labels of the time between changes of sign
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("sense", SENSES)
 @pytest.mark.parametrize(
     ("side", "first", "last", "span"), [("center", 0.0, 5.0, 5.0), ("left", 0.0, 4.0, 12.0), ("right", 8.0, 12.0, 12.0)]
@@ -173,7 +173,7 @@ def test_vectors_have_colours_labels_and_gaps_of_their_own():
 # Spheres
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("around", [-170.0, -80.0, 10.0, 100.0])
 def test_a_path_on_one_side_of_a_sphere_is_seen_from_there(around):
     angles = np.radians(around + np.array([-30.0, -10.0, 10.0, 30.0]))

@@ -452,7 +452,7 @@ RAMPS = {
 }
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("sizes", [(1.0, 3.0, 0.5, -2.0, 1.0), (-0.5, 4.0, -4.0, 0.2, 1.0), (0.0, 2.0, 1.0, -3.0, 0.0)])
 @pytest.mark.parametrize("given", list(RAMPS))
 def test_each_frame_of_a_field_covers_the_square(given, sizes):

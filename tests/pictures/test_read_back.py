@@ -175,7 +175,7 @@ def test_envelopes_hold_every_point_in_its_own_stretch(points):
     assert high[-1] == 9.0 and low[0] == -9.0
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("name", sorted(PROJECTIONS))
 @pytest.mark.parametrize("seed", range(4))
 def test_no_line_of_a_map_crosses_its_edge(name, seed):
@@ -214,7 +214,7 @@ def fluid(surface: str, sense: float = 1.0) -> co.Solution:
     return co.integrate(system, 2.0 * W, (T0, T0 + sense * 2.0), 0.0625, save_every=3)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("sense", SENSES)
 @pytest.mark.parametrize("surface", ["sphere", "torus"])
 def test_spectra_and_shares_are_those_of_their_times(surface, sense):
@@ -268,7 +268,7 @@ def moving(name: str) -> tuple[co.Solution, Picture, Any]:
 MOVING = ("field", "sphere field", "spins", "vorticity")
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("name", MOVING)
 def test_every_frame_shows_its_own_time(name):
     run, picture, values = moving(name)

@@ -35,7 +35,7 @@ def test_a_fraction_of_the_span_is_the_saved_point_nearest_to_that_time(sense):
     assert PlottedRun(made(t[:1], np.ones((1, 3)))).index_at(0.7) == 0
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("count", [30, 1001])
 @pytest.mark.parametrize("sense", SENSES)
 def test_rows_of_sites_and_their_scale(sense, count):
@@ -56,7 +56,7 @@ def test_rows_of_sites_and_their_scale(sense, count):
     assert axes.get_title() == "b over site and time, member 1" and axes.get_xlabel() == "site"
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("until", [None, 0.5, 0.2, 0.0])
 @pytest.mark.parametrize("sense", SENSES)
 def test_ellipses_paths_and_colours_up_to_a_time(sense, until):
@@ -88,7 +88,7 @@ def test_ellipses_paths_and_colours_up_to_a_time(sense, until):
         assert (axes.get_xlabel(), axes.get_ylabel()) == ("position $q$", "momentum $p$")
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("members", [None, [1], [1, 0]])
 @pytest.mark.parametrize("sense", SENSES)
 def test_errors_are_those_of_each_member_at_its_times(sense, members):
@@ -104,7 +104,7 @@ def test_errors_are_those_of_each_member_at_its_times(sense, members):
         np.testing.assert_allclose(line.get_ydata()[1:], wanted[1:], rtol=0, atol=1e-13)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("members", [None, [1, 0], [2, 0]])
 @pytest.mark.parametrize("sense", SENSES)
 def test_series_of_members_in_the_order_in_which_they_are_chosen(sense, members):

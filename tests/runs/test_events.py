@@ -83,6 +83,7 @@ def test_events_do_not_change_the_run(method):
         assert len(seen.events) > 1
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("method", METHODS, ids=NAMES)
 def test_ensemble_events_equal_those_of_members(method):
     x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 37)[:, None]
@@ -164,6 +165,7 @@ def test_events_at_both_ends_of_the_span():
     assert len(co.integrate(system, (1.0, 0.0, 0.0), (2, 3), 0.5, events=co.Event(lambda x, t: t - 2.0)).events) == 0
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("method", [co.GaussLegendre(3), co.Splitting(order=4), co.Taylor(12)], ids=str)
 def test_backward_runs_find_the_same_events(method):
     there = co.integrate(BODY, FLIPPING, (0, 48), 0.125, method, events=co.Event("x2"))
@@ -181,6 +183,7 @@ def test_backward_runs_find_the_same_events(method):
             assert len(some) and np.array_equal(some.t, whole.events.t[whole.events.direction == direction])
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("method", METHODS, ids=NAMES)
 @pytest.mark.parametrize("save_every", [1, 7, 1000])
 def test_terminal_event_ends_the_run(method, save_every):
@@ -199,6 +202,7 @@ def test_terminal_event_ends_the_run(method, save_every):
     assert ended.drift()["energy"] == same.drift()["energy"]
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("method", METHODS, ids=NAMES)
 def test_terminal_event_in_an_ensemble(method):
     x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 37)[:, None]

@@ -36,6 +36,7 @@ def setup(name, sign=-1):
     return s, np.linspace(-0.5, 0.75, s.dim)
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("name", ["e(3)", "so(4)", "sl(2)", "A3,7", "driven so(4)"])
 def test_group_element_of_a_step(name):
     s, x = setup(name)

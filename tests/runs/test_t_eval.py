@@ -36,6 +36,7 @@ def random_times(start, end, count=40, seed=7):
     return found if end > start else found[::-1]
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("span", [(0.0, 4.0), (1.0, -3.0), (1e3, 1e3 + 4.0)])
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8), None], ids=str)
 @pytest.mark.parametrize("watch", [True, False])

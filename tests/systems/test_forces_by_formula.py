@@ -20,6 +20,7 @@ RATE = np.array([[0.5, 0.25, 0.0], [-1.0, 0.75, 0.125], [0.0, 0.5, 2.0]])
 U = 2.0**-53
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("tau", [0.75, -0.5, 3.0])
 @pytest.mark.parametrize("toward", [0.0, 0.25, (0.5, -1.0, 2.0)])
 @pytest.mark.parametrize("rate", [0.4, -0.3, (0.5, 0.0, -0.25), RATE, np.zeros((3, 3))], ids=str)
@@ -289,6 +290,7 @@ INDEFINITE = {
 }
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("scale", [1.0, 2.0**-200, 2.0**200])
 @pytest.mark.parametrize("name", SEMIDEFINITE)
@@ -301,6 +303,7 @@ def test_the_root_times_its_transpose_is_the_metric(name, scale, order):
     co.forces.DoubleBracketDamping(0.1, P)
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("scale", [1.0, 2.0**-200, 2.0**200])
 @pytest.mark.parametrize("name", INDEFINITE)

@@ -398,3 +398,20 @@ def test_flows_of_ones_own_are_those_of_matrices():
         np.testing.assert_allclose(s.from_vector(own.flow(s, x, 0.7, 0.25)), flow(W, 0.7, 0.25), rtol=0, atol=1e-14)
         slope = s.from_vector(own.field(s, x, 0.7))
         np.testing.assert_allclose(slope, -1.7 * np.abs(np.trace(W @ W)) * W, rtol=0, atol=1e-6 * np.abs(slope).max())
+
+
+@pytest.mark.thinned(1)
+@FLUIDS
+def test_derivatives_of_flows_are_those_of_linear_maps(s):
+    """Every column, of states in the algebra: the flow is linear but for its rest state."""
+    x, moved = s.to_vector(random_state(s)), np.random.default_rng(7).standard_normal((5, s.dim))
+    moved = s.to_vector(s.algebra.projected(s.from_vector(moved)))
+    modes = [co.forces.Viscosity(0.02, power=2, rotation=True), co.forces.Friction(lambda k: 0.3 / k)]
+    if s is TORUS:
+        modes.append(co.forces.BetaPlane(0.7))
+    for force in modes:
+        matrix = np.asarray(force.tangent(s, x, 0.7, 0.25))
+        assert matrix.shape == (s.dim, s.dim)
+        start = force.flow(s, x, 0.7, 0.25)
+        changes = np.array([force.flow(s, x + y, 0.7, 0.25) - start for y in moved])
+        np.testing.assert_allclose(moved @ matrix.T, changes, rtol=0, atol=1e-12 * np.abs(moved).max())

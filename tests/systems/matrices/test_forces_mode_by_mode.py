@@ -57,7 +57,7 @@ def forces(layer, surface):
     ]
 
 
-@pytest.mark.thinned(3)
+@pytest.mark.thinned(1)
 @on_fields
 @pytest.mark.parametrize("tau", [0.75, -0.5])
 def test_each_mode_of_the_layer_decays_by_its_own_rate_and_nothing_else_moves(s, surface, layer, tau):
