@@ -251,3 +251,26 @@ def test_subset_of_members_has_its_initial_attitudes():
             whole, some = ready.run(x, (0.5, 1.5)), ready.among(1, 4).run(x[1:4], (0.5, 1.5))
             assert np.array_equal(some.attitude, whole.attitude[:, 1:4]) and np.array_equal(some.x, whole.x[:, 1:4])
             assert np.array_equal(some.attitude0, attitude[1:4] if attitude.ndim == 3 else np.tile(attitude, (3, 1, 1)))
+
+
+def test_names_of_batches_are_those_of_the_first_two_systems():
+    named = [co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(1.0), name=name) for name in "abc"]
+    assert co.batch(named[:1] * 3).name == "batch of 3 (a)"
+    assert co.batch(named[:2]).name == "batch of 2 (a, b)"
+    assert co.batch([*named, named[0]]).name == "batch of 4 (a, b, ...)"
+
+
+def test_parts_of_a_batch_have_the_noise_of_their_members():
+    """Also of systems that occur more than once."""
+    field = co.Polynomial({(0, 0, 1): -1.0})
+    spins = [
+        co.LiePoissonSystem(co.algebras.so(3), field).with_forces(co.forces.HeatBath(a, temperature=0.5, seed=7))
+        for a in (0.3, 0.4, 0.5)
+    ]
+    batch = co.batch([spins[k] for k in (0, 1, 0, 2, 1, 1)])
+    x0 = np.tile([0.0, 0.6, 0.8], (6, 1))
+    whole = co.integrate(batch, x0, (0, 1), 0.25).x
+    assert len(np.unique(whole[-1, :, 0])) == 6
+    for first, last in ((0, 2), (2, 5), (4, 6)):
+        part = co.integrate(batch.among(first, last), x0[first:last], (0, 1), 0.25).x
+        np.testing.assert_array_equal(part, whole[:, first:last])
