@@ -100,3 +100,24 @@ def test_series_without_an_integrated_time():
     }.items():
         with pytest.raises(ValueError, match=words):
             call()
+
+
+@pytest.mark.parametrize("members", [1, 3])
+def test_errors_are_those_of_madras_and_sokal(members):
+    """By the window, the time, the variance and the number of samples, each from the numbers that are returned."""
+    rng, spacing, count = np.random.default_rng(3), 0.25, 3000
+    noise = rng.normal(size=(count, members))
+    series = lfilter([1], [1, -0.7], noise, axis=0) + 2.0
+    found = co.spectra.autocorrelation(5.0 + spacing * np.arange(count), series[:, :, None], window=6.0)
+    (time,), (error,), (window,) = found.time, found.error, found.window
+    steps = window / spacing
+    assert steps == round(steps) and found.t[round(steps)] == window
+    assert time == pytest.approx(spacing * (found.values[: round(steps) + 1, 0].sum() - 0.5), rel=1e-12)
+    # The first lag of at least six times.
+    sums = spacing * (np.cumsum(found.values[:, 0]) - 0.5)
+    assert np.argmax(found.t >= 6.0 * sums) == round(steps)
+    assert error == pytest.approx(time * np.sqrt(2 * (2 * steps + 1) / (count * members)), rel=1e-12)
+    variance = np.mean((series - series.mean()) ** 2)
+    assert found.mean == pytest.approx([series.mean()], rel=1e-12)
+    wanted = np.sqrt(2 * time / spacing * variance / (count * members))
+    assert found.mean_error == pytest.approx([wanted], rel=1e-12)

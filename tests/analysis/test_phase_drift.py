@@ -302,3 +302,23 @@ def test_what_is_refused(body, run) -> None:
         line_drift(run, 0.5, co.integrate(body, X0, (0.0, 500.0), 0.1, save_every=5))
     with pytest.raises(ValueError, match="window takes"):
         line_drift(run, 0.5, width=1e-3)
+
+
+@pytest.mark.parametrize("of", ["momentum", "attitude"])
+@pytest.mark.parametrize("t0, sense", [(0.0, 1), (7.3, -1)])
+def test_members_that_events_have_ended_have_the_drift_up_to_there(t0, sense, of):
+    """That of the run alone, which ends there; the member that goes on is not changed."""
+    body, flip = co.systems.rigid_body(inertia=(1, 2, 3)), co.Event(1, terminal=True)
+    x0 = sense * np.array([(0.1, 1.0, 0.1), (0.2, 1.0, 0.3), (1.0, 0.2, 0.5)])
+    run = (t0, t0 + sense * 20), 0.05, co.Splitting(order=2, parts="coordinates")
+    options = {"save_every": 3, "events": flip, "attitude": True}
+    found = co.phase_drift(co.integrate(body, x0, *run, **options), of=of)
+    assert len({len(drift.t) for drift in found}) > 1
+    for drift, x in zip(found, x0, strict=True):
+        alone = co.integrate(body, x, *run, **options)
+        wanted = co.phase_drift(alone, of=of)
+        # The run alone has the end itself as its last point.
+        count = len(drift.t)
+        assert count in (len(wanted.t), len(wanted.t) - 1)
+        np.testing.assert_array_equal(drift.t, wanted.t[:count])
+        np.testing.assert_allclose(drift.lead, wanted.lead[:count], rtol=0, atol=1e-10)

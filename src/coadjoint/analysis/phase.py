@@ -111,11 +111,14 @@ def _solve_leads(
 ) -> npt.NDArray[np.float64]:
     change = np.full(len(times), np.inf)
     for _ in range(MAX_ITERATIONS):
-        y = motion_at(times + lead)
-        f = field_along(system, y, times + lead)
+        # Points without a state or a lead are evaluated somewhere, and stay without one.
+        moments = times + np.where(np.isfinite(lead), lead, 0.0)
+        y = motion_at(moments)
+        f = field_along(system, y, moments)
         # Off the orbit Gauss-Newton converges linearly, down to the round-off of the exact motion.
         change = np.einsum("ki,ki->k", f, states - y) / np.einsum("ki,ki->k", f, f)
         lead = lead + change
         if np.all(np.isnan(change)) or np.nanmax(np.abs(change)) <= 2.0**-40 * max(1.0, float(np.max(np.abs(times)))):
             break
-    return np.where(np.abs(change) <= 2.0**-20 * np.maximum(1.0, np.abs(times)), lead, np.nan)
+    settled = np.isfinite(lead) & (np.abs(change) <= 2.0**-20 * np.maximum(1.0, np.abs(times)))
+    return np.where(settled, lead, np.nan)

@@ -209,7 +209,11 @@ def _precession(run: Solution, system: Any, x0: Floats, reference: Any, member: 
         raise TypeError(
             f"reference is {short(reference)}; for the attitude give a Solution, or None for the closed form"
         )
-    return np.asarray(np.unwrap(twist(attitude, exact, initial @ x0)))
+    # Members that have ended or failed have no attitude at later times.
+    held = np.isfinite(attitude).all(axis=(1, 2)) & np.isfinite(exact).all(axis=(1, 2))
+    lead = np.full(len(held), np.nan)
+    lead[held] = np.unwrap(twist(attitude[held], exact[held], initial @ x0))
+    return lead
 
 
 def _attitude(run: Solution, member: int | None, name: str) -> Floats:
