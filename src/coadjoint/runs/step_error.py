@@ -83,9 +83,11 @@ def _worst(solution: Solution, prepared: PreparedRun | None) -> Worst:
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.nan_to_num(np.sqrt(errors / changes), nan=0.0)
     worst = int(np.argmax(relative))
-    steps = abs(solution.t_span[1] - solution.t_span[0]) / solution.step
-    size = math.sqrt(np.mean([np.sum(states[worst] ** 2) for _, states in points])) or 1.0
-    total = steps * math.sqrt(errors[worst] / len(points)) / size
+    end = float(ends_by_events(solution)[members[worst]])
+    steps = abs((solution.t_span[1] if math.isnan(end) else end) - solution.t_span[0]) / solution.step
+    known = [states[worst] for _, states, held in points if held[worst]]
+    size = math.sqrt(np.mean([np.sum(state**2) for state in known])) or 1.0
+    total = steps * math.sqrt(errors[worst] / len(known)) / size
     largest = Worst(float(relative[worst]), int(members[worst]), total)
     if states_in_memory(solution) and len(solution.t) > 1:
         passage, closest = _passages(solution, system, members)
