@@ -9,6 +9,7 @@ import pytest
 import coadjoint as co
 from coadjoint.files.archives import run_in_blocks
 from coadjoint.files.archives.block_run import run_block
+from coadjoint.files.output.atomic_output import PendingOutput
 
 HALF_STATES = np.random.default_rng(5).standard_normal((6, 3))
 
@@ -81,3 +82,22 @@ def test_errors_at_the_end_of_members_that_have_failed():
     found = failure.value.partial.error_estimate()
     alone = co.integrate(escape, (1.0, 0.1), (0, 2), 0.1, co.GaussLegendre(2)).error_estimate()
     np.testing.assert_array_equal(found, [alone, np.nan])
+
+
+@pytest.mark.parametrize("members", [0, 6])
+def test_an_interrupt_before_the_first_step_leaves_an_archive_that_is_free(tmp_path, monkeypatch, members):
+    """It comes when the archive has its name, and what was written beside it is removed."""
+    path, left = tmp_path / "run.zarr", PendingOutput.__exit__
+    body, x0 = co.systems.rigid_body((1, 2, 3)), HALF_STATES[:members] if members else HALF_STATES[0]
+    run = co.integrate_ensemble if members else co.integrate
+
+    def interrupted(output, *ended):
+        left(output, *ended)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(PendingOutput, "__exit__", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run(body, x0, (0, 5), 0.1, archive=path)
+    resumed = co.resume(path)
+    np.testing.assert_array_equal(resumed.x, co.integrate(body, x0, (0, 5), 0.1).x)

@@ -6,6 +6,7 @@ import json
 import platform
 import time
 from collections.abc import Mapping
+from contextlib import ExitStack
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -132,19 +133,22 @@ def create_archive(
     attributes |= metadata.attributes
     if metadata.coordinates:
         attributes["coordinates"] = " ".join(metadata.coordinates)
-    try:
-        with PendingOutput(target) as unfinished:
-            store = ArchiveStore.create_archive(unfinished.path, arrays)
-            try:
-                for name, (_, values, _) in fixed.items():
-                    store.write(name, np.asarray(values))
-                store.commit(attributes, {"time": points})
-            except BaseException:
-                store.close()
-                raise
-            store.moved(target)
-    except OSError as reason:
-        raise creation_error(target, reason) from None
+    with ExitStack() as after_interrupts:
+        try:
+            with PendingOutput(target) as unfinished:
+                store = ArchiveStore.create_archive(unfinished.path, arrays)
+                after_interrupts.callback(store.close)
+                try:
+                    for name, (_, values, _) in fixed.items():
+                        store.write(name, np.asarray(values))
+                    store.commit(attributes, {"time": points})
+                except BaseException:
+                    store.close()
+                    raise
+                store.moved(target)
+        except OSError as reason:
+            raise creation_error(target, reason) from None
+        after_interrupts.pop_all()
     return store
 
 

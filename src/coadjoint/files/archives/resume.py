@@ -7,6 +7,7 @@ import os
 import platform
 import time
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,12 +70,15 @@ def archive_run(
         raise ValueError("an archive saves every save_every-th step and has no events; give neither t_eval nor events")
     began, target = time.perf_counter(), check_new(archive)
     times, start = prepared.times_of(t_span, save_every)[0], prepared.start(x0)
-    try:
-        with PendingOutput(target) as unfinished:
-            store = create_archive(prepared, times, start, unfinished.path, int(save_every), about)
-            store.moved(target)
-    except OSError as reason:
-        raise creation_error(target, reason) from None
+    with ExitStack() as after_interrupts:
+        try:
+            with PendingOutput(target) as unfinished:
+                store = create_archive(prepared, times, start, unfinished.path, int(save_every), about)
+                after_interrupts.callback(store.close)
+                store.moved(target)
+        except OSError as reason:
+            raise creation_error(target, reason) from None
+        after_interrupts.pop_all()
     return _continue_run(store, prepared, times, start, None, progress, until, began)
 
 
