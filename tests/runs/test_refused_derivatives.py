@@ -8,6 +8,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.runs import prepared_run
+from coadjoint.runs.derivatives import differentiable_run, forced_steps
 
 BODY = co.systems.rigid_body((1, 2, 3))
 X = np.array([0.3, 1.0, 0.2])
@@ -89,6 +90,20 @@ def test_wrong_runs_are_refused(arguments, error, words):
         READY.jvp(**given, directions={"x0": X})
 
 
+@pytest.mark.parametrize("system", [BODY, BODY.with_forces(co.forces.LinearDamping(0.1))], ids=["alone", "forced"])
+def test_equations_of_derivatives_that_are_not_solved_raise_integration_errors(system, monkeypatch):
+    """At the time of the stretch, or of the step with forces."""
+    for module in (differentiable_run, forced_steps):
+        monkeypatch.setattr(module, "advance_tables", lambda *_: False)
+    ready = co.prepare(system, co.GaussLegendre(2), 0.125)
+    _, pullback = ready.vjp(X, (1.0, 1.25))
+    # Backward the last step is the first one whose equations are solved.
+    for call, time in ((lambda: ready.jvp(X, (1.0, 1.25), {"x0": X}), 1.0), (lambda: pullback(np.ones((3, 3))), 1.125)):
+        with pytest.raises(co.IntegrationError, match=r"take a smaller step than 0\.125") as raised:
+            call()
+        assert raised.value.time == (1.25 if system is BODY else time)
+
+
 WAVES = co.LiePoissonSystem(co.algebras.so(3), co.Separable({0: (np.cos, lambda y: -np.sin(y))}))
 
 
@@ -143,19 +158,21 @@ def test_derivatives_that_overflow_raise_integration_errors(members):
     assert np.isfinite(gradient["x0"]).all() and np.abs(gradient["x0"]).max() > 1e300
 
 
-def test_members_whose_derivatives_overflow_do_not_affect_others():
+@pytest.mark.parametrize("system", [LINE, co.batch([LINE] * 3)], ids=["ensemble", "batch"])
+def test_members_whose_derivatives_overflow_do_not_affect_others(system):
     """The errors contain the derivatives of all members, of which the others have the bits of single runs."""
-    ready = co.prepare(LINE, co.Splitting(order=1), 1.0)
+    together, ready = (co.prepare(one, co.Splitting(order=1), 1.0) for one in (system, LINE))
     x0, span = np.array([[1e-300, 1e-300], [1e-300, 0.0], [1e-300, 1e-300]]), (0.0, -720.0)
     directions = {"x0": np.array([[1.0, 1.0], [1.0, 0.0], [1.0, 1.0]])}
     with pytest.raises(co.IntegrationError, match="derivative of x overflows") as raised:
-        ready.jvp(x0, span, directions, 10)
+        together.jvp(x0, span, directions, 10)
     found = raised.value.derivatives
+    assert raised.value.time == -710.0 and raised.value.partial.x.shape == found.x.shape
     sol, alone = ready.jvp(x0[1], span, {"x0": directions["x0"][1]}, 10)
     assert np.array_equal(found.x[:, 1], alone.x) and np.isfinite(alone.x).all()
     assert not np.isfinite(found.x[:, 0]).all() and not np.isfinite(found.x[:, 2]).all()
     # The second member has no cotangent along the growing coordinate.
-    _, pullback = ready.vjp(x0, span, 10)
+    _, pullback = together.vjp(x0, span, 10)
     cotangents = np.ones((len(sol.t), 3, 2))
     cotangents[:, 1] = [1.0, 0.0]
     with pytest.raises(co.IntegrationError, match="derivative by x0 overflows") as raised:
