@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
+from coadjoint.runs.derivatives import parametrized_run
 from coadjoint.systems.parameters import is_symmetric_parameter
 from drawn_matrices import full
 
@@ -325,3 +326,23 @@ def test_more_numbers_than_entries_are_refused_before_they_are_listed():
     numbers = np.broadcast_to(0, (10**7, 10**6))
     with pytest.raises(ValueError, match=f"unknown gives {10**13} numbers of entries of x0, which has 3"):
         co.fit(ready, x0, (0, 1), measured, {"x0": numbers}, sigma={"x": 0.1})
+
+
+@pytest.mark.filterwarnings("ignore:inertia:UserWarning")
+def test_trial_steps_outside_of_the_parameters_are_shortened(monkeypatch):
+    """The first step of Gauss and Newton leads to a negative moment of inertia, which the system refuses."""
+    refused, real = [], parametrized_run.with_parameters
+
+    def watched(system, values):
+        try:
+            return real(system, values)
+        except ValueError:
+            refused.append(values["inertia"].min())
+            raise
+
+    monkeypatch.setattr(parametrized_run, "with_parameters", watched)
+    ready = body(INERTIA * [1.0, 2.0, 1.0])
+    measured = {"x": body().run(X0, (0.0, 4.0), 4).x}
+    found = co.fit(ready, X0, (0.0, 4.0), measured, {"inertia": (1, 2)}, 4, sigma={"x": SIGMA})
+    assert refused and max(refused) < 0.0
+    np.testing.assert_allclose(found.values["inertia"], INERTIA, rtol=1e-8)

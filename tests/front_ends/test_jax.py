@@ -17,7 +17,7 @@ jnp = jax.numpy
 
 SPAN, EVERY = (0, 10), 50
 X0 = np.array([1.0, 0.2, 0.5])
-MANY = np.array([X0, 2.0 * X0, X0[::-1]])
+MANY = np.array([X0, 2.0 * X0, X0[::-1], 0.5 * X0])
 INERTIA = np.array([1.1, 2.0, 2.4])
 WEIGHTS = np.cos(np.arange(15.0)).reshape(5, 3)
 ALONG = np.array([0.3, -1.0, 0.5])
@@ -107,9 +107,9 @@ def calls(monkeypatch, name):
 def test_vmap_over_initial_states_is_one_ensemble(f, number, monkeypatch, wrapped):
     solved, pulled = calls(monkeypatch, "solve"), calls(monkeypatch, "gradients")
     assert np.array_equal(wrapped(jax.vmap(f))(MANY), np.stack([f(x0) for x0 in MANY]))
-    assert solved == [(3, 3), (3,), (3,), (3,)]
+    assert solved == [(4, 3), *[(3,)] * 4]
     rows = wrapped(jax.vmap(jax.grad(number, (0, 1)), (0, None)))(MANY, INERTIA)
-    assert pulled == [(3, 3)]
+    assert pulled == [(4, 3)]
     for m, x0 in enumerate(MANY):
         for row, alone in zip(rows, jax.grad(number, (0, 1))(x0, INERTIA), strict=True):
             np.testing.assert_allclose(row[m], alone, rtol=0, atol=ROUNDING)
@@ -123,18 +123,31 @@ def test_vmap_over_ensembles_merges_the_members(f, monkeypatch):
         return (f(x0, inertia=inertia) ** 2 * WEIGHTS[:, None]).sum()
 
     assert np.array_equal(jax.vmap(f)(several), np.stack([f(x0) for x0 in several]))
-    assert solved == [(6, 3), (3, 3), (3, 3)]
+    assert solved == [(8, 3), (4, 3), (4, 3)]
     rows = jax.vmap(jax.grad(square, (0, 1)), (0, None))(several, INERTIA)
     twice = jax.vmap(jax.vmap(jax.grad(lambda x0: (f(x0) ** 2 * WEIGHTS).sum())))(several)
     assert twice.shape == several.shape
     _, along = jax.vmap(lambda x0: jax.jvp(lambda i: f(x0, inertia=i), (INERTIA,), (X0,)))(several)
-    assert followed == [(6, 3)]
+    assert followed == [(8, 3)]
     for m, x0 in enumerate(several):
         for row, alone in zip(rows, jax.grad(square, (0, 1))(x0, INERTIA), strict=True):
             np.testing.assert_allclose(row[m], alone, rtol=0, atol=16 * ROUNDING)
         np.testing.assert_allclose(twice[m][1], jax.grad(lambda x: (f(x) ** 2 * WEIGHTS).sum())(x0[1]), atol=ROUNDING)
         alone = jax.jvp(lambda i, x0=x0: f(x0, inertia=i), (INERTIA,), (X0,))[1]
         np.testing.assert_allclose(along[m], alone, rtol=0, atol=ROUNDING)
+
+
+def test_axes_of_vmap_may_be_any(f, number):
+    """The number of members is that along their axis, which is not the first one."""
+    value_and_gradient = jax.value_and_grad(number, (0, 1))
+    for axes, of_x0, of_inertia in (((1, None), MANY.T, INERTIA), ((1, 1), MANY.T, np.tile(INERTIA[:, None], 4))):
+        value, gradients = jax.vmap(value_and_gradient, axes)(of_x0, of_inertia)
+        wanted, expected = jax.vmap(value_and_gradient, (0, None))(MANY, INERTIA)
+        for one, other in zip((value, *gradients), (wanted, *expected), strict=True):
+            np.testing.assert_allclose(one, other, rtol=0, atol=ROUNDING)
+    along = jax.vmap(lambda v: jax.jvp(lambda x: f(x, inertia=INERTIA), (X0,), (v,))[1], 1, 2)(MANY.T)
+    each = [jax.jvp(lambda x: f(x, inertia=INERTIA), (X0,), (v,))[1] for v in MANY]
+    np.testing.assert_allclose(along, np.stack(each, axis=2), rtol=0, atol=ROUNDING)
 
 
 def test_gradients_by_parameters_have_the_axes_of_all_vmaps(number):
@@ -160,7 +173,7 @@ def test_vmap_over_parameters_agrees_with_a_loop(f, number):
 
 
 def test_vmap_over_initial_states_and_directions_of_parameters_agrees_with_a_loop(f):
-    directions = np.array([ALONG, -ALONG, ALONG[::-1]])
+    directions = np.array([ALONG, -ALONG, ALONG[::-1], 0.5 * ALONG])
 
     def along(x0, direction):
         return jax.jvp(lambda inertia: f(x0, inertia=inertia), (INERTIA,), (direction,))[1]
@@ -323,7 +336,7 @@ def test_one_step_of_a_fit_prepares_once(number, monkeypatch):
         (X0.astype(np.float32), {}, TypeError, "x0 has the dtype float32; give float64"),
         (X0, {"inertia": INERTIA.astype(np.float32)}, TypeError, "inertia has the dtype float32; give float64"),
         (X0[:2], {}, ValueError, r"x0 has the shape \(2,\); it must be \(3,\) or \(members, 3\)"),
-        (MANY[None], {}, ValueError, r"x0 has the shape \(1, 3, 3\)"),
+        (MANY[None], {}, ValueError, r"x0 has the shape \(1, 4, 3\)"),
         (MANY[:0], {}, ValueError, r"x0 has the shape \(0, 3\)"),
         (X0, {"inertia": np.diag(INERTIA)}, ValueError, r"inertia has the shape \(3, 3\); it must be \(3,\)"),
         (X0, {"inertai": INERTIA}, ValueError, "unknown parameter of rigid_body 'inertai'; did you mean 'inertia'"),

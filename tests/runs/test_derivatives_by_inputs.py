@@ -127,6 +127,7 @@ def assert_derivatives(case, span, start, values, seed, reverse="exact"):
     return gradient
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("span", ["forward", "backward", "times"])
 @pytest.mark.parametrize("case", COMPILED, ids=named)
 def test_compiled_derivatives_by_inputs_are_those_of_runs(case, span):

@@ -188,6 +188,7 @@ FLUIDS = {
 }
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("method", [co.IsospectralGauss(), co.CommutatorFree()], ids=str)
 @pytest.mark.parametrize("name", FLUIDS)
 def test_derivatives_of_matrices_with_forces(name, method):
@@ -457,6 +458,7 @@ def test_steps_with_forces_are_not_undone():
         ready.vjp(state(3), (0.0, 1.0), reverse="reversible")
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("algebra", [co.algebras.so(4), co.algebras.e(3), co.algebras.sl(2)], ids=str)
 @pytest.mark.parametrize("metric", [0.8, "diagonal"])
 def test_transposed_flows_of_heat_baths_are_those_of_their_matrices(algebra, metric):

@@ -93,11 +93,11 @@ class LocatedTrajectory(Trajectory):
             self.crossings = Crossings(self, run.system, found, rows)
 
     def _take_steps(self, prepared: Any, numbers: Any, crossing_times: Floats, reverse: str | None) -> None:
-        """Take the steps of the run up to the last output, in stretches."""
+        """Take the whole steps of the run before the last output, in stretches."""
         times = self.times
         number, length = _before(times, crossing_times)
         number, length = np.concatenate([numbers[0], number]), np.concatenate([numbers[1], length])
-        times = times._replace(steps=int(np.max(number + (length != 0.0), initial=0)))
+        times = times._replace(steps=int(np.max(number, initial=0)))
         self.times = times.with_saved_steps(np.union1d(number, 0))
         self._run = prepared.begun(self.times, self.start)
         distance = self._stretch_length() if reverse == "exact" else max(1, times.steps)
