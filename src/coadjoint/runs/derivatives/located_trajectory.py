@@ -69,9 +69,7 @@ class LocatedTrajectory(Trajectory):
         self.start = prepared.start(x0, attitude)
         assert self.start.single
         self.members, self.n, self.side = 1, self.start.momenta.shape[1], self.start.groups.shape[1]
-        self.solution = prepared.run(
-            x0, t_span, save_every, t_eval=t_eval, attitude=attitude, events=events if events else None
-        )
+        self.solution = prepared.run(x0, t_span, save_every, t_eval=t_eval, attitude=attitude, events=events)
         self.times, moments = prepared.times_of(t_span, save_every, t_eval)
         steps = prepared.at_fixed_steps(run.scheme)
         self.loops = cast(Loops, steps.loops(self.times.h))

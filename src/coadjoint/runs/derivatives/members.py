@@ -36,8 +36,7 @@ class _Members:
 
     def __init__(self, prepared: PreparedRun, x0: Any, t_span: Any, options: dict[str, Any]) -> None:
         self.prepared, self._t_span, self._options = prepared, t_span, options
-        events = options["events"] or None
-        self.solution: Solution = prepared.run(x0, t_span, **{**options, "events": events})
+        self.solution: Solution = prepared.run(x0, t_span, **options)
         self.count = self.solution.x.shape[1]
         self._start = prepared.start(x0, options["attitude"])
         self.shared = not is_batch(prepared.system)
