@@ -278,6 +278,7 @@ def test_a_matrix_of_which_both_triangles_count_has_its_own_entries():
 GOOD = {"attitude": np.zeros((41, 3, 3))}
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     "changed, error, why",
     [

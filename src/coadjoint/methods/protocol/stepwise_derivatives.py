@@ -117,8 +117,8 @@ class StepwiseDerivatives:
                 steps.append(self.step(x, t, run.h))
                 elements.append(self.element(x, t, run.h))
                 x, group = steps[-1].end, elements[-1][0].T @ group
-            cotangent, mark = run.cotangents[member].copy(), run.marked
-            of_group = run.group_cotangents[member].copy()
+            cotangent, mark = run.cotangents[member], run.marked
+            of_group = run.group_cotangents[member]
             for k in range(run.k1, run.k0, -1):
                 if mark > 0 and run.marks[mark - 1] == k:
                     mark -= 1

@@ -98,7 +98,7 @@ class ForcedSteps:
             steps.append(self._step(forces.apply(x, Half(t, run.h, False)), groups, t, run.h))
             groups = self._groups_after(steps[-1], run.h)
             x = forces.apply(steps[-1].end, Half(t, run.h, True))
-        of_x, of_groups = run.cotangents[some].copy(), run.group_cotangents[some].copy()
+        of_x, of_groups = run.cotangents[some], run.group_cotangents[some]
         coefficients = np.zeros((last - first, run.coefficients.shape[1]))
         for k in range(run.k1, run.k0, -1):
             if mark > 0 and run.marks[mark - 1] == k:
