@@ -4,10 +4,11 @@ import itertools
 import json
 import re
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from reference_pages import reference_pages
 from scheme_pages import scheme_pages, text_of
 from system_pages import code, system_pages, write_notebooks
@@ -15,7 +16,10 @@ from write_sources import URLS, linked, published
 
 import coadjoint as co
 from coadjoint.methods import registry
+from coadjoint.methods.suggested_scheme import suggested_scheme
 from coadjoint.runs.example_run import run_example
+from coadjoint.systems.registry import gallery_entry_of
+from long import long_where
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -91,6 +95,47 @@ def test_code_of_a_picture_is_the_run_of_the_gallery():
     exec(code("rigid_body").rpartition("\n")[0], names)
     declared = run_example("rigid_body")
     assert np.array_equal(names["sol"].x, declared.x) and np.array_equal(names["sol"].attitude, declared.attitude)
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", co.systems.names())
+def test_code_of_a_page_is_public_and_declares_the_run_of_the_gallery(name, monkeypatch):
+    calls = []
+
+    def recorded(*given, **options):
+        calls.append((given, options))
+        return SimpleNamespace(plot=lambda: None)
+
+    monkeypatch.setattr(co, "integrate", recorded)
+    shown, entry = code(name), gallery_entry_of(name)
+    exec(shown, {})
+    [((system, x0, t_span, step, scheme), options)] = calls
+    declared = co.systems.get(name, **entry.parameters)
+    assert system.name == declared.name and repr(system.parameters) == repr(declared.parameters)
+    assert np.array_equal(x0, entry.start())
+    assert (t_span, step, scheme) == (entry.t_span, entry.step, suggested_scheme(declared))
+    assert {"save_every": 1, "attitude": False} | options == {
+        "save_every": entry.save_every,
+        "attitude": entry.attitude,
+    }
+    assert set(re.findall(r"^(?:import|from) .*", shown, re.MULTILINE)) <= {
+        "import numpy as np",
+        "import coadjoint as co",
+    }
+    for space, public in re.findall(r"\bco\.(?:(systems|methods)\.)?(\w+)", shown):
+        assert public in dir(getattr(co, space) if space else co), public
+
+
+# Of minutes together: the compilation of functions, fluids, and large lattices.
+SLOW = {"double_spherical_pendulum", "reduced_mhd", "satellite", "separable_cosh", "sklyanin", "sphere_euler"}
+
+
+@pytest.mark.thinned(12)
+@pytest.mark.parametrize("name", long_where(SLOW, co.systems.names()))
+def test_code_of_a_page_runs(name):
+    names = {}
+    exec(code(name), names)
+    assert isinstance(names["figure"], Figure) and names["sol"].t[-1] == gallery_entry_of(name).t_span[1]
 
 
 def test_coefficients_of_schemes_are_those_of_their_steps():

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from starts import STARTS
 
 import coadjoint as co
 from coadjoint.methods import registry
@@ -26,7 +27,7 @@ GROUPS = {
     "examples": "Light, growth and examples of the literature",
 }
 """Titles of groups, by the folder of a system."""
-MAX_START = 12
+MAX_START = 13
 MAX_FORMULAS = 12
 MAX_LATEX = 400
 DOTS_PER_INCH = 90
@@ -83,24 +84,26 @@ def _thumbnail(sol: Any, entry: GalleryEntry) -> Any:
 def code(name: str) -> str:
     """Return a script that runs a system as its gallery entry declares, and draws it as `figure`."""
     entry = _entry(name)
-    start = np.asarray(entry.start())
-    scheme = repr(suggested_scheme(co.systems.get(name, **entry.parameters)))
-    if start.size > MAX_START or any(np.size(value) > MAX_START for value in entry.parameters.values()):
-        return (
-            "from coadjoint.runs.example_run import run_example\n\n"
-            f'sol = run_example("{name}")  # {scheme_name(scheme)}, step {entry.step}\nfigure = sol.plot()'
-        )
+    start = STARTS.get(name) or f"x0 = {_written_out(name, entry)}"
     parameters = ", ".join(f"{key}={value!r}" for key, value in entry.parameters.items())
-    options = [scheme_name(scheme)]
+    options = [scheme_name(repr(suggested_scheme(co.systems.get(name, **entry.parameters))))]
     options += ["attitude=True"] if entry.attitude else []
     options += [f"save_every={entry.save_every}"] if entry.save_every > 1 else []
     return (
-        "import coadjoint as co\n\n"
+        f"{'import numpy as np' + chr(10) if 'np.' in start else ''}import coadjoint as co\n\n"
         f"system = co.systems.{name}({parameters})\n"
-        f"x0 = {start.tolist()}\n"
+        f"{start}\n"
         f"sol = co.integrate(\n    system, x0, {entry.t_span}, {entry.step},\n    {', '.join(options)},\n)\n"
         "figure = sol.plot()"
     )
+
+
+def _written_out(name: str, entry: GalleryEntry) -> list[Any]:
+    """Return the numbers of an initial state, unless they are many."""
+    start = np.asarray(entry.start())
+    if start.size > MAX_START:
+        raise ValueError(f"the gallery entry of {name} starts from {start.size} numbers; write their code in STARTS")
+    return start.tolist()
 
 
 def scheme_name(scheme: str) -> str:

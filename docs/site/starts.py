@@ -1,0 +1,45 @@
+"""Initial states of gallery entries that are too long to be written out, as code for the pages of the systems."""
+
+SPHERE = """\
+k = np.arange({count})
+height = 1 - (2 * k + 1) / {count}
+angle = np.pi * (3 - np.sqrt(5)) * k  # turns by the golden angle: {count} points on a sphere
+distance = np.sqrt(1 - height**2)
+x0 = {factor}np.stack([distance * np.cos(angle), distance * np.sin(angle), height], axis=-1)"""
+
+STARTS = {
+    "gyrostat": SPHERE.format(count=16, factor=""),
+    "lorenz_1960": SPHERE.format(count=14, factor="") + " * (1, 1, 0.5**0.5)",
+    "matrix_body": """\
+x0 = np.zeros((5, 5))
+x0[np.triu_indices(5, 1)] = np.cos(np.arange(10))
+x0 -= x0.T""",
+    "maxwell_bloch": """\
+fields = [*np.linspace(0.4, 2.8, 9), -2.2, -2.5, -2.8]
+x0 = [(field, 0, -1) for field in fields]  # all atoms in the ground state""",
+    "paper_rigid_body": SPHERE.format(count=18, factor=""),
+    "passive_scalar": """\
+fluid = co.systems.sphere_euler(N=33)
+latitude = fluid.from_modes({(1, 0): 1})
+x0 = np.stack([latitude, fluid.random(seed=3)])""",
+    "reduced_mhd": """\
+fluid = co.systems.torus_euler(N=33)
+potential = fluid.from_modes({(0, 1): 0.5, (2, 0): 0.25})
+vorticity = fluid.from_modes({(1, 0): 0.5, (0, 1): 0.5})
+x0 = np.stack([potential, vorticity])""",
+    "separable_cosh": SPHERE.format(count=16, factor="3 * "),
+    "sphere_euler": "x0 = system.zonal_jet(band=(0.2, 1.2), perturbation=0.1)",
+    "spin_lattice": """\
+x, y = np.indices((18, 18)) - 8.5
+angle, tilt = np.pi / 2, 0
+for center in (-3.5, 3.5):  # of a vortex, where spins point up
+    angle = angle + np.arctan2(y, x - center)
+    tilt = tilt + np.exp(-0.4 * ((x - center) ** 2 + y**2))
+in_plane = np.sqrt(1 - np.minimum(tilt, 1) ** 2)
+x0 = np.stack([in_plane * np.cos(angle), in_plane * np.sin(angle), tilt], axis=-1).ravel()""",
+    "toda_ring": """\
+a = 0.5 + 0.35 * np.exp(-0.25 * (np.arange(48) - 11.5) ** 2)
+x0 = np.concatenate([np.zeros(48), a])""",
+    "torus_euler": "x0 = system.zonal_jet(width=0.5, perturbation=0.1)",
+}
+"""Lines that set `x0`, by the name of the system, which is `system`; tests compare it with the start of the entry."""
