@@ -141,9 +141,11 @@ site: kernels $(VENV)/site $(if $(WITH_EXPLORER),explorer)
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --jobs 2 \
 		--doctree-dir build/site-doctrees build/site-sources build/site
 
-# The pages as a browser shows them: needs Chromium or Chrome, found by its usual names or CHROMIUM=/path/to/it.
+# The pages as a browser shows them: needs Chromium or Chrome, found by its usual names or CHROMIUM=/path/to/it. Then the
+# notebooks, each in a kernel, which takes some minutes.
 site-test: site $(VENV)/browser $(if $(WITH_EXPLORER),explorer-test)
 	$(BIN)/python tests/browsed/site.py build/site
+	$(ONE_THREAD) $(BIN)/python tests/browsed/notebooks.py build/site
 
 $(VENV)/browser: tests/browsed/requirements.txt $(VENV)/installed
 	$(PIP) --requirement tests/browsed/requirements.txt

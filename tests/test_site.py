@@ -3,6 +3,7 @@
 import itertools
 import json
 import re
+import runpy
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -158,3 +159,16 @@ def test_notebooks_have_the_code_of_the_pages(tmp_path):
         read = json.loads(path.read_text(encoding="utf-8"))
         text, cell = ("".join(one["source"]) for one in read["cells"])
         assert text.startswith(f"# {path.stem}\n") and cell == f"%matplotlib inline\n{code(path.stem)}\nfigure"
+
+
+@pytest.mark.parametrize("published", ["", "dev", "stable"])
+def test_versions_are_those_that_are_published(published, monkeypatch):
+    monkeypatch.setenv("COADJOINT_SITE", published)
+    options = runpy.run_path(str(SITE / "conf.py"))["html_theme_options"]
+    assert ("switcher" in options) == bool(published)
+    if published:
+        versions = json.loads((SITE / options["switcher"]["json_url"]).read_text(encoding="utf-8"))
+        assert options["switcher"]["version_match"] in {one["version"] for one in versions}
+        workflow = (ROOT / ".github" / "workflows" / "site.yml").read_text(encoding="utf-8")
+        folders = set(re.findall(r"build/public/(\w+)\n", workflow))
+        assert {one["url"] for one in versions} == {f"/coadjoint/{folder}/" for folder in folders}

@@ -1,5 +1,6 @@
 """Sphinx configuration of the documentation site, which `make site` builds from what `write_sources.py` writes."""
 
+import os
 import tomllib
 from pathlib import Path
 
@@ -56,3 +57,10 @@ html_theme_options = {
     "pygments_light_style": "a11y-high-contrast-light",
     "pygments_dark_style": "a11y-high-contrast-dark",
 }
+
+# Where this build is published; only there are the others that the switcher leads to.
+if published := os.environ.get("COADJOINT_SITE"):
+    html_theme_options |= {
+        "switcher": {"json_url": "_static/switcher.json", "version_match": published},
+        "navbar_end": ["version-switcher", "theme-switcher", "navbar-icon-links"],
+    }

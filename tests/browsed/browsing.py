@@ -38,8 +38,12 @@ def served(folder: Path) -> Iterator[str]:
         def log_message(self, *_: Any) -> None:
             pass
 
+    class Server(http.server.ThreadingHTTPServer):
+        def handle_error(self, *_: Any) -> None:
+            """Closed tabs break connections; what an open one does not get is seen there."""
+
     handler = functools.partial(Quiet, directory=str(folder))
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+    with Server(("127.0.0.1", 0), handler) as server:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
         try:
@@ -48,8 +52,8 @@ def served(folder: Path) -> Iterator[str]:
             server.shutdown()
 
 
-def faults(tab: Page, width: int) -> list[str]:
-    """Return what is wrong with an open page."""
+def layout_faults(tab: Page, width: int) -> list[str]:
+    """Return what is wrong with the width of an open page and with its formulas."""
     found = []
     if (wide := tab.evaluate("document.documentElement.scrollWidth")) > width:
         found.append(f"the page is {wide} pixels wide")
@@ -57,6 +61,14 @@ def faults(tab: Page, width: int) -> list[str]:
         r"[...document.querySelectorAll('.math')].filter(m => !m.querySelector('mjx-container')).length"
     ):
         found.append(f"{unset} formulas are not set")
+    if wrong := tab.evaluate("[...document.querySelectorAll('mjx-merror')].map(m => m.title || m.textContent)"):
+        found.append(f"formulas with errors: {wrong}")
+    return found
+
+
+def faults(tab: Page, width: int) -> list[str]:
+    """Return what is wrong with an open page."""
+    found = layout_faults(tab, width)
     tab.evaluate(AXE.read_text(encoding="utf-8"))
     for fault in tab.evaluate("axe.run()")["violations"]:
         if fault["impact"] in ("serious", "critical"):

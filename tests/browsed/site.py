@@ -8,21 +8,27 @@ page may be wider than the window, and axe-core may find no serious fault. The p
 from __future__ import annotations
 
 import argparse
+import contextlib
 import io
+import re
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
-from browsing import COLORS, WINDOWS, browser_program, faults, served
+from browsing import COLORS, WINDOWS, browser_program, faults, layout_faults, served
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Error as PlaywrightError
 
 SCREENSHOTS = Path(__file__).with_name("screenshots")
 PAGES = ("index", "start", "schemes", "systems/heavy_top", "own_algebra")
 # Further pages of each kind, which are not compared.
 OTHERS = ("systems/index", "schemes/Splitting", "api", "reference/coadjoint.integrate", "paper", "spins", "derivatives")
+# A formula that Markdown did not recognize is left as text.
+RAW = re.compile(r".{0,30}(?:\$|\\[a-zA-Z]{2,}).{0,30}")
+VOID = {"area", "base", "br", "col", "embed", "hr", "img", "input", "link", "meta", "source", "track", "wbr"}
 REDUCTION = 20
 # Part of the reduced pixels that differ by more than this of 255: fewer with other fonts, more without a style sheet.
 DIFFERENT, TOLERANCE = 24, 0.1
@@ -36,7 +42,7 @@ QUESTIONS = {
 }
 
 
-@contextmanager
+@contextlib.contextmanager
 def opened(
     browser: Browser, base: str, page: str, window: tuple[int, int], color: str, wrong: list[str]
 ) -> Iterator[Page]:
@@ -60,6 +66,29 @@ def opened(
     context.close()
 
 
+class Prose(HTMLParser):
+    """The text of a page without code and formulas, and whether it has formulas."""
+
+    def __init__(self, page: Path) -> None:
+        super().__init__()
+        self.text, self.formulas, self.inside = "", False, list[bool]()
+        self.feed(page.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in VOID:
+            math = "math" in (dict(attrs).get("class") or "").split()
+            self.formulas |= math
+            self.inside.append(math or tag in ("code", "pre", "script", "style"))
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in VOID:
+            self.inside.pop()
+
+    def handle_data(self, data: str) -> None:
+        if not any(self.inside):
+            self.text += data
+
+
 def reduced(tab: Page) -> np.ndarray:
     """Return the window with few pixels, without movies."""
     tab.add_style_tag(content="img[src$='.gif'] { visibility: hidden }")
@@ -81,6 +110,17 @@ def compared(name: str, seen: np.ndarray, write: bool) -> list[str]:
         return [f"the window has {seen.shape[:2]} reduced pixels, and the stored one {stored.shape[:2]}"]
     differing = float((np.abs(stored.astype(int) - seen).max(axis=-1) > DIFFERENT).mean())
     return [] if differing <= TOLERANCE else [f"{differing:.0%} of the window differ from {path.name}"]
+
+
+def versions(tab: Page, page: str) -> list[str]:
+    """Return what is wrong with the menu of versions, which only published sites have."""
+    if not tab.query_selector(".version-switcher__button"):
+        return []
+    with contextlib.suppress(PlaywrightError):
+        tab.wait_for_selector(".version-switcher__menu a", state="attached", timeout=20_000)
+    found = tab.evaluate("[...document.querySelectorAll('.version-switcher__menu a')].map(a => a.getAttribute('href'))")
+    expected = {f"/coadjoint/{version}/{page}.html" for version in ("dev", "stable")}
+    return [] if set(found) == expected else [f"the menu of versions leads to {found}"]
 
 
 def links(tab: Page, base: str) -> set[str]:
@@ -117,9 +157,18 @@ def main() -> int:
                 for color in COLORS:
                     with opened(browser, base, page, window, color, wrong) as tab:
                         name = f"{page}-{window[0]}-{color}"
-                        wrong += [f"{name}: {fault}" for fault in faults(tab, window[0])]
+                        wrong += [f"{name}: {fault}" for fault in faults(tab, window[0]) + versions(tab, page)]
                         if page in PAGES:
                             wrong += [f"{name}: {fault}" for fault in compared(name, reduced(tab), given.write)]
+        count = len(PAGES) + len(OTHERS)
+        explorer = given.folder / "explorer"  # has tests of its own
+        for file in sorted(path for path in given.folder.rglob("*.html") if explorer not in path.parents):
+            prose, page = Prose(file), file.relative_to(given.folder).with_suffix("").as_posix()
+            wrong += [f"{page}: raw formula: {text}" for text in RAW.findall(prose.text)]
+            if prose.formulas and page not in (*PAGES, *OTHERS):
+                count += 1
+                with opened(browser, base, page, WINDOWS[1], "light", wrong) as tab:
+                    wrong += [f"{page}: {fault}" for fault in layout_faults(tab, WINDOWS[1][0])]
         with opened(browser, base, "index", WINDOWS[0], "light", wrong) as tab:
             near = links(tab, base)
         reached = set(near)
@@ -132,7 +181,7 @@ def main() -> int:
         searches(browser, base, wrong)
         browser.close()
     print(*wrong, sep="\n")
-    print(f"{len(PAGES) + len(OTHERS)} pages, {len(wrong)} faults")
+    print(f"{count} pages, {len(wrong)} faults")
     return bool(wrong)
 
 
