@@ -21,6 +21,8 @@ DOCS, ROOT = SITE.parent, SITE.parent.parent
 sys.path.append(str(DOCS))
 
 URLS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"].get("urls", {})
+ELSEWHERE = re.compile(r"(?<=\]\()\.\./[\w/]+\.(?:png|gif|svg)(?=\))")
+"""Pictures outside the folder of the pages: the site has copies beside its pages."""
 MATHJAX = "tex-chtml.js", "output/chtml/fonts/woff-v2"
 
 
@@ -46,6 +48,9 @@ def write(folder: Path, explorer: Path | None) -> None:
         old.unlink()
     for file in [file for kind in ("png", "gif", "svg", "json") for file in DOCS.glob(f"*.{kind}")]:
         shutil.copy2(file, folder)
+    for page in DOCS.glob("*.md"):
+        for path in ELSEWHERE.findall(page.read_text(encoding="utf-8")):
+            shutil.copy2(DOCS / path, folder)
     shutil.copy2(SITE / "conf.py", folder)
     shutil.copytree(SITE / "_static", folder / "_static", dirs_exist_ok=True)
     copy_mathjax(folder / "_static" / "mathjax")
@@ -71,6 +76,7 @@ def published(page: Path) -> str:
     text = page.read_text(encoding="utf-8")
     text = re.sub(r"^(?!#)(.*)$", _titled, text, flags=re.MULTILINE)
     if page.parent == DOCS:
+        text = ELSEWHERE.sub(lambda path: Path(path[0]).name, text)
         if "Source" in URLS:
             return re.sub(r"\]\(\.\./(?=\w)", f"]({URLS['Source']}/blob/main/", text)
         return re.sub(r"\[([^]\n]*)\]\(\.\./\w[^)\n]*\)", r"\1", text)  # files without a page, by their names
