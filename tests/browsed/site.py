@@ -124,8 +124,9 @@ def versions(tab: Page, page: str) -> list[str]:
 
 
 def links(tab: Page, base: str) -> set[str]:
-    """Return the pages of the site that a page links."""
-    found = tab.evaluate("[...document.querySelectorAll('a[href]')].map(a => a.href.split('#')[0])")
+    """Return the pages of the site that a page links, without those of other versions."""
+    selected = "a[href]:not(.version-switcher__menu a)"
+    found = tab.evaluate(f"[...document.querySelectorAll('{selected}')].map(a => a.href.split('#')[0])")
     return {address.removeprefix(base) for address in found if address.startswith(base)}
 
 
