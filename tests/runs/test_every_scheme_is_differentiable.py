@@ -330,6 +330,26 @@ def test_derivatives_do_not_depend_on_the_stretches(monkeypatch):
         np.testing.assert_allclose(gradients[1][name], one, rtol=0, atol=2.0**10 * UNIT_ROUNDOFF * np.abs(one).max())
 
 
+@pytest.mark.parametrize("span", [(0.3, 1.3), (1.3, 0.3)], ids=["forward", "backward"])
+@pytest.mark.parametrize("base", [co.GaussLegendre(1), co.GaussLegendre(2)], ids=str)
+def test_substeps_of_driven_runs_are_differentiated_at_their_times(base, span):
+    """A field that turns once in each step is another one in every substep."""
+    driven = co.systems.spin_lattice("chain", 2, field=lambda t: [np.cos(60.0 * t), np.sin(60.0 * t), 0.3 * t])
+    ready = co.prepare(driven, co.Composition(base, (0.4, 0.2, 0.4)), 0.1)
+    direction = np.linspace(-1.0, 1.0, 6)
+    sol, tangents = ready.jvp(X6, span, {"x0": direction})
+
+    def moved(by):
+        return ready.run(X6 + by * direction, span).x
+
+    differences = sum(w * (moved(k * DISTANCE) - moved(-k * DISTANCE)) / DISTANCE for k, w in enumerate(WEIGHTS, 1))
+    assert np.max(np.abs(differences)) > 0.1
+    np.testing.assert_allclose(tangents.x, differences, rtol=0, atol=DIFFERENCE_ERROR)
+    _, pullback = ready.vjp(X6, span)
+    found = pullback(np.ones(sol.x.shape))["x0"] @ direction
+    assert found == pytest.approx(np.sum(tangents.x), abs=2.0**12 * UNIT_ROUNDOFF)
+
+
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2)], ids=str)
 def test_step_derivatives_are_differences_of_steps(method):
     inputs = {"field": (3, 4, 5), "rotor": (1,)}
