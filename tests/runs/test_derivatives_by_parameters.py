@@ -302,3 +302,25 @@ def test_coefficients_are_in_the_order_of_the_monomials():
     assert np.allclose(pullback(energy=[1.0])["coefficients"], monomials, rtol=1e-15, atol=0)
     quadratic = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(0, 2, 0): 1.0}))
     assert set(co.prepare(quadratic, co.Splitting(), H).parameters) == {"M", "linear"}
+
+
+@pytest.mark.parametrize("span", [(0.2, 1.2), (1.2, 0.2)], ids=["forward", "backward"])
+@pytest.mark.parametrize("method", [co.GaussLegendre(1), co.GaussLegendre(2), co.ExplicitRungeKutta("rk4")], ids=str)
+def test_attitudes_of_runge_kutta_methods_depend_on_parameters(method, span):
+    """The gradient of a number of the attitudes alone is that of tangents, which are differences of whole runs."""
+    inertia, x0 = np.array([1.0, 1.7, 2.5]), np.array([0.4, -0.9, 0.6])
+    direction, weights = np.array([0.5, -1.0, 0.7]), np.random.default_rng(3).standard_normal((11, 3, 3))
+
+    def run(by):
+        body = co.systems.rigid_body(inertia=inertia + by * direction)
+        return co.integrate(body, x0, span, 0.1, method, attitude=True).attitude
+
+    ready = co.prepare(co.systems.rigid_body(inertia=inertia), method, 0.1, attitude=True)
+    _, tangents = ready.jvp(x0, span, {"inertia": direction})
+    distance, by = 2.0**-10, (4 / 5, -1 / 5, 4 / 105, -1 / 280)
+    differences = sum(w * (run(k * distance) - run(-k * distance)) / distance for k, w in enumerate(by, 1))
+    np.testing.assert_allclose(tangents.attitude, differences, rtol=0, atol=2.0**-38)
+    _, pullback = ready.vjp(x0, span)
+    found = pullback(attitude=weights)["inertia"] @ direction
+    assert abs(found) > 0.1
+    assert found == pytest.approx(np.sum(weights * differences), abs=2.0**-34)
