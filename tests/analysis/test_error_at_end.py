@@ -98,7 +98,6 @@ def test_members_are_told_apart_and_do_not_feel_each_other(monkeypatch):
     assert np.array_equal(error_at_end(sol), sol.error_estimate())
 
 
-@pytest.mark.long
 def test_of_driven_systems_at_their_own_times():
     spin = co.systems.spin_lattice("chain", 1, field=lambda t: (0.9 * np.cos(2.0 * t), 0.9 * np.sin(2.0 * t), -1.0))
     span = (4.0, -2.0)
