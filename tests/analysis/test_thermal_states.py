@@ -54,6 +54,7 @@ def test_ring_has_the_energy_of_its_transfer_operator(sites, how):
     assert check(co.thermal_states(ring, 0.5, 400, sweeps=250, seed=5, **METHODS[how]), expected) < 0.02
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("how", METHODS)
 def test_two_spins_with_every_coupling(how):
     """By quadrature over the first spin; that of the second, in its local field, is elementary."""
