@@ -83,6 +83,18 @@ def test_near_equilibria_the_error_of_the_whole_run_counts(share, warned):
         assert "take a step of about 0.003" in str(found[0].message)  # an error of a tenth
 
 
+@pytest.mark.parametrize(("amplitude", "warned"), [(0.0, False), (1e-9, False), (1e-4, True)])
+def test_small_motions_near_equilibria_are_judged_as_others(amplitude, warned):
+    """Waves of spins are lost in the error of a step, however short the run; at rest there is no motion to lose."""
+    lattice, h = co.systems.spin_lattice("square", (4, 4), periodic=True), 0.02
+    x0 = np.tile([1.0, 2.0, 3.0], 16) + amplitude * np.random.default_rng(1).standard_normal(48)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always", co.LargeStepWarning)
+        sol = co.integrate(lattice, x0, (0, 5 * h), h, co.Splitting(order=2))
+    assert sol.step_error() > 0.1
+    assert len(found) == warned
+
+
 def test_rounding_does_not_count():
     """Near an equilibrium the change in a step is no larger than rounding."""
     assert co.integrate(BODY, (1e-15, 0.0, 2.0), (0, 1), 0.01).step_error() == 0.0

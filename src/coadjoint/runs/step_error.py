@@ -17,7 +17,7 @@ from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.unfinished_members import ends_by_events
 from coadjoint.runs.start import momenta_of, with_group
 from coadjoint.runs.times import Times
-from coadjoint.systems.protocol import forces_of, is_batch, member_of
+from coadjoint.systems.protocol import forces_of, is_batch, member_of, states_of
 
 Floats = NDArray[np.float64]
 
@@ -35,9 +35,11 @@ STEPS, PART = 1000, 0.05
 REPEATED = 2**18
 # Differences between a step and two half steps by rounding alone, relative to the state.
 ROUNDING = 64 * UNIT_ROUNDOFF
-# Largest error of a step, relative to the change of the state in it, without a warning, and that of the step suggested;
-# and largest error of a whole run without one, relative to the state: near an equilibrium all of the change is error.
+# Largest error of a step, relative to the change of the state in it, without a warning, and that of the step suggested.
+# At rest all of the change is error; then the first is that of the whole run, relative to the state.
 WARNED, SUGGESTED = 0.02, 0.002
+# Largest change by the field in a step, relative to the error of a step, of a state that is at rest.
+AT_REST = 0.01
 
 
 def step_error(solution: Solution, prepared: PreparedRun | None = None) -> float:
@@ -48,7 +50,8 @@ def step_error(solution: Solution, prepared: PreparedRun | None = None) -> float
 class Worst(NamedTuple):
     """The largest error of a step among the members, with its member.
 
-    `total` is the error of that size in every step of the run, relative to the state; `pole` the time of a pole passed.
+    Of a run at rest `total` is such an error in each of its steps, relative to the state, else infinite; `pole` is the
+    time of a pole passed.
     """
 
     error: float
@@ -86,8 +89,10 @@ def _worst(solution: Solution, prepared: PreparedRun | None) -> Worst:
     end = float(ends_by_events(solution)[members[worst]])
     steps = abs((solution.t_span[1] if math.isnan(end) else end) - solution.t_span[0]) / solution.step
     known = [states[worst] for _, states, held in points if held[worst]]
-    size = math.sqrt(np.mean([np.sum(state**2) for state in known])) or 1.0
-    total = steps * math.sqrt(errors[worst] / len(known)) / size
+    mean = math.sqrt(errors[worst] / len(known))
+    one, total = member_of(system, int(members[worst])), math.inf
+    if np.linalg.norm(one.vector_field(states_of(one, known[0]), points[0][0])) * abs(h) <= AT_REST * mean:
+        total = steps * mean / (math.sqrt(np.mean([np.sum(state**2) for state in known])) or 1.0)
     largest = Worst(float(relative[worst]), int(members[worst]), total)
     if states_in_memory(solution) and len(solution.t) > 1:
         passage, closest = _passages(solution, system, members)
