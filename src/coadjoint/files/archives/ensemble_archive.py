@@ -6,7 +6,6 @@ import json
 import platform
 import time
 from collections.abc import Mapping
-from contextlib import ExitStack
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -30,7 +29,7 @@ from coadjoint.files.archives.blocks import (
 )
 from coadjoint.files.archives.metadata_checks import CROSSING_PREFIX, RESERVED_NAMES, SERIES_PREFIXES
 from coadjoint.files.archives.reading import HIDDEN_FOLDER, ArchiveError
-from coadjoint.files.archives.resume import check_new, creation_error
+from coadjoint.files.archives.resume import check_new, created_in_place
 from coadjoint.files.archives.store import ArchiveStore
 from coadjoint.files.archives.stored_arrays import TYPES, StoredArray, rows_of_chunk
 from coadjoint.files.datasets.export import attributes_of
@@ -44,7 +43,6 @@ from coadjoint.files.datasets.variables import (
     time_coordinate,
     time_variables,
 )
-from coadjoint.files.output.atomic_output import PendingOutput
 from coadjoint.files.records.fingerprints import same_fingerprint
 from coadjoint.files.records.required_functions import FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE, function_attributes
 from coadjoint.runs.piecewise_run import PiecewiseRun
@@ -133,23 +131,19 @@ def create_archive(
     attributes |= metadata.attributes
     if metadata.coordinates:
         attributes["coordinates"] = " ".join(metadata.coordinates)
-    with ExitStack() as after_interrupts:
+
+    def create(folder: Path) -> ArchiveStore:
+        store = ArchiveStore.create_archive(folder, arrays)
         try:
-            with PendingOutput(target) as unfinished:
-                store = ArchiveStore.create_archive(unfinished.path, arrays)
-                after_interrupts.callback(store.close)
-                try:
-                    for name, (_, values, _) in fixed.items():
-                        store.write(name, np.asarray(values))
-                    store.commit(attributes, {"time": points})
-                except BaseException:
-                    store.close()
-                    raise
-                store.moved(target)
-        except OSError as reason:
-            raise creation_error(target, reason) from None
-        after_interrupts.pop_all()
-    return store
+            for name, (_, values, _) in fixed.items():
+                store.write(name, np.asarray(values))
+            store.commit(attributes, {"time": points})
+        except BaseException:
+            store.close()
+            raise
+        return store
+
+    return created_in_place(target, create)
 
 
 def identity_attributes(ensemble: Ensemble, piece: Solution) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import json
 import os
 import platform
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -70,15 +70,9 @@ def archive_run(
         raise ValueError("an archive saves every save_every-th step and has no events; give neither t_eval nor events")
     began, target = time.perf_counter(), check_new(archive)
     times, start = prepared.times_of(t_span, save_every)[0], prepared.start(x0)
-    with ExitStack() as after_interrupts:
-        try:
-            with PendingOutput(target) as unfinished:
-                store = create_archive(prepared, times, start, unfinished.path, int(save_every), about)
-                after_interrupts.callback(store.close)
-                store.moved(target)
-        except OSError as reason:
-            raise creation_error(target, reason) from None
-        after_interrupts.pop_all()
+    store = created_in_place(
+        target, lambda folder: create_archive(prepared, times, start, folder, int(save_every), about)
+    )
     return _continue_run(store, prepared, times, start, None, progress, until, began)
 
 
@@ -129,6 +123,20 @@ def check_new(archive: str | Path) -> Path:
     except OSError as reason:
         raise creation_error(target, reason) from None
     return target
+
+
+def created_in_place(target: Path, create: Callable[[Path], ArchiveStore]) -> ArchiveStore:
+    """Return the archive that is created in a hidden folder, under its name; an interrupt leaves it unlocked."""
+    with ExitStack() as after_interrupts:
+        try:
+            with PendingOutput(target) as unfinished:
+                store = create(unfinished.path)
+                after_interrupts.callback(store.close)
+                store.moved(target)
+        except OSError as reason:
+            raise creation_error(target, reason) from None
+        after_interrupts.pop_all()
+    return store
 
 
 def creation_error(target: Path, reason: OSError) -> ArchiveError:
