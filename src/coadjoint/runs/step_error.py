@@ -91,7 +91,9 @@ def _worst(solution: Solution, prepared: PreparedRun | None) -> Worst:
     known = [states[worst] for _, states, held in points if held[worst]]
     mean = math.sqrt(errors[worst] / len(known))
     one, total = member_of(system, int(members[worst])), math.inf
-    if np.linalg.norm(one.vector_field(states_of(one, known[0]), points[0][0])) * abs(h) <= AT_REST * mean:
+    if relative[worst] > WARNED and (
+        np.linalg.norm(one.vector_field(states_of(one, known[0]), points[0][0])) * abs(h) <= AT_REST * mean
+    ):
         total = steps * mean / (math.sqrt(np.mean([np.sum(state**2) for state in known])) or 1.0)
     largest = Worst(float(relative[worst]), int(members[worst]), total)
     if states_in_memory(solution) and len(solution.t) > 1:
