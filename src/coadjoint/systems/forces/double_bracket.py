@@ -101,7 +101,7 @@ class DoubleBracketDamping(Force):
             before, v = middle, tau * self._damping_direction(system, middle, t + 0.5 * tau)
             middle = exponential(system, 0.5 * v, x)
             change = float(np.sum(np.abs(middle - before)))
-            if change == 0.0 or (change >= 0.5 * last_change and change <= SERIES_TOLERANCE * float(np.sum(np.abs(x)))):
+            if _is_settled(change, last_change, x):
                 return before, v
             last_change = change
         raise self._not_converged(t, last_change)
@@ -129,7 +129,7 @@ class DoubleBracketDamping(Force):
             half = Exponential.of(bracket, 0.5 * v, x)
             middle = half.end
             change = float(np.sum(np.abs(middle - before)))
-            if change == 0.0 or (change >= 0.5 * last_change and change <= SERIES_TOLERANCE * float(np.sum(np.abs(x)))):
+            if _is_settled(change, last_change, x):
                 gradient = hessian @ middle + linear
                 return Midpoint(Exponential.of(bracket, v, x), half, scale, applied, gradient, hessian)
             last_change = change
@@ -171,6 +171,11 @@ class DoubleBracketDamping(Force):
     def noise(self, system: Any) -> Noise | None:
         """Return the noise that accompanies the damping; none by default."""
         return None
+
+
+def _is_settled(change: float, last_change: float, x: NDArray[Any]) -> bool:
+    """Test whether an iteration ends: its changes are those of rounding, and no longer halve."""
+    return change == 0.0 or (change >= 0.5 * last_change and change <= SERIES_TOLERANCE * float(np.sum(np.abs(x))))
 
 
 def _product(system: Any, x: NDArray[Any], u: NDArray[Any]) -> NDArray[Any]:
