@@ -18,6 +18,18 @@ U = 2.0**-53
 H = 0.125
 
 
+def wave(y, t):
+    return np.cos(y) * (1.0 + 0.5 * t)
+
+
+def wave_slope(y, t):
+    return -np.sin(y) * (1.0 + 0.5 * t)
+
+
+def wave_curvature(y, t):
+    return -np.cos(y) * (1.0 + 0.5 * t)
+
+
 @cache
 def flow_schemes() -> dict[str, Any]:
     """Return schemes of exact flows by name: with all options, processed and composed."""

@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from derivative_cases import wave, wave_curvature, wave_slope
 from scipy.linalg import expm
 
 import coadjoint as co
@@ -20,18 +21,6 @@ ADJOINT_ERROR = 2.0**11 * UNIT_ROUNDOFF
 DIFFERENCE_ERROR = 2.0**12 * UNIT_ROUNDOFF / DISTANCE
 # Gradients by undone steps have the rounding of these.
 UNDONE_ERROR = 2.0**14 * UNIT_ROUNDOFF
-
-
-def wave(y, t):
-    return np.cos(y) * (1.0 + 0.5 * t)
-
-
-def wave_slope(y, t):
-    return -np.sin(y) * (1.0 + 0.5 * t)
-
-
-def wave_curvature(y, t):
-    return -np.cos(y) * (1.0 + 0.5 * t)
 
 
 # Functions of a number, for the members of batches.

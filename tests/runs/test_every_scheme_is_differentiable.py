@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from derivative_cases import wave, wave_curvature, wave_slope
 
 import coadjoint as co
 from coadjoint.methods import registry
@@ -29,18 +30,6 @@ CUBIC = co.LiePoissonSystem(
 # Its matrices turn by half the angle of the momentum.
 SPINORS = co.LiePoissonSystem(co.algebras.get("su(2)"), co.Quadratic([0.3, 0.6, 1.0]), sign=-1)
 SPINS = co.systems.spin_lattice(shape=2, field=(0.1, 0.2, 0.3), dm=(0.1, 0.1, 0.2))
-
-
-def wave(y, t):
-    return np.cos(y) * (1.0 + 0.5 * t)
-
-
-def wave_slope(y, t):
-    return -np.sin(y) * (1.0 + 0.5 * t)
-
-
-def wave_curvature(y, t):
-    return -np.cos(y) * (1.0 + 0.5 * t)
 
 
 TIMED = co.LiePoissonSystem(
