@@ -104,6 +104,7 @@ def test_the_law_of_the_noise_is_exact_at_any_step():
 
 def lattices():
     yield "square", co.systems.spin_lattice("square", (3, 5), True, tensor=(1.0, 0.8, 0.5), dm=(0.1, 0.2, -0.3))
+    yield "rows that end within eight spins", co.systems.spin_lattice("square", (3, 13), True, tensor=(1.0, 0.8, 0.5))
     yield "open chain of 17, in fields", co.systems.spin_lattice(shape=17, field=np.linspace(-1, 1, 51).reshape(17, 3))
     algebra = co.algebras.copies(co.algebras.so(3), 3)
     cubic = co.Polynomial({(1, 0, 0) * 3: 1.0, (0, 0, 1, 0, 0, 2, 0, 0, 0): -0.5, (0, 1) + (0,) * 7: 0.3})

@@ -37,7 +37,7 @@ EXPORT void probe_normal(const uint64_t* words, int64_t count, double* out) {
     for (int64_t k = 0; k < count; ++k) out[k] = normal_of(words[k]);
 }
 EXPORT void probe_deviates(uint64_t seed, uint64_t stream, double moment, uint64_t part, int64_t count, double* out) {
-    normal_deviates(seed, stream, moment, part, count, out);
+    DeviateStream(seed, stream, moment, part).fill(count, out);
 }
 
 // Correctly rounded functions: the sine (what = 0), the exponential (1) and half of it (2), the logarithm (3), and the

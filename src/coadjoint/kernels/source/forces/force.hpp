@@ -193,7 +193,7 @@ class Force {
     bool shake(double* x, double t, double tau, int half, int64_t member) {
         double *v = two.data(), *deviates = three.data();
         const double size = table.amplitude * std::sqrt(0.5 * tau);
-        normal_deviates(uint64_t(table.seed), uint64_t(table.stream + member), t, uint64_t(half), n, deviates);
+        DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), t, uint64_t(half)).fill(n, deviates);
         for (int64_t k = 0; k < table.sets; ++k) {
             const int64_t set = half ? table.sets - 1 - k : k;
             std::fill_n(v, n, 0.0);

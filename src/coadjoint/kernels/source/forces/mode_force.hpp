@@ -25,7 +25,7 @@ class ModeForce {
     void shake(double* x, double t, double tau, int64_t member) {
         const int64_t count = modes.count();
         values.resize(2 * count);
-        normal_deviates(uint64_t(table.seed), uint64_t(table.stream + member), t, 0, 2 * count, values.data());
+        DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), t, 0).fill(2 * count, values.data());
         const double whole = std::sqrt(tau), half = std::sqrt(0.5 * tau);
         const bool waves = table.shape == WAVES;
         modes.change(x, false, waves, [&](int64_t e, const Complex&) {

@@ -120,12 +120,15 @@ inline void normals_of(const uint64_t* words, int64_t count, double* out) {
 
 // Independent normal deviates for the coordinates of a member, from a time on, and for each part that begins at that
 // time: a function of these and of the seed only.
-inline void normal_deviates(uint64_t seed, uint64_t stream, double moment, uint64_t part, int64_t count, double* out) {
-    constexpr int64_t CHUNK = 256;
-    uint64_t when;
-    moment += 0.0;  // normalize minus zero
-    std::memcpy(&when, &moment, 8);
-    share<CHUNK>(count, [&](int64_t first, int64_t last) {
+class DeviateStream {
+  public:
+    DeviateStream(uint64_t seed, uint64_t stream, double moment, uint64_t part) : seed(seed), stream(stream), part(part) {
+        moment += 0.0;  // normalize minus zero
+        std::memcpy(&when, &moment, 8);
+    }
+
+    // Those of the coordinates `first` to `last` - 1, by one thread; `first` is a multiple of eight.
+    void draw(int64_t first, int64_t last, double* out) const {
         uint64_t words[CHUNK];
         double deviates[CHUNK];
         for (int64_t low = first; low < last; low += CHUNK) {
@@ -135,9 +138,17 @@ inline void normal_deviates(uint64_t seed, uint64_t stream, double moment, uint6
                 for (int j = 0; j < 4; ++j) words[k + j] = four.at[j];
             }
             normals_of(words, filled, deviates);
-            std::memcpy(out + low, deviates, 8 * size);
+            std::memcpy(out + low - first, deviates, 8 * size);
         }
-    });
-}
+    }
+
+    void fill(int64_t count, double* out) const {
+        share<CHUNK>(count, [&](int64_t first, int64_t last) { draw(first, last, out + first); });
+    }
+
+  private:
+    static constexpr int64_t CHUNK = 256;
+    uint64_t seed, stream, part, when;
+};
 
 }  // namespace coadjoint

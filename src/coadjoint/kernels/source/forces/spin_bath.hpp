@@ -19,6 +19,7 @@ class SpinBath {
         if (!usable) return;
         stride = (spins.size() + W - 1) / W * W;
         for (auto* array : {&start, &middle, &next, &slope, &metric, &root, &turn}) array->clear(3 * stride + W);
+        largest.clear(W * ((stride + ALIGNED - 1) / ALIGNED));
         for (int a = 0; a < 3; ++a)
             for (int64_t s = 0; s < spins.size(); ++s) {
                 const int64_t i = table.shape == DIAGONAL ? spins.coordinate[a][s] : 0;
@@ -28,7 +29,10 @@ class SpinBath {
             }
         rows.read(field, constants, spins, stride);
         if (rows.empty()) gradients.resize(field.size), point.resize(field.size);
-        if (table.amplitude > 0.0) deviates.resize(field.size);
+        side_by_side = true;
+        for (int a = 0; a < 3; ++a)
+            for (int64_t s = 0; s < spins.size(); ++s) side_by_side = side_by_side && spins.coordinate[a][s] == 3 * s + a;
+        if (table.amplitude > 0.0 && !side_by_side) deviates.resize(field.size);
     }
 
     // Whether the algebra and the metric are supported.
@@ -36,17 +40,32 @@ class SpinBath {
 
     bool measures() const { return !rows.empty(); }
 
-    // Half of the noise, the midpoint rule of the damping, and half of the noise, as `Force::stay_on_orbit`.
+    // Half of the noise, the midpoint rule of the damping, and half of the noise, as `Force::stay_on_orbit`. Threads wait
+    // for one another only where spins need their neighbors.
     int64_t flow(double* x, double t, double tau, int64_t member, FieldWorkspace<double>& workspace) {
-        by_component(x, start);
+        share(stride, [&](int64_t first, int64_t last) { by_component(x, first, last, start); });
         const double before = measures() ? rows.energy(start.at, stride) : 0.0;
-        if (table.amplitude > 0.0) shake(t, tau, 0, member);
+        const Noise first_half = noise_of(t, tau, 0, member);
+        const double scale = largest_of([&](int64_t first, int64_t last) {
+            A most(0.0);
+            if (first_half.size > 0.0) shake(first_half, 0, first, last);
+            for (int a = 0; a < 3; ++a)
+                for (int64_t s = first; s < last; s += W) most = larger(most, absolute(load<A>(&start[a * stride + s])));
+            return most;
+        });
         if (rows.empty()) std::copy_n(x, field.size, point.data());
-        const int64_t status = settle(t + 0.5 * tau, tau, workspace);
+        const int64_t status = settle(t + 0.5 * tau, tau, scale, workspace);
         if (status != DONE) return status;
-        if (table.amplitude > 0.0) shake(t, tau, 1, member);
+        const Noise second_half = noise_of(t, tau, 1, member);
+        share(stride, [&](int64_t first, int64_t last) {
+            for (int64_t low = first; low < last; low += ALIGNED) {
+                const int64_t high = std::min(last, low + ALIGNED);
+                turn_by_slope(low, high);
+                if (second_half.size > 0.0) shake(second_half, 1, low, high);
+            }
+        });
         if (measures()) change = rows.energy(start.at, stride) - before;
-        to_coordinates(start, x);
+        share(stride, [&](int64_t first, int64_t last) { to_coordinates(start, first, last, x); });
         return finite(field.size, x) ? DONE : OVERFLOWED;
     }
 
@@ -70,7 +89,8 @@ class SpinBath {
     SpinRows rows;
     bool usable = false;
     int64_t stride = 0;
-    Components start, middle, next, slope, metric, root, turn;
+    bool side_by_side = false;  // whether the coordinates of the spins follow one another
+    Components start, middle, next, slope, metric, root, turn, largest;
     std::vector<double> deviates, gradients, point;
 
     // Whether the sets of a noise apply the directions of each spin in the order of its coordinates.
@@ -90,44 +110,52 @@ class SpinBath {
         return true;
     }
 
-    // Half of the noise of the time tau: rotations about the axes, one after the other, in the second half in reversed
-    // order.
-    void shake(double t, double tau, int half, int64_t member) {
-        InterruptCheck::of_this_call().after(64 * field.size);
-        const double size = table.amplitude * std::sqrt(0.5 * tau);
-        normal_deviates(uint64_t(table.seed), uint64_t(table.stream + member), t, uint64_t(half), field.size,
-                        deviates.data());
-        by_component(deviates.data(), slope);
-        share(stride, [&](int64_t first, int64_t last) {
-            for (int64_t s = first; s < last; s += W) {
-                A x[3];
-                for (int a = 0; a < 3; ++a) x[a] = load<A>(&start[a * stride + s]);
-                const A turning = load<A>(&turn[s]);
-                for (int k = 0; k < 3; ++k) {
-                    const int a = half ? 2 - k : k, b = (a + 1) % 3, c = (a + 2) % 3;
-                    const A length = A(size) * load<A>(&slope[a * stride + s]);
-                    const Rotation<A> rotation = rotation_by(turning * (load<A>(&root[a * stride + s]) * length));
-                    const A one = x[b], two = x[c];
-                    x[b] = one + fma(rotation.cosm1, one, rotation.sine * two);
-                    x[c] = two + fma(rotation.cosm1, two, -(rotation.sine * one));
-                }
-                for (int a = 0; a < 3; ++a) store(&start[a * stride + s], x[a]);
+    struct Noise {
+        DeviateStream stream;
+        double size;
+    };
+
+    // The noise of one half of the time tau; its deviates are drawn now unless each thread draws those of its spins.
+    Noise noise_of(double t, double tau, int half, int64_t member) {
+        const Noise noise{DeviateStream(uint64_t(table.seed), uint64_t(table.stream + member), t, uint64_t(half)),
+                          table.amplitude * std::sqrt(0.5 * tau)};
+        if (noise.size > 0.0) InterruptCheck::of_this_call().after(64 * field.size);
+        if (noise.size > 0.0 && !side_by_side) noise.stream.fill(field.size, deviates.data());
+        return noise;
+    }
+
+    // Half of the noise of at most `ALIGNED` spins: rotations about the axes, one after the other, in the second half in
+    // reversed order.
+    INLINE void shake(const Noise& noise, int half, int64_t first, int64_t last) {
+        double drawn[3 * ALIGNED];
+        if (side_by_side) noise.stream.draw(3 * first, std::min(field.size, 3 * last), drawn);
+        by_component(side_by_side ? drawn - 3 * first : deviates.data(), first, last, slope);
+        for (int64_t s = first; s < last; s += W) {
+            A x[3];
+            for (int a = 0; a < 3; ++a) x[a] = load<A>(&start[a * stride + s]);
+            const A turning = load<A>(&turn[s]);
+            for (int k = 0; k < 3; ++k) {
+                const int a = half ? 2 - k : k, b = (a + 1) % 3, c = (a + 2) % 3;
+                const A length = A(noise.size) * load<A>(&slope[a * stride + s]);
+                const Rotation<A> rotation = rotation_by(turning * (load<A>(&root[a * stride + s]) * length));
+                const A one = x[b], two = x[c];
+                x[b] = one + fma(rotation.cosm1, one, rotation.sine * two);
+                x[c] = two + fma(rotation.cosm1, two, -(rotation.sine * one));
             }
-        });
+            for (int a = 0; a < 3; ++a) store(&start[a * stride + s], x[a]);
+        }
     }
 
     // Copy numbers of the coordinates of spins, spin after spin, to components side by side, and back.
-    void by_component(const double* from, Components& to) {
+    INLINE void by_component(const double* from, int64_t first, int64_t last, Components& to) {
+        last = std::min(last, spins.size());
         for (int a = 0; a < 3; ++a)
-            share(spins.size(), [&](int64_t first, int64_t last) {
-                for (int64_t s = first; s < last; ++s) to[a * stride + s] = from[spins.coordinate[a][s]];
-            });
+            for (int64_t s = first; s < last; ++s) to[a * stride + s] = from[spins.coordinate[a][s]];
     }
-    void to_coordinates(Components& from, double* to) {
+    INLINE void to_coordinates(Components& from, int64_t first, int64_t last, double* to) {
+        last = std::min(last, spins.size());
         for (int a = 0; a < 3; ++a)
-            share(spins.size(), [&](int64_t first, int64_t last) {
-                for (int64_t s = first; s < last; ++s) to[spins.coordinate[a][s]] = from[a * stride + s];
-            });
+            for (int64_t s = first; s < last; ++s) to[spins.coordinate[a][s]] = from[a * stride + s];
     }
 
     // sin(w)/w and (1 - cos(w))/w^2 for the square of w, each lane by itself.
@@ -145,110 +173,103 @@ class SpinBath {
         second = select(small, second, -(rotation.cosm1 / square));
     }
 
-    // Set out to D_v x = turn x cross v.
-    static INLINE void turned(const A& turning, const A* x, const A* v, A* out) {
+    static INLINE void cross(const A* x, const A* v, A* out) {
         for (int a = 0; a < 3; ++a) {
             const int b = (a + 1) % 3, c = (a + 2) % 3;
-            out[a] = turning * fma(x[b], v[c], -(x[c] * v[b]));
+            out[a] = fma(x[b], v[c], -(x[c] * v[b]));
         }
     }
 
-    // Set out to exp(D_v) x for v of eight spins.
-    static INLINE void rotate(const A& turning, const A* v, const A* x, A* out) {
+    // Set out to x of eight spins rotated by v: exp(D_v) x for the bracket J(x) v = x cross v.
+    static INLINE void rotate(const A* v, const A* x, A* out) {
         A across[3], back[3], first, second;
-        rotation_by_square(turning * turning * dot(v, v), first, second);
-        turned(turning, x, v, across);
-        turned(turning, across, v, back);
+        rotation_by_square(dot(v, v), first, second);
+        cross(x, v, across);
+        cross(across, v, back);
         for (int a = 0; a < 3; ++a) out[a] = x[a] + fma(first, across[a], second * back[a]);
     }
 
     static INLINE A dot(const A* v, const A* w) { return fma(v[0], w[0], fma(v[1], w[1], v[2] * w[2])); }
 
-    // The midpoint rule on the orbits: x_new = exp(D_v) x, with v = tau P J(y) grad H(y) at y = exp(D_v / 2) x.
-    int64_t settle(double t, double tau, FieldWorkspace<double>& workspace) {
-        std::copy_n(start.at, 3 * stride, middle.at);
+    // The midpoint rule on the orbits: x_new = exp(D_v) x, with v = tau P J(y) grad H(y) at y = exp(D_v / 2) x, where
+    // D_v x = turn x cross v. Leaves turn v / 2 in `slope`.
+    int64_t settle(double t, double tau, double scale, FieldWorkspace<double>& workspace) {
         double last = std::numeric_limits<double>::infinity(), first = last;
-        const double scale = largest_of_blocks([&](int64_t s) {
-            A largest(0.0);
-            for (int a = 0; a < 3; ++a) largest = larger(largest, absolute(load<A>(&start[a * stride + s])));
-            return largest;
-        });
         iterations = evaluations = 0;
+        const double* y = start.at;
         for (;;) {
             if (++iterations > MOST_MIDPOINTS) return NOT_CONVERGED;
             ++evaluations;
             InterruptCheck::of_this_call().after(work_of(field) + 64 * field.size);
-            if (rows.empty()) general_gradient(t, workspace);
-            residual = largest_of_blocks([&](int64_t s) {
-                A x[3], y[3], u[3], v[3], half[3], most(0.0);
-                const A turning = load<A>(&turn[s]);
-                for (int a = 0; a < 3; ++a) {
-                    x[a] = load<A>(&start[a * stride + s]);
-                    y[a] = load<A>(&middle[a * stride + s]);
-                    u[a] = rows.empty() ? load<A>(&slope[a * stride + s]) : rows(middle.at, s, a);
-                }
-                turned(turning, y, u, v);
-                for (int a = 0; a < 3; ++a) {
-                    v[a] = load<A>(&metric[a * stride + s]) * (A(tau) * v[a]);
-                    half[a] = 0.5 * v[a];
-                }
-                A now[3];
-                rotate(turning, half, x, now);
-                for (int a = 0; a < 3; ++a) {
-                    most = larger(most, absolute(now[a] - y[a]));
-                    store(&next[a * stride + s], now[a]);
-                    store(&slope[a * stride + s], v[a]);
-                }
-                return most;
-            });
-            std::swap(middle.at, next.at);
+            if (rows.empty()) general_gradient(y, t, workspace);
+            double* const better = y == middle.at ? next.at : middle.at;
+            residual = largest_of([&](int64_t first, int64_t last) { return iterate(y, tau, first, last, better); });
+            y = better;
             if (!(residual - residual == 0.0)) return OVERFLOWED;
             if (iterations == 1) first = residual;
             // Stop if the next correction, extrapolated, is round-off, or if corrections are, and have stopped falling.
             const bool falling = residual < 0.5 * last;
-            if (residual == 0.0 || (!falling && residual <= NEAR_ROUND_OFF * scale)) break;
-            if (falling && iterations > 1 && residual * (residual / last) <= REST * scale) break;
+            if (residual == 0.0 || (!falling && residual <= NEAR_ROUND_OFF * scale)) return DONE;
+            if (falling && iterations > 1 && residual * (residual / last) <= REST * scale) return DONE;
             if (residual > GROWN * (first + scale)) return NOT_CONVERGED;
             last = residual;
         }
-        share(stride, [&](int64_t first, int64_t last) {
-            for (int64_t s = first; s < last; s += W) {
-                A x[3], v[3], now[3];
-                for (int a = 0; a < 3; ++a)
-                    x[a] = load<A>(&start[a * stride + s]), v[a] = load<A>(&slope[a * stride + s]);
-                rotate(load<A>(&turn[s]), v, x, now);
-                for (int a = 0; a < 3; ++a) store(&start[a * stride + s], now[a]);
-            }
-        });
-        return DONE;
     }
 
-    // The largest number that `visit` returns for eight spins, for all of them; NaN if any is.
-    template <class Visit>
-    double largest_of_blocks(const Visit& visit) {
-        AlignedArray<A> found((stride + SUMMED - 1) / SUMMED);
-        shared_sum<A>(stride, [&](int64_t first, int64_t last) {
-            A most(0.0), sum(0.0);
-            for (int64_t s = first; s < last; s += W) {
-                const A one = visit(s);
-                most = larger(most, one);
-                sum += one;
+    // Set `better` to exp(D_v / 2) x for v at y, for some spins; return the largest corrections. If a component is not a
+    // number, the others are not either.
+    INLINE A iterate(const double* y_at, double tau, int64_t first, int64_t last, double* better) {
+        A most(0.0), sum(0.0);
+        for (int64_t s = first; s < last; s += W) {
+            A x[3], y[3], u[3], half[3], now[3];
+            const A turning = load<A>(&turn[s]), factor = A(0.5 * tau) * (turning * turning);
+            for (int a = 0; a < 3; ++a) {
+                x[a] = load<A>(&start[a * stride + s]);
+                y[a] = load<A>(y_at + a * stride + s);
+                u[a] = rows.empty() ? load<A>(&slope[a * stride + s]) : rows(y_at, s, a);
             }
-            found.at[first / SUMMED] = most + 0.0 * sum;
-            return most;
+            cross(y, u, half);
+            for (int a = 0; a < 3; ++a) half[a] = load<A>(&metric[a * stride + s]) * (factor * half[a]);
+            rotate(half, x, now);
+            for (int a = 0; a < 3; ++a) {
+                most = larger(most, absolute(now[a] - y[a]));
+                store(better + a * stride + s, now[a]);
+                store(&slope[a * stride + s], half[a]);
+            }
+            sum += now[0];
+        }
+        return most + 0.0 * sum;
+    }
+
+    INLINE void turn_by_slope(int64_t first, int64_t last) {
+        for (int64_t s = first; s < last; s += W) {
+            A x[3], v[3], now[3];
+            for (int a = 0; a < 3; ++a) x[a] = load<A>(&start[a * stride + s]), v[a] = 2.0 * load<A>(&slope[a * stride + s]);
+            rotate(v, x, now);
+            for (int a = 0; a < 3; ++a) store(&start[a * stride + s], now[a]);
+        }
+    }
+
+    // The largest number that `visit` returns for slices of at most `ALIGNED` spins; NaN if any is.
+    template <class Visit>
+    double largest_of(const Visit& visit) {
+        share(stride, [&](int64_t first, int64_t last) {
+            for (int64_t low = first; low < last; low += ALIGNED)
+                store(&largest[low / ALIGNED * W], visit(low, std::min(last, low + ALIGNED)));
         });
         A most(0.0), sum(0.0);
-        for (int64_t b = 0; b < (stride + SUMMED - 1) / SUMMED; ++b) {
-            most = larger(most, found.at[b]);
-            sum += 0.0 * found.at[b];
+        for (int64_t low = 0; low < stride; low += ALIGNED) {
+            const A one = load<A>(&largest[low / ALIGNED * W]);
+            most = larger(most, one);
+            sum += 0.0 * one;
         }
         return all(sum == A(0.0)) ? largest_lane(most) : std::numeric_limits<double>::quiet_NaN();
     }
 
-    // The gradient of any H at the middle.
-    void general_gradient(double t, FieldWorkspace<double>& workspace) {
+    // The gradient of any H at y.
+    void general_gradient(const double* y, double t, FieldWorkspace<double>& workspace) {
         for (int a = 0; a < 3; ++a)
-            for (int64_t s = 0; s < spins.size(); ++s) point[spins.coordinate[a][s]] = middle[a * stride + s];
+            for (int64_t s = 0; s < spins.size(); ++s) point[spins.coordinate[a][s]] = y[a * stride + s];
         gradient(field, constants, point.data(), t, gradients.data(), workspace);
         for (int a = 0; a < 3; ++a)
             for (int64_t s = 0; s < spins.size(); ++s) slope[a * stride + s] = gradients[spins.coordinate[a][s]];

@@ -54,7 +54,8 @@ struct Spins {
     }
 };
 
-// The rows of M, for eight spins at a time. Neighbours of spins in order are mostly in order too: they are one load.
+// The rows of M, for eight spins at a time. Neighbors of spins in order are mostly in order too: they are one load, or
+// two where a row of a lattice ends.
 class SpinRows {
   public:
     static constexpr int W = 8;
@@ -102,17 +103,21 @@ class SpinRows {
         A sum = load<A>(offset.data() + W * row);
         for (int64_t e = first[row]; e < first[row + 1]; ++e) {
             const Entry& entry = entries[e];
-            const A at = entry.base >= 0 ? load<A>(x + entry.base) : take<W>(x, positions.at[entry.gathered]);
+            A at = entry.base >= 0 ? load<A>(x + entry.base) : take<W>(x, positions.at[entry.gathered]);
+            if (entry.split < W) at = select(load<A>(NUMBERS) < A(entry.split), at, load<A>(x + entry.other));
             sum = fma(entry.uniform ? A(entry.weight) : load<A>(weights.data() + W * e), at, sum);
         }
         return sum;
     }
 
   private:
-    // `base`: the position of the first lane, if the others follow it, else negative.
+    static constexpr double NUMBERS[W] = {0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0};
+    // `base`: the position of the first lane, if the others follow it, those from `split` on as if the first were at
+    // `other`; else negative.
     struct Entry {
         double weight;
-        int64_t base, gathered;
+        int64_t base, other, gathered;
+        double split;
         bool uniform;
     };
     std::vector<int64_t> first;
@@ -133,19 +138,22 @@ class SpinRows {
         }
         for (uint32_t e = 0; e < longest; ++e) {
             double weight[W];
-            int64_t at[W], base = 0;
-            bool uniform = true, based = false, in_order = true;
+            int64_t at[W];
+            bool uniform = true;
             for (int lane = 0; lane < W; ++lane) {
-                const bool there = row[lane] >= 0 && e < terms.entry[row[lane] + 1] - terms.entry[row[lane]];
-                const int64_t from = there ? terms.entry[row[lane]] + e : 0;
-                weight[lane] = there ? constants.number_at<double>(terms.weight, from) : 0.0;
-                at[lane] = there ? position[terms.column[from]] : 0;
-                if (there && !based) base = at[lane] - lane, based = true;
+                const bool has = row[lane] >= 0 && e < terms.entry[row[lane] + 1] - terms.entry[row[lane]];
+                const int64_t from = has ? terms.entry[row[lane]] + e : 0;
+                weight[lane] = has ? constants.number_at<double>(terms.weight, from) : 0.0;
+                at[lane] = has ? position[terms.column[from]] : lane ? at[lane - 1] + 1 : 0;
                 uniform = uniform && weight[lane] == weight[0];
-                in_order = in_order && (!there || at[lane] == base + lane);
             }
-            in_order = in_order && base >= 0;
-            entries.push_back({weight[0], in_order ? base : -1, int64_t(scattered.size()) / W, uniform});
+            int64_t split = 1, ordered;
+            while (split < W && at[split] == at[split - 1] + 1) ++split;
+            for (ordered = split + 1; ordered < W && at[ordered] == at[ordered - 1] + 1;) ++ordered;
+            const int64_t other = split < W ? at[split] - split : 0;
+            const bool in_order = ordered >= W && other >= 0;
+            entries.push_back({weight[0], in_order ? at[0] : -1, other, int64_t(scattered.size()) / W,
+                               double(in_order ? split : W), uniform});
             weights.insert(weights.end(), weight, weight + W);
             if (!in_order) scattered.insert(scattered.end(), at, at + W);
         }
