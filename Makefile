@@ -25,7 +25,7 @@ BUILT := $(shell sed -n 's/^CMAKE_HOME_DIRECTORY:INTERNAL=//p' $(BUILD)/CMakeCac
 # Installing configures the build folder too.
 CONFIGURE := $(if $(BUILT),$(if $(MOVED),,$(if $(wildcard $(VENV)/installed),package)))
 
-.PHONY: moved demo test variants long core torch minimum newest mutants soak fuzz sanitize compilers aarch64 bench explorer explorer-test site site-test kernels package packages release-checks clean
+.PHONY: moved demo test variants long core torch minimum newest mutants soak fuzz sanitize compilers aarch64 levels cross bench explorer explorer-test site site-test kernels package packages release-checks clean
 
 demo: kernels
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
@@ -104,6 +104,23 @@ compilers: kernels
 # The same bits on aarch64, under emulation; what is missing for that is named.
 aarch64: kernels
 	cd tests && ../$(BIN)/python aarch64.py ../build/aarch64
+
+# Each level of x86-64 is chosen where it is the highest, with the same bits, on processors that qemu emulates.
+levels: export COADJOINT_LEVELS = all
+levels: kernels
+	cd tests && $(ONE_THREAD) ../$(BIN)/python levels.py
+
+# The libraries of every wheel, compiled and linked by zig's Clang for Linux, macOS and Windows: quickly, or with
+# CROSS_OPTIONS= as for a release. TARGETS names some of the systems.
+CROSS := build/cross
+
+cross: $(CROSS)/venv/installed
+	$(CROSS)/venv/bin/python packaging/cross/build.py $(CROSS) $(TARGETS)
+
+$(CROSS)/venv/installed:
+	$(PYTHON) -m venv $(CROSS)/venv
+	$(CROSS)/venv/bin/python -m pip install --quiet --disable-pip-version-check cmake ninja lief ziglang
+	@touch $@
 
 bench: kernels $(VENV)/peers
 	$(BIN)/python benchmarks/run_all.py
@@ -191,10 +208,17 @@ $(VENV)/peers: $(VENV)/installed
 	$(PIP) --no-build-isolation --editable '.[bench]'
 	@touch $@
 
-# Metadata, citation, workflows, source distribution and wheel, by tools in a virtual environment of their own. Once that
-# is there, nothing is downloaded.
+# Metadata, citation, workflows and source distribution, by tools in a virtual environment of their own. Then the source
+# distribution is built and installed from a folder of packages, without an index. Once the tools and the packages are
+# there, nothing is downloaded.
 RELEASE := build/release
-REQUIRED := import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")
+REQUIRED := import tomllib; found = tomllib.load(open("pyproject.toml", "rb")); \
+	print(*found["build-system"]["requires"], *found["project"]["dependencies"], "cmake", "ninja", sep="\n")
+FRESH := PIP_NO_INDEX=1 PIP_FIND_LINKS="$(CURDIR)/$(RELEASE)/packages" $(RELEASE)/fresh/bin/python -m pip --quiet \
+	--disable-pip-version-check --no-cache-dir
+TRIED := import coadjoint as co; body = co.systems.rigid_body((1, 2, 3)); \
+	sol = co.integrate(body, (1.0, 0.2, 0.1), (0, 1), 0.1); \
+	print("installed without an index, one run:", sol.x[-1])
 
 release-checks: $(RELEASE)/installed
 	$(RELEASE)/bin/validate-pyproject pyproject.toml
@@ -203,13 +227,20 @@ release-checks: $(RELEASE)/installed
 	$(RELEASE)/bin/zizmor --offline --pedantic .github
 	PATH="$(CURDIR)/$(RELEASE)/bin:$$PATH" $(RELEASE)/bin/check-sdist --no-isolation
 	rm -rf build/dist
-	PATH="$(CURDIR)/$(RELEASE)/bin:$$PATH" $(RELEASE)/bin/python -m build --no-isolation --outdir build/dist
+	PATH="$(CURDIR)/$(RELEASE)/bin:$$PATH" $(RELEASE)/bin/python -m build --no-isolation --sdist --outdir build/dist
+	rm -rf $(RELEASE)/fresh
+	$(PYTHON) -m venv $(RELEASE)/fresh
+	$(FRESH) wheel --no-deps --wheel-dir build/dist build/dist/coadjoint-*.tar.gz
+	$(FRESH) install build/dist/coadjoint-*.whl
+	cd $(RELEASE) && fresh/bin/python -c '$(TRIED)'
 	$(RELEASE)/bin/twine check --strict build/dist/*
 
 $(RELEASE)/installed: pyproject.toml
 	$(PYTHON) -m venv $(RELEASE)
 	$(PYTHON) -c '$(REQUIRED)' > $(RELEASE)/requires.txt
-	$(RELEASE)/bin/python -m pip install --quiet --disable-pip-version-check -r $(RELEASE)/requires.txt cmake ninja \
+	$(RELEASE)/bin/python -m pip download --quiet --disable-pip-version-check -r $(RELEASE)/requires.txt \
+		--dest $(RELEASE)/packages
+	$(RELEASE)/bin/python -m pip install --quiet --disable-pip-version-check -r $(RELEASE)/requires.txt \
 		build check-sdist cffconvert 'repo-review[cli]' sp-repo-review twine 'validate-pyproject[all]' zizmor
 	@touch $@
 

@@ -171,4 +171,4 @@ def test_versions_are_those_that_are_published(published, monkeypatch):
         assert options["switcher"]["version_match"] in {one["version"] for one in versions}
         workflow = (ROOT / ".github" / "workflows" / "site.yml").read_text(encoding="utf-8")
         folders = set(re.findall(r"build/public/(\w+)\n", workflow))
-        assert {one["url"] for one in versions} == {f"/coadjoint/{folder}/" for folder in folders}
+        assert {one["url"] for one in versions} == {f"../{folder}/" for folder in folders}

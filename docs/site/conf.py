@@ -64,3 +64,4 @@ if published := os.environ.get("COADJOINT_SITE"):
         "switcher": {"json_url": "_static/switcher.json", "version_match": published},
         "navbar_end": ["version-switcher", "theme-switcher", "navbar-icon-links"],
     }
+    html_js_files = ["versions.js"]

@@ -15,6 +15,7 @@ import sys
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import urljoin
 
 import numpy as np
 from browsing import COLORS, WINDOWS, browser_program, faults, layout_faults, served
@@ -112,14 +113,14 @@ def compared(name: str, seen: np.ndarray, write: bool) -> list[str]:
     return [] if differing <= TOLERANCE else [f"{differing:.0%} of the window differ from {path.name}"]
 
 
-def versions(tab: Page, page: str) -> list[str]:
+def versions(tab: Page, base: str, page: str) -> list[str]:
     """Return what is wrong with the menu of versions, which only published sites have."""
     if not tab.query_selector(".version-switcher__button"):
         return []
     with contextlib.suppress(PlaywrightError):
         tab.wait_for_selector(".version-switcher__menu a", state="attached", timeout=20_000)
     found = tab.evaluate("[...document.querySelectorAll('.version-switcher__menu a')].map(a => a.getAttribute('href'))")
-    expected = {f"/coadjoint/{version}/{page}.html" for version in ("dev", "stable")}
+    expected = {urljoin(base, f"../{version}/{page}.html") for version in ("dev", "stable")}
     return [] if set(found) == expected else [f"the menu of versions leads to {found}"]
 
 
@@ -158,7 +159,7 @@ def main() -> int:
                 for color in COLORS:
                     with opened(browser, base, page, window, color, wrong) as tab:
                         name = f"{page}-{window[0]}-{color}"
-                        wrong += [f"{name}: {fault}" for fault in faults(tab, window[0]) + versions(tab, page)]
+                        wrong += [f"{name}: {fault}" for fault in faults(tab, window[0]) + versions(tab, base, page)]
                         if page in PAGES:
                             wrong += [f"{name}: {fault}" for fault in compared(name, reduced(tab), given.write)]
         count = len(PAGES) + len(OTHERS)

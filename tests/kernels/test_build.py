@@ -93,6 +93,32 @@ def test_32_bits_are_refused(tmp_path):
     assert "build with a 64-bit compiler, for a 64-bit Python" in said
 
 
+@needs_tools
+def test_gcc_of_windows_is_refused(tmp_path):
+    """It does not align the stack for vectors, and programs crash at the first."""
+    windows = "-DCMAKE_SYSTEM_NAME=Windows", "-DCMAKE_TRY_COMPILE_TARGET_TYPE=STATIC_LIBRARY"
+    status, said = configured(copied(tmp_path), *windows)
+    if "compiler identification is GNU" not in said:
+        pytest.skip("the compiler is not GCC")
+    assert status != 0
+    assert "GCC does not align the stack of Windows for the vectors of the kernels: set CXX=clang++" in said
+
+
+def test_options_of_other_systems_are_those_of_this_one(monkeypatch):
+    """Spelled as zig reads them; the linker of macOS gets no list of exports."""
+    monkeypatch.syspath_prepend(str(ROOT / "packaging/cross"))
+    import zig
+
+    for level in compiling.levels():
+        given = compiling.options(compiling.tuning(level))
+        changed = {"-march=x86-64", f"-march=x86-64-v{level}", "-mtune=generic"}
+        name = "x86_64" if level == 1 else f"x86_64_v{level}"
+        expected = {*given} - changed | {f"-mcpu={name}", "-fno-sanitize=undefined"}
+        assert set(zig.options(given)) == expected
+    linking = ["-bundle", "-Xlinker", "-exported_symbol", "-Xlinker", "_[a-z]*", "-o", "_kernels.dylib"]
+    assert zig.options(linking)[1:] == ["-dynamiclib", "-o", "_kernels.dylib"]
+
+
 @pytest.mark.thinned(4)
 @needs_tools
 @needs_levels

@@ -103,6 +103,18 @@ def test_own_files_are_used(cache):
     assert cache.load() == (PLANTED, []) and cache.built == 0
 
 
+def test_on_windows_the_folder_of_the_user_is_private(cache, monkeypatch):
+    """It shows neither owners nor modes of files, and has no flags for links."""
+    monkeypatch.setenv("HOME", str(cache.base.parent))
+    for name in ("geteuid", "O_NOFOLLOW", "O_NONBLOCK"):
+        monkeypatch.delattr(os, name)
+    assert cache.load() == (BUILT, [])
+    assert cache.load() == (BUILT, []) and cache.built == 1
+    monkeypatch.setenv("HOME", str(cache.base / "of another user"))
+    with pytest.raises(RuntimeError, match="is not in the folder of this user"):
+        cache.load()
+
+
 def as_link(cache):
     path = cache.file
     path.rename(cache.base / "theirs")

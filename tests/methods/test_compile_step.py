@@ -5,6 +5,7 @@ import os
 import pickle
 import shutil
 import signal
+import sys
 import threading
 import time
 from pathlib import Path
@@ -277,6 +278,18 @@ def test_no_compiler_is_installed(monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: None)
     with pytest.raises(RuntimeError, match="no C\\+\\+ compiler is installed"):
         co.methods.compile_step(SOURCE)
+
+
+def test_on_windows_only_clang_compiles(tmp_path, monkeypatch):
+    """Paths in CXX may have backslashes."""
+    monkeypatch.setattr(step_compiler, "_LAST_COMPILATIONS", {})
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    failing(tmp_path, "echo g++ 14.2")
+    monkeypatch.setenv("CXX", f"{tmp_path}\\compiler -DONE")
+    with monkeypatch.context() as windows:
+        windows.setattr(sys, "platform", "win32")
+        with pytest.raises(RuntimeError, match=r"compiled by Clang on Windows, and .*/compiler is another compiler"):
+            co.methods.compile_step(SOURCE)
 
 
 @pytest.mark.parametrize(

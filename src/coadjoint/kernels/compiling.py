@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -27,4 +28,6 @@ def tuning(level: int | None, source: Path = SOURCE) -> list[str]:
 
 def options(tuned: Sequence[str], source: Path = SOURCE) -> list[str]:
     """Return all compiler options for a source file; `tuned` are the options of `tuning`, or a replacement for them."""
-    return [*_read_options(source)["always"], *tuned, "-DNDEBUG", "-fPIC", f"-I{source}"]
+    # All code of Windows can be moved; Clang refuses the option there.
+    movable = [] if sys.platform == "win32" else ["-fPIC"]
+    return [*_read_options(source)["always"], *tuned, "-DNDEBUG", *movable, f"-I{source}"]

@@ -91,7 +91,7 @@ struct MatrixOrbit {
         const T* P = reinterpret_cast<const T*>(k);
         std::fill(sums.begin(), sums.end(), 0.0);
         for (int64_t e = 0; e < all; ++e) {
-            const double entry = std::abs(P[e]);
+            const double entry = magnitude(P[e]);
             sums[e / size % size] += entry;
             sums[size + e % size] += entry;
         }

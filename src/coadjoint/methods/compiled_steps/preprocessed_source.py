@@ -38,6 +38,7 @@ class PreprocessedSource(NamedTuple):
     @classmethod
     def read(cls, text: bytes, messages: bytes) -> PreprocessedSource:
         """Return the source from the output of a compiler with ``-E -v``."""
+        text, messages = (output.replace(b"\r\n", b"\n") for output in (text, messages))  # of Windows
         files: dict[bytes, bool] = {}
         for name, flags in LINE_MARKER.findall(text):
             if not name.startswith(b"<"):

@@ -10,6 +10,7 @@ import re
 import shlex
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -22,7 +23,8 @@ from coadjoint.methods.compiled_steps.code_cache import cached_library
 from coadjoint.methods.compiled_steps.preprocessed_source import PreprocessedSource, Stamp, stamps_are_final, stamps_of
 from coadjoint.short_repr import short
 
-COMPILERS = ("c++", "g++", "clang++")
+# On Windows GCC does not align the stack for vectors.
+COMPILERS = ("clang++",) if sys.platform == "win32" else ("c++", "g++", "clang++")
 COMPILER_TIMEOUT = 600.0
 
 
@@ -135,6 +137,10 @@ def _digest_of_library(source_path: str) -> str:
     executable = os.fsencode(shutil.which(compiler[0]) or compiler[0])
     command = [*compiler, *options(tuning(settings[0])), "-DCOADJOINT_APART"]
     version = _run([*compiler, "--version"], source_path).stdout.decode(errors="replace")
+    if sys.platform == "win32" and "clang" not in version.lower():
+        raise RuntimeError(
+            f"{source_path}: steps are compiled by Clang on Windows, and {compiler[0]} is another compiler"
+        )
     preprocessed = _run([*command, "-E", "-v", source_path], source_path)
     if preprocessed.returncode != 0:
         raise _compiler_error(compiler, source_path, preprocessed)
@@ -167,7 +173,9 @@ def _load(name: str, source_path: str, build: Callable[[str, Path], None]) -> ct
 
 def _build(command: Sequence[str], text: bytes, source_path: str, output_path: Path) -> None:
     """Compile the preprocessed text, not the file, which may have changed since."""
-    process = _run([*command, "-shared", "-o", str(output_path), "-x", "c++-cpp-output", "-"], source_path, text)
+    # The folders of PATH are not searched for what a library of Windows needs.
+    linking = ["-shared", "-static"] if sys.platform == "win32" else ["-shared"]
+    process = _run([*command, *linking, "-o", str(output_path), "-x", "c++-cpp-output", "-"], source_path, text)
     if process.returncode != 0:
         raise _compiler_error(command, source_path, process)
     if not output_path.is_file():
@@ -206,12 +214,14 @@ def _compiler_error(command: Sequence[str], source_path: str, process: subproces
 def _compiler() -> list[str]:
     setting = os.environ.get("CXX", "")
     try:
-        words = shlex.split(setting)
+        # The paths of Windows have backslashes, which would quote what follows.
+        words = shlex.split(setting.replace("\\", "/") if sys.platform == "win32" else setting)
     except ValueError as reason:
         raise RuntimeError(f"CXX is {short(setting)}, which cannot be read as a command ({reason})") from None
     if words:
         return words
     compiler = next((name for name in COMPILERS if shutil.which(name)), None)
     if compiler is None:
-        raise RuntimeError("no C++ compiler is installed (c++, g++ or clang++); install one, or name it by CXX=")
+        known = " or ".join(COMPILERS)
+        raise RuntimeError(f"no C++ compiler is installed ({known}); install one, or name it by CXX=")
     return [compiler]

@@ -18,9 +18,6 @@ namespace {
 constexpr int64_t CHECK_INTERVAL = int64_t(1) << 20;
 constexpr std::chrono::milliseconds SIGNAL_INTERVAL(50);
 
-// Longest wait for loops of other threads at process exit.
-constexpr std::chrono::milliseconds EXIT_TIMEOUT(2000);
-
 // PyEval_SaveThread, PyEval_RestoreThread, PyErr_CheckSignals and Py_IsFinalizing, if there is a Python.
 struct Python {
     void* (*release)();
@@ -61,7 +58,12 @@ void acquire(void* thread) {
     }
 }
 
-// Machine code of the user and BLAS are unloaded after this, so no loop may be inside of them.
+#ifndef _WIN32
+// Longest wait for loops of other threads at process exit.
+constexpr std::chrono::milliseconds EXIT_TIMEOUT(2000);
+
+// Machine code of the user and BLAS are unloaded after this, so no loop may be inside of them. Windows ends the threads
+// before it unloads anything.
 void wait_for_loops() {
     exiting = true;
     const auto last = std::chrono::steady_clock::now() + EXIT_TIMEOUT;
@@ -70,6 +72,7 @@ void wait_for_loops() {
 }
 
 void reset_after_fork() { running = 0; }
+#endif
 
 }  // namespace
 
@@ -111,8 +114,8 @@ EXPORT const InterruptFunctions* interrupt_functions() {
 // Called once, before the loops, which are then called with Python's lock.
 EXPORT void set_python_callbacks(void* (*release)(), void (*acquire)(void*), int (*signals)(), int (*finalizing)()) {
     python = {release, acquire, signals, finalizing};
-    std::atexit(wait_for_loops);
 #ifndef _WIN32
+    std::atexit(wait_for_loops);
     pthread_atfork(nullptr, nullptr, reset_after_fork);
 #endif
 }

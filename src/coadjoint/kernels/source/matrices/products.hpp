@@ -4,6 +4,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <complex>
 #include <cstdint>
 
@@ -23,6 +24,10 @@ template <class R>
 std::complex<R> times(const std::complex<R>& a, const std::complex<R>& b) {
     return {a.real() * b.real() - a.imag() * b.imag(), a.real() * b.imag() + a.imag() * b.real()};
 }
+
+// Without the function hypot of the C library, whose last bits differ between systems.
+inline double magnitude(double a) { return std::fabs(a); }
+inline double magnitude(const Complex& a) { return std::sqrt(a.real() * a.real() + a.imag() * a.imag()); }
 
 inline double inverse(double a) { return 1.0 / a; }
 inline float inverse(float a) { return 1.0f / a; }

@@ -1,0 +1,77 @@
+"""Compare the bits of runs on emulated x86-64 processors with those of this machine: `python levels.py`.
+
+On each processor the package must choose the highest level that it has. qemu emulates none with AVX-512: the highest
+level is that of this machine, if it has it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from coadjoint.kernels import compiling
+from coadjoint.kernels.library import built_levels, level_in_use
+
+TESTS = Path(__file__).parent
+PROCESSORS = {"qemu64": 1, "Nehalem": 1, "SandyBridge": 1, "Haswell": 3, "EPYC": 3, "max": 3}
+"""The level of each processor of qemu; SandyBridge has AVX, and not AVX2."""
+COMPARED = ("Nehalem", "Haswell")
+"""Processors on which all runs are repeated; on the others only the level is asked for."""
+LEVEL = "from coadjoint.kernels.library import kernels, level_in_use; kernels(); print(level_in_use())"
+
+
+def missing() -> str:
+    """Return the missing requirement in one sentence, or an empty string."""
+    if platform.machine() != "x86_64":
+        return "only x86-64 has levels"
+    if shutil.which("qemu-x86_64") is None:
+        return "qemu-x86_64 is missing: on Debian, `apt-get install qemu-user`"
+    if set(built_levels()) != set(compiling.levels()):
+        return "not all levels are built: `make kernels COADJOINT_LEVELS=all`"
+    return ""
+
+
+def output(arguments: Sequence[str], processor: str = "") -> str:
+    """Return the output of Python on an emulated processor, or on this one."""
+    emulated = ["qemu-x86_64", "-cpu", processor] if processor else []
+    environment = {name: value for name, value in os.environ.items() if name != "COADJOINT_LEVEL"}
+    command = [*emulated, sys.executable, *arguments]
+    done = subprocess.run(command, cwd=TESTS, env=environment, stdout=subprocess.PIPE, text=True, check=False)
+    if done.returncode:
+        sys.exit(f"{' '.join(command[:5])} ... ended with exit status {done.returncode}")
+    return done.stdout
+
+
+def main() -> int:
+    if message := missing():
+        print(f"levels skipped: {message}")
+        return 0
+    wrong = []
+    for processor, level in PROCESSORS.items():
+        found = output(["-c", LEVEL], processor).strip()
+        print(f"{processor}: v{found}", flush=True)
+        if found != str(level):
+            wrong.append(f"{processor} has the level v{level}, and the package takes v{found}")
+    digests = ["-m", "verification.digests_of_runs"]
+    expected = json.loads(output(digests))
+    print(f"{len(expected)} runs by v{level_in_use()} on this machine", flush=True)
+    for processor in COMPARED:
+        began = time.monotonic()
+        found = json.loads(output(digests, processor))
+        different = sorted(name for name in expected.keys() | found if expected.get(name) != found.get(name))
+        took = time.monotonic() - began
+        print(f"{len(different)} of them with other bits on {processor}, {took:.0f} s", flush=True)
+        wrong += [f"other bits on {processor}: {name}" for name in different]
+    print("\n".join(wrong) if wrong else "every level is chosen where it is the highest, with the same bits")
+    return int(bool(wrong))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
