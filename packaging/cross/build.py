@@ -33,6 +33,8 @@ LEFT_OUT = (
     "x86_64-windows-msvc is left out: only Windows has Microsoft's headers and libraries. The sources are those of "
     "x86_64-windows-gnu."
 )
+SHOWN = 60
+"""Lines of the compiler that are shown."""
 QUICK = "-O0 -UCOADJOINT_UNROLLED -DCOADJOINT_UNROLLED=1"
 SYSTEM_LIBRARIES = {
     "linux": r"(libc|libm|libpthread|libdl)\.so\.\d|ld-linux-.*\.so\.\d",
@@ -42,10 +44,10 @@ SYSTEM_LIBRARIES = {
 
 
 def called(command: list[str]) -> str:
-    """Run a command; return what it wrote if it failed, but for its progress, or an empty string."""
+    """Run a command; return the end of what it wrote if it failed, or an empty string."""
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
     said = [line for line in done.stdout.splitlines() if not re.match(r"\[\d+/\d+\]", line)]
-    return "\n".join([*said, f"exit status {done.returncode}"]) if done.returncode else ""
+    return "\n".join([*said[-SHOWN:], f"exit status {done.returncode}"]) if done.returncode else ""
 
 
 def build(folder: Path, target: str, options: str) -> str:
@@ -64,7 +66,7 @@ def build(folder: Path, target: str, options: str) -> str:
         "SKBUILD_STATE": "wheel",
     }
     given = [f"-D{name}={value}" for name, value in settings.items()]
-    return called([cmake, "-G", "Ninja", "-S", str(ROOT), "-B", str(folder), *given]) or called(
+    return called([cmake, "--fresh", "-G", "Ninja", "-S", str(ROOT), "-B", str(folder), *given]) or called(
         [cmake, "--build", str(folder), "--", "-k", "0"]
     )
 
@@ -117,6 +119,7 @@ def faults(path: Path, target: str, expected: dict[str, set[str]]) -> list[str]:
 
 
 def main() -> int:
+    """Build and check all targets; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="folder of the builds")
     parser.add_argument("targets", nargs="*", help=f"some of {', '.join(TARGETS)}; by default all")
