@@ -124,6 +124,7 @@ def main() -> int:
     parser.add_argument("folder", type=Path, help="folder of the builds")
     parser.add_argument("targets", nargs="*", help=f"some of {', '.join(TARGETS)}; by default all")
     arguments = parser.parse_args()
+    lief.logging.disable()
     options = os.environ.get("CROSS_OPTIONS", QUICK)
     folder = arguments.folder.absolute()
     folder.mkdir(parents=True, exist_ok=True)
