@@ -66,7 +66,7 @@ def build(folder: Path, target: str, options: str) -> str:
         "SKBUILD_STATE": "wheel",
     }
     given = [f"-D{name}={value}" for name, value in settings.items()]
-    return called([cmake, "--fresh", "-G", "Ninja", "-S", str(ROOT), "-B", str(folder), *given]) or called(
+    return called([cmake, "-G", "Ninja", "-S", str(ROOT), "-B", str(folder), *given]) or called(
         [cmake, "--build", str(folder), "--", "-k", "0"]
     )
 

@@ -174,7 +174,7 @@ def _load(name: str, source_path: str, build: Callable[[str, Path], None]) -> ct
 def _build(command: Sequence[str], text: bytes, source_path: str, output_path: Path) -> None:
     """Compile the preprocessed text, not the file, which may have changed since."""
     # The folders of PATH are not searched for what a library of Windows needs.
-    linking = ["-shared", "-static"] if sys.platform == "win32" else ["-shared"]
+    linking = ["-shared", "-static-libgcc", "-static-libstdc++"] if sys.platform == "win32" else ["-shared"]
     process = _run([*command, *linking, "-o", str(output_path), "-x", "c++-cpp-output", "-"], source_path, text)
     if process.returncode != 0:
         raise _compiler_error(command, source_path, process)
