@@ -16,6 +16,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from coadjoint.kernels import compiling
 from coadjoint.kernels.library import FOLDER, SUFFIX, built_levels, level_in_use
 
@@ -26,6 +28,8 @@ COMPARED = ("Nehalem", "Haswell")
 """Processors on which runs are repeated; NumPy needs more instructions than older ones have."""
 BLAS = {1: "Prescott", 3: "Haswell"}
 """Kernels of OpenBLAS for each level: for some emulated processors it chooses instructions that they do not have."""
+# Under qemu 7.2, `numpy.unique` by AVX2 ends with a segmentation fault.
+NUMPY = " ".join(np.show_config(mode="dicts")["SIMD Extensions"].get("found", []))
 ASKED = f"import ctypes; print(ctypes.CDLL({str(FOLDER / f'_processor{SUFFIX}')!r}).processor_level())"
 CHOSEN = "from coadjoint.kernels.library import kernels, level_in_use; kernels(); print(level_in_use())"
 
@@ -46,7 +50,7 @@ def output(arguments: Sequence[str], processor: str = "") -> str:
     emulated = ["qemu-x86_64", "-cpu", processor] if processor else []
     environment = {name: value for name, value in os.environ.items() if name != "COADJOINT_LEVEL"}
     if processor:
-        environment["OPENBLAS_CORETYPE"] = BLAS[PROCESSORS[processor]]
+        environment |= {"OPENBLAS_CORETYPE": BLAS[PROCESSORS[processor]], "NPY_DISABLE_CPU_FEATURES": NUMPY}
     command = [*emulated, sys.executable, *arguments]
     done = subprocess.run(command, cwd=TESTS, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
