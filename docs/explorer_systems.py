@@ -44,6 +44,11 @@ class Shown:
     step: float
     parts: str = ""
 
+    @property
+    def attitude(self) -> Any:
+        """The argument `attitude` of runs: all schemes compute the coadjoint matrix, whose first block is the rotation."""
+        return "coadjoint" if self.view.get("body") in ("inertia", "top") else False
+
     def build(self, values: Values) -> Any:
         """Return the system with these values of the sliders."""
         return eval(self.code.format(**{name: repr(float(value)) for name, value in values.items()}), {"co": co})

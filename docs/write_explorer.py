@@ -48,7 +48,7 @@ def flat(table: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 def tables_of(shown: Shown, scheme: str, values: Values, h: float) -> tuple[dict[str, Any], Any]:
     """Return the loop of a scheme, its tables and the watched invariants, by path, and the loops."""
     system = shown.build(values)
-    loops = SystemLoops(system, eval(scheme, {"co": co}), h, None)
+    loops = SystemLoops(system, eval(scheme, {"co": co}), h, shown.attitude or None)
     found = {f"tables.{path}": value for path, value in flat(loops.prepared.tables)}
     found |= {f"watch.{path}": value for path, value in flat(loops.watch)}
     if "tables.step" in found and isinstance(found["tables.step"], np.ndarray):

@@ -266,9 +266,9 @@ export function typedCode(algebra: Algebra): string {
 
 export const invariantsOf = (algebra: Algebra) => ["energy", ...casimirs(cube(algebra)).map((casimir) => casimir.name)];
 
-// The tables of a scheme: what does not depend on the system is that of the rigid body.
+// The tables of a scheme: what does not depend on the system is that of a system of the same dimension.
 export function typedFields(tables: Tables, algebra: Algebra, name: string, h: number): Fields {
-  const model = tables.systems.rigid_body.schemes[name], fields: Fields = {};
+  const model = tables.systems.fluid_triad.schemes[name], fields: Fields = {};
   for (const [path, value] of Object.entries(model.fields))
     fields[path] = typeof value === "number" || Array.isArray(value) ? value : tables.arrays[value[""]];
   Object.assign(fields, watchOf("watch.", algebra));

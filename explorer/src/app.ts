@@ -1,6 +1,5 @@
 // The two runs of a choice, and everything that the page shows of the system.
 import { casimirs, cube, invariantsOf, satisfiesJacobi, typedCode, typedFields } from "./algebra";
-import { Attitude, inertiaOf } from "./body";
 import type { Vector } from "./camera";
 import { python } from "./exports";
 import type { Kernels } from "./kernels";
@@ -20,7 +19,6 @@ const subscripted = (name: string) => name.replace("gamma", "γ").replace(/\d/g,
 export class App {
   tracks: Track[] = [];
   shapes: Shape[] = [];
-  attitudes: Array<Attitude | null> = [];
   playing = true;
   problem = "";
   private owed = 0;
@@ -96,7 +94,7 @@ export class App {
     this.owed = 0;
     this.surface = { radius: 0, lines: [] };
     this.problem = "";
-    const { algebra, x0, values } = this.choice;
+    const { algebra, x0 } = this.choice;
     if (!this.system) {
       if (!satisfiesJacobi(cube(algebra)))
         this.problem = "These brackets violate the Jacobi identity: [[e₁,e₂],e₃] + [[e₂,e₃],e₁] + [[e₃,e₁],e₂] is not zero.";
@@ -106,8 +104,6 @@ export class App {
     const { view } = this, balls = (view.balls ?? [0]).length;
     this.tracks = this.plans().map((plan) => new Track(this.kernels, plan, balls));
     this.shapes = this.tracks.map(() => new Shape(view, x0));
-    const turns = view.body === "inertia" || view.body === "top";
-    this.attitudes = this.tracks.map(() => (turns ? new Attitude(view.body === "top", inertiaOf(values), x0) : null));
   }
 
   // Take the steps of one frame; fewer if they take too long.
@@ -120,14 +116,11 @@ export class App {
   }
 
   take(steps: number): void {
-    const start = performance.now(), pieces = this.attitudes[0] ? steps : Math.ceil(steps / 20);
+    const start = performance.now(), pieces = Math.ceil(steps / 20);
     let left = steps;
     for (let piece = 0; piece < pieces && left > 0; ++piece) {
       const taken = Math.ceil(left / (pieces - piece));
-      for (const [k, track] of this.tracks.entries()) {
-        track.advance(taken);
-        if (!track.failure) this.attitudes[k]?.step(track.x, this.choice.step * taken);
-      }
+      for (const track of this.tracks) track.advance(taken);
       left -= taken;
       if (performance.now() - start > FRAME_BUDGET) break;
     }

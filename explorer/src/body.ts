@@ -1,31 +1,16 @@
-// The body in space, spins as arrows, and the vorticity of a fluid. The attitude is found from the momenta for the drawing
-// alone: by midpoint steps, each turned back so that what is fixed in space stays there.
-import { apply, between, length, type Matrix, plus, product, rotation, scaled, type Vector, dot } from "./camera";
+// The body in space, spins as arrows, and the vorticity of a fluid.
+import { apply, between, length, type Matrix, plus, product, scaled, type Vector, dot } from "./camera";
 import { type Frame, frameOf, hue, seen } from "./scene";
 import type { Values, View } from "./tables";
 import type { Colors } from "./theme";
 
 const UP: Vector = [0, 0, 1];
 
-export class Attitude {
-  matrix: Matrix; // from the body to space
-
-  constructor(private readonly top: boolean, private readonly inertia: Vector, private before: ArrayLike<number>) {
-    this.matrix = between(this.fixed(before), UP);
-    this.before = Array.from(before);
-  }
-
-  // What is vertical in space: the vertical itself, or the angular momentum.
-  private fixed(x: ArrayLike<number>): Vector {
-    return this.top ? [x[3], x[4], x[5]] : [x[0], x[1], x[2]];
-  }
-
-  step(x: ArrayLike<number>, h: number): void {
-    const turn = this.inertia.map((moment, i) => (0.5 * h * (x[i] + this.before[i])) / moment);
-    const moved = product(this.matrix, rotation(turn));
-    this.matrix = product(between(apply(moved, this.fixed(x)), UP), moved);
-    this.before = Array.from(x);
-  }
+// The attitude for the drawing, from the body to space, where the vertical of a top or the angular momentum at the start
+// of a free body points up: the axes of both frames agree at first.
+export function attitudeOf(view: View, rotation: Matrix, x0: ArrayLike<number>): Matrix {
+  const first = view.body === "top" ? 3 : 0;
+  return product(between([x0[first], x0[first + 1], x0[first + 2]], UP), rotation);
 }
 
 export function inertiaOf(values: Values): Vector {
@@ -106,7 +91,7 @@ function arrow(frame: Frame, from: Vector, to: Vector, color: string, width: num
 }
 
 export function drawBody(
-  canvas: HTMLCanvasElement, camera: Matrix, view: View, attitude: Attitude | null, x: ArrayLike<number>, values: Values,
+  canvas: HTMLCanvasElement, camera: Matrix, view: View, attitude: Matrix | null, x: ArrayLike<number>, values: Values,
   color: string, colors: Colors,
 ): void {
   if (view.body === "vorticity") return drawVorticity(canvas, x, values);
@@ -115,14 +100,14 @@ export function drawBody(
   const frame = frameOf(canvas, camera, view.body === "top" ? 0.26 : 0.3), half = box(inertiaOf(values));
   if (view.body === "inertia") {
     arrow(frame, [0, 0, -1.5], [0, 0, 1.5], colors.muted, 1);
-    solid(frame, attitude.matrix, half, [0, 0, 0], color, colors);
+    solid(frame, attitude, half, [0, 0, 0], color, colors);
     return;
   }
   const lever: Vector = [values.l1, values.l2, values.l3], reach = length(lever) || 1;
   const middle = scaled(lever, 1.1 / reach);
   arrow(frame, [0, 0, -1.6], [0, 0, 1.6], colors.muted, 1);
-  arrow(frame, [0, 0, 0], apply(attitude.matrix, middle), colors.text, 2);
-  solid(frame, attitude.matrix, scaled(half, 0.5), middle, color, colors);
+  arrow(frame, [0, 0, 0], apply(attitude, middle), colors.text, 2);
+  solid(frame, attitude, scaled(half, 0.5), middle, color, colors);
 }
 
 function drawArrows(

@@ -39,6 +39,11 @@ export function between(a: ArrayLike<number>, b: ArrayLike<number>): Matrix {
   return rotation(scaled(normal, Math.PI / length(normal)));
 }
 
+// The largest entry of R^T R - 1.
+export function rotationError(matrix: Matrix): number {
+  return Math.max(...product(transposed(matrix), matrix).map((x, k) => Math.abs(x - (k % 4 === 0 ? 1 : 0))));
+}
+
 export const clamp = (x: number, low: number, high: number) => Math.min(high, Math.max(low, x));
 
 // Right, up and toward the reader, of coordinates whose third axis points up.

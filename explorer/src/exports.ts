@@ -9,12 +9,13 @@ export const python = (x: number) => (Number.isInteger(x) && Math.abs(x) < 1e16 
 export interface Script {
   system: string; // Python code
   schemes: string[];
+  attitude: boolean;
   x0: number[];
   step: number;
   steps: number;
 }
 
-export function pythonScript({ system, schemes, x0, step, steps }: Script): string {
+export function pythonScript({ system, schemes, attitude, x0, step, steps }: Script): string {
   const h = python(step);
   return `import coadjoint as co
 
@@ -23,7 +24,7 @@ x0 = [${x0.map(python).join(", ")}]
 for method in (
 ${schemes.map((scheme) => `    ${scheme},`).join("\n")}
 ):
-    sol = co.integrate(system, x0, t_span=(0.0, ${steps} * ${h}), step=${h}, method=method)
+    sol = co.integrate(system, x0, t_span=(0.0, ${steps} * ${h}), step=${h}, method=method${attitude ? ', attitude="coadjoint"' : ""})
     print(method, sol.x[-1].tolist(), sol.drift())
 `;
 }

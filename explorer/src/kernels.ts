@@ -111,6 +111,7 @@ const TABLES: Record<string, string> = {
 export interface Points {
   count: number;
   x: Float64Array; // count * size
+  group: Float64Array; // the last group element, row after row; empty if none is computed
   values: Float64Array; // count * invariants
 }
 
@@ -129,6 +130,7 @@ export class Run {
   private saved = 0;
   private capacity = 0;
   private readonly memorySize: number;
+  private readonly rows: number; // of the group element
 
   constructor(
     private readonly kernels: Kernels, private readonly loop: string, fields: Fields, readonly size: number, readonly invariants: number,
@@ -137,6 +139,7 @@ export class Run {
     if (!kind) throw new Error(`${loop} is no loop of the kernels`);
     this.tables = this.table(kind, "tables.", fields);
     this.watch = this.table("Watch", "watch.", fields);
+    this.rows = Number(fields["tables.group.size"] ?? fields["tables.tables.group.size"]);
     if (loop === "stepping_advance") {
       const pointer = this.offset("Stepping", "step");
       const at = this.view.getUint32(this.tables + pointer, true);
@@ -210,7 +213,7 @@ export class Run {
 
   private axes(points: number): Record<string, number> {
     return {
-      members: 1, points, size: this.size, square: 0, invariants: this.invariants, memory_size: this.memorySize,
+      members: 1, points, size: this.size, square: this.rows ** 2, invariants: this.invariants, memory_size: this.memorySize,
       ...this.kernels.codes.Limit,
     };
   }
@@ -236,11 +239,13 @@ export class Run {
       else this.view.setUint32(this.schedule + offset, 0, true);
   }
 
-  // Begin at a state.
+  // Begin at a state, with the unit element of the group.
   begin(x0: ArrayLike<number>): void {
     const { view } = this;
     const momenta = this.state + this.positionOf(this.kernels.state, "momenta", 0);
     for (let i = 0; i < this.size; ++i) view.setFloat64(momenta + 8 * i, x0[i], true);
+    const group = this.state + this.positionOf(this.kernels.state, "groups", 0);
+    for (let i = 0; i < this.rows; ++i) view.setFloat64(group + 8 * i * (this.rows + 1), 1, true);
     this.step = 0;
     this.failure = "";
   }
@@ -264,15 +269,20 @@ export class Run {
     if (failed !== 0n) {
       const step = this.result("step"), status = this.result("status");
       count = Math.max(0, step - this.step - (this.step === 0 ? 0 : 1)); // the states before it
-      const { OVERFLOWED } = this.kernels.codes.Status;
-      this.failure = `Step ${step} failed: ${status === OVERFLOWED ? "a number overflowed" : "an iteration did not converge"}.`;
+      const { OVERFLOWED, UNDEFINED } = this.kernels.codes.Status;
+      const reasons: Record<number, string> = { [OVERFLOWED]: "a number overflowed", [UNDEFINED]: "the body turns too far" };
+      this.failure = `Step ${step} failed: ${reasons[status] ?? "an iteration did not converge"}.`;
     }
     this.step += steps;
     const numbers = (name: string, width: number) => {
       const at = this.saved + this.positionOf(this.kernels.saved, name, points);
       return new Float64Array(this.kernels.wasm.memory.buffer, at, count * width).slice();
     };
-    return { count, x: numbers("x", this.size), values: numbers("values", this.invariants) };
+    // The kernels store its transpose.
+    const groups = numbers("group", this.rows ** 2), last = (count - 1) * this.rows ** 2;
+    const group = Float64Array.from({ length: count ? this.rows ** 2 : 0 }, (_, k) =>
+      groups[last + (k % this.rows) * this.rows + Math.floor(k / this.rows)]);
+    return { count, x: numbers("x", this.size), group, values: numbers("values", this.invariants) };
   }
 
   // An integer of the state: the status, or the step that failed.

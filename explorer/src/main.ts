@@ -1,7 +1,7 @@
 // The page: loads the kernels and the tables, draws a frame after the other, and keeps the choice in the address.
 import { App } from "./app";
-import { drawBody } from "./body";
-import { camera, clamp } from "./camera";
+import { attitudeOf, drawBody } from "./body";
+import { camera, clamp, rotationError } from "./camera";
 import { element } from "./controls";
 import { csv, download, pythonScript } from "./exports";
 import { Kernels } from "./kernels";
@@ -131,7 +131,8 @@ class Page {
   script(): string {
     const { app } = this, { choice } = app;
     return pythonScript({
-      system: app.systemCode(), schemes: choice.schemes.map((name) => app.schemeCode(name)), x0: choice.x0, step: choice.step,
+      system: app.systemCode(), schemes: choice.schemes.map((name) => app.schemeCode(name)),
+      attitude: app.tracks[0]?.rotation != null, x0: choice.x0, step: choice.step,
       steps: Math.max(1, app.steps),
     });
   }
@@ -228,9 +229,13 @@ class Page {
     for (const [k, track] of app.tracks.entries()) {
       const { scene, body, readout } = this.cards[k], color = k ? palette.b : palette.a;
       drawScene(scene, matrix, track, app.shapes[k], app.view, app.axes, color, palette, app.orbit);
-      if (app.view.body) drawBody(body, matrix, app.view, app.attitudes[k], track.x, app.choice.values, color, palette);
+      if (app.view.body) {
+        const attitude = track.rotation && attitudeOf(app.view, track.rotation, app.choice.x0);
+        drawBody(body, matrix, app.view, attitude, track.x, app.choice.values, color, palette);
+      }
       const casimirs = app.hasCasimirs ? ` · Casimirs ${power(track.casimirs.now)}` : "";
-      const text = track.failure || `Step ${track.step} · errors: energy ${power(track.energy.now)}${casimirs}`;
+      const turned = track.rotation ? ` · rotation ${power(rotationError(track.rotation))}` : "";
+      const text = track.failure || `Step ${track.step} · errors: energy ${power(track.energy.now)}${casimirs}${turned}`;
       if (readout.textContent !== text) readout.textContent = text;
     }
     if (!app.tracks.length) return;

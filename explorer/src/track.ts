@@ -1,4 +1,5 @@
 // One of the two runs side by side: its last states, its errors and its section.
+import type { Matrix } from "./camera";
 import type { Fields, Kernels, Points, Run } from "./kernels";
 import type { Section } from "./tables";
 
@@ -44,6 +45,7 @@ export class Track {
   readonly crossings: number[] = [];
   count = 0; // states so far
   x: Float64Array;
+  rotation: Matrix | null = null; // of the last group element, its first block
   failure = "";
   private readonly run: Run;
   private readonly first: Float64Array;
@@ -90,6 +92,8 @@ export class Track {
       ++this.count;
     }
     if (this.x.length) this.x = this.x.slice();
+    const { group } = points, rows = Math.sqrt(group.length), axes = [0, 1, 2];
+    if (rows) this.rotation = axes.flatMap((i) => axes.map((j) => group[i * rows + j]));
   }
 
   // A point of the section, between two states, where a coordinate rises through zero.

@@ -20,6 +20,7 @@ interface Expected {
   save_every: number;
   x: number[][];
   invariants: number[][];
+  attitudes: number[][]; // after the start
 }
 
 interface Typed {
@@ -40,17 +41,19 @@ const kernels = await Kernels.load(readFileSync(join(BUILT, "public/kernels.wasm
 const tables = checked(JSON.parse(readFileSync(join(BUILT, "public/tables.json"), "utf-8")) as Tables);
 const { runs, algebras } = JSON.parse(readFileSync(join(BUILT, "runs.json"), "utf-8")) as { runs: Expected[]; algebras: Typed[] };
 
-// The states and invariants at the saved steps, computed in pieces of this many steps.
-function computed(run: Expected, piece: number): { x: number[][]; invariants: number[][]; failure: string } {
+// The states and invariants at the saved steps, computed in pieces of this many steps, and the group elements after each
+// piece.
+function computed(run: Expected, piece: number): Pick<Expected, "x" | "invariants" | "attitudes"> & { failure: string } {
   const system = tables.systems[run.system];
   const scheme = system.schemes[run.scheme];
   const fields = fieldsOf(tables, system, scheme, run.values, run.step);
   const size = run.x0.length, count = system.invariants.length;
   const one = kernels.run(scheme.loop, fields, size, count);
   one.begin(run.x0);
-  const x: number[][] = [], invariants: number[][] = [];
+  const x: number[][] = [], invariants: number[][] = [], attitudes: number[][] = [];
   for (let done = 0; done < run.steps; done += piece) {
     const points = one.advance(Math.min(piece, run.steps - done), run.step);
+    if (points.group.length) attitudes.push(Array.from(points.group));
     for (let k = 0; k < points.count; ++k) {
       x.push(Array.from(points.x.subarray(k * size, (k + 1) * size)));
       invariants.push(Array.from(points.values.subarray(k * count, (k + 1) * count)));
@@ -58,14 +61,16 @@ function computed(run: Expected, piece: number): { x: number[][]; invariants: nu
   }
   one.free();
   const saved = (rows: number[][]) => rows.filter((_, k) => k % run.save_every === 0);
-  return { x: saved(x), invariants: saved(invariants), failure: one.failure };
+  return { x: saved(x), invariants: saved(invariants), attitudes, failure: one.failure };
 }
 
 for (const run of runs)
   test(`${run.system}, ${run.scheme}, step ${run.step}`, () => {
-    for (const piece of [run.steps, 7]) {
+    for (const piece of [run.save_every, run.steps, 7]) {
       const found = computed(run, piece);
       assert.equal(found.failure, "");
+      if (piece === run.save_every) assert.deepEqual(found.attitudes, run.attitudes);
+      else assert.deepEqual(found.attitudes.at(-1), run.attitudes.at(-1));
       assert.deepEqual(found.x, run.x);
       assert.deepEqual(found.invariants, run.invariants);
     }

@@ -1,5 +1,4 @@
-// The loop of splittings for one trajectory: that of the library, without members as lanes
-// and group elements.
+// The loop of splittings for one trajectory: that of the library, without members as lanes and compensated momenta.
 #include "flows/flow_alone.hpp"
 
 namespace coadjoint {
@@ -7,8 +6,9 @@ namespace coadjoint {
 static void advance(const FlowLoop& loop, const MemberRange& range) {
     const int64_t member = range.members[range.first];
     if (loop.arrays.status[member] != DONE) return;
-    loop.tables.compensated ? advance_alone<CORRECTED, false, double>(loop, member)
-                            : advance_alone<PLAIN, false, double>(loop, member);
+    if (loop.tables.compensated) __builtin_trap();  // no table of the page
+    loop.arrays.square > 0 ? advance_alone<PLAIN, true, double>(loop, member)
+                           : advance_alone<PLAIN, false, double>(loop, member);
 }
 
 static int64_t memory_size(const FlowTables&) { return 0; }

@@ -25,7 +25,7 @@ def run(shown: Shown, name: str, scheme: str, values: Values, step: float, x0: A
     code = code_of(scheme, shown)
     system, method = shown.build(values), eval(code, {"co": co})
     span = (0.0, STEPS * step)
-    sol = co.integrate(system, x0, t_span=span, step=step, method=method, save_every=SAVED)
+    sol = co.integrate(system, x0, t_span=span, step=step, method=method, save_every=SAVED, attitude=shown.attitude)
     invariants = [sol.energy, *(sol.casimirs[key] for key in system.casimirs)]
     return {
         "system": shown.name,
@@ -37,6 +37,7 @@ def run(shown: Shown, name: str, scheme: str, values: Values, step: float, x0: A
         "save_every": SAVED,
         "x": sol.x.tolist(),
         "invariants": np.array(invariants).T.tolist(),
+        "attitudes": [] if sol.attitude is None else sol.attitude[1:].reshape(len(sol.t) - 1, -1).tolist(),
     }
 
 
