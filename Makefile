@@ -136,7 +136,8 @@ explorer: kernels $(EXPLORER)/public/kernels.wasm explorer/node_modules/.package
 	$(ONE_THREAD) $(BIN)/python docs/write_explorer.py $(EXPLORER)/public
 	npm --prefix explorer run --silent build
 
-$(EXPLORER)/public/kernels.wasm: $(wildcard explorer/wasm/*) $(wildcard src/coadjoint/kernels/source/*/*)
+$(EXPLORER)/public/kernels.wasm: $(wildcard explorer/wasm/*) $(wildcard src/coadjoint/kernels/source/*/*) \
+		src/coadjoint/methods/taylor.cpp
 	explorer/wasm/build.sh $(EXPLORER)
 
 explorer/node_modules/.package-lock.json: explorer/package-lock.json

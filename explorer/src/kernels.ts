@@ -9,7 +9,6 @@ interface Exports {
   free(at: number): void;
   description(): number;
   taylor_address(): number;
-  probe_fma(a: number, b: number, c: number): number;
   [name: string]: unknown;
 }
 

@@ -1,4 +1,4 @@
-// The fused product against rational arithmetic, also where its error-free parts would underflow or overflow.
+// The fused products against rational arithmetic, also where its error-free parts would underflow or overflow.
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
@@ -6,7 +6,13 @@ import { test } from "node:test";
 import { Kernels } from "../src/kernels";
 
 const kernels = await Kernels.load(readFileSync(join(process.cwd(), "../build/explorer/public/kernels.wasm")));
-const fused = kernels.wasm.probe_fma;
+type Product = (a: number, b: number, c: number) => number;
+const ofPair = kernels.wasm.probe_fma_of_pair as (a: number, b: number, c: number, lane: number) => number;
+const PRODUCTS: Record<string, Product> = {
+  alone: kernels.wasm.probe_fma as Product,
+  first: (a, b, c) => ofPair(a, b, c, 0),
+  second: (a, b, c) => ofPair(a, b, c, 1),
+};
 const view = new DataView(new ArrayBuffer(8));
 
 // A finite number as an integer multiple of 2^-1074.
@@ -47,21 +53,23 @@ function drawn(exponents: number): number {
   return (next() % 2 ? -size : size) * 2 ** exponent;
 }
 
-for (const [exponents, count] of [[3, 20000], [30, 20000], [60, 20000], [500, 20000]])
+for (const exponents of [3, 30, 60, 500])
   test(`exponents up to ${exponents}`, () => {
-    for (let k = 0; k < count; ++k) {
+    for (let k = 0; k < 20000; ++k) {
       const a = drawn(exponents), b = drawn(exponents), p = a * b;
       const c = k % 4 === 0 ? -p : k % 4 === 1 ? p * 2 ** ((next() % 120) - 60) : drawn(exponents);
       if (!Number.isFinite(p) || !Number.isFinite(c) || !Number.isFinite(p + c)) continue;
-      assert.equal(fused(a, b, c) + 0, exact(a, b, c) + 0, `${a} ${b} ${c}`);
+      const expected = exact(a, b, c) + 0;
+      for (const [name, fused] of Object.entries(PRODUCTS)) assert.equal(fused(a, b, c) + 0, expected, `${name}: ${a} ${b} ${c}`);
     }
   });
 
-test("zeros, infinities and numbers that are none", () => {
+for (const [name, fused] of Object.entries(PRODUCTS)) test(`zeros, infinities and numbers that are none, ${name}`, () => {
   assert.ok(Object.is(fused(-0, 1, -0), -0) && Object.is(fused(0, 1, -0), 0) && Object.is(fused(3, 1, -3), 0));
   assert.equal(fused(1e300, 1e300, -Infinity), -Infinity);
   assert.equal(fused(1e300, 1e300, 1), Infinity);
   assert.equal(fused(1e200, 1e200, -1e308), Infinity);
   assert.equal(fused(2 ** -1000, 2 ** -100, 2 ** -1074), 2 ** -1074);
   assert.ok(Number.isNaN(fused(0, Infinity, 1)) && Number.isNaN(fused(NaN, 1, 1)));
+  assert.ok(Object.is(fused(-0, 5, 2), 2) && Object.is(fused(0, -3, -0), -0) && Object.is(fused(2, -0, 0), 0));
 });

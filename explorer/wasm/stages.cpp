@@ -1,4 +1,4 @@
-// The loop of Runge-Kutta methods of up to four stages for one trajectory: that of the library.
+// The loop of Runge-Kutta methods for one trajectory: that of the library, with two stages side by side.
 #include "stages/runge_kutta_loop.hpp"
 
 namespace coadjoint {
@@ -6,7 +6,7 @@ namespace coadjoint {
 static std::unique_ptr<Single> stages_of(const RungeKuttaTables& tables) {
     const SharedConstants shared;
     if (one_at_a_time(tables)) return std::make_unique<SingleOf<MemberLanes<double>, SharedConstants>>(tables, shared);
-    return std::make_unique<SingleOf<StageLanes<4>, SharedConstants>>(tables, shared);
+    return std::make_unique<SingleOf<StageLanes<2>, SharedConstants>>(tables, shared);
 }
 
 static void advance(const RungeKuttaLoop& loop, const MemberRange& range) {
