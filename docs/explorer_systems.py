@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -80,6 +81,45 @@ INERTIA = (
     Slider("I3", "inertia I₃", 2.1, 2.6, 2.5, 0.05),
 )
 SPINS = 8
+# Of each wave the amplitudes of its cosine and of its sine are coordinates.
+WAVES = ((1, 0), (0, 1), (1, 1), (1, -1))
+
+
+def zeitlin_brackets() -> list[tuple[int, int, int, int]]:
+    """Return the brackets of `coadjoint.systems.torus_euler` with N = 3 in real modes, in units that make them +-1.
+
+    {w_a, w_b} is proportional to sin(2 pi (a x b)/3) w_(a + b), with waves counted mod 3.
+    """
+
+    def numbered(x: int, y: int) -> tuple[int, int]:
+        """Return the number of a wave mod 3, and the sign of its sine."""
+        return next(
+            (number, sign)
+            for number, wave in enumerate(WAVES)
+            for sign in (1, -1)
+            if (x - sign * wave[0]) % 3 == (y - sign * wave[1]) % 3 == 0
+        )
+
+    brackets = []
+    for (i, a), (j, b) in itertools.combinations(enumerate(WAVES), 2):
+        sine = (a[0] * b[1] - a[1] * b[0] + 1) % 3 - 1
+        for other in (1, -1):
+            k, sign = numbered(a[0] + other * b[0], a[1] + other * b[1])
+            brackets += [
+                (2 * i, 2 * j, 2 * k, other * sine),
+                (2 * i, 2 * j + 1, 2 * k + 1, sign * sine),
+                (2 * i + 1, 2 * j, 2 * k + 1, other * sign * sine),
+                (2 * i + 1, 2 * j + 1, 2 * k, -sine),
+            ]
+    return sorted(brackets)
+
+
+def _wrapped(brackets: list[tuple[int, int, int, int]]) -> str:
+    """Return brackets as lines of Python."""
+    texts = [str(bracket) for bracket in brackets]
+    lines = (", ".join(texts[k : k + 6]) for k in range(0, len(texts), 6))
+    return "[\n        " + ",\n        ".join(lines) + ",\n    ]"
+
 
 SHOWN = (
     Shown(
@@ -235,5 +275,22 @@ SHOWN = (
         {"kind": "sphere", "balls": [[0, 1, 2]], "body": "vorticity", "click": 0},
         1.5,
         '"coordinates"',
+    ),
+    Shown(
+        "fluid_modes",
+        "Fluid: Zeitlin's model",
+        "An ideal fluid on a torus, as matrices of three rows: the smallest fluid that keeps invariants of the vorticity. "
+        "The map shows its eight Fourier modes; on a torus that is not square they mix.",
+        f"""co.LiePoissonSystem(
+    co.LieAlgebra({_wrapped(zeitlin_brackets())}, dim=8),
+    co.Quadratic([0.5, 0.5, *[0.5 / ({{a}} * {{a}})] * 2, *[0.5 / (1.0 + {{a}} * {{a}})] * 4]),
+)""",
+        (Slider("a", "ratio of the sides", 0.5, 1.5, 0.8, 0.05),),
+        ("0.5 a a * /", "0.5 1 a a * + /"),
+        (1.0, 0.0, 0.05, 0.1, 0.1, -0.05, 0.02, 0.08),
+        tuple(f"{name}{k + 1}" for k in range(len(WAVES)) for name in ("cos", "sin")),
+        {"kind": "path", "axes": [0, 2, 4], "labels": ["cos₁", "cos₂", "cos₃"], "body": "vorticity", "waves": WAVES},
+        0.2,
+        "((0, 1), (2, 3), (4, 5), (6, 7))",
     ),
 )

@@ -94,7 +94,7 @@ export function drawBody(
   canvas: HTMLCanvasElement, camera: Matrix, view: View, attitude: Matrix | null, x: ArrayLike<number>, values: Values,
   color: string, colors: Colors,
 ): void {
-  if (view.body === "vorticity") return drawVorticity(canvas, x, values);
+  if (view.body === "vorticity") return drawVorticity(canvas, x, view.waves ?? triadOf(values), view.waves ? 2 : 1);
   if (view.body === "arrows") return drawArrows(canvas, camera, view, x, color, colors);
   if (!attitude) return;
   const frame = frameOf(canvas, camera, view.body === "top" ? 0.26 : 0.3), half = box(inertiaOf(values));
@@ -129,21 +129,27 @@ function drawArrows(
   }
 }
 
+const triadOf = ({ kx, ky }: Values) => [[1, 0], [kx, ky], [1 + kx, ky]];
+
 const CELLS = 44;
 let image: ImageData | null = null;
 
-// The sum of the three waves on a square of two of the longest wavelengths.
-function drawVorticity(canvas: HTMLCanvasElement, x: ArrayLike<number>, values: Values): void {
+// The sum of waves on a square of two periods of the first, each the cosine, or with two coordinates also the sine.
+function drawVorticity(canvas: HTMLCanvasElement, x: ArrayLike<number>, waves: number[][], coordinates: number): void {
   if (canvas.width !== CELLS) canvas.width = canvas.height = CELLS;
   const context = canvas.getContext("2d")!;
   image ??= context.createImageData(CELLS, CELLS);
-  const k1 = [1, 0], k2 = [values.kx, values.ky], most = Math.abs(x[0]) + Math.abs(x[1]) + Math.abs(x[2]) || 1;
+  const most = Array.from(x).reduce((sum, amplitude) => sum + Math.abs(amplitude), 0) || 1;
   for (let row = 0; row < CELLS; ++row)
     for (let column = 0; column < CELLS; ++column) {
       const u = (column / CELLS) * 4 * Math.PI, v = (row / CELLS) * 4 * Math.PI;
-      const first = k1[0] * u + k1[1] * v, second = k2[0] * u + k2[1] * v;
-      const value = (x[0] * Math.cos(first) + x[1] * Math.cos(second) + x[2] * Math.cos(first + second)) / most;
-      const at = 4 * (row * CELLS + column), far = Math.min(1, Math.abs(value) * 1.3);
+      let value = 0;
+      for (const [k, wave] of waves.entries()) {
+        const phase = wave[0] * u + wave[1] * v;
+        value += x[coordinates * k] * Math.cos(phase);
+        if (coordinates === 2) value += x[2 * k + 1] * Math.sin(phase);
+      }
+      const at = 4 * (row * CELLS + column), far = Math.min(1, (Math.abs(value) / most) * 1.3);
       const [r, g, b] = value > 0 ? [200, 60, 50] : [40, 100, 190];
       image.data[at] = 246 + (r - 246) * far;
       image.data[at + 1] = 246 + (g - 246) * far;

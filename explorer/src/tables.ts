@@ -26,6 +26,7 @@ export interface View {
   axes?: number[];
   labels?: string[];
   body?: "inertia" | "top" | "arrows" | "vorticity";
+  waves?: number[][]; // wave vectors of cosine and sine on a torus, pairs of coordinates
   click?: number;
   centered?: boolean; // a path around the origin, whose scale changes in steps
   section?: Section;

@@ -29,7 +29,8 @@ LEAST_FRAMES = 30.0  # per second, in software rendering
 LONGEST_START = 3000.0  # milliseconds until the first picture, on a busy machine
 STEPS = 150
 SYSTEMS = (
-    "rigid_body", "heavy_top", "spin_pair", "spin_chain", "toda_ring", "maxwell_bloch", "fluid_triad", "algebra",
+    "rigid_body", "heavy_top", "spin_pair", "spin_chain", "toda_ring", "maxwell_bloch", "fluid_triad",
+    "fluid_modes", "algebra",
 )  # fmt: skip
 SCHEMES = ("splitting2", "splitting4", "rk4", "gauss", "taylor")
 WAIT = 20_000
