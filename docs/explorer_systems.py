@@ -47,7 +47,7 @@ class Shown:
 
     @property
     def attitude(self) -> Any:
-        """The argument `attitude` of runs: all schemes compute the coadjoint matrix, whose first block is the rotation."""
+        """The argument `attitude` of runs; the first block of the coadjoint matrix is the rotation."""
         return "coadjoint" if self.view.get("body") in ("inertia", "top") else False
 
     def build(self, values: Values) -> Any:
@@ -279,13 +279,13 @@ SHOWN = (
     Shown(
         "fluid_modes",
         "Fluid: Zeitlin's model",
-        "An ideal fluid on a torus, as matrices of three rows: the smallest fluid that keeps invariants of the vorticity. "
-        "The map shows its eight Fourier modes; on a torus that is not square they mix.",
+        "An ideal fluid on a torus, by eight Fourier modes. It keeps the energy and two invariants of the vorticity, of "
+        "which the map shows two periods. The first wave is unstable on a torus that is higher than wide.",
         f"""co.LiePoissonSystem(
     co.LieAlgebra({_wrapped(zeitlin_brackets())}, dim=8),
     co.Quadratic([0.5, 0.5, *[0.5 / ({{a}} * {{a}})] * 2, *[0.5 / (1.0 + {{a}} * {{a}})] * 4]),
 )""",
-        (Slider("a", "ratio of the sides", 0.5, 1.5, 0.8, 0.05),),
+        (Slider("a", "width by height", 0.5, 1.5, 0.8, 0.05),),
         ("0.5 a a * /", "0.5 1 a a * + /"),
         (1.0, 0.0, 0.05, 0.1, 0.1, -0.05, 0.02, 0.08),
         tuple(f"{name}{k + 1}" for k in range(len(WAVES)) for name in ("cos", "sin")),

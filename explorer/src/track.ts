@@ -6,6 +6,7 @@ import type { Section } from "./tables";
 export const TRAIL = 2400; // coordinates triples kept, for all balls together
 const BINS_PER_DECADE = 40, DECADES = 9;
 const MAX_SECTION = 4000;
+const BISECTIONS = 40;
 
 export interface Plan {
   title: string;
@@ -49,6 +50,7 @@ export class Track {
   failure = "";
   private readonly run: Run;
   private readonly first: Float64Array;
+  private readonly recent: Float64Array[] = [];
 
   constructor(kernels: Kernels, readonly plan: Plan, balls: number) {
     const size = plan.x0.length;
@@ -80,7 +82,7 @@ export class Track {
     const size = this.x.length, count = this.plan.invariants.length, { section } = this.plan;
     for (let k = 0; k < points.count; ++k) {
       const next = points.x.subarray(k * size, (k + 1) * size);
-      if (section && this.count) this.cross(section, this.x, next);
+      if (section) this.cross(section, next);
       this.x = next;
       this.trail.set(next, (this.count % this.capacity) * size);
       let worst = 0;
@@ -96,13 +98,23 @@ export class Track {
     if (rows) this.rotation = axes.flatMap((i) => axes.map((j) => group[i * rows + j]));
   }
 
-  // A point of the section, between two states, where a coordinate rises through zero.
-  private cross(section: Section, before: Float64Array, after: Float64Array): void {
-    const a = before[section.level], b = after[section.level];
-    if (!(a < 0 && b >= 0)) return;
-    const part = a / (a - b);
-    const at = (i: number) => before[i] + part * (after[i] - before[i]);
-    this.crossings.push(at(section.across), at(section.up));
+  // A point of the section where a coordinate rises through zero: on the cubic through four states, between the middle two.
+  private cross(section: Section, next: Float64Array): void {
+    const { recent } = this;
+    recent.push(next);
+    if (recent.length < 4) return;
+    if (recent.length > 4) recent.shift();
+    if (!(recent[1][section.level] < 0 && recent[2][section.level] >= 0)) return;
+    const at = (i: number, s: number) =>
+      (-s * (s - 1) * (s - 2) * recent[0][i] + 3 * (s + 1) * (s - 1) * (s - 2) * recent[1][i] -
+        3 * (s + 1) * s * (s - 2) * recent[2][i] + (s + 1) * s * (s - 1) * recent[3][i]) / 6;
+    let low = 0, high = 1;
+    for (let k = 0; k < BISECTIONS; ++k) {
+      const middle = (low + high) / 2;
+      if (at(section.level, middle) < 0) low = middle;
+      else high = middle;
+    }
+    this.crossings.push(at(section.across, low), at(section.up, low));
     if (this.crossings.length > 2 * MAX_SECTION) this.crossings.splice(0, 2);
   }
 

@@ -24,14 +24,19 @@ import numpy as np
 from browsing import COLORS, WINDOWS, browser_program, faults, served
 from playwright.sync_api import Browser, Page, sync_playwright
 
+sys.path.append(str(Path(__file__).parents[2] / "docs"))
+
+from explorer_systems import SHOWN
+from write_explorer import first_values
+
+import coadjoint as co
+
 LARGEST_SIZE = 500_000  # bytes of all files, compressed
 LEAST_FRAMES = 30.0  # per second, in software rendering
 LONGEST_START = 3000.0  # milliseconds until the first picture, on a busy machine
 STEPS = 150
-SYSTEMS = (
-    "rigid_body", "heavy_top", "spin_pair", "spin_chain", "toda_ring", "maxwell_bloch", "fluid_triad",
-    "fluid_modes", "algebra",
-)  # fmt: skip
+SECTION_STEPS, SECTION_ERROR = 2000, 3e-3
+SYSTEMS = (*(shown.name for shown in SHOWN), "algebra")
 SCHEMES = ("splitting2", "splitting4", "rk4", "gauss", "taylor")
 WAIT = 20_000
 
@@ -200,6 +205,28 @@ def check_drift(browser: Browser, base: str, wrong: list[str]) -> None:
         stays, leaves = tab.evaluate("explorer.app.tracks.map((track) => track.casimirs.most)")
         if not stays < 1e-13 < 1e-2 < leaves:
             wrong.append(f"the errors of the Casimir are {stays} and {leaves}")
+        orthogonal, collapsed = np.array(tab.evaluate("explorer.app.tracks.map((t) => t.rotation)")).reshape(2, 3, 3)
+        if not np.abs(orthogonal.T @ orthogonal - np.eye(3)).max() < 1e-12 or np.linalg.det(collapsed) > 0.5:
+            wrong.append(f"the rotations are {orthogonal} and {collapsed}")
+
+
+def check_sections(browser: Browser, base: str, wrong: list[str]) -> None:
+    """Compare points of the sections with events of the library, which may be two in one step."""
+    for shown in SHOWN:
+        if (section := shown.view.get("section")) is None:
+            continue
+        with opened(browser, base, f"system={shown.name}&b=gauss", wrong) as tab:
+            take(tab, SECTION_STEPS)
+            points = np.array(tab.evaluate("explorer.app.tracks[1].crossings")).reshape(-1, 2)
+        rises = co.Event(lambda x, level=section["level"]: x[level], direction=1)
+        system, span = shown.build(first_values(shown)), (0.0, SECTION_STEPS * shown.step)
+        sol = co.integrate(system, shown.x0, span, shown.step, co.GaussLegendre(stages=2), events=rises)
+        expected = sol.events.x[:, [section["across"], section["up"]]]
+        distances = np.abs(points[:, None] - expected).max(axis=-1).min(axis=1)
+        if abs(len(points) - len(expected)) > 1 or distances.max() > SECTION_ERROR:
+            wrong.append(
+                f"the section of {shown.name} has {len(points)} points of {len(expected)}, {distances.max()} off"
+            )
 
 
 def measured(browser: Browser, base: str, wrong: list[str]) -> dict[str, Any]:
@@ -252,6 +279,7 @@ def main() -> int:
         check_address(browser, base, wrong)
         check_keys_and_clicks(browser, base, wrong)
         check_drift(browser, base, wrong)
+        check_sections(browser, base, wrong)
         check_failures(browser, base, wrong)
         browser.close()
     print(*wrong, sep="\n")
