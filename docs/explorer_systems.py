@@ -279,8 +279,8 @@ SHOWN = (
     Shown(
         "fluid_modes",
         "Fluid: Zeitlin's model",
-        "An ideal fluid on a torus, by eight Fourier modes. It keeps the energy and two invariants of the vorticity, of "
-        "which the map shows two periods. The first wave is unstable on a torus that is higher than wide.",
+        "An ideal fluid on a torus, by eight Fourier modes. It keeps the energy and two invariants of the vorticity, "
+        "of which the map shows two periods. The first wave is unstable on a torus that is higher than wide.",
         f"""co.LiePoissonSystem(
     co.LieAlgebra({_wrapped(zeitlin_brackets())}, dim=8),
     co.Quadratic([0.5, 0.5, *[0.5 / ({{a}} * {{a}})] * 2, *[0.5 / (1.0 + {{a}} * {{a}})] * 4]),
