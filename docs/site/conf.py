@@ -1,14 +1,18 @@
 """Sphinx configuration of the documentation site, which `make site` builds from what `write_sources.py` writes."""
 
 import os
+import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import coadjoint
 
-urls = tomllib.loads((Path(coadjoint.__file__).parents[2] / "pyproject.toml").read_text("utf-8"))["project"].get(
-    "urls", {}
-)
+root = Path(coadjoint.__file__).parents[2]
+sys.path.append(str(root / "docs" / "site"))
+from formulas import in_restructured_text  # noqa: E402
+
+urls = tomllib.loads((root / "pyproject.toml").read_text("utf-8"))["project"].get("urls", {})
 
 project = "coadjoint"
 author = "The coadjoint developers"
@@ -65,3 +69,13 @@ if published := os.environ.get("COADJOINT_SITE"):
         "navbar_end": ["version-switcher", "theme-switcher", "navbar-icon-links"],
     }
     html_js_files = ["versions.js"]
+
+
+def set_formulas(app: Any, what: str, name: str, subject: Any, options: Any, lines: list[str]) -> None:
+    """Replace the formulas of a docstring by mathematics."""
+    lines[:] = in_restructured_text(lines)
+
+
+def setup(app: Any) -> None:
+    """Set formulas before numpydoc divides a docstring into sections."""
+    app.connect("autodoc-process-docstring", set_formulas, priority=100)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import write_api
+from formulas import in_markdown
 from system_pages import scheme_name
 
 import coadjoint as co
@@ -30,7 +31,7 @@ def _index() -> Iterator[str]:
     yield "Every scheme of `co.methods.names()`. [Which scheme?](../schemes.md) says which one to take.\n"
     yield "| scheme | |\n|---|---|"
     for name in registry.names():
-        line = registry.documentation_of(name).partition("\n")[0].replace("``", "`").replace("|", "\\|")
+        line = in_markdown(registry.documentation_of(name).partition("\n")[0]).replace("|", "\\|")
         yield f"| [`{name}`]({name}.md) | {line} |"
     yield "\n```{toctree}\n:hidden:\n"
     yield from registry.names()
@@ -42,7 +43,7 @@ def _page(name: str) -> Iterator[str]:
     examples = list(scheme.examples())
     shown = _default(scheme, examples)
     yield f"# {name}\n"
-    yield f"{registry.documentation_of(name).partition(chr(10))[0].replace('``', '`')}\n"
+    yield f"{in_markdown(registry.documentation_of(name).partition(chr(10))[0])}\n"
     yield "## Order and symmetry\n"
     yield "| scheme | order | explicit | symmetric | steps |\n|---|---|---|---|---|"
     for example in examples:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from formulas import in_markdown
 from starts import STARTS
 
 import coadjoint as co
@@ -63,7 +64,7 @@ def write_notebooks(folder: Path) -> None:
 
     folder.mkdir(parents=True, exist_ok=True)
     for name in co.systems.names():
-        summary = _capital(summarize_system(name)["summary"].removeprefix("Return "))
+        summary = _sentence(name)
         text = f"# {name}\n\n{summary}\n\n{_entry(name).caption}"
         # Numbers in place of random identifiers, so that a notebook is the same each time.
         cells = [
@@ -126,7 +127,7 @@ def _page(name: str) -> Iterator[str]:
     summary, entry = summarize_system(name), _entry(name)
     system = co.systems.get(name, **entry.parameters)
     yield f"# {name}\n"
-    yield f"{_capital(summary['summary'].removeprefix('Return '))}\n"
+    yield f"{_sentence(name)}\n"
     yield f":::{{figure}} {name}.png\n:alt: {entry.caption}\n:target: {name}.png\n\n{entry.caption}\n:::\n"
     yield f"```python\n{code(name)}\n```\n"
     yield f"{{download}}`The same as a notebook <{name}.ipynb>`\n"
@@ -177,8 +178,10 @@ def _link(scheme: str) -> str:
     return f"[`{scheme}`](../schemes/{scheme.partition('(')[0]}.md)"
 
 
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
+def _sentence(name: str) -> str:
+    """Return the first line of the docstring of a system as Markdown."""
+    text = str(summarize_system(name)["summary"]).removeprefix("Return ")
+    return in_markdown(text[:1].upper() + text[1:])
 
 
 def _index() -> Iterator[str]:

@@ -51,8 +51,8 @@ def phase_error(
 
     Notes
     -----
-    Gauss-Newton on ``|x - right(t + d)|^2``: d changes by ``f.(x - y)/|f|^2`` at y = right(t + d), with f the vector
-    field there. A motion of several angles has a phase error in each of them, and the lead is an average; see
+    Gauss-Newton on ``|x - right(t + d)|^2``: d changes by ``f . (x - y) / |f|^2`` at y = right(t + d), with f the
+    vector field there. A motion of several angles has a phase error in each of them, and the lead is an average; see
     `line_drift`.
 
     Examples

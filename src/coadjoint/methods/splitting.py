@@ -39,7 +39,7 @@ class Splitting(FlowMethod):
     Parameters
     ----------
     order : {1, 2, 4, 6, 8, 10}
-        1: one sweep X_1(h), ..., X_n(h) through the parts. 2: ``X1(h/2) ... Xn(h) ... X1(h/2)`` (Lemma 4.1).
+        1: one sweep X_1(h), ..., X_n(h) through the parts. 2: ``X_1(h/2) ... X_n(h) ... X_1(h/2)`` (Lemma 4.1).
         4, 6, 8, 10: a symmetric composition of 5, 11, 21, 35 steps of order 2, with the smallest error at equal cost on
         a rigid body.
     parts : "auto", "coordinates", "free_body", "bonds", sequence of sequences of int, or ChosenParts

@@ -263,7 +263,7 @@ class LiePoissonSystem:
 
     @ignore_overflow
     def jacobian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
-        """Return the derivative of the vector field, ``sign * (D_grad H + J(x) H'')``, dense.
+        """Return the derivative of the vector field, ``sign * (D_(grad H) + J(x) H'')``, dense.
 
         Parameters
         ----------

@@ -52,7 +52,7 @@ def double_spherical_pendulum(
     """Return a spherical pendulum that hangs from another one, in terms of two directions in space and their momenta.
 
     With unit vectors u_1 (from the pivot to the first mass) and u_2 (from there to the second), the Lagrangian is ``a
-    |u_1'|^2/2 + b |u_2'|^2/2 + c u_1'.u_2' - gravity ((m_1 + m_2) l_1 u_13 + m_2 l_2 u_23)``, a = (m_1 + m_2) l_1^2,
+    |u_1'|^2/2 + b |u_2'|^2/2 + c u_1' . u_2' - gravity ((m_1 + m_2) l_1 u_13 + m_2 l_2 u_23)``, a = (m_1 + m_2) l_1^2,
     b = m_2 l_2^2, c = m_2 l_1 l_2; the third axis points up. H depends on the directions ``q/|q|`` and the angular
     momenta ``q cross p`` only: so q stays on its sphere, and the component of p along q has no effect. Sign +1.
 

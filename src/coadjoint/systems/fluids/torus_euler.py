@@ -260,8 +260,8 @@ def _two_jets() -> Matrix:
 def torus_euler(N: int = 33) -> TorusEuler:
     """Return the Euler equations of an ideal fluid on the torus with the sine bracket: ``W' = [P, W]``, ``L P = -W``.
 
-    ``w_n' = sum over m of N/(2 pi) sin(2 pi (m x n)/N) w_m w_(n-m) / |m|^2`` for the Fourier modes w_n of the
-    vorticity, m x n = m1 n2 - m2 n1, modes counted mod N.
+    ``w_n' = sum over m of N/(2 pi) sin(2 pi (m cross n)/N) w_m w_(n-m) / |m|^2`` for the Fourier modes w_n of the
+    vorticity, m cross n = m1 n2 - m2 n1, modes counted mod N.
     As N grows it converges to the Euler equation on a torus of side 2 pi, in physical time; `TorusEuler` documents the
     conventions.
 

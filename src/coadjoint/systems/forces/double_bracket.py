@@ -24,9 +24,9 @@ class DoubleBracketDamping(Force):
     """Damping along the coadjoint orbit, ``x' = alpha J(x) P J(x) grad H``: reduces the energy, preserves Casimirs.
 
     For spins (copies of so(3), with H = -B.S and the like) this is Landau-Lifshitz damping,
-    ``S' = -alpha S x (S x B)`` with B = -grad H. For Gilbert's form with damping a multiply the Hamiltonian by
+    ``S' = -alpha S cross (S cross B)`` with B = -grad H. For Gilbert's form with damping a multiply the Hamiltonian by
     1/(1 + a^2), and take alpha = a. For fluids it is the selective decay of energy at constant vorticity. The energy
-    decreases at the rate ``alpha f.P f``, f the Hamiltonian part of x'.
+    decreases at the rate ``alpha f . P f``, f the Hamiltonian part of x'.
 
     Its flow is the midpoint rule on the orbit, by exponentials: of order 2, symmetric; Casimirs are preserved to
     round-off.
