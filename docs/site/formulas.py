@@ -15,7 +15,8 @@ OPERATORS = {
     "of": "",
 }  # fmt: skip
 SIGNS = {
-    "->": "\\to", "+=": "\\mathrel{+}=", "...": "\\ldots", "{": "\\{", "}": "\\}", "*": "", "·": "\\cdot",
+    "->": "\\to", "!=": "\\ne", "<=": "\\le",
+    "+=": "\\mathrel{+}=", "...": "\\ldots", "{": "\\{", "}": "\\}", "*": "", "·": "\\cdot",
     "⟨": "\\langle ", "⟩": "\\rangle",
 }  # fmt: skip
 
@@ -34,12 +35,25 @@ WORD = r"[A-Za-z]+\d*"
 SUBSCRIPT = r"_(?:\{[^{}]*\}|\([^()]*\)(?:\([^()]*\))?|[A-Za-z0-9]+(?:,[a-z](?![a-z]))?)"
 POWER = r"\^(?:\([^()]*\)|-?\w+)"
 TOKEN = re.compile(
-    r"(?P<space>\s+)|(?P<prose>\b(?:the|axial)\b(?: [a-z]+)*)|(?P<argument>[a-z]{3,}_[a-z]{3,}\b)"
+    r"(?P<space>\s+)|(?P<prose>\b(?:the|axial)\b(?: [a-z]+)*)|(?P<argument>(?!sum_)[a-z]{3,}_[a-z]{3,}\b)"
     rf"|(?P<name>{WORD})(?P<indices>(?:{SUBSCRIPT})*)(?P<primes>'*)(?P<tilde>~?)(?P<power>(?:{POWER})?)"
     r"(?P<star>(?:\*(?=[ ,)]|$))?)"
     rf"|(?P<number>\d+(?:\.\d+)?)(?P<exponent>(?:{POWER})?)|(?P<close>[\])|])(?P<raised>(?:{POWER})?)"
-    r"|(?P<sign>\.\.\.|->|\+=|.)"
+    r"|(?P<sign>\.\.\.|->|\+=|!=|<=|.)"
 )
+# In text between marks, words that may belong to a formula, and what a formula has.
+MARKED = re.compile(r"(:math:`[^`]*`|``[^`]+``|`[^`]+`_?)")
+SYMBOL = (
+    rf"(?:(?:[A-Za-z]|{'|'.join(sorted(GREEK))}|sum|exp|tr|Re)\d{{0,2}}(?:_(?:[a-z0-9]{{1,2}}|new"
+    rf"|\([^()]*\)(?:\([^()]*\))?))*'*~?(?:{POWER})?\*?|\d+(?:{POWER})?|\.\.\.)"
+)
+SYMBOLS = re.compile(
+    rf"[-(\[{{|]*(?:{SYMBOL})(?:[(/|]+-?{SYMBOL}[)|]*(?:{POWER})?)*[)\]}}|]*(?:{POWER})?'*[.,;:]?|\.\.\.\.?"
+)
+OPERATIONS = {"=", "+", "-", "/", "<", ">", "<=", "!=", "cross", "grad", ".", "..."}
+NEVER_FIRST = {"a", "I", "...", "....", *OPERATIONS} - {"-", "grad"}
+NEVER_LAST = {"a", *OPERATIONS} - {"..."}
+INDEXED = re.compile(r"[A-Za-z0-9)|]\^|\b[A-Za-z]+_[a-z0-9({]|' = .*\b(?:grad|J)\b")
 FACTORS = re.compile(r"[\w)|] [\w(|]")
 LITERAL = re.compile(r"``([^`]+)``")
 LONGEST, LONGEST_INSIDE, LONGEST_PRODUCT, LEAST = 14, 20, 26, 8
@@ -183,8 +197,12 @@ def _raised(power: str) -> str:
 
 
 def in_restructured_text(lines: list[str]) -> list[str]:
-    """Return the lines of a docstring with formulas as mathematics."""
-    return _replaced("\n".join(lines), ":math:`{}`".format, "``{}``".format).split("\n")
+    """Return the lines of a docstring with formulas as mathematics, also those of the text around; not in examples."""
+    text, heading, examples = "\n".join(lines).partition("\nExamples\n---")
+    role = ":math:`{}`".format
+    marked = _replaced(text, role, "``{}``".format)
+    parts = [part if k % 2 else _of_text(part, role) for k, part in enumerate(MARKED.split(marked))]
+    return ("".join(parts) + heading + examples).split("\n")
 
 
 def in_markdown(text: str) -> str:
@@ -198,3 +216,49 @@ def _replaced(text: str, formula: Callable[[str], str], code: Callable[[str], st
         return code(found[1]) if pieces is None else " ".join(map(formula, pieces))
 
     return LITERAL.sub(replace, text)
+
+
+def _of_text(text: str, formula: Callable[[str], str]) -> str:
+    """Return text between marks with its formulas: words in sequence that are symbols, with an index or a power."""
+    parts = re.split(r"([ ]|\n *)", text)  # words, and between them spaces and ends of lines
+    found, position = "", 0
+    while position < len(parts):
+        stop = _end_of_formula(parts, position)
+        first, last = position, stop
+        while first < last and (parts[first] in NEVER_FIRST or not parts[first].strip()):
+            first += 1
+        while last > first and (parts[last - 1] in NEVER_LAST or not parts[last - 1].strip()):
+            last -= 1
+        run = " ".join("".join(parts[first:last]).split())
+        core = re.sub(r"(?:(?<=\.\.\.)|(?<!\.))[.,;:]$", "", run)
+        pieces = latex(core) if INDEXED.search(core) and _is_balanced(core) else None
+        if pieces is None:
+            found += "".join(parts[position : max(stop, position + 1)])
+        else:
+            found += "".join(parts[position:first]) + " ".join(map(formula, pieces)) + run[len(core) :]
+            found += "".join(parts[last:stop])
+        position = max(stop, position + 1)
+    return found
+
+
+def _end_of_formula(parts: list[str], position: int) -> int:
+    """Return where words end that are symbols; punctuation ends them unless a bracket is open."""
+    start = position
+    while position < len(parts):
+        word = parts[position]
+        if "\n" in word and not parts[position + 1 : position + 2]:
+            break
+        if word.strip() and not (SYMBOLS.fullmatch(word) or word in OPERATIONS):
+            break
+        if (
+            word[-1:] in (",", ";", ":", ".")
+            and not word.endswith("...")
+            and _is_balanced("".join(parts[start : position + 1]))
+        ):
+            return position + 1
+        position += 1
+    return position
+
+
+def _is_balanced(text: str) -> bool:
+    return all(text.count(left) == text.count(right) for left, right in ("()", "[]", "{}")) and text.count("|") % 2 == 0
