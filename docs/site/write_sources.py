@@ -41,6 +41,7 @@ def write(folder: Path, explorer: Path | None) -> None:
     reference, targets = reference_pages({path.removesuffix(".md") for path in pages})
     pages |= reference
     pages["api.md"] = linked(pages["api.md"], targets)
+    pages["schemes.md"] = with_schemes(pages["schemes.md"], set(pages))
     for path, text in pages.items():
         write_if_changed(folder / path, with_explorer(text) if explorer else text)
     copy_explorer(explorer, folder / "extra")
@@ -101,6 +102,17 @@ def linked(text: str, targets: dict[str, str]) -> str:
     text = text.replace("| name | what it is | file |\n|---|---|---|", "| name | what it is |\n|---|---|")
     text = re.sub(r"\| \[[^|]*\]\([^|]*\) \|$", "|", text, flags=re.MULTILINE)
     return re.sub(r"^\| `([\w.]+)` \|", link, text, flags=re.MULTILINE)
+
+
+def with_schemes(text: str, pages: set[str]) -> str:
+    """Return the tables of schemes with links from each to its page."""
+
+    def link(code: re.Match[str]) -> str:
+        page = f"schemes/{code[1]}.md"
+        return f"[{code[0]}]({page})" if page in pages else code[0]
+
+    lines = text.split("\n")
+    return "\n".join(re.sub(r"`(\w+)(?:\([^`]*\))?`", link, line) if line.startswith("|") else line for line in lines)
 
 
 def write_if_changed(path: Path, text: str) -> None:

@@ -33,13 +33,14 @@ VOID = {"area", "base", "br", "col", "embed", "hr", "img", "input", "link", "met
 REDUCTION = 20
 # Part of the reduced pixels that differ by more than this of 255: fewer with other fonts, more without a style sheet.
 DIFFERENT, TOLERANCE = 24, 0.1
-# What a reader looks for, with the pages that answer; each is at most two links from the first page.
+# What a reader looks for, with the pages that answer and words of the answers; each page is at most two links from the
+# first one.
 QUESTIONS = {
-    "how to integrate an algebra of one's own": "own_algebra.html",
-    "which scheme for spins": "schemes.html",
-    "what drift means": "terms.html",
-    "how to resume a run": "archives.html",
-    "how accurate Taylor is": "accuracy.html",
+    "how to integrate an algebra of one's own": ("own_algebra", "LieAlgebra.from_brackets("),
+    "which scheme for spins": ("schemes", "spins at a temperature, lattices"),
+    "what drift means": ("terms", "largest deviation of an invariant"),
+    "how to resume a run": ("archives", "co.resume(path)"),
+    "how accurate Taylor is": ("accuracy", "How accurate Taylor is"),
 }
 
 
@@ -125,8 +126,8 @@ def versions(tab: Page, base: str, page: str) -> list[str]:
 
 
 def links(tab: Page, base: str) -> set[str]:
-    """Return the pages of the site that a page links, without those of other versions."""
-    selected = "a[href]:not(.version-switcher__menu a)"
+    """Return the pages of the site that the text of a page links."""
+    selected = "article a[href]"
     found = tab.evaluate(f"[...document.querySelectorAll('{selected}')].map(a => a.href.split('#')[0])")
     return {address.removeprefix(base) for address in found if address.startswith(base)}
 
@@ -177,9 +178,12 @@ def main() -> int:
         for page in sorted(near):
             with opened(browser, base, page.removesuffix(".html") or "index", WINDOWS[0], "light", wrong) as tab:
                 reached |= links(tab, base)
-        wrong += [
-            f"{asked}: {page} is more than two links away" for asked, page in QUESTIONS.items() if page not in reached
-        ]
+        for asked, (page, answer) in QUESTIONS.items():
+            if f"{page}.html" not in reached:
+                wrong.append(f"{asked}: {page} is more than two links away")
+            with opened(browser, base, page, WINDOWS[0], "light", wrong) as tab:
+                if answer not in tab.inner_text("article"):
+                    wrong.append(f"{asked}: {page} does not contain {answer!r}")
         searches(browser, base, wrong)
         browser.close()
     print(*wrong, sep="\n")
