@@ -38,7 +38,7 @@ TOKEN = re.compile(
     r"(?P<space>\s+)|(?P<prose>\b(?:the|axial)\b(?: [a-z]+)*)|(?P<argument>(?!sum_)[a-z]{3,}_[a-z]{3,}\b)"
     rf"|(?P<name>{WORD})(?P<indices>(?:{SUBSCRIPT})*)(?P<primes>'*)(?P<tilde>~?)(?P<power>(?:{POWER})?)"
     r"(?P<star>(?:\*(?=[ ,)]|$))?)"
-    rf"|(?P<number>\d+(?:\.\d+)?)(?P<exponent>(?:{POWER})?)|(?P<close>[\])|])(?P<raised>(?:{POWER})?)"
+    rf"|(?P<number>\d+(?:\.\d+)?)(?P<exponent>(?:{POWER})?)|(?P<close>[\])|])(?P<below>(?:{SUBSCRIPT})?)(?P<raised>(?:{POWER})?)"
     r"|(?P<sign>\.\.\.|->|\+=|!=|<=|.)"
 )
 # In text between marks, words that may belong to a formula, and what a formula has.
@@ -134,7 +134,7 @@ def _translated(text: str) -> Iterator[tuple[re.Match[str], str]]:
         is_word = "\\mathtt" in written
         if text[token.start() - 1 : token.start()] == " " and (is_word or "\\mathtt" in before):
             operands = token["name"] or token["argument"] or token["number"] or token["sign"] == "("
-            if operands and re.search(r"[\w})|\]']$", before) and before not in OPERATORS.values():
+            if operands and re.search(r"[\w})|\]']$", before) and before.partition("_")[0] not in OPERATORS.values():
                 written = f"\\,{written}"
         after_root = token["name"] == "sqrt"
         before = before if token["space"] else written
@@ -154,7 +154,8 @@ def _written(token: re.Match[str]) -> str:
     if token["number"]:
         return token["number"] + _raised(token["exponent"])
     if token["close"]:
-        return token["close"] + _raised(token["raised"])
+        below = f"_{{{_index(token['below'])}}}" if token["below"] else ""
+        return token["close"] + below + _raised(token["raised"])
     return SIGNS.get(token["sign"], token["sign"])
 
 
@@ -188,7 +189,7 @@ def _index(index: str) -> str:
         inside = inside[1:-1]
         if " " in inside:
             return "".join(written for _, written in _translated(inside))
-    return f"\\mathrm{{{inside}}}" if re.fullmatch("[a-z]{3,}", inside) else inside
+    return f"\\mathrm{{{inside}}}" if re.fullmatch("(?![i-n]+$)[a-z]{3,}", inside) else inside
 
 
 def _raised(power: str) -> str:
@@ -206,8 +207,15 @@ def in_restructured_text(lines: list[str]) -> list[str]:
 
 
 def in_markdown(text: str) -> str:
-    """Return a sentence of a docstring as Markdown with formulas as mathematics."""
-    return _replaced(text, "${}$".format, "`{}`".format)
+    """Return a sentence of a docstring as Markdown with formulas as mathematics, which a table may contain, too."""
+
+    def formula(piece: str) -> str:
+        return f"${piece.replace('|', chr(92) + 'vert ')}$"
+
+    marked = _replaced(text, formula, "`{}`".format)
+    return "".join(
+        part if k % 2 else _of_text(part, formula) for k, part in enumerate(re.split(r"(`[^`]+`|\$[^$]+\$)", marked))
+    )
 
 
 def _replaced(text: str, formula: Callable[[str], str], code: Callable[[str], str]) -> str:

@@ -101,7 +101,15 @@ def linked(text: str, targets: dict[str, str]) -> str:
 
     text = text.replace("| name | what it is | file |\n|---|---|---|", "| name | what it is |\n|---|---|")
     text = re.sub(r"\| \[[^|]*\]\([^|]*\) \|$", "|", text, flags=re.MULTILINE)
+    text = re.sub(r"^(\| `[\w.]+` \| )(.*)(?= \|$)", lambda row: row[1] + _described(row[2]), text, flags=re.MULTILINE)
     return re.sub(r"^\| `([\w.]+)` \|", link, text, flags=re.MULTILINE)
+
+
+def _described(cell: str) -> str:
+    """Return a description in a table with its formulas as mathematics."""
+    from formulas import in_markdown
+
+    return in_markdown(cell.replace("\\|", "|").replace("`", "``")).replace("|", "\\|")
 
 
 def with_schemes(text: str, pages: set[str]) -> str:

@@ -50,7 +50,7 @@ class Structure:
         return np.zeros((self._dim, self._dim), dtype=dtype)
 
     def structure_matrix(self, x: Any) -> NDArray[Any]:
-        """Return J(x), J_ij = sum_k c_ij^k x_k: the Poisson bracket {F, G} = grad F . J(x) grad G (equation (2)).
+        """Return J(x), ``J_ij = sum_k c_ij^k x_k``: the Poisson bracket ``{F, G} = grad F . J(x) grad G``.
 
         Parameters
         ----------
@@ -86,7 +86,7 @@ class Structure:
         return matrix
 
     def bracket(self, u: Any, v: Any) -> NDArray[Any]:
-        """Return the Lie bracket [u, v] = sum_ijk u_i v_j c_ij^k e_k.
+        """Return the Lie bracket ``[u, v] = sum_ijk u_i v_j c_ij^k e_k``.
 
         Parameters
         ----------
@@ -121,7 +121,7 @@ class Structure:
         return result
 
     def coadjoint(self, u: Any) -> NDArray[Any]:
-        """Return the matrix D_u of the coadjoint action: D_u x = J(x) u, (D_u)_jk = sum_i u_i c_ji^k.
+        """Return the matrix D_u of the coadjoint action: ``D_u x = J(x) u``, ``(D_u)_jk = sum_i u_i c_ji^k``.
 
         Parameters
         ----------

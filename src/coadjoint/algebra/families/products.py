@@ -183,7 +183,7 @@ def _block_diagonal(parts: Sequence[Floats | None]) -> Floats | None:
 
 
 def semidirect(g: LieAlgebra, representation: Any = None, ideal: LieAlgebra | None = None) -> LieAlgebra:
-    """Return the semidirect product of g with the space it acts on: [e_i, p_a] = sum_b (rho_i)_ba p_b.
+    """Return the semidirect product of g with the space it acts on: ``[e_i, p_a] = sum_b (rho_i)_ba p_b``.
 
     The coordinates are those of g, then those of the space. ``semidirect(so(3))`` is e(3).
 
