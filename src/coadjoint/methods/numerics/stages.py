@@ -13,7 +13,7 @@ from coadjoint.systems.system_checks import System
 
 
 class Coefficients(NamedTuple):
-    """A tableau: ``X_i = x + sum_j mix_ij L_j``, ``L_j = h scale_j f(X_j, t + node_j h)``; a step adds the ``out_j L_j``.
+    """A tableau: ``X_i = x + sum_j mix_ij L_j``, ``L_j = h scale_j f(X_j, t + node_j h)``; a step adds ``out_j L_j``.
 
     Gauss methods have scale = b, mix = mu, out = 1; explicit ones, whose b_j may vanish, scale = 1, mix = a, out = b.
     """
