@@ -1,5 +1,6 @@
 """Sphinx configuration of the documentation site, which `make site` builds from what `write_sources.py` writes."""
 
+import inspect
 import os
 import sys
 import tomllib
@@ -76,6 +77,18 @@ def set_formulas(app: Any, what: str, name: str, subject: Any, options: Any, lin
     lines[:] = in_restructured_text(lines)
 
 
+def set_signature(
+    app: Any, what: str, name: str, subject: Any, options: Any, signature: str, returned: Any
+) -> tuple[str, Any] | None:
+    """Return the signature of a scheme, in place of that of the `__new__` of all schemes."""
+    if what != "class" or signature != "(*arguments, **parameters)":
+        return None
+    found = inspect.signature(subject)
+    bare = [parameter.replace(annotation=inspect.Parameter.empty) for parameter in found.parameters.values()]
+    return str(found.replace(parameters=bare, return_annotation=inspect.Signature.empty)), returned
+
+
 def setup(app: Any) -> None:
-    """Set formulas before numpydoc divides a docstring into sections."""
+    """Set formulas before numpydoc divides a docstring into sections, and signatures before it reads them."""
     app.connect("autodoc-process-docstring", set_formulas, priority=100)
+    app.connect("autodoc-process-signature", set_signature, priority=100)
