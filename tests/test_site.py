@@ -73,6 +73,7 @@ def test_every_public_name_has_a_page():
     modules = {"co.__version__", *(f"co.{name}" for name in dir(co) if isinstance(getattr(co, name), ModuleType))}
     assert [name for name in left if name not in modules] == []
     assert {path for path in targets.values()} <= set(pages) | {f"{path}.md" for path in written}
+    assert r"| Return the free rigid body, $x' = x \times (I^{-1} x)$, with its exact solution. |" in text
 
 
 def test_every_system_and_scheme_has_a_page():

@@ -101,7 +101,8 @@ def linked(text: str, targets: dict[str, str]) -> str:
 
     text = text.replace("| name | what it is | file |\n|---|---|---|", "| name | what it is |\n|---|---|")
     text = re.sub(r"\| \[[^|]*\]\([^|]*\) \|$", "|", text, flags=re.MULTILINE)
-    text = re.sub(r"^(\| `[\w.]+` \| )(.*)(?= \|$)", lambda row: row[1] + _described(row[2]), text, flags=re.MULTILINE)
+    described = re.compile(r"^(\| `[\w.]+` \| )((?:[^|\n]|(?<=\\)\|)*?)(?= \|)", re.MULTILINE)
+    text = described.sub(lambda row: row[1] + _described(row[2]), text)
     return re.sub(r"^\| `([\w.]+)` \|", link, text, flags=re.MULTILINE)
 
 
