@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
-from explorer_systems import SHOWN, evaluate
+from explorer_systems import SHOWN, WAVES, evaluate
 from write_explorer import SCHEMES, check, code_of, entry, first_values, moved, rows_of_parts, shared, tables_of
 
 import coadjoint as co
@@ -52,3 +52,18 @@ def test_flows_of_a_typed_algebra_are_those_of_its_splitting():
         rows = rows_of_parts()[f"splitting{order}"][1]
         assert np.array_equal(rows["part"], program["part"]) and np.array_equal(rows["section"], program["section"])
         assert np.array_equal(rows["tau"], program["coefficient"])
+
+
+def test_the_fluid_of_modes_is_that_of_matrices():
+    (shown,) = (shown for shown in SHOWN if shown.name == "fluid_modes")
+    modes, matrices = shown.build({"a": 1.0}), co.systems.torus_euler(N=3)
+    unit = 3 * np.sqrt(3) / (4 * np.pi)  # of vorticity, in which the brackets are +-1
+    x = np.random.default_rng(0).normal(size=8)
+    slope = np.zeros(8)
+    state = {wave: (x[2 * k] - 1j * x[2 * k + 1]) / (2 * unit) for k, wave in enumerate(WAVES)}
+    found = matrices.modes(matrices.vector_field(matrices.from_modes(state)))
+    for k, (a, b) in enumerate(WAVES):
+        w = found[a, b] if (a, b) in found else np.conj(found[-a, -b])
+        slope[2 * k : 2 * k + 2] = 2 * unit * w.real, -2 * unit * w.imag
+    assert np.allclose(modes.vector_field(x), slope, rtol=0, atol=1e-13)
+    assert list(modes.casimirs) == ["C2", "C3"]
