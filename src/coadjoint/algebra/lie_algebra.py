@@ -107,25 +107,38 @@ class LieAlgebra(Structure):
         rho = None if representation is None else check_representation(representation, triples, size, names)
         self._store(triples, size, names, name, rho, casimirs or {})
 
+    # The algebra and the number of its copies, for a sum of copies.
+    _copied: tuple[LieAlgebra, int] | None = None
+
     def _store(
         self,
-        triples: Triples,
+        triples: Triples | Callable[[], Triples],
         dim: int,
         basis: tuple[str, ...] | Callable[[], tuple[str, ...]],
         name: str | None,
         representation: Floats | None,
         casimirs: Mapping[str, Any],
     ) -> None:
-        """Store valid data; names of the basis, which may be millions, can be a function, called when they are read."""
-        for column in (*triples, *(() if representation is None else (representation,))):
+        """Store valid data; constants and names, which may be millions, can be functions, called when they are read."""
+        arrays = () if callable(triples) else triples
+        for column in (*arrays, *(() if representation is None else (representation,))):
             column.flags.writeable = False
-        self._triples, self._dim, self._basis, self._name = triples, dim, basis, name
+        self._constants, self._dim, self._basis, self._name = triples, dim, basis, name
         self._representation = representation
         coordinates = names_of_basis(self.basis) if casimirs else ()
         self._casimirs = {
             key: casimir.named(coordinates) if isinstance(casimir, Polynomial) else casimir
             for key, casimir in casimirs.items()
         }
+
+    @property
+    def _constant_count(self) -> int:
+        """Number of nonzero constants, without making those of copies."""
+        return len(self._triples.c) if self._copied is None else len(self._copied[0].triples.c) * self._copied[1]
+
+    @property
+    def _triples(self) -> Triples:  # type: ignore[override]
+        return self._constants() if callable(self._constants) else self._constants
 
     @classmethod
     def _from_valid(cls, *data: Any) -> LieAlgebra:

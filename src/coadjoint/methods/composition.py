@@ -93,6 +93,10 @@ class Composition(Composed, Composable):
         """Return the loop of the base, composed."""
         return self.expanded.compiled(system, h, representation)
 
+    def _shared_loop(self, system: System, h: float, representation: Representation) -> CompiledLoop:
+        self._check_loop(system)
+        return self.expanded._shared_loop(system, h, representation)
+
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
         return self.expanded.step(system, x, t, h)
 

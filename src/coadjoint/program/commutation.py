@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import Any
 
@@ -59,11 +59,20 @@ class Commutation:
 
     def has_noncommuting(self, label: Integers) -> NDArray[np.bool_]:
         """Test for each label (all >= 0) whether two coordinates with this label do not commute."""
-        i, j, _, _ = self._algebra.triples
         noncommuting = np.zeros(int(label.max(initial=-1)) + 1, dtype=bool)
-        first_label = label[i]
-        noncommuting[first_label[(first_label == label[j]) & (first_label >= 0)]] = True
+        for i, j in self._pairs():
+            first_label = label[i]
+            noncommuting[first_label[(first_label == label[j]) & (first_label >= 0)]] = True
         return noncommuting
+
+    def _pairs(self) -> Iterator[tuple[Any, Any]]:
+        """Yield indices of coordinates that do not commute: arrays, or for copies of an algebra slices."""
+        if self._algebra._copied is None:
+            yield self._algebra.triples[:2]
+            return
+        summand, _ = self._algebra._copied
+        for i, j in zip(summand.triples.i.tolist(), summand.triples.j.tolist(), strict=True):
+            yield slice(i, None, summand.dim), slice(j, None, summand.dim)
 
     def coupled_pairs(self, parts: Parts) -> Pairs:
         """Return the pairs of parts (first <= second) with noncommuting coordinates, even if the forms commute."""
@@ -89,12 +98,22 @@ class Commutation:
 
     def _find_coupled_pairs(self, parts: Parts) -> Pairs:
         count, size = len(parts), self._algebra.dim
+        part, coordinate = parts.part_of_angle[parts.forms.owner], parts.forms.coordinate
+        part_count = np.bincount(coordinate, minlength=size)
+        owner_pairs = (count + 1) ** 2
+        if part_count.max(initial=0) <= 1 and owner_pairs <= MAX_TABLE_SIZE:
+            owner = np.full(size, count)  # coordinates of no part
+            owner[coordinate] = part
+            pairs = sum(np.bincount(owner[i] * (count + 1) + owner[j], minlength=owner_pairs) for i, j in self._pairs())
+            coupled = (np.asarray(pairs) > 0).reshape(count + 1, count + 1)[:count, :count]
+            first, second = np.nonzero(np.triu(coupled | coupled.T))
+            return first.astype(np.int64), second.astype(np.int64)
         i, j, _, _ = self._algebra.triples
         begins = run_starts(i, j)
         i, j = i[begins], j[begins]
-        part, coordinate = _without_repeats(parts.part_of_angle[parts.forms.owner], parts.forms.coordinate)
-        order = order_by(coordinate)
+        part, coordinate = _without_repeats(part, coordinate)
         part_count = np.bincount(coordinate, minlength=size)
+        order = order_by(coordinate)
         start, part_by_coordinate = starts_of(part_count), part[order]
         if int(part_count[i] @ part_count[j]) > count * (count + 1) // 2:
             if max(count, size) ** 2 <= MAX_TABLE_SIZE:

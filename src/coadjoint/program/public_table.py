@@ -14,6 +14,7 @@ from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.provenance import Provenance, monomials_of
 from coadjoint.program.sparse_rows import starts_of
 from coadjoint.program.table import Program
+from coadjoint.program.term_table import Terms
 from coadjoint.systems.coefficients import Key, coefficients_of
 from coadjoint.systems.parameters import parameters_of
 
@@ -22,6 +23,9 @@ VERSION = 2
 
 RENAMED_COLUMNS = {"kind": "term_kind", "row": "term_row", "coefficient": "coefficient_of_monomial"}
 """Names that differ from those in `Terms`."""
+
+PUBLIC_COLUMNS = tuple(name for name in Terms._fields if name not in ("size", "repeated", "shape"))
+"""Fields of `Terms` in the table; rows that repeat are stored once only for kernels."""
 
 DEPENDENT = ("offset", "weight", "coefficient_of_monomial")
 """Arrays that depend on the energy, in the order of `CoefficientMap`."""
@@ -39,7 +43,7 @@ def mapping_of(program: Program) -> dict[str, Any]:
         "moment": rows.moment,
         "share": program.share,
         "frequency": program.frequency,
-        **{RENAMED_COLUMNS.get(name, name): getattr(terms, name) for name in terms._fields[1:]},
+        **{RENAMED_COLUMNS.get(name, name): getattr(terms, name) for name in PUBLIC_COLUMNS},
         **_blocks("state", program.state, program),
         "shift": [
             {

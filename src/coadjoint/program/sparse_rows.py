@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers, distinct, expand
+from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows
 
 
 class SparseRows(NamedTuple):
@@ -33,7 +34,7 @@ class SparseRows(NamedTuple):
     def units(cls, coordinates: NDArray[Any]) -> SparseRows:
         """Construct one row per coordinate, with the value one."""
         size = len(coordinates)
-        return cls(np.arange(size + 1), coordinates.astype(np.uint32), np.ones(size))
+        return cls(np.arange(size + 1), coordinates.astype(np.uint32), np.broadcast_to(1.0, size))
 
     @classmethod
     def empty(cls, count: int) -> SparseRows:
@@ -58,9 +59,25 @@ class SparseRows(NamedTuple):
 
     def take(self, rows: NDArray[Any]) -> SparseRows:
         """Select rows, in the order given."""
+        if len(self.coordinate) == len(self.start) - 1 == self.start[-1] and np.all(np.diff(self.start) == 1):
+            return SparseRows(np.arange(len(rows) + 1), self.coordinate[rows], values_at(self.value, rows))
         first, last = self.start[rows], self.start[rows + 1]
         _, entries = expand(first, last)
-        return SparseRows(starts_of(last - first), self.coordinate[entries], self.value[entries])
+        return SparseRows(starts_of(last - first), self.coordinate[entries], values_at(self.value, entries))
+
+
+def values_at(values: NDArray[Any], index: NDArray[Any]) -> NDArray[Any]:
+    """Return values[index]; without memory if all values are one number, broadcast.
+
+    Examples
+    --------
+    >>> values_at(np.broadcast_to(2.0, 9), np.array([4, 5])).strides
+    (0,)
+    """
+    return np.broadcast_to(values[:1], len(index)) if values.strides == (0,) and len(values) else values[index]
+
+
+Rows = SparseRows | RepeatedRows
 
 
 def starts_of(counts: Any) -> Integers:
@@ -113,7 +130,12 @@ def order_by(*keys: NDArray[Any]) -> Integers | slice:
     >>> order_by(np.array([1, 0, 1]), np.array([5, 7, 4])).tolist(), order_by(np.array([1, 2]))
     ([1, 2, 0], slice(None, None, None))
     """
-    return slice(None) if is_ordered(*keys) else np.lexsort(keys[::-1]).astype(np.int64)
+    if is_ordered(*keys):
+        return slice(None)
+    (key,) = keys if len(keys) == 1 else (keys[0][:0],)
+    if key.dtype.kind in "iu" and len(key) and key.min() >= 0 and key.max() < 2**16:
+        return np.argsort(key.astype(np.uint16), kind="stable")  # by digits
+    return np.lexsort(keys[::-1]).astype(np.int64)
 
 
 def run_starts(*keys: NDArray[Any]) -> NDArray[np.bool_]:

@@ -100,7 +100,8 @@ class JoinRules(NamedTuple):
     def from_parts(cls, parts: Parts, frequency: NDArray[Any]) -> JoinRules:
         """Construct the rules from the parts of a program and the frequencies of their angles."""
         rational = np.zeros(len(parts), dtype=bool)
-        rational[parts.part_of_angle[np.asarray(frequency != 0, dtype=bool)]] = True
+        if np.any(frequency):
+            rational[parts.part_of_angle[np.asarray(frequency != 0, dtype=bool)]] = True
         return cls(parts.timed, rational)
 
     def joins(self, part: int, moment: Any, later: Any, turn: bool) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.actions import Action, build_action
+from coadjoint.program.copied_actions import copied_action
 from coadjoint.program.generators import BasisMatrices, SplittingTooExpensive
 from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.parts.decompose import decompose
@@ -23,8 +24,12 @@ from coadjoint.program.rational_rotations import rational_frequencies
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.program.sweeps import JoinRules, Rows, Swept, rows_of
 from coadjoint.program.term_table import Terms, TermTable
+from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+
+# Smallest number of angles in each share of a table whose rows repeat; loops read shorter shares row by row.
+MIN_REPEATED_ROWS = 256
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,7 @@ class Program:
         The flows, in order of application.
     parts : Parts
         The exact flows.
-    terms : Terms
+    table : TermTable
         The shares of all parts.
     share : ndarray of uint32, shape (parts + 1,)
         Part p has the shares share[p] to share[p + 1].
@@ -63,7 +68,7 @@ class Program:
     system: LiePoissonSystem
     rows: Rows
     parts: Parts
-    terms: Terms
+    table: TermTable
     share: NDArray[np.uint32]
     functions: dict[int, FunctionTerm]
     state: Action
@@ -72,6 +77,18 @@ class Program:
     number: Number
     frequency: NDArray[Any]
     shift: tuple[tuple[Polynomial, float], ...]
+
+    @cached_property
+    def terms(self) -> Terms:
+        """The shares of all parts as a table."""
+        return self.table.table(self.number)
+
+    @property
+    def compact_terms(self) -> Terms:
+        """The same for loops over flows, with the entries of rows that repeat stored once."""
+        if "terms" in self.__dict__ or int(np.diff(self.parts.row).min(initial=MIN_REPEATED_ROWS)) < MIN_REPEATED_ROWS:
+            return self.terms
+        return self.table.repeated_table() or self.terms
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the table as arrays, numbers and lists by name; `docs/table.md` documents them.
@@ -124,7 +141,7 @@ def build_program(
         system=system,
         rows=rows_of(method, JoinRules.from_parts(parts, frequency), system.sign, number),
         parts=parts,
-        terms=table.table(number),
+        table=table,
         share=parts.share.astype(np.uint32),
         functions=table.functions,
         state=state,
@@ -139,7 +156,11 @@ def build_program(
 def _term_table(parts: Parts) -> TermTable:
     """Collect the shares of all parts, in their order."""
     table = TermTable()
-    angle = parts.weights.start
+    if isinstance(parts.weights, RepeatedRows) and not parts.nonlinear_shares and len(parts.row) > 1:
+        table.add_linear_terms(parts.row, parts.offset, parts.weights)
+        return table
+    weights_of_all = SparseRows(parts.weights.start, parts.weights.coordinate, parts.weights.value)
+    angle = weights_of_all.start
     edges = sorted(parts.nonlinear_shares.keys() - parts.bodies.keys())
     for first, last in zip([0, *(s + 1 for s in edges)], [*edges, len(parts.row) - 1], strict=True):
         if last > first:
@@ -147,8 +168,8 @@ def _term_table(parts: Parts) -> TermTable:
             begin, end = angle[rows[0]], angle[rows[-1]]
             weights = SparseRows(
                 angle[rows[0] : rows[-1] + 1] - begin,
-                parts.weights.coordinate[begin:end],
-                parts.weights.value[begin:end],
+                weights_of_all.coordinate[begin:end],
+                weights_of_all.value[begin:end],
             )
             table.add_linear_terms(rows, parts.offset[rows[0] : rows[-1]], weights)
         share = parts.nonlinear_shares.get(last)
@@ -174,7 +195,8 @@ def _state_action(algebra: LieAlgebra, parts: Parts, number: Number) -> Action:
     if len(parts.offset) <= MAX_PATTERN_SIZE:
         return _cached_action(algebra, Pattern(parts, *parts.forms, parts.angle))
     if parts not in _ACTIONS:
-        _ACTIONS[parts] = build_action(BasisMatrices.coadjoint(algebra), parts, float)
+        action = copied_action(algebra, parts)
+        _ACTIONS[parts] = action or build_action(BasisMatrices.coadjoint(algebra), parts, float)
     return _ACTIONS[parts]
 
 

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.numbers import Number, array_of
-from coadjoint.program.sparse_rows import SparseRows, starts_of
-from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
+from coadjoint.program.sparse_rows import Rows, SparseRows, joined_starts, starts_of, values_at
+from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, RepeatedTerm, Term
 
 LINEAR, POLYNOMIAL, FUNCTION = 0, 1, 2
 
@@ -22,6 +23,9 @@ class Terms(NamedTuple):
     A row of a LINEAR term is ``offset + weight . x`` for the coordinate `target`; the value of the term is the sum of
     x[target] (offset + weight . x / 2). A POLYNOMIAL term is a list of monomials over its rows; a FUNCTION term calls
     compiled (in the reference interpreter: Python) functions of y = x[target].
+
+    With `repeated`, for kernels that compute values and flows, row r has the entries of shape[r], with columns relative
+    to target[r], modulo 2^32; `offset` has a number for each shape if `repeated` is 2, else for each row.
     """
 
     size: int
@@ -37,6 +41,8 @@ class Terms(NamedTuple):
     factor: NDArray[np.uint32]
     factor_row: NDArray[np.uint32]
     exponent: NDArray[np.uint32]
+    repeated: int = 0
+    shape: NDArray[np.uint32] = np.zeros(0, dtype=np.uint32)
 
 
 class TermTable:
@@ -49,9 +55,7 @@ class TermTable:
         self._monomials: list[NDArray[Any]] = [np.zeros(1, dtype=np.int64)]
         self._target: list[NDArray[Any]] = []
         self._offset: list[NDArray[Any]] = []
-        self._length: list[NDArray[Any]] = []
-        self._column: list[NDArray[Any]] = []
-        self._weight: list[NDArray[Any]] = []
+        self._weights: list[Rows] = []
         self._coefficient: list[Any] = []
         self._factor: list[int] = [0]
         self._factor_row: list[int] = []
@@ -65,26 +69,31 @@ class TermTable:
         self._rows.append(self._rows[-1][-1:] + len(target))
         self._target.append(np.asarray(target))
         self._offset.append(np.asarray(offset))
-        self._length.append(np.diff(indptr))
-        self._column.append(np.asarray(column))
-        self._weight.append(np.asarray(weight))
+        self._weights.append(SparseRows(np.asarray(indptr), np.asarray(column), np.asarray(weight)))
         self._monomials.append(np.array([len(self._coefficient)]))
 
-    def add_linear_terms(self, row: Any, offset: NDArray[Any], weights: SparseRows) -> None:
+    def add_linear_terms(self, row: Any, offset: NDArray[Any], weights: Rows) -> None:
         """Add several terms at once, term k with the rows row[k] to row[k + 1], all with the target 0."""
         count, last = len(row) - 1, self._rows[-1][-1]
         self._kind.append(np.full(count, LINEAR))
         self._rows.append(last + np.asarray(row[1:]) - row[0])
         self._monomials.append(np.full(count, len(self._coefficient)))
-        self._target.append(np.zeros(len(offset), dtype=np.uint32))
+        self._target.append(np.broadcast_to(np.uint32(0), len(offset)))
         self._offset.append(offset)
-        self._length.append(np.diff(weights.start))
-        self._column.append(weights.coordinate)
-        self._weight.append(weights.value)
+        self._weights.append(weights)
 
     def add_linear(self, target: Any, offset: Any, indptr: Any, column: Any, weight: Any) -> None:
         """Add rows offset + weight . x in compressed sparse form."""
         self._add_rows(LINEAR, np.asarray(target), offset, indptr, column, weight)
+
+    def _add_repeated_rows(self, offset: Any, matrix: RepeatedRows) -> None:
+        """Add rows offset + weight . x of a term whose targets are those of the rows."""
+        self._kind.append(np.array([LINEAR]))
+        self._rows.append(self._rows[-1][-1:] + len(offset))
+        self._monomials.append(np.array([len(self._coefficient)]))
+        self._target.append(matrix.target)
+        self._offset.append(offset)
+        self._weights.append(matrix)
 
     def _add_empty_rows(self, kind: int, coordinates: Sequence[int]) -> None:
         empty = np.zeros(0)
@@ -109,6 +118,9 @@ class TermTable:
 
     def quadratic(self, term: QuadraticTerm) -> None:
         """Add a quadratic term, with one row per coordinate."""
+        if isinstance(term, RepeatedTerm):
+            self._add_repeated_rows(term.linear, term.matrix)
+            return
         self.add_linear(np.arange(len(term.linear)), term.linear, term.indptr, term.indices, term.values)
 
     def polynomial(self, term: PolynomialTerm) -> None:
@@ -123,7 +135,7 @@ class TermTable:
 
     def table(self, number: Number = float) -> Terms:
         """Return the table with its constants in the given number type."""
-        lengths = _joined(self._length, np.int64)
+        lengths = _joined([np.diff(weights.start) for weights in self._weights], np.int64)
         return Terms(
             size=len(self),
             kind=_joined(self._kind, np.uint8),
@@ -131,13 +143,47 @@ class TermTable:
             target=_joined(self._target, np.uint32),
             offset=array_of(number, _joined(self._offset, None)),
             entry=starts_of(lengths).astype(np.uint32),
-            column=_joined(self._column, np.uint32),
-            weight=array_of(number, _joined(self._weight, None)),
+            column=_joined([weights.coordinate for weights in self._weights], np.uint32),
+            weight=array_of(number, _joined([weights.value for weights in self._weights], None)),
             monomial=_joined(self._monomials, np.uint32),
             coefficient=array_of(number, self._coefficient),
             factor=np.array(self._factor, dtype=np.uint32),
             factor_row=np.array(self._factor_row, dtype=np.uint32),
             exponent=np.array(self._exponent, dtype=np.uint32),
+        )
+
+    def repeated_table(self) -> Terms | None:
+        """Return the table with the entries of each shape of a row stored once; None if not all rows repeat."""
+        matrices = [weights for weights in self._weights if isinstance(weights, RepeatedRows)]
+        if not matrices or len(matrices) < len(self._weights):
+            return None
+        shared = all(offset.strides == (0,) for offset in self._offset)
+        offsets = [
+            np.repeat(offset[:1], len(matrix.begin) - 1) if shared else offset
+            for offset, matrix in zip(self._offset, matrices, strict=True)
+        ]
+        first = np.cumsum([0] + [len(matrix.begin) - 1 for matrix in matrices]).tolist()
+        shapes = [
+            matrix.shape + np.uint32(shift) if shift else matrix.shape
+            for shift, matrix in zip(first, matrices, strict=False)
+        ]
+        empty = np.zeros(0, dtype=np.uint32)
+        return Terms(
+            size=len(self),
+            kind=_joined(self._kind, np.uint8),
+            row=_joined(self._rows, np.uint32),
+            target=_joined([matrix.target for matrix in matrices], np.uint32),
+            offset=_joined(offsets, np.float64),
+            entry=joined_starts([matrix.begin for matrix in matrices]).astype(np.uint32),
+            column=np.concatenate([matrix.relative for matrix in matrices]).astype(np.uint32),
+            weight=_joined([matrix.number for matrix in matrices], np.float64),
+            monomial=_joined(self._monomials, np.uint32),
+            coefficient=np.zeros(0),
+            factor=np.zeros(1, dtype=np.uint32),
+            factor_row=empty,
+            exponent=empty,
+            repeated=2 if shared else 1,
+            shape=_joined(shapes, np.uint32),
         )
 
 
@@ -146,6 +192,14 @@ class ValueTable(TermTable):
 
     def quadratic(self, term: QuadraticTerm) -> None:
         """Add a quadratic term by its nonzero rows."""
+        if isinstance(term, RepeatedTerm):
+            used = (term.linear != 0) | (term.matrix.lengths > 0)
+            if used.all():
+                self._add_repeated_rows(term.linear, term.matrix)
+            else:
+                rows = np.flatnonzero(used)
+                self._add_repeated_rows(values_at(term.linear, rows), term.matrix.take(rows))
+            return
         rows = np.flatnonzero((term.linear != 0) | (np.diff(term.indptr) > 0))
         if len(rows) == len(term.linear):
             super().quadratic(term)  # the arrays of the term, instead of copies

@@ -689,7 +689,7 @@ class PreparedRun:
         for known in self._loops_by_step.values():
             if isinstance(known, Loops) and (loops := known.at_step(h)) is not None:
                 return loops
-        return SystemLoops(self.system, self._scheme, h, self._representations[0])
+        return SystemLoops(self.system, self._scheme, h, self._representations[0], compact=True)
 
     def observed(self, start: Start) -> Observed | None:
         """Return the quantities to observe during a run, or None."""

@@ -238,13 +238,15 @@ def _points(
 
 def _squares(prepared: PreparedRun, states: Floats, t: float, h: float) -> Floats:
     """Return squared errors and changes of a step, (2, members); zeros where the step cannot be repeated."""
-    full, halves = (_run(prepared, states, Times(t, h / steps, steps, 1)) for steps in (1, 2))
+    # Copies of the states that are compared: the arrays of a run also have its start.
+    full = _run(prepared, states, Times(t, h, 1, 1))[-1].copy()
+    middle, halved = (x.copy() for x in _run(prepared, states, Times(t, 0.5 * h, 2, 1))[1:])
     # The difference of two half steps from a step of order p is all but 2^-p of the error of the latter.
     factor = 1.0 / (1.0 - 0.5**prepared.method.order)
     with np.errstate(over="ignore", invalid="ignore"):
-        errors = factor * np.linalg.norm(full[-1] - halves[-1], axis=1)
+        errors = factor * np.linalg.norm(full - halved, axis=1)
         errors = np.maximum(0.0, errors - ROUNDING * np.linalg.norm(states, axis=1))
-        changes = np.max([np.linalg.norm(after - states, axis=1) for after in (full[-1], halves[1])], axis=0)
+        changes = np.max([np.linalg.norm(after - states, axis=1) for after in (full, middle)], axis=0)
         squares: Floats = np.array([errors, changes]) ** 2
     squares[:, ~np.isfinite(squares).all(axis=0)] = 0.0
     return squares

@@ -102,7 +102,7 @@ class LiePoissonSystem:
     _casimirs: dict[str, Any] | None
     _parameters: dict[str, Any] | None
     _exact: Callable[..., Any] | None
-    _integrals: dict[str, Any]
+    _integrals: Mapping[str, Any]
     _layout: dict[str, Any]
 
     def __init__(
@@ -127,9 +127,8 @@ class LiePoissonSystem:
         for summand in summands_of(self.hamiltonian):
             if isinstance(summand, SplitHamiltonian):
                 summand.check_commuting(algebra)
-        c = algebra.triples.c
         check_available_memory(
-            BYTES_PER_CONSTANT * c.size, f"a system on {algebra.name or 'g*'}, of dimension {algebra.dim},"
+            BYTES_PER_CONSTANT * algebra._constant_count, f"a system on {algebra.name or 'g*'}, of dimension {algebra.dim},"
         )
         products = self._product, self._absolute_product
         given_casimirs = None if casimirs is None else read_casimirs(casimirs, algebra.dim, *products)

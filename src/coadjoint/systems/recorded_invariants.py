@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, cast
 from weakref import WeakKeyDictionary
 
@@ -29,12 +29,30 @@ MAX_SEARCH_DEGREE = 4
 Product = Callable[[npt.NDArray[np.float64], npt.NDArray[np.float64]], npt.NDArray[np.float64]]
 
 
+class KnownInvariants(Mapping[str, Any]):
+    """Invariants that are valid by construction, each by a function that makes it whenever it is read."""
+
+    def __init__(self, makers: Mapping[str, Callable[[], Any]]) -> None:
+        self._makers = dict(makers)
+
+    def __getitem__(self, name: str) -> Any:
+        return self._makers[name]()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._makers)
+
+    def __len__(self) -> int:
+        return len(self._makers)
+
+
 def read_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size: Product) -> dict[str, Any]:
     """Validate Casimirs by name; wrap plain functions, and check ``J(x) grad C(x) = 0`` at sample points.
 
     ``product(x, u)`` is J(x) u, and ``size(x, u)`` the sum of absolute products in each component. The tolerance is u
     times the number of operations times that sum for polynomials; gradients of an `Invariant` may lose 20 bits.
     """
+    if isinstance(casimirs, KnownInvariants):
+        return dict(casimirs)
     result = read_invariants(casimirs, n, "Casimir")
     for name, casimir in result.items():
         if casimir.gradient is not None:
@@ -163,12 +181,16 @@ TIMES = (0.0, 1.0)
 
 
 @ignore_overflow
-def read_integrals(integrals: Any, H: HamiltonianLike, n: int, product: Product, size: Product) -> dict[str, Any]:
+def read_integrals(
+    integrals: Any, H: HamiltonianLike, n: int, product: Product, size: Product
+) -> Mapping[str, Any]:
     """Validate integrals by name; check ``grad F(x) . J(x) grad H(x) = 0`` at sample points where grad F is known.
 
     ``product(x, u)`` is J(x) u, and ``size(x, u)`` the sum of absolute products in each component. The tolerance is u
     times the number of operations times that sum for polynomials.
     """
+    if isinstance(integrals, KnownInvariants):
+        return integrals
     result = read_invariants(integrals, n, "integral")
     polynomial = H.polynomial if isinstance(H, PolynomialHamiltonian) else H if isinstance(H, Quadratic) else None
     points = sample_points(n) if any(F.gradient is not None for F in result.values()) else []

@@ -3,25 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import Triples
-from coadjoint.algebra.exact.sparse_sums import Integers, groups
+from coadjoint.algebra.exact.sparse_sums import CHUNK, Integers, groups
 
 
-def connected(size: int, first: Integers, second: Integers) -> Integers:
+def connected(size: int, first: NDArray[Any], second: NDArray[Any]) -> Integers:
     """Label each of `size` nodes with the smallest node connected to it by the edges (first[m], second[m]).
 
     Each round joins every component to its smallest neighbour and shortens the chains.
     """
     label = np.arange(size, dtype=np.int64)
     while True:
-        ends = label[first], label[second]
-        smallest = np.minimum(*ends)
         joined = label.copy()
-        for end in ends:
-            np.minimum.at(joined, end, smallest)
+        apart = np.zeros(len(first), dtype=bool)
+        for begin in range(0, len(first), CHUNK):
+            chunk = slice(begin, begin + CHUNK)
+            low, high = label[first[chunk]], label[second[chunk]]
+            apart[chunk] = low != high
+            if not apart[chunk].all():
+                low, high = low[apart[chunk]], high[apart[chunk]]
+            np.minimum.at(joined, np.maximum(low, high), np.minimum(low, high))
+        if not apart.all():
+            first, second = first[apart], second[apart]
         while not np.array_equal(joined, joined[joined]):
             joined = joined[joined]
         if np.array_equal(joined, label):

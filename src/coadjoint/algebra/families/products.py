@@ -16,7 +16,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.quadratic_forms import casimirs_fit, embedded
 from coadjoint.algebra.representation import check_representation
-from coadjoint.memory import check_available_memory
+from coadjoint.memory import MAX_CACHED_SIZE, check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer, truncate_title
 
@@ -121,26 +121,36 @@ def copies(g: LieAlgebra, count: int) -> LieAlgebra:
     if not isinstance(g, LieAlgebra):
         raise TypeError(f"copies are made of a LieAlgebra, not of a {type(g).__name__}")
     count = read_integer(count, "count of copies(g, count)")
-    i, j, k, c = g.triples
+    c = g.triples.c
     # Names are made when they are read.
     title = f"the sum of {short(count)} copies, of dimension {short(g.dim * count)},"
     check_available_memory(BYTES_PER_CONSTANT * c.size * count, title, "take fewer")
-    shift = np.repeat(np.arange(count, dtype=np.int64) * g.dim, c.size)
-    i, j, k = (np.tile(column, count) + shift for column in (i, j, k))
+    constants = functools.partial(_constants_of_copies, g, count)
     size = 0 if g.representation is None else g.representation.shape[1]
     fits = g.representation is not None and g.dim * count * (size * count) ** 2 <= MAX_REPRESENTATION_NUMBERS
     known = {}
     if _casimirs_fit_memory([g], count):
         known = _summand_casimirs([g] * count, range(0, g.dim * (count + 1), g.dim))
     # The Jacobi identities of every copy are those of g, already checked.
-    return LieAlgebra._from_valid(
-        Triples(i, j, k, np.tile(c, count)),
+    algebra = LieAlgebra._from_valid(
+        constants if c.size * count > MAX_CACHED_SIZE else constants(),
         g.dim * count,
         functools.partial(_names_of_copies, g, count),
         truncate_title(f"{count} {g.name or 'g'}"),
         _block_diagonal([g.representation] * count) if fits else None,
         known,
     )
+    algebra._copied = g, count
+    return algebra
+
+
+def _constants_of_copies(g: LieAlgebra, count: int) -> Triples:
+    shift = g.dim * np.arange(count, dtype=np.int64)[:, None]
+    *indices, c = g.triples
+    triples = Triples(*((shift + column).ravel() for column in indices), np.tile(c, count))
+    for column in triples:
+        column.flags.writeable = False
+    return triples
 
 
 def _names_of_copies(g: LieAlgebra, count: int) -> tuple[str, ...]:

@@ -57,21 +57,22 @@ next, and *finish* acts on a copy.
 """
 
 
-def flow_tables(program: Program, h: float, compensated: bool) -> CompiledTables:
+def flow_tables(program: Program, h: float, compensated: bool, compact: bool = False) -> CompiledTables:
     """Return `FlowTables` of a program with float64 constants, for a step h (negative for backward).
 
-    `compensated` selects compensated summation of the momentum.
+    `compensated` selects compensated summation of the momentum; `compact` tables are for the loop over flows alone.
     """
-    count = len(program.terms.kind)
+    terms = program.compact_terms if compact else program.terms
+    count = len(terms.kind)
     addresses, keepalive = addresses_of(program.functions, count, "gradient", "the Hamiltonian")
     group = program.group if program.group is not None else empty_action()
     rows = program.rows
-    edges = program.terms.row[program.share]
-    is_linear = (
-        (np.diff(edges) == 1) & (np.diff(program.share) == 1) & (program.terms.kind[program.share[:-1]] == LINEAR)
-    )
-    turning = np.concatenate([[0], np.cumsum(program.frequency != 0)])
-    rational = np.diff(turning[edges]) > 0
+    edges = terms.row[program.share]
+    is_linear = (np.diff(edges) == 1) & (np.diff(program.share) == 1) & (terms.kind[program.share[:-1]] == LINEAR)
+    rational = np.zeros(len(edges) - 1, dtype=bool)
+    if np.any(program.frequency):
+        turning = np.concatenate([[0], np.cumsum(program.frequency != 0)])
+        rational = np.diff(turning[edges]) > 0
     rational_on_group = np.zeros_like(rational)
     if program.group is not None and np.any(rational):
         rational_on_group = rational & acts_rationally(group, program.parts, program.frequency)
@@ -85,7 +86,7 @@ def flow_tables(program: Program, h: float, compensated: bool) -> CompiledTables
         rows.moment,
         rows.section,
         program.share,
-        program.terms,
+        terms,
         addresses,
         mark_rational(program.state, rational),
         mark_rational(group, rational_on_group),

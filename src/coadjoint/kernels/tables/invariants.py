@@ -17,12 +17,15 @@ from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.user_functions import Formula, takes_time
 
 
-def watch_tables(system: Any, invariants: Mapping[str, Any]) -> CompiledTables:
+def watch_tables(system: Any, invariants: Mapping[str, Any], compact: bool = False) -> CompiledTables:
     """Return a `Watch` of the energy of a system, then of the given `Polynomial`, `Quadratic` or `Invariant` by name.
 
-    The cost of a quadratic invariant is proportional to its nonzero entries.
+    The cost of a quadratic invariant is proportional to its nonzero entries. `compact` tables, of which only values are
+    computed, store rows that repeat once.
     """
-    return invariants_table([("the energy", system.hamiltonian), *invariants.items()], system.dim)
+    return invariants_table(
+        [("the energy", system.hamiltonian), *invariants.items()], system.dim, compact=compact
+    )
 
 
 def balance_tables(system: Any, invariants: Mapping[str, Any], accounts: Sequence[tuple[str, str]]) -> CompiledTables:
@@ -38,7 +41,10 @@ def balance_tables(system: Any, invariants: Mapping[str, Any], accounts: Sequenc
 
 
 def invariants_table(
-    invariants: Sequence[tuple[str, Any]], size: int, subtracted: Sequence[Sequence[int]] | None = None
+    invariants: Sequence[tuple[str, Any]],
+    size: int,
+    subtracted: Sequence[Sequence[int]] | None = None,
+    compact: bool = False,
 ) -> CompiledTables:
     """Return a `Watch` of named invariants of states with `size` coordinates; names appear in messages.
 
@@ -74,7 +80,7 @@ def invariants_table(
         end_invariant(name, offset, wrapped)
     pairs = [addresses_of({k: term}, len(table), "value", owners[k]) for k, term in table.functions.items()]
     addresses = sum((of_term for of_term, _ in pairs), np.zeros(len(table), dtype=np.int64))
-    terms = table.table()
+    terms = (table.repeated_table() if compact else None) or table.table()
     longest = int(np.max(np.diff(terms.row), initial=0))
     watch = Watch(
         len(constant),

@@ -99,11 +99,15 @@ class FlowMethod(FormalStep, CompiledTangents, CompiledDerivatives, Composable):
         """Return the loop over the rows of the table."""
         return self._program_loop(self.program(system, group=representation), h)
 
-    def _program_loop(self, program: Program, h: float) -> CompiledLoop:
+    def _shared_loop(self, system: System, h: float, representation: Representation) -> CompiledLoop:
+        self._check_loop(system)
+        return self._program_loop(self.program(system, group=representation), h, compact=representation is None)
+
+    def _program_loop(self, program: Program, h: float, compact: bool = False) -> CompiledLoop:
         from coadjoint.kernels.loop import CompiledLoop
         from coadjoint.kernels.tables.flow import FLOW_LOOP, flow_tables
 
-        tables = flow_tables(program, h, bool(self.compensated))
+        tables = flow_tables(program, h, bool(self.compensated), compact)
         return CompiledLoop(FLOW_LOOP, tables.tables, tables.keepalive, program.shift, parts=program.parts)
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop:

@@ -156,13 +156,20 @@ class Method(ABC):
         ValueError, TypeError
             The scheme cannot be used for the system.
         """
+        self._check_loop(system)
+        return self.compiled(system, h, representation)
+
+    def _shared_loop(self, system: System, h: float, representation: Representation) -> CompiledLoop:
+        """Return the `loop` for members that share all constants, whose tables may take less memory."""
+        return self.loop(system, h, representation)
+
+    def _check_loop(self, system: System) -> None:
         declared_properties(self, system)
         if system.algebra is not None and has_compiled_bracket(system):
-            constants = system.algebra.triples.c.size
+            constants = system.algebra._constant_count
             check_available_memory(
                 BYTES_PER_CONSTANT * constants, f"the tables of {type(self).__name__} for {system.name}"
             )
-        return self.compiled(system, h, representation)
 
     @abstractmethod
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:

@@ -162,7 +162,7 @@ def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candida
 
 def _shift_work(system: LiePoissonSystem, parts: Parts) -> int:
     """Estimate the multiplications to build parts: elimination of each square, and commutators of the algebra."""
-    return int(np.sum(np.diff(parts.forms.start) ** 2)) + WORK_PER_CONSTANT * len(system.algebra.triples.c)
+    return int(np.sum(np.diff(parts.forms.start) ** 2)) + WORK_PER_CONSTANT * system.algebra._constant_count
 
 
 def check_parts(system: LiePoissonSystem, choice: Any, scheme: str) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.sparse_rows import SparseRows, joined_starts, run_starts, starts_of
+from coadjoint.program.sparse_rows import Rows, SparseRows, joined_starts, run_starts, starts_of, values_at
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 
 
@@ -74,7 +74,7 @@ class Parts(Sequence[Part]):
         self,
         forms: SparseRows,
         offset: NDArray[Any],
-        weights: SparseRows,
+        weights: Rows,
         row: Integers,
         nonlinear_shares: Mapping[int, NonlinearShare],
         share: Integers,
@@ -84,7 +84,7 @@ class Parts(Sequence[Part]):
         self.row, self.nonlinear_shares, self.share, self.timed = row, nonlinear_shares, share, timed
 
     @classmethod
-    def linear(cls, forms: SparseRows, offset: NDArray[Any], weights: SparseRows, row: Integers) -> Parts:
+    def linear(cls, forms: SparseRows, offset: NDArray[Any], weights: Rows, row: Integers) -> Parts:
         """Construct parts with one linear share each, of the angles row[p] to row[p + 1]."""
         count = len(row) - 1
         return cls(forms, offset, weights, row, {}, np.arange(count + 1), np.zeros(count, dtype=bool))
@@ -131,7 +131,7 @@ class Parts(Sequence[Part]):
         """The shares that are free bodies."""
         return {s: share for s, share in self.nonlinear_shares.items() if isinstance(share, BodyShare)}
 
-    def with_angles(self, offset: NDArray[Any], weights: SparseRows) -> Parts:
+    def with_angles(self, offset: NDArray[Any], weights: Rows) -> Parts:
         """Return the same forms with other angles."""
         return Parts(self.forms, offset, weights, self.row, self.nonlinear_shares, self.share, self.timed)
 
@@ -164,7 +164,7 @@ class Parts(Sequence[Part]):
         new_index = dict(zip(shares.tolist(), range(len(shares)), strict=True)) if self.nonlinear_shares else {}
         selected = Parts(
             self.forms.take(angles),
-            self.offset[angles],
+            values_at(self.offset, angles),
             self.weights.take(angles),
             starts_of(end - begin),
             {new_index[s]: share for s, share in self.nonlinear_shares.items() if s in new_index},

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -13,13 +12,12 @@ from coadjoint.algebra.exact.components import connected
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.program.commutation import Commutation
 from coadjoint.program.generators import check_products
-from coadjoint.program.parts.few_parts import first_fit_one_by_one
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.parts.sparse_squares import DENSE_ROW, SparseSquares, sparse_squares
 from coadjoint.program.parts.squares import MAX_RATIONAL_SIZE
-from coadjoint.program.sparse_rows import SparseRows, order_by, run_starts, starts_of
+from coadjoint.program.sparse_rows import Rows, SparseRows, order_by, run_starts, starts_of, values_at
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.hamiltonians.terms import QuadraticTerm
+from coadjoint.systems.hamiltonians.terms import QuadraticTerm, RepeatedTerm
 
 # Number of entries above which the width of squares is checked.
 MIN_CHECKED_ENTRIES = 1 << 14
@@ -59,7 +57,7 @@ def check_width(term: QuadraticTerm, commutation: Commutation) -> None:
     Each of m squares eliminates one coordinate from the later forms, which have m/2 entries on average. Sparse
     couplings are not checked, since their forms may stay short.
     """
-    if len(term.values) < MIN_CHECKED_ENTRIES:
+    if term.multiplications < MIN_CHECKED_ENTRIES or int(np.diff(term.indptr).max(initial=0)) < DENSE_ROW:
         return
     label, members, squared = _sets(term, commutation, separate=False)
     label = label[members]
@@ -76,11 +74,16 @@ def _sets(
 
     Also returns the used coordinates, set by set, and for each label whether squares are to be completed.
     """
-    rows = term.rows
-    above = rows < term.indices
-    label = connected(len(term.linear), rows[above], term.indices[above].astype(np.int64))
     used = term.linear != 0
-    used[rows] = True
+    if isinstance(term, RepeatedTerm):
+        first, second = term.matrix.edges()
+        used |= term.matrix.lengths > 0
+    else:
+        rows = term.rows
+        above = rows < term.indices
+        first, second = rows[above], term.indices[above].astype(np.int64)
+        used[rows] = True
+    label = connected(len(term.linear), first, second)
     label[~used] = -1
     members = np.flatnonzero(used)
     members = members[order_by(label[members])]
@@ -99,12 +102,12 @@ def separated_products(
     In a lattice of spins with couplings of different components, products of two spins commute, and few terms contain
     all of them. Products within a set of noncommuting coupled coordinates, as of one spin, are left to squares.
     """
-    rows, size = term.rows, len(term.linear)
+    rows, indices, values, size = term.rows, term.indices, term.values, len(term.linear)
     number = np.bincount(label[squared], minlength=size)
     entries = np.bincount(label[rows][squared[rows]], minlength=size)
     large = squared & ((number > MAX_RATIONAL_SIZE) & (entries < DENSE_ROW * number))[label]
-    above = np.flatnonzero((rows < term.indices) & large[rows])
-    i, j = rows[above], term.indices[above].astype(np.int64)
+    above = np.flatnonzero((rows < indices) & large[rows])
+    i, j = rows[above], indices[above].astype(np.int64)
     bound = commutation.noncommuting(i, j)
     site = connected(size, i[bound], j[bound])
     if np.bincount(site[large], minlength=1).max(initial=0) > MAX_RATIONAL_SIZE:
@@ -112,21 +115,16 @@ def separated_products(
     between = site[i] != site[j]
     i, j = i[between], j[between]
     pairs = np.stack([i, j], axis=1)
-    units = Parts.linear(
-        SparseRows.units(pairs.ravel()), np.zeros(2 * len(i)), SparseRows.empty(2 * len(i)), 2 * np.arange(len(i) + 1)
-    )
-    first, second = commutation.coupled_pairs(units)
-    distinct = first != second
-    color = first_fit_one_by_one(len(i), first[distinct], second[distinct])
+    color = _colors(i, j, commutation)
     # Each entry of M goes with its product, and what concerns one coordinate with the first of its products.
     colors = int(color.max(initial=-1)) + 1
     owner = np.full(size, colors)
     np.minimum.at(owner, pairs.ravel(), np.repeat(color, 2))
     owner[np.bincount(site, minlength=size)[site] > 1] = colors
-    of_entry = np.where(rows == term.indices, owner[rows], colors)
+    of_entry = np.where(rows == indices, owner[rows], colors)
     key = i * size + j
     order = np.argsort(key)
-    keys = np.minimum(rows, term.indices) * size + np.maximum(rows, term.indices)
+    keys = np.minimum(rows, indices) * size + np.maximum(rows, indices)
     position = np.minimum(np.searchsorted(key[order], keys), len(key) - 1)
     product = key[order][position] == keys if len(key) else np.zeros(len(keys), dtype=bool)
     of_entry[product] = color[order][position[product]]
@@ -138,24 +136,42 @@ def separated_products(
             indptr = np.searchsorted(rows[chosen], np.arange(size + 1))
             constant = term.constant if not terms else 0 * term.constant
             terms.append(
-                replace(
-                    term,
-                    indptr=indptr,
-                    indices=term.indices[chosen],
-                    values=term.values[chosen],
-                    linear=linear,
-                    constant=constant,
-                )
+                QuadraticTerm(indptr, indices[chosen], values[chosen], linear, constant=constant, piece=term.piece)
             )
     return terms
+
+
+def _colors(i: Integers, j: Integers, commutation: Commutation) -> Integers:
+    """Return the groups of products x_i x_j by first fit: in a group all coordinates commute."""
+    start, indices = (column.tolist() for column in commutation.pattern)
+    others = [indices[first:last] for first, last in pairwise(start)]
+    groups = [0] * len(others)  # of the products with each coordinate, as bits
+    color = []
+    for first, second in zip(i.tolist(), j.tolist(), strict=True):
+        taken = 0
+        for k in others[first]:
+            taken |= groups[k]
+        for k in others[second]:
+            taken |= groups[k]
+        free = ~taken & (taken + 1)
+        groups[first] |= free
+        groups[second] |= free
+        color.append(free.bit_length() - 1)
+    return np.array(color, dtype=np.int64)
 
 
 def _coupled(term: QuadraticTerm, members: Integers, label: Integers) -> Parts:
     """Build one part per set of coordinates, with the rows of M as angles."""
     row = np.append(np.flatnonzero(run_starts(label)), len(members))
-    matrix = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values)
+    matrix = _rows_of(term)
     weights = matrix if len(members) == len(term.linear) and np.all(np.diff(members) == 1) else matrix.take(members)
-    return Parts.linear(SparseRows.units(members), term.linear[members], weights, row)
+    return Parts.linear(SparseRows.units(members), values_at(term.linear, members), weights, row)
+
+
+def _rows_of(term: QuadraticTerm) -> Rows:
+    if isinstance(term, RepeatedTerm):
+        return term.matrix
+    return SparseRows(term.indptr, term.indices.astype(np.uint32, copy=False), term.values)
 
 
 def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tuple[Parts, Integers]:
@@ -163,7 +179,7 @@ def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tu
     ends = np.append(np.flatnonzero(run_starts(label[members])), len(members))
     local_index = np.zeros(len(term.linear), dtype=np.int64)
     local_index[members] = np.arange(len(members)) - np.repeat(ends[:-1], np.diff(ends))
-    matrix = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values).take(members)
+    matrix = _rows_of(term).take(members)
     local, linear = local_index[matrix.coordinate], term.linear[members]
     cache: dict[Any, SparseSquares] = {}
     squares: list[SparseSquares] = []

@@ -173,7 +173,8 @@ class SystemLoops(Loops):
     """Loops of one system, with the same tables for every member.
 
     `casimirs` are the invariants tracked beside the energy (None: all Casimirs); `prepared` replaces the loop of
-    `method`; `representation` is an array (n, d, d), "coadjoint" or None; h is negative for backward runs.
+    `method`; `representation` is an array (n, d, d), "coadjoint" or None; h is negative for backward runs. `compact`
+    tables, in which rows that repeat are stored once, are not those of a batch.
     """
 
     def __init__(
@@ -184,12 +185,14 @@ class SystemLoops(Loops):
         representation: Representation,
         casimirs: Mapping[str, Any] | None = None,
         prepared: CompiledLoop | None = None,
+        compact: bool = False,
     ) -> None:
         from coadjoint.kernels.interface import limit
         from coadjoint.kernels.tables.invariants import balance_tables, watch_tables
 
         tracked = system.casimirs if casimirs is None else casimirs
-        prepared = prepared or method.loop(system, h, representation)
+        loop_of = method._shared_loop if compact else method.loop
+        prepared = prepared or loop_of(system, h, representation)
         self.accounts = prepared.accounts
         self.rows = matrix_rows(system)
         self._matrices = unforced_matrix_system(system)
@@ -198,7 +201,11 @@ class SystemLoops(Loops):
             count = (1 + len(tracked)) * (2 if self.accounts else 1) - 1
             watch = watch_tables(system, dict.fromkeys(map(str, range(count)), UNTRACKED))
         else:
-            watch = balance_tables(system, tracked, self.accounts) if self.accounts else watch_tables(system, tracked)
+            watch = (
+                balance_tables(system, tracked, self.accounts)
+                if self.accounts
+                else watch_tables(system, tracked, compact)
+            )
         self.names = ["energy", *tracked]
         self.size, self.memory = system.dim + len(self.accounts), prepared.memory
         self._shifted = representation is not None and bool(prepared.shift)

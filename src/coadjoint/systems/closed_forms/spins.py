@@ -27,10 +27,12 @@ def precession(
         return None
     if not np.any(T):
         return partial(_precess, sites, 0.0, B)
-    strengths = np.unique(J * T[..., 0, 0])
     complete = 2 * len(edges) == sites * (sites - 1)
+    if not complete:
+        return None
+    strengths = np.unique(J * T[..., 0, 0])
     is_uniform = np.all(B == B.reshape(-1, 3)[0])
-    if np.any(T != T[..., :1, :1] * np.eye(3)) or len(strengths) > 1 or not (complete and is_uniform):
+    if np.any(T != T[..., :1, :1] * np.eye(3)) or len(strengths) > 1 or not is_uniform:
         return None
     return partial(_precess, sites, float(strengths[0]), B)
 
@@ -62,8 +64,10 @@ ROTATION_GENERATORS = np.array(
 )
 
 
-def total_spins(sites: int, T: Floats, D: Floats, K: Floats, B: Floats, uniform: bool | None) -> dict[str, Any]:
-    """Return the constant components of the total spin, or its square, as `Quadratic` by name.
+def total_spins(
+    sites: int, T: Floats, D: Floats, K: Floats, B: Floats, uniform: bool | None
+) -> dict[str, Callable[[], Quadratic]]:
+    """Return the constant components of the total spin, or its square, by name as functions that make them.
 
     T, K (..., 3, 3) are tensors of exchange and of sites, D, B (..., 3) Dzyaloshinskii-Moriya vectors and fields;
     `uniform` is whether a time-dependent field in place of B is equal at all sites, None without such a field.
@@ -79,15 +83,23 @@ def total_spins(sites: int, T: Floats, D: Floats, K: Floats, B: Floats, uniform:
     constraints = np.concatenate([_tensor_constraints(T), _tensor_constraints(K), _vector_constraints(D)])
     isotropic = not np.any(constraints)
     is_uniform = bool(np.all(B == B.reshape(-1, 3)[0])) if uniform is None else uniform
-    integrals: dict[str, Any] = {}
+    integrals: dict[str, Callable[[], Quadratic]] = {}
     if uniform is None:
         for axis in _kernel(np.concatenate([constraints, _vector_constraints(B)])):
             nonzero = np.flatnonzero(axis)
             name = f"S{nonzero[0] + 1}" if len(nonzero) == 1 else f"S along ({', '.join(f'{a:.6g}' for a in axis)})"
-            integrals[f"total {name}"] = Quadratic(np.zeros(3 * sites), linear=np.tile(axis, sites))
+            integrals[f"total {name}"] = partial(_total_along, sites, axis)
     if isotropic and is_uniform and len(integrals) < 3 and sites <= MAX_DENSE_SQUARE:
-        integrals["|total S|^2"] = Quadratic(np.kron(np.full((sites, sites), 2.0), np.eye(3)))
+        integrals["|total S|^2"] = partial(_total_squared, sites)
     return integrals
+
+
+def _total_along(sites: int, axis: Floats) -> Quadratic:
+    return Quadratic(np.zeros(3 * sites), linear=np.tile(axis, sites))
+
+
+def _total_squared(sites: int) -> Quadratic:
+    return Quadratic(np.kron(np.full((sites, sites), 2.0), np.eye(3)))
 
 
 def _tensor_constraints(tensors: Floats) -> Floats:

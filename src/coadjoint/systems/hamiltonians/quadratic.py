@@ -15,8 +15,9 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow, lossless_coefficients, read_point, scatter
+from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, repeated_rows
 from coadjoint.systems.hamiltonians.summable import Summable
-from coadjoint.systems.hamiltonians.terms import QuadraticTerm, Term, rows_of, starts_of_rows
+from coadjoint.systems.hamiltonians.terms import QuadraticTerm, RepeatedTerm, Term, rows_of, starts_of_rows
 from coadjoint.systems.matrix_entries import BYTES_PER_ENTRY, check_symmetric, real_array, sparse_entries
 from coadjoint.systems.product_sums import ProductSums
 from coadjoint.validation import read_finite, read_integer, read_number
@@ -85,6 +86,9 @@ class Quadratic(Summable):
         self._constant = constant if isinstance(constant, Fraction) else size
         self._scalar: Any = None
         self.dim: int | None = None
+        # Sparse rows, or the shapes of rows of which few differ.
+        self._sparse: tuple[npt.NDArray[Any], ...] | None = None
+        self._repeated: RepeatedRows | None = None
         if hasattr(M, "tocsr"):
             self._store(*sparse_entries(M))
             return
@@ -131,10 +135,54 @@ class Quadratic(Summable):
             order = np.lexsort((columns, rows))
             rows, columns, entries = rows[order], columns[order], entries[order]
         self.dim = n
-        self._indices, self._entries = columns.astype(np.uint32), entries
-        self._indptr = starts_of_rows(rows, n)
-        for array in (self._indices, self._indptr, self._entries, self._linear):
+        starts, columns = starts_of_rows(rows, n), columns.astype(np.uint32)
+        self._repeated = repeated_rows(starts, columns, entries)
+        if self._repeated is None:
+            self._sparse = starts, columns, entries
+        for array in (starts, columns, entries, self._linear):
             array.flags.writeable = False
+
+    @classmethod
+    def of_repeated_rows(cls, matrix: RepeatedRows, linear: npt.NDArray[np.float64] | None) -> Self:
+        """Return the Hamiltonian of a symmetric matrix of rows of few shapes, without zeros, and a linear part.
+
+        Parameters
+        ----------
+        matrix : RepeatedRows
+            M, row r at coordinate r.
+        linear : ndarray, shape (n,), or None
+            Coefficients of the linear part.
+
+        Returns
+        -------
+        Quadratic
+        """
+        quadratic = cls(0.0, linear=np.broadcast_to(0.0, 1))
+        quadratic.dim = n = len(matrix.shape)
+        quadratic._linear = np.broadcast_to(0.0, n) if linear is None else real_array(linear, "linear")
+        quadratic._linear.flags.writeable = False
+        quadratic._sparse, quadratic._repeated = None, matrix
+        return quadratic
+
+    def _column(self, number: int, name: str) -> npt.NDArray[Any]:
+        """Return an array of the sparse rows, by its number among them or its name as that of repeated rows."""
+        if self._sparse is not None:
+            return self._sparse[number]
+        array: npt.NDArray[Any] = getattr(self._repeated, name)
+        array.flags.writeable = False
+        return array
+
+    @property
+    def _indptr(self) -> npt.NDArray[np.int64]:
+        return self._column(0, "start")
+
+    @property
+    def _indices(self) -> npt.NDArray[np.uint32]:
+        return self._column(1, "coordinate")
+
+    @property
+    def _entries(self) -> npt.NDArray[Any]:
+        return self._column(2, "value")
 
     @cached_if_small
     def _rows(self) -> npt.NDArray[np.int64]:
@@ -241,7 +289,8 @@ class Quadratic(Summable):
         """Whether M, `linear` or `constant` contain exact numbers such as fractions."""
         if self.dim is None:
             return not isinstance(self._scalar, float) or isinstance(self._constant, Fraction)
-        kinds = {self._entries.dtype, np.zeros(0).dtype if self._linear is None else self._linear.dtype}
+        entries = np.zeros(0) if self._sparse is None else self._sparse[2]
+        kinds = {entries.dtype, np.zeros(0).dtype if self._linear is None else self._linear.dtype}
         return kinds != {np.dtype(np.float64)} or isinstance(self._constant, Fraction)
 
     def to_polynomial(self) -> Polynomial:
@@ -415,6 +464,12 @@ class Quadratic(Summable):
     def _product(self, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
         if x.dtype == object:
             return self._sums((x, self._indices))
+        if self._repeated is not None:
+            matrix, product = self._repeated, np.zeros(x.size, dtype=x.dtype)
+            for first, row, column, entry in matrix.pieces():
+                sums = scatter(row, matrix.number[entry] * x[column], int(row.max(initial=-1)) + 1)
+                product[first : first + len(sums)] = sums
+            return product
         return scatter(self._rows, self._numbers(self._entries, x) * x[self._indices], x.size)
 
     def terms(self) -> tuple[Term, ...]:
@@ -423,6 +478,9 @@ class Quadratic(Summable):
 
     @cached_property
     def _terms(self) -> tuple[Term, ...]:
+        if self._repeated is not None and self._linear is not None:
+            linear = self._linear.astype(np.float64, copy=False)
+            return (RepeatedTerm(self._repeated, linear, float(self._constant)),)
         _, _, entries, linear = self.as_given()
         floats = entries.astype(np.float64, copy=False), linear.astype(np.float64, copy=False)
         return (QuadraticTerm(self._indptr, self._indices, *floats, float(self._constant)),)

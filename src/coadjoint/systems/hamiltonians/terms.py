@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import cached_if_small
+from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows
 
 
 class TermReader(Protocol):
@@ -140,6 +141,49 @@ class QuadraticTerm:
     def rows(self) -> npt.NDArray[np.int64]:
         """Row number of every stored entry of M, shape (nnz,)."""
         return rows_of(self.indptr)
+
+
+class RepeatedTerm(QuadraticTerm):
+    """A quadratic term whose M has few shapes of rows; its sparse rows are expanded when they are read.
+
+    Parameters
+    ----------
+    matrix : RepeatedRows
+        M, row r at coordinate r.
+    linear, constant, piece
+        As for `QuadraticTerm`.
+    """
+
+    def __init__(
+        self,
+        matrix: RepeatedRows,
+        linear: npt.NDArray[np.float64],
+        constant: float = 0.0,
+        piece: int | None = None,
+    ) -> None:
+        self.__dict__.update(matrix=matrix, linear=linear, constant=constant, piece=piece)
+
+    matrix: RepeatedRows
+
+    @property
+    def indptr(self) -> npt.NDArray[np.int64]:  # type: ignore[override]
+        """Starts of the rows of M."""
+        return self.matrix.start
+
+    @property
+    def indices(self) -> npt.NDArray[np.uint32]:  # type: ignore[override]
+        """Columns of the entries of M."""
+        return self.matrix.coordinate
+
+    @property
+    def values(self) -> npt.NDArray[np.float64]:  # type: ignore[override]
+        """The entries of M."""
+        return self.matrix.value
+
+    @property
+    def multiplications(self) -> int:
+        """Number of entries of M."""
+        return int(self.matrix.lengths.sum())
 
 
 @dataclass(frozen=True, eq=False)

@@ -63,7 +63,10 @@ def graph(lattice: Any, shape: Any, periodic: Any) -> tuple[int, Integers]:
         sizes = _sizes(shape, axes, lattice)
         count = cell.sites * math.prod(sizes)
         check_available_memory(BYTES_PER_EDGE * count * len(cell.bonds), f"a {lattice} lattice of {short(count)} sites")
-        edges = _edges_of_cells(cell, sizes, read_flags(closed, axes))
+        flags = read_flags(closed, axes)
+        edges = _edges_of_cells(cell, sizes, flags)
+        if all(size >= 3 for size, flag in zip(sizes, flags, strict=True) if flag):
+            return count, edges
     _check_simple(edges, count, lattice, shape)
     return count, edges
 
@@ -92,17 +95,17 @@ def read_flags(periodic: Any, axes: int) -> tuple[bool, ...]:
 
 
 def _edges_of_cells(cell: Cell, sizes: tuple[int, ...], periodic: tuple[bool, ...]) -> Integers:
-    positions = np.indices(sizes).reshape(len(sizes), -1)
-    numbers = np.arange(math.prod(sizes), dtype=np.int64)
+    numbers = np.arange(math.prod(sizes), dtype=np.int64).reshape(sizes)
     edges = []
     for first, second, step in cell.bonds:
-        other, inside = np.zeros_like(numbers), np.ones(len(numbers), dtype=bool)
-        for axis, (size, closed) in enumerate(zip(sizes, periodic, strict=True)):
-            position = positions[axis] + step[axis]
-            if not closed:
-                inside &= (position >= 0) & (position < size)
-            other = other * size + position % size
-        edges.append(np.stack([numbers * cell.sites + first, other * cell.sites + second], axis=1)[inside])
+        cells, others = numbers, numbers
+        for axis, (shift, size, closed) in enumerate(zip(step, sizes, periodic, strict=True)):
+            others = np.roll(others, -shift, axis) if shift else others
+            if shift and not closed:
+                inside = slice(max(0, -shift), size - max(0, shift))
+                index = (slice(None),) * axis + (inside,)
+                cells, others = cells[index], others[index]
+        edges.append(np.stack([cells.ravel() * cell.sites + first, others.ravel() * cell.sites + second], axis=1))
     return np.concatenate(edges)
 
 
@@ -125,7 +128,7 @@ def _read_edges(edges: Any, count: int) -> Integers:
 
 def _check_simple(edges: Integers, count: int, lattice: Any, shape: Any) -> None:
     """Raise ValueError for an edge from a site to itself, and for two edges between the same sites."""
-    low, high = edges.min(axis=1, initial=count), edges.max(axis=1, initial=0)
+    low, high = np.minimum(*edges.T), np.maximum(*edges.T)
     what = f"a periodic {lattice} lattice of shape {short(shape)}" if isinstance(lattice, str) else "lattice"
     advice = "; take 3 or more cells along periodic axes" if isinstance(lattice, str) else ""
     loops = np.flatnonzero(low == high)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache, partial
 from typing import Any
 from weakref import WeakValueDictionary
@@ -18,9 +19,11 @@ from coadjoint.systems.closed_forms.spins import precession, total_spins
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.driven import Driven
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.lattices.coupling_matrix import coupled_spins
 from coadjoint.systems.lattices.dipolar import dipolar_energy
 from coadjoint.systems.lattices.neighbours import graph
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.recorded_invariants import KnownInvariants
 from coadjoint.systems.registry import ready_made
 from coadjoint.validation import read_finite, to_array
 
@@ -161,10 +164,8 @@ def spin_lattice(
     if not len(edges):
         D = np.zeros(3)
     coupling = -J[..., None, None] * T + np.einsum("...k,kab->...ab", D, LEVI_CIVITA)
-    H: Any = Quadratic(
-        _matrix(sites, edges, coupling, -2.0 * K),
-        linear=np.broadcast_to(-B, (sites, 3)).ravel() if np.any(B) else None,
-    )
+    linear = np.broadcast_to(-B, (sites, 3)).ravel() if np.any(B) else None
+    H: Any = coupled_spins(sites, edges, coupling, -2.0 * K, linear)
     if driven:
         H = Driven(H, field, sites, 3, "field")
     parameters = None if driven else _plain_parameters(lattice, shape, periodic, exchange, tensor, dm, field, on_site)
@@ -177,13 +178,23 @@ def spin_lattice(
         _few_spins(sites) if sites <= 8 else _spins(sites),
         H,
         sign=+1,
-        casimirs=None if sites <= MAX_RECORDED_SPINS else {"sum of |x|^2": Quadratic(np.full(3 * sites, 2.0))},
+        casimirs=None if sites <= MAX_RECORDED_SPINS else KnownInvariants({"sum of |x|^2": partial(_sum_of_squares, sites)}),
         name="spin_lattice",
         parameters=parameters,
         exact=exact,
-        integrals={} if strength else total_spins(sites, T, D, K, B, H.uniform if driven else None),
+        integrals={} if strength else _integrals(sites, T, D, K, B, H.uniform if driven else None),
         layout={"lattice": lattice, "shape": shape} if isinstance(lattice, str) else {"lattice": "graph"},
     )
+
+
+def _sum_of_squares(sites: int) -> Quadratic:
+    return Quadratic(np.full(3 * sites, 2.0))
+
+
+def _integrals(sites: int, *couplings: Any) -> Mapping[str, Any]:
+    """Return the constant components of the total spin, checked for few spins, and for many made when they are read."""
+    found = total_spins(sites, *couplings)
+    return KnownInvariants(found) if sites > MAX_RECORDED_SPINS else {name: make() for name, make in found.items()}
 
 
 # Algebras of lattices that exist.
@@ -220,26 +231,6 @@ def _matrices(argument: Any, what: str, count: int, symmetric: bool = False) -> 
     if asymmetric.size:
         raise ValueError(f"{what} is not symmetric at {asymmetric[0].tolist()}; give the same value on both sides")
     return matrices
-
-
-def _matrix(sites: int, edges: npt.NDArray[np.int64], coupling: Floats, on_site: Floats) -> Any:
-    """Return M, from S_i . coupling S_j and S_i . on_site S_i / 2, as a sparse matrix."""
-    import scipy.sparse
-
-    a, b = np.nonzero(np.any(coupling.reshape(-1, 3, 3), axis=0))
-    c, d = np.nonzero(np.any(on_site.reshape(-1, 3, 3), axis=0))
-    value = np.broadcast_to(coupling, (len(edges), 3, 3))[:, a, b].ravel()
-    on_site_values = np.broadcast_to(on_site, (sites, 3, 3))[:, c, d].ravel()
-    kind = np.int32 if 3 * sites <= np.iinfo(np.int32).max else np.int64
-    first, second = 3 * edges[:, :1].astype(kind), 3 * edges[:, 1:].astype(kind)
-    rows, columns = (first + a.astype(kind)).ravel(), (second + b.astype(kind)).ravel()
-    site = 3 * np.arange(sites, dtype=kind)[:, None]
-    entries = np.concatenate([value, value, on_site_values])
-    indices = (
-        np.concatenate([rows, columns, (site + c.astype(kind)).ravel()]),
-        np.concatenate([columns, rows, (site + d.astype(kind)).ravel()]),
-    )
-    return scipy.sparse.coo_matrix((entries, indices), shape=(3 * sites, 3 * sites))
 
 
 def _plain_parameters(lattice: Any, *arguments: Any) -> dict[str, Any] | None:

@@ -32,10 +32,12 @@ typedef double* constants;
     };                         \
     constexpr char Name##_fields[] = "table " #Name ":" FIELDS(DESCRIBE_FIELD) "\n";
 
+// With `repeated`, of linear terms for flows and values alone, row r has the entries of shape[r], whose columns are
+// relative to target[r], modulo 2^32; `offset` has a number for each shape if `repeated` is 2, otherwise for each row.
 #define TERMS_FIELDS(_)                                                                                              \
     _(integer, size) _(bytes, kind) _(indices, row) _(indices, target) _(constants, offset) _(indices, entry)         \
     _(indices, column) _(constants, weight) _(indices, monomial) _(constants, coefficient) _(indices, factor)           \
-    _(indices, factor_row) _(indices, exponent)
+    _(indices, factor_row) _(indices, exponent) _(integer, repeated) _(indices, shape)
 TABLE(Terms, TERMS_FIELDS)
 
 // A function of logarithms, angles and quotients of polynomials: see `field/forms.hpp`.

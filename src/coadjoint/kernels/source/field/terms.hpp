@@ -1,6 +1,8 @@
 // Gradients and values of the terms of a table (the operation `angle`).
 #pragma once
 
+#include <algorithm>
+
 #include "field/forms.hpp"
 #include "boundary/codes.hpp"
 #include "numbers/constants.hpp"
@@ -13,6 +15,11 @@ constexpr int64_t WORK_OF_A_CALL = int64_t(1) << 16;  // cost of a function of t
 // Approximate number of multiplications of the terms first to last - 1.
 inline int64_t work_of_terms(const Terms& terms, int64_t first, int64_t last) {
     int64_t work = 0;
+    if (terms.repeated) {
+        for (uint32_t row = terms.row[first]; row < terms.row[last]; ++row)
+            work += terms.entry[terms.shape[row] + 1] - terms.entry[terms.shape[row]];
+        return work;
+    }
     for (int64_t k = first; k < last; ++k) {
         work += terms.entry[terms.row[k + 1]] - terms.entry[terms.row[k]];
         if (terms.kind[k] == POLYNOMIAL)
@@ -66,6 +73,31 @@ INLINE A linear_row(const Terms& terms, const C& constants, int64_t row, const A
     return total;
 }
 
+constexpr int64_t ROW_BLOCK = 256;  // rows whose sums stay in the first-level cache
+
+// The offset of a row of a table with `repeated`.
+INLINE double repeated_offset(const Terms& terms, int64_t row) {
+    return terms.offset[terms.repeated == 2 ? int64_t(terms.shape[row]) : row];
+}
+
+// The rows start to stop - 1 of a table with `repeated`, bitwise as by `linear_row`; without offsets if not `whole`.
+template <bool whole, class A>
+NOINLINE void repeated_rows(const Terms& terms, int64_t start, int64_t stop, const A* __restrict x,
+                            A* __restrict out) {
+    for (int64_t row = start, next; row < stop; out += next - row, row = next) {
+        const uint32_t shape = terms.shape[row], *target = terms.target + row;
+        const int64_t limit = std::min(stop, row + ROW_BLOCK);
+        for (next = row + 1; next < limit && terms.shape[next] == shape;) ++next;
+        const int64_t count = next - row;
+        for (int64_t i = 0; i < count; ++i) out[i] = whole ? A(repeated_offset(terms, row + i)) : A(0.0);
+        for (uint32_t entry = terms.entry[shape]; entry < terms.entry[shape + 1]; ++entry) {
+            const A weight(terms.weight[entry]);
+            const uint32_t column = terms.column[entry];
+            for (int64_t i = 0; i < count; ++i) out[i] = fma(weight, x[uint32_t(target[i] + column)], out[i]);
+        }
+    }
+}
+
 template <class A, class C>
 INLINE A monomial_without(const Terms& terms, const C& constants, uint32_t monomial, uint32_t chosen, const A* x) {
     A product = constants.template number_at<A>(terms.coefficient, monomial);
@@ -86,6 +118,8 @@ NOINLINE void gradient_rows(const Terms& terms, const C& constants, const int64_
     int64_t start = terms.row[k], stop = terms.row[k + 1];
     if (terms.kind[k] == LINEAR) {
         share(stop - start, [&](int64_t low, int64_t above) {
+            if (terms.repeated)
+                return repeated_rows<true>(terms, start + low, start + above, x, out + (start + low - first));
             const uint32_t *high = terms.entry + 1, *column = terms.column;
             const double *offset = terms.offset, *weight = terms.weight;
             uint32_t entry = terms.entry[start + low];
@@ -116,6 +150,17 @@ INLINE A value_of_term(const Terms& terms, const C& constants, const int64_t* ad
     if (terms.kind[k] == LINEAR) {
         total = shared_sum<A>(stop - start, [&](int64_t low, int64_t above) {
             A sum(0.0);
+            if (terms.repeated) {
+                A weighted[ROW_BLOCK];
+                for (int64_t row = start + low, end; row < start + above; row = end) {
+                    end = std::min(start + above, row + ROW_BLOCK);
+                    repeated_rows<false>(terms, row, end, x, weighted);
+                    for (int64_t i = 0; i < end - row; ++i)
+                        sum = fma(x[terms.target[row + i]],
+                                  fma(A(0.5), weighted[i], A(repeated_offset(terms, row + i))), sum);
+                }
+                return sum;
+            }
             for (int64_t row = start + low; row < start + above; ++row) {
                 A weighted(0.0);
                 for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)

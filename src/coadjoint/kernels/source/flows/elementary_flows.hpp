@@ -84,6 +84,7 @@ class FlowsOfRows {
     bool append(uint32_t r, std::vector<ElementaryFlow>& flows) {
         const Terms& terms = tables.terms;
         const uint32_t part = tables.part[r], low = tables.share[part], high = tables.share[part + 1];
+        if (terms.repeated) return false;
         for (uint32_t k = low; k < high; ++k)
             if (terms.kind[k] != LINEAR || tables.called[k] >= 0) return false;
         if (!blocks_of(tables.state, part, tables.tau[r], momentum)) return false;

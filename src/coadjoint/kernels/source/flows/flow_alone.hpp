@@ -38,6 +38,8 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
     const Schedule& schedule = loop.schedule;
     const Arrays& arrays = loop.arrays;
     const int64_t size = arrays.size, d = tables.group.size, rows = (d + ROWS - 1) / ROWS;
+    // Plain sums have no errors to be copied.
+    const int64_t carried = summation == PLAIN ? size : 2 * size;
     AlignedArray<double> scratch(3 * size), copies(2 * size), momenta(2 * size), checkpoint_momenta(2 * size);
     AlignedArray<GroupRows> elements(2 * d * rows), finished(2 * d * rows), group_scratch(3 * d * rows);
     AlignedArray<GroupRows> checkpoint_elements(with_group ? 2 * d * rows : 0);
@@ -55,7 +57,7 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
     recorder.begin(member, SharedConstants{}, loop.k0);
     double *x = momenta.at, *dx = momenta.at + size;
     std::copy_n(arrays.momenta + member * size, size, x);
-    std::copy_n(arrays.errors + member * size, size, dx);
+    if (carried > size) std::copy_n(arrays.errors + member * size, size, dx);
     const Vectors<GroupRows> group{elements.at, elements.at + d * rows, rows, group_scratch.at};
     auto each_entry = [&](auto&& visit) {
         for (int64_t i = 0; i < d; ++i)
@@ -70,7 +72,7 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
     const Vectors<double> momentum{x, dx, 1, scratch.at};
     // The group element is finished on a copy, and rotated by angles of a copy of the momentum.
     auto finish_copies = [&](int64_t k) {
-        shared_copy(x, 2 * size, copies.at);
+        shared_copy(x, carried, copies.at);
         if (with_group) std::copy_n(elements.at, 2 * d * rows, finished.at);
         const double t = start_of(schedule, member, k);
         const Vectors<GroupRows> copy{finished.at, finished.at + d * rows, rows, group_scratch.at};
@@ -96,10 +98,11 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
         opening = flows_of(tables.section[0], tables.section[loop.k0 == 0]);
         repeated = flows_of(tables.section[1], tables.section[loop.k1 > 1 ? 2 : 1]);
     }
-    int64_t checkpoint = loop.k0;
+    int64_t checkpoint = loop.k0;  // of which the arrays of the run have the momenta
+    if (with_group) std::copy_n(elements.at, 2 * d * rows, checkpoint_elements.at);
     const auto store_checkpoint = [&](int64_t k) {
         checkpoint = k;
-        shared_copy(x, 2 * size, checkpoint_momenta.at);
+        shared_copy(x, carried, checkpoint_momenta.at);
         if (with_group) std::copy_n(elements.at, 2 * d * rows, checkpoint_elements.at);
     };
     const auto is_finite = [&](const double* at, const GroupRows* element) {
@@ -109,7 +112,12 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
     // was that one.
     const auto step_that_failed = [&](int64_t k) {
         if (k == 1) return k;
-        std::copy_n(checkpoint_momenta.at, 2 * size, x);
+        if (checkpoint == loop.k0) {
+            std::copy_n(arrays.momenta + member * size, size, x);
+            if (carried > size) std::copy_n(arrays.errors + member * size, size, dx);
+        } else {
+            std::copy_n(checkpoint_momenta.at, carried, x);
+        }
         if (with_group) std::copy_n(checkpoint_elements.at, 2 * d * rows, elements.at);
         for (int64_t again = checkpoint + 1; again < k; ++again)
             sweep<summation, with_group>(tables, SharedConstants{}, tables.section[again == 1 ? 0 : 1],
@@ -118,7 +126,6 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
         finish_copies(k - 1);
         return is_finite(copies.at, finished.at) ? k : k - 1;
     };
-    store_checkpoint(loop.k0);
     int64_t failed = 0;
     const int64_t work = work_of_step(loop);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
@@ -153,7 +160,7 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
     loop.arrays.evaluations[member] += rows_applied(tables, loop.k0, failed ? failed : loop.k1);
     if (failed) loop.overflow(member, failed);
     std::copy_n(x, size, arrays.momenta + member * size);
-    std::copy_n(dx, size, arrays.errors + member * size);
+    if (carried > size) std::copy_n(dx, size, arrays.errors + member * size);
     if constexpr (with_group)
         each_entry([&](int64_t to, int64_t from) {
             arrays.groups[member * d * d + to] = g[from];

@@ -15,7 +15,7 @@ namespace coadjoint {
 inline std::vector<bool> even_terms(const Terms& terms, int64_t longest) {
     constexpr int64_t many = 1024;
     std::vector<bool> even;
-    if (longest < many) return even;
+    if (longest < many || terms.repeated) return even;
     even.resize(terms.size);
     for (int64_t k = 0; k < terms.size; ++k) {
         const uint32_t row = terms.row[k], stop = terms.row[k + 1];
@@ -80,10 +80,11 @@ inline int64_t number_of_parts(const FlowTables& tables) {
 inline std::vector<bool> parts_apart(const FlowTables& tables) {
     const Action& action = tables.state;
     std::vector<bool> apart(number_of_parts(tables));
-    std::vector<int64_t> moved_by(action.size, -1);
+    std::vector<int64_t> moved_by;
     for (int64_t part = 0; part < int64_t(apart.size()); ++part) {
         const uint32_t first = action.run[part], last = action.run[part + 1];
         if (last - first < LEAST_SHARED || is_called(tables, uint32_t(part))) continue;
+        moved_by.resize(action.size, -1);
         apart[part] = std::all_of(tables.terms.kind + tables.share[part], tables.terms.kind + tables.share[part + 1],
                                   [](uint8_t kind) { return kind == LINEAR; });
         for (uint32_t run = first; apart[part] && run < last; ++run) {
@@ -108,20 +109,26 @@ inline std::vector<bool> fused_parts(const FlowTables& tables) {
     const Action& action = tables.state;
     const Terms& terms = tables.terms;
     std::vector<bool> fused(number_of_parts(tables));
-    std::vector<int64_t> moved_by(action.size, -1);
+    std::vector<bool> moved;
     for (int64_t part = 0; part < int64_t(fused.size()); ++part) {
         const uint32_t low = tables.share[part], high = tables.share[part + 1];
         if (terms.row[high] - terms.row[low] < FUSED || is_called(tables, uint32_t(part))) continue;
         bool possible = std::all_of(terms.kind + low, terms.kind + high, [](uint8_t kind) { return kind == LINEAR; });
+        moved.assign(action.size, false);
         for (uint32_t run = action.run[part]; possible && run < action.run[part + 1]; ++run) {
             possible = action.kind[run] == ROTATE;
             const uint32_t* index = action.indices + action.position[run];
             const uint64_t count = possible ? uint64_t(2) * action.angles[run] * action.repeat[run] : 0;
-            for (uint64_t k = 0; k < count; ++k) moved_by[index[k]] = part;
+            for (uint64_t k = 0; k < count; ++k) moved[index[k]] = true;
         }
-        const uint32_t *entry = terms.column + terms.entry[terms.row[low]],
-                       *stop = terms.column + terms.entry[terms.row[high]];
-        fused[part] = possible && std::all_of(entry, stop, [&](uint32_t k) { return moved_by[k] != part; });
+        auto reads_none = [&](uint32_t row) {
+            const uint32_t shape = terms.repeated ? terms.shape[row] : row;
+            const uint32_t origin = terms.repeated ? terms.target[row] : 0;
+            return std::none_of(terms.column + terms.entry[shape], terms.column + terms.entry[shape + 1],
+                                [&](uint32_t k) { return moved[uint32_t(origin + k)]; });
+        };
+        for (uint32_t row = terms.row[low]; possible && row < terms.row[high]; ++row) possible = reads_none(row);
+        fused[part] = possible;
     }
     return fused;
 }
@@ -138,7 +145,9 @@ NOINLINE void rotate_fused(const FlowTables& tables, const C& constants, uint32_
             const uint32_t origin = terms.row[tables.share[part]] + action.angle[run];
             for (int64_t q = first; q < last; q += FUSED) {
                 const uint32_t begin = uint32_t(q), end = uint32_t(std::min(last, q + FUSED));
-                if (even)
+                if (terms.repeated)
+                    repeated_rows<true>(terms, origin + begin, origin + end, x.at, theta);
+                else if (even)
                     even_rows(terms, tables.share[part], origin + begin, origin + end, x.at, theta);
                 else
                     for (uint32_t angle = begin; angle < end; ++angle)
@@ -182,7 +191,7 @@ template <class A>
 struct AngleWorkspace {
     const PartialStep<A>* partial_step = nullptr;  // of a step of another length
     AlignedArray<A> theta, rotated, arguments;
-    std::vector<double> calls;
+    AlignedArray<double> calls;
     std::vector<bool> even, apart, fused;
     explicit AngleWorkspace(int64_t longest)
         : theta(longest), rotated(longest), arguments(longest), calls(2 * longest + 2) {}
@@ -257,6 +266,9 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
         const bool apart = !workspace.apart.empty() && workspace.apart[part];
         if (apart)
             share(terms.row[high] - terms.row[low], [&](int64_t first, int64_t last) {
+                if (terms.repeated)
+                    return repeated_rows<true>(terms, terms.row[low] + first, terms.row[low] + last, x.at,
+                                               workspace.theta.at + first);
                 for (uint32_t angle = uint32_t(first); angle < last; ++angle)
                     workspace.theta.at[angle] = linear_row(terms, constants, terms.row[low] + angle, x.at);
             });
@@ -269,7 +281,7 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
                 });
             else
                 gradient_rows(terms, constants, tables.addresses, k, x.at, moment, workspace.theta.at, terms.row[low],
-                              workspace.arguments.at, workspace.calls.data());
+                              workspace.arguments.at, workspace.calls.at);
         if (partial_step)
             share(terms.row[high] - terms.row[low], [&](int64_t first, int64_t last) {
                 for (int64_t angle = first; angle < last; ++angle)

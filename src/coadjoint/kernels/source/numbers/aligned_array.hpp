@@ -3,23 +3,30 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <cstdlib>
+#include <new>
 #include <vector>
 
 namespace coadjoint {
 
 template <class A>
 struct AlignedArray {
-    std::vector<char> bytes;
-    A* at;
+    A* at = nullptr;
 
     explicit AlignedArray(int64_t count) { clear(count); }
-    // Allocate `count` zeros.
+    ~AlignedArray() { std::free(memory); }
+    // Allocate `count` zeros; the system provides the memory of a large array where it is first written.
     void clear(int64_t count) {
-        bytes.assign(sizeof(A) * (count + 1) + alignof(A), 0);
-        at = reinterpret_cast<A*>((reinterpret_cast<uintptr_t>(bytes.data()) + alignof(A) - 1) & ~(alignof(A) - 1));
+        std::free(memory);
+        memory = std::calloc(sizeof(A) * (count + 1) + alignof(A), 1);
+        if (!memory) throw std::bad_alloc();
+        at = reinterpret_cast<A*>((reinterpret_cast<uintptr_t>(memory) + alignof(A) - 1) & ~(alignof(A) - 1));
     }
     AlignedArray(const AlignedArray&) = delete;
     AlignedArray& operator=(const AlignedArray&) = delete;
+
+  private:
+    void* memory = nullptr;
 };
 
 }  // namespace coadjoint

@@ -123,7 +123,7 @@ class MemberRecorder {
     const int64_t size;
     SavedSteps saved;
     AlignedArray<A> states, errors, arguments;
-    std::vector<double> workspace;
+    AlignedArray<double> workspace;
     int64_t member = 0, step[lanes], slot[lanes], waiting = 0;
     bool saving = false, recording = false;
 
@@ -178,7 +178,7 @@ class MemberRecorder {
             if (count == 0) return clear_slots();
         }
         record_steps(watch, constants, arrays, schedule, member, count, steps, saving, slot, x, arguments.at,
-                     workspace.data());
+                     workspace.at);
         if (saving) clear_slots();
     }
 
@@ -285,7 +285,7 @@ class LaneRecorder {
     SavedSteps saved;
     const bool recording;
     AlignedArray<A> first, last, worst, arguments;
-    std::vector<double> workspace;
+    AlignedArray<double> workspace;
     int64_t tenth = -1;
     std::unique_ptr<Crossings<A>> crossings;
 
@@ -316,7 +316,7 @@ class LaneRecorder {
         for (int64_t i = 0; i < watch.size; ++i) {
             const A period = constants.template number_at<A>(watch.period, i);
             if (!watched && all(period <= A(0.0))) continue;
-            A now = value_of(watch, constants, i, x, t, arguments.at, workspace.data());
+            A now = value_of(watch, constants, i, x, t, arguments.at, workspace.at);
             for (int64_t lane = 0; lane < count; ++lane)
                 if (double whole = lane_of(period, lane); whole > 0.0)
                     set_lane(now, int(lane), unwrapped(lane_of(now, lane), lane_of(last.at[i], lane), whole));

@@ -296,7 +296,7 @@ class RowsBackward {
                 even_rows(terms, k, terms.row[k], terms.row[k + 1], at.x, theta + (terms.row[k] - base));
             else
                 gradient_rows(terms, SharedConstants{}, tables.addresses, k, at.x, moment, theta, base,
-                              angles.arguments.at, angles.calls.data());
+                              angles.arguments.at, angles.calls.at);
         if (simple) undo_simple(part, tau, theta, at);
         for (int64_t a = 0; a < count; ++a) {
             // A rational rotation by phi rotates by 2 atan(phi/2).

@@ -258,7 +258,7 @@ struct FlowTangentState {
                     std::fill_n(of_term, (terms.row[k + 1] - terms.row[k]) * rows, V(0.0));
                 } else {
                     gradient_rows(terms, SharedConstants{}, tables.addresses, k, x, moment, theta, base,
-                                  angles.arguments.at, angles.calls.data());
+                                  angles.arguments.at, angles.calls.at);
                     gradient_changes(terms, hessians, k, x, moment, vectors, rows, changes.at, base, workspace);
                 }
                 if (further.directions)

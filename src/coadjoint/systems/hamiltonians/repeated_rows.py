@@ -1,0 +1,178 @@
+"""Sparse rows that repeat at other coordinates, as those of a lattice: the entries of each shape are stored once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Integers = npt.NDArray[np.int64]
+
+MIN_ROWS = 1 << 12  # smallest number of rows that are compared
+MIN_REPEATS = 8  # smallest mean number of rows of a shape
+SAMPLE = 1 << 12  # rows of which the number of shapes is counted first
+BLOCK = 1 << 17  # rows whose entries are held in memory at once
+HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)
+
+
+class RepeatedRows:
+    """Compressed sparse rows of few shapes, with the attributes of `SparseRows`, which are expanded when read.
+
+    Row r has the entries begin[s] to begin[s + 1] of its shape s = shape[r], in the columns target[r] + `relative`, with
+    the values `number`.
+    """
+
+    def __init__(
+        self,
+        shape: npt.NDArray[np.uint32],
+        target: npt.NDArray[np.uint32],
+        begin: Integers,
+        relative: Integers,
+        number: npt.NDArray[Any],
+    ) -> None:
+        self.shape, self.target = shape, target
+        self.begin, self.relative, self.number = begin, relative, number
+
+    @classmethod
+    def of_table(cls, shape: npt.NDArray[Any], table: list[list[tuple[int, float]]]) -> RepeatedRows:
+        """Construct the rows of a matrix, row r at coordinate r, from the entries of each shape as pairs."""
+        known: dict[tuple[tuple[int, float], ...], int] = {}
+        number = np.array([known.setdefault(tuple(entries), len(known)) for entries in table], dtype=np.uint32)
+        entries = [entry for one in known for entry in one]
+        begin = np.zeros(len(known) + 1, dtype=np.int64)
+        np.cumsum([len(one) for one in known], out=begin[1:])
+        relative = np.array([column for column, _ in entries], dtype=np.int64)
+        values = np.array([value for _, value in entries], dtype=np.float64)
+        return cls(number[shape], np.arange(len(shape), dtype=np.uint32), begin, relative, values)
+
+    @property
+    def lengths(self) -> Integers:
+        """The number of entries of each row."""
+        return np.asarray(np.diff(self.begin)[self.shape])
+
+    @property
+    def start(self) -> Integers:
+        """The first entry of each row, and the end of the last one."""
+        start = np.zeros(len(self.shape) + 1, dtype=np.int64)
+        np.cumsum(self.lengths, out=start[1:])
+        return start
+
+    @property
+    def owner(self) -> Integers:
+        """The row of each entry."""
+        return np.repeat(np.arange(len(self.shape)), self.lengths)
+
+    @property
+    def coordinate(self) -> npt.NDArray[np.uint32]:
+        """The column of each entry."""
+        pieces = [columns for _, _, columns, _ in self.pieces()]
+        return np.concatenate([np.zeros(0, dtype=np.uint32), *pieces])
+
+    @property
+    def value(self) -> npt.NDArray[Any]:
+        """The value of each entry."""
+        return np.concatenate([self.number[:0], *(self.number[entry] for _, _, _, entry in self.pieces())])
+
+    def pieces(self) -> Iterator[tuple[int, Integers, npt.NDArray[np.uint32], Integers]]:
+        """Yield entries of a few rows: the first row, and for each entry its row, column and index in `number`."""
+        for first in range(0, len(self.shape), BLOCK):
+            shape = self.shape[first : first + BLOCK]
+            lengths = np.diff(self.begin)[shape]
+            row = np.repeat(np.arange(len(shape)), lengths)
+            entry = np.arange(len(row)) + (self.begin[shape] - (np.cumsum(lengths) - lengths))[row]
+            yield first, row, (self.target[first + row] + self.relative[entry]).astype(np.uint32), entry
+
+    def edges(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+        """Return the rows and columns of all entries above the diagonal of a matrix."""
+        lengths = np.diff(self.begin)
+        rows, columns = [np.zeros(0, dtype=np.int32)], [np.zeros(0, dtype=np.int32)]
+        for k in range(int(lengths.max(initial=0))):
+            here = lengths > k
+            relative = np.zeros(len(lengths), dtype=np.int32)
+            relative[here] = self.relative[self.begin[:-1][here] + k]
+            shift = relative[self.shape]
+            above = np.flatnonzero(shift > 0).astype(np.int32)
+            rows.append(above)
+            columns.append(above + shift[above])
+        return np.concatenate(rows), np.concatenate(columns)
+
+    def take(self, rows: npt.NDArray[Any]) -> RepeatedRows:
+        """Select rows, in the order given."""
+        return RepeatedRows(self.shape[rows], self.target[rows], self.begin, self.relative, self.number)
+
+
+def repeated_rows(start: Integers, columns: npt.NDArray[Any], values: npt.NDArray[Any]) -> RepeatedRows | None:
+    """Return the rows of a square matrix with sorted columns by their shapes; None if few repeat."""
+    count = len(start) - 1
+    if count < MIN_ROWS or values.dtype != np.float64:
+        return None
+    if len(values) == count and np.array_equal(columns, np.arange(count)) and np.all(values == values[0]):
+        return RepeatedRows.of_table(np.zeros(count, dtype=np.uint32), [[(0, float(values[0]))]])
+    found = shapes_of(start, columns, values.view(np.int64))
+    if found is None:
+        return None
+    shape, leaders = found
+    lengths = np.diff(start)[leaders]
+    begin = np.zeros(len(leaders) + 1, dtype=np.int64)
+    np.cumsum(lengths, out=begin[1:])
+    owner = np.repeat(np.arange(len(leaders)), lengths)
+    entry = np.arange(begin[-1]) + (start[leaders] - begin[:-1])[owner]
+    relative = columns[entry].astype(np.int64) - leaders[owner]
+    return RepeatedRows(shape, np.arange(len(shape), dtype=np.uint32), begin, relative, values[entry])
+
+
+def shapes_of(
+    start: Integers, columns: npt.NDArray[Any], codes: npt.NDArray[Any]
+) -> tuple[npt.NDArray[np.uint32], Integers] | None:
+    """Return the shape of each sparse row, and the first row of each shape; None if few rows repeat.
+
+    Rows of one shape have equal codes, in columns that are equal relative to the row. Columns ascend in each row.
+    """
+    count = len(start) - 1
+    sample = np.unique(np.linspace(0, count - 1, min(count, SAMPLE)).astype(np.int64))
+    if len(np.unique(_hashes(start, columns, codes, sample))) * MIN_REPEATS > len(sample):
+        return None
+    blocks = [np.arange(first, min(first + BLOCK, count)) for first in range(0, count, BLOCK)]
+    _, leaders, shape = np.unique(
+        np.concatenate([_hashes(start, columns, codes, rows) for rows in blocks]),
+        return_index=True,
+        return_inverse=True,
+    )
+    if len(leaders) * MIN_REPEATS > count:
+        return None
+    lengths = np.diff(start)
+    for rows in blocks:
+        models = leaders[shape[rows]]
+        if not np.array_equal(lengths[rows], lengths[models]):
+            return None
+        for k in range(int(lengths[rows].max(initial=0))):
+            long = lengths[rows] > k
+            some, model = (rows, models) if long.all() else (rows[long], models[long])
+            here, there = start[some] + k, start[model] + k
+            shift = some - model
+            if np.any(columns[here] != columns[there] + shift) or np.any(codes[here] != codes[there]):
+                return None  # different shapes with one hash
+    return shape.astype(np.uint32), leaders
+
+
+def _hashes(start: Integers, columns: npt.NDArray[Any], codes: npt.NDArray[Any], rows: Integers) -> npt.NDArray[Any]:
+    """Return a hash of the shape of each of the given rows."""
+    first, lengths = start[rows], start[rows + 1] - start[rows]
+    before = np.cumsum(lengths) - lengths
+    entry: Any = slice(first[0], first[0] + lengths.sum())
+    if rows[-1] - rows[0] >= len(rows):  # not consecutive
+        entry = np.arange(lengths.sum()) + np.repeat(first - before, lengths)
+    mixed = _mixed((columns[entry] - np.repeat(rows, lengths)).view(np.uint64))
+    mixed = _mixed(mixed ^ codes[entry].astype(np.int64).view(np.uint64))
+    result = np.zeros(len(rows), dtype=np.uint64)
+    filled = np.flatnonzero(lengths)
+    if len(filled):
+        result[filled] = np.add.reduceat(mixed, before[filled])
+    return result
+
+
+def _mixed(bits: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
+    mixed = (bits ^ (bits >> np.uint64(32))) * HASH_FACTOR
+    return mixed ^ (mixed >> np.uint64(29))
