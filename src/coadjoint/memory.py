@@ -11,6 +11,9 @@ from typing import Any, Generic, TypeVar
 UNCHECKED_BYTES = 2**26
 """Allocations below this size (bytes) are not checked."""
 
+RELEASED_SIZE = 2**18
+"""Dimension above which memory freed in the preparation of a system and of its runs is returned to the system."""
+
 NO_LIMIT = 2**62
 MAX_CACHED_SIZE = 2**16
 
@@ -39,6 +42,16 @@ def _count(arrays: Any) -> int:
 def available() -> int:
     """Return the memory available to this process in bytes; a large number if the system does not report it."""
     return max(0, min(_free(), _available_in_cgroups(), _available_address_space()))
+
+
+def release_freed_memory() -> None:
+    """Return freed memory to the system, where the allocator (of glibc) would keep it for smaller arrays."""
+    if sys.platform == "linux":
+        import ctypes
+
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if trim is not None:
+            trim(ctypes.c_size_t(0))
 
 
 def _free() -> int:

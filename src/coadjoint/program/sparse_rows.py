@@ -9,7 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers, distinct, expand
-from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows
+from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, values_at
+
+# Number of unit rows whose starts are stored in 32 bits.
+MANY_ROWS = 1 << 16
 
 
 class SparseRows(NamedTuple):
@@ -34,7 +37,8 @@ class SparseRows(NamedTuple):
     def units(cls, coordinates: NDArray[Any]) -> SparseRows:
         """Construct one row per coordinate, with the value one."""
         size = len(coordinates)
-        return cls(np.arange(size + 1), coordinates.astype(np.uint32), np.broadcast_to(1.0, size))
+        start: Any = np.arange(size + 1, dtype=np.int32 if MANY_ROWS < size < 2**31 - 1 else np.int64)
+        return cls(start, coordinates.astype(np.uint32, copy=False), np.broadcast_to(1.0, size))
 
     @classmethod
     def empty(cls, count: int) -> SparseRows:
@@ -60,21 +64,11 @@ class SparseRows(NamedTuple):
     def take(self, rows: NDArray[Any]) -> SparseRows:
         """Select rows, in the order given."""
         if len(self.coordinate) == len(self.start) - 1 == self.start[-1] and np.all(np.diff(self.start) == 1):
-            return SparseRows(np.arange(len(rows) + 1), self.coordinate[rows], values_at(self.value, rows))
+            units = SparseRows.units(self.coordinate[rows])
+            return units._replace(value=values_at(self.value, rows))
         first, last = self.start[rows], self.start[rows + 1]
         _, entries = expand(first, last)
         return SparseRows(starts_of(last - first), self.coordinate[entries], values_at(self.value, entries))
-
-
-def values_at(values: NDArray[Any], index: NDArray[Any]) -> NDArray[Any]:
-    """Return values[index]; without memory if all values are one number, broadcast.
-
-    Examples
-    --------
-    >>> values_at(np.broadcast_to(2.0, 9), np.array([4, 5])).strides
-    (0,)
-    """
-    return np.broadcast_to(values[:1], len(index)) if values.strides == (0,) and len(values) else values[index]
 
 
 Rows = SparseRows | RepeatedRows

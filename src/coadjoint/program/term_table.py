@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.numbers import Number, array_of
-from coadjoint.program.sparse_rows import Rows, SparseRows, joined_starts, starts_of, values_at
-from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows
+from coadjoint.program.sparse_rows import Rows, SparseRows, joined_starts, starts_of
+from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, values_at
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, RepeatedTerm, Term
 
 LINEAR, POLYNOMIAL, FUNCTION = 0, 1, 2
@@ -91,7 +91,7 @@ class TermTable:
         self._kind.append(np.array([LINEAR]))
         self._rows.append(self._rows[-1][-1:] + len(offset))
         self._monomials.append(np.array([len(self._coefficient)]))
-        self._target.append(matrix.target)
+        self._target.append(matrix.targets)
         self._offset.append(offset)
         self._weights.append(matrix)
 
@@ -172,7 +172,7 @@ class TermTable:
             size=len(self),
             kind=_joined(self._kind, np.uint8),
             row=_joined(self._rows, np.uint32),
-            target=_joined([matrix.target for matrix in matrices], np.uint32),
+            target=_joined([matrix.targets for matrix in matrices], np.uint32),
             offset=_joined(offsets, np.float64),
             entry=joined_starts([matrix.begin for matrix in matrices]).astype(np.uint32),
             column=np.concatenate([matrix.relative for matrix in matrices]).astype(np.uint32),

@@ -15,7 +15,7 @@ from coadjoint.runs.passed_poles import passed_pole, states_in_memory
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.unfinished_members import ends_by_events
-from coadjoint.runs.start import momenta_of, with_group
+from coadjoint.runs.start import momenta_of, vector_size, with_group
 from coadjoint.runs.times import Times
 from coadjoint.systems.protocol import forces_of, is_batch, member_of, states_of
 
@@ -80,7 +80,9 @@ def _worst(solution: Solution, prepared: PreparedRun | None) -> Worst:
         pairs = [_squares(prepared, states, t, h) for t, states, _ in points]
     else:
         count = len(points[0][1])
-        squares = _squares(prepared, np.concatenate([states for _, states, _ in points]), points[0][0], h)
+        all_states = [states for _, states, _ in points]
+        states = all_states[0] if len(points) == 1 else np.concatenate(all_states)
+        squares = _squares(prepared, states, points[0][0], h)
         pairs = [squares[:, k * count : (k + 1) * count] for k in range(len(points))]
     errors, changes = np.sum([np.where(held, pair, 0.0) for pair, (_, _, held) in zip(pairs, points, strict=True)], 0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -222,7 +224,9 @@ def _points(
     solution: Solution, system: Any, members: NDArray[np.int64]
 ) -> list[tuple[float, Floats, NDArray[np.bool_]]]:
     """Return a few times of a run, the start included, the states (members, n) of some members, and who has one."""
-    start = momenta_of(system, solution.x0)[0][members]
+    size = vector_size(system)
+    start = momenta_of(system, solution.x0)[0] if size is None else np.asarray(solution.x0).reshape(-1, size)
+    start = start if len(start) == 1 else start[members]
     count = max(1, min(POINTS, NUMBERS // start.size, len(solution.t) - 1))
     points = [(solution.t_span[0], start, np.ones(len(start), dtype=bool))]
     if not states_in_memory(solution):
@@ -238,9 +242,8 @@ def _points(
 
 def _squares(prepared: PreparedRun, states: Floats, t: float, h: float) -> Floats:
     """Return squared errors and changes of a step, (2, members); zeros where the step cannot be repeated."""
-    # Copies of the states that are compared: the arrays of a run also have its start.
-    full = _run(prepared, states, Times(t, h, 1, 1))[-1].copy()
-    middle, halved = (x.copy() for x in _run(prepared, states, Times(t, 0.5 * h, 2, 1))[1:])
+    (full,) = _run(prepared, states, Times(t, h, 1, 1).with_saved_steps([1]))
+    middle, halved = _run(prepared, states, Times(t, 0.5 * h, 2, 1).with_saved_steps([1, 2]))
     # The difference of two half steps from a step of order p is all but 2^-p of the error of the latter.
     factor = 1.0 / (1.0 - 0.5**prepared.method.order)
     with np.errstate(over="ignore", invalid="ignore"):

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.sparse_rows import Rows, SparseRows, joined_starts, run_starts, starts_of, values_at
+from coadjoint.program.sparse_rows import Rows, SparseRows, joined_starts, run_starts, starts_of
+from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, values_at
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 
 
@@ -162,10 +163,13 @@ class Parts(Sequence[Part]):
         begin, end = self.row[shares], self.row[shares + 1]
         _, angles = expand(begin, end)
         new_index = dict(zip(shares.tolist(), range(len(shares)), strict=True)) if self.nonlinear_shares else {}
+        forms, weights = self.forms.take(angles), self.weights.take(angles)
+        if isinstance(weights, RepeatedRows) and getattr(self.weights, "target", None) is self.forms.coordinate:
+            weights = weights.with_target(forms.coordinate)
         selected = Parts(
-            self.forms.take(angles),
+            forms,
             values_at(self.offset, angles),
-            self.weights.take(angles),
+            weights,
             starts_of(end - begin),
             {new_index[s]: share for s, share in self.nonlinear_shares.items() if s in new_index},
             starts_of(last - first),

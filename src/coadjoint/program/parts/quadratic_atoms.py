@@ -15,8 +15,9 @@ from coadjoint.program.generators import check_products
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.parts.sparse_squares import DENSE_ROW, SparseSquares, sparse_squares
 from coadjoint.program.parts.squares import MAX_RATIONAL_SIZE
-from coadjoint.program.sparse_rows import Rows, SparseRows, order_by, run_starts, starts_of, values_at
+from coadjoint.program.sparse_rows import Rows, SparseRows, order_by, run_starts, starts_of
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, values_at
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm, RepeatedTerm
 
 # Number of entries above which the width of squares is checked.
@@ -165,7 +166,10 @@ def _coupled(term: QuadraticTerm, members: Integers, label: Integers) -> Parts:
     row = np.append(np.flatnonzero(run_starts(label)), len(members))
     matrix = _rows_of(term)
     weights = matrix if len(members) == len(term.linear) and np.all(np.diff(members) == 1) else matrix.take(members)
-    return Parts.linear(SparseRows.units(members), values_at(term.linear, members), weights, row)
+    units = SparseRows.units(members)
+    if isinstance(weights, RepeatedRows):
+        weights = weights.with_target(units.coordinate)
+    return Parts.linear(units, values_at(term.linear, members), weights, row)
 
 
 def _rows_of(term: QuadraticTerm) -> Rows:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.blas_threads import matrix_rows
 from coadjoint.kernels.loop import CompiledLoop, MemberBatch
+from coadjoint.memory import RELEASED_SIZE, release_freed_memory
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.rows import MemberTables, Tables, split_members
 from coadjoint.runs.loops.shifted_attitude import ShiftCorrection, uncorrected_groups
@@ -214,6 +215,8 @@ class SystemLoops(Loops):
         )
         self.block = limit("MOST_LANES") if system.dim <= limit("WIDEST") else 1
         self._set_tables(prepared, watch)
+        if system.dim > RELEASED_SIZE:
+            release_freed_memory()
 
     def _set_tables(self, prepared: CompiledLoop, watch: Any) -> None:
         from coadjoint.kernels.tables.structures import as_structure

@@ -17,17 +17,28 @@ BLOCK = 1 << 17  # rows whose entries are held in memory at once
 HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)
 
 
+def values_at(values: npt.NDArray[Any], index: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return values[index]; without memory if all of them are one number, broadcast.
+
+    Examples
+    --------
+    >>> values_at(np.broadcast_to(2.0, 9), np.array([4, 5])).strides
+    (0,)
+    """
+    return np.broadcast_to(values[:1], len(index)) if values.strides == (0,) and len(values) else values[index]
+
+
 class RepeatedRows:
     """Compressed sparse rows of few shapes, with the attributes of `SparseRows`, which are expanded when read.
 
     Row r has the entries begin[s] to begin[s + 1] of its shape s = shape[r], in the columns target[r] + `relative`, with
-    the values `number`.
+    the values `number`. In a matrix, whose `target` is None, this is column r + `relative`.
     """
 
     def __init__(
         self,
         shape: npt.NDArray[np.uint32],
-        target: npt.NDArray[np.uint32],
+        target: npt.NDArray[np.uint32] | None,
         begin: Integers,
         relative: Integers,
         number: npt.NDArray[Any],
@@ -45,7 +56,13 @@ class RepeatedRows:
         np.cumsum([len(one) for one in known], out=begin[1:])
         relative = np.array([column for column, _ in entries], dtype=np.int64)
         values = np.array([value for _, value in entries], dtype=np.float64)
-        return cls(number[shape], np.arange(len(shape), dtype=np.uint32), begin, relative, values)
+        shapes = number[shape] if len(known) > 1 else np.broadcast_to(np.uint32(0), len(shape))
+        return cls(shapes, None, begin, relative, values)
+
+    @property
+    def targets(self) -> npt.NDArray[np.uint32]:
+        """The coordinate of each row."""
+        return np.arange(len(self.shape), dtype=np.uint32) if self.target is None else self.target
 
     @property
     def lengths(self) -> Integers:
@@ -82,7 +99,8 @@ class RepeatedRows:
             lengths = np.diff(self.begin)[shape]
             row = np.repeat(np.arange(len(shape)), lengths)
             entry = np.arange(len(row)) + (self.begin[shape] - (np.cumsum(lengths) - lengths))[row]
-            yield first, row, (self.target[first + row] + self.relative[entry]).astype(np.uint32), entry
+            target = first + row if self.target is None else self.target[first + row]
+            yield first, row, (target + self.relative[entry]).astype(np.uint32), entry
 
     def edges(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
         """Return the rows and columns of all entries above the diagonal of a matrix."""
@@ -98,9 +116,14 @@ class RepeatedRows:
             columns.append(above + shift[above])
         return np.concatenate(rows), np.concatenate(columns)
 
+    def with_target(self, target: npt.NDArray[np.uint32]) -> RepeatedRows:
+        """Return the same rows with another array of equal targets."""
+        return RepeatedRows(self.shape, target, self.begin, self.relative, self.number)
+
     def take(self, rows: npt.NDArray[Any]) -> RepeatedRows:
         """Select rows, in the order given."""
-        return RepeatedRows(self.shape[rows], self.target[rows], self.begin, self.relative, self.number)
+        target = rows.astype(np.uint32) if self.target is None else self.target[rows]
+        return RepeatedRows(values_at(self.shape, rows), target, self.begin, self.relative, self.number)
 
 
 def repeated_rows(start: Integers, columns: npt.NDArray[Any], values: npt.NDArray[Any]) -> RepeatedRows | None:
@@ -120,7 +143,7 @@ def repeated_rows(start: Integers, columns: npt.NDArray[Any], values: npt.NDArra
     owner = np.repeat(np.arange(len(leaders)), lengths)
     entry = np.arange(begin[-1]) + (start[leaders] - begin[:-1])[owner]
     relative = columns[entry].astype(np.int64) - leaders[owner]
-    return RepeatedRows(shape, np.arange(len(shape), dtype=np.uint32), begin, relative, values[entry])
+    return RepeatedRows(shape, None, begin, relative, values[entry])
 
 
 def shapes_of(

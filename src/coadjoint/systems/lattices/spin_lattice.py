@@ -13,7 +13,7 @@ import numpy.typing as npt
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.families.products import copies
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.memory import check_available_memory
+from coadjoint.memory import RELEASED_SIZE, check_available_memory, release_freed_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.spins import precession, total_spins
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
@@ -173,6 +173,8 @@ def spin_lattice(
     if strength:
         H = H + dipolar_energy(lattice, shape, periodic, strength)
         parameters = None if parameters is None else {**parameters, "dipolar": strength}
+    if 3 * sites > RELEASED_SIZE:
+        release_freed_memory()
     exact = None if driven or strength or np.any(D) else precession(sites, edges, J, T, K, B)
     return LiePoissonSystem(
         _few_spins(sites) if sites <= 8 else _spins(sites),

@@ -89,11 +89,17 @@ NOINLINE void repeated_rows(const Terms& terms, int64_t start, int64_t stop, con
         const int64_t limit = std::min(stop, row + ROW_BLOCK);
         for (next = row + 1; next < limit && terms.shape[next] == shape;) ++next;
         const int64_t count = next - row;
+        bool of_spins = true;  // one component of spins in a row: their columns are read without their numbers
+        for (int64_t i = 0; i < count; ++i) of_spins &= target[i] == target[0] + 3 * uint32_t(i);
         for (int64_t i = 0; i < count; ++i) out[i] = whole ? A(repeated_offset(terms, row + i)) : A(0.0);
         for (uint32_t entry = terms.entry[shape]; entry < terms.entry[shape + 1]; ++entry) {
             const A weight(terms.weight[entry]);
             const uint32_t column = terms.column[entry];
-            for (int64_t i = 0; i < count; ++i) out[i] = fma(weight, x[uint32_t(target[i] + column)], out[i]);
+            const A* from = x + uint32_t(target[0] + column);
+            if (of_spins)
+                for (int64_t i = 0; i < count; ++i) out[i] = fma(weight, from[3 * i], out[i]);
+            else
+                for (int64_t i = 0; i < count; ++i) out[i] = fma(weight, x[uint32_t(target[i] + column)], out[i]);
         }
     }
 }

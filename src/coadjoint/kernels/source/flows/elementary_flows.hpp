@@ -34,7 +34,7 @@ class FlowsOfRows {
   public:
     // CUBIC blocks are whole rows unless `with_cubic`.
     FlowsOfRows(const FlowTables& tables, bool with_group, bool with_cubic = false)
-        : tables(tables), with_group(with_group), with_cubic(with_cubic), moved_by(tables.state.size, ~uint32_t(0)) {}
+        : tables(tables), with_group(with_group), with_cubic(with_cubic) {}
 
     // The flows of rows, one after the other. Empty if all would be whole rows; then the tables are read.
     std::vector<ElementaryFlow> operator()(uint32_t first, uint32_t last) {
@@ -90,6 +90,7 @@ class FlowsOfRows {
         if (!blocks_of(tables.state, part, tables.tau[r], momentum)) return false;
         if (with_group && !blocks_of(tables.group, part, tables.tau[r], group)) return false;
         if (with_group && group.size() != momentum.size()) return false;
+        if (moved_by.empty()) moved_by.resize(tables.state.size, ~uint32_t(0));
         for (size_t k = 0; k < momentum.size(); ++k) {
             const AngleBlocks of_momentum = momentum[k], of_group = with_group ? group[k] : of_momentum;
             if (of_group.kind != of_momentum.kind || of_group.angle != of_momentum.angle) return false;
