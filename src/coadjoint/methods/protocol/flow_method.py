@@ -100,6 +100,8 @@ class FlowMethod(FormalStep, CompiledTangents, CompiledDerivatives, Composable):
         return self._program_loop(self.program(system, group=representation), h)
 
     def _shared_loop(self, system: System, h: float, representation: Representation) -> CompiledLoop:
+        if type(self).loop is not Method.loop or type(self).compiled is not FlowMethod.compiled:
+            return self.loop(system, h, representation)
         self._check_loop(system)
         return self._program_loop(self.program(system, group=representation), h, compact=representation is None)
 

@@ -143,25 +143,16 @@ class Quadratic(Summable):
             array.flags.writeable = False
 
     @classmethod
-    def of_repeated_rows(cls, matrix: RepeatedRows, linear: npt.NDArray[np.float64] | None) -> Self:
-        """Return the Hamiltonian of a symmetric matrix of rows of few shapes, without zeros, and a linear part.
-
-        Parameters
-        ----------
-        matrix : RepeatedRows
-            M, row r at coordinate r.
-        linear : ndarray, shape (n,), or None
-            Coefficients of the linear part.
-
-        Returns
-        -------
-        Quadratic
-        """
-        quadratic = cls(0.0, linear=np.broadcast_to(0.0, 1))
-        quadratic.dim = n = len(matrix.shape)
+    def _of_rows(cls, rows: RepeatedRows | tuple[npt.NDArray[Any], ...], linear: Any) -> Self:
+        """Return the Hamiltonian of a symmetric matrix without zeros: rows of few shapes, or starts, columns, values."""
+        quadratic = cls(np.zeros(1))
+        repeated = rows if isinstance(rows, RepeatedRows) else repeated_rows(*rows)
+        n = len(repeated.shape) if repeated is not None else len(cast(Any, rows)[0]) - 1
+        quadratic.dim, quadratic._repeated = n, repeated
+        quadratic._sparse = None if repeated is not None else cast(Any, rows)
         quadratic._linear = np.broadcast_to(0.0, n) if linear is None else real_array(linear, "linear")
-        quadratic._linear.flags.writeable = False
-        quadratic._sparse, quadratic._repeated = None, matrix
+        for array in (*(quadratic._sparse or ()), quadratic._linear):
+            array.flags.writeable = False
         return quadratic
 
     def _column(self, number: int, name: str) -> npt.NDArray[Any]:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.repeated_rows import MIN_ROWS, RepeatedRows, shapes_of
+from coadjoint.systems.hamiltonians.terms import starts_of_rows
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
+Rows = tuple[Integers, npt.NDArray[np.uint32], Floats]
 
 
 def coupled_spins(sites: int, edges: Integers, coupling: Floats, on_site: Floats, linear: Floats | None) -> Quadratic:
@@ -19,19 +19,16 @@ def coupled_spins(sites: int, edges: Integers, coupling: Floats, on_site: Floats
 
     Each matrix is (3, 3), or one for each edge or site.
     """
-    matrix = _repeated_rows(sites, edges, coupling, on_site)
-    if matrix is not None:
-        return Quadratic.of_repeated_rows(matrix, linear)
-    return Quadratic(_sparse_matrix(sites, edges, coupling, on_site), linear=linear)
+    equal = _equal_rows(sites, edges, coupling, on_site)
+    return Quadratic._of_rows(_rows(sites, edges, coupling, on_site) if equal is None else equal, linear)
 
 
-def _repeated_rows(sites: int, edges: Integers, coupling: Floats, on_site: Floats) -> RepeatedRows | None:
+def _equal_rows(sites: int, edges: Integers, coupling: Floats, on_site: Floats) -> RepeatedRows | None:
     """Return the rows of equal couplings, each shape once; None for couplings that differ, or if few sites are alike."""
     if coupling.ndim > 2 or on_site.ndim > 2 or 3 * sites < MIN_ROWS or not (np.any(coupling) or np.any(on_site)):
         return None
-    start, columns, turned = _neighbours(sites, edges, bool(np.any(coupling != coupling.T)))
-    if not np.any(coupling):
-        start, columns, turned = np.zeros_like(start), columns[:0], turned[:0]
+    directed = bool(np.any(coupling != coupling.T))
+    start, columns, turned = _neighbours(sites, edges if np.any(coupling) else edges[:0], directed)
     found = shapes_of(start, columns, turned)
     if found is None:
         return None
@@ -62,26 +59,42 @@ def _neighbours(
     keys >>= 1
     site = keys // sites
     keys -= site * sites
-    start = np.zeros(sites + 1, dtype=np.int64)
-    np.cumsum(np.bincount(site, minlength=sites), out=start[1:])
-    return start, keys.astype(np.uint32), turned
+    return starts_of_rows(site, sites), keys.astype(np.uint32), turned
 
 
-def _sparse_matrix(sites: int, edges: Integers, coupling: Floats, on_site: Floats) -> Any:
-    """Return M, from S_i . coupling S_j and S_i . on_site S_i / 2, as a sparse matrix."""
-    import scipy.sparse
+def _rows(sites: int, edges: Integers, coupling: Floats, on_site: Floats) -> Rows:
+    """Return the starts of rows, columns and values of the matrix, one component of the spins after the other."""
+    first, second = edges.T
+    own = np.arange(sites if np.any(on_site) else 0)
+    keys = np.concatenate([first * sites + second, second * sites + first, own * (sites + 1)])
+    order = np.argsort(keys)
+    site = keys[order] // sites
+    other = (keys[order] - site * sites).astype(np.uint32)
+    del keys
+    pattern = np.any(coupling.reshape(-1, 3, 3), axis=0) | np.any(on_site.reshape(-1, 3, 3), axis=0)
+    pattern |= pattern.T
+    lengths = pattern.sum(axis=1)
+    begin = starts_of_rows(site, sites)
+    neighbour = np.arange(len(site)) - begin[site]  # number of the neighbour of its site
+    counts = np.diff(begin)[:, None] * lengths
+    start = np.concatenate([[0], np.cumsum(counts.ravel())])
+    columns, values = np.empty(start[-1], dtype=np.uint32), np.empty(start[-1])
+    m = len(edges)
+    forward, backward, same = order < m, (order >= m) & (order < 2 * m), order >= 2 * m
+    for a in range(3):
+        at = start[3 * site + a] + neighbour * lengths[a]
+        for place, b in enumerate(np.flatnonzero(pattern[a]).tolist()):
+            number = np.empty(len(site))
+            number[forward] = _entry(coupling, a, b, order[forward])
+            number[backward] = _entry(coupling, b, a, order[backward] - m)
+            number[same] = _entry(on_site, a, b, order[same] - 2 * m)
+            columns[at + place], values[at + place] = 3 * other + np.uint32(b), number
+    zero = values == 0.0
+    if np.any(zero):
+        row = np.repeat(np.arange(3 * sites), counts.ravel())[~zero]
+        start, columns, values = starts_of_rows(row, 3 * sites), columns[~zero], values[~zero]
+    return start, columns, values
 
-    a, b = np.nonzero(np.any(coupling.reshape(-1, 3, 3), axis=0))
-    c, d = np.nonzero(np.any(on_site.reshape(-1, 3, 3), axis=0))
-    value = np.broadcast_to(coupling, (len(edges), 3, 3))[:, a, b].ravel()
-    on_site_values = np.broadcast_to(on_site, (sites, 3, 3))[:, c, d].ravel()
-    kind = np.int32 if 3 * sites <= np.iinfo(np.int32).max else np.int64
-    first, second = 3 * edges[:, :1].astype(kind), 3 * edges[:, 1:].astype(kind)
-    rows, columns = (first + a.astype(kind)).ravel(), (second + b.astype(kind)).ravel()
-    site = 3 * np.arange(sites, dtype=kind)[:, None]
-    entries = np.concatenate([value, value, on_site_values])
-    indices = (
-        np.concatenate([rows, columns, (site + c.astype(kind)).ravel()]),
-        np.concatenate([columns, rows, (site + d.astype(kind)).ravel()]),
-    )
-    return scipy.sparse.coo_matrix((entries, indices), shape=(3 * sites, 3 * sites))
+
+def _entry(matrices: Floats, a: int, b: int, number: Integers) -> Floats | float:
+    return float(matrices[a, b]) if matrices.ndim == 2 else matrices[number, a, b]
