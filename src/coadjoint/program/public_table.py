@@ -42,7 +42,7 @@ def mapping_of(program: Program) -> dict[str, Any]:
         "coefficient": rows.coefficient,
         "moment": rows.moment,
         "share": program.share,
-        "frequency": program.frequency,
+        "frequency": np.array(program.frequency),
         **{RENAMED_COLUMNS.get(name, name): getattr(terms, name) for name in PUBLIC_COLUMNS},
         **_blocks("state", program.state, program),
         "shift": [

@@ -134,7 +134,8 @@ def build_program(
         )
     table = _term_table(parts)
     state = _state_action(system.algebra, parts, number)
-    frequency = array_of(number, np.zeros(len(parts.offset)))
+    zeros = np.broadcast_to(0.0, len(parts.offset))
+    frequency = zeros if number is float else array_of(number, zeros)
     if method.rotation == "rational":
         frequency = rational_frequencies(system, parts, state, number)
     return Program(

@@ -242,14 +242,18 @@ def _points(
 
 def _squares(prepared: PreparedRun, states: Floats, t: float, h: float) -> Floats:
     """Return squared errors and changes of a step, (2, members); zeros where the step cannot be repeated."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        middle, halved = _run(prepared, states, Times(t, 0.5 * h, 2, 1).with_saved_steps([1, 2]))
+        change = np.linalg.norm(middle - states, axis=1)
+    # Without the arrays of this run, of a large state.
+    halved, middle = halved.copy(), None
     (full,) = _run(prepared, states, Times(t, h, 1, 1).with_saved_steps([1]))
-    middle, halved = _run(prepared, states, Times(t, 0.5 * h, 2, 1).with_saved_steps([1, 2]))
     # The difference of two half steps from a step of order p is all but 2^-p of the error of the latter.
     factor = 1.0 / (1.0 - 0.5**prepared.method.order)
     with np.errstate(over="ignore", invalid="ignore"):
         errors = factor * np.linalg.norm(full - halved, axis=1)
         errors = np.maximum(0.0, errors - ROUNDING * np.linalg.norm(states, axis=1))
-        changes = np.max([np.linalg.norm(after - states, axis=1) for after in (full, middle)], axis=0)
+        changes = np.max([np.linalg.norm(full - states, axis=1), change], axis=0)
         squares: Floats = np.array([errors, changes]) ** 2
     squares[:, ~np.isfinite(squares).all(axis=0)] = 0.0
     return squares

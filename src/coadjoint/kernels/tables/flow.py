@@ -76,11 +76,13 @@ def flow_tables(program: Program, h: float, compensated: bool, compact: bool = F
     rational_on_group = np.zeros_like(rational)
     if program.group is not None and np.any(rational):
         rational_on_group = rational & acts_rationally(group, program.parts, program.frequency)
+    # Kernels read the frequencies of rational rotations alone.
+    frequency = program.frequency if np.any(rational) or not compact else np.zeros(1)
     tables = FlowTables(
         int(np.max(np.diff(edges), initial=1)),
         np.where(is_linear, edges[:-1].astype(np.int64), -1),
         (rational & ~rational_on_group).astype(np.uint8),
-        program.frequency,
+        np.ascontiguousarray(frequency),
         rows.part,
         rows.coefficient * h,
         rows.moment,
