@@ -17,6 +17,7 @@ from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import MemberBatch
 from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import require_packages
+from coadjoint.memory import RELEASED_SIZE, release_freed_memory
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.loops.execution import failure_text, run_in_threads, status_name
 from coadjoint.runs.progress import progress_bar
@@ -85,6 +86,8 @@ class Run:
             state.check_fits(self.plan.layout.state)
             self.state = state.copy()
             self.saved.numbers.fill(np.nan)
+        if start.momenta.size > RELEASED_SIZE:
+            release_freed_memory()  # so that the loops get memory that is not written before it is used
 
     def _set(self, system: Any, method: Method, setup: RunSetup, start: Start, saved: NamedArrays) -> None:
         self.system, self.method, self.start = system, method, start

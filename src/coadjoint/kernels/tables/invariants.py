@@ -81,7 +81,8 @@ def invariants_table(
     pairs = [addresses_of({k: term}, len(table), "value", owners[k]) for k, term in table.functions.items()]
     addresses = sum((of_term for of_term, _ in pairs), np.zeros(len(table), dtype=np.int64))
     terms = (table.repeated_table() if compact else None) or table.table()
-    longest = int(np.max(np.diff(terms.row), initial=0))
+    # The loops allocate as many arguments of functions; terms that repeat have none.
+    longest = 0 if terms.repeated else int(np.max(np.diff(terms.row), initial=0))
     watch = Watch(
         len(constant),
         terms,
