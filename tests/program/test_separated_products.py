@@ -5,9 +5,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
-from coadjoint.program.parts.few_parts import first_fit, first_fit_one_by_one
+from coadjoint.program.commutation import Commutation
+from coadjoint.program.parts import quadratic_atoms
+from coadjoint.program.parts.few_parts import first_fit
+from coadjoint.program.parts.part import Parts
 from coadjoint.program.parts.split import split
 from coadjoint.program.parts.squares import MAX_RATIONAL_SIZE
+from coadjoint.program.sparse_rows import SparseRows
 
 
 def ring(copies, algebra, seed):
@@ -80,9 +84,19 @@ def test_small_systems_have_squares():
     assert per_angle[0].max() > 3 >= per_angle[1].max(), "only coordinates of one site are in one square"
 
 
-def test_one_by_one_is_first_fit():
+def test_colors_are_the_groups_of_first_fit():
+    """Products conflict if some coordinate of one does not commute with one of the other."""
     rng = np.random.default_rng(7)
-    for count in (0, 1, 2, 30, 200):
-        pairs = np.sort(rng.integers(0, max(count, 1), (4 * count, 2)), axis=1)
-        first, second = pairs[pairs[:, 0] < pairs[:, 1]].T
-        np.testing.assert_array_equal(first_fit_one_by_one(count, first, second), first_fit(count, first, second))
+    for cell in (co.algebras.so(3), co.algebras.e(3), co.algebras.sl(2)):
+        algebra = co.algebras.copies(cell, 20)
+        commutation = Commutation(algebra)
+        i, j = rng.integers(0, algebra.dim, (2, 150))
+        apart = i // cell.dim != j // cell.dim
+        i, j = i[apart], j[apart]
+        units = SparseRows.units(np.stack([i, j], axis=1).ravel())
+        count = 2 * len(i)
+        pairs = Parts.linear(units, np.zeros(count), SparseRows.empty(count), 2 * np.arange(len(i) + 1))
+        first, second = commutation.coupled_pairs(pairs)
+        distinct = first != second
+        expected = first_fit(len(i), first[distinct], second[distinct])
+        np.testing.assert_array_equal(quadratic_atoms._colors(i, j, commutation), expected)

@@ -111,16 +111,16 @@ class Commutation:
         i, j, _, _ = self._algebra.triples
         begins = run_starts(i, j)
         i, j = i[begins], j[begins]
-        part, coordinate = _without_repeats(part, coordinate)
-        part_count = np.bincount(coordinate, minlength=size)
-        order = order_by(coordinate)
+        part, by_part = _without_repeats(part, coordinate)
+        part_count = np.bincount(by_part, minlength=size)
+        order = order_by(by_part)
         start, part_by_coordinate = starts_of(part_count), part[order]
         if int(part_count[i] @ part_count[j]) > count * (count + 1) // 2:
             if max(count, size) ** 2 <= MAX_TABLE_SIZE:
                 # Counts of coordinate pairs; float32 suffices, since only zero or nonzero matters.
                 incidence = np.zeros((count, size), dtype=np.float32)
                 noncommuting = np.zeros((size, size), dtype=np.float32)
-                incidence[part, coordinate], noncommuting[i, j], noncommuting[j, i] = 1.0, 1.0, 1.0
+                incidence[part, by_part], noncommuting[i, j], noncommuting[j, i] = 1.0, 1.0, 1.0
                 first, second = np.nonzero(np.triu(incidence @ noncommuting @ incidence.T))
                 return first.astype(np.int64), second.astype(np.int64)
             coupled = np.zeros((count, count), dtype=bool)

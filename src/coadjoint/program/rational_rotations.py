@@ -11,7 +11,7 @@ from coadjoint.program.actions import Action
 from coadjoint.program.blocks import Kind
 from coadjoint.program.numbers import Number, array_of, is_exact, roundoff
 from coadjoint.program.parts.part import Parts, PolynomialShare
-from coadjoint.program.sparse_rows import SparseRows, starts_of
+from coadjoint.program.sparse_rows import Rows, SparseRows, starts_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -98,7 +98,7 @@ def _coupled(parts: Parts) -> NDArray[np.bool_]:
     return coupled
 
 
-def _is_along_form(forms: SparseRows, weights: SparseRows) -> NDArray[np.bool_]:
+def _is_along_form(forms: SparseRows, weights: Rows) -> NDArray[np.bool_]:
     """Test whether the weights of each angle are a multiple of its form, up to rounding."""
     length = np.diff(weights.start)
     is_along = np.asarray((length == 0) | (length == np.diff(forms.start)))

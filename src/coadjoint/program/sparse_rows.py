@@ -46,8 +46,8 @@ class SparseRows(NamedTuple):
         return cls(np.zeros(count + 1, dtype=np.int64), np.zeros(0, dtype=np.uint32), np.zeros(0))
 
     @classmethod
-    def concatenate(cls, pieces: Sequence[SparseRows]) -> SparseRows:
-        """Concatenate rows."""
+    def concatenate(cls, pieces: Sequence[Any]) -> Any:
+        """Concatenate `Rows`; a single piece is returned unchanged."""
         if len(pieces) == 1:
             return pieces[0]
         return cls(

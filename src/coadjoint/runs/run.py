@@ -15,9 +15,9 @@ from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.blas_threads import limited_blas_threads
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import MemberBatch
+from coadjoint.memory import RELEASED_SIZE, release_freed_memory
 from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import require_packages
-from coadjoint.memory import RELEASED_SIZE, release_freed_memory
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.loops.execution import failure_text, run_in_threads, status_name
 from coadjoint.runs.progress import progress_bar

@@ -128,7 +128,8 @@ class LiePoissonSystem:
             if isinstance(summand, SplitHamiltonian):
                 summand.check_commuting(algebra)
         check_available_memory(
-            BYTES_PER_CONSTANT * algebra._constant_count, f"a system on {algebra.name or 'g*'}, of dimension {algebra.dim},"
+            BYTES_PER_CONSTANT * algebra._constant_count,
+            f"a system on {algebra.name or 'g*'}, of dimension {algebra.dim},",
         )
         products = self._product, self._absolute_product
         given_casimirs = None if casimirs is None else read_casimirs(casimirs, algebra.dim, *products)

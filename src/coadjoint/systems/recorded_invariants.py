@@ -181,9 +181,7 @@ TIMES = (0.0, 1.0)
 
 
 @ignore_overflow
-def read_integrals(
-    integrals: Any, H: HamiltonianLike, n: int, product: Product, size: Product
-) -> Mapping[str, Any]:
+def read_integrals(integrals: Any, H: HamiltonianLike, n: int, product: Product, size: Product) -> Mapping[str, Any]:
     """Validate integrals by name; check ``grad F(x) . J(x) grad H(x) = 0`` at sample points where grad F is known.
 
     ``product(x, u)`` is J(x) u, and ``size(x, u)`` the sum of absolute products in each component. The tolerance is u

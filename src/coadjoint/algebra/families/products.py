@@ -146,8 +146,8 @@ def copies(g: LieAlgebra, count: int) -> LieAlgebra:
 
 def _constants_of_copies(g: LieAlgebra, count: int) -> Triples:
     shift = g.dim * np.arange(count, dtype=np.int64)[:, None]
-    *indices, c = g.triples
-    triples = Triples(*((shift + column).ravel() for column in indices), np.tile(c, count))
+    i, j, k = ((shift + column).ravel() for column in g.triples[:3])
+    triples = Triples(i, j, k, np.tile(g.triples.c, count))
     for column in triples:
         column.flags.writeable = False
     return triples

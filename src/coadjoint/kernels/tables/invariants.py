@@ -23,9 +23,7 @@ def watch_tables(system: Any, invariants: Mapping[str, Any], compact: bool = Fal
     The cost of a quadratic invariant is proportional to its nonzero entries. `compact` tables, of which only values are
     computed, store rows that repeat once.
     """
-    return invariants_table(
-        [("the energy", system.hamiltonian), *invariants.items()], system.dim, compact=compact
-    )
+    return invariants_table([("the energy", system.hamiltonian), *invariants.items()], system.dim, compact=compact)
 
 
 def balance_tables(system: Any, invariants: Mapping[str, Any], accounts: Sequence[tuple[str, str]]) -> CompiledTables:

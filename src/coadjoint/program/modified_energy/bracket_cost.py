@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.parts.part import Parts
-from coadjoint.program.sparse_rows import SparseRows
+from coadjoint.program.sparse_rows import Rows
 
 MAX_ESTIMATED_DIMENSION = 1500
 """Largest dimension for which products are counted. Larger systems are lattices, whose brackets are short."""
@@ -56,7 +56,7 @@ def estimated_products(algebra: LieAlgebra, parts: Parts, highest: int) -> float
     return total
 
 
-def _mask(rows: SparseRows, row: int, n: int) -> NDArray[np.bool_]:
+def _mask(rows: Rows, row: int, n: int) -> NDArray[np.bool_]:
     mask = np.zeros(n, dtype=bool)
     mask[rows.coordinate[rows.start[row] : rows.start[row + 1]]] = True
     return mask

@@ -74,18 +74,6 @@ def first_fit(count: int, first: Integers, second: Integers) -> Integers:
     return WORD_BITS * word + np.bitwise_count(masks[np.arange(count), word] - np.uint64(1)).astype(np.int64)
 
 
-def first_fit_one_by_one(count: int, first: Integers, second: Integers) -> Integers:
-    """Return `first_fit` by a loop in Python, for conflicts with many layers."""
-    order = order_by(second)
-    start, earlier = starts_of(np.bincount(second, minlength=count)).tolist(), first[order].tolist()
-    group = [0] * count
-    for item in range(count):
-        taken = {group[other] for other in earlier[start[item] : start[item + 1]]}
-        while group[item] in taken:
-            group[item] += 1
-    return np.array(group, dtype=np.int64)
-
-
 def count_groups(count: int, first: Integers, second: Integers, present: NDArray[np.bool_]) -> Integers:
     """Count the groups of `first_fit` for subsets of the items, for many cases at once.
 

@@ -76,6 +76,8 @@ def _sets(
     Also returns the used coordinates, set by set, and for each label whether squares are to be completed.
     """
     used = term.linear != 0
+    first: NDArray[Any]
+    second: NDArray[Any]
     if isinstance(term, RepeatedTerm):
         first, second = term.matrix.edges()
         used |= term.matrix.lengths > 0

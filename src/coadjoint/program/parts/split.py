@@ -17,6 +17,7 @@ from coadjoint.program.parts.few_parts import few_parts
 from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
 from coadjoint.program.parts.quadratic_atoms import check_width, coupled_atoms, quadratic_atoms
 from coadjoint.program.pattern_cache import MAX_PATTERN_SIZE, Pattern
+from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names, in_coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -66,6 +67,7 @@ def _parts_by_pattern(terms: Sequence[Term], commutation: Commutation) -> Parts 
     if model is None:
         return None
     weights = model.weights
+    assert isinstance(weights, SparseRows), "patterns are small"
     return model.with_angles(term.linear[model.forms.coordinate], weights._replace(value=term.values[weights.value]))
 
 

@@ -144,7 +144,7 @@ class Quadratic(Summable):
 
     @classmethod
     def _of_rows(cls, rows: RepeatedRows | tuple[npt.NDArray[Any], ...], linear: Any) -> Self:
-        """Return the Hamiltonian of a symmetric matrix without zeros: rows of few shapes, or starts, columns, values."""
+        """Return the Hamiltonian of a symmetric matrix without zeros: repeated rows, or starts, columns and values."""
         quadratic = cls(np.zeros(1))
         repeated = rows if isinstance(rows, RepeatedRows) else repeated_rows(*rows)
         n = len(repeated.shape) if repeated is not None else len(cast(Any, rows)[0]) - 1

@@ -31,8 +31,8 @@ def values_at(values: npt.NDArray[Any], index: npt.NDArray[Any]) -> npt.NDArray[
 class RepeatedRows:
     """Compressed sparse rows of few shapes, with the attributes of `SparseRows`, which are expanded when read.
 
-    Row r has the entries begin[s] to begin[s + 1] of its shape s = shape[r], in the columns target[r] + `relative`, with
-    the values `number`. In a matrix, whose `target` is None, this is column r + `relative`.
+    Row r has the entries begin[s] to begin[s + 1] of its shape s = shape[r], in the columns target[r] + `relative`,
+    with the values `number`. In a matrix, whose `target` is None, this is column r + `relative`.
     """
 
     def __init__(

@@ -24,7 +24,7 @@ def coupled_spins(sites: int, edges: Integers, coupling: Floats, on_site: Floats
 
 
 def _equal_rows(sites: int, edges: Integers, coupling: Floats, on_site: Floats) -> RepeatedRows | None:
-    """Return the rows of equal couplings, each shape once; None for couplings that differ, or if few sites are alike."""
+    """Return the rows of equal couplings, each shape once; None if couplings differ, or few sites are alike."""
     if coupling.ndim > 2 or on_site.ndim > 2 or 3 * sites < MIN_ROWS or not (np.any(coupling) or np.any(on_site)):
         return None
     directed = bool(np.any(coupling != coupling.T))

@@ -180,7 +180,9 @@ def spin_lattice(
         _few_spins(sites) if sites <= 8 else _spins(sites),
         H,
         sign=+1,
-        casimirs=None if sites <= MAX_RECORDED_SPINS else KnownInvariants({"sum of |x|^2": partial(_sum_of_squares, sites)}),
+        casimirs=None
+        if sites <= MAX_RECORDED_SPINS
+        else KnownInvariants({"sum of |x|^2": partial(_sum_of_squares, sites)}),
         name="spin_lattice",
         parameters=parameters,
         exact=exact,
