@@ -484,7 +484,8 @@ class Quadratic(Summable):
             diagonal = np.array_equal(dense, np.diag(np.diag(dense)))
             shown = (np.diag(dense) if diagonal else dense).tolist()
         else:
-            shown = f"<{self.dim} x {self.dim}, {self._indices.size} nonzero>"
+            count = self._indices.size if self._repeated is None else int(self._repeated.lengths.sum())
+            shown = f"<{self.dim} x {self.dim}, {count} nonzero>"
         linear = self._linear_part(np.zeros(self.dim or 0))
         tail = "" if not linear.any() else f", linear={linear.tolist() if linear.size <= 4 else '...'}"
         return f"Quadratic({shown}{tail})"

@@ -29,7 +29,9 @@ from coadjoint.validation import read_finite, to_array
 
 Floats = npt.NDArray[np.float64]
 
-BYTES_PER_SPIN, BYTES_PER_EDGE = 500, 200  # peak, during construction
+# Peak during construction, with couplings of each bond or site, and if all are equal.
+BYTES_PER_SPIN, BYTES_PER_EDGE = 500, 200
+BYTES_PER_EQUAL_SPIN, BYTES_PER_EQUAL_EDGE = 150, 60
 MAX_STORED_VALUES = 2**16  # largest number of values stored as parameters
 MAX_COUPLING = 1e100
 MAX_RECORDED_SPINS = 682  # largest number of spins with a recorded Casimir each, the limit of `copies`
@@ -152,11 +154,13 @@ def spin_lattice(
     ['total S3']
     """
     sites, edges = graph(lattice, shape, periodic)
-    check_available_memory(BYTES_PER_SPIN * sites + BYTES_PER_EDGE * len(edges), f"a lattice of {short(sites)} spins")
     J = _numbers(exchange, "exchange", ((), (len(edges),)))
     T = _matrices(tensor, "tensor", len(edges))
     D = _numbers(dm, "dm", ((3,), (len(edges), 3)))
     K = _matrices(on_site, "on_site", sites, symmetric=True)
+    equal = J.ndim == 0 and T.ndim == 2 and D.ndim == 1 and K.ndim == 2
+    per_spin, per_edge = (BYTES_PER_EQUAL_SPIN, BYTES_PER_EQUAL_EDGE) if equal else (BYTES_PER_SPIN, BYTES_PER_EDGE)
+    check_available_memory(per_spin * sites + per_edge * len(edges), f"a lattice of {short(sites)} spins")
     driven = callable(field)
     B = np.zeros(3) if driven else _numbers(field, "field", ((3,), (sites, 3)))
     if not (len(edges) and np.any(J)):
