@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import Any
+from functools import lru_cache
+from typing import Any, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -32,6 +32,21 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 MIN_REPEATED_ROWS = 256
 
 
+class _LazyTerms:
+    """Descriptor of the field `terms`: `Terms`, or their builder until they are read."""
+
+    def __get__(self, program: Any, owner: type) -> Any:
+        if program is None:
+            raise AttributeError("terms have no default")
+        terms = program.__dict__["terms"]
+        if isinstance(terms, TermTable):
+            terms = program.__dict__["terms"] = terms.table(program.number)
+        return terms
+
+    def __set__(self, program: Any, terms: Any) -> None:
+        program.__dict__["terms"] = terms
+
+
 @dataclass(frozen=True)
 class Program:
     """A splitting of one system as a table of plain arrays, which compiled and Python interpreters use.
@@ -44,7 +59,7 @@ class Program:
         The flows, in order of application.
     parts : Parts
         The exact flows.
-    table : TermTable
+    terms : Terms
         The shares of all parts.
     share : ndarray of uint32, shape (parts + 1,)
         Part p has the shares share[p] to share[p + 1].
@@ -68,7 +83,7 @@ class Program:
     system: LiePoissonSystem
     rows: Rows
     parts: Parts
-    table: TermTable
+    terms: Terms
     share: NDArray[np.uint32]
     functions: dict[int, FunctionTerm]
     state: Action
@@ -78,17 +93,12 @@ class Program:
     frequency: NDArray[Any]
     shift: tuple[tuple[Polynomial, float], ...]
 
-    @cached_property
-    def terms(self) -> Terms:
-        """The shares of all parts as a table."""
-        return self.table.table(self.number)
-
     @property
     def compact_terms(self) -> Terms:
-        """The same for loops over flows, with the entries of rows that repeat stored once."""
-        if "terms" in self.__dict__ or int(np.diff(self.parts.row).min(initial=MIN_REPEATED_ROWS)) < MIN_REPEATED_ROWS:
-            return self.terms
-        return self.table.repeated_table() or self.terms
+        """The terms for loops over flows, with the entries of rows that repeat stored once."""
+        terms, shortest = self.__dict__["terms"], int(np.diff(self.parts.row).min(initial=MIN_REPEATED_ROWS))
+        repeated = terms.repeated_table() if isinstance(terms, TermTable) and shortest >= MIN_REPEATED_ROWS else None
+        return repeated or self.terms
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the table as arrays, numbers and lists by name; `docs/table.md` documents them.
@@ -107,6 +117,9 @@ class Program:
         from coadjoint.program.public_table import mapping_of
 
         return mapping_of(self)
+
+
+Program.terms = _LazyTerms()  # type: ignore[assignment]
 
 
 def build_program(
@@ -142,7 +155,7 @@ def build_program(
         system=system,
         rows=rows_of(method, JoinRules.from_parts(parts, frequency), system.sign, number),
         parts=parts,
-        table=table,
+        terms=cast(Any, table),
         share=parts.share.astype(np.uint32),
         functions=table.functions,
         state=state,
