@@ -41,9 +41,9 @@ METHODS = (
 compiled_tables = flow.flow_tables
 
 
-def read_row_by_row(program, h, compensated):
+def read_row_by_row(program, h, compensated, compact=False):
     """Tables of the same flows in which no part only rotates and shears: each ends with scalings of no coordinate."""
-    found = compiled_tables(program, h, compensated)
+    found = compiled_tables(program, h, compensated, compact)
     actions = {name: with_idle_scalings(getattr(found.tables, name)) for name in ("state", "group")}
     return found._replace(tables=found.tables._replace(**actions))
 
