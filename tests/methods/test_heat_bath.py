@@ -141,12 +141,19 @@ def test_rotations_of_spins_are_those_of_the_exponential(name, strength):
         assert np.max(np.abs(left)) < 1e-3 * np.max(np.abs(together.energy))
 
 
-def test_the_damping_of_spins_ends_when_those_far_from_rest_have_converged():
-    """The first 70 of 130 spins are aligned, so that nothing moves them before the others do."""
-    system = co.systems.spin_lattice(shape=130).with_forces(co.forces.DoubleBracketDamping(0.4))
+LONG_CHAINS = {
+    "damping": co.forces.DoubleBracketDamping(0.4),
+    "noise": co.forces.HeatBath(0.4, temperature=0.5, seed=7),
+}
+
+
+@pytest.mark.parametrize("force", LONG_CHAINS)
+def test_the_spins_of_every_slice_have_their_own_noise_and_converge(force):
+    """The first 70 of 130 spins are aligned, so that damping moves them after the others."""
+    system = co.systems.spin_lattice(shape=130).with_forces(LONG_CHAINS[force])
     x0 = np.tile((0.0, 0.0, 1.0), (130, 1))
     x0[70:] = np.random.default_rng(2).standard_normal((60, 3))
     x0 /= np.linalg.norm(x0, axis=1, keepdims=True)
-    found = co.stepper(system, co.Splitting(), 0.25)(x0.ravel())
-    plain = Forced(co.Splitting()).step(system, x0.ravel(), 0.0, 0.25)
+    found = co.stepper(system, co.Splitting(), 0.25)(x0.ravel(), 0.5)
+    plain = Forced(co.Splitting()).step(system, x0.ravel(), 0.5, 0.25)
     assert np.max(np.abs(found - plain)) < 1024 * UNIT_ROUNDOFF
