@@ -7,12 +7,14 @@ import os
 import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.kernels.functions import callbacks
 
 # A child that receives no signal ends, so that the test fails.
 REPORTING = """
@@ -105,6 +107,37 @@ def test_interrupt_ends_the_preparation(case, tmp_path):
         rest, complaint = process.communicate(timeout=120)
     assert (process.returncode, rest, complaint) == (0, "again\n", "")
     assert os.listdir(tmp_path) == []
+
+
+def cosh_system(factor):
+    H = co.Separable({0: (lambda x: factor * np.cosh(x), lambda x: factor * np.sinh(x))})
+    return co.LiePoissonSystem(co.algebras.so(3), H)
+
+
+def test_interrupt_waits_for_the_compilation_of_a_function(monkeypatch):
+    """An exception inside Numba would leave its registries incomplete for the rest of the process."""
+    compile_function, completed = callbacks._compiled, []
+
+    def interrupted(*given):
+        if not completed:
+            signal.raise_signal(signal.SIGINT)
+        completed.append(compile_function(*given))
+        return completed[-1]
+
+    monkeypatch.setattr(callbacks, "_compiled", interrupted)
+    system = cosh_system(1.0 + 2.0**-30)
+    with pytest.raises(KeyboardInterrupt):
+        co.integrate(system, [0.3, 0.4, -0.2], (0, 1), 0.1, co.Splitting())
+    assert len(completed) == 1
+    again = co.integrate(system, [0.3, 0.4, -0.2], (0, 1), 0.1, co.Splitting())
+    assert len(completed) == 2 and again.x.shape == (11, 3)  # the gradient; the value was compiled before
+
+
+def test_functions_are_compiled_in_any_thread():
+    system, x0 = cosh_system(1.0 + 2.0**-31), [0.3, 0.4, -0.2]
+    with ThreadPoolExecutor(1) as pool:
+        there = pool.submit(co.integrate, system, x0, (0, 1), 0.1, co.Splitting()).result()
+    assert np.array_equal(there.x, co.integrate(system, x0, (0, 1), 0.1, co.Splitting()).x)
 
 
 FILE = """

@@ -1,4 +1,4 @@
-"""Interrupts (SIGINT, SIGTERM, SIGHUP, SIGBREAK): deferred during imports; handling in the command-line interface.
+"""Interrupts (SIGINT, SIGTERM, SIGHUP, SIGBREAK): when they are deferred, and how the command-line interface ends.
 
 The command ends at once, with one line, and removes incomplete files. An exception would not suffice: Python drops
 those raised while a weak reference is cleared or a module is loaded, and the run would continue. Only during the steps
@@ -85,12 +85,17 @@ def ignore_signals() -> None:
 
 
 class deferred:
-    """Context of the main thread in which signals are queued; their handlers are called at its end."""
+    """Context in which signals are queued; their handlers are called at its end.
+
+    It has no effect in other threads than the main thread, where Python calls no handlers.
+    """
 
     def __enter__(self) -> None:
         self._handlers: dict[int, Callable[[int, FrameType | None], Any]] = {}
         self._waiting: dict[int, FrameType | None] = {}
         self._over = False
+        if current_thread() is not main_thread():
+            return
         try:
             for number in _handled_signals():
                 handler = signal.getsignal(number)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numba
 
+from coadjoint.interruption import deferred
 from coadjoint.kernels.functions.code_reads import cell_value, is_own
 from coadjoint.kernels.functions.contents import contents_of
 
@@ -21,11 +22,13 @@ _warned: set[str] = set()
 def compile_cached(value: Any, options: tuple[Any, ...], what: str, make: Callable[[], Any]) -> Any:
     """Return the cached result of `make`, valid while `value` and everything its functions read are unchanged.
 
-    Values that cannot be compared are compiled again on each call, with a warning.
+    Values that cannot be compared are compiled again on each call, with a warning. An interrupt waits for `make`: if
+    it ended a generator of Numba's registries, Numba would compile nothing more in this process.
     """
     contents = contents_of(value)
     if contents.unknown:
-        result = make()
+        with deferred():
+            result = make()
         if what not in _warned:
             _warned.add(what)
             warnings.warn(
@@ -37,8 +40,8 @@ def compile_cached(value: Any, options: tuple[Any, ...], what: str, make: Callab
         return result
     key = contents.digest, options
     if key not in _COMPILED:
-        result = make()
-        _cache(_COMPILED, key, result)
+        with deferred():
+            _cache(_COMPILED, key, make())
     return _COMPILED[key]
 
 
