@@ -1,9 +1,11 @@
 """What do derivatives of runs cost? Gradients, tangents and steps, beside the same run or step without them.
 
     python benchmarks/derivatives.py [--steps N] [--rounds N]
+    python benchmarks/derivatives.py --lattice 200 [--threads 1 2] [--rounds N]
 
 Each is run in turns with the plain run, and the best of the rounds is taken. A gradient is that of a sum over the end,
-by the initial state and all parameters; its time contains the run.
+by the initial state and all parameters; its time contains the run. With --lattice, those of one square lattice of spins
+in turns on each number of threads.
 """
 
 from __future__ import annotations
@@ -50,12 +52,54 @@ def cases() -> dict[str, tuple[object, np.ndarray, list[object], bool]]:
     }
 
 
+def of_lattice(side: int, threads: list[int], rounds: int) -> None:
+    """Print times of runs, tangents along one direction and gradients of a lattice of equal and of unequal couplings."""
+    rng = np.random.default_rng(1)
+    x0 = rng.standard_normal((side * side, 3))
+    x0 = (x0 / np.linalg.norm(x0, axis=1)[:, None]).ravel()
+    unequal = rng.uniform(0.5, 1.5, 2 * side * (side - 1))
+    lattices = {
+        "equal": co.systems.spin_lattice("square", (side, side), periodic=True, field=(0, 0, 0.5)),
+        "unequal": co.systems.spin_lattice("square", (side, side), exchange=unequal, field=(0, 0, 0.5)),
+    }
+    print(f"{side} x {side} spins\n{'couplings':11s}{'scheme':28s}threads  ms/step: run  tangent  gradient")
+    for (name, system), (method, h, steps) in [
+        (lattice, scheme)
+        for lattice in lattices.items()
+        for scheme in ((co.Splitting(order=2), 0.02, 64), (co.GaussLegendre(2), 0.05, 16))
+    ]:
+        span, calls = (0.0, h * steps), []
+        for number in threads:
+            ready = co.prepare(system, method, h, threads=number, watch=False)
+
+            def run(ready=ready, span=span, steps=steps):
+                ready.run(x0, span, save_every=steps)
+
+            def tangent(ready=ready, span=span, steps=steps):
+                ready.jvp(x0, span, {"x0": np.ones(x0.shape)}, save_every=steps)
+
+            def gradient(ready=ready, span=span, steps=steps):
+                sol, pullback = ready.vjp(x0, span, save_every=steps)
+                pullback(x=np.ones(sol.x.shape))
+
+            calls += [run, tangent, gradient]
+        times = iter(best(rounds, *calls))
+        for number in threads:
+            row = "".join(f"{1e3 * next(times) / steps:9.2f}" for _ in range(3))
+            print(f"{name:11s}{method!s:28s}{number:7d}      {row}", flush=True)
+
+
 def main() -> None:
     """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=100_000)
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--lattice", type=int, metavar="SIDE", help="spins on a side of a square lattice")
+    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="with --lattice")
     given = parser.parse_args()
+    if given.lattice:
+        of_lattice(given.lattice, given.threads, given.rounds)
+        return
     print(f"{'system':16s}{'scheme':30s}{'ns/step':>9s}  gradient  {DIRECTIONS} tangents  step (us)  tangent of it")
     for name, (system, x0, methods, attitude) in cases().items():
         for method in methods:

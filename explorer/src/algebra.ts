@@ -291,7 +291,7 @@ export function typedFields(tables: Tables, algebra: Algebra, name: string, h: n
     "tables.addresses": zeros,
     ...actionOf("tables.state.", parts.map(({ target }) => [0, 1, 2].map((j) => [0, 1, 2].map((l) => c[j][target][l])))),
     "tables.called": parts.map(() => -1),
-    "tables.direct": zeros,
+    "tables.properties": zeros,
     "tables.step": h,
   });
 }

@@ -141,6 +141,69 @@ def test_every_scheme_on_large_states_has_the_same_bits_and_energies(name):
         assert shared.stats.iterations == alone.stats.iterations
 
 
+DIFFERENTIATED = {name: (make, METHODS["plain"], 0.01) for name, make in SYSTEMS.items()} | {
+    name: MORE[name]
+    for name in (
+        "bonds",
+        "free bodies",
+        "squares of each copy",
+        "full copies of sl(2)",
+        "scalings and shears",
+        "shears by different constants",
+        "Gauss",
+        "midpoint",
+        "frozen",
+        "explicit",
+    )
+}
+
+
+def derivatives(system, method, step, threads, reverse="exact"):
+    """Return the tangent of a run along a direction, and the gradient of the sum of its last state by given weights."""
+    rng, n = np.random.default_rng(5), system.dim
+    x0, direction, weights = 0.5 + 0.3 * rng.standard_normal(n), rng.standard_normal(n), rng.standard_normal(n)
+    span, steps = (1.0, 1.0 + 20 * step), 20
+    # With another number of threads each, of whose first steps two of each kind are shared.
+    forward, backward = [co.prepare(system, method, step, watch=False, threads=one) for one in threads]
+    _, tangents = forward.jvp(x0, span, {"x0": direction}, save_every=steps)
+    sol, pull = backward.vjp(x0, span, save_every=steps // 2, reverse=reverse)
+    of_x = np.zeros(sol.x.shape)
+    of_x[-1] = weights
+    gradient = pull(of_x)
+    # Adjoint to each other, to about 100 roundings of each vector in a step.
+    difference = abs(tangents.x[-1] @ weights - gradient["x0"] @ direction)
+    sizes = [np.linalg.norm(a) * np.linalg.norm(b) for a, b in ((tangents.x[-1], weights), (gradient["x0"], direction))]
+    assert difference <= 2.0**-53 * 100 * steps * sum(sizes)
+    return tangents.x, tangents.energy, gradient
+
+
+@pytest.mark.parametrize(
+    ("name", "reverse"),
+    [(name, "exact") for name in DIFFERENTIATED] + [(name, "reversible") for name in ("square", "disorder", "bonds")],
+)
+def test_derivatives_have_the_same_bits(name, reverse):
+    make, method, step = DIFFERENTIATED[name]
+    system = make()
+    *alone, gradient = derivatives(system, method, step, (1, 1), reverse)
+    *shared, other = derivatives(system, method, step, (2, 7), reverse)
+    for found, expected in zip(shared, alone, strict=True):
+        np.testing.assert_array_equal(found, expected)
+    assert list(other) == list(gradient)
+    for parameter in gradient:
+        np.testing.assert_array_equal(other[parameter], gradient[parameter])
+
+
+@pytest.mark.parametrize("method", [METHODS["plain"], co.ExplicitRungeKutta()])
+def test_tangents_of_exponents_have_the_same_bits(method):
+    system, x0 = SYSTEMS["square"](), spins(3)
+    alone, *others = [
+        co.lyapunov(system, x0, (0.0, 0.4), 0.02, method, exponents=3, threads=threads).exponents
+        for threads in (1, 2, 7)
+    ]
+    for shared in others:
+        np.testing.assert_array_equal(shared, alone)
+
+
 def test_energies_summed_in_blocks_are_those_of_the_system():
     system, x0 = disordered(), spins(12)
     sol = run(system, x0, 3, watch=True)

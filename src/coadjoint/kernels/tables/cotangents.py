@@ -13,7 +13,7 @@ from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.library import interruptible_kernels
 from coadjoint.kernels.loop import CompiledLoop, StopFlag, raise_outcome
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
-from coadjoint.kernels.tables.flow import FlowTables, flow_tables, mark_rational
+from coadjoint.kernels.tables.flow import FlowTables, flow_tables, mark_rational, with_properties
 from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.kernels.tables.tangents import check_differentiable, derivative_of_structure
@@ -68,6 +68,7 @@ class ForwardRun(NamedTuple):
     tangents: Floats
     group_tangents: Floats
     coefficients: Floats
+    threads: int
 
 
 class BackwardRun(NamedTuple):
@@ -92,6 +93,7 @@ class BackwardRun(NamedTuple):
     group_cotangents: Floats
     coefficients: Floats
     undone: bool
+    threads: int
 
 
 def flow_cotangents(
@@ -119,7 +121,7 @@ def flow_cotangents(
             longest=max(tables.longest, added.angles),
             only=np.append(tables.only, np.int64(-1)),
             bent=np.append(tables.bent, np.uint8(0)),
-            direct=np.append(tables.direct, np.uint8(0)),
+            properties=np.append(tables.properties, np.uint8(0)),
             frequency=np.concatenate([tables.frequency, np.zeros(added.angles)]),
             part=rows.part,
             tau=rows.coefficient * h,
@@ -132,6 +134,7 @@ def flow_cotangents(
             state=_marked_first(added.state, tables.state),
             group=_marked_first(added.group, tables.group) if added.group is not None else tables.group,
         )
+        tables = with_properties(tables)
         hessians = np.concatenate([hessians, zeros])
     return CompiledTables(FlowCotangents(tables, dual, group_dual, hessians, index), (*base.keepalive, *keepalive))
 

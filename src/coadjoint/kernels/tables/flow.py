@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 from typing import NamedTuple
 
@@ -9,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import limit
+from coadjoint.kernels.library import kernels
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
 from coadjoint.kernels.tables.free_body import body_tables
+from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.program.actions import Action, empty_action
 from coadjoint.program.blocks import Kind
 from coadjoint.program.rational_rotations import acts_rationally
@@ -26,8 +29,8 @@ class FlowTables(NamedTuple):
     if the blocks of part p on the group have other frequencies, frequency[row], than on the momentum, so that they need
     the angle itself. Rational rotations are marked in the kinds of the actions. called[k] is the index of the free body
     of share k, else -1; `body_column` has its triple and the other triple of a bond (the same one without a bond),
-    `body` its constants. direct[p] has bit 1 if all blocks of a body part rotate by the angle itself, bit 2 if it
-    consists of bonds of unit scale.
+    `body` its constants. properties[p] has bit 1 if all blocks of a body part rotate by the angle itself, bit 2 if it
+    consists of bonds of unit scale; bits 4 and 8 are those of `with_properties`.
     """
 
     longest: int
@@ -47,7 +50,7 @@ class FlowTables(NamedTuple):
     called: NDArray[np.int64]
     body_column: NDArray[np.uint32]
     body: NDArray[np.float64]
-    direct: NDArray[np.uint8]
+    properties: NDArray[np.uint8]
     step: float
 
 
@@ -96,7 +99,17 @@ def flow_tables(program: Program, h: float, compensated: bool, compact: bool = F
         *body_tables(program),
         h,
     )
-    return CompiledTables(tables, keepalive)
+    return CompiledTables(with_properties(tables), keepalive)
+
+
+def with_properties(tables: FlowTables) -> FlowTables:
+    """Return tables with the properties of parts that follow from their structure: that runs move different
+    coordinates (bit 4), and that rotations may follow their angles one by one (bit 8).
+    """
+    found = tables._replace(properties=tables.properties.copy())
+    if kernels().flow_properties(ctypes.byref(as_structure(found)), ctypes.c_int64(len(found.only))):
+        raise MemoryError("not enough memory for the properties of the parts")
+    return found
 
 
 def at_step(tables: FlowTables, h: float) -> FlowTables | None:

@@ -15,7 +15,7 @@ from coadjoint.program.parts.part import BodyShare
 from coadjoint.program.table import Program
 
 MAX_SWEEPS = 16
-DIRECT, TOGETHER = 1, 2  # bits of `direct`
+DIRECT, TOGETHER = 1, 2  # bits of `properties`
 
 
 class BodyTables(NamedTuple):
@@ -24,7 +24,7 @@ class BodyTables(NamedTuple):
     called: NDArray[np.int64]
     body_column: NDArray[np.uint32]
     body: NDArray[np.float64]
-    direct: NDArray[np.uint8]
+    properties: NDArray[np.uint8]
 
 
 def body_tables(program: Program) -> BodyTables:
@@ -32,20 +32,20 @@ def body_tables(program: Program) -> BodyTables:
     parts, bodies = program.parts, program.parts.bodies
     # A flow table may contain parts that are not in the Hamiltonian.
     index_of_share = np.full(int(program.share[-1]), -1, dtype=np.int64)
-    direct = np.zeros(len(parts), dtype=np.uint8)
+    properties = np.zeros(len(parts), dtype=np.uint8)
     index_of_share[list(bodies)] = np.arange(len(bodies))
     of_part = {int(np.searchsorted(parts.share, s, side="right")) - 1: share for s, share in bodies.items()}
     for p, share in of_part.items():
         unit_scale = all(abs(length) == 1.0 for length in share.scale)
         actions = (program.state,) if program.group is None else (program.state, program.group)
-        direct[p] = DIRECT * (unit_scale and all(_turns_directly(action, p) for action in actions))
+        properties[p] = DIRECT * (unit_scale and all(_turns_directly(action, p) for action in actions))
         if all(bodies[s].other and bodies[s].scale == (1.0, 1.0, 1.0) for s in range(*parts.share[p : p + 2])):
-            direct[p] |= TOGETHER
+            properties[p] |= TOGETHER
     columns = np.array(
         [(*share.coordinates, *(share.other or share.coordinates)) for share in bodies.values()], dtype=np.uint32
     ).reshape(-1)
     constants = np.array([_constants(share) for share in bodies.values()], dtype=np.float64).reshape(-1)
-    return BodyTables(index_of_share, columns, constants, direct)
+    return BodyTables(index_of_share, columns, constants, properties)
 
 
 def _turns_directly(action: Action, part: int) -> bool:

@@ -224,6 +224,11 @@ class Trajectory:
         return self._run.workers
 
     @property
+    def threads_inside(self) -> int:
+        """Number of threads that may share a member."""
+        return self._run.setup.inside
+
+    @property
     def saved_rows(self) -> Any:
         """Outputs that are the points of the solution."""
         return slice(None)
@@ -269,6 +274,7 @@ class Trajectory:
             tangents=of_x.copy(),
             group_tangents=of_groups.copy(),
             coefficients=coefficients,
+            threads=self.threads_inside,
             **fields,
         )
         for structure, first, last in self._tables_of_members(tables, stretch.h, coefficients.ndim == 3):
@@ -303,6 +309,7 @@ class Trajectory:
             cotangents=cotangents,
             group_cotangents=group_cotangents,
             coefficients=coefficients,
+            threads=self.threads_inside,
             **fields,
         )
         for structure, first, last in self._tables_of_members(tables, stretch.h):

@@ -155,6 +155,7 @@ class ForcedSteps:
             tangents=np.array(dx, order="C"),
             group_tangents=np.zeros(dg.shape) if self._shifted else np.array(dg, order="C"),
             coefficients=np.ascontiguousarray(coefficients[:, : self._flows.start]),
+            threads=1,
         )
         self._call(self._inner.forward, run)
         after = run.at_groups[0]
@@ -211,6 +212,7 @@ class ForcedSteps:
             group_cotangents=np.zeros((count, side, side)),
             coefficients=np.zeros((count, inner_count)),
             undone=False,
+            threads=1,
         )
         self._call(self._inner.backward, run)
         coefficients[:, :inner_count] += run.coefficients

@@ -179,6 +179,11 @@ class LocatedTrajectory(Trajectory):
         return 1
 
     @property
+    def threads_inside(self) -> int:
+        # A call takes one of the steps that a scheme chooses: threads would be started for each.
+        return 1 if self.finished else super().threads_inside
+
+    @property
     def saved_rows(self) -> Any:
         rows = np.arange(self._plain)
         return np.append(rows, len(self.t) - 1) if self._ended else rows

@@ -67,6 +67,7 @@ class StepTangents:
                 tangents=self._tangents,
                 group_tangents=np.zeros((1, count, 0, 0)),
                 coefficients=coefficients,
+                threads=1,
             )
         )
 

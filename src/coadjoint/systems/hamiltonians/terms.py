@@ -182,7 +182,6 @@ class RepeatedTerm(QuadraticTerm):
 
     @property
     def multiplications(self) -> int:
-        """Number of entries of M."""
         return int(self.matrix.lengths.sum())
 
 

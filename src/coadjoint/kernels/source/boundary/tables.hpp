@@ -53,12 +53,13 @@ TABLE(Forms, FORMS_FIELDS)
 TABLE(Action, ACTION_FIELDS)
 
 // called[k] is the free body evaluated by share k, else -1. Body b has six entries of body_column and fifteen of body.
+// The bits of `properties` are in `flows/called_parts.hpp`.
 // `tau` belongs to steps of the length `step`; those of another length are scaled to it.
 #define FLOW_FIELDS(_)                                                                                               \
     _(integer, longest) _(integers, only) _(bytes, bent) _(constants, frequency) _(indices, part) _(numbers, tau)      \
     _(numbers, moment) _(indices, section) _(indices, share) _(Terms, terms) _(addresses, addresses)                 \
     _(Action, state) _(Action, group) _(flag, compensated) _(integers, called) _(indices, body_column)               \
-    _(constants, body) _(bytes, direct) _(number, step)
+    _(constants, body) _(bytes, properties) _(number, step)
 TABLE(FlowTables, FLOW_FIELDS)
 
 #define WATCH_FIELDS(_)                                                                                              \
@@ -169,12 +170,13 @@ TABLE(RungeKuttaCotangents, RUNGE_KUTTA_COTANGENTS_FIELDS)
 // The steps k0 + 1 to k1 of the members with tangent vectors, `carried` for each, of the state and of the group element
 // (members, carried, n) and (members, carried, d, d), which end as those of unfinished states. Those of the states finished
 // after the steps `marks`, ascending, are `at_points` (marked, members, carried, n) and `at_groups`. All vectors have the
-// directions `coefficients` (carried, number) of the offsets, weights and coefficients of the terms.
+// directions `coefficients` (carried, number) of the offsets, weights and coefficients of the terms. `threads` may share
+// the work of one member.
 #define FORWARD_RUN_FIELDS(_)                                                                                        \
     _(integer, size) _(integer, square) _(integer, members) _(integer, carried) _(number, t0) _(number, h)            \
     _(integer, k0) _(integer, k1) _(numbers, momenta) _(numbers, errors) _(numbers, groups) _(integer, marked)       \
     _(integers, marks) _(numbers, at_points) _(numbers, at_groups) _(numbers, tangents) _(numbers, group_tangents)   \
-    _(numbers, coefficients)
+    _(numbers, coefficients) _(integer, threads)
 TABLE(ForwardRun, FORWARD_RUN_FIELDS)
 
 // The steps k0 + 1 to k1 of the members, backward. Given are the unfinished states after step k0, with their errors, from
@@ -185,7 +187,7 @@ TABLE(ForwardRun, FORWARD_RUN_FIELDS)
     _(integer, size) _(integer, square) _(integer, members) _(number, t0) _(number, h) _(integer, k0) _(integer, k1)  \
     _(numbers, momenta) _(numbers, errors) _(numbers, groups) _(numbers, group_errors) _(integer, marked)            \
     _(integers, marks) _(numbers, at_points) _(numbers, at_groups) _(numbers, cotangents)                            \
-    _(numbers, group_cotangents) _(numbers, coefficients) _(flag, undone)
+    _(numbers, group_cotangents) _(numbers, coefficients) _(flag, undone) _(integer, threads)
 TABLE(BackwardRun, BACKWARD_RUN_FIELDS)
 
 #define UNSHIFT_FIELDS(_)                                                                                            \

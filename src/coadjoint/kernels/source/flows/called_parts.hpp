@@ -21,7 +21,9 @@ constexpr int BODY_CONSTANTS = 15;    // moments, principal axes in rows of comp
 constexpr double UPRIGHT = 0.9;       // the sine above which a rotation about e2 counts as near a right angle
 constexpr int64_t WORK_OF_A_BODY = 500;  // multiplications of a short flow of a body
 constexpr int64_t WORK_OF_A_BOND = 60;
-constexpr int DIRECT = 1, BONDS = 2;  // bits of FlowTables::direct
+// Properties of parts, bits of FlowTables::properties: bodies whose blocks all rotate by the angle itself; bonds of unit
+// scale; runs that move different coordinates; rotations that may follow their angles.
+constexpr uint8_t DIRECT = 1, BONDS = 2, APART = 4, FOLLOWING = 8;
 constexpr double TWO_PI = 6.2831853071795865;
 
 // The rotations of a called flow: each by sine and cosine minus one, or by its angle.

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <vector>
 
 #include "flows/bonds.hpp"
@@ -21,9 +22,13 @@ inline std::vector<bool> even_terms(const Terms& terms, int64_t longest) {
         const uint32_t row = terms.row[k], stop = terms.row[k + 1];
         if (terms.kind[k] != LINEAR || stop - row < many) continue;
         auto alike = [](const double* all, uint32_t first, uint32_t last) {
-            const bool negative = std::signbit(all[first]);
-            return std::all_of(all + first, all + last,
-                               [=](double one) { return one == all[first] && std::signbit(one) == negative; });
+            uint64_t different = 0;
+            for (uint32_t k = first; k < last; ++k) {
+                uint64_t bits[2];
+                std::memcpy(&bits[0], all + first, 8), std::memcpy(&bits[1], all + k, 8);
+                different |= bits[0] ^ bits[1];
+            }
+            return different == 0;
         };
         const uint32_t entry = terms.entry[row], end = terms.entry[stop];
         even[k] = entry < end && alike(terms.offset, row, stop) && alike(terms.weight, entry, end);
@@ -70,70 +75,7 @@ inline bool is_called(const FlowTables& tables, uint32_t part) { return tables.c
 
 constexpr int64_t FUSED = 256;  // angles of a part that are rotated by at a time
 
-inline int64_t number_of_parts(const FlowTables& tables) {
-    const uint32_t rows = tables.section[3];
-    return rows ? int64_t(*std::max_element(tables.part, tables.part + rows)) + 1 : 0;
-}
-
-// Find the parts of many linear shares and of many runs that move different coordinates, as those of copies of an
-// algebra: threads may share them run by run. Parts with a few long runs are shared within these.
-inline std::vector<bool> parts_apart(const FlowTables& tables) {
-    const Action& action = tables.state;
-    std::vector<bool> apart(number_of_parts(tables));
-    std::vector<int64_t> moved_by;
-    for (int64_t part = 0; part < int64_t(apart.size()); ++part) {
-        const uint32_t first = action.run[part], last = action.run[part + 1];
-        if (last - first < LEAST_SHARED || is_called(tables, uint32_t(part))) continue;
-        moved_by.resize(action.size, -1);
-        apart[part] = std::all_of(tables.terms.kind + tables.share[part], tables.terms.kind + tables.share[part + 1],
-                                  [](uint8_t kind) { return kind == LINEAR; });
-        for (uint32_t run = first; apart[part] && run < last; ++run) {
-            const uint32_t* index = action.indices + action.position[run];
-            const uint64_t blocks = uint64_t(action.angles[run]) * action.repeat[run];
-            const bool listed = action.entries[run] > 0;  // sparse rows follow its coordinates
-            if (action.kind[run] == SERIES) apart[part] = false;
-            const uint64_t count = listed ? action.width[run] : blocks * action.width[run];
-            for (uint64_t k = 0; k < count; ++k) {
-                if (moved_by[index[k]] == int64_t(run)) continue;  // blocks of one angle may share coordinates
-                if (moved_by[index[k]] >= int64_t(first)) apart[part] = false;
-                moved_by[index[k]] = run;
-            }
-        }
-    }
-    return apart;
-}
-
-// Find the parts of many linear shares and rotations whose angles depend on no coordinate that the part moves, as those
-// of a lattice of spins: every rotation may follow its angle, while the coordinates are in the cache.
-inline std::vector<bool> fused_parts(const FlowTables& tables) {
-    const Action& action = tables.state;
-    const Terms& terms = tables.terms;
-    std::vector<bool> fused(number_of_parts(tables));
-    std::vector<bool> moved;
-    for (int64_t part = 0; part < int64_t(fused.size()); ++part) {
-        const uint32_t low = tables.share[part], high = tables.share[part + 1];
-        if (terms.row[high] - terms.row[low] < FUSED || is_called(tables, uint32_t(part))) continue;
-        bool possible = std::all_of(terms.kind + low, terms.kind + high, [](uint8_t kind) { return kind == LINEAR; });
-        moved.assign(action.size, false);
-        for (uint32_t run = action.run[part]; possible && run < action.run[part + 1]; ++run) {
-            possible = action.kind[run] == ROTATE;
-            const uint32_t* index = action.indices + action.position[run];
-            const uint64_t count = possible ? uint64_t(2) * action.angles[run] * action.repeat[run] : 0;
-            for (uint64_t k = 0; k < count; ++k) moved[index[k]] = true;
-        }
-        auto reads_none = [&](uint32_t row) {
-            const uint32_t shape = terms.repeated ? terms.shape[row] : row;
-            const uint32_t origin = terms.repeated ? terms.target[row] : 0;
-            return std::none_of(terms.column + terms.entry[shape], terms.column + terms.entry[shape + 1],
-                                [&](uint32_t k) { return moved[uint32_t(origin + k)]; });
-        };
-        for (uint32_t row = terms.row[low]; possible && row < terms.row[high]; ++row) possible = reads_none(row);
-        fused[part] = possible;
-    }
-    return fused;
-}
-
-// Angles and rotations of such a part, a few at a time.
+// Angles and rotations of a part whose rotations may follow their angles, a few at a time.
 template <Summation summation, class A, class C>
 NOINLINE void rotate_fused(const FlowTables& tables, const C& constants, uint32_t part, double tau,
                            const Vectors<A>& x, bool even) {
@@ -157,15 +99,30 @@ NOINLINE void rotate_fused(const FlowTables& tables, const C& constants, uint32_
         });
 }
 
-// `act` for a part whose runs are apart.
-template <Summation summation, class A, class C>
+// Call `visit(run, first, last)` for the angles of all runs of a part, whose coordinates differ from those of the other
+// runs if they are `apart`, and within a run from those of its other angles.
+template <class Visit>
+INLINE void share_runs(const Action& action, uint32_t part, bool apart, const Visit& visit) {
+    const uint32_t begin = action.run[part], end = action.run[part + 1];
+    if (apart)
+        return share(end - begin, [&](int64_t first, int64_t last) {
+            for (uint32_t run = begin + uint32_t(first); run < begin + uint32_t(last); ++run)
+                visit(run, uint32_t(0), action.angles[run]);
+        });
+    for (uint32_t run = begin; run < end; ++run)
+        share(action.angles[run],
+              [&](int64_t first, int64_t last) { visit(run, uint32_t(first), uint32_t(last)); });
+}
+
+// `act` for a part whose runs move different coordinates.
+template <Summation summation, class A, class V, class C>
 NOINLINE void act_apart(const Action& action, const C& constants, uint32_t part, double tau, const A* theta,
-                        const Vectors<A>& x) {
+                        const Vectors<V>& x) {
     const uint32_t begin = action.run[part], end = action.run[part + 1];
     const uint32_t widest = *std::max_element(action.width + begin, action.width + end);
     share(end - begin, [&](int64_t first, int64_t last) {
-        AlignedArray<A> scratch(3 * widest);
-        Vectors<A> here = x;
+        AlignedArray<V> scratch(3 * widest * x.rows);
+        Vectors<V> here = x;
         here.workspace = scratch.at;
         for (uint32_t run = begin + uint32_t(first); run < begin + uint32_t(last); ++run)
             act_slice<summation>(action, constants, run, tau, theta + action.angle[run], here, 0, action.angles[run]);
@@ -186,19 +143,24 @@ struct PartialStep {
     }
 };
 
-// Scratch memory for the angles of a part and for the calls of user functions, and properties of the terms.
+// Scratch memory for the angles of a part and for the calls of user functions, and what is used of the properties of
+// terms and parts.
 template <class A>
 struct AngleWorkspace {
     const PartialStep<A>* partial_step = nullptr;  // of a step of another length
     AlignedArray<A> theta, rotated, arguments;
     AlignedArray<double> calls;
-    std::vector<bool> even, apart, fused;
+    std::vector<bool> even;
+    uint8_t used = 0;
     explicit AngleWorkspace(int64_t longest)
         : theta(longest), rotated(longest), arguments(longest), calls(2 * longest + 2) {}
     // For programs whose constants are those of one system.
-    void find_properties(const FlowTables& tables) {
+    void use_properties(const FlowTables& tables, bool shared) {
         even = even_terms(tables.terms, tables.longest);
-        if (tables.longest >= FUSED) fused = fused_parts(tables);
+        used = shared ? FOLLOWING | APART : FOLLOWING;
+    }
+    bool uses(uint8_t property, const FlowTables& tables, uint32_t part) const {
+        return tables.properties[part] & used & property;
     }
 };
 
@@ -207,7 +169,7 @@ template <class A, class C, class T>
 Rotations<A> rotations_of_part(const FlowTables& tables, const C& constants, uint32_t part, const T& tau, const A* x,
                                AngleWorkspace<A>& workspace) {
     const Rotations<A> rotations{workspace.theta.at, workspace.rotated.at, workspace.arguments.at,
-                                 (tables.direct[part] & DIRECT) != 0};
+                                 (tables.properties[part] & DIRECT) != 0};
     const uint32_t begin = tables.share[part], origin = tables.terms.row[begin];
     share(tables.share[part + 1] - begin, [&](int64_t first, int64_t last) {
         for (uint32_t k = begin + uint32_t(first); k < begin + uint32_t(last); ++k) {
@@ -223,7 +185,7 @@ Rotations<A> rotations_of_part(const FlowTables& tables, const C& constants, uin
 // Whether a part consists of bonds that rotate momenta directly. Compensated sums use the blocks.
 template <Summation summation>
 bool rotates_bonds_directly(const FlowTables& tables, uint32_t part) {
-    return summation == PLAIN && (tables.direct[part] & BONDS) != 0;
+    return summation == PLAIN && (tables.properties[part] & BONDS) != 0;
 }
 
 // Apply row r: angles from its share, then the action on the momentum and on the group element. Without `is_partial`
@@ -258,12 +220,12 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
                 act_called<CORRECTED>(tables.group, constants, part, rotations, group, tables.group.size);
             return;
         }
-        if (!with_group && !partial_step && __builtin_expect(!workspace.fused.empty() && workspace.fused[part], 0)) {
+        if (!with_group && !partial_step && __builtin_expect(workspace.uses(FOLLOWING, tables, part), 0)) {
             const bool even = high == low + 1 && !workspace.even.empty() && workspace.even[low];
             return rotate_fused<summation>(tables, constants, part, tau, x, even);
         }
         const A moment = t + (partial_step ? A(tables.moment[r]) * partial_step->length : A(tables.moment[r] * h));
-        const bool apart = !workspace.apart.empty() && workspace.apart[part];
+        const bool apart = workspace.uses(APART, tables, part);
         if (apart)
             share(terms.row[high] - terms.row[low], [&](int64_t first, int64_t last) {
                 if (terms.repeated)
@@ -289,7 +251,7 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
             });
     }
     CachedRotation<A> cached;
-    if (__builtin_expect(!single && !workspace.apart.empty() && workspace.apart[part], 0))
+    if (__builtin_expect(!single && workspace.uses(APART, tables, part), 0))
         act_apart<summation>(tables.state, constants, part, tau, workspace.theta.at, x);
     else
         act<summation, false>(tables.state, constants, part, tau, single, single_angle, workspace.theta.at, cached, x);

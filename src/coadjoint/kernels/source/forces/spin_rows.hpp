@@ -85,7 +85,7 @@ class SpinRows {
 
     // The energy without its constant.
     double energy(const double* x, int64_t stride) const {
-        return sum_of_lanes(shared_sum<A>(stride, [&](int64_t first, int64_t last) {
+        return sum_of_lanes(shared_sum<A, SUMMED_SPINS>(stride, [&](int64_t first, int64_t last) {
             A sum(0.0);
             for (int64_t block = first; block < last; block += W)
                 for (int a = 0; a < 3; ++a) {
@@ -111,6 +111,7 @@ class SpinRows {
     }
 
   private:
+    static constexpr int64_t SUMMED_SPINS = 256;  // of a block of a sum
     static constexpr double NUMBERS[W] = {0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0};
     // `base`: the position of the first lane, if the others follow it, those from `split` on as if the first were at
     // `other`; else negative.

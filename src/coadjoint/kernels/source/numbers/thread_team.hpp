@@ -154,30 +154,49 @@ INLINE void share(int64_t count, const Visit& visit) {
     visit(int64_t(0), count);
 }
 
-// The sum of `part(first, last)` over blocks, added in their order.
+// The same for few blocks of many elements.
+template <class Visit>
+INLINE void share_blocks(int64_t blocks, const Visit& visit) {
+    if (team_of_this_thread) return share_among(*team_of_this_thread, blocks, 1, visit);
+    visit(int64_t(0), blocks);
+}
+
+// The sum of `part(first, last)` over blocks of `summed` elements, added in their order.
 template <class A, class Part>
-NOINLINE A sum_of_blocks(int64_t count, const Part& part) {
-    const int64_t blocks = (count + SUMMED - 1) / SUMMED;
+NOINLINE A sum_of_blocks(int64_t count, int64_t summed, const Part& part) {
+    const int64_t blocks = (count + summed - 1) / summed;
     AlignedArray<A> sums(blocks);
     const auto fill = [&](int64_t first, int64_t last) {
-        for (int64_t b = first; b < last; ++b) sums.at[b] = part(b * SUMMED, std::min(count, (b + 1) * SUMMED));
+        for (int64_t b = first; b < last; ++b) sums.at[b] = part(b * summed, std::min(count, (b + 1) * summed));
     };
-    if (team_of_this_thread)
-        share_among(*team_of_this_thread, blocks, 1, fill);
-    else
-        fill(0, blocks);
+    share_blocks(blocks, fill);
     A total(0.0);
     for (int64_t b = 0; b < blocks; ++b) total = total + sums.at[b];
     return total;
 }
 
-template <class A, class Part>
+template <class A, int64_t summed = SUMMED, class Part>
 INLINE A shared_sum(int64_t count, const Part& part) {
-    if (__builtin_expect(count > SUMMED, 0)) return sum_of_blocks<A>(count, part);
+    if (__builtin_expect(count > summed, 0)) return sum_of_blocks<A>(count, summed, part);
     return part(int64_t(0), count);
 }
 
-inline void shared_copy(const double* from, int64_t count, double* to) {
+// Let `part(first, last, to)` continue `number` results that begin with zeros, over blocks, and `join(to, more)` join
+// them in their order.
+template <class A, class Part, class Join>
+NOINLINE void shared_results(int64_t count, int64_t number, A* results, const Part& part, const Join& join) {
+    if (count <= SUMMED) return part(int64_t(0), count, results);
+    const int64_t blocks = (count + SUMMED - 1) / SUMMED;
+    AlignedArray<A> of_blocks(blocks * number);
+    share_blocks(blocks, [&](int64_t first, int64_t last) {
+        for (int64_t b = first; b < last; ++b)
+            part(b * SUMMED, std::min(count, (b + 1) * SUMMED), of_blocks.at + b * number);
+    });
+    for (int64_t b = 0; b < blocks; ++b) join(results, of_blocks.at + b * number);
+}
+
+template <class A>
+inline void shared_copy(const A* from, int64_t count, A* to) {
     share(count, [=](int64_t first, int64_t last) { std::copy(from + first, from + last, to + first); });
 }
 
@@ -186,7 +205,7 @@ inline void shared_copy(const double* from, int64_t count, double* to) {
 struct MeasuredTeam {
     const int64_t threads, size;
     std::unique_ptr<ThreadTeam> team;  // made when a step is shared
-    int64_t number = 0;
+    int64_t number = 0, followed = 0;
     std::chrono::steady_clock::duration least[2] = {};
 };
 
@@ -225,6 +244,13 @@ class SharedSteps {
     INLINE void end() {
         if (__builtin_expect(measured != nullptr, 0)) measure();
     }
+    // A step of another kind begins, which is shared as the measured ones, and two of every 64 in any case.
+    INLINE void begin_as_measured() {
+        if (__builtin_expect(measured != nullptr, 0) && measured->team &&
+            (measured->followed++ % REPEATED < TRIALS || measured->least[1] < measured->least[0]))
+            team_of_this_thread = measured->team.get();
+    }
+    INLINE void end_as_measured() { team_of_this_thread = outer; }
 
   private:
     static constexpr int64_t REPEATED = 64, TRIALS = 2;

@@ -8,14 +8,14 @@ namespace coadjoint {
 
 // out[a] += cotangents . D_a x for all angles of a part, for vectors side by side.
 template <class V>
-NOINLINE void angle_cotangents(const Action& action, uint32_t part, const V* x, const V* cotangents, int64_t rows,
-                               V* out) {
-    for (uint32_t run = action.run[part]; run < action.run[part + 1]; ++run) {
+NOINLINE void angle_cotangents(const Action& action, uint32_t part, bool apart, const V* x, const V* cotangents,
+                               int64_t rows, V* out) {
+    share_runs(action, part, apart, [&](uint32_t run, uint32_t low, uint32_t high) {
         const int kind = action.kind[run] % RATIONAL;
-        const uint32_t repeat = action.repeat[run], count = action.angles[run];
-        const uint32_t* index = action.indices + action.position[run];
+        const uint32_t repeat = action.repeat[run];
+        const uint32_t* index = action.indices + action.position[run] + (kind == SCALE ? 1 : 2) * uint64_t(repeat) * low;
         const double* constants = action.constants + action.constant[run];
-        V* total = out + action.angle[run];
+        V* total = out + action.angle[run] + low;
         if (kind == CUBIC || kind == SERIES) {
             const BlockRows block(action, run);
             const double* values = constants + (kind == CUBIC ? CUBIC_HEADER : 1);
@@ -26,9 +26,9 @@ NOINLINE void angle_cotangents(const Action& action, uint32_t part, const V* x, 
                     for (int64_t row = 0; row < rows; ++row)
                         *total = fma(value * x[j + row], cotangents[i + row], *total);
                 }
-            continue;
+            return;
         }
-        for (uint32_t q = 0; q < count; ++q, ++total)
+        for (uint32_t q = low; q < high; ++q, ++total)
             for (uint32_t b = 0; b < repeat; ++b, index += kind == SCALE ? 1 : 2) {
                 const int64_t i = index[0] * rows, j = kind == SCALE ? i : index[1] * rows;
                 const V first(constants[kind == SHEAR ? q * repeat + b : kind == PLANE ? 4 * q : q]);
@@ -48,7 +48,7 @@ NOINLINE void angle_cotangents(const Action& action, uint32_t part, const V* x, 
                     }
                 }
             }
-    }
+    });
 }
 
 // The sum over the rows of a group element that are lanes; members as lanes remain.
@@ -75,24 +75,87 @@ struct CoefficientCotangents {
     }
 };
 
+// The entries of sparse rows by column, in their order, so that threads can share the columns.
+class EntriesByColumn {
+  public:
+    // Entries of the rows `low` to `high` - 1 with columns below `size`.
+    void find(uint32_t low, uint32_t high, const uint32_t* start, const uint32_t* column, int64_t size) {
+        if (!begin.empty()) return;
+        entries.resize(start[high] - start[low]);
+        begin.assign(size + 1, 0);
+        for (uint32_t entry = start[low]; entry < start[high]; ++entry) ++begin[column[entry] + 1];
+        for (int64_t c = 0; c < size; ++c) begin[c + 1] += begin[c];
+        std::vector<uint32_t> next(begin.begin(), begin.end() - 1);
+        for (uint32_t row = low; row < high; ++row)
+            for (uint32_t entry = start[row]; entry < start[row + 1]; ++entry)
+                entries[next[column[entry]]++] = {entry, row};
+    }
+
+    // Add the products of factor(entry) and of_row(row) to the entries of `out` in their columns, bitwise as entry after
+    // entry.
+    template <class A, class Factor, class OfRow>
+    void add(A* out, const Factor& factor, const OfRow& of_row) const {
+        share(int64_t(begin.size()) - 1, [&](int64_t low, int64_t high) {
+            for (int64_t c = low; c < high; ++c) {
+                A total = out[c];
+                for (uint32_t e = begin[c]; e < begin[c + 1]; ++e)
+                    total = fma(factor(entries[e].entry), of_row(entries[e].row), total);
+                out[c] = total;
+            }
+        });
+    }
+
+  private:
+    struct Position {
+        uint32_t entry, row;
+    };
+    std::vector<uint32_t> begin;
+    std::vector<Position> entries;
+};
+
+// The entries of the linear terms by column, found when threads share them.
+class EntriesOfTerms {
+  public:
+    explicit EntriesOfTerms(const Terms& terms) : terms(terms), by_term(terms.size) {}
+
+    // Null if threads do not share the entries of term k, of coordinates below `size`.
+    const EntriesByColumn* operator()(int64_t k, int64_t size) {
+        const bool many = terms.row[k + 1] - terms.row[k] >= LEAST_SHARED;
+        if (!team_of_this_thread || terms.kind[k] != LINEAR || !many) return nullptr;
+        by_term[k].find(terms.row[k], terms.row[k + 1], terms.entry, terms.column, size);
+        return &by_term[k];
+    }
+
+  private:
+    const Terms& terms;
+    std::vector<EntriesByColumn> by_term;
+};
+
 // Add to the cotangents of the coefficients of term k, and unless `of_coefficients_only`, of x. Those of its rows are
 // `of_rows`, which begin at row `first`.
 template <class A>
 NOINLINE void term_cotangents(const Terms& terms, const int64_t* hessians, int64_t k, const A* x, const A& t,
                               const A* of_rows, int64_t first, bool of_coefficients_only, A* cotangents,
-                              const CoefficientCotangents<A>& coefficients, HessianWorkspace<A>& workspace) {
+                              const CoefficientCotangents<A>& coefficients, HessianWorkspace<A>& workspace,
+                              const EntriesByColumn* by_column = nullptr) {
     const int64_t start = terms.row[k], stop = terms.row[k + 1], count = stop - start;
     if (terms.kind[k] == LINEAR) {
-        for (int64_t row = start; row < stop; ++row) {
-            const A of_row = of_rows[row - first];
-            coefficients.offset[row] += of_row;
-            for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry) {
-                const uint32_t column = terms.column[entry];
-                coefficients.weight[entry] = fma(of_row, x[column], coefficients.weight[entry]);
-                if (!of_coefficients_only)
-                    cotangents[column] = fma(A(terms.weight[entry]), of_row, cotangents[column]);
+        const bool of_x = !of_coefficients_only && !by_column;
+        const auto rows = [&](int64_t low, int64_t high) {
+            for (int64_t row = start + low; row < start + high; ++row) {
+                const A of_row = of_rows[row - first];
+                coefficients.offset[row] += of_row;
+                for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry) {
+                    const uint32_t column = terms.column[entry];
+                    coefficients.weight[entry] = fma(of_row, x[column], coefficients.weight[entry]);
+                    if (of_x) cotangents[column] = fma(A(terms.weight[entry]), of_row, cotangents[column]);
+                }
             }
-        }
+        };
+        of_x ? rows(0, count) : share(count, rows);
+        if (!of_coefficients_only && by_column)
+            by_column->add(cotangents, [&](uint32_t entry) { return A(terms.weight[entry]); },
+                           [&](uint32_t row) { return of_rows[row - first]; });
     } else if (terms.kind[k] == POLYNOMIAL) {
         for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial) {
             const uint32_t low = terms.factor[monomial], high = terms.factor[monomial + 1];
@@ -155,29 +218,32 @@ class AddedAngles {
     template <class A, class G, class C>
     INLINE void add(const Terms& terms, double tau, const C& at, bool with_group, A* totals, A* of_offset,
                     A* of_weight) const {
-        for (uint32_t a = 0; a < count; ++a) {
-            A total(0.0);
-            for (uint32_t e = state.start[a]; e < state.start[a + 1]; ++e)
-                total = product(state.entries[e], at.x, at.of_x, total);
-            if (with_group) {
-                const int64_t rows = at.group.rows;
-                G sum(0.0);
-                for (uint32_t e = group.start[a]; e < group.start[a + 1]; ++e)
-                    for (int64_t row = 0; row < rows; ++row) {
-                        const GeneratorEntry& entry = group.entries[e];
-                        const GeneratorEntry moved{uint32_t(entry.to * rows + row), uint32_t(entry.from * rows + row),
-                                                   entry.factor, entry.rotates};
-                        sum = product(moved, at.group.at, at.of_group.at, sum);
-                    }
-                total += over_rows<A>(sum);
-            }
-            totals[a] = total * A(tau);
-            of_offset[first + a] += totals[a];
-        }
         const uint32_t* column = terms.column + terms.entry[first];
         A* of_entry = of_weight + terms.entry[first];
-        for (size_t e = 0; e < angle_of.size(); ++e)
-            of_entry[e] = fma(totals[angle_of[e]], at.x[column[e]], of_entry[e]);
+        share(count, [&](int64_t low, int64_t high) {
+            for (int64_t a = low; a < high; ++a) {
+                A total(0.0);
+                for (uint32_t e = state.start[a]; e < state.start[a + 1]; ++e)
+                    total = product(state.entries[e], at.x, at.of_x, total);
+                if (with_group) {
+                    const int64_t rows = at.group.rows;
+                    G sum(0.0);
+                    for (uint32_t e = group.start[a]; e < group.start[a + 1]; ++e)
+                        for (int64_t row = 0; row < rows; ++row) {
+                            const GeneratorEntry& entry = group.entries[e];
+                            const GeneratorEntry moved{uint32_t(entry.to * rows + row),
+                                                       uint32_t(entry.from * rows + row), entry.factor, entry.rotates};
+                            sum = product(moved, at.group.at, at.of_group.at, sum);
+                        }
+                    total += over_rows<A>(sum);
+                }
+                totals[a] = total * A(tau);
+                of_offset[first + a] += totals[a];
+            }
+        });
+        share(int64_t(angle_of.size()), [&](int64_t low, int64_t high) {
+            for (int64_t e = low; e < high; ++e) of_entry[e] = fma(totals[angle_of[e]], at.x[column[e]], of_entry[e]);
+        });
     }
 
   private:

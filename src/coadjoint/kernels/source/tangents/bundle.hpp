@@ -31,8 +31,11 @@ struct Stretch {
 template <class N>
 typename Numbers<N>::Mask orthonormalize(N* at, int64_t size, int64_t count, int64_t width, N* lengths, N* shares) {
     const auto length_of = [&](int64_t r) {
-        N square(0.0);
-        for (int64_t i = 0; i < size; ++i) square = fma(at[i * width + r], at[i * width + r], square);
+        const N square = shared_sum<N>(size, [&](int64_t first, int64_t last) {
+            N sum(0.0);
+            for (int64_t i = first; i < last; ++i) sum = fma(at[i * width + r], at[i * width + r], sum);
+            return sum;
+        });
         return map(square, [](double entry) { return std::sqrt(entry); });
     };
     typename Numbers<N>::Mask valid = N(0.0) == N(0.0);
@@ -44,14 +47,23 @@ typename Numbers<N>::Mask orthonormalize(N* at, int64_t size, int64_t count, int
         if (!any(valid)) return valid;
         lengths[r] = length;
         std::fill_n(shares, count, N(0.0));
-        for (int64_t i = 0; i < size; ++i) {
-            const N entry = at[i * width + r] = at[i * width + r] / length;
-            for (int64_t s = r + 1; s < count; ++s) shares[s] = fma(entry, at[i * width + s], shares[s]);
-        }
-        for (int64_t i = 0; i < size; ++i) {
-            const N entry = -at[i * width + r];
-            for (int64_t s = r + 1; s < count; ++s) at[i * width + s] = fma(entry, shares[s], at[i * width + s]);
-        }
+        shared_results(
+            size, count, shares,
+            [&](int64_t first, int64_t last, N* to) {
+                for (int64_t i = first; i < last; ++i) {
+                    const N entry = at[i * width + r] = at[i * width + r] / length;
+                    for (int64_t s = r + 1; s < count; ++s) to[s] = fma(entry, at[i * width + s], to[s]);
+                }
+            },
+            [&](N* to, const N* more) {
+                for (int64_t s = r + 1; s < count; ++s) to[s] = to[s] + more[s];
+            });
+        share(size, [&](int64_t first, int64_t last) {
+            for (int64_t i = first; i < last; ++i) {
+                const N entry = -at[i * width + r];
+                for (int64_t s = r + 1; s < count; ++s) at[i * width + s] = fma(entry, shares[s], at[i * width + s]);
+            }
+        });
     }
     return valid;
 }

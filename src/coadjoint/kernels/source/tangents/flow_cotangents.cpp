@@ -37,7 +37,7 @@ static void run_backward(const FlowCotangents& all, const BackwardRun& run, int6
     AlignedArray<G> groups((steps + 1) * square), group(2 * square), group_cotangents(square), copies(2 * square);
     AlignedArray<G> group_added(square), group_scratch(3 * square);
     AngleWorkspace<A> angles(tables.longest);
-    if constexpr (Numbers<A>::lanes == 1) angles.find_properties(tables);
+    if constexpr (Numbers<A>::lanes == 1) angles.use_properties(tables, run.threads > 1);
     const CoefficientCotangents<A> derivatives(tables.terms, of_coefficients.at);
     RowsBackward<A, G> backward(all, derivatives, with_group, angles);
     FlowsOfRows flows_of(tables, with_group, true);
@@ -73,8 +73,9 @@ static void run_backward(const FlowCotangents& all, const BackwardRun& run, int6
     }
     const Vectors<A> momentum{x.at, x.at + size, 1, scratch.at};
     const Vectors<G> element{group.at, group.at + square, rows, group_scratch.at};
+    SharedSteps shared_steps(of_members ? 1 : run.threads, size);
     const auto store = [&](int64_t k) {
-        std::copy_n(x.at, size, states.at + k * size);
+        shared_copy(x.at, size, states.at + k * size);
         std::copy_n(group.at, square, groups.at + k * square);
     };
     const int64_t work = Numbers<A>::lanes * work_of_flows(tables);
@@ -84,6 +85,7 @@ static void run_backward(const FlowCotangents& all, const BackwardRun& run, int6
     store(0);
     for (int64_t k = run.k0 + 1; !run.undone && k <= run.k1; ++k) {
         interrupts.after(work);
+        shared_steps.begin();
         const A t(run.t0 + double(k - 1) * run.h);
         const auto& flows = k == 1 ? opening : repeated;
         for (size_t position = 0; position < flows.size(); ++position) {
@@ -100,17 +102,19 @@ static void run_backward(const FlowCotangents& all, const BackwardRun& run, int6
             if (int64_t(tables.part[r]) != all.added)
                 apply_row<summation, with_group>(tables, SharedConstants{}, r, momentum, element, t, run.h, angles);
         store(k - run.k0);
+        shared_steps.end();
     }
     int64_t mark = run.marked;
     for (int64_t k = run.k1; k > run.k0; --k) {
         interrupts.after(4 * work);
+        run.undone ? shared_steps.begin() : shared_steps.begin_as_measured();
         const A t(run.t0 + double(k - 1) * run.h);
         const A* state = run.undone ? x.at : states.at + (k - run.k0) * size;
         const G* after = run.undone ? group.at : groups.at + (k - run.k0) * square;
         if (mark > 0 && run.marks[mark - 1] == k) {
             --mark;
             // The states of the steps are unfinished: a copy is finished and undone.
-            std::copy_n(state, size, finished.at);
+            shared_copy(state, size, finished.at);
             std::copy_n(after, square, copies.at);
             read(added.at, run.at_points + mark * run.members * size);
             if (with_group) read_group(group_added.at, run.at_groups + mark * run.members * d * d);
@@ -122,16 +126,19 @@ static void run_backward(const FlowCotangents& all, const BackwardRun& run, int6
                     apply_row<PLAIN, with_group>(tables, SharedConstants{}, r, copy, copied, t, run.h, angles);
             backward.sweep(tables.section[2], tables.section[3], finish,
                            {finished.at, added.at, copied, {group_added.at, nullptr, rows, group_scratch.at}}, t, run.h);
-            for (int64_t i = 0; i < size; ++i) cotangents.at[i] += added.at[i];
+            share(size, [&](int64_t low, int64_t high) {
+                for (int64_t i = low; i < high; ++i) cotangents.at[i] += added.at[i];
+            });
             for (int64_t e = 0; e < square; ++e) group_cotangents.at[e] += group_added.at[e];
         }
         if (!run.undone) {
-            std::copy_n(state, size, x.at);
+            shared_copy(state, size, x.at);
             std::copy_n(after, square, group.at);
         }
         backward.sweep(tables.section[k == 1 ? 0 : 1], tables.section[k == 1 ? 1 : 2], k == 1 ? opening : repeated,
                        {x.at, cotangents.at, {group.at, nullptr, rows, group_scratch.at},
                         {group_cotangents.at, nullptr, rows, group_scratch.at}}, t, run.h, rotations_of(k));
+        run.undone ? shared_steps.end() : shared_steps.end_as_measured();
     }
     each_number(cotangents.at, size,
                 [&](A& entry, int lane, int64_t position) { run.cotangents[position] = lane_of(entry, lane); });

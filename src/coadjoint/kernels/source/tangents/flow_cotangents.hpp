@@ -36,8 +36,8 @@ class RowsBackward {
                  AngleWorkspace<A>& angles)
         : tables(tables.base), all(tables), coefficients(coefficients), size(tables.base.state.size),
           with_group(with_group), added(tables, with_group), angles(angles), scratch(3 * size), units(3 * size),
-          changes(BODY_ROTATIONS * 3), of_angles(tables.base.longest), of_groups(tables.base.longest),
-          hessians(tables.base.terms) {}
+          of_angles(tables.base.longest), of_groups(tables.base.longest), hessians(tables.base.terms),
+          by_column(tables.base.terms) {}
 
     // Undo the rows last - 1 to first of a step from t of length h; `flows` are their elementary flows, if there are any,
     // and `applied` their rotations if they are known.
@@ -69,9 +69,10 @@ class RowsBackward {
     const bool with_group;
     const AddedAngles added;
     AngleWorkspace<A>& angles;
-    AlignedArray<A> scratch, units, changes, of_angles;
+    AlignedArray<A> scratch, units, of_angles;
     AlignedArray<G> of_groups;
     HessianWorkspace<A> hessians;
+    EntriesOfTerms by_column;
 
     // The cotangent of the angle of shears, without their factor.
     template <class V>
@@ -196,12 +197,17 @@ class RowsBackward {
 
     // The cotangents of the angles of a part, in `of_angles`, without the factor of the time.
     void find_angle_cotangents(uint32_t part, int64_t count, const Covector<A, G>& at, bool of_group_only) {
-        std::fill_n(of_angles.at, count, A(0.0));
-        if (!of_group_only) angle_cotangents(tables.state, part, at.x, at.of_x, 1, of_angles.at);
+        share(count, [&](int64_t first, int64_t last) { std::fill(of_angles.at + first, of_angles.at + last, A(0.0)); });
+        if (!of_group_only) angle_cotangents(tables.state, part, is_apart(part), at.x, at.of_x, 1, of_angles.at);
         if (!with_group) return;
         std::fill_n(of_groups.at, count, G(0.0));
-        angle_cotangents(tables.group, part, at.group.at, at.of_group.at, at.group.rows, of_groups.at);
+        angle_cotangents(tables.group, part, false, at.group.at, at.of_group.at, at.group.rows, of_groups.at);
         for (int64_t a = 0; a < count; ++a) of_angles.at[a] += over_rows<A>(of_groups.at[a]);
+    }
+
+    // Whether threads share the runs of a part.
+    bool is_apart(uint32_t part) const {
+        return team_of_this_thread && int64_t(part) != all.added && (tables.properties[part] & APART);
     }
 
     // Whether a part only rotates, scales and shears.
@@ -217,22 +223,24 @@ class RowsBackward {
     // Undo a simple part, and add the cotangents of its angles.
     void undo_simple(uint32_t part, double tau, const A* theta, const Covector<A, G>& at) {
         const Action& action = tables.state;
-        for (uint32_t run = action.run[part]; run < action.run[part + 1]; ++run) {
-            const uint32_t repeat = action.repeat[run], count = action.angles[run];
-            const uint32_t* index = action.indices + action.position[run];
+        share_runs(action, part, is_apart(part), [&](uint32_t run, uint32_t first, uint32_t count) {
+            const uint32_t repeat = action.repeat[run];
+            const uint64_t before = uint64_t(repeat) * first;
+            const uint32_t* index = action.indices + action.position[run] + (action.kind[run] == SCALE ? 1 : 2) * before;
             const double* constants = action.constants + action.constant[run];
             const A* angle = theta + action.angle[run];
             A* out = of_angles.at + action.angle[run];
             if (action.kind[run] == SHEAR) {
-                for (uint32_t q = 0; q < count; ++q, index += 2 * repeat, constants += repeat) {
+                constants += before;
+                for (uint32_t q = first; q < count; ++q, index += 2 * repeat, constants += repeat) {
                     const AngleBlocks blocks{tau, constants, index, repeat, 0, SHEAR, run};
                     out[q] += of_shears(blocks, at.x, at.of_x, 1);
                     unshear(blocks, angle[q], at.x, at.of_x, 1);
                 }
-                continue;
+                return;
             }
             if (action.kind[run] == SCALE) {
-                for (uint32_t q = 0; q < count; ++q, index += repeat) {
+                for (uint32_t q = first; q < count; ++q, index += repeat) {
                     const Growth<A> by = growth_by(angle[q] * (tau * constants[q]));
                     const A growth = by.expm1, back = growth / by.exp;
                     for (uint32_t b = 0; b < repeat; ++b) {
@@ -242,14 +250,14 @@ class RowsBackward {
                         of_x = fma(growth, of_x, of_x);
                     }
                 }
-                continue;
+                return;
             }
             const auto one = [&](uint32_t q, const Rotation<A>& rotation) {
                 const A total = unrotate(rotation, index, repeat, at.x, at.of_x, 1);
                 out[q] = fma(A(constants[q]), total, out[q]);
                 index += 2 * repeat;
             };
-            uint32_t q = 0;
+            uint32_t q = first;
             if constexpr (Numbers<A>::lanes == 1)
                 for (; q + SPREAD <= count; q += SPREAD) {
                     typedef Lanes<SPREAD> Spread;
@@ -259,7 +267,7 @@ class RowsBackward {
                         one(q + lane, {lane_of(rotations.sine, lane), lane_of(rotations.cosm1, lane)});
                 }
             for (; q < count; ++q) one(q, rotation_by(angle[q] * (tau * constants[q])));
-        }
+        });
     }
 
     void row(uint32_t r, const Covector<A, G>& at, const A& t, double h) {
@@ -287,29 +295,40 @@ class RowsBackward {
                 act_called<PLAIN>(tables.group, SharedConstants{}, part, rotations, at.group, tables.group.size);
                 act_called<PLAIN>(all.group_dual, SharedConstants{}, part, rotations, at.of_group, tables.group.size);
             }
-            for (uint32_t k = low; k < high; ++k) add_called(k, tau, at, of_angles.at + (terms.row[k] - base));
+            share(high - low, [&](int64_t first, int64_t last) {
+                for (uint32_t k = low + uint32_t(first); k < low + uint32_t(last); ++k)
+                    add_called(k, tau, at, of_angles.at + (terms.row[k] - base));
+            });
             return;
         }
         A* theta = angles.theta.at;
         for (uint32_t k = low; k < high; ++k)
             if (!angles.even.empty() && angles.even[k])
-                even_rows(terms, k, terms.row[k], terms.row[k + 1], at.x, theta + (terms.row[k] - base));
+                share(terms.row[k + 1] - terms.row[k], [&](int64_t first, int64_t last) {
+                    const uint32_t start = terms.row[k] + uint32_t(first);
+                    even_rows(terms, k, start, terms.row[k] + uint32_t(last), at.x, theta + (start - base));
+                });
             else
                 gradient_rows(terms, SharedConstants{}, tables.addresses, k, at.x, moment, theta, base,
                               angles.arguments.at, angles.calls.at);
         if (simple) undo_simple(part, tau, theta, at);
-        for (int64_t a = 0; a < count; ++a) {
-            // A rational rotation by phi rotates by 2 atan(phi/2).
-            const A half = 0.5 * tables.frequency[base + a] * (tau * theta[a]);
-            of_angles.at[a] *= A(tau) / fma(half, half, A(1.0));
-        }
+        share(count, [&](int64_t first, int64_t last) {
+            for (int64_t a = first; a < last; ++a) {
+                // A rational rotation by phi rotates by 2 atan(phi/2).
+                const A half = 0.5 * tables.frequency[base + a] * (tau * theta[a]);
+                of_angles.at[a] *= A(tau) / fma(half, half, A(1.0));
+            }
+        });
         const bool single = tables.only[part] >= 0;
         const A single_angle = single ? theta[0] : A(0.0);
         CachedRotation<A> cached;
         const auto undo_part = [&](const Action& action, const auto& vectors) {
             act<PLAIN, true>(action, SharedConstants{}, part, -tau, single, single_angle, theta, cached, vectors);
         };
-        if (!simple) {
+        if (!simple && !single && is_apart(part)) {
+            act_apart<PLAIN>(tables.state, SharedConstants{}, part, -tau, theta, x);
+            act_apart<PLAIN>(all.dual, SharedConstants{}, part, -tau, theta, of_x);
+        } else if (!simple) {
             undo_part(tables.state, x);
             undo_part(all.dual, of_x);
         }
@@ -329,7 +348,7 @@ class RowsBackward {
         }
         for (uint32_t k = low; k < high; ++k)
             term_cotangents(terms, all.hessians, k, at.x, moment, of_angles.at, base, false, at.of_x, coefficients,
-                            hessians);
+                            hessians, by_column(k, size));
     }
 
     // Add the cotangent of the momentum of a called share, whose rotations about e1, e2, e3 have those given.
@@ -337,12 +356,13 @@ class RowsBackward {
         const int64_t body = tables.called[k];
         const uint32_t* column = tables.body_column + BODY_COLUMNS * body;
         for (int j = 0; j < 3; ++j) units.at[column[j] * 3 + j] = A(1.0);
-        called_changes(tables, body, tau, at.x, units.at, 3, changes.at);
+        A changes[BODY_ROTATIONS * 3];
+        called_changes(tables, body, tau, at.x, units.at, 3, changes);
         for (int j = 0; j < 3; ++j) units.at[column[j] * 3 + j] = A(0.0);
         const bool bond = column[3] != column[0];
         for (int j = 0; j < 3; ++j) {
             A total(0.0);
-            for (int i = 1; i < BODY_ROTATIONS; ++i) total = fma(changes.at[i * 3 + j], of_rotations[i], total);
+            for (int i = 1; i < BODY_ROTATIONS; ++i) total = fma(changes[i * 3 + j], of_rotations[i], total);
             at.of_x[column[j]] += total;
             if (bond) at.of_x[column[3 + j]] += total;
         }

@@ -60,11 +60,14 @@ static void run_forward(const FlowCotangents& all, const ForwardRun& run, int64_
     const auto finish = flows_of(tables.section[2], tables.section[3]);
     const int64_t work = (2 + 4 * rows) * Numbers<A>::lanes * work_of_flows(tables);
     int64_t mark = 0;
+    SharedSteps shared_steps(of_members ? 1 : run.threads, size);
     for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
         interrupts.after(work);
+        shared_steps.begin();
         const A t(run.t0 + double(k - 1) * run.h);
         tangents.sweep(tables.section[k == 1 ? 0 : 1], tables.section[k == 1 ? 1 : 2], k == 1 ? opening : repeated, x.at,
                        x.at + size, vectors.at, t, run.h, further);
+        shared_steps.end();
         if (mark == run.marked || run.marks[mark] != k) continue;
         std::copy_n(x.at, 2 * size, finished.at);
         std::copy_n(vectors.at, size * rows, copies.at);

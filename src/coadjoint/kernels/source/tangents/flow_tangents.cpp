@@ -34,8 +34,10 @@ static void advance_member(const FlowTangentLoop& loop, int64_t member) {
     const int64_t work = (1 + 4 * bundle.rows) * work_of_step(without_tangents(loop));
     int64_t failed = 0, k = loop.k0 + 1;
     bool parallel = false;
+    SharedSteps shared_steps(schedule.threads, size);
     for (; k <= loop.k1 && !failed && !parallel; ++k) {
         loop.interrupts.after(work);
+        shared_steps.begin();
         const double t = schedule.t0 + double(k - 1) * schedule.h;
         tangent_state.sweep(tables.section[k == 1 ? 0 : 1], tables.section[k == 1 ? 1 : 2], x, dx, bundle.held(), t,
                             schedule.h);
@@ -43,6 +45,7 @@ static void advance_member(const FlowTangentLoop& loop, int64_t member) {
             failed = k;
         else if (!(failed = recorder.after(k, x, dx, [](int64_t, double*) { return true; })))
             parallel = !bundle.after(k);
+        shared_steps.end();
     }
     if (const int64_t earlier = recorder.flush()) failed = earlier;
     const int64_t last = failed ? failed : k - 1, taken = last - loop.k0, start = loop.k0 == 0;

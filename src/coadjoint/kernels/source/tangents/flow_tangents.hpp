@@ -11,14 +11,14 @@ namespace coadjoint {
 // Add D_a x times the change of its angle to the vectors, for all angles of a part (the operation `apply`). Component i of
 // state r of `states` is at i * states + r.
 template <class A, class V>
-NOINLINE void add_angle_changes(const Action& action, uint32_t part, const A* x, int64_t states, const V* changes,
-                                V* vectors, int64_t rows) {
-    for (uint32_t run = action.run[part]; run < action.run[part + 1]; ++run) {
+NOINLINE void add_angle_changes(const Action& action, uint32_t part, bool apart, const A* x, int64_t states,
+                                const V* changes, V* vectors, int64_t rows) {
+    share_runs(action, part, apart, [&](uint32_t run, uint32_t low, uint32_t high) {
         const int kind = action.kind[run] % RATIONAL;
-        const uint32_t repeat = action.repeat[run], count = action.angles[run];
-        const uint32_t* index = action.indices + action.position[run];
+        const uint32_t repeat = action.repeat[run];
+        const uint32_t* index = action.indices + action.position[run] + (kind == SCALE ? 1 : 2) * uint64_t(repeat) * low;
         const double* constants = action.constants + action.constant[run];
-        const V* change = changes + action.angle[run] * rows;
+        const V* change = changes + (int64_t(action.angle[run]) + low) * rows;
         // Add to component i, in which D_a takes state r to moved(r).
         const auto gain = [&](uint32_t i, auto&& moved) {
             for (int64_t r = 0; r < states; ++r) {
@@ -37,9 +37,9 @@ NOINLINE void add_angle_changes(const Action& action, uint32_t part, const A* x,
                         moved = fma(A(values[entry]), x[block.coordinates[block.columns[entry]] * states + r], moved);
                     return moved;
                 });
-            continue;
+            return;
         }
-        for (uint32_t q = 0; q < count; ++q, change += rows)
+        for (uint32_t q = low; q < high; ++q, change += rows)
             for (uint32_t b = 0; b < repeat; ++b) {
                 const A *one = x + index[0] * states, *other = kind == SCALE ? one : x + index[1] * states;
                 if (kind == SCALE) {
@@ -56,7 +56,7 @@ NOINLINE void add_angle_changes(const Action& action, uint32_t part, const A* x,
                 }
                 index += kind == SCALE ? 1 : 2;
             }
-    }
+    });
 }
 
 // Add the changes of the rows of term k under directions of its offsets, weights and coefficients. Entry i of direction b
@@ -72,11 +72,13 @@ NOINLINE void add_coefficient_changes(const Terms& terms, int64_t k, const A* x,
             out[(row - first) * rows + b] = fma(by, direction[b], out[(row - first) * rows + b]);
     };
     if (terms.kind[k] == LINEAR)
-        for (int64_t row = start; row < stop; ++row) {
-            add(row, A(1.0), directions + row * rows);
-            for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)
-                add(row, x[terms.column[entry]], weight + entry * rows);
-        }
+        share(stop - start, [&](int64_t low, int64_t high) {
+            for (int64_t row = start + low; row < start + high; ++row) {
+                add(row, A(1.0), directions + row * rows);
+                for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)
+                    add(row, x[terms.column[entry]], weight + entry * rows);
+            }
+        });
     if (terms.kind[k] == POLYNOMIAL)
         for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial)
             for (uint32_t one = terms.factor[monomial]; one < terms.factor[monomial + 1]; ++one) {
@@ -230,15 +232,18 @@ struct FlowTangentState {
         const uint32_t part = tables.part[r], low = tables.share[part], high = tables.share[part + 1];
         const int64_t base = terms.row[low], count = terms.row[high] - base;
         const bool single = tables.only[part] >= 0, added = int64_t(part) == further.added;
+        const bool apart = !single && team_of_this_thread && (tables.properties[part] & APART);
         const double tau = tables.tau[r];
         const A moment = t + A(tables.moment[r] * h);
         A* theta = angles.theta.at;
         const Vectors<A> group{further.group, nullptr, side, group_scratch.at};
         const Vectors<V> of_group{further.vectors, nullptr, side * rows, wide_group.at};
         if (is_called(tables, part)) {
-            for (uint32_t k = low; k < high; ++k)
-                called_changes(tables, tables.called[k], tau, x, vectors, rows,
-                               changes.at + (terms.row[k] - base) * rows);
+            share(high - low, [&](int64_t first, int64_t last) {
+                for (uint32_t k = low + uint32_t(first); k < low + uint32_t(last); ++k)
+                    called_changes(tables, tables.called[k], tau, x, vectors, rows,
+                                   changes.at + (terms.row[k] - base) * rows);
+            });
             const Rotations<A> rotations = rotations_of_part(tables, SharedConstants{}, part, tau, x, angles);
             if (rotates_bonds_directly<summation>(tables, part))
                 rotate_bonds(tables, SharedConstants{}, part, tau, x);
@@ -264,21 +269,30 @@ struct FlowTangentState {
                 if (further.directions)
                     add_coefficient_changes(terms, k, x, further.directions, rows, changes.at, base);
             }
-            for (int64_t a = 0; a < count; ++a) {
-                // A rational rotation by phi rotates by 2 atan(phi/2).
-                const A half = added ? A(0.0) : 0.5 * tables.frequency[base + a] * (tau * theta[a]);
-                const V by(A(tau) / fma(half, half, A(1.0)));
-                for (int64_t b = 0; b < rows; ++b) changes.at[a * rows + b] *= by;
-            }
+            share(count, [&](int64_t first, int64_t last) {
+                for (int64_t a = first; a < last; ++a) {
+                    // A rational rotation by phi rotates by 2 atan(phi/2).
+                    const A half = added ? A(0.0) : 0.5 * tables.frequency[base + a] * (tau * theta[a]);
+                    const V by(A(tau) / fma(half, half, A(1.0)));
+                    for (int64_t b = 0; b < rows; ++b) changes.at[a * rows + b] *= by;
+                }
+            });
             if (!added) {
                 const A single_angle = single ? theta[0] : A(0.0);
                 CachedRotation<A> cached;
-                act<summation, false>(tables.state, SharedConstants{}, part, tau, single, single_angle, theta, cached,
-                                      Vectors<A>{x, dx, 1, scratch.at});
+                const Vectors<A> momentum{x, dx, 1, scratch.at};
+                const Vectors<V> of_momentum{vectors, nullptr, rows, wide.at};
                 const auto follow = [&](const Action& action, const auto& moved) {
                     act<PLAIN, true>(action, SharedConstants{}, part, tau, single, single_angle, theta, cached, moved);
                 };
-                follow(tables.state, Vectors<V>{vectors, nullptr, rows, wide.at});
+                if (apart) {
+                    act_apart<summation>(tables.state, SharedConstants{}, part, tau, theta, momentum);
+                    act_apart<PLAIN>(tables.state, SharedConstants{}, part, tau, theta, of_momentum);
+                } else {
+                    act<summation, false>(tables.state, SharedConstants{}, part, tau, single, single_angle, theta,
+                                          cached, momentum);
+                    follow(tables.state, of_momentum);
+                }
                 if (further.group && tables.bent[part]) {
                     for (int64_t a = 0; a < count; ++a)
                         angles.rotated.at[a] = rational_angle(tau * theta[a], A(tables.frequency[base + a]));
@@ -293,9 +307,9 @@ struct FlowTangentState {
                 }
             }
         }
-        add_angle_changes(tables.state, part, x, 1, changes.at, vectors, rows);
+        add_angle_changes(tables.state, part, apart, x, 1, changes.at, vectors, rows);
         if (further.group)
-            add_angle_changes(tables.group, part, further.group, side, changes.at, further.vectors, rows);
+            add_angle_changes(tables.group, part, false, further.group, side, changes.at, further.vectors, rows);
     }
 };
 

@@ -75,8 +75,10 @@ static void forward_members(const RungeKuttaCotangents& all, const ForwardRun& r
         stepped.begin(run, member);
         tangents.restart();
         int64_t mark = 0;
+        SharedSteps shared_steps(run.threads, n);
         for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
             interrupts.after(work);
+            shared_steps.begin();
             const double start = run.t0 + double(k - 1) * run.h;
             for (int64_t part = 0; part < tables.substeps; ++part) {
                 const double t = start + tables.moment[part] * run.h, h = tables.fraction[part] * run.h;
@@ -85,6 +87,7 @@ static void forward_members(const RungeKuttaCotangents& all, const ForwardRun& r
                     tangents.move(vectors.at, square > 0 ? of_group.at : nullptr, directed ? directions.at : nullptr);
                 });
             }
+            shared_steps.end();
             if (mark == run.marked || run.marks[mark] != k) continue;
             const int64_t saved = (mark++ * run.members + member) * run.carried;
             each(vectors.at, n, saved, write(run.at_points));
@@ -118,8 +121,10 @@ static void backward_members(const RungeKuttaCotangents& all, const BackwardRun&
         const CoefficientCotangents<double> coefficients(all.added, run.coefficients + member * count);
         stepped.begin(run, member);
         backward.restart();
+        SharedSteps shared_steps(run.threads, n);
         for (int64_t k = run.k0 + 1; k <= run.k1; ++k) {
             interrupts.after(work);
+            shared_steps.begin();
             for (int64_t part = 0; part < substeps; ++part)
                 substep_at(k, part, [&](double t, double h, double* state, double* found) {
                     stepped.substep(t, h, part, [&](const double* from) {
@@ -128,10 +133,12 @@ static void backward_members(const RungeKuttaCotangents& all, const BackwardRun&
                         std::copy_n(from, stepped.size, found);
                     });
                 });
+            shared_steps.end();
         }
         int64_t mark = run.marked;
         for (int64_t k = run.k1; k > run.k0; --k) {
             interrupts.after(4 * work);
+            shared_steps.begin_as_measured();
             if (mark > 0 && run.marks[mark - 1] == k) {
                 const int64_t saved = --mark * run.members + member;
                 for (int64_t i = 0; i < n; ++i) cotangents[i] += run.at_points[saved * n + i];
@@ -142,6 +149,7 @@ static void backward_members(const RungeKuttaCotangents& all, const BackwardRun&
                     points.begin(state, state + n, t, h, found);
                     backward.move(cotangents.data(), square > 0 ? of_group.data() : nullptr, coefficients);
                 });
+            shared_steps.end_as_measured();
         }
         backward.finish(run.coefficients + member * count);
         std::copy_n(cotangents.data(), n, run.cotangents + member * n);

@@ -39,9 +39,11 @@ NOINLINE void gradient_changes(const Terms& terms, const int64_t* hessians, int6
             changes[position * rows + b] = fma(by, vectors[coordinate * rows + b], changes[position * rows + b]);
     };
     if (terms.kind[k] == LINEAR) {
-        for (int64_t row = start; row < stop; ++row)
-            for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)
-                add(row - start, A(terms.weight[entry]), terms.column[entry]);
+        share(count, [&](int64_t low, int64_t high) {
+            for (int64_t row = start + low; row < start + high; ++row)
+                for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)
+                    add(row - start, A(terms.weight[entry]), terms.column[entry]);
+        });
     } else if (terms.kind[k] == POLYNOMIAL) {
         for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial) {
             const uint32_t low = terms.factor[monomial], high = terms.factor[monomial + 1];
@@ -85,28 +87,31 @@ class FieldChanges {
                 for (int64_t b = 0; b < rows; ++b)
                     second_derivative.at[terms.target[row] * rows + b] += part.at[(row - first) * rows + b];
         }
-        std::fill_n(out, field.size * rows, V(0.0));
         if (field.nonlinear) structure(field, SharedConstants{}, z, workspace_of_field);
-        for (int64_t i = 0; i < field.size; ++i) {
-            if (field.nonlinear)
-                for (int64_t j = 0; j < field.size; ++j)
-                    add(i, factor * field.sign * workspace_of_field.matrix.at[i * field.size + j],
-                        second_derivative.at + j * rows, out);
-            else
-                for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
-                    add(i, factor * (field.constant[q] * z[field.state[q]]),
-                        second_derivative.at + field.column[q] * rows, out);
-        }
+        share(field.size, [&](int64_t first, int64_t last) {
+            std::fill(out + first * rows, out + last * rows, V(0.0));
+            for (int64_t i = first; i < last; ++i) {
+                if (field.nonlinear)
+                    for (int64_t j = 0; j < field.size; ++j)
+                        add(i, factor * field.sign * workspace_of_field.matrix.at[i * field.size + j],
+                            second_derivative.at + j * rows, out);
+                else
+                    for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
+                        add(i, factor * (field.constant[q] * z[field.state[q]]),
+                            second_derivative.at + field.column[q] * rows, out);
+            }
+        });
     }
 
     // Add to out the factor times sign * (derivative of J at z along v) u.
     void of_structure(const double* z, const double* u, const V* vectors, double factor, V* out) {
         const int64_t n = field.size;
         if (!field.nonlinear) {
-            for (int64_t i = 0; i < n; ++i)
-                for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
-                    add(i, factor * (field.constant[q] * u[field.column[q]]), vectors + field.state[q] * rows, out);
-            return;
+            return share(n, [&](int64_t first, int64_t last) {
+                for (int64_t i = first; i < last; ++i)
+                    for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
+                        add(i, factor * (field.constant[q] * u[field.column[q]]), vectors + field.state[q] * rows, out);
+            });
         }
         call_function(SharedConstants{}, tangents.derivative, 0, z, n, 0.0, derivative.data(), n * n * n, calls.data());
         for (int64_t i = 0; i < n; ++i)

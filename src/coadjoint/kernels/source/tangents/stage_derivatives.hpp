@@ -94,9 +94,11 @@ class StageTangents {
 
     // Add the change of the rows of a term, in `part`, to that of grad H(Q_j).
     void add_rows(const Terms& terms, int64_t k, V* to) {
-        for (int64_t row = terms.row[k]; row < int64_t(terms.row[k + 1]); ++row)
-            for (int64_t b = 0; b < rows; ++b)
-                to[terms.target[row] * rows + b] += part.at[(row - terms.row[k]) * rows + b];
+        const uint32_t start = terms.row[k];
+        share(terms.row[k + 1] - start, [&](int64_t first, int64_t last) {
+            for (int64_t row = first; row < last; ++row)
+                for (int64_t b = 0; b < rows; ++b) to[terms.target[start + row] * rows + b] += part.at[row * rows + b];
+        });
     }
 
     void add_directions(int64_t j, const double* point, const V* directions) {
@@ -126,17 +128,19 @@ class StageTangents {
         const Field& field = at.field;
         const V* of_gradient = of_gradients.at + j * n * rows;
         const double h = at.length_of(j);
-        std::fill_n(z, n * rows, V(0.0));
         if (field.nonlinear) structure(field, SharedConstants{}, point, at.fields);
         const auto add = [&](int64_t i, double factor, int64_t k) {
             for (int64_t b = 0; b < rows; ++b) z[i * rows + b] = fma(V(factor), of_gradient[k * rows + b], z[i * rows + b]);
         };
-        for (int64_t i = 0; i < n; ++i)
-            if (field.nonlinear)
-                for (int64_t k = 0; k < n; ++k) add(i, h * field.sign * at.fields.matrix.at[i * n + k], k);
-            else
-                for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
-                    add(i, h * (field.constant[q] * point[field.state[q]]), field.column[q]);
+        share(n, [&](int64_t first, int64_t last) {
+            std::fill(z + first * rows, z + last * rows, V(0.0));
+            for (int64_t i = first; i < last; ++i)
+                if (field.nonlinear)
+                    for (int64_t k = 0; k < n; ++k) add(i, h * field.sign * at.fields.matrix.at[i * n + k], k);
+                else
+                    for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
+                        add(i, h * (field.constant[q] * point[field.state[q]]), field.column[q]);
+        });
     }
 
     // The change of h_j J(P_j) u_j, with that of u_j in `of_gradients`.
@@ -180,7 +184,8 @@ class StageCotangents {
           unused(CoefficientCotangents<double>::count(at.field.terms)), none(at.field.terms, unused.at),
           by_stage(CoefficientCotangents<double>::count(at.all.added)),
           linear(at.all.added.size == 0 || (at.all.added.size == 1 && at.all.added.kind[0] == LINEAR)),
-          derivative(at.field.nonlinear ? n * n * n : 0), calls(at.field.nonlinear ? n * (1 + n * n) : 0) {}
+          derivative(at.field.nonlinear ? n * n * n : 0), calls(at.field.nonlinear ? n * (1 + n * n) : 0),
+          by_term(at.field.terms) {}
 
     // The next substep does not follow the last one.
     void restart() { jacobians.restart(), momentum.restart(), element.restart(); }
@@ -202,7 +207,9 @@ class StageCotangents {
         std::fill_n(of_gradients.at, s * n, 0.0);
         if (of_group) move_element(of_group);
         const auto base = [&](int64_t j, double* y) {
-            for (int64_t i = 0; i < n; ++i) y[i] = tables.out[j] * cotangents[i];
+            share(n, [&](int64_t first, int64_t last) {
+                for (int64_t i = first; i < last; ++i) y[i] = tables.out[j] * cotangents[i];
+            });
         };
         // The slopes are those of the stages that vary; the frozen factor follows.
         const auto apply = [&](int64_t j, const double* y, double* z) {
@@ -253,6 +260,11 @@ class StageCotangents {
     AlignedArray<StageJacobians::S> by_stage;
     const bool linear;
     std::vector<double> derivative, calls, gradients;
+    EntriesOfTerms by_term;
+    EntriesByColumn by_column, by_state;  // of the structure constants
+
+    // Whether threads share the products with structure constants.
+    bool is_shared() const { return team_of_this_thread && !at.field.nonlinear && n >= LEAST_SHARED; }
 
     // Function iterates backward; `of_points` are the cotangents of the last ones.
     void move_iterates(double* cotangents, const CoefficientCotangents<double>& coefficients) {
@@ -285,7 +297,11 @@ class StageCotangents {
         const Field& field = at.field;
         const double *p = of_structure + j * n, *q = of_gradient + j * n, h = at.length_of(j);
         for (int64_t i = 0; i < n; ++i) w.at[i] = with_element ? of_gradients.at[j * n + i] : 0.0;
-        if (field.nonlinear) {
+        if (is_shared()) {
+            by_column.find(0, uint32_t(n), field.first, field.column, n);
+            by_column.add(w.at, [&](uint32_t e) { return h * (field.constant[e] * p[field.state[e]]); },
+                          [&](uint32_t i) { return y[i]; });
+        } else if (field.nonlinear) {
             structure(field, SharedConstants{}, p, at.fields);
             for (int64_t i = 0; i < n; ++i)
                 for (int64_t k = 0; k < n; ++k)
@@ -304,25 +320,32 @@ class StageCotangents {
                 for (int64_t row = first; row < int64_t(terms.row[k + 1]); ++row)
                     of_rows.at[row - first] = w.at[terms.target[row]];
                 term_cotangents(terms, at.all.hessians, k, q, at.time_of(j), of_rows.at, first, of_coefficients_only, out,
-                                of, workspace);
+                                of, workspace, of_coefficients_only ? nullptr : by_term(k, n));
             }
         };
         if (out) each_term(field.terms, false, none);
         if (!coefficients) return;
         const Terms& added = at.all.added;
         if (added.size > 1 || added.kind[0] != LINEAR) return each_term(added, true, *coefficients);
-        for (uint32_t row = 0, entry = 0; row < added.row[1]; ++row) {
-            const double of_row = w.at[added.target[row]];
-            coefficients->offset[row] += of_row;
-            for (const uint32_t stop = added.entry[row + 1]; entry < stop; ++entry)
-                coefficients->weight[entry] = fma(of_row, q[added.column[entry]], coefficients->weight[entry]);
-        }
+        share(added.row[1], [&](int64_t first, int64_t last) {
+            for (uint32_t row = uint32_t(first), entry = added.entry[row]; row < last; ++row) {
+                const double of_row = w.at[added.target[row]];
+                coefficients->offset[row] += of_row;
+                for (const uint32_t stop = added.entry[row + 1]; entry < stop; ++entry)
+                    coefficients->weight[entry] = fma(of_row, q[added.column[entry]], coefficients->weight[entry]);
+            }
+        });
     }
 
     // Add to `out` the cotangent of P_j for that of h_j J(P_j) u.
     void pull_structure(int64_t j, const double* of_structure, const double* u, const double* y, double* out) {
         const Field& field = at.field;
         const double h = at.length_of(j);
+        if (is_shared()) {
+            by_state.find(0, uint32_t(n), field.first, field.state, n);
+            return by_state.add(out, [&](uint32_t e) { return h * (field.constant[e] * u[field.column[e]]); },
+                                [&](uint32_t i) { return y[i]; });
+        }
         if (!field.nonlinear) {
             for (int64_t i = 0; i < n; ++i)
                 for (uint32_t e = field.first[i]; e < field.first[i + 1]; ++e) {

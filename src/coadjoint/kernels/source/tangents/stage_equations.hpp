@@ -86,11 +86,13 @@ class StagePoints {
 
     void mix(const double* base, const double* from, int64_t size, double* to) const {
         for (int64_t i = 0; i < s; ++i)
-            for (int64_t c = 0; c < size; ++c) {
-                double total = 0.0;
-                for (int64_t j = 0; j < s; ++j) total = fma(tables.mix[i * s + j], from[j * size + c], total);
-                to[i * size + c] = base[c] + total;
-            }
+            share(size, [&](int64_t low, int64_t high) {
+                for (int64_t c = low; c < high; ++c) {
+                    double total = 0.0;
+                    for (int64_t j = 0; j < s; ++j) total = fma(tables.mix[i * s + j], from[j * size + c], total);
+                    to[i * size + c] = base[c] + total;
+                }
+            });
     }
 };
 
@@ -141,19 +143,26 @@ class StageEquations {
         extrapolate(count);
         double earlier = 0.0;
         for (int64_t passed = 0; passed < MOST_DERIVATIVE_ITERATIONS; ++passed) {
-            std::copy_n(z.at, count, before.at);
+            shared_copy(z.at, count, before.at);
             for (int64_t j = 0; j < s; ++j) {
                 mix(j, 0, s, base);
                 apply(j, of_stage(j), slope_of(j));
             }
-            V change_of(0.0), largest_of(0.0), undefined(0.0);
-            for (int64_t k = 0; k < count; ++k) {
-                change_of = larger(change_of, absolute(z.at[k] - before.at[k]));
-                largest_of = larger(largest_of, absolute(z.at[k]));
-                undefined += 0.0 * z.at[k];
-            }
-            if (!all(undefined == V(0.0))) break;
-            const double change = over_lanes(change_of), largest = over_lanes(largest_of);
+            V found[3] = {V(0.0), V(0.0), V(0.0)};
+            shared_results(
+                count, 3, found,
+                [&](int64_t first, int64_t last, V* to) {
+                    for (int64_t k = first; k < last; ++k) {
+                        to[0] = larger(to[0], absolute(z.at[k] - before.at[k]));
+                        to[1] = larger(to[1], absolute(z.at[k]));
+                        to[2] += 0.0 * z.at[k];
+                    }
+                },
+                [](V* to, const V* more) {
+                    to[0] = larger(to[0], more[0]), to[1] = larger(to[1], more[1]), to[2] += more[2];
+                });
+            if (!all(found[2] == V(0.0))) break;
+            const double change = over_lanes(found[0]), largest = over_lanes(found[1]);
             if (converged(change, earlier, largest)) return;
             earlier = change;
         }
@@ -173,11 +182,14 @@ class StageEquations {
         std::copy_n(z.at, count, before.at);
         const int64_t length = size * copies;
         for (int64_t i = 0; i < s; ++i)
-            for (int64_t k = 0; k < length; ++k) {
-                V total(0.0);
-                for (int64_t j = 0; j < s; ++j) total = fma(V(forecast[i * s + j]), before.at[j * length + k], total);
-                z.at[i * length + k] = total;
-            }
+            share(length, [&](int64_t low, int64_t high) {
+                for (int64_t k = low; k < high; ++k) {
+                    V total(0.0);
+                    for (int64_t j = 0; j < s; ++j)
+                        total = fma(V(forecast[i * s + j]), before.at[j * length + k], total);
+                    z.at[i * length + k] = total;
+                }
+            });
     }
 
     double weight(int64_t i, int64_t j) const { return transposed ? tables.mix[j * s + i] : tables.mix[i * s + j]; }
@@ -194,7 +206,9 @@ class StageEquations {
         base(i, to);
         for (int64_t j = first; j < last; ++j)
             if (const double by = weight(i, j))
-                for (int64_t k = 0; k < size * copies; ++k) to[k] = fma(V(by), slope_of(j)[k], to[k]);
+                share(size * copies, [&](int64_t low, int64_t high) {
+                    for (int64_t k = low; k < high; ++k) to[k] = fma(V(by), slope_of(j)[k], to[k]);
+                });
     }
 
     template <class Base, class Apply>
