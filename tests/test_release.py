@@ -73,6 +73,15 @@ def test_recipe_needs_what_the_core_needs():
     assert len(optional) > 3 and {f"{names.get(name, name)}{bound}" for name, bound in optional} <= bounds
 
 
+def test_recipe_has_the_commands_of_the_project():
+    """The package is one for every Python, so that its commands are made where it is installed."""
+    commands = re.search(
+        r"^    entry_points:\n((?:      - .*\n)+)", text_of("packaging/conda/recipe.yaml"), re.MULTILINE
+    )[1]
+    declared = {f"{name} = {function}" for name, function in project()["project"]["scripts"].items()}
+    assert {line[8:] for line in commands.splitlines()} == declared
+
+
 def test_license_is_the_same_everywhere():
     found = project()["project"]
     assert found["license"] == "MIT" and text_of("LICENSE").startswith("MIT License\n")
