@@ -1,8 +1,9 @@
 # Everything sets itself up: the first target that runs makes .venv and installs the package into it.
-PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
+PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 python; do \
 	$$p -c 'import sys, venv; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && { echo $$p; break; }; done)
 VENV := .venv
 BIN := $(VENV)/bin
+# Targets that leave this folder call Python by its whole path: with `..` in it, Python 3.14 warns in every process.
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 BUILD := build/editable
 FIGURES ?= figures
@@ -44,21 +45,21 @@ long: kernels
 
 # The sensitive tests again, and digests of runs, as on machines with other instructions, and on one that is busy.
 variants: kernels
-	cd tests && $(ONE_THREAD) ../$(BIN)/python variants.py
+	cd tests && $(ONE_THREAD) "$(CURDIR)/$(BIN)/python" variants.py
 
 # What the package promises without its extras, installed into a virtual environment that has nothing else.
 core:
 	rm -rf build/core
 	$(PYTHON) -m venv build/core
 	build/core/bin/python -m pip install --quiet --disable-pip-version-check . pytest
-	cd tests && ../build/core/bin/python -m pytest test_core_alone.py
+	cd tests && "$(CURDIR)/build/core/bin/python" -m pytest test_core_alone.py
 
 # The functions of PyTorch, which `make test` does not install, in a virtual environment of their own.
 torch:
 	rm -rf build/torch
 	$(PYTHON) -m venv build/torch
 	build/torch/bin/python -m pip install --quiet --disable-pip-version-check . pytest torch==2.13.0
-	cd tests && ../build/torch/bin/python -m pytest front_ends/test_torch.py
+	cd tests && "$(CURDIR)/build/torch/bin/python" -m pytest front_ends/test_torch.py
 
 # What depends most on other packages, with the lowest versions that pyproject.toml permits, and with the newest, also
 # those that are not yet released.
@@ -74,28 +75,28 @@ minimum newest:
 	rm -rf build/$@
 	$(PYTHON) -m venv build/$@
 	build/$@/bin/python -m pip install --quiet --disable-pip-version-check ".[$(EXTRAS)]" pytest hypothesis jsonschema $(VERSIONS)
-	cd tests && $(ONE_THREAD) ../build/$@/bin/python -m pytest -m "not long" $(DEPENDENT)
+	cd tests && $(ONE_THREAD) "$(CURDIR)/build/$@/bin/python" -m pytest -m "not long" $(DEPENDENT)
 
 # Plants the defects of tests/mutants one after the other, in a copy, and prints those that no test notices.
 mutants: kernels
-	cd tests && ../$(BIN)/python -m mutants.plant $(MUTANTS)
+	cd tests && "$(CURDIR)/$(BIN)/python" -m mutants.plant $(MUTANTS)
 
 # Random systems, schemes and ensembles: the same bits in any company, and an end to every run. Then runs with archives
 # are killed at random moments, 100 times or COUNT / 10 times, whichever is more, and workers 12 or COUNT / 100 times.
 soak: kernels
-	cd tests && ../$(BIN)/python -m random_runs.soak $(FIRST) $(COUNT) --jobs 2
-	cd tests && ../$(BIN)/python files/killed_runs.py $(FIRST) $$(( $(COUNT) > 1000 ? $(COUNT) / 10 : 100 ))
-	cd tests && ../$(BIN)/python files/killed_workers.py $(FIRST) $$(( $(COUNT) > 1200 ? $(COUNT) / 100 : 12 ))
+	cd tests && "$(CURDIR)/$(BIN)/python" -m random_runs.soak $(FIRST) $(COUNT) --jobs 2
+	cd tests && "$(CURDIR)/$(BIN)/python" files/killed_runs.py $(FIRST) $$(( $(COUNT) > 1000 ? $(COUNT) / 10 : 100 ))
+	cd tests && "$(CURDIR)/$(BIN)/python" files/killed_workers.py $(FIRST) $$(( $(COUNT) > 1200 ? $(COUNT) / 100 : 12 ))
 
 # Configurations and calls with wild values: a result or one sentence for each, however many.
 fuzz: kernels
-	cd tests && ../$(BIN)/python -m fuzz.run configurations $(FIRST) $(FUZZED) --jobs 2
-	cd tests && ../$(BIN)/python -m fuzz.run calls $(FIRST) $(FUZZED) --jobs 2
+	cd tests && "$(CURDIR)/$(BIN)/python" -m fuzz.run configurations $(FIRST) $(FUZZED) --jobs 2
+	cd tests && "$(CURDIR)/$(BIN)/python" -m fuzz.run calls $(FIRST) $(FUZZED) --jobs 2
 
 # The kernels built to find their own faults, under tests and random runs.
 sanitize: kernels
-	cd tests && ../$(BIN)/python sanitize.py address
-	cd tests && ../$(BIN)/python sanitize.py threads
+	cd tests && "$(CURDIR)/$(BIN)/python" sanitize.py address
+	cd tests && "$(CURDIR)/$(BIN)/python" sanitize.py threads
 
 # The same bits by GCC and by Clang, with and without fused products; `make long` builds one of the four.
 compilers: kernels
@@ -103,12 +104,12 @@ compilers: kernels
 
 # The same bits on aarch64, under emulation; what is missing for that is named.
 aarch64: kernels
-	cd tests && ../$(BIN)/python aarch64.py ../build/aarch64
+	cd tests && "$(CURDIR)/$(BIN)/python" aarch64.py ../build/aarch64
 
 # Each level of x86-64 is chosen where it is the highest, with the same bits, on processors that qemu emulates.
 levels: export COADJOINT_LEVELS = all
 levels: kernels
-	cd tests && $(ONE_THREAD) ../$(BIN)/python levels.py
+	cd tests && $(ONE_THREAD) "$(CURDIR)/$(BIN)/python" levels.py
 
 # The libraries of every wheel, compiled and linked by zig's Clang for Linux, macOS and Windows: quickly, or with
 # CROSS_OPTIONS= as for a release. TARGETS names some of the systems.

@@ -73,6 +73,15 @@ def test_recipe_needs_what_the_core_needs():
     assert len(optional) > 3 and {f"{names.get(name, name)}{bound}" for name, bound in optional} <= bounds
 
 
+def test_recipe_has_the_commands_of_the_project():
+    """The package is one for every Python, so that its commands are made where it is installed."""
+    commands = re.search(
+        r"^    entry_points:\n((?:      - .*\n)+)", text_of("packaging/conda/recipe.yaml"), re.MULTILINE
+    )[1]
+    declared = {f"{name} = {function}" for name, function in project()["project"]["scripts"].items()}
+    assert {line[8:] for line in commands.splitlines()} == declared
+
+
 def test_license_is_the_same_everywhere():
     found = project()["project"]
     assert found["license"] == "MIT" and text_of("LICENSE").startswith("MIT License\n")
@@ -100,16 +109,17 @@ def test_page_of_versions_names_the_formats():
 
 
 def test_paper_is_short_and_its_references_exist():
-    """At most 1000 words, as the journal requires; every entry is cited, and all but three have a DOI."""
+    """At most 1000 words, in the sections of the journal; all entries are cited, and all but two have a DOI."""
     header, text = re.match(r"---\n(.*?)\n---\n(.*)", text_of("paper/paper.md"), re.DOTALL).groups()
     entries = dict(re.findall(r"^@(?:\w+)\{(\w+),\n(.*?)^\}", text_of("paper/paper.bib"), re.DOTALL | re.MULTILINE))
     assert "bibliography: paper.bib" in header and len(text.split()) <= 1000
     assert set(re.findall(r"@(\w+)", text)) == set(entries)
-    assert {name for name, entry in entries.items() if "doi = {10." not in entry} == {
-        "reich1993",
-        "kidger2021",
-        "poissonbrackets",
-    }
+    dois = {name for name, entry in entries.items() if re.search(r"doi = \{10\.\d{4,}/[\w./-]+\}", entry)}
+    assert set(entries) - dois == {"reich1993", "poissonbrackets"}
+    # The section on the use of AI is written by the authors; the header says so.
+    sections = ["Summary", "Statement of need", "State of the field", "Software design", "Research impact statement"]
+    assert re.findall(r"^# (.*)$", text, re.MULTILINE) == [*sections, "Acknowledgements", "References"]
+    assert 'authors, before submission: their names, ORCIDs and affiliations here, and the section "AI usage' in header
     for figure in re.findall(r"\]\((\w+\.png)\)", text):
         assert (ROOT / "paper" / figure).is_file()
 

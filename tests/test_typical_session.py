@@ -3,8 +3,21 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
+
+import pytest
 
 from core_only import ENVIRONMENT
+
+ROOT = Path(__file__).parents[1]
+EXAMPLE = ROOT / "examples" / "rigid_body.toml"
+README = """
+import doctest, sys, warnings
+import coadjoint as co
+warnings.filterwarnings("ignore", category=co.LongWait)  # of a busy machine
+flags = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
+print(doctest.testfile(sys.argv[1], module_relative=False, optionflags=flags).failed)
+"""
 
 SESSION = """
 import warnings
@@ -39,3 +52,37 @@ def test_session_without_warnings(tmp_path):
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
     assert {"run.zarr", "run.nc", "copy.zarr", "run.png"} <= set(os.listdir(tmp_path))
+
+
+@pytest.mark.skipif(not EXAMPLE.is_file(), reason="not a checkout")
+def test_readme_without_warnings(tmp_path):
+    command = [sys.executable, "-W", "error", "-c", README, str(ROOT / "README.md")]
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=300, cwd=tmp_path, env=ENVIRONMENT | {"MPLBACKEND": "agg"}
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "0\n", "")
+
+
+@pytest.mark.skipif(not EXAMPLE.is_file(), reason="not a checkout")
+def test_commands_without_warnings(tmp_path):
+    """A configuration file that is checked, run with a dataset, an archive and a picture, and certified."""
+    commands = (
+        ("check", EXAMPLE),
+        ("run", EXAMPLE, "--out", "run.nc", "--figure", "run.png"),
+        ("run", EXAMPLE, "--archive", "run.zarr", "--quiet"),
+        ("resume", "run.zarr", "--t-end", "1001"),
+        ("certify", EXAMPLE),
+        ("systems",),
+        ("schema",),
+    )
+    for arguments in commands:
+        done = subprocess.run(
+            [sys.executable, "-W", "error", "-m", "coadjoint", *map(str, arguments)],
+            capture_output=True,
+            text=True,
+            timeout=300,
+            cwd=tmp_path,
+            env=ENVIRONMENT | {"MPLBACKEND": "agg"},
+        )
+        assert (done.returncode, done.stderr) == (0, ""), arguments
+    assert {"run.nc", "run.png", "run.zarr"} <= set(os.listdir(tmp_path))
