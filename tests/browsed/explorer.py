@@ -89,13 +89,32 @@ def take(tab: Page, steps: int) -> list[list[float]]:
     return states
 
 
-def printed(script: str) -> list[list[float]]:
-    """Return the states that the script of the page prints."""
-    output = io.StringIO()
+def printed(script: str) -> tuple[list[list[float]], Any]:
+    """Return the states that the script of the page prints, and its last run."""
+    output, names = io.StringIO(), {}
     with contextlib.redirect_stdout(output), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        exec(compile(script, "script of the explorer", "exec"), {})
-    return [eval(line[line.index("[") : line.index("]") + 1]) for line in output.getvalue().splitlines()]
+        exec(compile(script, "script of the explorer", "exec"), names)
+    lines = output.getvalue().splitlines()
+    return [eval(line[line.index("[") : line.index("]") + 1]) for line in lines], names["sol"]
+
+
+def check_data(text: str, states: list[list[float]], rotations: list[Any], sol: Any) -> list[str]:
+    """Return how the downloaded data differ from both runs of the page, and from the second in Python."""
+    header, *rows = csv.reader(io.StringIO(text))
+    size, invariants = len(states[0]), len(sol.casimirs) + 1
+    numbers = np.array([row[1:] for row in rows], dtype=float).reshape(2, STEPS + 1, -1)
+    columns = numbers[..., 2 : 2 + size], numbers[..., 2 + size + invariants :]
+    found = [] if columns[0][:, -1].tolist() == states else ["the last states differ from those of the page"]
+    if not np.array_equal(numbers[1, :, 0] * sol.t[1], sol.t) or not np.array_equal(numbers[1, :, 1], sol.t):
+        found.append("the steps or times differ")
+    if header[-9:] != [f"R{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)]:
+        return [*found, *(["there are attitudes in Python only"] if sol.attitude is not None else [])]
+    if columns[1][:, -1].tolist() != rotations:
+        found.append("the last rotations differ from those of the page")
+    if not np.array_equal(columns[1][1], sol.attitude[:, :3, :3].reshape(-1, 9)):
+        found.append("the rotations differ from those of Python")
+    return found
 
 
 def check_numbers(browser: Browser, base: str, wrong: list[str]) -> None:
@@ -104,17 +123,15 @@ def check_numbers(browser: Browser, base: str, wrong: list[str]) -> None:
         for first, second in (SCHEMES[:2], SCHEMES[2:4], (SCHEMES[4], SCHEMES[0])):
             with opened(browser, base, f"system={system}&a={first}&b={second}", wrong) as tab:
                 states = take(tab, STEPS)
-                expected = printed(tab.evaluate("explorer.script()"))
-                rows = list(csv.reader(io.StringIO(tab.evaluate("explorer.data()"))))
-                size = len(states[0])
-                last = [[float(x) for x in rows[at][3 : 3 + size]] for at in (1 + STEPS, -1)]
-            for name, state, value, row in zip((first, second), states, expected, last, strict=True):
+                expected, sol = printed(tab.evaluate("explorer.script()"))
+                rotations = tab.evaluate("explorer.app.tracks.map((track) => track.rotation)")
+                data = tab.evaluate("explorer.data()")
+            wrong += [f"{system}, data: {fault}" for fault in check_data(data, states, rotations, sol)]
+            for name, state, value in zip((first, second), states, expected, strict=True):
                 rounded = system == "algebra" and name == "taylor"
                 same = np.allclose(state, value, rtol=0, atol=1e-12) if rounded else state == value
                 if not same:
                     wrong.append(f"{system}, {name}: {state} in the page, {value} in Python")
-                if state != row:
-                    wrong.append(f"{system}, {name}: {row} in the data, {state} in the page")
 
 
 def check_address(browser: Browser, base: str, wrong: list[str]) -> None:
