@@ -270,7 +270,7 @@ export class Run {
       count = Math.max(0, step - this.step - (this.step === 0 ? 0 : 1)); // the states before it
       const { OVERFLOWED, UNDEFINED } = this.kernels.codes.Status;
       const reasons: Record<number, string> = { [OVERFLOWED]: "a number overflowed", [UNDEFINED]: "the body turns too far" };
-      this.failure = `Step ${step} failed: ${reasons[status] ?? "an iteration did not converge"}.`;
+      this.failure = `Step ${step} failed: ${reasons[status] ?? "an iteration did not converge"}. Take a smaller step h.`;
     }
     this.step += steps;
     const numbers = (name: string, width: number) => {

@@ -32,8 +32,10 @@ from write_explorer import first_values
 import coadjoint as co
 
 LARGEST_SIZE = 500_000  # bytes of all files, compressed
-LEAST_FRAMES = 30.0  # per second, in software rendering
-LONGEST_START = 3000.0  # milliseconds until the first picture, on a busy machine
+LEAST_FRAMES = 55.0  # per second, of 60, in software rendering on a machine that is busy
+LONGEST_START = 1000.0  # milliseconds until the first picture
+TRIES = 6  # of which the best counts: other programs may use the machine
+FRAMES_TIME = 1.2  # seconds in which frames are counted
 STEPS = 150
 SECTION_STEPS, SECTION_ERROR = 2000, 3e-3
 SYSTEMS = (*(shown.name for shown in SHOWN), "algebra")
@@ -247,11 +249,21 @@ def check_sections(browser: Browser, base: str, wrong: list[str]) -> None:
 
 
 def measured(browser: Browser, base: str, wrong: list[str]) -> dict[str, Any]:
-    """Return milliseconds until the first picture, frames per second, and steps a second of a rigid body."""
+    """Return milliseconds until the first picture, frames per second of the slowest system, and steps a second."""
+    start = frames = np.inf
+    for system in SYSTEMS:
+        fastest, most = np.inf, 0.0
+        for _ in range(TRIES):
+            with opened(browser, base, f"system={system}", wrong) as tab:
+                first = tab.evaluate("performance.getEntriesByName('first picture')[0].startTime")
+                time.sleep(FRAMES_TIME)
+                fastest, most = min(fastest, first), max(most, tab.evaluate("explorer.framesPerSecond"))
+            if fastest <= LONGEST_START and most >= LEAST_FRAMES:
+                break
+        else:
+            wrong.append(f"{system}: {fastest:.0f} ms until the first picture, {most:.1f} frames per second")
+        start, frames = (fastest, most) if system == SYSTEMS[0] else (start, min(frames, most))
     with opened(browser, base, "", wrong) as tab:
-        start = tab.evaluate("performance.getEntriesByName('first picture')[0].startTime")
-        time.sleep(3)
-        frames = tab.evaluate("explorer.framesPerSecond")
         rate = tab.evaluate(
             """() => {
                 const { app } = explorer, [plan] = app.plans();
@@ -265,10 +277,6 @@ def measured(browser: Browser, base: str, wrong: list[str]) -> dict[str, Any]:
                 return 1000 * steps / (performance.now() - start);
             }"""
         )
-    if start > LONGEST_START:
-        wrong.append(f"the first picture takes {start:.0f} ms")
-    if frames < LEAST_FRAMES:
-        wrong.append(f"{frames:.0f} frames per second")
     return {"start": start, "frames": frames, "rate": rate}
 
 
@@ -302,8 +310,8 @@ def main() -> int:
     print(*wrong, sep="\n")
     print(
         f"{size / 1000:.0f} kB compressed, first picture after {figures['start']:.0f} ms, "
-        f"{figures['frames']:.0f} frames per second, {figures['rate'] / 1000:.0f} thousand steps of a rigid body a "
-        f"second, {len(wrong)} faults"
+        f"at least {figures['frames']:.1f} frames per second, {figures['rate'] / 1000:.0f} thousand steps of a rigid "
+        f"body a second, {len(wrong)} faults"
     )
     return bool(wrong)
 
