@@ -132,7 +132,7 @@ SHOWN = (
         (0.05, 1.0, 0.05),
         ("x1", "x2", "x3"),
         {"kind": "sphere", "balls": [[0, 1, 2]], "body": "inertia", "click": 0},
-        1.5,
+        1.8,
         '"coordinates"',
     ),
     Shown(
@@ -156,7 +156,7 @@ SHOWN = (
             "click": 0,
             "section": {"level": 1, "across": 3, "up": 5, "labels": ["γ₁", "γ₃"], "name": "m₂ = 0, rising"},
         },
-        0.1,
+        0.2,
         "((0,), (1,), (2,), (3, 4, 5))",
     ),
     Shown(
@@ -179,7 +179,7 @@ SHOWN = (
             "click": 0,
             "section": {"level": 1, "across": 3, "up": 5, "labels": ["S₂x", "S₂z"], "name": "S₁y = 0, rising"},
         },
-        0.2,
+        0.3,
         "((0, 3), (1, 4), (2, 5))",
     ),
     Shown(
@@ -227,7 +227,7 @@ SHOWN = (
             "body": "arrows",
             "click": 0,
         },
-        0.15,
+        0.2,
         str(tuple(tuple(range(axis, 3 * SPINS, 3)) for axis in range(3))),
     ),
     Shown(
@@ -273,7 +273,7 @@ SHOWN = (
         (0.1, 1.0, 0.1),
         ("x1", "x2", "x3"),
         {"kind": "sphere", "balls": [[0, 1, 2]], "body": "vorticity", "click": 0},
-        1.5,
+        1.8,
         '"coordinates"',
     ),
     Shown(
@@ -290,7 +290,7 @@ SHOWN = (
         (1.0, 0.0, 0.05, 0.1, 0.1, -0.05, 0.02, 0.08),
         tuple(f"{name}{k + 1}" for k in range(len(WAVES)) for name in ("cos", "sin")),
         {"kind": "path", "axes": [0, 2, 4], "labels": ["cos₁", "cos₂", "cos₃"], "body": "vorticity", "waves": WAVES},
-        0.2,
+        0.75,
         "((0, 1), (2, 3), (4, 5), (6, 7))",
     ),
 )

@@ -87,6 +87,10 @@ export class App {
     return this.system ? this.system.invariants.length > 1 : casimirs(cube(this.choice.algebra)).length > 0;
   }
 
+  get hasAttitudes(): boolean {
+    return this.tracks.some((track) => track.rotation !== null);
+  }
+
   // Begin both runs again.
   restart(): void {
     for (const track of this.tracks) track.free();

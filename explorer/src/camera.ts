@@ -39,6 +39,12 @@ export function between(a: ArrayLike<number>, b: ArrayLike<number>): Matrix {
   return rotation(scaled(normal, Math.PI / length(normal)));
 }
 
+// The first block of a group element, which is the rotation of a body; null if no group element is computed.
+export function firstBlock(group: ArrayLike<number>): Matrix | null {
+  const rows = Math.sqrt(group.length), axes = [0, 1, 2];
+  return rows ? axes.flatMap((i) => axes.map((j) => group[i * rows + j])) : null;
+}
+
 // The largest entry of R^T R - 1.
 export function rotationError(matrix: Matrix): number {
   return Math.max(...product(transposed(matrix), matrix).map((x, k) => Math.abs(x - (k % 4 === 0 ? 1 : 0))));

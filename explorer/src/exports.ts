@@ -1,5 +1,6 @@
 // The same run as a script for Python, and as a table of numbers.
-import type { Kernels } from "./kernels";
+import { firstBlock } from "./camera";
+import type { Kernels, Points } from "./kernels";
 import type { Plan } from "./track";
 
 const MAX_ROWS = 20000;
@@ -29,23 +30,29 @@ ${schemes.map((scheme) => `    ${scheme},`).join("\n")}
 `;
 }
 
-// Both runs again from the start, with at most some thousands of their states.
-export function csv(kernels: Kernels, plans: Plan[], coordinates: string[], steps: number): string {
+const ROTATION = [1, 2, 3].flatMap((i) => [1, 2, 3].map((j) => `R${i}${j}`));
+
+// Both runs again from the start, with at most some thousands of their states, and rotations where they have attitudes.
+export function csv(kernels: Kernels, plans: Plan[], coordinates: string[], attitude: boolean, steps: number): string {
   const every = Math.max(1, Math.ceil((steps * plans.length) / MAX_ROWS));
   const quoted = (text: string) => (/[",]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
-  const rows = [["scheme", "step", "t", ...coordinates, ...plans[0].invariants].map(quoted).join(",")];
+  const header = ["scheme", "step", "t", ...coordinates, ...plans[0].invariants, ...(attitude ? ROTATION : [])];
+  const rows = [header.map(quoted).join(",")];
   for (const plan of plans) {
     const size = plan.x0.length, count = plan.invariants.length;
     const run = kernels.run(plan.loop, plan.fields, size, count);
     run.begin(plan.x0);
-    const add = (step: number, x: Float64Array, values: Float64Array) =>
-      rows.push([quoted(plan.title), step, step * plan.step, ...x, ...values].join(","));
     const row = (numbers: Float64Array, width: number, k: number) => numbers.subarray(k * width, (k + 1) * width);
+    const add = (step: number, points: Points, k: number) => {
+      const rotation = attitude ? firstBlock(points.group(k))! : [];
+      const numbers = [...row(points.x, size, k), ...row(points.values, count, k), ...rotation];
+      rows.push([quoted(plan.title), step, step * plan.step, ...numbers].join(","));
+    };
     for (let done = 0; done < steps && !run.failure; ) {
       const first = done, piece = Math.min(every, steps - done), points = run.advance(piece, plan.step);
       done += piece;
-      if (first === 0) add(0, row(points.x, size, 0), row(points.values, count, 0));
-      if (!run.failure) add(done, row(points.x, size, points.count - 1), row(points.values, count, points.count - 1));
+      if (first === 0) add(0, points, 0);
+      if (!run.failure) add(done, points, points.count - 1);
     }
     run.free();
   }

@@ -110,7 +110,7 @@ const TABLES: Record<string, string> = {
 export interface Points {
   count: number;
   x: Float64Array; // count * size
-  group: Float64Array; // the last group element, row after row; empty if none is computed
+  group: (point: number) => Float64Array; // the group element at a point, row after row; empty if none is computed
   values: Float64Array; // count * invariants
 }
 
@@ -270,17 +270,17 @@ export class Run {
       count = Math.max(0, step - this.step - (this.step === 0 ? 0 : 1)); // the states before it
       const { OVERFLOWED, UNDEFINED } = this.kernels.codes.Status;
       const reasons: Record<number, string> = { [OVERFLOWED]: "a number overflowed", [UNDEFINED]: "the body turns too far" };
-      this.failure = `Step ${step} failed: ${reasons[status] ?? "an iteration did not converge"}.`;
+      this.failure = `Step ${step} failed: ${reasons[status] ?? "an iteration did not converge"}. Take a smaller step h.`;
     }
     this.step += steps;
     const numbers = (name: string, width: number) => {
       const at = this.saved + this.positionOf(this.kernels.saved, name, points);
       return new Float64Array(this.kernels.wasm.memory.buffer, at, count * width).slice();
     };
-    // The kernels store its transpose.
-    const groups = numbers("group", this.rows ** 2), last = (count - 1) * this.rows ** 2;
-    const group = Float64Array.from({ length: count ? this.rows ** 2 : 0 }, (_, k) =>
-      groups[last + (k % this.rows) * this.rows + Math.floor(k / this.rows)]);
+    // The kernels store transposes.
+    const { rows } = this, groups = numbers("group", rows ** 2);
+    const group = (point: number) =>
+      Float64Array.from({ length: rows ** 2 }, (_, k) => groups[point * rows ** 2 + (k % rows) * rows + Math.floor(k / rows)]);
     return { count, x: numbers("x", this.size), group, values: numbers("values", this.invariants) };
   }
 

@@ -132,13 +132,14 @@ class Page {
     const { app } = this, { choice } = app;
     return pythonScript({
       system: app.systemCode(), schemes: choice.schemes.map((name) => app.schemeCode(name)),
-      attitude: app.tracks[0]?.rotation != null, x0: choice.x0, step: choice.step,
+      attitude: app.hasAttitudes, x0: choice.x0, step: choice.step,
       steps: Math.max(1, app.steps),
     });
   }
 
   data(): string {
-    return csv(this.app.kernels, this.app.plans(), this.app.coordinates, Math.max(1, this.app.steps));
+    const { app } = this;
+    return csv(app.kernels, app.plans(), app.coordinates, app.hasAttitudes, Math.max(1, app.steps));
   }
 
   private save(): void {

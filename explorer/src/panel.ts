@@ -11,12 +11,12 @@ export interface Actions {
   copyLink: () => void;
 }
 
-// Structure constants of [e1, e2], [e2, e3] and [e3, e1].
-const EXAMPLES: Record<string, number[]> = {
-  "so(3), the sphere": [0, 0, 1, 1, 0, 0, 0, 1, 0],
-  "se(2), the plane": [0, 0, 1, 0, 0, 0, 0, 1, 0],
-  "sl(2), hyperboloids": [0, 2, 0, 1, 0, 0, 0, 0, 2],
-  Heisenberg: [0, 0, 1, 0, 0, 0, 0, 0, 0],
+// Structure constants of [e1, e2], [e2, e3] and [e3, e1], and a step at which both schemes run for long.
+const EXAMPLES: Record<string, { constants: number[]; step: number }> = {
+  "so(3), the sphere": { constants: [0, 0, 1, 1, 0, 0, 0, 1, 0], step: 1.5 },
+  "se(2), the plane": { constants: [0, 0, 1, 0, 0, 0, 0, 1, 0], step: 1 },
+  "sl(2), hyperboloids": { constants: [0, 2, 0, 1, 0, 0, 0, 0, 2], step: 0.2 },
+  Heisenberg: { constants: [0, 0, 1, 0, 0, 0, 0, 0, 0], step: 1.5 },
 };
 const MANY = 9; // coordinates beyond which their fields are folded
 
@@ -63,7 +63,8 @@ function typed(app: App, actions: Actions): Node[] {
   const names = Object.keys(EXAMPLES).map((name): [string, string] => [name, name]);
   const examples = choice("Example", [["", "choose…"], ...names], "", (name) => {
     if (!(name in EXAMPLES)) return;
-    algebra.constants = [...EXAMPLES[name]];
+    algebra.constants = [...EXAMPLES[name].constants];
+    app.choice.step = EXAMPLES[name].step;
     actions.rebuilt();
   });
   const energy = [

@@ -123,6 +123,6 @@ export function drawSection(canvas: HTMLCanvasElement, tracks: Track[], labels: 
   tracks.forEach((track, number) => {
     context.fillStyle = number ? colors.b : colors.a;
     for (let k = 0; k < track.crossings.length; k += 2)
-      context.fillRect(across(track.crossings[k]) - 1, up(track.crossings[k + 1]) - 1, 2, 2);
+      context.fillRect(across(track.crossings[k]) - 1.5, up(track.crossings[k + 1]) - 1.5, 3, 3);
   });
 }

@@ -28,8 +28,8 @@ export function firstChoice(tables: Tables, name = "rigid_body", algebra = FIRST
   return {
     system: name,
     schemes: ["splitting2", "rk4"],
-    step: system?.step ?? 0.3,
-    rate: 240,
+    step: system?.step ?? 1.5,
+    rate: 60,
     values: Object.fromEntries((system?.sliders ?? []).map((slider) => [slider.name, slider.value])),
     x0: system ? [...system.x0] : [0.05, 1, 0.05],
     algebra: structuredClone(algebra),

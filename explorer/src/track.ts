@@ -1,5 +1,5 @@
 // One of the two runs side by side: its last states, its errors and its section.
-import type { Matrix } from "./camera";
+import { firstBlock, type Matrix } from "./camera";
 import type { Fields, Kernels, Points, Run } from "./kernels";
 import type { Section } from "./tables";
 
@@ -94,8 +94,7 @@ export class Track {
       ++this.count;
     }
     if (this.x.length) this.x = this.x.slice();
-    const { group } = points, rows = Math.sqrt(group.length), axes = [0, 1, 2];
-    if (rows) this.rotation = axes.flatMap((i) => axes.map((j) => group[i * rows + j]));
+    if (points.count) this.rotation = firstBlock(points.group(points.count - 1));
   }
 
   // A point of the section where a coordinate rises through zero: on the cubic through four states, between the middle two.

@@ -53,7 +53,8 @@ function computed(run: Expected, piece: number): Pick<Expected, "x" | "invariant
   const x: number[][] = [], invariants: number[][] = [], attitudes: number[][] = [];
   for (let done = 0; done < run.steps; done += piece) {
     const points = one.advance(Math.min(piece, run.steps - done), run.step);
-    if (points.group.length) attitudes.push(Array.from(points.group));
+    const group = Array.from(points.group(points.count - 1));
+    if (group.length) attitudes.push(group);
     for (let k = 0; k < points.count; ++k) {
       x.push(Array.from(points.x.subarray(k * size, (k + 1) * size)));
       invariants.push(Array.from(points.values.subarray(k * count, (k + 1) * count)));

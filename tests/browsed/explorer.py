@@ -32,8 +32,10 @@ from write_explorer import first_values
 import coadjoint as co
 
 LARGEST_SIZE = 500_000  # bytes of all files, compressed
-LEAST_FRAMES = 30.0  # per second, in software rendering
-LONGEST_START = 3000.0  # milliseconds until the first picture, on a busy machine
+LEAST_FRAMES = 55.0  # per second, of 60, in software rendering on a machine that is busy
+LONGEST_START = 1000.0  # milliseconds until the first picture
+TRIES = 6  # of which the best counts: other programs may use the machine
+FRAMES_TIME = 1.2  # seconds in which frames are counted
 STEPS = 150
 SECTION_STEPS, SECTION_ERROR = 2000, 3e-3
 SYSTEMS = (*(shown.name for shown in SHOWN), "algebra")
@@ -89,13 +91,32 @@ def take(tab: Page, steps: int) -> list[list[float]]:
     return states
 
 
-def printed(script: str) -> list[list[float]]:
-    """Return the states that the script of the page prints."""
-    output = io.StringIO()
+def printed(script: str) -> tuple[list[list[float]], Any]:
+    """Return the states that the script of the page prints, and its last run."""
+    output, names = io.StringIO(), {}
     with contextlib.redirect_stdout(output), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        exec(compile(script, "script of the explorer", "exec"), {})
-    return [eval(line[line.index("[") : line.index("]") + 1]) for line in output.getvalue().splitlines()]
+        exec(compile(script, "script of the explorer", "exec"), names)
+    lines = output.getvalue().splitlines()
+    return [eval(line[line.index("[") : line.index("]") + 1]) for line in lines], names["sol"]
+
+
+def check_data(text: str, states: list[list[float]], rotations: list[Any], sol: Any) -> list[str]:
+    """Return how the downloaded data differ from both runs of the page, and from the second in Python."""
+    header, *rows = csv.reader(io.StringIO(text))
+    size, invariants = len(states[0]), len(sol.casimirs) + 1
+    numbers = np.array([row[1:] for row in rows], dtype=float).reshape(2, STEPS + 1, -1)
+    columns = numbers[..., 2 : 2 + size], numbers[..., 2 + size + invariants :]
+    found = [] if columns[0][:, -1].tolist() == states else ["the last states differ from those of the page"]
+    if not np.array_equal(numbers[1, :, 0] * sol.t[1], sol.t) or not np.array_equal(numbers[1, :, 1], sol.t):
+        found.append("the steps or times differ")
+    if header[-9:] != [f"R{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)]:
+        return [*found, *(["there are attitudes in Python only"] if sol.attitude is not None else [])]
+    if columns[1][:, -1].tolist() != rotations:
+        found.append("the last rotations differ from those of the page")
+    if not np.array_equal(columns[1][1], sol.attitude[:, :3, :3].reshape(-1, 9)):
+        found.append("the rotations differ from those of Python")
+    return found
 
 
 def check_numbers(browser: Browser, base: str, wrong: list[str]) -> None:
@@ -104,17 +125,15 @@ def check_numbers(browser: Browser, base: str, wrong: list[str]) -> None:
         for first, second in (SCHEMES[:2], SCHEMES[2:4], (SCHEMES[4], SCHEMES[0])):
             with opened(browser, base, f"system={system}&a={first}&b={second}", wrong) as tab:
                 states = take(tab, STEPS)
-                expected = printed(tab.evaluate("explorer.script()"))
-                rows = list(csv.reader(io.StringIO(tab.evaluate("explorer.data()"))))
-                size = len(states[0])
-                last = [[float(x) for x in rows[at][3 : 3 + size]] for at in (1 + STEPS, -1)]
-            for name, state, value, row in zip((first, second), states, expected, last, strict=True):
+                expected, sol = printed(tab.evaluate("explorer.script()"))
+                rotations = tab.evaluate("explorer.app.tracks.map((track) => track.rotation)")
+                data = tab.evaluate("explorer.data()")
+            wrong += [f"{system}, data: {fault}" for fault in check_data(data, states, rotations, sol)]
+            for name, state, value in zip((first, second), states, expected, strict=True):
                 rounded = system == "algebra" and name == "taylor"
                 same = np.allclose(state, value, rtol=0, atol=1e-12) if rounded else state == value
                 if not same:
                     wrong.append(f"{system}, {name}: {state} in the page, {value} in Python")
-                if state != row:
-                    wrong.append(f"{system}, {name}: {row} in the data, {state} in the page")
 
 
 def check_address(browser: Browser, base: str, wrong: list[str]) -> None:
@@ -230,11 +249,21 @@ def check_sections(browser: Browser, base: str, wrong: list[str]) -> None:
 
 
 def measured(browser: Browser, base: str, wrong: list[str]) -> dict[str, Any]:
-    """Return milliseconds until the first picture, frames per second, and steps a second of a rigid body."""
+    """Return milliseconds until the first picture, frames per second of the slowest system, and steps a second."""
+    start = frames = np.inf
+    for system in SYSTEMS:
+        fastest, most = np.inf, 0.0
+        for _ in range(TRIES):
+            with opened(browser, base, f"system={system}", wrong) as tab:
+                first = tab.evaluate("performance.getEntriesByName('first picture')[0].startTime")
+                time.sleep(FRAMES_TIME)
+                fastest, most = min(fastest, first), max(most, tab.evaluate("explorer.framesPerSecond"))
+            if fastest <= LONGEST_START and most >= LEAST_FRAMES:
+                break
+        else:
+            wrong.append(f"{system}: {fastest:.0f} ms until the first picture, {most:.1f} frames per second")
+        start, frames = (fastest, most) if system == SYSTEMS[0] else (start, min(frames, most))
     with opened(browser, base, "", wrong) as tab:
-        start = tab.evaluate("performance.getEntriesByName('first picture')[0].startTime")
-        time.sleep(3)
-        frames = tab.evaluate("explorer.framesPerSecond")
         rate = tab.evaluate(
             """() => {
                 const { app } = explorer, [plan] = app.plans();
@@ -248,10 +277,6 @@ def measured(browser: Browser, base: str, wrong: list[str]) -> dict[str, Any]:
                 return 1000 * steps / (performance.now() - start);
             }"""
         )
-    if start > LONGEST_START:
-        wrong.append(f"the first picture takes {start:.0f} ms")
-    if frames < LEAST_FRAMES:
-        wrong.append(f"{frames:.0f} frames per second")
     return {"start": start, "frames": frames, "rate": rate}
 
 
@@ -285,8 +310,8 @@ def main() -> int:
     print(*wrong, sep="\n")
     print(
         f"{size / 1000:.0f} kB compressed, first picture after {figures['start']:.0f} ms, "
-        f"{figures['frames']:.0f} frames per second, {figures['rate'] / 1000:.0f} thousand steps of a rigid body a "
-        f"second, {len(wrong)} faults"
+        f"at least {figures['frames']:.1f} frames per second, {figures['rate'] / 1000:.0f} thousand steps of a rigid "
+        f"body a second, {len(wrong)} faults"
     )
     return bool(wrong)
 
