@@ -18,7 +18,7 @@ from coadjoint.algebra.families.low_dimensional import entries, parameters_of
 from coadjoint.experiments.statement import judge
 
 SOURCE = Path(coadjoint.__file__).parents[1]
-EXAMPLES = sorted((SOURCE.parent / "examples").glob("*.toml"))
+EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.toml"))
 
 BODY = """
 [system]
