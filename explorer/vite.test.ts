@@ -6,6 +6,6 @@ export default defineConfig({
     ssr: true,
     outDir: "../build/explorer/tests",
     emptyOutDir: true,
-    rollupOptions: { input: ["tests/reader.test.ts", "tests/fused.test.ts", "tests/speed.ts"], output: { entryFileNames: "[name].mjs" } },
+    rollupOptions: { input: ["tests/reader.test.ts", "tests/fused.test.ts", "tests/page.test.ts", "tests/speed.ts"], output: { entryFileNames: "[name].mjs" } },
   },
 });

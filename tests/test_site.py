@@ -4,12 +4,14 @@ import itertools
 import json
 import re
 import runpy
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from picture_pages import picture_code, picture_pages
 from reference_pages import reference_pages
 from scheme_pages import scheme_pages, text_of
 from system_pages import code, system_pages, write_notebooks
@@ -18,6 +20,8 @@ from write_sources import URLS, linked, published
 import coadjoint as co
 from coadjoint.methods import registry
 from coadjoint.methods.suggested_scheme import suggested_scheme
+from coadjoint.pictures import register
+from coadjoint.pictures.register import kinds
 from coadjoint.runs.example_run import run_example
 from coadjoint.systems.registry import gallery_entry_of
 from long import long_where
@@ -25,7 +29,7 @@ from long import long_where
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 SITE = DOCS / "site"
-GENERATED = {"systems/index", "schemes/index", "reference/index", "paper"}
+GENERATED = {"systems/index", "schemes/index", "pictures/index", "reference/index", "paper"}
 
 
 def entries(page):
@@ -82,6 +86,31 @@ def test_every_system_and_scheme_has_a_page():
     assert set(schemes) == {f"schemes/{name}.md" for name in (*co.methods.names(), "index")}
     for name in co.systems.names():
         assert f"autofunction:: coadjoint.systems.{name}\n" in systems[f"systems/{name}.md"]
+
+
+def test_every_kind_of_picture_is_shown_with_its_options():
+    [page] = picture_pages().values()
+    sections = dict(section.split("\n", 1) for section in page.split("\n## ")[1:])
+    assert list(sections) == list(kinds())
+    for name, kind in kinds().items():
+        rows = dict(re.findall(r"^\| `(\w+)` \| (needed|`.*?`) \| [^|]+ \| .+\. \|$", sections[name], re.MULTILINE))
+        assert list(rows) == list(kind.options)
+        for option, default in rows.items():
+            needed = kind.options[option].default is kind.options[option].empty
+            assert default == ("needed" if needed else f"`{kind.options[option].default!r}`")
+        assert kind.__doc__.startswith(f"{kind.usage}\n\n") and picture_code(name) in sections[name]
+
+
+@pytest.mark.parametrize("name", kinds())
+def test_code_of_a_kind_of_picture_draws_it(name, monkeypatch):
+    drawn = []
+    kind = kinds()[name]
+    recorded = replace(kind, prepare=lambda *given, **options: drawn.append(name) or kind.prepare(*given, **options))
+    monkeypatch.setattr(recorded.__class__, "check", lambda *_: None)
+    monkeypatch.setitem(register._KINDS, name, recorded)
+    names = {}
+    exec(picture_code(name), names)
+    assert isinstance(names["figure"], Figure) and set(drawn) == {name}
 
 
 def test_schemes_are_written_as_code():

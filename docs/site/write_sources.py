@@ -1,8 +1,8 @@
 """Write the sources of the documentation site: ``python docs/site/write_sources.py FOLDER [EXPLORER]``.
 
-The Markdown pages are copied with links to source files made absolute. Pages of names, systems and schemes are written
-from the registries and docstrings, and the pictures are drawn by the code that the pages show. The explorer, given the
-folder where it is built, is part of the site, and pages link to it where they have the comment
+The Markdown pages are copied with links to source files made absolute. Pages of names, systems, schemes and kinds of
+pictures are written from the registries and docstrings, and the pictures are drawn by the code that the pages show. The
+explorer, given the folder where it is built, is part of the site, and pages link to it where they have the comment
 ``<!-- explorer: TEXT -->``.
 """
 
@@ -29,6 +29,7 @@ MATHJAX = "tex-chtml.js", "output/chtml/fonts/woff-v2"
 def write(folder: Path, explorer: Path | None) -> None:
     """Write all sources into a folder; pictures that are newer than the library are not drawn again."""
     from paper_page import paper_page
+    from picture_pages import draw_kinds, picture_pages
     from reference_pages import reference_pages
     from scheme_pages import scheme_pages
     from system_pages import draw_pictures, system_pages, write_notebooks
@@ -37,7 +38,7 @@ def write(folder: Path, explorer: Path | None) -> None:
     pages["README.md"] = published(ROOT / "README.md")
     library = max(file.stat().st_mtime for file in (ROOT / "src").rglob("*.py"))
     pages["paper.md"] = paper_page(folder / "paper", library)
-    pages |= system_pages() | scheme_pages()
+    pages |= system_pages() | scheme_pages() | picture_pages()
     reference, targets = reference_pages({path.removesuffix(".md") for path in pages})
     pages |= reference
     pages["api.md"] = linked(pages["api.md"], targets)
@@ -56,6 +57,7 @@ def write(folder: Path, explorer: Path | None) -> None:
     shutil.copytree(SITE / "_static", folder / "_static", dirs_exist_ok=True)
     copy_mathjax(folder / "_static" / "mathjax")
     draw_pictures(folder / "systems", library)
+    draw_kinds(folder / "pictures", library)
     write_notebooks(folder / "systems")
 
 

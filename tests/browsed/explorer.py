@@ -198,6 +198,116 @@ def check_keys_and_clicks(browser: Browser, base: str, wrong: list[str]) -> None
             wrong.append("dragging does not turn the scene")
 
 
+COLOR_POINTS = """([selector, number, color]) => {
+    const canvas = document.querySelectorAll(selector)[number], { width, height } = canvas;
+    const value = getComputedStyle(document.documentElement).getPropertyValue(color).trim();
+    const wanted = [1, 3, 5].map((k) => parseInt(value.slice(k, k + 2), 16));
+    const { data } = canvas.getContext("2d").getImageData(0, 0, width, height), found = [];
+    for (let k = 0; k < data.length; k += 4)
+        if (data[k + 3] > 250 && wanted.every((part, i) => Math.abs(part - data[k + i]) < 12))
+            found.push([(k / 4) % width, Math.floor(k / 4 / width)]);
+    return found;
+}"""
+
+
+def check_drawings(browser: Browser, base: str, wrong: list[str]) -> None:
+    """Find the colors of both runs where their errors and states are, and the waves of a fluid where they are."""
+    with opened(browser, base, "", wrong) as tab:
+        take(tab, 1000)
+        tab.wait_for_timeout(200)
+        for plot, name in ((0, "energy"), (1, "casimirs")):
+            lines = [np.array(tab.evaluate(COLOR_POINTS, ["canvas.plot", plot, color])) for color in ("--a", "--b")]
+            if min(map(len, lines)) < 100:
+                wrong.append(f"of the errors of {name}, {[len(line) for line in lines]} pixels are drawn")
+                continue
+            ends = [line[line[:, 0] > 0.97 * line[:, 0].max(), 1].mean() for line in lines]
+            errors = tab.evaluate(f"explorer.app.tracks.map((track) => track.{name}.most)")
+            if (ends[0] < ends[1]) != (errors[0] > errors[1]):
+                wrong.append(f"the errors of {name} are {errors}, and their lines end at {ends} from above")
+    with opened(browser, base, "h=0.01", wrong) as tab:
+        tab.evaluate("explorer.app.playing = false")
+        for number, color in enumerate(("--a", "--b")):
+            scene = tab.locator("canvas.scene").nth(number)
+            box = scene.bounding_box()
+            assert box is not None
+            at = np.array([0.3 * box["width"], 0.55 * box["height"]])
+            tab.mouse.click(box["x"] + at[0], box["y"] + at[1])
+            tab.wait_for_timeout(200)
+            dot = np.array(tab.evaluate(COLOR_POINTS, ["canvas.scene", number, color]))
+            if not len(dot) or np.abs(dot.mean(axis=0) - at).max() > 3:
+                wrong.append(f"after a click at {at} the state is drawn at {dot.mean(axis=0) if len(dot) else None}")
+            if not tab.evaluate(f"document.querySelectorAll('canvas.body')[{number}].width > 0"):
+                wrong.append("the body is not drawn")
+    for system, x, expected in (
+        ("fluid_triad", "1,0,0", [("red", 0, 0), ("blue", 11, 0), ("red", 22, 30)]),
+        ("fluid_triad", "0,1,0", [("red", 0, 0), ("blue", 0, 7), ("blue", 22, 0)]),
+        ("fluid_modes", "0,1,0,0,0,0,0,0", [("red", 5, 9), ("blue", 16, 20)]),
+        ("fluid_modes", "0,0,0,0,0,0,1,0", [("red", 5, 5), ("blue", 11, 0), ("blue", 22, 33)]),
+    ):
+        with opened(browser, base, f"system={system}&h=0.01&x={x}", wrong) as tab:
+            tab.evaluate("explorer.app.playing = false")
+            tab.wait_for_timeout(100)
+            for color, column, row in expected:
+                context = "document.querySelector('canvas.body').getContext('2d')"
+                pixel = tab.evaluate(f"[...{context}.getImageData({column}, {row}, 1, 1).data]")
+                if (pixel[0] > pixel[2] + 60, pixel[2] > pixel[0] + 60) != (color == "red", color == "blue"):
+                    wrong.append(f"{system} at {x}: the pixel ({column}, {row}) is {pixel}, not {color}")
+
+
+def check_buttons(browser: Browser, base: str, wrong: list[str]) -> None:
+    """Press every button, change the address, and choose another system."""
+    with opened(browser, base, "", wrong) as tab:
+        tab.context.grant_permissions(["clipboard-read", "clipboard-write"])
+        tab.get_by_role("button", name="Pause").click()
+        tab.get_by_role("button", name="Restart").click()
+        first = tab.evaluate("explorer.app.steps")
+        tab.get_by_role("button", name="One step").click()
+        tab.wait_for_timeout(200)
+        if (now := tab.evaluate("[explorer.app.steps, explorer.app.playing]")) != [first + 1, False] or first > 1:
+            wrong.append(f"from step {first}, one step leads to {now}")
+        if f"Step {first + 1} " not in tab.locator(".readout").first.inner_text():
+            wrong.append("the step is not shown")
+        tab.get_by_role("button", name="Play").click()
+        tab.wait_for_timeout(500)
+        if tab.evaluate("explorer.app.steps") < first + 5:
+            wrong.append("the runs do not continue")
+        tab.get_by_role("button", name="Pause").click()
+        tab.get_by_role("button", name="Copy as Python").click()
+        tab.wait_for_function("document.getElementById('message').textContent.includes('clipboard')")
+        if tab.evaluate("navigator.clipboard.readText()") != tab.evaluate("explorer.script()"):
+            wrong.append("the script is not in the clipboard")
+        tab.get_by_role("button", name="Copy link").click()
+        tab.wait_for_timeout(200)
+        if tab.evaluate("navigator.clipboard.readText()") != tab.url:
+            wrong.append("the link is not in the clipboard")
+        with tab.expect_download() as saved:
+            tab.get_by_role("button", name="Download data").click()
+        text = Path(saved.value.path()).read_text(encoding="utf-8")
+        if saved.value.suggested_filename != "rigid_body.csv" or text != tab.evaluate("explorer.data()"):
+            wrong.append(f"{saved.value.suggested_filename} is downloaded, and its data are not those of both runs")
+        dark = "document.documentElement.dataset.theme === 'dark'"
+        tab.get_by_label("Light or dark").click()
+        if not tab.evaluate(dark):
+            wrong.append("the button does not change the colors")
+        tab.reload()
+        tab.wait_for_function("window.explorer")
+        if not tab.evaluate(dark):
+            wrong.append("the chosen colors are lost")
+        tab.evaluate("explorer.app.choice.turn = [1, 1]")
+        tab.locator("canvas.scene").first.focus()
+        tab.keyboard.press("Home")
+        if tab.evaluate("explorer.app.choice.turn") != [-0.65, 0.42]:
+            wrong.append("Home does not turn the scene back")
+        tab.evaluate("location.hash = 'system=spin_pair'")
+        tab.wait_for_timeout(200)
+        if tab.evaluate("explorer.app.tracks[0].x.length") != 6 or not tab.get_by_label("exchange J").count():
+            wrong.append("another address does not show its system")
+        tab.get_by_label("System", exact=True).last.select_option("toda_ring")
+        tab.wait_for_timeout(400)
+        if tab.evaluate("explorer.app.choice.system") != "toda_ring" or "toda_ring" not in tab.url:
+            wrong.append("the list of systems does not choose one")
+
+
 def check_failures(browser: Browser, base: str, wrong: list[str]) -> None:
     """Show a run that fails beside one that goes on, and refuse an energy of zero."""
     with opened(browser, base, "system=heavy_top&h=2&x=9,9,9,0.6,0,0.8", wrong) as tab:
@@ -304,6 +414,8 @@ def main() -> int:
         check_address(browser, base, wrong)
         check_keys_and_clicks(browser, base, wrong)
         check_drift(browser, base, wrong)
+        check_drawings(browser, base, wrong)
+        check_buttons(browser, base, wrong)
         check_sections(browser, base, wrong)
         check_failures(browser, base, wrong)
         browser.close()

@@ -48,12 +48,21 @@ class Kind:
     moves: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "__doc__", inspect.getdoc(self.prepare))
+        object.__setattr__(self, "__doc__", f"{self.usage}\n\n{inspect.getdoc(self.prepare)}")
 
     @property
     def options(self) -> Mapping[str, inspect.Parameter]:
         """The options by name, with their default values."""
         return MappingProxyType(dict(list(inspect.signature(self.prepare).parameters.items())[1:]))
+
+    @property
+    def usage(self) -> str:
+        """A `Picture` of this kind with all options and their default values; those without one are needed."""
+        options = (
+            name if option.default is inspect.Parameter.empty else f"{name}={option.default!r}"
+            for name, option in self.options.items()
+        )
+        return f"Picture({', '.join([repr(self.name), *options])})"
 
     @property
     def shows_one_time(self) -> bool:

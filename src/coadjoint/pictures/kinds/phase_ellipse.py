@@ -29,7 +29,7 @@ def phase_ellipse(
     Parameters
     ----------
     moments : sequence of three ints or str
-        The coordinates <qq>, <qp> and <pp> of one distribution about the origin.
+        The coordinates ``<qq>``, ``<qp>`` and ``<pp>`` of one distribution about the origin.
     lumps : callable
         Alternative: function of the states (k, n) and of the system that returns, for each of several distributions,
         its centre (q, p) and its second moments qq, qp, pp, each (k,).
