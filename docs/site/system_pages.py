@@ -148,6 +148,9 @@ def _page(name: str) -> Iterator[str]:
         yield f"| {title} | {_cell(_formulas(summary[kind])) if summary[kind] else missing} |"
     yield f"| closed form | {'`exact(x0, t)`' if summary['exact'] else 'none is known for these parameters'} |"
     yield f"| scheme to begin with | {_link(summary['scheme'])}, step {entry.step:g} |"
+    kinds = dict.fromkeys(picture.kind for picture in (*entry.pictures, entry.components))
+    links = (f"[{kind}](../pictures/index.md#{kind.replace(' ', '-')})" for kind in kinds)
+    yield f"| pictures | {', '.join(links)} |"
     yield "\n## Docstring\n"
     yield f"```{{eval-rst}}\n.. autofunction:: coadjoint.systems.{name}\n```\n"
     yield "[All systems](index.md). [Which scheme?](../schemes.md)"
