@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import inspect
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -183,7 +184,8 @@ def _link(scheme: str) -> str:
 
 def _sentence(name: str) -> str:
     """Return the first line of the docstring of a system as Markdown."""
-    text = str(summarize_system(name)["summary"]).removeprefix("Return ")
+    docstring = inspect.getdoc(getattr(co.systems, name)) or ""
+    text = docstring.partition("\n\n")[0].replace("\n", " ").removeprefix("Return ")
     return in_markdown(text[:1].upper() + text[1:])
 
 
