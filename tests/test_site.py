@@ -88,6 +88,14 @@ def test_every_system_and_scheme_has_a_page():
         assert f"autofunction:: coadjoint.systems.{name}\n" in systems[f"systems/{name}.md"]
 
 
+def test_formulas_of_the_first_sentences_of_systems_are_set():
+    pages = system_pages()
+    sentences = {name: pages[f"systems/{name}.md"].split("\n")[2] for name in co.systems.names()}
+    assert sentences["matrix_body"].startswith(r"The free rigid body of n dimensions, $X' = [X, \Omega]$, its momentum")
+    for name, sentence in sentences.items():
+        assert not re.search(r"\w' =|[`^]| cross |\bOmega\b| _", re.sub(r"\$[^$]*\$", "", sentence)), name
+
+
 def test_every_kind_of_picture_is_shown_with_its_options():
     [page] = picture_pages().values()
     sections = dict(section.split("\n", 1) for section in page.split("\n## ")[1:])

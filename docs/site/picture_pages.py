@@ -1,4 +1,4 @@
-"""The page of the kinds of pictures: for each its picture, the code that draws it, and its options, from its docstring."""
+"""The page of the kinds of pictures: each with its picture, the code that draws it, and its options."""
 
 from __future__ import annotations
 

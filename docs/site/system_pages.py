@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import inspect
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -148,6 +149,9 @@ def _page(name: str) -> Iterator[str]:
         yield f"| {title} | {_cell(_formulas(summary[kind])) if summary[kind] else missing} |"
     yield f"| closed form | {'`exact(x0, t)`' if summary['exact'] else 'none is known for these parameters'} |"
     yield f"| scheme to begin with | {_link(summary['scheme'])}, step {entry.step:g} |"
+    kinds = dict.fromkeys(picture.kind for picture in (*entry.pictures, entry.components))
+    links = (f"[{kind}](../pictures/index.md#{kind.replace(' ', '-')})" for kind in kinds)
+    yield f"| pictures | {', '.join(links)} |"
     yield "\n## Docstring\n"
     yield f"```{{eval-rst}}\n.. autofunction:: coadjoint.systems.{name}\n```\n"
     yield "[All systems](index.md). [Which scheme?](../schemes.md)"
@@ -180,7 +184,8 @@ def _link(scheme: str) -> str:
 
 def _sentence(name: str) -> str:
     """Return the first line of the docstring of a system as Markdown."""
-    text = str(summarize_system(name)["summary"]).removeprefix("Return ")
+    docstring = inspect.getdoc(getattr(co.systems, name)) or ""
+    text = docstring.partition("\n\n")[0].replace("\n", " ").removeprefix("Return ")
     return in_markdown(text[:1].upper() + text[1:])
 
 

@@ -26,7 +26,10 @@ from playwright.sync_api import Error as PlaywrightError
 SCREENSHOTS = Path(__file__).with_name("screenshots")
 PAGES = ("index", "start", "schemes", "systems/heavy_top", "own_algebra")
 # Further pages of each kind, which are not compared.
-OTHERS = ("systems/index", "schemes/Splitting", "api", "reference/coadjoint.integrate", "paper", "spins", "derivatives")
+OTHERS = (
+    "systems/index", "schemes/Splitting", "pictures/index", "api", "reference/coadjoint.integrate", "paper", "spins",
+    "derivatives",
+)  # fmt: skip
 # A formula that Markdown did not recognize is left as text.
 RAW = re.compile(r".{0,30}(?:\$|\\[a-zA-Z]{2,}).{0,30}")
 VOID = {"area", "base", "br", "col", "embed", "hr", "img", "input", "link", "meta", "source", "track", "wbr"}
