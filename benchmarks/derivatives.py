@@ -53,7 +53,7 @@ def cases() -> dict[str, tuple[object, np.ndarray, list[object], bool]]:
 
 
 def of_lattice(side: int, threads: list[int], rounds: int) -> None:
-    """Print times of runs, tangents along one direction and gradients of a lattice of equal and of unequal couplings."""
+    """Print times of runs, tangents along one direction and gradients of lattices of equal and of unequal couplings."""
     rng = np.random.default_rng(1)
     x0 = rng.standard_normal((side * side, 3))
     x0 = (x0 / np.linalg.norm(x0, axis=1)[:, None]).ravel()
