@@ -145,11 +145,14 @@ def check_address(browser: Browser, base: str, wrong: list[str]) -> None:
         tab.get_by_label("step h").focus()
         tab.keyboard.press("ArrowLeft")
         tab.get_by_label("Right scheme", exact=True).select_option("gauss")
-        tab.get_by_label("gamma1").fill("0.5")
-        tab.keyboard.press("Enter")
+        for label, text in (("gamma1", "0.5"), ("gamma2", "-0.25"), ("gamma3", "x")):
+            tab.get_by_label(label).fill(text)
+            tab.keyboard.press("Enter")
+        if tab.get_by_label("gamma3").get_attribute("aria-invalid") != "true":
+            wrong.append("a field without a number is not marked")
         tab.wait_for_timeout(400)
         choice, address = tab.evaluate("explorer.app.choice"), tab.evaluate("location.hash.slice(1)")
-    if choice["values"]["l3"] != 1.15 or choice["schemes"][1] != "gauss" or choice["x0"][3] != 0.5:
+    if choice["values"]["l3"] != 1.15 or choice["schemes"][1] != "gauss" or choice["x0"][3:] != [0.5, -0.25, 0.8]:
         wrong.append(f"keys and fields set {choice}")
     with opened(browser, base, address, wrong) as tab:
         again = tab.evaluate("explorer.app.choice")
@@ -161,6 +164,15 @@ def check_address(browser: Browser, base: str, wrong: list[str]) -> None:
     with opened(browser, base, "system=algebra&c=1,0,0,0,1,0,1,0,1", wrong) as tab:
         if "Jacobi" not in tab.inner_text("#message"):
             wrong.append("brackets without the Jacobi identity are not refused")
+
+
+def check_file(browser: Browser, folder: Path, wrong: list[str]) -> None:
+    """Opened as a file, from which browsers load no modules, the page names a server."""
+    tab = browser.new_page()
+    tab.goto((folder / "index.html").resolve().as_uri())
+    if "http.server" not in (text := tab.inner_text("#message")):
+        wrong.append(f"opened as a file, the page shows {text!r}")
+    tab.close()
 
 
 def check_keys_and_clicks(browser: Browser, base: str, wrong: list[str]) -> None:
@@ -241,6 +253,7 @@ def check_drawings(browser: Browser, base: str, wrong: list[str]) -> None:
     for system, x, expected in (
         ("fluid_triad", "1,0,0", [("red", 0, 0), ("blue", 11, 0), ("red", 22, 30)]),
         ("fluid_triad", "0,1,0", [("red", 0, 0), ("blue", 0, 7), ("blue", 22, 0)]),
+        ("fluid_triad", "0,0,1", [("red", 0, 0), ("blue", 7, 0), ("red", 15, 0), ("blue", 0, 7)]),
         ("fluid_modes", "0,1,0,0,0,0,0,0", [("red", 5, 9), ("blue", 16, 20)]),
         ("fluid_modes", "0,0,0,0,0,0,1,0", [("red", 5, 5), ("blue", 11, 0), ("blue", 22, 33)]),
     ):
@@ -410,6 +423,7 @@ def main() -> int:
                         tab.evaluate("explorer.app.playing = false")
                         found = faults(tab, window[0])
                         wrong += [f"{system}, {window[0]} pixels, {color}: {fault}" for fault in found]
+        check_file(browser, folder, wrong)
         check_numbers(browser, base, wrong)
         check_address(browser, base, wrong)
         check_keys_and_clicks(browser, base, wrong)
