@@ -186,10 +186,10 @@ def check_keys_and_clicks(browser: Browser, base: str, wrong: list[str]) -> None
         if "sceneCANVAS" not in reached or "SELECT" not in reached or "mainBUTTON" not in reached:
             wrong.append(f"by Tab only {sorted(reached)} are reached")
         scene.focus()
-        before = tab.evaluate("explorer.app.choice.turn")
+        before = np.array(tab.evaluate("explorer.app.choice.turn"))
         tab.keyboard.press("ArrowLeft")
         tab.keyboard.press("ArrowUp")
-        if np.isclose(tab.evaluate("explorer.app.choice.turn"), before).any():
+        if not np.allclose(tab.evaluate("explorer.app.choice.turn") - before, (0.08, -0.08)):
             wrong.append("arrow keys do not turn the scene")
         tab.keyboard.press(" ")
         if tab.evaluate("explorer.app.playing"):
@@ -201,25 +201,67 @@ def check_keys_and_clicks(browser: Browser, base: str, wrong: list[str]) -> None
         clicked = np.array(tab.evaluate("explorer.app.choice.x0"))
         if np.allclose(clicked, start) or abs(np.linalg.norm(clicked) / np.linalg.norm(start) - 1) > 1e-5:
             wrong.append(f"a click on the sphere sets {clicked}, from {start}")
-        turned = tab.evaluate("explorer.app.choice.turn")
+        turned = np.array(tab.evaluate("explorer.app.choice.turn"))
         tab.mouse.move(box["x"] + 100, box["y"] + 100)
         tab.mouse.down()
         tab.mouse.move(box["x"] + 160, box["y"] + 130, steps=5)
         tab.mouse.up()
-        if np.isclose(tab.evaluate("explorer.app.choice.turn"), turned).any():
-            wrong.append("dragging does not turn the scene")
+        across, up = tab.evaluate("explorer.app.choice.turn") - turned
+        if not across < -0.2 or not up > 0.1:
+            wrong.append(f"dragging turns the scene by {across}, {up}")
 
 
 COLOR_POINTS = """([selector, number, color]) => {
     const canvas = document.querySelectorAll(selector)[number], { width, height } = canvas;
-    const value = getComputedStyle(document.documentElement).getPropertyValue(color).trim();
-    const wanted = [1, 3, 5].map((k) => parseInt(value.slice(k, k + 2), 16));
+    const value = color && getComputedStyle(document.documentElement).getPropertyValue(color).trim();
+    const wanted = color ? [1, 3, 5].map((k) => parseInt(value.slice(k, k + 2), 16)) : [];
     const { data } = canvas.getContext("2d").getImageData(0, 0, width, height), found = [];
     for (let k = 0; k < data.length; k += 4)
-        if (data[k + 3] > 250 && wanted.every((part, i) => Math.abs(part - data[k + i]) < 12))
+        if (data[k + 3] > (color ? 250 : 20) && wanted.every((part, i) => Math.abs(part - data[k + i]) < 12))
             found.push([(k / 4) % width, Math.floor(k / 4 / width)]);
     return found;
 }"""
+
+
+def trail_faults(browser: Browser, base: str, wrong: list[str]) -> list[str]:
+    """Return whether the newest states, where they are in front, are not on the drawn path."""
+    with opened(browser, base, "system=spin_pair", wrong) as tab:
+        take(tab, 60)
+        tab.wait_for_timeout(200)
+        states = np.array(tab.evaluate("[...explorer.app.tracks[0].states()].map((x) => [...x])"))[-15:-2, :3]
+        width, height = tab.evaluate("(({ width, height }) => [width, height])(document.querySelector('canvas.scene'))")
+        drawn = np.array(tab.evaluate(COLOR_POINTS, ["canvas.scene", 0, "--a"]))
+        yaw, pitch = tab.evaluate("explorer.app.choice.turn")
+    (s, u), (c, v) = np.sin([yaw, pitch]), np.cos([yaw, pitch])
+    # The rows are right, up and toward the reader.
+    seen = states / np.linalg.norm(states[0]) @ np.array([(c, s, 0), (-u * s, u * c, v), (v * s, -v * c, u)]).T
+    radius = 0.41 * min(width, height)
+    places = np.array([0.39 * width, 0.5 * height]) + radius * seen[:, :2] * (1, -1)
+    front = places[seen[:, 2] > 0.1]
+    if not len(front) or not len(drawn):
+        return ["no states are drawn in front"]
+    # The path of the other spin covers some.
+    distance = np.median(np.linalg.norm(front[:, None] - drawn, axis=-1).min(axis=1))
+    return [f"states are {distance:.0f} pixels from the drawn path"] if distance > 2 else []
+
+
+def section_faults(browser: Browser, base: str, wrong: list[str]) -> list[str]:
+    """Return what is wrong with the section: whether it is shown, and where its highest point is."""
+    with opened(browser, base, "", wrong) as tab:
+        found = ["a system without a section shows one"] if tab.locator("canvas.plot:visible").count() != 2 else []
+    with opened(browser, base, "system=heavy_top&b=gauss", wrong) as tab:
+        take(tab, SECTION_STEPS)
+        tab.wait_for_timeout(200)
+        if tab.locator("canvas.plot:visible").count() != 3:
+            return [*found, "the section is not shown"]
+        tracks = tab.evaluate("explorer.app.tracks.map((track) => [...track.crossings])")
+        # Points of the second run cover those of the first one.
+        drawn = np.array(tab.evaluate(COLOR_POINTS, ["canvas.plot", 2, "--b"]))
+    points = np.array(tracks[1]).reshape(-1, 2)
+    across = [np.ptp(part) for part in (points[:, 0], drawn[:, 0])]
+    expected = (points[points[:, 1].argmax(), 0] - points[:, 0].min()) / across[0]
+    at = (drawn[drawn[:, 1].argmin(), 0] - drawn[:, 0].min()) / across[1]
+    return found if abs(at - expected) < 0.05 else [*found, f"the highest point is at {at}, not {expected}"]
 
 
 def check_drawings(browser: Browser, base: str, wrong: list[str]) -> None:
@@ -250,6 +292,12 @@ def check_drawings(browser: Browser, base: str, wrong: list[str]) -> None:
                 wrong.append(f"after a click at {at} the state is drawn at {dot.mean(axis=0) if len(dot) else None}")
             if not tab.evaluate(f"document.querySelectorAll('canvas.body')[{number}].width > 0"):
                 wrong.append("the body is not drawn")
+    wrong += trail_faults(browser, base, wrong) + section_faults(browser, base, wrong)
+    with opened(browser, base, "system=maxwell_bloch&h=0.01", wrong) as tab:
+        take(tab, 1)
+        tab.wait_for_timeout(200)
+        if (drawn := len(tab.evaluate(COLOR_POINTS, ["canvas.scene", 0, None]))) < 3000:
+            wrong.append(f"the cylinder has {drawn} pixels")
     for system, x, expected in (
         ("fluid_triad", "1,0,0", [("red", 0, 0), ("blue", 11, 0), ("red", 22, 30)]),
         ("fluid_triad", "0,1,0", [("red", 0, 0), ("blue", 0, 7), ("blue", 22, 0)]),
@@ -302,6 +350,10 @@ def check_buttons(browser: Browser, base: str, wrong: list[str]) -> None:
         tab.get_by_label("Light or dark").click()
         if not tab.evaluate(dark):
             wrong.append("the button does not change the colors")
+        tab.wait_for_timeout(200)
+        if not tab.evaluate(COLOR_POINTS, ["canvas.scene", 0, "--a"]):
+            wrong.append("drawings keep their colors when those of the page change")
+        tab.evaluate("localStorage.removeItem('theme')")  # as after a choice on the other pages of the site
         tab.reload()
         tab.wait_for_function("window.explorer")
         if not tab.evaluate(dark):
@@ -333,6 +385,14 @@ def check_failures(browser: Browser, base: str, wrong: list[str]) -> None:
         tab.get_by_label("Example").select_option("sl(2), hyperboloids")
         if tab.evaluate("explorer.app.choice.algebra.constants") != [0, 2, 0, 1, 0, 0, 0, 0, 2]:
             wrong.append("an example does not set the structure constants")
+        tab.get_by_label("Example").select_option("so(3), the sphere")
+        for label, text in (("[e₃, e₁], e2", "2"), ("b2", "0.5"), ("a3", "0.7")):
+            tab.get_by_label(label, exact=True).fill(text)
+            tab.keyboard.press("Enter")
+        typed = {"constants": [0, 0, 1, 1, 0, 0, 0, 2, 0], "squares": [1, 0.6, 0.7], "linear": [0, 0.5, 0]}
+        if (found := tab.evaluate("explorer.app.choice.algebra")) != typed:
+            wrong.append(f"the fields of an algebra set {found}")
+        tab.get_by_label("Example").select_option("sl(2), hyperboloids")
         if not tab.evaluate("explorer.app.orbit.length"):
             wrong.append("the level set of the Casimir of sl(2) has no lines")
     with opened(browser, base, "system=algebra&squares=0,0,0", wrong) as tab:
