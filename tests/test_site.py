@@ -15,7 +15,7 @@ from picture_pages import picture_code, picture_pages
 from reference_pages import reference_pages
 from scheme_pages import scheme_pages, text_of
 from system_pages import code, system_pages, write_notebooks
-from write_sources import URLS, linked, published
+from write_sources import URLS, linked, published, with_explorer, with_schemes
 
 import coadjoint as co
 from coadjoint.methods import registry
@@ -67,6 +67,16 @@ def test_pages_link_no_files_without_a_page():
     assert linked_files == []
     api = published(DOCS / "api.md")
     assert "`choosing/accuracy.py`" in api and ("choosing/accuracy.py)" in api) == ("Source" in URLS)
+
+
+def test_links_of_copied_pages():
+    text = (SITE / "index.md").read_text(encoding="utf-8")
+    assert '<a href="explorer/index.html">The explorer runs' in with_explorer(text) and "<!-- explorer" in text
+    readme = published(ROOT / "README.md")
+    assert "](explorer.md)" in readme and "](docs/" not in readme
+    tables = with_schemes(published(DOCS / "schemes.md"), set(scheme_pages()))
+    assert "[`IsospectralGauss()`](schemes/IsospectralGauss.md)" in tables
+    assert {f"schemes/{name}.md" for name in re.findall(r"\]\(schemes/(\w+)\.md\)", tables)} <= set(scheme_pages())
 
 
 def test_every_public_name_has_a_page():

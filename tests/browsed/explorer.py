@@ -351,7 +351,7 @@ def check_buttons(browser: Browser, base: str, wrong: list[str]) -> None:
         if not tab.evaluate(dark):
             wrong.append("the button does not change the colors")
         tab.wait_for_timeout(200)
-        if not tab.evaluate(COLOR_POINTS, ["canvas.scene", 0, "--a"]):
+        if not tab.evaluate(COLOR_POINTS, ["canvas.plot", 0, "--a"]):
             wrong.append("drawings keep their colors when those of the page change")
         tab.evaluate("localStorage.removeItem('theme')")  # as after a choice on the other pages of the site
         tab.reload()
