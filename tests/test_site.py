@@ -23,6 +23,7 @@ from coadjoint.methods.suggested_scheme import suggested_scheme
 from coadjoint.pictures import register
 from coadjoint.pictures.register import kinds
 from coadjoint.runs.example_run import run_example
+from coadjoint.runs.system_summary import summarize_system
 from coadjoint.systems.registry import gallery_entry_of
 from long import long_where
 
@@ -220,3 +221,23 @@ def test_versions_are_those_that_are_published(published, monkeypatch):
         workflow = (ROOT / ".github" / "workflows" / "site.yml").read_text(encoding="utf-8")
         folders = set(re.findall(r"build/public/(\w+)\n", workflow))
         assert {one["url"] for one in versions} == {f"../{folder}/" for folder in folders}
+
+
+def test_sweeps_of_splittings_are_shown():
+    rows = re.findall(r"^\| (forward|backward) \| (\S+) \|$", scheme_pages()["schemes/Splitting.md"], re.MULTILINE)
+    expected = [
+        ("forward" if sweep.forward else "backward", repr(sweep.coefficient))
+        for scheme in registry.scheme("Splitting").examples()
+        for sweep in scheme.sweeps()
+    ]
+    assert set(rows) <= set(expected) and rows[1:3] == [("forward", "0.5"), ("backward", "0.5")]
+
+
+def test_equations_of_systems_are_shown():
+    pages = system_pages()
+    signs = {name: re.search(r"x' = (-?)J\(x\)", pages[f"systems/{name}.md"]) for name in co.systems.names()}
+    for name, sign in signs.items():
+        if sign is not None:
+            assert sign[1] == ("-" if summarize_system(name)["sign"] < 0 else ""), name
+    assert sum(sign is not None for sign in signs.values()) > 20
+    assert re.findall(r"^\$\$ (H|C_\{\d\}) =", pages["systems/heavy_top.md"], re.MULTILINE) == ["H", "C_{1}", "C_{2}"]
