@@ -18,6 +18,7 @@ SET = {
     "<A, B> = Re tr(A* B)": r"\langle A, B\rangle = \operatorname{Re} \operatorname{tr}(A^* B)",
     "x02/2 + w_a x20_b": r"x_{02}/2 + w_{a} x_{20,b}",
     "sum over i and t of w(t) S_a,i(t)": r"\sum_{i,t} w(t) S_{a,i}(t)",
+    "a_i <= b_i": r"a_{i} \le b_{i}",
     "I1 = I2 = 4 I3": r"I_{1} = I_{2} = 4 I_{3}",
     "P~ - 1/|x|^2": r"\tilde{P} - 1/|x|^{2}",
     "sign * (D_(grad H) + J(x) H'')": r"\mathtt{sign} (D_{\nabla H} + J(x) H'')",

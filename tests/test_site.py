@@ -88,6 +88,7 @@ def test_every_public_name_has_a_page():
     modules = {"co.__version__", *(f"co.{name}" for name in dir(co) if isinstance(getattr(co, name), ModuleType))}
     assert [name for name in left if name not in modules] == []
     assert {path for path in targets.values()} <= set(pages) | {f"{path}.md" for path in written}
+    assert "   :members: " in pages["reference/classes/coadjoint.Solution.rst"]
     assert r"| Return the free rigid body, $x' = x \times (I^{-1} x)$, with its exact solution. |" in text
 
 
@@ -231,6 +232,13 @@ def test_sweeps_of_splittings_are_shown():
         for sweep in scheme.sweeps()
     ]
     assert set(rows) <= set(expected) and rows[1:3] == [("forward", "0.5"), ("backward", "0.5")]
+
+
+def test_what_schemes_preserve_is_shown():
+    pages = scheme_pages()
+    for scheme, expected in (("Splitting", "yes | no | all |"), ("RadauEnergy", "no | yes |")):
+        row = re.search(r"^\| \[rigid_body\]\([^)]*\) \| (.*)$", pages[f"schemes/{scheme}.md"], re.MULTILINE)
+        assert row is not None and row[1].startswith(expected), scheme
 
 
 def test_equations_of_systems_are_shown():
