@@ -1,6 +1,7 @@
 """Interrupts during preparation: the call ends, leaves nothing behind, and the next call works.
 
-The child reports when it reaches a point of its work, and repeats the work until it is interrupted.
+The child reports when it reaches a point of its work, and repeats the work until it is interrupted. It has imported
+before what the work needs: Python itself ignores an interrupt in the callbacks that release the locks of imports.
 """
 
 import os
@@ -41,6 +42,7 @@ from coadjoint.long_operations import LongWait
 import warnings
 warnings.simplefilter("ignore")
 {setting}
+{again}
 report(*{point})
 try:
     while True:

@@ -207,6 +207,27 @@ def test_tangents_of_exponents_have_the_same_bits(method):
         np.testing.assert_array_equal(shared, alone)
 
 
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("algebra", [co.algebras.so(3), co.algebras.e(3)], ids=["so(3)", "e(3)"])
+def test_copies_of_an_algebra_move_as_each_alone(algebra, threads):
+    rng, count, steps, n = np.random.default_rng(20), 1100, 7, algebra.dim
+    M, x0, weights = rng.uniform(0.5, 1.5, (count, n)), *rng.standard_normal((2, count, n))
+    # The first coefficient of a row of equal ones, and the last, but not those between them.
+    M[-1] = M[0]
+    scheme, span = co.Splitting(order=2, parts="coordinates"), (1.0, 1.0 - 0.05 * steps)
+    copies = co.LiePoissonSystem(co.algebras.copies(algebra, count), co.Quadratic(M.ravel()), sign=-1, casimirs={})
+    sol, pull = co.prepare(copies, scheme, 0.05, threads=threads).vjp(x0.ravel(), span, save_every=steps)
+    gradient = pull(np.stack([np.zeros(n * count), weights.ravel()]))["x0"].reshape(count, n)
+    for one in (0, 1, 500, count - 2, count - 1):
+        own = co.LiePoissonSystem(algebra, co.Quadratic(M[one]), sign=-1)
+        alone, pull = co.prepare(own, scheme, 0.05).vjp(x0[one], span, save_every=steps)
+        of_alone = pull(np.stack([np.zeros(n), weights[one]]))["x0"]
+        # Of the angles and rotations of each part in a step, forward and backward.
+        roundings = 2.0**-53 * 8 * n * steps
+        assert np.abs(sol.x[:, n * one : n * one + n] - alone.x).max() <= roundings * np.abs(alone.x).max()
+        assert np.abs(gradient[one] - of_alone).max() <= roundings * 4 * np.linalg.norm(of_alone)
+
+
 def test_energies_summed_in_blocks_are_those_of_the_system():
     system, x0 = disordered(), spins(12)
     sol = run(system, x0, 3, watch=True)
