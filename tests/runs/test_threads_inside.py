@@ -10,6 +10,8 @@ import scipy.sparse as sparse
 
 import coadjoint as co
 from coadjoint.errors import IntegrationError
+from coadjoint.program.interpreter import Interpreter
+from coadjoint.program.table import build_program
 
 SPINS = 2500  # more angles of a part than one thread takes alone
 
@@ -65,6 +67,23 @@ def test_bits_do_not_depend_on_the_number_of_threads(name, method):
         return
     for threads in (2, 3, 7, 16):
         np.testing.assert_array_equal(run(system, x0, threads, METHODS[method]).x, alone.x)
+
+
+def equal_ends():
+    """Couplings of which the first and the last are equal, but not those between them."""
+    exchange = np.random.default_rng(1).standard_normal(SPINS - 1)
+    exchange[-1] = exchange[0]
+    return co.systems.spin_lattice("chain", SPINS, exchange=exchange, field=(0.1, 0.2, 0.3))
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("make", [equal_ends, *SYSTEMS.values()])
+def test_two_steps_are_those_of_the_plain_reading_of_the_program(make, threads):
+    system, x0 = make(), spins(4)
+    plain = Interpreter(build_program(system, METHODS["plain"])).steps(x0, -0.05, 2)
+    sol = run(system, x0, threads, step=0.05, steps=2)
+    # Each spin is rotated about three axes, forward and backward, by angles of a few products.
+    assert np.abs(sol.x[-1] - plain).max() <= 2.0**-53 * 2 * 6 * 16 * np.abs(x0).max()
 
 
 def copies(algebra, seed):
