@@ -44,13 +44,13 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
     AlignedArray<GroupRows> elements(2 * d * rows), finished(2 * d * rows), group_scratch(3 * d * rows);
     AlignedArray<GroupRows> checkpoint_elements(with_group ? 2 * d * rows : 0);
     AngleWorkspace<double> angles(tables.longest);
-    angles.use_properties(tables, schedule.threads > 1 || team_of_this_thread);
+    angles.use_properties(tables);
     SharedSteps shared_steps(schedule.threads, size);
     PartialStep<double> partial_step;
     partial_step.set(tables, schedule, member, 0);
     if (partial_step.needed) angles.partial_step = &partial_step;
     Finisher<summation, Side> finisher(tables, schedule, size, member);
-    finisher.angles.even = angles.even, finisher.angles.used = angles.used;
+    finisher.angles.even = angles.even, finisher.angles.following = angles.following;
     MemberRecorder<Side, SharedConstants, Finisher<summation, Side>> recorder(loop.watch, arrays, schedule,
                                                                               SharedConstants{}, finisher);
     recorder.begin(member, SharedConstants{}, loop.k0);

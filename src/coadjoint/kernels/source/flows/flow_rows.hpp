@@ -99,6 +99,11 @@ NOINLINE void rotate_fused(const FlowTables& tables, const C& constants, uint32_
         });
 }
 
+// Whether threads share the runs of a part.
+inline bool shares_runs(const FlowTables& tables, uint32_t part) {
+    return (tables.properties[part] & APART) && team_of_this_thread;
+}
+
 // Call `visit(run, first, last)` for the angles of all runs of a part, whose coordinates differ from those of the other
 // runs if they are `apart`, and within a run from those of its other angles.
 template <class Visit>
@@ -143,26 +148,39 @@ struct PartialStep {
     }
 };
 
-// Scratch memory for the angles of a part and for the calls of user functions, and what is used of the properties of
-// terms and parts.
+// Scratch memory for the angles of a part and for the calls of user functions, and properties of the terms.
 template <class A>
 struct AngleWorkspace {
     const PartialStep<A>* partial_step = nullptr;  // of a step of another length
     AlignedArray<A> theta, rotated, arguments;
     AlignedArray<double> calls;
     std::vector<bool> even;
-    uint8_t used = 0;
+    bool following = false;  // rotations follow their angles where they may
     explicit AngleWorkspace(int64_t longest)
         : theta(longest), rotated(longest), arguments(longest), calls(2 * longest + 2) {}
     // For programs whose constants are those of one system.
-    void use_properties(const FlowTables& tables, bool shared) {
+    void use_properties(const FlowTables& tables) {
         even = even_terms(tables.terms, tables.longest);
-        used = shared ? FOLLOWING | APART : FOLLOWING;
-    }
-    bool uses(uint8_t property, const FlowTables& tables, uint32_t part) const {
-        return tables.properties[part] & used & property;
+        following = true;
     }
 };
+
+// The angles of a part, share by share, in workspace.theta.
+template <class A, class C>
+INLINE void find_angles(const FlowTables& tables, const C& constants, uint32_t part, const A* x, const A& moment,
+                        AngleWorkspace<A>& workspace) {
+    const Terms& terms = tables.terms;
+    const uint32_t low = tables.share[part], high = tables.share[part + 1], base = terms.row[low];
+    for (uint32_t k = low; k < high; ++k)
+        if (!workspace.even.empty() && workspace.even[k])
+            share(terms.row[k + 1] - terms.row[k], [&](int64_t first, int64_t last) {
+                const uint32_t start = terms.row[k] + uint32_t(first);
+                even_rows(terms, k, start, terms.row[k] + uint32_t(last), x, workspace.theta.at + (start - base));
+            });
+        else
+            gradient_rows(terms, constants, tables.addresses, k, x, moment, workspace.theta.at, base,
+                          workspace.arguments.at, workspace.calls.at);
+}
 
 // The rotations of a part with called shares.
 template <class A, class C, class T>
@@ -220,13 +238,13 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
                 act_called<CORRECTED>(tables.group, constants, part, rotations, group, tables.group.size);
             return;
         }
-        if (!with_group && !partial_step && __builtin_expect(workspace.uses(FOLLOWING, tables, part), 0)) {
+        if (!with_group && !partial_step &&
+            __builtin_expect(workspace.following && (tables.properties[part] & FOLLOWING), 0)) {
             const bool even = high == low + 1 && !workspace.even.empty() && workspace.even[low];
             return rotate_fused<summation>(tables, constants, part, tau, x, even);
         }
         const A moment = t + (partial_step ? A(tables.moment[r]) * partial_step->length : A(tables.moment[r] * h));
-        const bool apart = workspace.uses(APART, tables, part);
-        if (apart)
+        if (shares_runs(tables, part))
             share(terms.row[high] - terms.row[low], [&](int64_t first, int64_t last) {
                 if (terms.repeated)
                     return repeated_rows<true>(terms, terms.row[low] + first, terms.row[low] + last, x.at,
@@ -234,16 +252,8 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
                 for (uint32_t angle = uint32_t(first); angle < last; ++angle)
                     workspace.theta.at[angle] = linear_row(terms, constants, terms.row[low] + angle, x.at);
             });
-        for (uint32_t k = low; k < high && !apart; ++k)
-            if (!workspace.even.empty() && workspace.even[k])
-                share(terms.row[k + 1] - terms.row[k], [&](int64_t first, int64_t last) {
-                    const uint32_t start = terms.row[k] + uint32_t(first);
-                    even_rows(terms, k, start, terms.row[k] + uint32_t(last), x.at,
-                              workspace.theta.at + (start - terms.row[low]));
-                });
-            else
-                gradient_rows(terms, constants, tables.addresses, k, x.at, moment, workspace.theta.at, terms.row[low],
-                              workspace.arguments.at, workspace.calls.at);
+        else
+            find_angles(tables, constants, part, x.at, moment, workspace);
         if (partial_step)
             share(terms.row[high] - terms.row[low], [&](int64_t first, int64_t last) {
                 for (int64_t angle = first; angle < last; ++angle)
@@ -251,7 +261,7 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
             });
     }
     CachedRotation<A> cached;
-    if (__builtin_expect(!single && workspace.uses(APART, tables, part), 0))
+    if (__builtin_expect(!single && shares_runs(tables, part), 0))
         act_apart<summation>(tables.state, constants, part, tau, workspace.theta.at, x);
     else
         act<summation, false>(tables.state, constants, part, tau, single, single_angle, workspace.theta.at, cached, x);

@@ -37,7 +37,7 @@ static void run_backward(const FlowCotangents& all, const BackwardRun& run, int6
     AlignedArray<G> groups((steps + 1) * square), group(2 * square), group_cotangents(square), copies(2 * square);
     AlignedArray<G> group_added(square), group_scratch(3 * square);
     AngleWorkspace<A> angles(tables.longest);
-    if constexpr (Numbers<A>::lanes == 1) angles.use_properties(tables, run.threads > 1);
+    if constexpr (Numbers<A>::lanes == 1) angles.use_properties(tables);
     const CoefficientCotangents<A> derivatives(tables.terms, of_coefficients.at);
     RowsBackward<A, G> backward(all, derivatives, with_group, angles);
     FlowsOfRows flows_of(tables, with_group, true);

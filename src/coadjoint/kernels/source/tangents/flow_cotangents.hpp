@@ -207,7 +207,7 @@ class RowsBackward {
 
     // Whether threads share the runs of a part.
     bool is_apart(uint32_t part) const {
-        return team_of_this_thread && int64_t(part) != all.added && (tables.properties[part] & APART);
+        return int64_t(part) != all.added && shares_runs(tables, part);
     }
 
     // Whether a part only rotates, scales and shears.
@@ -302,15 +302,7 @@ class RowsBackward {
             return;
         }
         A* theta = angles.theta.at;
-        for (uint32_t k = low; k < high; ++k)
-            if (!angles.even.empty() && angles.even[k])
-                share(terms.row[k + 1] - terms.row[k], [&](int64_t first, int64_t last) {
-                    const uint32_t start = terms.row[k] + uint32_t(first);
-                    even_rows(terms, k, start, terms.row[k] + uint32_t(last), at.x, theta + (start - base));
-                });
-            else
-                gradient_rows(terms, SharedConstants{}, tables.addresses, k, at.x, moment, theta, base,
-                              angles.arguments.at, angles.calls.at);
+        find_angles(tables, SharedConstants{}, part, at.x, moment, angles);
         if (simple) undo_simple(part, tau, theta, at);
         share(count, [&](int64_t first, int64_t last) {
             for (int64_t a = first; a < last; ++a) {

@@ -232,7 +232,7 @@ struct FlowTangentState {
         const uint32_t part = tables.part[r], low = tables.share[part], high = tables.share[part + 1];
         const int64_t base = terms.row[low], count = terms.row[high] - base;
         const bool single = tables.only[part] >= 0, added = int64_t(part) == further.added;
-        const bool apart = !single && team_of_this_thread && (tables.properties[part] & APART);
+        const bool apart = !single && shares_runs(tables, part);
         const double tau = tables.tau[r];
         const A moment = t + A(tables.moment[r] * h);
         A* theta = angles.theta.at;
