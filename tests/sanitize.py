@@ -25,9 +25,9 @@ OPTIONS = {
 }
 # The interpreter is not checked: memory that it frees at exit is no leak of the kernels.
 SETTINGS = {
-    "ASAN_OPTIONS": "detect_leaks=0:halt_on_error=1:allocator_may_return_null=1",
-    "UBSAN_OPTIONS": "halt_on_error=1:print_stacktrace=1",
-    "TSAN_OPTIONS": "halt_on_error=1:exitcode=66:die_after_fork=0:suppressions={suppressions}",
+    "ASAN_OPTIONS": "detect_leaks=0:halt_on_error=1:allocator_may_return_null=1:log_path={reports}",
+    "UBSAN_OPTIONS": "halt_on_error=1:print_stacktrace=1:log_path={reports}",
+    "TSAN_OPTIONS": "halt_on_error=1:exitcode=66:die_after_fork=0:suppressions={suppressions}:log_path={reports}",
     "COADJOINT_LEVEL": f"v{LEVEL}",
     "PYTHONMALLOC": "malloc",
 }
@@ -43,8 +43,8 @@ COMMANDS = {
         ["-m", "random_runs.soak", "1000000", "300", "--limit", "1200", "--jobs", "2"],
     ],
     "threads": [
-        ["-m", "random_runs.on_threads", "2000000", "200"],
         [*PYTEST, "tests/runs/test_threads_inside.py"],
+        ["-m", "random_runs.on_threads", "2000000", "200"],
     ],
 }
 
@@ -71,12 +71,15 @@ def main() -> int:
         print(f"built for {kind}", flush=True)
         preloaded = " ".join(library_of_compiler(name) for name in PRELOADED[kind])
         (tree / "suppressions").write_text(SUPPRESSIONS)
-        settings = {name: value.format(suppressions=tree / "suppressions") for name, value in SETTINGS.items()}
+        # In files, since pytest captures what processes write.
+        files = {"suppressions": tree / "suppressions", "reports": tree / "report"}
+        settings = {name: value.format(**files) for name, value in SETTINGS.items()}
         environment = os.environ | settings | {"PYTHONPATH": str(tree / "src"), "LD_PRELOAD": preloaded}
         for command in COMMANDS[kind]:
             where = tree / "tests" if command[1] != "pytest" else tree
             done = subprocess.run([sys.executable, *command], cwd=where, env=environment, check=False)
             if done.returncode:
+                print(*(report.read_text() for report in sorted(tree.glob("report.*"))), f"status {done.returncode}")
                 return 1
     return 0
 

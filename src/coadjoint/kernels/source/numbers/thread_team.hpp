@@ -61,7 +61,7 @@ class ThreadTeam {
         left.store(int64_t(others.size()), std::memory_order_relaxed);
         {
             std::lock_guard<std::mutex> lock(mutex);
-            processor = present_processor();
+            processor.store(present_processor(), std::memory_order_relaxed);
             job_number.fetch_add(1, std::memory_order_release);
         }
         wake.notify_all();
@@ -81,7 +81,7 @@ class ThreadTeam {
     Job job = nullptr;
     const void* context = nullptr;
     int64_t total = 0, multiple = 1;
-    int processor;  // of the thread that waits for the others
+    std::atomic<int> processor;  // of the thread that waits for the others
     bool ended = false;
 
     static int present_processor() {
@@ -114,7 +114,7 @@ class ThreadTeam {
 
     void serve(int64_t number) {
         uint64_t done = 0;
-        leave(processor);
+        leave(processor.load(std::memory_order_relaxed));
         while (true) {
             // Steps have parts that are not shared, and waking takes longer than they do.
             int spins = 0;
@@ -124,7 +124,7 @@ class ThreadTeam {
                 std::unique_lock<std::mutex> lock(mutex);
                 wake.wait(lock, [&] { return job_number.load(std::memory_order_acquire) != done; });
                 lock.unlock();
-                leave(processor);
+                leave(processor.load(std::memory_order_relaxed));
             }
             done = job_number.load(std::memory_order_acquire);
             if (ended) return;
