@@ -25,7 +25,6 @@ struct LineSplitting final : StepScheme {
     const double *factor, *constant;  // the stream of a mode: its factor times the mode, and a constant
     Fourier<double> one;
     Fourier<Eight> eight;
-    ComplexNumber<Eight>* row;  // of one transform
     // Modes at the start of the step and their increments, n x n, real and imaginary parts separate.
     std::vector<double> re, im, added_re, added_im;
     // exp(i h theta) - 1 at s, and at -s, beyond one period.
@@ -35,8 +34,8 @@ struct LineSplitting final : StepScheme {
     explicit LineSplitting(const StepTables& tables, const MemberConstants&)
         : n(tables.whole[0]), half(n / 2), groups((half + L - 1) / L), lines(n + 1),
           line(reinterpret_cast<const Line*>(tables.whole + 2)), factor(tables.coefficients),
-          constant(tables.whole[1] ? factor + n * n : nullptr), one(n), eight(n), row(eight.input()), re(n * n),
-          im(n * n), added_re(n * n), added_im(n * n), up_re(3 * n + L), up_im(up_re), down_re(up_re), down_im(up_re),
+          constant(tables.whole[1] ? factor + n * n : nullptr), one(n), eight(n), re(n * n), im(n * n),
+          added_re(n * n), added_im(n * n), up_re(3 * n + L), up_im(up_re), down_re(up_re), down_im(up_re),
           move_re(n), move_im(n) {
         work = 4 * n * n;
     }
@@ -54,51 +53,52 @@ struct LineSplitting final : StepScheme {
     }
 
   private:
-    double* numbers(int64_t k) { return numbers_of(row[k]); }
     int64_t wrapped(int64_t k) const { return k < n ? k : k - n; }
     int64_t opposite(int64_t k) const { return k ? n - k : 0; }
 
     // v of W: eight cyclic diagonals side by side. Those of -d are minus the conjugates of those of d.
     void to_modes(const Complex* W) {
-        for (int64_t first = 0; first <= half; first += L) {
-            const int64_t lanes = std::min(L, half + 1 - first);
-            std::fill_n(numbers(0), 2 * L * n, 0.0);
+        share_transforms(eight, half / L + 1, [&](Fourier<Eight>& own, int64_t group) {
+            ComplexNumber<Eight>* row = own.input();
+            const int64_t first = group * L, lanes = std::min(L, half + 1 - first);
+            std::fill_n(numbers_of(row[0]), 2 * L * n, 0.0);
             for (int64_t lane = 0; lane < lanes; ++lane)
                 for (int64_t a = 0; a < n; ++a) {
                     const int64_t d = first + lane;
-                    double* to = numbers((d + 2 * a) % n) + lane;
+                    double* to = numbers_of(row[(d + 2 * a) % n]) + lane;
                     to[0] = W[a * n + wrapped(a + d)].real();
                     to[L] = W[a * n + wrapped(a + d)].imag();
                 }
-            row = eight.transform(row);
+            row = own.transform(row);
             for (int64_t j = 0; j < n; ++j)
                 for (int64_t lane = 0; lane < lanes; ++lane) {
                     const int64_t d = first + lane, at = j * n + d, mirrored = opposite(j) * n + opposite(d);
                     if (d == 0 && j > half) continue;
-                    re[at] = numbers(j)[lane] / double(n);
-                    im[at] = numbers(j)[L + lane] / double(n);
+                    re[at] = numbers_of(row[j])[lane] / double(n);
+                    im[at] = numbers_of(row[j])[L + lane] / double(n);
                     re[mirrored] = -re[at];
                     im[mirrored] = im[at];
                 }
-        }
+        });
         re[0] = im[0] = 0.0;  // the unit matrix, which is constant
     }
 
     // W += the increments of its modes, with compensation.
     void add_modes(double* x, double* dx) {
-        for (int64_t first = 0; first <= half; first += L) {
-            const int64_t lanes = std::min(L, half + 1 - first);
-            std::fill_n(numbers(0), 2 * L * n, 0.0);
+        share_transforms(eight, half / L + 1, [&](Fourier<Eight>& own, int64_t group) {
+            ComplexNumber<Eight>* row = own.input();
+            const int64_t first = group * L, lanes = std::min(L, half + 1 - first);
+            std::fill_n(numbers_of(row[0]), 2 * L * n, 0.0);
             for (int64_t j = 0; j < n; ++j)
                 for (int64_t lane = 0; lane < lanes; ++lane) {
-                    numbers(j)[lane] = added_re[j * n + first + lane];
-                    numbers(j)[L + lane] = added_im[j * n + first + lane];
+                    numbers_of(row[j])[lane] = added_re[j * n + first + lane];
+                    numbers_of(row[j])[L + lane] = added_im[j * n + first + lane];
                 }
-            row = eight.transform(row);
+            row = own.transform(row);
             for (int64_t lane = 0; lane < lanes; ++lane)
                 for (int64_t a = 0; a < n; ++a) {
                     const int64_t d = first + lane, b = wrapped(a + d), at = 2 * (a * n + b), other = 2 * (b * n + a);
-                    const double* from = numbers(opposite((d + 2 * a) % n)) + lane;
+                    const double* from = numbers_of(row[opposite((d + 2 * a) % n)]) + lane;
                     if (d) two_sum(x[at], from[0] + dx[at], x[at], dx[at]);
                     two_sum(x[at + 1], from[L] + dx[at + 1], x[at + 1], dx[at + 1]);
                     if (d == 0) continue;
@@ -107,20 +107,21 @@ struct LineSplitting final : StepScheme {
                     x[other + 1] = x[at + 1];
                     dx[other + 1] = dx[at + 1];
                 }
-        }
+        });
     }
 
     // The exact flow of the modes of one line.
     void flow(const Line& k, double h) {
         set_phases(k, h);
-        for (int64_t g = 0; g < groups; ++g) {
-            const int64_t first = 1 + g * L, lanes = std::min(L, half + 1 - first);
-            gather(k, first, lanes);
-            row = eight.transform(row);
+        share_transforms(eight, groups, [&](Fourier<Eight>& own, int64_t group) {
+            ComplexNumber<Eight>* row = own.input();
+            const int64_t first = 1 + group * L, lanes = std::min(L, half + 1 - first);
+            gather(k, first, lanes, row);
+            row = own.transform(row);
             for (int64_t s = 0; s < n; ++s) rotate(row[s], s, first);
-            row = eight.transform(row);
-            scatter(k, first, lanes);
-        }
+            row = own.transform(row);
+            scatter(k, first, lanes, row);
+        });
         InterruptCheck::of_this_call().after(groups * L * (2 * eight.work() + 8 * n));
     }
 
@@ -162,7 +163,7 @@ struct LineSplitting final : StepScheme {
     // `at`, ..., and their opposites at `back`, back - 1, ...; if the first one is at the edge, in column 0, its
     // opposite is at back - n.
     template <class Body>
-    INLINE void each_row(const Line& k, int64_t first, int64_t lanes, Body body) {
+    INLINE void each_row(const Line& k, int64_t first, int64_t lanes, Body body) const {
         const int64_t start1 = first * k.l1 % n, start2 = first * k.l2 % n;
         for (int64_t j = 0, a = start1, b = start2; j < n; ++j, a = wrapped(a + k.k1), b = wrapped(b + k.k2)) {
             if (k.l1 == 0 && k.l2 == 1) {
@@ -180,20 +181,20 @@ struct LineSplitting final : StepScheme {
         }
     }
 
-    void gather(const Line& k, int64_t first, int64_t lanes) {
-        if (lanes < L) std::fill_n(numbers(0), 2 * L * n, 0.0);
+    void gather(const Line& k, int64_t first, int64_t lanes, ComplexNumber<Eight>* row) const {
+        if (lanes < L) std::fill_n(numbers_of(row[0]), 2 * L * n, 0.0);
         each_row(k, first, lanes, [&](int64_t j, int64_t at, int64_t, int64_t lane, int64_t count, bool) {
-            double *to_re = numbers(j) + lane, *to_im = to_re + L;
+            double *to_re = numbers_of(row[j]) + lane, *to_im = to_re + L;
             for (int64_t c = 0; c < count; ++c) to_re[c] = re[at + c] + added_re[at + c];
             for (int64_t c = 0; c < count; ++c) to_im[c] = im[at + c] + added_im[at + c];
         });
     }
 
     // The vorticity is real: the mode -n is minus the conjugate of the mode n.
-    void scatter(const Line& k, int64_t first, int64_t lanes) {
+    void scatter(const Line& k, int64_t first, int64_t lanes, const ComplexNumber<Eight>* row) {
         const double size = double(n);
         each_row(k, first, lanes, [&](int64_t j, int64_t at, int64_t back, int64_t lane, int64_t count, bool edge) {
-            const double *from_re = numbers(opposite(j)) + lane, *from_im = from_re + L;  // forward twice: reversed
+            const double *from_re = numbers_of(row[opposite(j)]) + lane, *from_im = from_re + L;  // forward twice: reversed
             double *to_re = added_re.data() + at, *to_im = added_im.data() + at;
             for (int64_t c = 0; c < count; ++c) to_re[c] += from_re[c] / size;
             for (int64_t c = 0; c < count; ++c) to_im[c] += from_im[c] / size;

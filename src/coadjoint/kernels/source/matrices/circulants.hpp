@@ -4,6 +4,7 @@
 
 #include "matrices/fourier.hpp"
 #include "matrices/products.hpp"
+#include "numbers/thread_team.hpp"
 
 namespace coadjoint {
 
@@ -16,18 +17,33 @@ inline const double* numbers_of(const ComplexNumber<Eight>& numbers) {
     return reinterpret_cast<const double*>(&numbers);
 }
 
+// Call `visit(transform, group)` for all groups of numbers to be transformed, on the threads of this member if there are
+// any. Each thread has a transform of its own.
+template <class Visit>
+void share_transforms(Fourier<Eight>& transform, int64_t groups, const Visit& visit) {
+    const auto each = [&](Fourier<Eight>& own, int64_t first, int64_t last) {
+        for (int64_t g = first; g < last; ++g) visit(own, g);
+    };
+    if (!team_of_this_thread) return each(transform, 0, groups);
+    share_blocks(groups, [&](int64_t first, int64_t last) {
+        Fourier<Eight> own(transform);
+        each(own, first, last);
+    });
+}
+
 template <class T>
 class Circulants {
   public:
     // `columns`: for each cyclic diagonal up to (n - 1)/2 the first column of its matrix, even.
     Circulants(int64_t n, const double* columns)
         : n(n), diagonals((n + 1) / 2), groups((diagonals + SIDE_BY_SIDE - 1) / SIDE_BY_SIDE), fourier(n),
-          row(fourier.input()), spectrum(n * groups) {
+          spectrum(n * groups) {
+        ComplexNumber<Eight>* const row = fourier.input();
         for (int64_t g = 0; g < groups; ++g) {
             for (int64_t k = 0; k < n; ++k)
                 for (int64_t lane = 0; lane < SIDE_BY_SIDE; ++lane) {
                     const int64_t d = g * SIDE_BY_SIDE + lane;
-                    put(k, lane, d < diagonals ? columns[d * n + k] : 0.0, 0.0);
+                    put(row, k, lane, d < diagonals ? columns[d * n + k] : 0.0, 0.0);
                 }
             const ComplexNumber<Eight>* found = fourier.transform(row);
             for (int64_t k = 0; k < n; ++k) spectrum.at[g * n + k] = found[k].re / Eight(double(n));
@@ -37,38 +53,41 @@ class Circulants {
     int64_t work() const { return groups * (2 * fourier.work() + n) * SIDE_BY_SIDE; }
 
     void apply(const T* W, T* P) {
-        for (int64_t g = 0; g < groups; ++g) {
-            const int64_t first = g * SIDE_BY_SIDE, lanes = std::min(SIDE_BY_SIDE, diagonals - first);
-            for (int64_t a = 0; a < n; ++a)
-                for (int64_t lane = 0; lane < lanes; ++lane) {
-                    const Complex value = W[a * n + wrapped(a + first + lane)];
-                    put(a, lane, value.real(), value.imag());
-                }
-            ComplexNumber<Eight>* transformed = fourier.transform(row);
-            for (int64_t k = 0; k < n; ++k) {
-                transformed[k].re *= spectrum.at[g * n + k];
-                transformed[k].im *= spectrum.at[g * n + k];
-            }
-            transformed = fourier.transform(transformed);
-            for (int64_t a = 0; a < n; ++a)
-                for (int64_t lane = 0; lane < lanes; ++lane) {
-                    const int64_t c = wrapped(a + first + lane);
-                    const double* at = numbers_of(transformed[a ? n - a : 0]) + lane;  // forward twice: reversed
-                    // the real part of the main diagonal is only rounding
-                    store(P[a * n + c], a == c ? 0.0 : at[0], at[SIDE_BY_SIDE]);
-                    if (a != c) P[c * n + a] = -conjugate(P[a * n + c]);
-                }
-        }
+        share_transforms(fourier, groups, [&](Fourier<Eight>& own, int64_t g) { apply(W, P, g, own); });
     }
 
   private:
     const int64_t n, diagonals, groups;
     Fourier<Eight> fourier;
-    ComplexNumber<Eight>* const row;
     AlignedArray<Eight> spectrum;
 
+    // Eight diagonals.
+    void apply(const T* W, T* P, int64_t g, Fourier<Eight>& own) const {
+        ComplexNumber<Eight>* const row = own.input();
+        const int64_t first = g * SIDE_BY_SIDE, lanes = std::min(SIDE_BY_SIDE, diagonals - first);
+        for (int64_t a = 0; a < n; ++a)
+            for (int64_t lane = 0; lane < lanes; ++lane) {
+                const Complex value = W[a * n + wrapped(a + first + lane)];
+                put(row, a, lane, value.real(), value.imag());
+            }
+        ComplexNumber<Eight>* transformed = own.transform(row);
+        for (int64_t k = 0; k < n; ++k) {
+            transformed[k].re *= spectrum.at[g * n + k];
+            transformed[k].im *= spectrum.at[g * n + k];
+        }
+        transformed = own.transform(transformed);
+        for (int64_t a = 0; a < n; ++a)
+            for (int64_t lane = 0; lane < lanes; ++lane) {
+                const int64_t c = wrapped(a + first + lane);
+                const double* at = numbers_of(transformed[a ? n - a : 0]) + lane;  // forward twice: reversed
+                // the real part of the main diagonal is only rounding
+                store(P[a * n + c], a == c ? 0.0 : at[0], at[SIDE_BY_SIDE]);
+                if (a != c) P[c * n + a] = -conjugate(P[a * n + c]);
+            }
+    }
+
     int64_t wrapped(int64_t column) const { return column < n ? column : column - n; }
-    void put(int64_t k, int64_t lane, double re, double im) {
+    static void put(ComplexNumber<Eight>* row, int64_t k, int64_t lane, double re, double im) {
         numbers_of(row[k])[lane] = re;
         numbers_of(row[k])[SIDE_BY_SIDE + lane] = im;
     }

@@ -7,7 +7,6 @@
 
 #include <cmath>
 #include <limits>
-#include <memory>
 #include <utility>
 #include <vector>
 
@@ -102,14 +101,15 @@ class Rader;
 template <class A>
 class Fourier {
   public:
-    explicit Fourier(int64_t n) : n(n), factors(factors_of(n)), roots(roots_of_unity(n)), first(n), second(n) {
-        int64_t largest = 1;
-        for (int64_t p : factors) {
-            if (p > LARGEST_SUMMED) rader.push_back(std::make_unique<Rader<A>>(p));
-            largest = std::max(largest, p);
-        }
-        column.clear(4 * largest);
+    explicit Fourier(int64_t n)
+        : n(n), factors(factors_of(n)), roots(roots_of_unity(n)), first(n), second(n), column(columns()) {
+        for (int64_t p : factors)
+            if (p > LARGEST_SUMMED) rader.emplace_back(p);
     }
+    // For another thread: the same transform with memory of its own.
+    Fourier(const Fourier& other)
+        : n(other.n), factors(other.factors), roots(other.roots), rader(other.rader), first(n), second(n),
+          column(columns()) {}
 
     // Approximate number of multiplications of one transform.
     int64_t work() const {
@@ -132,7 +132,7 @@ class Fourier {
             else if (p == 3) pass<3>(from, to, p, stride, nullptr);
             else if (p == 5) pass<5>(from, to, p, stride, nullptr);
             else if (p == 7) pass<7>(from, to, p, stride, nullptr);
-            else pass<0>(from, to, p, stride, p > LARGEST_SUMMED ? rader[convolution++].get() : nullptr);
+            else pass<0>(from, to, p, stride, p > LARGEST_SUMMED ? &rader[convolution++] : nullptr);
             stride *= p;
             std::swap(from, to);
         }
@@ -143,8 +143,14 @@ class Fourier {
     const int64_t n;
     const std::vector<int64_t> factors;
     const std::vector<ComplexNumber<double>> roots;
-    std::vector<std::unique_ptr<Rader<A>>> rader;
-    AlignedArray<ComplexNumber<A>> first, second, column{0};
+    std::vector<Rader<A>> rader;
+    AlignedArray<ComplexNumber<A>> first, second, column;
+
+    int64_t columns() const {
+        int64_t largest = 1;
+        for (int64_t p : factors) largest = std::max(largest, p);
+        return 4 * largest;
+    }
 
     // x exp(-2 pi i k / n)
     INLINE ComplexNumber<A> rotated(const ComplexNumber<A>& x, int64_t k) const {

@@ -2,13 +2,13 @@
 // added.
 #pragma once
 
-#include <memory>
 #include <vector>
 
 #include "boundary/codes.hpp"
 #include "boundary/interrupts.hpp"
 #include "matrices/fourier.hpp"
 #include "matrices/products.hpp"
+#include "numbers/thread_team.hpp"
 
 namespace coadjoint {
 
@@ -20,66 +20,104 @@ namespace coadjoint {
 class Modes {
   public:
     explicit Modes(const ForceTable& table)
-        : table(table), n(table.extent), waves(table.shape == WAVES), diagonals(waves ? (n + 1) / 2 : n), first(2 * n),
-          second(2 * n), even(2 * n), odd(2 * n) {
-        if (waves) fourier.reset(new Fourier<double>(n));
+        : table(table), n(table.extent), waves(table.shape == WAVES), diagonals(waves ? (n + 1) / 2 : n),
+          harmonics(diagonals), memory(n, waves) {
+        const double* harmonic = table.basis;
+        for (int64_t d = 0; d < diagonals && !waves; ++d) {
+            harmonics[d] = harmonic;
+            harmonic += (table.begin[d + 1] - table.begin[d]) * ((n - d + 1) / 2);
+        }
     }
 
     int64_t count() const { return table.begin[diagonals]; }
 
     // Add to W its modes times `move(e, c)` of their indices e in the table and their coefficients c, which are
-    // computed only on request. On the main diagonal waves of opposite numbers are combined if `paired`.
+    // computed only on request. On the main diagonal waves of opposite numbers are combined if `paired`. Threads of this
+    // member share a few diagonals after the other.
     template <class Move>
     void change(double* x, bool read, bool paired, Move move) {
         Complex* const W = reinterpret_cast<Complex*>(x + table.position);
-        const double* harmonic = table.basis;
-        for (int64_t d = 0; d < diagonals; ++d) {
-            const int64_t from = table.begin[d], to = table.begin[d + 1], length = waves ? n : n - d;
-            if (from == to) continue;
-            InterruptCheck::of_this_call().after(waves ? 2 * fourier->work() : 4 * length * (to - from));
-            if (read) fold(W, d, length);
-            std::fill(even.begin(), even.end(), 0.0);
-            std::fill(odd.begin(), odd.end(), 0.0);
-            if (waves) change_waves(d, from, to, read, move);
-            for (int64_t e = from; e < to && !waves; ++e) {
-                const int64_t k = table.direction[e];
-                const int64_t half = (length + 1) / 2;
-                const bool is_odd = (k - d) % 2;
-                const double* part = (is_odd ? second : first).data();
-                const Complex c(read ? dot(harmonic, part, half) : 0.0, read ? dot(harmonic, part + n, half) : 0.0);
-                const Complex moved = move(e, c);
-                double* sum = (is_odd ? odd : even).data();
-                for (int64_t i = 0; i < half; ++i) {
-                    sum[i] += moved.real() * harmonic[i];
-                    sum[n + i] += moved.imag() * harmonic[i];
-                }
-                harmonic += half;
+        for (int64_t begin = 0; begin < diagonals; begin += TOGETHER) {
+            const int64_t end = std::min(diagonals, begin + TOGETHER);
+            int64_t work = 0;
+            for (int64_t d = begin; d < end; ++d) work += work_of(d);
+            InterruptCheck::of_this_call().after(work);
+            const auto each = [&](Memory& own, int64_t low, int64_t high) {
+                for (int64_t d = low; d < high; ++d) change(W, d, read, paired, move, own);
+            };
+            if (!team_of_this_thread) {
+                each(memory, begin, end);
+                continue;
             }
-            add(W, d, length, paired);
+            share_blocks(end - begin, [&](int64_t low, int64_t high) {
+                Memory own(memory);
+                each(own, begin + low, begin + high);
+            });
         }
     }
 
   private:
+    static constexpr int64_t TOGETHER = 64;  // diagonals between two checks for interrupts
+
+    // Of one diagonal; real parts, then imaginary ones.
+    struct Memory {
+        std::vector<double> first, second, even, odd;
+        std::vector<Complex> coefficients;
+        Fourier<double> fourier;  // of waves
+        Memory(int64_t n, bool waves)
+            : first(2 * n), second(2 * n), even(2 * n), odd(2 * n), fourier(waves ? n : 1) {}
+    };
+
     const ForceTable& table;
     const int64_t n;
     const bool waves;
     const int64_t diagonals;
-    std::vector<double> first, second, even, odd;  // real parts, then imaginary ones
-    std::vector<Complex> coefficients;
-    std::unique_ptr<Fourier<double>> fourier;
+    std::vector<const double*> harmonics;  // the first one of each diagonal
+    Memory memory;
+
+    int64_t work_of(int64_t d) const {
+        const int64_t count = table.begin[d + 1] - table.begin[d];
+        return waves ? (count ? 2 * memory.fourier.work() : 0) : 4 * (n - d) * count;
+    }
+
+    template <class Move>
+    void change(Complex* W, int64_t d, bool read, bool paired, Move move, Memory& own) const {
+        const int64_t from = table.begin[d], to = table.begin[d + 1], length = waves ? n : n - d;
+        if (from == to) return;
+        if (read) fold(W, d, length, own);
+        std::fill(own.even.begin(), own.even.end(), 0.0);
+        std::fill(own.odd.begin(), own.odd.end(), 0.0);
+        if (waves) change_waves(d, from, to, read, move, own);
+        const double* harmonic = harmonics[d];
+        for (int64_t e = from; e < to && !waves; ++e) {
+            const int64_t k = table.direction[e];
+            const int64_t half = (length + 1) / 2;
+            const bool is_odd = (k - d) % 2;
+            const double* part = (is_odd ? own.second : own.first).data();
+            const Complex c(read ? dot(harmonic, part, half) : 0.0, read ? dot(harmonic, part + n, half) : 0.0);
+            const Complex moved = move(e, c);
+            double* sum = (is_odd ? own.odd : own.even).data();
+            for (int64_t i = 0; i < half; ++i) {
+                sum[i] += moved.real() * harmonic[i];
+                sum[n + i] += moved.imag() * harmonic[i];
+            }
+            harmonic += half;
+        }
+        add(W, d, length, paired, own);
+    }
 
     Complex moving(const Complex* W, int64_t e) const {
         return table.sets ? W[e] - reinterpret_cast<const Complex*>(table.aim)[e] : W[e];
     }
 
     // The diagonal; for harmonics its even and its odd part.
-    void fold(const Complex* W, int64_t d, int64_t length) {
+    void fold(const Complex* W, int64_t d, int64_t length, Memory& own) const {
         for (int64_t a = 0; a < length; ++a) {
             const int64_t b = length - 1 - a;
             const Complex here = moving(W, a * n + (a + d) % n);
             const Complex there = waves || a == b ? Complex(0.0) : moving(W, b * n + b + d);
-            first[a] = here.real() + there.real(), first[n + a] = here.imag() + there.imag();
-            second[a] = here.real() - there.real(), second[n + a] = here.imag() - there.imag();
+            own.first[a] = here.real() + there.real(), own.first[n + a] = here.imag() + there.imag();
+            own.second[a] = here.real() - there.real(), own.second[n + a] = here.imag() - there.imag();
         }
     }
 
@@ -105,12 +143,13 @@ class Modes {
 
     // The change of a cyclic diagonal, by Fourier transforms: the phase of mode k advances by 2 k from entry to entry.
     template <class Move>
-    void change_waves(int64_t d, int64_t from, int64_t to, bool read, Move move) {
+    void change_waves(int64_t d, int64_t from, int64_t to, bool read, Move move, Memory& own) const {
+        std::vector<Complex>& coefficients = own.coefficients;
         coefficients.assign(to - from, Complex(0.0));
-        ComplexNumber<double>* x = fourier->input();
+        ComplexNumber<double>* x = own.fourier.input();
         if (read) {
-            for (int64_t a = 0; a < n; ++a) x[a] = {first[a], first[n + a]};
-            const ComplexNumber<double>* transformed = fourier->transform(x);
+            for (int64_t a = 0; a < n; ++a) x[a] = {own.first[a], own.first[n + a]};
+            const ComplexNumber<double>* transformed = own.fourier.transform(x);
             for (int64_t e = from; e < to; ++e) {
                 const int64_t k = table.direction[e];
                 const ComplexNumber<double>& value = transformed[2 * k % n];
@@ -123,20 +162,20 @@ class Modes {
             const Complex rotated = times(first_of(k, d), move(e, coefficients[e - from]));
             x[2 * k % n] = {rotated.real(), rotated.imag()};
         }
-        const ComplexNumber<double>* sums = fourier->transform(x);
+        const ComplexNumber<double>* sums = own.fourier.transform(x);
         for (int64_t a = 0; a < n; ++a) {
             const ComplexNumber<double>& sum = sums[a ? n - a : 0];  // backward: forward in reversed order
-            even[a] = sum.re, even[n + a] = sum.im;
+            own.even[a] = sum.re, own.even[n + a] = sum.im;
         }
     }
 
-    void add(Complex* W, int64_t d, int64_t length, bool paired) const {
+    void add(Complex* W, int64_t d, int64_t length, bool paired, const Memory& own) const {
         for (int64_t a = 0; a < length; ++a) {
             const int64_t b = length - 1 - a, c = (a + d) % n;
             const bool upper = waves || a <= b;
             const int64_t i = upper ? a : b;
             const double sign = upper ? 1.0 : -1.0;
-            const Complex sum(even[i] + sign * odd[i], even[n + i] + sign * odd[n + i]);
+            const Complex sum(own.even[i] + sign * own.odd[i], own.even[n + i] + sign * own.odd[n + i]);
             if (d == 0) {
                 W[a * n + a] += Complex(0.0, (paired ? 2.0 : 1.0) * sum.imag());
                 continue;
