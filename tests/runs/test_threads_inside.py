@@ -47,7 +47,7 @@ METHODS = {
 }
 
 
-STEPS = 70  # of every 64 some are shared, whatever is faster
+STEPS = 70  # of every 64, those of earlier calls included, some are shared, whatever is faster
 
 
 def run(system, x0, threads, method=METHODS["plain"], step=0.01, steps=STEPS, **options):
@@ -183,8 +183,7 @@ def derivatives(system, method, step, threads, reverse="exact"):
     rng, n = np.random.default_rng(5), system.dim
     x0, weights = 0.5 + 0.3 * rng.standard_normal(n), rng.standard_normal(n)
     directions = rng.standard_normal((n, DIRECTIONS))
-    span, steps = (1.0, 1.0 + 20 * step), 20
-    # With another number of threads each, of whose first steps two of each kind are shared.
+    span, steps = (1.0, 1.0 + STEPS * step), STEPS
     forward, backward = [co.prepare(system, method, step, watch=False, threads=one) for one in threads]
     _, tangents = forward.jvp(x0, span, {"x0": directions}, save_every=steps)
     sol, pull = backward.vjp(x0, span, save_every=steps // 2, reverse=reverse)
@@ -227,24 +226,63 @@ def test_tangents_of_exponents_have_the_same_bits(method):
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-@pytest.mark.parametrize("algebra", [co.algebras.so(3), co.algebras.e(3)], ids=["so(3)", "e(3)"])
+@pytest.mark.parametrize("fast", [(0, -1), (-1, 0)])
+def test_leading_exponents_of_many_coordinates_are_their_rates(fast, threads):
+    rates = np.random.default_rng(17).uniform(0.0, 0.1, SPINS)
+    rates[list(fast)] = 3.0, 2.0
+    # Of the two coordinates of a copy the second one grows at the rate, and the first one is constant.
+    H = co.Quadratic(np.zeros(2 * SPINS), linear=np.stack([rates, np.zeros(SPINS)], axis=1).ravel())
+    system = co.LiePoissonSystem(co.algebras.copies(affine, SPINS), H, sign=-1, casimirs={})
+    step, counted, transient = 0.05, 5.0, 40.0  # by the transient the vectors have aligned, to exp(-40)
+    x0 = np.zeros(2 * SPINS)
+    found = co.lyapunov(
+        system,
+        x0,
+        (0.0, transient + counted),
+        step,
+        METHODS["plain"],
+        exponents=2,
+        transient=transient,
+        threads=threads,
+    )
+    # In a step a rotation or growth of few operations, whose length is measured once for ten steps.
+    np.testing.assert_allclose(found.exponents, [3.0, 2.0], rtol=0.0, atol=2.0**-53 * 16 / step)
+
+
+spirals = co.LieAlgebra.from_brackets(
+    5, {(0, i): {i: 0.1, j: w} for i, j, w in ((1, 2, 1), (2, 1, -1), (3, 4, 1), (4, 3, -1))}
+)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("algebra", [co.algebras.so(3), co.algebras.e(3), spirals], ids=["so(3)", "e(3)", "spirals"])
 def test_copies_of_an_algebra_move_as_each_alone(algebra, threads):
-    rng, count, steps, n = np.random.default_rng(20), 1100, 7, algebra.dim
+    rng, count, steps, n = np.random.default_rng(20), 1100, STEPS, algebra.dim
     M, x0, weights = rng.uniform(0.5, 1.5, (count, n)), *rng.standard_normal((2, count, n))
     # The first coefficient of a row of equal ones, and the last, but not those between them.
     M[-1] = M[0]
-    scheme, span = co.Splitting(order=2, parts="coordinates"), (1.0, 1.0 - 0.05 * steps)
+    # A part of each coordinate of all copies: one slice of its angles for each thread.
+    span, scheme = (1.0, 1.0 - 0.05 * steps), co.Splitting(order=2, parts=[range(k, n * count, n) for k in range(n)])
     copies = co.LiePoissonSystem(co.algebras.copies(algebra, count), co.Quadratic(M.ravel()), sign=-1, casimirs={})
-    sol, pull = co.prepare(copies, scheme, 0.05, threads=threads).vjp(x0.ravel(), span, save_every=steps)
+    prepared = co.prepare(copies, scheme, 0.05, threads=threads)
+    sol, pull = prepared.vjp(x0.ravel(), span, save_every=steps)
     gradient = pull(np.stack([np.zeros(n * count), weights.ravel()]))["x0"].reshape(count, n)
+    directions = rng.standard_normal((count, n, DIRECTIONS))
+    _, tangents = prepared.jvp(x0.ravel(), span, {"x0": directions.reshape(-1, DIRECTIONS)}, save_every=steps)
+    changes = tangents.x[-1].reshape(count, n, DIRECTIONS)
+    each = co.Splitting(order=2, parts=[[k] for k in range(n)])
     for one in (0, 1, 500, count - 2, count - 1):
-        own = co.LiePoissonSystem(algebra, co.Quadratic(M[one]), sign=-1)
-        alone, pull = co.prepare(own, scheme, 0.05).vjp(x0[one], span, save_every=steps)
+        own = co.prepare(co.LiePoissonSystem(algebra, co.Quadratic(M[one]), sign=-1), each, 0.05)
+        alone, pull = own.vjp(x0[one], span, save_every=steps)
         of_alone = pull(np.stack([np.zeros(n), weights[one]]))["x0"]
+        _, tangents = own.jvp(x0[one], span, {"x0": directions[one]}, save_every=steps)
         # Of the angles and rotations of each part in a step, forward and backward.
         roundings = 2.0**-53 * 8 * n * steps
         assert np.abs(sol.x[:, n * one : n * one + n] - alone.x).max() <= roundings * np.abs(alone.x).max()
         assert np.abs(gradient[one] - of_alone).max() <= roundings * 4 * np.linalg.norm(of_alone)
+        assert (
+            np.abs(changes[one] - tangents.x[-1]).max() <= roundings * 4 * np.linalg.norm(tangents.x[-1], axis=0).max()
+        )
 
 
 def test_energies_summed_in_blocks_are_those_of_the_system():
@@ -266,6 +304,37 @@ def test_spins_without_neighbours_at_the_end_of_a_lattice_precess(threads):
     alone = co.systems.spin_lattice(np.zeros((0, 2), dtype=int), SPINS - 1500, field=(0.0, 0.0, 0.5))
     exact = alone.exact(x0[4500:], 0.7)
     assert np.abs(sol.x[-1][4500:] - exact).max() < 16 * STEPS * 2.0**-53
+
+
+def forced_fluid(system):
+    noise = co.forces.RandomForcing(0.1, (2, 9), seed=4)
+    return system.with_forces(co.forces.Viscosity(1e-3), noise)
+
+
+LARGE_PRIME = 61  # whose transforms are convolutions
+FLUIDS = {
+    "lines": (lambda: co.systems.torus_euler(LARGE_PRIME), co.LineSplitting()),
+    "torus": (lambda: co.systems.torus_euler(45), co.IsospectralGauss()),
+    "torus, two stages": (lambda: co.systems.torus_euler(LARGE_PRIME), co.IsospectralGauss(stages=2)),
+    "sphere": (lambda: co.systems.sphere_euler(48), co.IsospectralGauss()),
+    "waves": (lambda: forced_fluid(co.systems.torus_euler(LARGE_PRIME)), co.LineSplitting()),
+    "harmonics": (lambda: forced_fluid(co.systems.sphere_euler(80)), co.IsospectralGauss()),
+}
+
+
+@pytest.mark.parametrize("name", FLUIDS)
+def test_fluids_have_the_same_bits(name):
+    make, method = FLUIDS[name]
+    system = make()
+    fluid = system.system if isinstance(system, co.ForcedSystem) else system
+    W = fluid.random(seed=3, degrees=(2, 9))
+    # The first four steps with another number of threads are two of each kind.
+    alone, *others = [
+        co.integrate(system, W, (1.0, 1.1), 0.02, method, save_every=1, threads=threads) for threads in (1, 2, 3)
+    ]
+    for shared in others:
+        np.testing.assert_array_equal(shared.x, alone.x)
+        np.testing.assert_array_equal(shared.energy, alone.energy)
 
 
 def test_states_of_one_step_calls_have_the_same_bits():
