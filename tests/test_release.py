@@ -100,7 +100,8 @@ def test_no_link_to_a_repository_that_does_not_exist():
     files += [path for path in ROOT.iterdir() if path.is_file()]
     texts = (".py", ".md", ".cff", ".toml", ".yml", ".yaml", ".bib", ".pyi", ".json")
     linked = [path for path in files if path.suffix in texts and path.is_file() and path != Path(__file__)]
-    assert [path for path in linked if "github.com/coadjoint" in path.read_text(encoding="utf-8")] == []
+    repository = re.compile(r"github(usercontent)?\.(com|io)/coadjoint|coadjoint\.(github|readthedocs)\.io")
+    assert [path for path in linked if repository.search(path.read_text(encoding="utf-8"))] == []
 
 
 def test_page_of_versions_names_the_formats():

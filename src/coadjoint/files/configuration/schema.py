@@ -18,7 +18,6 @@ from coadjoint.systems.forces import registry as described
 from coadjoint.systems.registry import ready_made_systems
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-SCHEMA_URL = "https://raw.githubusercontent.com/coadjoint/coadjoint/main/docs/configuration.schema.json"
 EMPTY_TABLE = {"type": "object", "description": "None: there are none here.", "maxProperties": 0}
 NESTED_NUMBERS = {"anyOf": [{"type": "number"}, {"type": "array", "items": {"$ref": "#/$defs/Numbers"}}]}
 JSON_TYPES: dict[str, dict[str, Any]] = {
@@ -79,7 +78,6 @@ def schema() -> Schema:
     ready_made = {"required": ["system"], "properties": dict.fromkeys(algebra_keys, False)}
     return {
         "$schema": DIALECT,
-        "$id": SCHEMA_URL,
         "title": "A run of coadjoint",
         **document,
         "oneOf": [ready_made, {"required": ["algebra", "hamiltonian"], "properties": {"system": False}}],

@@ -58,9 +58,9 @@ struct CalledBody {
     }
 
     // The quaternion of the rotation along the principal axes.
-    template <class R, class T>
-    Quaternion<R> rotation(const R* z, const T& tau) const {
-        return bond ? spherical_rotation<A, R>(moments[0], z, tau) : body_rotation<A, R>(moments, z, tau);
+    template <class R>
+    Quaternion<R> rotation(const R* z, const A& tau) const {
+        return bond ? spherical_rotation(moments[0], z, tau) : body_rotation(moments, z, tau);
     }
 
     // From the principal axes to the coordinates.
@@ -149,8 +149,8 @@ INLINE void rotations_of(const Quaternion<A>& q, const Rotations<A>& rotations) 
 }
 
 // The rotations that a share calls, over the time tau.
-template <class A, class C, class T>
-NOINLINE void called_rotations(const FlowTables& tables, const C& constants, int64_t body, const T& tau, const A* x,
+template <class A, class C>
+NOINLINE void called_rotations(const FlowTables& tables, const C& constants, int64_t body, const A& tau, const A* x,
                                const Rotations<A>& rotations) {
     const CalledBody<A> called(tables, constants, body, x);
     Quaternion<A> along = called.rotation(called.momentum, tau), q{along.whole, {}};
@@ -173,7 +173,7 @@ NOINLINE void called_changes(const FlowTables& tables, int64_t body, double tau,
     R momentum[3];
     for (int i = 0; i < 3; ++i)
         momentum[i] = R(called.momentum[i], A(double(i == 0)), A(double(i == 1)), A(double(i == 2)));
-    const Quaternion<R> q = called.rotation(momentum, tau);
+    const Quaternion<R> q = called.rotation(momentum, A(tau));
     const uint32_t* column = called.column;
     const A vector[3] = {q.vector[0].value, q.vector[1].value, q.vector[2].value};
     const A size = larger(absolute(called.momentum[0]),

@@ -1,5 +1,5 @@
 // Entry points of flow methods for Python.
-#include "flows/flow_alone.hpp"
+#include "flows/compiled_rows.hpp"
 #include "flows/flow_lanes.hpp"
 
 namespace coadjoint {

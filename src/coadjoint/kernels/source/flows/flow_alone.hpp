@@ -14,6 +14,7 @@ typedef Lanes<ROWS> GroupRows;
 template <Summation summation, class A>
 struct Finisher {
     static constexpr bool nothing = false, with_errors = summation != PLAIN;
+    typedef std::conditional_t<Numbers<A>::lanes == 1, GroupRows, A> Rows;
     const FlowTables& tables;
     const Schedule& schedule;
     AlignedArray<A> scratch;
@@ -28,7 +29,7 @@ struct Finisher {
 
     void operator()(A* x, A* dx, const A& t) {
         sweep<summation, false>(tables, SharedConstants{}, tables.section[2], tables.section[3],
-                                Vectors<A>{x, dx, 1, scratch.at}, Vectors<A>{}, t, schedule.h, angles);
+                                Vectors<A>{x, dx, 1, scratch.at}, Vectors<Rows>{}, t, schedule.h, angles);
     }
 };
 
@@ -136,16 +137,11 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
             if (__builtin_expect(flow.kind != WHOLE_ROW, 1))
                 apply_flow<summation, with_group>(flow, momentum, group);
             else
-                apply_row<summation, with_group, false>(tables, SharedConstants{}, flow.row, momentum, group, t,
-                                                        schedule.h, angles);
-        const uint32_t first = tables.section[k == 1 ? 0 : 1], last = tables.section[k == 1 ? 1 : 2];
-        if (__builtin_expect(partial_step.needed, 0))
-            sweep<summation, with_group>(tables, SharedConstants{}, first, last, momentum, group, t, schedule.h,
-                                         angles);
-        else if (flows.empty())
-            for (uint32_t r = first; r < last; ++r)
-                apply_row<summation, with_group, false>(tables, SharedConstants{}, r, momentum, group, t, schedule.h,
-                                                        angles);
+                sweep<summation, with_group>(tables, SharedConstants{}, flow.row, flow.row + 1, momentum, group, t,
+                                             schedule.h, angles);
+        if (flows.empty())
+            sweep<summation, with_group>(tables, SharedConstants{}, tables.section[k == 1 ? 0 : 1],
+                                         tables.section[k == 1 ? 1 : 2], momentum, group, t, schedule.h, angles);
         if (__builtin_expect(!is_finite(x, elements.at), 0)) {
             failed = step_that_failed(k);
             break;

@@ -183,8 +183,8 @@ INLINE void find_angles(const FlowTables& tables, const C& constants, uint32_t p
 }
 
 // The rotations of a part with called shares.
-template <class A, class C, class T>
-Rotations<A> rotations_of_part(const FlowTables& tables, const C& constants, uint32_t part, const T& tau, const A* x,
+template <class A, class C>
+Rotations<A> rotations_of_part(const FlowTables& tables, const C& constants, uint32_t part, const A& tau, const A* x,
                                AngleWorkspace<A>& workspace) {
     const Rotations<A> rotations{workspace.theta.at, workspace.rotated.at, workspace.arguments.at,
                                  (tables.properties[part] & DIRECT) != 0};
@@ -229,7 +229,7 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
             if (partial_step)
                 rotations = rotations_of_part(tables, constants, part, tau * partial_step->scale, x.at, workspace);
             else if (with_group || !direct_bonds)
-                rotations = rotations_of_part(tables, constants, part, tau, x.at, workspace);
+                rotations = rotations_of_part(tables, constants, part, A(tau), x.at, workspace);
             if (direct_bonds)
                 rotate_bonds(tables, constants, part, tau, x.at);
             else

@@ -201,8 +201,8 @@ template <class A>
 INLINE A value_of(const Dual<A>& a) { return a.value; }
 
 // The quaternion of the rotation of a body with three equal moments: about the momentum, by the angle moment tau |z|.
-template <class A, class R, class T>
-INLINE Quaternion<R> spherical_rotation(const A& moment, const R* momentum, const T& tau) {
+template <class A, class R>
+INLINE Quaternion<R> spherical_rotation(const A& moment, const R* momentum, const A& tau) {
     const A size = larger(absolute(value_of(momentum[0])),
                           larger(absolute(value_of(momentum[1])), absolute(value_of(momentum[2]))));
     const A power = leading_power(size), inverse = inverse_power(power);
@@ -215,9 +215,9 @@ INLINE Quaternion<R> spherical_rotation(const A& moment, const R* momentum, cons
 }
 
 // The quaternion of the rotation over the time tau from the momentum z along the principal axes; NaN if the time is
-// more than MOST_PIECES pieces. R is A, or A with its derivatives by z; T is A, or a number for all lanes.
-template <class A, class R, class T>
-INLINE Quaternion<R> body_rotation(const A* moments, const R* momentum, const T& tau) {
+// more than MOST_PIECES pieces. R is A, or A with its derivatives by z.
+template <class A, class R>
+INLINE Quaternion<R> body_rotation(const A* moments, const R* momentum, const A& tau) {
     R z[3];
     const A size = larger(absolute(value_of(momentum[0])),
                           larger(absolute(value_of(momentum[1])), absolute(value_of(momentum[2]))));
@@ -236,14 +236,20 @@ INLINE Quaternion<R> body_rotation(const A* moments, const R* momentum, const T&
     const auto moving = A(0.0) < size;
     R m[3], a[3];
     for (int i = 0; i < 3; ++i) m[i] = R(moments[i] * each), a[i] = R(differences[i] * each);
-    Quaternion<R> total = rotation_in_piece(m, a, z, moving);
-    for (double k = 1.0;; k += 1.0) {
-        const auto more = A(k) < count;
-        if (__builtin_expect(!any(more), 1)) break;
-        const Quaternion<R> next = after(rotation_in_piece(m, a, z, moving), total);
-        total.whole = select(more, next.whole, total.whole);
-        for (int i = 0; i < 3; ++i) total.vector[i] = select(more, next.vector[i], total.vector[i]);
-    }
+    Quaternion<R> total;
+    double k = 0.0;
+    do {
+        const Quaternion<R> piece = rotation_in_piece(m, a, z, moving);
+        if (__builtin_expect(k == 0.0, 1)) {
+            total = piece;
+        } else {
+            const auto more = A(k) < count;
+            const Quaternion<R> next = after(piece, total);
+            total.whole = select(more, next.whole, total.whole);
+            for (int i = 0; i < 3; ++i) total.vector[i] = select(more, next.vector[i], total.vector[i]);
+        }
+        k += 1.0;
+    } while (__builtin_expect(any(A(k) < count), 0));
     total.whole = select(valid, total.whole, R(A(NAN)));
     return total;
 }

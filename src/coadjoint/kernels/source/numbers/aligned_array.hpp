@@ -7,7 +7,15 @@
 #include <new>
 #include <vector>
 
+#include "numbers/lanes.hpp"
+
 namespace coadjoint {
+
+NOINLINE inline void* zeros(size_t bytes) {
+    void* const memory = std::calloc(bytes, 1);
+    if (!memory) throw std::bad_alloc();
+    return memory;
+}
 
 template <class A>
 struct AlignedArray {
@@ -18,8 +26,8 @@ struct AlignedArray {
     // Allocate `count` zeros; the system provides the memory of a large array where it is first written.
     void clear(int64_t count) {
         std::free(memory);
-        memory = std::calloc(sizeof(A) * (count + 1) + alignof(A), 1);
-        if (!memory) throw std::bad_alloc();
+        memory = nullptr;
+        memory = zeros(sizeof(A) * (count + 1) + alignof(A));
         at = reinterpret_cast<A*>((reinterpret_cast<uintptr_t>(memory) + alignof(A) - 1) & ~(alignof(A) - 1));
     }
     AlignedArray(const AlignedArray&) = delete;

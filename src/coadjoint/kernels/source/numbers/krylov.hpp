@@ -15,6 +15,7 @@ constexpr int64_t CYCLES = 16;
 constexpr double REDUCTION = 0x1p-26;  // of the residual; the next correction removes the rest
 
 struct Krylov {
+    typedef Called<void(const double*, double*)> Operate;
     int64_t size;
     std::vector<double> basis, residual, hessenberg, cosine, sine, right;
 
@@ -54,8 +55,7 @@ struct Krylov {
     }
 
     // Overwrite the right-hand side r by an approximate solution y of operate(y) = r; false without convergence.
-    template <class Operate>
-    bool solve(double* r, Operate operate) {
+    NOINLINE bool solve(double* r, const Operate& operate) {
         std::vector<double> y(size, 0.0), image(size);
         std::copy_n(r, size, residual.begin());
         const double goal = REDUCTION * std::sqrt(dot(r, r, size));
@@ -87,8 +87,7 @@ struct Krylov {
 
     // Build an orthonormal basis by modified Gram-Schmidt, and return the number of vectors needed to reach the
     // tolerance.
-    template <class Operate>
-    int64_t build(double norm, double goal, Operate operate) {
+    NOINLINE int64_t build(double norm, double goal, const Operate& operate) {
         divide(residual.data(), norm, basis.data(), size);
         std::fill(right.begin(), right.end(), 0.0);
         right[0] = norm;

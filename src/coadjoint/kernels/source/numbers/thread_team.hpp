@@ -28,6 +28,26 @@ namespace coadjoint {
 constexpr int64_t LEAST_SHARED = 1024;  // elements from which on threads may share them
 constexpr int64_t SUMMED = 4096;         // elements of a block of a sum
 
+// A reference to a function, which must outlive it: code that calls it is compiled once, not for each function.
+template <class Signature>
+class Called;
+template <class Result, class... Arguments>
+class Called<Result(Arguments...)> {
+  public:
+    template <class Function>
+    INLINE Called(const Function& function)
+        : context(&function), call([](const void* at, Arguments... arguments) -> Result {
+              return (*static_cast<const Function*>(at))(arguments...);
+          }) {}
+    INLINE Result operator()(Arguments... arguments) const { return call(context, arguments...); }
+
+  private:
+    const void* context;
+    Result (*call)(const void*, Arguments...);
+};
+
+typedef Called<void(int64_t, int64_t)> CalledForSlices;
+
 class ThreadTeam {
   public:
     // `threads` includes the calling thread; there are fewer if the system starts no more.
@@ -54,10 +74,8 @@ class ThreadTeam {
 
     // Call `visit(first, last)` for slices of 0 to count - 1, on all threads; it must not throw. Slices begin at
     // multiples of `aligned`.
-    template <class Visit>
-    void each(int64_t count, int64_t aligned, const Visit& visit) {
-        job = [](const void* at, int64_t first, int64_t last) { (*static_cast<const Visit*>(at))(first, last); };
-        context = &visit, total = count, multiple = aligned;
+    void each(int64_t count, int64_t aligned, const CalledForSlices& visit) {
+        job = &visit, total = count, multiple = aligned;
         left.store(int64_t(others.size()), std::memory_order_relaxed);
         {
             std::lock_guard<std::mutex> lock(mutex);
@@ -71,15 +89,13 @@ class ThreadTeam {
     }
 
   private:
-    typedef void (*Job)(const void*, int64_t, int64_t);
     static constexpr int SPINS = 1 << 12, MOST_SPINS = 1 << 18;  // polls before a thread yields, and before it sleeps
     std::vector<std::thread> others;
     std::mutex mutex;
     std::condition_variable wake;
     std::atomic<uint64_t> job_number{0};
     std::atomic<int64_t> left{0};
-    Job job = nullptr;
-    const void* context = nullptr;
+    const CalledForSlices* job = nullptr;
     int64_t total = 0, multiple = 1;
     std::atomic<int> processor;  // of the thread that waits for the others
     bool ended = false;
@@ -109,7 +125,7 @@ class ThreadTeam {
         const int64_t threads = int64_t(others.size()) + 1, blocks = (total + multiple - 1) / multiple;
         const int64_t first = std::min(total, blocks * number / threads * multiple);
         const int64_t last = std::min(total, blocks * (number + 1) / threads * multiple);
-        if (first < last) job(context, first, last);
+        if (first < last) (*job)(first, last);
     }
 
     void serve(int64_t number) {
@@ -139,8 +155,7 @@ inline thread_local ThreadTeam* team_of_this_thread = nullptr;
 
 constexpr int64_t ALIGNED = 64;  // slices begin at multiples: of registers and of cache lines
 
-template <class Visit>
-NOINLINE void share_among(ThreadTeam& team, int64_t count, int64_t aligned, const Visit& visit) {
+NOINLINE inline void share_among(ThreadTeam& team, int64_t count, int64_t aligned, const CalledForSlices& visit) {
     team_of_this_thread = nullptr;  // loops inside are not shared again
     team.each(count, aligned, visit);
     team_of_this_thread = &team;
@@ -162,8 +177,8 @@ INLINE void share_blocks(int64_t blocks, const Visit& visit) {
 }
 
 // The sum of `part(first, last)` over blocks of `summed` elements, added in their order.
-template <class A, class Part>
-NOINLINE A sum_of_blocks(int64_t count, int64_t summed, const Part& part) {
+template <class A>
+NOINLINE A sum_of_blocks(int64_t count, int64_t summed, const Called<A(int64_t, int64_t)>& part) {
     const int64_t blocks = (count + summed - 1) / summed;
     AlignedArray<A> sums(blocks);
     const auto fill = [&](int64_t first, int64_t last) {
@@ -183,8 +198,9 @@ INLINE A shared_sum(int64_t count, const Part& part) {
 
 // Let `part(first, last, to)` continue `number` results that begin with zeros, over blocks, and `join(to, more)` join
 // them in their order.
-template <class A, class Part, class Join>
-NOINLINE void shared_results(int64_t count, int64_t number, A* results, const Part& part, const Join& join) {
+template <class A>
+NOINLINE void shared_results(int64_t count, int64_t number, A* results, const Called<void(int64_t, int64_t, A*)>& part,
+                             const Called<void(A*, const A*)>& join) {
     if (count <= SUMMED) return part(int64_t(0), count, results);
     const int64_t blocks = (count + SUMMED - 1) / SUMMED;
     AlignedArray<A> of_blocks(blocks * number);

@@ -46,7 +46,7 @@ struct So4 {
 enum class KnownAlgebra { NONE, TRIAD, SO3, SO3_FULL, E3, E3_FULL, SO4, SO4_FULL };
 
 template <class Bracket, class C>
-bool has_bracket(const Field& field, const C& constants) {
+NOINLINE bool has_bracket(const Field& field, const C& constants) {
     if (field.nonlinear || field.size != Bracket::n) return false;
     for (int i = 0; i <= Bracket::n; ++i)
         if (field.first[i] != uint32_t(Bracket::first[i])) return false;
@@ -75,7 +75,7 @@ inline bool has_rows(const Field& field, bool full) {
 }
 
 template <class C>
-KnownAlgebra known_algebra(const Field& field, const C& constants) {
+NOINLINE KnownAlgebra known_algebra(const Field& field, const C& constants) {
     const bool full = has_rows(field, true);
     if (!full && !has_rows(field, false)) return KnownAlgebra::NONE;
     if (has_bracket<So3>(field, constants)) return full ? KnownAlgebra::SO3_FULL : KnownAlgebra::SO3;

@@ -18,9 +18,9 @@ constexpr double SETTLING = 0x1p-40;  // of the size of the stages: below it sta
 // sets the slopes at the points, `solve` turns the defect, stage after stage, into a correction, and `renew` is called
 // if corrections fall slowly. With `enough` it is done after that many corrections: linear stages are solved by the
 // first, and refined by the second.
-template <class Layout, class Evaluate, class Solve, class Renew>
-NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve solve, Renew renew,
-                                 int64_t enough = 0) {
+template <class Layout>
+NOINLINE Outcome<double> correct(Unknowns<Layout>& y, const Called<void()>& evaluate,
+                                 const Called<bool(double*)>& solve, const Called<bool()>& renew, int64_t enough = 0) {
     const int64_t s = y.stages, m = y.size;
     std::vector<double> defect(s * m);
     Outcome<double> outcome{false, 0.0, std::numeric_limits<double>::infinity()};

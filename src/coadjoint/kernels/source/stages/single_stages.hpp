@@ -25,6 +25,8 @@ template <class Layout, class C>
 struct SingleStages : Stages<Layout, C> {
     typedef Stages<Layout, C> Base;
     typedef typename Layout::A A;
+    typedef Called<void()> Evaluate;
+    typedef Called<void(LinearWorkspace<A>&, const A*, A*)> Multiply;
     using Base::matrices, Base::system, Base::pivots, Base::right, Base::group_direct;
     using Base::p, Base::g, Base::mix, Base::forecast, Base::gradients, Base::frozen, Base::times, Base::lengths;
     using Base::tables, Base::constants, Base::field, Base::group, Base::n, Base::s, Base::d, Base::blocks;
@@ -114,15 +116,13 @@ struct SingleStages : Stages<Layout, C> {
     }
 
     // Large linear systems for the momentum: `multiply` applies the derivative of the slopes to changes of the points.
-    template <class Evaluate, class Multiply>
-    bool by_systems(Evaluate evaluate, Multiply multiply) {
+    bool by_systems(const Evaluate& evaluate, const Multiply& multiply) {
         return tables.band >= 0 ? by_band(evaluate, multiply) : by_krylov(p, evaluate, multiply);
     }
 
     // By factors, if coupled coordinates are close to each other in the order `position`. Columns without common rows
     // are computed by one multiplication.
-    template <class Evaluate, class Multiply>
-    bool by_band(Evaluate evaluate, Multiply multiply) {
+    NOINLINE bool by_band(const Evaluate& evaluate, const Multiply& multiply) {
         const int64_t band = tables.band, groups = std::min(n, 2 * band + 1);
         LinearWorkspace<A> linear(field, 0, blocks, n);
         Banded matrix(s * n, s * (band + 1) - 1);
@@ -166,8 +166,7 @@ struct SingleStages : Stages<Layout, C> {
     }
 
     // Matrix-free: `multiply` applies the derivative of the slopes to changes of the points.
-    template <class Evaluate, class Multiply>
-    bool by_krylov(Unknowns<Layout>& y, Evaluate evaluate, Multiply multiply) {
+    NOINLINE bool by_krylov(Unknowns<Layout>& y, const Evaluate& evaluate, const Multiply& multiply) {
         const int64_t m = y.size;
         LinearWorkspace<A> linear(field, s, blocks, m);
         auto operate = [&](const double* v, double* image) {

@@ -25,7 +25,7 @@ struct StageLanes {
 
     static INLINE int64_t blocks(int64_t stages) { return (stages + W - 1) / W; }
     // Store row-major coefficients, `count` for each stage, as columns of lanes: those of block b begin at b * count.
-    static void lay_out(const double* from, int64_t stages, int64_t count, A* to) {
+    NOINLINE static void lay_out(const double* from, int64_t stages, int64_t count, A* to) {
         for (int64_t b = 0; b < blocks(stages); ++b)
             for (int64_t j = 0; j < count; ++j)
                 for (int lane = 0; lane < W; ++lane)
@@ -93,7 +93,7 @@ struct MemberLanes {
     static constexpr int together = Numbers<M>::lanes == 1 ? 3 : 1;
 
     static INLINE int64_t blocks(int64_t stages) { return stages; }
-    static void lay_out(const double* from, int64_t stages, int64_t count, double* to) {
+    NOINLINE static void lay_out(const double* from, int64_t stages, int64_t count, double* to) {
         std::copy_n(from, stages * count, to);
     }
     static INLINE const A& spread(const A& value) { return value; }

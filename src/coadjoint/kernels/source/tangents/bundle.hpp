@@ -47,7 +47,7 @@ typename Numbers<N>::Mask orthonormalize(N* at, int64_t size, int64_t count, int
         if (!any(valid)) return valid;
         lengths[r] = length;
         std::fill_n(shares, count, N(0.0));
-        shared_results(
+        shared_results<N>(
             size, count, shares,
             [&](int64_t first, int64_t last, N* to) {
                 for (int64_t i = first; i < last; ++i) {

@@ -1,4 +1,5 @@
 // The loop over the steps of programs backward, for Python.
+#include "flows/compiled_rows.hpp"
 #include "tangents/flow_cotangents.hpp"
 
 namespace coadjoint {
@@ -96,11 +97,12 @@ static void run_backward(const FlowCotangents& all, const BackwardRun& run, int6
             else if (flow.kind != WHOLE_ROW)
                 apply_flow<summation, with_group>(flow, momentum, element, applied);
             else if (int64_t(tables.part[flow.row]) != all.added)
-                apply_row<summation, with_group>(tables, SharedConstants{}, flow.row, momentum, element, t, run.h, angles);
+                sweep<summation, with_group>(tables, SharedConstants{}, flow.row, flow.row + 1, momentum, element, t,
+                                             run.h, angles);
         }
         for (uint32_t r = tables.section[k == 1 ? 0 : 1]; flows.empty() && r < tables.section[k == 1 ? 1 : 2]; ++r)
             if (int64_t(tables.part[r]) != all.added)
-                apply_row<summation, with_group>(tables, SharedConstants{}, r, momentum, element, t, run.h, angles);
+                sweep<summation, with_group>(tables, SharedConstants{}, r, r + 1, momentum, element, t, run.h, angles);
         store(k - run.k0);
         shared_steps.end();
     }
@@ -123,7 +125,7 @@ static void run_backward(const FlowCotangents& all, const BackwardRun& run, int6
             std::fill_n(copied.errors, square, G(0.0));
             for (uint32_t r = tables.section[2]; r < tables.section[3]; ++r)
                 if (int64_t(tables.part[r]) != all.added)
-                    apply_row<PLAIN, with_group>(tables, SharedConstants{}, r, copy, copied, t, run.h, angles);
+                    sweep<PLAIN, with_group>(tables, SharedConstants{}, r, r + 1, copy, copied, t, run.h, angles);
             backward.sweep(tables.section[2], tables.section[3], finish,
                            {finished.at, added.at, copied, {group_added.at, nullptr, rows, group_scratch.at}}, t, run.h);
             share(size, [&](int64_t low, int64_t high) {

@@ -288,7 +288,7 @@ class RowsBackward {
         find_angle_cotangents(part, count, at, simple);
         const Vectors<A> x{at.x, nullptr, 1, scratch.at}, of_x{at.of_x, nullptr, 1, scratch.at};
         if (is_called(tables, part)) {
-            const Rotations<A> rotations = rotations_of_part(tables, SharedConstants{}, part, -tau, at.x, angles);
+            const Rotations<A> rotations = rotations_of_part(tables, SharedConstants{}, part, A(-tau), at.x, angles);
             act_called<PLAIN>(tables.state, SharedConstants{}, part, rotations, x, size);
             act_called<PLAIN>(all.dual, SharedConstants{}, part, rotations, of_x, size);
             if (with_group) {

@@ -1,4 +1,5 @@
 // Entry points of flow methods with tangent vectors for Python.
+#include "flows/compiled_rows.hpp"
 #include "flows/flow_lanes.hpp"
 #include "tangents/flow_tangents.hpp"
 

@@ -244,7 +244,7 @@ struct FlowTangentState {
                     called_changes(tables, tables.called[k], tau, x, vectors, rows,
                                    changes.at + (terms.row[k] - base) * rows);
             });
-            const Rotations<A> rotations = rotations_of_part(tables, SharedConstants{}, part, tau, x, angles);
+            const Rotations<A> rotations = rotations_of_part(tables, SharedConstants{}, part, A(tau), x, angles);
             if (rotates_bonds_directly<summation>(tables, part))
                 rotate_bonds(tables, SharedConstants{}, part, tau, x);
             else

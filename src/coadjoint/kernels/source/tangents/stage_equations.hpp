@@ -149,7 +149,7 @@ class StageEquations {
                 apply(j, of_stage(j), slope_of(j));
             }
             V found[3] = {V(0.0), V(0.0), V(0.0)};
-            shared_results(
+            shared_results<V>(
                 count, 3, found,
                 [&](int64_t first, int64_t last, V* to) {
                     for (int64_t k = first; k < last; ++k) {
@@ -221,8 +221,7 @@ class StageEquations {
     }
 
     // With the matrix of `apply`, found from its values at unit vectors.
-    template <class Base, class Apply>
-    NOINLINE void by_factors(Base base, Apply apply) {
+    NOINLINE void by_factors(const Called<void(int64_t, V*)>& base, const Called<void(int64_t, V*, V*)>& apply) {
         const int64_t edge = s * size, lanes = Numbers<V>::lanes;
         if (edge > LARGEST_FACTORED) throw NotSolved();
         InterruptCheck::of_this_call().after(edge * edge * edge);

@@ -1,0 +1,62 @@
+// Functions that several loops over steps of programs call: instantiated once, in compiled_rows.cpp. Steps of users, which
+// are compiled without that file, include the other headers.
+#pragma once
+
+#include "flows/flow_alone.hpp"
+
+namespace coadjoint {
+
+// `declared` is `extern`, or empty in compiled_rows.cpp.
+#define COMPILED_ACTIONS(declared, summation, A, V)                                                                \
+    declared template void act_run<summation>(const Action&, const SharedConstants&, uint32_t, double, const A*,  \
+                                              Vectors<V>);                                                        \
+    declared template void act_runs<summation>(const Action&, const SharedConstants&, uint32_t, double, A,        \
+                                               CachedRotation<A>&, Vectors<V>);                                   \
+    declared template void act_apart<summation>(const Action&, const SharedConstants&, uint32_t, double, const A*, \
+                                                const Vectors<V>&);                                               \
+    declared template void act_called<summation>(const Action&, const SharedConstants&, uint32_t,                 \
+                                                 const Rotations<A>&, const Vectors<V>&, int64_t);
+
+#define COMPILED_SWEEPS(declared, summation, A, G)                                                                   \
+    declared template void sweep<summation, false>(const FlowTables&, const SharedConstants&, uint32_t, uint32_t,   \
+                                                   const Vectors<A>&, const Vectors<G>&, const A&, double,          \
+                                                   AngleWorkspace<A>&);                                             \
+    declared template void sweep<summation, true>(const FlowTables&, const SharedConstants&, uint32_t, uint32_t,    \
+                                                  const Vectors<A>&, const Vectors<G>&, const A&, double,           \
+                                                  AngleWorkspace<A>&);                                              \
+    declared template void rotate_fused<summation>(const FlowTables&, const SharedConstants&, uint32_t, double,     \
+                                                   const Vectors<A>&, bool);
+
+#define COMPILED_ANGLES(declared, A)                                                                                  \
+    declared template void gradient_rows(const Terms&, const SharedConstants&, const int64_t*, int64_t, const A*,    \
+                                         const A&, A*, int64_t, A*, double*);                                        \
+    declared template void called_rotations(const FlowTables&, const SharedConstants&, int64_t, const A&, const A*, \
+                                            const Rotations<A>&);                                                   \
+    declared template void rotate_shares(const FlowTables&, const SharedConstants&, uint32_t, uint32_t, double, A*);
+
+#define COMPILED_CHANGES(declared, A, V)                                                                             \
+    declared template void called_changes(const FlowTables&, int64_t, double, const A*, const V*, int64_t, V*);
+
+#define COMPILED_ROWS(declared)                                       \
+    COMPILED_ACTIONS(declared, PLAIN, double, double)                 \
+    COMPILED_ACTIONS(declared, PLAIN, double, GroupRows)              \
+    COMPILED_ACTIONS(declared, PLAIN, ManyMembers, ManyMembers)       \
+    COMPILED_ACTIONS(declared, CORRECTED, double, double)             \
+    COMPILED_ACTIONS(declared, CORRECTED, double, GroupRows)          \
+    COMPILED_ACTIONS(declared, CORRECTED, ManyMembers, ManyMembers)   \
+    COMPILED_SWEEPS(declared, PLAIN, double, GroupRows)               \
+    COMPILED_SWEEPS(declared, PLAIN, ManyMembers, ManyMembers)        \
+    COMPILED_SWEEPS(declared, CORRECTED, double, GroupRows)           \
+    COMPILED_SWEEPS(declared, CORRECTED, ManyMembers, ManyMembers)    \
+    COMPILED_ANGLES(declared, double)                                 \
+    COMPILED_ANGLES(declared, ManyMembers)                            \
+    COMPILED_CHANGES(declared, double, double)                        \
+    COMPILED_CHANGES(declared, double, GroupRows)                     \
+    COMPILED_CHANGES(declared, ManyMembers, ManyMembers)
+
+typedef Lanes<MEMBER_LANES> ManyMembers;
+#if !defined(COMPILES_ROWS)
+COMPILED_ROWS(extern)
+#endif
+
+}  // namespace coadjoint
