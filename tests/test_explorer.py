@@ -23,6 +23,7 @@ def test_tables_at_other_values_are_those_of_the_library(shown, random):
         written = entry(shown, random)
     assert set(written["schemes"]) == {name for name, _, _ in SCHEMES}
     assert len(shown.x0) == len(shown.coordinates) == shown.build(first_values(shown)).dim
+    assert (written["step"], written["x0"]) == (shown.step, shown.x0)
     dependent = {path for scheme in written["schemes"].values() for path in scheme["moves"]}
     assert bool(dependent) == bool(shown.sliders)
     json.dumps(shared({shown.name: written}))
@@ -53,6 +54,18 @@ def test_first_views_are_smooth_and_show_the_drift(shown):
         moves = np.linalg.norm(np.diff(sol.x, axis=0), axis=1) / np.linalg.norm(x0)
         assert np.median(moves) < 0.3
     assert found["splitting2"] < 1e-12 < 1e-4 < found["rk4"] < 0.2
+
+
+def test_labels_of_drawings_are_those_of_the_coordinates():
+    digits = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+    for shown in SHOWN:
+        names = [name.replace("gamma", "γ").translate(digits) for name in shown.coordinates]
+        view = shown.view
+        if "labels" in view:
+            assert view["labels"] == [names[axis] for axis in view["axes"]], shown.name
+        if section := view.get("section"):
+            assert section["labels"] == [names[section["across"]], names[section["up"]]], shown.name
+            assert section["name"] == f"{names[section['level']]} = 0, rising", shown.name
 
 
 def test_formulas_of_sources():

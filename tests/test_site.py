@@ -1,5 +1,6 @@
 """The documentation site, without Sphinx: its order of pages, and the reference of every public name."""
 
+import csv
 import itertools
 import json
 import re
@@ -10,12 +11,23 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
+import write_api
 from matplotlib.figure import Figure
+from paper_page import FIGURES, paper_page
 from picture_pages import picture_code, picture_pages
 from reference_pages import reference_pages
 from scheme_pages import scheme_pages, text_of
-from system_pages import code, system_pages, write_notebooks
-from write_sources import URLS, linked, published, with_explorer, with_schemes
+from system_pages import code, system_pages, thumbnails, write_notebooks
+from write_sources import (
+    SYSTEMS,
+    URLS,
+    first_sentence,
+    linked,
+    published,
+    with_explorer,
+    with_schemes,
+    with_sentences,
+)
 
 import coadjoint as co
 from coadjoint.methods import registry
@@ -72,7 +84,9 @@ def test_pages_link_no_files_without_a_page():
 
 def test_links_of_copied_pages():
     text = (SITE / "index.md").read_text(encoding="utf-8")
-    assert '<a href="explorer/index.html">The explorer runs' in with_explorer(text) and "<!-- explorer" in text
+    assert '<a href="explorer/index.html">Open it.' in with_explorer(text, "index.md") and "<!-- explorer" in text
+    top = system_pages()["systems/heavy_top.md"]
+    assert '<a href="../explorer/index.html#system=heavy_top">' in with_explorer(top, "systems/heavy_top.md")
     readme = published(ROOT / "README.md")
     assert "](explorer.md)" in readme and "](docs/" not in readme
     tables = with_schemes(published(DOCS / "schemes.md"), set(scheme_pages()))
@@ -88,6 +102,9 @@ def test_every_public_name_has_a_page():
     modules = {"co.__version__", *(f"co.{name}" for name in dir(co) if isinstance(getattr(co, name), ModuleType))}
     assert [name for name in left if name not in modules] == []
     assert {path for path in targets.values()} <= set(pages) | {f"{path}.md" for path in written}
+    for _, kind, names in write_api.MEMBERS_OF:
+        shown = re.search(r":members: (.*)", pages.get(targets[kind.__name__], ""))
+        assert shown is None or shown[1].split(", ") == names.split(), kind
     assert "   :members: " in pages["reference/classes/coadjoint.Solution.rst"]
     assert r"| Return the free rigid body, $x' = x \times (I^{-1} x)$, with its exact solution. |" in text
 
@@ -239,6 +256,40 @@ def test_what_schemes_preserve_is_shown():
     for scheme, expected in (("Splitting", "yes | no | all |"), ("RadauEnergy", "no | yes |")):
         row = re.search(r"^\| \[rigid_body\]\([^)]*\) \| (.*)$", pages[f"schemes/{scheme}.md"], re.MULTILINE)
         assert row is not None and row[1].startswith(expected), scheme
+
+
+def test_statements_of_the_paper_are_under_their_verdicts_and_figures(tmp_path):
+    verdicts = {"a": "holds", "b": "holds with a limit", "c": "does not hold", "d": "holds"}
+    places = {"a": "section 2", "b": "figures 4, 5", "c": "example 5.2", "d": "figure 3"}
+    with (tmp_path / "table.csv").open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(("place", "statement", "paper", "criterion", "measured", "verdict"))
+        for key, verdict in verdicts.items():
+            texts = (f"{column} {key}" for column in ("statement", "paper", "criterion"))
+            table.writerow((places[key], *texts, f"|{key}| = 1", verdict))
+    page = paper_page(tmp_path, library=0.0)
+    assert "Of 4 statements: 1 do not hold, 1 hold with a limit, 2 hold.\n" in page
+    sections = dict(section.split("\n", 1) for section in re.split(r"^#{2,3} ", page, flags=re.MULTILINE)[1:])
+    for verdict in set(verdicts.values()):
+        row = re.compile(r"^\| [^|]* \| statement (\w): paper \1 \| criterion \1 \|", re.MULTILINE)
+        rows = row.findall(sections[f"What {verdict}"])
+        assert rows == [key for key in verdicts if verdicts[key] == verdict]
+    shown = {title: re.findall(r"Statement (\w); in the paper", sections[title]) for title, _ in FIGURES.values()}
+    expected = {"Figure 3": ["d"], "Figure 4": ["b"], "Figure 5": ["b"]}
+    assert {title: keys for title, keys in shown.items() if keys} == expected
+    assert "**Holds with a limit**: \\|b\\| = 1." in sections["Figure 4"]
+
+
+def test_sections_show_first_sentences_and_systems():
+    pages = {page.name: published(page) for page in [*SITE.glob("*.md"), *DOCS.glob("*.md")]}
+    text = with_sentences(pages["rigid_bodies.md"], pages)
+    assert "- [](gallery.md): This page shows how to plot the ready-made systems, " in text
+    assert re.search(r"```\{toctree\}\n:hidden:\n\ngallery\nfree_body\n.*```\n", text, re.DOTALL)
+    assert first_sentence("# T\n\nOf `a.b`, 1.5 and\n[c](d.md). Next.\n") == "Of `a.b`, 1.5 and [c](d.md)."
+    groups = {page: SYSTEMS.findall(text) for page, text in pages.items() if SYSTEMS.search(text)}
+    assert groups == {"rigid_bodies.md": ["bodies"], "spin_systems.md": ["lattices"], "ideal_fluids.md": ["fluids"]}
+    lattices = re.findall(r":link: systems/(\w+)\n", "\n".join(thumbnails("lattices", "systems/")))
+    assert lattices == ["spin_lattice", "toda", "toda_ring"]
 
 
 def test_equations_of_systems_are_shown():

@@ -57,6 +57,8 @@ html_theme_options = {
     "navbar_align": "left",
     "navigation_with_keys": False,
     "show_toc_level": 2,
+    # Pictures of systems are wide.
+    "secondary_sidebar_items": {"**": ["page-toc"]} | {f"systems/{name}": [] for name in coadjoint.systems.names()},
     "footer_start": ["copyright"],
     "footer_end": [],
     "pygments_light_style": "a11y-high-contrast-light",

@@ -52,11 +52,17 @@ def paper_page(folder: Path, library: float) -> str:
         number = title.rpartition(" ")[2] if name.startswith("figure") else ""
         for row in rows:
             if number and "figure" in row["place"] and number in row["place"].partition("figure")[2]:
-                lines.append(f"**{row['verdict'].capitalize()}**: {_text(row['measured'])}.\n")
+                statement = row["statement"][:1].upper() + row["statement"][1:]
+                lines.append(
+                    f"{_text(statement)}; in the paper: {_text(row['paper'])}. "
+                    f"**{row['verdict'].capitalize()}**: {_text(row['measured'])}.\n"
+                )
     for verdict in VERDICTS:
-        lines.append(f"## What {verdict}\n\n| place | statement | criterion | measured |\n|---|---|---|---|")
+        lines.append(f"## What {verdict}\n")
+        lines.append("| place | statement, and what the paper says | criterion | measured |\n|---|---|---|---|")
         lines += [
-            f"| {' | '.join(_text(row[key]) for key in ('place', 'statement', 'criterion', 'measured'))} |"
+            f"| {_text(row['place'])} | {_text(row['statement'])}: {_text(row['paper'])} | {_text(row['criterion'])} "
+            f"| {_text(row['measured'])} |"
             for row in rows
             if row["verdict"] == verdict
         ]

@@ -76,6 +76,5 @@ def _page(qualified: str, value: Any, members: str | None) -> str:
 def _index(pages: dict[str, str]) -> str:
     paths = sorted((path.removeprefix("reference/").removesuffix(".rst") for path in pages), key=str.lower)
     title = "Pages of public names"
-    return "\n".join(
-        [title, "=" * len(title), "", ".. toctree::", "   :maxdepth: 1", "", *(f"   {p}" for p in paths), ""]
-    )
+    heading = [title, "=" * len(title), "", "A page of each public name.", ""]
+    return "\n".join([*heading, ".. toctree::", "   :maxdepth: 1", "", *(f"   {p}" for p in paths), ""])

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from explorer_systems import SHOWN
 from formulas import in_markdown
 from starts import STARTS
 
@@ -132,6 +133,8 @@ def _page(name: str) -> Iterator[str]:
     yield f":::{{figure}} {name}.png\n:alt: {entry.caption}\n:target: {name}.png\n\n{entry.caption}\n:::\n"
     yield f"```python\n{code(name)}\n```\n"
     yield f"{{download}}`The same as a notebook <{name}.ipynb>`\n"
+    for shown in (shown for shown in SHOWN if f"co.systems.{name}(" in shown.code):
+        yield f"<!-- explorer#system={shown.name}: {shown.title} in the explorer -->\n"
     yield "## Equations and invariants\n"
     if summary["attitude"] != "matrices":
         sign = "" if summary["sign"] > 0 else "-"
@@ -189,17 +192,27 @@ def _sentence(name: str) -> str:
     return in_markdown(text[:1].upper() + text[1:])
 
 
+def _folder(name: str) -> str:
+    return getattr(co.systems, name).__module__.split(".")[-2]
+
+
+def thumbnails(folder: str, path: str = "") -> Iterator[str]:
+    """Yield the thumbnails of the systems of a folder, with links to their pages, which are at this path."""
+    yield "::::{grid} 2 2 3 3\n:gutter: 2\n:class-container: systems\n"
+    for name in (name for name in co.systems.names() if _folder(name) == folder):
+        yield f":::{{grid-item-card}} {name.replace('_', '_<wbr>')}\n:link: {path}{name}\n:link-type: doc"
+        yield f":img-bottom: {path}{name}_small.png\n:img-alt: {_entry(name).caption}\n:::\n"
+    yield "::::"
+
+
 def _index() -> Iterator[str]:
     yield "# Ready-made systems\n"
     yield "Every system of `co.systems.names()`. A picture leads to equations, invariants and the code that draws it.\n"
-    folders = {name: getattr(co.systems, name).__module__.split(".")[-2] for name in co.systems.names()}
     for folder, title in GROUPS.items():
-        yield f"## {title}\n\n::::{{grid}} 2 2 3 3\n:gutter: 2\n"
-        for name in (name for name in co.systems.names() if folders[name] == folder):
-            yield f":::{{grid-item-card}} {name}\n:link: {name}\n:link-type: doc\n:img-bottom: {name}_small.png"
-            yield f":img-alt: {_entry(name).caption}\n:::\n"
-        yield "::::\n"
-    left = sorted(set(folders.values()) - set(GROUPS))
+        yield f"## {title}\n"
+        yield from thumbnails(folder)
+        yield ""
+    left = sorted({_folder(name) for name in co.systems.names()} - set(GROUPS))
     if left:
         raise ValueError(f"systems of the folders {', '.join(left)} have no group; add a title to GROUPS")
     scene = SCENES["decaying_turbulence"]

@@ -3,7 +3,8 @@
 The Markdown pages are copied with links to source files made absolute. Pages of names, systems, schemes and kinds of
 pictures are written from the registries and docstrings, and the pictures are drawn by the code that the pages show. The
 explorer, given the folder where it is built, is part of the site, and pages link to it where they have the comment
-``<!-- explorer: TEXT -->``.
+``<!-- explorer: TEXT -->`` or, with a choice, ``<!-- explorer#system=toda_ring: TEXT -->``. Lists of pages get the
+first sentence of each page, and ``<!-- systems: FOLDER -->`` the thumbnails of the systems of a folder.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ sys.path.append(str(DOCS))
 URLS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"].get("urls", {})
 ELSEWHERE = re.compile(r"(?<=\]\()\.\./[\w/]+\.(?:png|gif|svg)(?=\))")
 """Pictures outside the folder of the pages: the site has copies beside its pages."""
+SYSTEMS = re.compile("<!-- systems: (.*?) -->")
 MATHJAX = "tex-chtml.js", "output/chtml/fonts/woff-v2"
 
 
@@ -32,7 +34,7 @@ def write(folder: Path, explorer: Path | None) -> None:
     from picture_pages import draw_kinds, picture_pages
     from reference_pages import reference_pages
     from scheme_pages import scheme_pages
-    from system_pages import draw_pictures, system_pages, write_notebooks
+    from system_pages import draw_pictures, system_pages, thumbnails, write_notebooks
 
     pages = {page.name: published(page) for page in [*DOCS.glob("*.md"), *SITE.glob("*.md")]}
     pages["README.md"] = published(ROOT / "README.md")
@@ -43,8 +45,11 @@ def write(folder: Path, explorer: Path | None) -> None:
     pages |= reference
     pages["api.md"] = linked(pages["api.md"], targets)
     pages["schemes.md"] = with_schemes(pages["schemes.md"], set(pages))
+    for page in SITE.glob("*.md"):
+        text = with_sentences(pages[page.name], pages)
+        pages[page.name] = SYSTEMS.sub(lambda comment: "\n".join(thumbnails(comment[1], "systems/")), text)
     for path, text in pages.items():
-        write_if_changed(folder / path, with_explorer(text) if explorer else text)
+        write_if_changed(folder / path, with_explorer(text, path) if explorer else text)
     copy_explorer(explorer, folder / "extra")
     for old in {*folder.rglob("*.md"), *folder.rglob("*.rst")} - {folder / path for path in pages}:
         old.unlink()
@@ -61,9 +66,27 @@ def write(folder: Path, explorer: Path | None) -> None:
     write_notebooks(folder / "systems")
 
 
-def with_explorer(text: str) -> str:
+def with_explorer(text: str, path: str) -> str:
     """Return a page with links to the explorer in place of comments."""
-    return re.sub(r"<!-- explorer: (.*?) -->", r'<a href="explorer/index.html">\1</a>', text)
+    root = "../" * path.count("/")
+    return re.sub(r"<!-- explorer(#\S+)?: (.*?) -->", rf'<a href="{root}explorer/index.html\1">\2</a>', text)
+
+
+def with_sentences(text: str, pages: dict[str, str]) -> str:
+    """Return the page of a section with the first sentence of every page beside its link."""
+
+    def described(tree: re.Match[str]) -> str:
+        paths = [next(path for path in (f"{name}.md", f"{name}.rst") if path in pages) for name in tree[1].split()]
+        rows = (f"- []({path}): {first_sentence(pages[path])}" for path in paths)
+        return "\n".join([*rows, "", "```{toctree}", ":hidden:", "", tree[1]]) + "```"
+
+    return re.sub(r"```\{toctree\}\n:maxdepth: 1\n\n(.*?)```", described, text, flags=re.DOTALL)
+
+
+def first_sentence(text: str) -> str:
+    """Return the first sentence below the title of a page."""
+    paragraph = " ".join(text.split("\n\n")[1].split())
+    return re.split(r"(?<=[.?]) (?=[A-Z`<[])", paragraph)[0]
 
 
 def copy_explorer(explorer: Path | None, extra: Path) -> None:

@@ -9,12 +9,13 @@ import { type Choice, firstChoice } from "./state";
 import { fieldsOf, type System, type Tables, type View } from "./tables";
 import { type Plan, Track } from "./track";
 
-const MAX_STEPS_OF_FRAME = 400;
+const MAX_STEPS_OF_FRAME = 2000;
 const FRAME_BUDGET = 9; // milliseconds for the steps of a frame
+const MAX_PIECES = 20; // of the steps of a frame, between which the time is compared with the budget
 const TYPED_VIEW: View = { kind: "path", axes: [0, 1, 2], labels: ["x₁", "x₂", "x₃"], centered: true };
 
 const SUBSCRIPTS = "₀₁₂₃₄₅₆₇₈₉";
-const subscripted = (name: string) => name.replace("gamma", "γ").replace(/\d/g, (digit) => SUBSCRIPTS[Number(digit)]);
+export const subscripted = (name: string) => name.replace("gamma", "γ").replace(/\d/g, (digit) => SUBSCRIPTS[Number(digit)]);
 
 export class App {
   tracks: Track[] = [];
@@ -120,7 +121,7 @@ export class App {
   }
 
   take(steps: number): void {
-    const start = performance.now(), pieces = Math.ceil(steps / 20);
+    const start = performance.now(), pieces = Math.min(MAX_PIECES, Math.ceil(steps / 20));
     let left = steps;
     for (let piece = 0; piece < pieces && left > 0; ++piece) {
       const taken = Math.ceil(left / (pieces - piece));

@@ -18,7 +18,7 @@ export function inertiaOf(values: Values): Vector {
 }
 
 // Half the edges of a uniform box with these moments, the longest of length one.
-function box(inertia: Vector): Vector {
+export function box(inertia: Vector): Vector {
   const total = inertia[0] + inertia[1] + inertia[2];
   const edges = inertia.map((moment) => Math.sqrt(Math.max(0.02, total / 2 - moment))) as Vector;
   return scaled(edges, 1 / Math.max(...edges));

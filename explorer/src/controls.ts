@@ -59,8 +59,10 @@ export function button(label: string, pressed: () => void, className = ""): HTML
   return made;
 }
 
-// Fields of numbers that are read when one of them is left, or by Enter.
-export function numbers(labels: string[], values: number[], changed: (values: number[]) => void): HTMLDivElement {
+// Fields of numbers that are read when one of them is left, or by Enter; with names above them if given.
+export function numbers(
+  labels: string[], values: number[], changed: (values: number[]) => void, names: string[] = [],
+): HTMLDivElement {
   const inputs = labels.map((label, k) => {
     const input = element("input", { type: "text", inputMode: "decimal", value: String(Number(values[k].toPrecision(6))) });
     input.setAttribute("aria-label", label);
@@ -72,7 +74,7 @@ export function numbers(labels: string[], values: number[], changed: (values: nu
       if (!valid) return;
       changed(values.map((old, i) => (i === k ? value : old)));
     });
-    return input;
+    return names.length ? element("div", {}, element("span", { className: "name", ariaHidden: "true" }, names[k]), input) : input;
   });
   return element("div", { className: "numbers" }, ...inputs);
 }

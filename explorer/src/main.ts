@@ -191,8 +191,10 @@ class Page {
       };
       const by = turns[event.key];
       if (by) turn(...by);
-      else if (event.key === "Home") app.choice.turn = [...FIRST_TURN];
-      else return;
+      else if (event.key === "Home") {
+        app.choice.turn = [...FIRST_TURN];
+        this.changed();
+      } else return;
       event.preventDefault();
     });
   }

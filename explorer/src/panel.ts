@@ -1,5 +1,5 @@
 // The settings of the page.
-import type { App } from "./app";
+import { type App, subscripted } from "./app";
 import { button, choice, element, numbers, slider } from "./controls";
 import { MAX_RATE, MAX_STEP, MIN_RATE, MIN_STEP, TYPED } from "./state";
 
@@ -79,7 +79,7 @@ function start(app: App, actions: Actions): Node {
   const fields = numbers(app.coordinates, app.choice.x0, (values) => {
     app.choice.x0 = values;
     actions.rebuilt();
-  });
+  }, app.coordinates.map(subscripted));
   const about = app.view.kind === "sphere" ? "Click on the sphere, or type:" : "Type:";
   if (app.choice.x0.length <= MANY) return group("Initial state", element("p", { className: "about" }, about), fields);
   return element("details", {}, element("summary", {}, "Initial state"), element("p", { className: "about" }, about), fields);

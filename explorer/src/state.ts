@@ -19,7 +19,7 @@ export interface Choice {
 }
 
 export const TYPED = "algebra";
-export const MIN_STEP = 0.01, MAX_STEP = 2, MIN_RATE = 1, MAX_RATE = 20000;
+export const MIN_STEP = 0.01, MAX_STEP = 2, MIN_RATE = 1, MAX_RATE = 100000;
 export const FIRST_TURN: [number, number] = [-0.65, 0.42];
 export const FIRST_ALGEBRA: Algebra = { constants: [0, 0, 1, 1, 0, 0, 0, 1, 0], squares: [1, 0.6, 0.4], linear: [0, 0, 0] };
 

@@ -5,14 +5,16 @@ import { join } from "node:path";
 import { test } from "node:test";
 import { casimirs, cube } from "../src/algebra";
 import { App } from "../src/app";
-import { attitudeOf } from "../src/body";
+import { attitudeOf, box, inertiaOf } from "../src/body";
 import { apply, camera, dot, firstBlock, length, type Matrix, product, rotation, transposed, type Vector } from "../src/camera";
 import { csv, pythonScript } from "../src/exports";
 import { Kernels } from "../src/kernels";
 import { orbitLines } from "../src/orbit";
+import { drawErrors } from "../src/plots";
 import { picked, Shape } from "../src/scene";
 import { type Choice, firstChoice, read, TYPED, written } from "../src/state";
 import { checked, type Tables } from "../src/tables";
+import type { Colors } from "../src/theme";
 import { Errors } from "../src/track";
 
 const BUILT = join(process.cwd(), "../build/explorer");
@@ -151,6 +153,36 @@ test("the body turns so that its angular momentum, or the vertical of a top, poi
       }
     }
   }
+});
+
+test("the box that is drawn has the moments of inertia", () => {
+  const values = { I1: 1.2, I2: 1.7, I3: 2.4 }, squares = box(inertiaOf(values)).map((edge) => edge * edge);
+  const moments = [0, 1, 2].map((k) => squares[(k + 1) % 3] + squares[(k + 2) % 3]);
+  Object.values(values).forEach((moment, k) => assert.ok(Math.abs(moments[k] / moments[0] - moment / values.I1) < 1e-12));
+});
+
+// Labels and ends of lines that are drawn on a canvas of 400 by 300 pixels.
+function drawn(draw: (canvas: HTMLCanvasElement) => void): { labels: Array<[string, number, number]>; ends: Vector[] } {
+  const labels: Array<[string, number, number]> = [], ends: Vector[] = [];
+  const context = {
+    fillText: (text: string, x: number, y: number) => labels.push([text, x, y]),
+    lineTo: (x: number, y: number) => ends.push([x, y, 0]),
+  };
+  const others = () => undefined;
+  Object.assign(globalThis, { devicePixelRatio: 1 });
+  const recorder = new Proxy(context, { get: (target, name) => Reflect.get(target, name) ?? others, set: () => true });
+  draw({ clientWidth: 400, clientHeight: 300, getContext: () => recorder } as unknown as HTMLCanvasElement);
+  return { labels, ends };
+}
+
+test("errors are drawn at their places between powers of ten", () => {
+  const errors = new Errors();
+  for (let step = 1; step <= 1000; ++step) errors.add(step, 1e-9 * step ** 2);
+  const { labels, ends } = drawn((canvas) => drawErrors(canvas, [errors], {} as Colors));
+  const at = (text: string, index: 1 | 2, k: number) => labels.filter(([label]) => label === text).at(k)![index];
+  const [x, y] = ends.at(-1)!, rows = at("10⁻⁴", 2, 0), lower = at("10⁻⁶", 2, 0), columns = at("10³", 1, -1), left = at("10²", 1, -1);
+  assert.ok(Math.abs(y - (rows - (lower - rows) / 2)) < 1e-9, `${y} of 10⁻³, beside ${rows} and ${lower}`);
+  assert.ok(Math.abs(x - columns) < 1e-9 && left < columns, `${x} of 1000 steps, beside ${columns}`);
 });
 
 test("the first block of a group element, and rotations", () => {

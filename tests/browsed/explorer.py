@@ -34,6 +34,7 @@ import coadjoint as co
 LARGEST_SIZE = 500_000  # bytes of all files, compressed
 LEAST_FRAMES = 55.0  # per second, of 60, in software rendering on a machine that is busy
 LONGEST_START = 1000.0  # milliseconds until the first picture
+LEAST_RATE = 1e5  # steps of a rigid body a second
 TRIES = 6  # of which the best counts: other programs may use the machine
 FRAMES_TIME = 1.2  # seconds in which frames are counted
 STEPS = 150
@@ -358,10 +359,12 @@ def check_buttons(browser: Browser, base: str, wrong: list[str]) -> None:
         tab.wait_for_function("window.explorer")
         if not tab.evaluate(dark):
             wrong.append("the chosen colors are lost")
-        tab.evaluate("explorer.app.choice.turn = [1, 1]")
         tab.locator("canvas.scene").first.focus()
+        tab.keyboard.press("ArrowLeft")
+        tab.wait_for_function("location.hash.includes('turn')")
         tab.keyboard.press("Home")
-        if tab.evaluate("explorer.app.choice.turn") != [-0.65, 0.42]:
+        tab.wait_for_timeout(400)
+        if tab.evaluate("explorer.app.choice.turn") != [-0.65, 0.42] or "turn" in tab.url:
             wrong.append("Home does not turn the scene back")
         tab.evaluate("location.hash = 'system=spin_pair'")
         tab.wait_for_timeout(200)
@@ -446,8 +449,18 @@ def measured(browser: Browser, base: str, wrong: list[str]) -> dict[str, Any]:
         else:
             wrong.append(f"{system}: {fastest:.0f} ms until the first picture, {most:.1f} frames per second")
         start, frames = (fastest, most) if system == SYSTEMS[0] else (start, min(frames, most))
+    rate, tries = 0.0, 0
+    while rate < LEAST_RATE and tries < TRIES:
+        rate, tries = max(rate, steps_a_second(browser, base, wrong)), tries + 1
+    if rate < LEAST_RATE:
+        wrong.append(f"{rate:.0f} steps of a rigid body a second")
+    return {"start": start, "frames": frames, "rate": rate}
+
+
+def steps_a_second(browser: Browser, base: str, wrong: list[str]) -> float:
+    """Return the steps a second of a rigid body under the first scheme."""
     with opened(browser, base, "", wrong) as tab:
-        rate = tab.evaluate(
+        rate: float = tab.evaluate(
             """() => {
                 const { app } = explorer, [plan] = app.plans();
                 const run = app.kernels.run(plan.loop, plan.fields, 3, plan.invariants.length);
@@ -460,7 +473,7 @@ def measured(browser: Browser, base: str, wrong: list[str]) -> dict[str, Any]:
                 return 1000 * steps / (performance.now() - start);
             }"""
         )
-    return {"start": start, "frames": frames, "rate": rate}
+    return rate
 
 
 def main() -> int:
