@@ -77,6 +77,68 @@ def test_a_step_of_a_stage_turns_the_matrix(name: str) -> None:
     assert np.abs(above @ middle @ below - after).max() < 1e-14
 
 
+def dense_step(system: co.MatrixSystem, W: np.ndarray, h: float) -> np.ndarray:
+    """Return a step of the midpoint rule, by dense inverses and fixed-point iteration for the stream matrix."""
+    P, one = system.stream_of(W), np.eye(len(W))
+    for _ in range(80):
+        left = np.linalg.inv(one - 0.5 * h * P)
+        P = system.stream_of(left @ W @ left.conj().T)
+    turn = np.linalg.solve(one - 0.5 * h * P, one + 0.5 * h * P)
+    return turn @ W @ turn.conj().T
+
+
+@pytest.mark.thinned(6)
+@pytest.mark.parametrize("name", ["sphere 2", "sphere 33", "sphere 65", "torus 9", "so(3)", "so(35)"])
+@pytest.mark.parametrize("share", [0.05, 0.3])
+def test_every_step_solves_the_equation_of_the_midpoint(name: str, share: float) -> None:
+    """The first steps, whose stream is predicted from few earlier ones, and later ones, which replace the oldest."""
+    system = co.systems.sphere_euler(N=65) if name == "sphere 65" else SYSTEMS[name]()
+    W = start(system)
+    h = turning(system, W, share)
+    run = co.integrate(system, W, t_span=(0, 24 * h), step=h, method=co.IsospectralGauss()).x
+    for before, after in pairwise(run):
+        # Products of N entries round by some N^(1/2) units; the unsaved compensation is below half a unit.
+        assert np.abs(after - dense_step(system, before, h)).max() < 16 * np.sqrt(len(W)) * np.finfo(float).eps
+
+
+def test_predictions_of_the_stream_save_evaluations() -> None:
+    """A short step evaluates the stream of W, that of the midpoint, and one correction."""
+    system = co.systems.sphere_euler(N=16)
+    W = start(system)
+    h = turning(system, W, 0.02)
+    short, long = (
+        co.integrate(system, W, t_span=(0, steps * h), step=h, method=co.IsospectralGauss()).stats.evaluations
+        for steps in (30, 130)
+    )
+    assert 300 <= long - short < 350
+
+
+def test_short_steps_round_in_proportion_to_their_length() -> None:
+    """A step of the fraction 1/1000 of a half turn moves W by a fraction of that size, and rounds as little of it."""
+    system = co.systems.sphere_euler(N=8)
+    W = start(system)
+    steps, h = 40000, turning(system, W, 0.001)
+    run = co.integrate(system, W, t_span=(0, steps * h), step=h, method=co.IsospectralGauss(), save_every=1000)
+    # Rounding by a unit of W in each step would add up to sqrt(40000) / 3 units or more; LAPACK's are about N units.
+    assert np.abs(system.spectrum(run.x) - system.spectrum(W)).max() < 2 * 8 * np.finfo(float).eps
+
+
+@pytest.mark.parametrize("size", [10.0, 1000.0])
+@pytest.mark.parametrize("kind", ["so", "u"])
+def test_steps_far_longer_than_a_turn_keep_the_spectrum(kind: str, size: float) -> None:
+    """A constant part of the stream for which the condition of 1 - (h/2) P is about (h/2) |P| = `size`."""
+    n, steps, h, rng = 40, 50, 2.0, np.random.default_rng(2)
+    algebra = co.MatrixAlgebra(kind, n)
+    draws = rng.standard_normal((2, n, n)) + (1j * rng.standard_normal((2, n, n)) if algebra.complex else 0.0)
+    W, constant = (A / np.abs(np.linalg.eigvals(A)).max() for A in algebra.projected(draws))
+    stream = Weights(1 / np.add.outer(1.0 + np.arange(n) / n, 1.0 + np.arange(n) / n))
+    system = co.MatrixSystem(algebra, stream, linear=size * constant, name="turned")
+    end = co.integrate(system, W, t_span=(0, steps * h), step=h, method=co.IsospectralGauss()).x[-1]
+    found, before = (np.sort(np.linalg.eigvals(A).imag) for A in (end, W))
+    # Without pivots, entries of an elimination grow up to the condition, and their rounding by the condition again.
+    assert np.abs(found - before).max() < (2 * n + size**2 * np.sqrt(steps)) * np.finfo(float).eps
+
+
 @pytest.mark.parametrize("share", [0.3, 0.6, 1.0])
 def test_a_long_step_is_solved_or_refused(share: float) -> None:
     """Far from where the iteration begins, and with a rough vorticity."""

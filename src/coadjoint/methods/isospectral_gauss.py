@@ -44,8 +44,7 @@ class IsospectralGauss(SubstepMethod, Linearized, VariedTangents):
     -----
     Iterations end when the corrections stop falling, and sums are compensated. One stage of skew-Hermitian matrices is
     solved for P by Newton's method: ``M = (1 - h P/2)^-1 W (1 + h P/2)^-1`` has the spectrum of W for every P, and
-    small changes of P are computed in single precision. The initial guess of P extrapolates its differences of up to
-    twelve steps.
+    small changes of P are computed in single precision. The initial P is predicted from up to fourteen earlier steps.
 
     Parameters
     ----------
@@ -118,7 +117,7 @@ class IsospectralGauss(SubstepMethod, Linearized, VariedTangents):
         from coadjoint.methods.protocol.cost_model import work_of_products
 
         # With one stage, an iteration is a Newton step.
-        products = 12 if self.stages == 1 else 3 * self.stages
+        products = 8 if self.stages == 1 else 3 * self.stages
         return work_of_products(matrices_of(system), products, iterated=True)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:

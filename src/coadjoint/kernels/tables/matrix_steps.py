@@ -67,7 +67,7 @@ def matrix_tables(
     """Return the tables, a `Stepping`, of a named step of a matrix system with substeps of these fractions."""
     integers, numbers, keepalive = stream_tables(system)
     precisions = "zc" if system.complex else "ds"
-    integers += [blas_address(precision + routine) for precision in precisions for routine in ("gemm", "trsm")]
+    integers += [blas_address(f"{precision}gemm") for precision in precisions]
     integers += [stages, int(system.complex), int(not system.algebra.skew)]
     step_tables = numeric_step_tables(system, step, integers, [*coefficients, *numbers], fractions)
     return CompiledTables(step_tables.tables, (*step_tables.keepalive, *keepalive))

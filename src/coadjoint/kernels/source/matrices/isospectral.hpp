@@ -13,9 +13,9 @@
 
 namespace coadjoint {
 
-// Indices in `whole` of the tables for the addresses of BLAS routines: products and triangular equations, in the
-// precision of the states and in the lower one.
-enum TableIndex { STREAM = 0, GEMM = 6, TRSM, LOWER_GEMM, LOWER_TRSM, STAGES, COMPLEX, GENERAL };
+// Indices in `whole` of the tables for the addresses of BLAS routines: products in the precision of the states and in
+// the lower one.
+enum TableIndex { STREAM = 0, GEMM = 6, LOWER_GEMM, STAGES, COMPLEX, GENERAL };
 
 constexpr int64_t FIRST_TESTED = 3;     // early corrections may rise before they fall
 constexpr int64_t MOST_ITERATIONS = 192;

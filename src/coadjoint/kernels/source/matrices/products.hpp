@@ -17,9 +17,8 @@ inline float conjugate(float value) { return value; }
 template <class R>
 std::complex<R> conjugate(const std::complex<R>& value) { return std::conj(value); }
 
-// Products and inverses without the tests for infinities of the standard library.
+// Products without the tests for infinities of the standard library, and inverses without overflow.
 inline double times(double a, double b) { return a * b; }
-inline float times(float a, float b) { return a * b; }
 template <class R>
 std::complex<R> times(const std::complex<R>& a, const std::complex<R>& b) {
     return {a.real() * b.real() - a.imag() * b.imag(), a.real() * b.imag() + a.imag() * b.real()};
@@ -29,27 +28,31 @@ std::complex<R> times(const std::complex<R>& a, const std::complex<R>& b) {
 inline double magnitude(double a) { return std::fabs(a); }
 inline double magnitude(const Complex& a) { return std::sqrt(a.real() * a.real() + a.imag() * a.imag()); }
 
-inline double inverse(double a) { return 1.0 / a; }
-inline float inverse(float a) { return 1.0f / a; }
-template <class R>
-std::complex<R> inverse(const std::complex<R>& a) {
-    const R square = a.real() * a.real() + a.imag() * a.imag();
-    return {a.real() / square, -a.imag() / square};
+inline Complex inverse(const Complex& a) {
+    const double size = std::max(std::fabs(a.real()), std::fabs(a.imag())), re = a.real() / size, im = a.imag() / size;
+    const double divisor = size * (re * re + im * im);
+    return {re / divisor, -im / divisor};
 }
 
-// to = factor (A - A*), or to += that; by blocks, which stay in the cache.
-template <class T, class R>
-void skew_part(int64_t n, const T* A, R factor, T* to, bool add) {
+// Call use(e, f) for the index e of each entry on or below the diagonal, and f of the opposite one; by blocks, which
+// stay in the cache.
+template <class Use>
+void each_pair(int64_t n, const Use& use) {
     constexpr int64_t BLOCK = 16;
     for (int64_t first = 0; first < n; first += BLOCK)
         for (int64_t second = 0; second <= first; second += BLOCK)
             for (int64_t i = first; i < std::min(first + BLOCK, n); ++i)
-                for (int64_t j = second; j < std::min(second + BLOCK, i + 1); ++j) {
-                    const T value = factor * (A[i * n + j] - conjugate(A[j * n + i]));
-                    T &lower = to[i * n + j], &upper = to[j * n + i];
-                    lower = add ? lower + value : value;
-                    upper = i == j ? lower : -conjugate(lower);
-                }
+                for (int64_t j = second; j < std::min(second + BLOCK, i + 1); ++j) use(i * n + j, j * n + i);
+}
+
+// to = factor (A - A*), or to += that.
+template <class T>
+void skew_part(int64_t n, const T* A, double factor, T* to, bool add) {
+    each_pair(n, [=](int64_t e, int64_t f) {
+        const T value = factor * (A[e] - conjugate(A[f])), sum = add ? to[e] + value : value;
+        to[f] = -conjugate(sum);
+        to[e] = sum;
+    });
 }
 
 // General matrices times general matrices, in Fortran's convention.
@@ -72,6 +75,9 @@ class Products {
 
     // c = a b*, b* the conjugate transpose, for a skew-Hermitian product.
     void multiply_skew_by_adjoint(const T* a, const T* b, T* c) const { of_layers(a, b, c, true, true); }
+
+    // Of that product of single matrices, the entries on and below the diagonal.
+    void lower_by_adjoint(const T* a, const T* b, T* c) const { by_panels(a, b, c, true, true, false); }
 
   private:
     static constexpr int PANELS = 4, SMALL = 32;

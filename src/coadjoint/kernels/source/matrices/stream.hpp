@@ -35,9 +35,11 @@ class DiagonalMap {
     // Approximate number of multiplications.
     int64_t work() const { return circulants ? circulants->work() : 4 * n * n; }
 
-    void apply(const T* W, T* P) {
+    // With `upper`, of skew-Hermitian matrices, entries of P below the diagonal may be left out.
+    void apply(const T* W, T* P, bool upper) {
         if (kind == TRIDIAGONAL) solve(W, P);
         if (kind == MULTIPLIED) multiply(W, P);
+        if (!upper && (kind == TRIDIAGONAL || kind == MULTIPLIED)) mirror(P);
         if (circulants) circulants->apply(W, P);
         if (kind == WEIGHTS)
             for (int64_t e = 0; e < n * n; ++e) P[e] = numbers[e] * W[e];
@@ -72,7 +74,6 @@ class DiagonalMap {
             const T rest = mean(P);
             for (int64_t i = 0; i < n; ++i) P[i * n + i] -= rest;
         }
-        mirror(P);
     }
 
     // Of the main diagonal.
@@ -92,7 +93,6 @@ class DiagonalMap {
                 if (m < n - i - 1) value += beside[(i + 1) * n + m] * at[n + 1];
                 P[i * n + i + m] = value;
             }
-        mirror(P);
     }
 
     void mirror(T* P) const {
@@ -118,8 +118,8 @@ class Stream {
 
     int64_t work() const { return first_map.work() + (second ? second_map.work() : 0); }
 
-    // Compute the stream Y of X; return whether a function gave finite numbers.
-    bool apply(const T* X, double t, T* Y) {
+    // Compute the stream Y of X, with `upper` as for a map; return whether a function gave finite numbers.
+    bool apply(const T* X, double t, T* Y, bool upper = false) {
         const int64_t all = layers * n * n;
         if (function) {
             function(reinterpret_cast<const double*>(X), t, reinterpret_cast<double*>(Y));
@@ -127,7 +127,7 @@ class Stream {
             for (int64_t e = 0; e < all; ++e) nan_sum += std::abs(Y[e]) - std::abs(Y[e]);
             if (nan_sum != 0.0) return false;
         } else {
-            apply_linear(X, Y);
+            apply_linear(X, Y, upper);
         }
         if (constant) {
             const T* added = reinterpret_cast<const T*>(constant);
@@ -139,10 +139,10 @@ class Stream {
     bool linear() const { return !function; }
 
     // The same without the constant, for a stream that is not a function.
-    void apply_linear(const T* X, T* Y) {
+    void apply_linear(const T* X, T* Y, bool upper = false) {
         const int64_t square = n * n;
-        first_map.apply(X + (layers - 1) * square, Y);
-        if (second) second_map.apply(X, Y + square);
+        first_map.apply(X + (layers - 1) * square, Y, upper);
+        if (second) second_map.apply(X, Y + square, upper);
         else std::fill_n(Y + square, (layers - 1) * square, T(0.0));
     }
 
