@@ -133,7 +133,7 @@ struct InvariantRows {
     double second_derivative(size_t a, double largest) const {
         double total = 0.0;
         for (const auto& [exponent, factor] : second_derivatives[a])
-            total += factor * power(largest, uint32_t(exponent));
+            total += exponent == 0 ? factor : factor * power(largest, uint32_t(exponent));
         return total;
     }
 

@@ -174,11 +174,10 @@ struct Projection {
 
     // The largest coordinate, if second derivatives depend on it.
     INLINE double largest_of(const Row* x, int64_t blocks) const {
-        double largest = 0.0;
-        if (!rows.quadratic)
-            for (int64_t b = 0; b < blocks; ++b)
-                for (int lane = 0; lane < W; ++lane) largest = larger(largest, std::fabs(x[b][lane]));
-        return largest;
+        Row largest(0.0);
+        if (rows.quadratic) return 0.0;
+        for (int64_t b = 0; b < blocks; ++b) largest = larger(largest, absolute(x[b]));
+        return largest_lane(largest);
     }
 
     // Whether the error after a correction is within rounding. It is the second derivatives times the correction times
