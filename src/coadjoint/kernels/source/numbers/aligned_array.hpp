@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <cstdlib>
+#include <cstring>
 #include <new>
 #include <vector>
 
@@ -18,14 +19,19 @@ struct AlignedArray {
     // Allocate `count` zeros; the system provides the memory of a large array where it is first written.
     void clear(int64_t count) {
         std::free(memory);
-        memory = std::calloc(sizeof(A) * (count + 1) + alignof(A), 1);
+        memory = nullptr;
+        const size_t size = sizeof(A) * (count + 1) + alignof(A);
+        // The cache of a thread for small pieces serves malloc, but not calloc of all systems.
+        memory = size <= SMALL ? std::malloc(size) : std::calloc(size, 1);
         if (!memory) throw std::bad_alloc();
+        if (size <= SMALL) std::memset(memory, 0, size);
         at = reinterpret_cast<A*>((reinterpret_cast<uintptr_t>(memory) + alignof(A) - 1) & ~(alignof(A) - 1));
     }
     AlignedArray(const AlignedArray&) = delete;
     AlignedArray& operator=(const AlignedArray&) = delete;
 
   private:
+    static constexpr size_t SMALL = 1024;
     void* memory = nullptr;
 };
 
