@@ -88,7 +88,6 @@ struct TaylorVariable final : OwnSteps {
         std::copy_n(targets_of(base), unchanged_targets.size(), unchanged_targets.data());
         std::copy_n(base.group, square, g), std::copy_n(base.dgroup, square, dg);
         const int64_t status = move(base, time, unchanged_targets.data(), g, dg);
-        held = false;
         write(x, dx);
         return status;
     }

@@ -166,7 +166,7 @@ struct Projection {
                 total = b ? fma(x[b], whole, total) : x[b] * whole;
             }
             defect[i] = targets[i] - (rows.invariants[i].constant + 0.5 * sum_of_lanes(total));
-            all &= rounding_alone(i, defect[i], x, targets[R + i]);
+            all &= rounding_alone(i, defect[i], newest, x, targets[R + i]);
             residual += std::fabs(defect[i]);
         }
         return all;
@@ -190,10 +190,11 @@ struct Projection {
     }
 
     // Whether the defect of an invariant is within rounding. The bound is recomputed if terms have grown.
-    INLINE bool rounding_alone(size_t a, double defect, const Row* x, double& least) {
+    template <class Take>
+    INLINE bool rounding_alone(size_t a, double defect, const Take& newest, const Row* x, double& least) {
         if (std::fabs(defect) <= least) return true;
         if (!(std::fabs(defect) <= 0x1p4 * least)) return false;
-        least = larger(least, EXACT * rows.terms_of(a, x));
+        least = larger(least, EXACT * rows.terms_of(a, newest, x));
         return std::fabs(defect) <= least;
     }
 
@@ -213,7 +214,7 @@ struct Projection {
         residual = 0.0;
         for (size_t a = 0; a < size; ++a) {
             defects[a] = targets[a] - rows.template value<with_gradient>(a, newest, x);
-            all &= rounding_alone(a, defects[a], x, targets[size + a]);
+            all &= rounding_alone(a, defects[a], newest, x, targets[size + a]);
             residual += std::fabs(defects[a]);
         }
         return all;
