@@ -201,7 +201,7 @@ def test_libraries_export_what_python_calls():
     said = set(re.findall(r"^EXPORT [^;=]*?(\w+)\(", "\n".join(texts), flags=re.MULTILINE))
     loops = set(re.findall(r"^EXPORT_LOOP\((\w+),", "\n".join(texts), flags=re.MULTILINE))
     memory_sizes = {f"{name}_memory_size" for name in loops}
-    inside = {f"{name}_inside" for name in loops}
+    inside = {f"{name}_{kind}" for name in loops for kind in ("inside", "whole")}
     steps = {f"{name}_step" for name in re.findall(r"^\s*STEP_SCHEME\((\w+)", "\n".join(texts), flags=re.MULTILINE)}
     assert len(said) > 8 and len(loops) == 5 and steps
     assert names == (said - {"processor_level"}) | loops | memory_sizes | inside | steps

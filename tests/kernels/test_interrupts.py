@@ -131,8 +131,8 @@ def test_other_threads_hear_that_they_are_to_stop(monkeypatch):
 
 
 def _flag(stop):
-    stop._flag = loop.ctypes.c_int64(1)
-    stop.address = loop.ctypes.byref(stop._flag)
+    stop.flag = loop.ctypes.c_int64(1)
+    stop.address = loop.ctypes.byref(stop.flag)
 
 
 def test_no_memory_is_said_and_does_not_end_the_process(monkeypatch):

@@ -41,14 +41,14 @@ class ArrayOffsets:
 
 
 class NamedArrays:
-    """Arrays in one contiguous allocation, initially zero; `arrays["x"]` is a view."""
+    """Arrays in one contiguous allocation, initially zero, or in given `numbers`; `arrays["x"]` is a view."""
 
     __slots__ = ("address", "numbers", "offsets")
 
-    def __init__(self, offsets: ArrayOffsets) -> None:
+    def __init__(self, offsets: ArrayOffsets, numbers: NDArray[np.float64] | None = None) -> None:
         self.offsets = offsets
         # At least one number: an empty array has no address.
-        self.numbers = np.zeros(offsets.size or 1)
+        self.numbers = np.zeros(offsets.size or 1) if numbers is None else numbers
         self.address = ctypes.byref(as_c_double(self.numbers))
 
     def __getitem__(self, name: str) -> NDArray[Any]:
@@ -100,6 +100,18 @@ class Layout:
         self.table = as_structure(extent)
         self.address = ctypes.byref(self.table)
         self.saved, self.state = self._offsets("saved"), self._offsets("state")
+        # Both in one allocation, as short runs have them.
+        self.size, momenta = self.saved.size + self.state.size, self.state.slices["momenta"]
+        self.momenta = slice(self.saved.size + momenta.start, self.saved.size + momenta.stop)
+
+    def saved_in(self, numbers: NDArray[np.float64]) -> NamedArrays:
+        """Return the saved arrays in one allocation of `size` numbers."""
+        # An array of no numbers has no address; nothing is then read at that of the state.
+        return NamedArrays(self.saved, numbers[: self.saved.size or 1])
+
+    def state_in(self, numbers: NDArray[np.float64]) -> NamedArrays:
+        """Return the state in one allocation of `size` numbers."""
+        return NamedArrays(self.state, numbers[self.saved.size :])
 
     def _offsets(self, kind: str) -> ArrayOffsets:
         description = kernel_interface()

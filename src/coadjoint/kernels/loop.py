@@ -6,7 +6,7 @@ import ctypes
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -48,16 +48,34 @@ class CompiledLoop:
         return raised_by(self.keepalive)
 
 
+class WholeRun(NamedTuple):
+    """The arguments of a loop that takes all steps of a run, except its arrays: addresses, and a range of members."""
+
+    tables: int
+    watch: int
+    members: int
+    first: int
+    last: int
+    stride: int
+    extent: int
+    schedule: int
+    stop: int
+
+
 class StopFlag:
     """A flag with which another thread stops the loops of a run."""
 
     def __init__(self) -> None:
-        self._flag = ctypes.c_int64(0)
-        self.address = ctypes.byref(self._flag)
+        self.flag = ctypes.c_int64(0)
+        self.address = ctypes.byref(self.flag)
 
     def request(self) -> None:
         """Stop all loops with this flag, within a fraction of a second."""
-        self._flag.value = 1
+        self.flag.value = 1
+
+
+NEVER_STOPPED = StopFlag()
+"""Flag of runs in the calling thread, which no other thread stops."""
 
 
 class MemberBatch:
@@ -74,25 +92,25 @@ class MemberBatch:
         members = np.arange(base, last)
         columns = as_int64(first - base), as_int64(last - base), as_int64(stride)
         self._positions = ctypes.c_void_p(members.ctypes.data), *columns
-        self._loop, self._members = _loop(loop), members
+        self._name, self._members = loop, members
         self._bind(as_structure(tables), as_structure(watch))
 
     def _bind(self, tables: Any, watch: Any) -> None:
         self._pointed_tables = tables, watch
-        self._advance = partial(self._loop, ctypes.byref(tables), ctypes.byref(watch), *self._positions)
+        self._advance = partial(_loop(self._name), ctypes.byref(tables), ctypes.byref(watch), *self._positions)
 
     def with_tables(self, tables: Any, watch: Any) -> MemberBatch:
         """Return the same members with other `as_structure` tables; faster than a new batch."""
         batch: MemberBatch = object.__new__(MemberBatch)
         batch.count, batch._positions = self.count, self._positions
-        batch._loop, batch._members = self._loop, self._members
+        batch._name, batch._members = self._name, self._members
         batch._bind(tables, watch)
         return batch
 
     def among(self, members: Any) -> MemberBatch:
         """Return a batch of other members, ascending; the constants of its tables must not differ by member."""
         batch: MemberBatch = object.__new__(MemberBatch)
-        batch._loop, batch._members, batch.count = self._loop, np.array(members, dtype=np.int64), len(members)
+        batch._name, batch._members, batch.count = self._name, np.array(members, dtype=np.int64), len(members)
         address = ctypes.c_void_p(batch._members.ctypes.data)
         batch._positions = address, as_int64(0), as_int64(batch.count), as_int64(0)
         batch._bind(*self._pointed_tables)
@@ -112,15 +130,20 @@ class MemberBatch:
         )
         return failed_count if failed_count >= 0 else raise_outcome(failed_count)
 
-    def bound_advance(
-        self, layout: Layout, schedule: bytes, saved: NamedArrays, state: NamedArrays, steps: int, stop: StopFlag
-    ) -> Callable[[], int]:
-        """Return a function that takes the steps 1 to `steps`, for many calls with the same arrays.
+    def whole_run(self, layout: Layout, schedule: bytes) -> Callable[[Any], int]:
+        """Return a function that takes all steps of a run, for many calls.
 
-        It returns the number of failed members, or a negative outcome for `raise_outcome`.
+        Its argument is the address of the arrays in one allocation: the saved ones, then the state. It returns the
+        number of failed members, or a negative outcome for `raise_outcome`. If the initial momenta are not all finite,
+        all members fail, and their results are not set.
         """
-        arrays = layout.address, schedule, saved.address, state.address
-        return partial(self._advance, *arrays, as_int64(0), as_int64(steps), stop.address)
+        schedule_memory = ctypes.create_string_buffer(schedule, len(schedule))
+        pointed = *self._pointed_tables, layout.table, schedule_memory, NEVER_STOPPED.flag
+        tables, watch, extent, schedule_address, stop = map(ctypes.addressof, pointed)
+        members, first, last, stride = (int(position.value or 0) for position in self._positions)
+        run = as_structure(WholeRun(tables, watch, members, first, last, stride, extent, schedule_address, stop))
+        run.kept = pointed, self._members
+        return partial(_loop(f"{self._name}_whole"), ctypes.byref(run))
 
 
 @cache

@@ -62,11 +62,11 @@ struct TaylorVariable final : OwnSteps {
         for (int64_t attempt = 0; attempt < ATTEMPTS; ++attempt) {
             scale_of(base) = std::copysign(whole_power_of_two(exponent), base.length);
             expand(scale_of(base));
-            const StepLength::Sizes sizes = rule.sizes([this](int64_t k) { return size_of_term(series, k); });
+            const auto sizes = rule.template sizes<Row>([this](int64_t k) { return sizes_in_term(series, k); });
             // If a term overflows, all following ones do, or their sum is NaN.
             const bool overflows = !(sizes.sum - sizes.sum == 0.0);
             const bool lost = !overflows && !enlarged && !(sizes.largest > TINY * largest_of(base));
-            const double first = overflows || lost ? size_of_term(series, 1) : 0.0;
+            const double first = overflows || lost ? sum_of_lanes(sizes_in_term(series, 1)) : 0.0;
             const double faster = first > 0.0 ? std::floor(near_log2(first) - near_log2(size)) : 0.0;
             if (overflows) {
                 exponent -= first - first == 0.0 && faster > 0.0 ? faster : FAR;
@@ -132,6 +132,8 @@ struct TaylorVariable final : OwnSteps {
     }
 
     void read(const Base& base) {
+        if (held) return;
+        held = true;
         double *to = reinterpret_cast<double*>(state.at), *left = reinterpret_cast<double*>(remainder.at);
         std::copy_n(base.x, size, to), std::copy_n(base.dx, size, left);
     }

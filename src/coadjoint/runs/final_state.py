@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy import ndarray
 from numpy.typing import NDArray
 
-from coadjoint.kernels.arrays import Layout, NamedArrays
-from coadjoint.kernels.loop import MemberBatch, StopFlag, raise_outcome
+from coadjoint.kernels.arrays import Layout, as_c_double
+from coadjoint.kernels.loop import MemberBatch, raise_outcome
 from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.runs.loops.loops import SystemLoops
 from coadjoint.runs.memory_estimate import check_run_memory
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times, is_same_span, is_unchangeable, span_of, times_between
 from coadjoint.systems.protocol import unforced_matrix_system
-from coadjoint.validation import FLOAT64, are_finite
+from coadjoint.validation import FLOAT64
 
 if TYPE_CHECKING:
     from coadjoint.runs.prepared_run import PreparedRun
@@ -34,9 +37,8 @@ class FinalStateRun:
     _loops: SystemLoops
     _layout: Layout
     _member_batch: MemberBatch | None
-    _saved: NamedArrays
-    _state: NamedArrays
-    _clear: Callable[[float], None]
+    _numbers: NDArray[np.float64]
+    _clear: Callable[[float], None] | None
     _momentum: NDArray[np.float64]
     _end: NDArray[np.float64]
     _evaluations: NDArray[Any]
@@ -44,29 +46,29 @@ class FinalStateRun:
     def __init__(self, prepared: PreparedRun) -> None:
         self._prepared, self._max_evaluations = prepared, prepared.most_evaluations
         self._shape = (prepared.system.dim,)
-        self._stop = StopFlag()
+        self._is_bounded = self._max_evaluations < math.inf
         self._span: Any = None
         self._h: float | None = None
         self._advance: Callable[[], int] | None = None
 
-    def __call__(self, x0: Any, t_span: Any) -> NDArray[np.float64] | None:
+    def end(self, x0: Any, t_span: Any) -> NDArray[np.float64] | None:
         """Return the final state; None if a full run is needed, for instance to raise the error."""
         if t_span is not self._span and not is_same_span(t_span, self._span):
             self._prepare_span(t_span)
-        if self._advance is None:
+        advance = self._advance
+        if advance is None:
             return None
         x: NDArray[np.float64] = x0
-        if type(x) is not np.ndarray or x.dtype is not FLOAT64 or x.shape != self._shape:
+        if type(x) is not ndarray or x.dtype is not FLOAT64 or x.shape != self._shape:
             momenta, single = momenta_of(self._prepared.system, x0)
             if not single:
                 return None
             x = momenta[0]
-        if not are_finite(x):
-            return None
-        self._clear(0.0)
-        self._momentum[:] = x
+        if self._clear is not None:
+            self._clear(0.0)
+        self._momentum[...] = x
         try:
-            failed_count = self._advance()
+            failed_count = advance()
             if failed_count < 0:
                 raise_outcome(failed_count)
         except BaseException as error:
@@ -76,7 +78,7 @@ class FinalStateRun:
             # The full run fails too; it reports the step, and raises the exceptions of user functions.
             self._loops.raised()
             return None
-        if self._max_evaluations < math.inf and self._evaluations[0] > self._max_evaluations:
+        if self._is_bounded and self._evaluations[0] > self._max_evaluations:
             return None
         return self._end.copy()
 
@@ -87,9 +89,8 @@ class FinalStateRun:
         if times.h != self._h:
             self._allocate(times)
         if self._member_batch is not None and times.steps:
-            schedule = schedule_of(*times[:4], False)
-            arrays = self._saved, self._state
-            self._advance = self._member_batch.bound_advance(self._layout, schedule, *arrays, times.steps, self._stop)
+            whole_run = self._member_batch.whole_run(self._layout, schedule_of(*times[:4], False))
+            self._advance = partial(whole_run, ctypes.byref(as_c_double(self._numbers)))
         if is_unchangeable(t_span):
             self._span = t_span
 
@@ -105,11 +106,11 @@ class FinalStateRun:
         check_run_memory(plan.layout, Times(times.t0, times.h, 1, 1), 1)
         if plan.layout.saved.size + plan.layout.state.size > MAX_CACHED_NUMBERS:
             return
-        self._loops, self._layout = loops, plan.layout
-        self._saved, self._state = NamedArrays(plan.layout.saved), NamedArrays(plan.layout.state)
+        self._loops, self._layout, self._numbers = loops, plan.layout, np.zeros(plan.layout.size)
+        saved, state = plan.layout.saved_in(self._numbers), plan.layout.state_in(self._numbers)
         ((self._member_batch,),) = plan.rounds
         # Accounts follow the coordinates, and start at zero.
         dim = self._shape[0]
-        self._clear = self._state["momenta"].fill
-        self._momentum, self._end = self._state["momenta"][0, :dim], self._saved["x"][1, 0, :dim]
-        self._evaluations = self._state["evaluations"]
+        self._clear = state["momenta"].fill if loops.accounts else None
+        self._momentum, self._end = state["momenta"][0, :dim], saved["x"][1, 0, :dim]
+        self._evaluations = state["evaluations"]

@@ -35,7 +35,7 @@ from coadjoint.runs.inputs import InputLoops, Inputs
 from coadjoint.runs.loops.batch_loops import BatchLoops
 from coadjoint.runs.loops.loops import Loops, SystemLoops
 from coadjoint.runs.memory_estimate import bytes_of_run
-from coadjoint.runs.one_round import solution_of_one_round
+from coadjoint.runs.one_round import solution_of_one_round, solution_of_short_run
 from coadjoint.runs.output_times import OutputTimes, check_partial_steps, output_times_of, resample
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.results.observables import Observed, check_observe
@@ -61,8 +61,9 @@ from coadjoint.systems.batch import Batch, selected
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.protocol import among, is_batch, member_of, unforced_matrix_system
 from coadjoint.systems.system_checks import System, check_system
-from coadjoint.validation import read_bool, read_integer
+from coadjoint.validation import FLOAT64, read_bool, read_integer
 
+ONE_VECTOR = 1, 0, 0  # shape of the group elements of a run of one vector without any
 MAX_THREADS_INSIDE = 1024  # most threads that share one member
 UNPICKLED = (
     "_lock",
@@ -133,6 +134,8 @@ class PreparedRun:
         self._vector_size = vector_size(self.system)
         self._recent_times = RecentTimes(self.step)
         self._recent_setup: RunSetup | None = None
+        one_vector = self._inputs is None and not self.observe and self._representations[0] is None
+        self._plain_shape = (self._vector_size,) if one_vector and self._vector_size is not None else None
 
     def __repr__(self) -> str:
         return f"<prepared run of {self.system!r} by {self.method}, step {self.step:g}>"
@@ -281,6 +284,21 @@ class PreparedRun:
             As in `integrate`.
         """
         began = time.perf_counter()
+        if (
+            type(x0) is np.ndarray
+            and x0.dtype is FLOAT64
+            and x0.shape == self._plain_shape
+            and not (t_eval is not None or attitude is not None or progress is not False or events is not None)
+            and not inputs
+        ):
+            # The short way of the most frequent case, once the setup is cached.
+            setup, times = self._recent_setup, self._recent_times.of(t_span, save_every)
+            if setup is not None and setup.times is times and setup.is_one_round and setup.groups == ONE_VECTOR:
+                solution = solution_of_short_run(self.system, self.method, setup, x0.copy(), began)
+                if solution is not None:
+                    if self._checks_step:
+                        self._check_step(solution)
+                    return solution
         progress = progress is not False and read_progress(progress)
         times, moments = self.times_of(t_span, save_every, t_eval)
         values = self.values_of(inputs) if inputs or self._inputs is not None else None
@@ -537,7 +555,7 @@ class PreparedRun:
             final_run = self._final_state_runs.pop()
         except IndexError:
             final_run = FinalStateRun(self)
-        state = final_run(x0, t_span)
+        state = final_run.end(x0, t_span)
         self._final_state_runs.append(final_run)
         return self.run(x0, t_span, ENDS_ONLY).x[-1] if state is None else state
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.memory_estimate import check_run_memory
-from coadjoint.runs.results.memory_record import MAX_STATE_NUMBERS
+from coadjoint.runs.results.memory_record import MAX_STATE_NUMBERS, RECORDED
 from coadjoint.runs.times import Times
 
 
@@ -42,20 +43,19 @@ class RunSetup:
         self.plan = loops.plan(*self._extent, workers)
         check_run_memory(self.plan.layout, times, groups[0])
         self.schedule = schedule_of(*times[:4], watching, *times[4:6], threads=inside)
-        self.recorded: dict[str, Any] = {
-            "watched": watching,
-            "times": times,
-            "saved_points": times.points,
-            "names": loops.names,
-            "accounts": loops.accounts,
-            "corrected_groups": loops.corrected_groups,
-            "events": None,
-            "ending": None,
-            "initial_values": None,
-        }
+        recorded = watching, times, times.points, loops.names, loops.accounts, loops.corrected_groups, None, None, None
+        self.recorded: dict[str, Any] = dict(zip(RECORDED, recorded, strict=True))
         special = loops.rows or loops.measures or loops.order is not None or loops.accounts or groups[1]
         small = self.plan.layout.state.size <= MAX_STATE_NUMBERS
         self.is_one_round = small and workers == 1 and not special and len(self.plan.rounds) == 1
+        self._whole_run: Callable[[Any], int] | None = None
+
+    @property
+    def whole_run(self) -> Callable[[Any], int]:
+        """The function that takes all steps of a run that `is_one_round`; see `MemberBatch.whole_run`."""
+        if self._whole_run is None:
+            self._whole_run = self.plan.rounds[0][0].whole_run(self.plan.layout, self.schedule)
+        return self._whole_run
 
     def with_times(self, times: Times) -> RunSetup:
         """Return the setup of the same runs for other times."""
@@ -73,7 +73,7 @@ class RunSetup:
 
     def _copy(self) -> RunSetup:
         setup: RunSetup = object.__new__(RunSetup)
-        setup.__dict__.update(self.__dict__)
+        setup.__dict__.update(self.__dict__, _whole_run=None)
         return setup
 
     def with_events(self, events: int) -> RunSetup:

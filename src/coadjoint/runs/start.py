@@ -53,6 +53,11 @@ class Start(NamedTuple):
         return "coadjoint" if isinstance(self.representation, str) else "representation"
 
 
+def start_of_vector(system: Any, momenta: NDArray[np.float64]) -> Start:
+    """Return the start of one vector without a group element; it is not validated."""
+    return Start(momenta[None], no_groups(1), None, True, system)
+
+
 def start_of(system: System | Batch, method: Method, x0: Any, attitude: Any) -> Start:
     """Validate x0 and attitude, as in `integrate`, for a system and a scheme; return copies."""
     check_system(system)

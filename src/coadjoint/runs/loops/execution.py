@@ -11,14 +11,11 @@ from typing import Any, TypeVar
 
 from coadjoint.kernels.arrays import Layout, NamedArrays
 from coadjoint.kernels.interface import codes
-from coadjoint.kernels.loop import MemberBatch, StopFlag
+from coadjoint.kernels.loop import NEVER_STOPPED, MemberBatch, StopFlag
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.loops import Loops
 
 BatchT = TypeVar("BatchT")
-NEVER_STOPPED = StopFlag()
-"""Flag of runs in the calling thread, which no other thread stops."""
-
 Task = tuple[Callable[[], None], "SimpleQueue[None]"]
 
 POLLING_SECONDS = 0.01  # while threads stop

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.runs.results.run_record import FROM_TIMES, RunRecord, Statistics
+from coadjoint.runs.start import start_of_vector
 from coadjoint.systems.protocol import states_of
 
 if TYPE_CHECKING:
@@ -25,6 +26,18 @@ if TYPE_CHECKING:
 # Arrays that a record copies from a large state of a run; a small state is shared, since copying takes a step's time.
 REPORTED_ARRAYS = ("worst", "status", "evaluations", "iterations")
 MAX_STATE_NUMBERS = 2**20
+# Fields of records that are the same for all runs of a setup.
+RECORDED = (
+    "watched",
+    "times",
+    "saved_points",
+    "names",
+    "accounts",
+    "corrected_groups",
+    "events",
+    "ending",
+    "initial_values",
+)
 
 
 def record_of_run(run: Run, saved_points: int, observed: Observed | None) -> RunRecord:
@@ -57,6 +70,32 @@ def record_of_arrays(
         "elapsed": seconds,
     }
     return RunRecord(IN_MEMORY, fields)
+
+
+def record_of_short_run(
+    setup: RunSetup,
+    method: Method,
+    system: Any,
+    momenta: NDArray[np.float64],
+    numbers: NDArray[np.float64],
+    seconds: float,
+    elapsed: float,
+) -> RunRecord:
+    """Return the record of a run of one vector without a group element, whose arrays are in one allocation.
+
+    What other records are given is made on first use.
+    """
+    fields = {
+        "shared": setup.recorded,
+        "layout": setup.plan.layout,
+        "method": method,
+        "given_system": system,
+        "momenta": momenta,
+        "numbers": numbers,
+        "seconds": seconds,
+        "elapsed": elapsed,
+    }
+    return RunRecord(OF_SHORT_RUN, fields)
 
 
 def _saved(record: RunRecord, name: str) -> NDArray[Any]:
@@ -155,4 +194,23 @@ IN_MEMORY: Mapping[str, Callable[[RunRecord], Any]] = {
     "failed": lambda record: None if record.start.single else record.state["status"] != 0,
     "stats": _stats,
     "worst": lambda record: record.state["worst"][0] if record.start.single else record.state["worst"],
+}
+
+
+def _shared(name: str) -> Callable[[RunRecord], Any]:
+    return lambda record: record.shared[name]
+
+
+def _x_of_short_run(record: RunRecord) -> NDArray[np.float64]:
+    saved = record.layout.saved
+    return record.numbers[saved.slices["x"]].reshape(saved.shapes["x"])[:, 0]
+
+
+OF_SHORT_RUN: Mapping[str, Callable[[RunRecord], Any]] = {
+    **IN_MEMORY,
+    **{name: _shared(name) for name in RECORDED},
+    "x": _x_of_short_run,
+    "start": lambda record: start_of_vector(record.given_system, record.momenta),
+    "saved": lambda record: record.layout.saved_in(record.numbers),
+    "state": lambda record: record.layout.state_in(record.numbers),
 }

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import xarray
 
-    from coadjoint.kernels.arrays import NamedArrays
+    from coadjoint.kernels.arrays import Layout, NamedArrays
     from coadjoint.methods.protocol.method import Method
     from coadjoint.runs.events import RecordedEvents, TerminalEvent
     from coadjoint.runs.loops.loops import GroupCorrection
@@ -113,6 +113,8 @@ class RunRecord(RunAttributes):
     given_system, saved, state, saved_points, names, seconds, elapsed,
         corrected_groups, initial_values
         In memory: the system or a function that builds it, the arrays of the loops, and what is needed to read them.
+    shared, layout, momenta, numbers
+        Of short runs, from which the former are made: fields of all runs of a setup, and the arrays in one allocation.
     path, attributes, arrays, read, inputs, arguments
         Of stored runs: place, attributes and arrays; a function that reads an entire array; a function that returns
         the arguments of `integrate`, and its result.
@@ -140,6 +142,11 @@ class RunRecord(RunAttributes):
     elapsed: float
     corrected_groups: GroupCorrection
     initial_values: NDArray[np.float64] | None
+
+    shared: Mapping[str, Any]
+    layout: Layout
+    momenta: NDArray[np.float64]
+    numbers: NDArray[np.float64]
 
     arrays: Mapping[str, Any]
     read: Callable[[str], NDArray[Any]]

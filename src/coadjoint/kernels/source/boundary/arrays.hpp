@@ -44,6 +44,12 @@ struct Arrays : Extent {
         at = state;
         STATE_ARRAYS(ASSIGN_ARRAY)
     }
+
+    // Both kinds in one block.
+    Arrays(const Extent& extent, double* at) : Extent(extent) {
+        SAVED_ARRAYS(ASSIGN_ARRAY)
+        STATE_ARRAYS(ASSIGN_ARRAY)
+    }
 };
 
 constexpr char saved_arrays[] = "arrays saved:" SAVED_ARRAYS(DESCRIBE_ARRAY) "\n";

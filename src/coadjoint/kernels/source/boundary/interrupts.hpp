@@ -37,7 +37,7 @@ class InterruptCheck {
     const int64_t* stop;
     void* thread;
     InterruptCheck* const outer;  // of the enclosing call: a step written in Python may run another loop
-    Clock::time_point next;
+    Clock::time_point next{};  // of the next signal check, once the clock has been read
 
     void check();
 };

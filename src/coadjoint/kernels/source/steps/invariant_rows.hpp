@@ -133,20 +133,22 @@ struct InvariantRows {
     double second_derivative(size_t a, double largest) const {
         double total = 0.0;
         for (const auto& [exponent, factor] : second_derivatives[a])
-            total += factor * power(largest, uint32_t(exponent));
+            total += exponent == 0 ? factor : factor * power(largest, uint32_t(exponent));
         return total;
     }
 
     // The sum of the sizes of all terms of x . dC/dx, to which the rounding of C is proportional, even if terms of a
     // dC/dx_i cancel.
-    NOINLINE double terms_of(size_t a, const Row* x) const {
+    double terms_of(size_t a, const Row* x) const { return terms_of(a, Newest<0, W>(x), x); }
+    template <class Take>
+    NOINLINE double terms_of(size_t a, const Take& newest, const Row* x) const {
         Row total(0.0);
         for (int64_t row = invariants[a].first; row < invariants[a].last; ++row) {
             Row rising = absolute(load<Row>(offsets.data() + row * W));
             for (int64_t e = linear.first[row]; e < linear.first[row + 1]; ++e)
-                rising = fma(absolute(linear.at.at[e].weight), absolute(Newest<0, W>(x)(linear.at.at[e].left)), rising);
+                rising = fma(absolute(linear.at.at[e].weight), absolute(newest(linear.at.at[e].left)), rising);
             for (int64_t s = products.first[row]; s < products.first[row + 1]; ++s)
-                rising = rising + products.sum_of_sizes(products.segments[s], x);
+                rising = rising + products.sum_of_sizes(products.segments[s], newest);
             total = fma(absolute(x[block[row]]), rising, total);
         }
         double result = sum_of_lanes(total);

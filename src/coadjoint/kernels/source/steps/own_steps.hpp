@@ -38,6 +38,7 @@ struct OwnSteps : StepScheme {
     int64_t reach(double* x, double* dx, double* group, double* dgroup, double t0, int64_t number, double h,
                   InterruptCheck& interrupts) {
         const Base base = read(memory);
+        held = false;
         if (!(memory[0] == memory[0])) {
             std::fill_n(memory, memory_size, 0.0);
             std::copy_n(x, size, base.x), std::copy_n(dx, size, base.dx);
@@ -80,6 +81,7 @@ struct OwnSteps : StepScheme {
 
   protected:
     const int64_t size, square;
+    bool held = false;  // whether the scheme still has the state of the base, besides the memory
 
     // Each returns a status. Store the memory at the start, and propose the first step; `length` is signed.
     virtual int64_t begin(const Base& base, double t0) = 0;

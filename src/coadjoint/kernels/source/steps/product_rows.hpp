@@ -62,8 +62,8 @@ struct ProductRows {
     }
 
     // The sums of the absolute values of the products.
-    Row sum_of_sizes(const Segment& segment, const Row* x) const {
-        const Newest<0, W> newest(x);
+    template <class Take>
+    Row sum_of_sizes(const Segment& segment, const Take& newest) const {
         Row total(0.0);
         for (int64_t e = 0; e < segment.count; ++e) {
             Row product = segment.weight[e];

@@ -166,7 +166,7 @@ struct Projection {
                 total = b ? fma(x[b], whole, total) : x[b] * whole;
             }
             defect[i] = targets[i] - (rows.invariants[i].constant + 0.5 * sum_of_lanes(total));
-            all &= rounding_alone(i, defect[i], x, targets[R + i]);
+            all &= rounding_alone(i, defect[i], newest, x, targets[R + i]);
             residual += std::fabs(defect[i]);
         }
         return all;
@@ -174,11 +174,10 @@ struct Projection {
 
     // The largest coordinate, if second derivatives depend on it.
     INLINE double largest_of(const Row* x, int64_t blocks) const {
-        double largest = 0.0;
-        if (!rows.quadratic)
-            for (int64_t b = 0; b < blocks; ++b)
-                for (int lane = 0; lane < W; ++lane) largest = larger(largest, std::fabs(x[b][lane]));
-        return largest;
+        Row largest(0.0);
+        if (rows.quadratic) return 0.0;
+        for (int64_t b = 0; b < blocks; ++b) largest = larger(largest, absolute(x[b]));
+        return largest_lane(largest);
     }
 
     // Whether the error after a correction is within rounding. It is the second derivatives times the correction times
@@ -191,10 +190,11 @@ struct Projection {
     }
 
     // Whether the defect of an invariant is within rounding. The bound is recomputed if terms have grown.
-    INLINE bool rounding_alone(size_t a, double defect, const Row* x, double& least) {
+    template <class Take>
+    INLINE bool rounding_alone(size_t a, double defect, const Take& newest, const Row* x, double& least) {
         if (std::fabs(defect) <= least) return true;
         if (!(std::fabs(defect) <= 0x1p4 * least)) return false;
-        least = larger(least, EXACT * rows.terms_of(a, x));
+        least = larger(least, EXACT * rows.terms_of(a, newest, x));
         return std::fabs(defect) <= least;
     }
 
@@ -214,7 +214,7 @@ struct Projection {
         residual = 0.0;
         for (size_t a = 0; a < size; ++a) {
             defects[a] = targets[a] - rows.template value<with_gradient>(a, newest, x);
-            all &= rounding_alone(a, defects[a], x, targets[size + a]);
+            all &= rounding_alone(a, defects[a], newest, x, targets[size + a]);
             residual += std::fabs(defects[a]);
         }
         return all;

@@ -3,6 +3,7 @@
 // `coadjoint.methods.numerics.taylor_series` is the same in Python, operation by operation.
 #pragma once
 
+#include "field/row_lanes.hpp"
 #include "numbers/arithmetic.hpp"
 
 namespace coadjoint {
@@ -20,6 +21,47 @@ inline double near_log2(double a) {
     const double z = (mantissa - 1.0) / (mantissa + 1.0), zz = z * z;
     const double series = 2.885390081777927 + zz * (0.9617966939259757 + zz * (0.5770780163555854 + zz * 0.41219858311113244));
     return double(exponent) + z * series;
+}
+
+// The same for eight numbers, with the same bits.
+INLINE Lanes<8> near_log2(const Lanes<8>& a) {
+    typedef Lanes<8> Eight;
+    Eight exponent, mantissa;
+    for (int k = 0; k < Eight::count; ++k) {
+        const auto bits = (typename Eight::Unsigned)a.part[k];
+        exponent.part[k] = (typename Eight::Vector)((bits >> 52) | UNIT_OF_2_52) - (0x1p52 + 1023.0);
+        mantissa.part[k] =
+            (typename Eight::Vector)((bits & ((uint64_t(1) << 52) - 1)) | (uint64_t(1023) << 52));
+    }
+    const Eight z = (mantissa - Eight(1.0)) / (mantissa + Eight(1.0)), zz = z * z;
+    const Eight last = Eight(0.5770780163555854) + zz * Eight(0.41219858311113244);
+    const Eight series = Eight(2.885390081777927) + zz * (Eight(0.9617966939259757) + zz * last);
+    return select(exponent < Eight(-1022.0), Eight(-1022.0), exponent + z * series);
+}
+
+// The sums of the lanes of eight rows, with the bits of `sum_of_lanes`: of row k in lane 2 k, and of row 4 + k in lane
+// 2 k + 1.
+template <int W>
+INLINE Lanes<8> sums_of_lanes(const Lanes<W>* rows) {
+    Lanes<8> sums;
+#if defined(__AVX512F__)
+    if constexpr (W == 8) {
+        auto row = [&](int k) { return (__m512d)rows[k].part[0]; };
+        auto halves = [&](int k) {
+            return _mm512_add_pd(_mm512_shuffle_f64x2(row(k), row(k + 1), 0x44),
+                                 _mm512_shuffle_f64x2(row(k), row(k + 1), 0xEE));
+        };
+        auto quarters = [&](int k) {
+            const __m512d a = halves(k), b = halves(k + 2);
+            return _mm512_add_pd(_mm512_shuffle_f64x2(a, b, 0x88), _mm512_shuffle_f64x2(a, b, 0xDD));
+        };
+        const __m512d a = quarters(0), b = quarters(4);
+        sums.part[0] = (typename Lanes<8>::Vector)_mm512_add_pd(_mm512_unpacklo_pd(a, b), _mm512_unpackhi_pd(a, b));
+        return sums;
+    }
+#endif
+    for (int k = 0; k < 8; ++k) sums.set(k % 4 * 2 + k / 4, sum_of_lanes(rows[k]));
+    return sums;
 }
 
 // 2^whole, for integers from -1022 to 1023.
@@ -45,29 +87,35 @@ constexpr double NO_LIMIT = 900.0;  // a length beyond 2^900 is unlimited
 struct StepLength {
     const int64_t order, last, middle;  // the first of the last terms, and of those in the middle, 0 for none
     const double tolerance;             // its logarithm over the order
+    Lanes<8> divisors{0.0};             // the numbers of the last terms
 
     StepLength(int64_t order, double tolerance)
         : order(order), last(std::max<int64_t>(1, order + 1 - DECIDING)),
-          middle(order >= 2 * DECIDING ? order / 2 + 1 - DECIDING : 0), tolerance(near_log2(tolerance) / double(order)) {}
+          middle(order >= 2 * DECIDING ? order / 2 + 1 - DECIDING : 0), tolerance(near_log2(tolerance) / double(order)) {
+        for (int64_t k = 0; k < DECIDING; ++k) divisors.set(int(2 * k), double(last + k));
+    }
 
-    // The sizes of these terms.
+    // The sizes of these terms, as lanes: the last ones in the even lanes, and those in the middle in the odd ones.
     struct Sizes {
-        double last[DECIDING] = {0.0, 0.0, 0.0, 0.0}, largest = 0.0, sum = 0.0;  // of the last terms
-        double before = 0.0;                                                     // the largest of those in the middle
+        Lanes<8> terms;
+        double largest, before, sum = 0.0;  // the largest of either, and the sum of the last ones
     };
 
-    template <class SizeOf>
-    INLINE Sizes sizes(SizeOf size_of) const {
-        Sizes found;
-#pragma GCC unroll 4
+    // `row_of` returns the absolute values of a term, whose sum is its size.
+    template <class Row, class RowOf>
+    INLINE Sizes sizes(RowOf row_of) const {
+        Row rows[2 * DECIDING];
         for (int64_t k = 0; k < DECIDING; ++k) {
-            if (last + k > order) break;
-            const double term = found.last[k] = size_of(last + k);
-            found.largest = larger(found.largest, term), found.sum += term;
+            rows[k] = last + k <= order ? row_of(last + k) : Row(0.0);
+            rows[DECIDING + k] = middle > 0 ? row_of(middle + k) : Row(0.0);
         }
-        if (middle > 0)
-#pragma GCC unroll 4
-            for (int64_t k = 0; k < DECIDING; ++k) found.before = larger(found.before, size_of(middle + k));
+        Sizes found;
+        found.terms = sums_of_lanes(rows);
+        double sizes[2 * DECIDING];
+        store(sizes, found.terms);
+        found.largest = larger(larger(sizes[0], sizes[2]), larger(sizes[4], sizes[6]));
+        found.before = larger(larger(sizes[1], sizes[3]), larger(sizes[5], sizes[7]));
+        for (int64_t k = 0; k < DECIDING; ++k) found.sum += sizes[2 * k];
         return found;
     }
 
@@ -76,17 +124,19 @@ struct StepLength {
     // middle and the last terms: the truncation error is then less than the last term, and decaying components decay in
     // the series too.
     INLINE double logarithm(double size, const Sizes& terms) const {
-        const double whole = near_log2(size);
-        double radius = 2.0 * NO_LIMIT, of_largest = 0.0;
-#pragma GCC unroll 4
-        for (int64_t k = 0; k < DECIDING; ++k) {
-            const double one = near_log2(terms.last[k]);
-            if (terms.last[k] > 0.0) radius = smaller(radius, (whole - one) / double(last + k));
-            if (terms.last[k] == terms.largest) of_largest = one;
-        }
-        double length = radius + tolerance;
+        typedef Lanes<8> Eight;
+        const Eight logarithms = near_log2(terms.terms), unlimited(2.0 * NO_LIMIT);
+        const Eight radii = (Eight(near_log2(size)) - logarithms) / divisors;
+        double radius[2 * DECIDING];
+        // Odd lanes are in the middle, and have no limit.
+        store(radius, select((terms.terms > Eight(0.0)) & (divisors > Eight(0.0)), radii, unlimited));
+        double length = smaller(smaller(radius[0], radius[2]), smaller(radius[4], radius[6]));
+        length = smaller(length, 2.0 * NO_LIMIT) + tolerance;
         if (terms.largest > 0.0 && terms.before > 0.0) {
-            const double converging = (near_log2(terms.before) - of_largest) / double(order - order / 2);
+            const auto of = [&](double one) {
+                return largest_lane(select(terms.terms == Eight(one), logarithms, Eight(-2000.0)));
+            };
+            const double converging = (of(terms.before) - of(terms.largest)) / double(order - order / 2);
             length = smaller(length, converging - 1.0);
         }
         return larger(smaller(length, NO_LIMIT), -NO_LIMIT);
