@@ -215,6 +215,12 @@ def test_coefficients_of_schemes_are_those_of_their_steps():
     assert np.allclose([float(k) for k in row.groups()], [0.5 - 3**0.5 / 6, 0.25 - 3**0.5 / 6], rtol=0, atol=2**-52)
     assert "| backward | 0.20724538589718786 |" in pages["schemes/Splitting.md"]
     assert "| 3 | -0.657963087177503 |" in pages["schemes/LineSplitting.md"]
+    radau = re.search(r"\| 0\.33\S+ \| (\S+) \| (\S+) \|\n", pages["schemes/RadauEnergy.md"])
+    assert np.allclose([float(k) for k in radau.groups()], [5 / 12, -1 / 12], rtol=0, atol=2**-52)
+    assert f"\n{row[0]}" in pages["schemes/IsospectralGauss.md"]
+    commutator_free = pages["schemes/CommutatorFree.md"]
+    assert "| stage 4 | stage 2 | - 1/2 g1 + g3 |\n" in commutator_free
+    assert "| exponential 1 | - 1/12 g1 + 1/6 g2 + 1/6 g3 + 1/4 g4 |\n" in commutator_free
     assert "## Coefficients" not in pages["schemes/Kahan.md"]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator
+from fractions import Fraction
 from typing import Any
 
 import write_api
@@ -11,10 +12,14 @@ from formulas import in_markdown
 from system_pages import scheme_name
 
 import coadjoint as co
-from coadjoint.methods import registry
+from coadjoint.methods import commutator_free, registry
+from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre, radau
 
 SYSTEMS = "rigid_body", "heavy_top", "toda", "spin_lattice", "separable_cosh", "sklyanin", "sphere_euler"
 """Systems on which the declared properties are shown, one of each kind."""
+
+QUADRATURES = {"RadauEnergy": radau, "IsospectralGauss": gauss_legendre}
+"""Nodes, weights and ratios of the coefficients to these, of schemes that are no plain Runge-Kutta methods."""
 
 NEEDED = "base", "coefficients", "order"
 """Parameters of which a scheme has no default."""
@@ -74,7 +79,7 @@ def _coefficients(examples: list[Any]) -> Iterator[str]:
     """Yield the section of coefficients: tableaux, sweeps and substeps of the examples that have them."""
     tables = {}
     for example in examples:
-        if lines := list(_tableau(example) or _sweeps(example) or _substeps(example)):
+        if lines := list(_tableau(example) or _sweeps(example) or _exponentials(example) or _substeps(example)):
             tables.setdefault(tuple(lines), text_of(example))
     if not tables:
         return
@@ -87,14 +92,35 @@ def _coefficients(examples: list[Any]) -> Iterator[str]:
 
 def _tableau(scheme: Any) -> list[str]:
     """Return the Butcher tableau of a Runge-Kutta method: nodes, weights and the matrix of the stages."""
-    if not callable(getattr(scheme, "coefficients", None)):
+    if quadrature := QUADRATURES.get(type(scheme).__name__):
+        nodes, weights, mu = quadrature(scheme.stages)
+        matrix = mu * weights
+    elif callable(getattr(scheme, "coefficients", None)):
+        found = scheme.coefficients()
+        nodes, weights, matrix = found.node, found.scale * found.out, found.mix * found.scale
+    else:
         return []
-    found = scheme.coefficients()
-    rows = zip(found.node.tolist(), (found.mix * found.scale).tolist(), strict=True)
-    body = [f"| {c!r} | {' | '.join(map(repr, row))} |" for c, row in rows]
-    weights = f"| b | {' | '.join(map(repr, (found.scale * found.out).tolist()))} |"
-    columns = len(found.node)
-    return [f"| c | {' | '.join(f'a{k + 1}' for k in range(columns))} |", "|---" * (columns + 1) + "|", *body, weights]
+    body = [f"| {c!r} | {' | '.join(map(repr, row))} |" for c, row in zip(nodes.tolist(), matrix.tolist(), strict=True)]
+    last = f"| b | {' | '.join(map(repr, weights.tolist()))} |"
+    columns = len(nodes)
+    return [f"| c | {' | '.join(f'a{k + 1}' for k in range(columns))} |", "|---" * (columns + 1) + "|", *body, last]
+
+
+def _exponentials(scheme: Any) -> list[str]:
+    """Return the exponentials of a commutator-free method: where each begins, and its combination of gradients."""
+    if not isinstance(scheme, commutator_free.CommutatorFree):
+        return []
+    stages, ends = commutator_free.SCHEMES[scheme.order]
+    rows = [f"| stage {k + 2} | stage {start + 1} | {_sum(row)} |" for k, (start, row) in enumerate(stages)]
+    for k, row in enumerate(ends):
+        begin = f"exponential {k}" if k else "stage 1"
+        rows.append(f"| new state, exponential {k + 1} of {len(ends)} | {begin} | {_sum(row)} |")
+    return ["| result | of | exponential of the step times, g the gradients at the stages |", "|---|---|---|", *rows]
+
+
+def _sum(row: list[Fraction]) -> str:
+    terms = (f"{'-' if a < 0 else '+'} {abs(a)} g{k + 1}" for k, a in enumerate(row) if a)
+    return " ".join(terms).replace(" 1 g", " g").removeprefix("+ ")
 
 
 def _sweeps(scheme: Any) -> list[str]:
