@@ -22,6 +22,7 @@ from coadjoint.kernels import compiling
 from coadjoint.kernels.library import FOLDER, SUFFIX, built_levels, level_in_use
 
 TESTS = Path(__file__).parent
+QEMU = shutil.which("qemu-x86_64") or shutil.which("qemu-x86_64-static")
 PROCESSORS = {"qemu64": 1, "Conroe": 1, "Nehalem": 1, "SandyBridge": 1, "Haswell": 3, "EPYC": 3, "max": 3}
 """The level of each processor of qemu; SandyBridge has AVX, and not AVX2."""
 COMPARED = ("Nehalem", "Haswell")
@@ -38,8 +39,8 @@ def missing() -> str:
     """Return the missing requirement in one sentence, or an empty string."""
     if platform.machine() != "x86_64":
         return "only x86-64 has levels"
-    if shutil.which("qemu-x86_64") is None:
-        return "qemu-x86_64 is missing: on Debian, `apt-get install qemu-user`"
+    if QEMU is None:
+        return "qemu-x86_64 is missing: on Debian, `apt-get install qemu-user-static`"
     if set(built_levels()) != set(compiling.levels()):
         return "not all levels are built: `make kernels COADJOINT_LEVELS=all`"
     return ""
@@ -47,7 +48,7 @@ def missing() -> str:
 
 def output(arguments: Sequence[str], processor: str = "") -> str:
     """Return the output of Python on an emulated processor, or on this one."""
-    emulated = ["qemu-x86_64", "-cpu", processor] if processor else []
+    emulated = [QEMU, "-cpu", processor] if QEMU and processor else []
     environment = {name: value for name, value in os.environ.items() if name != "COADJOINT_LEVEL"}
     if processor:
         environment |= {"OPENBLAS_CORETYPE": BLAS[PROCESSORS[processor]], "NPY_DISABLE_CPU_FEATURES": NUMPY}
