@@ -3,14 +3,15 @@
 python benchmarks/fluids.py [--sizes N ...] [--steps S] [--rounds R] [--threads T] [--quflow FOLDER]
 
 FOLDER holds the package `quflow` (https://github.com/klasmodin/quflow), which also needs h5py, appdirs and ducc0. Both
-take the same steps, of the length that quflow recommends, in turns; errors are against steps of a sixteenth of it.
+take the same steps, of the length that quflow recommends, in turns; errors are against steps of a sixteenth of it. Each
+time is the shortest of the rounds, and of the processor for one thread, so that other programs change it little. Runs
+of small matrices are timed over more steps.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import statistics
 import sys
 import time
 from collections.abc import Callable
@@ -19,6 +20,7 @@ from typing import Any
 
 ROTATION = 0.1 * 3.141592653589793  # of the fastest mode in a step: what quflow's `estimate_stepsize` recommends
 REFINED = 16
+MANY = 2 * 10**8  # over N^3: timed steps
 
 
 def arguments() -> argparse.Namespace:
@@ -51,21 +53,22 @@ def start(system: Any, seed: int) -> np.ndarray:
 
 def product(n: int) -> float:
     """Return the seconds of a product of two matrices."""
-    A = np.full((n, n), 1.0 + 1j)
-    return min(timed(lambda: A @ A)[1] for _ in range(20))
+    A, calls = np.full((n, n), 1.0 + 1j), max(1, 10**6 // n**3)
+    return min(timed(lambda: [A @ A for _ in range(calls)])[1] for _ in range(20)) / calls
 
 
 def timed(call: Callable[[], Any]) -> tuple[Any, float]:
-    begun = time.perf_counter()
+    clock = time.process_time if GIVEN.threads == 1 else time.perf_counter
+    begun = clock()
     found = call()
-    return found, time.perf_counter() - begun
+    return found, clock() - begun
 
 
-def contenders(system: Any, step: float, steps: int) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
-    """Return the solvers by name: from W to W at the end."""
+def contenders(system: Any, step: float) -> dict[str, Callable[[np.ndarray, int], np.ndarray]]:
+    """Return the solvers by name: from W to W after a number of steps."""
     ready = co.prepare(system, co.IsospectralGauss(stages=1), step, watch=False, threads=1)
-    found: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-        "coadjoint": lambda W: ready.run(W, (0.0, steps * step), save_every=steps).x[-1]
+    found: dict[str, Callable[[np.ndarray, int], np.ndarray]] = {
+        "coadjoint": lambda W, steps: ready.run(W, (0.0, steps * step), save_every=steps).x[-1]
     }
     if GIVEN.quflow:
         sys.path.insert(0, GIVEN.quflow)
@@ -73,38 +76,35 @@ def contenders(system: Any, step: float, steps: int) -> dict[str, Callable[[np.n
         from quflow.integrators.isospectral import isomp_fixedpoint
 
         seconds = step * hbar(system.algebra.N)
-        found["quflow"] = lambda W: isomp_fixedpoint(W.copy(), seconds, steps=steps)
-        found["quflow, to round-off"] = lambda W: isomp_fixedpoint(W.copy(), seconds, steps=steps, compsum=True)
+        found["quflow"] = lambda W, steps: isomp_fixedpoint(W.copy(), seconds, steps=steps)
+        found["quflow, to round-off"] = lambda W, steps: isomp_fixedpoint(W.copy(), seconds, steps=steps, compsum=True)
     return found
 
 
 def main() -> None:
     """Print a table of Markdown."""
-    print("| N | solver | ms a step (median) | coadjoint's share of it | in products of matrices | error at the end |")
+    print("| N | solver | ms a step | coadjoint's share of it | in products of matrices | error at the end |")
     print("|---|---|---|---|---|---|")
     times = []
     for n in GIVEN.sizes:
         system = co.systems.sphere_euler(N=n)
         W = start(system, GIVEN.seed)
         step = ROTATION / np.abs(system.spectrum(system.stream(W))).max()
-        solvers = contenders(system, step, GIVEN.steps)
+        solvers = contenders(system, step)
         fine = co.IsospectralGauss(stages=1)
         span, length = (0.0, GIVEN.steps * step), step / REFINED
         exact = co.integrate(system, W, t_span=span, step=length, method=fine, save_every=GIVEN.steps * REFINED).x[-1]
         taken: dict[str, list[float]] = {name: [] for name in solvers}
-        ends = {name: solve(W) for name, solve in solvers.items()}
+        ends = {name: solve(W, GIVEN.steps) for name, solve in solvers.items()}
+        steps = max(GIVEN.steps, MANY // n**3)
         for _ in range(GIVEN.rounds):
             for name, solve in solvers.items():
-                taken[name].append(timed(partial(solve, W))[1] / GIVEN.steps)
-        whole = product(n)
-        for name, seconds in taken.items():
-            share = statistics.median(a / b for a, b in zip(taken["coadjoint"], seconds, strict=True))
-            away = np.abs(ends[name] - exact).max() / np.abs(exact).max()
-            middle = statistics.median(seconds)
-            print(
-                f"| {n} | {name} | {1e3 * middle:.3g} | {share:.2f} | {middle / whole:.1f} | {away:.1e} |", flush=True
-            )
-        times.append(statistics.median(taken["coadjoint"]))
+                taken[name].append(timed(partial(solve, W, steps))[1] / steps)
+        whole, shortest = product(n), {name: min(seconds) for name, seconds in taken.items()}
+        for name, least in shortest.items():
+            share, away = shortest["coadjoint"] / least, np.abs(ends[name] - exact).max() / np.abs(exact).max()
+            print(f"| {n} | {name} | {1e3 * least:.3g} | {share:.2f} | {least / whole:.1f} | {away:.1e} |", flush=True)
+        times.append(shortest["coadjoint"])
     if len(times) > 1:
         exponent = np.polyfit(np.log(GIVEN.sizes), np.log(times), 1)[0]
         print(f"\nThe time of a step grows as N^{exponent:.2f}; {GIVEN.threads} BLAS thread(s).")
