@@ -65,7 +65,17 @@ def test_later_calls_have_every_attribute_of_the_first(system, method, x0, save_
         for name in ("casimirs", "initial"):
             ours, theirs = getattr(sol, name), getattr(first, name)
             assert list(ours) == list(theirs) and all(np.array_equal(ours[key], theirs[key]) for key in theirs), name
-        for name in ("watched", "step", "save_every", "t_span", "asked_span", "attitude", "carried", "failed", "events"):
+        for name in (
+            "watched",
+            "step",
+            "save_every",
+            "t_span",
+            "asked_span",
+            "attitude",
+            "carried",
+            "failed",
+            "events",
+        ):
             assert getattr(sol, name) == getattr(first, name), name
         assert sol.system is system or sol.system.name == system.name
         assert sol.stats.steps == 12 and sol.stats.evaluations == first.stats.evaluations

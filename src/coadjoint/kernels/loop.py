@@ -142,7 +142,7 @@ class MemberBatch:
         tables, watch, extent, schedule_address, stop = map(ctypes.addressof, pointed)
         members, first, last, stride = (int(position.value or 0) for position in self._positions)
         run = as_structure(WholeRun(tables, watch, members, first, last, stride, extent, schedule_address, stop))
-        run.kept = pointed, self._members
+        run.pointed = pointed, self._members
         return partial(_loop(f"{self._name}_whole"), ctypes.byref(run))
 
 
