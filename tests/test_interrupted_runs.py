@@ -192,6 +192,26 @@ def test_keyboard_interrupt_has_the_partial_solution(monkeypatch, options):
         assert np.array_equal(found.attitude, expected.attitude[:count])
 
 
+def test_keyboard_interrupt_of_a_later_call_has_the_partial_solution(monkeypatch):
+    """Later calls of a prepared run are one call of a loop; here the interrupt follows its last step."""
+    prepared, x0 = co.prepare(BODY, None, 0.125, threads=1), np.array(X)
+    expected = prepared.run(x0, (0, 10))
+    loop = prepared._recent_setup.whole_run
+
+    def interrupted(arrays):
+        assert loop(arrays) == 0
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(prepared._recent_setup, "_whole_run", interrupted)
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        prepared.run(x0, (0, 10))
+    found = stopped.value.partial
+    assert stopped.value.__notes__ == [
+        "The solution so far is the attribute partial of the error; archive= stores it on disk"
+    ]
+    assert np.array_equal(found.t, expected.t) and np.array_equal(found.x, expected.x)
+
+
 def test_interrupt_before_the_first_step(monkeypatch):
     def stop(*args):
         raise KeyboardInterrupt

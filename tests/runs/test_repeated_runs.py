@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from derivative_cases import wave, wave_curvature, wave_slope
 
 import coadjoint as co
 from coadjoint.runs import times
@@ -18,6 +19,8 @@ PUSHED = BODY.with_forces(co.forces.Torque(lambda t: np.array([t, 1.0 - t, t * t
 X = np.array([0.3, -0.8, 0.5])
 MANY = X * np.linspace(0.5, 1.0, 4)[:, None]
 BLOWN = np.array([1e150, 1e150, -1e150])
+WAVING = co.Quadratic([1.0, 0.5, 0.4]) + co.Separable({0: (wave, wave_slope, wave_curvature)})
+TIMED = co.LiePoissonSystem(co.algebras.so(3), WAVING, name="timed")
 SPANS = [
     (0.0, 0.25),
     (-0.0, 0.25),
@@ -86,6 +89,7 @@ class Case:
         yield X, SPANS[0], 1, {"linear": X}
         yield X, SPANS[0], 1, {"t_eval": [0.1, 0.2]}
         yield X, SPANS[0], 1, {"events": "x1"}
+        yield X, SPANS[0], 1, {"attitude": np.eye(3)}  # refused, unless one was prepared
         for _ in range(count):
             given = self.inputs[rng.integers(len(self.inputs))] if self.inputs else {}
             values = [
@@ -106,6 +110,7 @@ CASES = {
     "inputs": Case(co.Splitting(order=2), inputs=True),
     "inputs, tables of each member": Case(co.ReversibleSteps(co.Splitting(order=2)), inputs=True),
     "torque at times": Case(co.Splitting(order=2), PUSHED),
+    "H of the time": Case(co.GaussLegendre(2), TIMED),
 }
 
 

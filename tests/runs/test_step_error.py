@@ -214,6 +214,16 @@ def test_the_first_run_of_a_prepared_one_warns(options):
     assert prepared._loops_by_step.keys() == plain._loops_by_step.keys()
 
 
+def test_a_failed_run_leaves_the_warning_to_the_next():
+    """The setup of the failed run is cached, but no step was compared."""
+    prepared = co.prepare(BODY, co.GaussLegendre(1), 2.0)
+    with pytest.raises(co.IntegrationError, match="a number overflowed"):
+        prepared.run(1e300 * X0, (0, 20))
+    with pytest.warns(co.LargeStepWarning, match="the step 2 is too large for this motion") as caught:
+        prepared.run(X0, (0, 20))
+    assert len(caught) == 1 and caught[0].filename == __file__
+
+
 def test_warnings_of_ensembles_name_a_member():
     states = np.array([X0, 0.1 * X0, 10 * X0])
     with pytest.warns(co.LargeStepWarning, match="too large for the motion of member 2: "):
