@@ -80,9 +80,16 @@ def test_invariants_of_any_degree_in_any_number_of_coordinates(base, name, h):
     check_nearest_point(co.ExplicitRungeKutta(base), LARGE[name], h)
 
 
-def check_nearest_point(base, system, h):
+@pytest.mark.parametrize("name", LARGE)
+def test_invariants_where_all_coordinates_are_negative(name):
+    """The bound on what a correction leaves grows with the size of coordinates, whatever their sign."""
+    system = LARGE[name]
+    check_nearest_point(co.ExplicitRungeKutta("runge2"), system, 0.05, -0.2 - np.abs(start_of(system)))
+
+
+def check_nearest_point(base, system, h, x=None):
     """y - z is a combination of the gradients at the step z of the base, and the values at y are those at x."""
-    method, x = co.Projected(base), start_of(system)
+    method, x = co.Projected(base), start_of(system) if x is None else x
     z, y = co.stepper(system, base, h)(x), co.stepper(system, method, h)(x)
     invariants = [system.hamiltonian]
     invariants += [as_hamiltonian(C, system.dim) for C in system.casimirs.values() if isinstance(C, co.Polynomial)]

@@ -7,6 +7,7 @@
 // inverse transform.
 #include "boundary/interrupts.hpp"
 #include "matrices/circulants.hpp"
+#include "numbers/thread_team.hpp"
 #include "steps/step_scheme.hpp"
 
 namespace coadjoint {
@@ -58,7 +59,7 @@ struct LineSplitting final : StepScheme {
 
     // v of W: eight cyclic diagonals side by side. Those of -d are minus the conjugates of those of d.
     void to_modes(const Complex* W) {
-        share_transforms(eight, half / L + 1, [&](Fourier<Eight>& own, int64_t group) {
+        share_with_copies(eight, half / L + 1, [&](Fourier<Eight>& own, int64_t group) {
             ComplexNumber<Eight>* row = own.input();
             const int64_t first = group * L, lanes = std::min(L, half + 1 - first);
             std::fill_n(numbers_of(row[0]), 2 * L * n, 0.0);
@@ -85,7 +86,7 @@ struct LineSplitting final : StepScheme {
 
     // W += the increments of its modes, with compensation.
     void add_modes(double* x, double* dx) {
-        share_transforms(eight, half / L + 1, [&](Fourier<Eight>& own, int64_t group) {
+        share_with_copies(eight, half / L + 1, [&](Fourier<Eight>& own, int64_t group) {
             ComplexNumber<Eight>* row = own.input();
             const int64_t first = group * L, lanes = std::min(L, half + 1 - first);
             std::fill_n(numbers_of(row[0]), 2 * L * n, 0.0);
@@ -113,7 +114,7 @@ struct LineSplitting final : StepScheme {
     // The exact flow of the modes of one line.
     void flow(const Line& k, double h) {
         set_phases(k, h);
-        share_transforms(eight, groups, [&](Fourier<Eight>& own, int64_t group) {
+        share_with_copies(eight, groups, [&](Fourier<Eight>& own, int64_t group) {
             ComplexNumber<Eight>* row = own.input();
             const int64_t first = 1 + group * L, lanes = std::min(L, half + 1 - first);
             gather(k, first, lanes, row);

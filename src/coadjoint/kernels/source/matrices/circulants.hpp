@@ -17,20 +17,6 @@ inline const double* numbers_of(const ComplexNumber<Eight>& numbers) {
     return reinterpret_cast<const double*>(&numbers);
 }
 
-// Call `visit(transform, group)` for all groups of numbers to be transformed, on the threads of this member if there are
-// any. Each thread has a transform of its own.
-template <class Visit>
-void share_transforms(Fourier<Eight>& transform, int64_t groups, const Visit& visit) {
-    const auto each = [&](Fourier<Eight>& own, int64_t first, int64_t last) {
-        for (int64_t g = first; g < last; ++g) visit(own, g);
-    };
-    if (!team_of_this_thread) return each(transform, 0, groups);
-    share_blocks(groups, [&](int64_t first, int64_t last) {
-        Fourier<Eight> own(transform);
-        each(own, first, last);
-    });
-}
-
 template <class T>
 class Circulants {
   public:
@@ -53,7 +39,7 @@ class Circulants {
     int64_t work() const { return groups * (2 * fourier.work() + n) * SIDE_BY_SIDE; }
 
     void apply(const T* W, T* P) {
-        share_transforms(fourier, groups, [&](Fourier<Eight>& own, int64_t g) { apply(W, P, g, own); });
+        share_with_copies(fourier, groups, [&](Fourier<Eight>& own, int64_t g) { apply(W, P, g, own); });
     }
 
   private:

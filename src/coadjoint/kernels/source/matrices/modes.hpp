@@ -42,16 +42,8 @@ class Modes {
             int64_t work = 0;
             for (int64_t d = begin; d < end; ++d) work += work_of(d);
             InterruptCheck::of_this_call().after(work);
-            const auto each = [&](Memory& own, int64_t low, int64_t high) {
-                for (int64_t d = low; d < high; ++d) change(W, d, read, paired, move, own);
-            };
-            if (!team_of_this_thread) {
-                each(memory, begin, end);
-                continue;
-            }
-            share_blocks(end - begin, [&](int64_t low, int64_t high) {
-                Memory own(memory);
-                each(own, begin + low, begin + high);
+            share_with_copies(memory, end - begin, [&](Memory& own, int64_t d) {
+                change(W, begin + d, read, paired, move, own);
             });
         }
     }

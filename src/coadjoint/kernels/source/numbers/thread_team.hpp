@@ -176,6 +176,19 @@ INLINE void share_blocks(int64_t blocks, const Visit& visit) {
     visit(int64_t(0), blocks);
 }
 
+// Call `visit(memory, i)` for all i below `count`. Each thread of a team has a copy of the memory.
+template <class Memory, class Visit>
+inline void share_with_copies(Memory& memory, int64_t count, const Visit& visit) {
+    const auto each = [&](Memory& own, int64_t first, int64_t last) {
+        for (int64_t i = first; i < last; ++i) visit(own, i);
+    };
+    if (!team_of_this_thread) return each(memory, 0, count);
+    share_blocks(count, [&](int64_t first, int64_t last) {
+        Memory own(memory);
+        each(own, first, last);
+    });
+}
+
 // The sum of `part(first, last)` over blocks of `summed` elements, added in their order.
 template <class A>
 NOINLINE A sum_of_blocks(int64_t count, int64_t summed, const Called<A(int64_t, int64_t)>& part) {
