@@ -10,7 +10,9 @@ namespace coadjoint {
 #ifndef COADJOINT_UNROLLED
 #define COADJOINT_UNROLLED 24
 #endif
-constexpr int UNROLLED = COADJOINT_UNROLLED;
+// Rows of several vectors have several times the statements, which would take minutes to compile.
+template <int W>
+constexpr int UNROLLED = W <= NATIVE ? COADJOINT_UNROLLED : std::min(COADJOINT_UNROLLED, 8);
 
 template <int W>
 struct Series {
@@ -108,14 +110,14 @@ struct Series {
         ProductCache<register_count(K * E)> cached(field.products, factors.at, order);
         Newest<K, W> newest(x.at);
         stage<K, written_out, E, 0>(cached, newest, h);
-        for (int64_t k = UNROLLED; k < order; ++k) coefficient<K, written_out, E>(cached, newest, k, h);
+        for (int64_t k = UNROLLED<W>; k < order; ++k) coefficient<K, written_out, E>(cached, newest, k, h);
     }
 
     template <int K, bool written_out, int E, int k>
     INLINE void stage(ProductCache<register_count(K * E)>& cached, Newest<K, W>& newest, double h) {
         if (k == order) return;
         coefficient<K, written_out, E>(cached, newest, k, h);
-        if constexpr (k + 1 < UNROLLED) stage<K, written_out, E, k + 1>(cached, newest, h);
+        if constexpr (k + 1 < UNROLLED<W>) stage<K, written_out, E, k + 1>(cached, newest, h);
     }
 
     // The sums of a_j b_(k - j) for the orders k (even) and k + 1, as far as coefficients before k go. Both orders are
