@@ -80,27 +80,41 @@ INLINE double repeated_offset(const Terms& terms, int64_t row) {
     return terms.offset[terms.repeated == 2 ? int64_t(terms.shape[row]) : row];
 }
 
+// The rows row, row + stride, ... of one shape.
+template <bool whole, int stride, class A>
+INLINE void rows_of_shape(const Terms& terms, int64_t row, int64_t count, const A* __restrict x, A* __restrict out) {
+    const uint32_t shape = terms.shape[row], *target = terms.target + row;
+    bool of_spins = true;  // one component of spins in a row: their columns are read without their numbers
+    for (int64_t i = 0; i < count; ++i) of_spins &= target[stride * i] == target[0] + 3 * uint32_t(i);
+    for (int64_t i = 0; i < count; ++i)
+        out[stride * i] = whole ? A(repeated_offset(terms, row + stride * i)) : A(0.0);
+    for (uint32_t entry = terms.entry[shape]; entry < terms.entry[shape + 1]; ++entry) {
+        const A weight(terms.weight[entry]);
+        const uint32_t column = terms.column[entry];
+        const A* from = x + uint32_t(target[0] + column);
+        if (of_spins)
+            for (int64_t i = 0; i < count; ++i) out[stride * i] = fma(weight, from[3 * i], out[stride * i]);
+        else
+            for (int64_t i = 0; i < count; ++i)
+                out[stride * i] = fma(weight, x[uint32_t(target[stride * i] + column)], out[stride * i]);
+    }
+}
+
 // The rows start to stop - 1 of a table with `repeated`, bitwise as by `linear_row`; without offsets if not `whole`.
+// Shapes repeat from row to row, as in a flow, or every three rows, as in the energy of spins.
 template <bool whole, class A>
 NOINLINE void repeated_rows(const Terms& terms, int64_t start, int64_t stop, const A* __restrict x,
                             A* __restrict out) {
+    const uint32_t* shape = terms.shape;
     for (int64_t row = start, next; row < stop; out += next - row, row = next) {
-        const uint32_t shape = terms.shape[row], *target = terms.target + row;
         const int64_t limit = std::min(stop, row + ROW_BLOCK);
-        for (next = row + 1; next < limit && terms.shape[next] == shape;) ++next;
-        const int64_t count = next - row;
-        bool of_spins = true;  // one component of spins in a row: their columns are read without their numbers
-        for (int64_t i = 0; i < count; ++i) of_spins &= target[i] == target[0] + 3 * uint32_t(i);
-        for (int64_t i = 0; i < count; ++i) out[i] = whole ? A(repeated_offset(terms, row + i)) : A(0.0);
-        for (uint32_t entry = terms.entry[shape]; entry < terms.entry[shape + 1]; ++entry) {
-            const A weight(terms.weight[entry]);
-            const uint32_t column = terms.column[entry];
-            const A* from = x + uint32_t(target[0] + column);
-            if (of_spins)
-                for (int64_t i = 0; i < count; ++i) out[i] = fma(weight, from[3 * i], out[i]);
-            else
-                for (int64_t i = 0; i < count; ++i) out[i] = fma(weight, x[uint32_t(target[i] + column)], out[i]);
-        }
+        const int64_t stride = row + 3 < limit && shape[row + 1] != shape[row] && shape[row + 3] == shape[row] ? 3 : 1;
+        for (next = std::min(limit, row + stride); next < limit && shape[next] == shape[next - stride];) ++next;
+        if (stride == 1)
+            rows_of_shape<whole, 1>(terms, row, next - row, x, out);
+        else
+            for (int64_t first = 0; first < 3; ++first)
+                rows_of_shape<whole, 3>(terms, row + first, (next - row - first + 2) / 3, x, out + first);
     }
 }
 

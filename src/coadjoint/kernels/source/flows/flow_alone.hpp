@@ -56,7 +56,9 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
                                                                               SharedConstants{}, finisher);
     recorder.begin(member, SharedConstants{}, loop.k0);
     double *x = momenta.at, *dx = momenta.at + size;
-    std::copy_n(arrays.momenta + member * size, size, x);
+    shared_steps.begin_as_measured();
+    shared_copy(arrays.momenta + member * size, size, x);
+    shared_steps.end_as_measured();
     if (carried > size) std::copy_n(arrays.errors + member * size, size, dx);
     const Vectors<GroupRows> group{elements.at, elements.at + d * rows, rows, group_scratch.at};
     auto each_entry = [&](auto&& visit) {
@@ -154,7 +156,9 @@ void advance_alone(const FlowLoop& loop, int64_t member) {
     if (const int64_t earlier = recorder.flush()) failed = earlier;
     loop.arrays.evaluations[member] += rows_applied(tables, loop.k0, failed ? failed : loop.k1);
     if (failed) loop.overflow(member, failed);
-    std::copy_n(x, size, arrays.momenta + member * size);
+    shared_steps.begin_as_measured();
+    shared_copy(x, size, arrays.momenta + member * size);
+    shared_steps.end_as_measured();
     if (carried > size) std::copy_n(dx, size, arrays.errors + member * size);
     if constexpr (with_group)
         each_entry([&](int64_t to, int64_t from) {

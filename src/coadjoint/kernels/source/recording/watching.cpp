@@ -46,14 +46,17 @@ void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, c
         arrays.residual[member] = NAN;
         const double* x = arrays.momenta + member * arrays.size;
         const double t = start_of(schedule, member, 1);
+        SharedSteps shared_values(schedule.threads, arrays.size);
+        shared_values.begin_as_measured();
         for (int64_t i = 0; i < watch.size; ++i) {
             const double value = range.stride ? value_of(watch, MemberConstants{range.stride, position}, i, x, t,
                                                          y.data(), workspace.data())
                                               : value_of(watch, SharedConstants{}, i, x, t, y.data(), workspace.data());
             record_value(arrays, watch.size, i, 0.0, member, 0, slot, 0, true, value);
         }
+        if (slot >= 0) save_state(arrays, member, slot, arrays.size, x, 0);
+        shared_values.end_as_measured();
         if (slot < 0) continue;
-        save_state(arrays, member, slot, arrays.size, x, 0);
         std::copy_n(arrays.groups + member * arrays.square, arrays.square, arrays.group + member * arrays.square);
     }
 }
