@@ -2,6 +2,8 @@
 
 import copy
 import pickle
+import re
+from operator import attrgetter
 
 import numpy as np
 import pytest
@@ -17,7 +19,15 @@ from coadjoint.errors import (
     unknown_name,
 )
 from coadjoint.files.configuration.construction import ConfigurationError
-from coadjoint.keyword_hints import ATTRIBUTES, KEYWORDS, suggest_keywords, unknown_keyword
+from coadjoint.keyword_hints import (
+    ATTRIBUTES,
+    FUNCTIONS,
+    KEYWORDS,
+    PICTURES,
+    suggest_keywords,
+    unknown_keyword,
+)
+from coadjoint.pictures.register import kinds
 from guards import bounded_work
 
 
@@ -141,6 +151,16 @@ def test_hints_for_foreign_keywords_exist():
         first = answer.partition(",")[0].partition("(")[0].partition(" ")[0]
         assert hasattr(type(run), first) or hasattr(run, first), answer
         assert not hasattr(run, name), name
+
+
+def test_functions_that_hints_name_exist():
+    for answer in {*FUNCTIONS.values(), *KEYWORDS.values(), *ATTRIBUTES.values()}:
+        for name in re.findall(r"\bco\.([\w.]*\w)", answer):
+            attrgetter(name)(co)  # an AttributeError has the name
+        for name in re.findall(r"\bsol\.(\w+)", answer):
+            assert hasattr(co.Solution, name), answer
+    assert all("co." in answer for answer in FUNCTIONS.values())
+    assert set(PICTURES.values()) <= set(kinds())
 
 
 def test_unknown_keyword_names_valid_arguments():

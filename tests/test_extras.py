@@ -157,17 +157,41 @@ def test_modules_with_extras_are_imported_lazily():
     assert {name: used & needing for name, used in found.items() if used & needing and name not in needing} == {}
 
 
-@pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason="not a checkout")
-def test_extras_match_the_project():
+# Modules of packages that have other names on the index.
+MODULES = {"python-flint": "flint", "pillow": "PIL", "google-crc32c": "google_crc32c"}
+
+
+def declared_packages():
+    """Return the table [project] of pyproject.toml, and the modules of each extra."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    modules = {"python-flint": "flint", "pillow": "PIL", "google-crc32c": "google_crc32c"}
-    declared = {
-        extra: {modules.get(name := requirement.partition(">=")[0], name) for requirement in requirements}
+    return project, {
+        extra: {MODULES.get(name := requirement.partition(">=")[0], name) for requirement in requirements}
         for extra, requirements in project["optional-dependencies"].items()
     }
+
+
+@pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason="not a checkout")
+def test_one_extra_is_enough_for_the_command():
+    """Of packages that several extras need, `EXTRAS` names one extra; the others must have them too."""
+    _, declared = declared_packages()
+    parts = ("cli.py", "commands.py", "run_commands.py", "library_commands.py", "runs/progress.py")
+    used = {package for file, package in imported_packages() if file.startswith((*parts, "files/configuration/"))}
+    assert used & set(EXTRAS) == {"click", "tqdm", "pydantic"} <= declared["cli"]
+
+
+@pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason="not a checkout")
+def test_extras_match_the_project():
+    project, declared = declared_packages()
     assert all(package in declared[extra] for package, extra in EXTRAS.items())
     assert set().union(*(declared[extra] for extra in EXTRAS.values())) == set(EXTRAS)
     assert declared["all"] == {"coadjoint[functions,io,plot,cli,precision,algebra,fluids,cluster]"}
     assert "coadjoint[all]" in declared["dev"]
     needed = {requirement.partition(">=")[0] for requirement in project["dependencies"]}
-    assert {modules.get(name, name) for name in needed} == CORE - {"coadjoint"}
+    assert {MODULES.get(name, name) for name in needed} == CORE - {"coadjoint"}
+
+
+@pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason="not a checkout")
+def test_the_page_of_installation_lists_every_extra():
+    _, declared = declared_packages()
+    listed = re.findall(r"^\| `([\w-]+)` \|", (ROOT / "docs/installing.md").read_text(), re.MULTILINE)
+    assert sorted(listed) == sorted(set(declared) - {"dev", "docs", "bench", "bench-fortran"})

@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -80,6 +81,41 @@ def test_recipe_has_the_commands_of_the_project():
     )[1]
     declared = {f"{name} = {function}" for name, function in project()["project"]["scripts"].items()}
     assert {line[8:] for line in commands.splitlines()} == declared
+
+
+def test_wheels_of_every_platform_have_all_levels():
+    """The environment of a platform replaces the common one."""
+    table = project()["tool"]["cibuildwheel"]
+    platforms = {name: part for name, part in table.items() if name in ("linux", "macos", "windows")}
+    environments = {name: part.get("environment", table["environment"]) for name, part in platforms.items()}
+    environments["all"] = table["environment"]
+    assert {name for name, variables in environments.items() if variables.get("COADJOINT_LEVELS") != "all"} == set()
+    assert "CIBW_ENVIRONMENT" not in text_of(".github/workflows/wheels.yml"), "it would replace all of these"
+    assert re.search(r"^      COADJOINT_LEVELS: all$", text_of("packaging/conda/recipe.yaml"), re.MULTILINE)
+
+
+def test_wheels_have_all_but_the_sources_that_are_compiled():
+    """Steps of users are compiled with the headers, and lazy names are read from the stubs."""
+    patterns = project()["tool"]["scikit-build"]["wheel"]["exclude"]
+    source = ROOT / "src"
+    files = [path for path in source.rglob("*") if path.is_file() and "__pycache__" not in path.parts]
+    excluded = {
+        path for path in files if any(fnmatch(path.relative_to(source).as_posix(), pattern) for pattern in patterns)
+    }
+    assert excluded == {path for path in files if path.suffix == ".cpp"}
+
+
+def test_a_release_is_published_after_every_other_job():
+    """And only for a tag: a workflow that is started by hand builds and tests alone."""
+    triggers, _, rest = text_of(".github/workflows/wheels.yml").partition("\non:\n")[2].partition("\n\n")
+    assert triggers == '  push:\n    tags: ["v*"]\n  workflow_dispatch:'
+    jobs = dict(re.findall(r"^  ([\w-]+):\n((?:    .*\n|\n)+)", rest.partition("\njobs:\n")[2], re.MULTILINE))
+    publishing = {name for name, job in jobs.items() if re.search(r"id-token: write|pypi-publish", job)}
+    assert publishing == {"publish"} and {"version", "tests", "wheels", "source"} <= set(jobs)
+    needed = re.search(r"^    needs: \[(.*)\]$", jobs["publish"], re.MULTILINE)[1]
+    assert set(needed.split(", ")) == set(jobs) - publishing
+    assert "\n    if: github.event_name == 'push'\n" in jobs["publish"]
+    assert "\n    uses: ./.github/workflows/tests.yml" in jobs["tests"]
 
 
 def test_license_is_the_same_everywhere():

@@ -86,7 +86,6 @@ FUNCTIONS: Mapping[str, str] = {
     **dict.fromkeys(("plot", "figure", "show", "draw"), "sol.plot, of a solution of co.integrate"),
     **dict.fromkeys(("drift", "energy", "casimirs"), "an attribute of a solution of co.integrate, such as sol.drift()"),
     **dict.fromkeys(("RigidBody", "body", "HeavyTop", "top"), "in co.systems, such as co.systems.rigid_body"),
-    **dict.fromkeys(("ensemble",), "co.integrate with x0 of the shape (members, n), or co.integrate_ensemble"),
     **dict.fromkeys(("open", "read"), "co.load"),
     **dict.fromkeys(("monte_carlo", "metropolis", "sample", "thermalize", "sampler"), "co.thermal_states"),
     **dict.fromkeys(("structure_factor", "dispersion", "intensities"), "co.spectra.structure_factor"),

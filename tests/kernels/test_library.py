@@ -1,9 +1,11 @@
 """What is wrong with an installation, or with a table, is said in one sentence; an installation is never written to."""
 
 import os
+import platform
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -104,6 +106,17 @@ def test_only_higher_levels_were_built(monkeypatch, tmp_path):
     installed(monkeypatch, tmp_path, 3, (4,))
     message = refusal_of(library.kernels.__wrapped__)
     assert "are built for v4, but this processor can use v3, v1: build it by `COADJOINT_LEVELS=v3 pip" in message
+
+
+@pytest.mark.parametrize(
+    ("machine", "level"), [("x86_64", 3), ("AMD64", 3), ("aarch64", None), ("arm64", None), ("ARM64", None)]
+)
+def test_processors_with_levels_on_every_system(monkeypatch, machine, level):
+    """Windows names x86-64 AMD64, in capitals."""
+    functions = SimpleNamespace(processor_level=lambda: 3)
+    monkeypatch.setattr(platform, "machine", lambda: machine)
+    monkeypatch.setattr(library, "_load", {"_processor": functions}.__getitem__)
+    assert library.processor_level() == level
 
 
 INDEX = np.zeros(2, dtype=np.uint32)
