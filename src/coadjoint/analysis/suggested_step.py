@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.long_operations import long_operation
+from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.methods.numerics.short_orbit import rate_at
 from coadjoint.methods.protocol.method import Method, declared_properties
 from coadjoint.methods.registry import read_method
@@ -21,10 +22,14 @@ from coadjoint.validation import read_finite, read_positive
 
 # Radians of a trial run, and its least number of steps: those of whole radians are too few to find the largest change.
 RADIANS, STEPS = 128.0, 512
-# Trial steps are halved up to so many times; changes of much smaller steps follow from the order.
-HALVINGS = 8
-# Trial runs between two steps, and the change that suffices, relative to the bound.
-TRIALS, SUFFICIENT = 12, 0.999
+# Steps of the run that comes first, in which a step that is much too large is recognized.
+FIRST_STEPS = 8
+# Smallest trial step, in units of the time of one radian; changes of smaller steps follow from the order.
+SHORTEST = 2.0**-7
+# Most trial runs until the bound is met, and between two steps; the change that suffices, relative to the bound.
+MAX_REDUCTIONS, TRIALS, SUFFICIENT = 16, 12, 0.99
+# Largest difference of the observed order from that of the scheme at which changes of smaller steps follow from it.
+ORDER_TOLERANCE = 0.1
 
 
 @long_operation("suggest_step")
@@ -52,7 +57,8 @@ def suggest_step(
     -------
     float
         A positive step, from runs over 128 radians of the motion or 512 steps. It is at most the time in which the
-        motion turns by one radian. Steps below 1/256 of that time follow from the order of the scheme.
+        motion turns by one radian; if it is smaller, the energy usually changes by 99 to 100 per cent of the bound.
+        Steps below 1/128 of that time follow from the order of the scheme.
 
     Raises
     ------
@@ -87,31 +93,39 @@ def suggest_step(
 
 
 def _largest_step(system: LiePoissonSystem, method: Method, start: npt.NDArray[np.float64], bound: float) -> float:
-    rate = rate_at(system, start)
-    steps, changes = [1.0 / rate], []
-    ready = PreparedRun(system, method, steps[0], threads=1)
+    rate, order = rate_at(system, start), method.order
+    target, shortest = 0.5 * (1.0 + SUFFICIENT) * bound, SHORTEST / rate
+    ready = PreparedRun(system, method, 1.0 / rate, threads=1)
 
-    def change(h: float) -> float:
-        count = max(STEPS, math.ceil(RADIANS / (h * rate)))
+    def change_in(h: float, count: int) -> float:
         run = ready.begun(Times(0.0, h, count, count), ready.start(start))
         run.advance(False)
         largest = float(np.max(run.state["worst"][:, :, 0]))
         return largest if math.isfinite(largest) and not run.state["status"].any() else math.inf
 
-    for _ in range(HALVINGS):
+    def change(h: float) -> float:
+        """Return the largest change of the energy; infinite if a step fails, or half of it would be too large."""
+        note_progress(f"the change of the energy at the step {h:.3g}")
+        # Steps near the smallest one are tried in full, since those below are extrapolated from them.
+        if h > 2.0 * shortest and change_in(h, FIRST_STEPS) > 2.0**order * bound:
+            return math.inf
+        return change_in(h, max(STEPS, math.ceil(RADIANS / (h * rate))))
+
+    steps, changes = [1.0 / rate], [change(1.0 / rate)]
+    while changes[-1] > bound:
+        if steps[-1] <= shortest or len(steps) == MAX_REDUCTIONS:
+            return _extrapolated(steps, changes, bound, order)
+        steps.append(max(shortest, _smaller_step(steps, changes, target, order)))
         changes.append(change(steps[-1]))
-        if changes[-1] <= bound:
-            break
-        steps.append(0.5 * steps[-1])
-    else:
-        return _extrapolated(steps[:-1], changes, bound, method.order)
     if len(changes) == 1:
         return steps[0]
     (high, low), (above, below) = steps[-2:], changes[-2:]
     for _ in range(TRIALS):
-        if below >= SUFFICIENT * bound or not 0.0 < below < above < math.inf:
+        if below >= SUFFICIENT * bound or low >= SUFFICIENT * high or not 0.0 < below < above:
             break
-        h = low * (high / low) ** (math.log(bound / below) / math.log(above / below))
+        # Between a step and one at which the change is unknown, it follows from the order.
+        power = math.log(high / low) / math.log(above / below) if above < math.inf else 1.0 / order
+        h = min(low * (target / below) ** power, math.sqrt(low * high) if above == math.inf else high)
         found = change(h)
         if found <= bound:
             low, below = h, found
@@ -120,10 +134,29 @@ def _largest_step(system: LiePoissonSystem, method: Method, start: npt.NDArray[n
     return low
 
 
+def _smaller_step(steps: list[float], changes: list[float], target: float, order: int) -> float:
+    """Return the next trial step: that of the order, or half of the last unless its change follows the order."""
+    by_order = steps[-1] * (target / changes[-1]) ** (1.0 / order)
+    if len(steps) > 1 and abs(_observed_order(steps, changes, len(steps) - 1) - order) <= ORDER_TOLERANCE:
+        return by_order
+    return max(by_order, 0.5 * steps[-1])
+
+
+def _observed_order(steps: list[float], changes: list[float], k: int) -> float:
+    """Return the power of the step by which the change of a trial run differs from the previous one."""
+    if not 0.0 < changes[k] < math.inf or not 0.0 < changes[k - 1] < math.inf:
+        return math.inf
+    return math.log(changes[k - 1] / changes[k]) / math.log(steps[k - 1] / steps[k])
+
+
 def _extrapolated(steps: list[float], changes: list[float], bound: float, order: int) -> float:
     """Return the step for a bound below all changes, from the one near which they follow the order best."""
-    finite = [k for k in range(1, len(steps)) if 0.0 < changes[k] and changes[k - 1] < math.inf]
-    if not finite:
+    # A correction that is linear in h changes from h' to h by h' / h - 1 times its value at h.
+    deviations = [math.inf] + [
+        abs(_observed_order(steps, changes, k) - order) * math.log(ratio) / (ratio - 1.0)
+        for k, ratio in enumerate((a / b for a, b in pairwise(steps)), 1)
+    ]
+    k = int(np.argmin(deviations))
+    if not math.isfinite(deviations[k]):
         raise ValueError("the motion from x0 cannot be followed at any step; take another state")
-    k = min(finite, key=lambda k: abs(math.log2(changes[k - 1] / changes[k]) - order))
     return steps[k] * (bound / changes[k]) ** (1.0 / order)
