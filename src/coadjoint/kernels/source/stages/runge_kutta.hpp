@@ -117,8 +117,8 @@ struct Stages {
                 case KnownAlgebra::SO4_FULL: return settle_bracket<So4, true>(trust, next);
                 case KnownAlgebra::NONE: break;
             }
-        if constexpr (Layout::side_by_side)
-            if (blocks == 1) return settle_blocks<1>(active, trust, next);
+        // Up to eight lanes hold all stages, see `single_of`.
+        if (Layout::side_by_side && (lanes <= 8 || blocks == 1)) return settle_blocks<1>(active, trust, next);
         return settle_blocks<0>(active, trust, next);
     }
 
