@@ -41,8 +41,8 @@ struct Series {
         return order * W * (entries + order * int64_t(field.products.size() + field.factors.size()));
     }
 
-    // Set the coefficients x_1 h, ..., x_p h^p of the motion from x_0. Defined in series.cpp, since all cases of it take
-    // minutes to compile.
+    // Set the coefficients x_1 h, ..., x_p h^p of the motion from x_0. Defined in series.cpp, since its
+    // cases take long to compile.
     void expand(double h);
 
     // x_1 h + ... + x_p h^p of one block of rows: four sums, each from its smallest terms.
