@@ -1,4 +1,5 @@
 // Commutator-free Lie group methods: states and group elements moved by exponentials of combinations of gradients.
+#include "matrices/compiled_transforms.hpp"
 #include "matrices/isospectral.hpp"
 #include "steps/exponential.hpp"
 #include "steps/step_scheme.hpp"

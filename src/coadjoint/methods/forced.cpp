@@ -3,6 +3,7 @@
 #include <memory>
 
 #include "forces/force.hpp"
+#include "matrices/compiled_transforms.hpp"
 #include "matrices/invariants.hpp"
 #include "steps/inner_step.hpp"
 #include "steps/step_scheme.hpp"

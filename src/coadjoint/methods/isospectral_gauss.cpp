@@ -3,6 +3,7 @@
 // One stage: W = M - (h/2)[P, M] - (h^2/4) P M P is solved for the midpoint M with P = stream(M), and W += h [P, M].
 // Several: V_i = 1 + h sum_j a_ij P_j V_j, U_i = 1 - h sum_j a_ij U_j P_j, M_i = V_i W U_i, and W += h sum_i b_i [P_i,
 // M_i]. For skew-Hermitian matrices U_i = V_i*.
+#include "matrices/compiled_transforms.hpp"
 #include "matrices/isospectral.hpp"
 #include "matrices/skew_midpoint.hpp"
 

@@ -6,7 +6,7 @@
 // is the diagonal of the stream of the line: a Fourier transform along each coset d of the line, a product, and the
 // inverse transform.
 #include "boundary/interrupts.hpp"
-#include "matrices/circulants.hpp"
+#include "matrices/compiled_transforms.hpp"
 #include "numbers/thread_team.hpp"
 #include "steps/step_scheme.hpp"
 

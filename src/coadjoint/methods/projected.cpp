@@ -1,6 +1,6 @@
 // A step of another loop, and a projection to the level set of the energy and of the Casimirs.
+#include "steps/compiled_series.hpp"
 #include "steps/inner_step.hpp"
-#include "steps/projection.hpp"
 #include "steps/step_scheme.hpp"
 
 namespace coadjoint {

@@ -1,5 +1,5 @@
 // The Taylor series of the motion, and a projection to the level set of energy and Casimirs; with the group element.
-#include "steps/group_series.hpp"
+#include "steps/compiled_series.hpp"
 #include "steps/projection_lanes.hpp"
 #include "steps/series_lanes.hpp"
 #include "steps/step_scheme.hpp"

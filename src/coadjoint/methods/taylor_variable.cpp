@@ -1,9 +1,8 @@
 // The Taylor series of the motion over steps of lengths determined by the series, and a projection to the level set of
 // energy and Casimirs; with the group element.
+#include "steps/compiled_series.hpp"
 #include "steps/dense_series.hpp"
-#include "steps/group_series.hpp"
 #include "steps/own_steps.hpp"
-#include "steps/projection.hpp"
 #include "steps/step_length.hpp"
 
 namespace coadjoint {

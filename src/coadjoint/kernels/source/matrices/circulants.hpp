@@ -21,7 +21,7 @@ template <class T>
 class Circulants {
   public:
     // `columns`: for each cyclic diagonal up to (n - 1)/2 the first column of its matrix, even.
-    Circulants(int64_t n, const double* columns)
+    NOINLINE Circulants(int64_t n, const double* columns)
         : n(n), diagonals((n + 1) / 2), groups((diagonals + SIDE_BY_SIDE - 1) / SIDE_BY_SIDE), fourier(n),
           spectrum(n * groups) {
         ComplexNumber<Eight>* const row = fourier.input();
@@ -38,7 +38,7 @@ class Circulants {
 
     int64_t work() const { return groups * (2 * fourier.work() + n) * SIDE_BY_SIDE; }
 
-    void apply(const T* W, T* P) {
+    NOINLINE void apply(const T* W, T* P) {
         share_with_copies(fourier, groups, [&](Fourier<Eight>& own, int64_t g) { apply(W, P, g, own); });
     }
 

@@ -101,7 +101,7 @@ class Rader;
 template <class A>
 class Fourier {
   public:
-    explicit Fourier(int64_t n)
+    NOINLINE explicit Fourier(int64_t n)
         : n(n), factors(factors_of(n)), roots(roots_of_unity(n)), first(n), second(n), column(columns()) {
         for (int64_t p : factors)
             if (p > LARGEST_SUMMED) rader.emplace_back(p);
@@ -123,7 +123,7 @@ class Fourier {
 
     // Transform the numbers at x, and return the address of the result: x, or memory of this object. The contents of x
     // are lost.
-    ComplexNumber<A>* transform(ComplexNumber<A>* x) {
+    NOINLINE ComplexNumber<A>* transform(ComplexNumber<A>* x) {
         ComplexNumber<A>*from = x, *to = x == first.at ? second.at : first.at;
         int64_t stride = 1, convolution = 0;
         for (int64_t p : factors) {

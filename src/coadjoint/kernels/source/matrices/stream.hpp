@@ -36,7 +36,7 @@ class DiagonalMap {
     int64_t work() const { return circulants ? circulants->work() : 4 * n * n; }
 
     // With `upper`, of skew-Hermitian matrices, entries of P below the diagonal may be left out.
-    void apply(const T* W, T* P, bool upper) {
+    NOINLINE void apply(const T* W, T* P, bool upper) {
         if (kind == TRIDIAGONAL) solve(W, P);
         if (kind == MULTIPLIED) multiply(W, P);
         if (!upper && (kind == TRIDIAGONAL || kind == MULTIPLIED)) mirror(P);

@@ -72,10 +72,11 @@ struct Stages {
             return settle_group(found);
         }
         p.start_at_base();
-        Mask found = tables.solver == EXPLICIT ? one_by_one(active) : pass(active);
+        const bool explicitly = !Layout::side_by_side && tables.solver == EXPLICIT;  // see `one_at_a_time`
+        Mask found = explicitly ? one_by_one(active) : pass(active);
         if (d == 0) return found;
         g.start_at_base();
-        if (tables.solver == EXPLICIT) return group_one_by_one(found);
+        if (explicitly) return group_one_by_one(found);
         return tables.direct ? group_direct(found) : settle_group(found);
     }
 
@@ -91,18 +92,17 @@ struct Stages {
         std::swap(g.before.at, g.slopes.at);
     }
 
-    template <int64_t freeze>
-    INLINE void evaluate(int64_t low, int64_t high) {
+    INLINE void evaluate(int64_t low, int64_t high, int64_t freeze = NOT_FROZEN) {
         for (int64_t b = low; b < high; ++b) {
             const auto& lane_constants = Layout::constants(constants, b, s);
             A *x = p.points.at + b * n, *u = gradients.at + b * n;
-            if constexpr (freeze != GRADIENT) gradient(field, lane_constants, x, times.at[b], u, workspace);
+            if (freeze != GRADIENT) gradient(field, lane_constants, x, times.at[b], u, workspace);
             const A* momentum = freeze == STRUCTURE ? frozen.at + b * n : x;
             product(field, lane_constants, momentum, u, lengths.at[b], p.slopes.at + b * n, workspace);
         }
     }
 
-    NOINLINE void evaluate_all() { evaluate<NOT_FROZEN>(0, blocks); }
+    NOINLINE void evaluate_all() { evaluate(0, blocks); }
 
     // Iterate, the first `trust` iterations without convergence tests, and set `next` of converged lanes to the number
     // of iterations that the next step may trust.
@@ -117,8 +117,8 @@ struct Stages {
                 case KnownAlgebra::SO4_FULL: return settle_bracket<So4, true>(trust, next);
                 case KnownAlgebra::NONE: break;
             }
-        if constexpr (Layout::side_by_side)
-            if (blocks == 1) return settle_blocks<1>(active, trust, next);
+        // Up to eight lanes hold all stages, see `single_of`.
+        if (Layout::side_by_side && (lanes <= 8 || blocks == 1)) return settle_blocks<1>(active, trust, next);
         return settle_blocks<0>(active, trust, next);
     }
 
@@ -128,7 +128,7 @@ struct Stages {
         const int64_t count = known ? known : blocks;
         // Too large for the compiler to inline by itself.
         auto iterate = [&](auto watched) __attribute__((always_inline)) {
-            evaluate<NOT_FROZEN>(0, count);
+            evaluate(0, count);
             p.template update_points<decltype(watched)::value>(0, count, s);
         };
         const auto outcome = settle_by(p, active, count, n, trust, iterate,
@@ -148,10 +148,9 @@ struct Stages {
         return taken(outcome);
     }
 
-    template <int64_t freeze>
-    NOINLINE Mask settle_frozen(Mask active) {
+    NOINLINE Mask settle_frozen(Mask active, int64_t freeze) {
         return taken(settle(
-            p, active, [&] { evaluate<freeze>(0, blocks); },
+            p, active, [&] { evaluate(0, blocks, freeze); },
             [&](const Mask& over, bool last) { store_gradients(over, last); }));
     }
 
@@ -171,7 +170,7 @@ struct Stages {
     NOINLINE Mask one_by_one(Mask active) {
         for (int64_t j = 0; j < s; ++j) {
             if (j > 0) p.template update_points<false>(j, j + 1, j);
-            evaluate<NOT_FROZEN>(j, j + 1);
+            evaluate(j, j + 1);
         }
         iterations = iterations + double(s);
         return active;
@@ -187,16 +186,15 @@ struct Stages {
         iterations = iterations + double(tables.iterations + 1);
         if (tables.solver == ITERATED) return active;
         std::copy_n(p.points.at, blocks * n, frozen.at);
-        return tables.solver == STRUCTURE ? linear<STRUCTURE>(active) : linear<GRADIENT>(active);
+        return linear(active, tables.solver);
     }
 
-    template <int64_t freeze>
-    NOINLINE Mask linear(Mask active) {
-        if (!tables.direct) return settle_frozen<freeze>(active);
+    NOINLINE Mask linear(Mask active, int64_t freeze) {
+        if (!tables.direct) return settle_frozen(active, freeze);
         for (int64_t b = 0; b < blocks; ++b) {
             const auto& lane_constants = Layout::constants(constants, b, s);
             A* block = matrices.at + b * n * n;
-            if constexpr (freeze == STRUCTURE)
+            if (freeze == STRUCTURE)
                 structure_times_matrix(field, lane_constants, frozen.at + b * n, tables.quadratic, lengths.at[b], block,
                                        workspace);
             else
@@ -205,7 +203,7 @@ struct Stages {
         active = active & assemble(n);
         for (int64_t passed = 1; passed < REFINED; ++passed) {
             refine(p, n, 1);
-            evaluate<freeze>(0, blocks);
+            evaluate(0, blocks, freeze);
         }
         iterations = iterations + double(REFINED - 1);
         residual = select(active, V(0.0), V(std::numeric_limits<double>::infinity()));

@@ -10,6 +10,7 @@ namespace coadjoint {
 struct Single {
     double *x, *dx, *g, *dg;  // the momentum, the group element, and their compensations
     double newton = 0.0;      // number of further steps that begin with Newton's method
+    std::shared_ptr<const void> own_tables;  // with the constants of the member
 
     virtual ~Single() = default;
     // Compute the slopes of a substep: `iterations` and `evaluations` are increased, `residual` is the last correction.

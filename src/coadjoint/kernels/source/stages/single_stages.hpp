@@ -198,7 +198,7 @@ struct SingleStages : Stages<Layout, C> {
 
     // The structure is frozen: linear in the gradient.
     bool linear_in_gradient() {
-        return by_systems([&] { this->template evaluate<STRUCTURE>(0, blocks); },
+        return by_systems([&] { this->evaluate(0, blocks, STRUCTURE); },
                           [&](LinearWorkspace<A>& linear, const A* v, A* out) {
                               for (int64_t b = 0; b < blocks; ++b) {
                                   const auto& here = Layout::constants(constants, b, s);
@@ -212,7 +212,7 @@ struct SingleStages : Stages<Layout, C> {
 
     // The gradient is frozen: linear in the structure.
     bool linear_in_structure() {
-        return by_systems([&] { this->template evaluate<GRADIENT>(0, blocks); },
+        return by_systems([&] { this->evaluate(0, blocks, GRADIENT); },
                           [&](LinearWorkspace<A>&, const A* v, A* out) {
                               for (int64_t b = 0; b < blocks; ++b)
                                   product(field, Layout::constants(constants, b, s), v + b * n, gradients.at + b * n,

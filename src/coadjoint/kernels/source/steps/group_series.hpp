@@ -62,7 +62,7 @@ struct GroupSeries final : GroupMotion {
     std::vector<double> tails, sizes, moved;    // sums of norms of A; norms of P; the gradient of a part of a step
 
     template <class C>
-    GroupSeries(const GroupField& group, const C& constants, int64_t most)
+    NOINLINE GroupSeries(const GroupField& group, const C& constants, int64_t most)
         : size(group.size), blocks(blocks_of<V>(size)), most(most), longest(most + MORE_TERMS), begin{0}, first{0},
           A(most * size * blocks), terms(longest * size * blocks), change(size * blocks), from(size * blocks),
           to(size * blocks), remainder(size * blocks), tails(most + 1), sizes(longest + 1) {

@@ -48,7 +48,7 @@ struct InvariantRows {
     bool quadratic = true;  // all of them are
     bool bounded = true;    // all are written out
 
-    InvariantRows(const Watch& watch, const C& constants, int64_t n)
+    NOINLINE InvariantRows(const Watch& watch, const C& constants, int64_t n)
         : watch(watch), constants(constants), users(blocks_of<W>(n)), position(watch.terms.row[watch.terms.size], -1),
           before(watch.longest + 1), gradients(0) {
         for (int64_t i = watch.size; i-- > 0;) lay_out(i, n);

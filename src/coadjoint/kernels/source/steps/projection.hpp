@@ -30,14 +30,14 @@ struct Projection {
     int64_t corrections = 0;
     double residual = 0.0;
 
-    Projection(const Watch& watch, const C& constants, int64_t n)
+    NOINLINE Projection(const Watch& watch, const C& constants, int64_t n)
         : rows(watch, constants, n), size(rows.invariants.size()), defects(size), moved(blocks_of<W>(n)) {
         factors.analyse(rows.coupled());
     }
 
     // The target values, and the allowed defects.
     int64_t memory_size() const { return 2 * int64_t(size); }
-    void begin(const Row* x, double* targets) {
+    NOINLINE void begin(const Row* x, double* targets) {
         for (size_t a = 0; a < size; ++a) {
             targets[a] = rows.template value<true>(a, Newest<0, W>(x), x);
             targets[size + a] = EXACT * rows.terms_of(a, x);
@@ -45,7 +45,7 @@ struct Projection {
     }
 
     // Move x + dx back to the level set `targets` of all invariants; false without convergence.
-    bool restore(Row* x, Row* dx, int64_t blocks, double* targets) {
+    NOINLINE bool restore(Row* x, Row* dx, int64_t blocks, double* targets) {
         corrections = 0;
         if (rows.few) {
             if constexpr (W == 8)

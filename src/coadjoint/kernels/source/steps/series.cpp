@@ -2,7 +2,7 @@
 
 namespace coadjoint {
 
-// In `series_with_gradient.cpp`, since each of the two takes minutes to compile.
+// In `series_with_gradient.cpp`, so that two processors compile them.
 extern template void Series<4>::expand_written<false>(int64_t, double);
 extern template void Series<8>::expand_written<false>(int64_t, double);
 

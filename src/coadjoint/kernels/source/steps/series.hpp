@@ -1,6 +1,8 @@
 // The Taylor series of a motion with a polynomial field: x_(k+1) = h / (k + 1) * (the k-th coefficient of the field).
 #pragma once
 
+#include <utility>
+
 #include "steps/series_field.hpp"
 
 namespace coadjoint {
@@ -39,8 +41,8 @@ struct Series {
         return order * W * (entries + order * int64_t(field.products.size() + field.factors.size()));
     }
 
-    // Set the coefficients x_1 h, ..., x_p h^p of the motion from x_0. Defined in series.cpp, since all cases of it take
-    // minutes to compile.
+    // Set the coefficients x_1 h, ..., x_p h^p of the motion from x_0. Defined in series.cpp, since its
+    // cases take long to compile.
     void expand(double h);
 
     // x_1 h + ... + x_p h^p of one block of rows: four sums, each from its smallest terms.
@@ -109,15 +111,15 @@ struct Series {
     NOINLINE void expand_unrolled(double h) {
         ProductCache<register_count(K * E)> cached(field.products, factors.at, order);
         Newest<K, W> newest(x.at);
-        stage<K, written_out, E, 0>(cached, newest, h);
+        first_coefficients<K, written_out, E>(cached, newest, h, std::make_integer_sequence<int, UNROLLED<W>>());
         for (int64_t k = UNROLLED<W>; k < order; ++k) coefficient<K, written_out, E>(cached, newest, k, h);
     }
 
-    template <int K, bool written_out, int E, int k>
-    INLINE void stage(ProductCache<register_count(K * E)>& cached, Newest<K, W>& newest, double h) {
-        if (k == order) return;
-        coefficient<K, written_out, E>(cached, newest, k, h);
-        if constexpr (k + 1 < UNROLLED<W>) stage<K, written_out, E, k + 1>(cached, newest, h);
+    // One after the other, not by recursion, since the compiler would optimize the last ones in every level again.
+    template <int K, bool written_out, int E, int... k>
+    INLINE void first_coefficients(ProductCache<register_count(K * E)>& cached, Newest<K, W>& newest, double h,
+                                   std::integer_sequence<int, k...>) {
+        ((k < order && (coefficient<K, written_out, E>(cached, newest, k, h), true)) && ...);
     }
 
     // The sums of a_j b_(k - j) for the orders k (even) and k + 1, as far as coefficients before k go. Both orders are

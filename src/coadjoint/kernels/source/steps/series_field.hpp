@@ -21,7 +21,7 @@ struct SeriesField {
     std::vector<double> offsets;
 
     template <class C>
-    SeriesField(const Field& field, const C& constants, int64_t order)
+    NOINLINE SeriesField(const Field& field, const C& constants, int64_t order)
         : n(field.size), blocks(blocks_of<W>(n)), extended(blocks), offsets(blocks * W, 0.0), rows(n), gradients(n) {
         read_gradient(field.terms, constants);
         for (int64_t i = 0; i < n; ++i)
