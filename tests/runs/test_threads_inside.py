@@ -3,6 +3,7 @@
 import os
 import signal
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -249,6 +250,22 @@ def test_leading_exponents_of_many_coordinates_are_their_rates(fast, threads):
     np.testing.assert_allclose(found.exponents, [3.0, 2.0], rtol=0.0, atol=2.0**-53 * 16 / step)
 
 
+def test_equal_couplings_of_copies_have_the_same_bits():
+    """Rows of equal couplings repeat, and each copy has a block of its own: so(3) by e1, e1 + e2 and e1 + e2 + e3."""
+    skew = {(0, 1): {1: -1, 2: 1}, (0, 2): {0: 1, 1: -2, 2: 1}, (1, 2): {0: 2, 1: -1}}
+    algebra, n = co.LieAlgebra.from_brackets(3, skew), 3 * SPINS
+    own, others = np.tile([1.0, 0.8, 1.2], SPINS), np.full(n, 0.1)
+    M = sparse.dia_array((np.stack([others, own, others]), [-3, 0, 3]), shape=(n, n))
+    system = co.LiePoissonSystem(co.algebras.copies(algebra, SPINS), co.Quadratic(M), sign=-1, casimirs={})
+    assert co.prepare(system, METHODS["plain"], 0.01).loops(0.01).prepared.tables.terms.repeated
+    x0 = spins(17)
+    for compensated in (False, True):
+        alone, *others = (run(system, x0, threads, co.Splitting(compensated=compensated)) for threads in (1, 2, 7))
+        for shared in others:
+            np.testing.assert_array_equal(shared.x, alone.x)
+            np.testing.assert_array_equal(shared.energy, alone.energy)
+
+
 spirals = co.LieAlgebra.from_brackets(
     5, {(0, i): {i: 0.1, j: w} for i, j, w in ((1, 2, 1), (2, 1, -1), (3, 4, 1), (4, 3, -1))}
 )
@@ -384,6 +401,30 @@ def test_progress_and_resumed_stretches_have_the_same_bits(capsys):
     np.testing.assert_array_equal(run(system, x0, 3, progress=True).x, run(system, x0, 1).x)
     first = run(system, x0, 3, save_every=10**6).x[-1]
     np.testing.assert_array_equal(first, run(system, x0, 1, save_every=10**6).x[-1])
+
+
+CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
+
+
+@pytest.mark.skipif(CORES < 2, reason="one core, or how many there are is not known")
+@pytest.mark.parametrize("what", ["steps", "start"])
+def test_steps_and_the_energy_of_the_start_are_shared(what):
+    """Where that is faster, not every time on a busy machine; two of every 64 steps, which are little, in any case."""
+    system = co.systems.spin_lattice("square", (200, 200), periodic=True)
+    x0 = np.random.default_rng(18).standard_normal(system.dim)
+    ready = co.prepare(system, METHODS["plain"], 0.01, watch=False, threads=2)
+    for _ in range(100):
+        before = time.process_time() - time.thread_time(), time.process_time()
+        ready.run(x0, (0.0, 0.64), 64)
+        if what == "start":
+            time.sleep(0.01)  # until the threads no longer poll
+            before = time.process_time() - time.thread_time(), time.process_time()
+            for _ in range(32):
+                ready.run(x0, (0.0, 0.0))
+        others, whole = time.process_time() - time.thread_time() - before[0], time.process_time() - before[1]
+        if others > 0.12 * whole:
+            return
+    pytest.fail(f"the other thread took {others:.3g} s of {whole:.3g} s")
 
 
 def test_threads_wait_between_calls():
