@@ -406,6 +406,11 @@ def test_progress_and_resumed_stretches_have_the_same_bits(capsys):
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
 
 
+def seconds():
+    """Return the time, and the processor times of this thread and of all threads."""
+    return np.array([time.perf_counter(), time.thread_time(), time.process_time()])
+
+
 @pytest.mark.skipif(CORES < 2, reason="one core, or how many there are is not known")
 @pytest.mark.parametrize("what", ["steps", "start"])
 def test_steps_and_the_energy_of_the_start_are_shared(what):
@@ -413,18 +418,22 @@ def test_steps_and_the_energy_of_the_start_are_shared(what):
     system = co.systems.spin_lattice("square", (200, 200), periodic=True)
     x0 = np.random.default_rng(18).standard_normal(system.dim)
     ready = co.prepare(system, METHODS["plain"], 0.01, watch=False, threads=2)
-    for _ in range(100):
-        before = time.process_time() - time.thread_time(), time.process_time()
+    undisturbed, begun = 0, time.perf_counter()
+    while undisturbed < 50:
+        before = seconds()
         ready.run(x0, (0.0, 0.64), 64)
         if what == "start":
             time.sleep(0.01)  # until the threads no longer poll
-            before = time.process_time() - time.thread_time(), time.process_time()
+            before = seconds()
             for _ in range(32):
                 ready.run(x0, (0.0, 0.0))
-        others, whole = time.process_time() - time.thread_time() - before[0], time.process_time() - before[1]
-        if others > 0.12 * whole:
+        whole, own, all_threads = seconds() - before
+        if all_threads - own > 0.12 * all_threads:
             return
-    pytest.fail(f"the other thread took {others:.3g} s of {whole:.3g} s")
+        undisturbed += own > 0.8 * whole
+        if time.perf_counter() - begun > 60.0:
+            pytest.skip("other programs take the processors")
+    pytest.fail("steps on two threads are never faster than on one")
 
 
 def test_threads_wait_between_calls():
