@@ -249,6 +249,22 @@ def test_leading_exponents_of_many_coordinates_are_their_rates(fast, threads):
     np.testing.assert_allclose(found.exponents, [3.0, 2.0], rtol=0.0, atol=2.0**-53 * 16 / step)
 
 
+def test_equal_couplings_of_copies_have_the_same_bits():
+    """Rows of equal couplings repeat, and each copy has a block of its own: so(3) by e1, e1 + e2 and e1 + e2 + e3."""
+    skew = {(0, 1): {1: -1, 2: 1}, (0, 2): {0: 1, 1: -2, 2: 1}, (1, 2): {0: 2, 1: -1}}
+    algebra, n = co.LieAlgebra.from_brackets(3, skew), 3 * SPINS
+    own, others = np.tile([1.0, 0.8, 1.2], SPINS), np.full(n, 0.1)
+    M = sparse.dia_array((np.stack([others, own, others]), [-3, 0, 3]), shape=(n, n))
+    system = co.LiePoissonSystem(co.algebras.copies(algebra, SPINS), co.Quadratic(M), sign=-1, casimirs={})
+    assert co.prepare(system, METHODS["plain"], 0.01).loops(0.01).prepared.tables.terms.repeated
+    x0 = spins(17)
+    for compensated in (False, True):
+        alone, *others = (run(system, x0, threads, co.Splitting(compensated=compensated)) for threads in (1, 2, 7))
+        for shared in others:
+            np.testing.assert_array_equal(shared.x, alone.x)
+            np.testing.assert_array_equal(shared.energy, alone.energy)
+
+
 spirals = co.LieAlgebra.from_brackets(
     5, {(0, i): {i: 0.1, j: w} for i, j, w in ((1, 2, 1), (2, 1, -1), (3, 4, 1), (4, 3, -1))}
 )

@@ -19,6 +19,8 @@ from coadjoint.systems.lattices.neighbours import graph
 SIDE = 12  # of a cubic lattice, with more rows than MIN_ROWS
 SITES = SIDE**3
 RANDOM = np.random.default_rng(11)
+BOTH_WAYS = np.stack([np.arange(1499), np.arange(1, 1500)], axis=1)  # bonds of a chain, every second one backward
+BOTH_WAYS[::2] = BOTH_WAYS[::2, ::-1]
 FULL = np.array([[1.0, 0.1, 0.0], [0.2, -1.0, 0.3], [0.0, 0.0, 0.5]])
 LATTICES = {
     "periodic": ("cubic", (SIDE, SIDE, SIDE), {"periodic": True}),
@@ -26,6 +28,7 @@ LATTICES = {
     "on site": ("square", (48, 50), {"periodic": (True, False), "on_site": (0.0, 0.0, 0.3), "field": (0.1, 0.0, 0.2)}),
     "kagome": ("kagome", (30, 31), {"periodic": True, "field": RANDOM.standard_normal((2790, 3))}),
     "directed": ("chain", 1500, {"tensor": FULL, "dm": (0.0, 0.4, 0.0)}),
+    "both ways": (BOTH_WAYS, 1500, {"dm": (0.0, 0.0, 0.3)}),
     "one DM axis": ("square", (40, 41), {"periodic": True, "dm": (0.0, 0.0, 0.3)}),
     "DM by bond": ("chain", 1500, {"dm": np.tile([[0.0, 0.0, 0.2], [0.0, 0.0, -0.2]], (750, 1))[:1499]}),
     "disordered": ("cubic", (SIDE, SIDE, SIDE), {"exchange": RANDOM.standard_normal(3 * SIDE**2 * (SIDE - 1))}),
@@ -34,7 +37,7 @@ LATTICES = {
 }
 EXPLICIT = ("disordered",)
 # With shares of few angles, which the loops over flows read row by row, or of products of different components.
-SHORT_SHARES = ("one DM axis", "DM by bond", "diluted")
+SHORT_SHARES = ("one DM axis", "both ways", "DM by bond", "diluted")
 
 
 def lattice(name):

@@ -67,6 +67,18 @@ def test_member_in_lanes_equals_its_single_run(method, case, watch):
         assert_same(ensemble, member, run(states[member]))
 
 
+def test_compensated_group_elements_of_a_processed_scheme():
+    """Its finish, of many flows, starts from the rounding errors of the step, whatever was saved before."""
+    system, x0, _ = cases()["e(3), heavy top"]
+    states, span = ensemble_around(x0, 3), (0.0, STEPS * STEP)
+    method = co.Splitting(scheme="blanes_casas_murua6", compensated=True)
+    ensemble = co.integrate(system, states, span, STEP, method, save_every=EVERY, attitude=True)
+    for member, state in enumerate(states):
+        assert_same(ensemble, member, co.integrate(system, state, span, STEP, method, save_every=EVERY, attitude=True))
+        often = co.integrate(system, state, span, STEP, method, attitude=True)
+        assert np.array_equal(often.attitude[::EVERY], ensemble.attitude[:, member])
+
+
 @pytest.mark.parametrize("members", [1, 2, 3, 4, 31, 32, 33, 64, 67])
 def test_ensembles_of_any_size(members):
     system, x0, _ = cases()["e(3), heavy top"]
