@@ -33,8 +33,8 @@ class MemberTables {
     std::deque<std::vector<int64_t>> addresses;
 
     template <class T>
-    void take(std::deque<std::vector<T>>& kept, T*& table, int64_t count) {
-        std::vector<T>& own = kept.emplace_back(count);
+    void take(std::deque<std::vector<T>>& copies, T*& table, int64_t count) {
+        std::vector<T>& own = copies.emplace_back(count);
         for (int64_t i = 0; i < count; ++i) own[i] = table[i * constants.stride + constants.first];
         table = own.data();
     }
