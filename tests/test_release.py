@@ -83,6 +83,19 @@ def test_recipe_has_the_commands_of_the_project():
     assert {line[8:] for line in commands.splitlines()} == declared
 
 
+def test_recipe_builds_by_the_tools_of_the_project():
+    """On Windows by Clang, as the wheels are: the kernels do not compile by Microsoft's compiler."""
+    recipe, found = text_of("packaging/conda/recipe.yaml"), project()
+    build, _, host = recipe.partition("\n  build:\n")[2].partition("  run:\n")[0].partition("  host:\n")
+    assert '    - if: unix\n      then: ${{ compiler("cxx") }}\n      else: clangxx\n' in build
+    compiler = found["tool"]["cibuildwheel"]["windows"]["environment"]["CXX"]
+    assert f'      - if: win\n        then: set "CXX={compiler}"\n' in recipe
+    oldest = re.search(r"^cmake_minimum_required\(VERSION (.*)\)$", text_of("CMakeLists.txt"), re.MULTILINE)[1]
+    assert f"    - cmake >={oldest}\n" in build
+    listed = {line[6:].replace(" ", "") for line in host.splitlines() if line.startswith("    - ")}
+    assert set(found["build-system"]["requires"]) <= listed
+
+
 def test_wheels_of_every_platform_have_all_levels():
     """The environment of a platform replaces the common one."""
     table = project()["tool"]["cibuildwheel"]
@@ -92,6 +105,12 @@ def test_wheels_of_every_platform_have_all_levels():
     assert {name for name, variables in environments.items() if variables.get("COADJOINT_LEVELS") != "all"} == set()
     assert "CIBW_ENVIRONMENT" not in text_of(".github/workflows/wheels.yml"), "it would replace all of these"
     assert re.search(r"^      COADJOINT_LEVELS: all$", text_of("packaging/conda/recipe.yaml"), re.MULTILINE)
+
+
+def test_wheels_of_macos_are_for_a_system_with_aligned_allocation():
+    """Which the kernels need; 11.0 is the first system of Apple's own processors too."""
+    variables = project()["tool"]["cibuildwheel"]["macos"]["environment"]
+    assert tuple(map(int, variables["MACOSX_DEPLOYMENT_TARGET"].split("."))) >= (11, 0)
 
 
 def test_wheels_have_all_but_the_sources_that_are_compiled():

@@ -104,6 +104,14 @@ def test_gcc_of_windows_is_refused(tmp_path):
     assert "GCC does not align the stack of Windows for the vectors of the kernels: set CXX=clang++" in said
 
 
+@needs_tools
+def test_two_processors_of_macos_are_refused(tmp_path):
+    """Their kernels have different names: one library cannot hold both."""
+    status, said = configured(copied(tmp_path), "-DCMAKE_OSX_ARCHITECTURES=x86_64;arm64")
+    assert status != 0
+    assert "The kernels of two processors are not the same files: build for each of x86_64;arm64 alone" in said
+
+
 def test_options_of_other_systems_are_those_of_this_one(monkeypatch):
     """Spelled as zig reads them; the linker of macOS gets no list of exports."""
     monkeypatch.syspath_prepend(str(ROOT / "packaging/cross"))

@@ -2,6 +2,7 @@
 
 import os
 import platform
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -117,6 +118,13 @@ def test_processors_with_levels_on_every_system(monkeypatch, machine, level):
     monkeypatch.setattr(platform, "machine", lambda: machine)
     monkeypatch.setattr(library, "_load", {"_processor": functions}.__getitem__)
     assert library.processor_level() == level
+
+
+@pytest.mark.parametrize(("system", "suffix"), [("linux", ".so"), ("darwin", ".dylib"), ("win32", ".dll")])
+def test_suffix_is_that_of_the_build(monkeypatch, system, suffix):
+    """CMake's suffix of shared libraries on each system."""
+    monkeypatch.setattr(sys, "platform", system)
+    assert runpy.run_path(library.__file__)["SUFFIX"] == suffix
 
 
 INDEX = np.zeros(2, dtype=np.uint32)

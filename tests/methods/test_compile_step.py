@@ -272,6 +272,15 @@ def test_compilers_that_do_not_work(tmp_path, monkeypatch, command, said):
     assert list(tmp_path.rglob("*.so")) == []
 
 
+def test_messages_of_the_compiler_are_in_english(tmp_path, monkeypatch):
+    """In any language of the user: they are searched for errors and for the folders of headers."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("LC_ALL", "de_DE.UTF-8")
+    monkeypatch.setenv("CXX", failing(tmp_path, 'echo "own.cpp:1: error: in $LC_ALL" >&2; exit 1'))
+    with pytest.raises(ValueError, match=r"rejects it: own\.cpp:1: error: in C$"):
+        co.methods.compile_step(SOURCE)
+
+
 def test_no_compiler_is_installed(monkeypatch):
     monkeypatch.delenv("CXX", raising=False)
     monkeypatch.setattr(step_compiler, "_LAST_COMPILATIONS", {})
