@@ -107,6 +107,14 @@ def test_wheels_of_every_platform_have_all_levels():
     assert re.search(r"^      COADJOINT_LEVELS: all$", text_of("packaging/conda/recipe.yaml"), re.MULTILINE)
 
 
+def test_one_wheel_is_for_every_python():
+    """It is built by one Python alone; no library in it is linked with Python, or needs Microsoft's runtime."""
+    tools = project()["tool"]
+    assert tools["scikit-build"]["wheel"]["py-api"] == "py3"
+    assert re.fullmatch(r"cp\d+-\*", tools["cibuildwheel"]["build"])
+    assert "\nset(CMAKE_MSVC_RUNTIME_LIBRARY MultiThreaded)\n" in text_of("CMakeLists.txt")
+
+
 def test_wheels_of_macos_are_for_a_system_with_aligned_allocation():
     """Which the kernels need; 11.0 is the first system of Apple's own processors too."""
     variables = project()["tool"]["cibuildwheel"]["macos"]["environment"]
@@ -135,6 +143,26 @@ def test_a_release_is_published_after_every_other_job():
     assert set(needed.split(", ")) == set(jobs) - publishing
     assert "\n    if: github.event_name == 'push'\n" in jobs["publish"]
     assert "\n    uses: ./.github/workflows/tests.yml" in jobs["tests"]
+    called = text_of(".github/workflows/tests.yml").partition("\non:\n")[2].partition("\n\n")[0]
+    assert "  workflow_call:" in called.splitlines()
+
+
+def test_all_that_is_published_is_in_one_folder():
+    """Each artifact is downloaded into a folder of its own unless they are merged, and folders are not published."""
+    workflow = text_of(".github/workflows/wheels.yml")
+    download = re.search(r"^      - uses: actions/download-artifact@.*\n((?:        .*\n)+)", workflow, re.MULTILINE)[1]
+    assert {line.strip() for line in download.splitlines()} == {"with:", "path: dist", "merge-multiple: true"}
+    artifacts = re.findall(r"^          name: (.*)$", workflow, re.MULTILINE)
+    assert artifacts == ["wheel-${{ matrix.platform }}", "source"], "two of one name replace each other"
+    assert workflow.count("if-no-files-found: error") == len(artifacts)
+
+
+def test_site_of_the_last_release_is_found_by_its_tag():
+    """A checkout has no tags unless it is whole; without them the site of the release would be that of main."""
+    workflow = text_of(".github/workflows/site.yml")
+    assert "git describe --tags" in workflow
+    checkout = re.search(r"^      - uses: actions/checkout@.*\n((?:        .*\n)+)", workflow, re.MULTILINE)[1]
+    assert re.search(r"^          fetch-depth: 0\b", checkout, re.MULTILINE)
 
 
 def test_license_is_the_same_everywhere():

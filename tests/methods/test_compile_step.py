@@ -176,6 +176,7 @@ EDITS = {
     "header beside the header": lambda project: project.write("own/deep/three.hpp", "int other;\n"),
     "header of the library shadowed": lambda project: project.write("own/steps/step_scheme.hpp", "int other;\n"),
     "macro": lambda project: project.options("-DMACRO=four"),
+    "option that leaves the text alone": lambda project: project.options("-fwrapv"),
     "searched folders": lambda project: project.options(f"-isystem {project.folder}/first -DMACRO=five"),
     "compiler": lambda project: project.write("compiler", '#!/bin/sh\nexec c++ -DMACRO=six "$@"\n'),
     "link": link_turned,
