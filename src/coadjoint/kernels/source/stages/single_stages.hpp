@@ -21,9 +21,9 @@ struct LinearWorkspace {
         : derivatives(field), krylov(stages * size), input(blocks * size), output(blocks * size), none(size, 0.0) {}
 };
 
-template <class Layout, class C>
-struct SingleStages : Stages<Layout, C> {
-    typedef Stages<Layout, C> Base;
+template <class Layout>
+struct SingleStages : Stages<Layout, SharedConstants> {
+    typedef Stages<Layout, SharedConstants> Base;
     typedef typename Layout::A A;
     typedef Called<void()> Evaluate;
     typedef Called<void(LinearWorkspace<A>&, const A*, A*)> Multiply;
@@ -33,7 +33,7 @@ struct SingleStages : Stages<Layout, C> {
     using Base::taken, Base::evaluate_all, Base::settle_momentum, Base::settle_group, Base::evaluate_group;
     using Base::workspace, Base::trusted, Base::iterations, Base::residual, Base::solve, Base::begin, Base::save_slopes;
 
-    SingleStages(const RungeKuttaTables& tables, const C& constants) : Base(tables, constants) {}
+    SingleStages(const RungeKuttaTables& tables, const SharedConstants& constants) : Base(tables, constants) {}
 
     // Compute the slopes of a substep by one fallback after the other: starting at the base instead of an
     // extrapolation, by Newton's method or linear systems instead of function iteration. `newton` counts the further

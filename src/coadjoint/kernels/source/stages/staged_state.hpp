@@ -72,11 +72,11 @@ struct StagedState {
     }
 };
 
-template <class Layout, class C>
+template <class Layout>
 struct SingleOf final : Single {
-    StagedState<Layout, SingleStages<Layout, C>> state;
+    StagedState<Layout, SingleStages<Layout>> state;
 
-    SingleOf(const RungeKuttaTables& tables, const C& constants) : state(tables, constants) {
+    SingleOf(const RungeKuttaTables& tables, const SharedConstants& constants) : state(tables, constants) {
         x = state.x, dx = state.dx, g = state.g, dg = state.dg;
     }
     bool solve(double t, double h, int64_t part) override {
