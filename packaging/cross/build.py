@@ -35,7 +35,7 @@ LEFT_OUT = (
 )
 SHOWN = 60
 """Lines of the compiler that are shown."""
-QUICK = "-O0 -UCOADJOINT_UNROLLED -DCOADJOINT_UNROLLED=1"
+QUICK = "-O0 -DCOADJOINT_UNROLLED=2"
 SYSTEM_LIBRARIES = {
     "linux": r"(libc|libm|libpthread|libdl)\.so\.\d|ld-linux-.*\.so\.\d",
     "macos": r"/usr/lib/libSystem\.B\.dylib",

@@ -86,7 +86,7 @@ struct Taylor final : StepScheme {
     }
 
     StepSeries series_of_step() const override {
-        return {reinterpret_cast<const double*>(series.x.at), series.field.extended * W, series.order};
+        return {reinterpret_cast<const double*>(series.x.at), series.stride * W, series.order};
     }
 
     int64_t rotate(const double* x, double* g, double* dg, double h) {

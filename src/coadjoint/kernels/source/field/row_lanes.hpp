@@ -27,6 +27,16 @@ INLINE Lanes<W> take(const double* from, const Positions<W>& positions) {
         return taken;
     }
 #endif
+#if defined(__AVX2__)
+    // Each number is loaded into its half at once, faster than by an instruction that gathers.
+    const int64_t* at = positions.lane;
+    auto pair = [&](int lane) { return _mm_loadh_pd(_mm_load_sd(from + at[lane]), from + at[lane + 1]); };
+    if constexpr (W % 4 == 0 && Lanes<W>::width == 4) {
+        for (int k = 0; k < W / 4; ++k)
+            taken.part[k] = (typename Lanes<W>::Vector)_mm256_set_m128d(pair(4 * k + 2), pair(4 * k));
+        return taken;
+    }
+#endif
     for (int lane = 0; lane < W; ++lane) taken.set(lane, from[positions.lane[lane]]);
     return taken;
 }
@@ -57,39 +67,67 @@ INLINE Lanes<W> take(const Lanes<W>* from, const Positions<W>& positions) {
         }
         return taken;
     }
-#else
-    return take<W>(reinterpret_cast<const double*>(from), positions);
+#elif defined(__AVX2__)
+    if constexpr (W == 4 && K == 1) {
+        // There is a permutation of the halves of numbers only.
+        const __m256i index = _mm256_load_si256(reinterpret_cast<const __m256i*>(&positions));
+        const __m256i halves = _mm256_or_si256(_mm256_slli_epi64(index, 1), _mm256_slli_epi64(index, 33));
+        const __m256i both = _mm256_or_si256(halves, _mm256_set1_epi64x(int64_t(1) << 32));
+        Lanes<W> taken;
+        taken.part[0] = (typename Lanes<W>::Vector)_mm256_permutevar8x32_ps((__m256)from[0].part[0], both);
+        return taken;
+    }
 #endif
+    return take<W>(reinterpret_cast<const double*>(from), positions);
 }
 
 // Source of the numbers: K blocks in registers, or memory.
 template <int K, int W>
 struct Newest {
     Lanes<W> at[K];
+    INLINE explicit Newest(const double* from) { for (int b = 0; b < K; ++b) at[b] = load<Lanes<W>>(from + b * W); }
     INLINE explicit Newest(const Lanes<W>* from) { for (int b = 0; b < K; ++b) at[b] = from[b]; }
     INLINE Lanes<W> operator()(const Positions<W>& positions) const { return take<K>(at, positions); }
 };
 template <int W>
 struct Newest<0, W> {
     const double* at;
-    INLINE explicit Newest(const Lanes<W>* from) : at(reinterpret_cast<const double*>(from)) {}
+    INLINE explicit Newest(const double* from) : at(from) {}
+    INLINE explicit Newest(const Lanes<W>* from) : Newest(reinterpret_cast<const double*>(from)) {}
     INLINE Lanes<W> operator()(const Positions<W>& positions) const { return take<W>(at, positions); }
 };
+
+#if defined(__AVX2__)
+// The sums of the even and of the odd lanes, in the order of `sum_of_lanes`.
+template <int W>
+INLINE __m128d sums_of_every_second(const Lanes<W>& a) {
+    __m256d half;
+#if defined(__AVX512F__)
+    if constexpr (W == 8) {
+        const __m512d whole = (__m512d)a.part[0];
+        half = _mm256_add_pd(_mm512_castpd512_pd256(whole), _mm512_extractf64x4_pd(whole, 1));
+    } else {
+        half = (__m256d)a.part[0];
+    }
+#else
+    half = (__m256d)a.part[0];
+    if constexpr (W == 8) half = _mm256_add_pd(half, (__m256d)a.part[1]);
+#endif
+    return _mm_add_pd(_mm256_castpd256_pd128(half), _mm256_extractf128_pd(half, 1));
+}
+#endif
 
 // The sum of the lanes. Of eight, those at distance four are added first; then those at distance two, then one.
 template <int W>
 INLINE double sum_of_lanes(const Lanes<W>& a) {
+#if defined(__AVX2__)
+    const __m128d pair = sums_of_every_second(a);
+    return pair[0] + pair[1];
+#else
     if constexpr (W == 4) return (a[0] + a[2]) + (a[1] + a[3]);
-#if defined(__AVX512F__)
-    if constexpr (W == 8) {
-    const __m512d whole = (__m512d)a.part[0];
-    const __m256d half = _mm256_add_pd(_mm512_castpd512_pd256(whole), _mm512_extractf64x4_pd(whole, 1));
-    const __m128d quarter = _mm_add_pd(_mm256_castpd256_pd128(half), _mm256_extractf128_pd(half, 1));
-    return quarter[0] + quarter[1];
-    }
-#endif
     const double p = a[0] + a[4], q = a[1] + a[5], r = a[2] + a[6], s = a[3] + a[7];
     return (p + r) + (q + s);
+#endif
 }
 
 // Sparse sums, sum_e weight_e x[left_e] (y[right_e]), the rows in blocks of W; shorter rows of a block are padded with

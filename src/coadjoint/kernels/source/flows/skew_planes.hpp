@@ -15,13 +15,12 @@ typedef std::vector<double> Matrix;
 template <class A, int COLUMNS>
 INLINE void add_tile(const double* a, const double* b, double* c, int64_t rows, int64_t inner) {
     A sum[COLUMNS];
-    for (int j = 0; j < COLUMNS; ++j) std::memcpy(&sum[j], c + j * rows, sizeof(A));
+    for (int j = 0; j < COLUMNS; ++j) sum[j] = load<A>(c + j * rows);
     for (int64_t k = 0; k < inner; ++k) {
-        A from;
-        std::memcpy(&from, a + k * rows, sizeof(A));
+        const A from = load<A>(a + k * rows);
         for (int j = 0; j < COLUMNS; ++j) sum[j] += from * A(b[j * inner + k]);
     }
-    for (int j = 0; j < COLUMNS; ++j) std::memcpy(c + j * rows, &sum[j], sizeof(A));
+    for (int j = 0; j < COLUMNS; ++j) store(c + j * rows, sum[j]);
 }
 
 template <class A>

@@ -52,20 +52,6 @@ struct Lanes {
     typedef typename Registers<width>::Bits Bits;
     typedef typename Registers<width>::Unsigned Unsigned;
 
-    struct Mask {
-        Bits part[count];
-    };
-
-    Vector part[count];
-
-    INLINE Lanes() = default;
-    INLINE Lanes(double value) {
-        // Minus zero, which the compiler folds away; adding plus zero would change -0.
-        for (int k = 0; k < count; ++k) part[k] = value - Vector{};
-    }
-    INLINE double operator[](int lane) const { return part[lane / width][lane % width]; }
-    INLINE void set(int lane, double value) { part[lane / width][lane % width] = value; }
-
 // Unrolled by hand instead of a loop, so that the parts become registers immediately.
 #define PART(position, statement) \
     {                           \
@@ -77,6 +63,26 @@ struct Lanes {
     if constexpr (count > 1) PART(1, statement)                                             \
     if constexpr (count > 2) { PART(2, statement) PART(3, statement) }                      \
     if constexpr (count > 4) { PART(4, statement) PART(5, statement) PART(6, statement) PART(7, statement) }
+// Copied register by register: GCC copies a struct of several in halves, and waits for both when a whole one is loaded.
+#define COPIED_BY_REGISTERS(Type)                                                                 \
+    INLINE Type() = default;                                                                      \
+    INLINE Type(const Type& other) { EACH(part[k] = other.part[k]) }                              \
+    INLINE Type& operator=(const Type& other) { EACH(part[k] = other.part[k]) return *this; }
+    struct Mask {
+        Bits part[count];
+        COPIED_BY_REGISTERS(Mask)
+    };
+
+    Vector part[count];
+
+    COPIED_BY_REGISTERS(Lanes)
+    INLINE Lanes(double value) {
+        // Minus zero, which the compiler folds away; adding plus zero would change -0.
+        for (int k = 0; k < count; ++k) part[k] = value - Vector{};
+    }
+    INLINE double operator[](int lane) const { return part[lane / width][lane % width]; }
+    INLINE void set(int lane, double value) { part[lane / width][lane % width] = value; }
+
 #define BINARY(Result, Operand, symbol)                                    \
     INLINE friend Result operator symbol(const Operand& a, const Operand& b) { \
         Result c;                                                          \
@@ -139,6 +145,12 @@ struct Lanes {
 #if defined(__AVX512F__)
         if constexpr (width == 8) return _mm512_reduce_max_pd((__m512d)most);
 #endif
+#if defined(__AVX2__)
+        if constexpr (width == 4) {
+            const __m128d halves = _mm_max_pd(_mm256_castpd256_pd128((__m256d)most), _mm256_extractf128_pd((__m256d)most, 1));
+            return halves[0] < halves[1] ? halves[1] : halves[0];
+        }
+#endif
         double result = most[0];
         for (int lane = 1; lane < width; ++lane) result = result < most[lane] ? most[lane] : result;
         return result;
@@ -178,6 +190,7 @@ struct Lanes {
         return b;
     }
 #undef BINARY
+#undef COPIED_BY_REGISTERS
 #undef EACH
 #undef PART
 
@@ -289,11 +302,19 @@ struct Numbers<Lanes<N>> {
 template <class A>
 INLINE A load(const double* from) {
     A a;
-    std::memcpy(&a, from, sizeof(A));
+    if constexpr (Numbers<A>::lanes == 1)
+        a = *from;
+    else
+        for (int k = 0; k < A::count; ++k) std::memcpy(&a.part[k], from + k * A::width, sizeof(a.part[k]));
     return a;
 }
 template <class A>
-INLINE void store(double* to, const A& a) { std::memcpy(to, &a, sizeof(A)); }
+INLINE void store(double* to, const A& a) {
+    if constexpr (Numbers<A>::lanes == 1)
+        *to = a;
+    else
+        for (int k = 0; k < A::count; ++k) std::memcpy(to + k * A::width, &a.part[k], sizeof(a.part[k]));
+}
 
 // Set sum to old + increment, and remainder to the rounding error of that.
 template <class A>

@@ -8,9 +8,9 @@ namespace coadjoint {
 // The sums of |x_k h^k| over the blocks of rows. Their sum is the size of the term.
 template <int W>
 INLINE Lanes<W> sizes_in_term(const Series<W>& series, int64_t k) {
-    Lanes<W> total = absolute(series.x.at[k * series.field.extended]);
-    for (int64_t b = 1; b < series.field.blocks; ++b)
-        total = total + absolute(series.x.at[k * series.field.extended + b]);
+    Lanes<W> total = absolute(series.x.at[k * series.stride]);
+    for (int64_t b = 1; b < series.blocks; ++b)
+        total = total + absolute(series.x.at[k * series.stride + b]);
     return total;
 }
 
@@ -19,7 +19,7 @@ INLINE Lanes<W> sizes_in_term(const Series<W>& series, int64_t k) {
 template <int W>
 INLINE Lanes<W> increment_at(const Series<W>& series, int64_t block, double s) {
     typedef Lanes<W> Row;
-    const int64_t stride = series.field.extended;
+    const int64_t stride = series.stride;
     const Row* const first = series.x.at + block;
     const Row square(s * s);
     Row even(0.0), odd(0.0);

@@ -38,14 +38,15 @@ int64_t known_gradients(const Series<W>& series) {
 template <int W>
 void gradients_along(const Series<W>& series, double* to) {
     const SeriesField<W>& field = series.field;
-    const Sums<W>& sums = field.gradient;
+    constexpr int V = SeriesField<W>::V;
+    const Sums<V>& sums = field.gradient;
     for (int64_t k = 0; k < known_gradients(series); ++k) {
-        const Newest<0, W> now(series.x.at + k * field.extended);
+        const Newest<0, V> now(reinterpret_cast<const double*>(series.x.at + k * series.stride));
         for (int64_t b = 0; b < field.blocks; ++b) {
-            Lanes<W> sum = k ? Lanes<W>(0.0) : load<Lanes<W>>(field.offsets.data() + b * W);
+            Lanes<V> sum = k ? Lanes<V>(0.0) : load<Lanes<V>>(field.offsets.data() + b * V);
             for (int64_t e = sums.first[b]; e < sums.first[b + 1]; ++e)
                 sum = fma(sums.at.at[e].weight, now(sums.at.at[e].left), sum);
-            store(to + (k * field.blocks + b) * W, sum);
+            store(to + (k * field.blocks + b) * V, sum);
         }
     }
 }

@@ -8,21 +8,23 @@
 
 namespace coadjoint {
 
-// In vectors of W rows,
+// In vectors of V rows, where W rows are the vector of a processor whose registers are long enough,
 //     x'_r = sum_e c_e x[left_e] y[right_e] + sum_e l_e x[left_e],
 // where y is the gradient of H, or x itself if the products of a quadratic H are written out. Gradients of a higher
 // degree are linear in further products of series, which are stored behind the coordinates, degree after degree.
 template <int W>
 struct SeriesField {
-    int64_t n, blocks;         // coordinates, and their vectors
-    int64_t extended;          // vectors of coordinates and of the products behind them
+    static constexpr int V = W < NATIVE ? W : NATIVE;
+    int64_t n, blocks;         // coordinates, and their vectors, which are padded to W
+    int64_t extended;          // vectors of coordinates and of the products behind them, padded too
     bool written_out = false;  // whether y is x
-    Sums<W> products, linear, gradient, factors;
+    Sums<V> products, linear, gradient, factors;
     std::vector<double> offsets;
 
     template <class C>
     NOINLINE SeriesField(const Field& field, const C& constants, int64_t order)
-        : n(field.size), blocks(blocks_of<W>(n)), extended(blocks), offsets(blocks * W, 0.0), rows(n), gradients(n) {
+        : n(field.size), blocks(padded(n)), extended(blocks), offsets(blocks * V, 0.0), rows(blocks * V),
+          gradients(blocks * V) {
         read_gradient(field.terms, constants);
         for (int64_t i = 0; i < n; ++i)
             for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
@@ -30,7 +32,8 @@ struct SeriesField {
                                    field.column[q]});
         for (auto* sums : {&rows, &gradients})
             for (SparseSum& row : *sums) merge(row);
-        std::vector<SparseSum> pairs(n), single(n);
+        extended = padded(extended * V);
+        std::vector<SparseSum> pairs(rows.size()), single(rows.size());
         if (extended == blocks && write_out(pairs, single)) {
             const double each = 0.5 * double(order) + 2.0;
             const double apart = each * vectors(rows) + vectors(gradients);
@@ -39,13 +42,16 @@ struct SeriesField {
         products.add(written_out ? pairs : rows);
         if (written_out) linear.add(single);
         gradient.add(gradients);
-        for (Sums<W>* sums : {&products, &linear, &gradient, &factors}) sums->finish();
+        for (Sums<V>* sums : {&products, &linear, &gradient, &factors}) sums->finish();
     }
 
   private:
     std::vector<SparseSum> rows, gradients;
     std::map<std::vector<int64_t>, int64_t> known;  // a product of coordinates, and its index
 
+    static int64_t padded(int64_t rows) { return blocks_of<W>(rows) * (W / V); }
+
+    // Counted in W, as on any processor, which would choose other products else.
     static double vectors(const std::vector<SparseSum>& sums) {
         double count = 0.0;
         for (size_t r = 0; r < sums.size(); r += W) count += double(Sums<W>::longest(sums, r));
@@ -84,11 +90,11 @@ struct SeriesField {
                 const std::vector<int64_t> some(rest.begin(), rest.begin() + int64_t(count));
                 if (known.count(some)) return;
                 const std::vector<int64_t> fewer(some.begin(), some.end() - 1);
-                known[some] = extended * W + int64_t(made.size());
+                known[some] = extended * V + int64_t(made.size());
                 made.push_back({{1.0, count == 2 ? fewer[0] : known.at(fewer), some.back()}});
             });
             factors.add(made);
-            extended += blocks_of<W>(int64_t(made.size()));
+            extended += blocks_of<V>(int64_t(made.size()));
         }
         each_derivative(terms, constants, [&](int64_t i, double weight, const std::vector<int64_t>& rest) {
             if (rest.empty())

@@ -9,18 +9,19 @@ namespace coadjoint {
 template <int W, class A>
 class SeriesLanes {
   public:
+    static constexpr int V = SeriesField<W>::V;
     const SeriesField<W>& field;
     const int64_t n, order;
 
     SeriesLanes(const SeriesField<W>& field, int64_t order)
-        : field(field), n(field.n), order(order), positions(field.extended * W, -1) {
+        : field(field), n(field.n), order(order), positions(field.extended * V, -1) {
         for (int64_t i = 0; i < n; ++i) positions[i] = i;
         int64_t count = n;
         for (int64_t b = 0; b < field.factors.blocks; ++b)
-            for (int lane = 0; lane < W; ++lane) {
+            for (int lane = 0; lane < V; ++lane) {
                 const auto& product = field.factors.at.at[b];
                 if (product.weight[lane] == 0.0) continue;
-                positions[(field.blocks + b) * W + lane] = count++;
+                positions[(field.blocks + b) * V + lane] = count++;
                 made.push_back({1.0, series_of(product.left.lane[lane]), series_of(product.right.lane[lane])});
             }
         read(field.products, products, product_rows);
@@ -70,14 +71,14 @@ class SeriesLanes {
     int64_t series_of(int64_t position) const { return positions[position] * (order + 1); }
 
     // The entries of every coordinate, without those that only pad a vector.
-    void read(const Sums<W>& sums, std::vector<Entry>& entries, std::vector<int64_t>& first) const {
+    void read(const Sums<V>& sums, std::vector<Entry>& entries, std::vector<int64_t>& first) const {
         first.assign(1, 0);
         for (int64_t i = 0; i < n; ++i) {
-            int64_t last = sums.first[i / W + 1];
-            while (last > sums.first[i / W] && sums.at.at[last - 1].weight[int(i % W)] == 0.0) --last;
-            for (int64_t e = sums.first[i / W]; e < last; ++e)
-                entries.push_back({sums.at.at[e].weight[int(i % W)], series_of(sums.at.at[e].left.lane[i % W]),
-                                   series_of(sums.at.at[e].right.lane[i % W])});
+            int64_t last = sums.first[i / V + 1];
+            while (last > sums.first[i / V] && sums.at.at[last - 1].weight[int(i % V)] == 0.0) --last;
+            for (int64_t e = sums.first[i / V]; e < last; ++e)
+                entries.push_back({sums.at.at[e].weight[int(i % V)], series_of(sums.at.at[e].left.lane[i % V]),
+                                   series_of(sums.at.at[e].right.lane[i % V])});
             first.push_back(int64_t(entries.size()));
         }
     }

@@ -59,6 +59,13 @@ INLINE Lanes<8> sums_of_lanes(const Lanes<W>* rows) {
         sums.part[0] = (typename Lanes<8>::Vector)_mm512_add_pd(_mm512_unpacklo_pd(a, b), _mm512_unpackhi_pd(a, b));
         return sums;
     }
+#elif defined(__AVX2__)
+    __m128d pairs[4];
+    for (int k = 0; k < 4; ++k)
+        pairs[k] = _mm_hadd_pd(sums_of_every_second(rows[k]), sums_of_every_second(rows[4 + k]));
+    for (int k = 0; k < 2; ++k)
+        sums.part[k] = (typename Lanes<8>::Vector)_mm256_set_m128d(pairs[2 * k + 1], pairs[2 * k]);
+    return sums;
 #endif
     for (int k = 0; k < 8; ++k) sums.set(k % 4 * 2 + k / 4, sum_of_lanes(rows[k]));
     return sums;
