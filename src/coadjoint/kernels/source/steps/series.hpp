@@ -85,7 +85,8 @@ struct Series {
         INLINE void begin(int64_t e, const Factors& now) { scaled[e] = products[e].weight * now.right; }
     };
 
-    // Copies of members, which the compiler would read again after each store.
+    // Copies of members, which the compiler would read again after each store. Vectors that only pad the coordinates stay
+    // zero.
     struct Local {
         const int64_t blocks, order, made;
         const int64_t *const first, *const linear_first;
@@ -93,7 +94,7 @@ struct Series {
         Factors* const factors;
         Row* const later;
         INLINE Local(const Series& series)
-            : blocks(series.field.blocks), order(series.order), made(series.field.factors.blocks),
+            : blocks(blocks_of<V>(series.field.n)), order(series.order), made(series.field.factors.blocks),
               first(series.field.products.first.data()), linear_first(series.field.linear.first.data()),
               linear(series.field.linear.at.at), factors(series.factors.at), later(series.later.at) {}
     };
