@@ -1,7 +1,13 @@
 """The tables that the explorer reads: every entry that depends on a slider is known by its terms."""
 
+import ctypes
 import json
+import os
+import shutil
+import subprocess
+import sys
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -95,3 +101,36 @@ def test_the_fluid_of_modes_is_that_of_matrices():
         slope[2 * k : 2 * k + 2] = 2 * unit * w.real, -2 * unit * w.imag
     assert np.allclose(modes.vector_field(x), slope, rtol=0, atol=1e-13)
     assert list(modes.casimirs) == ["C2", "C3"]
+
+
+NATIVE_COMPILER = """#!/bin/sh
+# Takes the place of emcc, without the options of WebAssembly.
+for option in "$@"; do
+    case $option in
+    -c) compiles=yes ;;
+    *EXPORTED_FUNCTIONS=*) exported=${option#*=} ;;
+    esac
+done
+if [ "$compiles" ]; then
+    exec c++ $(echo "$*" | sed "s/-msimd128//") -O0 -fPIC -fvisibility=hidden -w
+fi
+echo "$exported" > "$EXPORTED"
+exec c++ -shared -Wl,-z,defs "$FOLDER"/objects/*.o -o "$FOLDER/public/kernels.wasm"
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux" or not shutil.which("c++"), reason="links with the options of GNU ld")
+def test_the_kernels_of_the_explorer_compile_and_link(tmp_path):
+    """By the script that builds them, with the compiler of this machine: all that is exported is defined."""
+    command = tmp_path / "emcc"
+    command.write_text(NATIVE_COMPILER)
+    command.chmod(0o755)
+    script = Path(__file__).parents[1] / "explorer" / "wasm" / "build.sh"
+    environment = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    environment |= {"FOLDER": str(tmp_path), "EXPORTED": str(tmp_path / "exported")}
+    done = subprocess.run(["sh", str(script), str(tmp_path)], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    library = ctypes.CDLL(str(tmp_path / "public" / "kernels.wasm"))
+    names = [name.removeprefix("_") for name in (tmp_path / "exported").read_text().strip().split(",")]
+    assert len(names) > 8
+    assert [name for name in names if not hasattr(library, name)] == []

@@ -5,8 +5,8 @@ namespace coadjoint {
 
 static std::unique_ptr<Single> stages_of(const RungeKuttaTables& tables) {
     const SharedConstants shared;
-    if (one_at_a_time(tables)) return std::make_unique<SingleOf<MemberLanes<double>, SharedConstants>>(tables, shared);
-    return std::make_unique<SingleOf<StageLanes<2>, SharedConstants>>(tables, shared);
+    if (one_at_a_time(tables)) return std::make_unique<SingleOf<MemberLanes<double>>>(tables, shared);
+    return std::make_unique<SingleOf<StageLanes<2>>>(tables, shared);
 }
 
 static void advance(const RungeKuttaLoop& loop, const MemberRange& range) {
