@@ -235,13 +235,16 @@ def test_folders_of_the_user_are_private_where_modes_are_not_those_of_posix(tmp_
     """As on Windows, whose temporary files are in the folder of the user."""
     home = tmp_path.resolve() / "user"
     (home / "temporary").mkdir(parents=True)
-    (tmp_path / "other").mkdir()
+    others = [tmp_path.resolve() / name for name in ("other", "user2", "use")]
+    for folder in others:
+        folder.mkdir()
     monkeypatch.setattr(Path, "home", lambda: home)
     with pytest.MonkeyPatch.context() as windows:
         windows.delattr(os, "geteuid")
         check_private(home / "temporary")
-        with pytest.raises(PermissionError, match="other is not in the folder of this user"):
-            check_private(tmp_path.resolve() / "other")
+        for folder in others:
+            with pytest.raises(PermissionError, match=f"{folder.name} is not in the folder of this user"):
+                check_private(folder)
         windows.setattr(tempfile, "tempdir", str(home / "temporary"))
         with private_folder() as folder:
             assert folder.parent == home / "temporary"

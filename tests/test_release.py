@@ -1,9 +1,13 @@
 """What a release states in several places: version, dependencies, license and links."""
 
+import os
 import re
+import shutil
+import subprocess
 import tomllib
 from fnmatch import fnmatch
 from pathlib import Path
+from textwrap import dedent
 
 import pytest
 
@@ -23,6 +27,13 @@ def text_of(name):
 
 def project():
     return tomllib.loads(text_of("pyproject.toml"))
+
+
+def triggers_and_jobs(workflow):
+    """Return the text of the triggers of a workflow, and that of each job."""
+    triggers, _, rest = text_of(f".github/workflows/{workflow}").partition("\non:\n")[2].partition("\n\n")
+    jobs = re.findall(r"^  ([\w-]+):\n((?:    .*\n|\n)+)", rest.partition("\njobs:\n")[2], re.MULTILINE)
+    return triggers, dict(jobs)
 
 
 def test_version_is_that_of_the_source_everywhere():
@@ -116,9 +127,9 @@ def test_one_wheel_is_for_every_python():
 
 
 def test_wheels_of_macos_are_for_a_system_with_aligned_allocation():
-    """Which the kernels need; 11.0 is the first system of Apple's own processors too."""
+    """Which the kernels need; and for no newer one than 11.0, the first system of Apple's own processors too."""
     variables = project()["tool"]["cibuildwheel"]["macos"]["environment"]
-    assert tuple(map(int, variables["MACOSX_DEPLOYMENT_TARGET"].split("."))) >= (11, 0)
+    assert tuple(map(int, variables["MACOSX_DEPLOYMENT_TARGET"].split("."))) == (11, 0)
 
 
 def test_wheels_have_all_but_the_sources_that_are_compiled():
@@ -134,17 +145,38 @@ def test_wheels_have_all_but_the_sources_that_are_compiled():
 
 def test_a_release_is_published_after_every_other_job():
     """And only for a tag: a workflow that is started by hand builds and tests alone."""
-    triggers, _, rest = text_of(".github/workflows/wheels.yml").partition("\non:\n")[2].partition("\n\n")
+    triggers, jobs = triggers_and_jobs("wheels.yml")
     assert triggers == '  push:\n    tags: ["v*"]\n  workflow_dispatch:'
-    jobs = dict(re.findall(r"^  ([\w-]+):\n((?:    .*\n|\n)+)", rest.partition("\njobs:\n")[2], re.MULTILINE))
     publishing = {name for name, job in jobs.items() if re.search(r"id-token: write|pypi-publish", job)}
     assert publishing == {"publish"} and {"version", "tests", "wheels", "source"} <= set(jobs)
     needed = re.search(r"^    needs: \[(.*)\]$", jobs["publish"], re.MULTILINE)[1]
     assert set(needed.split(", ")) == set(jobs) - publishing
     assert "\n    if: github.event_name == 'push'\n" in jobs["publish"]
     assert "\n    uses: ./.github/workflows/tests.yml" in jobs["tests"]
-    called = text_of(".github/workflows/tests.yml").partition("\non:\n")[2].partition("\n\n")[0]
-    assert "  workflow_call:" in called.splitlines()
+    assert "  workflow_call:" in triggers_and_jobs("tests.yml")[0].splitlines()
+
+
+def test_a_release_begins_with_a_comparison_of_tag_and_version():
+    """In the first job, which all others need, for every event that publishes."""
+    job = triggers_and_jobs("wheels.yml")[1]["version"]
+    assert re.findall(r"^ *if: (.*)$", job, re.MULTILINE) == ["github.event_name == 'push'"]
+    if None in (shutil.which("bash"), shutil.which("sed")):
+        pytest.skip("bash or sed is missing")
+    script = dedent(job.partition("        run: |\n")[2])
+    for tag, status in {f"v{co.__version__}": 0, co.__version__: 1, f"v{co.__version__}1": 1, "v": 1}.items():
+        variables = {**os.environ, "GITHUB_REF_NAME": tag}
+        done = subprocess.run(
+            ["bash", "-e", "-c", script], cwd=ROOT, env=variables, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == status and bool(done.stderr) == bool(status)
+
+
+@pytest.mark.parametrize("workflow", ["site.yml", "tests.yml", "wheels.yml"])
+def test_conditions_of_a_workflow_name_events_that_start_it(workflow):
+    """A step or job for any other event would be left out in silence."""
+    triggers = re.findall(r"^  (\w+):", triggers_and_jobs(workflow)[0], re.MULTILINE)
+    named = re.findall(r"github\.event_name [!=]= '(.*?)'", text_of(f".github/workflows/{workflow}"))
+    assert named and set(named) <= set(triggers)
 
 
 def test_all_that_is_published_is_in_one_folder():

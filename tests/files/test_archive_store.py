@@ -4,6 +4,7 @@ import errno
 import json
 import os
 import shutil
+from functools import partial
 
 import numpy as np
 import pytest
@@ -317,6 +318,30 @@ def test_archive_folder_reads_regular_files_only(tmp_path, monkeypatch):
         folder.remove("in", "link")
         tmp_path.rename(tmp_path.with_name("aside"))
         assert folder.names("in") == {"file", "pipe", "nowhere"}, "the folder stays the same when it is renamed"
+    assert open_descriptors() == before
+
+
+def test_archive_folder_follows_no_links_where_the_system_cannot_refuse_them(tmp_path, monkeypatch):
+    """As on Windows, which has neither descriptors of folders nor O_NOFOLLOW."""
+    for name in ("in", "outside"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "file").write_bytes(b"0123456789")
+    (tmp_path / "in" / "link").symlink_to(tmp_path / "outside" / "file")
+    (tmp_path / "linked").symlink_to(tmp_path / "outside")
+    monkeypatch.setattr("coadjoint.files.archives.folder.USE_DIR_FD", False)
+    monkeypatch.delattr(os, "O_NOFOLLOW", raising=False)
+    before = open_descriptors()
+    with ArchiveFolder(tmp_path) as folder:
+        assert folder.read("in", "file", head=4) == b"0123"
+        for place in (("in", "link"), ("linked", "file")):
+            for read in (folder.read, partial(folder.read, head=4)):
+                with pytest.raises(OSError) as refused:
+                    read(*place)
+                assert refused.value.errno == errno.ELOOP
+            assert not folder.has(*place)
+        folder.write("in", "link", b"own")
+        assert folder.read("in", "link") == b"own"
+    assert (tmp_path / "outside" / "file").read_bytes() == b"0123456789"
     assert open_descriptors() == before
 
 

@@ -1,5 +1,6 @@
 """The build of the compiled kernels: what it refuses, what it compiles again, and what its libraries export."""
 
+import importlib.util
 import json
 import os
 import re
@@ -7,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -125,6 +127,36 @@ def test_options_of_other_systems_are_those_of_this_one(monkeypatch):
         assert set(zig.options(given)) == expected
     linking = ["-bundle", "-Xlinker", "-exported_symbol", "-Xlinker", "_[a-z]*", "-o", "_kernels.dylib"]
     assert zig.options(linking)[1:] == ["-dynamiclib", "-o", "_kernels.dylib"]
+
+
+@pytest.mark.parametrize("wrong", ["", "compiler", "library", "number"])
+def test_libraries_of_other_systems_that_fail_are_an_error(tmp_path, monkeypatch, capsys, wrong):
+    """The first of two systems: it is not compiled, a library of it has a fault, or one is missing."""
+    monkeypatch.setitem(sys.modules, "lief", SimpleNamespace(logging=SimpleNamespace(disable=lambda: None)))
+    spec = importlib.util.spec_from_file_location("cross_build", ROOT / "packaging/cross/build.py")
+    cross = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(cross)
+    first, second = "x86_64-macos", "aarch64-macos"
+
+    def build(folder, target, options):
+        if (wrong, target) == ("compiler", first):
+            return "error: unknown option"
+        folder.mkdir()
+        for k in range(cross.TARGETS[target] - ((wrong, target) == ("number", first))):
+            (folder / f"_kernels_v{k}.dylib").touch()
+        return ""
+
+    def faults(path, target, expected):
+        return ["needs another library"] if (wrong, target) == ("library", first) else []
+
+    monkeypatch.setattr(cross, "build", build)
+    monkeypatch.setattr(cross, "faults", faults)
+    monkeypatch.setattr(sys, "argv", ["build.py", str(tmp_path / "cross"), first, second])
+    for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR"):
+        monkeypatch.setenv(name, "")  # and restored
+    assert cross.main() == int(bool(wrong))
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last == f"failed: {first}" if wrong else "failed" not in last
 
 
 @pytest.mark.thinned(4)

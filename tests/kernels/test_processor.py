@@ -1,4 +1,4 @@
-"""The level of kernels that a processor supports, from all features that compilers use at that level."""
+"""The level of kernels: from all features that compilers use, and the registers that the system saves."""
 
 import ctypes
 import platform
@@ -24,7 +24,9 @@ LEVEL_4 = {
     "avx512f": (7, 1, 16), "avx512dq": (7, 1, 17), "avx512cd": (7, 1, 28), "avx512bw": (7, 1, 30),
     "avx512vl": (7, 1, 31),
 }  # fmt: skip
-# A processor whose registers are those that a test has written, by leaf and register.
+# Bits of XCR0, volume 1, XSAVE: SSE, AVX; mask registers, and the upper parts and the rest of the vectors of AVX-512.
+SAVED_3, SAVED_4 = {1, 2}, {5, 6, 7}
+# A processor whose registers are those that a test has written, by leaf and register, and a system that saves some.
 CPUID = """
 #include <map>
 extern "C" std::map<unsigned, unsigned>* written() { static std::map<unsigned, unsigned> all; return &all; }
@@ -37,12 +39,17 @@ static int __get_cpuid(unsigned leaf, unsigned* a, unsigned* b, unsigned* c, uns
 static int __get_cpuid_count(unsigned leaf, unsigned, unsigned* a, unsigned* b, unsigned* c, unsigned* d) {
     return __get_cpuid(leaf, a, b, c, d);
 }
+static unsigned saved = 0;
+extern "C" void write_saved(unsigned bits) { saved = bits; }
+// In place of the instruction xgetbv.
+#define __asm__
+#define volatile(...) low = saved, high = 0
 """
 
 
 @pytest.fixture(scope="module")
 def level_with(tmp_path_factory):
-    """Return the function that tells the level of a processor with these features only."""
+    """Return the function that tells the level of a processor with these features, and with these saved registers."""
     folder = tmp_path_factory.mktemp("processor")
     (folder / "cpuid.h").write_text(CPUID)
     library = folder / "processor.so"
@@ -50,7 +57,8 @@ def level_with(tmp_path_factory):
     subprocess.run([str(COMPILER), *options, str(SOURCE / "boundary/processor.cpp"), "-o", str(library)], check=True)
     functions = ctypes.CDLL(str(library))
 
-    def level(features):
+    def level(features, saved=SAVED_3 | SAVED_4):
+        functions.write_saved(ctypes.c_uint(sum(1 << bit for bit in saved)))
         registers = {}
         for leaf, register, bit in features.values():
             registers[leaf, register] = registers.get((leaf, register), 0) | 1 << bit
@@ -63,7 +71,6 @@ def level_with(tmp_path_factory):
     return level
 
 
-@pytest.mark.skipif((processor_level() or 1) < 3, reason="the registers of this machine are not saved")
 @pytest.mark.parametrize("missing", sorted(LEVEL_3 | LEVEL_4))
 def test_a_level_needs_each_of_its_features(level_with, missing):
     every = LEVEL_3 | LEVEL_4
@@ -71,8 +78,16 @@ def test_a_level_needs_each_of_its_features(level_with, missing):
     assert level_with({name: place for name, place in every.items() if name != missing}) == least
     assert level_with(LEVEL_3) == 3
     assert level_with({}) == 1
-    if processor_level() == 4:
-        assert level_with(every) == 4
+    assert level_with(every) == 4
+
+
+@pytest.mark.parametrize("missing", sorted(SAVED_3 | SAVED_4))
+def test_a_level_needs_registers_that_the_system_saves(level_with, missing):
+    """Else the first instruction with such a register ends the process."""
+    every = LEVEL_3 | LEVEL_4
+    assert level_with(every, (SAVED_3 | SAVED_4) - {missing}) == (1 if missing in SAVED_3 else 3)
+    assert level_with(every, SAVED_3) == 3
+    assert level_with(every, set()) == 1
 
 
 @pytest.mark.skipif(platform.system() != "Linux", reason="/proc is of Linux")
