@@ -4,7 +4,9 @@ import errno
 import json
 import os
 import shutil
+import stat
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -339,10 +341,38 @@ def test_archive_folder_follows_no_links_where_the_system_cannot_refuse_them(tmp
                     read(*place)
                 assert refused.value.errno == errno.ELOOP
             assert not folder.has(*place)
+            with pytest.raises(OSError) as refused:
+                folder.lock(*place)
+            assert refused.value.errno == errno.ELOOP
+        (tmp_path / "in" / "new").symlink_to(tmp_path / "outside" / "new")
+        with pytest.raises(OSError):
+            folder.lock("in", "new")
+        assert not (tmp_path / "outside" / "new").exists()
         folder.write("in", "link", b"own")
         assert folder.read("in", "link") == b"own"
     assert (tmp_path / "outside" / "file").read_bytes() == b"0123456789"
     assert open_descriptors() == before
+
+
+def test_archive_folder_follows_no_junctions(tmp_path, monkeypatch):
+    """Junctions of Windows are folders with a tag."""
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "file").write_bytes(b"0123456789")
+    monkeypatch.setattr("coadjoint.files.archives.folder.USE_DIR_FD", False)
+    monkeypatch.setattr(stat, "IO_REPARSE_TAG_MOUNT_POINT", 0xA0000003, raising=False)
+    status, tags = os.stat, {tmp_path / "in": 0xA0000003}
+
+    def tagged(path, **how):
+        found = status(path, **how)
+        return SimpleNamespace(st_mode=found.st_mode, st_reparse_tag=tags.get(path, 0))
+
+    monkeypatch.setattr(os, "stat", tagged)
+    with ArchiveFolder(tmp_path) as folder:
+        with pytest.raises(OSError) as refused:
+            folder.read("in", "file")
+        assert refused.value.errno == errno.ELOOP
+        tags.clear()
+        assert folder.read("in", "file") == b"0123456789"
 
 
 def test_leftovers_of_killed_processes_are_removed(store):

@@ -9,12 +9,17 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from coadjoint.files.output.atomic_output import TEMPORARY_SUFFIX, open_locked, sync_to_disk, write_atomically
+from coadjoint.files.output.atomic_output import (
+    TEMPORARY_SUFFIX,
+    open_locked,
+    reject_link,
+    sync_to_disk,
+    write_atomically,
+)
 from coadjoint.memory import check_available_memory
 
 USE_DIR_FD = os.open in os.supports_dir_fd and hasattr(os, "O_NOFOLLOW")
 """Whether files are opened relative to a descriptor of their folder. Windows has none, and locks folders in use."""
-SYMLINK_REASON = "a symbolic link, which an archive never contains"
 NOT_REGULAR_REASON = "no regular file"
 READ_MEMORY_FACTOR = 2
 """Memory needed to read a file, per byte."""
@@ -50,7 +55,7 @@ class ArchiveFolder:
     def _at(self, folder: str) -> Iterator[int | None]:
         """Yield the descriptor of a subfolder, or of this folder for ''; None on platforms without descriptors."""
         if not USE_DIR_FD:
-            _reject_link(self.path / folder, None)
+            reject_link(self.path / folder, None)
             yield None
             return
         assert self._descriptor is not None
@@ -60,7 +65,7 @@ class ArchiveFolder:
         try:
             descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=self._descriptor)
         except OSError:
-            _reject_link(Path(folder), self._descriptor)
+            reject_link(Path(folder), self._descriptor)
             raise
         try:
             yield descriptor
@@ -80,12 +85,12 @@ class ArchiveFolder:
 
             def opened(name: str, flags: int) -> int:
                 if not USE_DIR_FD:
-                    _reject_link(path, None)
+                    reject_link(path, None)
                 flags |= getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
                 try:
                     return os.open(name, flags, dir_fd=inside)
                 except OSError:
-                    _reject_link(path, inside)
+                    reject_link(path, inside)
                     raise
 
             with open(path, "rb", opener=opened) as content:
@@ -150,15 +155,5 @@ class ArchiveFolder:
             try:
                 return open_locked(path, os.O_CREAT, inside)
             except OSError:
-                _reject_link(path, inside)
+                reject_link(path, inside)
                 raise
-
-
-def _reject_link(path: Path, folder: int | None) -> None:
-    """Raise OSError if the path is a symbolic link."""
-    try:
-        linked = stat.S_ISLNK(os.stat(path, dir_fd=folder, follow_symlinks=False).st_mode)
-    except OSError:
-        return
-    if linked:
-        raise OSError(errno.ELOOP, SYMLINK_REASON) from None

@@ -23,6 +23,7 @@ SYNC_UNSUPPORTED = (errno.EINVAL, errno.EBADF, errno.ENOTSUP, errno.ENOSYS)
 """Error numbers of file systems that cannot sync folders."""
 TEMPORARY_SUFFIX = ".writing"
 """Suffix of incomplete files; those of killed processes are ignored."""
+SYMLINK_REASON = "a symbolic link, which an archive never contains"
 IN_USE_WAITS = tuple(2.0**-k for k in range(10, 0, -1))
 """Waits (seconds) before a refused rename is tried again, a second in all: readers hold a file for less."""
 
@@ -210,6 +211,8 @@ def open_locked(path: Path, create: int = 0, folder: int | None = None) -> int |
     Symbolic links are not followed. `folder` is the descriptor that `path` is relative to.
     """
     flags = os.O_RDWR | create | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    if not hasattr(os, "O_NOFOLLOW"):
+        reject_link(path, folder)
     try:
         descriptor = os.open(path, flags, 0o600, dir_fd=folder)
     except FileNotFoundError:
@@ -228,6 +231,17 @@ def open_locked(path: Path, create: int = 0, folder: int | None = None) -> int |
         return descriptor
     os.close(descriptor)
     return None
+
+
+def reject_link(path: Path, folder: int | None) -> None:
+    """Raise OSError if the path is a symbolic link, or a junction of Windows."""
+    try:
+        status = os.stat(path, dir_fd=folder, follow_symlinks=False)
+    except OSError:
+        return
+    junction = getattr(status, "st_reparse_tag", 0) == getattr(stat, "IO_REPARSE_TAG_MOUNT_POINT", None)
+    if stat.S_ISLNK(status.st_mode) or junction:
+        raise OSError(errno.ELOOP, SYMLINK_REASON) from None
 
 
 def _restore_target(folder: Path, target: Path) -> bool:
