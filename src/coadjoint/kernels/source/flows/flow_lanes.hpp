@@ -162,15 +162,14 @@ void advance_lanes(const FlowLoop& loop, const ConstantsFrom& constants_from, co
         for (uint32_t r = from; r < to; ++r)
             for (int b = 0; b < used; ++b) {
                 LaneGroup& lane_group = *lane_groups[b];
-                if (__builtin_expect(is_partial, 0)) {
-                    angles.partial_step = &lane_group.partial_step;
+                if (is_partial) angles.partial_step = &lane_group.partial_step;
+                if (with_group || __builtin_expect(is_partial, 0))
                     sweep<summation, with_group>(tables, lane_group.constants, r, r + 1, lane_group.momentum,
                                                  lane_group.group, schedule.starts ? lane_group.partial_step.start : t,
                                                  schedule.h, angles);
-                } else {
-                    apply_row<summation, with_group, false>(tables, lane_group.constants, r, lane_group.momentum,
-                                                            lane_group.group, t, schedule.h, angles);
-                }
+                else  // inlined, since a momentum alone takes little longer than a call
+                    apply_row<summation, false, false>(tables, lane_group.constants, r, lane_group.momentum,
+                                                       lane_group.group, t, schedule.h, angles);
             }
         int64_t left = 0;
         for (int b = 0; b < used; ++b) {

@@ -30,10 +30,7 @@ NOINLINE Outcome<double> correct(Unknowns<Layout>& y, const Called<void()>& eval
         InterruptCheck::of_this_call().after(y.work);
         evaluate();
         outcome.iterations = double(passed);
-        for (int64_t b = 0; b < y.blocks; ++b)
-            mix_each<Layout>(y.mix + b * s, s, y.slopes.at, m, y.error, [&](int64_t c, const typename Layout::A& sum) {
-                y.change.at[b * m + c] = (Layout::spread(y.base[c]) - y.points.at[b * m + c]) + sum;
-            });
+        y.find_defect();
         share(m, [&](int64_t first, int64_t last) {
             for (int64_t i = 0; i < s; ++i)
                 for (int64_t c = first; c < last; ++c) defect[i * m + c] = Layout::at(y.change.at, m, c, i);

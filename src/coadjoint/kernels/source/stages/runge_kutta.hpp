@@ -103,6 +103,7 @@ struct Stages {
     }
 
     NOINLINE void evaluate_all() { evaluate(0, blocks); }
+    NOINLINE void evaluate_frozen(int64_t freeze) { evaluate(0, blocks, freeze); }
 
     // Iterate, the first `trust` iterations without convergence tests, and set `next` of converged lanes to the number
     // of iterations that the next step may trust.
@@ -149,9 +150,14 @@ struct Stages {
     }
 
     NOINLINE Mask settle_frozen(Mask active, int64_t freeze) {
-        return taken(settle(
-            p, active, [&] { evaluate(0, blocks, freeze); },
-            [&](const Mask& over, bool last) { store_gradients(over, last); }));
+        return settle_called(p, active, [&] { evaluate_frozen(freeze); },
+                             [&](const Mask& over, bool last) { store_gradients(over, last); });
+    }
+
+    // For all unknowns that are not the momentum of an implicit scheme.
+    NOINLINE Mask settle_called(Unknowns<Layout>& y, Mask active, const Called<void()>& evaluate,
+                                const Called<void(const Mask&, bool)>& on_settled) {
+        return taken(settle(y, active, evaluate, on_settled));
     }
 
     void store_gradients(const Mask& over, bool last) {
@@ -203,7 +209,7 @@ struct Stages {
         active = active & assemble(n);
         for (int64_t passed = 1; passed < REFINED; ++passed) {
             refine(p, n, 1);
-            evaluate(0, blocks, freeze);
+            evaluate_frozen(freeze);
         }
         iterations = iterations + double(REFINED - 1);
         residual = select(active, V(0.0), V(std::numeric_limits<double>::infinity()));
@@ -226,10 +232,7 @@ struct Stages {
     // Add to the points the solution of the factorized system for their defect; the first call solves it.
     void refine(Unknowns<Layout>& y, int64_t edge, int64_t count) {
         const int64_t m = y.size;
-        for (int64_t b = 0; b < blocks; ++b)
-            mix_each<Layout>(mix.at + b * s, s, y.slopes.at, m, y.error, [&](int64_t c, const A& sum) {
-                y.change.at[b * m + c] = (Layout::spread(y.base[c]) - y.points.at[b * m + c]) + sum;
-            });
+        y.find_defect();
         for (int64_t i = 0; i < s; ++i)
             for (int64_t c = 0; c < m; ++c) right.at[i * m + c] = Layout::at(y.change.at, m, c, i);
         substitute(system.at, s * edge, pivots.at, right.at, count);
@@ -248,7 +251,7 @@ struct Stages {
     NOINLINE Mask settle_group(Mask active) {
         if (!any(active)) return active;
         const V before = iterations;
-        const Mask found = taken(settle(g, active, [&] { evaluate_group(0, blocks); }, [](const Mask&, bool) {}));
+        const Mask found = settle_called(g, active, [&] { evaluate_group(0, blocks); }, [](const Mask&, bool) {});
         iterations = before;
         return found;
     }

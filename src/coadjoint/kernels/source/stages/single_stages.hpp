@@ -198,7 +198,7 @@ struct SingleStages : Stages<Layout, SharedConstants> {
 
     // The structure is frozen: linear in the gradient.
     bool linear_in_gradient() {
-        return by_systems([&] { this->evaluate(0, blocks, STRUCTURE); },
+        return by_systems([&] { this->evaluate_frozen(STRUCTURE); },
                           [&](LinearWorkspace<A>& linear, const A* v, A* out) {
                               for (int64_t b = 0; b < blocks; ++b) {
                                   const auto& here = Layout::constants(constants, b, s);
@@ -212,7 +212,7 @@ struct SingleStages : Stages<Layout, SharedConstants> {
 
     // The gradient is frozen: linear in the structure.
     bool linear_in_structure() {
-        return by_systems([&] { this->evaluate(0, blocks, GRADIENT); },
+        return by_systems([&] { this->evaluate_frozen(GRADIENT); },
                           [&](LinearWorkspace<A>&, const A* v, A* out) {
                               for (int64_t b = 0; b < blocks; ++b)
                                   product(field, Layout::constants(constants, b, s), v + b * n, gradients.at + b * n,

@@ -21,7 +21,7 @@ struct StageLanes {
     typedef double V;
     typedef A Coefficient;
     static constexpr bool side_by_side = true;
-    static constexpr int together = 3;  // components whose sums are interleaved
+    static constexpr int together = A::count < 4 ? 3 : 1;  // components whose sums are interleaved in registers
 
     static INLINE int64_t blocks(int64_t stages) { return (stages + W - 1) / W; }
     // Store row-major coefficients, `count` for each stage, as columns of lanes: those of block b begin at b * count.

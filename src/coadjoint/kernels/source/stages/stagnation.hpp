@@ -96,6 +96,14 @@ struct Unknowns {
         }
     }
 
+    // Set `change` to what the slopes add to the base, minus the points.
+    NOINLINE void find_defect() {
+        for (int64_t b = 0; b < blocks; ++b)
+            mix_each<Layout>(mix + b * stages, stages, slopes.at, size, error, [&](int64_t c, const A& sum) {
+                change.at[b * size + c] = (Layout::spread(base[c]) - points.at[b * size + c]) + sum;
+            });
+    }
+
     // Set the threshold for round-off relative to each stage at its start; if that may be a poor guess, relative to its
     // first move too.
     INLINE void measure(int64_t blocks, int64_t size) {
@@ -107,13 +115,13 @@ struct Unknowns {
             });
         }
     }
-    void measure_move(const typename Numbers<V>::Mask& where, int64_t blocks) {
+    NOINLINE void measure_move(const typename Numbers<V>::Mask& where, int64_t blocks) {
         for (int64_t b = 0; b < blocks; ++b)
             noise.at[b] = Layout::choose(where, noise.at[b] + A(NOISE) * moved.at[b], noise.at[b]);
     }
 
     // The largest correction of a stage, summed over its components; NaN if any is NaN.
-    V largest_move() const {
+    NOINLINE V largest_move() const {
         V result(0.0), nan_sum(0.0);
         for (int64_t b = 0; b < blocks; ++b) {
             result = larger(result, V(Layout::largest(moved.at[b])));
