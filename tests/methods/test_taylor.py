@@ -104,6 +104,30 @@ def test_every_coefficient_counts(name):
         assert np.max(np.abs(more - fewer - terms[order - 1].astype(float))) < 64 * np.sqrt(system.dim) * U
 
 
+def test_products_stand_behind_any_number_of_coordinates():
+    """Coordinates and products begin with vectors of their own, whether or not coordinates fill all before."""
+    for count, degree in [(1, 4), (2, 3), (2, 4), (3, 3), (3, 4), (4, 4), (6, 3)]:
+        n = 3 * count
+        system = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), count), polynomial(n, degree, count))
+        x, method = start_of(system), co.Taylor(6, projected=False)
+        found, read = one_step(system, method, x, 0.125), method.step(system, x, 0.0, 0.125)
+        assert np.max(np.abs(found - read)) < 32 * np.sqrt(n) * U * np.linalg.norm(x), (n, degree)
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("order", [2, 8, 25])
+def test_products_that_cancel_move_nothing(order):
+    """A sphere rests exactly where products are of coordinates, also beside rows of more products in other vectors."""
+    affine = {(3 + 2 * k, 4 + 2 * k): {4 + 2 * k: 1.0} for k in range(2)}
+    algebra = co.LieAlgebra.from_brackets(7, {(0, 1): {2: 1.0}, (1, 2): {0: 1.0}, (0, 2): {1: -1.0}, **affine})
+    M = np.diag([0.7, 0.7, 0.7, 1.0, 0.8, 0.6, 1.2])
+    M[[3, 4, 5, 6], [4, 3, 6, 5]] = 0.3
+    x0 = np.array([0.3, -0.7, 0.61, 0.2, 0.5, -0.4, 0.1])
+    x = co.integrate(co.LiePoissonSystem(algebra, co.Quadratic(M)), x0, (0.0, 4.0), 0.25, co.Taylor(order, False)).x
+    assert np.array_equal(x[:, :3], np.tile(x0[:3], (len(x), 1)))
+    assert np.all(np.abs(x[-1, 3:] - x0[3:]) > 1e-3)
+
+
 def test_fractions_give_the_exact_polynomial_in_the_step():
     system = co.systems.rigid_body(inertia=(1, 2, 2.5))
     x = np.array([Fraction(1), Fraction(1, 2), Fraction(-1, 3)], dtype=object)

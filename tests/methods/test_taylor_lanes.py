@@ -71,6 +71,17 @@ def test_members_have_the_bits_that_they_have_alone(name, degree, projected):
                 assert np.array_equal(worst, run.drift()[invariant].members[m], equal_nan=True)
 
 
+def test_products_fill_several_vectors():
+    """More products behind 6 to 12 coordinates than a vector has lanes, of several degrees."""
+    for name in ("e(3)", "su(3)", "3 spins", "so(5)", "4 spins"):
+        system = system_on(name, 4)
+        x = states(system, 9)
+        run = co.integrate(system, x, (0.0, 0.5), 0.125, co.Taylor(7), watch=False)
+        for m in (0, 4, 8):
+            alone = co.integrate(system, x[m], (0.0, 0.5), 0.125, co.Taylor(7), watch=False)
+            assert np.array_equal(alone.x, run.x[:, m]), (name, m)
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 6, 7, 8, 9, 14, 16, 40])
 def test_any_number_of_members(count):
     for name in ("so(3)", "e(3)", "su(3)"):
