@@ -87,6 +87,20 @@ def test_invariants_where_all_coordinates_are_negative(name):
     check_nearest_point(co.ExplicitRungeKutta("runge2"), system, 0.05, -0.2 - np.abs(start_of(system)))
 
 
+def test_the_largest_coordinate_may_be_any():
+    """The bound on what a correction leaves grows with the largest of eight coordinates; the others are small here."""
+    energy = co.Polynomial({tuple(4 * (i == k) for k in range(8)): 0.25 + i / 64 for i in range(8)})
+    for c in range(8):
+        planes = {(2 * k, 2 * k + 1): {2 * k + 1 - c % 2: 1.0} for k in range(4)}
+        system = co.LiePoissonSystem(co.LieAlgebra.from_brackets(8, planes), energy)
+        x, H = np.full(8, 0.3), system.hamiltonian
+        x[c] = 16.0
+        for h in 2.0 ** -np.arange(13, 20):
+            y = co.stepper(system, co.Projected(co.ExplicitRungeKutta("runge2")), h)(x)
+            terms = np.sum(np.abs(x * H.gradient(x))) + H.value(x)
+            assert abs(H.value(y) - H.value(x)) < 8 * UNIT_ROUNDOFF * terms, (c, h)
+
+
 def check_nearest_point(base, system, h, x=None):
     """y - z is a combination of the gradients at the step z of the base, and the values at y are those at x."""
     method, x = co.Projected(base), start_of(system) if x is None else x
