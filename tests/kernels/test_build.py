@@ -47,7 +47,8 @@ def configured(tree, *options):
 def commands(tree):
     """Return how each source of each library is compiled."""
     entries = json.loads((tree / "build/compile_commands.json").read_text())
-    named = [(re.search(r"/(\w+)\.dir/", entry["command"])[1], entry) for entry in entries]
+    sources = [entry for entry in entries if not entry["file"].endswith(".hxx.cxx")]  # without precompiled headers
+    named = [(re.search(r"/(\w+)\.dir/", entry["command"])[1], entry) for entry in sources]
     return {(library, Path(entry["file"]).name): entry["command"] for library, entry in named}
 
 
