@@ -150,14 +150,9 @@ struct Stages {
     }
 
     NOINLINE Mask settle_frozen(Mask active, int64_t freeze) {
-        return settle_called(p, active, [&] { evaluate_frozen(freeze); },
-                             [&](const Mask& over, bool last) { store_gradients(over, last); });
-    }
-
-    // For all unknowns that are not the momentum of an implicit scheme.
-    NOINLINE Mask settle_called(Unknowns<Layout>& y, Mask active, const Called<void()>& evaluate,
-                                const Called<void(const Mask&, bool)>& on_settled) {
-        return taken(settle(y, active, evaluate, on_settled));
+        return taken(settle(
+            p, active, [&] { evaluate_frozen(freeze); },
+            [&](const Mask& over, bool last) { store_gradients(over, last); }));
     }
 
     void store_gradients(const Mask& over, bool last) {
@@ -251,7 +246,7 @@ struct Stages {
     NOINLINE Mask settle_group(Mask active) {
         if (!any(active)) return active;
         const V before = iterations;
-        const Mask found = settle_called(g, active, [&] { evaluate_group(0, blocks); }, [](const Mask&, bool) {});
+        const Mask found = taken(settle(g, active, [&] { evaluate_group(0, blocks); }, [](const Mask&, bool) {}));
         iterations = before;
         return found;
     }
