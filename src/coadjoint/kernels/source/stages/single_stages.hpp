@@ -10,23 +10,12 @@ namespace coadjoint {
 constexpr double STEPS_OF_NEWTON = 64;  // after these the function iteration is tried again
 constexpr int64_t LARGEST_FACTORED = 1024;  // unknowns of a column of the group element: half a second
 
-// Scratch memory that few trajectories need.
-template <class A>
-struct LinearWorkspace {
-    DerivativeWorkspace<A> derivatives;
-    Krylov krylov;
-    AlignedArray<A> input, output;
-    std::vector<double> none;
-    LinearWorkspace(const Field& field, int64_t stages, int64_t blocks, int64_t size)
-        : derivatives(field), krylov(stages * size), input(blocks * size), output(blocks * size), none(size, 0.0) {}
-};
-
 template <class Layout>
 struct SingleStages : Stages<Layout, SharedConstants> {
     typedef Stages<Layout, SharedConstants> Base;
     typedef typename Layout::A A;
     typedef Called<void()> Evaluate;
-    typedef Called<void(LinearWorkspace<A>&, const A*, A*)> Multiply;
+    typedef Corrected::Multiply Multiply;
     using Base::matrices, Base::system, Base::pivots, Base::right, Base::group_direct;
     using Base::p, Base::g, Base::mix, Base::forecast, Base::gradients, Base::frozen, Base::times, Base::lengths;
     using Base::tables, Base::constants, Base::field, Base::group, Base::n, Base::s, Base::d, Base::blocks;
@@ -70,122 +59,50 @@ struct SingleStages : Stages<Layout, SharedConstants> {
         return settle_group(true) || group_by_krylov() || group_by_factors();
     }
 
-    // Factorize 1 - mix h scale times the Jacobian: at the base for all stages, or for every stage at its point.
-    NOINLINE bool linearize(bool at_base, AlignedArray<double>& matrix, AlignedArray<double>& exchanged) {
-        DerivativeWorkspace<double> derivatives(field);
-        AlignedArray<double> point(n), u(n), unit(n), image(n), whole(n * n);
-        const int64_t size = s * n;
-        for (int64_t j = 0; j < s; ++j) {
-            if (j == 0 || !at_base) {
-                const double t = Layout::at(times.at, 1, 0, j);
-                for (int64_t c = 0; c < n; ++c) point.at[c] = at_base ? p.base[c] : Layout::at(p.points.at, n, c, j);
-                gradient(field, constants, point.at, t, u.at, derivatives.field);
-                for (int64_t k = 0; k < n; ++k) {
-                    unit.at[k] = 1.0;
-                    jacobian_times(field, constants, point.at, u.at, unit.at, t, 1.0, image.at, derivatives);
-                    unit.at[k] = 0.0;
-                    for (int64_t i = 0; i < n; ++i) whole.at[i * n + k] = image.at[i];
-                }
-            }
-            for (int64_t i = 0; i < s; ++i) {
-                const double factor = -tables.mix[i * s + j] * Layout::at(lengths.at, 1, 0, j);
-                for (int64_t a = 0; a < n; ++a)
-                    for (int64_t b = 0; b < n; ++b)
-                        matrix.at[(i * n + a) * size + j * n + b] =
-                            fma(factor, whole.at[a * n + b], i == j && a == b ? 1.0 : 0.0);
-            }
-        }
-        return factorize(matrix.at, size, exchanged.at);
+    NOINLINE bool by_newton() {
+        if (s * n <= LARGEST_DENSE)
+            return corrected(p, [&] { evaluate_all(); }, [&](const Corrected& stages) {
+                return stages.by_factors(p.base, numbers(times.at, 1), numbers(lengths.at, 1), residual);
+            });
+        DerivativeWorkspace<A> derivatives(field);
+        return by_systems([&] { evaluate_all(); },
+                          [&](const double* v, double* out) {
+                              for (int64_t b = 0; b < blocks; ++b)
+                                  jacobian_times(field, Layout::constants(constants, b, s), p.points.at + b * n,
+                                                 gradients.at + b * n, in_layout(v) + b * n, times.at[b], lengths.at[b],
+                                                 in_layout(out) + b * n, derivatives);
+                          });
     }
 
-    NOINLINE bool by_newton() {
-        const int64_t size = s * n;
-        if (size > LARGEST_DENSE)
-            return by_systems([&] { evaluate_all(); },
-                              [&](LinearWorkspace<A>& linear, const A* v, A* out) {
-                                  for (int64_t b = 0; b < blocks; ++b)
-                                      jacobian_times(field, Layout::constants(constants, b, s), p.points.at + b * n,
-                                                     gradients.at + b * n, v + b * n, times.at[b], lengths.at[b],
-                                                     out + b * n, linear.derivatives);
-                              });
-        AlignedArray<double> matrix(size * size), exchanged(size);
-        if (!linearize(true, matrix, exchanged)) return false;
-        return taken(correct(p, [&] { evaluate_all(); },
-                             [&](double* r) { return substitute(matrix.at, size, exchanged.at, r, 1), true; },
-                             [&] { return linearize(false, matrix, exchanged); }));
+    static StageNumbers numbers(A* of, int64_t size) {
+        return {reinterpret_cast<double*>(of), size, Numbers<A>::lanes};
+    }
+    static A* in_layout(double* numbers) { return reinterpret_cast<A*>(numbers); }
+    static const A* in_layout(const double* numbers) { return reinterpret_cast<const A*>(numbers); }
+
+    // Correct the stages that solve for y.
+    bool corrected(Unknowns<Layout>& y, const Evaluate& evaluate, const Called<Outcome<double>(const Corrected&)>& by) {
+        const auto find_defect = [&] { y.find_defect(); };
+        const Corrected stages{tables, numbers(y.points.at, y.size), numbers(y.change.at, y.size), y.work, evaluate,
+                               find_defect};
+        return taken(by(stages));
     }
 
     // Large linear systems for the momentum: `multiply` applies the derivative of the slopes to changes of the points.
     bool by_systems(const Evaluate& evaluate, const Multiply& multiply) {
-        return tables.band >= 0 ? by_band(evaluate, multiply) : by_krylov(p, evaluate, multiply);
+        if (tables.band < 0) return by_krylov(p, evaluate, multiply);
+        return corrected(p, evaluate, [&](const Corrected& stages) { return stages.by_band(multiply); });
     }
 
-    // By factors, if coupled coordinates are close to each other in the order `position`. Columns without common rows
-    // are computed by one multiplication.
-    NOINLINE bool by_band(const Evaluate& evaluate, const Multiply& multiply) {
-        const int64_t band = tables.band, groups = std::min(n, 2 * band + 1);
-        LinearWorkspace<A> linear(field, 0, blocks, n);
-        Banded matrix(s * n, s * (band + 1) - 1);
-        std::vector<int64_t> coordinate(n);
-        std::vector<double> sides(s * n);
-        for (int64_t c = 0; c < n; ++c) coordinate[tables.position[c]] = c;
-        bool stale = true;
-        auto factors = [&] {
-            std::fill(matrix.entries.begin(), matrix.entries.end(), 0.0);
-            for (int64_t k = 0; k < s * n; ++k) matrix.at(k, k) = 1.0;
-            for (int64_t start = 0; start < groups; ++start) {
-                std::fill_n(linear.input.at, blocks * n, A(0.0));
-                for (int64_t position = start; position < n; position += groups)
-                    for (int64_t b = 0; b < blocks; ++b) linear.input.at[b * n + coordinate[position]] = A(1.0);
-                multiply(linear, linear.input.at, linear.output.at);
-                for (int64_t position = start; position < n; position += groups)
-                    for (int64_t row = std::max<int64_t>(0, position - band); row < std::min(n, position + band + 1);
-                         ++row)
-                        for (int64_t j = 0; j < s; ++j) {
-                            const double entry = Layout::at(linear.output.at, n, coordinate[row], j);
-                            for (int64_t i = 0; i < s; ++i) {
-                                double& here = matrix.at(row * s + i, position * s + j);
-                                here = fma(-tables.mix[i * s + j], entry, here);
-                            }
-                        }
-            }
-            stale = false;
-            return matrix.factorize();
-        };
-        auto solve = [&](double* r) {
-            if (stale && !factors()) return false;
-            for (int64_t i = 0; i < s; ++i)
-                for (int64_t c = 0; c < n; ++c) sides[tables.position[c] * s + i] = r[i * n + c];
-            matrix.solve(sides.data());
-            for (int64_t i = 0; i < s; ++i)
-                for (int64_t c = 0; c < n; ++c) r[i * n + c] = sides[tables.position[c] * s + i];
-            return true;
-        };
-        const int64_t enough = tables.solver >= STRUCTURE ? REFINED - 1 : 0;
-        return taken(correct(p, evaluate, solve, [&] { return stale = true; }, enough));
-    }
-
-    // Matrix-free: `multiply` applies the derivative of the slopes to changes of the points.
     NOINLINE bool by_krylov(Unknowns<Layout>& y, const Evaluate& evaluate, const Multiply& multiply) {
-        const int64_t m = y.size;
-        LinearWorkspace<A> linear(field, s, blocks, m);
-        auto operate = [&](const double* v, double* image) {
-            share(m, [&](int64_t first, int64_t last) {
-                for (int64_t i = 0; i < s; ++i)
-                    for (int64_t c = first; c < last; ++c) Layout::put(linear.input.at, m, c, i, v[i * m + c]);
-            });
-            Layout::repeat_last(linear.input.at, m, s);
-            multiply(linear, linear.input.at, linear.output.at);
+        const std::vector<double> none(y.size, 0.0);
+        const auto subtract = [&](const double* from, double* to) {
             for (int64_t b = 0; b < blocks; ++b)
-                mix_each<Layout>(mix.at + b * s, s, linear.output.at, m, linear.none.data(),
-                                 [&](int64_t c, const A& sum) { linear.input.at[b * m + c] -= sum; });
-            share(m, [&](int64_t first, int64_t last) {
-                for (int64_t i = 0; i < s; ++i)
-                    for (int64_t c = first; c < last; ++c) image[i * m + c] = Layout::at(linear.input.at, m, c, i);
-            });
+                mix_each<Layout>(mix.at + b * s, s, in_layout(from), y.size, none.data(),
+                                 [&](int64_t c, const A& sum) { in_layout(to)[b * y.size + c] -= sum; });
         };
-        auto solve = [&](double* r) { return linear.krylov.solve(r, operate); };
-        return taken(correct(y, evaluate, solve, [] { return true; }));
+        return corrected(y, evaluate,
+                         [&](const Corrected& stages) { return stages.by_krylov(multiply, subtract); });
     }
 
     NOINLINE bool linear_by_systems() {
@@ -198,14 +115,15 @@ struct SingleStages : Stages<Layout, SharedConstants> {
 
     // The structure is frozen: linear in the gradient.
     bool linear_in_gradient() {
+        DerivativeWorkspace<A> derivatives(field);
         return by_systems([&] { this->evaluate_frozen(STRUCTURE); },
-                          [&](LinearWorkspace<A>& linear, const A* v, A* out) {
+                          [&](const double* v, double* out) {
                               for (int64_t b = 0; b < blocks; ++b) {
                                   const auto& here = Layout::constants(constants, b, s);
-                                  hessian_times(field, here, frozen.at + b * n, v + b * n, times.at[b],
-                                                linear.derivatives.gradient.at, linear.derivatives);
-                                  product(field, here, frozen.at + b * n, linear.derivatives.gradient.at, lengths.at[b],
-                                          out + b * n, workspace);
+                                  hessian_times(field, here, frozen.at + b * n, in_layout(v) + b * n, times.at[b],
+                                                derivatives.gradient.at, derivatives);
+                                  product(field, here, frozen.at + b * n, derivatives.gradient.at, lengths.at[b],
+                                          in_layout(out) + b * n, workspace);
                               }
                           });
     }
@@ -213,10 +131,10 @@ struct SingleStages : Stages<Layout, SharedConstants> {
     // The gradient is frozen: linear in the structure.
     bool linear_in_structure() {
         return by_systems([&] { this->evaluate_frozen(GRADIENT); },
-                          [&](LinearWorkspace<A>&, const A* v, A* out) {
+                          [&](const double* v, double* out) {
                               for (int64_t b = 0; b < blocks; ++b)
-                                  product(field, Layout::constants(constants, b, s), v + b * n, gradients.at + b * n,
-                                          lengths.at[b], out + b * n, workspace);
+                                  product(field, Layout::constants(constants, b, s), in_layout(v) + b * n,
+                                          gradients.at + b * n, lengths.at[b], in_layout(out) + b * n, workspace);
                           });
     }
 
@@ -225,10 +143,10 @@ struct SingleStages : Stages<Layout, SharedConstants> {
         const double before = iterations;
         const bool found = by_krylov(
             g, [&] { evaluate_group(0, blocks); },
-            [&](LinearWorkspace<A>&, const A* v, A* out) {
+            [&](const double* v, double* out) {
                 for (int64_t b = 0; b < blocks; ++b)
-                    group_slope(group, Layout::constants(constants, b, s), gradients.at + b * n, v + b * d * d,
-                                lengths.at[b], out + b * d * d);
+                    group_slope(group, Layout::constants(constants, b, s), gradients.at + b * n,
+                                in_layout(v) + b * d * d, lengths.at[b], in_layout(out) + b * d * d);
             });
         iterations = before;
         return found;

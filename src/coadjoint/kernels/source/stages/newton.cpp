@@ -1,0 +1,189 @@
+#include "stages/newton.hpp"
+
+#include <limits>
+
+#include "field/derivatives.hpp"
+#include "numbers/banded.hpp"
+#include "numbers/krylov.hpp"
+#include "numbers/linear_solve.hpp"
+#include "stages/runge_kutta.hpp"
+
+namespace coadjoint {
+
+constexpr int64_t MOST_CORRECTIONS = 50;
+constexpr double SLUGGISH = 0.25;  // ratio of corrections above which the factors are renewed
+constexpr double SETTLING = 0x1p-40;  // of the size of the stages: below it stagnating corrections are round-off
+
+// Correct the points as long as each correction is less than half of the previous one: `solve` turns the defect, stage
+// after stage, into a correction, and `renew` is called if corrections fall slowly. With `enough` it is done after that
+// many corrections: linear stages are solved by the first, and refined by the second.
+Outcome<double> Corrected::correct(const Called<bool(double*)>& solve, const Called<bool()>& renew,
+                                   int64_t enough) const {
+    const int64_t s = tables.stages, m = points.size;
+    std::vector<double> defect(s * m);
+    Outcome<double> outcome{false, 0.0, std::numeric_limits<double>::infinity()};
+    double before = std::numeric_limits<double>::infinity(), least = before;
+    int64_t stagnant = 0;
+    for (int64_t passed = 1; passed <= MOST_CORRECTIONS; ++passed) {
+        InterruptCheck::of_this_call().after(work);
+        evaluate();
+        outcome.iterations = double(passed);
+        find_defect();
+        share(m, [&](int64_t first, int64_t last) {
+            for (int64_t i = 0; i < s; ++i)
+                for (int64_t c = first; c < last; ++c) defect[i * m + c] = change(c, i);
+        });
+        if (!solve(defect.data())) return outcome;
+        double largest = 0.0, size = 0.0, sum = 0.0;
+        for (int64_t i = 0; i < s; ++i) {
+            const double moved = shared_sum<double>(m, [&](int64_t first, int64_t last) {
+                double total = 0.0;
+                for (int64_t c = first; c < last; ++c) {
+                    points(c, i) += defect[i * m + c];
+                    total += absolute(defect[i * m + c]);
+                }
+                return total;
+            });
+            const double extent = shared_sum<double>(m, [&](int64_t first, int64_t last) {
+                double total = 0.0;
+                for (int64_t c = first; c < last; ++c) total += absolute(points(c, i));
+                return total;
+            });
+            largest = larger(largest, moved);
+            size = larger(size, extent);
+            sum += extent;
+        }
+        points.repeat_last(s);
+        if (!(0.0 * sum == 0.0)) return outcome;
+        outcome.residual = largest;
+        if (passed == enough) {
+            evaluate();
+            outcome.settled = true;
+            return outcome;
+        }
+        const bool small = largest <= SETTLING * size;
+        stagnant = largest <= 0.5 * least || !small ? 0 : stagnant + 1;
+        least = smaller(least, largest);
+        if (largest == 0.0 || stagnant == 2) {
+            outcome.settled = true;
+            return outcome;
+        }
+        if (enough == 0 && !small && largest > SLUGGISH * before && !renew()) return outcome;
+        before = largest;
+    }
+    return outcome;
+}
+
+Outcome<double> Corrected::by_factors(const double* base, const StageNumbers& times, const StageNumbers& lengths,
+                                      double residual) const {
+    const Field& field = tables.field;
+    const int64_t n = points.size, s = tables.stages, size = s * n;
+    const SharedConstants constants;
+    AlignedArray<double> matrix(size * size), exchanged(size);
+    auto linearize = [&](bool at_base) {
+        DerivativeWorkspace<double> derivatives(field);
+        AlignedArray<double> point(n), u(n), unit(n), image(n), whole(n * n);
+        for (int64_t j = 0; j < s; ++j) {
+            if (j == 0 || !at_base) {
+                const double t = times(0, j);
+                for (int64_t c = 0; c < n; ++c) point.at[c] = at_base ? base[c] : points(c, j);
+                gradient(field, constants, point.at, t, u.at, derivatives.field);
+                for (int64_t k = 0; k < n; ++k) {
+                    unit.at[k] = 1.0;
+                    jacobian_times(field, constants, point.at, u.at, unit.at, t, 1.0, image.at, derivatives);
+                    unit.at[k] = 0.0;
+                    for (int64_t i = 0; i < n; ++i) whole.at[i * n + k] = image.at[i];
+                }
+            }
+            for (int64_t i = 0; i < s; ++i) {
+                const double factor = -tables.mix[i * s + j] * lengths(0, j);
+                for (int64_t a = 0; a < n; ++a)
+                    for (int64_t b = 0; b < n; ++b)
+                        matrix.at[(i * n + a) * size + j * n + b] =
+                            fma(factor, whole.at[a * n + b], i == j && a == b ? 1.0 : 0.0);
+            }
+        }
+        return factorize(matrix.at, size, exchanged.at);
+    };
+    if (!linearize(true)) return {false, 0.0, residual};
+    return correct([&](double* r) { return substitute(matrix.at, size, exchanged.at, r, 1), true; },
+                   [&] { return linearize(false); });
+}
+
+// Numbers of all stages with the alignment of every layout.
+struct AlignedStages {
+    AlignedArray<Lanes<8>> memory;
+    StageNumbers numbers;
+    AlignedStages(const StageNumbers& like, int64_t stages)
+        : memory((count(like, stages) + 7) / 8),
+          numbers{reinterpret_cast<double*>(memory.at), like.size, like.width} {}
+    static int64_t count(const StageNumbers& like, int64_t stages) {
+        return (stages + like.width - 1) / like.width * like.width * like.size;
+    }
+};
+
+// Columns of the Jacobian without common rows are computed by one multiplication.
+Outcome<double> Corrected::by_band(const Multiply& multiply) const {
+    const int64_t n = points.size, s = tables.stages, band = tables.band, groups = std::min(n, 2 * band + 1);
+    AlignedStages input(points, s), output(points, s);
+    Banded matrix(s * n, s * (band + 1) - 1);
+    std::vector<int64_t> coordinate(n);
+    std::vector<double> sides(s * n);
+    for (int64_t c = 0; c < n; ++c) coordinate[tables.position[c]] = c;
+    bool stale = true;
+    auto factors = [&] {
+        std::fill(matrix.entries.begin(), matrix.entries.end(), 0.0);
+        for (int64_t k = 0; k < s * n; ++k) matrix.at(k, k) = 1.0;
+        for (int64_t start = 0; start < groups; ++start) {
+            std::fill_n(input.numbers.numbers, AlignedStages::count(points, s), 0.0);
+            for (int64_t position = start; position < n; position += groups)
+                for (int64_t j = 0; j < s; ++j) input.numbers(coordinate[position], j) = 1.0;
+            input.numbers.repeat_last(s);
+            multiply(input.numbers.numbers, output.numbers.numbers);
+            for (int64_t position = start; position < n; position += groups)
+                for (int64_t row = std::max<int64_t>(0, position - band); row < std::min(n, position + band + 1); ++row)
+                    for (int64_t j = 0; j < s; ++j) {
+                        const double entry = output.numbers(coordinate[row], j);
+                        for (int64_t i = 0; i < s; ++i) {
+                            double& here = matrix.at(row * s + i, position * s + j);
+                            here = fma(-tables.mix[i * s + j], entry, here);
+                        }
+                    }
+        }
+        stale = false;
+        return matrix.factorize();
+    };
+    auto solve = [&](double* r) {
+        if (stale && !factors()) return false;
+        for (int64_t i = 0; i < s; ++i)
+            for (int64_t c = 0; c < n; ++c) sides[tables.position[c] * s + i] = r[i * n + c];
+        matrix.solve(sides.data());
+        for (int64_t i = 0; i < s; ++i)
+            for (int64_t c = 0; c < n; ++c) r[i * n + c] = sides[tables.position[c] * s + i];
+        return true;
+    };
+    const int64_t enough = tables.solver >= STRUCTURE ? REFINED - 1 : 0;
+    return correct(solve, [&] { return stale = true; }, enough);
+}
+
+Outcome<double> Corrected::by_krylov(const Multiply& multiply, const Multiply& subtract) const {
+    const int64_t m = points.size, s = tables.stages;
+    AlignedStages input(points, s), output(points, s);
+    Krylov krylov(s * m);
+    auto operate = [&](const double* v, double* image) {
+        share(m, [&](int64_t first, int64_t last) {
+            for (int64_t i = 0; i < s; ++i)
+                for (int64_t c = first; c < last; ++c) input.numbers(c, i) = v[i * m + c];
+        });
+        input.numbers.repeat_last(s);
+        multiply(input.numbers.numbers, output.numbers.numbers);
+        subtract(output.numbers.numbers, input.numbers.numbers);
+        share(m, [&](int64_t first, int64_t last) {
+            for (int64_t i = 0; i < s; ++i)
+                for (int64_t c = first; c < last; ++c) image[i * m + c] = input.numbers(c, i);
+        });
+    };
+    return correct([&](double* r) { return krylov.solve(r, operate); }, [] { return true; });
+}
+
+}  // namespace coadjoint
