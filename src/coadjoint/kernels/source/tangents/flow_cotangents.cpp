@@ -14,16 +14,16 @@ static NOINLINE Rotation<A> apply_cubic(const Action& action, uint32_t run, cons
 }
 
 // Apply a flow, and store its rotations, or the factors of its CUBIC blocks in the places of sine and cosine.
-template <Summation summation, class A, class G>
+template <Summation summation, bool with_group, class A, class G>
 static INLINE void apply_and_store(const FlowTables& tables, const ElementaryFlow& flow, const Vectors<A>& x,
-                                   const Vectors<G>& group, bool with_group, AppliedRotations<A>* applied) {
+                                   const Vectors<G>& group, AppliedRotations<A>* applied) {
     A theta(flow.offset);
     for (uint32_t entry = 0; entry < flow.entries; ++entry)
         theta = fma(A(flow.weight[entry]), x.at[flow.column[entry]], theta);
     const AngleBlocks &of_momentum = flow.momentum, &of_group = flow.group;
     if (__builtin_expect(flow.kind == ROTATE, 1)) {
         const A phi = theta * of_momentum.factor;
-        const Rotation<A> rotation = rotation_of(phi);
+        const Rotation<A> rotation = rotation_by(phi);
         rotate<summation>(rotation, of_momentum.pairs, of_momentum.repeat, x);
         applied->momentum = rotation;
         if (!with_group) return;
@@ -70,7 +70,7 @@ class StepsBackward {
     }
 
     // Take the steps, and store their states and rotations, unless steps are undone from the last state.
-    template <Summation summation>
+    template <Summation summation, bool with_group>
     void forward() {
         const Vectors<A> momentum{x.at, x.at + size, 1, scratch.at};
         const Vectors<G> element{group.at, group.at + square, rows, group_scratch.at};
@@ -82,7 +82,7 @@ class StepsBackward {
             const auto& flows = k == 1 ? opening : repeated;
             for (size_t position = 0; position < flows.size(); ++position)
                 if (const ElementaryFlow& flow = flows[position]; __builtin_expect(flow.kind != WHOLE_ROW, 1))
-                    apply_and_store<summation>(tables, flow, momentum, element, d > 0, rotations_of(k) + position);
+                    apply_and_store<summation, with_group>(tables, flow, momentum, element, rotations_of(k) + position);
                 else
                     row_forward<summation>(flow.row, momentum, element, t);
             for (uint32_t r = tables.section[k == 1 ? 0 : 1]; flows.empty() && r < tables.section[k == 1 ? 1 : 2]; ++r)
@@ -205,7 +205,10 @@ template <class A, class G>
 static void run_backward(const FlowCotangents& all, const BackwardRun& run, int64_t first, int64_t count,
                          InterruptCheck& interrupts) {
     StepsBackward<A, G> steps(all, run, first, count, interrupts);
-    all.base.compensated ? steps.template forward<CORRECTED>() : steps.template forward<PLAIN>();
+    if (all.base.compensated)
+        run.square > 0 ? steps.template forward<CORRECTED, true>() : steps.template forward<CORRECTED, false>();
+    else
+        run.square > 0 ? steps.template forward<PLAIN, true>() : steps.template forward<PLAIN, false>();
     steps.take_back();
 }
 

@@ -159,13 +159,17 @@ class RowsBackward {
             theta = fma(A(flow.weight[entry]), at.x[flow.column[entry]], theta);
         if (__builtin_expect(flow.kind == ROTATE, 1)) {
             const AngleBlocks &momentum = flow.momentum, &group = flow.group;
-            Rotation<A> rotation = applied ? applied->momentum : rotation_of(theta * momentum.factor);
-            of_angle = unrotate(rotation, momentum.pairs, momentum.repeat, at.x, at.of_x, 1);
+            Rotation<A> found;
+            const Rotation<A>* rotation = applied ? &applied->momentum : &found;
+            if (!applied) found = rotation_of(theta * momentum.factor);
+            of_angle = unrotate(*rotation, momentum.pairs, momentum.repeat, at.x, at.of_x, 1);
             of_angle = A(momentum.factor) * of_angle;
             if (with_group) {
-                if (applied || group.factor != momentum.factor)
-                    rotation = applied ? applied->group : rotation_of(theta * group.factor);
-                of_angle += A(group.factor) * over_rows<A>(unrotate(rotation, group.pairs, group.repeat, at.group.at,
+                if (applied)
+                    rotation = &applied->group;
+                else if (group.factor != momentum.factor)
+                    found = rotation_of(theta * group.factor);
+                of_angle += A(group.factor) * over_rows<A>(unrotate(*rotation, group.pairs, group.repeat, at.group.at,
                                                                     at.of_group.at, at.group.rows));
             }
         } else if (flow.kind == CUBIC) {
