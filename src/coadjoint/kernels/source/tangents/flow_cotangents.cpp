@@ -4,53 +4,174 @@
 
 namespace coadjoint {
 
-// Apply a flow of CUBIC blocks, and store its factors.
+// Apply a CUBIC block, and return its factors.
+template <Summation summation, class A, class V>
+static NOINLINE Rotation<A> apply_cubic(const Action& action, uint32_t run, const A& theta, const Vectors<V>& vectors) {
+    const CubicFactors<A> factors = cubic_factors(action, run, theta);
+    gather(BlockRows(action, run), vectors);
+    cubic_by<summation>(action, SharedConstants{}, run, factors, vectors);
+    return {factors.s, factors.c};
+}
+
+// Apply a flow, and store its rotations, or the factors of its CUBIC blocks in the places of sine and cosine.
 template <Summation summation, bool with_group, class A, class G>
-static INLINE void apply_cubic_flow(const FlowTables& tables, const ElementaryFlow& flow, const Vectors<A>& x,
-                                    const Vectors<G>& group, AppliedRotations<A>* applied) {
+static INLINE void apply_and_store(const FlowTables& tables, const ElementaryFlow& flow, const Vectors<A>& x,
+                                   const Vectors<G>& group, AppliedRotations<A>* applied) {
     A theta(flow.offset);
     for (uint32_t entry = 0; entry < flow.entries; ++entry)
         theta = fma(A(flow.weight[entry]), x.at[flow.column[entry]], theta);
-    const auto move = [&](auto sum, const Action& action, uint32_t run, double factor, const auto& vectors) {
-        const CubicFactors<A> factors(action, SharedConstants{}, run, factor * theta);
-        gather(BlockRows(action, run), vectors);
-        cubic_by<decltype(sum)::value>(action, SharedConstants{}, run, factors, vectors);
-        return Rotation<A>{factors.s, factors.c};
-    };
-    applied->momentum = move(std::integral_constant<Summation, summation>(), tables.state, flow.momentum.run,
-                             flow.momentum.factor, x);
-    if (with_group)
-        applied->group = move(std::integral_constant<Summation, CORRECTED>(), tables.group, flow.group.run,
-                              flow.group.factor, group);
+    const AngleBlocks &of_momentum = flow.momentum, &of_group = flow.group;
+    if (__builtin_expect(flow.kind == ROTATE, 1)) {
+        const A phi = theta * of_momentum.factor;
+        const Rotation<A> rotation = rotation_by(phi);
+        rotate<summation>(rotation, of_momentum.pairs, of_momentum.repeat, x);
+        applied->momentum = rotation;
+        if (!with_group) return;
+        const A angle = theta * of_group.factor;
+        const Rotation<A> other = all(angle == phi) ? rotation : rotation_of(angle);
+        rotate<CORRECTED>(other, of_group.pairs, of_group.repeat, group);
+        applied->group = other;
+    } else if (flow.kind == CUBIC) {
+        applied->momentum = apply_cubic<summation>(tables.state, of_momentum.run, of_momentum.factor * theta, x);
+        if (with_group)
+            applied->group = apply_cubic<CORRECTED>(tables.group, of_group.run, of_group.factor * theta, group);
+    } else {
+        shear_blocks<summation>(of_momentum, theta, x);
+        if (with_group) shear_blocks<CORRECTED>(of_group, theta, group);
+    }
 }
 
 // Members as lanes, or one member with the rows of its group element as lanes.
-template <Summation summation, bool with_group, class A, class G>
-static void run_backward(const FlowCotangents& all, const BackwardRun& run, int64_t first, int64_t count,
-                         InterruptCheck& interrupts) {
-    const FlowTables& tables = all.base;
-    constexpr bool of_members = Numbers<A>::lanes == Numbers<G>::lanes;
-    const int64_t size = run.size, d = with_group ? tables.group.size : 0;
-    const int64_t rows = of_members ? d : (d + Numbers<G>::lanes - 1) / Numbers<G>::lanes, square = d * rows;
-    const int64_t steps = run.undone ? 0 : run.k1 - run.k0, coefficients = CoefficientCotangents<A>::count(tables.terms);
-    AlignedArray<A> states((steps + 1) * size), x(2 * size), cotangents(size), finished(2 * size), added(size);
-    AlignedArray<A> scratch(3 * size), of_coefficients(coefficients);
-    AlignedArray<G> groups((steps + 1) * square), group(2 * square), group_cotangents(square), copies(2 * square);
-    AlignedArray<G> group_added(square), group_scratch(3 * square);
-    AngleWorkspace<A> angles(tables.longest);
-    if constexpr (Numbers<A>::lanes == 1) angles.use_properties(tables);
-    const CoefficientCotangents<A> derivatives(tables.terms, of_coefficients.at);
-    RowsBackward<A, G> backward(all, derivatives, with_group, angles);
-    FlowsOfRows flows_of(tables, with_group, true);
-    const auto opening = flows_of(tables.section[0], tables.section[1]);
-    const auto repeated = flows_of(tables.section[1], tables.section[2]);
-    const auto finish = flows_of(tables.section[2], tables.section[3]);
+template <class A, class G>
+class StepsBackward {
+  public:
+    StepsBackward(const FlowCotangents& all, const BackwardRun& run, int64_t first, int64_t count,
+                  InterruptCheck& interrupts)
+        : all(all), tables(all.base), run(run), interrupts(interrupts), first(first), count(count), size(run.size),
+          d(run.square > 0 ? tables.group.size : 0),
+          rows(of_members ? d : (d + Numbers<G>::lanes - 1) / Numbers<G>::lanes), square(d * rows),
+          steps(run.undone ? 0 : run.k1 - run.k0), coefficients(CoefficientCotangents<A>::count(tables.terms)),
+          states((steps + 1) * size), x(2 * size), cotangents(size), finished(2 * size), added(size),
+          scratch(3 * size), of_coefficients(coefficients), groups((steps + 1) * square), group(2 * square),
+          group_cotangents(square), copies(2 * square), group_added(square), group_scratch(3 * square),
+          angles(tables.longest), derivatives(tables.terms, of_coefficients.at),
+          backward(all, derivatives, run.square > 0, angles), shared_steps(of_members ? 1 : run.threads, size),
+          work(Numbers<A>::lanes * work_of_flows(tables)) {
+        if constexpr (Numbers<A>::lanes == 1) angles.use_properties(tables);
+        FlowsOfRows flows_of(tables, run.square > 0, true);
+        opening = flows_of(tables.section[0], tables.section[1]);
+        repeated = flows_of(tables.section[1], tables.section[2]);
+        finish = flows_of(tables.section[2], tables.section[3]);
+        longest = std::max(opening.size(), repeated.size());
+        rotations.clear(run.undone ? 0 : steps * longest);
+        read(x.at, run.momenta), read(x.at + size, run.errors), read(cotangents.at, run.cotangents);
+        read_group(group.at, run.groups), read_group(group.at + square, run.group_errors);
+        read_group(group_cotangents.at, run.group_cotangents);
+    }
+
+    // Take the steps, and store their states and rotations, unless steps are undone from the last state.
+    template <Summation summation, bool with_group>
+    void forward() {
+        const Vectors<A> momentum{x.at, x.at + size, 1, scratch.at};
+        const Vectors<G> element{group.at, group.at + square, rows, group_scratch.at};
+        store(0);
+        for (int64_t k = run.k0 + 1; !run.undone && k <= run.k1; ++k) {
+            interrupts.after(work);
+            shared_steps.begin();
+            const A t(run.t0 + double(k - 1) * run.h);
+            const auto& flows = k == 1 ? opening : repeated;
+            for (size_t position = 0; position < flows.size(); ++position)
+                if (const ElementaryFlow& flow = flows[position]; __builtin_expect(flow.kind != WHOLE_ROW, 1))
+                    apply_and_store<summation, with_group>(tables, flow, momentum, element, rotations_of(k) + position);
+                else
+                    row_forward<summation>(flow.row, momentum, element, t);
+            for (uint32_t r = tables.section[k == 1 ? 0 : 1]; flows.empty() && r < tables.section[k == 1 ? 1 : 2]; ++r)
+                row_forward<summation>(r, momentum, element, t);
+            store(k - run.k0);
+            shared_steps.end();
+        }
+    }
+
+    void take_back() {
+        int64_t mark = run.marked;
+        for (int64_t k = run.k1; k > run.k0; --k) {
+            interrupts.after(4 * work);
+            run.undone ? shared_steps.begin() : shared_steps.begin_as_measured();
+            const A t(run.t0 + double(k - 1) * run.h);
+            const A* state = run.undone ? x.at : states.at + (k - run.k0) * size;
+            const G* after = run.undone ? group.at : groups.at + (k - run.k0) * square;
+            if (mark > 0 && run.marks[mark - 1] == k) {
+                --mark;
+                // The states of the steps are unfinished: a copy is finished and undone.
+                shared_copy(state, size, finished.at);
+                std::copy_n(after, square, copies.at);
+                read(added.at, run.at_points + mark * run.members * size);
+                read_group(group_added.at, run.at_groups + mark * run.members * d * d);
+                const Vectors<A> copy{finished.at, nullptr, 1, scratch.at};
+                const Vectors<G> copied{copies.at, copies.at + square, rows, group_scratch.at};
+                std::fill_n(copied.errors, square, G(0.0));
+                for (uint32_t r = tables.section[2]; r < tables.section[3]; ++r) row_forward<PLAIN>(r, copy, copied, t);
+                backward.sweep(tables.section[2], tables.section[3], finish,
+                               {finished.at, added.at, copied, {group_added.at, nullptr, rows, group_scratch.at}}, t, run.h);
+                share(size, [&](int64_t low, int64_t high) {
+                    for (int64_t i = low; i < high; ++i) cotangents.at[i] += added.at[i];
+                });
+                for (int64_t e = 0; e < square; ++e) group_cotangents.at[e] += group_added.at[e];
+            }
+            if (!run.undone) {
+                shared_copy(state, size, x.at);
+                std::copy_n(after, square, group.at);
+            }
+            backward.sweep(tables.section[k == 1 ? 0 : 1], tables.section[k == 1 ? 1 : 2], k == 1 ? opening : repeated,
+                           {x.at, cotangents.at, {group.at, nullptr, rows, group_scratch.at},
+                            {group_cotangents.at, nullptr, rows, group_scratch.at}}, t, run.h, rotations_of(k));
+            run.undone ? shared_steps.end() : shared_steps.end_as_measured();
+        }
+        each_number(cotangents.at, size,
+                    [&](A& entry, int lane, int64_t position) { run.cotangents[position] = lane_of(entry, lane); });
+        each_number(of_coefficients.at, coefficients,
+                    [&](A& entry, int lane, int64_t position) { run.coefficients[position] += lane_of(entry, lane); });
+        each_entry(group_cotangents.at,
+                   [&](G& entry, int lane, int64_t position) { run.group_cotangents[position] = lane_of(entry, lane); });
+    }
+
+  private:
+    static constexpr bool of_members = Numbers<A>::lanes == Numbers<G>::lanes;
+    const FlowCotangents& all;
+    const FlowTables& tables;
+    const BackwardRun& run;
+    InterruptCheck& interrupts;
+    const int64_t first, count, size, d, rows, square, steps, coefficients;
+    AlignedArray<A> states, x, cotangents, finished, added, scratch, of_coefficients;
+    AlignedArray<G> groups, group, group_cotangents, copies, group_added, group_scratch;
+    AngleWorkspace<A> angles;
+    const CoefficientCotangents<A> derivatives;
+    RowsBackward<A, G> backward;
+    std::vector<ElementaryFlow> opening, repeated, finish;
+    SharedSteps shared_steps;
+    const int64_t work;
+    size_t longest;
+    AlignedArray<AppliedRotations<A>> rotations{0};
+
+    // A row of the program, unless it is the added one.
+    template <Summation summation>
+    NOINLINE void row_forward(uint32_t r, const Vectors<A>& momentum, const Vectors<G>& element, const A& t) {
+        if (int64_t(tables.part[r]) == all.added) return;
+        if (d > 0)
+            sweep<summation, true>(tables, SharedConstants{}, r, r + 1, momentum, element, t, run.h, angles);
+        else
+            sweep<summation, false>(tables, SharedConstants{}, r, r + 1, momentum, element, t, run.h, angles);
+    }
+
     // Numbers of a member are contiguous; entries (i, r) of a group element are at i * rows + r, or in its lanes.
-    const auto each_number = [&](auto* to, int64_t length, auto&& visit) {
+    template <class Number, class Visit>
+    void each_number(Number* to, int64_t length, const Visit& visit) const {
         for (int64_t lane = 0; lane < (of_members ? count : 1); ++lane)
             for (int64_t i = 0; i < length; ++i) visit(to[i], int(lane), (first + lane) * length + i);
-    };
-    const auto each_entry = [&](G* to, auto&& visit) {
+    }
+
+    template <class Visit>
+    void each_entry(G* to, const Visit& visit) const {
         for (int64_t lane = 0; lane < (of_members ? count : 1); ++lane)
             for (int64_t i = 0; i < d; ++i)
                 for (int64_t r = 0; r < d; ++r) {
@@ -60,105 +181,35 @@ static void run_backward(const FlowCotangents& all, const BackwardRun& run, int6
                     else
                         visit(to[i * rows + r / Numbers<G>::lanes], int(r % Numbers<G>::lanes), from);
                 }
-    };
-    const auto read = [&](A* to, const double* from) {
-        each_number(to, size, [&](A& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); });
-    };
-    const auto read_group = [&](G* to, const double* from) {
-        each_entry(to, [&](G& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); });
-    };
-    read(x.at, run.momenta), read(x.at + size, run.errors), read(cotangents.at, run.cotangents);
-    if (with_group) {
-        read_group(group.at, run.groups), read_group(group.at + square, run.group_errors);
-        read_group(group_cotangents.at, run.group_cotangents);
     }
-    const Vectors<A> momentum{x.at, x.at + size, 1, scratch.at};
-    const Vectors<G> element{group.at, group.at + square, rows, group_scratch.at};
-    SharedSteps shared_steps(of_members ? 1 : run.threads, size);
-    const auto store = [&](int64_t k) {
+
+    NOINLINE void read(A* to, const double* from) const {
+        each_number(to, size, [&](A& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); });
+    }
+
+    NOINLINE void read_group(G* to, const double* from) const {
+        each_entry(to, [&](G& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); });
+    }
+
+    void store(int64_t k) {
         shared_copy(x.at, size, states.at + k * size);
         std::copy_n(group.at, square, groups.at + k * square);
-    };
-    const int64_t work = Numbers<A>::lanes * work_of_flows(tables);
-    const size_t longest = std::max(opening.size(), repeated.size());
-    AlignedArray<AppliedRotations<A>> rotations(run.undone ? 0 : steps * longest);
-    const auto rotations_of = [&](int64_t k) { return run.undone ? nullptr : rotations.at + (k - run.k0 - 1) * longest; };
-    store(0);
-    for (int64_t k = run.k0 + 1; !run.undone && k <= run.k1; ++k) {
-        interrupts.after(work);
-        shared_steps.begin();
-        const A t(run.t0 + double(k - 1) * run.h);
-        const auto& flows = k == 1 ? opening : repeated;
-        for (size_t position = 0; position < flows.size(); ++position) {
-            const ElementaryFlow& flow = flows[position];
-            AppliedRotations<A>* applied = rotations_of(k) + position;
-            if (flow.kind == CUBIC)
-                apply_cubic_flow<summation, with_group>(tables, flow, momentum, element, applied);
-            else if (flow.kind != WHOLE_ROW)
-                apply_flow<summation, with_group>(flow, momentum, element, applied);
-            else if (int64_t(tables.part[flow.row]) != all.added)
-                sweep<summation, with_group>(tables, SharedConstants{}, flow.row, flow.row + 1, momentum, element, t,
-                                             run.h, angles);
-        }
-        for (uint32_t r = tables.section[k == 1 ? 0 : 1]; flows.empty() && r < tables.section[k == 1 ? 1 : 2]; ++r)
-            if (int64_t(tables.part[r]) != all.added)
-                sweep<summation, with_group>(tables, SharedConstants{}, r, r + 1, momentum, element, t, run.h, angles);
-        store(k - run.k0);
-        shared_steps.end();
     }
-    int64_t mark = run.marked;
-    for (int64_t k = run.k1; k > run.k0; --k) {
-        interrupts.after(4 * work);
-        run.undone ? shared_steps.begin() : shared_steps.begin_as_measured();
-        const A t(run.t0 + double(k - 1) * run.h);
-        const A* state = run.undone ? x.at : states.at + (k - run.k0) * size;
-        const G* after = run.undone ? group.at : groups.at + (k - run.k0) * square;
-        if (mark > 0 && run.marks[mark - 1] == k) {
-            --mark;
-            // The states of the steps are unfinished: a copy is finished and undone.
-            shared_copy(state, size, finished.at);
-            std::copy_n(after, square, copies.at);
-            read(added.at, run.at_points + mark * run.members * size);
-            if (with_group) read_group(group_added.at, run.at_groups + mark * run.members * d * d);
-            const Vectors<A> copy{finished.at, nullptr, 1, scratch.at};
-            const Vectors<G> copied{copies.at, copies.at + square, rows, group_scratch.at};
-            std::fill_n(copied.errors, square, G(0.0));
-            for (uint32_t r = tables.section[2]; r < tables.section[3]; ++r)
-                if (int64_t(tables.part[r]) != all.added)
-                    sweep<PLAIN, with_group>(tables, SharedConstants{}, r, r + 1, copy, copied, t, run.h, angles);
-            backward.sweep(tables.section[2], tables.section[3], finish,
-                           {finished.at, added.at, copied, {group_added.at, nullptr, rows, group_scratch.at}}, t, run.h);
-            share(size, [&](int64_t low, int64_t high) {
-                for (int64_t i = low; i < high; ++i) cotangents.at[i] += added.at[i];
-            });
-            for (int64_t e = 0; e < square; ++e) group_cotangents.at[e] += group_added.at[e];
-        }
-        if (!run.undone) {
-            shared_copy(state, size, x.at);
-            std::copy_n(after, square, group.at);
-        }
-        backward.sweep(tables.section[k == 1 ? 0 : 1], tables.section[k == 1 ? 1 : 2], k == 1 ? opening : repeated,
-                       {x.at, cotangents.at, {group.at, nullptr, rows, group_scratch.at},
-                        {group_cotangents.at, nullptr, rows, group_scratch.at}}, t, run.h, rotations_of(k));
-        run.undone ? shared_steps.end() : shared_steps.end_as_measured();
-    }
-    each_number(cotangents.at, size,
-                [&](A& entry, int lane, int64_t position) { run.cotangents[position] = lane_of(entry, lane); });
-    each_number(of_coefficients.at, coefficients,
-                [&](A& entry, int lane, int64_t position) { run.coefficients[position] += lane_of(entry, lane); });
-    if (with_group)
-        each_entry(group_cotangents.at,
-                   [&](G& entry, int lane, int64_t position) { run.group_cotangents[position] = lane_of(entry, lane); });
-}
 
-template <Summation summation, bool with_group>
-static void run_members(const FlowCotangents& all, const BackwardRun& run, int64_t first, int64_t last,
-                        InterruptCheck& interrupts) {
-    for (; run.size <= WIDEST && last - first >= MIN_LANES; first += std::min<int64_t>(MEMBER_LANES, last - first))
-        run_backward<summation, with_group, Lanes<MEMBER_LANES>, Lanes<MEMBER_LANES>>(
-            all, run, first, std::min<int64_t>(MEMBER_LANES, last - first), interrupts);
-    for (; first < last; ++first)
-        run_backward<summation, with_group, double, GroupRows>(all, run, first, 1, interrupts);
+    AppliedRotations<A>* rotations_of(int64_t k) const {
+        return run.undone ? nullptr : rotations.at + (k - run.k0 - 1) * longest;
+    }
+};
+
+template <class A, class G>
+static void run_backward(const FlowCotangents& all, const BackwardRun& run, int64_t first, int64_t count,
+                         InterruptCheck& interrupts) {
+    StepsBackward<A, G> steps(all, run, first, count, interrupts);
+    if (all.base.compensated)
+        run.square > 0 ? steps.template forward<CORRECTED, true>() : steps.template forward<CORRECTED, false>();
+    else
+        run.square > 0 ? steps.template forward<PLAIN, true>() : steps.template forward<PLAIN, false>();
+    steps.take_back();
 }
 
 // Carry the cotangents of the members first to last - 1 from the last step to the first; return zero or the outcome.
@@ -166,13 +217,10 @@ EXPORT int64_t flow_cotangents(const FlowCotangents* tables, const BackwardRun* 
                                const int64_t* stop) {
     InterruptCheck interrupts(stop);
     try {
-        const bool with_group = run->square > 0;
-        if (tables->base.compensated)
-            with_group ? run_members<CORRECTED, true>(*tables, *run, first, last, interrupts)
-                       : run_members<CORRECTED, false>(*tables, *run, first, last, interrupts);
-        else
-            with_group ? run_members<PLAIN, true>(*tables, *run, first, last, interrupts)
-                       : run_members<PLAIN, false>(*tables, *run, first, last, interrupts);
+        for (; run->size <= WIDEST && last - first >= MIN_LANES; first += std::min<int64_t>(MEMBER_LANES, last - first))
+            run_backward<Lanes<MEMBER_LANES>, Lanes<MEMBER_LANES>>(
+                *tables, *run, first, std::min<int64_t>(MEMBER_LANES, last - first), interrupts);
+        for (; first < last; ++first) run_backward<double, GroupRows>(*tables, *run, first, 1, interrupts);
         return 0;
     } catch (const Interrupted&) {
         return INTERRUPTED;

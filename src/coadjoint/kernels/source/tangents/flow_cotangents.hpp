@@ -16,17 +16,20 @@ struct Covector {
     Vectors<G> group, of_group;
 };
 
-// The factors s and c of a flow of CUBIC blocks, in the places of sine and cosine.
+// The factors of a CUBIC block: sine and cosine for rotations, hyperbolic ones else, so a long function.
 template <class A>
-INLINE AppliedRotations<A> cubic_factors(const FlowTables& tables, const ElementaryFlow& flow, const A& theta,
-                                         bool with_group) {
-    const CubicFactors<A> of_momentum(tables.state, SharedConstants{}, flow.momentum.run, flow.momentum.factor * theta);
-    AppliedRotations<A> factors{{of_momentum.s, of_momentum.c}, {}};
-    if (with_group) {
-        const CubicFactors<A> of_group(tables.group, SharedConstants{}, flow.group.run, flow.group.factor * theta);
-        factors.group = {of_group.s, of_group.c};
-    }
-    return factors;
+NOINLINE CubicFactors<A> cubic_factors(const Action& action, uint32_t run, const A& theta) {
+    return CubicFactors<A>(action, SharedConstants{}, run, theta);
+}
+
+// A rotation of two coordinates. Those of many members are long functions.
+template <class A>
+INLINE Rotation<A> rotation_of(const A& phi) {
+    return rotation_by(phi);
+}
+template <int N>
+NOINLINE Rotation<Lanes<N>> rotation_of(const Lanes<N>& phi) {
+    return rotation_by(phi);
 }
 
 template <class A, class G>
@@ -41,7 +44,7 @@ class RowsBackward {
 
     // Undo the rows last - 1 to first of a step from t of length h; `flows` are their elementary flows, if there are any,
     // and `applied` their rotations if they are known.
-    void sweep(uint32_t first, uint32_t last, const std::vector<ElementaryFlow>& flows, const Covector<A, G>& at,
+    NOINLINE void sweep(uint32_t first, uint32_t last, const std::vector<ElementaryFlow>& flows, const Covector<A, G>& at,
                const A& t, double h, const AppliedRotations<A>* applied = nullptr) {
         const auto whole = [&](uint32_t r) {
             if (added.simple && int64_t(tables.part[r]) == all.added)
@@ -121,9 +124,9 @@ class RowsBackward {
 
     // Undo a CUBIC block, transposed for cotangents; return the cotangent of its angle, without the time.
     template <class V>
-    INLINE V undo_cubic(const Action& action, const AngleBlocks& blocks, const A& s, const A& c, const Vectors<V>& x,
-                        const Vectors<V>& of_x) const {
-        const BlockRows block(action, blocks.run);
+    NOINLINE V undo_cubic(const Action& action, uint32_t run, const A& s, const A& c, const Vectors<V>& x,
+                          const Vectors<V>& of_x) const {
+        const BlockRows block(action, run);
         const double *values = action.constants + block.constant + CUBIC_HEADER, *squares = values + block.entries;
         const V along(s), across(c);
         V *before = x.workspace, *covector = before + block.width, *pulled = covector + block.width, total(0.0);
@@ -156,23 +159,21 @@ class RowsBackward {
             theta = fma(A(flow.weight[entry]), at.x[flow.column[entry]], theta);
         if (__builtin_expect(flow.kind == ROTATE, 1)) {
             const AngleBlocks &momentum = flow.momentum, &group = flow.group;
-            Rotation<A> rotation = applied ? applied->momentum : rotation_by(theta * momentum.factor);
-            of_angle = unrotate(rotation, momentum.pairs, momentum.repeat, at.x, at.of_x, 1);
+            Rotation<A> found;
+            const Rotation<A>* rotation = applied ? &applied->momentum : &found;
+            if (!applied) found = rotation_of(theta * momentum.factor);
+            of_angle = unrotate(*rotation, momentum.pairs, momentum.repeat, at.x, at.of_x, 1);
             of_angle = A(momentum.factor) * of_angle;
             if (with_group) {
-                if (applied || group.factor != momentum.factor)
-                    rotation = applied ? applied->group : rotation_by(theta * group.factor);
-                of_angle += A(group.factor) * over_rows<A>(unrotate(rotation, group.pairs, group.repeat, at.group.at,
+                if (applied)
+                    rotation = &applied->group;
+                else if (group.factor != momentum.factor)
+                    found = rotation_of(theta * group.factor);
+                of_angle += A(group.factor) * over_rows<A>(unrotate(*rotation, group.pairs, group.repeat, at.group.at,
                                                                     at.of_group.at, at.group.rows));
             }
         } else if (flow.kind == CUBIC) {
-            const AppliedRotations<A> factors = applied ? *applied : cubic_factors(tables, flow, theta, with_group);
-            of_angle = undo_cubic(tables.state, flow.momentum, factors.momentum.sine, factors.momentum.cosm1,
-                                  Vectors<A>{at.x, nullptr, 1, scratch.at}, Vectors<A>{at.of_x, nullptr, 1, nullptr});
-            if (with_group)
-                of_angle += over_rows<A>(undo_cubic(tables.group, flow.group, factors.group.sine, factors.group.cosm1,
-                                                    at.group, at.of_group));
-            of_angle = A(flow.momentum.factor) * of_angle;
+            of_angle = undo_cubic_flow(flow, theta, at, applied);
         } else {
             of_angle = A(flow.momentum.factor) * of_shears(flow.momentum, at.x, at.of_x, 1);
             if (with_group)
@@ -182,6 +183,23 @@ class RowsBackward {
             if (with_group) unshear(flow.group, theta, at.group.at, at.of_group.at, at.group.rows);
         }
         pull_angle(flow, of_angle, at);
+    }
+
+    // Undo CUBIC blocks of the state and of the group element; return the cotangent of their angle.
+    NOINLINE A undo_cubic_flow(const ElementaryFlow& flow, const A& theta, const Covector<A, G>& at,
+                               const AppliedRotations<A>* applied) const {
+        const auto undo_one = [&](const Action& action, const AngleBlocks& blocks, const Rotation<A>* known,
+                                  const auto& x, const auto& of_x) {
+            if (known) return undo_cubic(action, blocks.run, known->sine, known->cosm1, x, of_x);
+            const CubicFactors<A> factors = cubic_factors(action, blocks.run, blocks.factor * theta);
+            return undo_cubic(action, blocks.run, factors.s, factors.c, x, of_x);
+        };
+        A of_angle = undo_one(tables.state, flow.momentum, applied ? &applied->momentum : nullptr,
+                              Vectors<A>{at.x, nullptr, 1, scratch.at}, Vectors<A>{at.of_x, nullptr, 1, nullptr});
+        if (with_group)
+            of_angle += over_rows<A>(
+                undo_one(tables.group, flow.group, applied ? &applied->group : nullptr, at.group, at.of_group));
+        return A(flow.momentum.factor) * of_angle;
     }
 
     // Add the cotangents of the weights of an angle, and of x.
@@ -266,7 +284,7 @@ class RowsBackward {
                     for (int lane = 0; lane < SPREAD; ++lane)
                         one(q + lane, {lane_of(rotations.sine, lane), lane_of(rotations.cosm1, lane)});
                 }
-            for (; q < count; ++q) one(q, rotation_by(angle[q] * (tau * constants[q])));
+            for (; q < count; ++q) one(q, rotation_of(angle[q] * (tau * constants[q])));
         });
     }
 
