@@ -29,6 +29,11 @@ namespace coadjoint {
     declared template void rotate_fused<summation>(const FlowTables&, const SharedConstants&, uint32_t, double,     \
                                                    const Vectors<A>&, bool);
 
+#define COMPILED_GROUPS(declared, summation, with_group)                                                              \
+    declared template void sweep_groups<summation, with_group>(                                                      \
+        const FlowTables&, const RowsTarget<ManyMembers, ManyMembers, SharedConstants>* const*, int, uint32_t,       \
+        uint32_t, const ManyMembers&, double, AngleWorkspace<ManyMembers>&);
+
 #define COMPILED_ANGLES(declared, A)                                                                                  \
     declared template void gradient_rows(const Terms&, const SharedConstants&, const int64_t*, int64_t, const A*,    \
                                          const A&, A*, int64_t, A*, double*);                                        \
@@ -53,6 +58,10 @@ namespace coadjoint {
     COMPILED_SWEEPS(declared, PLAIN, ManyMembers, ManyMembers)        \
     COMPILED_SWEEPS(declared, CORRECTED, double, GroupRows)           \
     COMPILED_SWEEPS(declared, CORRECTED, ManyMembers, ManyMembers)    \
+    COMPILED_GROUPS(declared, PLAIN, false)                           \
+    COMPILED_GROUPS(declared, PLAIN, true)                            \
+    COMPILED_GROUPS(declared, CORRECTED, false)                       \
+    COMPILED_GROUPS(declared, CORRECTED, true)                        \
     COMPILED_ANGLES(declared, double)                                 \
     COMPILED_ANGLES(declared, ManyMembers)                            \
     COMPILED_CHANGES(declared, double, double)                        \
