@@ -57,9 +57,19 @@ struct CalledBody {
         }
     }
 
+    // Of register k of more lanes.
+    template <int N>
+    CalledBody(const CalledBody<Lanes<N>>& all, int k) : column(all.column), bond(all.bond) {
+        for (int i = 0; i < 3; ++i) {
+            moments[i].part[0] = all.moments[i].part[k], scale[i].part[0] = all.scale[i].part[k];
+            momentum[i].part[0] = all.momentum[i].part[k];
+        }
+        for (int i = 0; i < 9; ++i) axes[i].part[0] = all.axes[i].part[k];
+    }
+
     // The quaternion of the rotation along the principal axes.
     template <class R>
-    Quaternion<R> rotation(const R* z, const A& tau) const {
+    NOINLINE Quaternion<R> rotation(const R* z, const A& tau) const {
         return bond ? spherical_rotation(moments[0], z, tau) : body_rotation(moments, z, tau);
     }
 
@@ -163,23 +173,19 @@ NOINLINE void called_rotations(const FlowTables& tables, const C& constants, int
     }
 }
 
-// The further rotation of the element of a called share under changes of the momentum: changes of its rotations about
-// e1, e2, e3 that are applied last, for vectors side by side.
-template <class A, class V>
-NOINLINE void called_changes(const FlowTables& tables, int64_t body, double tau, const A* x, const V* vectors,
-                             int64_t rows, V* changes) {
+// The derivative of the rotation of a called share, by row: the change along a coordinate for each component of the
+// momentum along the principal axes.
+template <class A>
+NOINLINE void derivative_in_registers(const CalledBody<A>& called, double tau, A* jacobian) {
     typedef Dual<A> R;
-    const CalledBody<A> called(tables, SharedConstants{}, body, x);
     R momentum[3];
     for (int i = 0; i < 3; ++i)
         momentum[i] = R(called.momentum[i], A(double(i == 0)), A(double(i == 1)), A(double(i == 2)));
     const Quaternion<R> q = called.rotation(momentum, A(tau));
-    const uint32_t* column = called.column;
     const A vector[3] = {q.vector[0].value, q.vector[1].value, q.vector[2].value};
     const A size = larger(absolute(called.momentum[0]),
                           larger(absolute(called.momentum[1]), absolute(called.momentum[2])));
     const auto moving = A(0.0) < size;
-    A jacobian[9];  // by row: the change along a coordinate for each component of the momentum along the principal axes
     for (int c = 0; c < 3; ++c) {
         const A slope[3] = {q.vector[0].slope[c], q.vector[1].slope[c], q.vector[2].slope[c]};
         A crossed[3], along[3], outward[3];
@@ -193,6 +199,32 @@ NOINLINE void called_changes(const FlowTables& tables, int64_t body, double tau,
         called.outward(along, outward);
         for (int i = 0; i < 3; ++i) jacobian[3 * i + c] = outward[i];
     }
+}
+
+// The same, for lanes one register after the other: dual numbers of more do not fit into registers.
+template <class A>
+void derivative_of_call(const CalledBody<A>& called, double tau, A* jacobian) {
+    if constexpr (Numbers<A>::lanes <= NATIVE) {
+        derivative_in_registers(called, tau, jacobian);
+    } else {
+        typedef Lanes<A::width> Register;
+        for (int k = 0; k < A::count; ++k) {
+            Register found[9];
+            derivative_in_registers(CalledBody<Register>(called, k), tau, found);
+            for (int i = 0; i < 9; ++i) jacobian[i].part[k] = found[i].part[0];
+        }
+    }
+}
+
+// The further rotation of the element of a called share under changes of the momentum: changes of its rotations about
+// e1, e2, e3 that are applied last, for vectors side by side.
+template <class A, class V>
+NOINLINE void called_changes(const FlowTables& tables, int64_t body, double tau, const A* x, const V* vectors,
+                             int64_t rows, V* changes) {
+    const CalledBody<A> called(tables, SharedConstants{}, body, x);
+    const uint32_t* column = called.column;
+    A jacobian[9];
+    derivative_of_call(called, tau, jacobian);
     for (int i = 0; i < 3; ++i)
         for (int j = 0; j < 3; ++j) {
             const A axes[3] = {called.axes[3 * j], called.axes[3 * j + 1], called.axes[3 * j + 2]};

@@ -15,7 +15,9 @@ namespace coadjoint {
     declared template void act_apart<summation>(const Action&, const SharedConstants&, uint32_t, double, const A*, \
                                                 const Vectors<V>&);                                               \
     declared template void act_called<summation>(const Action&, const SharedConstants&, uint32_t,                 \
-                                                 const Rotations<A>&, const Vectors<V>&, int64_t);
+                                                 const Rotations<A>&, const Vectors<V>&, int64_t);                \
+    declared template void plane<summation>(const A&, const A&, const A&, const A&, const uint32_t*, uint32_t,    \
+                                            const A&, const Vectors<V>&);
 
 #define COMPILED_SWEEPS(declared, summation, A, G)                                                                   \
     declared template void sweep<summation, false>(const FlowTables&, const SharedConstants&, uint32_t, uint32_t,   \
@@ -27,12 +29,20 @@ namespace coadjoint {
     declared template void rotate_fused<summation>(const FlowTables&, const SharedConstants&, uint32_t, double,     \
                                                    const Vectors<A>&, bool);
 
+#define COMPILED_GROUPS(declared, summation, with_group)                                                              \
+    declared template void sweep_groups<summation, with_group>(                                                      \
+        const FlowTables&, const RowsTarget<ManyMembers, ManyMembers, SharedConstants>* const*, int, uint32_t,       \
+        uint32_t, const ManyMembers&, double, AngleWorkspace<ManyMembers>&);
+
 #define COMPILED_ANGLES(declared, A)                                                                                  \
     declared template void gradient_rows(const Terms&, const SharedConstants&, const int64_t*, int64_t, const A*,    \
                                          const A&, A*, int64_t, A*, double*);                                        \
     declared template void called_rotations(const FlowTables&, const SharedConstants&, int64_t, const A&, const A*, \
                                             const Rotations<A>&);                                                   \
-    declared template void rotate_shares(const FlowTables&, const SharedConstants&, uint32_t, uint32_t, double, A*);
+    declared template void rotate_shares(const FlowTables&, const SharedConstants&, uint32_t, uint32_t, double, A*); \
+    declared template Quaternion<A> CalledBody<A>::rotation(const A*, const A&) const;                              \
+    declared template void repeated_rows<true>(const Terms&, int64_t, int64_t, const A*, A*);                       \
+    declared template void even_rows(const Terms&, uint32_t, uint32_t, uint32_t, const A*, A*);
 
 #define COMPILED_CHANGES(declared, A, V)                                                                             \
     declared template void called_changes(const FlowTables&, int64_t, double, const A*, const V*, int64_t, V*);
@@ -48,11 +58,16 @@ namespace coadjoint {
     COMPILED_SWEEPS(declared, PLAIN, ManyMembers, ManyMembers)        \
     COMPILED_SWEEPS(declared, CORRECTED, double, GroupRows)           \
     COMPILED_SWEEPS(declared, CORRECTED, ManyMembers, ManyMembers)    \
+    COMPILED_GROUPS(declared, PLAIN, false)                           \
+    COMPILED_GROUPS(declared, PLAIN, true)                            \
+    COMPILED_GROUPS(declared, CORRECTED, false)                       \
+    COMPILED_GROUPS(declared, CORRECTED, true)                        \
     COMPILED_ANGLES(declared, double)                                 \
     COMPILED_ANGLES(declared, ManyMembers)                            \
     COMPILED_CHANGES(declared, double, double)                        \
     COMPILED_CHANGES(declared, double, GroupRows)                     \
-    COMPILED_CHANGES(declared, ManyMembers, ManyMembers)
+    COMPILED_CHANGES(declared, ManyMembers, ManyMembers)              \
+    declared template void derivative_in_registers(const CalledBody<Lanes<NATIVE>>&, double, Lanes<NATIVE>*);
 
 typedef Lanes<MEMBER_LANES> ManyMembers;
 #if !defined(COMPILES_ROWS)

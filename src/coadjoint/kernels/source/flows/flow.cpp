@@ -7,16 +7,20 @@ namespace coadjoint {
 template <Summation summation, bool with_group>
 static void advance_range(const FlowLoop& loop, const MemberRange& range) {
     typedef Lanes<MEMBER_LANES> LaneNumbers;
-    const auto shared = [](int64_t) { return SharedConstants{}; };
-    const auto varied = [&](int64_t position) { return LaneConstants{range.stride, position}; };
+    const LaneSweeps<LaneNumbers, SharedConstants> shared{
+        sweep_groups<summation, with_group, LaneNumbers, LaneNumbers, SharedConstants>,
+        sweep_groups<summation, false, LaneNumbers, LaneNumbers, SharedConstants>};
+    const LaneSweeps<LaneNumbers, LaneConstants> varied{
+        sweep_groups<summation, with_group, LaneNumbers, LaneNumbers, LaneConstants>,
+        sweep_groups<summation, false, LaneNumbers, LaneNumbers, LaneConstants>};
     int64_t position = range.first;
     const bool narrow = loop.arrays.size <= WIDEST;
     while (position < range.last && (range.stride || (narrow && range.last - position >= MIN_LANES))) {
         const int64_t next = std::min<int64_t>(position + LANE_GROUPS * MEMBER_LANES, range.last);
         if (range.stride)
-            advance_lanes<summation, with_group, LaneNumbers>(loop, varied, range.members, position, next);
+            advance_lanes(loop, varied, range, position, next);
         else
-            advance_lanes<summation, with_group, LaneNumbers>(loop, shared, range.members, position, next);
+            advance_lanes(loop, shared, range, position, next);
         position = next;
     }
     for (; position < range.last; ++position) {

@@ -11,160 +11,236 @@ namespace coadjoint {
 constexpr int ROWS = 4;
 typedef Lanes<ROWS> GroupRows;
 
-template <Summation summation, class A>
+// `sweep` with some sums, with the group element or without.
+template <class A, class G>
+using Sweep = void (*)(const FlowTables&, const SharedConstants&, uint32_t, uint32_t, const Vectors<A>&,
+                       const Vectors<G>&, const A&, double, AngleWorkspace<A>&);
+
+template <class A>
 struct Finisher {
-    static constexpr bool nothing = false, with_errors = summation != PLAIN;
     typedef std::conditional_t<Numbers<A>::lanes == 1, GroupRows, A> Rows;
+    static constexpr bool nothing = false;
+    const bool with_errors;
     const FlowTables& tables;
     const Schedule& schedule;
+    const Sweep<A, Rows> sweep;
     AlignedArray<A> scratch;
     AngleWorkspace<A> angles;
     PartialStep<A> partial_step;
 
-    Finisher(const FlowTables& tables, const Schedule& schedule, int64_t size, int64_t member)
-        : tables(tables), schedule(schedule), scratch(3 * size), angles(tables.longest) {
+    Finisher(const FlowLoop& loop, int64_t member, Sweep<A, Rows> sweep, bool with_errors)
+        : with_errors(with_errors), tables(loop.tables), schedule(loop.schedule), sweep(sweep),
+          scratch(3 * loop.arrays.size), angles(tables.longest) {
         for (int lane = 0; lane < Numbers<A>::lanes; ++lane) partial_step.set(tables, schedule, member, lane);
         if (partial_step.needed) angles.partial_step = &partial_step;
     }
 
     void operator()(A* x, A* dx, const A& t) {
-        sweep<summation, false>(tables, SharedConstants{}, tables.section[2], tables.section[3],
-                                Vectors<A>{x, dx, 1, scratch.at}, Vectors<Rows>{}, t, schedule.h, angles);
+        sweep(tables, SharedConstants{}, tables.section[2], tables.section[3], Vectors<A>{x, dx, 1, scratch.at},
+              Vectors<Rows>{}, t, schedule.h, angles);
     }
 };
 
-template <Summation summation, bool with_group, class Side>
-void advance_alone(const FlowLoop& loop, int64_t member) {
-    const FlowTables& tables = loop.tables;
-    const Schedule& schedule = loop.schedule;
-    const Arrays& arrays = loop.arrays;
-    const int64_t size = arrays.size, d = tables.group.size, rows = (d + ROWS - 1) / ROWS;
-    // Plain sums have no errors to be copied.
-    const int64_t carried = summation == PLAIN ? size : 2 * size;
-    AlignedArray<double> scratch(3 * size), copies(2 * size), momenta(2 * size), checkpoint_momenta(2 * size);
-    AlignedArray<GroupRows> elements(2 * d * rows), finished(2 * d * rows), group_scratch(3 * d * rows);
-    AlignedArray<GroupRows> checkpoint_elements(with_group ? 2 * d * rows : 0);
-    AngleWorkspace<double> angles(tables.longest);
-    angles.use_properties(tables);
-    SharedSteps shared_steps(schedule.threads, size);
+// A group element is filled in by a function; see MemberRecorder.
+typedef Called<bool(int64_t, double*)> FinishedGroup;
+
+// The recorder of one member. Loops over steps are compiled once for all of its number types.
+struct AnyRecorder {
+    int64_t next;  // the next step that is recorded
+    virtual ~AnyRecorder() = default;
+    virtual int64_t after(int64_t k, const double* x, const double* dx, const FinishedGroup& group) = 0;
+    virtual int64_t flush() = 0;
+};
+
+template <class Side>
+struct FinishingRecorder final : AnyRecorder {
+    Finisher<Side> finisher;
+    MemberRecorder<Side, SharedConstants, Finisher<Side>> recorder;
+
+    FinishingRecorder(const FlowLoop& loop, int64_t member, Sweep<Side, typename Finisher<Side>::Rows> sweep,
+                      bool with_errors)
+        : finisher(loop, member, sweep, with_errors),
+          recorder(loop.watch, loop.arrays, loop.schedule, SharedConstants{}, finisher) {
+        recorder.begin(member, SharedConstants{}, loop.k0);
+        next = recorder.next_recorded(loop.k0 + 1);
+    }
+
+    NOINLINE int64_t after(int64_t k, const double* x, const double* dx, const FinishedGroup& group) override {
+        const int64_t failed = recorder.after(k, x, dx, group);
+        next = recorder.next_recorded(k + 1);
+        return failed;
+    }
+
+    int64_t flush() override { return recorder.flush(); }
+};
+
+// The state of one trajectory, and all but the flows of its steps.
+class LoneMember {
+  public:
+    const FlowLoop& loop;
+    const FlowTables& tables;
+    const Schedule& schedule;
+    const int64_t member, size, d, rows, square;
+    AlignedArray<double> momenta;
+    AlignedArray<GroupRows> elements;
+    AngleWorkspace<double> angles;
+    SharedSteps shared_steps;
     PartialStep<double> partial_step;
-    partial_step.set(tables, schedule, member, 0);
-    if (partial_step.needed) angles.partial_step = &partial_step;
-    Finisher<summation, Side> finisher(tables, schedule, size, member);
-    finisher.angles.even = angles.even, finisher.angles.following = angles.following;
-    MemberRecorder<Side, SharedConstants, Finisher<summation, Side>> recorder(loop.watch, arrays, schedule,
-                                                                              SharedConstants{}, finisher);
-    recorder.begin(member, SharedConstants{}, loop.k0);
-    double *x = momenta.at, *dx = momenta.at + size;
-    shared_steps.begin_as_measured();
-    shared_copy(arrays.momenta + member * size, size, x);
-    shared_steps.end_as_measured();
-    if (carried > size) std::copy_n(arrays.errors + member * size, size, dx);
-    const Vectors<GroupRows> group{elements.at, elements.at + d * rows, rows, group_scratch.at};
-    auto each_entry = [&](auto&& visit) {
-        for (int64_t i = 0; i < d; ++i)
-            for (int64_t r = 0; r < d; ++r) visit(i * d + r, (i * rows + r / ROWS) * ROWS + r % ROWS);
-    };
-    double *g = reinterpret_cast<double*>(group.at), *dg = reinterpret_cast<double*>(group.errors);
-    if constexpr (with_group)
-        each_entry([&](int64_t from, int64_t to) {
-            g[to] = arrays.groups[member * d * d + from];
-            dg[to] = arrays.group_errors[member * d * d + from];
-        });
-    const Vectors<double> momentum{x, dx, 1, scratch.at};
-    // The group element is finished on a copy, and rotated by angles of a copy of the momentum.
-    auto finish_copies = [&](int64_t k) {
-        shared_copy(x, carried, copies.at);
-        if (with_group) std::copy_n(elements.at, 2 * d * rows, finished.at);
-        const double t = start_of(schedule, member, k);
-        const Vectors<GroupRows> copy{finished.at, finished.at + d * rows, rows, group_scratch.at};
-        sweep<summation, with_group>(tables, SharedConstants{}, tables.section[2], tables.section[3],
-                                     Vectors<double>{copies.at, copies.at + size, 1, scratch.at}, copy, t, schedule.h,
-                                     angles);
-    };
-    auto finished_group = [&](int64_t k, double* to) {
-        if constexpr (with_group) {
-            finish_copies(k);
-            const double* element = reinterpret_cast<double*>(finished.at);
-            bool valid = true;
-            each_entry([&](int64_t, int64_t from) { valid &= 0.0 * element[from] == 0.0; });
-            if (valid) each_entry([&](int64_t position, int64_t from) { to[position] = element[from]; });
-            return valid;
-        } else {
-            return true;
-        }
-    };
-    FlowsOfRows flows_of(tables, with_group);
     std::vector<ElementaryFlow> opening, repeated;
-    if (!partial_step.needed) {  // they contain the angles of the tables
+    int64_t failed = 0;
+
+    // `carried` numbers of the momentum and its errors.
+    LoneMember(const FlowLoop& loop, int64_t member, int64_t carried, Sweep<double, GroupRows> sweep)
+        : loop(loop), tables(loop.tables), schedule(loop.schedule), member(member), size(loop.arrays.size),
+          d(loop.arrays.square > 0 ? tables.group.size : 0), rows((d + ROWS - 1) / ROWS), square(d * rows),
+          momenta(2 * size), elements(2 * square), angles(tables.longest), shared_steps(schedule.threads, size),
+          carried(carried), sweep(sweep), scratch(3 * size), copies(2 * size), checkpoint_momenta(2 * size),
+          finished(2 * square), group_scratch(3 * square), checkpoint_elements(2 * square), checkpoint(loop.k0) {
+        angles.use_properties(tables);
+        partial_step.set(tables, schedule, member, 0);
+        if (partial_step.needed) angles.partial_step = &partial_step;
+        shared_steps.begin_as_measured();
+        shared_copy(loop.arrays.momenta + member * size, size, momenta.at);
+        shared_steps.end_as_measured();
+        if (carried > size) std::copy_n(loop.arrays.errors + member * size, size, momenta.at + size);
+        double *g = reinterpret_cast<double*>(elements.at), *dg = reinterpret_cast<double*>(elements.at + square);
+        each_entry([&](int64_t from, int64_t to) {
+            g[to] = loop.arrays.groups[member * d * d + from];
+            dg[to] = loop.arrays.group_errors[member * d * d + from];
+        });
+        std::copy_n(elements.at, 2 * square, checkpoint_elements.at);
+        if (partial_step.needed) return;  // flows contain the angles of the tables
+        FlowsOfRows flows_of(tables, loop.arrays.square > 0);
         opening = flows_of(tables.section[0], tables.section[loop.k0 == 0]);
         repeated = flows_of(tables.section[1], tables.section[loop.k1 > 1 ? 2 : 1]);
     }
-    int64_t checkpoint = loop.k0;  // of which the arrays of the run have the momenta
-    if (with_group) std::copy_n(elements.at, 2 * d * rows, checkpoint_elements.at);
-    const auto store_checkpoint = [&](int64_t k) {
+
+    Vectors<double> momentum() { return {momenta.at, momenta.at + size, 1, scratch.at}; }
+    Vectors<GroupRows> group() { return {elements.at, elements.at + square, rows, group_scratch.at}; }
+
+    NOINLINE void store_checkpoint(int64_t k) {
         checkpoint = k;
-        shared_copy(x, carried, checkpoint_momenta.at);
-        if (with_group) std::copy_n(elements.at, 2 * d * rows, checkpoint_elements.at);
-    };
-    const auto is_finite = [&](const double* at, const GroupRows* element) {
-        return finite(size, at) && (!with_group || all(finite(d * rows, element)));
-    };
+        shared_copy(momenta.at, carried, checkpoint_momenta.at);
+        std::copy_n(elements.at, 2 * square, checkpoint_elements.at);
+    }
+
     // The step in which a number of step k became infinite: if already the finish of the previous step overflows, it
     // was that one.
-    const auto step_that_failed = [&](int64_t k) {
+    NOINLINE int64_t step_that_failed(int64_t k) {
         if (k == 1) return k;
         if (checkpoint == loop.k0) {
-            std::copy_n(arrays.momenta + member * size, size, x);
-            if (carried > size) std::copy_n(arrays.errors + member * size, size, dx);
+            std::copy_n(loop.arrays.momenta + member * size, size, momenta.at);
+            if (carried > size) std::copy_n(loop.arrays.errors + member * size, size, momenta.at + size);
         } else {
-            std::copy_n(checkpoint_momenta.at, carried, x);
+            std::copy_n(checkpoint_momenta.at, carried, momenta.at);
         }
-        if (with_group) std::copy_n(checkpoint_elements.at, 2 * d * rows, elements.at);
+        std::copy_n(checkpoint_elements.at, 2 * square, elements.at);
         for (int64_t again = checkpoint + 1; again < k; ++again)
-            sweep<summation, with_group>(tables, SharedConstants{}, tables.section[again == 1 ? 0 : 1],
-                                         tables.section[again == 1 ? 1 : 2], momentum, group,
-                                         start_of(schedule, member, again), schedule.h, angles);
+            sweep(tables, SharedConstants{}, tables.section[again == 1 ? 0 : 1], tables.section[again == 1 ? 1 : 2],
+                  momentum(), group(), start_of(schedule, member, again), schedule.h, angles);
         finish_copies(k - 1);
-        return is_finite(copies.at, finished.at) ? k : k - 1;
-    };
-    int64_t failed = 0;
+        return finite(size, copies.at) && all(finite(square, finished.at)) ? k : k - 1;
+    }
+
+    // Fill in the finished group element of step k; return whether it is finite.
+    NOINLINE bool finished_group(int64_t k, double* to) {
+        if (d == 0) return true;
+        finish_copies(k);
+        const double* element = reinterpret_cast<double*>(finished.at);
+        bool valid = true;
+        each_entry([&](int64_t, int64_t from) { valid &= 0.0 * element[from] == 0.0; });
+        if (valid) each_entry([&](int64_t position, int64_t from) { to[position] = element[from]; });
+        return valid;
+    }
+
+    void end() {
+        const Arrays& arrays = loop.arrays;
+        arrays.evaluations[member] += rows_applied(tables, loop.k0, failed ? failed : loop.k1);
+        if (failed) loop.overflow(member, failed);
+        shared_steps.begin_as_measured();
+        shared_copy(momenta.at, size, arrays.momenta + member * size);
+        shared_steps.end_as_measured();
+        if (carried > size) std::copy_n(momenta.at + size, size, arrays.errors + member * size);
+        const double *g = reinterpret_cast<double*>(elements.at), *dg = reinterpret_cast<double*>(elements.at + square);
+        each_entry([&](int64_t to, int64_t from) {
+            arrays.groups[member * d * d + to] = g[from];
+            arrays.group_errors[member * d * d + to] = dg[from];
+        });
+    }
+
+  private:
+    const int64_t carried;
+    const Sweep<double, GroupRows> sweep;
+    AlignedArray<double> scratch, copies, checkpoint_momenta;
+    AlignedArray<GroupRows> finished, group_scratch, checkpoint_elements;
+    int64_t checkpoint;  // of which the arrays of the run have the momenta
+
+    // Of an entry, the positions in the group element of a run and in these lanes.
+    template <class Visit>
+    void each_entry(const Visit& visit) const {
+        for (int64_t i = 0; i < d; ++i)
+            for (int64_t r = 0; r < d; ++r) visit(i * d + r, (i * rows + r / ROWS) * ROWS + r % ROWS);
+    }
+
+    // The group element is finished on a copy, and rotated by angles of a copy of the momentum.
+    void finish_copies(int64_t k) {
+        shared_copy(momenta.at, carried, copies.at);
+        std::copy_n(elements.at, 2 * square, finished.at);
+        sweep(tables, SharedConstants{}, tables.section[2], tables.section[3],
+              Vectors<double>{copies.at, copies.at + size, 1, scratch.at},
+              Vectors<GroupRows>{finished.at, finished.at + square, rows, group_scratch.at},
+              start_of(schedule, member, k), schedule.h, angles);
+    }
+};
+
+template <Summation summation, bool with_group>
+NOINLINE void take_steps_alone(LoneMember& alone, AnyRecorder& recorder) {
+    const FlowLoop& loop = alone.loop;
+    const FlowTables& tables = alone.tables;
+    const Schedule& schedule = alone.schedule;
     const int64_t work = work_of_step(loop);
+    const Vectors<double> momentum = alone.momentum();
+    const Vectors<GroupRows> group = alone.group();
+    const auto finished_group = [&](int64_t k, double* to) { return alone.finished_group(k, to); };
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
         loop.interrupts.after(work);
-        shared_steps.begin();
-        const double t = start_of(schedule, member, k);
-        const std::vector<ElementaryFlow>& flows = k == 1 ? opening : repeated;
+        alone.shared_steps.begin();
+        const double t = start_of(schedule, alone.member, k);
+        const std::vector<ElementaryFlow>& flows = k == 1 ? alone.opening : alone.repeated;
         for (const ElementaryFlow& flow : flows)
             if (__builtin_expect(flow.kind != WHOLE_ROW, 1))
                 apply_flow<summation, with_group>(flow, momentum, group);
             else
                 sweep<summation, with_group>(tables, SharedConstants{}, flow.row, flow.row + 1, momentum, group, t,
-                                             schedule.h, angles);
+                                             schedule.h, alone.angles);
         if (flows.empty())
             sweep<summation, with_group>(tables, SharedConstants{}, tables.section[k == 1 ? 0 : 1],
-                                         tables.section[k == 1 ? 1 : 2], momentum, group, t, schedule.h, angles);
-        if (__builtin_expect(!is_finite(x, elements.at), 0)) {
-            failed = step_that_failed(k);
+                                         tables.section[k == 1 ? 1 : 2], momentum, group, t, schedule.h, alone.angles);
+        if (__builtin_expect(!finite(alone.size, momentum.at) ||
+                                 (with_group && !all(finite(alone.square, group.at))), 0)) {
+            alone.failed = alone.step_that_failed(k);
             break;
         }
-        if (k % CHECKPOINT_INTERVAL == 0) store_checkpoint(k);
-        if ((failed = recorder.after(k, x, dx, finished_group))) break;
-        shared_steps.end();
+        if (k % CHECKPOINT_INTERVAL == 0) alone.store_checkpoint(k);
+        if (k == recorder.next && (alone.failed = recorder.after(k, momentum.at, momentum.errors, finished_group))) break;
+        alone.shared_steps.end();
     }
     // Momenta are finished several at a time; a pending one may have failed earlier.
-    if (const int64_t earlier = recorder.flush()) failed = earlier;
-    loop.arrays.evaluations[member] += rows_applied(tables, loop.k0, failed ? failed : loop.k1);
-    if (failed) loop.overflow(member, failed);
-    shared_steps.begin_as_measured();
-    shared_copy(x, size, arrays.momenta + member * size);
-    shared_steps.end_as_measured();
-    if (carried > size) std::copy_n(dx, size, arrays.errors + member * size);
-    if constexpr (with_group)
-        each_entry([&](int64_t to, int64_t from) {
-            arrays.groups[member * d * d + to] = g[from];
-            arrays.group_errors[member * d * d + to] = dg[from];
-        });
+    if (const int64_t earlier = recorder.flush()) alone.failed = earlier;
+    alone.end();
+}
+
+// Finished states are numbers of the type `Side`.
+template <Summation summation, bool with_group, class Side>
+void advance_alone(const FlowLoop& loop, int64_t member) {
+    // Plain sums have no errors to be copied.
+    const int64_t carried = (summation == PLAIN ? 1 : 2) * loop.arrays.size;
+    LoneMember alone(loop, member, carried, sweep<summation, with_group, double, GroupRows, SharedConstants>);
+    FinishingRecorder<Side> recorder(
+        loop, member, sweep<summation, false, Side, typename Finisher<Side>::Rows, SharedConstants>, summation != PLAIN);
+    recorder.finisher.angles.even = alone.angles.even;
+    recorder.finisher.angles.following = alone.angles.following;
+    take_steps_alone<summation, with_group>(alone, recorder);
 }
 
 }  // namespace coadjoint

@@ -206,9 +206,8 @@ bool rotates_bonds_directly(const FlowTables& tables, uint32_t part) {
     return summation == PLAIN && (tables.properties[part] & BONDS) != 0;
 }
 
-// Apply row r: angles from its share, then the action on the momentum and on the group element. Without `is_partial`
-// the step is that of the tables.
-template <Summation summation, bool with_group, bool is_partial = true, class A, class G, class C>
+// Apply row r: angles from its share, then the action on the momentum and on the group element.
+template <Summation summation, bool with_group, class A, class G, class C>
 INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, const Vectors<A>& x,
                       const Vectors<G>& group, const A& t, double h, AngleWorkspace<A>& workspace) {
     const Terms& terms = tables.terms;
@@ -216,7 +215,7 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
     const int64_t row = tables.only[part];
     const double tau = tables.tau[r];
     const bool single = row >= 0;
-    const PartialStep<A>* partial_step = is_partial ? workspace.partial_step : nullptr;
+    const PartialStep<A>* partial_step = workspace.partial_step;
     A single_angle(0.0);
     if (__builtin_expect(single, 1)) {
         single_angle = linear_row(terms, constants, row, x.at);
@@ -282,11 +281,39 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
     }
 }
 
+// A momentum and a group element that rows move; steps of another length or with another start, unless null.
+template <class A, class G, class C>
+struct RowsTarget {
+    C constants;
+    Vectors<A> momentum;
+    Vectors<G> group;
+    const PartialStep<A>* partial_step;
+    const A* start;
+};
+
+// Apply the rows first to last - 1, each of them to all targets.
+template <Summation summation, bool with_group, class A, class G, class C>
+NOINLINE void sweep_groups(const FlowTables& tables, const RowsTarget<A, G, C>* const* targets, int count,
+                           uint32_t first, uint32_t last, const A& t, double h, AngleWorkspace<A>& workspace) {
+    for (uint32_t r = first; r < last; ++r)
+        for (int b = 0; b < count; ++b) {
+            const RowsTarget<A, G, C>& target = *targets[b];
+            workspace.partial_step = target.partial_step;
+            apply_row<summation, with_group>(tables, target.constants, r, target.momentum, target.group,
+                                             target.start ? *target.start : t, h, workspace);
+        }
+}
+
 template <Summation summation, bool with_group, class A, class G, class C>
 NOINLINE void sweep(const FlowTables& tables, const C& constants, uint32_t first, uint32_t last, const Vectors<A>& x,
                     const Vectors<G>& group, const A& t, double h, AngleWorkspace<A>& workspace) {
-    for (uint32_t r = first; r < last; ++r)
-        apply_row<summation, with_group>(tables, constants, r, x, group, t, h, workspace);
+    if constexpr (Numbers<A>::lanes > 1) {
+        const RowsTarget<A, G, C> target{constants, x, group, workspace.partial_step, nullptr}, *const targets = &target;
+        sweep_groups<summation, with_group>(tables, &targets, 1, first, last, t, h, workspace);
+    } else {
+        for (uint32_t r = first; r < last; ++r)
+            apply_row<summation, with_group>(tables, constants, r, x, group, t, h, workspace);
+    }
 }
 
 typedef Loop<FlowTables> FlowLoop;

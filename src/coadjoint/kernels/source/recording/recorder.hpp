@@ -152,7 +152,7 @@ class MemberRecorder {
         double *to = reinterpret_cast<double*>(states.at), *remainder = reinterpret_cast<double*>(errors.at);
         share(size, [&](int64_t first, int64_t last) {
             for (int64_t i = first; i < last; ++i) to[i * lanes + waiting] = x[i];
-            if (Finish::with_errors)
+            if (finish.with_errors)
                 for (int64_t i = first; i < last; ++i) remainder[i * lanes + waiting] = dx[i];
         });
         step[waiting++] = k;

@@ -6,7 +6,7 @@
 namespace coadjoint {
 
 // Members as lanes, each with all of its vectors, or one member with its vectors as lanes.
-template <Summation summation, class A, class V>
+template <class A, class V>
 static void run_forward(const FlowCotangents& all, const ForwardRun& run, int64_t first, int64_t count,
                         InterruptCheck& interrupts) {
     const FlowTables& tables = all.base;
@@ -20,7 +20,7 @@ static void run_forward(const FlowCotangents& all, const ForwardRun& run, int64_
     AlignedArray<A> x(2 * size), finished(2 * size), group(square), finished_group(square);
     AlignedArray<V> vectors(size * rows), copies(size * rows), of_group(square * rows), copies_of_group(square * rows);
     AlignedArray<V> directions(coefficients * rows);
-    FlowTangentState<summation, A, V> tangents(tables, all.hessians, size, rows);
+    FlowTangentState<A, V> tangents(tables, all.hessians, size, rows);
     // Numbers of members (members, length), or of their vectors (members, carried, length).
     const auto each_number = [&](A* to, int64_t length, auto&& visit) {
         for (int64_t lane = 0; lane < used; ++lane)
@@ -84,14 +84,12 @@ static void run_forward(const FlowCotangents& all, const ForwardRun& run, int64_
     if (square > 0) each_component(of_group.at, square, write(run.group_tangents));
 }
 
-template <Summation summation>
 static void run_members(const FlowCotangents& all, const ForwardRun& run, int64_t first, int64_t last,
                         InterruptCheck& interrupts) {
     typedef Lanes<NATIVE> Members;  // the vectors of a member hide the latency
     for (; run.size <= WIDEST && last - first >= MIN_LANES; first += std::min<int64_t>(NATIVE, last - first))
-        run_forward<summation, Members, Members>(all, run, first, std::min<int64_t>(NATIVE, last - first),
-                                                 interrupts);
-    for (; first < last; ++first) run_forward<summation, double, TangentLanes>(all, run, first, 1, interrupts);
+        run_forward<Members, Members>(all, run, first, std::min<int64_t>(NATIVE, last - first), interrupts);
+    for (; first < last; ++first) run_forward<double, TangentLanes>(all, run, first, 1, interrupts);
 }
 
 // Carry the tangent vectors of the members first to last - 1; return zero or the outcome.
@@ -99,8 +97,7 @@ EXPORT int64_t flow_directions(const FlowCotangents* tables, const ForwardRun* r
                                const int64_t* stop) {
     InterruptCheck interrupts(stop);
     try {
-        tables->base.compensated ? run_members<CORRECTED>(*tables, *run, first, last, interrupts)
-                                 : run_members<PLAIN>(*tables, *run, first, last, interrupts);
+        run_members(*tables, *run, first, last, interrupts);
         return 0;
     } catch (const Interrupted&) {
         return INTERRUPTED;

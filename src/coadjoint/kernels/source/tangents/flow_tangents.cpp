@@ -14,27 +14,22 @@ static FlowLoop without_tangents(const FlowTangentLoop& loop) {
     return {loop.tables.base, loop.watch, loop.schedule, loop.arrays, loop.interrupts, loop.k0, loop.k1};
 }
 
-template <Summation summation, class Side>
-static void advance_member(const FlowTangentLoop& loop, int64_t member) {
+static void advance_member(const FlowTangentLoop& loop, AnyRecorder& recorder, int64_t member) {
     const FlowTables& tables = loop.tables.base;
     const Schedule& schedule = loop.schedule;
     const Arrays& arrays = loop.arrays;
     const int64_t size = arrays.size;
     TangentBundle<double, TangentLanes> bundle(loop.tables.tangents);
     bundle.begin(loop.memory_of(member), loop.k0 == 0);
-    FlowTangentState<summation, double, TangentLanes> tangent_state(tables, loop.tables.tangents.hessians, size,
-                                                                  bundle.rows);
+    FlowTangentState<double, TangentLanes> tangent_state(tables, loop.tables.tangents.hessians, size, bundle.rows);
     AlignedArray<double> momenta(2 * size), copies(2 * size);
     double *x = momenta.at, *dx = momenta.at + size;
     std::copy_n(arrays.momenta + member * size, size, x);
     std::copy_n(arrays.errors + member * size, size, dx);
-    Finisher<summation, Side> finisher(tables, schedule, size, member);
-    MemberRecorder<Side, SharedConstants, Finisher<summation, Side>> recorder(loop.watch, arrays, schedule,
-                                                                              SharedConstants{}, finisher);
-    recorder.begin(member, SharedConstants{}, loop.k0);
     const int64_t work = (1 + 4 * bundle.rows) * work_of_step(without_tangents(loop));
     int64_t failed = 0, k = loop.k0 + 1;
     bool parallel = false;
+    const auto no_group = [](int64_t, double*) { return true; };
     SharedSteps shared_steps(schedule.threads, size);
     for (; k <= loop.k1 && !failed && !parallel; ++k) {
         loop.interrupts.after(work);
@@ -44,7 +39,7 @@ static void advance_member(const FlowTangentLoop& loop, int64_t member) {
                             schedule.h);
         if (!finite(size, x))
             failed = k;
-        else if (!(failed = recorder.after(k, x, dx, [](int64_t, double*) { return true; })))
+        else if (k < recorder.next || !(failed = recorder.after(k, x, dx, no_group)))
             parallel = !bundle.after(k);
         shared_steps.end();
     }
@@ -69,9 +64,8 @@ static void advance_member(const FlowTangentLoop& loop, int64_t member) {
 }
 
 // Members as lanes, each with all of its vectors.
-template <Summation summation>
 static void advance_lanes(const FlowTangentLoop& loop, const int64_t* members, int64_t count) {
-    typedef Lanes<MEMBER_LANES> A;
+    typedef ManyMembers A;
     const FlowTables& tables = loop.tables.base;
     const Schedule& schedule = loop.schedule;
     const int64_t size = loop.arrays.size;
@@ -81,8 +75,11 @@ static void advance_lanes(const FlowTangentLoop& loop, const int64_t* members, i
     TangentBundle<A, A> bundle(loop.tables.tangents);
     const auto memory_of = [&](int lane) { return loop.memory_of(members[std::min<int64_t>(lane, count - 1)]); };
     for (int lane = 0; lane < MEMBER_LANES; ++lane) bundle.begin(memory_of(lane), loop.k0 == 0, lane);
-    FlowTangentState<summation, A, A> tangent_state(tables, loop.tables.tangents.hessians, size, bundle.rows);
-    FlowLanes<summation, false, A, SharedConstants> lane_group(plain, SharedConstants{}, members, count, scratch);
+    FlowTangentState<A, A> tangent_state(tables, loop.tables.tangents.hessians, size, bundle.rows);
+    const auto sweep_momenta = tables.compensated ? sweep_groups<CORRECTED, false, A, A, SharedConstants>
+                                                  : sweep_groups<PLAIN, false, A, A, SharedConstants>;
+    FlowLanes<A, SharedConstants> lane_group(plain, SharedConstants{}, {sweep_momenta, sweep_momenta}, members, count,
+                                             scratch);
     const int64_t work = (1 + bundle.rows) * MEMBER_LANES * work_of_step(plain);
     A t(schedule.t0);
     for (int64_t k = loop.k0 + 1; k <= loop.k1 && lane_group.left > 0; ++k) {
@@ -102,26 +99,32 @@ static void advance_lanes(const FlowTangentLoop& loop, const int64_t* members, i
     });
 }
 
-template <Summation summation>
-static void advance_each(const FlowTangentLoop& loop, const MemberRange& range) {
+// Momenta are finished as numbers of the type `Side`.
+template <class Side>
+static void advance_alone(const FlowTangentLoop& loop, int64_t member) {
+    typedef typename Finisher<Side>::Rows Rows;
+    const bool compensated = loop.tables.base.compensated;
+    FinishingRecorder<Side> recorder(without_tangents(loop), member,
+                                     compensated ? sweep<CORRECTED, false, Side, Rows, SharedConstants>
+                                                 : sweep<PLAIN, false, Side, Rows, SharedConstants>,
+                                     compensated);
+    advance_member(loop, recorder, member);
+}
+
+static void advance(const FlowTangentLoop& loop, const MemberRange& range) {
     const int64_t size = loop.arrays.size;
     const bool narrow = size <= WIDEST && size * loop.tables.tangents.carried <= LARGEST_IN_LANES;
     int64_t position = range.first;
     for (; narrow && range.last - position >= MIN_LANES; position += MEMBER_LANES)
-        advance_lanes<summation>(loop, range.members + position,
-                                 std::min<int64_t>(MEMBER_LANES, range.last - position));
+        advance_lanes(loop, range.members + position, std::min<int64_t>(MEMBER_LANES, range.last - position));
     for (; position < range.last; ++position) {
         const int64_t member = range.members[position];
         if (loop.arrays.status[member] != DONE) continue;
         if (size <= WIDEST)
-            advance_member<summation, Lanes<MEMBER_LANES>>(loop, member);
+            advance_alone<ManyMembers>(loop, member);
         else
-            advance_member<summation, double>(loop, member);
+            advance_alone<double>(loop, member);
     }
-}
-
-static void advance(const FlowTangentLoop& loop, const MemberRange& range) {
-    loop.tables.base.compensated ? advance_each<CORRECTED>(loop, range) : advance_each<PLAIN>(loop, range);
 }
 
 static int64_t memory_size(const FlowTangents& tables) { return memory_size(tables.tangents); }

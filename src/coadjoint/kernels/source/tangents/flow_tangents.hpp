@@ -99,10 +99,20 @@ struct FurtherTangents {
     int64_t added;
 };
 
+// Call `move(sums)` with the sums of a momentum: beside those of its vectors a flag takes no time.
+template <class Move>
+INLINE void with_sums(bool corrected, const Move& move) {
+    if (corrected)
+        move(std::integral_constant<Summation, CORRECTED>());
+    else
+        move(std::integral_constant<Summation, PLAIN>());
+}
+
 // One member of a flow method, or many as lanes. Momenta have the same bits as without tangent vectors.
-template <Summation summation, class A, class V>
+template <class A, class V>
 struct FlowTangentState {
     const FlowTables& tables;
+    const bool compensated;
     const int64_t* hessians;
     const int64_t size, rows, side;
     AlignedArray<A> scratch, group_scratch;
@@ -111,18 +121,18 @@ struct FlowTangentState {
     HessianWorkspace<A> workspace;
 
     FlowTangentState(const FlowTables& tables, const int64_t* hessians, int64_t size, int64_t rows)
-        : tables(tables), hessians(hessians), size(size), rows(rows), side(tables.group.size), scratch(3 * size),
+        : tables(tables), compensated(tables.compensated), hessians(hessians), size(size), rows(rows), side(tables.group.size), scratch(3 * size),
           group_scratch(3 * side * side), wide(3 * size * rows), wide_group(3 * side * side * rows),
           changes(tables.longest * rows), angles(tables.longest), workspace(tables.terms) {}
 
-    void sweep(uint32_t first, uint32_t last, A* x, A* dx, V* vectors, const A& t, double h,
-               const FurtherTangents<A, V>& further = {nullptr, nullptr, nullptr, -1}) {
+    NOINLINE void sweep(uint32_t first, uint32_t last, A* x, A* dx, V* vectors, const A& t, double h,
+                        const FurtherTangents<A, V>& further = {nullptr, nullptr, nullptr, -1}) {
         for (uint32_t r = first; r < last; ++r) row(r, x, dx, vectors, t, h, further);
     }
 
     // The same with elementary flows, if there are any, of the rows.
-    void sweep(uint32_t first, uint32_t last, const std::vector<ElementaryFlow>& flows, A* x, A* dx, V* vectors,
-               const A& t, double h, const FurtherTangents<A, V>& further) {
+    NOINLINE void sweep(uint32_t first, uint32_t last, const std::vector<ElementaryFlow>& flows, A* x, A* dx,
+                        V* vectors, const A& t, double h, const FurtherTangents<A, V>& further) {
         if (flows.empty()) return sweep(first, last, x, dx, vectors, t, h, further);
         for (const ElementaryFlow& flow : flows)
             if (__builtin_expect(flow.kind != WHOLE_ROW, 1))
@@ -133,16 +143,18 @@ struct FlowTangentState {
 
   private:
     // Move states (at i * states + r) and their vectors by the blocks of an angle theta, whose changes are `of_angle`.
-    template <Summation sum>
-    INLINE void follow_blocks(const AngleBlocks& blocks, const A& theta, const V* of_angle, const Vectors<A>& x,
-                              V* vectors) {
+    NOINLINE void follow_blocks(bool corrected, const AngleBlocks& blocks, const A& theta, const V* of_angle,
+                                const Vectors<A>& x, V* vectors) {
         const int64_t states = x.rows;
         const bool turns = blocks.kind == ROTATE;
         Rotation<A> rotation{A(0.0), A(0.0)};
-        if (turns)
-            rotate<sum>(rotation = rotation_by(theta * blocks.factor), blocks.pairs, blocks.repeat, x);
-        else
-            shear_blocks<sum>(blocks, theta, x);
+        if (turns) rotation = rotation_by(theta * blocks.factor);
+        with_sums(corrected, [&](auto sums) {
+            if (turns)
+                rotate<sums()>(rotation, blocks.pairs, blocks.repeat, x);
+            else
+                shear_blocks<sums()>(blocks, theta, x);
+        });
         const V sine(rotation.sine), cosm1(rotation.cosm1);
         for (uint32_t block = 0; block < blocks.repeat; ++block) {
             const int64_t i = blocks.pairs[2 * block] * states, j = blocks.pairs[2 * block + 1] * states;
@@ -166,13 +178,13 @@ struct FlowTangentState {
     }
 
     // The same with a CUBIC block.
-    template <Summation sum>
-    INLINE void follow_cubic(const Action& action, const AngleBlocks& blocks, const A& theta, const V* of_angle,
-                             const Vectors<A>& x, V* vectors, V* copies) {
+    NOINLINE void follow_cubic(bool corrected, const Action& action, const AngleBlocks& blocks, const A& theta,
+                               const V* of_angle, const Vectors<A>& x, V* vectors, V* copies) {
         const BlockRows block(action, blocks.run);
         const CubicFactors<A> factors(action, SharedConstants{}, blocks.run, blocks.factor * theta);
         gather(block, x);
-        cubic_by<sum>(action, SharedConstants{}, blocks.run, factors, x);
+        with_sums(corrected,
+                  [&](auto sums) { cubic_by<sums()>(action, SharedConstants{}, blocks.run, factors, x); });
         gather(block, x);
         const double *values = action.constants + block.constant + CUBIC_HEADER, *squares = values + block.entries;
         const int64_t states = x.rows, length = states * rows;
@@ -218,16 +230,23 @@ struct FlowTangentState {
         }
         const Vectors<A> momentum{x, dx, 1, scratch.at}, group{further.group, nullptr, side, group_scratch.at};
         if (flow.kind == CUBIC) {
-            follow_cubic<summation>(tables.state, flow.momentum, theta, change, momentum, vectors, wide.at);
+            follow_cubic(compensated, tables.state, flow.momentum, theta, change, momentum, vectors, wide.at);
             if (further.group)
-                follow_cubic<PLAIN>(tables.group, flow.group, theta, change, group, further.vectors, wide_group.at);
+                follow_cubic(false, tables.group, flow.group, theta, change, group, further.vectors, wide_group.at);
             return;
         }
-        follow_blocks<summation>(flow.momentum, theta, change, momentum, vectors);
-        if (further.group) follow_blocks<PLAIN>(flow.group, theta, change, group, further.vectors);
+        follow_blocks(compensated, flow.momentum, theta, change, momentum, vectors);
+        if (further.group) follow_blocks(false, flow.group, theta, change, group, further.vectors);
     }
 
-    void row(uint32_t r, A* x, A* dx, V* vectors, const A& t, double h, const FurtherTangents<A, V>& further) {
+    // Move what follows the momentum by the angles of a row.
+    template <class W>
+    NOINLINE void follow_row(const Action& action, uint32_t part, double tau, bool single, const A* theta,
+                             CachedRotation<A>& cached, const Vectors<W>& moved) {
+        act<PLAIN, true>(action, SharedConstants{}, part, tau, single, single ? theta[0] : A(0.0), theta, cached, moved);
+    }
+
+    NOINLINE void row(uint32_t r, A* x, A* dx, V* vectors, const A& t, double h, const FurtherTangents<A, V>& further) {
         const Terms& terms = tables.terms;
         const uint32_t part = tables.part[r], low = tables.share[part], high = tables.share[part + 1];
         const int64_t base = terms.row[low], count = terms.row[high] - base;
@@ -245,11 +264,13 @@ struct FlowTangentState {
                                    changes.at + (terms.row[k] - base) * rows);
             });
             const Rotations<A> rotations = rotations_of_part(tables, SharedConstants{}, part, A(tau), x, angles);
-            if (rotates_bonds_directly<summation>(tables, part))
-                rotate_bonds(tables, SharedConstants{}, part, tau, x);
-            else
-                act_called<summation>(tables.state, SharedConstants{}, part, rotations,
-                                      Vectors<A>{x, dx, 1, scratch.at}, size);
+            with_sums(compensated, [&](auto sums) {
+                if (rotates_bonds_directly<sums()>(tables, part))
+                    rotate_bonds(tables, SharedConstants{}, part, tau, x);
+                else
+                    act_called<sums()>(tables.state, SharedConstants{}, part, rotations,
+                                       Vectors<A>{x, dx, 1, scratch.at}, size);
+            });
             act_called<PLAIN>(tables.state, SharedConstants{}, part, rotations,
                               Vectors<V>{vectors, nullptr, rows, wide.at}, size);
             if (further.group) {
@@ -282,28 +303,25 @@ struct FlowTangentState {
                 CachedRotation<A> cached;
                 const Vectors<A> momentum{x, dx, 1, scratch.at};
                 const Vectors<V> of_momentum{vectors, nullptr, rows, wide.at};
-                const auto follow = [&](const Action& action, const auto& moved) {
-                    act<PLAIN, true>(action, SharedConstants{}, part, tau, single, single_angle, theta, cached, moved);
-                };
-                if (apart) {
-                    act_apart<summation>(tables.state, SharedConstants{}, part, tau, theta, momentum);
+                with_sums(compensated, [&](auto sums) {
+                    if (apart)
+                        act_apart<sums()>(tables.state, SharedConstants{}, part, tau, theta, momentum);
+                    else
+                        act<sums(), false>(tables.state, SharedConstants{}, part, tau, single, single_angle, theta,
+                                           cached, momentum);
+                });
+                if (apart)
                     act_apart<PLAIN>(tables.state, SharedConstants{}, part, tau, theta, of_momentum);
-                } else {
-                    act<summation, false>(tables.state, SharedConstants{}, part, tau, single, single_angle, theta,
-                                          cached, momentum);
-                    follow(tables.state, of_momentum);
-                }
+                else
+                    follow_row(tables.state, part, tau, single, theta, cached, of_momentum);
                 if (further.group && tables.bent[part]) {
                     for (int64_t a = 0; a < count; ++a)
                         angles.rotated.at[a] = rational_angle(tau * theta[a], A(tables.frequency[base + a]));
-                    const auto bend = [&](const auto& moved) {
-                        CachedRotation<A> other;
-                        act<PLAIN, true>(tables.group, SharedConstants{}, part, 1.0, false, single_angle,
-                                         angles.rotated.at, other, moved);
-                    };
-                    bend(group), bend(of_group);
+                    follow_row(tables.group, part, 1.0, false, angles.rotated.at, cached, group);
+                    follow_row(tables.group, part, 1.0, false, angles.rotated.at, cached, of_group);
                 } else if (further.group) {
-                    follow(tables.group, group), follow(tables.group, of_group);
+                    follow_row(tables.group, part, tau, single, theta, cached, group);
+                    follow_row(tables.group, part, tau, single, theta, cached, of_group);
                 }
             }
         }
