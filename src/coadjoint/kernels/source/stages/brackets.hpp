@@ -86,32 +86,30 @@ NOINLINE KnownAlgebra known_algebra(const Field& field, const C& constants) {
 }
 
 // Function iterations for stages that fit into one row of lanes.
-template <class Layout, class Bracket>
+template <class Layout, class Bracket, bool full>
 struct Bracketed {
     typedef typename Layout::A A;
-    static constexpr int n = Bracket::n, entries = Bracket::entries;
+    static constexpr int n = Bracket::n, rows = full ? n : 1, entries = Bracket::entries;
     Unknowns<Layout>& y;
     A* const gradients;
     const A length, orientation;
-    const bool full;
-    A x[n], offset[n], weight[n * n], constant[Bracket::unit ? 1 : entries];
+    A x[n], offset[n], weight[n * rows], constant[Bracket::unit ? 1 : entries];
     double base[n], error[n];
     bool weighted[n];
 
     template <class C>
-    INLINE Bracketed(const Field& field, const C& constants, bool full, Unknowns<Layout>& y, A* gradients,
-                     const A& length)
+    INLINE Bracketed(const Field& field, const C& constants, Unknowns<Layout>& y, A* gradients, const A& length)
         : y(y), gradients(gradients), length(length),
-          orientation(A(double(Bracket::sign[0])) * constants.template number_at<A>(field.constant, 0)),
-          full(full) {
+          orientation(A(double(Bracket::sign[0])) * constants.template number_at<A>(field.constant, 0)) {
         const Terms& terms = field.terms;
         each<n>([&](auto c) __attribute__((always_inline)) {
             x[c] = y.points.at[c], base[c] = y.base[c], error[c] = y.error[c];
             offset[c] = constants.template number_at<A>(terms.offset, c);
             weighted[c] = terms.entry[c + 1] > terms.entry[c];
-            const int count = int(terms.entry[c + 1] - terms.entry[c]);
-            for (int j = 0; j < count; ++j)
-                weight[c * n + j] = constants.template number_at<A>(terms.weight, terms.entry[c] + j);
+            each<rows>([&](auto j) __attribute__((always_inline)) {
+                if (!weighted[c]) return;
+                weight[c * rows + j] = constants.template number_at<A>(terms.weight, terms.entry[c] + j);
+            });
         });
         if constexpr (!Bracket::unit)
             each<entries>([&](auto q) __attribute__((always_inline)) {
@@ -125,10 +123,10 @@ struct Bracketed {
         each<n>([&](auto c) __attribute__((always_inline)) {
             u[c] = offset[c];
             rotated[c] = Bracket::unit ? orientation * x[c] : x[c];
-            if (full)
+            if constexpr (full)
                 each<n>([&](auto j) __attribute__((always_inline)) { u[c] = fma(weight[c * n + j], x[j], u[c]); });
             else if (weighted[c])
-                u[c] = fma(weight[c * n], x[c], u[c]);
+                u[c] = fma(weight[c], x[c], u[c]);
         });
         each<n>([&](auto c) __attribute__((always_inline)) {
             constexpr int low = Bracket::first[c], count = Bracket::first[c + 1] - low;

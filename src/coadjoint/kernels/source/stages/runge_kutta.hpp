@@ -109,13 +109,13 @@ struct Stages {
     // of iterations that the next step may trust.
     Mask settle_momentum(Mask active, const V& trust, V* next) {
         if constexpr (Layout::side_by_side && lanes <= 8) switch (algebra) {
-                case KnownAlgebra::TRIAD: return settle_bracket<Triad>(false, trust, next);
-                case KnownAlgebra::SO3: return settle_bracket<So3>(false, trust, next);
-                case KnownAlgebra::SO3_FULL: return settle_bracket<So3>(true, trust, next);
-                case KnownAlgebra::E3: return settle_bracket<E3>(false, trust, next);
-                case KnownAlgebra::E3_FULL: return settle_bracket<E3>(true, trust, next);
-                case KnownAlgebra::SO4: return settle_bracket<So4>(false, trust, next);
-                case KnownAlgebra::SO4_FULL: return settle_bracket<So4>(true, trust, next);
+                case KnownAlgebra::TRIAD: return settle_bracket<Triad, false>(trust, next);
+                case KnownAlgebra::SO3: return settle_bracket<So3, false>(trust, next);
+                case KnownAlgebra::SO3_FULL: return settle_bracket<So3, true>(trust, next);
+                case KnownAlgebra::E3: return settle_bracket<E3, false>(trust, next);
+                case KnownAlgebra::E3_FULL: return settle_bracket<E3, true>(trust, next);
+                case KnownAlgebra::SO4: return settle_bracket<So4, false>(trust, next);
+                case KnownAlgebra::SO4_FULL: return settle_bracket<So4, true>(trust, next);
                 case KnownAlgebra::NONE: break;
             }
         // Up to eight lanes hold all stages, see `single_of`.
@@ -136,9 +136,9 @@ struct Stages {
         return taken(outcome);
     }
 
-    template <class Bracket>
-    NOINLINE Mask settle_bracket(bool full, const V& trust, V* next) {
-        Bracketed<Layout, Bracket> body(field, constants, full, p, gradients.at, lengths.at[0]);
+    template <class Bracket, bool full>
+    NOINLINE Mask settle_bracket(const V& trust, V* next) {
+        Bracketed<Layout, Bracket, full> body(field, constants, p, gradients.at, lengths.at[0]);
         auto iterate = [&](auto watched) __attribute__((always_inline)) {
             body.template iterate<decltype(watched)::value>(s);
         };
