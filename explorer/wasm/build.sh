@@ -13,7 +13,8 @@ exported=$exported,_stepping_advance_memory_size,_taylor_address,_description,_m
 exported=$exported,_probe_fma,_probe_fma_of_pair
 set --
 for file in "$here"/*.cpp "$source/steps/series.cpp" "$source/steps/series_with_gradient.cpp" "$source/steps/stepping.cpp" \
-    "$source/boundary/description.cpp" "$source/boundary/interrupts.cpp" "$source/recording/watching.cpp"; do
+    "$source/stages/newton.cpp" "$source/boundary/description.cpp" "$source/boundary/interrupts.cpp" \
+    "$source/recording/watching.cpp"; do
     object="$out/objects/$(basename "$file" .cpp).o"
     emcc $options "-I$source" -include "$here/fused.hpp" -c "$file" -o "$object"
     set -- "$@" "$object"
