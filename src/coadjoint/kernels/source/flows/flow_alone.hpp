@@ -109,7 +109,6 @@ class LoneMember {
     SharedSteps shared_steps;
     PartialStep<double> partial_step;
     std::vector<ElementaryFlow> opening, repeated;
-    int64_t failed = 0;
 
     // `carried` numbers of the momentum and its errors.
     LoneMember(const FlowLoop& loop, int64_t member, int64_t carried, Sweep<double, GroupRows> sweep)
@@ -174,7 +173,7 @@ class LoneMember {
         return valid;
     }
 
-    void end() {
+    void end(int64_t failed) {
         const Arrays& arrays = loop.arrays;
         arrays.evaluations[member] += rows_applied(tables, loop.k0, failed ? failed : loop.k1);
         if (failed) loop.overflow(member, failed);
@@ -219,14 +218,16 @@ NOINLINE void take_steps_alone(LoneMember& alone, Recorder& recorder) {
     const FlowLoop& loop = alone.loop;
     const FlowTables& tables = alone.tables;
     const Schedule& schedule = alone.schedule;
-    const int64_t work = work_of_step(loop);
+    const int64_t work = work_of_step(loop), member = alone.member, size = alone.size, square = alone.square;
+    SharedSteps& shared_steps = alone.shared_steps;
+    int64_t failed = 0;
     const Vectors<double> momentum = alone.momentum();
     const Vectors<GroupRows> group = alone.group();
     const auto finished_group = [&](int64_t k, double* to) { return !with_group || alone.finished_group(k, to); };
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
         loop.interrupts.after(work);
-        alone.shared_steps.begin();
-        const double t = start_of(schedule, alone.member, k);
+        shared_steps.begin();
+        const double t = start_of(schedule, member, k);
         const std::vector<ElementaryFlow>& flows = k == 1 ? alone.opening : alone.repeated;
         for (const ElementaryFlow& flow : flows)
             if (__builtin_expect(flow.kind != WHOLE_ROW, 1))
@@ -237,18 +238,18 @@ NOINLINE void take_steps_alone(LoneMember& alone, Recorder& recorder) {
         if (flows.empty())
             sweep<summation, with_group>(tables, SharedConstants{}, tables.section[k == 1 ? 0 : 1],
                                          tables.section[k == 1 ? 1 : 2], momentum, group, t, schedule.h, alone.angles);
-        if (__builtin_expect(!finite(alone.size, momentum.at) ||
-                                 (with_group && !all(finite(alone.square, group.at))), 0)) {
-            alone.failed = alone.step_that_failed(k);
+        if (__builtin_expect(!finite(size, momentum.at) ||
+                                 (with_group && !all(finite(square, group.at))), 0)) {
+            failed = alone.step_that_failed(k);
             break;
         }
         if (k % CHECKPOINT_INTERVAL == 0) alone.store_checkpoint(k);
-        if ((alone.failed = recorder.after(k, momentum.at, momentum.errors, finished_group))) break;
-        alone.shared_steps.end();
+        if ((failed = recorder.after(k, momentum.at, momentum.errors, finished_group))) break;
+        shared_steps.end();
     }
     // Momenta are finished several at a time; a pending one may have failed earlier.
-    if (const int64_t earlier = recorder.flush()) alone.failed = earlier;
-    alone.end();
+    if (const int64_t earlier = recorder.flush()) failed = earlier;
+    alone.end(failed);
 }
 
 // Finished states are numbers of the type `Side`, unless it has lanes and the state is too large for them.
