@@ -25,11 +25,7 @@ static void advance_range(const FlowLoop& loop, const MemberRange& range) {
     }
     for (; position < range.last; ++position) {
         const int64_t member = range.members[position];
-        if (loop.arrays.status[member] != DONE) continue;
-        if (narrow)
-            advance_alone<summation, with_group, LaneNumbers>(loop, member);
-        else
-            advance_alone<summation, with_group, double>(loop, member);
+        if (loop.arrays.status[member] == DONE) advance_alone<summation, with_group, LaneNumbers>(loop, member);
     }
 }
 

@@ -1,7 +1,7 @@
 // The loop over steps of programs, for one trajectory.
 #pragma once
 
-#include <memory>
+#include <optional>
 
 #include "flows/elementary_flows.hpp"
 
@@ -41,19 +41,9 @@ struct Finisher {
     }
 };
 
-// A group element is filled in by a function; see MemberRecorder.
-typedef Called<bool(int64_t, double*)> FinishedGroup;
-
-// The recorder of one member. Loops over steps are compiled once for all of its number types.
-struct AnyRecorder {
-    int64_t next;  // the next step that is recorded
-    virtual ~AnyRecorder() = default;
-    virtual int64_t after(int64_t k, const double* x, const double* dx, const FinishedGroup& group) = 0;
-    virtual int64_t flush() = 0;
-};
-
+// The recorder of one member, whose finished states are of the type `Side`.
 template <class Side>
-struct FinishingRecorder final : AnyRecorder {
+struct FinishingRecorder {
     Finisher<Side> finisher;
     MemberRecorder<Side, SharedConstants, Finisher<Side>> recorder;
 
@@ -62,16 +52,48 @@ struct FinishingRecorder final : AnyRecorder {
         : finisher(loop, member, sweep, with_errors),
           recorder(loop.watch, loop.arrays, loop.schedule, SharedConstants{}, finisher) {
         recorder.begin(member, SharedConstants{}, loop.k0);
-        next = recorder.next_recorded(loop.k0 + 1);
     }
 
-    NOINLINE int64_t after(int64_t k, const double* x, const double* dx, const FinishedGroup& group) override {
-        const int64_t failed = recorder.after(k, x, dx, group);
-        next = recorder.next_recorded(k + 1);
-        return failed;
+    template <class Group>
+    INLINE int64_t after(int64_t k, const double* x, const double* dx, const Group& group) {
+        return recorder.after(k, x, dx, group);
+    }
+    int64_t flush() { return recorder.flush(); }
+    void use_properties(const AngleWorkspace<double>& of_steps) {
+        finisher.angles.even = of_steps.even, finisher.angles.following = of_steps.following;
+    }
+};
+
+// With lanes, unless the state is too large for them; then a step is long, and recorded by a call. So loops over steps
+// are compiled once.
+template <class Side>
+class RecorderBySize {
+  public:
+    RecorderBySize(const FlowLoop& loop, int64_t member, Sweep<Side, Side> sweep, Sweep<double, GroupRows> wide_sweep,
+                   bool with_errors) {
+        if (loop.arrays.size <= WIDEST)
+            narrow.emplace(loop, member, sweep, with_errors);
+        else
+            wide.emplace(loop, member, wide_sweep, with_errors);
     }
 
-    int64_t flush() override { return recorder.flush(); }
+    template <class Group>
+    INLINE int64_t after(int64_t k, const double* x, const double* dx, const Group& group) {
+        return narrow ? narrow->after(k, x, dx, group) : after_wide(k, x, dx, group);
+    }
+    int64_t flush() { return narrow ? narrow->flush() : wide->flush(); }
+    void use_properties(const AngleWorkspace<double>& of_steps) {
+        narrow ? narrow->use_properties(of_steps) : wide->use_properties(of_steps);
+    }
+
+  private:
+    std::optional<FinishingRecorder<Side>> narrow;
+    std::optional<FinishingRecorder<double>> wide;
+
+    NOINLINE int64_t after_wide(int64_t k, const double* x, const double* dx,
+                                const Called<bool(int64_t, double*)>& group) {
+        return wide->after(k, x, dx, group);
+    }
 };
 
 // The state of one trajectory, and all but the flows of its steps.
@@ -87,7 +109,6 @@ class LoneMember {
     SharedSteps shared_steps;
     PartialStep<double> partial_step;
     std::vector<ElementaryFlow> opening, repeated;
-    int64_t failed = 0;
 
     // `carried` numbers of the momentum and its errors.
     LoneMember(const FlowLoop& loop, int64_t member, int64_t carried, Sweep<double, GroupRows> sweep)
@@ -144,7 +165,6 @@ class LoneMember {
 
     // Fill in the finished group element of step k; return whether it is finite.
     NOINLINE bool finished_group(int64_t k, double* to) {
-        if (d == 0) return true;
         finish_copies(k);
         const double* element = reinterpret_cast<double*>(finished.at);
         bool valid = true;
@@ -153,7 +173,7 @@ class LoneMember {
         return valid;
     }
 
-    void end() {
+    void end(int64_t failed) {
         const Arrays& arrays = loop.arrays;
         arrays.evaluations[member] += rows_applied(tables, loop.k0, failed ? failed : loop.k1);
         if (failed) loop.overflow(member, failed);
@@ -193,19 +213,21 @@ class LoneMember {
     }
 };
 
-template <Summation summation, bool with_group>
-NOINLINE void take_steps_alone(LoneMember& alone, AnyRecorder& recorder) {
+template <Summation summation, bool with_group, class Recorder>
+NOINLINE void take_steps_alone(LoneMember& alone, Recorder& recorder) {
     const FlowLoop& loop = alone.loop;
     const FlowTables& tables = alone.tables;
     const Schedule& schedule = alone.schedule;
-    const int64_t work = work_of_step(loop);
+    const int64_t work = work_of_step(loop), member = alone.member, size = alone.size, square = alone.square;
+    SharedSteps& shared_steps = alone.shared_steps;
+    int64_t failed = 0;
     const Vectors<double> momentum = alone.momentum();
     const Vectors<GroupRows> group = alone.group();
-    const auto finished_group = [&](int64_t k, double* to) { return alone.finished_group(k, to); };
+    const auto finished_group = [&](int64_t k, double* to) { return !with_group || alone.finished_group(k, to); };
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
         loop.interrupts.after(work);
-        alone.shared_steps.begin();
-        const double t = start_of(schedule, alone.member, k);
+        shared_steps.begin();
+        const double t = start_of(schedule, member, k);
         const std::vector<ElementaryFlow>& flows = k == 1 ? alone.opening : alone.repeated;
         for (const ElementaryFlow& flow : flows)
             if (__builtin_expect(flow.kind != WHOLE_ROW, 1))
@@ -216,31 +238,37 @@ NOINLINE void take_steps_alone(LoneMember& alone, AnyRecorder& recorder) {
         if (flows.empty())
             sweep<summation, with_group>(tables, SharedConstants{}, tables.section[k == 1 ? 0 : 1],
                                          tables.section[k == 1 ? 1 : 2], momentum, group, t, schedule.h, alone.angles);
-        if (__builtin_expect(!finite(alone.size, momentum.at) ||
-                                 (with_group && !all(finite(alone.square, group.at))), 0)) {
-            alone.failed = alone.step_that_failed(k);
+        if (__builtin_expect(!finite(size, momentum.at) ||
+                                 (with_group && !all(finite(square, group.at))), 0)) {
+            failed = alone.step_that_failed(k);
             break;
         }
         if (k % CHECKPOINT_INTERVAL == 0) alone.store_checkpoint(k);
-        if (k == recorder.next && (alone.failed = recorder.after(k, momentum.at, momentum.errors, finished_group))) break;
-        alone.shared_steps.end();
+        if ((failed = recorder.after(k, momentum.at, momentum.errors, finished_group))) break;
+        shared_steps.end();
     }
     // Momenta are finished several at a time; a pending one may have failed earlier.
-    if (const int64_t earlier = recorder.flush()) alone.failed = earlier;
-    alone.end();
+    if (const int64_t earlier = recorder.flush()) failed = earlier;
+    alone.end(failed);
 }
 
-// Finished states are numbers of the type `Side`.
+// Finished states are numbers of the type `Side`, unless it has lanes and the state is too large for them.
 template <Summation summation, bool with_group, class Side>
 void advance_alone(const FlowLoop& loop, int64_t member) {
+    constexpr auto sweep_all = sweep<summation, with_group, double, GroupRows, SharedConstants>;
+    constexpr auto sweep_momentum = sweep<summation, false, double, GroupRows, SharedConstants>;
     // Plain sums have no errors to be copied.
-    const int64_t carried = (summation == PLAIN ? 1 : 2) * loop.arrays.size;
-    LoneMember alone(loop, member, carried, sweep<summation, with_group, double, GroupRows, SharedConstants>);
-    FinishingRecorder<Side> recorder(
-        loop, member, sweep<summation, false, Side, typename Finisher<Side>::Rows, SharedConstants>, summation != PLAIN);
-    recorder.finisher.angles.even = alone.angles.even;
-    recorder.finisher.angles.following = alone.angles.following;
-    take_steps_alone<summation, with_group>(alone, recorder);
+    constexpr bool with_errors = summation != PLAIN;
+    LoneMember alone(loop, member, (with_errors ? 2 : 1) * loop.arrays.size, sweep_all);
+    const auto take_steps = [&](auto&& recorder) {
+        recorder.use_properties(alone.angles);
+        take_steps_alone<summation, with_group>(alone, recorder);
+    };
+    if constexpr (Numbers<Side>::lanes == 1)
+        take_steps(FinishingRecorder<double>(loop, member, sweep_momentum, with_errors));
+    else
+        take_steps(RecorderBySize<Side>(loop, member, sweep<summation, false, Side, Side, SharedConstants>,
+                                        sweep_momentum, with_errors));
 }
 
 }  // namespace coadjoint

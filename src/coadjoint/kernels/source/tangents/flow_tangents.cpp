@@ -14,7 +14,7 @@ static FlowLoop without_tangents(const FlowTangentLoop& loop) {
     return {loop.tables.base, loop.watch, loop.schedule, loop.arrays, loop.interrupts, loop.k0, loop.k1};
 }
 
-static void advance_member(const FlowTangentLoop& loop, AnyRecorder& recorder, int64_t member) {
+static void advance_member(const FlowTangentLoop& loop, int64_t member) {
     const FlowTables& tables = loop.tables.base;
     const Schedule& schedule = loop.schedule;
     const Arrays& arrays = loop.arrays;
@@ -22,6 +22,13 @@ static void advance_member(const FlowTangentLoop& loop, AnyRecorder& recorder, i
     TangentBundle<double, TangentLanes> bundle(loop.tables.tangents);
     bundle.begin(loop.memory_of(member), loop.k0 == 0);
     FlowTangentState<double, TangentLanes> tangent_state(tables, loop.tables.tangents.hessians, size, bundle.rows);
+    RecorderBySize<ManyMembers> recorder(
+        without_tangents(loop), member,
+        tables.compensated ? sweep<CORRECTED, false, ManyMembers, ManyMembers, SharedConstants>
+                           : sweep<PLAIN, false, ManyMembers, ManyMembers, SharedConstants>,
+        tables.compensated ? sweep<CORRECTED, false, double, GroupRows, SharedConstants>
+                           : sweep<PLAIN, false, double, GroupRows, SharedConstants>,
+        tables.compensated);
     AlignedArray<double> momenta(2 * size), copies(2 * size);
     double *x = momenta.at, *dx = momenta.at + size;
     std::copy_n(arrays.momenta + member * size, size, x);
@@ -39,7 +46,7 @@ static void advance_member(const FlowTangentLoop& loop, AnyRecorder& recorder, i
                             schedule.h);
         if (!finite(size, x))
             failed = k;
-        else if (k < recorder.next || !(failed = recorder.after(k, x, dx, no_group)))
+        else if (!(failed = recorder.after(k, x, dx, no_group)))
             parallel = !bundle.after(k);
         shared_steps.end();
     }
@@ -99,18 +106,6 @@ static void advance_lanes(const FlowTangentLoop& loop, const int64_t* members, i
     });
 }
 
-// Momenta are finished as numbers of the type `Side`.
-template <class Side>
-static void advance_alone(const FlowTangentLoop& loop, int64_t member) {
-    typedef typename Finisher<Side>::Rows Rows;
-    const bool compensated = loop.tables.base.compensated;
-    FinishingRecorder<Side> recorder(without_tangents(loop), member,
-                                     compensated ? sweep<CORRECTED, false, Side, Rows, SharedConstants>
-                                                 : sweep<PLAIN, false, Side, Rows, SharedConstants>,
-                                     compensated);
-    advance_member(loop, recorder, member);
-}
-
 static void advance(const FlowTangentLoop& loop, const MemberRange& range) {
     const int64_t size = loop.arrays.size;
     const bool narrow = size <= WIDEST && size * loop.tables.tangents.carried <= LARGEST_IN_LANES;
@@ -119,11 +114,7 @@ static void advance(const FlowTangentLoop& loop, const MemberRange& range) {
         advance_lanes(loop, range.members + position, std::min<int64_t>(MEMBER_LANES, range.last - position));
     for (; position < range.last; ++position) {
         const int64_t member = range.members[position];
-        if (loop.arrays.status[member] != DONE) continue;
-        if (size <= WIDEST)
-            advance_alone<ManyMembers>(loop, member);
-        else
-            advance_alone<double>(loop, member);
+        if (loop.arrays.status[member] == DONE) advance_member(loop, member);
     }
 }
 

@@ -143,8 +143,8 @@ struct FlowTangentState {
 
   private:
     // Move states (at i * states + r) and their vectors by the blocks of an angle theta, whose changes are `of_angle`.
-    NOINLINE void follow_blocks(bool corrected, const AngleBlocks& blocks, const A& theta, const V* of_angle,
-                                const Vectors<A>& x, V* vectors) {
+    INLINE void follow_blocks(bool corrected, const AngleBlocks& blocks, const A& theta, const V* of_angle,
+                              const Vectors<A>& x, V* vectors) {
         const int64_t states = x.rows;
         const bool turns = blocks.kind == ROTATE;
         Rotation<A> rotation{A(0.0), A(0.0)};
