@@ -1,3 +1,4 @@
+// Corrections of stages by linear systems.
 #include "stages/newton.hpp"
 
 #include <limits>

@@ -6,20 +6,6 @@
 
 namespace coadjoint {
 
-// Numbers of all stages as a layout has them in memory, with `width` stages next to each other.
-struct StageNumbers {
-    double* numbers;
-    int64_t size, width;
-
-    double& operator()(int64_t component, int64_t stage) const {
-        return numbers[((stage / width) * size + component) * width + stage % width];
-    }
-    void repeat_last(int64_t stages) const {
-        for (int64_t c = 0; c < size; ++c)
-            for (int64_t stage = stages; stage % width; ++stage) (*this)(c, stage) = (*this)(c, stages - 1);
-    }
-};
-
 // The stages of one trajectory that are corrected.
 struct Corrected {
     typedef Called<void(const double*, double*)> Multiply;

@@ -14,6 +14,20 @@
 
 namespace coadjoint {
 
+// Numbers of all stages as a layout has them in memory, with `width` stages next to each other.
+struct StageNumbers {
+    double* numbers;
+    int64_t size, width;
+
+    INLINE double& operator()(int64_t component, int64_t stage) const {
+        return numbers[((stage / width) * size + component) * width + stage % width];
+    }
+    INLINE void repeat_last(int64_t stages) const {
+        for (int64_t c = 0; c < size; ++c)
+            for (int64_t stage = stages; stage % width; ++stage) (*this)(c, stage) = (*this)(c, stages - 1);
+    }
+};
+
 // Stages as lanes, W of them in a block; lanes beyond the last stage repeat it, and have no effect.
 template <int W>
 struct StageLanes {
@@ -32,17 +46,16 @@ struct StageLanes {
                     to[b * count + j].set(lane, from[std::min(b * W + lane, stages - 1) * count + j]);
     }
     static INLINE A spread(double value) { return A(value); }
+    static INLINE StageNumbers numbers(const A* y, int64_t size) {
+        return {reinterpret_cast<double*>(const_cast<A*>(y)), size, W};
+    }
     static INLINE double at(const A* y, int64_t size, int64_t component, int64_t stage) {
-        return reinterpret_cast<const double*>(y + (stage / W) * size + component)[stage % W];
+        return numbers(y, size)(component, stage);
     }
     static INLINE void put(A* y, int64_t size, int64_t component, int64_t stage, double value) {
-        reinterpret_cast<double*>(y + (stage / W) * size + component)[stage % W] = value;
+        numbers(y, size)(component, stage) = value;
     }
-    static void repeat_last(A* y, int64_t size, int64_t stages) {
-        for (int64_t c = 0; c < size; ++c)
-            for (int64_t stage = stages; stage < blocks(stages) * W; ++stage)
-                put(y, size, c, stage, at(y, size, c, stages - 1));
-    }
+    static void repeat_last(A* y, int64_t size, int64_t stages) { numbers(y, size).repeat_last(stages); }
     static INLINE bool every(const typename A::Mask& mask) { return all(mask); }
     static INLINE bool some(const typename A::Mask& mask) { return any(mask); }
     static INLINE double largest(const A& a) { return largest_lane(a); }

@@ -17,28 +17,13 @@ static NOINLINE Rotation<A> apply_cubic(const Action& action, uint32_t run, cons
 template <Summation summation, bool with_group, class A, class G>
 static INLINE void apply_and_store(const FlowTables& tables, const ElementaryFlow& flow, const Vectors<A>& x,
                                    const Vectors<G>& group, AppliedRotations<A>* applied) {
+    if (__builtin_expect(flow.kind != CUBIC, 1)) return apply_flow<summation, with_group>(flow, x, group, applied);
     A theta(flow.offset);
     for (uint32_t entry = 0; entry < flow.entries; ++entry)
         theta = fma(A(flow.weight[entry]), x.at[flow.column[entry]], theta);
-    const AngleBlocks &of_momentum = flow.momentum, &of_group = flow.group;
-    if (__builtin_expect(flow.kind == ROTATE, 1)) {
-        const A phi = theta * of_momentum.factor;
-        const Rotation<A> rotation = rotation_by(phi);
-        rotate<summation>(rotation, of_momentum.pairs, of_momentum.repeat, x);
-        applied->momentum = rotation;
-        if (!with_group) return;
-        const A angle = theta * of_group.factor;
-        const Rotation<A> other = all(angle == phi) ? rotation : rotation_of(angle);
-        rotate<CORRECTED>(other, of_group.pairs, of_group.repeat, group);
-        applied->group = other;
-    } else if (flow.kind == CUBIC) {
-        applied->momentum = apply_cubic<summation>(tables.state, of_momentum.run, of_momentum.factor * theta, x);
-        if (with_group)
-            applied->group = apply_cubic<CORRECTED>(tables.group, of_group.run, of_group.factor * theta, group);
-    } else {
-        shear_blocks<summation>(of_momentum, theta, x);
-        if (with_group) shear_blocks<CORRECTED>(of_group, theta, group);
-    }
+    applied->momentum = apply_cubic<summation>(tables.state, flow.momentum.run, flow.momentum.factor * theta, x);
+    if (with_group)
+        applied->group = apply_cubic<CORRECTED>(tables.group, flow.group.run, flow.group.factor * theta, group);
 }
 
 // Members as lanes, or one member with the rows of its group element as lanes.

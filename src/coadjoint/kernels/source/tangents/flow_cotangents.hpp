@@ -44,8 +44,8 @@ class RowsBackward {
 
     // Undo the rows last - 1 to first of a step from t of length h; `flows` are their elementary flows, if there are any,
     // and `applied` their rotations if they are known.
-    NOINLINE void sweep(uint32_t first, uint32_t last, const std::vector<ElementaryFlow>& flows, const Covector<A, G>& at,
-               const A& t, double h, const AppliedRotations<A>* applied = nullptr) {
+    NOINLINE void sweep(uint32_t first, uint32_t last, const std::vector<ElementaryFlow>& flows,
+                        const Covector<A, G>& at, const A& t, double h, const AppliedRotations<A>* applied = nullptr) {
         const auto whole = [&](uint32_t r) {
             if (added.simple && int64_t(tables.part[r]) == all.added)
                 added.template add<A, G>(tables.terms, tables.tau[r], at, with_group, of_angles.at, coefficients.offset,
