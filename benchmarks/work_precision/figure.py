@@ -13,6 +13,7 @@ from work_precision.report import OURS, STEPPING, TARGETS, by_solver, front
 SAMPLED_PARTS = {
     OURS: dict(color="black", marker="o", linewidth=2.2, zorder=5),
     STEPPING: dict(color="black", marker="", linewidth=1.4, linestyle=":", zorder=5),
+    "coadjoint, not projected": dict(color="black", marker="", linewidth=1.0, linestyle="--", zorder=5),
     "coadjoint, scanned": dict(color="tab:orange", marker="."),
     "heyoka": dict(color="tab:red", marker="s"),
     "numbalsoda dop853": dict(color="tab:blue", marker="^"),

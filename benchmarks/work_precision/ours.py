@@ -1,12 +1,14 @@
 """coadjoint through its public interface.
 
 "coadjoint": `co.choose` chooses scheme and step; the settings are accuracies, and the time of the choice is set-up.
+"coadjoint, not projected": the same steps without restoring energy and Casimirs, which no other solver does.
 "coadjoint, scanned": many schemes and steps, so that one sees what the choice gives away. The tables are set up
 before (`co.prepare`), as other solvers compile before.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -52,19 +54,27 @@ def scanned(problem: Problem, setting: tuple[Any, float]) -> Solve:
     return Ready(problem, angle / problem.rate, method)
 
 
-def chosen(problem: Problem, accuracy: float) -> Solve:
+def chosen(problem: Problem, accuracy: float, projected: bool = True) -> Solve:
     ready = {}
     for x in problem.states:
         try:
             choice = co.choose(problem.system, x, (0.0, problem.span), accuracy)
         except ValueError as reason:  # no scheme reaches it in double precision
             raise Failed(str(reason)) from reason
-        ready[x.tobytes()] = Ready(problem, choice.step, choice.method)
+        method = choice.method
+        if isinstance(method, co.Taylor) and not projected:
+            method = replace(method, projected=False)
+        ready[x.tobytes()] = Ready(problem, choice.step, method)
     return lambda x0, span: ready[x0.tobytes()](x0, span)
+
+
+def not_projected(problem: Problem, accuracy: float) -> Solve:
+    return chosen(problem, accuracy, projected=False)
 
 
 def solvers() -> list[Solver]:
     return [
         Solver("coadjoint", "coadjoint", decades(2, 12), chosen, prepares_each_state=True),
+        Solver("coadjoint, not projected", "coadjoint", decades(2, 12), not_projected, prepares_each_state=True),
         Solver("coadjoint, scanned", "coadjoint", SCANNED, scanned),
     ]
