@@ -13,6 +13,7 @@ from coadjoint.kernels.tables import runge_kutta as couplings
 from coadjoint.kernels.tables.runge_kutta import MAX_HALF_BANDWIDTH, MAX_MEAN_COUPLINGS, narrow_band, runge_kutta_tables
 
 U = 2.0**-53
+X0 = np.array([2.0, -1.0, 1.5, 1.0, 0.5, -0.75])
 
 
 def solved(system, method, x, t, h):
@@ -67,6 +68,35 @@ def test_a_stiff_system_against_30_digits():
     assert error < steps * 10 * 20 * 8 * U
     assert run.stats.iterations < 16 + 50 * steps
     assert max(run.drift().values()) < 6 * 4 * 6 * U * 100 * np.sqrt(steps)
+
+
+RATES = np.array([4.0, 2.0, 3.0, 1.0, 5.0, 2.5])
+# Rates at time 0 would have the opposite sign.
+LATE = 64.5 * np.pi / 4.0
+
+
+@pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
+@pytest.mark.parametrize(
+    ("algebra", "h"), [(co.algebras.e(3), 0.3), (co.algebras.copies(co.algebras.so(3), 2), 0.15)], ids=repr
+)
+@pytest.mark.parametrize("span", [(0.0, 0.6), (0.6, 0.0)])
+def test_the_jacobian_is_that_of_the_time_of_the_step(algebra, h, span):
+    """Rates that change with time: the same motion, in few corrections, when all times are later."""
+
+    def run(late):
+        H = co.Hamiltonian(
+            lambda x, t: 0.5 * (0.5 + np.sin(4.0 * (t - late))) * np.sum(RATES * x**2),
+            lambda x, t: (0.5 + np.sin(4.0 * (t - late))) * RATES * x,
+        )
+        times = (span[0] + late, span[1] + late)
+        return co.integrate(co.LiePoissonSystem(algebra, H), X0, times, h, co.GaussLegendre(2))
+
+    now, later = run(0.0), run(LATE)
+    # Newton's method follows the first test for slow convergence, after 16 iterations, and takes less than ten.
+    assert 16 < now.stats.iterations / round(0.6 / h) < 26
+    assert 16 < later.stats.iterations / round(0.6 / h) < 26
+    # Times are rounded by LATE u, the rates by as much, and angles are below 100.
+    np.testing.assert_allclose(later.x, now.x, rtol=0, atol=100 * LATE * U * np.linalg.norm(X0))
 
 
 @pytest.mark.parametrize("banded", [True, False])
