@@ -1,5 +1,7 @@
 """Events: location, counts, terminal events, failures, and no effect on the run."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy.special import ellipk
@@ -152,6 +154,23 @@ def test_close_pairs_and_near_misses():
         assert sol.events.direction.tolist() == [1, -1] * (len(want) // 2)
     event = co.Event(co.Polynomial({(1, 0, 0): 1.0, (0, 0, 0): -1.0 - 1e-9}))
     assert len(co.integrate(system, start, (0, 10), h, events=event).events) == 0
+
+
+@pytest.mark.parametrize(
+    "algebra", [co.algebras.so(3), co.algebras.e(3), co.algebras.copies(co.algebras.so(3), 3)], ids=repr
+)
+@pytest.mark.parametrize("span", [(1.0, 25.0), (25.0, 1.0)])
+def test_series_with_further_products_find_all_crossings_of_a_step(algebra, span):
+    """H = x3^4 / 4 turns x1 and x2 by x3^3 = 1: x1 = cos(t - t0) has more than one zero in a step of length 4."""
+    n = algebra.dim
+    H = co.Polynomial({tuple(4 * (k == 2) for k in range(n)): 0.25})
+    x0 = np.array([1.0, 0.0, 1.0, *np.linspace(0.5, 1.0, n - 3)])
+    first = co.Event(co.Polynomial({tuple(int(k == 0) for k in range(n)): 1.0}))
+    sol = co.integrate(co.LiePoissonSystem(algebra, H), x0, span, 4.0, co.Taylor(24), events=first)
+    zeros = np.pi * (np.arange(8) + 0.5)
+    want = span[0] + np.sign(span[1] - span[0]) * zeros[zeros < 24.0]
+    # The first term left out, in each of six steps.
+    np.testing.assert_allclose(sol.events.t, want, rtol=0, atol=6 * 4.0**25 / math.factorial(25))
 
 
 def test_events_at_both_ends_of_the_span():
