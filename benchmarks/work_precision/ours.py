@@ -1,7 +1,7 @@
 """coadjoint through its public interface.
 
 "coadjoint": `co.choose` chooses scheme and step; the settings are accuracies, and the time of the choice is set-up.
-"coadjoint, not projected": the same steps without restoring energy and Casimirs, which no other solver does.
+"coadjoint, not projected": Taylor series of the same steps that restore neither energy nor Casimirs.
 "coadjoint, scanned": many schemes and steps, so that one sees what the choice gives away. The tables are set up
 before (`co.prepare`), as other solvers compile before.
 """

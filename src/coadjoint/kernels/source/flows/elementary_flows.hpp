@@ -120,13 +120,20 @@ struct AppliedRotations {
     Rotation<A> momentum, group;
 };
 
+// The angle of a flow at x.
+template <class A>
+INLINE A angle_of(const ElementaryFlow& flow, const A* x) {
+    A theta(flow.offset);
+    for (uint32_t entry = 0; entry < flow.entries; ++entry)
+        theta = fma(A(flow.weight[entry]), x[flow.column[entry]], theta);
+    return theta;
+}
+
 // Apply a flow that rotates or shears, and unless null, store its rotations.
 template <Summation summation, bool with_group, class A, class G>
 INLINE void apply_flow(const ElementaryFlow& flow, const Vectors<A>& x, const Vectors<G>& group,
                        AppliedRotations<A>* applied = nullptr) {
-    A theta(flow.offset);
-    for (uint32_t entry = 0; entry < flow.entries; ++entry)
-        theta = fma(A(flow.weight[entry]), x.at[flow.column[entry]], theta);
+    const A theta = angle_of(flow, x.at);
     if (__builtin_expect(flow.kind == ROTATE, 1)) {
         CachedRotation<A> cached;
         const Rotation<A> of_momentum = cached.by(theta * flow.momentum.factor, false);

@@ -62,7 +62,7 @@ struct SingleStages : Stages<Layout, SharedConstants> {
     NOINLINE bool by_newton() {
         if (s * n <= LARGEST_DENSE)
             return corrected(p, [&] { evaluate_all(); }, [&](const Corrected& stages) {
-                return stages.by_factors(p.base, numbers(times.at, 1), numbers(lengths.at, 1), residual);
+                return stages.by_factors(p.base, stage_numbers(times.at, 1), stage_numbers(lengths.at, 1), residual);
             });
         DerivativeWorkspace<A> derivatives(field);
         return by_systems([&] { evaluate_all(); },
@@ -74,17 +74,14 @@ struct SingleStages : Stages<Layout, SharedConstants> {
                           });
     }
 
-    static StageNumbers numbers(A* of, int64_t size) {
-        return {reinterpret_cast<double*>(of), size, Numbers<A>::lanes};
-    }
     static A* in_layout(double* numbers) { return reinterpret_cast<A*>(numbers); }
     static const A* in_layout(const double* numbers) { return reinterpret_cast<const A*>(numbers); }
 
     // Correct the stages that solve for y.
     bool corrected(Unknowns<Layout>& y, const Evaluate& evaluate, const Called<Outcome<double>(const Corrected&)>& by) {
         const auto find_defect = [&] { y.find_defect(); };
-        const Corrected stages{tables, numbers(y.points.at, y.size), numbers(y.change.at, y.size), y.work, evaluate,
-                               find_defect};
+        const Corrected stages{tables, stage_numbers(y.points.at, y.size), stage_numbers(y.change.at, y.size), y.work,
+                               evaluate, find_defect};
         return taken(by(stages));
     }
 

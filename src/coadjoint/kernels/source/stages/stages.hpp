@@ -28,6 +28,11 @@ struct StageNumbers {
     }
 };
 
+template <class A>
+INLINE StageNumbers stage_numbers(const A* y, int64_t size) {
+    return {reinterpret_cast<double*>(const_cast<A*>(y)), size, Numbers<A>::lanes};
+}
+
 // Stages as lanes, W of them in a block; lanes beyond the last stage repeat it, and have no effect.
 template <int W>
 struct StageLanes {
@@ -46,16 +51,13 @@ struct StageLanes {
                     to[b * count + j].set(lane, from[std::min(b * W + lane, stages - 1) * count + j]);
     }
     static INLINE A spread(double value) { return A(value); }
-    static INLINE StageNumbers numbers(const A* y, int64_t size) {
-        return {reinterpret_cast<double*>(const_cast<A*>(y)), size, W};
-    }
     static INLINE double at(const A* y, int64_t size, int64_t component, int64_t stage) {
-        return numbers(y, size)(component, stage);
+        return stage_numbers(y, size)(component, stage);
     }
     static INLINE void put(A* y, int64_t size, int64_t component, int64_t stage, double value) {
-        numbers(y, size)(component, stage) = value;
+        stage_numbers(y, size)(component, stage) = value;
     }
-    static void repeat_last(A* y, int64_t size, int64_t stages) { numbers(y, size).repeat_last(stages); }
+    static void repeat_last(A* y, int64_t size, int64_t stages) { stage_numbers(y, size).repeat_last(stages); }
     static INLINE bool every(const typename A::Mask& mask) { return all(mask); }
     static INLINE bool some(const typename A::Mask& mask) { return any(mask); }
     static INLINE double largest(const A& a) { return largest_lane(a); }

@@ -18,9 +18,7 @@ template <Summation summation, bool with_group, class A, class G>
 static INLINE void apply_and_store(const FlowTables& tables, const ElementaryFlow& flow, const Vectors<A>& x,
                                    const Vectors<G>& group, AppliedRotations<A>* applied) {
     if (__builtin_expect(flow.kind != CUBIC, 1)) return apply_flow<summation, with_group>(flow, x, group, applied);
-    A theta(flow.offset);
-    for (uint32_t entry = 0; entry < flow.entries; ++entry)
-        theta = fma(A(flow.weight[entry]), x.at[flow.column[entry]], theta);
+    const A theta = angle_of(flow, x.at);
     applied->momentum = apply_cubic<summation>(tables.state, flow.momentum.run, flow.momentum.factor * theta, x);
     if (with_group)
         applied->group = apply_cubic<CORRECTED>(tables.group, flow.group.run, flow.group.factor * theta, group);

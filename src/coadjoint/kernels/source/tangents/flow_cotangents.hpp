@@ -154,9 +154,8 @@ class RowsBackward {
     }
 
     INLINE void undo(const ElementaryFlow& flow, const Covector<A, G>& at, const AppliedRotations<A>* applied) {
-        A theta(flow.offset), of_angle;
-        for (uint32_t entry = 0; entry < flow.entries; ++entry)
-            theta = fma(A(flow.weight[entry]), at.x[flow.column[entry]], theta);
+        const A theta = angle_of(flow, at.x);
+        A of_angle;
         if (__builtin_expect(flow.kind == ROTATE, 1)) {
             const AngleBlocks &momentum = flow.momentum, &group = flow.group;
             Rotation<A> found;
