@@ -30,8 +30,15 @@ def spins(count, M):
     return co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), count), co.Quadratic(M))
 
 
+def affine(n, M, linear=0.0):
+    """Return a system in which one coordinate acts on the others by a random matrix: many products have one factor."""
+    A = np.random.default_rng(n).integers(-4, 5, (n - 1, n - 1)) / 4
+    brackets = {(n - 1, i): {k: A[k, i] for k in range(n - 1) if A[k, i]} for i in range(n - 1)}
+    return co.LiePoissonSystem(co.LieAlgebra.from_brackets(n, brackets), co.Quadratic(M, linear=np.full(n, linear)))
+
+
 def systems():
-    """One to many vectors of rows, products written out and with a gradient, linear parts, every degree."""
+    """One to many vectors of rows, products written out, factored and with a gradient, linear parts, every degree."""
     e3, so4 = co.algebras.e(3), co.algebras.so(4)
     return {
         "so(3), diagonal": co.systems.rigid_body(inertia=(1, 2, 2.5)),
@@ -51,6 +58,15 @@ def systems():
         "8 spins": spins(8, random_matrix(24, 7, 0.1)),
         "10 spins": spins(10, random_matrix(30, 8, 0.1)),
         "13 spins": spins(13, random_matrix(39, 9, 0.05)),
+        "5 particles": co.systems.toda(5),
+        "8 particles": co.systems.toda(8),
+        "affine, 3": affine(3, [1.0, 0.5, 0.75], 0.25),
+        "affine, 4": affine(4, random_matrix(4, 14), 0.25),
+        "affine, 6": affine(6, np.linspace(0.5, 1.5, 6), 0.25),
+        "affine, 6, full": affine(6, random_matrix(6, 15)),
+        "affine, 8": affine(8, np.linspace(0.5, 1.5, 8)),
+        "affine, 9, full": affine(9, random_matrix(9, 16), 0.25),
+        "affine, 14": affine(14, np.linspace(0.5, 1.5, 14), 0.25),
         "so(3), cubic": co.LiePoissonSystem(co.algebras.so(3), polynomial(3, 3, 10)),
         "e(3), quartic": co.LiePoissonSystem(e3, polynomial(6, 4, 11), sign=-1),
         "so(4), quintic": co.LiePoissonSystem(so4, polynomial(6, 5, 12)),
@@ -302,10 +318,15 @@ def test_short_calls_of_many_systems_do_not_meet():
 
 
 @pytest.mark.parametrize(
-    ("name", "products"), [("so(3), diagonal", 0.5), ("heavy top", 2), ("so(4), full", 4), ("so(5)", 6), ("5 spins", 4)]
+    ("name", "products"),
+    [("so(3), diagonal", 0.5), ("heavy top", 2), ("so(4), full", 4), ("so(5)", 6), ("5 spins", 4)]
+    + [("5 particles", 1), ("8 particles", 2), ("affine, 3", 0.5), ("affine, 9, full", 8), ("affine, 14", 4)],
 )
 def test_work_counts_the_products_that_are_multiplied(name, products):
-    """One product a row of the rigid body, in half a vector; two of the tops; four of so(4), each with the gradient."""
+    """One product a row of the rigid body, in half a vector; two of the tops; four of so(4), each with the gradient.
+
+    The eight products of the chain of five, and of an affine algebra, are factored: the rows are sums of them.
+    """
     system = systems()[name]
     small, large = (co.Taylor(order).operations(system) for order in (8, 16))
     assert small.vectors == 32 * products and large.vectors == 128 * products

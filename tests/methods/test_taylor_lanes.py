@@ -14,6 +14,13 @@ ALGEBRAS = {
     name: co.algebras.get(name) for name in ("so(3)", "A3,1", "gl(2)", "A5,3", "e(3)", "so(2,2)", "su(3)", "so(5)")
 }
 ALGEBRAS["A3,7"] = co.algebras.A3_7(0.7)
+# Where few coordinates act on the others, products are factored.
+for n, acting in ((3, 1), (4, 1), (7, 2), (12, 1)):
+    A = np.random.default_rng(n).integers(-3, 4, (n - acting, n - acting)) / 4
+    powers = {n - acting + k: A if k == 0 else A @ A for k in range(acting)}
+    ALGEBRAS[f"{acting} on {n - acting}"] = co.LieAlgebra.from_brackets(
+        n, {(f, i): dict(enumerate(B[:, i])) for f, B in powers.items() for i in range(n - acting)}
+    )
 ALGEBRAS["3 spins"] = co.algebras.copies(co.algebras.so(3), 3)
 ALGEBRAS["4 spins"] = co.algebras.copies(co.algebras.so(3), 4)
 MEMBERS = 21  # two registers of eight and five alone, or five of four and one

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,11 @@ UNROLLED_VECTORS = 3
 TABLE_FACTOR, TABLE_LATENCY, BLOCK_LATENCY = 3.5, 6.5, 2.0
 # Dependent operations per product in the sum of a coefficient.
 PRODUCT_LATENCY = 1.4
+# The same of factored products: of a coefficient, of each vector of entries of the sums around them, and of products
+# that do not fit in registers.
+FACTORED_LATENCY, ENTRY_LATENCY, MEMORY_LATENCY, MEMORY_PRODUCT_LATENCY = 3.0, 0.6, 3.8, 1.1
+# When products are factored, as in ``series_field.hpp``.
+PRODUCT_COST, GRADIENT_COST, FACTORED_COST, ENTRY_COST, CHAIN_COST, MEMORY_COST = 11.4, 2.9, 6.0, 2.5, 10.0, 18.0
 # Up to REGISTER_INVARIANTS invariants of two vectors of coordinates stay in registers; others are slower by a factor.
 REGISTER_INVARIANTS, SPILL_FACTOR = 4, 1.5
 
@@ -42,7 +48,13 @@ def series_operations(system: System, order: int, invariants: Iterable[Hamiltoni
         vectors_of_products(system, lanes) * lanes / LANES,
         ProductVectors(system.hamiltonian).blocks,
     )
-    if product_blocks or blocks > UNROLLED_VECTORS:
+    factored = factored_products(system, lanes)
+    if factored is not None:
+        vectors = factored.products * lanes / LANES
+        waiting = FACTORED_LATENCY + ENTRY_LATENCY * factored.entries
+        if factored.in_memory:
+            waiting += MEMORY_LATENCY + MEMORY_PRODUCT_LATENCY * factored.products
+    elif product_blocks or blocks > UNROLLED_VECTORS:
         vectors = TABLE_FACTOR * (products + product_blocks)
         waiting = TABLE_LATENCY + BLOCK_LATENCY * blocks + products + product_blocks
     else:
@@ -67,6 +79,67 @@ def vectors_of_products(system: System, lanes: int) -> float:
         pairs = np.stack([row, np.minimum(state, factor), np.maximum(state, factor)], axis=1)[included]
         row = np.unique(pairs, axis=0)[:, 0] if len(pairs) else pairs[:, 0]
     return _longest_of_blocks(np.bincount(row, minlength=-(-system.dim // lanes) * lanes), lanes)
+
+
+class FactoredProducts(NamedTuple):
+    """Vectors of products of a coordinate and a sum of coordinates, and of the entries of the sums around them."""
+
+    products: int
+    entries: int
+    in_memory: bool
+
+
+def factored_products(system: System, lanes: int) -> FactoredProducts | None:
+    """Return the factored products of a quadratic energy, or None where the kernel does not factor."""
+    assert system.algebra is not None
+    terms, n = system.hamiltonian.terms(), system.dim
+    most = 2 * lanes if lanes == LANES else lanes
+    if n > most or not all(isinstance(term, QuadraticTerm) for term in terms):
+        return None
+    gradient = [Counter[int]() for _ in range(n)]
+    for form in filter(None, (term.form for term in terms)):
+        for i, j, value in zip(form.rows.tolist(), form.indices.tolist(), form.values.tolist(), strict=True):
+            gradient[i][j] += value
+    rows = [Counter[tuple[int, int]]() for _ in range(n)]
+    for i, j, k, value in zip(*(part.tolist() for part in system.algebra.triples), strict=True):
+        rows[i][k, j] += value
+        rows[j][k, i] -= value
+    written_out = [Counter[tuple[int, int]]() for _ in range(n)]
+    for row, found in zip(rows, written_out, strict=True):
+        for (state, factor), weight in row.items():
+            for j, value in gradient[factor].items():
+                found[min(state, j), max(state, j)] += weight * value
+    # Products that cancel are omitted.
+    pairs = [{pair: value for pair, value in found.items() if value} for found in written_out]
+    lengths: dict[Hashable, int] = {}
+    counts = [_count_factors(found, lengths) for found in pairs]
+    products = -(-len(lengths) // lanes)
+    entries = _vectors(counts, lanes) + _vectors(lengths.values(), lanes)
+    written, apart = (_vectors(map(len, sums), lanes) for sums in (pairs, rows))
+    plain = PRODUCT_COST * min(written, apart + GRADIENT_COST / PRODUCT_COST * _vectors(map(len, gradient), lanes))
+    in_memory = len(lengths) > most
+    cost = (PRODUCT_COST if in_memory else FACTORED_COST) * products + ENTRY_COST * entries + CHAIN_COST
+    return FactoredProducts(products, entries, in_memory) if cost + MEMORY_COST * in_memory < plain else None
+
+
+def _count_factors(pairs: Mapping[tuple[int, int], float], lengths: dict[Hashable, int]) -> int:
+    """Return the number of factored products in a row, and add new ones with the number of entries of their sums."""
+    left, count = dict(pairs), 0
+    while left:
+        numbers = Counter(i for pair in left for i in set(pair))
+        common = min(numbers, key=lambda i: (-numbers[i], i))
+        taken = sorted((i + j - common, left.pop((i, j))) for i, j in list(left) if common in (i, j))
+        lead = taken[0][1]
+        scale = lead if len(taken) == 1 else np.copysign(2.0 ** np.floor(np.log2(abs(lead))), lead)
+        lengths[common, *((j, value / scale) for j, value in taken)] = len(taken)
+        count += 1
+    return count
+
+
+def _vectors(counts: Iterable[int], lanes: int) -> int:
+    """Return the number of vectors for rows with these counts of entries."""
+    padded = np.array([*counts, *[0] * lanes])
+    return int(_longest_of_blocks(padded[: len(padded) // lanes * lanes], lanes))
 
 
 class ProductVectors:

@@ -29,18 +29,21 @@ struct Series {
     AlignedArray<Factors> factors, made;  // of every product, one after the other, and of those behind the coordinates
     AlignedArray<Row> later, made_later;  // known contributions to the next order
     AlignedArray<Row> scaled;             // first factors on the right of every product, times its weight
+    AlignedArray<Row> results;            // factored products, the newest
 
     template <class C>
     Series(const Field& system_field, const C& constants, int64_t order)
         : field(system_field, constants, order), order(order), blocks(blocks_of<W>(field.n)),
-          stride(field.extended * V / W), x((order + 1) * stride), u(field.blocks), factors(field.products.size() * order),
-          made(field.factors.size() * order), later(2 * field.blocks), made_later(2 * field.factors.blocks),
-          scaled(field.products.size()) {}
+          stride(field.extended * V / W), x((order + 1) * stride), u(field.blocks),
+          factors(field.series_of_products() * order), made(field.factors.size() * order),
+          later(2 * std::max(field.blocks, field.products.blocks)), made_later(2 * field.factors.blocks),
+          scaled(field.products.size()), results(field.products.blocks) {}
 
     // Approximate number of multiplications of the coefficients.
     int64_t work() const {
-        const int64_t entries = field.gradient.size() + field.linear.size();
-        return order * V * (entries + order * int64_t(field.products.size() + field.factors.size()));
+        int64_t entries = field.gradient.size() + field.linear.size();
+        if (field.factored) entries += field.products.size() + field.outputs.size();
+        return order * V * (entries + order * (field.series_of_products() + field.factors.size()));
     }
 
     // Set the coefficients x_1 h, ..., x_p h^p of the motion from x_0. Defined in series.cpp, since its
@@ -88,15 +91,18 @@ struct Series {
     // Copies of members, which the compiler would read again after each store. Vectors that only pad the coordinates stay
     // zero.
     struct Local {
-        const int64_t blocks, order, made;
-        const int64_t *const first, *const linear_first;
-        const typename Sums<V>::Vector* const linear;
+        const int64_t blocks, order, made, vectors;
+        const int64_t *const first, *const linear_first, *const output_first;
+        const typename Sums<V>::Vector *const products, *const linear, *const outputs;
         Factors* const factors;
-        Row* const later;
+        Row *const later, *const results;
         INLINE Local(const Series& series)
             : blocks(blocks_of<V>(series.field.n)), order(series.order), made(series.field.factors.blocks),
-              first(series.field.products.first.data()), linear_first(series.field.linear.first.data()),
-              linear(series.field.linear.at.at), factors(series.factors.at), later(series.later.at) {}
+              vectors(series.field.products.blocks), first(series.field.products.first.data()),
+              linear_first(series.field.linear.first.data()), output_first(series.field.outputs.first.data()),
+              products(series.field.products.at.at), linear(series.field.linear.at.at),
+              outputs(series.field.outputs.at.at), factors(series.factors.at), later(series.later.at),
+              results(series.results.at) {}
     };
 
     INLINE Lanes<W> every_fourth(int64_t block, int64_t first) const {
@@ -124,6 +130,22 @@ struct Series {
             if (blocks == 3) return expand_unrolled<3, written_out, 0>(h);
         }
         expand_unrolled<0, written_out, 0>(h);
+    }
+
+    NOINLINE void expand_factored(int64_t blocks, double h) {
+        const int64_t vectors = field.products.blocks;
+        if constexpr (V == W) {
+            if (blocks == 1 && vectors == 1) return expand_factored<1, 1>(h);
+            if (V == 4 && blocks == 1) return expand_factored<1, 0>(h);
+        }
+        if constexpr (V == 8) {
+            if (blocks == 1 && vectors == 2) return expand_factored<1, 2>(h);
+            if (blocks == 2 && vectors == 1) return expand_factored<2, 1>(h);
+            if (blocks == 2 && vectors == 2) return expand_factored<2, 2>(h);
+            if (blocks == 1) return expand_factored<1, 0>(h);
+            if (blocks == 2) return expand_factored<2, 0>(h);
+        }
+        expand_factored<0, 0>(h);
     }
 
     // K: blocks of rows, E: products of each row; both are 0 if they are read from the tables.
@@ -244,6 +266,68 @@ struct Series {
             const Row coefficient = even + odd;
             store(then + b * V, coefficient);
             if constexpr (K > 0) next[b] = coefficient;
+        }
+        if constexpr (K > 0)
+            newest = Newest<K, V>(next);
+        else
+            newest = Newest<K, V>(then);
+    }
+
+    // Factored products: K blocks of rows and P vectors of products; either is 0 if it is in memory.
+    template <int K, int P>
+    NOINLINE void expand_factored(double h) {
+        constexpr int unrolled = K > 0 ? COADJOINT_UNROLLED : std::min(COADJOINT_UNROLLED, 4);
+        const Local here(*this);
+        Newest<K, V> newest(numbers(0));
+        Factors firsts[P ? P : 1];
+        first_factored<K, P>(here, firsts, newest, h, std::make_integer_sequence<int, unrolled>());
+        for (int64_t k = unrolled; k < here.order; k += 2) {
+            factored_coefficient<K, P, false>(here, firsts, newest, k, h);
+            if (k + 1 < here.order) factored_coefficient<K, P, false>(here, firsts, newest, k + 1, h);
+        }
+    }
+
+    template <int K, int P, int... k>
+    INLINE void first_factored(const Local& here, Factors* firsts, Newest<K, V>& newest, double h,
+                               std::integer_sequence<int, k...>) {
+        ((k < here.order && (factored_coefficient<K, P, true>(here, firsts, newest, k, h), true)) && ...);
+    }
+
+    template <int K, int P, bool unrolled>
+    INLINE void factored_coefficient(const Local& here, Factors* firsts, Newest<K, V>& newest, int64_t k, double h) {
+        const int64_t blocks = K ? K : here.blocks, vectors = P ? P : here.vectors;
+        const Row length(h / double(k + 1));
+        Row made[P ? P : 1], next[K ? K : 1];
+#pragma GCC unroll 2
+        for (int64_t v = 0; v < vectors; ++v) {
+            Factors* const f = here.factors + v * here.order;
+            Row even, odd;
+            begin<unrolled>(f, here.order, 1, k, here.later + 2 * v, even, odd);
+            int64_t e = here.first[v];
+            Factors now;
+            now.left = newest(here.products[e].right);
+            now.right = here.products[e].weight * newest(here.products[e].left);
+            while (++e < here.first[v + 1])
+                now.right = fma(here.products[e].weight, newest(here.products[e].left), now.right);
+            f[k] = now;
+            if (P > 0 && k == 0) firsts[v] = now;
+            const Factors& begun = P > 0 ? firsts[v] : f[0];
+            // The sum of the newest coefficients is known last.
+            Row sum = length * (even + odd);
+            if (k > 0) sum = fma(length * begun.right, now.left, sum);
+            (P ? made : here.results)[v] = fma(length * begun.left, now.right, sum);
+        }
+        const Newest<P, V> products(P ? made : here.results);
+        double* const then = numbers(k + 1);
+#pragma GCC unroll 2
+        for (int64_t b = 0; b < blocks; ++b) {
+            Row sum(0.0);
+            for (int64_t e = here.linear_first[b]; e < here.linear_first[b + 1]; ++e)
+                sum = fma(length * here.linear[e].weight, newest(here.linear[e].left), sum);
+            for (int64_t e = here.output_first[b]; e < here.output_first[b + 1]; ++e)
+                sum = fma(here.outputs[e].weight, products(here.outputs[e].left), sum);
+            store(then + b * V, sum);
+            if constexpr (K > 0) next[b] = sum;
         }
         if constexpr (K > 0)
             newest = Newest<K, V>(next);

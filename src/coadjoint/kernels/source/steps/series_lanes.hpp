@@ -24,24 +24,35 @@ class SeriesLanes {
                 positions[(field.blocks + b) * V + lane] = count++;
                 made.push_back({1.0, series_of(product.left.lane[lane]), series_of(product.right.lane[lane])});
             }
-        read(field.products, products, product_rows);
-        read(field.gradient, gradients, gradient_rows);
-        if (field.written_out) read(field.linear, linear, linear_rows);
+        const auto series_at = [this](int64_t position) { return series_of(position); };
+        read(field.products, products, product_rows, series_at);
+        read(field.gradient, gradients, gradient_rows, series_at);
+        if (field.written_out) read(field.linear, linear, linear_rows, series_at);
+        if (field.factored) {
+            read(field.outputs, outputs, output_rows, [](int64_t product) { return product; });
+            // Empty rows pad the last vector of products.
+            product_rows.erase(std::find(product_rows.begin(), product_rows.end(), int64_t(products.size())) + 1,
+                               product_rows.end());
+        }
         series.clear(count * (order + 1));
         slopes.clear(field.written_out ? 0 : n * (order + 1));
-        weighted.clear(int64_t(products.size()) * (order + 1));
-        later.clear(2 * n), made_later.clear(2 * int64_t(made.size())), lengths.clear(order);
+        weighted.clear(series_of_products() * (order + 1));
+        results.clear(series_of_products());
+        later.clear(2 * std::max(n, series_of_products())), made_later.clear(2 * int64_t(made.size()));
+        lengths.clear(order);
     }
 
     // Approximate number of multiplications of the coefficients of all members.
     int64_t work() const {
-        const int64_t entries = int64_t(gradients.size() + linear.size());
-        return order * Numbers<A>::lanes * (entries + order * int64_t(products.size() + made.size()));
+        int64_t entries = int64_t(gradients.size() + linear.size());
+        if (field.factored) entries += int64_t(products.size() + outputs.size());
+        return order * Numbers<A>::lanes * (entries + order * (series_of_products() + int64_t(made.size())));
     }
 
     // Approximate number of bytes that are read repeatedly.
     int64_t working_set() const {
-        return int64_t(sizeof(A)) * order * (n + int64_t(made.size() + products.size()) + (field.written_out ? 0 : n));
+        const int64_t slopes_of = field.written_out ? 0 : n;
+        return int64_t(sizeof(A)) * order * (n + int64_t(made.size()) + series_of_products() + slopes_of);
     }
 
     // Set the coefficients x_1 h, ..., x_p h^p of the motions from x.
@@ -52,7 +63,10 @@ class SeriesLanes {
         for (int64_t k = 0; k < order; ++k) {
             make_products(k);
             if (!field.written_out) take_slopes(k);
-            coefficient(k, lengths.at[k], field.written_out ? series.at : slopes.at);
+            if (field.factored)
+                factored_coefficient(k, lengths.at[k]);
+            else
+                coefficient(k, lengths.at[k], field.written_out ? series.at : slopes.at);
         }
     }
 
@@ -63,22 +77,26 @@ class SeriesLanes {
 
   private:
     std::vector<int64_t> positions;  // indices of the rows of the field
-    std::vector<int64_t> product_rows, gradient_rows, linear_rows;
-    std::vector<Entry> products, gradients, linear, made;
-    AlignedArray<A> series{0}, slopes{0}, weighted{0}, later{0}, made_later{0}, lengths{0};
+    std::vector<int64_t> product_rows, gradient_rows, linear_rows, output_rows;
+    std::vector<Entry> products, gradients, linear, outputs, made;
+    AlignedArray<A> series{0}, slopes{0}, weighted{0}, results{0}, later{0}, made_later{0}, lengths{0};
 
     INLINE A* of(int64_t i) const { return series.at + i * (order + 1); }
     int64_t series_of(int64_t position) const { return positions[position] * (order + 1); }
 
-    // The entries of every coordinate, without those that only pad a vector.
-    void read(const Sums<V>& sums, std::vector<Entry>& entries, std::vector<int64_t>& first) const {
+    // The number of products whose factors are series; factored ones are rows.
+    int64_t series_of_products() const { return int64_t(field.factored ? product_rows.size() - 1 : products.size()); }
+
+    // The entries of every row, without those that only pad a vector.
+    template <class At>
+    void read(const Sums<V>& sums, std::vector<Entry>& entries, std::vector<int64_t>& first, At at) const {
         first.assign(1, 0);
-        for (int64_t i = 0; i < n; ++i) {
+        for (int64_t i = 0; i < sums.blocks * V; ++i) {
             int64_t last = sums.first[i / V + 1];
             while (last > sums.first[i / V] && sums.at.at[last - 1].weight[int(i % V)] == 0.0) --last;
             for (int64_t e = sums.first[i / V]; e < last; ++e)
-                entries.push_back({sums.at.at[e].weight[int(i % V)], series_of(sums.at.at[e].left.lane[i % V]),
-                                   series_of(sums.at.at[e].right.lane[i % V])});
+                entries.push_back({sums.at.at[e].weight[int(i % V)], at(sums.at.at[e].left.lane[i % V]),
+                                   at(sums.at.at[e].right.lane[i % V])});
             first.push_back(int64_t(entries.size()));
         }
     }
@@ -147,6 +165,32 @@ class SeriesLanes {
                 for (int64_t e = linear_rows[i]; e < linear_rows[i + 1]; ++e)
                     odd = fma(length * A(linear[e].weight), series.at[linear[e].left + k], odd);
             of(i)[k + 1] = even + odd;
+        }
+    }
+
+    NOINLINE void factored_coefficient(int64_t k, const A& length) {
+        for (int64_t p = 0; p < series_of_products(); ++p) {
+            const int64_t first = product_rows[p], last = product_rows[p + 1];
+            const A* const left = series.at + products[first].right;
+            A* const right = weighted.at + p * (order + 1);
+            A even, odd;
+            begin(first, first + 1, k, later.at + 2 * p, even, odd, [&](int64_t) { return left; },
+                  [&](int64_t) { return right; });
+            A now = A(products[first].weight) * series.at[products[first].left + k];
+            for (int64_t e = first + 1; e < last; ++e)
+                now = fma(A(products[e].weight), series.at[products[e].left + k], now);
+            right[k] = now;
+            A sum = length * (even + odd);
+            if (k > 0) sum = fma(length * right[0], left[k], sum);
+            results.at[p] = fma(length * left[0], now, sum);
+        }
+        for (int64_t i = 0; i < n; ++i) {
+            A sum(0.0);
+            for (int64_t e = linear_rows[i]; e < linear_rows[i + 1]; ++e)
+                sum = fma(length * A(linear[e].weight), series.at[linear[e].left + k], sum);
+            for (int64_t e = output_rows[i]; e < output_rows[i + 1]; ++e)
+                sum = fma(A(outputs[e].weight), results.at[outputs[e].left], sum);
+            of(i)[k + 1] = sum;
         }
     }
 
