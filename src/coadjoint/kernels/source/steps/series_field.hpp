@@ -154,7 +154,7 @@ struct SeriesField {
     // that most of its products contain. Sums are scaled by powers of two, so that nothing is rounded.
     static std::pair<std::vector<SparseSum>, std::vector<SparseSum>> factor(const std::vector<SparseSum>& pairs) {
         std::vector<SparseSum> found, totals(pairs.size());
-        std::map<std::vector<std::pair<int64_t, double>>, int64_t> known;  // a coordinate and a sum, and its index
+        std::map<std::vector<std::pair<int64_t, double>>, int64_t> indices;  // of a coordinate and a sum
         for (size_t r = 0; r < pairs.size(); ++r)
             for (SparseSum left = pairs[r]; !left.empty();) {
                 std::map<int64_t, int64_t> counts;
@@ -172,7 +172,7 @@ struct SeriesField {
                 const double scale = scale_of(sum);
                 std::vector<std::pair<int64_t, double>> key{{common, 0.0}};
                 for (Entry& entry : sum) entry.weight /= scale, key.push_back({entry.left, entry.weight});
-                const auto [place, fresh] = known.insert({key, int64_t(found.size())});
+                const auto [place, fresh] = indices.insert({key, int64_t(found.size())});
                 if (fresh) found.push_back(sum);
                 totals[r].push_back({scale, place->second, 0});
                 left = rest;
