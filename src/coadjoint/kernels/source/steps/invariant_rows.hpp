@@ -52,7 +52,7 @@ struct InvariantRows {
         : watch(watch), constants(constants), users(blocks_of<W>(n)), position(watch.terms.row[watch.terms.size], -1),
           before(watch.longest + 1), gradients(0) {
         for (int64_t i = watch.size; i-- > 0;) lay_out(i, n);
-        linear.finish();
+        linear.finish(), products.finish();
         gradients.clear(int64_t(offsets.size()));
         few = n <= MOST_HELD * W && watch.size >= 1 && watch.size <= 4 && bounded;
         for (size_t a = 0; a < invariants.size(); ++a)
@@ -183,7 +183,7 @@ struct InvariantRows {
     // The gradient of an invariant, by coordinate.
     struct Gradient {
         std::map<int64_t, SparseSum> linear;
-        std::map<int64_t, SumOfProducts> products;
+        std::map<int64_t, typename ProductRows<W>::Sum> products;
         std::map<int64_t, double> offset;
     };
 
@@ -199,7 +199,7 @@ struct InvariantRows {
         for (auto it = sums.begin(); it != sums.end();) {
             const int64_t b = it->first / W;
             std::vector<SparseSum> lanes(W);
-            std::vector<SumOfProducts> longer(W);
+            std::vector<typename ProductRows<W>::Sum> longer(W);
             offsets.resize((block.size() + 1) * W, 0.0);
             there.resize((block.size() + 1) * W, false);
             bool diagonal = false;
@@ -218,7 +218,7 @@ struct InvariantRows {
                 longer[lane] = gradient.products[it->first];
                 for (const auto& [factors, some] : longer[lane]) {
                     double all = 0.0;
-                    for (const WeightedProduct& product : some) all += double(factors) * std::fabs(product.weight);
+                    for (const auto& [product, weight] : some) all += double(factors) * std::fabs(weight);
                     second_derivative[factors - 1] = larger(second_derivative[factors - 1], all);
                 }
             }
@@ -227,7 +227,7 @@ struct InvariantRows {
                     if (SparseSum& sum = lanes[lane]; sum.empty() || sum.front().left != b * W + lane)
                         sum.insert(sum.begin(), Entry{0.0, b * W + lane, 0});
             diagonal_vectors.push_back(diagonal);
-            linear.add(lanes), products.add(longer);
+            linear.add(lanes), products.add(longer, b * W);
             block.push_back(b);
         }
         for (const int64_t k : found.terms)
@@ -284,7 +284,7 @@ struct InvariantRows {
             else if (rest.size() == 1)
                 gradient.linear[i].push_back({times, rest[0], 0});
             else
-                gradient.products[i][rest.size()].push_back({times, rest});
+                gradient.products[i][rest.size()][rest] += times;
         }
     }
 

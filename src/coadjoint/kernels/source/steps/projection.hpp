@@ -24,14 +24,14 @@ struct Projection {
     typedef Lanes<W> Row;
     InvariantRows<W, C> rows;
     const size_t size;
-    std::vector<double> defects;
+    std::vector<double> defects, curvature;
     AlignedArray<Row> moved;
     SparseFactors factors;
     int64_t corrections = 0;
     double residual = 0.0;
 
     NOINLINE Projection(const Watch& watch, const C& constants, int64_t n)
-        : rows(watch, constants, n), size(rows.invariants.size()), defects(size), moved(blocks_of<W>(n)) {
+        : rows(watch, constants, n), size(rows.invariants.size()), defects(size), curvature(size), moved(blocks_of<W>(n)) {
         factors.analyse(rows.coupled());
     }
 
@@ -55,6 +55,7 @@ struct Projection {
         if (exact<true>(x, blocks, targets)) return true;
         rows.gram(factors);
         factors.factorize();
+        bound_curvature(x, blocks);
         std::fill_n(moved.at, blocks, Row(0.0));
         for (corrections = 1; corrections <= PROJECTION_CORRECTIONS; ++corrections) {
             const double before = residual;
@@ -68,7 +69,7 @@ struct Projection {
                 least = least + absolute(more), total = total + absolute(moved.at[b]);
             }
             const double product = sum_of_lanes(least) * sum_of_lanes(total);
-            if (rows.bounded && negligible(product, largest_of(x, blocks), targets)) return true;
+            if (rows.bounded && negligible(product, targets)) return true;
             if (exact<false>(x, blocks, targets) || (residual >= 0.5 * before && settled(x, targets))) return true;
         }
         return false;
@@ -118,6 +119,7 @@ struct Projection {
 #pragma GCC unroll 4
                 for (int k = 0; k < j; ++k) L[i][j] = fma(-L[i][k] * L[j][k], inverse[k], L[i][j]);
         }
+        bound_curvature(x, K);
         Row unused[R][K], total[K];
         for (int b = 0; b < K; ++b) total[b] = Row(0.0);
         bool restored = false;
@@ -144,7 +146,7 @@ struct Projection {
                 total[b] = total[b] + more;
                 now = b ? now + absolute(more) : absolute(more), all = b ? all + absolute(total[b]) : absolute(total[b]);
             }
-            restored = negligible(sum_of_lanes(now) * sum_of_lanes(all), largest_of(x, K), targets) ||
+            restored = negligible(sum_of_lanes(now) * sum_of_lanes(all), targets) ||
                        few<R, K>(x, targets, unused, defect) || (residual >= 0.5 * before && settled(x, targets));
             if (restored) break;
         }
@@ -172,20 +174,19 @@ struct Projection {
         return all;
     }
 
-    // The largest coordinate, if second derivatives depend on it.
-    INLINE double largest_of(const Row* x, int64_t blocks) const {
+    // Set the bounds on second derivatives at x, once, since corrections hardly change them.
+    INLINE void bound_curvature(const Row* x, int64_t blocks) {
         Row largest(0.0);
-        if (rows.quadratic) return 0.0;
-        for (int64_t b = 0; b < blocks; ++b) largest = larger(largest, absolute(x[b]));
-        return largest_lane(largest);
+        for (int64_t b = 0; b < blocks && !rows.quadratic; ++b) largest = larger(largest, absolute(x[b]));
+        const double most = rows.quadratic ? 0.0 : largest_lane(largest);
+        for (size_t a = 0; a < size; ++a) curvature[a] = rows.second_derivative(a, most);
     }
 
     // Whether the error after a correction is within rounding. It is the second derivatives times the correction times
     // the sum of all corrections.
-    INLINE bool negligible(double product, double largest, const double* targets) const {
+    INLINE bool negligible(double product, const double* targets) const {
         bool all = true;
-        for (size_t a = 0; a < size; ++a)
-            all &= product * rows.second_derivative(a, largest) <= 0.25 * targets[size + a];
+        for (size_t a = 0; a < size; ++a) all &= product * curvature[a] <= 0.25 * targets[size + a];
         return all;
     }
 

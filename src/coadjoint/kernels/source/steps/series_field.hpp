@@ -1,11 +1,11 @@
 // A polynomial field as sums of products of two series.
 #pragma once
 
-#include <cstring>
 #include <map>
 
 #include "field/field.hpp"
 #include "field/row_lanes.hpp"
+#include "steps/factored_products.hpp"
 
 namespace coadjoint {
 
@@ -137,52 +137,21 @@ struct SeriesField {
         }
     }
 
-    // The first weight of a sum without its digits, unless the others overflow if they are divided by it.
-    static double scale_of(const SparseSum& sum) {
-        if (sum.size() == 1) return sum[0].weight;
-        uint64_t bits;
-        std::memcpy(&bits, &sum[0].weight, sizeof bits);
-        bits &= ~((uint64_t(1) << 52) - 1);
-        double scale;
-        std::memcpy(&scale, &bits, sizeof bits);
-        for (const Entry& entry : sum)
-            if (!(entry.weight / scale * scale == entry.weight)) return 1.0;
-        return scale;
-    }
-
-    // Products of a coordinate and a sum, and the rows as sums of those products. A row is divided by the coordinates
-    // that most of its products contain. Sums are scaled by powers of two, so that nothing is rounded.
-    static std::pair<std::vector<SparseSum>, std::vector<SparseSum>> factor(const std::vector<SparseSum>& pairs) {
-        std::vector<SparseSum> found, totals(pairs.size());
-        std::map<std::vector<std::pair<int64_t, double>>, int64_t> indices;  // of a coordinate and a sum
-        for (size_t r = 0; r < pairs.size(); ++r)
-            for (SparseSum left = pairs[r]; !left.empty();) {
-                std::map<int64_t, int64_t> counts;
-                for (const auto& [weight, i, j] : left) ++counts[i], counts[j] += i != j;
-                int64_t common = counts.begin()->first;
-                for (const auto& [i, count] : counts)
-                    if (count > counts[common]) common = i;
-                SparseSum sum, rest;
-                for (const auto& [weight, i, j] : left) {
-                    if (i == common || j == common)
-                        sum.push_back({weight, i == common ? j : i, common});
-                    else
-                        rest.push_back({weight, i, j});
-                }
-                const double scale = scale_of(sum);
-                std::vector<std::pair<int64_t, double>> key{{common, 0.0}};
-                for (Entry& entry : sum) entry.weight /= scale, key.push_back({entry.left, entry.weight});
-                const auto [place, fresh] = indices.insert({key, int64_t(found.size())});
-                if (fresh) found.push_back(sum);
-                totals[r].push_back({scale, place->second, 0});
-                left = rest;
-            }
-        return {found, totals};
-    }
-
-    // Factor products where that is faster.
+    // Factor products where that is faster. The rows are then sums of products that have lanes of their own.
     void write_factored(const std::vector<SparseSum>& pairs) {
-        const auto [sums, totals] = factor(pairs);
+        std::vector<SparseSum> sums, totals(pairs.size());
+        std::map<std::pair<int64_t, SumOfProducts>, int64_t> indices;  // of a coordinate and a sum
+        for (size_t r = 0; r < pairs.size(); ++r) {
+            SumOfProducts row;
+            for (const auto& [weight, i, j] : pairs[r]) row[{i, j}] = weight;
+            for (const auto& [scale, coordinate, sum] : coadjoint::factored(row)) {
+                const auto [place, fresh] = indices.insert({{coordinate, sum}, int64_t(sums.size())});
+                if (fresh) sums.emplace_back();
+                for (const auto& [other, weight] : sum)
+                    if (fresh) sums.back().push_back({weight, other[0], coordinate});
+                totals[r].push_back({scale, place->second, 0});
+            }
+        }
         const int64_t count = int64_t(sums.size());
         const double now = written_out ? PRODUCT_COST * vectors(pairs)
                                        : PRODUCT_COST * vectors(rows) + GRADIENT_COST * vectors(gradients);

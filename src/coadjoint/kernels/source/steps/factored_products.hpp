@@ -1,0 +1,64 @@
+// Sums of products of coordinates, written as fewer products: of a coordinate and a sum that may occur more than once.
+#pragma once
+
+#include <cstdint>
+#include <cstring>
+#include <map>
+#include <vector>
+
+namespace coadjoint {
+
+typedef std::map<std::vector<int64_t>, double> SumOfProducts;  // the coordinates of a product in order, and its weight
+
+// scale x[coordinate] sum
+struct FactoredProduct {
+    double scale;
+    int64_t coordinate;
+    SumOfProducts sum;
+};
+
+// The first weight of a sum without its digits, unless the others overflow if they are divided by it.
+inline double scale_of(const SumOfProducts& sum) {
+    const double first = sum.begin()->second;
+    if (sum.size() == 1) return first;
+    uint64_t bits;
+    std::memcpy(&bits, &first, sizeof bits);
+    bits &= ~((uint64_t(1) << 52) - 1);
+    double scale;
+    std::memcpy(&scale, &bits, sizeof bits);
+    for (const auto& [factors, weight] : sum)
+        if (!(weight / scale * scale == weight)) return 1.0;
+    return scale;
+}
+
+// Divide products by the coordinate that most of them contain, until none is left; of several, by another one than
+// `avoided`. Sums are scaled so that more of them are equal, by powers of two, so that nothing is rounded.
+inline std::vector<FactoredProduct> factored(SumOfProducts left, int64_t avoided = -1) {
+    std::vector<FactoredProduct> found;
+    while (!left.empty()) {
+        std::map<int64_t, int64_t> counts;
+        for (const auto& [factors, weight] : left)
+            for (size_t f = 0; f < factors.size(); ++f) counts[factors[f]] += f == 0 || factors[f] != factors[f - 1];
+        int64_t common = counts.begin()->first;
+        for (const auto& [i, count] : counts)
+            if (count > counts[common] || (count == counts[common] && common == avoided)) common = i;
+        FactoredProduct product{1.0, common, {}};
+        for (auto it = left.begin(); it != left.end();) {
+            std::vector<int64_t> rest = it->first;
+            const auto place = std::find(rest.begin(), rest.end(), common);
+            if (place == rest.end()) {
+                ++it;
+                continue;
+            }
+            rest.erase(place);
+            product.sum[rest] = it->second;
+            it = left.erase(it);
+        }
+        product.scale = scale_of(product.sum);
+        for (auto& [factors, weight] : product.sum) weight /= product.scale;
+        found.push_back(product);
+    }
+    return found;
+}
+
+}  // namespace coadjoint
