@@ -144,6 +144,17 @@ def test_products_that_cancel_move_nothing(order):
     assert np.all(np.abs(x[-1, 3:] - x0[3:]) > 1e-3)
 
 
+@pytest.mark.parametrize("scale", [2.0**-20, 1.0, 2.0**20])
+def test_weights_of_any_size_are_factored(scale):
+    """A sum whose weights cannot be divided by its first one without loss is not scaled."""
+    brackets = {(3, 1): {0: 2.0**500, 1: 0.25, 2: -0.7 * 2.0**-540}}
+    system = co.LiePoissonSystem(co.LieAlgebra.from_brackets(4, brackets), co.Quadratic([0, 0, 0, scale]))
+    x, h = np.array([2.0**-500, 1.0, 2.0**540, 1.0]), 0.5 / scale
+    found = one_step(system, co.Taylor(4, projected=False), x, h)
+    read = co.Taylor(4, projected=False).step(system, x, 0.0, h)
+    assert np.allclose(found, read, rtol=64 * U, atol=0.0)
+
+
 def test_fractions_give_the_exact_polynomial_in_the_step():
     system = co.systems.rigid_body(inertia=(1, 2, 2.5))
     x = np.array([Fraction(1), Fraction(1, 2), Fraction(-1, 3)], dtype=object)

@@ -152,22 +152,28 @@ struct Series {
     template <int K, bool written_out, int E>
     NOINLINE void expand_unrolled(double h) {
         constexpr int unrolled = K > 0 ? COADJOINT_UNROLLED : std::min(COADJOINT_UNROLLED, 4);
-        static_assert(unrolled % 2 == 0, "the loop below begins with an even order");
         const Local here(*this);
         ProductCache<register_count(K * E)> cached(*this);
         Newest<K, V> newest(numbers(0));
-        first_coefficients<K, written_out, E>(here, cached, newest, h, std::make_integer_sequence<int, unrolled>());
-        for (int64_t k = unrolled; k < here.order; k += 2) {
-            coefficient<K, written_out, E, false>(here, cached, newest, k, h);
-            if (k + 1 < here.order) coefficient<K, written_out, E, false>(here, cached, newest, k + 1, h);
-        }
+        each_order<unrolled>(here.order, [&](auto in_line, int64_t k) __attribute__((always_inline)) {
+            coefficient<K, written_out, E, decltype(in_line)::value>(here, cached, newest, k, h);
+        });
     }
 
-    // One after the other, not by recursion, since the compiler would optimize the last ones in every level again.
-    template <int K, bool written_out, int E, int... k>
-    INLINE void first_coefficients(const Local& here, ProductCache<register_count(K * E)>& cached, Newest<K, V>& newest,
-                                   double h, std::integer_sequence<int, k...>) {
-        ((k < here.order && (coefficient<K, written_out, E, true>(here, cached, newest, k, h), true)) && ...);
+    // Visit the orders, the first ones unrolled: one after the other, not by recursion, since the compiler would optimize
+    // the last ones in every level again.
+    template <int unrolled, class Visit>
+    static INLINE void each_order(int64_t order, const Visit& visit) {
+        static_assert(unrolled % 2 == 0, "the loop below begins with an even order");
+        each_of_the_first(order, visit, std::make_integer_sequence<int, unrolled>());
+        for (int64_t k = unrolled; k < order; k += 2) {
+            visit(std::false_type(), k);
+            if (k + 1 < order) visit(std::false_type(), k + 1);
+        }
+    }
+    template <class Visit, int... k>
+    static INLINE void each_of_the_first(int64_t order, const Visit& visit, std::integer_sequence<int, k...>) {
+        ((k < order && (visit(std::true_type(), k), true)) && ...);
     }
 
     // The terms j (odd) and j + 1 of both orders, see `convolve`.
@@ -280,17 +286,9 @@ struct Series {
         const Local here(*this);
         Newest<K, V> newest(numbers(0));
         Factors firsts[P ? P : 1];
-        first_factored<K, P>(here, firsts, newest, h, std::make_integer_sequence<int, unrolled>());
-        for (int64_t k = unrolled; k < here.order; k += 2) {
-            factored_coefficient<K, P, false>(here, firsts, newest, k, h);
-            if (k + 1 < here.order) factored_coefficient<K, P, false>(here, firsts, newest, k + 1, h);
-        }
-    }
-
-    template <int K, int P, int... k>
-    INLINE void first_factored(const Local& here, Factors* firsts, Newest<K, V>& newest, double h,
-                               std::integer_sequence<int, k...>) {
-        ((k < here.order && (factored_coefficient<K, P, true>(here, firsts, newest, k, h), true)) && ...);
+        each_order<unrolled>(here.order, [&](auto in_line, int64_t k) __attribute__((always_inline)) {
+            factored_coefficient<K, P, decltype(in_line)::value>(here, firsts, newest, k, h);
+        });
     }
 
     template <int K, int P, bool unrolled>
