@@ -97,7 +97,7 @@ def near_log2(a: float) -> float:
 
 def near_power_of_two(a: float) -> float:
     """Return 2^a for a from -1000 to 1000, with a relative error of 4e-6."""
-    integer = math.floor(a + 0.5)
+    integer = round(a)
     r = (a - integer) * LN2
     series = 1.0 + r * (0.5 + r * (1.0 / 6.0 + r * (1.0 / 24.0 + r * (1.0 / 120.0))))
     return math.ldexp(1.0 + r * series, integer)
@@ -115,12 +115,14 @@ def logarithm_of_step(sizes: Sequence[float], largest: float, tolerance: float) 
     order = len(sizes)
     last = range(max(1, order + 1 - DECIDING_TERMS), order + 1)
     level, last_size = near_log2(largest), max(sizes[k - 1] for k in last)
-    radius = min(((level - near_log2(sizes[k - 1])) / k for k in last if sizes[k - 1] > 0.0), default=2.0 * NO_LIMIT)
+    radius = min(
+        ((level - near_log2(sizes[k - 1])) * (1.0 / k) for k in last if sizes[k - 1] > 0.0), default=2.0 * NO_LIMIT
+    )
     length = min(radius, 2.0 * NO_LIMIT) + near_log2(tolerance) / order
     if order >= 2 * DECIDING_TERMS and last_size > 0.0:
         middle = max(sizes[order // 2 - DECIDING_TERMS : order // 2])
         if middle > 0.0:
-            converging = (near_log2(middle) - near_log2(last_size)) / (order - order // 2)
+            converging = (near_log2(middle) - near_log2(last_size)) * (1.0 / (order - order // 2))
             length = min(length, converging - 1.0)
     return max(min(length, NO_LIMIT), -NO_LIMIT)
 
@@ -182,7 +184,7 @@ def own_step(
     length = scale * near_power_of_two(logarithm_of_step([_size(term) for term in terms], largest, tolerance))
     if length == 0.0:
         raise IntegrationError(TOO_SHORT_MESSAGE, step=1, time=0.0, residual=0.0)
-    return terms, scale, length, StepMemory(largest, math.copysign(2.0 ** math.floor(near_log2(abs(length))), float(h)))
+    return terms, scale, length, StepMemory(largest, math.copysign(2.0 ** (math.frexp(length)[1] - 1), float(h)))
 
 
 def _time_of_change(field: Callable[[NDArray[Any]], NDArray[Any]], x: NDArray[Any], h: Any) -> float:

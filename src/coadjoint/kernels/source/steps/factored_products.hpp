@@ -1,10 +1,11 @@
 // Sums of products of coordinates, written as fewer products: of a coordinate and a sum that may occur more than once.
 #pragma once
 
-#include <cstdint>
-#include <cstring>
+#include <algorithm>
 #include <map>
 #include <vector>
+
+#include "numbers/lanes.hpp"
 
 namespace coadjoint {
 
@@ -17,15 +18,11 @@ struct FactoredProduct {
     SumOfProducts sum;
 };
 
-// The first weight of a sum without its digits, unless the others overflow if they are divided by it.
+// The first weight of a sum without its digits, unless others would lose some of theirs in a division by it.
 inline double scale_of(const SumOfProducts& sum) {
     const double first = sum.begin()->second;
     if (sum.size() == 1) return first;
-    uint64_t bits;
-    std::memcpy(&bits, &first, sizeof bits);
-    bits &= ~((uint64_t(1) << 52) - 1);
-    double scale;
-    std::memcpy(&scale, &bits, sizeof bits);
+    const double scale = std::copysign(leading_power(first), first);
     for (const auto& [factors, weight] : sum)
         if (!(weight / scale * scale == weight)) return 1.0;
     return scale;

@@ -81,7 +81,7 @@ inline double whole_power_of_two(double whole) {
 
 // 2^a with a relative error below 4e-6, for a from -1000 to 1000.
 inline double near_power_of_two(double a) {
-    const double whole = std::floor(a + 0.5), r = (a - whole) * LN2;
+    const double whole = (a + ROUND) - ROUND, r = (a - whole) * LN2;
     return (1.0 + r * (1.0 + r * (0.5 + r * (1.0 / 6.0 + r * (1.0 / 24.0 + r * (1.0 / 120.0)))))) *
            whole_power_of_two(whole);
 }
@@ -94,12 +94,14 @@ constexpr double NO_LIMIT = 900.0;  // a length beyond 2^900 is unlimited
 struct StepLength {
     const int64_t order, last, middle;  // the first of the last terms, and of those in the middle, 0 for none
     const double tolerance;             // its logarithm over the order
-    Lanes<8> divisors{0.0};             // the numbers of the last terms
+    const double farther;               // 1 over the distance of the last terms from those in the middle
+    Lanes<8> inverses{0.0};             // 1 over the numbers of the last terms
 
     StepLength(int64_t order, double tolerance)
         : order(order), last(std::max<int64_t>(1, order + 1 - DECIDING)),
-          middle(order >= 2 * DECIDING ? order / 2 + 1 - DECIDING : 0), tolerance(near_log2(tolerance) / double(order)) {
-        for (int64_t k = 0; k < DECIDING; ++k) divisors.set(int(2 * k), double(last + k));
+          middle(order >= 2 * DECIDING ? order / 2 + 1 - DECIDING : 0), tolerance(near_log2(tolerance) / double(order)),
+          farther(1.0 / double(order - order / 2)) {
+        for (int64_t k = 0; k < DECIDING; ++k) inverses.set(int(2 * k), 1.0 / double(last + k));
     }
 
     // The sizes of these terms, as lanes: the last ones in the even lanes, and those in the middle in the odd ones.
@@ -133,17 +135,14 @@ struct StepLength {
     INLINE double logarithm(double size, const Sizes& terms) const {
         typedef Lanes<8> Eight;
         const Eight logarithms = near_log2(terms.terms), unlimited(2.0 * NO_LIMIT);
-        const Eight radii = (Eight(near_log2(size)) - logarithms) / divisors;
+        const Eight radii = (Eight(near_log2(size)) - logarithms) * inverses;
         double radius[2 * DECIDING];
         // Odd lanes are in the middle, and have no limit.
-        store(radius, select((terms.terms > Eight(0.0)) & (divisors > Eight(0.0)), radii, unlimited));
+        store(radius, select((terms.terms > Eight(0.0)) & (inverses > Eight(0.0)), radii, unlimited));
         double length = smaller(smaller(radius[0], radius[2]), smaller(radius[4], radius[6]));
         length = smaller(length, 2.0 * NO_LIMIT) + tolerance;
         if (terms.largest > 0.0 && terms.before > 0.0) {
-            const auto of = [&](double one) {
-                return largest_lane(select(terms.terms == Eight(one), logarithms, Eight(-2000.0)));
-            };
-            const double converging = (of(terms.before) - of(terms.largest)) / double(order - order / 2);
+            const double converging = (near_log2(terms.before) - near_log2(terms.largest)) * farther;
             length = smaller(length, converging - 1.0);
         }
         return larger(smaller(length, NO_LIMIT), -NO_LIMIT);
