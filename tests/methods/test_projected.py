@@ -69,6 +69,15 @@ def squares(algebra, forms):
 LARGE["squares in four coordinates"] = squares(
     co.algebras.gl(2), lambda x: (x[0] * x[3] - x[1] * x[2], x[0] * x[1] + x[2] * x[3])
 )
+# Six sums occur in its derivatives, more than a vector of four has lanes.
+LARGE["a quartic in four coordinates"] = co.LiePoissonSystem(
+    co.algebras.gl(2),
+    co.Polynomial(
+        {(1, 1, 0, 2): 7, (0, 0, 3, 1): 3, (2, 0, 1, 1): 3, (2, 1, 0, 1): 6, (1, 3, 0, 0): 2, (3, 1, 0, 0): 7}
+        | {(1, 1, 2, 0): 2, (3, 0, 1, 0): 9}
+    )
+    / 8,
+)
 LARGE["squares of ten forms"] = squares(
     co.algebras.so(6), lambda x: [x[i] * x[i + 1] - x[i + 2] * x[i + 5] for i in range(10)]
 )

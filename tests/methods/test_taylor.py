@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 
@@ -11,6 +12,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.methods.numerics.projection import independent
+from coadjoint.methods.numerics.series_cost import factored_products
 from coadjoint.methods.numerics.taylor_series import Dual, PowerSeries, expand
 from coadjoint.methods.numerics.taylor_tangents import expand_quadratic
 from energies import polynomial
@@ -153,6 +155,61 @@ def test_weights_of_any_size_are_factored(scale):
     found = one_step(system, co.Taylor(4, projected=False), x, h)
     read = co.Taylor(4, projected=False).step(system, x, 0.0, h)
     assert np.allclose(found, read, rtol=64 * U, atol=0.0)
+
+
+def fused(a, b, c):
+    return float(Fraction(a) * Fraction(b) + Fraction(c))
+
+
+def first_terms(system, x, h, factored):
+    """Return x_1 h as the kernel computes it, h a power of two: by products of each row, or by factored ones."""
+    n, m = system.dim, system.hamiltonian.gradient(np.ones(system.dim))
+    rows = [Counter() for _ in range(n)]
+    for i, j, k, value in zip(*(part.tolist() for part in system.algebra.triples), strict=True):
+        rows[i][min(k, j), max(k, j)] += value * m[j]
+        rows[j][min(k, i), max(k, i)] -= value * m[i]
+    terms = []
+    for row in ({pair: w for pair, w in sorted(found.items()) if w} for found in rows):
+        total = 0.0
+        for (i, j), w in [] if factored else row.items():
+            total = fused(h * (w * x[i]), x[j], total)
+        while factored and row:
+            counts = Counter(i for pair in row for i in set(pair))
+            common = min(counts, key=lambda i: (-counts[i], i))
+            part = [(pair, sum(pair) - common, w) for pair, w in row.items() if common in pair]
+            # Scaling by powers of two rounds nothing; one product alone has its weight outside.
+            weight = part[0][2] if len(part) == 1 else 1.0
+            inner = 0.0
+            for _, j, w in sorted(part, key=lambda entry: entry[1]):
+                inner = fused(w / weight, x[j], inner)
+            total = fused(weight, h * (x[common] * inner), total)
+            for pair, _, _ in part:
+                del row[pair]
+        terms.append(total)
+    return np.array(terms)
+
+
+@pytest.mark.parametrize(
+    ("system", "factored"),
+    [
+        (affine(4, np.arange(1, 5) / 8), False),  # factored, if products in memory cost nothing
+        (affine(7, np.arange(1, 8) / 8), True),
+        (co.LiePoissonSystem(co.algebras.so(5), co.Quadratic(np.arange(1, 11) / 8)), False),
+        (co.LiePoissonSystem(co.algebras.sl(3), co.Quadratic(np.arange(1, 9) / 8)), False),
+        (co.LiePoissonSystem(co.algebras.gl(3), co.Quadratic(np.arange(1, 10) / 8)), True),
+        (co.LiePoissonSystem(co.algebras.sl(4), co.Quadratic(np.arange(1, 16) / 8)), True),
+    ],
+    ids=["affine, 4", "affine, 7", "so(5)", "sl(3)", "gl(3)", "sl(4)"],
+)
+def test_products_are_factored_where_the_cost_model_says_so(system, factored):
+    """The first terms have the bits of that evaluation, and not of the other."""
+    assert (factored_products(system, 4 if system.dim <= 4 else 8) is not None) == factored
+    other, h = 0, 4.0
+    for x in np.random.default_rng(8).uniform(-1.0, 1.0, (20, system.dim)):
+        found = one_step(system, co.Taylor(1, projected=False), x, h)
+        assert np.array_equal(found, x + first_terms(system, x, h, factored))
+        other += np.count_nonzero(found != x + first_terms(system, x, h, not factored))
+    assert other > 0
 
 
 def test_fractions_give_the_exact_polynomial_in_the_step():
