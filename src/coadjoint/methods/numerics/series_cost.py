@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -96,42 +96,37 @@ def factored_products(system: System, lanes: int) -> FactoredProducts | None:
     most = 2 * lanes if lanes == LANES else lanes
     if n > most or not all(isinstance(term, QuadraticTerm) for term in terms):
         return None
-    gradient = [Counter[int]() for _ in range(n)]
+    gradient, rows = np.zeros((n, n)), np.zeros((n, n, n))
     for form in filter(None, (term.form for term in terms)):
-        for i, j, value in zip(form.rows.tolist(), form.indices.tolist(), form.values.tolist(), strict=True):
-            gradient[i][j] += value
-    rows = [Counter[tuple[int, int]]() for _ in range(n)]
-    for i, j, k, value in zip(*(part.tolist() for part in system.algebra.triples), strict=True):
-        rows[i][k, j] += value
-        rows[j][k, i] -= value
-    written_out = [Counter[tuple[int, int]]() for _ in range(n)]
-    for row, found in zip(rows, written_out, strict=True):
-        for (state, factor), weight in row.items():
-            for j, value in gradient[factor].items():
-                found[min(state, j), max(state, j)] += weight * value
-    # Products that cancel are omitted.
-    pairs = [{pair: value for pair, value in found.items() if value} for found in written_out]
+        np.add.at(gradient, (form.rows, form.indices), form.values)
+    i, j, k, value = system.algebra.triples
+    np.add.at(rows, (i, k, j), value)
+    np.add.at(rows, (j, k, i), -value)
+    pairs = rows @ gradient
     lengths: dict[Hashable, int] = {}
-    counts = [_count_factors(found, lengths) for found in pairs]
+    counts = [_count_factors(found + found.T, lengths) for found in pairs]
     products = -(-len(lengths) // lanes)
     entries = _vectors(counts, lanes) + _vectors(lengths.values(), lanes)
-    written, apart = (_vectors(map(len, sums), lanes) for sums in (pairs, rows))
-    plain = PRODUCT_COST * min(written, apart + GRADIENT_COST / PRODUCT_COST * _vectors(map(len, gradient), lanes))
+    written = _vectors((int(np.count_nonzero(np.triu(found + found.T))) for found in pairs), lanes)
+    apart = PRODUCT_COST * _vectors(map(np.count_nonzero, rows), lanes)
+    apart += GRADIENT_COST * _vectors(map(np.count_nonzero, gradient), lanes)
     in_memory = len(lengths) > most
     cost = (PRODUCT_COST if in_memory else FACTORED_COST) * products + ENTRY_COST * entries + CHAIN_COST
-    return FactoredProducts(products, entries, in_memory) if cost + MEMORY_COST * in_memory < plain else None
+    worthwhile = cost + MEMORY_COST * in_memory < min(PRODUCT_COST * written, apart)
+    return FactoredProducts(products, entries, in_memory) if worthwhile else None
 
 
-def _count_factors(pairs: Mapping[tuple[int, int], float], lengths: dict[Hashable, int]) -> int:
+def _count_factors(pairs: NDArray[np.float64], lengths: dict[Hashable, int]) -> int:
     """Return the number of factored products in a row, and add new ones with the number of entries of their sums."""
-    left, count = dict(pairs), 0
-    while left:
-        numbers = Counter(i for pair in left for i in set(pair))
-        common = min(numbers, key=lambda i: (-numbers[i], i))
-        taken = sorted((i + j - common, left.pop((i, j))) for i, j in list(left) if common in (i, j))
-        lead = taken[0][1]
-        scale = lead if len(taken) == 1 else np.copysign(2.0 ** np.floor(np.log2(abs(lead))), lead)
-        lengths[common, *((j, value / scale) for j, value in taken)] = len(taken)
+    pairs[np.diag_indices(len(pairs))] /= 2.0
+    count = 0
+    while np.any(pairs):
+        common = int(np.argmax(np.count_nonzero(pairs, axis=0)))
+        others = np.flatnonzero(pairs[common])
+        weights = pairs[common, others]
+        scale = weights[0] if len(weights) == 1 else np.copysign(2.0 ** np.floor(np.log2(abs(weights[0]))), weights[0])
+        lengths[common, others.tobytes(), (weights / scale).tobytes()] = len(others)
+        pairs[common] = pairs[:, common] = 0.0
         count += 1
     return count
 

@@ -16,7 +16,8 @@ template <int W>
 struct ProductRows {
     typedef Lanes<W> Row;
     typedef std::map<size_t, SumOfProducts> Sum;  // by the number of factors
-    static constexpr int MOST_INNER = W == 8 ? 2 : 1;
+    static constexpr int MOST_INNER = W == 8 ? 2 : 1;   // vectors of sums
+    static constexpr int64_t MOST_FACTORED = 256;       // products of a row, since factoring more of them takes long
     struct Segment {
         int64_t factors, count;
         const Row* weight;
@@ -37,7 +38,7 @@ struct ProductRows {
             }
         for (const auto& [factors, sums] : found) {
             segments.push_back(segment(factors, sums.data(), W));
-            if (factors > 2) factor(segments.back(), sums, low);
+            if (factors > 2 && segments.back().count <= MOST_FACTORED) factor(segments.back(), sums, low);
         }
         first.push_back(int64_t(segments.size()));
     }
@@ -112,14 +113,15 @@ struct ProductRows {
         std::vector<SumOfProducts> sums;
         std::vector<SparseSum> totals(W);
         std::map<SumOfProducts, int64_t> indices;
-        for (int lane = 0; lane < W; ++lane)
+        for (int lane = 0; lane < W; ++lane) {
             for (const auto& [scale, coordinate, sum] : factored(rows[lane], low + lane)) {
                 const auto [place, fresh] = indices.insert({sum, int64_t(sums.size())});
                 if (fresh) sums.push_back(sum);
                 totals[lane].push_back({scale, coordinate, place->second});
             }
+            if (sums.size() > size_t(MOST_INNER * W)) return;
+        }
         const size_t size = sums.size();
-        if (size > size_t(MOST_INNER * W)) return;
         int64_t taken = 2 * Sums<W>::longest(totals, 0);
         const size_t begun = inner.size();
         for (size_t k = 0; k < size; k += W) {

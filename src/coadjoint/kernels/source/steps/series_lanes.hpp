@@ -51,8 +51,8 @@ class SeriesLanes {
 
     // Approximate number of bytes that are read repeatedly.
     int64_t working_set() const {
-        const int64_t slopes_of = field.written_out ? 0 : n;
-        return int64_t(sizeof(A)) * order * (n + int64_t(made.size()) + series_of_products() + slopes_of);
+        const int64_t gradients = field.written_out ? 0 : n;
+        return int64_t(sizeof(A)) * order * (n + int64_t(made.size()) + series_of_products() + gradients);
     }
 
     // Set the coefficients x_1 h, ..., x_p h^p of the motions from x.
