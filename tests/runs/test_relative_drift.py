@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import warnings
 
 import numpy as np
 import pytest
@@ -139,3 +140,11 @@ def test_sizes_do_not_depend_on_how_many_members_are_summed_together(as_batch, m
         drifts = co.integrate(co.batch(systems) if as_batch else TOP, states, (0, 0.1), 0.05).drift()
         for name, drift in drifts.items():
             assert drift.scale.tolist() == [own[name].scale for own in alone]
+
+
+def test_a_drift_beyond_the_largest_number_is_infinite():
+    """A run that leaves everything behind, of an invariant that was small, warns of nothing here."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        drift = module.Drift(np.linspace(1e300, 1e305, 10), 1e-10, 1e-10)
+    assert drift == np.inf and drift.absolute == 1e305

@@ -47,6 +47,7 @@ class Drift(float):
     initial: Any
     _waiting: Any
 
+    @ignore_overflow
     def __new__(cls, tenths: Floats, initial: Any, scale: Any = 1.0, waiting: Any = False) -> Drift:
         """Construct the drift from the absolute deviations in its tenths; members that wait to be run are NaN."""
         relative = tenths / np.asarray(scale)[..., None]
