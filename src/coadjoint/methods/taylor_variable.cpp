@@ -22,7 +22,6 @@ struct TaylorVariable final : OwnSteps {
     const StepLength rule;
     AlignedArray<Row> state, remainder, expanded;
     double scaled = 0.0;       // `series` holds the terms of `expanded` in powers of this time; 0 if it holds none
-    double inverse_scale = 0.0;  // of a power of two
     const std::unique_ptr<GroupMotion> group;
     std::vector<double> gradients;
     std::vector<double> unchanged_targets;  // for evaluations that leave the memory of the projection unchanged
@@ -105,7 +104,8 @@ struct TaylorVariable final : OwnSteps {
         bool same = scaled == scale_of(base);
         for (int64_t b = 0; b < blocks && same; ++b) same = all(state.at[b] == expanded.at[b]);
         if (!same) expand(scale_of(base));
-        const double s = time * inverse_scale;
+        // The inverse of a power of two, which does not wait for the time.
+        const double s = time * (1.0 / scaled);
         for (int64_t b = 0; b < blocks; ++b) add_to(state.at[b], remainder.at[b], increment_at(series, b, s));
         projection.corrections = 0;
         const bool restored = unchanged_targets.empty() || projection.restore(state.at, remainder.at, blocks, targets);
@@ -128,7 +128,6 @@ struct TaylorVariable final : OwnSteps {
 
     void expand(double scale) {
         for (int64_t b = 0; b < blocks; ++b) series.x.at[b] = expanded.at[b] = state.at[b];
-        inverse_scale = 1.0 / scale;
         series.expand(scaled = scale);
     }
 

@@ -78,14 +78,14 @@ def vectors_of_products(system: System, lanes: int) -> float:
         included = np.isin(factor, form.indices)
         pairs = np.stack([row, np.minimum(state, factor), np.maximum(state, factor)], axis=1)[included]
         row = np.unique(pairs, axis=0)[:, 0] if len(pairs) else pairs[:, 0]
-    return _longest_of_blocks(np.bincount(row, minlength=-(-system.dim // lanes) * lanes), lanes)
+    return _longest_of_blocks(np.bincount(row, minlength=system.dim), lanes)
 
 
 class FactoredProducts(NamedTuple):
     """Vectors of products of a coordinate and a sum of coordinates, and of the entries of the sums around them."""
 
     products: int
-    entries: int
+    entries: float
     in_memory: bool
 
 
@@ -103,21 +103,25 @@ def factored_products(system: System, lanes: int) -> FactoredProducts | None:
     np.add.at(rows, (i, k, j), value)
     np.add.at(rows, (j, k, i), -value)
     pairs = rows @ gradient
+    pairs += pairs.transpose(0, 2, 1).copy()
+    written = PRODUCT_COST * _longest_of_blocks(np.count_nonzero(np.triu(pairs), axis=(1, 2)), lanes)
+    apart = PRODUCT_COST * _longest_of_blocks(np.count_nonzero(rows, axis=(1, 2)), lanes)
+    apart += GRADIENT_COST * _longest_of_blocks(np.count_nonzero(gradient, axis=1), lanes)
     lengths: dict[Hashable, int] = {}
-    counts = [_count_factors(found + found.T, lengths) for found in pairs]
+    counts = [_count_factors(found, lengths) for found in pairs]
     products = -(-len(lengths) // lanes)
-    entries = _vectors(counts, lanes) + _vectors(lengths.values(), lanes)
-    written = _vectors((int(np.count_nonzero(np.triu(found + found.T))) for found in pairs), lanes)
-    apart = PRODUCT_COST * _vectors(map(np.count_nonzero, rows), lanes)
-    apart += GRADIENT_COST * _vectors(map(np.count_nonzero, gradient), lanes)
+    entries = sum(_longest_of_blocks(np.array(each), lanes) for each in (counts, list(lengths.values())))
     in_memory = len(lengths) > most
     cost = (PRODUCT_COST if in_memory else FACTORED_COST) * products + ENTRY_COST * entries + CHAIN_COST
-    worthwhile = cost + MEMORY_COST * in_memory < min(PRODUCT_COST * written, apart)
+    worthwhile = cost + MEMORY_COST * in_memory < min(written, apart)
     return FactoredProducts(products, entries, in_memory) if worthwhile else None
 
 
 def _count_factors(pairs: NDArray[np.float64], lengths: dict[Hashable, int]) -> int:
-    """Return the number of factored products in a row, and add new ones with the number of entries of their sums."""
+    """Return the number of factored products in a row, and add new ones with the number of entries of their sums.
+
+    The products are the entries of a symmetric matrix, those of squares twice; all are set to zero.
+    """
     pairs[np.diag_indices(len(pairs))] /= 2.0
     count = 0
     while np.any(pairs):
@@ -129,12 +133,6 @@ def _count_factors(pairs: NDArray[np.float64], lengths: dict[Hashable, int]) -> 
         pairs[common] = pairs[:, common] = 0.0
         count += 1
     return count
-
-
-def _vectors(counts: Iterable[int], lanes: int) -> int:
-    """Return the number of vectors for rows with these counts of entries."""
-    padded = np.array([*counts, *[0] * lanes])
-    return int(_longest_of_blocks(padded[: len(padded) // lanes * lanes], lanes))
 
 
 class ProductVectors:
@@ -170,7 +168,7 @@ class Rows:
     """Number of vectors of rows of the gradient of an invariant, per factor, as in ``product_rows.hpp``."""
 
     def __init__(self, C: HamiltonianLike, dim: int, lanes: int) -> None:
-        self._lanes, self._size = lanes, -(-dim // lanes) * lanes
+        self._lanes, self._size = lanes, dim
         self._counts: dict[int, NDArray[np.int64]] = {}
         for term in C.terms():
             term.describe_to(self)
@@ -200,4 +198,6 @@ class Rows:
 
 def _longest_of_blocks(counts: NDArray[np.int64], lanes: int) -> float:
     """Return the number of vectors for rows with these counts of entries: each block is as long as its longest row."""
-    return float(np.max(counts.reshape(-1, lanes), axis=1).sum())
+    padded = np.zeros(-(-len(counts) // lanes) * lanes)
+    padded[: len(counts)] = counts
+    return float(np.max(padded.reshape(-1, lanes), axis=1).sum())

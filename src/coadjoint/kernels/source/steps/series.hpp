@@ -151,19 +151,28 @@ struct Series {
     // K: blocks of rows, E: products of each row; both are 0 if they are read from the tables.
     template <int K, bool written_out, int E>
     NOINLINE void expand_unrolled(double h) {
-        constexpr int unrolled = K > 0 ? COADJOINT_UNROLLED : std::min(COADJOINT_UNROLLED, 4);
         const Local here(*this);
         ProductCache<register_count(K * E)> cached(*this);
         Newest<K, V> newest(numbers(0));
-        each_order<unrolled>(here.order, [&](auto in_line, int64_t k) __attribute__((always_inline)) {
+        each_order<K>(here.order, [&](auto in_line, int64_t k) __attribute__((always_inline)) {
             coefficient<K, written_out, E, decltype(in_line)::value>(here, cached, newest, k, h);
         });
     }
 
-    // Visit the orders, the first ones unrolled: one after the other, not by recursion, since the compiler would optimize
-    // the last ones in every level again.
-    template <int unrolled, class Visit>
+    // The coefficients just computed, in registers or in memory, are the newest.
+    template <int K>
+    static INLINE void renew(Newest<K, V>& newest, const Row* registers, const double* memory) {
+        if constexpr (K > 0)
+            newest = Newest<K, V>(registers);
+        else
+            newest = Newest<K, V>(memory);
+    }
+
+    // Visit the orders, the first ones unrolled: one after the other, not by recursion, since the compiler would
+    // optimize the last ones in every level again.
+    template <int K, class Visit>
     static INLINE void each_order(int64_t order, const Visit& visit) {
+        constexpr int unrolled = K > 0 ? COADJOINT_UNROLLED : std::min(COADJOINT_UNROLLED, 4);
         static_assert(unrolled % 2 == 0, "the loop below begins with an even order");
         each_of_the_first(order, visit, std::make_integer_sequence<int, unrolled>());
         for (int64_t k = unrolled; k < order; k += 2) {
@@ -273,20 +282,16 @@ struct Series {
             store(then + b * V, coefficient);
             if constexpr (K > 0) next[b] = coefficient;
         }
-        if constexpr (K > 0)
-            newest = Newest<K, V>(next);
-        else
-            newest = Newest<K, V>(then);
+        renew<K>(newest, next, then);
     }
 
     // Factored products: K blocks of rows and P vectors of products; either is 0 if it is in memory.
     template <int K, int P>
     NOINLINE void expand_factored(double h) {
-        constexpr int unrolled = K > 0 ? COADJOINT_UNROLLED : std::min(COADJOINT_UNROLLED, 4);
         const Local here(*this);
         Newest<K, V> newest(numbers(0));
         Factors firsts[P ? P : 1];
-        each_order<unrolled>(here.order, [&](auto in_line, int64_t k) __attribute__((always_inline)) {
+        each_order<K>(here.order, [&](auto in_line, int64_t k) __attribute__((always_inline)) {
             factored_coefficient<K, P, decltype(in_line)::value>(here, firsts, newest, k, h);
         });
     }
@@ -327,10 +332,7 @@ struct Series {
             store(then + b * V, sum);
             if constexpr (K > 0) next[b] = sum;
         }
-        if constexpr (K > 0)
-            newest = Newest<K, V>(next);
-        else
-            newest = Newest<K, V>(then);
+        renew<K>(newest, next, then);
     }
 
     // The k-th coefficients of the products behind the coordinates; each is one product.

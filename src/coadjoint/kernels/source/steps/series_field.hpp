@@ -146,9 +146,10 @@ struct SeriesField {
             for (const auto& [weight, i, j] : pairs[r]) row[{i, j}] = weight;
             for (const auto& [scale, coordinate, sum] : coadjoint::factored(row)) {
                 const auto [place, fresh] = indices.insert({{coordinate, sum}, int64_t(sums.size())});
-                if (fresh) sums.emplace_back();
-                for (const auto& [other, weight] : sum)
-                    if (fresh) sums.back().push_back({weight, other[0], coordinate});
+                if (fresh) {
+                    sums.emplace_back();
+                    for (const auto& [other, weight] : sum) sums.back().push_back({weight, other[0], coordinate});
+                }
                 totals[r].push_back({scale, place->second, 0});
             }
         }
