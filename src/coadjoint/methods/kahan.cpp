@@ -38,8 +38,7 @@ struct Kahan final : StepScheme {
         std::fill_n(out, n, 0.0);
         for (double side : {step, -step}) {
             for (int64_t i = 0; i < n; ++i) point[i] = fma(side, v[i], x[i]);
-            gradient(field, constants, point.data(), t, u.data(), workspace);
-            product(field, constants, point.data(), u.data(), 0.5 / side, change.data(), workspace);
+            slope_at(field, constants, point.data(), t, 0.5 / side, u.data(), change.data(), workspace);
             for (int64_t i = 0; i < n; ++i) out[i] += change[i];
         }
     }
@@ -84,8 +83,7 @@ struct Kahan final : StepScheme {
     }
 
     int64_t step(double* x, double* dx, double*, double*, double t, double h) override {
-        gradient(field, constants, x, t, u.data(), workspace);
-        product(field, constants, x, u.data(), h, f.data(), workspace);
+        slope_at(field, constants, x, t, h, u.data(), f.data(), workspace);
         evaluations = 2;
         residual = std::numeric_limits<double>::quiet_NaN();
         if (!finite(n, f.data())) return OVERFLOWED;

@@ -41,8 +41,7 @@ struct RadauEnergy final : StepScheme {
                 for (int64_t i = 0; i < s; ++i) {
                     const double* X = y.points.at + i * n;
                     double* L = y.slopes.at + i * n;
-                    gradient(field, constants, X, t, u.data(), workspace);
-                    product(field, constants, X, u.data(), h * weight[i], L, workspace);
+                    slope_at(field, constants, X, t, h * weight[i], u.data(), L, workspace);
                     for (int64_t c = 0; c < n; ++c) L[c] = fma(multipliers[i], X[c], L[c]);
                     for (int64_t j = 0; j < s; ++j) {
                         double total = 0.0;

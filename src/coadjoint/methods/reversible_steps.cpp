@@ -76,8 +76,7 @@ struct ReversibleSteps final : OwnSteps {
 
     // The speed Q at a state, and its relative rate of change Q' / Q along the motion.
     void measure(const double* x, double t, double& speed, double& rate) {
-        gradient(field, constants, x, t, u.data(), workspace);
-        product(field, constants, x, u.data(), 1.0, f.data(), workspace);
+        slope_at(field, constants, x, t, 1.0, u.data(), f.data(), workspace);
         if constexpr (kind == Speed::GIVEN) {
             speed = value_at(x, t);
             rate = inner_product(rising.data(), f.data()) / speed;

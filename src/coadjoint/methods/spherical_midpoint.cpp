@@ -57,8 +57,7 @@ struct SphericalMidpoint final : StepScheme {
                     const double stretch = std::sqrt(squares[s] / square(point.data(), spins[s]));
                     for (int64_t i : spins[s]) point[i] *= stretch;
                 }
-                gradient(field, constants, point.data(), middle, u.data(), workspace);
-                product(field, constants, point.data(), u.data(), h, y.slopes.at, workspace);
+                slope_at(field, constants, point.data(), middle, h, u.data(), y.slopes.at, workspace);
             },
             [](bool, bool) {});
         evaluations = iterations = int64_t(outcome.iterations);

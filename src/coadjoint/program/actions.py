@@ -16,6 +16,8 @@ from coadjoint.program.parts.part import Parts
 from coadjoint.program.repeated_blocks import repeated_block_table
 from coadjoint.program.sparse_rows import layers, order_by, run_starts, starts_of
 
+NOTHING_OMITTED = np.zeros((0, 3), dtype=np.int64)
+
 
 class Action(NamedTuple):
     """exp(theta D) of each part on vectors of `size` components, stored by columns.
@@ -42,15 +44,21 @@ class Action(NamedTuple):
     constants: NDArray[Any]
 
 
-def build_action(matrices: BasisMatrices, parts: Parts, number: Number = float) -> Action:
+def build_action(
+    matrices: BasisMatrices, parts: Parts, number: Number = float, omitted: Integers = NOTHING_OMITTED
+) -> Action:
     """Classify the generators of each part and arrange their blocks in runs.
 
-    The angles have the order of `parts.forms`. Raises SplittingTooExpensive for generators of too many products.
+    The angles have the order of `parts.forms`. Entries `omitted`, (angle, row, column), count as zero. Raises
+    SplittingTooExpensive for generators of too many products.
     """
     check_products(matrices.products(parts.forms), "the Hamiltonian")
-    repeated = repeated_block_table(matrices, parts.forms) if number is float else None
+    repeated = repeated_block_table(matrices, parts.forms) if number is float and not len(omitted) else None
     tables = (
-        [block_table(generators, roundoff(number)) for generators in matrices.combinations(parts.forms, number)]
+        [
+            block_table(generators.without(omitted), roundoff(number))
+            for generators in matrices.combinations(parts.forms, number)
+        ]
         if repeated is None
         else [repeated]
     )

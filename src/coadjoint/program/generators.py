@@ -33,6 +33,15 @@ class Generators(NamedTuple):
     column: Integers
     value: NDArray[Any]
 
+    def without(self, omitted: Integers) -> Generators:
+        """Return the entries that are not among those of `omitted`, (angle, row, column)."""
+        if not len(omitted):
+            return self
+        size = 1 + max(int(column.max(initial=0)) for column in (*self[1:3], omitted[:, 1:]))
+        codes, without = ((a * size + i) * size + k for a, i, k in (self[:3], omitted.T))
+        kept = ~np.isin(codes, without)
+        return Generators(*(column[kept] for column in self))
+
 
 class BasisMatrices:
     """One sparse matrix per basis element of the algebra, with lazy linear combinations."""

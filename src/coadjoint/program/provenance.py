@@ -162,8 +162,10 @@ def in_parts(program: Program, G: EnergyDerivative) -> tuple[CoefficientMap, Coe
     """Return how the coefficients of the parts, and the factors of the shifts, depend on parameters.
 
     None if a monomial of G belongs to no part: parts with other forms than coordinates depend on the parameters in
-    another way.
+    another way. None too if products are omitted, which cancel only for the coefficients as they are.
     """
+    if len(program.omitted):
+        return None
     provenance = Provenance(program)
     i, j = np.sort(G.quadratic, axis=1).T
     linear, quadratic = provenance.places.of_coordinates(G.linear), provenance.places.of_pairs(i, j)

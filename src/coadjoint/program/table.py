@@ -21,6 +21,7 @@ from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
 from coadjoint.program.parts.split import NotSplittable
 from coadjoint.program.pattern_cache import MAX_PATTERN_SIZE, Pattern
 from coadjoint.program.rational_rotations import rational_frequencies
+from coadjoint.program.separated_parts import separated_parts
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.program.sweeps import JoinRules, Rows, Swept, rows_of
 from coadjoint.program.term_table import Terms, TermTable
@@ -76,6 +77,8 @@ class Program:
     frequency : ndarray, shape (angles,)
         The frequencies of the angles that are rational rotations, part after part; 0 for exact ones. In exact numbers
         their squares.
+    omitted : ndarray of int64, shape (k, 3)
+        Entries (angle, row, column) of generators that `state` omits, since their products cancel.
     shift : tuple of (Polynomial, float)
         Casimirs and factors subtracted from the Hamiltonian; `group` excludes their action on the group element.
     """
@@ -91,6 +94,7 @@ class Program:
     sign: int
     number: Number
     frequency: NDArray[Any]
+    omitted: NDArray[np.int64]
     shift: tuple[tuple[Polynomial, float], ...]
 
     @property
@@ -139,14 +143,14 @@ def build_program(
         decomposition = decompose(system, method.parts)
     except (NotSplittable, SplittingTooExpensive) as reason:
         raise ValueError(f"{type(method).__name__} cannot be used for {system.name}: {reason}") from None
-    parts = decomposition.parts
+    parts, omitted = separated_parts(system.algebra, decomposition.parts, decomposition.choice.linear)
     if decomposition.shift is None and group is not None:
         raise ValueError(
             f'parts="{method.parts}" subtracts Casimirs from the energy of {system.name} that have too many terms '
             'for the attitude to be computed; take parts="auto"'
         )
     table = _term_table(parts)
-    state = _state_action(system.algebra, parts, number)
+    state = _state_action(system.algebra, parts, omitted, number)
     zeros = np.broadcast_to(0.0, len(parts.offset))
     frequency = zeros if number is float else array_of(number, zeros)
     if method.rotation == "rational":
@@ -163,6 +167,7 @@ def build_program(
         sign=system.sign,
         number=number,
         frequency=frequency,
+        omitted=omitted,
         shift=decomposition.shift or (),
     )
 
@@ -190,28 +195,27 @@ def _term_table(parts: Parts) -> TermTable:
         if isinstance(share, PolynomialShare):
             table.add_polynomial(share.coordinates, share.polynomial)
         elif isinstance(share, FunctionShare):
-            table.function(share.term)
+            table.function(share.separated or share.term)
     return table
 
 
-def dual_action(algebra: LieAlgebra, parts: Parts) -> Action:
+def dual_action(algebra: LieAlgebra, program: Program) -> Action:
     """Return the action on cotangents of the state, by floating-point numbers."""
-    if len(parts.offset) <= MAX_PATTERN_SIZE:
-        return _cached_action(algebra, Pattern(parts, *parts.forms, parts.angle), dual=True)
-    if parts not in _DUAL_ACTIONS:
-        _DUAL_ACTIONS[parts] = build_action(BasisMatrices.on_group(algebra, None), parts)
-    return _DUAL_ACTIONS[parts]
+    return _state_action(algebra, program.parts, program.omitted, float, dual=True)
 
 
-def _state_action(algebra: LieAlgebra, parts: Parts, number: Number) -> Action:
+def _state_action(
+    algebra: LieAlgebra, parts: Parts, omitted: NDArray[np.int64], number: Number, dual: bool = False
+) -> Action:
     if number is not float:
-        return build_action(BasisMatrices.coadjoint(algebra), parts, number)
+        return _built_action(algebra, parts, omitted, dual, number)
     if len(parts.offset) <= MAX_PATTERN_SIZE:
-        return _cached_action(algebra, Pattern(parts, *parts.forms, parts.angle))
-    if parts not in _ACTIONS:
-        action = copied_action(algebra, parts)
-        _ACTIONS[parts] = action or build_action(BasisMatrices.coadjoint(algebra), parts, float)
-    return _ACTIONS[parts]
+        return _cached_action(algebra, Pattern((parts, omitted), *parts.forms, parts.angle, omitted), dual)
+    actions = _DUAL_ACTIONS if dual else _ACTIONS
+    if parts not in actions:
+        action = None if dual or len(omitted) else copied_action(algebra, parts)
+        actions[parts] = action or _built_action(algebra, parts, omitted, dual, float)
+    return actions[parts]
 
 
 # Building the action takes seconds for large systems, so all schemes and steps share it. Parts are cached for the
@@ -221,9 +225,14 @@ _DUAL_ACTIONS: WeakKeyDictionary[Parts, Action] = WeakKeyDictionary()
 
 
 @lru_cache(maxsize=256)
-def _cached_action(algebra: LieAlgebra, forms: Pattern[Parts], dual: bool = False) -> Action:
-    matrices = BasisMatrices.on_group(algebra, None) if dual else BasisMatrices.coadjoint(algebra)
-    return build_action(matrices, forms.source, float)
+def _cached_action(algebra: LieAlgebra, forms: Pattern[tuple[Parts, NDArray[np.int64]]], dual: bool) -> Action:
+    return _built_action(algebra, *forms.source, dual, float)
+
+
+def _built_action(algebra: LieAlgebra, parts: Parts, omitted: NDArray[np.int64], dual: bool, number: Number) -> Action:
+    if dual:
+        return build_action(BasisMatrices.on_group(algebra, None), parts, number, omitted[:, [0, 2, 1]])
+    return build_action(BasisMatrices.coadjoint(algebra), parts, number, omitted)
 
 
 def _group_action(system: LiePoissonSystem, group: Any, parts: Parts, number: Number) -> Action | None:

@@ -13,6 +13,7 @@ from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.library import interruptible_kernels
 from coadjoint.kernels.loop import CompiledLoop, StopFlag, raise_outcome
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
+from coadjoint.kernels.tables.field import terms_of_field
 from coadjoint.kernels.tables.flow import FlowTables, flow_tables, mark_rational, with_properties
 from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
 from coadjoint.kernels.tables.structures import as_structure
@@ -21,7 +22,7 @@ from coadjoint.program.actions import Action, build_action, empty_action
 from coadjoint.program.added_part import AddedPart
 from coadjoint.program.generators import BasisMatrices
 from coadjoint.program.table import Program, dual_action
-from coadjoint.program.term_table import Terms, TermTable
+from coadjoint.program.term_table import Terms
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import System
 
@@ -105,7 +106,7 @@ def flow_cotangents(
     tables: FlowTables = base.tables
     hessians, keepalive = addresses_of(program.functions, program.terms.size, "hessian", "the Hamiltonian")
     parts, index = program.parts, -1
-    dual = _marked_like(dual_action(system.algebra, parts), tables.state)
+    dual = _marked_like(dual_action(system.algebra, program), tables.state)
     group_dual = empty_action()
     if program.group is not None:
         matrices = (
@@ -143,9 +144,7 @@ def runge_kutta_cotangents(loop: CompiledLoop, system: System, added: Terms) -> 
     """Return `RungeKuttaCotangents` of a loop over stages, with the terms of the derivative of the energy."""
     check_differentiable(system)
     base: RungeKuttaTables = loop.tables
-    table = TermTable()
-    for term in system.hamiltonian.terms():
-        table.add(term)
+    table = terms_of_field(system)
     hessians, keepalive = addresses_of(table.functions, base.field.terms.size, "hessian", "the Hamiltonian")
     derivative, owners = derivative_of_structure(system)
     return CompiledTables(

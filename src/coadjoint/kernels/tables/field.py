@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.functions.compiled_functions import CompiledFunction, Owners
 from coadjoint.kernels.tables.compiled import addresses_of
-from coadjoint.program.term_table import Terms, TermTable
-from coadjoint.systems.protocol import has_compiled_bracket
+from coadjoint.program.term_table import FUNCTION, Terms, TermTable
+from coadjoint.systems.protocol import has_compiled_bracket, has_structure_constants
 from coadjoint.systems.system_checks import System
+from coadjoint.systems.vanishing_products import FieldProducts, Products
 
 
 class Field(NamedTuple):
@@ -21,7 +22,9 @@ class Field(NamedTuple):
 
     On a Lie algebra row i of J has the entries first[i] to first[i + 1], each a nonzero structure constant:
     `constant` = sign * c_ij^k with j = `column`, k = `state`. If `nonlinear`, `structure` holds the address of the
-    compiled function x -> J(x). `longest` is the largest number of rows of a term of H.
+    compiled function x -> J(x). `longest` is the largest number of rows of a term of H. If `separated`, the field at
+    a point is the sum of the products `own_first` to `own_constant`, without those that cancel; columns from `size` on
+    are partial components of the gradient, the sums of the rows `partial_row` of terms.
     """
 
     size: int
@@ -35,6 +38,15 @@ class Field(NamedTuple):
     terms: Terms
     addresses: NDArray[np.int64]
     longest: int
+    separated: bool
+    own_first: NDArray[np.uint32]
+    own_column: NDArray[np.uint32]
+    own_state: NDArray[np.uint32]
+    own_constant: NDArray[np.float64]
+    partials: int
+    partial_rows: int
+    partial: NDArray[np.uint32]
+    partial_row: NDArray[np.uint32]
 
 
 class GroupField(NamedTuple):
@@ -58,9 +70,7 @@ def field_of(system: System, called: bool = False) -> tuple[Field, Owners]:
     `called` means that the field is a call into Python, which does not read the bracket. Raise TypeError if a user
     function cannot be compiled.
     """
-    table = TermTable()
-    for term in system.hamiltonian.terms():
-        table.add(term)
+    table = terms_of_field(system)
     terms = table.table()
     addresses, keepalive = addresses_of(table.functions, len(table), "gradient", "the Hamiltonian")
     no_integers = np.zeros(0, dtype=np.int64)
@@ -78,7 +88,8 @@ def field_of(system: System, called: bool = False) -> tuple[Field, Owners]:
     i, j, k, c = triples
     # Both orders of each pair (i, j), sorted by row, stable within a row.
     order = np.argsort(np.stack([i, j], axis=1).ravel(), kind="stable")
-    row, column, state, constant = (np.stack(pair, axis=1).ravel()[order] for pair in ((i, j), (j, i), (k, k), (c, -c)))
+    pairs: Any = ((i, j), (j, i), (k, k), (c, -c))
+    row, column, state, constant = (np.stack(pair, axis=1).ravel()[order] for pair in pairs)
     structure = no_integers
     if system.algebra is None and not called:
         n = system.dim
@@ -98,8 +109,51 @@ def field_of(system: System, called: bool = False) -> tuple[Field, Owners]:
         terms,
         addresses,
         max(1, int(np.max(np.diff(terms.row.astype(np.int64)), initial=0))),
+        *_own_products(system, Products(row, state, column, system.sign * constant), terms),
     )
     return field, keepalive
+
+
+def terms_of_field(system: System) -> TermTable:
+    """Return the terms of the energy, with the functions that a field separates."""
+    own, table = _separated(system), TermTable()
+    for term in own.terms if own else system.hamiltonian.terms():
+        table.add(term)
+    return table
+
+
+def _separated(system: System) -> FieldProducts | None:
+    return system._field_products if has_structure_constants(system) else None
+
+
+def _own_products(system: System, products: Products, terms: Terms) -> tuple[Any, ...]:
+    """Return the values from `separated` on."""
+    n, own, none = system.dim, _separated(system), _indices(())
+    if own is None:
+        return False, none, none, none, np.zeros(0), 0, 0, none, none
+    column = own.columns(products, n)
+    kept = column >= 0
+    row, state, _, constant = (values[kept] for values in products)
+    column = column[kept]
+    rows = terms.row.astype(np.int64)
+    sources = []
+    for number, entries in enumerate(own.partial):
+        for term, entry in entries:
+            if terms.kind[term] != FUNCTION:
+                entry = int(np.flatnonzero(terms.target[rows[term] : rows[term + 1]] == entry)[0])
+            sources.append((int(rows[term]) + entry, number))
+    partial_row, partial = np.array(sorted(sources), dtype=np.int64).reshape(-1, 2).T
+    return (
+        True,
+        _indices(np.searchsorted(row, np.arange(n + 1))),
+        _indices(column),
+        _indices(state),
+        np.ascontiguousarray(constant, dtype=np.float64),
+        len(own.partial),
+        len(sources),
+        _indices(partial),
+        _indices(partial_row),
+    )
 
 
 def group_of(system: System, representation: Any) -> GroupField:

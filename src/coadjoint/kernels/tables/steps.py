@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
-from coadjoint.kernels.tables.field import Field, GroupField, field_of, group_of, substeps
+from coadjoint.kernels.tables.field import Field, GroupField, field_of, group_of, substeps, terms_of_field
 from coadjoint.kernels.tables.invariants import invariants_table, watch_tables
 from coadjoint.kernels.tables.recording import Watch
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.program.shifts.group_correction import unshift_tables
-from coadjoint.program.term_table import TermTable
 from coadjoint.systems.protocol import has_compiled_bracket
 from coadjoint.systems.system_checks import System
 
@@ -187,9 +186,7 @@ def _tables(
     called: bool = False,
 ) -> tuple[StepTables, tuple[Any, ...]]:
     field, keepalive = field_of(system, called)
-    table = TermTable()
-    for term in system.hamiltonian.terms():
-        table.add(term)
+    table = terms_of_field(system)
     values, values_keepalive = addresses_of(table.functions, len(table), "value", "the Hamiltonian")
     integer_array, coefficient_array = np.array(integers, dtype=np.int64), np.array(numbers, dtype=np.float64)
     return StepTables(field, values, group, invariants, integer_array, coefficient_array), (

@@ -177,18 +177,15 @@ class RungeKuttaMethod(SubstepMethod, CompiledTangents, CompiledDerivatives):
         self, system: System, h: float, frame: Frame, fractions: Sequence[float]
     ) -> CompiledLoop:
         """Return the loop over stages and their derivatives."""
+        from coadjoint.kernels.tables.field import terms_of_field
         from coadjoint.kernels.tables.tangents import check_differentiable, with_tangents
-        from coadjoint.program.term_table import TermTable
 
         check_differentiable(system)
         if self.solver not in ("explicit", "iterated"):
             unknowns = len(self.coefficients().node) * system.dim
             check_available_memory(8 * 2 * unknowns**2, f"the derivative of the stages of {type(self).__name__}")
-        table = TermTable()
-        for term in system.hamiltonian.terms():
-            table.add(term)
         loop = self.loop_of_substeps(system, h, None, fractions)
-        return with_tangents(loop, system, table.functions, frame)
+        return with_tangents(loop, system, terms_of_field(system).functions, frame)
 
     @property
     def differentiable(self) -> bool:

@@ -27,9 +27,15 @@ class PolynomialShare:
 
 @dataclass(frozen=True)
 class FunctionShare:
-    """Angles that are the gradient of a user function of the term's coordinates."""
+    """Angles that are the gradient of a user function of the term's coordinates.
+
+    With several `copies` they are those of `separated`, the same function with its gradient as so many vectors that
+    add up to it.
+    """
 
     term: FunctionTerm
+    separated: FunctionTerm | None = None
+    copies: int = 1
 
 
 @dataclass(frozen=True)

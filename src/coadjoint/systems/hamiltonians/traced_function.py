@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import linecache
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -82,8 +82,11 @@ class Graph:
             self.nodes.append((operation, arguments))
         return self._known[key]
 
-    def gradient(self, result: Any, variables: Sequence[Traced]) -> list[Any]:
-        """Return the derivatives of a result by variables, Traced or constants, by differentiation in reverse."""
+    def gradient(self, result: Any, variables: Sequence[Traced], ends: Collection[int] = ()) -> list[Any]:
+        """Return the derivatives of a result by variables, Traced or constants, by differentiation in reverse.
+
+        The entries `ends` count as independent of their arguments.
+        """
         if not isinstance(result, Traced):
             return [0] * len(variables)
         slopes: dict[int, Any] = {result.index: 1}
@@ -91,6 +94,8 @@ class Graph:
             operation, arguments = self.nodes[index]
             slope = slopes.get(index, 0)
             if (not isinstance(slope, Traced) and slope == 0) or not arguments or operation == "variable":
+                continue
+            if index in ends:
                 continue
             value = Traced(self, index)
             if operation == "neg":
@@ -230,13 +235,10 @@ for _name in UNARY:
     setattr(Traced, _name, _unary(_name))
 
 
-def traced_derivatives(
-    function: Callable[..., Any], n: int, timed: bool
-) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any] | None]:
-    """Return the value, the gradient and the Hessian of a function of (x) or (x, t), x of shape (n,).
+def recorded(function: Callable[..., Any], n: int, timed: bool) -> tuple[Graph, list[Traced], Any]:
+    """Return the operations of a function of (x) or (x, t), x of shape (n,), with its coordinates and its result.
 
-    They are plain functions of the recorded operations, which Numba compiles. The Hessian is None if it takes more
-    than `MAX_OPERATIONS`. Raise TracingError, with the reason, if the function cannot be recorded.
+    The result is Traced or a constant. Raise TracingError, with the reason, if the function cannot be recorded.
     """
     graph = Graph()
     variables = [graph.record("variable", f"x[{k}]") for k in range(n)]
@@ -251,8 +253,18 @@ def traced_derivatives(
         raise TracingError(f"{type(reason).__name__}: {in_one_line(str(reason), 200)}") from reason
     if isinstance(result, np.ndarray) and result.size == 1:
         result = result.item()
-    if not isinstance(result, Traced):
-        result = _constant(result)
+    return graph, variables, result if isinstance(result, Traced) else _constant(result)
+
+
+def traced_derivatives(
+    function: Callable[..., Any], n: int, timed: bool
+) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any] | None]:
+    """Return the value, the gradient and the Hessian of a function of (x) or (x, t), x of shape (n,).
+
+    They are plain functions of the recorded operations, which Numba compiles. The Hessian is None if it takes more
+    than `MAX_OPERATIONS`. Raise TracingError, with the reason, if the function cannot be recorded.
+    """
+    graph, variables, result = recorded(function, n, timed)
     slopes = graph.gradient(result, variables)
     value = graph.function([result], "{0}", timed)
     gradient = graph.function(slopes, "np.array(({0},))", timed)

@@ -108,9 +108,14 @@ inline double start_of(const Schedule& schedule, int64_t member, int64_t k) {
                            : schedule.t0 + double(k - 1) * schedule.h;
 }
 
+// If `separated`, the field at a point is the sum of other products, without those that cancel: own_first to
+// `own_constant`. Their columns from `size` on are partial components of the gradient, each the sum of some rows of terms:
+// partial[k] gets the row partial_row[k], ascending.
 #define FIELD_FIELDS(_)                                                                                              \
     _(integer, size) _(number, sign) _(indices, first) _(indices, column) _(indices, state) _(constants, constant)     \
-    _(flag, nonlinear) _(addresses, structure) _(Terms, terms) _(addresses, addresses) _(integer, longest)
+    _(flag, nonlinear) _(addresses, structure) _(Terms, terms) _(addresses, addresses) _(integer, longest)            \
+    _(flag, separated) _(indices, own_first) _(indices, own_column) _(indices, own_state) _(constants, own_constant)   \
+    _(integer, partials) _(integer, partial_rows) _(indices, partial) _(indices, partial_row)
 TABLE(Field, FIELD_FIELDS)
 
 #define GROUP_FIELD_FIELDS(_)                                                                                        \

@@ -8,14 +8,15 @@
 
 namespace coadjoint {
 
-// Scratch memory for evaluations of a field: rows of a term, arguments of functions, J as a function, calls.
+// Scratch memory for evaluations of a field: rows of a term, arguments of functions, J as a function, calls; and the
+// partial components of the last gradient.
 template <class A>
 struct FieldWorkspace {
-    AlignedArray<A> rows, arguments, matrix;
+    AlignedArray<A> rows, arguments, matrix, partial;
     std::vector<double> calls;
     explicit FieldWorkspace(const Field& field)
         : rows(field.longest), arguments(field.longest + 1), matrix(field.nonlinear ? field.size * field.size : 0),
-          calls(std::max(2 * field.longest + 2, field.nonlinear ? field.size * (field.size + 1) : 0)) {}
+          partial(field.partials), calls(std::max(2 * field.longest + 2, field.nonlinear ? field.size * (field.size + 1) : 0)) {}
 };
 
 // Approximate number of multiplications of a field evaluation.
@@ -47,12 +48,15 @@ INLINE void gradient(const Field& field, const C& constants, const A* x, const A
         });
         return;
     }
-    for (int64_t k = 0; k < terms.size; ++k) {
+    std::fill_n(workspace.partial.at, field.partials, A(0.0));
+    for (int64_t k = 0, added = 0; k < terms.size; ++k) {
         const int64_t first = terms.row[k];
         gradient_rows(terms, constants, field.addresses, k, x, t, workspace.rows.at, first, workspace.arguments.at,
                       workspace.calls.data());
         for (int64_t row = first, stop = terms.row[k + 1]; row < stop; ++row)
             u[terms.target[row]] += workspace.rows.at[row - first];
+        for (; added < field.partial_rows && field.partial_row[added] < terms.row[k + 1]; ++added)
+            workspace.partial.at[field.partial[added]] += workspace.rows.at[field.partial_row[added] - first];
     }
 }
 
@@ -88,6 +92,32 @@ INLINE void product(const Field& field, const C& constants, const A* x, const A*
             f[i] = factor * total;
         }
     });
+}
+
+// Set f = factor * sign * J(x) u for the last gradient u, at x, by the products of a separated field.
+template <class A, class C>
+NOINLINE void separated_product(const Field& field, const C& constants, const A* x, const A* u, const A& factor, A* f,
+                                const FieldWorkspace<A>& workspace) {
+    for (int64_t i = 0; i < field.size; ++i) {
+        A total(0.0);
+        for (uint32_t q = field.own_first[i]; q < field.own_first[i + 1]; ++q) {
+            const int64_t column = field.own_column[q];
+            const A& component = column < field.size ? u[column] : workspace.partial.at[column - field.size];
+            total = fma(constants.template number_at<A>(field.own_constant, q) * x[field.own_state[q]], component, total);
+        }
+        f[i] = factor * total;
+    }
+}
+
+// Set u = grad H(x, t) and f = factor * sign * J(x) u, without the products that cancel.
+template <class A, class C>
+INLINE void slope_at(const Field& field, const C& constants, const A* x, const A& t, const A& factor, A* u, A* f,
+                     FieldWorkspace<A>& workspace) {
+    gradient(field, constants, x, t, u, workspace);
+    if (__builtin_expect(field.separated, 0))
+        separated_product(field, constants, x, u, factor, f, workspace);
+    else
+        product(field, constants, x, u, factor, f, workspace);
 }
 
 // Set out = factor * sign * J(x) M, for the dense n x n matrix M.

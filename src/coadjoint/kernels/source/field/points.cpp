@@ -10,15 +10,17 @@ namespace {
 // Scratch memory by its size, cached by each thread for the next call.
 DerivativeWorkspace<double>& workspace_of(const Field& field) {
     struct Cached {
-        int64_t size = -1, longest = -1, nonlinear = -1;
+        int64_t size = -1, longest = -1, nonlinear = -1, partials = -1;
         std::unique_ptr<DerivativeWorkspace<double>> workspace;
     };
     static thread_local Cached cached;
-    if (cached.size != field.size || cached.longest != field.longest || cached.nonlinear != field.nonlinear) {
+    if (cached.size != field.size || cached.longest != field.longest || cached.nonlinear != field.nonlinear ||
+        cached.partials != field.partials) {
         cached.workspace = std::make_unique<DerivativeWorkspace<double>>(field);
         cached.size = field.size;
         cached.longest = field.longest;
         cached.nonlinear = field.nonlinear;
+        cached.partials = field.partials;
     }
     return *cached.workspace;
 }
@@ -29,8 +31,7 @@ DerivativeWorkspace<double>& workspace_of(const Field& field) {
 EXPORT void field_at(const SystemView* view, const double* x, double t, double* out) {
     const Field& field = *view->field;
     DerivativeWorkspace<double>& workspace = workspace_of(field);
-    gradient(field, view->constants, x, t, workspace.gradient.at, workspace.field);
-    product(field, view->constants, x, workspace.gradient.at, 1.0, out, workspace.field);
+    slope_at(field, view->constants, x, t, 1.0, workspace.gradient.at, out, workspace.field);
 }
 
 // Set out = grad H(x, t).

@@ -218,8 +218,7 @@ class Force {
         for (int64_t i = 0; i < n; ++i) scale += absolute(x[i]);
         for (iterations = 1; iterations <= MOST_MIDPOINTS; ++iterations) {
             ++evaluations;
-            gradient(field, constants, middle, t + 0.5 * tau, u, workspace);
-            product(field, constants, middle, u, tau, one.data(), workspace);
+            slope_at(field, constants, middle, t + 0.5 * tau, tau, u, one.data(), workspace);
             apply_metric(one.data(), v);
             std::copy_n(middle, n, before);
             if (!exponent(v, 0.5, x, middle)) return failed(v);

@@ -47,7 +47,7 @@ enum class KnownAlgebra { NONE, TRIAD, SO3, SO3_FULL, E3, E3_FULL, SO4, SO4_FULL
 
 template <class Bracket, class C>
 NOINLINE bool has_bracket(const Field& field, const C& constants) {
-    if (field.nonlinear || field.size != Bracket::n) return false;
+    if (field.nonlinear || field.separated || field.size != Bracket::n) return false;
     for (int i = 0; i <= Bracket::n; ++i)
         if (field.first[i] != uint32_t(Bracket::first[i])) return false;
     for (uint32_t q = 0; q < Bracket::entries; ++q)

@@ -96,6 +96,10 @@ struct Stages {
         for (int64_t b = low; b < high; ++b) {
             const auto& lane_constants = Layout::constants(constants, b, s);
             A *x = p.points.at + b * n, *u = gradients.at + b * n;
+            if (freeze == NOT_FROZEN) {
+                slope_at(field, lane_constants, x, times.at[b], lengths.at[b], u, p.slopes.at + b * n, workspace);
+                continue;
+            }
             if (freeze != GRADIENT) gradient(field, lane_constants, x, times.at[b], u, workspace);
             const A* momentum = freeze == STRUCTURE ? frozen.at + b * n : x;
             product(field, lane_constants, momentum, u, lengths.at[b], p.slopes.at + b * n, workspace);

@@ -18,6 +18,7 @@ class MemberTables {
         Terms& terms = field.terms;
         const int64_t n = field.size, rows = terms.row[terms.size];
         take(numbers, field.constant, field.first[n]);
+        take(numbers, field.own_constant, field.separated ? field.own_first[n] : 0);
         take(addresses, field.structure, field.nonlinear ? 1 : 0);
         take(addresses, field.addresses, terms.size);
         take(numbers, terms.offset, rows);

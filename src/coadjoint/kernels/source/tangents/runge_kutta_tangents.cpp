@@ -124,8 +124,8 @@ class StageChanges {
         for (int64_t passed = 0; passed < tables.iterations; ++passed) {
             field_changes(iterates.at);
             for (int64_t j = 0; j < s; ++j)
-                product(field, SharedConstants{}, iterates.at + j * n, gradients.at + j * n, length_of(j),
-                        slopes.at + j * n, fields);
+                slope_at(field, SharedConstants{}, iterates.at + j * n, time_of(j), length_of(j), gradients.at + j * n,
+                         slopes.at + j * n, fields);
             mix(slopes.at, iterates.at);
             for (int64_t i = 0; i < s; ++i) mix_vectors(i, v);
         }

@@ -46,9 +46,8 @@ class StagePoints {
         for (int64_t pass = 0; iterated && pass < tables.iterations; ++pass) {
             const double* from = iterates.at + pass * s * n;
             for (int64_t j = 0; j < s; ++j) {
-                gradient(field, SharedConstants{}, from + j * n, time_of(j), gradients.at + j * n, fields);
-                product(field, SharedConstants{}, from + j * n, gradients.at + j * n, length_of(j), slopes.at + j * n,
-                        fields);
+                slope_at(field, SharedConstants{}, from + j * n, time_of(j), length_of(j), gradients.at + j * n,
+                         slopes.at + j * n, fields);
             }
             mix(x, slopes.at, n, iterates.at + (pass + 1) * s * n);
         }

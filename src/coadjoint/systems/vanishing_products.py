@@ -1,0 +1,271 @@
+"""Products of J(x) grad H that cancel identically, such as those of r cross dV/dr for a central force.
+
+Sums of such products are zero, but their rounding errors are not: they are of the size of the products, which may be
+much larger than the coordinate that they are added to. They are left out of flows and vector fields.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from fractions import Fraction
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.exact.numbers import exact_number
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.systems.hamiltonians.polynomial_arguments import polynomial_arguments
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, Term
+from coadjoint.systems.hamiltonians.traced_function import TracingError
+
+Integers = NDArray[np.int64]
+
+MAX_MONOMIALS = 1 << 14
+"""Monomials of the products of a system above which none is left out."""
+MAX_BRACKETS = 1 << 20
+"""Brackets of an algebra above which they are not searched for commuting coordinates."""
+
+
+class Product(NamedTuple):
+    """The product ``constant * x[state] * u[column]`` of J(x) u, added to the component `row`."""
+
+    row: int
+    state: int
+    column: int
+    constant: Any
+
+
+class Products(NamedTuple):
+    """Products of J(x) u by columns."""
+
+    row: Integers
+    state: Integers
+    column: Integers
+    constant: NDArray[Any]
+
+    def at(self, q: int) -> Product:
+        """Return a product."""
+        return Product(int(self.row[q]), int(self.state[q]), int(self.column[q]), self.constant[q])
+
+
+class Monomial(NamedTuple):
+    """A monomial of a component of a gradient: a coefficient times the product of coordinates and of a factor.
+
+    The factor is a function that occurs in several components, such as the derivative of a function of a polynomial.
+    """
+
+    factor: Any
+    coordinates: tuple[int, ...]
+    coefficient: Any
+
+
+def commuting_products(algebra: LieAlgebra) -> Products:
+    """Return the products of J(x) u of coordinates that commute: those that can cancel in the flow of a part."""
+    if len(algebra.triples.c if algebra._copied is None else algebra._copied[0].triples.c) > MAX_BRACKETS:
+        return _products(algebra, np.zeros(0, dtype=bool))
+    if algebra._copied is not None and not len(_of_commuting(algebra._copied[0]).row):
+        return _products(algebra, np.zeros(0, dtype=bool))
+    return _of_commuting(algebra)
+
+
+@lru_cache(maxsize=64)
+def _of_commuting(algebra: LieAlgebra) -> Products:
+    i, j, k, _ = algebra.triples
+    n = algebra.dim
+    brackets = np.unique(np.concatenate([i * n + j, j * n + i]))
+    chosen = np.concatenate([~np.isin(j * n + k, brackets), ~np.isin(i * n + k, brackets)])
+    return _products(algebra, chosen)
+
+
+def _products(algebra: LieAlgebra, chosen: NDArray[np.bool_]) -> Products:
+    if not chosen.any():
+        empty = np.zeros(0, dtype=np.int64)
+        return Products(empty, empty, empty, np.zeros(0))
+    i, j, k, c = algebra.triples
+    columns = np.concatenate([i, j]), np.concatenate([k, k]), np.concatenate([j, i]), np.concatenate([c, -c])
+    return Products(*(column[chosen] for column in columns))
+
+
+def vanishing(products: Sequence[tuple[int, int, Iterable[Monomial], Any]]) -> list[bool]:
+    """Return which products cancel with others of the same row, identically in x.
+
+    Each product is (row, state, monomials of its component of the gradient, constant). Products that share a monomial
+    are linked, and cancel together if all of their monomials do.
+    """
+    link = list(range(len(products)))
+
+    def find(q: int) -> int:
+        while link[q] != q:
+            link[q] = q = link[link[q]]
+        return q
+
+    first: dict[Any, int] = {}
+    total: dict[Any, Any] = {}
+    for q, (row, state, monomials, constant) in enumerate(products):
+        for factor, coordinates, coefficient in monomials:
+            key = row, factor, tuple(sorted((*coordinates, state)))
+            total[key] = total.get(key, 0) + Fraction(exact_number(constant)) * Fraction(exact_number(coefficient))
+            link[find(q)] = find(first.setdefault(key, q))
+    remaining = {find(first[key]) for key, value in total.items() if value}
+    sizes = [0] * len(products)
+    for q in range(len(products)):
+        sizes[find(q)] += 1
+    return [sizes[find(q)] > 1 and find(q) not in remaining for q in range(len(products))]
+
+
+def derivatives_of(polynomial: Polynomial, coordinates: Sequence[int], factor: Any = None) -> dict[int, list[Monomial]]:
+    """Return the monomials of the gradient of a polynomial in coordinates of a system, times a factor."""
+    found: dict[int, list[Monomial]] = {}
+    for exponents, coefficient in polynomial.monomials.items():
+        for k, power in enumerate(exponents):
+            if power:
+                lower = [*exponents[:k], power - 1, *exponents[k + 1 :]]
+                factors = tuple(coordinates[a] for a, e in enumerate(lower) for _ in range(e))
+                found.setdefault(k, []).append(Monomial(factor, factors, Fraction(exact_number(coefficient)) * power))
+    return found
+
+
+class SeparatedFunction(NamedTuple):
+    """A function term, with its gradient as several vectors that add up to it, and the products that each one omits."""
+
+    term: FunctionTerm
+    omitted: tuple[frozenset[int], ...]
+
+
+def separated_function(term: FunctionTerm, products: Mapping[int, Product]) -> SeparatedFunction:
+    """Separate a function where products of a part of its gradient vanish, as those of a central force do.
+
+    `products` are numbered. The parts of the gradient are those by different polynomials
+    of the coordinates, found by recording the function.
+    """
+    index = {int(k): a for a, k in enumerate(term.coordinates)}
+    own = {q: each for q, each in products.items() if each.state in index and each.column in index}
+    arguments = polynomial_arguments(term.value, len(index), term.timed) if own and not term.scalar else None
+    if arguments is None:
+        return SeparatedFunction(term, (frozenset(),))
+    by_rows: dict[frozenset[int], list[int]] = {}
+    for number, polynomial in enumerate(arguments.polynomials):
+        derivatives = derivatives_of(polynomial, term.coordinates.tolist())
+        listed = [(row, state, derivatives.get(index[column], []), c) for row, state, column, c in own.values()]
+        # A row is omitted as a whole.
+        remaining = {each[0] for each, zero in zip(listed, vanishing(listed), strict=True) if each[2] and not zero}
+        omitted = frozenset(q for q, each in own.items() if each[0] not in remaining)
+        by_rows.setdefault(omitted, []).append(number)
+    if len(by_rows) > 1:
+        try:
+            term = arguments.separated(term, list(by_rows.values()))
+        except TracingError:
+            return SeparatedFunction(term, (frozenset(),))
+    return SeparatedFunction(term, tuple(by_rows))
+
+
+class FieldProducts(NamedTuple):
+    """The products of J(x) grad H(x) without those that cancel.
+
+    Parameters
+    ----------
+    terms : tuple of Term
+        The terms of H, with separated functions.
+    changed : ndarray of int64, shape (k, 4)
+        Products (row, state, column) that are omitted, -1, or that take a partial component of the gradient, numbered
+        from n on, in place of the whole one.
+    partial : tuple
+        For each partial component the entries that are added: the number of a term, and the entry of its gradient, of
+        functions among their own coordinates.
+    """
+
+    terms: tuple[Term, ...]
+    changed: Integers
+    partial: tuple[tuple[tuple[int, int], ...], ...]
+
+    def columns(self, products: Products, n: int) -> Integers:
+        """Return the components of the gradient that products take; -1 for omitted ones."""
+        codes = (self.changed[:, 0] * n + self.changed[:, 1]) * n + self.changed[:, 2]
+        order = np.argsort(codes)
+        wanted = (products.row * n + products.state) * n + products.column
+        at = order[np.minimum(np.searchsorted(codes, wanted, sorter=order), len(codes) - 1)]
+        return np.where(codes[at] == wanted, self.changed[at, 3], products.column)
+
+    def partial_components(self, x: NDArray[Any], t: Any) -> NDArray[Any]:
+        """Return the partial components of the gradient at x (n,)."""
+        return np.array([sum(_entry(self.terms[k], entry, x, t) for k, entry in one) for one in self.partial])
+
+
+def _entry(term: Term, entry: int, x: NDArray[Any], t: Any) -> Any:
+    """Return an entry of the gradient of a term."""
+    if isinstance(term, FunctionTerm):
+        y = x[term.coordinates]
+        return np.ravel(term.gradient(y[0] if term.scalar else y, *((t,) if term.timed else ())))[entry]
+    if isinstance(term, PolynomialTerm):
+        return term.polynomial.gradient(x)[entry]
+    form = term.form
+    assert form is not None, "a term is a polynomial or a function"
+    row = slice(int(form.indptr[entry]), int(form.indptr[entry + 1]))
+    return form.linear[entry] + np.sum(form.values[row] * x[form.indices[row]])
+
+
+def field_products(algebra: LieAlgebra, terms: Sequence[Term]) -> FieldProducts | None:
+    """Find the products of J(x) grad H(x) that cancel; None if there are none."""
+    products = commuting_products(algebra)
+    if not len(products.row):
+        return None
+    listed = {q: products.at(q) for q in range(len(products.row))}
+    separated: list[Term] = []
+    # Entries of the gradient in each product, and whether their products are omitted.
+    sources: dict[int, dict[tuple[int, int], bool]] = {q: {} for q in listed}
+    candidates: list[tuple[int, tuple[int, int]]] = []
+    found: list[tuple[int, int, list[Monomial], Any]] = []
+    for number, term in enumerate(terms):
+        if isinstance(term, FunctionTerm):
+            one = separated_function(term, listed)
+            size = len(term.coordinates)
+            index = {int(k): a for a, k in enumerate(term.coordinates)}
+            for q, product in listed.items():
+                if product.column in index:
+                    for copy, omitted in enumerate(one.omitted):
+                        sources[q][number, copy * size + index[product.column]] = q in omitted
+            separated.append(one.term)
+            continue
+        separated.append(term)
+        monomials = _gradient_monomials(term, {product.column for product in listed.values()})
+        if monomials is None:
+            return None
+        for q, product in listed.items():
+            if monomials.get(product.column):
+                candidates.append((q, (number, product.column)))
+                found.append((product.row, product.state, monomials[product.column], product.constant))
+    if sum(len(each[2]) for each in found) > MAX_MONOMIALS:
+        return None
+    for (q, source), zero in zip(candidates, vanishing(found), strict=True):
+        sources[q][source] = zero
+    slots: dict[tuple[tuple[int, int], ...], int] = {}
+    changed: list[tuple[int, int, int, int]] = []
+    for q, product in listed.items():
+        kept = tuple(source for source, omitted in sources[q].items() if not omitted)
+        if len(kept) < len(sources[q]):
+            column = algebra.dim + slots.setdefault(kept, len(slots)) if kept else -1
+            changed.append((product.row, product.state, product.column, column))
+    if not changed:
+        return None
+    return FieldProducts(tuple(separated), np.array(changed, dtype=np.int64), tuple(slots))
+
+
+def _gradient_monomials(term: Term, columns: Collection[int]) -> dict[int, list[Monomial]] | None:
+    """Return the monomials of components of the gradient of a polynomial; None if there are too many."""
+    form = term.form
+    if isinstance(term, PolynomialTerm) or form is None:
+        assert isinstance(term, PolynomialTerm), "a term is a polynomial or a function"
+        if len(term.polynomial.monomials) * term.polynomial.dim > MAX_MONOMIALS:
+            return None
+        return derivatives_of(term.polynomial, range(term.polynomial.dim))
+    found: dict[int, list[Monomial]] = {}
+    for k in columns:
+        row = slice(int(form.indptr[k]), int(form.indptr[k + 1]))
+        pairs = zip(form.indices[row].tolist(), form.values[row].tolist(), strict=True)
+        found[k] = [Monomial(None, (i,), value) for i, value in pairs]
+        if form.linear[k]:
+            found[k].append(Monomial(None, (), float(form.linear[k])))
+    return found
