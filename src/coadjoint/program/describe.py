@@ -111,7 +111,8 @@ def _describe_part(names: Sequence[str], program: Program, number: int, part: Pa
     if bodies:
         acting = 0 if bodies[0].other else acting[0], 0
     multiplications, functions = (a + b for a, b in zip(acting, shares, strict=True))
-    generators = tuple(_form_name(names, form) for form in part.forms)
+    # The coordinates of separated functions are repeated.
+    generators = tuple(dict.fromkeys(_form_name(names, form) for form in part.forms))
     if bodies:
         generators = tuple(_body_name(names, body) for body in bodies)
     return PartDescription(generators, dict(blocks), multiplications, functions)

@@ -18,7 +18,7 @@ from coadjoint.algebra.exact.numbers import exact_number
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.hamiltonians.polynomial_arguments import polynomial_arguments
-from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, Term
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
 from coadjoint.systems.hamiltonians.traced_function import TracingError
 
 Integers = NDArray[np.int64]
@@ -177,7 +177,7 @@ class FieldProducts(NamedTuple):
         functions among their own coordinates.
     """
 
-    terms: tuple[Term, ...]
+    terms: tuple[QuadraticTerm | PolynomialTerm | FunctionTerm, ...]
     changed: Integers
     partial: tuple[tuple[tuple[int, int], ...], ...]
 
@@ -194,17 +194,15 @@ class FieldProducts(NamedTuple):
         return np.array([sum(_entry(self.terms[k], entry, x, t) for k, entry in one) for one in self.partial])
 
 
-def _entry(term: Term, entry: int, x: NDArray[Any], t: Any) -> Any:
+def _entry(term: QuadraticTerm | PolynomialTerm | FunctionTerm, entry: int, x: NDArray[Any], t: Any) -> Any:
     """Return an entry of the gradient of a term."""
     if isinstance(term, FunctionTerm):
         y = x[term.coordinates]
         return np.ravel(term.gradient(y[0] if term.scalar else y, *((t,) if term.timed else ())))[entry]
     if isinstance(term, PolynomialTerm):
         return term.polynomial.gradient(x)[entry]
-    form = term.form
-    assert form is not None, "a term is a polynomial or a function"
-    row = slice(int(form.indptr[entry]), int(form.indptr[entry + 1]))
-    return form.linear[entry] + np.sum(form.values[row] * x[form.indices[row]])
+    row = slice(int(term.indptr[entry]), int(term.indptr[entry + 1]))
+    return term.linear[entry] + np.sum(term.values[row] * x[term.indices[row]])
 
 
 def field_products(algebra: LieAlgebra, terms: Sequence[Term]) -> FieldProducts | None:
@@ -213,12 +211,15 @@ def field_products(algebra: LieAlgebra, terms: Sequence[Term]) -> FieldProducts 
     if not len(products.row):
         return None
     listed = {q: products.at(q) for q in range(len(products.row))}
-    separated: list[Term] = []
+    collected = _Collected()
+    for term in terms:
+        term.describe_to(collected)
+    separated: list[QuadraticTerm | PolynomialTerm | FunctionTerm] = []
     # Entries of the gradient in each product, and whether their products are omitted.
     sources: dict[int, dict[tuple[int, int], bool]] = {q: {} for q in listed}
     candidates: list[tuple[int, tuple[int, int]]] = []
     found: list[tuple[int, int, list[Monomial], Any]] = []
-    for number, term in enumerate(terms):
+    for number, term in enumerate(collected.terms):
         if isinstance(term, FunctionTerm):
             one = separated_function(term, listed)
             size = len(term.coordinates)
@@ -253,19 +254,31 @@ def field_products(algebra: LieAlgebra, terms: Sequence[Term]) -> FieldProducts 
     return FieldProducts(tuple(separated), np.array(changed, dtype=np.int64), tuple(slots))
 
 
-def _gradient_monomials(term: Term, columns: Collection[int]) -> dict[int, list[Monomial]] | None:
+class _Collected:
+    """Visitor that lists the forms of terms."""
+
+    def __init__(self) -> None:
+        self.terms: list[QuadraticTerm | PolynomialTerm | FunctionTerm] = []
+
+    def _add(self, term: Any) -> None:
+        self.terms.append(term)
+
+    quadratic = polynomial = function = _add
+
+
+def _gradient_monomials(
+    term: QuadraticTerm | PolynomialTerm, columns: Collection[int]
+) -> dict[int, list[Monomial]] | None:
     """Return the monomials of components of the gradient of a polynomial; None if there are too many."""
-    form = term.form
-    if isinstance(term, PolynomialTerm) or form is None:
-        assert isinstance(term, PolynomialTerm), "a term is a polynomial or a function"
+    if isinstance(term, PolynomialTerm):
         if len(term.polynomial.monomials) * term.polynomial.dim > MAX_MONOMIALS:
             return None
         return derivatives_of(term.polynomial, range(term.polynomial.dim))
     found: dict[int, list[Monomial]] = {}
     for k in columns:
-        row = slice(int(form.indptr[k]), int(form.indptr[k + 1]))
-        pairs = zip(form.indices[row].tolist(), form.values[row].tolist(), strict=True)
+        row = slice(int(term.indptr[k]), int(term.indptr[k + 1]))
+        pairs = zip(term.indices[row].tolist(), term.values[row].tolist(), strict=True)
         found[k] = [Monomial(None, (i,), value) for i, value in pairs]
-        if form.linear[k]:
-            found[k].append(Monomial(None, (), float(form.linear[k])))
+        if term.linear[k]:
+            found[k].append(Monomial(None, (), float(term.linear[k])))
     return found
