@@ -202,3 +202,29 @@ def test_a_force_that_is_not_central_keeps_its_torque() -> None:
     assert np.allclose(-system.vector_field(x)[:3], torque, rtol=1e-14, atol=0)
     end = co.integrate(system, x, (0, 1), 0.5, co.Splitting(order=2)).x[-1]
     assert np.allclose(-end[:3], torque, rtol=1e-14, atol=0)
+
+
+@pytest.mark.parametrize("scheme", [co.Splitting(order=4), co.GaussLegendre(2)], ids=str)
+def test_derivatives_by_coefficients_whose_products_cancel(scheme: Any) -> None:
+    # p x M p vanishes for equal coefficients, but not its derivative by one of them.
+    diagonal = np.array([1.0, 0.5, 0.4, 0.01, 0.01, 0.01, 1.0, 1.0, 2.0, 0.0])
+    x0 = np.r_[0.1, 0.2, 0.3, 1.0, 2.0, 3.0, 0.4, 0.5, 0.6, 1.0]
+
+    def system(values: Any) -> Any:
+        return co.LiePoissonSystem(co.systems.satellite().algebra, co.Quadratic(values), sign=-1)
+
+    ready = co.prepare(system(diagonal), scheme, step=0.05)
+    for k in (0, 4, 7, 8):
+        unit = np.eye(10)[k]
+        sol, tangents = ready.jvp(x0, (0, 2), {"M": unit})
+        _, pullback = ready.vjp(x0, (0, 2))
+        above, below = (
+            co.integrate(system(diagonal + side * 1e-5 * unit), x0, (0, 2), 0.05, scheme).x for side in (1, -1)
+        )
+        assert np.abs(tangents.x - (above - below) / 2e-5).max() < 1e-6 * np.abs(tangents.x).max()
+        weights = np.random.default_rng(k).standard_normal(sol.x.shape)
+        expected = np.sum(weights * tangents.x)
+        assert abs(pullback(weights)["M"] @ unit - expected) < 1e-12 * np.sum(np.abs(weights * tangents.x))
+    table = co.Splitting(order=2).program(system(diagonal)).to_mapping()
+    monomials = [table["energy"]["monomials"][k] for k in table["fixed"]]
+    assert [[k, k] for k in range(9) if [k, k] in monomials] == [[3, 3], [4, 4], [5, 5], [6, 6], [7, 7]]

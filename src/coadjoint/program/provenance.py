@@ -33,7 +33,8 @@ class _Places:
     """Coefficients of the parts of a program that are functions of coordinates, by the coordinates of monomials.
 
     `rows` has the row of the angle of each coordinate, -1 if there is none or several; `entries` are those of `codes`,
-    row * n + column, which are sorted. `monomials` has the numbers of monomials, -1 if there are several.
+    row * n + column, which are sorted. `monomials` has the numbers of monomials, -1 if there are several. Rows whose
+    products are omitted are not listed: they cancel only for the coefficients as they are.
     """
 
     def __init__(self, program: Program) -> None:
@@ -43,7 +44,8 @@ class _Places:
         linear[list(program.parts.bodies)] = False
         rows = np.flatnonzero(np.repeat(linear, np.diff(terms.row).astype(np.int64)))
         rows = rows[np.diff(forms.start)[rows] == 1]
-        rows = rows[forms.value[forms.start[rows]] == 1.0]
+        omitted = program.omitted[:, 0]
+        rows = rows[(forms.value[forms.start[rows]] == 1.0) & ~np.isin(rows, omitted)]
         coordinate = forms.coordinate[forms.start[rows]]
         self._rows = np.full(self._n, -1, dtype=np.int64)
         self._rows[coordinate] = rows
@@ -59,7 +61,8 @@ class _Places:
                 targets = terms.target[terms.factor_row[factors]].tolist()
                 powers = zip(targets, terms.exponent[factors].tolist(), strict=True)
                 key = tuple(sorted(i for i, e in powers for _ in range(e)))
-                self._numbers[key] = -1 if key in self._numbers else monomial
+                known = key in self._numbers or np.isin(terms.factor_row[factors], omitted).any()
+                self._numbers[key] = -1 if known else monomial
         low = [(-1, *key)[-2:] for key in self._numbers if len(key) in (1, 2)]
         self._low = encoded(*np.array(low, dtype=np.int64).reshape(-1, 2).T)
 
@@ -162,10 +165,8 @@ def in_parts(program: Program, G: EnergyDerivative) -> tuple[CoefficientMap, Coe
     """Return how the coefficients of the parts, and the factors of the shifts, depend on parameters.
 
     None if a monomial of G belongs to no part: parts with other forms than coordinates depend on the parameters in
-    another way. None too if products are omitted, which cancel only for the coefficients as they are.
+    another way.
     """
-    if len(program.omitted):
-        return None
     provenance = Provenance(program)
     i, j = np.sort(G.quadratic, axis=1).T
     linear, quadratic = provenance.places.of_coordinates(G.linear), provenance.places.of_pairs(i, j)

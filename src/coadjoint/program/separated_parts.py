@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
@@ -11,20 +11,19 @@ import numpy as np
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.program.parts.part import BodyShare, FunctionShare, Parts, PolynomialShare
+from coadjoint.program.commutation import Commutation
+from coadjoint.program.parts.part import BodyShare, FunctionShare, Parts
 from coadjoint.program.sparse_rows import starts_of
 from coadjoint.systems.vanishing_products import (
     MAX_MONOMIALS,
     Monomial,
     Product,
+    Products,
+    cancelling,
     commuting_products,
     derivatives_of,
     separated_function,
-    vanishing,
 )
-
-MAX_COMPARISONS = 1 << 22
-"""Number of parts times products above which none is omitted."""
 
 
 class SeparatedParts(NamedTuple):
@@ -55,13 +54,10 @@ def _separated(algebra: LieAlgebra, parts: Parts, inputs: frozenset[int]) -> Sep
     products = commuting_products(algebra)
     omitted: list[tuple[int, int, int, int]] = []
     separated: dict[int, FunctionShare] = {}
-    if 0 < len(products.row) * len(parts) <= MAX_COMPARISONS:
-        for p in range(len(parts)):
-            candidates = _candidates(algebra, parts, p, products)
-            if candidates:
-                functions, entries = _omitted_in_part(parts, p, candidates, inputs)
-                separated |= functions
-                omitted += entries
+    for p, numbers in _candidates(algebra, parts, products).items():
+        functions, entries = _omitted_in_part(parts, p, {q: products.at(q) for q in numbers}, inputs)
+        separated |= functions
+        omitted += entries
     if not omitted:
         return SeparatedParts(parts, np.zeros((0, 3), dtype=np.int64))
     copies = np.ones(len(parts.row) - 1, dtype=np.int64)
@@ -84,17 +80,30 @@ def _separated(algebra: LieAlgebra, parts: Parts, inputs: frozenset[int]) -> Sep
     return SeparatedParts(result, np.array([(row[s] + a, i, k) for s, a, i, k in omitted], dtype=np.int64))
 
 
-def _candidates(algebra: LieAlgebra, parts: Parts, p: int, products: Any) -> dict[int, Product]:
-    """Return the products of coordinates of a part in rows that its generators do not read, by their numbers."""
-    forms = parts.forms
-    first, last = (int(parts.angle[q]) for q in (p, p + 1))
-    moved = forms.coordinate[forms.start[first] : forms.start[last]]
-    chosen = np.isin(products.state, moved) & np.isin(products.column, moved)
-    if not chosen.any():
+def _candidates(algebra: LieAlgebra, parts: Parts, products: Products) -> dict[int, list[int]]:
+    """Return by part the products of its coordinates in rows that its generators do not read."""
+    n, forms = algebra.dim, parts.forms
+    if not len(products.row):
+        return {}
+    # Parts by coordinate, as sorted pairs.
+    pairs = np.unique(forms.coordinate.astype(np.int64) * len(parts) + parts.part_of_angle[forms.owner])
+    start = np.searchsorted(pairs, np.arange(n + 1) * len(parts))
+    number, index = expand(start[products.column], start[products.column + 1])
+    part = pairs[index] % len(parts)
+    both = np.isin(products.state[number] * len(parts) + part, pairs)
+    number, part = number[both], part[both]
+    if len(number) > MAX_MONOMIALS:
         return {}
     i, j, k, _ = algebra.triples
-    chosen &= ~np.isin(products.row, np.concatenate([k[np.isin(i, moved)], k[np.isin(j, moved)]]))
-    return {q: products.at(q) for q in np.flatnonzero(chosen).tolist()}
+    found: dict[int, list[int]] = {}
+    for p in np.unique(part).tolist():
+        moved = np.zeros(n, dtype=bool)
+        moved[pairs[pairs % len(parts) == p] // len(parts)] = True
+        read = np.zeros(n, dtype=bool)
+        read[k[moved[i] | moved[j]]] = True
+        numbers = number[part == p]
+        found[p] = numbers[~read[products.row[numbers]]].tolist()
+    return found
 
 
 def _omitted_in_part(
@@ -103,39 +112,78 @@ def _omitted_in_part(
     """Return separated functions of a part by share, and omitted entries (share, angle in it, row, column)."""
     functions: dict[int, FunctionShare] = {}
     omitted: list[tuple[int, int, int, int]] = []
-    entries: list[tuple[int, int, int, int]] = []
-    listed: list[tuple[int, int, list[Monomial], Any]] = []
-    for s in range(int(parts.share[p]), int(parts.share[p + 1])):
-        angles = range(int(parts.row[s]), int(parts.row[s + 1]))
+    shares = range(int(parts.share[p]), int(parts.share[p + 1]))
+    for s in shares:
         share = parts.nonlinear_shares.get(s)
-        if isinstance(share, BodyShare):
+        if not isinstance(share, FunctionShare):
             continue
-        if isinstance(share, FunctionShare):
-            index = {int(k): a for a, k in enumerate(share.term.coordinates)}
-            found = separated_function(share.term, candidates)
-            for copy, numbers in enumerate(found.omitted):
-                for q in sorted(numbers):
-                    each = candidates[q]
-                    omitted.append((s, copy * len(angles) + index[each.column], each.row, each.state))
-            functions[s] = replace(share, separated=found.term, copies=len(found.omitted))
+        index = {int(k): a for a, k in enumerate(share.term.coordinates)}
+        found = separated_function(share.term, candidates)
+        for copy, numbers in enumerate(found.omitted):
+            for q in sorted(numbers):
+                each = candidates[q]
+                omitted.append((s, copy * len(index) + index[each.column], each.row, each.state))
+        functions[s] = replace(share, separated=found.term, copies=len(found.omitted))
+    listed = _of_polynomials(parts, shares, candidates.values(), inputs)
+    for (s, a, each, _), number in zip(listed, cancelling([product for *_, product in listed]), strict=True):
+        if number >= 0:
+            omitted.append((s, a, each.row, each.state))
+    return functions, omitted
+
+
+def _of_polynomials(
+    parts: Parts, shares: Iterable[int], candidates: Iterable[Product], inputs: Collection[int]
+) -> list[tuple[int, int, Product, tuple[int, int, list[Monomial], Any]]]:
+    """Return products with angles of polynomials: share, angle in it, and the product with the monomials of the angle.
+
+    None are returned if there are too many monomials.
+    """
+    by_column: dict[int, list[Product]] = {}
+    for each in candidates:
+        by_column.setdefault(each.column, []).append(each)
+    listed: list[tuple[int, int, Product, tuple[int, int, list[Monomial], Any]]] = []
+    for s in shares:
+        share = parts.nonlinear_shares.get(s)
+        if isinstance(share, FunctionShare | BodyShare):
             continue
-        derivatives = (
-            derivatives_of(share.polynomial, range(share.polynomial.dim)) if isinstance(share, PolynomialShare) else {}
-        )
-        for a, angle in enumerate(angles):
+        polynomial = share.polynomial if share else None
+        derivatives = derivatives_of(polynomial, range(polynomial.dim)) if polynomial else {}
+        for a, angle in enumerate(range(int(parts.row[s]), int(parts.row[s + 1]))):
             coordinate, value = _row(parts.forms, angle)
-            if len(coordinate) != 1:
+            if len(coordinate) != 1 or coordinate[0] not in by_column:
                 continue
             monomials = derivatives.get(coordinate[0], [])
-            if not isinstance(share, PolynomialShare):
+            if polynomial is None:
                 monomials = _linear_monomials(parts, angle, coordinate[0] in inputs)
-            for each in candidates.values():
-                if each.column == coordinate[0]:
-                    entries.append((s, a, each.row, each.state))
-                    listed.append((each.row, each.state, monomials, each.constant * value[0]))
-    if sum(len(each[2]) for each in listed) <= MAX_MONOMIALS:
-        omitted += [entry for entry, zero in zip(entries, vanishing(listed), strict=True) if zero]
-    return functions, omitted
+            for each in by_column[coordinate[0]]:
+                listed.append((s, a, each, (each.row, each.state, monomials, each.constant * value[0])))
+    return listed if sum(len(product[2]) for *_, product in listed) <= MAX_MONOMIALS else []
+
+
+def joined_if_cancelling(algebra: LieAlgebra, commutation: Commutation, parts: Parts) -> Parts:
+    """Join parts of which products cancel, as those of p x p / m for an isotropic mass: alone, each moves more."""
+    products = commuting_products(algebra)
+    if not len(products.row) or len(parts) < 2:
+        return parts
+    used = np.zeros(algebra.dim, dtype=bool)
+    used[parts.forms.coordinate] = True
+    chosen = np.flatnonzero(used[products.state] & used[products.column])
+    if not 0 < len(chosen) <= MAX_MONOMIALS:
+        return parts
+    candidates = [products.at(q) for q in chosen.tolist()]
+    listed = _of_polynomials(parts, range(len(parts.row) - 1), candidates, ())
+    part_of_share = np.repeat(np.arange(len(parts)), np.diff(parts.share)).tolist()
+    sets: dict[int, set[int]] = {}
+    for (s, *_), number in zip(listed, cancelling([product for *_, product in listed]), strict=True):
+        if number >= 0:
+            sets.setdefault(number, set()).add(part_of_share[s])
+    label = np.arange(len(parts))
+    for members in sets.values():
+        wanted = np.isin(label, label[list(members)])
+        joined = np.isin(parts.part_of_angle[parts.forms.owner], np.flatnonzero(wanted))
+        if commutation.first_noncommuting(parts.forms.coordinate[joined].tolist()) is None:
+            label[wanted] = label[wanted].min()
+    return parts if np.array_equal(label, np.arange(len(parts))) else parts.joined(label)
 
 
 def _linear_monomials(parts: Parts, angle: int, given: bool) -> list[Monomial]:

@@ -25,7 +25,7 @@ from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import summands_of
 from coadjoint.systems.product_sums import ProductSums
 from coadjoint.systems.recorded_invariants import known_or_found_casimirs, read_casimirs, read_integrals
-from coadjoint.systems.vanishing_products import FieldProducts, Products, field_products
+from coadjoint.systems.vanishing_products import Products, field_products
 
 BYTES_PER_CONSTANT = 120  # both orders of every bracket, and temporaries of J(x) u
 
@@ -194,17 +194,13 @@ class LiePoissonSystem:
         return ProductSums(self._brackets[0], self._brackets[3], self.dim)
 
     @cached_property
-    def _field_products(self) -> FieldProducts | None:
-        """The products of the vector field without those that cancel; None if none does."""
-        return field_products(self.algebra, self.hamiltonian.terms())
-
-    @cached_property
     def _products_of_field(self) -> Products:
         """The products of the vector field, with partial components of the gradient behind the whole ones."""
-        assert self._field_products is not None
+        own = field_products(self)
+        assert own is not None
         rows, factors, states, constants = self._brackets
         products = Products(rows, states, factors, constants)
-        columns = self._field_products.columns(products, self.dim)
+        columns = own.columns(products, self.dim)
         kept = columns >= 0
         return Products(rows[kept], states[kept], columns[kept], constants[kept])
 
@@ -237,10 +233,11 @@ class LiePoissonSystem:
         """
         y = read_point(x, self.dim)
         gradient = self.hamiltonian.gradient(y, t)
-        if y.dtype == object or self._field_products is None:
+        own = None if y.dtype == object else field_products(self)
+        if own is None:
             return self.sign * self._product(y, gradient)
         rows, states, columns, constants = self._products_of_field
-        whole = np.concatenate([gradient, self._field_products.partial_components(y, t)])
+        whole = np.concatenate([gradient, own.partial_components(y, t)])
         return self.sign * scatter(rows, constants * y[states] * whole[columns], self.dim)
 
     @vectorized_over_states

@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from fractions import Fraction
 from functools import lru_cache
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,11 +90,11 @@ def _products(algebra: LieAlgebra, chosen: NDArray[np.bool_]) -> Products:
     return Products(*(column[chosen] for column in columns))
 
 
-def vanishing(products: Sequence[tuple[int, int, Iterable[Monomial], Any]]) -> list[bool]:
-    """Return which products cancel with others of the same row, identically in x.
+def cancelling(products: Sequence[tuple[int, int, Iterable[Monomial], Any]]) -> list[int]:
+    """Return for each product the number of the set that cancels identically in x, -1 if it does not cancel.
 
-    Each product is (row, state, monomials of its component of the gradient, constant). Products that share a monomial
-    are linked, and cancel together if all of their monomials do.
+    Each product is (row, state, monomials of its component of the gradient, constant). Products of a row that share a
+    monomial are linked, and cancel together if all of their monomials do.
     """
     link = list(range(len(products)))
 
@@ -113,7 +114,7 @@ def vanishing(products: Sequence[tuple[int, int, Iterable[Monomial], Any]]) -> l
     sizes = [0] * len(products)
     for q in range(len(products)):
         sizes[find(q)] += 1
-    return [sizes[find(q)] > 1 and find(q) not in remaining for q in range(len(products))]
+    return [find(q) if sizes[find(q)] > 1 and find(q) not in remaining else -1 for q in range(len(products))]
 
 
 def derivatives_of(polynomial: Polynomial, coordinates: Sequence[int], factor: Any = None) -> dict[int, list[Monomial]]:
@@ -151,7 +152,7 @@ def separated_function(term: FunctionTerm, products: Mapping[int, Product]) -> S
         derivatives = derivatives_of(polynomial, term.coordinates.tolist())
         listed = [(row, state, derivatives.get(index[column], []), c) for row, state, column, c in own.values()]
         # A row is omitted as a whole.
-        remaining = {each[0] for each, zero in zip(listed, vanishing(listed), strict=True) if each[2] and not zero}
+        remaining = {each[0] for each, number in zip(listed, cancelling(listed), strict=True) if each[2] and number < 0}
         omitted = frozenset(q for q, each in own.items() if each[0] not in remaining)
         by_rows.setdefault(omitted, []).append(number)
     if len(by_rows) > 1:
@@ -205,15 +206,33 @@ def _entry(term: QuadraticTerm | PolynomialTerm | FunctionTerm, entry: int, x: N
     return term.linear[entry] + np.sum(term.values[row] * x[term.indices[row]])
 
 
-def field_products(algebra: LieAlgebra, terms: Sequence[Term]) -> FieldProducts | None:
-    """Find the products of J(x) grad H(x) that cancel; None if there are none."""
+def field_products(system: Any) -> FieldProducts | None:
+    """Find the products of J(x) grad H(x) that cancel, on a Lie algebra; None if there are none."""
+    if system not in _FIELD_PRODUCTS:
+        _FIELD_PRODUCTS[system] = products_without_cancelling(system.algebra, system.hamiltonian.terms())
+    return _FIELD_PRODUCTS[system]
+
+
+_FIELD_PRODUCTS: WeakKeyDictionary[Any, FieldProducts | None] = WeakKeyDictionary()
+
+
+def products_without_cancelling(algebra: LieAlgebra, terms: Sequence[Term]) -> FieldProducts | None:
+    """Return `field_products` for the terms of an energy."""
     products = commuting_products(algebra)
     if not len(products.row):
         return None
-    listed = {q: products.at(q) for q in range(len(products.row))}
     collected = _Collected()
     for term in terms:
         term.describe_to(collected)
+    # A product cancels with another one of its row, and its coordinate is one that a gradient depends on.
+    used = np.zeros(algebra.dim, dtype=bool)
+    for term in collected.terms:
+        used[_coordinates_of(term)] = True
+    chosen = np.flatnonzero(used[products.state] & used[products.column])
+    chosen = chosen[np.bincount(products.row[chosen], minlength=algebra.dim)[products.row[chosen]] > 1]
+    if not 0 < len(chosen) <= MAX_MONOMIALS:
+        return None
+    listed = {q: products.at(q) for q in chosen.tolist()}
     separated: list[QuadraticTerm | PolynomialTerm | FunctionTerm] = []
     # Entries of the gradient in each product, and whether their products are omitted.
     sources: dict[int, dict[tuple[int, int], bool]] = {q: {} for q in listed}
@@ -240,8 +259,8 @@ def field_products(algebra: LieAlgebra, terms: Sequence[Term]) -> FieldProducts 
                 found.append((product.row, product.state, monomials[product.column], product.constant))
     if sum(len(each[2]) for each in found) > MAX_MONOMIALS:
         return None
-    for (q, source), zero in zip(candidates, vanishing(found), strict=True):
-        sources[q][source] = zero
+    for (q, source), set_of_product in zip(candidates, cancelling(found), strict=True):
+        sources[q][source] = set_of_product >= 0
     slots: dict[tuple[tuple[int, int], ...], int] = {}
     changed: list[tuple[int, int, int, int]] = []
     for q, product in listed.items():
@@ -252,6 +271,17 @@ def field_products(algebra: LieAlgebra, terms: Sequence[Term]) -> FieldProducts 
     if not changed:
         return None
     return FieldProducts(tuple(separated), np.array(changed, dtype=np.int64), tuple(slots))
+
+
+def _coordinates_of(term: QuadraticTerm | PolynomialTerm | FunctionTerm) -> NDArray[Any]:
+    """Return the coordinates that the gradient of a term depends on."""
+    if isinstance(term, FunctionTerm):
+        return term.coordinates
+    if isinstance(term, QuadraticTerm):
+        return np.flatnonzero(np.diff(term.indptr) > 0)
+    return np.flatnonzero(
+        np.any(np.array(list(term.polynomial.monomials)).reshape(-1, term.polynomial.dim) > 0, axis=0)
+    )
 
 
 class _Collected:

@@ -14,7 +14,7 @@ from coadjoint.kernels.tables.compiled import addresses_of
 from coadjoint.program.term_table import FUNCTION, Terms, TermTable
 from coadjoint.systems.protocol import has_compiled_bracket, has_structure_constants
 from coadjoint.systems.system_checks import System
-from coadjoint.systems.vanishing_products import FieldProducts, Products
+from coadjoint.systems.vanishing_products import FieldProducts, Products, field_products
 
 
 class Field(NamedTuple):
@@ -123,7 +123,7 @@ def terms_of_field(system: System) -> TermTable:
 
 
 def _separated(system: System) -> FieldProducts | None:
-    return system._field_products if has_structure_constants(system) else None
+    return field_products(system) if has_structure_constants(system) else None
 
 
 def _own_products(system: System, products: Products, terms: Terms) -> tuple[Any, ...]:

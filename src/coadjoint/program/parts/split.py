@@ -17,12 +17,14 @@ from coadjoint.program.parts.few_parts import few_parts
 from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
 from coadjoint.program.parts.quadratic_atoms import check_width, coupled_atoms, quadratic_atoms
 from coadjoint.program.pattern_cache import MAX_PATTERN_SIZE, Pattern
+from coadjoint.program.separated_parts import joined_if_cancelling
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names, in_coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.vanishing_products import products_without_cancelling
 
 Choice = str | Sequence[Sequence[int]]
 
@@ -38,13 +40,13 @@ def split(system: LiePoissonSystem, choice: Choice = "auto", terms: Sequence[Ter
     terms = terms or system.hamiltonian.terms()
     if isinstance(choice, str) and choice == "auto" and system.dim <= MAX_PATTERN_SIZE:
         cached = _parts_by_pattern(terms, commutation)
-        if cached is not None:
+        if cached is not None and products_without_cancelling(system.algebra, terms) is None:
             return cached
     atoms = _by_first_coordinate(_atoms(system, terms, commutation, separate=choice == "coordinates"))
     if choice == "coordinates":
         return atoms
     if isinstance(choice, str):
-        return few_parts(atoms, commutation)
+        return few_parts(joined_if_cancelling(system.algebra, commutation, atoms), commutation)
     return _join_as_chosen(system, choice, atoms, commutation)
 
 
