@@ -39,8 +39,8 @@ class Generators(NamedTuple):
             return self
         size = 1 + max(int(column.max(initial=0)) for column in (*self[1:3], omitted[:, 1:]))
         codes, without = ((a * size + i) * size + k for a, i, k in (self[:3], omitted.T))
-        kept = ~np.isin(codes, without)
-        return Generators(*(column[kept] for column in self))
+        retained = ~np.isin(codes, without)
+        return Generators(*(column[retained] for column in self))
 
 
 class BasisMatrices:

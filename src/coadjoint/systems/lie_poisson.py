@@ -201,8 +201,8 @@ class LiePoissonSystem:
         rows, factors, states, constants = self._brackets
         products = Products(rows, states, factors, constants)
         columns = own.columns(products, self.dim)
-        kept = columns >= 0
-        return Products(rows[kept], states[kept], columns[kept], constants[kept])
+        retained = columns >= 0
+        return Products(rows[retained], states[retained], columns[retained], constants[retained])
 
     def _product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
         rows, factors, states, constants = self._brackets

@@ -264,9 +264,9 @@ def products_without_cancelling(algebra: LieAlgebra, terms: Sequence[Term]) -> F
     slots: dict[tuple[tuple[int, int], ...], int] = {}
     changed: list[tuple[int, int, int, int]] = []
     for q, product in listed.items():
-        kept = tuple(source for source, omitted in sources[q].items() if not omitted)
-        if len(kept) < len(sources[q]):
-            column = algebra.dim + slots.setdefault(kept, len(slots)) if kept else -1
+        retained = tuple(source for source, omitted in sources[q].items() if not omitted)
+        if len(retained) < len(sources[q]):
+            column = algebra.dim + slots.setdefault(retained, len(slots)) if retained else -1
             changed.append((product.row, product.state, product.column, column))
     if not changed:
         return None

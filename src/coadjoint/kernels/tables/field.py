@@ -109,7 +109,7 @@ def field_of(system: System, called: bool = False) -> tuple[Field, Owners]:
         terms,
         addresses,
         max(1, int(np.max(np.diff(terms.row.astype(np.int64)), initial=0))),
-        *_own_products(system, Products(row, state, column, system.sign * constant), terms),
+        *_own_products(system, Products(row, state, column, constant), terms),
     )
     return field, keepalive
 
@@ -132,9 +132,9 @@ def _own_products(system: System, products: Products, terms: Terms) -> tuple[Any
     if own is None:
         return False, none, none, none, np.zeros(0), 0, 0, none, none
     column = own.columns(products, n)
-    kept = column >= 0
-    row, state, _, constant = (values[kept] for values in products)
-    column = column[kept]
+    retained = column >= 0
+    row, state, _, constant = (values[retained] for values in products)
+    column = column[retained]
     rows = terms.row.astype(np.int64)
     sources = []
     for number, entries in enumerate(own.partial):
@@ -148,7 +148,7 @@ def _own_products(system: System, products: Products, terms: Terms) -> tuple[Any
         _indices(np.searchsorted(row, np.arange(n + 1))),
         _indices(column),
         _indices(state),
-        np.ascontiguousarray(constant, dtype=np.float64),
+        np.ascontiguousarray(system.sign * constant, dtype=np.float64),
         len(own.partial),
         len(sources),
         _indices(partial),
