@@ -28,6 +28,7 @@ from coadjoint.program.term_table import Terms, TermTable
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.vanishing_products import field_products
 
 # Smallest number of angles in each share of a table whose rows repeat; loops read shorter shares row by row.
 MIN_REPEATED_ROWS = 256
@@ -143,7 +144,9 @@ def build_program(
         decomposition = decompose(system, method.parts)
     except (NotSplittable, SplittingTooExpensive) as reason:
         raise ValueError(f"{type(method).__name__} cannot be used for {system.name}: {reason}") from None
-    parts, omitted = separated_parts(system.algebra, decomposition.parts, decomposition.choice.linear)
+    parts, omitted = decomposition.parts, np.zeros((0, 3), dtype=np.int64)
+    if field_products(system) is not None:
+        parts, omitted = separated_parts(system.algebra, parts, decomposition.choice.linear)
     if decomposition.shift is None and group is not None:
         raise ValueError(
             f'parts="{method.parts}" subtracts Casimirs from the energy of {system.name} that have too many terms '

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.numbers import exact_number
+from coadjoint.algebra.exact.sparse_sums import expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.hamiltonians.polynomial_arguments import polynomial_arguments
@@ -230,6 +231,8 @@ def products_without_cancelling(algebra: LieAlgebra, terms: Sequence[Term]) -> F
         used[_coordinates_of(term)] = True
     chosen = np.flatnonzero(used[products.state] & used[products.column])
     chosen = chosen[np.bincount(products.row[chosen], minlength=algebra.dim)[products.row[chosen]] > 1]
+    if all(isinstance(term, QuadraticTerm) for term in collected.terms):
+        chosen = chosen[_repeated_monomials(algebra.dim, collected.terms, products, chosen)]
     if not 0 < len(chosen) <= MAX_MONOMIALS:
         return None
     listed = {q: products.at(q) for q in chosen.tolist()}
@@ -282,6 +285,21 @@ def _coordinates_of(term: QuadraticTerm | PolynomialTerm | FunctionTerm) -> NDAr
     return np.flatnonzero(
         np.any(np.array(list(term.polynomial.monomials)).reshape(-1, term.polynomial.dim) > 0, axis=0)
     )
+
+
+def _repeated_monomials(n: int, terms: Sequence[Any], products: Products, chosen: Integers) -> NDArray[np.bool_]:
+    """Return which products of quadratic terms have no monomial that is the only one of its row."""
+    owners, codes = [], []
+    for term in terms:
+        column, state = products.column[chosen], products.state[chosen]
+        owner, entry = expand(term.indptr[column], term.indptr[column + 1])
+        pair = np.sort([state[owner], term.indices[entry].astype(np.int64)], axis=0)
+        owners.append(owner)
+        codes.append((products.row[chosen][owner] * n + pair[0]) * n + pair[1])
+    owner = np.concatenate(owners)
+    _, inverse, count = np.unique(np.concatenate(codes), return_inverse=True, return_counts=True)
+    alone = np.bincount(owner, weights=count[inverse] == 1, minlength=len(chosen))
+    return (alone == 0) & (np.bincount(owner, minlength=len(chosen)) > 0)
 
 
 class _Collected:

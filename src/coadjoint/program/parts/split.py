@@ -46,7 +46,9 @@ def split(system: LiePoissonSystem, choice: Choice = "auto", terms: Sequence[Ter
     if choice == "coordinates":
         return atoms
     if isinstance(choice, str):
-        return few_parts(joined_if_cancelling(system.algebra, commutation, atoms), commutation)
+        if products_without_cancelling(system.algebra, terms) is not None:
+            atoms = joined_if_cancelling(system.algebra, commutation, atoms)
+        return few_parts(atoms, commutation)
     return _join_as_chosen(system, choice, atoms, commutation)
 
 
