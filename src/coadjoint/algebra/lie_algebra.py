@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,10 +13,12 @@ from coadjoint.algebra.constants import Triples, parse_brackets, parse_constants
 from coadjoint.algebra.exact.sparse_sums import Floats
 from coadjoint.algebra.identities import antisymmetric, check_jacobi
 from coadjoint.algebra.invariants.invariant import Invariant
+from coadjoint.algebra.matrix_span import MatrixSpan, read_matrices
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
 from coadjoint.algebra.representation import check_representation
 from coadjoint.algebra.structure import Structure
+from coadjoint.keyword_hints import unknown_constructor
 from coadjoint.short_repr import html_table, short
 from coadjoint.validation import read_integer, read_list, read_title
 
@@ -26,15 +28,28 @@ MAX_BRACKETS = 30
 """Number of brackets shown by `print` and in notebooks."""
 
 
-class LieAlgebra(Structure):
+MAX_CLOSURE_DIM = 256
+"""Largest dimension of an algebra that is completed."""
+
+
+class _NamesConstructors(type):
+    """Metaclass whose errors for unknown attributes name the constructor that is meant."""
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(cls, name: str) -> Any:
+            raise unknown_constructor(cls.__name__, name)
+
+
+class LieAlgebra(Structure, metaclass=_NamesConstructors):
     """A finite-dimensional real Lie algebra, [e_i, e_j] = sum_k c_ij^k e_k, given by its structure constants.
 
     The constants are stored sparse. Antisymmetry and the Jacobi identity are checked at construction, to 64 u times the
     sum of the absolute values of the products in each identity (u = 2^-53). The object is immutable, and two algebras
     with equal constants are equal, even if their names differ.
 
-    Choose `LieAlgebra` for constants in an array or a list, `LieAlgebra.from_brackets` to write brackets down, and
-    `coadjoint.algebras` for the known algebras.
+    Choose `LieAlgebra` for constants in an array or a list, `LieAlgebra.from_brackets` to write brackets down,
+    `LieAlgebra.from_matrices` for matrices, and `coadjoint.algebras` for the known algebras.
 
     Parameters
     ----------
@@ -199,6 +214,101 @@ class LieAlgebra(Structure):
         size = read_integer(dim, "dim")
         rows = parse_brackets(size, brackets, basis)
         return cls(rows, dim=size, basis=basis, name=name, representation=representation, casimirs=casimirs)
+
+    @classmethod
+    def from_matrices(
+        cls,
+        matrices: Any,
+        *,
+        basis: Sequence[str] | None = None,
+        name: str | None = None,
+        casimirs: Mapping[str, Any] | None = None,
+    ) -> LieAlgebra:
+        """Build an algebra from matrices that span it, with [A, B] = A B - B A.
+
+        Choose it if the algebra is known by matrices, as SE(3) by 4 x 4 matrices or su(3) by Gell-Mann's. The matrices
+        are the representation of the group element (the attitude) of runs.
+
+        Parameters
+        ----------
+        matrices : sequence of (N, N)
+            Linearly independent matrices of numbers: integers, fractions, floats, complex numbers. Complex matrices
+            A + iB become the real ones [[A, -B], [B, A]]; multiples by i are other matrices.
+        basis : sequence of str, optional
+            Names of the matrices; ``e1, e2, ...`` by default.
+        name, casimirs : optional
+            As for `LieAlgebra`.
+
+        Returns
+        -------
+        LieAlgebra
+
+        Raises
+        ------
+        TypeError, ValueError
+            Matrices of different shapes; a matrix that is a combination of others; a commutator that is no combination
+            of the matrices, with the matrix that is missing.
+
+        See Also
+        --------
+        closure : adds the commutators that are missing.
+
+        Notes
+        -----
+        The structure constants are exact, rounded once, if all entries are rational, or square roots of rational
+        numbers; floats that round simple ones are read as such. For other entries the constants are those of least
+        squares, if commutators differ from combinations by at most 64 N u of their terms, u = 2^-53.
+
+        Examples
+        --------
+        >>> LieAlgebra.from_matrices([[[1, 0], [0, -1]], [[0, 1], [0, 0]], [[0, 0], [1, 0]]], basis=("h", "e", "f"))
+        LieAlgebra(dim=3: [h, e] = 2 e, [h, f] = -2 f, [e, f] = h)
+        >>> LieAlgebra.from_matrices([[[0, 1], [0, 0]], [[0, 0], [1, 0]]])
+        Traceback (most recent call last):
+        ValueError: [e1, e2] is no combination of the matrices, by 0.5 of its terms; add the matrix [[1, 0], ...
+        """
+        found = read_matrices(matrices)
+        names = read_basis(basis, len(found))
+        span = MatrixSpan(found, names)
+        return cls(
+            span.constants(), dim=len(span), basis=basis, name=name, representation=span.matrices, casimirs=casimirs
+        )
+
+    @classmethod
+    def closure(cls, matrices: Any, *, name: str | None = None, max_dim: int = 64) -> LieAlgebra:
+        """Build the algebra that matrices generate: they and all commutators that are missing.
+
+        Choose it if only generators are known, as those of a control system.
+
+        Parameters
+        ----------
+        matrices : sequence of (N, N)
+            As for `from_matrices`. They are the first elements of the basis.
+        name : str, optional
+            Name of the algebra.
+        max_dim : int, optional
+            Largest dimension.
+
+        Returns
+        -------
+        LieAlgebra
+            ``e1, e2, ...``: the matrices as given, then the commutators that were added, in ``representation``.
+
+        Raises
+        ------
+        TypeError, ValueError
+            As for `from_matrices`; or more than `max_dim` dimensions.
+
+        Examples
+        --------
+        >>> g = LieAlgebra.closure([[[0, 1], [0, 0]], [[0, 0], [1, 0]]])
+        >>> g.dim, g.representation[2].tolist()
+        (3, [[1.0, 0.0], [0.0, -1.0]])
+        """
+        found = read_matrices(matrices)
+        span = MatrixSpan(found, read_basis(None, len(found)))
+        span.close(read_integer(max_dim, "max_dim", 1, MAX_CLOSURE_DIM))
+        return cls(span.constants(), dim=len(span), name=name, representation=span.matrices)
 
     @property
     def dim(self) -> int:
