@@ -14,7 +14,7 @@ from coadjoint.algebra.brackets import parse_brackets
 from coadjoint.algebra.exact.numbers import TOO_LARGE, Constant, fits
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials import formulas
-from coadjoint.algebra.polynomials.formulas import add_term, names_in, too_high
+from coadjoint.algebra.polynomials.formulas import add_term, names_in, read_parameters, too_high
 from coadjoint.algebra.polynomials.monomials import Exponents
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
@@ -25,7 +25,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.short_repr import short
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces import registry as described
-from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
+from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian, formula
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import System
@@ -232,14 +232,26 @@ def _algebra(name: str, table: AlgebraTable) -> LieAlgebra:
 
 
 def _hamiltonian(name: str, table: HamiltonianTable, algebra: LieAlgebra) -> Any:
+    whole = "formula" if table.formula is not None else "polynomial"
+    if getattr(table, whole) is not None:
+        for key in ("M", "linear", "constant", "polynomial"):
+            if key != whole and getattr(table, key) is not None:
+                raise ConfigurationError(f"{name}: hamiltonian.{key}: is given with {whole}; include it there")
+    if table.parameters and table.formula is None:
+        raise ConfigurationError(f"{name}: hamiltonian.parameters: belongs to a formula; give formula, or omit them")
+    names = names_of_basis(algebra.basis)
+    if table.formula is not None:
+        for key in table.parameters:
+            with section(name, f"hamiltonian.parameters.{key}"):
+                read_parameters({key: table.parameters[key]}, names)
+        with section(name, "hamiltonian.formula"):
+            chosen = names_in(table.formula, algebra.dim, names)
+            return formula(table.formula, algebra.dim, chosen, table.parameters)
     if table.polynomial is not None:
-        for key in ("M", "linear", "constant"):
-            if getattr(table, key) is not None:
-                raise ConfigurationError(f"{name}: hamiltonian.{key}: is given with polynomial; include it there")
         with section(name, "hamiltonian.polynomial"):
-            return parse_polynomial(table.polynomial, algebra.dim, names_of_basis(algebra.basis))
+            return parse_polynomial(table.polynomial, algebra.dim, names)
     if table.M is None and table.linear is None:
-        raise ConfigurationError(f"{name}: hamiltonian.M: is missing; give M, linear or both, or polynomial")
+        raise ConfigurationError(f"{name}: hamiltonian.M: is missing; give M, linear or both, or formula")
     with section(name, "hamiltonian"):
         M, constant = 0.0 if table.M is None else table.M, table.constant or 0.0
         return as_hamiltonian(

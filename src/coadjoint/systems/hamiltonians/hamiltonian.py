@@ -29,6 +29,7 @@ from coadjoint.systems.hamiltonians.traced_function import (
 )
 from coadjoint.systems.hamiltonians.user_hamiltonian import REQUIRED_ATTRIBUTES, check_user_hamiltonian
 from coadjoint.systems.user_functions import (
+    MultipleOf,
     all_take_time,
     check_derivative,
     evaluate,
@@ -372,6 +373,15 @@ def _of_formula(
         return parse_polynomial(text, dim, names, parameters)
     except NotPolynomial:
         return Hamiltonian(FormulaFunction(text, dim, names, parameters)).bind(dim)
+
+
+def formula_of(H: Any) -> tuple[FormulaFunction, tuple[Coefficient, ...]] | None:
+    """Return the formula of a Hamiltonian and the factors that multiply it, in their order; None if it has none."""
+    function, factors = getattr(H, "_value", None), []
+    while isinstance(function, MultipleOf):
+        factors.append(function.factor)
+        function = function.function
+    return (function, tuple(reversed(factors))) if isinstance(function, FormulaFunction) else None
 
 
 def as_hamiltonian(H: Any, n: int, owner: str = "the system", names: Sequence[str] | None = None) -> HamiltonianLike:
