@@ -103,7 +103,7 @@ def describe(system: LiePoissonSystem, method: Swept) -> Description:
         flows=len(step),
         multiplications=sum(part.multiplications for part in step),
         functions=sum(part.functions for part in step),
-        found=tuple(_sum_found(names, terms) for terms in separated_functions(system)),
+        found=tuple(_sum_found(names, terms) for terms in separated_functions(system).values()),
     )
 
 

@@ -342,7 +342,9 @@ class Expansion:
         ):
             return self.power_of_number(base, power)
         if not isinstance(power, int) or power < 0:
-            raise self.not_polynomial(f"has the power {short(power)}; powers are whole numbers from 0 up")
+            raise self.not_polynomial(
+                f"has the power {in_one_line(str(power), MAX_QUOTED)}; powers are whole numbers from 0 up"
+            )
         if isinstance(base, LogarithmicSum):
             raise self.tree.refused("has a power of a logarithm, an angle or a quotient")
         self._check_size(base.degree * power)

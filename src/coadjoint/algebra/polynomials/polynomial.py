@@ -438,7 +438,10 @@ def read_dimension(text: str, dim: int | None, basis: Sequence[str] | None) -> i
     """Return the number of coordinates of a text, from `dim` or the names in `basis`."""
     if basis is None and dim is None:
         raise ValueError(f"{short(text)} does not determine the number of coordinates; give dim= or basis=")
-    count = read_integer(dim if basis is None else len(tuple(basis)), "dim of a Polynomial")
+    names = () if basis is None else read_list(basis, "basis", "give a list of names")
+    if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+        raise ValueError(f"basis is {short(basis)}; give different names, one for each coordinate")
+    count = read_integer(dim if basis is None else len(names), "dim of a Polynomial")
     if dim is not None and count != dim:
         raise ValueError(f"dim is {short(dim)}, and basis has {count} names; give one of them")
     return count

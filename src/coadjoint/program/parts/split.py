@@ -178,14 +178,15 @@ def separated_terms(system: LiePoissonSystem, term: FunctionTerm, commutation: C
     return found
 
 
-def separated_functions(system: LiePoissonSystem) -> list[tuple[Term, ...]]:
-    """Return the terms of each function in H that is a sum of functions of commuting coordinates."""
+def separated_functions(system: LiePoissonSystem) -> dict[int, tuple[Term, ...]]:
+    """Return the sums of the functions in H that depend on noncommuting coordinates, by the numbers of their terms."""
+    functions = {k: term for k, term in enumerate(system.hamiltonian.terms()) if isinstance(term, FunctionTerm)}
     commutation = Commutation(system.algebra)
-    return [
-        separated_terms(system, term, commutation)
-        for term in system.hamiltonian.terms()
-        if isinstance(term, FunctionTerm) and commutation.first_noncommuting(term.coordinates.tolist()) is not None
-    ]
+    return {
+        k: separated_terms(system, term, commutation)
+        for k, term in functions.items()
+        if commutation.first_noncommuting(term.coordinates.tolist()) is not None
+    }
 
 
 # Systems are immutable. Functions are stored with their identities, so that these stay unique.

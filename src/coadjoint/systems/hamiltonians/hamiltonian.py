@@ -392,7 +392,10 @@ def as_hamiltonian(H: Any, n: int, owner: str = "the system", names: Sequence[st
     types, ValueError for a different dimension.
     """
     if isinstance(H, str):
-        H = _of_formula(H, n, names_in(H, n, names), None)
+        try:
+            H = _of_formula(H, n, names_in(H, n, names), None)
+        except ValueError as reason:
+            raise ValueError(f"the Hamiltonian {reason}") from None
     if isinstance(H, Polynomial):
         _check_variables(H, n, owner)
         if H.degree > 2:

@@ -12,9 +12,8 @@ from coadjoint.algebra.exact.numbers import is_finite, quotient
 from coadjoint.algebra.polynomials.monomials import exponents_of
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, Term
-from coadjoint.systems.hamiltonians.traced_function import Graph, Traced, TracedFunction, traced
+from coadjoint.systems.hamiltonians.traced_function import Graph, Traced, TracedFunction, TracingError, traced
 
-MAX_SUMMANDS = 2000
 MAX_MONOMIALS = 1000
 """Of a polynomial that is multiplied out since its coordinates do not commute."""
 
@@ -87,20 +86,25 @@ class _Summands:
         return tuple(sorted(k for k in self._depends[node.index] if k < self._n))
 
     def collect(self) -> list[tuple[Any, Traced]]:
-        """Return the summands with their factors, in the order of the function; constants are omitted."""
+        """Return the summands with their factors, in the order in which they were recorded; constants are omitted."""
+        if not isinstance(self._result, Traced):
+            return []
         found: list[tuple[Any, Traced]] = []
-        pending: list[tuple[Any, Any]] = [(1, self._result)]
-        while pending:
-            factor, node = pending.pop()
-            if not isinstance(node, Traced) or not self._depends[node.index]:
+        factors: dict[int, Any] = {self._result.index: 1}
+        # Each node comes after all that use it, so that its factor is complete.
+        for index in range(self._result.index, -1, -1):
+            factor = factors.get(index, 0)
+            if factor == 0 or not self._depends[index]:
                 continue
-            operation, arguments = self._nodes[node.index]
-            inner = self._inner(factor, operation, arguments)
-            if inner is None or len(found) + len(pending) > MAX_SUMMANDS:
-                found.append((factor, node))
-            else:
-                pending += reversed(inner)
-        return found
+            if not is_finite(factor):
+                raise TracingError("it multiplies a summand by a number beyond float64")
+            inner = self._inner(factor, *self._nodes[index])
+            if inner is None:
+                found.append((factor, Traced(self._result.graph, index)))
+            for part, node in inner or ():
+                if isinstance(node, Traced):
+                    factors[node.index] = factors.get(node.index, 0) + part
+        return found[::-1]
 
     @staticmethod
     def _inner(factor: Any, operation: str, arguments: tuple[Any, ...]) -> list[tuple[Any, Any]] | None:
@@ -210,6 +214,6 @@ def _alone(
     for factor, node in summands:
         number = float(factor) if isinstance(factor, Fraction) else factor
         total = total + number * copies[node.index]
-    timed = n in needed
+    timed = recorded.timed and n in needed
     value, gradient, hessian = TracedFunction(graph, variables, total, timed).derivatives()
     return value, gradient, hessian, timed
