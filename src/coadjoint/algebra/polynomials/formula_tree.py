@@ -10,7 +10,7 @@ import ast
 import re
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from coadjoint.algebra.exact.numbers import NUMBER, Constant, parse_number
 from coadjoint.short_repr import short
@@ -32,7 +32,8 @@ _TOKEN = re.compile(
 _COMPARISONS = frozenset({"<", "<=", ">", ">=", "==", "!="})
 
 
-class Coordinate(NamedTuple):
+@dataclass(frozen=True)
+class Coordinate:
     """A coordinate in a formula, by its index."""
 
     index: int

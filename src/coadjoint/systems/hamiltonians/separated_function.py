@@ -143,7 +143,9 @@ class _Summands:
             return {(index,): 1} if index < self._n else None
         if operation not in ("add", "sub", "neg", "mul", "div", "pow"):
             return None
-        parts = [self._expanded[a.index] if isinstance(a, Traced) else {(): a} for a in arguments]
+        parts: list[Monomials | None] = [
+            self._expanded[a.index] if isinstance(a, Traced) else {(): a} for a in arguments
+        ]
         if any(part is None for part in parts):
             return None
         first, *others = [part for part in parts if part is not None]
