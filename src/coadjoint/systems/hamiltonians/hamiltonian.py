@@ -73,8 +73,10 @@ class HamiltonianLike(Protocol):
 class Hamiltonian(Summable):
     """A Hamiltonian given by Python functions.
 
-    Use it if H is neither quadratic, polynomial nor separable. Schemes that need no splitting support it. For explicit
-    splitting, describe the structure of H by `Separable` or `SplitHamiltonian`.
+    Use it if H is neither quadratic, polynomial nor separable; a system makes it of a plain function or the text of a
+    `formula`. Schemes that need no splitting support it. Splittings do if the recorded operations of `value` are a sum
+    of functions of commuting coordinates; for a function that cannot be recorded, give this sum as a `Separable` or
+    `SplitHamiltonian`.
 
     Parameters
     ----------
