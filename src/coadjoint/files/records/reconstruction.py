@@ -20,8 +20,8 @@ from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces import registry as described
-from coadjoint.systems.hamiltonians.formula_function import FormulaFunction
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
+from coadjoint.systems.hamiltonians.parsed_function import ParsedFunction
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -214,7 +214,7 @@ def _function_of(record: Entry, dim: int) -> Hamiltonian:
     parameters = {name: value.exact() for name, value in record["parameters"].table().items()}
     text, factors = record["text"].text(MAX_CHARACTERS), [factor.exact() for factor in record["factors"].entries()]
     with as_value_errors(record):
-        H = Hamiltonian(FormulaFunction(text, dim, words, parameters)).bind(dim)
+        H = Hamiltonian(ParsedFunction(text, dim, words, parameters)).bind(dim)
         for factor in factors:
             H = H.times(factor)
         return H

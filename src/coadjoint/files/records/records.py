@@ -19,8 +19,8 @@ from coadjoint.files.records.stored_axes import axes_record
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces import registry as described
-from coadjoint.systems.hamiltonians.formula_function import FormulaFunction
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, formula_of
+from coadjoint.systems.hamiltonians.parsed_function import ParsedFunction
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import SumOfHamiltonians
@@ -204,7 +204,7 @@ def _polynomial_record(polynomial: Polynomial) -> dict[str, Any]:
     return {"kind": "polynomial", "dim": polynomial.dim, "monomials": _monomials(polynomial)}
 
 
-def _formula_record(function: FormulaFunction, factors: Sequence[Any]) -> dict[str, Any]:
+def _formula_record(function: ParsedFunction, factors: Sequence[Any]) -> dict[str, Any]:
     """Return the formula of a function as its text, and the factors that multiply it."""
     names = None if function.names is None else list(function.names)
     parameters = {name: _number(value) for name, value in function.parameters.items()}

@@ -16,8 +16,8 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial, read_dimension
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import read_point
-from coadjoint.systems.hamiltonians.formula_function import FormulaFunction
 from coadjoint.systems.hamiltonians.jax_function import JaxFunction, check_traceable, is_array_of_jax
+from coadjoint.systems.hamiltonians.parsed_function import ParsedFunction
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, Term
@@ -374,16 +374,16 @@ def _of_formula(
     try:
         return parse_polynomial(text, dim, names, parameters)
     except NotPolynomial:
-        return Hamiltonian(FormulaFunction(text, dim, names, parameters)).bind(dim)
+        return Hamiltonian(ParsedFunction(text, dim, names, parameters)).bind(dim)
 
 
-def formula_of(H: Any) -> tuple[FormulaFunction, tuple[Coefficient, ...]] | None:
+def formula_of(H: Any) -> tuple[ParsedFunction, tuple[Coefficient, ...]] | None:
     """Return the formula of a Hamiltonian and the factors that multiply it, in their order; None if it has none."""
     function, factors = getattr(H, "_value", None), []
     while isinstance(function, MultipleOf):
         factors.append(function.factor)
         function = function.function
-    return (function, tuple(reversed(factors))) if isinstance(function, FormulaFunction) else None
+    return (function, tuple(reversed(factors))) if isinstance(function, ParsedFunction) else None
 
 
 def as_hamiltonian(H: Any, n: int, owner: str = "the system", names: Sequence[str] | None = None) -> HamiltonianLike:

@@ -17,12 +17,12 @@ from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.traced_function import TracingError, traced
 
 
-class FormulaFunction:
+class ParsedFunction:
     """The function of x of a formula, such as ``"a*x1^2/2 + cos(x2)"``: its operations as a plain Python function.
 
     Examples
     --------
-    >>> FormulaFunction("a*x1^2 + sqrt(x2)", 2, None, {"a": 3})([2.0, 4.0]).item()
+    >>> ParsedFunction("a*x1^2 + sqrt(x2)", 2, None, {"a": 3})([2.0, 4.0]).item()
     14.0
     """
 
@@ -51,7 +51,7 @@ class FormulaFunction:
         return self.text
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return FormulaFunction, (self.text, self.dim, self.names, self.parameters)
+        return ParsedFunction, (self.text, self.dim, self.names, self.parameters)
 
     def __repr__(self) -> str:
         return short(self.text)
