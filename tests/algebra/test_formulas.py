@@ -195,7 +195,7 @@ def test_powers_below_the_bounds():
     ],
 )
 def test_brackets_powers_and_parameters(text, same):
-    parameters = {"a": Fraction(1, 3), "b": 0.5, "lambda": 0.1, "is": 7}
+    parameters = {"a": Fraction(1, 3), "b": Fraction(1, 2), "lambda": 0.1, "is": 7}
     assert parse_polynomial(text, 3, None, parameters).monomials == parse_polynomial(same, 3).monomials
 
 

@@ -160,12 +160,10 @@ def a_term_has_not_too_many_operations(count):
     return accepted(lambda: parse_formula("2/2" + "*1" * (count - 1), {}, 2), "operations")
 
 
-@limit((FORMULAS, "MAX_WORK"), at=2**24)
+@probe((FORMULAS, "MAX_WORK"), at=2.0**24)
 def a_formula_has_not_too_many_products(work):
-    """Products of 10 and 10 terms in 8 coordinates, and one of the rest."""
-    ten = "(" + "+".join(f"x1**{k}" for k in range(1, 11)) + ")"
-    count, rest = divmod(work // 16, 100)
-    text = "+".join([f"{ten}*{ten}"] * count + ["(x1+x2)*(x1-x2)"] * (rest // 4))
+    """Powers of sums of four terms in eight coordinates: the last product squares the 286 terms of the tenth power."""
+    text = "+".join(["(x1+x2+x3+1)**20"] * round(work / (286**2 * 16)))
     return accepted(lambda: parse_formula(text, {}, 8), "products")
 
 
