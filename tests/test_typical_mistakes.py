@@ -169,9 +169,14 @@ MISTAKES = {
         lambda: SYSTEM("so(3)", co.Quadratic([1, 2, 3])),
         "algebra is a str; give a LieAlgebra, such as co.algebras.so(3)",
     ),
-    "a lambda for H": (
-        lambda: SYSTEM(SO3, lambda x: x[0] ** 2),
-        "the Hamiltonian is a function; give a Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian",
+    "an array for H": (
+        lambda: SYSTEM(SO3, np.eye(3)),
+        "the Hamiltonian is a ndarray; give a Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian, a "
+        "function of x, or the text of a formula",
+    ),
+    "a text for Hamiltonian": (
+        lambda: co.Hamiltonian("cos(x1)"),
+        "value is the text 'cos(x1)'; give co.formula(text, dim), or the text to the system",
     ),
     "M too short": (lambda: SYSTEM(E3, co.Quadratic([1, 2, 3])), "M has 3 entries; e(3) has dimension 6; give 6"),
     "linear too long": (
@@ -188,7 +193,8 @@ MISTAKES = {
     ),
     "a formula without signs of products": (
         lambda: co.Polynomial("0.5 x1^2", dim=3),
-        "'0.5 x1^2' cannot be parsed from 'x1^2' on; write sums of products such as 0.5*x1^2 - x2*x3 + 1/3",
+        "'0.5 x1^2' cannot be parsed from 'x1^2' on; write numbers, coordinates, parameters and operations on them, "
+        "such as 0.5*x1^2 - x2*(x3 + 1)/3",
     ),
     "a wrong gradient": (
         lambda: SYSTEM(SO3, co.Hamiltonian(lambda x: x[0] ** 2, lambda x: np.array([x[0], 0, 0]))),

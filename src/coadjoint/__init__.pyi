@@ -76,6 +76,7 @@ from .systems import forces as forces
 from .systems.batch import batch as batch
 from .systems.forced import ForcedSystem as ForcedSystem
 from .systems.hamiltonians.hamiltonian import Hamiltonian as Hamiltonian
+from .systems.hamiltonians.hamiltonian import formula as formula
 from .systems.hamiltonians.quadratic import Quadratic as Quadratic
 from .systems.hamiltonians.separable import Separable as Separable
 from .systems.hamiltonians.split_hamiltonian import SplitHamiltonian as SplitHamiltonian

@@ -3,6 +3,7 @@
 import math
 from fractions import Fraction
 
+import mpmath
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 import coadjoint as co
 from coadjoint.algebra.exact.elimination import Span
 from coadjoint.algebra.invariants.logarithmic import LogarithmicSum
-from coadjoint.algebra.polynomials.formulas import condition_holds, parse_formula, parse_polynomial
+from coadjoint.algebra.polynomials.formulas import NotPolynomial, condition_holds, parse_formula, parse_polynomial
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.quadratic_forms import embedded, linear, quadratic, substituted
 
@@ -148,7 +149,11 @@ def test_polynomials_in_other_coordinates():
         ("9" * 5000, "a number of 5000 digits is too large"),
         ("-" * 5000 + "1", "nested too deeply"),
         ("(" * 4900 + "1" + ")" * 4900, "nested too deeply"),
-        ("1+" * 10000 + "1", "has 20001 letters; a formula has at most 10000"),
+        ("x1+" * 200_000 + "x1", "has 600002 letters; a formula has at most 250000"),
+        ("x1*" * 1001 + "x1", "has more than 1000 operations in one term"),
+        ("(" + "x1+" * 1001 + "x1)", "has more than 1000 operations in one term"),
+        ("2" + "**2" * 61, "nested too deeply"),
+        ("+".join(["(x1 + x2 + x3 + 1)**20"] * 40), "has more than 1525201 products when it is multiplied out"),
         ("x1\0", r"cannot be parsed from .* on"),
     ],
 )
@@ -171,10 +176,96 @@ def test_powers_below_the_bounds():
     assert parse_formula("(-1)**1001*a**10", *NAMES) == -Fraction(1, 1024)
 
 
-@pytest.mark.parametrize("text", ["x²", "x1^x2", "2**3*x1", "-x1*-2", "a*x1", "log(x1)", "x1/", "1/2/", "2^2", "((1))"])
-def test_polynomials_that_are_not_multiplied_out(text):
-    with pytest.raises(ValueError, match=r"^'.*' cannot be parsed from '.*' on; write sums of products such as"):
+@pytest.mark.parametrize(
+    ("text", "same"),
+    [
+        ("(x1+x2)^2/2", "1/2*x1^2 + x1*x2 + 1/2*x2^2"),
+        ("0.5*x1^2*(1+x2)", "0.5*x1^2 + 0.5*x1^2*x2"),
+        ("-x1*-2", "2*x1"),
+        ("-x1^2", "-1*x1^2"),
+        ("(-x1)^2", "x1^2"),
+        ("x1^2^2", "x1^4"),
+        ("2^-1*x1**2.0", "1/2*x1^2"),
+        ("x1/2^2", "1/4*x1"),
+        ("((1))", "1"),
+        ("a*(x1 - b)^2", "1/3*x1^2 - 1/3*x1 + 1/12"),
+        ("lambda*x1 + is*x2", "0.1*x1 + 7*x2"),
+        ("--+x1 - (x2 - -x3)", "x1 - x2 - x3"),
+        ("0.1*3*x1", f"{0.1 * 3}*x1"),
+    ],
+)
+def test_brackets_powers_and_parameters(text, same):
+    parameters = {"a": Fraction(1, 3), "b": Fraction(1, 2), "lambda": 0.1, "is": 7}
+    assert parse_polynomial(text, 3, None, parameters).monomials == parse_polynomial(same, 3).monomials
+
+
+def test_functions_of_numbers_are_rounded_once():
+    found = parse_polynomial("sqrt(2)*x1 + exp(-1)*x2 + cos(pi/3)*x3 + 2^0.5", 3).monomials
+    with mpmath.workdps(60):
+        wanted = [mpmath.sqrt(2), mpmath.exp(-1), mpmath.cos(mpmath.mpf(math.pi / 3)), mpmath.sqrt(2)]
+    assert [found[e] for e in ((1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, 0))] == [float(value) for value in wanted]
+    assert parse_polynomial("sin(1e22)*x1", 1).monomials[(1,)] == -0.8522008497671888  # W. Kahan's test value
+    assert parse_polynomial("0.3^5*x1", 1).monomials[(1,)] == float(Fraction(0.3) ** 5)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("x²", "has 'x²', which is not a known name"),
+        ("x1/", "cannot be parsed from 'its end' on"),
+        ("1/2/", "cannot be parsed from 'its end' on"),
+        ("(x1", "cannot be parsed from 'its end' on"),
+        ("x1)", r"cannot be parsed from '\)' on"),
+        ("2(x1)", r"cannot be parsed from '\(x1\)' on"),
+        ("x1(2)", "has the function 'x1'"),
+        ("x1, x2", "cannot be parsed from ', x2' on"),
+        ("(x1, x2)", "cannot be parsed from"),
+        ("x1 < x2", "cannot be parsed from '< x2' on"),
+        ("x1 and x2", "cannot be parsed from 'and x2' on"),
+        ("cos", "has 'cos', which is not a known name"),
+        ("cos()", "cannot be parsed from"),
+        ("cos(1, 2)*x1", "has cos of 2 arguments; it takes one"),
+        ("c*x1", "has 'c', which is not a known name"),
+        ("1j*x1", "cannot be parsed from 'j"),
+        ("0x10", "cannot be parsed from 'x10' on"),
+        ("1_000*x1", "cannot be parsed from '_000"),
+        ("x1 if x2 else x3", "cannot be parsed from"),
+        ("[x1][0]", "cannot be parsed from"),
+        ("x1[0]", "not a known name"),
+        ("lambda: x1", "cannot be parsed from ': x1' on|'lambda', which is not"),
+        ("x1\n.real", "cannot be parsed from '.real' on"),
+        ("_0", "has '_0', which is not a known name"),
+        ("sqrt(-1)*x1", "has sqrt of a number for which it is not a finite number"),
+        ("log(0)*x1", "has log of a number for which it is not a finite number"),
+        ("exp(1000)*x1", "has exp of a number for which it is not a finite number"),
+        ("(0.0)^-1*x1", "divides by zero"),
+        ("x1/(1 - 1)", "divides by zero"),
+    ],
+)
+def test_formulas_that_are_refused(text, said):
+    with pytest.raises(ValueError, match=said) as refused:
         parse_polynomial(text, 3)
+    assert not isinstance(refused.value, NotPolynomial)
+    assert len(str(refused.value)) < 300 and "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("text", ["x1^x2", "x1^-1", "x1^0.5", "x1/x2", "log(x1)", "cos(x1 + 1)*x2", "2^x1"])
+def test_formulas_that_are_no_polynomials(text):
+    with pytest.raises(NotPolynomial):
+        parse_polynomial(text, 3)
+    assert isinstance(co.formula(text, 3), co.Hamiltonian)
+
+
+def test_leading_zeros_and_long_numbers():
+    assert parse_polynomial("007*x1 + " + "0" * 300 + "1", 1) == co.Polynomial({(1,): 7, (0,): 1})
+
+
+def test_names_with_brackets_and_names_of_parameters():
+    p = parse_polynomial("2*S1[7]^2 - J", 2, ("S1[7]", "S2[7]"), {"J": 3})
+    assert p.monomials == {(0, 0): -3, (2, 0): 2}
+    for parameters in ({"x2": 1.0}, {"S1[7]": 1.0}, {"a b": 1.0}, {"": 1.0}):
+        with pytest.raises(ValueError, match="parameter"):
+            parse_polynomial("S1[7]", 2, ("S1[7]", "S2[7]"), parameters)
 
 
 def test_what_is_subtracted_is_written_with_a_minus():

@@ -151,6 +151,7 @@ HAMILTONIANS = {
             ),
             "dim": optional(DIM),
             "basis": Domain((None,), (("a", "b", "c"), ["x"], "", 1.0, True, ("a", "a", "b"))),
+            "parameters": Domain((None,), ({"a": 1.0}, 1.0, True, "")),
         },
     ),
     "Polynomial.variable": Case(co.Polynomial.variable,
@@ -202,6 +203,22 @@ HAMILTONIANS = {
         },
         then=lambda H: H.bind(3),
     ),
+    "formula": Case(
+        co.formula,
+        {
+            "text": Domain(
+                ("x1^2/2 - (x2 + 1)*x3", "cos(x1)", "a*x1", "1"),
+                ("", "x4", "x1 +", "x1/0", "f(x1)", "sqrt(-1)", None, 1.0, True, [], 1j),
+                "formula|coordinate|cannot be parsed|divides|function|finite",
+            ),
+            "dim": DIM.plus(None, without=(2, 4, None), outside=(2,)),
+            "basis": Domain((None, ("x1", "x2", "x3")), (["x"], "", 1.0, True, ("a", "a", "b"))),
+            "parameters": Domain(
+                ({"a": 2.0}, None, {}, {"a": 1, "omega": 0.5}),
+                ([], "a", 1.0, True, {"x1": 1.0}, {1: 1.0}, {"a": math.nan}, {"a": "1"}, {"a b": 1.0}),
+            ),
+        },
+    ),
 }  # fmt: skip
 
 OWN_SYSTEMS = {
@@ -210,7 +227,7 @@ OWN_SYSTEMS = {
         {
             "algebra": instance(SO3, co.algebras.sl(2)),
             "hamiltonian": instance(co.Quadratic(1.0), SQUARE, co.Quadratic((1.0, 2.0, 3.0))).plus(
-                outside=(co.Quadratic((1.0, 2.0)), co.Polynomial({(1,): 1.0}), value)
+                value, "x1^2/2 + cos(x2)", outside=(co.Quadratic((1.0, 2.0)), co.Polynomial({(1,): 1.0}), "x4", third)
             ).but_called(OF_H),
             "sign": SIGN,
             "casimirs": INVARIANTS,

@@ -192,10 +192,10 @@ def test_whole_and_rational_coefficients_stay_exact():
 
 
 @pytest.mark.parametrize(
-    "text", ["", "x1 +", "x1 x2", "x1^", "x1^-1", "x1^1.5", "2*(x1 + x2)", "(1/3*x1", "1/0", "x0", "__import__('os')"]
+    "text", ["", "x1 +", "x1 x2", "x1^", "x1^-1", "x1^1.5", "2(x1 + x2)", "(1/3*x1", "1/0", "x0", "__import__('os')"]
 )
 def test_invalid_polynomials_are_refused(text):
-    with pytest.raises(ValueError, match=r"cannot be parsed|divides by zero|x1 to x2"):
+    with pytest.raises(ValueError, match=r"cannot be parsed|divides by zero|x1 to x2|has the power|has the function"):
         parse_polynomial(text, 2)
 
 

@@ -234,7 +234,7 @@ def test_explicit_parts_that_do_not_serve_are_refused(name, choice, message):
 
 
 def test_a_general_function_is_refused_by_name():
-    H = co.Hamiltonian(lambda x: 0.5 * x[0] * x[0] * x[1], lambda x: np.array([x[0] * x[1], 0.5 * x[0] * x[0], 0.0]))
+    H = co.Hamiltonian(lambda x: np.sin(x[0] * x[1]), lambda x: np.array([x[1], x[0], 0.0]) * np.cos(x[0] * x[1]))
     s = co.LiePoissonSystem(SO3, H, name="top with a lid")
     why = "a function in it couples x1 and x2, which do not commute; give H as .* \\(SplitHamiltonian\\), or use Gauss"
     with pytest.raises(ValueError, match=f"^{why}"):

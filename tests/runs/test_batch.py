@@ -123,7 +123,7 @@ def test_unsupported_member_is_named():
     split = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 2.0, 3.0]))
     coupled = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(2, 1, 0): 1.0}))
     with pytest.raises(ValueError, match=r"member 1 .*Splitting"):
-        co.integrate(co.batch([split, coupled]), X, (0, 1), 0.1)
+        co.integrate(co.batch([split, coupled]), X, (0, 1), 0.1, co.Splitting())
 
 
 def test_representations_of_different_sizes_are_refused():

@@ -227,6 +227,6 @@ def test_every_public_function_is_tested_or_listed():
     runs = {"choose", "integrate_ensemble", "integrate", "lyapunov", "prepare", "poincare_section", "stepper"}
     others = {"batch", "certify", "make_corrector", "frequencies", "load", "modified_field", "modified_hamiltonian"}
     others |= {"equilibrium", "fit", "open_archive", "phase_drift", "predicted_drift", "resume", "suggest_step"}
-    others |= {"identify", "thermal_states"}
+    others |= {"formula", "identify", "thermal_states"}
     functions = (getattr(co, name) for name in dir(co))
     assert {value.__name__ for value in functions if inspect.isfunction(value)} == runs | others

@@ -17,7 +17,7 @@ from coadjoint.systems.hamiltonians.traced_function import (
     UNARY,
     Graph,
     Traced,
-    traced_derivatives,
+    traced,
 )
 
 SO3, SE3 = co.algebras.so(3), co.algebras.se(3)
@@ -57,7 +57,7 @@ def in_mpmath(name, *arguments):
 @pytest.mark.parametrize("name", UNARY)
 def test_functions_against_50_digits(name):
     at = 1.75 if name == "arccosh" else 0.375
-    _, slope, curvature = traced_derivatives(lambda x: getattr(np, name)(x[0]), 1, False)
+    _, slope, curvature = traced(lambda x: getattr(np, name)(x[0]), 1, False).derivatives()
     with mpmath.workdps(50):
         for order, derived in ((1, slope), (2, curvature)):
             expected = float(mpmath.diff(lambda z: in_mpmath(name, z), at, order))
@@ -66,7 +66,7 @@ def test_functions_against_50_digits(name):
 
 @pytest.mark.parametrize("base, exponent", [(-1.5, 3), (-1.5, -2), (1.5, 2.5), (-1.5, 2), (2.0, 1), (3.0, 0.5)])
 def test_powers_with_constants(base, exponent):
-    _, slope, curvature = traced_derivatives(lambda x: x[0] ** exponent, 1, False)
+    _, slope, curvature = traced(lambda x: x[0] ** exponent, 1, False).derivatives()
     x = np.array([base])
     assert slope(x).item() == pytest.approx(exponent * base ** (exponent - 1), rel=1e-15)
     assert curvature(x).item() == pytest.approx(exponent * (exponent - 1) * base ** (exponent - 2), rel=1e-15)
@@ -85,7 +85,7 @@ def test_operations_of_two_coordinates_against_50_digits(name):
     functions = {"arctan2": np.arctan2, "hypot": np.hypot}
     operation = operations.get(name) or functions[name]
     exact = operations.get(name) or (lambda a, b: in_mpmath(name, a, b))
-    _, slope, curvature = traced_derivatives(lambda x: operation(x[0], x[1]), 2, False)
+    _, slope, curvature = traced(lambda x: operation(x[0], x[1]), 2, False).derivatives()
     at = 0.875, -1.25
     x = np.array(at)
     with mpmath.workdps(50):
@@ -112,7 +112,7 @@ ARRAYS = {
 def test_arrays_against_complex_steps(name):
     """Recorded values are bitwise those of the function up to the order of sums; a complex step has no cancellation."""
     function, x, step = ARRAYS[name], np.array([0.375, -0.5, 1.25]), 2.0**-100
-    recorded, slope, curvature = traced_derivatives(function, 3, False)
+    recorded, slope, curvature = traced(function, 3, False).derivatives()
     assert float(recorded(x)) == pytest.approx(float(function(x)), rel=1e-15)
     steps = 1j * step * np.eye(3)
     if name != "norm":  # of complex numbers it is another function
@@ -162,7 +162,7 @@ def test_number_of_operations_is_limited():
         graph.record("variable", k)
     with pytest.raises(TypeError, match=f"more than {MAX_OPERATIONS} operations"):
         graph.record("variable", MAX_OPERATIONS)
-    assert traced_derivatives(sums(MAX_OPERATIONS // 10), 1, False)[2] is not None
+    assert traced(sums(MAX_OPERATIONS // 10), 1, False).derivatives()[2] is not None
     with pytest.raises(TypeError, match="hessian="):
         co.Hamiltonian(sums(MAX_OPERATIONS // 6)).bind(1).hessian([0.1])
     with pytest.raises(TypeError, match=r"more than .*; give gradient="):

@@ -19,7 +19,7 @@ from commuting_actions import acting
 from thresholds.probing import U, accepted, limit, perturbed, probe, sides
 
 ELEMENTS, REPRESENTATION = "algebra/group_elements.py", "algebra/representation.py"
-FORMULAS = "algebra/polynomials/formula_parser.py"
+FORMULAS, TREES = "algebra/polynomials/formulas.py", "algebra/polynomials/formula_tree.py"
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
@@ -144,15 +144,27 @@ def a_degree_is_not_too_high(degree):
     return by_mapping
 
 
-@limit((FORMULAS, "MAX_CHARACTERS"), at=10_000)
+@limit((TREES, "MAX_CHARACTERS"), at=250_000)
 def a_formula_is_not_too_long(letters):
     text = "(x1)" + " " * (letters - 4)
     return accepted(lambda: parse_formula(text, {}, 2), "letters")
 
 
-@limit((FORMULAS, "MAX_NESTING"), at=59)
+@limit((TREES, "MAX_NESTING"), at=60)
 def brackets_are_not_nested_too_deeply(depth):
     return accepted(lambda: parse_formula("(" * depth + "x1" + ")" * depth, {}, 2), "nested")
+
+
+@limit((TREES, "MAX_OPERATIONS"), at=1000)
+def a_term_has_not_too_many_operations(count):
+    return accepted(lambda: parse_formula("2/2" + "*1" * (count - 1), {}, 2), "operations")
+
+
+@probe((FORMULAS, "MAX_WORK"), at=2.0**24)
+def a_formula_has_not_too_many_products(work):
+    """Powers of sums of four terms in eight coordinates: the last product squares the 286 terms of the tenth power."""
+    text = "+".join(["(x1+x2+x3+1)**20"] * round(work / (286**2 * 16)))
+    return accepted(lambda: parse_formula(text, {}, 8), "products")
 
 
 @sides((FORMULAS, "MAX_TERMS"), below=(99, 99), above=(101, 101))

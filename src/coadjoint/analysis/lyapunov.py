@@ -15,7 +15,7 @@ from coadjoint.long_operations import long_operation
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
-from coadjoint.methods.suggested_scheme import DEFAULT_SCHEME
+from coadjoint.methods.suggested_scheme import default_scheme
 from coadjoint.runs.start import start_of
 from coadjoint.runs.tangent_stretching import make_orthonormal, stretching
 from coadjoint.runs.times import Times, times_between, times_of
@@ -140,7 +140,7 @@ def lyapunov(
     step : float
         Size of a step, positive.
     method : Method, optional
-        The scheme; None is `Splitting()` of order 2.
+        The scheme; None is the default of `integrate`.
     exponents : int, optional
         Number of exponents, the largest first; None is all n.
     renormalize_every : int
@@ -181,7 +181,7 @@ def lyapunov(
     >>> bool(abs(result.exponents - [rate, 0.0, -rate]).max() < 1e-3)
     True
     """
-    scheme = DEFAULT_SCHEME if method is None else read_method(method)
+    scheme = default_scheme(system) if method is None else read_method(method)
     check_system(system)
     if is_matrix_system(system):
         check_vector_states(system, "Lyapunov exponents are available for states that are vectors")

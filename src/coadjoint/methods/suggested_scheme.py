@@ -11,21 +11,43 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import names, scheme
 from coadjoint.methods.splitting import Splitting
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.protocol import is_matrix_system, unforced_matrix_system
+from coadjoint.systems.protocol import is_batch, is_matrix_system, unforced, unforced_matrix_system
 from coadjoint.systems.system_checks import System, check_one_system
 
 PREFERRED_SCHEMES: tuple[Method, ...] = (Splitting(order=4), GaussLegendre(stages=3))
 """Tried in this order."""
 DEFAULT_SCHEME: Method = Splitting()
-"""For systems of vectors."""
+"""For systems of vectors that it supports."""
 ANY_TOLERANCE = 1e-9
 """Of a candidate, whose tolerance is chosen."""
 
 
 def default_scheme(system: Any) -> Method:
-    """Return the scheme of a run for which none is given, for systems with or without forces."""
+    """Return the scheme of a run for which none is given, for systems with or without forces, and batches.
+
+    It is `Splitting()` of order 2 if it supports every system, otherwise the next one of `PREFERRED_SCHEMES`; for
+    matrices the suggested one. If none supports the system, the last one is returned, whose error names the reason.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> default_scheme(co.systems.rigid_body()), default_scheme(co.systems.sklyanin())
+    (Splitting(order=2...), GaussLegendre(stages=3...))
+    """
     matrices = unforced_matrix_system(system)
-    return DEFAULT_SCHEME if matrices is None else suggested_scheme(cast(System, matrices))
+    if matrices is not None:
+        return suggested_scheme(cast(System, matrices))
+    members = system.distinct if is_batch(system) else (system,)
+    *first, last = DEFAULT_SCHEME, *PREFERRED_SCHEMES[1:]
+    return next((method for method in first if all(_supports(method, unforced(one)) for one in members)), last)
+
+
+def _supports(method: Method, system: Any) -> bool:
+    try:
+        method.properties(system)
+    except (TypeError, ValueError):
+        return False
+    return True
 
 
 def reference_scheme(order: int) -> Method:
@@ -83,11 +105,8 @@ def suggested_scheme(system: System) -> Method:
     if is_matrix_system(system):
         first = sorted(_supporting_schemes(system), key=lambda method: not method.properties(cast(Any, system)).poisson)
     for method in first:
-        try:
-            method.properties(system)
-        except (TypeError, ValueError):
-            continue
-        return method
+        if _supports(method, system):
+            return method
     last.properties(system)
     return last
 
@@ -96,8 +115,5 @@ def _supporting_schemes(system: MatrixSystem) -> Iterator[Method]:
     """Yield the registered schemes that support a system, each as its first example."""
     for name in names():
         method = scheme(name).examples()[0]
-        try:
-            method.properties(cast(Any, system))
-        except (TypeError, ValueError):
-            continue
-        yield method
+        if _supports(method, system):
+            yield method

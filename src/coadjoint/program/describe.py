@@ -11,10 +11,12 @@ from coadjoint.program.actions import Action
 from coadjoint.program.blocks import Kind
 from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.parts.part import BodyShare, Part
+from coadjoint.program.parts.split import separated_functions
 from coadjoint.program.sweeps import Swept
 from coadjoint.program.table import Program, build_program
 from coadjoint.program.term_table import LINEAR
 from coadjoint.systems.coordinates import coordinate_names
+from coadjoint.systems.hamiltonians.terms import Term
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 MAX_SHOWN = 6
@@ -45,7 +47,8 @@ class Description:
     """Description of a splitting of a system, with a readable `str`.
 
     `parts` are in the order of a forward sweep; `shift` maps Casimirs to the multiples subtracted from H. `flows`
-    (outer flows of neighbouring steps merged), `multiplications` and `functions` are per step.
+    (outer flows of neighbouring steps merged), `multiplications` and `functions` are per step. `found` has the sums
+    that functions in H were found to be.
     """
 
     system: str
@@ -55,10 +58,12 @@ class Description:
     flows: int
     multiplications: int
     functions: int
+    found: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         subtracted = "".join(_subtracted(name, factor) for name, factor in self.shift.items())
         lines = [f"{self.method} on {self.system}: H{subtracted} in {len(self.parts)} parts"]
+        lines += [f"  a function in H is {sum_found}" for sum_found in self.found]
         for number, part in enumerate(self.parts, start=1):
             shown = list(part.generators[:MAX_SHOWN])
             if len(part.generators) > MAX_SHOWN:
@@ -98,7 +103,19 @@ def describe(system: LiePoissonSystem, method: Swept) -> Description:
         flows=len(step),
         multiplications=sum(part.multiplications for part in step),
         functions=sum(part.functions for part in step),
+        found=tuple(_sum_found(names, terms) for terms in separated_functions(system).values()),
     )
+
+
+def _sum_found(names: Sequence[str], terms: Sequence[Term]) -> str:
+    """Return the text of the sum that a function of H was found to be."""
+    pieces = []
+    for term in terms:
+        coordinates = sorted({int(k) for coupled in term.couplings() for k in coupled})
+        shown = [names[k] for k in coordinates[:MAX_SHOWN]] + ["..."] * (len(coordinates) > MAX_SHOWN)
+        pieces.append(f"a {'function' if term.called else 'polynomial'} of {', '.join(shown)}")
+    more = [f"{len(pieces) - MAX_SHOWN} more functions"] if len(pieces) > MAX_SHOWN else []
+    return "the sum of " + " and ".join([*pieces[:MAX_SHOWN], *more]) if len(pieces) > 1 else "".join(pieces)
 
 
 def _describe_part(names: Sequence[str], program: Program, number: int, part: Part) -> PartDescription:

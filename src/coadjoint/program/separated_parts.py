@@ -22,7 +22,7 @@ from coadjoint.systems.vanishing_products import (
     cancelling,
     commuting_products,
     derivatives_of,
-    separated_function,
+    divided_gradient,
 )
 
 
@@ -118,12 +118,12 @@ def _omitted_in_part(
         if not isinstance(share, FunctionShare):
             continue
         index = {int(k): a for a, k in enumerate(share.term.coordinates)}
-        found = separated_function(share.term, candidates)
+        found = divided_gradient(share.term, candidates)
         for copy, numbers in enumerate(found.omitted):
             for q in sorted(numbers):
                 each = candidates[q]
                 omitted.append((s, copy * len(index) + index[each.column], each.row, each.state))
-        functions[s] = replace(share, separated=found.term, copies=len(found.omitted))
+        functions[s] = replace(share, divided=found.term, copies=len(found.omitted))
     listed = _of_polynomials(parts, shares, candidates.values(), inputs)
     for (s, a, each, _), number in zip(listed, cancelling([product for *_, product in listed]), strict=True):
         if number >= 0:

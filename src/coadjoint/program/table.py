@@ -198,7 +198,7 @@ def _term_table(parts: Parts) -> TermTable:
         if isinstance(share, PolynomialShare):
             table.add_polynomial(share.coordinates, share.polynomial)
         elif isinstance(share, FunctionShare):
-            table.function(share.separated or share.term)
+            table.function(share.divided or share.term)
     return table
 
 

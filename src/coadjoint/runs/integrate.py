@@ -65,8 +65,9 @@ def integrate(
         Size of a step, positive. It is used as given and never adjusted. Give either this or `accuracy`.
     method : Method, str or mapping, optional
         The scheme; or its name, such as ``"Splitting"``; or name and parameters, such as ``{"name": "Splitting",
-        "order": 4}``. The default is `Splitting()` of order 2 (for matrices the one of `suggested_scheme`), and with
-        `accuracy` the one that `choose` selects.
+        "order": 4}``. The default is `Splitting()` of order 2 if H is a sum of functions of commuting coordinates,
+        otherwise `GaussLegendre(stages=3)`, for matrices the one of `suggested_scheme`, and with `accuracy` the one
+        that `choose` selects; ``sol.method`` names it.
     accuracy : float, optional
         Wanted error of the momentum at the end, relative to the largest momentum during the run. `choose` then selects
         the step, and without `method` also the scheme.

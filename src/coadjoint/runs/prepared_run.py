@@ -745,7 +745,7 @@ def prepare(
     system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
         The system.
     method : Method or None
-        The scheme. The default is `Splitting()` of order 2, and for matrices the one of `suggested_scheme`.
+        The scheme. The default is that of `integrate`.
     step : float, optional
         Size of a step, positive. Give either this or `accuracy`. Loops for backward runs are built at the first such
         run.

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
 from coadjoint.algebra.representation import check_representation
 from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.systems.arguments import read_closed_form, read_layout, read_name, read_parameters, read_sign
@@ -41,8 +42,9 @@ class LiePoissonSystem:
     ----------
     algebra : LieAlgebra
         The algebra, on whose dual x lies; ``J_ij(x) = sum_k c_ij^k x_k``.
-    hamiltonian : Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian
-        The energy.
+    hamiltonian : Quadratic, Polynomial, Separable, SplitHamiltonian, Hamiltonian, function or text
+        The energy. A function of x is a `Hamiltonian`; a text is a `formula` in x1, x2, ... or in the names of the
+        basis.
     sign : {+1, -1}
         +1 for right-invariant systems (the convention of Reich, 1993), -1 for left-invariant (body) systems.
     casimirs : mapping, optional
@@ -124,7 +126,9 @@ class LiePoissonSystem:
         set_field = object.__setattr__
         set_field(self, "algebra", algebra)
         set_field(self, "sign", read_sign(sign))
-        set_field(self, "hamiltonian", as_hamiltonian(hamiltonian, algebra.dim, algebra.name or "the algebra"))
+        names = names_of_basis(algebra.basis) if isinstance(hamiltonian, str) else None
+        owner = algebra.name or "the algebra"
+        set_field(self, "hamiltonian", as_hamiltonian(hamiltonian, algebra.dim, owner, names))
         for summand in summands_of(self.hamiltonian):
             if isinstance(summand, SplitHamiltonian):
                 summand.check_commuting(algebra)

@@ -38,8 +38,8 @@ class PoissonSystem:
     ----------
     structure_matrix : callable
         Pure function of x, shape (n,), that returns J(x), a skew (n, n) array. Checked at sample points.
-    hamiltonian : Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian
-        The energy.
+    hamiltonian : Quadratic, Polynomial, Separable, SplitHamiltonian, Hamiltonian, function or text
+        The energy, as for `LiePoissonSystem`; a function or a text needs `dim`.
     sign : {+1, -1}
         Sign of the right-hand side.
     dim : int, optional

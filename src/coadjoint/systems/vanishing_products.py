@@ -130,14 +130,14 @@ def derivatives_of(polynomial: Polynomial, coordinates: Sequence[int], factor: A
     return found
 
 
-class SeparatedFunction(NamedTuple):
+class DividedGradient(NamedTuple):
     """A function term, with its gradient as several vectors that add up to it, and the products that each one omits."""
 
     term: FunctionTerm
     omitted: tuple[frozenset[int], ...]
 
 
-def separated_function(term: FunctionTerm, products: Mapping[int, Product]) -> SeparatedFunction:
+def divided_gradient(term: FunctionTerm, products: Mapping[int, Product]) -> DividedGradient:
     """Separate a function where products of a part of its gradient vanish, as those of a central force do.
 
     `products` are numbered. The parts of the gradient are those by different polynomials
@@ -147,7 +147,7 @@ def separated_function(term: FunctionTerm, products: Mapping[int, Product]) -> S
     own = {q: each for q, each in products.items() if each.state in index and each.column in index}
     arguments = polynomial_arguments(term.value, len(index), term.timed) if own and not term.scalar else None
     if arguments is None:
-        return SeparatedFunction(term, (frozenset(),))
+        return DividedGradient(term, (frozenset(),))
     by_rows: dict[frozenset[int], list[int]] = {}
     for number, polynomial in enumerate(arguments.polynomials):
         derivatives = derivatives_of(polynomial, term.coordinates.tolist())
@@ -158,10 +158,10 @@ def separated_function(term: FunctionTerm, products: Mapping[int, Product]) -> S
         by_rows.setdefault(omitted, []).append(number)
     if len(by_rows) > 1:
         try:
-            term = arguments.separated(term, list(by_rows.values()))
+            term = arguments.divided(term, list(by_rows.values()))
         except TracingError:
-            return SeparatedFunction(term, (frozenset(),))
-    return SeparatedFunction(term, tuple(by_rows))
+            return DividedGradient(term, (frozenset(),))
+    return DividedGradient(term, tuple(by_rows))
 
 
 class FieldProducts(NamedTuple):
@@ -243,7 +243,7 @@ def products_without_cancelling(algebra: LieAlgebra, terms: Sequence[Term]) -> F
     found: list[tuple[int, int, list[Monomial], Any]] = []
     for number, term in enumerate(collected.terms):
         if isinstance(term, FunctionTerm):
-            one = separated_function(term, listed)
+            one = divided_gradient(term, listed)
             size = len(term.coordinates)
             index = {int(k): a for a, k in enumerate(term.coordinates)}
             for q, product in listed.items():

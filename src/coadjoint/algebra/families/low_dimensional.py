@@ -18,8 +18,7 @@ from coadjoint.algebra.exact.numbers import exact_number, rounded
 from coadjoint.algebra.exact.sparse_sums import Floats
 from coadjoint.algebra.invariants.logarithmic import LOGARITHM, LogarithmicSum
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomials.formula_parser import Number
-from coadjoint.algebra.polynomials.formulas import condition_holds, parse_formula
+from coadjoint.algebra.polynomials.formulas import Number, condition_holds, parse_formula
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
 from coadjoint.validation import read_choice, read_number

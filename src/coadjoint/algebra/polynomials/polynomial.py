@@ -41,12 +41,14 @@ class Polynomial:
     Parameters
     ----------
     monomials : mapping or str
-        ``{(2, 0, 0): 0.5, (0, 1, 1): -1}`` is x1^2/2 - x2 x3: exponents (one per coordinate) -> coefficient. Or text
-        in the printed notation, such as ``"0.5*x1^2 - x2*x3"``, with `dim` or `basis`.
+        ``{(2, 0, 0): 0.5, (0, 1, 1): -1}`` is x1^2/2 - x2 x3: exponents (one per coordinate) -> coefficient. Or a
+        formula, such as ``"(x1 + x2)^2/2 - x2*x3"``, with `dim` or `basis`; it is multiplied out.
     dim : int, optional
         Number of coordinates; required for text, and if `monomials` is empty (the zero polynomial).
     basis : sequence of str, optional
         Names of the coordinates in the text, in their order, in place of x1, x2, ...; also used for printing.
+    parameters : mapping, optional
+        Numbers in the text by name.
 
     Raises
     ------
@@ -78,13 +80,15 @@ class Polynomial:
         monomials: Mapping[Exponents, Coefficient] | str,
         dim: int | None = None,
         basis: Sequence[str] | None = None,
+        parameters: Mapping[str, Any] | None = None,
     ) -> None:
         if isinstance(monomials, str):
-            monomials, dim = _read_text(monomials, dim, basis)
+            monomials, dim = _read_text(monomials, dim, basis, parameters)
             if basis is not None:
                 self._names = _names_if_special(tuple(basis))
-        elif basis is not None:
-            raise TypeError("basis is given with exponents; it names the coordinates of a text, so omit it")
+        elif basis is not None or parameters is not None:
+            name, meaning = ("basis", "coordinates") if basis is not None else ("parameters", "numbers")
+            raise TypeError(f"{name} is given with exponents; it names the {meaning} of a text, so omit it")
         if not isinstance(monomials, Mapping):
             raise TypeError(
                 "monomials must be a mapping {exponents: coefficient}, or a text such as '0.5*x1^2 - x2*x3', not "
@@ -430,14 +434,24 @@ def _names_if_special(names: tuple[str, ...]) -> tuple[str, ...] | None:
     return None if all(name == f"x{i}" for i, name in enumerate(names, 1)) else names
 
 
-def _read_text(text: str, dim: int | None, basis: Sequence[str] | None) -> tuple[Mapping[Exponents, Coefficient], int]:
+def read_dimension(text: str, dim: int | None, basis: Sequence[str] | None) -> int:
+    """Return the number of coordinates of a text, from `dim` or the names in `basis`."""
+    if basis is None and dim is None:
+        raise ValueError(f"{short(text)} does not determine the number of coordinates; give dim= or basis=")
+    names = () if basis is None else read_list(basis, "basis", "give a list of names")
+    if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+        raise ValueError(f"basis is {short(basis)}; give different names, one for each coordinate")
+    count = read_integer(dim if basis is None else len(names), "dim of a Polynomial")
+    if dim is not None and count != dim:
+        raise ValueError(f"dim is {short(dim)}, and basis has {count} names; give one of them")
+    return count
+
+
+def _read_text(
+    text: str, dim: int | None, basis: Sequence[str] | None, parameters: Mapping[str, Any] | None
+) -> tuple[Mapping[Exponents, Coefficient], int]:
     """Parse text to monomials and the number of coordinates."""
     from coadjoint.algebra.polynomials.formulas import parse_polynomial
 
-    names = None if basis is None else tuple(basis)
-    if names is None and dim is None:
-        raise ValueError(f"{short(text)} does not determine the number of coordinates; give dim= or basis=")
-    count = read_integer(dim if names is None else len(names), "dim of a Polynomial")
-    if dim is not None and count != dim:
-        raise ValueError(f"dim is {short(dim)}, and basis has {count} names; give one of them")
-    return parse_polynomial(text, count, names).monomials, count
+    count = read_dimension(text, dim, basis)
+    return parse_polynomial(text, count, None if basis is None else tuple(basis), parameters).monomials, count

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -15,10 +14,10 @@ from coadjoint.algebra.brackets import parse_brackets
 from coadjoint.algebra.exact.numbers import TOO_LARGE, Constant, fits
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials import formulas
-from coadjoint.algebra.polynomials.formula_parser import add_term, too_high
+from coadjoint.algebra.polynomials.formulas import add_term, names_in, read_parameters, too_high
 from coadjoint.algebra.polynomials.monomials import Exponents
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
-from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, names_of_basis
+from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
 from coadjoint.errors import OneLineError, in_one_line
 from coadjoint.memory import check_available_memory
 from coadjoint.methods import registry
@@ -26,7 +25,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.short_repr import short
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces import registry as described
-from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
+from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian, formula
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import System
@@ -49,7 +48,7 @@ def parse_polynomial(source: Any, dim: int, names: Sequence[str] | None = None) 
     -x1 + x2^2
     """
     if isinstance(source, str):
-        return _parse_text(source, dim, names)
+        return formulas.parse_polynomial(source, dim, names_in(source, dim, names))
     if not isinstance(source, list):
         raise TypeError(f"a polynomial is text such as '0.5*x1^2 + x2*x3' or a list of terms, not {short(source)}")
     total: dict[Exponents, Constant] = {}
@@ -72,21 +71,6 @@ def parse_polynomial(source: Any, dim: int, names: Sequence[str] | None = None) 
     return Polynomial(total, dim=dim)
 
 
-def _parse_text(text: str, dim: int, names: Sequence[str] | None) -> Polynomial:
-    """Parse a polynomial in x1, x2, ..., or in `names` if it has one that is not among these."""
-    default, used = coordinate_names(dim), _NAME.findall(text)
-    if names is None or not any(name in names and name not in default for name in used):
-        return formulas.parse_polynomial(text, dim)
-    for name in used:
-        if name in names and name in default and names.index(name) != default.index(name):
-            raise ValueError(
-                f"{short(text)} has {name}, which is the name of coordinate {names.index(name)} and, in polynomials in "
-                f"x1, x2, ..., that of coordinate {default.index(name)}; give a list of [coefficient, [exponents]]"
-            )
-    return formulas.parse_polynomial(text, dim, names)
-
-
-_NAME = re.compile(r"[^\W\d]\w*")
 MAX_LENGTH = 300
 BYTES_PER_COORDINATE = 400
 
@@ -248,14 +232,26 @@ def _algebra(name: str, table: AlgebraTable) -> LieAlgebra:
 
 
 def _hamiltonian(name: str, table: HamiltonianTable, algebra: LieAlgebra) -> Any:
+    whole = "formula" if table.formula is not None else "polynomial"
+    if getattr(table, whole) is not None:
+        for key in ("M", "linear", "constant", "polynomial"):
+            if key != whole and getattr(table, key) is not None:
+                raise ConfigurationError(f"{name}: hamiltonian.{key}: is given with {whole}; include it there")
+    if table.parameters and table.formula is None:
+        raise ConfigurationError(f"{name}: hamiltonian.parameters: belongs to a formula; give formula, or omit them")
+    names = names_of_basis(algebra.basis)
+    if table.formula is not None:
+        for key in table.parameters:
+            with section(name, f"hamiltonian.parameters.{key}"):
+                read_parameters({key: table.parameters[key]}, names)
+        with section(name, "hamiltonian.formula"):
+            chosen = names_in(table.formula, algebra.dim, names)
+            return formula(table.formula, algebra.dim, chosen, table.parameters)
     if table.polynomial is not None:
-        for key in ("M", "linear", "constant"):
-            if getattr(table, key) is not None:
-                raise ConfigurationError(f"{name}: hamiltonian.{key}: is given with polynomial; include it there")
         with section(name, "hamiltonian.polynomial"):
-            return parse_polynomial(table.polynomial, algebra.dim, names_of_basis(algebra.basis))
+            return parse_polynomial(table.polynomial, algebra.dim, names)
     if table.M is None and table.linear is None:
-        raise ConfigurationError(f"{name}: hamiltonian.M: is missing; give M, linear or both, or polynomial")
+        raise ConfigurationError(f"{name}: hamiltonian.M: is missing; give M, linear or both, or formula")
     with section(name, "hamiltonian"):
         M, constant = 0.0 if table.M is None else table.M, table.constant or 0.0
         return as_hamiltonian(

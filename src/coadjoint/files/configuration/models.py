@@ -59,7 +59,7 @@ class AlgebraTable(Table):
 
 
 class HamiltonianTable(Table):
-    """The energy H: x.Mx/2 + linear.x + constant, or a polynomial."""
+    """The energy H: x.Mx/2 + linear.x + constant, or a formula or polynomial."""
 
     M: Matrix | None = None
     """A number, the diagonal, or the symmetric matrix (energy per momentum squared)."""
@@ -67,8 +67,12 @@ class HamiltonianTable(Table):
     """The linear term (energy per momentum)."""
     constant: Number | None = None
     """A constant that is added to H (an energy)."""
+    formula: str | None = None
+    """All of H: text such as "a*(x1 + x2)^2/2 + cos(x3)" (an energy)."""
     polynomial: PolynomialValue | None = None
-    """All of H: text such as "0.5*x1^2 + x2*x3", or a list of [coefficient, [exponents]] (an energy)."""
+    """All of H, a polynomial: text, or a list of [coefficient, [exponents]] (an energy)."""
+    parameters: dict[Name, Number] = {}
+    """Numbers in the formula by name."""
 
 
 class InitialTable(Table):

@@ -118,12 +118,10 @@ class Entry:
             raise self.invalid_error(expected)
         return array.astype(np.float64)
 
-    def text(self) -> str:
-        """Return the value as text."""
-        if not isinstance(self.value, str) or len(self.value) > MAX_CHARACTERS:
-            raise self.invalid_error(
-                "text" if not isinstance(self.value, str) else f"text of at most {MAX_CHARACTERS} letters"
-            )
+    def text(self, most: int = MAX_CHARACTERS) -> str:
+        """Return the value as text of at most `most` characters."""
+        if not isinstance(self.value, str) or len(self.value) > most:
+            raise self.invalid_error("text" if not isinstance(self.value, str) else f"text of at most {most} letters")
         return self.value
 
     def integer(self, minimum: int = 0, maximum: int = MAX_INTEGER) -> int:

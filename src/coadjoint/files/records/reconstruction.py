@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomials.formula_tree import MAX_CHARACTERS
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
 from coadjoint.files.records.entries import CASIMIR, EXACT, INTEGRAL, Entry, as_value_errors
 from coadjoint.files.records.matrix_records import matrix_system_of
@@ -19,6 +20,8 @@ from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces import registry as described
+from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
+from coadjoint.systems.hamiltonians.parsed_function import ParsedFunction
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -199,7 +202,22 @@ def _hamiltonian_of(record: Entry, dim: int) -> Any:
         return _polynomial_of(record.reject_unknown("kind", "dim", "monomials")["monomials"], dim)
     if kind == "quadratic":
         return _quadratic_of(record, dim)
-    raise record["kind"].invalid_error("'quadratic', 'polynomial', 'split' or 'sum'")
+    if kind == "formula":
+        return _function_of(record, dim)
+    raise record["kind"].invalid_error("'quadratic', 'polynomial', 'formula', 'split' or 'sum'")
+
+
+def _function_of(record: Entry, dim: int) -> Hamiltonian:
+    record.reject_unknown("kind", "dim", "text", "names", "parameters", "factors")
+    names = record["names"]
+    words = None if names.value is None else [name.text() for name in names.entries(dim)]
+    parameters = {name: value.exact() for name, value in record["parameters"].table().items()}
+    text, factors = record["text"].text(MAX_CHARACTERS), [factor.exact() for factor in record["factors"].entries()]
+    with as_value_errors(record):
+        H = Hamiltonian(ParsedFunction(text, dim, words, parameters)).bind(dim)
+        for factor in factors:
+            H = H.times(factor)
+        return H
 
 
 def _split_of(record: Entry, dim: int) -> SplitHamiltonian:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -19,7 +19,8 @@ from coadjoint.files.records.stored_axes import axes_record
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces import registry as described
-from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian
+from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, formula_of
+from coadjoint.systems.hamiltonians.parsed_function import ParsedFunction
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import SumOfHamiltonians
@@ -40,8 +41,8 @@ def record_of(system: System | Batch) -> dict[str, Any]:
 
     A ready-made system is its name and parameters. Any other is its structure constants (i, j, k, c), its Hamiltonian,
     sign, polynomial Casimirs and integrals, and representation, and the name, basis, Casimirs and representation of its
-    algebra; a matrix system is its algebra and its stream. Functions cannot be stored, and are listed under
-    ``"not_stored"``. A batch is the list of its different systems, with pairs of the
+    algebra; a matrix system is its algebra and its stream. A formula is its text. Functions of Python cannot be
+    stored, and are listed under ``"not_stored"``. A batch is the list of its different systems, with pairs of the
     number of a system and of successive members that have it; a system with forces is its Hamiltonian part and the
     forces.
 
@@ -184,6 +185,9 @@ def _hamiltonian_record(H: HamiltonianLike) -> tuple[dict[str, Any], list[str]]:
         return _polynomial_record(H.polynomial), []
     if isinstance(H, Quadratic):
         return _form_record(H), []
+    formula = formula_of(H)
+    if formula is not None:
+        return _formula_record(*formula), []
     if isinstance(H, SplitHamiltonian):
         inner = [_hamiltonian_record(piece) for piece in H.pieces]
         pieces = [[list(coordinates), record] for coordinates, (record, _) in zip(H.coordinates, inner, strict=True)]
@@ -198,6 +202,20 @@ def _hamiltonian_record(H: HamiltonianLike) -> tuple[dict[str, Any], list[str]]:
 
 def _polynomial_record(polynomial: Polynomial) -> dict[str, Any]:
     return {"kind": "polynomial", "dim": polynomial.dim, "monomials": _monomials(polynomial)}
+
+
+def _formula_record(function: ParsedFunction, factors: Sequence[Any]) -> dict[str, Any]:
+    """Return the formula of a function as its text, and the factors that multiply it."""
+    names = None if function.names is None else list(function.names)
+    parameters = {name: _number(value) for name, value in function.parameters.items()}
+    return {
+        "kind": "formula",
+        "dim": function.dim,
+        "text": function.text,
+        "names": names,
+        "parameters": parameters,
+        "factors": list(factors),
+    }
 
 
 def _form_record(H: Quadratic) -> dict[str, Any]:

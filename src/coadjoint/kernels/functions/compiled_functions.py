@@ -11,6 +11,7 @@ import numpy as np
 from coadjoint.algebra.invariants.logarithmic import Forms
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.optional_packages import installed, require_packages
+from coadjoint.systems.hamiltonians.traced_function import picklable_function, restored_function
 
 
 class CompiledFunction:
@@ -41,7 +42,8 @@ class CompiledFunction:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return arguments that compile the function again in another process."""
-        return _recompiled, self._arguments
+        function, *others = self._arguments
+        return _recompiled, (picklable_function(function), *others)
 
 
 def warn_slow_compilation(functions: Iterable[Callable[..., Any]]) -> None:
@@ -53,7 +55,8 @@ def warn_slow_compilation(functions: Iterable[Callable[..., Any]]) -> None:
 
 
 def _recompiled(function: Any, size: int, results: int, scalar: bool, flat: bool, timed: bool, what: str) -> Any:
-    return CompiledFunction(function, size, results, scalar=scalar, flat=flat, timed=timed, what=what)
+    restored = restored_function(function)
+    return CompiledFunction(restored, size, results, scalar=scalar, flat=flat, timed=timed, what=what)
 
 
 class FormulaFunction:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from itertools import permutations
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.program.modified_energy.second_order import Samples
 from coadjoint.program.parts.part import Parts
+from coadjoint.program.parts.split import separated_functions
 from coadjoint.systems.hamiltonians.terms import Term
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
@@ -39,7 +40,7 @@ def best_orders(
     batches: dict[Hashable, list[int]] = {}
     for m, (system, parts) in enumerate(pairs):
         terms = system.hamiltonian.terms()
-        if len(parts) > 1 and len(points) and _has_hessians(terms):
+        if len(parts) > 1 and len(points) and _has_hessians(system, terms):
             pattern = tuple(column.tobytes() for column in system.algebra.triples[:3])
             quadratic = all(term.form is not None for term in terms)
             # Many parts are moved one by one, separately for each set.
@@ -97,5 +98,9 @@ def _neighbours(order: tuple[int, ...]) -> list[tuple[int, ...]]:
     return neighbours
 
 
-def _has_hessians(terms: Iterable[Term]) -> bool:
-    return all(term.differentiable for term in terms)
+def _has_hessians(system: LiePoissonSystem, terms: Sequence[Term]) -> bool:
+    """Return whether the second derivatives of all parts are known; those of functions that are sums are."""
+    if all(term.differentiable for term in terms):
+        return True
+    separated = separated_functions(system)
+    return all(part.differentiable for k, term in enumerate(terms) for part in separated.get(k, (term,)))

@@ -29,12 +29,12 @@ class PolynomialShare:
 class FunctionShare:
     """Angles that are the gradient of a user function of the term's coordinates.
 
-    With several `copies` they are those of `separated`, the same function with its gradient as so many vectors that
+    With several `copies` they are those of `divided`, the same function with its gradient as so many vectors that
     add up to it.
     """
 
     term: FunctionTerm
-    separated: FunctionTerm | None = None
+    divided: FunctionTerm | None = None
     copies: int = 1
 
 

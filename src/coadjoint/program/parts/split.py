@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -22,7 +23,9 @@ from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names, in_coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.separated_function import NotSeparable, separated
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
+from coadjoint.systems.hamiltonians.traced_function import TracingError
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.vanishing_products import products_without_cancelling
 
@@ -98,7 +101,11 @@ class _Atoms:
         self.collected.append(_polynomial_atoms(self._system, term.polynomial, self._commutation, self._separate))
 
     def function(self, term: FunctionTerm) -> None:
-        self.collected.append(_function_atom(self._system, term, self._commutation))
+        if self._commutation.first_noncommuting(term.coordinates.tolist()) is None:
+            self.collected.append(Parts.single(FunctionShare(term), term.coordinates.tolist(), term.timed))
+            return
+        for summand in separated_terms(self._system, term, self._commutation):
+            summand.describe_to(self)
 
 
 def _atoms(system: LiePoissonSystem, terms: Sequence[Term], commutation: Commutation, separate: bool) -> Parts:
@@ -153,12 +160,41 @@ def _polynomial_atoms(
     return Parts.concatenate(atoms)
 
 
-def _function_atom(system: LiePoissonSystem, term: FunctionTerm, commutation: Commutation) -> Parts:
-    coordinates = term.coordinates.tolist()
-    noncommuting = commutation.first_noncommuting(coordinates)
-    if noncommuting is not None:
-        raise _not_splittable(system, "a function in it", noncommuting)
-    return Parts.single(FunctionShare(term), coordinates, term.timed)
+def separated_terms(system: LiePoissonSystem, term: FunctionTerm, commutation: Commutation) -> tuple[Term, ...]:
+    """Return a function of noncommuting coordinates as a sum of a polynomial and functions of commuting ones.
+
+    The terms are the same objects at every call for a system. Raises NotSplittable if it is no such sum.
+    """
+    cache = _SEPARATED_CACHE.setdefault(system, {})
+    if id(term.value) not in cache:
+        try:
+            found: tuple[Term, ...] | NotSplittable = separated(term, system.dim, commutation.first_noncommuting)
+        except NotSeparable as reason:
+            found = _not_splittable(system, "a function in it", reason.noncommuting)
+        except TracingError as reason:
+            noncommuting = commutation.first_noncommuting(term.coordinates.tolist())
+            assert noncommuting is not None
+            found = _not_splittable(system, "a function in it", noncommuting, str(reason))
+        cache[id(term.value)] = term.value, found
+    _, found = cache[id(term.value)]
+    if isinstance(found, NotSplittable):
+        raise NotSplittable(str(found))
+    return found
+
+
+def separated_functions(system: LiePoissonSystem) -> dict[int, tuple[Term, ...]]:
+    """Return the sums of the functions in H that depend on noncommuting coordinates, by the numbers of their terms."""
+    functions = {k: term for k, term in enumerate(system.hamiltonian.terms()) if isinstance(term, FunctionTerm)}
+    commutation = Commutation(system.algebra)
+    return {
+        k: separated_terms(system, term, commutation)
+        for k, term in functions.items()
+        if commutation.first_noncommuting(term.coordinates.tolist()) is not None
+    }
+
+
+# Systems are immutable. Functions are stored with their identities, so that these stay unique.
+_SEPARATED_CACHE: WeakKeyDictionary[LiePoissonSystem, dict[int, tuple[Any, Any]]] = WeakKeyDictionary()
 
 
 class _CommutationCheck:
@@ -179,7 +215,9 @@ class _CommutationCheck:
                     raise _not_splittable(self._system, f"its monomial {shown}", noncommuting)
 
     def function(self, term: FunctionTerm) -> None:
-        _function_atom(self._system, term, self._commutation)
+        if self._commutation.first_noncommuting(term.coordinates.tolist()) is not None:
+            for summand in separated_terms(self._system, term, self._commutation):
+                summand.describe_to(self)
 
 
 def check_splits(system: LiePoissonSystem) -> None:
@@ -197,11 +235,16 @@ class NotSplittable(ValueError):
     """The Hamiltonian is not a sum of functions with known flows; the message names the piece and the reason."""
 
 
-def _not_splittable(system: LiePoissonSystem, what: str, noncommuting: tuple[int, int]) -> NotSplittable:
+def _not_splittable(
+    system: LiePoissonSystem, what: str, noncommuting: tuple[int, int], unknown: str = ""
+) -> NotSplittable:
+    """Return the error for a piece of H; `unknown` is the reason why it cannot be taken apart."""
     names = coordinate_names(system)
     first, second = (names[k] for k in noncommuting)
+    couples = f"depends on {first} and {second}" if unknown else f"couples {first} and {second}"
+    reason = f", and cannot be taken apart ({unknown})" if unknown else ""
     return NotSplittable(
-        f"{what} couples {first} and {second}, which do not commute; "
+        f"{what} {couples}, which do not commute{reason}; "
         "give H as a sum of functions of commuting coordinates (SplitHamiltonian), or use GaussLegendre"
     )
 

@@ -3,25 +3,33 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, Protocol, Self, cast, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.polynomials.formulas import NotPolynomial, names_in, parse_polynomial
 from coadjoint.algebra.polynomials.monomials import Coefficient
-from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial import Polynomial, read_dimension
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.hamiltonians.jax_function import JaxFunction, check_traceable, is_array_of_jax
+from coadjoint.systems.hamiltonians.parsed_function import ParsedFunction
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, Term
-from coadjoint.systems.hamiltonians.traced_function import TracingError, traced_derivatives
+from coadjoint.systems.hamiltonians.traced_function import (
+    TracingError,
+    picklable_function,
+    restored_function,
+    traced,
+)
 from coadjoint.systems.hamiltonians.user_hamiltonian import REQUIRED_ATTRIBUTES, check_user_hamiltonian
 from coadjoint.systems.user_functions import (
+    MultipleOf,
     all_take_time,
     check_derivative,
     evaluate,
@@ -65,8 +73,10 @@ class HamiltonianLike(Protocol):
 class Hamiltonian(Summable):
     """A Hamiltonian given by Python functions.
 
-    Use it if H is neither quadratic, polynomial nor separable. Schemes that need no splitting support it. For explicit
-    splitting, describe the structure of H by `Separable` or `SplitHamiltonian`.
+    Use it if H is neither quadratic, polynomial nor separable; a system makes it of a plain function or the text of a
+    `formula`. Schemes that need no splitting support it. Splittings do if the recorded operations of `value` are a sum
+    of functions of commuting coordinates; for a function that cannot be recorded, give this sum as a `Separable` or
+    `SplitHamiltonian`.
 
     Parameters
     ----------
@@ -116,6 +126,8 @@ class Hamiltonian(Summable):
         gradient: Callable[..., Any] | None = None,
         hessian: Callable[..., Any] | None = None,
     ) -> None:
+        if isinstance(value, str):
+            raise TypeError(f"value is the text {short(value)}; give co.formula(text, dim), or the text to the system")
         if gradient is None and hessian is not None:
             raise TypeError("hessian was given without gradient; give both, or neither to derive them from value")
         self.timed = all_take_time({"value": value, "gradient": gradient, "hessian": hessian})
@@ -177,7 +189,7 @@ class Hamiltonian(Summable):
             result._derived_by = "derivatives by JAX"
         else:
             try:
-                functions = traced_derivatives(self._value, n, self.timed)
+                functions = traced(self._value, n, self.timed).derivatives()
             except TracingError as reason:
                 raise TypeError(
                     f"the gradient cannot be derived from the Hamiltonian alone: {reason}; give gradient=, or "
@@ -185,6 +197,18 @@ class Hamiltonian(Summable):
                 ) from reason
             result._derived_by = "derivatives of recorded operations"
         result._loop_value, result._gradient, result._hessian = functions
+        return result
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes, with derived functions as their source text."""
+        return {name: picklable_function(value) for name, value in vars(self).items()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update({name: restored_function(value) for name, value in state.items()})
+
+    def __copy__(self) -> Self:
+        result = object.__new__(type(self))
+        vars(result).update(vars(self))
         return result
 
     def times(self, factor: Coefficient) -> Self:
@@ -294,12 +318,86 @@ def _quadratic(polynomial: Polynomial, kinds: tuple[type, ...]) -> Quadratic:
     return Quadratic.from_polynomial(polynomial)
 
 
-def as_hamiltonian(H: Any, n: int, owner: str = "the system") -> HamiltonianLike:
+def formula(
+    text: str,
+    dim: int | None = None,
+    basis: Sequence[str] | None = None,
+    parameters: Mapping[str, Any] | None = None,
+) -> Polynomial | Hamiltonian:
+    """Return the energy, or any other function of the coordinates, of a formula.
+
+    Use it for an energy as text with parameters, or with functions such as ``cos``. Without parameters the text itself
+    can be given as the Hamiltonian of a system.
+
+    Parameters
+    ----------
+    text : str
+        Sums, products, quotients and powers (``^`` or ``**``) of numbers, coordinates and parameters, brackets, and
+        the functions sin, cos, tan, atan, exp, log, sqrt, sinh, cosh and tanh. ``pi`` is a number.
+    dim : int, optional
+        Number of coordinates x1, x2, ...; required without `basis`.
+    basis : sequence of str, optional
+        Names of the coordinates, in their order, in place of x1, x2, ..., such as ``algebra.basis``.
+    parameters : mapping, optional
+        Name to number; a name may not be that of a coordinate.
+
+    Returns
+    -------
+    Polynomial or Hamiltonian
+        A polynomial if the formula is one, with exact coefficients where its numbers are whole; otherwise a Hamiltonian
+        whose derivatives are derived, and which is stored and pickled as its text.
+
+    Raises
+    ------
+    ValueError
+        The text is no formula, an unknown name, an undefined number, or a formula that is too large.
+    TypeError
+        An argument of the wrong type.
+
+    Examples
+    --------
+    >>> formula("(x1 + x2)^2/2", dim=3)
+    (1/2)*x1^2 + x1*x2 + (1/2)*x2^2
+    >>> H = formula("a*m1^2/2 + cos(m2)", basis=("m1", "m2", "m3"), parameters={"a": 3.0})
+    >>> H.value([2.0, 0.0, 1.0])
+    7.0
+    """
+    if not isinstance(text, str):
+        raise TypeError(f"the formula is {short(text)}; give a text such as 'x1^2/2 + cos(x2)'")
+    count = read_dimension(text, dim, basis)
+    return _of_formula(text, count, None if basis is None else tuple(basis), parameters)
+
+
+def _of_formula(
+    text: str, dim: int, names: Sequence[str] | None, parameters: Mapping[str, Any] | None
+) -> Polynomial | Hamiltonian:
+    try:
+        return parse_polynomial(text, dim, names, parameters)
+    except NotPolynomial:
+        return Hamiltonian(ParsedFunction(text, dim, names, parameters)).bind(dim)
+
+
+def formula_of(H: Any) -> tuple[ParsedFunction, tuple[Coefficient, ...]] | None:
+    """Return the formula of a Hamiltonian and the factors that multiply it, in their order; None if it has none."""
+    function, factors = getattr(H, "_value", None), []
+    while isinstance(function, MultipleOf):
+        factors.append(function.factor)
+        function = function.function
+    return (function, tuple(reversed(factors))) if isinstance(function, ParsedFunction) else None
+
+
+def as_hamiltonian(H: Any, n: int, owner: str = "the system", names: Sequence[str] | None = None) -> HamiltonianLike:
     """Convert `H` of any accepted type to a Hamiltonian bound to dimension `n`; `owner` names its owner in messages.
 
-    A polynomial of degree at most two becomes a `Quadratic`. User-defined types are checked at sample points. Raises
-    TypeError for other types, ValueError for a different dimension.
+    A polynomial of degree at most two becomes a `Quadratic`, a function a `Hamiltonian`, and a text that of its
+    formula in x1, x2, ... or in `names`. User-defined types are checked at sample points. Raises TypeError for other
+    types, ValueError for a different dimension.
     """
+    if isinstance(H, str):
+        try:
+            H = _of_formula(H, n, names_in(H, n, names), None)
+        except ValueError as reason:
+            raise ValueError(f"the Hamiltonian {reason}") from None
     if isinstance(H, Polynomial):
         _check_variables(H, n, owner)
         if H.degree > 2:
@@ -311,16 +409,14 @@ def as_hamiltonian(H: Any, n: int, owner: str = "the system") -> HamiltonianLike
     # A Quadratic is one, and the test of a protocol takes much of the time to make a small system.
     if isinstance(H, type) or not (type(H) is Quadratic or isinstance(H, HamiltonianLike)):
         missing = [name for name in REQUIRED_ATTRIBUTES if not hasattr(H, name)]
+        if is_plain_function(H):
+            return Hamiltonian(H).bind(n)
         what = f"the class {H.__name__}" if isinstance(H, type) else f"a {type(H).__name__}"
         is_incomplete = not isinstance(H, type) and 0 < len(missing) < len(REQUIRED_ATTRIBUTES) - 1
         hint = f" (as a user-defined Hamiltonian it lacks {', '.join(missing)})" if is_incomplete else ""
-        if isinstance(H, str):
-            raise TypeError(
-                f"the Hamiltonian is the text {short(H)}; give co.Polynomial(text, {n}) if its coordinates are x1, x2, "
-                "..., or co.Polynomial(text, basis=algebra.basis) if they are names of the basis"
-            )
         raise TypeError(
-            f"the Hamiltonian is {what}; give a Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian{hint}"
+            f"the Hamiltonian is {what}; give a Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian, "
+            f"a function of x, or the text of a formula{hint}"
         )
     if isinstance(H, Quadratic):
         H.check_dimension(n, owner)
@@ -328,3 +424,8 @@ def as_hamiltonian(H: Any, n: int, owner: str = "the system") -> HamiltonianLike
     if type(H).__module__.partition(".")[0] != __name__.partition(".")[0]:
         check_user_hamiltonian(bound, n)
     return bound
+
+
+def is_plain_function(H: Any) -> bool:
+    """Return whether it is a function of the state, not a Hamiltonian of any type, complete or not."""
+    return callable(H) and not isinstance(H, type) and not any(hasattr(H, name) for name in REQUIRED_ATTRIBUTES)

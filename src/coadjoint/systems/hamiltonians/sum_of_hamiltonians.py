@@ -13,7 +13,13 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, as_hamiltonian
+from coadjoint.systems.hamiltonians.hamiltonian import (
+    Hamiltonian,
+    HamiltonianLike,
+    PolynomialHamiltonian,
+    as_hamiltonian,
+    is_plain_function,
+)
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.summable import Summable
@@ -108,6 +114,8 @@ def _flatten(argument: Iterable[Any]) -> Iterable[Any]:
             yield summand.polynomial
         elif isinstance(summand, Polynomial | Summable) or _is_user_defined(summand):
             yield summand
+        elif is_plain_function(summand):
+            yield Hamiltonian(summand)
         else:
             raise TypeError(f"{short(summand)} is not a Hamiltonian and cannot be added to one; give one, or a number")
 

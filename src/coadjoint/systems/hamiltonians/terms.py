@@ -12,6 +12,7 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import cached_if_small
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows
+from coadjoint.systems.hamiltonians.traced_function import picklable_function, restored_function
 
 
 class TermReader(Protocol):
@@ -268,6 +269,13 @@ class FunctionTerm:
     degree: ClassVar[None] = None
     form: ClassVar[None] = None
     multiplications: ClassVar[int] = 0
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes, with derived functions as their source text."""
+        return {name: picklable_function(value) for name, value in vars(self).items()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update({name: restored_function(value) for name, value in state.items()})
 
     @property
     def differentiable(self) -> bool:

@@ -6,14 +6,16 @@ import hashlib
 import linecache
 import math
 from collections.abc import Callable, Collection, Sequence
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from coadjoint.errors import in_one_line
 from coadjoint.short_repr import short
+from coadjoint.systems.user_functions import MultipleOf
 from coadjoint.validation import is_real
 
+DERIVED_MODULE = "derived_by_coadjoint"
 MAX_OPERATIONS = 2000
 """Recorded operations beyond which a function is refused; Numba compiles about 200 of them in a second."""
 
@@ -140,10 +142,45 @@ def _defined(source: str) -> Callable[..., Any]:
     """Define the function of a source text, which `inspect` finds like that of any other function."""
     name = f"<derived {hashlib.blake2b(source.encode(), digest_size=8).hexdigest()}>"
     linecache.cache[name] = len(source), None, source.splitlines(keepends=True), name
-    names: dict[str, Any] = {"np": np, "__name__": "derived_by_coadjoint"}
+    names: dict[str, Any] = {"np": np, "__name__": DERIVED_MODULE, "__source__": source}
     exec(compile(source, name, "exec", dont_inherit=True), names)
     function: Callable[..., Any] = names["derived"]
     return function
+
+
+class PicklableFunction(NamedTuple):
+    """A derived function as its source text, for pickling."""
+
+    source: str
+    multiples: tuple[tuple[int | float, bool], ...]
+
+
+def picklable_function(function: Any) -> Any:
+    """Return a derived function, or a multiple of one, in a form that can be pickled; anything else unchanged."""
+    inner, multiples = function, []
+    while isinstance(inner, MultipleOf):
+        multiples.append((inner.factor, inner.scalar))
+        inner = inner.function
+    if getattr(inner, "__module__", None) != DERIVED_MODULE:
+        return function
+    return PicklableFunction(inner.__globals__["__source__"], tuple(reversed(multiples)))
+
+
+def restored_function(function: Any) -> Any:
+    """Return the function of `picklable_function`.
+
+    Examples
+    --------
+    >>> derived = traced(lambda x: x[0] * x[0], 1, timed=False).value()
+    >>> restored_function(picklable_function(MultipleOf(derived, 2, True)))([3.0])
+    18.0
+    """
+    if not isinstance(function, PicklableFunction):
+        return function
+    restored: Any = _defined(function.source)
+    for factor, scalar in function.multiples:
+        restored = MultipleOf(restored, factor, scalar)
+    return restored
 
 
 def _constant(value: Any) -> int | float:
@@ -235,13 +272,41 @@ for _name in UNARY:
     setattr(Traced, _name, _unary(_name))
 
 
-def recorded(function: Callable[..., Any], n: int, timed: bool) -> tuple[Graph, list[Traced], Any]:
-    """Return the operations of a function of (x) or (x, t), x of shape (n,), with its coordinates and its result.
+class TracedFunction(NamedTuple):
+    """A function as recorded operations on its variables."""
 
-    The result is Traced or a constant. Raise TracingError, with the reason, if the function cannot be recorded.
+    graph: Graph
+    variables: tuple[Traced, ...]
+    result: Any
+    timed: bool
+
+    def value(self) -> Callable[..., Any]:
+        """Return the function itself, as a plain function of the recorded operations."""
+        return self.graph.function([self.result], "{0}", self.timed)
+
+    def derivatives(self) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any] | None]:
+        """Return value, gradient and Hessian, which Numba compiles; no Hessian of more than `MAX_OPERATIONS`."""
+        graph, n = self.graph, len(self.variables)
+        slopes = graph.gradient(self.result, self.variables)
+        value, gradient = self.value(), graph.function(slopes, "np.array(({0},))", self.timed)
+        try:
+            lower = [graph.gradient(slope, self.variables[: k + 1]) for k, slope in enumerate(slopes)]
+        except TracingError:
+            return value, gradient, None
+        curvatures = [lower[max(i, j)][min(i, j)] for i in range(n) for j in range(n)]
+        return value, gradient, graph.function(curvatures, f"np.array(({{0}},)).reshape(({n}, {n}))", self.timed)
+
+
+def traced(function: Callable[..., Any], n: int, timed: bool) -> TracedFunction:
+    """Record a function of (x) or (x, t), x of shape (n,); raise TracingError, with the reason, if that is impossible.
+
+    Examples
+    --------
+    >>> traced(lambda x: np.cos(x[0]) * x[1], 2, timed=False).value()([0.0, 3.0]).item()
+    3.0
     """
     graph = Graph()
-    variables = [graph.record("variable", f"x[{k}]") for k in range(n)]
+    variables = tuple(graph.record("variable", f"x[{k}]") for k in range(n))
     x = np.empty(n, dtype=object)
     x[:] = variables
     function = getattr(function, "py_func", function)
@@ -253,24 +318,4 @@ def recorded(function: Callable[..., Any], n: int, timed: bool) -> tuple[Graph, 
         raise TracingError(f"{type(reason).__name__}: {in_one_line(str(reason), 200)}") from reason
     if isinstance(result, np.ndarray) and result.size == 1:
         result = result.item()
-    return graph, variables, result if isinstance(result, Traced) else _constant(result)
-
-
-def traced_derivatives(
-    function: Callable[..., Any], n: int, timed: bool
-) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any] | None]:
-    """Return the value, the gradient and the Hessian of a function of (x) or (x, t), x of shape (n,).
-
-    They are plain functions of the recorded operations, which Numba compiles. The Hessian is None if it takes more
-    than `MAX_OPERATIONS`. Raise TracingError, with the reason, if the function cannot be recorded.
-    """
-    graph, variables, result = recorded(function, n, timed)
-    slopes = graph.gradient(result, variables)
-    value = graph.function([result], "{0}", timed)
-    gradient = graph.function(slopes, "np.array(({0},))", timed)
-    try:
-        lower = [graph.gradient(slope, variables[: k + 1]) for k, slope in enumerate(slopes)]
-    except TracingError:
-        return value, gradient, None
-    curvatures = [lower[max(i, j)][min(i, j)] for i in range(n) for j in range(n)]
-    return value, gradient, graph.function(curvatures, f"np.array(({{0}},)).reshape(({n}, {n}))", timed)
+    return TracedFunction(graph, variables, result if isinstance(result, Traced) else _constant(result), timed)

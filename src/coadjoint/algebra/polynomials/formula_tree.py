@@ -1,0 +1,230 @@
+"""Formulas as text, parsed by Python's `ast` after a check of every token; nothing is executed.
+
+Every name and number is replaced by a placeholder before `ast` parses the text, so that trees contain operators, calls
+and placeholders only. Length, nesting and the number of operations are bounded before.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from coadjoint.algebra.exact.numbers import NUMBER, Constant, parse_number
+from coadjoint.short_repr import short
+
+MAX_CHARACTERS = 250_000
+MAX_NESTING = 60
+"""Of brackets, signs and powers inside each other."""
+MAX_OPERATIONS = 1000
+"""Of one term of a sum; a term may contain sums in brackets."""
+NESTING_MESSAGE = "has brackets or signs that are nested too deeply"
+TERMS_PARSED_AT_ONCE = 256
+MAX_QUOTED = 60
+
+_WORD = r"[^\W\d]\w*(?:\[[\w, ]*\])?"
+NAME = re.compile(_WORD)
+_TOKEN = re.compile(
+    rf"\s*(?:(?P<number>{NUMBER})|(?P<name>{_WORD})|(?P<sign>\*\*|[<>=!]=|[-+*/^(),<>]))|\s*(?P<end>\Z)"
+)
+_COMPARISONS = frozenset({"<", "<=", ">", ">=", "==", "!="})
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """A coordinate in a formula, by its index."""
+
+    index: int
+
+
+@dataclass(frozen=True)
+class FormulaTree:
+    """A parsed formula: terms of a sum with their signs, and the values that the placeholders in them stand for."""
+
+    text: str
+    terms: tuple[tuple[int, ast.expr], ...]
+    symbols: tuple[Any, ...]
+
+    def symbol(self, node: ast.Name) -> Any:
+        """Return what a placeholder stands for: a number, a `Coordinate`, or the name of a function."""
+        return self.symbols[int(node.id[1:])]
+
+    def refused(self, reason: str) -> ValueError:
+        """Return the error for a formula that can be parsed, but is not allowed."""
+        return ValueError(f"{short(self.text, MAX_QUOTED)} {reason}")
+
+
+def summands(node: ast.expr, sign: int = 1) -> Iterator[tuple[int, ast.expr]]:
+    """Yield the signed terms of a sum in their order, without recursion."""
+    stack = [(sign, node)]
+    while stack:
+        sign, node = stack.pop()
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub):
+            stack += [(-sign if isinstance(node.op, ast.Sub) else sign, node.right), (sign, node.left)]
+        else:
+            yield sign, node
+
+
+def factors(node: ast.expr) -> list[tuple[bool, ast.expr]]:
+    """Return the factors of a product in their order, without recursion; True marks those that divide."""
+    found = []
+    while isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult | ast.Div):
+        found.append((isinstance(node.op, ast.Div), node.right))
+        node = node.left
+    return [(False, node), *reversed(found)]
+
+
+def parse_tree(
+    text: str, value_of: Callable[[str], Any], functions: Collection[str], notation: str, conditions: bool = False
+) -> FormulaTree:
+    """Parse a formula; with `conditions`, comparisons joined by ``and`` and ``or``, as a single term.
+
+    `value_of` returns the number or the `Coordinate` of a name, or None for an unknown one; `notation` ends messages.
+    """
+    return _Scanner(text, value_of, functions, notation, conditions).tree()
+
+
+class _Scanner:
+    """Check of the tokens of a formula: alternation of operands and operators, brackets, and bounds."""
+
+    def __init__(
+        self, text: str, value_of: Callable[[str], Any], functions: Collection[str], notation: str, conditions: bool
+    ) -> None:
+        if len(text) > MAX_CHARACTERS:
+            raise ValueError(f"{short(text)} has {len(text)} letters; a formula has at most {MAX_CHARACTERS}")
+        self._text, self._value_of, self._functions = text, value_of, functions
+        self._notation, self._conditions = notation, conditions
+        self._symbols: list[Constant | Coordinate | str] = []
+        self._known: dict[tuple[str, bool], str] = {}
+        self._source: list[str] = []  # of the current term
+        self._signs, self._sources = [1], list[str]()
+        self._calls = list[bool]()  # for each open bracket, whether it is that of a function
+        self._pending = [0]  # signs and powers that wait for their operand, for each open bracket
+        self._nesting = self._operations = 0
+
+    def tree(self) -> FormulaTree:
+        """Return the parsed formula."""
+        operand_expected, is_function, end = True, False, 0
+        while True:
+            begin = end
+            token = _TOKEN.match(self._text, begin)
+            if token is None:
+                raise self._syntax_error(begin)
+            end, kind = token.end(), token.lastgroup
+            word = token["name"]
+            operator = token["sign"] if word is None or not self._conditions or word not in ("and", "or") else word
+            if is_function and operator != "(":
+                raise self._syntax_error(begin)
+            if kind == "end":
+                if operand_expected or self._calls:
+                    raise self._syntax_error(begin)
+                break
+            if operator == "(":
+                if not operand_expected:
+                    raise self._syntax_error(begin)
+                self._open(is_function)
+                is_function = False
+            elif operator is None:
+                if not operand_expected:
+                    raise self._syntax_error(begin)
+                following = _TOKEN.match(self._text, end)
+                is_function = word is not None and following is not None and following["sign"] == "("
+                self._source.append(self._placeholder(token[kind or ""], is_function, word is not None))
+                operand_expected = is_function
+            elif operator in ("+", "-") and operand_expected:
+                self._sign(operator)
+            elif operand_expected or not self._operator(operator):
+                raise self._syntax_error(begin)
+            else:
+                operand_expected = operator != ")"
+        self._sources.append("".join(self._source))
+        return FormulaTree(self._text, tuple(zip(self._signs, self._nodes(), strict=True)), tuple(self._symbols))
+
+    def _placeholder(self, token: str, is_function: bool, is_name: bool) -> str:
+        if is_function and token not in self._functions:
+            known = f"the functions are {', '.join(self._functions)}" if self._functions else "there are no functions"
+            raise self._refused(f"has the function {short(token, MAX_QUOTED)}; {known} here (a product has a *)")
+        key = token, is_function
+        if key not in self._known:
+            value: Any = token if is_function else self._value_of(token) if is_name else parse_number(token)
+            if value is None:
+                raise self._refused(f"has {short(token, MAX_QUOTED)}, which is not a known name; {self._notation}")
+            self._known[key] = f"_{len(self._symbols)}"
+            self._symbols.append(value)
+        return self._known[key]
+
+    def _open(self, is_function: bool) -> None:
+        self._source.append("(")
+        self._calls.append(is_function)
+        self._pending.append(0)
+        self._nest()
+
+    def _nest(self) -> None:
+        self._nesting += 1
+        if self._nesting > MAX_NESTING:
+            raise self._refused(NESTING_MESSAGE)
+
+    def _sign(self, sign: str) -> None:
+        self._source.append(sign)
+        self._pending[-1] += 1
+        self._count()
+        self._nest()
+
+    def _operator(self, operator: str) -> bool:
+        """Add an operator between operands, a comma or a closing bracket; return whether it is allowed here."""
+        if operator in ("^", "**"):
+            self._source.append("**")
+            self._pending[-1] += 1
+            self._nest()
+        else:
+            self._nesting -= self._pending[-1]
+            self._pending[-1] = 0
+            if operator == ")":
+                if not self._calls:
+                    return False
+                self._calls.pop()
+                self._pending.pop()
+                self._nesting -= 1
+                self._source.append(")")
+                return True
+            if operator == ",":
+                if not (self._calls and self._calls[-1]):
+                    return False
+                self._source.append(",")
+            elif operator in ("and", "or") or operator in _COMPARISONS:
+                if not self._conditions or self._calls:
+                    return False
+                self._source.append(f" {operator} ")
+            elif operator in ("+", "-") and not self._calls and not self._conditions:
+                self._sources.append("".join(self._source))
+                self._signs.append(-1 if operator == "-" else 1)
+                self._source, self._operations = [], 0
+                return True
+            else:
+                self._source.append(operator)
+        self._count()
+        return True
+
+    def _count(self) -> None:
+        self._operations += 1
+        if self._operations > MAX_OPERATIONS:
+            raise self._refused(f"has more than {MAX_OPERATIONS} operations in one term")
+
+    def _nodes(self) -> Iterator[ast.expr]:
+        for k in range(0, len(self._sources), TERMS_PARSED_AT_ONCE):
+            source = f"({','.join(self._sources[k : k + TERMS_PARSED_AT_ONCE])},)"
+            try:
+                parsed = ast.parse(source, mode="eval").body
+            except (RecursionError, MemoryError):
+                raise self._refused(NESTING_MESSAGE) from None
+            assert isinstance(parsed, ast.Tuple)
+            yield from parsed.elts
+
+    def _refused(self, reason: str) -> ValueError:
+        return ValueError(f"{short(self._text, MAX_QUOTED)} {reason}")
+
+    def _syntax_error(self, begin: int) -> ValueError:
+        rest = short(self._text[begin:].strip() or "its end", MAX_QUOTED)
+        return ValueError(f"{short(self._text, MAX_QUOTED)} cannot be parsed from {rest} on; {self._notation}")
