@@ -268,8 +268,10 @@ export class Run {
     if (failed !== 0n) {
       const step = this.result("step"), status = this.result("status");
       count = Math.max(0, step - this.step - (this.step === 0 ? 0 : 1)); // the states before it
-      const { OVERFLOWED, UNDEFINED } = this.kernels.codes.Status;
-      const reasons: Record<number, string> = { [OVERFLOWED]: "a number overflowed", [UNDEFINED]: "the body turns too far" };
+      const { OVERFLOWED, TOO_LONG, UNDEFINED } = this.kernels.codes.Status;
+      const reasons: Record<number, string> = {
+        [OVERFLOWED]: "a number overflowed", [TOO_LONG]: "a flow is too long", [UNDEFINED]: "the body turns too far",
+      };
       this.failure = `Step ${step} failed: ${reasons[status] ?? "an iteration did not converge"}. Take a smaller step h.`;
     }
     this.step += steps;

@@ -237,10 +237,70 @@ def test_up_to_the_limit_a_flow_is_exact_and_beyond_it_is_refused(members, direc
     assert np.abs(read.steps(x0[0], direction * near, 1) - exact[0]).max() < tolerance
 
     far = limit * (1.0 + 2.0**-30)
-    with pytest.raises(co.IntegrationError, match="overflowed"):
+    with pytest.raises(co.IntegrationError, match=r"a flow of a part is longer than 4096 .* no digits of float64"):
         co.integrate(system, x0, (0.0, direction * far), far, co.Splitting(order=1))
     with pytest.raises(ValueError, match="at most 4096 are allowed; take a smaller step"):
         read.steps(x0[0], direction * far, 1)
+
+
+# In substeps of the series; the exponential is a matrix from 65 on, that of group elements from 9 on.
+LENGTHS = np.array([0.5, 7.9, 8.1, 63.9, 64.1, 300.0, 4095.0, 4097.0, 1e9, 1e300, 2.0, 1000.0, 20.0])
+
+
+@pytest.mark.parametrize("attitude", [False, "coadjoint"])
+@pytest.mark.parametrize("compensated", [False, True])
+def test_flows_of_every_length_alone_and_in_lanes(attitude, compensated):
+    """With H = x1^2 / 2, x1 is constant, and the rate at which the others turn."""
+    linear = moved_by(TURNS)
+    system = co.LiePoissonSystem(linear.algebra, co.Quadratic([1.0, 0.0, 0.0, 0.0, 0.0]))
+    x0 = np.tile(X0, (len(LENGTHS), 1))
+    x0[:, 0] = LENGTHS / norm_of(linear)
+    method = co.Splitting(order=2, compensated=compensated)
+    given = (0.0, 2.0), 1.0, method
+    with pytest.raises(
+        co.IntegrationError, match=r"longer than 4096 .* for 3 of 13 members \(first: member 7\)"
+    ) as raised:
+        co.integrate(system, x0, *given, attitude=attitude)
+    found = raised.value.partial
+    assert np.flatnonzero(found.failed).tolist() == [7, 8, 9]
+    generator = np.array([linear.structure_matrix(e) @ [1.0, 0, 0, 0, 0] for e in np.eye(5)]).T
+    scale = np.linalg.norm(BASIS, 1) * np.linalg.norm(np.linalg.inv(BASIS), 1)
+    for m, length in enumerate(LENGTHS):
+        try:
+            alone = co.integrate(system, x0[m], *given, attitude=attitude)
+        except co.IntegrationError as error:
+            assert length > MOST_SUBSTEPS and error.step == 1
+            assert np.isnan(found.x[1:, m]).all()
+            continue
+        np.testing.assert_array_equal(alone.x, found.x[:, m])
+        turn = scipy.linalg.expm(np.fmod(2.0 * x0[m, 0], 2.0 * np.pi) * generator)
+        # Two steps, each with 20 roundings in a substep, or with as much error in the squares.
+        tolerance = 2 * 20 * max(length, 1.0) * 2.0**-53 * scale**2
+        assert np.abs(alone.x[-1, 1:] - (turn @ x0[m])[1:]).max() < tolerance
+        if attitude:
+            np.testing.assert_array_equal(alone.attitude, found.attitude[:, m])
+            # The group element takes the momentum back to the start.
+            assert np.abs(alone.attitude[-1] @ turn - np.eye(5)).max() < scale * tolerance
+
+
+@pytest.mark.parametrize("length", [20.0, 100.0, 3000.0])
+def test_derivatives_of_long_flows(length):
+    """x(t) = exp(t x1 D) x(0): the derivative by x1 is t D x(t); forward, and backward by the transpose."""
+    linear = moved_by(TURNS)
+    system = co.LiePoissonSystem(linear.algebra, co.Quadratic([1.0, 0.0, 0.0, 0.0, 0.0]))
+    x0 = np.array([length / norm_of(linear), *X0[1:]])
+    ready = co.prepare(system, co.Splitting(order=2), 1.0)
+    generator = np.array([linear.structure_matrix(e) @ [1.0, 0, 0, 0, 0] for e in np.eye(5)]).T
+    turn = scipy.linalg.expm(np.fmod(2.0 * x0[0], 2.0 * np.pi) * generator)
+    exact = turn.copy()
+    exact[:, 0] += 2.0 * generator @ turn @ x0
+    scale = np.linalg.norm(BASIS, 1) * np.linalg.norm(np.linalg.inv(BASIS), 1)
+    tolerance = 2 * 2 * 20 * length * 2.0**-53 * scale**3
+    for k in range(5):
+        unit = np.eye(5)[k]
+        assert np.abs(ready.jvp(x0, (0.0, 2.0), {"x0": unit}, 2)[1].x[-1] - exact[:, k]).max() < tolerance
+        _, pullback = ready.vjp(x0, (0.0, 2.0), 2)
+        assert np.abs(pullback(x=[0.0 * unit, unit])["x0"] - exact[k]).max() < tolerance
 
 
 def test_members_that_overflow_on_the_way_leave_the_others_their_bits():

@@ -10,6 +10,8 @@ import coadjoint as co
 from coadjoint.files.archives.archived_run import FIRST_ADVANCE
 from coadjoint.systems.matrices.streams import Weights
 
+from .schemes_under_test import schemes, serves
+
 BODY = co.systems.rigid_body(inertia=(1.0, 2.0, 3.0))
 STARTS = np.random.default_rng(8).uniform(-1.0, 1.0, (11, 3))
 
@@ -190,3 +192,67 @@ def test_compiled_python_steps_use_structure_matrix_and_time(g, sign, composed):
             x, t = base.step(system, x, t, part * h), t + part * h
         wanted.append(x)
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-13)
+
+
+ALGEBRAS = {
+    "so(3)": co.algebras.so(3),
+    "su(2)": co.algebras.su(2),
+    "e(3)": co.algebras.e(3),
+    "so(4)": co.algebras.so(4),
+    "su(3)": co.algebras.su(3),
+    "three so(3)": co.algebras.copies(co.algebras.so(3), 3),
+    "A4,8": co.algebras.get("A4,8"),
+}
+MAGNITUDES = np.array(
+    [1.0, 1e-300, 30.0, 1e3, 1e-8, 3.0, 1e4, 0.0, 1e6, 100.0, 1e-3, 10.0, 1e5, 300.0, 3e3, 1e-160, 0.3]
+)
+IMPLICIT = [name for name, method in schemes().items() if not method.explicit]
+
+
+def attempt(*args, **options):
+    """Return the solution, or what there is of it."""
+    try:
+        return co.integrate(*args, **options)
+    except co.IntegrationError as error:
+        return error.partial
+
+
+@pytest.mark.thinned(6)
+@pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
+@pytest.mark.parametrize("algebra", ALGEBRAS)
+@pytest.mark.parametrize("isotropic", [True, False])
+@pytest.mark.parametrize("scheme", IMPLICIT)
+def test_implicit_schemes_at_every_magnitude(scheme, isotropic, algebra):
+    """Iterations end at round-off, by Newton's method or at their limit, whatever the neighbours and the attitude.
+
+    The isotropic H leaves momenta where they are, up to round-off, and turns the group element by angles of any size.
+    """
+    g, method = ALGEBRAS[algebra], schemes()[scheme]
+    rng = np.random.default_rng(5)
+    B = rng.standard_normal((g.dim, g.dim))
+    H = co.Quadratic(0.3357900246) if isotropic else co.Quadratic((B + B.T) / (2 * np.sqrt(g.dim)) + np.eye(g.dim))
+    system = co.LiePoissonSystem(g, H)
+    if not serves(method, system):
+        pytest.skip("another system")
+    x0 = MAGNITUDES[:, None] * rng.standard_normal((len(MAGNITUDES), g.dim))
+    given = (0.0, 1.8), 0.3, method
+    options = {"threads": 1, "watch": False}
+    plain = attempt(system, x0, *given, **options)
+    assert np.isfinite(plain.x[-1]).any(), "every member fails"
+    attitudes = [False] if method.properties(system).attitude == "none" else [False, "coadjoint"]
+    for attitude in attitudes:
+        whole = attempt(system, x0, *given, attitude=attitude, **options)
+        # A group element may overflow where the momentum does not.
+        reached = np.isfinite(whole.x)
+        same(whole.x[reached], plain.x[reached])
+        for part in [slice(None, None, -1), *(slice(0, count) for count in (3, 4, 7, 8, 9))]:
+            other = attempt(system, x0[part], *given, attitude=attitude, **options)
+            same(other.x, whole.x[:, part])
+            if attitude:
+                same(other.attitude, whole.attitude[:, part])
+        for m in range(len(x0)):
+            alone = attempt(system, x0[m], *given, attitude=attitude, **options)
+            same(alone.x, whole.x[: len(alone.t), m])
+            assert np.isnan(whole.x[len(alone.t) :, m]).all()
+            if attitude:
+                same(alone.attitude, whole.attitude[: len(alone.t), m])

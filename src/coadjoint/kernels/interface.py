@@ -61,7 +61,7 @@ PYTHON_CODES: Mapping[str, Mapping[str, int]] = {
 """Codes that Python also defines: complete lists, except for the limits, of which `program` needs some."""
 
 REQUIRED_CODES: Mapping[str, Iterable[str]] = {
-    "Status": ("DONE", "NOT_CONVERGED", "OVERFLOWED", "UNDEFINED", "ENDED"),
+    "Status": ("DONE", "NOT_CONVERGED", "OVERFLOWED", "UNDEFINED", "ENDED", "TOO_LONG"),
     "Crossing": ("RISING", "FALLING", "NEAR", "UNDEFINED", "BETWEEN"),
     "Outcome": ("INTERRUPTED", "NO_MEMORY", "UNSOLVED"),
     "StreamKind": ("TRIDIAGONAL", "CIRCULANT", "WEIGHTS", "MULTIPLIED", "BY_FUNCTION"),

@@ -48,18 +48,17 @@ struct SphericalMidpoint final : StepScheme {
         y.start_at_base();
         for (size_t s = 0; s < spins.size(); ++s) squares[s] = square(x, spins[s]);
         const double middle = fma(0.5, h, t);
-        const Outcome<double> outcome = settle(
-            y, true,
-            [&] {
-                std::copy_n(y.points.at, n, point.data());
-                for (size_t s = 0; s < spins.size(); ++s) {
-                    if (squares[s] == 0.0) continue;
-                    const double stretch = std::sqrt(squares[s] / square(point.data(), spins[s]));
-                    for (int64_t i : spins[s]) point[i] *= stretch;
-                }
-                slope_at(field, constants, point.data(), middle, h, u.data(), y.slopes.at, workspace);
-            },
-            [](bool, bool) {});
+        const auto evaluate = [&] {
+            std::copy_n(y.points.at, n, point.data());
+            for (size_t s = 0; s < spins.size(); ++s) {
+                if (squares[s] == 0.0) continue;
+                const double stretch = std::sqrt(squares[s] / square(point.data(), spins[s]));
+                for (int64_t i : spins[s]) point[i] *= stretch;
+            }
+            slope_at(field, constants, point.data(), middle, h, u.data(), y.slopes.at, workspace);
+        };
+        Outcome<double> outcome = settle(y, true, evaluate, [](bool, bool) {});
+        outcome.settled = outcome.settled || at_round_off(y, evaluate);
         evaluations = iterations = int64_t(outcome.iterations);
         residual = outcome.residual;
         if (!outcome.settled) return residual == residual ? NOT_CONVERGED : OVERFLOWED;

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.program.actions import Action, run_blocks, run_entries
-from coadjoint.program.blocks import MOST_SUBSTEPS, Kind
+from coadjoint.program.blocks import FEW_SUBSTEPS, MOST_SUBSTEPS, Kind
 from coadjoint.program.body_flow import FlowState, apply_body_flow, largest_of, substep_count
 from coadjoint.program.numbers import array_of, elementary, roundoff
 from coadjoint.program.rational_rotations import rational_angle, rational_angle_series
@@ -244,6 +244,13 @@ class Interpreter:
                 f"a flow is too long for one step: it would take {float(reach):.3g} substeps, and at most "
                 f"{MOST_SUBSTEPS} are allowed; take a smaller step, or start nearer to the origin"
             )
+        if reach > FEW_SUBSTEPS:
+            halvings = int(np.ceil(np.log2(float(reach))))
+            unit = block * 0 + np.eye(len(block), dtype=int)
+            moved = self._series(angle / 2**halvings, norm, degree, block, unit)
+            for _ in range(halvings):
+                moved = moved * 2 + moved @ moved  # (1 + moved)^2 - 1
+            return moved @ vectors
         substeps = max(1, self.functions.ceil(reach))
         h, start = angle / substeps, vectors
         for _ in range(substeps):

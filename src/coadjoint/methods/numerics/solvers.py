@@ -13,6 +13,8 @@ from coadjoint.methods.numerics.stages import Step
 from coadjoint.program.numbers import roundoff
 
 MAX_ITERATIONS = 200  # for 53 bits; proportional to the number of bits
+ROUGHEST = 2**-8  # of the size of the stages: larger corrections are not tested for round-off
+SAMPLES, SAMPLE_LENGTH, SAMPLED = 8, 3, 32  # of this test: points, iterations from each, and most times their distance
 
 
 class Evaluation(NamedTuple):
@@ -116,6 +118,26 @@ def iterate_tangents(step: Step, iterates: list[NDArray[Any]]) -> NDArray[np.flo
     return derivatives
 
 
+def _at_roundoff(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]], start: NDArray[Any], unit: Any) -> bool:
+    """Test whether iterations from points that differ by roundings end as far apart as the corrections are large.
+
+    ``at_round_off`` in ``stages/stagnation.hpp`` is its counterpart for steps in C++.
+    """
+    component = np.arange(start.shape[1])
+    ends: list[NDArray[Any]] = []
+    distance, correction = 0 * start, 0 * start
+    for sample in range(SAMPLES + 1):
+        points = start + start * (((7 * component + 5 * sample) % 17 - 8) * (2 * unit if sample else 0 * unit))
+        for passed in range(SAMPLE_LENGTH):
+            before, points = points, step.points(slopes_at(points))
+            if sample:
+                distance = np.maximum(distance, np.abs(points - ends[passed]))
+            else:
+                ends.append(points)
+                correction = np.abs(points - before)
+    return bool(np.all(correction <= SAMPLED * (distance + np.abs(start) * (2 * unit))))
+
+
 def iterate_to_stagnation(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDArray[Any]:
     """Iterate X = x + mix L(X) until the correction no longer falls, and return the last slopes L, shape (s, n).
 
@@ -161,7 +183,8 @@ def iterate_to_stagnation(step: Step, slopes_at: Callable[[NDArray[Any]], NDArra
             "mpmath.mpf"
         )
     max_iterations = MAX_ITERATIONS * max(1, int(-np.log2(float(unit)) / 53))
-    points, smallest, stagnant, largest, first = step.start(), None, 0, None, 0
+    points, stagnant, largest, first = step.start(), 0, None, 0
+    smallest = np.full(step.x.size, np.inf, dtype=step.x.dtype)
     with np.errstate(over="ignore", invalid="ignore"):  # divergence is detected by the last correction
         for iteration in range(1, max_iterations + 1):
             slopes = slopes_at(points)
@@ -173,11 +196,14 @@ def iterate_to_stagnation(step: Step, slopes_at: Callable[[NDArray[Any]], NDArra
             first = largest if iteration == 1 else first
             if not largest <= most_growth * first:
                 break
-            falling = smallest is None or bool(np.any(change < smallest))
-            smallest = change if smallest is None else np.minimum(change, smallest)
+            # Where coordinates move each other in turns, every other correction vanishes, and is no smallest one.
+            decreased = (change > 0) & (change < smallest)
+            falling, smallest = bool(np.any(decreased)), np.where(decreased, change, smallest)
             stagnant = stagnant + 1 if iteration > 3 and not falling and largest <= 2**21 * unit * size else 0
             if stagnant >= max(2, iteration // 4):  # slow corrections may oscillate for longer before they shrink
                 return slopes
+        if largest is not None and largest <= ROUGHEST * size and _at_roundoff(step, slopes_at, points, unit):
+            return slopes_at(points)
     residual = float(largest) if largest is not None else float("nan")
     raise IntegrationError(
         f"the stages of a step do not converge (last correction {residual:.3g}); take a smaller step",

@@ -10,7 +10,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, TypeVar
 
 from coadjoint.kernels.arrays import Layout, NamedArrays
-from coadjoint.kernels.interface import codes
+from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.loop import NEVER_STOPPED, MemberBatch, StopFlag
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.loops import Loops
@@ -137,6 +137,11 @@ def failure_text(status: str, method: Method, loops: Loops, residual: float) -> 
     if status == "NOT_CONVERGED":
         forces = ", or of a force," if loops.accounts else ""
         return f"the iteration of {method}{forces} did not converge (last correction {residual:.3g})"
+    if status == "TOO_LONG":
+        return (
+            f"a flow of a part is longer than {limit('MOST_SUBSTEPS')} (its angle times the norm of its generator), "
+            "and flows so long leave no digits of float64"
+        )
     if status == "PARALLEL":
         return "a tangent vector lost half of its digits against the others"
     return "a number overflowed"

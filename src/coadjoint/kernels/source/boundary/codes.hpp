@@ -12,8 +12,9 @@ namespace coadjoint {
     constexpr char Name##_codes[] = "codes " #Name ":" LIST(DESCRIBE_CODE) "\n";
 
 // Status of a step. UNDEFINED: its scheme does not define it. PARALLEL: a tangent vector depends linearly on the
-// others. ENDED: an event ended the run of the member before.
-#define STATUSES(_) _(DONE, 0) _(NOT_CONVERGED, 1) _(OVERFLOWED, 2) _(UNDEFINED, 3) _(PARALLEL, 4) _(ENDED, 5)
+// others. ENDED: an event ended the run of the member before. TOO_LONG: a flow needs more than MOST_SUBSTEPS.
+#define STATUSES(_) \
+    _(DONE, 0) _(NOT_CONVERGED, 1) _(OVERFLOWED, 2) _(UNDEFINED, 3) _(PARALLEL, 4) _(ENDED, 5) _(TOO_LONG, 6)
 CODES(Status, STATUSES)
 
 // Return values of a loop that did not complete all steps.
@@ -71,7 +72,8 @@ CODES(Shape, SHAPES)
 
 // TENTHS: pieces of a run with separate largest deviations. RATIONAL: added to the kind of a rotation by tan(angle/2)
 // := half the angle. CUBIC_HEADER: constants of a CUBIC block before the values of its entries. MOST_SUBSTEPS: of norm
-// one, in a step of a series; a longer step would not resolve the motion. LARGEST_DENSE: unknowns of Newton's method
+// one, in a step of a series; its angle depends on the state, so it multiplies rounding errors by their number, and after
+// five longer flows float64 has no digits left. LARGEST_DENSE: unknowns of Newton's method
 // with a dense matrix; above, a band or no matrix is used. LARGEST_DIRECT: unknowns of a linear scheme; above,
 // iterating costs less than LU factors, and the matrix is not stored. WIDEST: largest dimension in which members are
 // lanes, since lanes of states stay in the cache. MOST_LANES: largest number of members as lanes on any processor; the

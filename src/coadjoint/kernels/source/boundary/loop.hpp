@@ -39,8 +39,8 @@ struct Loop {
         arrays.step[member] = step;
         arrays.residual[member] = residual;
     }
-    void overflow(int64_t member, int64_t step) const {
-        fail(member, step, OVERFLOWED, std::numeric_limits<double>::quiet_NaN());
+    void overflow(int64_t member, int64_t step, bool too_long = false) const {
+        fail(member, step, too_long ? TOO_LONG : OVERFLOWED, std::numeric_limits<double>::quiet_NaN());
     }
 };
 

@@ -57,12 +57,14 @@ INLINE void add_compensated(V* vectors, V* errors, int64_t position, const V& ol
     add_compensated(vectors, errors, position, old, increment, error, remainder);
 }
 
-// The target of an action: `rows` vectors and their compensation. Scratch memory is three times their length.
+// The target of an action: `rows` vectors and their compensation. Scratch memory is three times their length. Lanes of
+// angles beyond MOST_SUBSTEPS are marked as `too_long`, unless null.
 template <class V>
 struct Vectors {
     V *at, *errors;
     int64_t rows;
     V* workspace;
+    int64_t* too_long = nullptr;
 };
 
 // Many blocks that rotate by one angle. Their coordinates are disjoint, so loads need not wait for stores.

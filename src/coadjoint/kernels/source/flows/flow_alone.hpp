@@ -136,8 +136,8 @@ class LoneMember {
         repeated = flows_of(tables.section[1], tables.section[loop.k1 > 1 ? 2 : 1]);
     }
 
-    Vectors<double> momentum() { return {momenta.at, momenta.at + size, 1, scratch.at}; }
-    Vectors<GroupRows> group() { return {elements.at, elements.at + square, rows, group_scratch.at}; }
+    Vectors<double> momentum() { return {momenta.at, momenta.at + size, 1, scratch.at, &too_long}; }
+    Vectors<GroupRows> group() { return {elements.at, elements.at + square, rows, group_scratch.at, &too_long}; }
 
     NOINLINE void store_checkpoint(int64_t k) {
         checkpoint = k;
@@ -160,7 +160,9 @@ class LoneMember {
             sweep(tables, SharedConstants{}, tables.section[again == 1 ? 0 : 1], tables.section[again == 1 ? 1 : 2],
                   momentum(), group(), start_of(schedule, member, again), schedule.h, angles);
         finish_copies(k - 1);
-        return finite(size, copies.at) && all(finite(square, finished.at)) ? k : k - 1;
+        if (finite(size, copies.at) && all(finite(square, finished.at))) return k;
+        too_long = 0;
+        return k - 1;
     }
 
     // Fill in the finished group element of step k; return whether it is finite.
@@ -176,7 +178,7 @@ class LoneMember {
     void end(int64_t failed) {
         const Arrays& arrays = loop.arrays;
         arrays.evaluations[member] += rows_applied(tables, loop.k0, failed ? failed : loop.k1);
-        if (failed) loop.overflow(member, failed);
+        if (failed) loop.overflow(member, failed, too_long);
         shared_steps.begin_as_measured();
         shared_copy(momenta.at, size, arrays.momenta + member * size);
         shared_steps.end_as_measured();
@@ -190,6 +192,7 @@ class LoneMember {
 
   private:
     const int64_t carried;
+    int64_t too_long = 0;
     const Sweep<double, GroupRows> sweep;
     AlignedArray<double> scratch, copies, checkpoint_momenta;
     AlignedArray<GroupRows> finished, group_scratch, checkpoint_elements;

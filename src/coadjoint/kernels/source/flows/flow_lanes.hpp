@@ -25,7 +25,7 @@ struct FlowLanes : RowsTarget<A, A, C> {
     const int64_t count, size, square;
     AlignedArray<A> momenta, elements, checkpoint_momenta, checkpoint_elements;
     int64_t checkpoint = 0;
-    int64_t active[Numbers<A>::lanes], left = 0, evaluations = 0;
+    int64_t active[Numbers<A>::lanes], too_long[Numbers<A>::lanes] = {}, left = 0, evaluations = 0;
     LaneRecorder<A, C> recorder;
     PartialStep<A> own_step;
 
@@ -35,8 +35,8 @@ struct FlowLanes : RowsTarget<A, A, C> {
           count(count), size(loop.arrays.size), square(loop.arrays.square), momenta(2 * size), elements(2 * square),
           checkpoint_momenta(2 * size), checkpoint_elements(2 * square), active{},
           recorder(loop.watch, loop.arrays, loop.schedule, loop.k0, this->constants, members, active, count) {
-        momentum = {momenta.at, momenta.at + size, 1, scratch.at};
-        group = {elements.at, elements.at + square, loop.tables.group.size, scratch.at};
+        momentum = {momenta.at, momenta.at + size, 1, scratch.at, too_long};
+        group = {elements.at, elements.at + square, loop.tables.group.size, scratch.at, too_long};
         for (int64_t lane = 0; lane < count; ++lane) left += active[lane] = loop.arrays.status[members[lane]] == DONE;
         for (int lane = 0; lane < Numbers<A>::lanes; ++lane)
             own_step.set(loop.tables, loop.schedule, members[std::min<int64_t>(lane, count - 1)], lane);
@@ -76,7 +76,10 @@ struct FlowLanes : RowsTarget<A, A, C> {
             recorder.store_worst();
             active[lane] = 0;
             --left;
-            loop.fail(member, step, status, std::numeric_limits<double>::quiet_NaN());
+            if (status == OVERFLOWED)
+                loop.overflow(member, step, step == k && too_long[lane]);
+            else
+                loop.fail(member, step, status, std::numeric_limits<double>::quiet_NaN());
             loop.arrays.evaluations[member] += rows_applied(loop.tables, loop.k0, step);
         }
     }

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <vector>
 
 #include "flows/blocks.hpp"
 #include "boundary/interrupts.hpp"
@@ -146,30 +147,128 @@ INLINE auto finite_block(const BlockRows& block, const Vectors<V>& x) {
         return total == V(0.0);
 }
 
-// The sum of theta^k D^k / k!: finite if D is nilpotent, else in substeps of norm at most 1.
+// exp(theta D) - 1 of one block as a matrix, by a series and repeated squares: for flows of so many substeps that these
+// take longer.
+class DenseExponential {
+  public:
+    // Whether `substeps` of the series take longer, for the `rows` of a group element or one vector. Few never do.
+    static bool is_faster(double substeps, const BlockRows& block, bool rows) {
+        if (!(substeps > (rows ? FEW_SUBSTEPS_OF_ROWS : FEW_SUBSTEPS))) return false;
+        const double width = double(block.width), entries = double(block.entries), vectors = rows ? width : 1.0;
+        double squares = 1.0;
+        for (double reach = substeps; reach > 1.0; reach *= 0.5) squares += 1.0;
+        return DENSE_DEGREE * entries * width + squares * width * width * width <
+               substeps * DENSE_DEGREE * (entries + width) * vectors;
+    }
+
+    // `values` are those of D.
+    NOINLINE DenseExponential(const BlockRows& block, const double* values, double theta, double norm)
+        : size(block.width), increment(size * size, 0.0), other(size * size) {
+        int64_t halvings = 0;
+        for (double reach = absolute(theta) * norm; reach > 1.0; reach *= 0.5, theta *= 0.5) ++halvings;
+        InterruptCheck& interrupts = InterruptCheck::of_this_call();
+        interrupts.after(int64_t(DENSE_DEGREE) * block.entries * size);
+        for (int64_t k = int64_t(DENSE_DEGREE); k > 0; --k) {
+            // In Horner's order: increment <- (theta / k) D (1 + increment).
+            for (int64_t i = 0; i < size; ++i) increment[i * size + i] += 1.0;
+            std::fill(other.begin(), other.end(), 0.0);
+            for (int64_t i = 0; i < size; ++i)
+                for (uint32_t entry = block.starts[i]; entry < block.starts[i + 1]; ++entry)
+                    add_row(values[entry] * (theta / double(k)), &increment[block.columns[entry] * size], &other[i * size]);
+            increment.swap(other);
+        }
+        for (; halvings > 0; --halvings) {
+            // (1 + increment)^2 - 1 = 2 increment + increment^2.
+            interrupts.after(size * size * size);
+            for (int64_t k = 0; k < size * size; ++k) other[k] = 2.0 * increment[k];
+            for (int64_t i = 0; i < size; ++i)
+                for (int64_t j = 0; j < size; ++j) add_row(increment[i * size + j], &increment[j * size], &other[i * size]);
+            increment.swap(other);
+        }
+    }
+
+    // Component i of the increment of the vector y, whose components are `stride` apart.
+    template <class V>
+    INLINE V times(int64_t i, const V* y, int64_t stride) const {
+        V total(0.0);
+        for (int64_t j = 0; j < size; ++j) total = fma(V(increment[i * size + j]), y[j * stride], total);
+        return total;
+    }
+
+  private:
+    static constexpr double FEW_SUBSTEPS = 64.0, FEW_SUBSTEPS_OF_ROWS = 8.0, DENSE_DEGREE = 20.0;
+    const int64_t size;
+    std::vector<double> increment, other;
+
+    void add_row(double factor, const double* from, double* to) const {
+        for (int64_t j = 0; j < size; ++j) to[j] = fma(factor, from[j], to[j]);
+    }
+};
+
+// Move one lane of vectors by the matrix of its exponential; all of them if a single angle moves them.
+template <Summation summation, class A, class V>
+NOINLINE void move_densely(const DenseExponential& exponential, const BlockRows& block, int lane, const Vectors<V>& x) {
+    constexpr Summation limited = summation == PLAIN ? PLAIN : COMPENSATED;
+    typedef std::conditional_t<Numbers<A>::lanes == 1, V, double> Moved;
+    gather(block, x);
+    std::vector<Moved> here(block.width);
+    for (int64_t row = 0; row < x.rows; ++row) {
+        for (uint32_t k = 0; k < block.width; ++k)
+            if constexpr (Numbers<A>::lanes == 1)
+                here[k] = x.workspace[k * x.rows + row];
+            else
+                here[k] = lane_of(x.workspace[k * x.rows + row], lane);
+        for (uint32_t k = 0; k < block.width; ++k) {
+            const int64_t position = block.coordinates[k] * x.rows + row;
+            const Moved move = exponential.times(k, here.data(), 1);
+            if constexpr (Numbers<A>::lanes == 1) {
+                add<limited>(x.at, x.errors, position, here[k], move);
+            } else {
+                double after = here[k], error = summation == PLAIN ? 0.0 : lane_of(x.errors[position], lane);
+                add<limited>(&after, &error, 0, here[k], move);
+                set_lane(x.at[position], lane, after);
+                if constexpr (summation != PLAIN) set_lane(x.errors[position], lane, error);
+            }
+        }
+    }
+}
+
+// The sum of theta^k D^k / k!: finite if D is nilpotent, else in substeps of norm at most 1, or by repeated squares.
 template <Summation summation, class A, class V, class C>
 NOINLINE void series(const Action& action, const C& constants, uint32_t run, const A& theta, const Vectors<V>& x) {
     const BlockRows block(action, run);
     const int64_t length = block.width * x.rows;
+    // The same for rows as lanes and for members as lanes.
+    const bool of_group = summation == CORRECTED && (Numbers<V>::lanes > Numbers<A>::lanes || x.rows > 1);
     A step = theta, substeps(1.0), degrees(1.0);
     const A norm = constants.template number_at<A>(action.constants, block.constant);
-    int64_t most = 1;
+    int64_t most = 0;
     uint32_t longest = 1;
     for (int lane = 0; lane < Numbers<A>::lanes; ++lane) {
         double needed = std::ceil(absolute(lane_of(theta, lane)) * lane_of(norm, lane));
-        if (needed <= double(MOST_SUBSTEPS)) {
-            double lane_substeps = needed > 1.0 ? needed : 1.0;
+        double lane_substeps = needed > 1.0 ? needed : 1.0;
+        if (!(needed <= double(MOST_SUBSTEPS))) {
+            // Near a blow-up the loop would not end; NaN stops it.
+            if (x.too_long) x.too_long[lane] = 1;
+            set_lane(step, lane, NAN);
+            lane_substeps = 1.0;
+        } else if (DenseExponential::is_faster(needed, block, of_group)) {
+            std::vector<double> values(block.entries);
+            for (int64_t entry = 0; entry < block.entries; ++entry)
+                values[entry] =
+                    lane_of(constants.template number_at<A>(action.constants, block.constant + 1 + entry), lane);
+            move_densely<summation, A>(
+                DenseExponential(block, values.data(), lane_of(theta, lane), lane_of(norm, lane)), block, lane, x);
+            lane_substeps = 0.0;
+        } else {
             const double reached = absolute(lane_of(theta, lane)) * lane_of(norm, lane) / lane_substeps;
             const uint32_t degree = reached > 0.0 ? degree_of(reached, action.degree[run]) : action.degree[run];
             set_lane(step, lane, lane_of(theta, lane) / lane_substeps);
-            set_lane(substeps, lane, lane_substeps);
             set_lane(degrees, lane, double(degree));
             longest = std::max(longest, degree);
-            most = lane_substeps > double(most) ? int64_t(lane_substeps) : most;
-        } else {
-            // No step of an integration needs more. Near a blow-up the loop would not end; NaN stops it.
-            set_lane(step, lane, NAN);
         }
+        set_lane(substeps, lane, lane_substeps);
+        most = lane_substeps > double(most) ? int64_t(lane_substeps) : most;
     }
     InterruptCheck& interrupts = InterruptCheck::of_this_call();
     for (int64_t done = 0; done < most; ++done) {

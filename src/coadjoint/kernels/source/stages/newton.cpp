@@ -14,32 +14,91 @@ namespace coadjoint {
 constexpr int64_t MOST_CORRECTIONS = 50;
 constexpr double SLUGGISH = 0.25;  // ratio of corrections above which the factors are renewed
 constexpr double SETTLING = 0x1p-40;  // of the size of the stages: below it stagnating corrections are round-off
+constexpr double OWN = 0x1p-47;       // of a component and its move: larger corrections that fall are no round-off
+constexpr int64_t LATE = 8;            // corrections after which the factors are renewed for small components
+constexpr int64_t SUSPECT = 3;        // larger corrections in a row that do not fall: tested for round-off
 
 // Correct the points as long as each correction is less than half of the previous one: `solve` turns the defect, stage
 // after stage, into a correction, and `renew` is called if corrections fall slowly. With `enough` it is done after that
-// many corrections: linear stages are solved by the first, and refined by the second.
+// many corrections: linear stages are solved by the first, and refined by the second. Components differ in size, and
+// the corrections of each must have stopped falling.
 Outcome<double> Corrected::correct(const Called<bool(double*)>& solve, const Called<bool()>& renew,
                                    int64_t enough) const {
     const int64_t s = tables.stages, m = points.size;
-    std::vector<double> defect(s * m);
-    Outcome<double> outcome{false, 0.0, std::numeric_limits<double>::infinity()};
-    double before = std::numeric_limits<double>::infinity(), least = before;
-    int64_t stagnant = 0;
-    for (int64_t passed = 1; passed <= MOST_CORRECTIONS; ++passed) {
-        InterruptCheck::of_this_call().after(work);
-        evaluate();
-        outcome.iterations = double(passed);
-        find_defect();
+    std::vector<double> defect(s * m), start(s * m), earlier(s * m), lowest(s * m, std::numeric_limits<double>::infinity());
+    const auto each = [&](const auto& visit) {
         share(m, [&](int64_t first, int64_t last) {
             for (int64_t i = 0; i < s; ++i)
-                for (int64_t c = first; c < last; ++c) defect[i * m + c] = change(c, i);
+                for (int64_t c = first; c < last; ++c) visit(i, c, i * m + c);
         });
-        if (!solve(defect.data())) return outcome;
+    };
+    each([&](int64_t i, int64_t c, int64_t k) { start[k] = points(c, i); });
+    const auto find_correction = [&] {
+        evaluate();
+        find_defect();
+        each([&](int64_t i, int64_t c, int64_t k) { defect[k] = change(c, i); });
+        return solve(defect.data());
+    };
+    // Whether a correction is larger than this part of its component and move, and `also(component, correction)`.
+    const auto any_larger = [&](double part, const auto& also) {
+        return shared_sum<double>(m, [&](int64_t first, int64_t last) {
+                   double number = 0.0;
+                   for (int64_t i = 0; i < s; ++i)
+                       for (int64_t c = first; c < last; ++c) {
+                           const int64_t k = i * m + c;
+                           const double own = absolute(start[k]) + absolute(points(c, i) - start[k]);
+                           const double correction = absolute(defect[k]);
+                           if (correction > part * own && also(k, correction)) number += 1.0;
+                       }
+                   return number;
+               }) > 0.0;
+    };
+    const auto falls_below = [&](int64_t k, double correction) {
+        const bool falls = correction <= 0.5 * lowest[k];
+        lowest[k] = smaller(lowest[k], correction);
+        return falls;
+    };
+    // As `at_round_off` of function iterations, for one correction; the slopes are then those before the last one.
+    const auto at_round_off = [&] {
+        std::vector<double> known(s * m), end(s * m), correction, distance(s * m, 0.0);
+        each([&](int64_t i, int64_t c, int64_t k) { known[k] = points(c, i); });
+        bool solved = true, round_off = true;
+        for (int64_t sample = 0; sample <= SAMPLES && solved; ++sample) {
+            InterruptCheck::of_this_call().after(work);
+            each([&](int64_t i, int64_t c, int64_t k) { points(c, i) = fma(disturbance(sample, c), known[k], known[k]); });
+            points.repeat_last(s);
+            if (!(solved = find_correction())) break;
+            if (sample == 0) {
+                correction = defect;
+                each([&](int64_t, int64_t, int64_t k) { end[k] = known[k] + defect[k]; });
+            } else {
+                each([&](int64_t i, int64_t c, int64_t k) {
+                    distance[k] = larger(distance[k], absolute((points(c, i) + defect[k]) - end[k]));
+                });
+            }
+        }
+        each([&](int64_t i, int64_t c, int64_t k) { points(c, i) = earlier[k]; });
+        points.repeat_last(s);
+        evaluate();
+        each([&](int64_t i, int64_t c, int64_t k) { points(c, i) = known[k]; });
+        points.repeat_last(s);
+        for (int64_t k = 0; k < s * m && solved; ++k)
+            round_off = round_off && absolute(correction[k]) <= SAMPLED * fma(ROUNDING, absolute(end[k]), distance[k]);
+        return solved && round_off;
+    };
+    Outcome<double> outcome{false, 0.0, std::numeric_limits<double>::infinity()};
+    double before = std::numeric_limits<double>::infinity(), least = before;
+    int64_t stagnant = 0, suspect = 0;
+    for (int64_t passed = 1; passed <= MOST_CORRECTIONS; ++passed) {
+        InterruptCheck::of_this_call().after(work);
+        outcome.iterations = double(passed);
+        if (!find_correction()) return outcome;
         double largest = 0.0, size = 0.0, sum = 0.0;
         for (int64_t i = 0; i < s; ++i) {
             const double moved = shared_sum<double>(m, [&](int64_t first, int64_t last) {
                 double total = 0.0;
                 for (int64_t c = first; c < last; ++c) {
+                    earlier[i * m + c] = points(c, i);
                     points(c, i) += defect[i * m + c];
                     total += absolute(defect[i * m + c]);
                 }
@@ -62,14 +121,21 @@ Outcome<double> Corrected::correct(const Called<bool(double*)>& solve, const Cal
             outcome.settled = true;
             return outcome;
         }
-        const bool small = largest <= SETTLING * size;
-        stagnant = largest <= 0.5 * least || !small ? 0 : stagnant + 1;
+        const bool small = largest <= SETTLING * size, falls = largest <= 0.5 * least;
+        const bool component_falling = small && any_larger(OWN, falls_below);
+        stagnant = falls || !small || component_falling ? 0 : stagnant + 1;
+        suspect = falls || small ? 0 : suspect + 1;
         least = smaller(least, largest);
-        if (largest == 0.0 || stagnant == 2) {
+        const bool late = small && passed % LATE == 0;
+        const bool large = (stagnant == 2 || late) && any_larger(SETTLING, [](int64_t, double) { return true; });
+        const bool rough = stagnant == 2 && large;
+        if (largest == 0.0 || (stagnant == 2 && !rough) ||
+            ((rough || (suspect > 0 && suspect % SUSPECT == 0)) && at_round_off())) {
             outcome.settled = true;
             return outcome;
         }
-        if (enough == 0 && !small && largest > SLUGGISH * before && !renew()) return outcome;
+        if (rough) stagnant = 0;
+        if (enough == 0 && (large || (!small && largest > SLUGGISH * before)) && !renew()) return outcome;
         before = largest;
     }
     return outcome;

@@ -66,10 +66,14 @@ struct Stages {
         if (tables.solver == IMPLICIT) {
             save_slopes();
             p.start_extrapolated(forecast.at + part * blocks * s);
-            Mask found = settle_momentum(active, trusted.at[part], &trusted.at[part]);
+            const V known = trusted.at[part];
+            Mask found = settle_momentum(active, known, &trusted.at[part]);
             if (d == 0) return found;
             g.start_extrapolated(forecast.at + part * blocks * s);
-            return settle_group(found);
+            found = settle_group(found);
+            // Members that failed are solved again, alone, and trust as many iterations as if they had always been.
+            trusted.at[part] = select(found, trusted.at[part], known);
+            return found;
         }
         p.start_at_base();
         const bool explicitly = !Layout::side_by_side && tables.solver == EXPLICIT;  // see `one_at_a_time`

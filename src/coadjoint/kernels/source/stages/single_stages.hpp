@@ -25,7 +25,8 @@ struct SingleStages : Stages<Layout, SharedConstants> {
     SingleStages(const RungeKuttaTables& tables, const SharedConstants& constants) : Base(tables, constants) {}
 
     // Compute the slopes of a substep by one fallback after the other: starting at the base instead of an
-    // extrapolation, by Newton's method or linear systems instead of function iteration. `newton` counts the further
+    // extrapolation, corrections that are round-off although they are large, and Newton's method or linear systems
+    // instead of function iteration. `newton` counts the further
     // steps that begin with these.
     bool solve_alone(double t, double h, int64_t part, double& newton) {
         if (tables.solver != IMPLICIT) {
@@ -44,6 +45,7 @@ struct SingleStages : Stages<Layout, SharedConstants> {
                 p.start_at_base();
                 found = settle_momentum(true, 0.0, &trusted.at[part]);
             }
+            if (!found && at_round_off(p, [&] { evaluate_all(); })) found = true, trusted.at[part] = 0.0;
             newton = found ? 0.0 : STEPS_OF_NEWTON;
         }
         if (!found) {

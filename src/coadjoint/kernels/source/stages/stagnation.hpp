@@ -17,12 +17,25 @@ constexpr double GROWTH = power_of_two(GROWTH_BITS);  // larger than the first c
 constexpr double NOISE = 0x1p-32;     // of the size of the stages: only smaller corrections may be round-off
 constexpr int64_t TEST_INTERVAL = 16;  // interval, in iterations, of the test for slow convergence
 constexpr double SLOW = 0x1p-6;        // a smaller fall since the last test would take more than MAX_ITERATIONS
+constexpr double WAKING = 0x1p-47;     // of a component and its move: a larger correction after a rest is no round-off
+constexpr double ROUGH = 0x1p-20;      // of a component and its move: stagnating corrections that are too large
+constexpr double SPREAD_NOISE = 0x1p-16;  // of NOISE: 32 roundings of the largest components, which reach the others
+constexpr int64_t SAMPLES = 8;         // points that differ by roundings, of which few can end alike by chance
+constexpr int64_t SAMPLE_LENGTH = 3;   // iterations from these: round-off spreads from one component to the others
+constexpr double ROUNDING = 0x1p-52;
+constexpr double ROUGHEST = 0x1p-8;    // of the size of the stages: larger corrections are not tested for round-off
+constexpr double SAMPLED = 32.0;       // corrections at most so many times their distances are round-off
 constexpr double TRUSTED = 12.0;      // at most so many untested iterations, so that the first test can compare
 constexpr int64_t LONG_ITERATION = int64_t(1) << 14;  // multiplications above which each checks for interrupts
 
 // The number of iterations without a new smallest correction that counts as stagnation. Few can be chance: with complex
 // eigenvalues the corrections oscillate while they shrink, the longer the more slowly they shrink.
 INLINE double stagnation_length(int64_t passed) { return double(passed < 12 ? 2 : passed / 4); }
+
+// The relative change of a component in a sample: up to eight roundings of either sign, and none in the first.
+INLINE double disturbance(int64_t sample, int64_t component) {
+    return sample == 0 ? 0.0 : double((7 * component + 5 * sample) % 17 - 8) * ROUNDING;
+}
 
 // Stages that solve points = base + (error + sum_j mix_ij slopes_j), `size` components each, and scratch memory.
 template <class Layout>
@@ -120,6 +133,17 @@ struct Unknowns {
             noise.at[b] = Layout::choose(where, noise.at[b] + A(NOISE) * moved.at[b], noise.at[b]);
     }
 
+    // The largest sum of the components of a stage.
+    NOINLINE V extent() const {
+        V result(0.0);
+        for (int64_t b = 0; b < blocks; ++b) {
+            A total(0.0);
+            for (int64_t c = 0; c < size; ++c) total = total + absolute(points.at[b * size + c]);
+            result = larger(result, V(Layout::largest(total)));
+        }
+        return result;
+    }
+
     // The largest correction of a stage, summed over its components; NaN if any is NaN.
     NOINLINE V largest_move() const {
         V result(0.0), nan_sum(0.0);
@@ -133,23 +157,86 @@ struct Unknowns {
 
     // Whether the correction of any component of a stage is smaller than all previous ones: components differ in size,
     // and each must stop falling. One unit in the last place is ignored, since among many components one would always
-    // fall.
+    // fall; a component with such a correction rests, which is the sign of `least`. If it moves again by more than
+    // round-off, it falls as before: where components move each other in turns, every other correction vanishes.
     INLINE auto falling(const typename Numbers<V>::Mask& where, int64_t blocks, int64_t size) {
-        const A number = shared_sum<A>(blocks * size, [&](int64_t first, int64_t last) {
-            auto found = A(0.0) < A(0.0);
-            for (int64_t k = first; k < last; ++k) {
-                const A unit = A(2.0 * UNIT_ROUNDOFF) * absolute(points.at[k]);
-                const A correction = select(change.at[k] <= unit, A(0.0), change.at[k]);
-                auto decreased = correction < least.at[k];
-                if constexpr (Numbers<V>::lanes > 1) decreased = decreased & where;
-                least.at[k] = select(decreased, correction, least.at[k]);
-                found = found | decreased;
-            }
-            return select(found, A(1.0), A(0.0));
-        });
-        return Layout::some(A(0.0) < number);
+        auto any_falls = A(0.0) < A(0.0);
+        for (int64_t b = 0; b < blocks; ++b) {
+            const A number = shared_sum<A>(size, [&](int64_t first, int64_t last) {
+                auto found = A(0.0) < A(0.0);
+                for (int64_t c = first; c < last; ++c) {
+                    const int64_t k = b * size + c;
+                    const A extent = absolute(points.at[k]), correction = change.at[k], known = least.at[k];
+                    const auto resting = known < A(0.0), still = correction <= A(2.0 * UNIT_ROUNDOFF) * extent;
+                    auto decreased = (still | (correction < known)) & !resting;
+                    if (any(resting)) {
+                        const A own = extent + absolute(points.at[k] - Layout::spread(base[c]));
+                        const auto wakes = (A(WAKING) * own < correction) & (correction < -known);
+                        decreased = decreased | (resting & wakes & !still);
+                    }
+                    if constexpr (Numbers<V>::lanes > 1) decreased = decreased & where;
+                    least.at[k] = select(decreased, select(still, -known, correction), known);
+                    found = found | decreased;
+                }
+                return select(found, A(1.0), A(0.0));
+            });
+            any_falls = any_falls | (A(0.0) < number);
+        }
+        return Layout::some(any_falls);
+    }
+
+    // Whether the correction of any component of a stage is large for this component and its move, and not as small as
+    // the round-off of the largest ones: then it does not converge.
+    NOINLINE auto rough(int64_t blocks, int64_t size) const {
+        auto any_rough = A(0.0) < A(0.0);
+        for (int64_t b = 0; b < blocks; ++b) {
+            const A number = shared_sum<A>(size, [&](int64_t first, int64_t last) {
+                auto found = A(0.0) < A(0.0);
+                for (int64_t c = first; c < last; ++c) {
+                    const A point = points.at[b * size + c], correction = change.at[b * size + c];
+                    const A own = absolute(point) + absolute(point - Layout::spread(base[c]));
+                    found = found | ((A(ROUGH) * own < correction) & (A(SPREAD_NOISE) * noise.at[b] < correction));
+                }
+                return select(found, A(1.0), A(0.0));
+            });
+            any_rough = any_rough | (A(0.0) < number);
+        }
+        return Layout::some(any_rough);
     }
 };
+
+// Whether corrections that do not fall are round-off of the terms of their components: iterations from points that
+// differ by roundings end about as far apart. The slopes are then those at the points.
+template <class Layout, class Evaluate>
+NOINLINE bool at_round_off(Unknowns<Layout>& y, const Evaluate& evaluate) {
+    typedef typename Layout::A A;
+    const int64_t count = y.blocks * y.size;
+    // Larger corrections have no digits left, or diverge.
+    if (!(y.largest_move() <= ROUGHEST * y.extent())) return false;
+    AlignedArray<A> start(count), ends(SAMPLE_LENGTH * count), correction(count), distance(count);
+    std::copy_n(y.points.at, count, start.at);
+    std::fill_n(distance.at, count, A(0.0));
+    for (int64_t sample = 0; sample <= SAMPLES; ++sample) {
+        InterruptCheck::of_this_call().after(SAMPLE_LENGTH * y.work);
+        for (int64_t k = 0; k < count; ++k)
+            y.points.at[k] = fma(A(disturbance(sample, k % y.size)), start.at[k], start.at[k]);
+        for (int64_t passed = 0; passed < SAMPLE_LENGTH; ++passed) {
+            evaluate();
+            y.template update_points<true>(0, y.blocks, y.stages);
+            A* const end = ends.at + passed * count;
+            if (sample == 0) std::copy_n(y.points.at, count, end);
+            for (int64_t k = 0; k < count; ++k)
+                distance.at[k] = larger(distance.at[k], absolute(y.points.at[k] - end[k]));
+        }
+        if (sample == 0) std::copy_n(y.change.at, count, correction.at);
+    }
+    std::copy_n(start.at, count, y.points.at);
+    evaluate();
+    auto round_off = A(0.0) <= A(0.0);
+    for (int64_t k = 0; k < count; ++k)
+        round_off = round_off & (correction.at[k] <= A(SAMPLED) * fma(A(ROUNDING), absolute(start.at[k]), distance.at[k]));
+    return Layout::every(round_off);
+}
 
 template <class V>
 struct Outcome {
@@ -204,7 +291,9 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask active, int64_t blocks, int64_t 
             if (any(stagnating))
                 stagnating = stagnating & !y.falling(stagnating, blocks, size) & (count > V(double(FIRST_TEST)));
             stagnant = select(stagnating, stagnant + 1.0, V(0.0));
-            ended = ended | (stagnating & (stagnant >= V(stagnation_length(passed))));
+            const auto stagnated = stagnating & (stagnant >= V(stagnation_length(passed)));
+            if (any(stagnated)) failed = stagnated & y.rough(blocks, size);
+            ended = ended | (stagnated & !failed);
         } else {
             stagnant = V(0.0);
         }
@@ -212,11 +301,11 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask active, int64_t blocks, int64_t 
             const auto untrusted = !(trusted > V(0.0));
             first = last_tested = select(untrusted, y.largest_move(), infinite);
             y.measure_move(untrusted, blocks);
-            failed = active & untrusted & !ended & !(first - first == V(0.0));
+            failed = failed | (active & untrusted & !ended & !(first - first == V(0.0)));
         } else if (__builtin_expect(passed % TEST_INTERVAL == 0, 0)) {
             const V now = y.largest_move();
             const auto bounded = now <= V(GROWTH) * first, fast = now <= V(SLOW) * last_tested;
-            failed = active & !ended & !(bounded & (small | fast));
+            failed = failed | (active & !ended & !(bounded & (small | fast)));
             last_tested = now;
             InterruptCheck::of_this_call().after(TEST_INTERVAL * y.work * Numbers<V>::lanes);
             if (passed >= MAX_ITERATIONS) failed = active & !ended;

@@ -34,7 +34,8 @@ static void advance_member(const FlowTangentLoop& loop, int64_t member) {
     std::copy_n(arrays.momenta + member * size, size, x);
     std::copy_n(arrays.errors + member * size, size, dx);
     const int64_t work = (1 + 4 * bundle.rows) * work_of_step(without_tangents(loop));
-    int64_t failed = 0, k = loop.k0 + 1;
+    int64_t failed = 0, too_long = 0, k = loop.k0 + 1;
+    tangent_state.too_long = &too_long;
     bool parallel = false;
     const auto no_group = [](int64_t, double*) { return true; };
     SharedSteps shared_steps(schedule.threads, size);
@@ -55,7 +56,7 @@ static void advance_member(const FlowTangentLoop& loop, int64_t member) {
     arrays.evaluations[member] += start * (int64_t(tables.section[1]) - tables.section[0]) +
                                   (taken - start) * (int64_t(tables.section[2]) - tables.section[1]);
     if (failed)
-        loop.overflow(member, failed);
+        loop.overflow(member, failed, too_long && failed == k - 1);
     else if (parallel)
         loop.fail(member, last, PARALLEL, std::numeric_limits<double>::quiet_NaN());
     else
@@ -87,6 +88,7 @@ static void advance_lanes(const FlowTangentLoop& loop, const int64_t* members, i
                                                   : sweep_groups<PLAIN, false, A, A, SharedConstants>;
     FlowLanes<A, SharedConstants> lane_group(plain, SharedConstants{}, {sweep_momenta, sweep_momenta}, members, count,
                                              scratch);
+    tangent_state.too_long = lane_group.too_long;
     const int64_t work = (1 + bundle.rows) * MEMBER_LANES * work_of_step(plain);
     A t(schedule.t0);
     for (int64_t k = loop.k0 + 1; k <= loop.k1 && lane_group.left > 0; ++k) {

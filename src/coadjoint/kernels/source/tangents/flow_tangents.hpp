@@ -115,6 +115,7 @@ struct FlowTangentState {
     const bool compensated;
     const int64_t* hessians;
     const int64_t size, rows, side;
+    int64_t* too_long = nullptr;
     AlignedArray<A> scratch, group_scratch;
     AlignedArray<V> wide, wide_group, changes;
     AngleWorkspace<A> angles;
@@ -301,7 +302,7 @@ struct FlowTangentState {
             if (!added) {
                 const A single_angle = single ? theta[0] : A(0.0);
                 CachedRotation<A> cached;
-                const Vectors<A> momentum{x, dx, 1, scratch.at};
+                const Vectors<A> momentum{x, dx, 1, scratch.at, too_long};
                 const Vectors<V> of_momentum{vectors, nullptr, rows, wide.at};
                 with_sums(compensated, [&](auto sums) {
                     if (apart)
