@@ -150,6 +150,16 @@ def test_other_functions_are_refused_with_the_reason(H, why):
     assert isinstance(co.integrate(system, (0.3, 0.2, 0.9), (0, 0.1), 0.05).method, co.GaussLegendre)
 
 
+def test_a_function_that_is_another_one_when_recorded_is_refused():
+    H = co.Hamiltonian(
+        lambda x: x[0] ** 2 + x[1] if x.dtype == object else np.sin(x[0] * x[1]),
+        lambda x: np.array([x[1], x[0], 0.0]) * np.cos(x[0] * x[1]),
+    )
+    system = co.LiePoissonSystem(co.algebras.so(3), H)
+    with pytest.raises(ValueError, match=r"cannot be taken apart \(it is another function where its operations are"):
+        co.Splitting().describe(system)
+
+
 def test_a_function_of_commuting_coordinates_stays_one_function():
     """High powers of differences are not multiplied out."""
     system = co.LiePoissonSystem(co.algebras.se(3), lambda x: (x[3] - x[4]) ** 12 + np.cos(x[5]) + x[0])
