@@ -11,7 +11,7 @@ from coadjoint.short_repr import short
 
 
 class IntegrationError(RuntimeError):
-    """A run failed: an iteration did not converge, or a number overflowed.
+    """A run failed: an iteration did not converge, a number overflowed, or a flow was too long.
 
     Parameters
     ----------

@@ -61,3 +61,54 @@ def test_attitude_stays_orthogonal_at_large_steps():
     sol = co.integrate(body, (3.0, -5.0, 4.0), (0, 4000), 0.4, co.Splitting(), attitude=True, save_every=10_000)
     A = sol.attitude[-1]
     assert np.max(np.abs(A @ A.T - np.eye(3))) < 10_000 * 4 * U
+
+
+def processed_runs():
+    """Runs at steps that are far too large: outputs of the processor overflow, and the kernel of the scheme goes on."""
+    g, rng = co.algebras.get("A4,8"), np.random.default_rng(0)
+    B = rng.standard_normal((g.dim, g.dim))
+    system = co.LiePoissonSystem(g, co.Quadratic((B + B.T) / 4 + np.eye(g.dim)))
+    x0 = rng.standard_normal((200, g.dim)) * np.geomspace(1.0, 60.0, 200)[:, None]
+    return system, x0, (0.0, 1.2), 0.1, co.Splitting(scheme="blanes_casas_murua10")
+
+
+@pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
+@pytest.mark.parametrize("attitude", [False, "coadjoint"])
+@pytest.mark.parametrize("members", [200, 13])
+def test_outputs_that_overflow_are_left_out(attitude, members):
+    """Whether a state is saved or watched changes no other one."""
+    system, x0, *given = processed_runs()
+    x0 = x0[:: 200 // members]
+
+    def run(start=x0, **options):
+        try:
+            return co.integrate(system, start, *given, attitude=attitude, threads=1, **options)
+        except co.IntegrationError as error:
+            return error.partial
+
+    whole = run(watch=False)
+    lost = ~np.isfinite(whole.x).all(axis=2)
+    returns = (lost[:-1] & ~lost[1:]).any(axis=0)
+    assert returns.any() or members < 200, "no output overflows alone"
+    assert (lost == np.isnan(whole.x).any(axis=2)).all() and (lost == np.isnan(whole.energy)).all()
+    assert (whole.failed == lost.any(axis=0)).all()
+    watched = run(watch=True)
+    np.testing.assert_array_equal(watched.x, whole.x)
+    np.testing.assert_array_equal(watched.failed, whole.failed)
+    if attitude:
+        np.testing.assert_array_equal(watched.attitude, whole.attitude)
+        assert (lost == np.isnan(whole.attitude).any(axis=(2, 3))).all()
+    for save_every in (5, 7):
+        for watch in (False, True):
+            sparse = run(save_every=save_every, watch=watch)
+            saved = [*range(0, 12, save_every), 12]
+            np.testing.assert_array_equal(sparse.x, whole.x[saved])
+            assert (sparse.failed == (lost[saved].any(axis=0) | lost[-1])).all()
+    for m in [*np.flatnonzero(returns), 0, len(x0) - 1][:6]:
+        for watch in (False, True):
+            alone = run(x0[m], watch=watch)
+            kept = len(alone.t)
+            assert kept == (np.argmax(lost[:, m]) if lost[:, m].any() else 13)
+            np.testing.assert_array_equal(alone.x, whole.x[:kept, m])
+            sparse = run(x0[m], watch=watch, save_every=5)
+            np.testing.assert_array_equal(sparse.x, whole.x[[0, 5, 10, 12], m][: len(sparse.t)])

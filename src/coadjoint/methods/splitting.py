@@ -72,7 +72,8 @@ class Splitting(FlowMethod):
         ``"yoshida4"`` (the paper's fourth-order scheme), ``"suzuki4"``, ``"kahan_li8a"``, ... Processed schemes
         P K P^-1 (``"blanes_casas_murua6"``, 8, 10) cost one short kernel K per step and the processor P at each point
         that is saved or watched: use them with ``watch=False`` and a large `save_every`. A Hamiltonian that depends on
-        time is then also evaluated slightly before the start and after the end.
+        time is then also evaluated slightly before the start and after the end. At steps that are far too large the
+        processor may overflow where the kernel does not; such points are NaN, and the run counts as failed.
     adjoint : bool
         For order 1: the adjoint sweep X_n(h), ..., X_1(h).
 

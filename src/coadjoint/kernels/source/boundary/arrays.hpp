@@ -45,6 +45,11 @@ struct Arrays : Extent {
         STATE_ARRAYS(ASSIGN_ARRAY)
     }
 
+    // The saved state after step k is not finite, and left out. Its member counts as failed at the end of the run.
+    void left_out(int64_t member, int64_t k) const {
+        if (step[member] == 0) step[member] = k;
+    }
+
     // Both kinds in one block.
     Arrays(const Extent& extent, double* at) : Extent(extent) {
         SAVED_ARRAYS(ASSIGN_ARRAY)

@@ -19,7 +19,8 @@ struct MemberRange {
 // Clear the results of the members, and save their start from the momenta and groups of the state.
 void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, const MemberRange& range);
 
-// Return the number of failed members. If the run has ended, a non-finite energy is a failure too.
+// Return the number of failed members. If the run has ended, saved states that were left out and non-finite energies are
+// failures too.
 int64_t count_failed(const Watch& watch, const Arrays& arrays, const MemberRange& range, bool ended);
 
 // The loop over the steps of one call, for a family of schemes with its own tables; the arrays are those of all
@@ -35,6 +36,8 @@ struct Loop {
 
     double* memory_of(int64_t member) const { return arrays.memory + member * arrays.memory_size; }
     void fail(int64_t member, int64_t step, int64_t status, double residual) const {
+        // A saved state that was left out before is the first failure.
+        if (arrays.step[member] > 0) return void(arrays.status[member] = OVERFLOWED);
         arrays.status[member] = status;
         arrays.step[member] = step;
         arrays.residual[member] = residual;

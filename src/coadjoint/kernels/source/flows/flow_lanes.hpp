@@ -25,7 +25,7 @@ struct FlowLanes : RowsTarget<A, A, C> {
     const int64_t count, size, square;
     AlignedArray<A> momenta, elements, checkpoint_momenta, checkpoint_elements;
     int64_t checkpoint = 0;
-    int64_t active[Numbers<A>::lanes], too_long[Numbers<A>::lanes] = {}, left = 0, evaluations = 0;
+    int64_t active[Numbers<A>::lanes], too_long[Numbers<A>::lanes] = {}, left_out[Numbers<A>::lanes], left = 0, evaluations = 0;
     LaneRecorder<A, C> recorder;
     PartialStep<A> own_step;
 
@@ -134,7 +134,16 @@ struct FlowLanes : RowsTarget<A, A, C> {
     NOINLINE FinishedRows<A> finished(int64_t k, bool saving, const A& t, A* copies, A* scratch,
                                       AngleWorkspace<A>& angles) {
         finish(t, saving, copies, scratch, angles);
-        stop_where_not(finite(size, copies), k);
+        const auto valid = finite(size, copies);
+        if (__builtin_expect(!recorder.ends_where_infinite(), 1)) {
+            auto sound = valid;
+            if (square > 0 && saving) sound = sound & finite(square, copies + 2 * size);
+            if (__builtin_expect(all(sound), 1)) return {copies, copies + 2 * size};
+            for (int64_t i = 0; i < size; ++i) copies[i] = select(valid, copies[i], A(NAN));
+            for (int lane = 0; lane < Numbers<A>::lanes; ++lane) left_out[lane] = !at(sound, lane);
+            return {copies, copies + 2 * size, left_out};
+        }
+        stop_where_not(valid, k);
         if (square > 0 && saving) {
             const auto rotated = finite(square, copies + 2 * size);
             if (__builtin_expect(!all(rotated), 0)) {

@@ -48,7 +48,8 @@ class MemberRecorder {
     int64_t next_recorded(int64_t k) const { return recording || detector ? k : saved.next; }
 
     // Record the state after step k, if required. `group(k, to)` fills in the finished group element, and returns
-    // whether it is finite. Return the first step whose finished state is not, or 0.
+    // whether it is finite. A finished state that is not finite is saved as NaN, since steps without it may go on; only
+    // the search for events needs all of them: then return the first step with such a state, otherwise 0.
     template <class Group>
     INLINE int64_t after(int64_t k, const double* x, const double* dx, const Group& group) {
         const bool due = k == saved.next;
@@ -58,9 +59,13 @@ class MemberRecorder {
         if (due) {
             const int64_t position = saved.take();
             valid = valid && group(k, group_at(position));
-            if (valid) slot[waiting] = position, saving = true;
+            if (valid)
+                slot[waiting] = position, saving = true;
+            else
+                arrays.left_out(member, k);
         }
-        if (__builtin_expect(!valid, 0)) return end_at(k, x, dx);
+        if (__builtin_expect(!valid && detector, 0)) return end_at(k, x, dx);
+        if (!valid && !recording) return 0;
         if constexpr (!gathers) {
             record(1, &k, x);
             return 0;
@@ -101,7 +106,10 @@ class MemberRecorder {
                 set_lane(t, lane, start_of(schedule, member, step[std::min<int64_t>(lane, waiting - 1)]));
             finish(states.at, errors.at, t);
             const auto valid = finite(size, states.at);
-            for (good = 0; good < waiting && at(valid, int(good));) ++good;
+            if (__builtin_expect(!all(valid), 0)) {
+                if (!detector) leave_out(valid);
+                for (good = 0; good < waiting && (!detector || at(valid, int(good)));) ++good;
+            }
         }
         const int64_t failed = good < waiting ? step[good] : 0;
         // Group elements saved from the failed step on are cleared.
@@ -146,6 +154,17 @@ class MemberRecorder {
     void clear_slots() {
         std::fill_n(slot, lanes, -1);
         saving = false;
+    }
+
+    // Finished states that are not `valid` are NaN, and so are the deviations of their invariants.
+    template <class Mask>
+    NOINLINE void leave_out(const Mask& valid) {
+        for (int64_t i = 0; i < size; ++i) states.at[i] = select(valid, states.at[i], A(NAN));
+        for (int64_t lane = 0; lane < waiting; ++lane)
+            if (!at(valid, int(lane)) && slot[lane] >= 0) {
+                std::fill_n(group_at(slot[lane]), arrays.square, NAN);
+                arrays.left_out(member, step[lane]);
+            }
     }
 
     INLINE void gather(int64_t k, const double* x, const double* dx) {
@@ -208,10 +227,12 @@ class MemberRecorder {
     }
 };
 
-// Finished states of members as lanes, and their group elements if they are saved.
+// Finished states of members as lanes, and their group elements if they are saved. Those of lanes that are `left_out`
+// are not finite.
 template <class A>
 struct FinishedRows {
     const A *x, *group;
+    const int64_t* left_out = nullptr;
 };
 
 // Members as lanes, watched at the same steps. Deviations of a lane are stored when a tenth of the run ends.
@@ -248,8 +269,14 @@ class LaneRecorder {
         if (crossings && crossings->after(k, rows.x, rows.group, active)) release_ended(k);
         if (!recording && slot < 0) return;
         record(k, slot, rows.x);
-        if (slot >= 0) save(slot, rows);
+        if (slot < 0) return;
+        save(slot, rows);
+        for (int64_t lane = 0; rows.left_out && lane < count; ++lane)
+            if (active[lane] && rows.left_out[lane]) leave_out(members[lane], slot, k);
     }
+
+    // Whether states that are not finite end a run: events cannot be found there.
+    bool ends_where_infinite() const { return crossings != nullptr; }
 
     // Store the deviations so far of a lane that is about to stop; to be called before it does.
     void store_worst() {
@@ -323,7 +350,7 @@ class LaneRecorder {
             last.at[i] = now;
             if (!watched) continue;
             const A deviation = absolute(now - first.at[i]);
-            worst.at[i] = select(deviation <= worst.at[i], worst.at[i], deviation);
+            worst.at[i] = select((deviation <= worst.at[i]) | !(worst.at[i] == worst.at[i]), worst.at[i], deviation);
             if (slot < 0) continue;
             for (int64_t lane = 0; lane < count; ++lane)
                 if (active[lane])
@@ -339,6 +366,14 @@ class LaneRecorder {
             double* element = arrays.group + (slot * arrays.members + members[lane]) * square;
             for (int64_t i = 0; active[lane] && i < square; ++i) element[i] = lane_of(rows.group[i], int(lane));
         }
+    }
+
+    void leave_out(int64_t member, int64_t slot, int64_t k) const {
+        const int64_t row = slot * arrays.members + member;
+        std::fill_n(arrays.x + row * arrays.size, arrays.size, NAN);
+        std::fill_n(arrays.values + row * watch.size, watch.size, NAN);
+        std::fill_n(arrays.group + row * arrays.square, arrays.square, NAN);
+        arrays.left_out(member, k);
     }
 
     double& worst_of(int64_t lane, int64_t i) {

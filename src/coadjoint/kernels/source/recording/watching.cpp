@@ -66,6 +66,7 @@ int64_t count_failed(const Watch& watch, const Arrays& arrays, const MemberRange
     for (int64_t position = range.first; position < range.last; ++position) {
         InterruptCheck::of_this_call().after(ended ? 4 * arrays.points : 1);
         const int64_t member = range.members[position];
+        if (ended && arrays.status[member] == DONE && arrays.step[member] > 0) arrays.status[member] = OVERFLOWED;
         bool valid = arrays.status[member] == DONE || arrays.status[member] == ENDED;
         for (int64_t point = 0; ended && valid && point < arrays.points; ++point)
             valid = std::isfinite(arrays.values[(point * arrays.members + member) * watch.size]);

@@ -46,6 +46,9 @@ bool has_periods(const Watch& watch, const C& constants) {
     return false;
 }
 
+// Whether a deviation is larger than the largest one, or the first that is NaN.
+INLINE bool exceeds(double deviation, double worst) { return !(deviation <= worst) && worst == worst; }
+
 // Record the value of invariant i of a member at step k; for steps that are not watched only its whole periods.
 INLINE void record_value(const Arrays& arrays, int64_t count, int64_t i, double period, int64_t member, int64_t k,
                          int64_t slot, int64_t tenth, bool watched, double now) {
@@ -58,7 +61,7 @@ INLINE void record_value(const Arrays& arrays, int64_t count, int64_t i, double 
     if (!watched) return;
     double deviation = std::fabs(now - arrays.first[position]);
     double& worst = arrays.worst[(member * TENTHS + tenth) * count + i];
-    if (!(deviation <= worst)) worst = deviation;
+    if (exceeds(deviation, worst)) worst = deviation;
     if (slot >= 0) arrays.values[(slot * arrays.members + member) * count + i] = now;
 }
 
@@ -93,7 +96,7 @@ void record_steps(const Watch& watch, const C& constants, const Arrays& arrays, 
             double& worst = arrays.worst[(member * TENTHS + tenth) * watch.size + i];
             if (all(deviation <= A(worst))) continue;
             for (int64_t lane = 0; lane < count; ++lane)
-                if (!(lane_of(deviation, lane) <= worst)) worst = lane_of(deviation, lane);
+                if (exceeds(lane_of(deviation, lane), worst)) worst = lane_of(deviation, lane);
             continue;
         }
         for (int64_t lane = 0; lane < count; ++lane)
