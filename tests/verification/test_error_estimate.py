@@ -1,4 +1,4 @@
-"""Estimated errors of runs are within a factor of 10, or both are at the level of rounding; at a given step, of percents."""
+"""Estimated errors are within a factor of 10 or at the level of rounding, and those at a given step within percents."""
 
 from __future__ import annotations
 
