@@ -1,10 +1,15 @@
-"""Equilibria on coadjoint orbits: axes of a body, the sleeping top, every kind of algebra, spirals, refusals."""
+"""Equilibria on coadjoint orbits: axes of a body, the sleeping top, every kind of algebra, spirals, refusals.
 
+Weak instabilities are compared with eigenvalues in 40 digits, on both sides of the threshold and of neutral stability.
+"""
+
+import mpmath
 import numpy as np
 import pytest
 
 import coadjoint as co
 from coadjoint.analysis.orbit import Orbit
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.lattices.neighbours import graph
 
 
@@ -37,6 +42,103 @@ def test_sleeping_top_is_stable_by_the_condition_of_lagrange(I3):
         assert np.allclose(found.frequencies, np.sort(np.abs([turning + root.real, turning - root.real])), atol=1e-6)
     hanging = co.equilibrium(top, (0.1, 0.0, 0.3, 0.1, 0.2, 1.0))
     assert hanging.stability == "stable" and hanging.x[5] < -1.0
+
+
+def at_rest(algebra, x0, sign):
+    """Equilibria at x0, whose energy has one curvature -d along the orbit, and otherwise curvatures of order one."""
+    x0, n = np.asarray(x0), algebra.dim
+    axes = np.linalg.svd(co.LiePoissonSystem(algebra, co.Quadratic(np.ones(n))).structure_matrix(x0))[0]
+
+    def system(d, speed):
+        curvatures = np.linspace(1.0, 1.5, n)
+        curvatures[algebra.generic_rank() - 1] = -d
+        M = (speed * axes * curvatures) @ axes.T
+        return co.LiePoissonSystem(algebra, co.Quadratic(0.5 * (M + M.T), linear=-M @ x0), sign=sign), x0
+
+    return system
+
+
+def two_bodies(d, speed):
+    """A body about its middle axis, which is nearly the axis of largest energy, beside one about that axis."""
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    M = np.zeros((6, 6))
+    M[:3, :3], M[3:, 3:] = turn @ np.diag([0.5 + d, 0.5, 0.3]) @ turn.T, np.diag([1.0, 0.7, 0.6])
+    two = co.algebras.copies(co.algebras.so(3), 2)
+    x0 = np.concatenate([1.2 * turn[:, 1], [0.9, 0.0, 0.0]])
+    return co.LiePoissonSystem(two, co.Quadratic(0.5 * speed * (M + M.T)), sign=-1), x0
+
+
+def aligned_spins(d, speed):
+    """A ring of four along its second-easiest axis, in a field that is too weak by d to hold them there."""
+    J = np.array([1.0, 0.6, 0.8])
+    bonds = np.roll(np.eye(4), 1, axis=0) + np.roll(np.eye(4), -1, axis=0)
+    M, field = -np.kron(bonds, np.diag(J)), np.tile([0.0, 0.0, d - 2.0 * (J[0] - J[2])], 4)
+    ring = co.algebras.copies(co.algebras.so(3), 4)
+    return co.LiePoissonSystem(ring, co.Quadratic(speed * M, linear=speed * field)), np.tile([0.0, 0.0, 1.0], 4)
+
+
+def sleeping_top(d, speed):
+    """A top whose spin is too slow by d: two frequencies meet, and turn into a growing spiral."""
+    I1, weight = 1.5, 0.7
+    top = co.systems.heavy_top(inertia=np.array([I1, I1, 0.8]) / speed, lever=(0.0, 0.0, speed * weight))
+    return top, np.array([0.0, 0.0, np.sqrt(4.0 * I1 * weight * (1.0 - d)), 0.0, 0.0, 1.0])
+
+
+SIX = np.linspace(0.9, -0.6, 6)
+NEARLY_NEUTRAL = {
+    "two bodies": two_bodies,
+    "four spins": aligned_spins,
+    "sleeping top": sleeping_top,
+    "so(4)": at_rest(co.algebras.so(4), SIX, 1),
+    "so(2,2)": at_rest(co.algebras.so(2, 2), SIX, -1),
+    "e(3)": at_rest(co.algebras.e(3), [0.3, -0.4, 0.5, 0.2, 0.9, -0.3], -1),
+    "su(3)": at_rest(co.algebras.su(3), np.linspace(0.9, -0.6, 8), 1),
+    "sl(2) and so(3)": at_rest(
+        co.algebras.direct_sum(co.algebras.sl(2), co.algebras.so(3)), [0.3, 0.7, 0.5, 0.2, 0.7, -0.4], 1
+    ),
+    "A3,7 and so(3)": at_rest(
+        co.algebras.direct_sum(co.algebras.A3_7(0.7), co.algebras.so(3)), [0.4, -0.5, 0.3, 0.2, 0.7, -0.4], -1
+    ),
+}
+
+
+def linearization_in_40_digits(system, x0):
+    """Return the largest real part and the largest size of eigenvalues of D(J(x) grad H)(x0), H quadratic."""
+    n, c = system.dim, mpmath.mpf
+    with mpmath.workdps(40):
+        M = mpmath.matrix(system.hamiltonian.hessian(x0, 0.0).tolist())
+        u = M * mpmath.matrix(x0.tolist()) + mpmath.matrix(system.hamiltonian.gradient(np.zeros(n), 0.0).tolist())
+        J, L = mpmath.zeros(n), mpmath.zeros(n)
+        for i, j, k, value in zip(*(each.tolist() for each in system.algebra.triples), strict=True):
+            J[i, j], J[j, i] = J[i, j] + c(value) * c(x0[k]), J[j, i] - c(value) * c(x0[k])
+            L[i, k], L[j, k] = L[i, k] + c(value) * u[j], L[j, k] - c(value) * u[i]
+        eigenvalues = mpmath.eig(int(system.sign) * (L + J * M), left=False, right=False)
+        return float(max(map(mpmath.re, eigenvalues))), float(max(map(abs, eigenvalues)))
+
+
+@pytest.mark.parametrize("name", NEARLY_NEUTRAL)
+def test_weak_instabilities_are_found_at_any_speed(name):
+    """Growth above 1e-6 of the largest eigenvalue is an instability, below it is round-off, in any unit of time."""
+    family, trial = NEARLY_NEUTRAL[name], 1e-4
+    growth, largest = linearization_in_40_digits(*family(trial, 1.0))
+    for wanted in (0.5e-6, 2e-6, 1e-5, 1e-4, 1e-2):
+        d = trial * (wanted * largest / growth) ** 2
+        exact, size = linearization_in_40_digits(*family(d, 1.0))
+        assert exact == pytest.approx(wanted * size, rel=0.05)
+        for speed in (1e-6, 1.0, 1e6):
+            found = co.equilibrium(*family(d, speed), relax="none")
+            assert found.stability == ("undecided" if wanted < 1e-6 else "unstable"), (wanted, speed)
+            # Round-off moves the square of an eigenvalue that is nearly double; scaled inertia moves d as well.
+            allowed = 100 * UNIT_ROUNDOFF * size**2
+            assert abs((found.growth / speed) ** 2 - exact**2) < (allowed if found.growth else 1e-12 * size**2)
+
+
+@pytest.mark.parametrize("name", NEARLY_NEUTRAL)
+def test_neutral_equilibria_are_undecided_and_stable_ones_beyond(name):
+    for d, stability in ((0.0, "undecided"), (-1e-10, "undecided"), (-1e-4, "stable"), (-1e-2, "stable")):
+        for speed in (1e-6, 1.0, 1e6):
+            found = co.equilibrium(*NEARLY_NEUTRAL[name](d, speed), relax="none")
+            assert (found.stability, found.growth) == (stability, 0.0), (d, speed)
 
 
 CASES = {

@@ -137,6 +137,19 @@ def test_steps_stay_away_from_the_stability_limit(windows):
     assert 0.0 < found.error <= 16.0 * NOISE * windows
 
 
+@pytest.mark.parametrize("windows", [1.0, 3.0])
+@pytest.mark.parametrize("order", [2, 6])
+def test_error_of_steps_that_stability_requires_follows_the_order(order, windows):
+    """The goal alone would take fewer steps than the 60 that fail."""
+
+    def error(steps):
+        return None if steps <= 60 else 1e-8 * (60 / steps) ** order
+
+    found = fitted(error, order, 1e-6, windows=windows)
+    assert found.steps > 60 * windows
+    assert found.error == pytest.approx(error(found.steps / windows) * windows, rel=1e-9)
+
+
 @pytest.mark.parametrize("windows", [1.0, 3.0, 1000.0])
 @pytest.mark.parametrize("order", [6, 24])
 def test_step_count_follows_the_order(order, windows):

@@ -194,3 +194,27 @@ def a_state_beside_a_centre_is_at_rest(speed):
     except ValueError as refusal:
         return "at rest" in str(refusal)
     return False
+
+
+def stability_of_two_bodies(d):
+    """A body about an axis of inverse inertia 1, beside 1 + d and 0; and another one with the frequency 1."""
+    two = co.algebras.copies(co.algebras.so(3), 2)
+    bodies = co.LiePoissonSystem(two, co.Quadratic([1.0 + d, 1.0, 0.0, 3.0, 2.0, 2.0]), sign=-1)
+    return co.equilibrium(bodies, (0.0, 1.0, 0.0, 1.0, 0.0, 0.0), relax="none").stability
+
+
+@probe(("analysis/equilibrium.py", "GROWTH"), at=1e-6)
+def a_growth_is_round_off(rate):
+    return stability_of_two_bodies(rate**2) != "unstable"
+
+
+@probe(("analysis/equilibrium.py", "ZERO"), at=1e-8)
+def a_second_variation_is_not_definite(smallest):
+    """It has the eigenvalues -d, -1, -1 and -1."""
+    return stability_of_two_bodies(-smallest) != "stable"
+
+
+@probe(("analysis/orbit.py", "RANK_TOLERANCE"), at=1e-10)
+def a_small_spin_does_not_count(size):
+    two = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 2), co.Quadratic([1.0, 2.0, 3.0] * 2))
+    return not accepted(lambda: co.equilibrium(two, (1.0, 0.0, 0.0, size, 0.0, 0.0)), "singular")

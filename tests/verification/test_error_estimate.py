@@ -1,14 +1,23 @@
-"""Estimated errors of runs are within a factor of 10, or both are at the level of rounding."""
+"""Estimated errors are within a factor of 10 or at the level of rounding, and those at a given step within percents."""
 
 from __future__ import annotations
 
+import inspect
+import math
+from functools import cache
+
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import coadjoint as co
+from coadjoint.methods.protocol.own_steps import OwnSteps
+from coadjoint.methods.suggested_scheme import candidate_schemes
 
 from .explicit_systems import LONG, many_digits, written_out
 from .random_systems import ALGEBRAS, drawn
+from .schemes_under_test import schemes, serves
+from .systems_under_test import matrices
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -95,3 +104,89 @@ def test_estimate_over_thousands_of_turns():
     for accuracy in (1e-3, 1e-6, 1e-9):
         sol = co.integrate(body, x0, (0, time), accuracy=accuracy, save_every=10**9, watch=False)
         check_estimate(sol, body.exact(x0, time), float(np.linalg.norm(x0)))
+
+
+SPLITTING, GAUSS = co.Splitting(order=2), co.GaussLegendre
+STEPS = {1: 384, 2: 192, 3: 96, 4: 64}  # of constant steps, by their order; so many that the error follows the order
+MORE_STEPS = 32
+ABOVE_ROUNDING = 1e-12  # error below which a run is not counted
+
+
+@cache
+def schemes_of_own_steps() -> dict[str, co.methods.Method]:
+    """Return the schemes that choose their steps: the examples and candidates, and others of more orders."""
+    given = [each for name in co.methods.names() for each in co.methods.registry.scheme(name).examples()]
+    found = [each for each in (*given, *candidate_schemes()) if each.own_steps]
+    bases = [(SPLITTING, 0.05), (GAUSS(1), 0.1), (co.Splitting(order=4), 0.1), (co.Kahan(), 0.1), (GAUSS(3), 0.4)]
+    found += [co.ReversibleSteps(base, stride) for base, stride in bases]
+    found += [co.Taylor(order, tolerance=size) for order in (6, 12) for size in (1e-3, 1e-6, 1e-8)]
+    return {str(each): each for each in found}
+
+
+@cache
+def references() -> list[tuple[object, np.ndarray, float, np.ndarray, float]]:
+    """Return systems with a state, a time of either sign, the state then, and the largest momentum on the way."""
+    found = []
+    for k, case in enumerate(written_out().values()):
+        time = (-1) ** k * min(3.0, 0.25 * case.time)
+        found += [(case.system, x0, time, *many_digits(case.field, x0, time)) for x0 in case.starts[:2]]
+    for case in matrices().values():
+        field = case.system.vector_field
+        run = solve_ivp(lambda t, x, f=field: f(x), (0, case.time), case.x0, "DOP853", rtol=1e-13, atol=1e-14)
+        largest = float(np.max(np.linalg.norm(run.y, axis=0)))
+        found.append((case.system, case.x0, case.time, run.y[:, -1], largest))
+    return found
+
+
+def ratios_of_estimates(method: co.methods.Method) -> np.ndarray:
+    """Return the estimated error over the error of each run above rounding, on every system that the scheme serves."""
+    found = []
+    for system, x0, time, exact, largest in references():
+        if not serves(method, system):
+            continue
+        step = abs(time) if method.own_steps else abs(time) / STEPS.get(method.order, MORE_STEPS)
+        sol = co.integrate(system, x0, (0.0, time), step, method, watch=False)
+        error = np.linalg.norm(sol.x[-1] - exact) / largest
+        if error > ABOVE_ROUNDING:
+            found.append(sol.error_estimate() / error)
+    assert found, method
+    return np.array(found)
+
+
+def band_of_estimates(method: co.methods.Method) -> float:
+    """Return half of the relative change of an estimate by twice the power of the step, and at least one percent.
+
+    The finer run has the fraction r of the error, and 1 / (1 - r) is corrected to 1 / (1 - r^2).
+    """
+    if isinstance(method, co.Taylor) and method.own_steps:
+        return 0.1  # the error is proportional to the tolerance up to the choice of each step
+    steps = STEPS.get(method.order, MORE_STEPS)
+    ratio = 1.0 / 1.5 if method.own_steps else steps / math.ceil(1.5 * (steps + 20))
+    remaining = ratio**method.order
+    return max(0.01, 0.5 * remaining / (1.0 + remaining))
+
+
+def check_estimates(method: co.methods.Method) -> None:
+    ratios = ratios_of_estimates(method)
+    assert np.median(ratios) == pytest.approx(1.0, rel=band_of_estimates(method)), ratios
+    assert 1.0 / FACTOR < ratios.min() and ratios.max() < FACTOR, ratios  # a single error may be small by chance
+
+
+@pytest.mark.thinned(4)
+@pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
+@pytest.mark.parametrize("name", schemes())
+def test_estimate_follows_the_order_of_every_scheme(name):
+    """Neither too small nor too large: a correction by another power of the step is outside of the band."""
+    check_estimates(schemes()[name])
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", schemes_of_own_steps())
+def test_estimate_follows_the_order_of_schemes_with_their_own_steps(name):
+    check_estimates(schemes_of_own_steps()[name])
+
+
+def test_every_scheme_with_its_own_steps_is_checked():
+    registered = {co.methods.registry.scheme(name) for name in co.methods.names()}
+    own = {each for each in registered if inspect.isclass(each) and issubclass(each, OwnSteps)}
+    assert own == {type(method) for method in schemes_of_own_steps().values()}
