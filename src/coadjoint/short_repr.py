@@ -28,6 +28,23 @@ def short(value: Any, limit: int = 80) -> str:
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
+def distinct(*values: float) -> tuple[str, ...]:
+    """Return numbers as text of six digits, or of as many as show which of them differ.
+
+    Examples
+    --------
+    >>> distinct(0.0, 30.0), distinct(0.0, 30.0, 30.000000000013678)
+    (('0', '30'), ('0', '30', '30.00000000001'))
+    """
+    count = len(set(values))
+    texts = tuple(f"{value:.6g}" for value in values)
+    for digits in range(7, 18):  # 17 digits distinguish all numbers
+        if len(set(texts)) >= count:
+            break
+        texts = tuple(f"{value:.{digits}g}" for value in values)
+    return texts
+
+
 def html_table(title: str, rows: Mapping[str, Any]) -> str:
     """Return a small HTML table for notebooks: a title, and rows of a name and one value or a tuple of values.
 

@@ -37,7 +37,7 @@ from coadjoint.runs.loops.loops import Loops, SystemLoops
 from coadjoint.runs.memory_estimate import bytes_of_run
 from coadjoint.runs.one_round import solution_of_one_round, solution_of_short_run
 from coadjoint.runs.output_times import OutputTimes, check_partial_steps, output_times_of, resample
-from coadjoint.runs.partial_steps import PartialSteps
+from coadjoint.runs.partial_steps import PartialSteps, noises_of
 from coadjoint.runs.results.observables import Observed, check_observe
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run, read_progress
@@ -321,7 +321,7 @@ class PreparedRun:
         times = self._recent_times.of(t_span, save_every)
         if t_eval is None:
             return times, None
-        moments = output_times_of(t_eval, times, save_every)
+        moments = output_times_of(t_eval, times, save_every, whole_steps=bool(noises_of(self.system)))
         if self.method.own_steps:
             # Saved points do not alter adaptive steps; save as often as states are wanted, so that partial steps are
             # short.

@@ -166,7 +166,8 @@ def resume(
     path : str or Path
         The folder that ``integrate(..., archive=path)`` has written.
     t_end : float, optional
-        A new end, a whole number of steps from the start and later than what was computed. The result is bitwise equal
+        A new end, a whole number of steps from the start (up to rounding, as in `integrate`) and later than what was
+        computed. The result is bitwise equal
         to a run with this end from the beginning. Some steps, usually less than a sixth, are recomputed to find the
         drifts in each tenth of the new run.
     system, observe, events : optional

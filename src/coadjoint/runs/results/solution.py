@@ -384,7 +384,7 @@ class Solution(SolutionOutput):
         Parameters
         ----------
         t : float or array_like, shape (k,)
-            Times within the run, in any order.
+            Times within the run, in any order; a time beyond its ends by rounding, as in `integrate`, is that end.
 
         Returns
         -------
