@@ -58,7 +58,7 @@ def test_ends_that_are_sums_of_steps(span, tmp_path):
     # A sum of 3000 terms may have eight units in the last place of its largest time for each.
     rounding = 16 * 2.0**-53 * max(*map(abs, span), 30.0) * 3000
     assert np.array_equal(co.resume(path, t_end=span[1] + way * 0.9 * rounding).x, expected.x)
-    with pytest.raises(ArchiveError, match="is between two steps of 0.01; give") as refused:
+    with pytest.raises(ArchiveError, match="is between two steps") as refused:
         co.resume(path, t_end=span[1] + way * 1.2 * rounding)
     assert f"t_end {float(span[1] + way * 1.2 * rounding)!r} is" in str(refused.value)
     with pytest.raises(ValueError, match="must lie within the run") as refused:

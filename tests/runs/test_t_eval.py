@@ -609,7 +609,7 @@ def test_times_from_a_file_of_few_digits(digits):
 
 
 def test_noise_at_times_that_were_summed():
-    """They are those of the steps; states between saved points are those of the run, whose noise is that of its steps."""
+    """They are those of the steps; states between saved points are those of the run, with its noise."""
     for algebra, x0 in ((co.algebras.so(3), X), (co.algebras.so(4), np.linspace(0.5, 1.0, 6))):
         energy = co.Polynomial({tuple(np.eye(len(x0), dtype=int)[2]): -1.0})
         noisy = co.LiePoissonSystem(algebra, energy).with_forces(co.forces.HeatBath(0.1, 0.5, seed=3))
