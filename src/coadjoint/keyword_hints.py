@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 from coadjoint.errors import nearest, unknown_name
-from coadjoint.short_repr import short
+from coadjoint.short_repr import compact, short
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Value = TypeVar("Value")
@@ -211,6 +211,9 @@ class NamedValues(dict[str, Value]):
     Traceback (most recent call last):
     KeyError: "there is no 'Energy'; did you mean 'energy'?"
     """
+
+    def __repr__(self) -> str:
+        return f"{{{', '.join(f'{name!r}: {compact(value)}' for name, value in self.items())}}}"
 
     def __missing__(self, name: Any) -> Value:
         """Raise the KeyError."""

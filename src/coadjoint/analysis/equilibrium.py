@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from coadjoint.analysis.orbit import Orbit, Tangents, second_variation, tangents_of
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.short_repr import record_repr
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.protocol import forces_of, has_structure_constants
 from coadjoint.validation import read_choice, read_finite
@@ -59,6 +60,8 @@ class Equilibrium:
     growth: float
     stability: str
     residual: float
+
+    __repr__ = record_repr
 
 
 @ignore_overflow

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.short_repr import short
+from coadjoint.short_repr import record_repr, short
 from coadjoint.validation import read_finite
 
 Floats = NDArray[np.float64]
@@ -59,6 +59,8 @@ class OrderFit(NamedTuple):
     steps: Floats
     errors: Floats
     dropped: int
+
+    __repr__ = record_repr
 
 
 def fit_order(steps: ArrayLike, errors: ArrayLike, floor: ArrayLike = 0.0) -> OrderFit:
@@ -137,6 +139,8 @@ class Slope(NamedTuple):
     steepening: float
     steps: Floats
     errors: Floats
+
+    __repr__ = record_repr
 
     def __str__(self) -> str:
         """Format the slope with its uncertainty."""
@@ -219,6 +223,8 @@ class Growth(NamedTuple):
     kind: str
     times: Floats
     sizes: Floats
+
+    __repr__ = record_repr
 
 
 def growth(t: Floats, deviations: Floats) -> Growth:

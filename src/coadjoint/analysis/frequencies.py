@@ -19,7 +19,7 @@ from coadjoint.analysis.spectral_lines import (
     refine_lines,
 )
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.short_repr import short
+from coadjoint.short_repr import record_repr, short
 from coadjoint.validation import read_finite, read_integer
 
 Floats = NDArray[np.float64]
@@ -54,6 +54,8 @@ class Combinations:
     misfit: Floats
     found: NDArray[np.bool_]
 
+    __repr__ = record_repr
+
 
 @dataclass(frozen=True)
 class Frequencies:
@@ -85,6 +87,8 @@ class Frequencies:
     mean: Any
     residual: Any
     _real: bool
+
+    __repr__ = record_repr
 
     def __call__(self, t: ArrayLike) -> NDArray[Any]:
         """Return the sum of the lines at times, shape (k,), (k, channels) or (k, members, channels)."""

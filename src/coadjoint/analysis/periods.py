@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.short_repr import short
+from coadjoint.short_repr import record_repr, short
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.validation import read_finite
 
@@ -41,6 +41,8 @@ class Period(NamedTuple):
     time: float
     misfit: float
     carried: Floats
+
+    __repr__ = record_repr
 
 
 @ignore_overflow

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.short_repr import dataclass_repr, short
+from coadjoint.short_repr import record_repr, short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.separable import MAX_COORDINATES
@@ -104,7 +104,7 @@ class Event:
             takes_time(self.g, "g of an event")
 
     def __repr__(self) -> str:
-        return dataclass_repr(self)
+        return record_repr(self)
 
     @property
     def until(self) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.program.numbers import Number
+from coadjoint.short_repr import record_repr
 from coadjoint.systems.system_checks import System
 
 
@@ -22,6 +23,8 @@ class Coefficients(NamedTuple):
     scale: NDArray[Any]
     mix: NDArray[Any]
     out: NDArray[Any]
+
+    __repr__ = record_repr
 
 
 class Step(NamedTuple):

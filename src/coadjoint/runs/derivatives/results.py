@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.short_repr import record_repr
+
 Floats = NDArray[np.float64]
 
 
@@ -37,6 +39,8 @@ class Tangents:
     energy: Floats
     events: Mapping[str, Floats] = field(default_factory=dict)
     rule: Mapping[str, str] = field(default_factory=dict)
+
+    __repr__ = record_repr
 
 
 class Gradient(Mapping[str, Any]):

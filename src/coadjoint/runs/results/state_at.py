@@ -69,7 +69,9 @@ def _shown(value: Any) -> str:
             + (f", and {len(value) - 4} more}}" if len(value) > 4 else "}")
         )
     numbers = np.asarray(value)
-    return f"of shape {numbers.shape}" if numbers.size > 8 else np.array2string(numbers, precision=6, separator=", ")
+    if numbers.size > 8:
+        return f"of shape {numbers.shape}"
+    return " ".join(np.array2string(numbers, precision=6, separator=", ").split())
 
 
 def state_at(solution: Solution, t: Any) -> StateAt:

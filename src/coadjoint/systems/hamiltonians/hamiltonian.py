@@ -13,7 +13,7 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
-from coadjoint.short_repr import short
+from coadjoint.short_repr import MAX_SHOWN_LENGTH, short
 from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.hamiltonians.jax_function import JaxFunction, check_traceable, is_array_of_jax
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -279,7 +279,10 @@ class PolynomialHamiltonian(Summable):
         return (PolynomialTerm(self.polynomial),)
 
     def __repr__(self) -> str:
-        return f"PolynomialHamiltonian({self.polynomial!r})"
+        text = repr(self.polynomial)
+        if len(text) > MAX_SHOWN_LENGTH:
+            text = f"{len(self.polynomial.monomials)} monomials in {self.dim} coordinates"
+        return f"PolynomialHamiltonian({text})"
 
 
 def _check_variables(polynomial: Polynomial, n: int, owner: str = "the system") -> None:
