@@ -17,6 +17,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
 from coadjoint.algebra.representation import check_representation
 from coadjoint.algebra.structure import Structure
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import html_table, short
 from coadjoint.validation import read_integer, read_list, read_title
 
@@ -26,6 +27,7 @@ MAX_BRACKETS = 30
 """Number of brackets shown by `print` and in notebooks."""
 
 
+@suggest_keywords
 class LieAlgebra(Structure):
     """A finite-dimensional real Lie algebra, [e_i, e_j] = sum_k c_ij^k e_k, given by its structure constants.
 

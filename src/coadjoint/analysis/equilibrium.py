@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.analysis.orbit import Orbit, Tangents, second_variation, tangents_of
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import record_repr
@@ -64,6 +65,7 @@ class Equilibrium:
     __repr__ = record_repr
 
 
+@suggest_keywords
 @ignore_overflow
 def equilibrium(system: Any, x0: ArrayLike, relax: str = "down") -> Equilibrium:
     """Return an equilibrium on the coadjoint orbit of a state, with its frequencies and its stability.

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.errors import IntegrationError
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import record_repr, short
 from coadjoint.validation import read_finite
 
@@ -63,6 +64,7 @@ class OrderFit(NamedTuple):
     __repr__ = record_repr
 
 
+@suggest_keywords
 def fit_order(steps: ArrayLike, errors: ArrayLike, floor: ArrayLike = 0.0) -> OrderFit:
     """Fit an order to errors at several steps, without the points dominated by round-off.
 
@@ -147,6 +149,7 @@ class Slope(NamedTuple):
         return f"{self.value:.2f} +- {self.uncertainty:.2f}"
 
 
+@suggest_keywords
 def slope(steps: list[float], errors: list[float], floors: list[float]) -> Slope | None:
     """Return the slope of log(error) against log(step) at the smallest steps whose errors are above round-off.
 
@@ -227,6 +230,7 @@ class Growth(NamedTuple):
     __repr__ = record_repr
 
 
+@suggest_keywords
 def growth(t: Floats, deviations: Floats) -> Growth:
     """Return the power of time with which the root mean square of deviations grows.
 

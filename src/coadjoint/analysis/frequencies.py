@@ -18,6 +18,7 @@ from coadjoint.analysis.spectral_lines import (
     hann,
     refine_lines,
 )
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import record_repr, short
 from coadjoint.validation import read_finite, read_integer
@@ -32,6 +33,7 @@ MAX_COMBINATIONS = 2**21
 WINDOW_REDUCTION = 2
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Combinations:
     """Spectral lines as integer combinations of a few basic frequencies.
@@ -162,6 +164,7 @@ class Frequencies:
         return "\n".join(rows)
 
 
+@suggest_keywords
 def frequencies(given: Any, signal: Any = None, count: int = 5, window: int = WINDOW) -> Frequencies:
     """Return the strongest frequencies of a run or of samples, with amplitudes and uncertainties.
 

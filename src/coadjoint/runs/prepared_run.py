@@ -236,6 +236,7 @@ class PreparedRun:
             )
         return self._of_members[member]
 
+    @suggest_keywords
     def run(
         self,
         x0: Any,
@@ -361,6 +362,7 @@ class PreparedRun:
         """Matrices of the group element, (n, d, d), "coadjoint", or None; for a batch those of its first member."""
         return self._representations[0]
 
+    @suggest_keywords
     def jvp(
         self,
         x0: Any,
@@ -435,6 +437,7 @@ class PreparedRun:
         trajectory = trajectory_of(run, x0, t_span, save_every, t_eval, attitude, None, watched, inputs)
         return tangents_of_run(run, trajectory, directions)
 
+    @suggest_keywords
     def vjp(
         self,
         x0: Any,
@@ -514,6 +517,7 @@ class PreparedRun:
                 "without inputs; prepare a run of each member"
             )
 
+    @suggest_keywords
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
         """Return only the final state of a run, with a third of the overhead of `run`.
 

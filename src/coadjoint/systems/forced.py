@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
 from coadjoint.systems.evaluation import ignore_overflow, read_point, vectorized_over_states
@@ -18,6 +19,7 @@ from coadjoint.validation import read_list, read_number, read_numbers, to_array,
 MAX_FORCES_TEXT = 240
 
 
+@suggest_keywords
 class ForcedSystem:
     """A system with forces: ``x' = sign J(x) grad H(x, t) + the sum of the forces``.
 

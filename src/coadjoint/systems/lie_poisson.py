@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.representation import check_representation
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.systems.arguments import read_closed_form, read_layout, read_name, read_parameters, read_sign
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
@@ -29,6 +30,7 @@ from coadjoint.systems.recorded_invariants import known_or_found_casimirs, read_
 BYTES_PER_CONSTANT = 120  # both orders of every bracket, and temporaries of J(x) u
 
 
+@suggest_keywords
 @dataclass(frozen=True, init=False, repr=False, eq=False)
 class LiePoissonSystem:
     """The generalized Euler equations ``x' = sign * J(x) grad H(x)`` on the dual of a Lie algebra.

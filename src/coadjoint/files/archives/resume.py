@@ -36,6 +36,7 @@ from coadjoint.files.datasets.export import attributes_of
 from coadjoint.files.datasets.variables import NO_METADATA, ExtraMetadata, accounts_of
 from coadjoint.files.output.atomic_output import PendingOutput, remove_leftovers
 from coadjoint.files.records.required_functions import function_attributes, resume_arguments
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import read_events
 from coadjoint.runs.piecewise_run import PiecewiseRun
@@ -144,6 +145,7 @@ def creation_error(target: Path, reason: OSError) -> ArchiveError:
     return ArchiveError(f"{target}: cannot be created ({reason.strerror}); give another name")
 
 
+@suggest_keywords
 def resume(
     path: str | Path,
     t_end: float | None = None,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.numerics.stages import Step
 from coadjoint.program.numbers import roundoff
 
@@ -116,6 +117,7 @@ def iterate_tangents(step: Step, iterates: list[NDArray[Any]]) -> NDArray[np.flo
     return derivatives
 
 
+@suggest_keywords
 def iterate_to_stagnation(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDArray[Any]:
     """Iterate X = x + mix L(X) until the correction no longer falls, and return the last slopes L, shape (s, n).
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
@@ -11,6 +11,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.keyword_hints import ExplainedCalls
 from coadjoint.short_repr import record_repr
 
 
@@ -48,7 +49,7 @@ class ForceReader(Protocol):
         """Register noise of given amplitudes on modes of a matrix; lists over diagonals."""
 
 
-class Force(ABC):
+class Force(metaclass=ExplainedCalls):
     """A force, which acts in addition to the Hamiltonian: its flow and the invariants that it preserves.
 
     `LinearDamping`, `Torque`, `DoubleBracketDamping` and `HeatBath` are forces, and `OwnForce` makes one from a

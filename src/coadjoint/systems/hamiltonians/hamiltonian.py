@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import MAX_SHOWN_LENGTH, short
 from coadjoint.systems.evaluation import read_point
@@ -62,6 +63,7 @@ class HamiltonianLike(Protocol):
         """Return the terms of the sum; the Hamiltonian must be bound."""
 
 
+@suggest_keywords
 class Hamiltonian(Summable):
     """A Hamiltonian given by Python functions.
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.monomials import Coefficient, factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.short_repr import MAX_SHOWN_LENGTH, short
 from coadjoint.systems.evaluation import ignore_overflow, lossless_coefficients, read_point, scatter
@@ -32,6 +33,7 @@ class Entries(NamedTuple):
     linear: npt.NDArray[Any]
 
 
+@suggest_keywords
 class Quadratic(Summable):
     """The quadratic Hamiltonian ``x . M x / 2 + linear . x + constant``.
 

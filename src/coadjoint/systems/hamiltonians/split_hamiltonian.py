@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import Coefficient
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import MAX_SHOWN_LENGTH, short
 from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
@@ -20,6 +21,7 @@ from coadjoint.systems.hamiltonians.terms import Term
 from coadjoint.validation import read_integer, read_list
 
 
+@suggest_keywords
 class SplitHamiltonian(Summable):
     """A sum of pieces ``H_a(x[coordinates of a])``, each of coordinates that commute in the algebra.
 
