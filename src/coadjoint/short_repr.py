@@ -80,7 +80,8 @@ def compact(value: Any, limit: int = 60) -> str:
         return f"<array of shape {value.shape}, {value.dtype.name}>"
     if type(value).__repr__ not in _BRACKETS or not text.endswith("..."):
         return text
-    shape, entry = [], value
+    shape: list[int] = []
+    entry = value
     while isinstance(entry, list | tuple) and entry and len(shape) < MAX_DEPTH:
         shape.append(len(entry))
         entry = entry[0]

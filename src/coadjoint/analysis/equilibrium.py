@@ -62,7 +62,8 @@ class Equilibrium:
     stability: str
     residual: float
 
-    __repr__ = record_repr
+    def __repr__(self) -> str:
+        return record_repr(self)
 
 
 @suggest_keywords

@@ -61,7 +61,8 @@ class OrderFit(NamedTuple):
     errors: Floats
     dropped: int
 
-    __repr__ = record_repr
+    def __repr__(self) -> str:
+        return record_repr(self)
 
 
 @suggest_keywords
@@ -142,7 +143,8 @@ class Slope(NamedTuple):
     steps: Floats
     errors: Floats
 
-    __repr__ = record_repr
+    def __repr__(self) -> str:
+        return record_repr(self)
 
     def __str__(self) -> str:
         """Format the slope with its uncertainty."""
@@ -227,7 +229,8 @@ class Growth(NamedTuple):
     times: Floats
     sizes: Floats
 
-    __repr__ = record_repr
+    def __repr__(self) -> str:
+        return record_repr(self)
 
 
 @suggest_keywords

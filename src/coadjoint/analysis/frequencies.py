@@ -56,7 +56,8 @@ class Combinations:
     misfit: Floats
     found: NDArray[np.bool_]
 
-    __repr__ = record_repr
+    def __repr__(self) -> str:
+        return record_repr(self)
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,8 @@ class Frequencies:
     residual: Any
     _real: bool
 
-    __repr__ = record_repr
+    def __repr__(self) -> str:
+        return record_repr(self)
 
     def __call__(self, t: ArrayLike) -> NDArray[Any]:
         """Return the sum of the lines at times, shape (k,), (k, channels) or (k, members, channels)."""

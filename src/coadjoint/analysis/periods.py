@@ -43,7 +43,8 @@ class Period(NamedTuple):
     misfit: float
     carried: Floats
 
-    __repr__ = record_repr
+    def __repr__(self) -> str:
+        return record_repr(self)
 
 
 @suggest_keywords

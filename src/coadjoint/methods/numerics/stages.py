@@ -25,7 +25,8 @@ class Coefficients(NamedTuple):
     mix: NDArray[Any]
     out: NDArray[Any]
 
-    __repr__ = record_repr
+    def __repr__(self) -> str:
+        return record_repr(self)
 
 
 class Step(NamedTuple):

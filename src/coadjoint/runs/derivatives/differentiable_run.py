@@ -363,9 +363,9 @@ class Trajectory:
         if (raised := raised_by(tables.keepalive)) is not None:
             raise raised
         if count:
-            first, last = distinct(run.t0 + run.k0 * run.h, run.t0 + run.k1 * run.h)
+            begin, end = distinct(run.t0 + run.k0 * run.h, run.t0 + run.k1 * run.h)
             raise IntegrationError(
-                f"the linear equations of the derivatives between t = {first} and {last} are not solved; take a "
+                f"the linear equations of the derivatives between t = {begin} and {end} are not solved; take a "
                 f"smaller step than {abs(run.h):g}",
                 step=run.k1,
                 time=run.t0 + run.k1 * run.h,

@@ -40,7 +40,8 @@ class Tangents:
     events: Mapping[str, Floats] = field(default_factory=dict)
     rule: Mapping[str, str] = field(default_factory=dict)
 
-    __repr__ = record_repr
+    def __repr__(self) -> str:
+        return record_repr(self)
 
 
 class Gradient(Mapping[str, Any]):

@@ -87,7 +87,8 @@ def state_at(solution: Solution, t: Any) -> StateAt:
     if solution.failed is not None and (solution.failed & np.isnan(ends)).any():
         raise ValueError("members of the run have failed; integrate the others alone for states at any time")
     # t_eval may omit the start, and exceed the span by rounding.
-    known = np.clip(np.append(solution.t_span[0], solution.t), *sorted(solution.t_span))
+    low, high = sorted(solution.t_span)
+    known = np.clip(np.append(solution.t_span[0], solution.t), low, high)
     end = float(solution.t[-1]) if solution.t_eval is None else solution.t_span[1]
     saved = direction * known
     count = max(len(requested), len(solution.t), solution.stats.steps + 1)
@@ -99,15 +100,16 @@ def state_at(solution: Solution, t: Any) -> StateAt:
         (direction * requested < saved[0] - beyond) | (direction * requested > direction * end + beyond)
     )
     if len(outside):
-        found, first, last = distinct(requested[outside[0]], known[0], end)
-        raise ValueError(f"t is {found}; it must lie within the run, from {first} to {last}")
-    queries = np.clip(requested, *sorted((known[0], end)))
+        shown = distinct(requested[outside[0]], known[0], end)
+        raise ValueError(f"t is {shown[0]}; it must lie within the run, from {shown[1]} to {shown[2]}")
+    low, high = sorted((float(known[0]), end))
+    queries = np.clip(requested, low, high)
     late = np.flatnonzero(np.all(direction * queries[:, None] > direction * ends + near, axis=1))
     if len(late) and unfinished.all():
         raise ValueError(f"t is {requested[late[0]]:g}, which {members_text(unfinished)} of this run have not reached")
     if len(late):
-        found, latest = distinct(requested[late[0]], float(direction * np.max(direction * ends)))
-        raise ValueError(f"t is {found}, after events ended the runs of all members, the last at {latest}")
+        shown = distinct(requested[late[0]], float(direction * np.max(direction * ends)))
+        raise ValueError(f"t is {shown[0]}, after events ended the runs of all members, the last at {shown[1]}")
     before = np.clip(np.searchsorted(saved, direction * queries + near, side="right") - 1, 0, None)
     if noisy:
         # The noise of a step depends on every bit of its time, which is that from the start of the run.
