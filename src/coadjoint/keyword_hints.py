@@ -175,7 +175,8 @@ class ExplainedCalls(ABCMeta):
         @property
         def __signature__(cls):
             """The signature of the constructor, which is not that of `__call__`."""
-            _, *parameters = inspect.signature(cls.__init__).parameters.values()
+            own = next((f for f in (cls.__init__, cls.__new__) if inspect.isfunction(f)), None)
+            parameters = () if own is None else list(inspect.signature(own).parameters.values())[1:]
             return inspect.Signature(parameters)
 
 
