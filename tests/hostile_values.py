@@ -1,5 +1,6 @@
 """Hostile values of arguments."""
 
+from datetime import date, datetime, timedelta
 from fractions import Fraction
 
 import numpy as np
@@ -8,6 +9,28 @@ import numpy as np
 class NoRepresentation:
     def __repr__(self):
         raise RuntimeError("no representation")
+
+
+class Quantity:
+    """A number with a unit, as pint has them."""
+
+    magnitude = property(lambda self: 0.5)
+    units = property(lambda self: "second")
+
+    def __repr__(self):
+        return "0.5 second"
+
+    def __float__(self):
+        return 0.5
+
+    def __array__(self, *_, **__):
+        return np.array(0.5)
+
+
+class QuantityArray(np.ndarray):
+    """An array with a unit, as astropy has them."""
+
+    unit = "s"
 
 
 def deep(levels):
@@ -48,6 +71,16 @@ HOSTILE = {
     "a masked matrix": np.ma.masked_array(np.eye(3), np.eye(3) > 0),
     "the masked constant": np.ma.masked,
     "digits": np.array(["1", "2", "3"], dtype=object),
+    "a duration": timedelta(seconds=0.5),
+    "durations": [timedelta(0), timedelta(seconds=1)],
+    "a NumPy duration": np.timedelta64(1, "s"),
+    "an array of durations": np.array([0, 1, 2], dtype="timedelta64[s]"),
+    "a date": date(2026, 1, 2),
+    "times of day": (datetime(2026, 1, 2), datetime(2026, 1, 3)),
+    "a NumPy date": np.datetime64("2026-01-02"),
+    "a quantity": Quantity(),
+    "an array with a unit": np.ones(3).view(QuantityArray),
+    "a number with a unit": np.array(1.0).view(QuantityArray),
     "truth values": [True, False, True],
     "Nones": [None, None, None],
     "large numbers": [10**400, 1, 1],

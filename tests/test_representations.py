@@ -11,7 +11,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.runs.results.summary import is_driven
-from coadjoint.short_repr import dataclass_repr, function_name, html_table, short
+from coadjoint.short_repr import function_name, html_table, record_repr, short
 from guards import bounded_work
 
 
@@ -46,6 +46,104 @@ def test_tables_of_systems(name):
     for text in (repr(system), table, repr(system.casimirs), repr(system.hamiltonian)):
         assert " at 0x" not in text
     assert len(repr(system)) < 200 and len(table) < 3000
+
+
+LONG_NAME = "x" * 200
+FORCES = (
+    lambda s: co.forces.LinearDamping(0.1),
+    lambda s: co.forces.LinearDamping(np.linspace(1 / 3, 1.0, s.dim)),
+    lambda s: co.forces.LinearDamping(np.eye(s.dim) / 3),
+    lambda s: co.forces.Torque(np.full(s.dim, 1 / 3)),
+    lambda s: co.forces.Torque(lambda x, t: np.zeros(s.dim)),
+    lambda s: co.forces.DoubleBracketDamping(0.1, metric=np.eye(s.dim) / 7),
+    lambda s: co.forces.HeatBath(0.1, temperature=0.5, seed=1),
+    lambda s: co.forces.OwnForce(lambda x, t, tau: x, name=LONG_NAME),
+    lambda s: co.forces.Viscosity(1e-6, power=4),
+    lambda s: co.forces.RandomForcing(0.02, band=(2, 3), seed=1),
+    lambda s: co.forces.BetaPlane(1 / 3),
+)
+
+
+def check_representation(value, limit):
+    """One line, of bounded length, whose brackets are closed and whose numbers are not cut."""
+    text = repr(value)
+    assert text.isprintable() and len(text) <= limit, text
+    assert " at 0x" not in text and "<<" not in text
+    for opening, closing in ("()", "[]", "{}"):
+        assert text.count(opening) == text.count(closing), text
+    # Three dots stand for a whole part.
+    assert not re.search(r"[\d.]\.\.\.", text), text
+
+
+@pytest.mark.parametrize("name", co.systems.names())
+def test_systems_with_forces_and_batches_are_one_line(name):
+    system = co.systems.get(name)
+    check_representation(system, 260)
+    forced = []
+    for make in FORCES:
+        try:
+            forced.append(system.with_forces(make(system)))
+        except (TypeError, ValueError):
+            continue  # not a force of this system
+    assert forced
+    for one in forced:
+        check_representation(one, 400)
+        for force in one.forces:
+            assert repr(force) == str(force) and repr(force) in repr(one)
+        assert f"<{name} with forces, dimension {system.dim}: " in repr(one)
+    many = system.with_forces(*[force for one in forced for force in one.forces if not force.random] * 9)
+    check_representation(many, 500)
+    if not isinstance(system, co.MatrixSystem):
+        for member in (system, many):
+            check_representation(co.batch([member, member]), 400)
+
+
+def test_systems_of_long_numbers_and_names():
+    rng = np.random.default_rng(5)
+    for algebra in (co.algebras.so(3), co.algebras.so(4), co.algebras.get("A4,9", b=0.5)):
+        n = algebra.dim
+        A = rng.standard_normal((n, n))
+        quadratic = co.Quadratic(A @ A.T, linear=rng.standard_normal(n))
+        cubic = co.Polynomial({tuple(e): 1 / (k + 3) for k, e in enumerate(rng.integers(0, 3, (30, n)))})
+        split = co.SplitHamiltonian([((k,), co.Quadratic(float(A[k, k]))) for k in range(n)])
+        for H in (quadratic, cubic, split, co.Separable({k: (np.cosh, np.sinh) for k in range(n)})):
+            system = co.LiePoissonSystem(algebra, H, name=LONG_NAME)
+            check_representation(system, 550)
+            for one in (system, system.with_forces(co.forces.LinearDamping(A @ A.T))):
+                check_representation(one, 550)
+                check_representation(co.prepare(one, co.GaussLegendre(2), 0.1), 700)
+                check_representation(co.stepper(one, co.GaussLegendre(2), 0.1), 700)
+                check_representation(co.batch([one, one]), 550)
+
+    # Forces of the user, as dataclasses of arrays.
+    @dataclasses.dataclass(frozen=True, eq=False)
+    class Own(co.forces.LinearDamping):
+        pass
+
+    assert repr(Own(np.eye(3) / 3)) == "Own(rate=<tuple of shape (3, 3)>, toward=0.0)"
+
+
+def results():
+    """Yield results of the functions of the library that hold arrays."""
+    body, x0 = co.systems.rigid_body(inertia=(1, 2, 2.5)), (1.0, 0.2, 0.1)
+    method = co.Splitting()
+    sol = co.integrate(body, x0, (0, 50), 0.1, attitude=True, events=co.Event(1))
+    yield from (sol, sol.events, sol.casimirs, sol.stats, sol.at([0.1, 0.2]), sol.at(0.1), sol.drift())
+    yield co.equilibrium(body, (0.9, 0.1, 0.1))
+    lines = co.frequencies(sol, None, 3)
+    yield from (lines, lines.combinations(), co.frequencies(sol, 1, 10))
+    yield from (co.analysis.slope([0.4, 0.2, 0.1], [1.6e-3, 4e-4, 1e-4], [1e-16] * 3),)
+    yield co.analysis.fit_order(np.linspace(0.1, 0.4, 30), np.linspace(0.1, 0.4, 30) ** 2)
+    yield co.analysis.growth(np.linspace(0.0, 50.0, 500), np.linspace(0.0, 1.0, 500))
+    yield from (co.methods.gauss_tableau(3), co.modified_hamiltonian(body, method, order=2))
+    yield from (co.prepare(body, method, 0.1).jvp(x0, (0, 1), {"x0": x0})[1], co.choose(body, x0, (0, 10), 1e-6))
+    yield from (co.lyapunov(body, x0, (0, 10), 0.1), co.section(body, x0, co.Event(1), (0, 50), 0.1))
+    yield from (co.phase_drift(sol), co.certify(body, method, x0, 0.1, steps=10), co.corrector(body, method, x0))
+
+
+def test_results_are_one_line():
+    for result in results():
+        check_representation(result, 700)
 
 
 def test_table_of_a_rigid_body():
@@ -322,7 +420,7 @@ def test_hidden_fields_are_omitted():
         second: object = dataclasses.field(default=1, repr=False)
         third: object = "c"
 
-    assert dataclass_repr(Own([abs] * 5)) == "Own(first=5 functions, third='c')"
+    assert record_repr(Own([abs] * 5)) == "Own(first=5 functions, third='c')"
     assert function_name(functools.partial(functools.partial(max, 1), 2)) == "partial of max"
     assert function_name(functools.partial(Own([]).__class__, 1)) == "partial of Own"
     assert function_name(Own([])) == "a Own"

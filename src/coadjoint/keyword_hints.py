@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import functools
 import inspect
+from abc import ABCMeta
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from coadjoint.errors import nearest, unknown_name
-from coadjoint.short_repr import short
+from coadjoint.short_repr import compact, short
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+Kind = inspect.Parameter
 Value = TypeVar("Value")
 
 STEP = "step=, the size of a step, which is used as given"
@@ -137,7 +139,10 @@ def unknown_constructor(owner: str, name: str) -> AttributeError:
 
 
 def suggest_keywords(function: Function) -> Function:
-    """Decorate a function so that unknown keywords raise a TypeError with the corresponding or nearest known one.
+    """Decorate a function, method or class so that calls with wrong arguments raise a TypeError that says what to give.
+
+    Unknown keywords are answered with the corresponding or nearest known one. A class is decorated in its constructor
+    and in its class methods; a class method below ``@classmethod``.
 
     Examples
     --------
@@ -149,23 +154,110 @@ def suggest_keywords(function: Function) -> Function:
     >>> run((1, 2), stepp=0.1)
     Traceback (most recent call last):
     TypeError: run has no stepp; did you mean step=?
+    >>> run((1, 2), x0=(1, 2))
+    Traceback (most recent call last):
+    TypeError: run was given x0 twice, by position and by name; its arguments are x0, step
     """
-    parameters = inspect.signature(function).parameters
-    known = tuple(parameters)
-    kinds = {name: parameter.kind for name, parameter in parameters.items()}
-    positional = [name for name, kind in kinds.items() if kind is not inspect.Parameter.KEYWORD_ONLY]
-    any_number = inspect.Parameter.VAR_POSITIONAL in kinds.values()
+    if isinstance(function, type):
+        _decorate_class(function)
+        return cast(Function, function)
+    signature = inspect.signature(function)
+    is_method = next(iter(signature.parameters), "") in ("self", "cls")
 
     @functools.wraps(function)
     def wrapped_function(*args: Any, **keywords: Any) -> Any:
-        for name in keywords:
-            if name not in known:
-                raise unknown_keyword(function.__name__, name, known)
-        if len(args) > len(positional) and not any_number:
-            raise too_many_arguments(function.__name__, args, positional, known)
-        return function(*args, **keywords)
+        try:
+            return function(*args, **keywords)
+        except TypeError:
+            name = _called_name(function.__name__, args[0]) if is_method and args else function.__name__
+            if (error := wrong_arguments(name, signature, args, keywords)) is not None:
+                raise error from None
+            raise
 
     return cast(Function, wrapped_function)
+
+
+def _called_name(function: str, owner: Any) -> str:
+    """Return the name of a method with that of its class, and of a constructor the class."""
+    kind = owner.__name__ if isinstance(owner, type) else type(owner).__name__
+    return kind if function == "__init__" else f"{kind}.{function}"
+
+
+def _decorate_class(kind: type, constructor: bool = True) -> None:
+    """Decorate the constructor and the public class methods that a class defines."""
+    for name, value in list(vars(kind).items()):
+        if name == "__init__" and constructor:
+            kind.__init__ = suggest_keywords(value)  # type: ignore[misc]
+        elif isinstance(value, classmethod) and not name.startswith("_"):
+            setattr(kind, name, classmethod(suggest_keywords(value.__func__)))
+
+
+class ExplainedCalls(ABCMeta):
+    """Metaclass of schemes and forces, those of users too: wrong arguments of their constructors are explained."""
+
+    if not TYPE_CHECKING:
+
+        def __init__(cls, *args, **keywords):
+            super().__init__(*args, **keywords)
+            _decorate_class(cls, constructor=False)
+
+        def __call__(cls, *args, **keywords):
+            """Construct an instance."""
+            try:
+                return super().__call__(*args, **keywords)
+            except TypeError as error:
+                # Errors of deeper frames are those of the class itself.
+                explained = error.__traceback__.tb_next is None and wrong_arguments(
+                    cls.__name__, inspect.signature(cls.__init__), (cls, *args), keywords
+                )
+                if explained:
+                    raise explained from None
+                raise
+
+        @property
+        def __signature__(cls):
+            """The signature of the constructor, which is not that of `__call__`."""
+            own = next((f for f in (cls.__init__, cls.__new__) if inspect.isfunction(f)), None)
+            parameters = () if own is None else list(inspect.signature(own).parameters.values())[1:]
+            return inspect.Signature(parameters)
+
+
+def wrong_arguments(
+    function: str, signature: inspect.Signature, arguments: Sequence[Any], keywords: Mapping[str, Any]
+) -> TypeError | None:
+    """Return the TypeError for arguments that a function does not take, or None if it takes them.
+
+    Examples
+    --------
+    >>> print(wrong_arguments("fit", inspect.signature(lambda ready, x0, *, sigma: None), [1, 2], {}))
+    fit needs sigma; its arguments are ready, x0, sigma
+    """
+    try:
+        signature.bind(*arguments, **keywords)
+    except TypeError:
+        pass
+    else:
+        return None
+    kinds = {name: parameter.kind for name, parameter in signature.parameters.items()}
+    given = list(arguments)
+    if next(iter(kinds), "") in ("self", "cls") and given:
+        kinds.pop(next(iter(kinds)))
+        given.pop(0)
+    many = [name for name, kind in kinds.items() if kind in (Kind.VAR_POSITIONAL, Kind.VAR_KEYWORD)]
+    known = [name for name in kinds if name not in many]
+    positional = [name for name in known if kinds[name] is not Kind.KEYWORD_ONLY]
+    for name in keywords:
+        if name not in known and Kind.VAR_KEYWORD not in kinds.values():
+            return unknown_keyword(function, name, known)
+    listing = f"its arguments are {', '.join(known)}"
+    twice = [name for name in positional[: len(given)] if name in keywords]
+    if twice:
+        return TypeError(f"{function} was given {twice[0]} twice, by position and by name; {listing}")
+    if len(given) > len(positional) and Kind.VAR_POSITIONAL not in kinds.values():
+        return too_many_arguments(function, given, positional, known)
+    required = [name for name in known if signature.parameters[name].default is inspect.Parameter.empty]
+    missing = [name for name in required if name not in keywords and name not in positional[: len(given)]]
+    return TypeError(f"{function} needs {', '.join(missing)}; {listing}")
 
 
 def unknown_keyword(function: str, name: str, known: Sequence[str]) -> TypeError:
@@ -253,6 +345,9 @@ class NamedValues(dict[str, Value]):
     Traceback (most recent call last):
     KeyError: "there is no 'Energy'; did you mean 'energy'?"
     """
+
+    def __repr__(self) -> str:
+        return f"{{{', '.join(f'{name!r}: {compact(value)}' for name, value in self.items())}}}"
 
     def __missing__(self, name: Any) -> Value:
         """Raise the KeyError."""

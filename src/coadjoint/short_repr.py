@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+MAX_SHOWN_LENGTH = 120
+"""Longest text of one part of a representation, such as a Hamiltonian; longer ones are summarized."""
 MAX_DEPTH = 6
 """Maximum depth of nested containers shown; deeper levels are elided."""
 
@@ -26,6 +28,23 @@ def short(value: Any, limit: int = 80) -> str:
             text = f"{text[: limit - 3]}..."
             break
     return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
+def distinct(*values: float) -> tuple[str, ...]:
+    """Return numbers as text of six digits, or of as many as show which of them differ.
+
+    Examples
+    --------
+    >>> distinct(0.0, 30.0), distinct(0.0, 30.0, 30.000000000013678)
+    (('0', '30'), ('0', '30', '30.00000000001'))
+    """
+    count = len(set(values))
+    texts = tuple(f"{value:.6g}" for value in values)
+    for digits in range(7, 18):  # 17 digits distinguish all numbers
+        if len(set(texts)) >= count:
+            break
+        texts = tuple(f"{value:.{digits}g}" for value in values)
+    return texts
 
 
 def html_table(title: str, rows: Mapping[str, Any]) -> str:
@@ -48,8 +67,30 @@ def html_table(title: str, rows: Mapping[str, Any]) -> str:
     return f"<table><caption><b>{escape(title)}</b></caption>{''.join(lines)}</table>"
 
 
-def dataclass_repr(instance: Any) -> str:
-    """Return the repr of a dataclass, with functions shown by name instead of address.
+def compact(value: Any, limit: int = 60) -> str:
+    """Return a representation in one line; arrays and nested numbers beyond `limit` are shown by their shape, not cut.
+
+    Examples
+    --------
+    >>> compact((0.0, 0.0, 1.0)), compact(np.eye(12)), compact([[0.5] * 8] * 8)
+    ('(0.0, 0.0, 1.0)', '<array of shape (12, 12), float64>', '<list of shape (8, 8)>')
+    """
+    text = short(value, limit)
+    if isinstance(value, np.ndarray) and text.endswith("..."):
+        return f"<array of shape {value.shape}, {value.dtype.name}>"
+    if type(value).__repr__ not in _BRACKETS or not text.endswith("..."):
+        return text
+    shape: list[int] = []
+    entry = value
+    while isinstance(entry, list | tuple) and entry and len(shape) < MAX_DEPTH:
+        shape.append(len(entry))
+        entry = entry[0]
+    kind = type(value).__name__
+    return f"<{kind} of shape ({', '.join(map(str, shape))})>" if len(shape) > 1 else f"<{kind} of {len(value)}>"
+
+
+def record_repr(instance: Any) -> str:
+    """Return the repr of a dataclass or named tuple, with functions shown by name, and large values by their shape.
 
     Examples
     --------
@@ -58,10 +99,11 @@ def dataclass_repr(instance: Any) -> str:
     ... class Pair:
     ...     first: object
     ...     second: object
-    >>> dataclass_repr(Pair(abs, "b"))
+    >>> record_repr(Pair(abs, "b"))
     "Pair(first=the function abs, second='b')"
     """
-    entries = (f"{field.name}={short(getattr(instance, field.name))}" for field in fields(instance) if field.repr)
+    names = getattr(instance, "_fields", None) or [field.name for field in fields(instance) if field.repr]
+    entries = (f"{name}={compact(getattr(instance, name))}" for name in names if name[0] != "_")
     return f"{type(instance).__name__}({', '.join(entries)})"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Collection, Iterable, Mapping, Sized
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +37,20 @@ def is_real(value: Any) -> bool:
     (True, True, False, False, False)
     """
     if isinstance(value, numbers.Real):
-        return not isinstance(value, bool)
+        return not isinstance(value, bool | np.timedelta64)  # a duration is registered as an integer
     # Decimal is a number but not registered with numbers.Real.
     return isinstance(value, numbers.Number) and not isinstance(value, numbers.Complex)
+
+
+def is_integer(value: Any) -> bool:
+    """Return whether a value is an integer; booleans and durations of NumPy are not.
+
+    Examples
+    --------
+    >>> is_integer(np.int8(3)), is_integer(True), is_integer(np.timedelta64(3, "s")), is_integer(3.0)
+    (True, False, False, False)
+    """
+    return isinstance(value, numbers.Integral) and not isinstance(value, bool | np.timedelta64)
 
 
 def size_of_range(values: range) -> int:
@@ -161,7 +173,41 @@ def check_finite(values: Floats, what: str) -> None:
 
 def not_numbers_error(values: Any, what: str) -> TypeError:
     """Return the error for a value that is not an array of real numbers."""
-    return TypeError(f"{what} is {short(values, 60)}; it must be an array of real numbers, all rows of the same length")
+    hint = unit_hint(values)
+    rule = f"numbers{hint}" if hint else "an array of real numbers, all rows of the same length"
+    return TypeError(f"{what} is {short(values, 60)}; it must be {rule}")
+
+
+def unit_hint(value: Any, depth: int = 2) -> str:
+    """Return what to give in place of a duration, a date or a quantity with a unit, or of the first one in a list.
+
+    Examples
+    --------
+    >>> unit_hint(np.timedelta64(1, "s"))
+    " in the units of the system, such as the duration divided by np.timedelta64(1, 's')"
+    >>> unit_hint("1")
+    ''
+    """
+    is_object_array = isinstance(value, np.ndarray) and value.dtype == object and value.ndim <= MAX_DIMENSIONS
+    if isinstance(value, list | tuple) or is_object_array:
+        entries = value.flat if isinstance(value, np.ndarray) else value
+        hints = (unit_hint(entry, depth - 1) for entry in islice(entries, SMALL_SIZE)) if depth else ()
+        return next(filter(None, hints), "")
+    kind = getattr(getattr(value, "dtype", None), "kind", "")
+    if kind == "m":
+        return " in the units of the system, such as the duration divided by np.timedelta64(1, 's')"
+    if hasattr(value, "total_seconds"):
+        return " in the units of the system, such as its total_seconds()"
+    if kind == "M" or hasattr(value, "toordinal"):
+        return " in the units of the system, such as the seconds since the start"
+    return " in the units of the system, such as its magnitude in these" if has_unit(value) else ""
+
+
+def has_unit(value: Any) -> bool:
+    """Return whether a value is a quantity with a unit, such as those of astropy, pint and unyt."""
+    if isinstance(value, np.ndarray):
+        return type(value) is not np.ndarray and (hasattr(value, "unit") or hasattr(value, "units"))
+    return hasattr(type(value), "magnitude") and hasattr(type(value), "units")
 
 
 def reject_lossy_conversion(values: Any, what: str, depth: int = 0) -> None:
@@ -177,6 +223,8 @@ def reject_lossy_conversion(values: Any, what: str, depth: int = 0) -> None:
     elif isinstance(values, np.ma.MaskedArray):
         if np.ma.is_masked(values):
             raise ValueError(f"{what} has masked entries, which have no value; fill or remove them")
+    elif has_unit(values):
+        raise not_numbers_error(values, what)
     elif hasattr(values, "iloc") and hasattr(values, "axes"):
         # pandas objects, detected without importing it. Labels other than 0, 1, ... could mean another order.
         if any(list(axis) != list(range(len(axis))) for axis in values.axes):
@@ -191,9 +239,9 @@ def read_number(value: Any, what: str) -> float:
     if type(value) is not float:
         if type(value) is not int:
             if isinstance(value, np.ndarray) and value.ndim == 0 and not isinstance(value, np.ma.MaskedArray):
-                value = value[()]
+                value = value if has_unit(value) else value[()]
             if not is_real(value):
-                raise TypeError(f"{what} is {short(value)}; it must be a number")
+                raise TypeError(f"{what} is {short(value)}; it must be a number{unit_hint(value)}")
         try:
             value = float(value)
         except (OverflowError, ValueError):
@@ -226,7 +274,7 @@ def read_integer(
 
     `floats` accepts whole floats such as 1e6; `reason`, that of the upper bound, is added to its message.
     """
-    is_whole = type(value) is int or (isinstance(value, numbers.Integral) and not isinstance(value, bool))
+    is_whole = type(value) is int or is_integer(value)
     if floats and not is_whole and isinstance(value, float | np.floating):
         value = float(value)  # small float types cannot represent the bounds
         is_whole = value.is_integer()

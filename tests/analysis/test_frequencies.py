@@ -422,3 +422,20 @@ def test_what_is_refused() -> None:
         co.frequencies(run, "enegy")
     with pytest.raises(ValueError, match="from 0 to 2"):
         co.frequencies(run, 3)
+
+
+@pytest.mark.parametrize("size", [1e-15, 1.0, 1e10 / 3])
+def test_times_that_were_summed_are_equidistant(size: float) -> None:
+    """Up to eight units in the last place of the largest time for each of them."""
+    t = 5.0 * size + np.cumsum(np.full(30_000, 0.001 * size))
+    found = co.frequencies(t, np.cos(3.0 / size * t), count=1)
+    assert found.frequency[0] == pytest.approx(3.0 / size, rel=1e-9)
+    rounding = 16 * 2.0**-53 * t[-1] * len(t)
+    for share in (0.8, 1.3):
+        moved = 5.0 * size + 0.001 * size * np.arange(len(t))
+        moved[len(t) // 2] += share * rounding
+        if share < 1.0:
+            co.frequencies(moved, np.cos(3.0 / size * moved), count=1)
+            continue
+        with pytest.raises(ValueError, match="equidistant times"):
+            co.frequencies(moved, np.cos(3.0 / size * moved), count=1)

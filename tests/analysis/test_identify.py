@@ -188,6 +188,11 @@ REFUSED = {
     "shape": (lambda: co.identify(SO3, T, X[:, :2]), ValueError, r"shape \(41, 2\); it must be \(k, 3\)"),
     "times": (lambda: co.identify(SO3, T[:-1], X), ValueError, "a time for each sample"),
     "unequal": (lambda: co.identify(SO3, T**2, X), ValueError, "steps from .* must be equal"),
+    "nearly equal": (
+        lambda: co.identify(SO3, np.linspace(0, 8, 41) + 3e-7 * (np.arange(41) == 9), X),
+        ValueError,
+        r"steps from 0\.1999997 to 0\.2000003; they",
+    ),
     "equal times": (lambda: co.identify(SO3, 0 * T, X), ValueError, "must be equal"),
     "not finite": (lambda: co.identify(SO3, T, np.where(X > 0.99, np.nan, X)), ValueError, "not finite"),
     "few": (lambda: co.identify(SO3, T[:16], X[:16]), ValueError, "16 samples .* at least 17"),

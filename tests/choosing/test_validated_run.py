@@ -99,6 +99,12 @@ def test_states_at_rest_and_invalid_input():
         for span in ((0.0, 41.0), (40.0, 0.0)):
             with pytest.raises(ValueError, match="at most the time 40, in its direction"):
                 call(SAMPLE[0], span)
+        # The end may be a sum of steps.
+        rounding = 16 * 2.0**-53 * 40.0 * round(40.0 / ready.step)
+        whole, found = call(SAMPLE[0], SPAN), call(SAMPLE[0], (0.0, 40.0 + 0.8 * rounding))
+        assert np.array_equal(*(np.atleast_2d(getattr(run, "x", run))[-1] for run in (whole, found)))
+        with pytest.raises(ValueError, match=r"^t_span is \[0.0, 40.0\d+\]; .* at most the time 40(\.0)?, in"):
+            call(SAMPLE[0], (0.0, 40.0 + 1.3 * rounding))
 
 
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.Splitting(order=2, compensated=True)], ids=str)

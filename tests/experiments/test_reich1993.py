@@ -1,6 +1,7 @@
 """Reproduction of Reich (1993) with a reduced setting, its tables of statements and its step matrices."""
 
 import csv
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +44,16 @@ EXPECTED = {
 
 def test_reproduction_has_all_verdicts_and_figures(tmp_path: Path) -> None:
     lines: list[str] = []
-    reproduction = reproduce(tmp_path / "new" / "folder", lines.append, phase_end=100.0, steps=10_000)
+
+    def echo(line: str) -> None:
+        lines.append(line)
+        if len(lines) == 3:
+            warnings.warn("a warning of another kind", UserWarning, stacklevel=1)
+
+    with pytest.warns(UserWarning) as caught:
+        reproduction = reproduce(tmp_path / "new" / "folder", echo, phase_end=100.0, steps=10_000)
+    # Warnings of large steps are lines of the table; any others are passed on.
+    assert [str(warning.message) for warning in caught] == ["a warning of another kind"]
     assert len(lines) == 10
     keys = [row.key for row in reproduction.table]
     assert len(keys) == len(set(keys)) >= 45
@@ -61,6 +71,9 @@ def test_reproduction_has_all_verdicts_and_figures(tmp_path: Path) -> None:
     table = reproduction.files[0].read_text(encoding="utf-8")
     assert table.count("\n| ") == len(reproduction.table) + 1
     assert "3 does not hold" in table
+    large = [line for line in table.splitlines() if line.startswith("- the step ")]
+    assert len(large) == len(set(large)) >= 5
+    assert any("the step 0.1 is too large" in line and "runge2" in line for line in large)
 
 
 @pytest.mark.parametrize("wrong", [{"phase_end": 10.0}, {"phase_end": 60.5}, {"steps": 15_000}, {"steps": 0}])

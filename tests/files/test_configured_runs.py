@@ -442,3 +442,25 @@ def test_dataset_with_output_times_is_rebuilt():
         again = rebuild(data)
         assert np.array_equal(again.x, sol.x) and np.array_equal(again.t, times)
         assert np.array_equal(again.attitude, sol.attitude) and again.drift() == sol.drift()
+
+
+def test_times_that_are_sums_of_steps(read):
+    """They are accepted up to their rounding in a file too, and refused beyond it with the digits that differ."""
+    sums = [0.0, *np.cumsum(np.full(3000, 0.01)).tolist()]
+    assert sums[-1] > 30.0
+    expected = co.integrate(read(READY_MADE).system, (1.0, 0.1, 0.5), (0, 30), 0.01, co.Splitting(order=4))
+    for lines in (f"t_span = [0, {sums[-1]!r}]\nstep = 0.01", f"t_span = [0, 30]\nstep = 0.01\nt_eval = {sums}"):
+        found = read(READY_MADE, ("t_span = [0, 1]\nstep = 0.1", lines))
+        solution = found.integrate()
+        assert np.array_equal(solution.x[-1], expected.x[-1]) and len(solution.t) == 3001
+        assert "3000 of 0.01, from t = 0 to 30" in str(plan(found))
+    for lines, message in (
+        ("t_span = [0, 30.0000000003]\nstep = 0.01", "step 0.01 does not divide the time 30.0000000003"),
+        (
+            "t_span = [0, 30]\nstep = 0.01\nt_eval = [1, 30.0000000003]",
+            "t_eval[1] is 30.0000000003; it must lie within t_span, from 0 to 30",
+        ),
+    ):
+        with pytest.raises(ConfigurationError) as refused:
+            read(READY_MADE, ("t_span = [0, 1]\nstep = 0.1", lines))
+        assert message in str(refused.value)

@@ -237,3 +237,80 @@ def test_number_of_reported_errors_is_limited(tmp_path, monkeypatch, capsys):
     text = FILE.format(**RIGHT) + "".join(f"key{k} = {k}\n" for k in range(30))
     lines = lines_of(text, tmp_path, monkeypatch, capsys, "check")
     assert len(lines) == 21 and lines[-1] == "10 more" and len(set(lines)) == 21
+
+
+# Keys as in Python, or as people call them, and where they belong in a file.
+MEANT = {
+    "[run] x0 = [1.0, 0.1, 0.5]": "run.x0: unknown key; give [initial] x",
+    "[run] y0 = [1.0, 0.1, 0.5]": "run.y0: unknown key; give [initial] x",
+    "[run] dt = 0.1": "run.dt: unknown key; give [run] step",
+    "[run] t_end = 2.0": "run.t_end: unknown key; give [run] t_span",
+    "[run] duration = 2.0": "run.duration: unknown key; give [run] t_span",
+    "[run] rtol = 1e-6": "run.rtol: unknown key; give [run] accuracy",
+    "[run] saveat = [0.5]": "run.saveat: unknown key; give [run] t_eval",
+    "[run] every = 2": "run.every: unknown key; give [run] save_every",
+    "[run] n_jobs = 2": "run.n_jobs: unknown key; give [run] threads",
+    '[run] integrator = "Splitting"': "run.integrator: unknown key; give [method] name",
+    '[run] plot = "a.png"': "run.plot: unknown key; give [output] figure",
+    '[run] out = "a.nc"': "run.out: unknown key; give [output] file",
+    '[run] animation = "a.mp4"': "run.animation: unknown key; give [output] movie",
+    "[run] observables = 1": "run.observables: unknown key; give [observe] NAME",
+    "[run] event = 1": "run.event: unknown key; give [events.NAME] g",
+    "[run] ensemble = 10": "run.ensemble: unknown key; give [sweep] samples",
+    "[initial] x0 = [1.0, 0.1, 0.5]": "initial.x0: unknown key; give [initial] x",
+    "[system] params = 1": "system.params: unknown key; give [system.parameters]",
+    "[system] inertia = [1, 2, 3]": "system.inertia: unknown key; 'inertia' belongs to [system.parameters]",
+    '[system] H = "x1"': "system.H: unknown key; give [hamiltonian] polynomial",
+}
+
+
+@pytest.mark.parametrize("line", MEANT)
+def test_keys_under_other_names_are_answered_with_their_place(tmp_path, line):
+    """Alone, beside the right key, and in its place: one message."""
+    table, _, key = line.partition(" ")
+    known = {"x0": "x = ", "y0": "x = ", "dt": "step = ", "t_end": "t_span = ", "duration": "t_span = "}
+    text = FILE.format(**RIGHT)
+    replaced = [part for part in text.split("\n") if not part.startswith(known.get(key.split(" ")[0], "never"))]
+    for lines in (text.split("\n"), replaced):
+        changed = "\n".join(f"{part}\n{key}" if part == table else part for part in lines)
+        path = tmp_path / "run.toml"
+        path.write_text(changed)
+        with pytest.raises(ConfigurationError) as refused:
+            load(path)
+        message = str(refused.value)
+        if lines is replaced and line.startswith("[run]"):
+            message = message.removesuffix("; and initial: x is missing; give it, or the kind of an initial state")
+        assert message == f"{path}: {MEANT[line]}"
+
+
+def test_keys_of_the_top_and_names_for_tables(tmp_path):
+    text = FILE.format(**RIGHT)
+    for changed, message in (
+        (f"dt = 0.1\n{text}", "dt: unknown key; give [run] step"),
+        (f"x0 = [1.0, 0.1, 0.5]\n{text}", "x0: unknown key; give [initial] x"),
+        (
+            'system = "rigid_body"\n' + text.replace('[system]\nname = "rigid_body"\n', ""),
+            "system: must be a table, not 'rigid_body'; give [system] name",
+        ),
+        (
+            'method = "Splitting"\n' + text.replace('[method]\nname = "Splitting"\n', ""),
+            "method: must be a table, not 'Splitting'; give [method] name",
+        ),
+    ):
+        path = tmp_path / "run.toml"
+        path.write_text(changed)
+        with pytest.raises(ConfigurationError) as refused:
+            load(path)
+        assert str(refused.value) == f"{path}: {message}"
+
+
+def test_every_place_exists():
+    from coadjoint.files.configuration.models import OTHER_NAMES, PLACES, File, known_keys
+
+    for place in PLACES.values():
+        table, _, key = place.partition(" ")
+        path = table.strip("[]").split(".")
+        assert path[0] in File.model_fields
+        if path[0] in ("initial", "run", "output", "hamiltonian", "system") and path[1:] == []:
+            assert key in known_keys(path), place
+    assert set(OTHER_NAMES.values()) <= set(PLACES)

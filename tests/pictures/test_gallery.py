@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import coadjoint as co
@@ -19,9 +20,11 @@ from long import long_where
 
 
 def inside(figure: Figure) -> list[str]:
-    """Return what reaches out of a figure."""
-    figure.draw_without_rendering()
-    canvas = figure.bbox.padded(1.0)
+    """Return what reaches out of a figure as it is drawn first, and what a second drawing moves."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    first = [axes.get_window_extent().extents for axes in figure.axes]
+    limits = figure.bbox.padded(1.0)
     out = []
     for axes in figure.axes:
         parts = [axes.get_legend(), axes.title, axes.xaxis.label, axes.yaxis.label]
@@ -29,9 +32,38 @@ def inside(figure: Figure) -> list[str]:
             if part is None or (hasattr(part, "get_text") and not part.get_text()):
                 continue
             box = part.get_window_extent()
-            if not (canvas.x0 <= box.x0 and box.x1 <= canvas.x1 and canvas.y0 <= box.y0 and box.y1 <= canvas.y1):
+            if not (limits.x0 <= box.x0 and box.x1 <= limits.x1 and limits.y0 <= box.y0 and box.y1 <= limits.y1):
                 out.append(f"{axes.get_title()}: {part}")
+    canvas.draw()
+    for axes, before in zip(figure.axes, first, strict=True):
+        if np.abs(axes.get_window_extent().extents - before).max() > 1.0:
+            out.append(f"{axes.get_title()} moves")
     return out
+
+
+LONG_WORDS = "kinetic energy of the second body in the frame at rest, "
+LONG_WORD = "kinetic_energy_of_the_second_body_in_the_frame_at_rest_"
+
+
+@pytest.mark.thinned(9)
+@pytest.mark.parametrize("words", [LONG_WORDS, LONG_WORD])
+@pytest.mark.parametrize("length", [10, 90, 108, 200])
+@pytest.mark.parametrize("width", [None, 4.0, 8.0])
+@pytest.mark.parametrize("panels", [None, ["observed"], ["drift", "components", "observed"]])
+def test_long_legends_are_within_the_first_drawing(words, length, width, panels):
+    name = (words * 4)[:length]
+    observe = {name: lambda x: x[0], f"{name}, squared": lambda x: x[0] ** 2}
+    run = co.integrate(co.systems.rigid_body((1, 2, 3)), (1.0, 0.2, 0.1), (0, 5), 0.25, observe=observe, attitude=True)
+    figure = run.plot(panels, width=width)
+    assert inside(figure) == []
+    labels = next(axes for axes in figure.axes if axes.get_title() == "observed").get_legend().get_texts()
+    # Of names up to 100 characters nothing is lost, of longer ones the middle.
+    for text, given in zip(labels, observe, strict=True):
+        shown, wanted = "".join(text.get_text().split()), "".join(given.split())
+        assert shown == wanted if len(given) <= 100 else "..." in shown and shown.endswith(wanted[-20:])
+    for axes in figure.axes:
+        others = [other.get_window_extent() for other in figure.axes if other is not axes]
+        assert axes.get_legend() is None or axes.get_legend().get_window_extent().count_overlaps(others) == 0
 
 
 def test_every_ready_made_system_says_what_is_seen_first():

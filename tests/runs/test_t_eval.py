@@ -519,3 +519,117 @@ def test_a_part_of_a_step_that_fails_is_named(sense):
         with pytest.raises(co.IntegrationError, match=message) as raised:
             parts.take(states, none, times, lengths, owners)
         assert raised.value.time == 5.0
+
+
+SIZES = [1e-15, 1.0, 1e10 / 3]
+
+
+def sums(span, count):
+    """Return times of equal steps, each added to the one before; and the step, and the end beyond the span."""
+    step = abs(span[1] - span[0]) / count
+    return span[0] + np.sign(span[1] - span[0]) * np.append(0.0, np.cumsum(np.full(count, step))), step
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("span", [(0.0, 30.0), (0.0, -30.0), (-7.0, 23.0), (40.0, 10.0)])
+@pytest.mark.parametrize("members", [1, 3])
+def test_times_that_were_summed_end_at_the_end(size, span, members):
+    """Of 30 000 terms and every hundredth of them; the states of the end are those of the last step."""
+    x0 = X if members == 1 else np.array([X, 2 * X, -X])
+    body = BODY if size == 1.0 else co.systems.rigid_body(tuple(size * moment for moment in (1, 2, 3)))
+    ends = size * span[0], size * span[1]
+    times, step = sums(ends, 30_000)
+    times, step = times[::100], 100 * step
+    assert times[-1] != ends[1]
+    if np.sign(ends[1] - ends[0]) * (times[-1] - ends[1]) < 0.0:
+        times[-1] = ends[1] + (ends[1] - times[-1])  # as far beyond the end
+    whole = co.integrate(body, x0, ends, step)
+    sol = co.integrate(body, x0, ends, step, t_eval=times)
+    assert np.array_equal(sol.t, times) and sol.t_span == whole.t_span
+    assert np.array_equal(sol.x[-1], whole.x[-1]) and np.array_equal(sol.x[0], whole.x[0])
+    assert np.array_equal(co.prepare(body, None, step).run(x0, ends, t_eval=times).x, sol.x)
+    # So is a span that ends there.
+    assert np.array_equal(co.integrate(body, x0, (ends[0], times[-1]), step).x, whole.x)
+    assert np.array_equal(co.prepare(body, None, step).end(x0, (ends[0], times[-1])), whole.x[-1])
+    for found in (sol, whole):
+        assert np.array_equal(found.at(times).x[-1], whole.x[-1]) and np.array_equal(found.at(times).t, times)
+        assert np.array_equal(found.at(times[-1]).x, whole.x[-1])
+
+
+@pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("span", [(0.0, 30.0), (0.0, -30.0), (-7.0, 23.0)])
+@pytest.mark.parametrize(("times", "steps"), [(301, 300), (7, 3000), (2000, 30), (1, 1)])
+def test_how_far_beyond_the_end_times_may_be(size, span, times, steps):
+    """Eight units in the last place of the largest time for each time or step."""
+    t0, end = size * span[0], size * span[1]
+    body = co.systems.rigid_body(tuple(size * moment for moment in (1, 2, 3)))
+    step, largest = abs(end - t0) / steps, size * max(*map(abs, span), abs(span[1] - span[0]))
+    allowed = max(16 * U * largest, min(16 * U * largest * max(times, steps + 1), step / 100))
+    ready = co.prepare(body, co.Splitting(), step)
+    sol = ready.run(X, (t0, end))
+    way = np.sign(end - t0)
+    inside = np.linspace(t0, end, times + 1)[1:-1]
+    for beyond in (end + way * 0.9 * allowed, t0 - way * 0.9 * allowed):
+        at_end = abs(beyond - end) < step / 2
+        row = np.append(inside, beyond) if at_end else np.append(beyond, inside)
+        expected = sol.x[-1] if at_end else sol.x[0]
+        assert np.array_equal(ready.run(X, (t0, end), t_eval=row).x[-1 if at_end else 0], expected)
+        assert np.array_equal(sol.at(row).x[-1 if at_end else 0], expected)
+    for beyond in (end + way * 1.2 * allowed, t0 - way * 1.2 * allowed):
+        row = np.append(inside, beyond) if abs(beyond - end) < step / 2 else np.append(beyond, inside)
+        for call in (lambda row=row: ready.run(X, (t0, end), t_eval=row), lambda row=row: sol.at(row)):
+            with pytest.raises(ValueError, match="must lie within") as refused:
+                call()
+            # The numbers in the message differ as those that were given.
+            shown = [float(text) for text in re.findall(r"-?\d+(?:\.\d+)?(?:e[+-]\d+)?", str(refused.value))[-3:]]
+            assert len(set(shown)) == 3 and (shown[0] - shown[1]) * (shown[0] - shown[2]) > 0.0
+
+
+def test_single_precision_times_beyond_the_end_are_refused_with_their_digits():
+    times = np.cumsum(np.full(300, 0.1, dtype=np.float32))
+    assert times[-1] > 30.0
+    with pytest.raises(ValueError, match=r"^t_eval\[299\] is 30\.00\d+; it must lie within t_span, from 0 to 30$"):
+        co.integrate(BODY, X, (0, 30), 0.1, t_eval=times)
+
+
+@pytest.mark.parametrize("digits", range(6, 18))
+def test_times_from_a_file_of_few_digits(digits):
+    """Those that are written as the end are the end; those that are rounded up beyond it are refused."""
+    for end, steps in ((30.0, 300), (10 / 3, 90), (1e-12 / 7, 70)):
+        body = co.systems.rigid_body(tuple(end * moment for moment in (1, 2, 3)))
+        text = [f"{t:.{digits}g}" for t in np.linspace(0.0, end, 91)]
+        times = np.array(text, dtype=float)
+        allowed = 16 * U * end * max(len(times), steps + 1)
+        if times[-1] <= end + allowed:
+            assert len(co.integrate(body, X, (0, end), end / steps, t_eval=times).t) == 91
+            continue
+        with pytest.raises(ValueError, match="must lie within t_span"):
+            co.integrate(body, X, (0, end), end / steps, t_eval=times)
+
+
+def test_noise_at_times_that_were_summed():
+    """They are those of the steps; states between saved points are those of the run, with its noise."""
+    for algebra, x0 in ((co.algebras.so(3), X), (co.algebras.so(4), np.linspace(0.5, 1.0, 6))):
+        energy = co.Polynomial({tuple(np.eye(len(x0), dtype=int)[2]): -1.0})
+        noisy = co.LiePoissonSystem(algebra, energy).with_forces(co.forces.HeatBath(0.1, 0.5, seed=3))
+        times = np.append(0.0, np.cumsum(np.full(3000, 0.01)))[::10]
+        every = co.integrate(noisy, x0, (0, 30), 0.1)
+        assert np.abs(times - every.t).max() > 0.0
+        assert np.array_equal(co.integrate(noisy, x0, (0, 30), 0.1, t_eval=times).x, every.x)
+        some = co.integrate(noisy, x0, (0, 30), 0.1, save_every=7)
+        assert np.array_equal(some.at(times[::11]).x, every.x[::11])
+        assert np.array_equal(some.at(every.t[16]).x, every.x[16])
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(tolerance=1e-12)], ids=str)
+def test_derivatives_at_times_that_were_summed(method):
+    times = np.append(0.0, np.cumsum(np.full(3000, 0.01)))[::10]
+    assert times[-1] > 30.0
+    ready = co.prepare(BODY, method, 0.1)
+    plain = ready.run(X, (0, 30), t_eval=times)
+    sol, tangents = ready.jvp(X, (0, 30), {"x0": X}, t_eval=times)
+    assert np.array_equal(sol.x, plain.x)
+    # Twice as fast a start moves twice as fast: x(t; s x0) = s x(s t; x0), so the derivative by s is x + t x'.
+    expected = plain.x + times[:, None] * BODY.vector_field(plain.x)
+    assert np.abs(tangents.x - expected).max() < (1e-9 if method.own_steps else 5e-3)

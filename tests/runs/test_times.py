@@ -85,37 +85,32 @@ def span_off_by(start, step, count, relative, direction=1.0):
 U = 2.0**-53
 
 
+def allowance(count, largest, step):
+    """Eight units in the last place of the largest time for each step, at most a hundredth of a step but for one."""
+    return max(16 * U * largest, min(count * 16 * U * largest, step / 100))
+
+
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 @pytest.mark.parametrize("count", [1, 10, 12345, 10**6, 10**9, 10**12])
-@pytest.mark.parametrize("step", [0.1, 1 / 3, 0.0625, math.pi / 100, 1e-7])
-def test_small_deviations_from_whole_steps(step, count, direction):
-    """Some units of round-off are accepted, 16 times the allowance is refused."""
-    for relative in (0.0, 2 * U, -2 * U, 5 * U, -5 * U):
-        ends = span_off_by(0.0, step, count, relative, direction)
+@pytest.mark.parametrize("step", [0.1, 1 / 3, 0.0625, math.pi / 100, 1e-7, 1e-15, 1e8])
+@pytest.mark.parametrize("start", [0.0, 1e6, -1e6, 123456.789, 2.0**40, 1e-15])
+def test_small_deviations_from_whole_steps(start, step, count, direction):
+    """Rounding is accepted, for each step once, and a quarter more than that is refused."""
+    exact_end = span_off_by(start, step, count, 0.0, direction)[1]
+    largest = max(abs(start), abs(exact_end), count * step)
+    if math.ulp(largest) > step / 512:
+        return
+    allowed = allowance(count, largest, step)
+    for share in (0.0, 0.25, -0.25, 0.75, -0.75):
+        ends = span_off_by(start, step, count, share * allowed / (step * count), direction)
         times = times_of(ends, step, 1)
         assert times.steps == count
-        assert abs(times.end - ends[1]) <= 8 * U * abs(ends[1])
-    for relative in (128 * U, -128 * U, 1e-12, -1e-12, 1e-9, -1e-9):
-        if count * abs(relative) > 0.25:
-            continue
-        with pytest.raises(ValueError, match="does not divide"):
-            times_of(span_off_by(0.0, step, count, relative, direction), step, 1)
-
-
-@pytest.mark.parametrize("direction", [1.0, -1.0])
-@pytest.mark.parametrize("start", [1e6, -1e6, 123456.789, 2.0**40])
-@pytest.mark.parametrize("step", [0.1, 1 / 3, 0.0625])
-def test_allowance_far_from_zero_is_the_rounding_of_the_ends(step, start, direction):
-    for count in (1, 7, 1000, 10**6):
-        for relative in (0.0, U):
-            ends = span_off_by(start, step, count, relative, direction)
-            assert times_of(ends, step, 1).steps == count
-        # 64 gaps between numbers there; for long spans, as little beside those.
-        gap = 64 * math.ulp(max(map(abs, span_off_by(start, step, count, 0.0, direction))))
-        if gap < step / 4:
-            for side in (1, -1):
-                with pytest.raises(ValueError, match="does not divide"):
-                    times_of(span_off_by(start, step, count, side * gap / (step * count), direction), step, 1)
+        # The end is that of the steps.
+        assert times.end == start + count * math.copysign(step, direction)
+    for share in (1.25, -1.25, 3.0, -3.0):
+        if abs(share) * allowed < step / 4:
+            with pytest.raises(ValueError, match="does not divide"):
+                times_of(span_off_by(start, step, count, share * allowed / (step * count), direction), step, 1)
 
 
 @pytest.mark.parametrize("step", [0.1, 0.0625, 1 / 3])
@@ -123,10 +118,25 @@ def test_end_near_zero_from_a_distant_start(step):
     for count in (10, 12345, 10**9):
         start = float(Fraction(step) * count)
         assert times_of((start, 0.0), step, 1).steps == times_of((0.0, start), step, 1).steps == count
-        off = start * (1 + 128 * U)
-        for ends in ((off, 0.0), (0.0, off)):
-            with pytest.raises(ValueError, match="does not divide"):
-                times_of(ends, step, 1)
+        for share, accepted in ((0.75, True), (1.25, False)):
+            off = start + share * allowance(count, start, step)
+            for ends in ((off, 0.0), (0.0, off)):
+                if accepted:
+                    assert times_of(ends, step, 1).steps == count
+                    continue
+                with pytest.raises(ValueError, match="does not divide"):
+                    times_of(ends, step, 1)
+
+
+@pytest.mark.parametrize("scale", [1e-15, 1e-3, 1.0, 1e10])
+@pytest.mark.parametrize("start", [0.0, -2.5, 7.0])
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_sums_of_steps_are_whole_numbers_of_steps(scale, start, direction):
+    for step in (0.1, 1 / 3, 0.7):
+        for count in (1, 30, 300, 30_000, 10**6):
+            total = direction * scale * np.cumsum(np.full(count, step))[-1]
+            times = times_of((scale * start, scale * start + total), scale * step, 1)
+            assert times.steps == count and math.copysign(1.0, times.h) == direction
 
 
 def test_indistinguishable_times_are_refused():

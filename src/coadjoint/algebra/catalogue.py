@@ -14,6 +14,7 @@ from coadjoint.algebra.families.products import copies, direct_sum, semidirect
 from coadjoint.algebra.families.subspaces import change_of_basis, quotient, subalgebra
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.errors import unknown_attribute, unknown_name
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer
 
@@ -70,6 +71,7 @@ _FAMILIES: Mapping[str, tuple[Callable[..., LieAlgebra], tuple[str, ...]]] = {
 _MEMBERS = ("e(3)", "heisenberg", "sl(2)", "so(2)", "so(3)", "so(4)")
 
 
+@suggest_keywords
 def names() -> tuple[str, ...]:
     """Return the names accepted by `get`: the algebras of dimension 2 to 5, families as patterns, and a few members.
 
@@ -89,6 +91,7 @@ def families() -> dict[str, tuple[str, ...]]:
     return {pattern: numbers for pattern, (_, numbers) in _FAMILIES.items()}
 
 
+@suggest_keywords
 def get(name: str, **parameters: Any) -> LieAlgebra:
     """Return an algebra of the catalogue by name.
 

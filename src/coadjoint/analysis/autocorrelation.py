@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.analysis.signals import Sampled, sampled
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.validation import read_positive
 
@@ -20,6 +21,7 @@ BYTES_PER_SAMPLE = 80  # peak, of one member and channel, padded
 BYTES_PER_LAG = 40  # of each channel
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False, repr=False)
 class Autocorrelation:
     """The autocorrelation of a stationary series, pooled over its members; `autocorrelation` computes it.
@@ -57,6 +59,7 @@ class Autocorrelation:
         return f"<autocorrelation: integrated time {self.time:.4g} +- {self.error:.1g}>"
 
 
+@suggest_keywords
 def autocorrelation(given: Any, signal: Any = None, window: float = WINDOW) -> Autocorrelation:
     """Return the normalized autocorrelation function of a stationary series, and its integrated time with an error.
 

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.analysis.orbit import Orbit, Tangents, second_variation, tangents_of
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.short_repr import record_repr
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.protocol import forces_of, has_structure_constants
 from coadjoint.validation import read_choice, read_finite
@@ -60,7 +62,11 @@ class Equilibrium:
     stability: str
     residual: float
 
+    def __repr__(self) -> str:
+        return record_repr(self)
 
+
+@suggest_keywords
 @ignore_overflow
 def equilibrium(system: Any, x0: ArrayLike, relax: str = "down") -> Equilibrium:
     """Return an equilibrium on the coadjoint orbit of a state, with its frequencies and its stability.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.analysis.undetermined import check_determined
 from coadjoint.errors import IntegrationError, unknown_name
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
@@ -66,6 +67,7 @@ class Fit:
         return f"<fit of {names}: {len(self.unknowns)} unknowns, sum of squares of the residuals {total:.4g}>"
 
 
+@suggest_keywords
 def fit(
     ready: PreparedRun,
     x0: Any,

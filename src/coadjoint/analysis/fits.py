@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.short_repr import short
+from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.short_repr import record_repr, short
 from coadjoint.validation import read_finite
 
 Floats = NDArray[np.float64]
@@ -60,7 +61,11 @@ class OrderFit(NamedTuple):
     errors: Floats
     dropped: int
 
+    def __repr__(self) -> str:
+        return record_repr(self)
 
+
+@suggest_keywords
 def fit_order(steps: ArrayLike, errors: ArrayLike, floor: ArrayLike = 0.0) -> OrderFit:
     """Fit an order to errors at several steps, without the points dominated by round-off.
 
@@ -138,11 +143,15 @@ class Slope(NamedTuple):
     steps: Floats
     errors: Floats
 
+    def __repr__(self) -> str:
+        return record_repr(self)
+
     def __str__(self) -> str:
         """Format the slope with its uncertainty."""
         return f"{self.value:.2f} +- {self.uncertainty:.2f}"
 
 
+@suggest_keywords
 def slope(steps: list[float], errors: list[float], floors: list[float]) -> Slope | None:
     """Return the slope of log(error) against log(step) at the smallest steps whose errors are above round-off.
 
@@ -220,7 +229,11 @@ class Growth(NamedTuple):
     times: Floats
     sizes: Floats
 
+    def __repr__(self) -> str:
+        return record_repr(self)
 
+
+@suggest_keywords
 def growth(t: Floats, deviations: Floats) -> Growth:
     """Return the power of time with which the root mean square of deviations grows.
 

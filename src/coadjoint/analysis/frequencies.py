@@ -18,8 +18,9 @@ from coadjoint.analysis.spectral_lines import (
     hann,
     refine_lines,
 )
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.short_repr import short
+from coadjoint.short_repr import record_repr, short
 from coadjoint.validation import read_finite, read_integer
 
 Floats = NDArray[np.float64]
@@ -32,6 +33,7 @@ MAX_COMBINATIONS = 2**21
 WINDOW_REDUCTION = 2
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Combinations:
     """Spectral lines as integer combinations of a few basic frequencies.
@@ -53,6 +55,9 @@ class Combinations:
     integers: NDArray[np.int64]
     misfit: Floats
     found: NDArray[np.bool_]
+
+    def __repr__(self) -> str:
+        return record_repr(self)
 
 
 @dataclass(frozen=True)
@@ -85,6 +90,9 @@ class Frequencies:
     mean: Any
     residual: Any
     _real: bool
+
+    def __repr__(self) -> str:
+        return record_repr(self)
 
     def __call__(self, t: ArrayLike) -> NDArray[Any]:
         """Return the sum of the lines at times, shape (k,), (k, channels) or (k, members, channels)."""
@@ -158,6 +166,7 @@ class Frequencies:
         return "\n".join(rows)
 
 
+@suggest_keywords
 def frequencies(given: Any, signal: Any = None, count: int = 5, window: int = WINDOW) -> Frequencies:
     """Return the strongest frequencies of a run or of samples, with amplitudes and uncertainties.
 

@@ -27,6 +27,7 @@ from coadjoint.analysis.weak_form import (
     whitened_equations,
 )
 from coadjoint.errors import IntegrationError
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.suggested_scheme import reference_scheme
@@ -114,6 +115,7 @@ class Identification:
         )
 
 
+@suggest_keywords
 @long_operation("identify")
 def identify(
     algebra: LieAlgebra, t: Any, x: Any, degree: int = 2, *, sign: int = 1, radius: int | None = None

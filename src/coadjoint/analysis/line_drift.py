@@ -12,6 +12,7 @@ from coadjoint.analysis.phase_drift import ANGLES, drift_of_series
 from coadjoint.analysis.reference_motion import motion_of
 from coadjoint.analysis.signals import Sampled, sampled
 from coadjoint.analysis.spectral_lines import hann
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.systems.protocol import member_of
@@ -23,6 +24,7 @@ WINDOWS_PER_SPAN = 8  # the default width of the window is 1/8 of the span
 MIN_WINDOW_SAMPLES = 32
 
 
+@suggest_keywords
 def line_drift(
     solution: Any, frequency: float, reference: Any = None, signal: Any = None, width: float | None = None
 ) -> Any:

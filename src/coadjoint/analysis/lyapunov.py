@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.tables.tangents import Frame
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method
@@ -109,6 +110,7 @@ class LyapunovExponents:
         return np.asarray(np.abs(self.t - self.t[0]).reshape(-1, *(1,) * (self.stretches.ndim - 1)))
 
 
+@suggest_keywords
 @long_operation("lyapunov")
 def lyapunov(
     system: System | Batch,

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.short_repr import short
+from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.short_repr import record_repr, short
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.validation import read_finite
 
@@ -42,7 +43,11 @@ class Period(NamedTuple):
     misfit: float
     carried: Floats
 
+    def __repr__(self) -> str:
+        return record_repr(self)
 
+
+@suggest_keywords
 @ignore_overflow
 def period(field: Callable[[Floats], Any], x0: ArrayLike, carried: ArrayLike = ()) -> Period:
     """Return the period of the motion x' = f(x) through a state, to about 13 digits.

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.analysis.reference_motion import Motion, field_along, motion_of
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.system_checks import System, check_vector_states
 from coadjoint.validation import read_finite
@@ -16,6 +17,7 @@ MAX_ITERATIONS = 30
 FIRST_POINTS = 4  # points with initial guess zero; then the number of points is doubled, by extrapolation
 
 
+@suggest_keywords
 def phase_error(
     system: System, x0: npt.ArrayLike, t: npt.ArrayLike, x: npt.ArrayLike, reference: Any = None
 ) -> npt.NDArray[np.float64]:

@@ -12,6 +12,7 @@ from coadjoint.analysis.fits import MIN_SAMPLES, straight_line
 from coadjoint.analysis.phase import leads
 from coadjoint.analysis.reference_motion import motion_of
 from coadjoint.analysis.rotations import acts_by_rotations, twist
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
@@ -91,6 +92,7 @@ class PhaseDrift:
         return f"{self.growth}: {self.slope:.6g} +- {self.uncertainty:.1g} {per}, exponent {self.exponent:.2f}"
 
 
+@suggest_keywords
 def phase_drift(solution: Any, reference: Any = None, of: str = "momentum") -> Any:
     """Return the growth of the phase error of a run relative to the closed form or a reference.
 
@@ -147,6 +149,7 @@ def phase_drift(solution: Any, reference: Any = None, of: str = "momentum") -> A
     return drifts if several else drifts[0]
 
 
+@suggest_keywords
 def drift_of_series(t: ArrayLike, lead: ArrayLike, unit: str = TIMES) -> PhaseDrift:
     """Return the growth of a given phase error.
 

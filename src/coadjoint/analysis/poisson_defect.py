@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.stepper import Stepper
@@ -35,6 +36,7 @@ class PoissonDefect(NamedTuple):
         return self.defect <= self.bound
 
 
+@suggest_keywords
 def defect_of_tangent(
     P: npt.ArrayLike, before: npt.ArrayLike, after: npt.ArrayLike, *, operations: int
 ) -> PoissonDefect:
@@ -74,6 +76,7 @@ def defect_of_tangent(
     return PoissonDefect(defect, 64 * UNIT_ROUNDOFF * operations * size)
 
 
+@suggest_keywords
 def poisson_defect(step: Stepper, x: npt.ArrayLike, operations: int | None = None) -> PoissonDefect:
     """Return the Poisson defect of one step of a scheme at x.
 

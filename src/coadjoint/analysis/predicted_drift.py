@@ -12,6 +12,7 @@ from coadjoint.analysis.backward_error.modified_field_base import ModifiedField
 from coadjoint.analysis.backward_error.modified_hamiltonian import ModifiedHamiltonian
 from coadjoint.analysis.periods import period
 from coadjoint.analysis.rotations import acts_by_rotations, twist
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -44,6 +45,7 @@ class PredictedDrift(NamedTuple):
     modified_period: float
 
 
+@suggest_keywords
 @ignore_overflow
 def predicted_drift(
     system: Any,

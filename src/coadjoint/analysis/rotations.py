@@ -8,10 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.validation import read_finite
 
 
+@suggest_keywords
 def attitude_angle(A: npt.ArrayLike, B: npt.ArrayLike) -> Any:
     """Return the angle of the rotation from one attitude to another.
 
@@ -46,6 +48,7 @@ def attitude_angle(A: npt.ArrayLike, B: npt.ArrayLike) -> Any:
     return float(angle) if angle.ndim == 0 else angle
 
 
+@suggest_keywords
 def precession_error(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) -> Any:
     """Return the angle by which an attitude is ahead of another one in its rotation about an axis fixed in space.
 
@@ -79,6 +82,7 @@ def precession_error(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) ->
     return float(along) if along.ndim == 0 else along
 
 
+@suggest_keywords
 def twist(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) -> Any:
     """Return the twist about an axis fixed in space of the rotation from one attitude to another.
 

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.invariant import Invariant
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.runs.results.solution import check_solution
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.protocol import member_of
 from coadjoint.validation import read_finite, read_integer
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class RandomWalk:
     """Growth of the deviations of an ensemble between an early and a late time.
@@ -40,6 +42,7 @@ class RandomWalk:
         return self.late / self.early if self.early else np.inf
 
 
+@suggest_keywords
 @ignore_overflow
 def random_walk(deviations: NDArray[np.float64], early: int) -> RandomWalk:
     """Return the growth of deviations of an ensemble.
@@ -79,6 +82,7 @@ def random_walk(deviations: NDArray[np.float64], early: int) -> RandomWalk:
     )
 
 
+@suggest_keywords
 def round_off(solution: Any, early: int = 1) -> dict[str, RandomWalk]:
     """Return the growth of the round-off in energy and Casimirs of an ensemble.
 
@@ -141,6 +145,7 @@ def _check_unforced(solution: Any) -> None:
         raise TypeError(f"{solution.system.name} has forces, which change its invariants; see solution.balance()")
 
 
+@suggest_keywords
 def orthogonality(solution: Any, size: int | None = None) -> RandomWalk:
     """Return the growth of the orthogonality defect of the group elements, g g^T - 1 over all entries.
 
@@ -173,6 +178,7 @@ def orthogonality(solution: Any, size: int | None = None) -> RandomWalk:
     return random_walk(g @ np.swapaxes(g, -1, -2) - np.eye(g.shape[-1]), 1)
 
 
+@suggest_keywords
 def spatial_momentum(solution: Any) -> RandomWalk:
     """Return the growth of the deviation of the spatial momentum K x.
 

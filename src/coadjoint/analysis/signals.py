@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.times import accumulated_rounding
 from coadjoint.short_repr import short
 from coadjoint.systems.user_functions import check_arguments
 from coadjoint.validation import check_finite, read_finite, read_integer, read_numbers, to_array
@@ -103,7 +104,8 @@ def _count_equidistant(t: NDArray[np.float64], min_count: int) -> int:
         raise ValueError(f"t has the shape {t.shape}; give at least {min_count} equidistant times, (k,)")
     spacing = (t[-2] - t[0]) / (len(t) - 2) if len(t) > 2 else t[-1] - t[0]
     off = np.abs(t - (t[0] + spacing * np.arange(len(t))))
-    on_grid = off <= 64.0 * UNIT_ROUNDOFF * float(np.max(np.abs(t)))
+    rounding = accumulated_rounding(len(t), float(np.min(t)), float(np.max(t)), abs(spacing))
+    on_grid = off <= max(64.0 * UNIT_ROUNDOFF * float(np.max(np.abs(t))), rounding)
     count = len(t) - (not on_grid[-1])
     if spacing == 0.0 or not np.all(on_grid[:count]) or count < min_count:
         raise ValueError(f"t is {short(t)}; give at least {min_count} equidistant times")

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.analysis.reciprocal_path import reciprocal_path
 from coadjoint.analysis.signals import sampled
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
 from coadjoint.runs.results.solution import Solution, check_solution
@@ -29,6 +30,7 @@ NUMBERS_AT_ONCE = 2**22  # spins times times that are copied together
 BYTES_PER_VALUE = 500  # peak, of a wave vector at a time
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False, repr=False)
 class StructureFactor:
     """The dynamic structure factor of a lattice along a path in reciprocal space; `structure_factor` computes it.
@@ -81,6 +83,7 @@ class StructureFactor:
         return figure
 
 
+@suggest_keywords
 @long_operation("structure_factor")
 def structure_factor(solution: Solution, path: ArrayLike | None = None, window: Any = "hann") -> StructureFactor:
     """Return the dynamic structure factor S(q, omega) of the spins of a lattice from a run, the mean over its members.

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.methods.numerics.short_orbit import rate_at
 from coadjoint.methods.protocol.method import Method, declared_properties
@@ -32,6 +33,7 @@ MAX_REDUCTIONS, TRIALS, SUFFICIENT = 16, 12, 0.99
 ORDER_TOLERANCE = 0.1
 
 
+@suggest_keywords
 @long_operation("suggest_step")
 def suggest_step(
     system: LiePoissonSystem, method: Method | str | Mapping[str, Any], x0: npt.ArrayLike, energy: float

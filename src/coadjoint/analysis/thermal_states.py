@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.analysis.spin_energy import SpinEnergy, spin_energy
 from coadjoint.analysis.spin_moves import METHODS, StepSizes, directions, over_relax, step_sizes, uniform_words
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
@@ -57,6 +58,7 @@ class ThermalStates:
         )
 
 
+@suggest_keywords
 @long_operation("thermal_states")
 @ignore_overflow
 def thermal_states(

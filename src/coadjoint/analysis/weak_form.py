@@ -14,7 +14,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.short_repr import short
+from coadjoint.short_repr import distinct, short
 from coadjoint.validation import are_finite, read_numbers
 
 Floats = NDArray[np.float64]
@@ -65,8 +65,9 @@ class Samples(NamedTuple):
         steps = np.diff(times)
         step = (times[-1] - times[0]) / (len(times) - 1)
         if not step or np.abs(steps - step).max() > EQUAL_STEPS * abs(step):
+            shortest, longest = distinct(steps.min(), steps.max())
             raise ValueError(
-                f"t has steps from {steps.min():.6g} to {steps.max():.6g}; they must be equal, since the integrals are "
+                f"t has steps from {shortest} to {longest}; they must be equal, since the integrals are "
                 "sums over the samples: measure or save at equal steps, without t_eval"
             )
         members = np.moveaxis(states.reshape(len(times), -1, n), 0, 1)

@@ -18,6 +18,7 @@ from coadjoint.runs.run import Run
 from coadjoint.runs.run_setup import RunSetup
 from coadjoint.runs.start import with_group
 from coadjoint.runs.times import Times
+from coadjoint.short_repr import distinct
 from coadjoint.systems.system_checks import System
 
 REFERENCE = reference_scheme(16)
@@ -238,10 +239,10 @@ class Pilot:
         if failed is None:
             return f"the motion of {self.system.name} from x0 is too irregular: no step of its trial run converges"
         step = int(np.max(failed.state["step"][failed.state["status"] != 0]))
-        when = self.t0 + step * failed.times.h
+        when = distinct(self.t0 + step * failed.times.h, self.t0)[0]
         return (
             f"the motion of {self.system.name} from x0 cannot be computed over t_span: its trial run fails near "
-            f"t = {when:.6g}, where it blows up or stops being defined; end t_span before that"
+            f"t = {when}, where it blows up or stops being defined; end t_span before that"
         )
 
     def _noise(self, coarse: NDArray[np.float64], accuracy: float) -> float:

@@ -19,7 +19,8 @@ from coadjoint.runs.final_state import ENDS_ONLY
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution, with_choice
 from coadjoint.runs.start import momenta_of, read_attitude
-from coadjoint.runs.times import span_of
+from coadjoint.runs.times import accumulated_rounding, span_of
+from coadjoint.short_repr import distinct
 from coadjoint.systems.protocol import is_batch
 from coadjoint.systems.system_checks import System, check_system
 
@@ -30,8 +31,6 @@ ALLOWED_RATIO = 2.0
 CHECKED_STEPS = 64
 # Difference between a step and two half steps by rounding alone.
 ROUNDING_DIFFERENCE = 32 * UNIT_ROUNDOFF
-# Largest ratio of the time of a run to the prepared time, with rounding.
-MAX_TIME_RATIO = 1.0 + 2.0**-40
 # Range of squared norms in which they are compared.
 MIN_SQUARE, MAX_SQUARE = 2.0**-900, 2.0**900
 
@@ -219,9 +218,11 @@ class SampledRun(PreparedRun):
         if t_span is self._last_span[0]:
             return self._last_span[1]
         t0, t1 = span_of(t_span)
-        if not 0.0 <= (t1 - t0) / self._time <= MAX_TIME_RATIO:
+        rounding = accumulated_rounding((t1 - t0) / self.signed_step, t0, t1, self.step)
+        if not 0.0 <= (t1 - t0) / self._time <= 1.0 + rounding / abs(self._time):
+            longest = distinct(self._time, t1 - t0)[0]
             raise ValueError(
-                f"t_span is {[t0, t1]}; the run was prepared for at most the time {self._time:g}, in its direction; "
+                f"t_span is {[t0, t1]}; the run was prepared for at most the time {longest}, in its direction; "
                 "prepare another run"
             )
         if type(t_span) is tuple and all(type(end) in (float, int) for end in t_span):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.numerics.gauss_coefficients import extrapolation, gauss_legendre, node_polynomial
 from coadjoint.methods.numerics.stages import Coefficients
 from coadjoint.methods.protocol.method import has_quadratic_energy
@@ -19,6 +20,7 @@ from coadjoint.systems.system_checks import System, check_vector_states
 from coadjoint.validation import read_integer
 
 
+@suggest_keywords
 def gauss_tableau(stages: int, number: Number = float) -> Coefficients:
     """Return the tableau of the Gauss-Legendre method: L_j = h b_j f(X_j), X_i = x + sum_j mu_ij L_j.
 

@@ -13,6 +13,7 @@ from functools import cache
 from typing import Any, TypeVar
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.protocol.method import Method
 from coadjoint.program.parts.chosen_parts import ChosenParts
 from coadjoint.short_repr import short
@@ -29,6 +30,7 @@ _loaded: dict[str, type[Method]] = {}
 """Schemes loaded from entry points."""
 
 
+@suggest_keywords
 def register(scheme: Scheme) -> Scheme:
     """Register a scheme under its name: for `get`, configuration files, saved runs, and ``coadjoint methods``.
 
@@ -118,6 +120,7 @@ def _built_in() -> dict[str, type[Method]]:
     return schemes
 
 
+@suggest_keywords
 def names() -> tuple[str, ...]:
     """Return the names of the schemes, sorted.
 
@@ -149,6 +152,7 @@ def scheme(name: str) -> type[Method]:
     return schemes[read_choice(name, "method", schemes)]
 
 
+@suggest_keywords
 def get(name: str, /, **parameters: Any) -> Method:
     """Return a scheme by its name.
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.composition import Composition
 from coadjoint.methods.numerics.stages import Coefficients
 from coadjoint.methods.protocol.composed import MAX_ORDER, FlowsOfBase
@@ -28,6 +29,7 @@ SIDE_STEPS = {"triple": 1, "suzuki": 2}
 """Number of steps on each side of the middle one."""
 
 
+@suggest_keywords
 def even_order(base: Method, order: int, jump: str = "triple") -> Method:
     """Return a symmetric scheme of an even order from one of any order, such as 1.
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.example_run import run_example
 from coadjoint.runs.results.solution import Solution
@@ -97,6 +98,7 @@ def piece(name: str) -> Piece:
     return Piece(name, solution.plot(), summary, gallery_entry.caption, _describe(solution))
 
 
+@suggest_keywords
 def gallery(names: Sequence[str], draw: Callable[[Any, str], None], echo: Callable[[str], None] = print) -> str:
     """Draw systems one by one, and return an HTML page of their pictures.
 

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import bisect
 import re
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 SAME_LENGTH = 0.02
 """Relative change of the length available to a text below which it is not wrapped anew."""
+SAME_PLACE = 0.5
+"""Panels that move by less than this (pixels) stay."""
+MAX_PASSES = 6
+"""Largest number of layouts of one drawing."""
+LABEL_SHARE, LABEL_SHARE_BESIDE = 0.8, 0.4
+"""Largest widths of labels of legends, relative to the panel, and relative to its column if beside the panel."""
 MIN_WRAPPED = 60.0
 """Texts are not wrapped to less than this (points)."""
 
@@ -27,10 +37,16 @@ class PanelLayout(ConstrainedLayoutEngine):
         self._wrapped: dict[Any, tuple[str, str, float]] = {}
 
     def execute(self, fig: Figure) -> None:
-        """Compute the layout of a figure."""
-        super().execute(fig)
-        if self._wrap_texts(fig):
+        """Compute the layout of a figure, until its panels no longer move: the first drawing is as the later ones."""
+        # A layout is impossible beside legends that are wider than the figure.
+        self._wrap_legends(fig)
+        before = _corners(fig)
+        for _ in range(MAX_PASSES):
             super().execute(fig)
+            wrapped, after = self._wrap_texts(fig) | self._wrap_legends(fig), _corners(fig)
+            if not wrapped and np.abs(after - before).max(initial=0.0) < SAME_PLACE:
+                break
+            before = after
 
     def _wrap_texts(self, figure: Figure) -> bool:
         """Wrap titles and labels; return whether any text has changed."""
@@ -54,7 +70,25 @@ class PanelLayout(ConstrainedLayoutEngine):
                 changed |= self._wrap(part.yaxis.label, height, renderer)
         return changed
 
-    def _wrap(self, text: Any, length: float, renderer: Any) -> bool:
+    def _wrap_legends(self, figure: Figure) -> bool:
+        """Wrap labels of legends; return whether any text has changed."""
+        renderer = figure._get_renderer()  # type: ignore[attr-defined]
+        changed = False
+        for axes in figure.axes:
+            legend = axes.get_legend()
+            if legend is None:
+                continue
+            # The anchor of a legend in its axes is all of them, and beside them a point.
+            if legend.get_bbox_to_anchor().width > 0.0:
+                most = LABEL_SHARE * axes.get_position(original=True).width * figure.bbox.width
+            else:
+                most = LABEL_SHARE_BESIDE * _column_width(axes, figure)
+            for label in legend.get_texts():
+                changed |= self._wrap(label, most, renderer, anywhere=True)
+        return changed
+
+    def _wrap(self, text: Any, length: float, renderer: Any, anywhere: bool = False) -> bool:
+        """Wrap a text to a length in pixels, between words, or `anywhere` if a word is too long; report a change."""
         shown = text.get_text()
         if not shown or not text.get_visible():
             return False
@@ -71,14 +105,27 @@ class PanelLayout(ConstrainedLayoutEngine):
             box = text.get_window_extent(renderer)
             return bool((box.height if vertical else box.width) <= length)
 
-        wrapped = full if fits(full) else "\n".join(_lines(full, fits))
+        wrapped = full if fits(full) else "\n".join(_lines(full, fits, anywhere))
         text.set_text(wrapped)
         self._wrapped[text] = (full, wrapped, length)
         return wrapped != shown
 
 
-def _lines(full: str, fits: Any) -> list[str]:
-    """Break a text into lines that fit, between words; formulas are not broken."""
+def _column_width(axes: Axes, figure: Figure) -> float:
+    """Return the width of the column of a panel, in pixels."""
+    cell = axes.get_subplotspec()
+    if cell is None:
+        return float(figure.bbox.width)
+    return float(cell.get_topmost_subplotspec().get_position(figure).width * figure.bbox.width)
+
+
+def _corners(figure: Figure) -> NDArray[np.float64]:
+    """Return the corners of all axes in pixels, (axes, 4)."""
+    return np.array([axes.get_position(original=True).transformed(figure.transFigure).extents for axes in figure.axes])
+
+
+def _lines(full: str, fits: Any, anywhere: bool) -> list[str]:
+    """Break a text into lines that fit, between words, or `anywhere` if a word is too long; formulas are not broken."""
     lines = []
     for given in full.split("\n"):
         line = ""
@@ -87,6 +134,10 @@ def _lines(full: str, fits: Any) -> list[str]:
             if line and not fits(longer):
                 lines.append(line)
                 longer = word
+            while anywhere and len(longer) > 1 and "$" not in longer and not fits(longer):
+                count = bisect.bisect(range(2, len(longer)), False, key=lambda k: not fits(longer[:k])) + 1
+                lines.append(longer[:count])
+                longer = longer[count:]
             line = longer
         lines.append(line)
     return lines

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.user_functions import takes_time
@@ -23,6 +24,7 @@ _TETRAHEDRA = np.array(
 )
 
 
+@suggest_keywords
 def level_surface(
     function: Callable[[Any], Any], level: float, box: npt.ArrayLike, cells: int = 36, period: float = 0.0
 ) -> npt.NDArray[np.float64]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.optional_packages import require_packages
 from coadjoint.pictures.style import colour, legend, plain_axes, with_figure_settings
 from coadjoint.runs.results.solution import Solution, check_solution
@@ -19,6 +20,7 @@ MAX_POINTS = 5000
 """Largest number of points drawn; a printed line does not resolve more."""
 
 
+@suggest_keywords
 @with_figure_settings
 def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) -> Figure:
     r"""Return a figure of the deviations of the energy and of modified energies from their initial values.

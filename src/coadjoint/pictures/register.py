@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from coadjoint.errors import unknown_name
-from coadjoint.keyword_hints import unknown_picture
+from coadjoint.keyword_hints import suggest_keywords, unknown_picture
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import Picture
 
@@ -94,6 +94,7 @@ class Kind:
 _KINDS: dict[str, Kind] = {}
 
 
+@suggest_keywords
 def kind(
     name: str,
     *,
@@ -124,6 +125,7 @@ def kind(
     return register
 
 
+@suggest_keywords
 def kinds() -> Mapping[str, Kind]:
     """Return all kinds by name, after importing the files of the folder `kinds`.
 

@@ -204,6 +204,10 @@ def colour_bar(axes: Any, mappable: Any, label: str, **options: Any) -> Any:
     return bar
 
 
+MAX_LABEL_LENGTH = 100
+"""Largest number of characters of a label in a legend; of longer ones the middle is left out."""
+
+
 def legend(axes: Axes, beside: bool = False, **options: Any) -> None:
     """Add a small legend of the artists that show anything, if there are any, in the axes or `beside` them.
 
@@ -214,6 +218,7 @@ def legend(axes: Axes, beside: bool = False, **options: Any) -> None:
     if not entries:
         return
     handles, labels = zip(*entries, strict=True)
+    labels = tuple(label if "$" in label else in_one_line(label, MAX_LABEL_LENGTH) for label in labels)
     place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2} if beside else {"loc": "best"}
     settings = {key: setting(f"legend.{key}") for key in ("fontsize", "frameon", "handlelength")}
     created = axes.legend(handles, labels, **{**settings, **place, **options})

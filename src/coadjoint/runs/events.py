@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.short_repr import dataclass_repr, short
+from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.short_repr import record_repr, short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.separable import MAX_COORDINATES
 from coadjoint.systems.user_functions import takes_time
-from coadjoint.validation import read_bool, read_choice, read_integer, read_title
+from coadjoint.validation import is_integer, read_bool, read_choice, read_integer, read_title
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,6 +26,7 @@ MAX_CROSSINGS = 2**53
 PER_CROSSING = ("t", "x", "which", "member", "direction")
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class Event:
     """A function g of state and time whose zeros are found during a run.
@@ -82,17 +84,14 @@ class Event:
 
     def __post_init__(self) -> None:
         assign = object.__setattr__
-        if isinstance(self.g, bool) or not (
-            isinstance(self.g, int | np.integer | str | Polynomial | Quadratic) or callable(self.g)
-        ):
+        if not (isinstance(self.g, str | Polynomial | Quadratic) or is_integer(self.g) or callable(self.g)):
             raise TypeError(
                 f"g of an event is {short(self.g)}; give a coordinate by number or name, a Polynomial, or a function "
                 "of x or (x, t)"
             )
-        if isinstance(self.g, int | np.integer):
+        if is_integer(self.g):
             assign(self, "g", read_integer(self.g, "the coordinate of an event", 0, MAX_COORDINATES))
-        is_integer = isinstance(self.direction, int | np.integer) and not isinstance(self.direction, bool)
-        if not is_integer or self.direction not in (0, 1, -1):
+        if not is_integer(self.direction) or self.direction not in (0, 1, -1):
             raise ValueError(f"direction of an event is {short(self.direction)}; it must be 1, -1, or 0 for both")
         assign(self, "direction", int(self.direction))
         if self.count is not None:
@@ -104,7 +103,7 @@ class Event:
             takes_time(self.g, "g of an event")
 
     def __repr__(self) -> str:
-        return dataclass_repr(self)
+        return record_repr(self)
 
     @property
     def until(self) -> int:

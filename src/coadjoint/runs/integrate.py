@@ -60,7 +60,9 @@ def integrate(
         state by all systems of a `batch` with named axes. For a `MatrixSystem` a matrix (N, N), or (members, N, N).
     t_span : (float, float)
         Start and end. The run goes backward in time if the end is the smaller one. The span must be a whole number of
-        steps.
+        steps, up to the rounding of an end that was computed as a sum of the steps, such as ``np.cumsum([0.1] * 300)``:
+        8 units in the last place of the largest time for each step, and at most a hundredth of a step. The run ends
+        after its last step.
     step : float, optional
         Size of a step, positive. It is used as given and never adjusted. Give either this or `accuracy`.
     method : Method, str or mapping, optional
@@ -76,7 +78,8 @@ def integrate(
     t_eval : array_like, shape (k,), optional
         Save the states at these times instead: any times within `t_span`, sorted in its direction. A state between two
         steps is reached by a part of a step of the same scheme, so it is as accurate as the states at the steps. The
-        steps themselves have the same bits as without `t_eval`.
+        steps themselves have the same bits as without `t_eval`. A time beyond an end by rounding, as described for
+        `t_span` and for each step or time of `t_eval`, has the state at that end.
     attitude : bool, "coadjoint", or array_like
         Whether to compute the group element as well. True: in the representation of the system, from the unit matrix.
         An array of shape (d, d): the same, from this initial element (for so(n) a rotation). "coadjoint": as the

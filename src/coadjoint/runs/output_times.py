@@ -11,7 +11,8 @@ from coadjoint.kernels.arrays import Layout, NamedArrays
 from coadjoint.runs.loops.execution import status_name
 from coadjoint.runs.memory_estimate import check_run_memory
 from coadjoint.runs.partial_steps import PartialSteps, reject_noise
-from coadjoint.runs.times import Times
+from coadjoint.runs.times import Times, accumulated_rounding
+from coadjoint.short_repr import distinct
 from coadjoint.validation import are_finite, read_numbers
 
 if TYPE_CHECKING:
@@ -44,10 +45,11 @@ class OutputTimes(NamedTuple):
         return self.number + (self.length != 0.0)
 
 
-def output_times_of(t_eval: Any, times: Times, save_every: Any = 1) -> OutputTimes:
+def output_times_of(t_eval: Any, times: Times, save_every: Any = 1, whole_steps: bool = False) -> OutputTimes:
     """Validate `t_eval`, (k,), sorted in the direction of the run and within its span, and locate it among the steps.
 
-    Repeated times are allowed; `save_every` must be 1, since the two exclude each other.
+    Repeated times are allowed; times beyond an end by rounding are taken as that end. `save_every` must be 1, since
+    the two exclude each other. With `whole_steps` (for noise), times that differ from a step by rounding are that step.
 
     Examples
     --------
@@ -68,17 +70,23 @@ def output_times_of(t_eval: Any, times: Times, save_every: Any = 1) -> OutputTim
     if len(unsorted):
         k = int(unsorted[0]) + 1
         raise ValueError(
-            f"t_eval[{k}] is {t[k]:g} and comes after {t[k - 1]:g}; times must be sorted in the direction of t_span"
+            "t_eval[{}] is {} and comes after {}; times must be sorted in the direction of t_span".format(
+                k, *distinct(t[k], t[k - 1])
+            )
         )
-    tolerance = ULP_TOLERANCE * np.spacing(max(abs(times.t0), abs(times.end), abs(times.h)))
+    beyond = accumulated_rounding(max(len(t), times.steps + 1), times.t0, times.end, abs(times.h))
     low, high = (times.t0, times.end) if forward else (times.end, times.t0)
-    outside = np.flatnonzero((t < low - tolerance) | (t > high + tolerance))
+    outside = np.flatnonzero((t < low - beyond) | (t > high + beyond))
     if len(outside):
         k = int(outside[0])
-        raise ValueError(f"t_eval[{k}] is {t[k]:g}; it must lie within t_span, from {times.t0:g} to {times.end:g}")
+        found, first, last = distinct(t[k], times.t0, times.end)
+        raise ValueError(f"t_eval[{k}] is {found}; it must lie within t_span, from {first} to {last}")
+    tolerance = beyond
+    if not whole_steps:
+        tolerance = ULP_TOLERANCE * np.spacing(max(abs(times.t0), abs(times.end), abs(times.h)))
     steps = np.clip((t - times.t0) / times.h, 0, times.steps)
     nearest = np.rint(steps).astype(np.int64)
-    at_step = np.abs(t - times.at(nearest)) <= tolerance
+    at_step = (np.abs(t - times.at(nearest)) <= tolerance) | (t < low) | (t > high)
     before = np.minimum(np.floor(steps).astype(np.int64), max(times.steps - 1, 0))
     # Division may round up to a whole number from just below.
     early = (t - times.at(before)) * (1.0 if forward else -1.0) < 0.0

@@ -27,9 +27,14 @@ SINGLE_THREAD_ROWS = 256
 """Up to this many rows one thread is faster than starting others."""
 
 
+def noises_of(system: Any) -> list[str]:
+    """Return the labels of the forces that are noise."""
+    return [label for label, force in forces_of(system) if force.random]
+
+
 def reject_noise(system: Any) -> None:
     """Reject a system with noise: its increment over a partial step is not determined by that of the whole step."""
-    noises = [label for label, force in forces_of(system) if force.random]
+    noises = noises_of(system)
     if noises:
         raise ValueError(
             f"{noises[0]} of {member_of(system).name} is a noise, drawn once for a step: there is no state between two "

@@ -37,7 +37,7 @@ from coadjoint.runs.loops.loops import Loops, SystemLoops
 from coadjoint.runs.memory_estimate import bytes_of_run
 from coadjoint.runs.one_round import solution_of_one_round, solution_of_short_run
 from coadjoint.runs.output_times import OutputTimes, check_partial_steps, output_times_of, resample
-from coadjoint.runs.partial_steps import PartialSteps
+from coadjoint.runs.partial_steps import PartialSteps, noises_of
 from coadjoint.runs.results.observables import Observed, check_observe
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run, read_progress
@@ -236,6 +236,7 @@ class PreparedRun:
             )
         return self._of_members[member]
 
+    @suggest_keywords
     def run(
         self,
         x0: Any,
@@ -321,7 +322,7 @@ class PreparedRun:
         times = self._recent_times.of(t_span, save_every)
         if t_eval is None:
             return times, None
-        moments = output_times_of(t_eval, times, save_every)
+        moments = output_times_of(t_eval, times, save_every, whole_steps=bool(noises_of(self.system)))
         if self.method.own_steps:
             # Saved points do not alter adaptive steps; save as often as states are wanted, so that partial steps are
             # short.
@@ -361,6 +362,7 @@ class PreparedRun:
         """Matrices of the group element, (n, d, d), "coadjoint", or None; for a batch those of its first member."""
         return self._representations[0]
 
+    @suggest_keywords
     def jvp(
         self,
         x0: Any,
@@ -435,6 +437,7 @@ class PreparedRun:
         trajectory = trajectory_of(run, x0, t_span, save_every, t_eval, attitude, None, watched, inputs)
         return tangents_of_run(run, trajectory, directions)
 
+    @suggest_keywords
     def vjp(
         self,
         x0: Any,
@@ -514,6 +517,7 @@ class PreparedRun:
                 "without inputs; prepare a run of each member"
             )
 
+    @suggest_keywords
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
         """Return only the final state of a run, with a third of the overhead of `run`.
 

@@ -27,6 +27,7 @@ from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run_setup import RunSetup
 from coadjoint.runs.start import Start
 from coadjoint.runs.state import RunState
+from coadjoint.short_repr import distinct
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.system_checks import System
 from coadjoint.validation import read_bool
@@ -273,7 +274,7 @@ class Run:
     def attitude_error(self, step: int, when: float, partial: Any) -> IntegrationError:
         """Return the error for a group element that is not finite after a step, at time `when`."""
         return IntegrationError(
-            f"the attitude at t = {when:g} is no finite matrix, though the momentum is finite: the group "
+            f"the attitude at t = {self._shown(when)} is no finite matrix, though the momentum is finite: the group "
             "element grows until it overflows; take a shorter span, or attitude=False",
             step=step,
             time=when,
@@ -284,8 +285,8 @@ class Run:
     def energy_error(self, step: int, when: float, partial: Any) -> IntegrationError:
         """Return the error for an energy that is not finite at a finite state, where a function is undefined."""
         return IntegrationError(
-            f"the energy at t = {when:g} is not a finite number, though the state is: the Hamiltonian overflows "
-            "or is undefined there; start elsewhere, or correct its value",
+            f"the energy at t = {self._shown(when)} is not a finite number, though the state is: the Hamiltonian "
+            "overflows or is undefined there; start elsewhere, or correct its value",
             step=step,
             time=when,
             residual=float("nan"),
@@ -315,10 +316,14 @@ class Run:
             advice += (
                 "; if that fails near the same time, the motion itself grows without bound there: end t_span before"
             )
-        message = f"in step {step}, at t = {when:g}, {reason}{members}; {advice}"
+        message = f"in step {step}, at t = {self._shown(when)}, {reason}{members}; {advice}"
         if status == "PARALLEL":
             message += ", or make the vectors orthonormal more often: give a smaller renormalize_every"
         return IntegrationError(message, step=step, time=when, residual=residual, partial=partial)
+
+    def _shown(self, when: float) -> str:
+        """Format the time of a step, with the digits that distinguish it from the step before."""
+        return distinct(when, when - self.times.h)[0]
 
     def _grown(self, member: int) -> bool:
         """Whether the state of a failed member has grown since the start, as it does where the motion blows up."""

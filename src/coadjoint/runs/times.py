@@ -12,6 +12,26 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer, read_number, read_numbers
 
+TIME_ROUNDING = 16 * UNIT_ROUNDOFF
+"""Rounding of one time, relative to the largest: 8 units in the last place."""
+STEP_SHARE = 0.01
+"""Largest accumulated rounding of times, in steps."""
+
+
+def accumulated_rounding(count: float, first: float, last: float, step: float) -> float:
+    """Return the largest rounding of one of `count` times between two ends, each of which may be a sum of steps.
+
+    Times such as ``np.cumsum([0.1] * 300)`` have a rounding error for each term, relative to the largest time. The sum
+    of these errors counts as rounding up to a hundredth of a step; a single one always does.
+
+    Examples
+    --------
+    >>> accumulated_rounding(1, 0.0, 30.0, 0.1) < 1e-13 < 1e-11 < accumulated_rounding(300, 0.0, 30.0, 0.1)
+    True
+    """
+    one = TIME_ROUNDING * max(abs(first), abs(last), abs(last - first), step)
+    return max(one, min(count * one, STEP_SHARE * step))
+
 
 class Times(NamedTuple):
     """Start, signed step, number of steps, and the saved steps: every `save_every`-th, or `marks`.
@@ -153,8 +173,7 @@ def times_between(ends: tuple[float, float], size: float, save_every: Any) -> Ti
     if not quotient < 2.0**53:
         raise ValueError(f"step {size!r} is too small for the time {abs(span)!r}: the steps could not be counted")
     steps = round(quotient)
-    # Ends, span, step and quotient are each rounded: 8 round-offs cover all of them.
-    if abs(quotient - steps) > 8 * UNIT_ROUNDOFF * max(quotient, abs(first) / size):
+    if abs(quotient - steps) > accumulated_rounding(steps, first / size, last / size, 1.0):
         count = max(1, math.floor(quotient))
         raise StepDoesNotDivide(
             f"step {size!r} does not divide the time {abs(span)!r}; "

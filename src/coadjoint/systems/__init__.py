@@ -6,6 +6,7 @@ import inspect
 from typing import Any
 
 from coadjoint.errors import unknown_attribute
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.canonical import canonical_state
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -42,6 +43,7 @@ def __dir__() -> list[str]:
     return __all__
 
 
+@suggest_keywords
 def names() -> tuple[str, ...]:
     """Return the names of the ready-made systems, sorted.
 
@@ -57,6 +59,7 @@ def names() -> tuple[str, ...]:
     return tuple(sorted(ready_made_systems()))
 
 
+@suggest_keywords
 def get(name: str, **parameters: Any) -> LiePoissonSystem | PoissonSystem:
     """Return a ready-made system by its name, as a configuration file does.
 

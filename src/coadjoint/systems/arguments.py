@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import numbers
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from coadjoint.short_repr import short
-from coadjoint.validation import is_real, read_integer, read_list, read_title
+from coadjoint.validation import is_integer, is_real, read_integer, read_list, read_title
 
 
 def read_name(name: Any, default: str) -> str:
@@ -42,7 +41,7 @@ def read_layout(layout: Mapping[str, Any] | None) -> dict[str, Any]:
         raise TypeError(f"the lattice of layout is {short(result.get('lattice'))}; {rule}")
     if result.get("shape") is not None:
         shape = result["shape"]
-        cells = (shape,) if isinstance(shape, numbers.Integral) else read_list(shape, "the shape of layout", rule)
+        cells = (shape,) if is_integer(shape) else read_list(shape, "the shape of layout", rule)
         result["shape"] = tuple(read_integer(count, "the shape of layout") for count in cells)
     return result
 

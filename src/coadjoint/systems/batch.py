@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -158,6 +159,7 @@ def _bracket_difference(first: Any, other: Any) -> str:
     return f"has another algebra: only in {owner} has [{e[i]}, {e[j]}] a component along {e[k]}"
 
 
+@suggest_keywords
 def batch(systems: Iterable[Member | ForcedSystem] | Callable[..., Member | ForcedSystem], **axes: Any) -> Batch:
     """Combine systems of equal structure and different constants into one ensemble, for `integrate` and `prepare`.
 

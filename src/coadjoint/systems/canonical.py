@@ -10,6 +10,7 @@ import numpy.typing as npt
 from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.families.products import direct_sum
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.validation import read_finite
 
 
@@ -36,6 +37,7 @@ def with_canonical_pairs(pairs: int, g: LieAlgebra) -> LieAlgebra:
     )
 
 
+@suggest_keywords
 def canonical_state(q: Any, p: Any, x: Any = ()) -> npt.NDArray[np.float64]:
     """Return the state (q, p, 1, x) of a system whose algebra adds canonical pairs to g.
 

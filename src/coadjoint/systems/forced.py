@@ -9,13 +9,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
 from coadjoint.systems.evaluation import ignore_overflow, read_point, vectorized_over_states
 from coadjoint.systems.forces.base import Force
 from coadjoint.validation import read_list, read_number, read_numbers, to_array, truncate_title
 
+MAX_FORCES_TEXT = 240
 
+
+@suggest_keywords
 class ForcedSystem:
     """A system with forces: ``x' = sign J(x) grad H(x, t) + the sum of the forces``.
 
@@ -227,9 +231,19 @@ class ForcedSystem:
         return {label: float(gradient @ force.field(self.system, y, t)) for label, force in pairs}
 
     def __repr__(self) -> str:
-        return f"<{short(self.system, 200)} with {', '.join(map(str, self.forces))}>"
+        return f"<{self.system.name} with forces, dimension {self.dim}: {forces_text(self.forces)}>"
 
     def _repr_html_(self) -> str:
         from coadjoint.systems.description import system_table
 
-        return system_table(self, forces=", ".join(map(str, self.forces)))
+        return system_table(self, forces=forces_text(self.forces))
+
+
+def forces_text(forces: Sequence[Force]) -> str:
+    """Return the forces with their parameters; of many the names, and of more their number."""
+    text = ", ".join(map(str, forces))
+    if len(text) > MAX_FORCES_TEXT:
+        text = ", ".join(force.label for force in forces)
+    if len(text) > MAX_FORCES_TEXT:
+        return ", ".join(short(force.label) for force in forces[:2]) + f", and {len(forces) - 2} more"
+    return text

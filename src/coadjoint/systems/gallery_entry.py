@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.validation import read_bool, read_finite, read_integer, read_list, read_number, read_positive, read_title
 
 Floats = npt.NDArray[np.float64]
 
 
+@suggest_keywords
 @dataclass(frozen=True, init=False)
 class Picture:
     """A kind of picture, by name, with its options.
@@ -66,6 +68,7 @@ class Picture:
         return f"Picture({', '.join([repr(self.kind), *(f'{key}={short(v)}' for key, v in self.options.items())])})"
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class GalleryEntry:
     """Gallery metadata of a ready-made system: an example run and its pictures.

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
 from coadjoint.algebra.representation import check_representation
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.systems.arguments import read_closed_form, read_layout, read_name, read_parameters, read_sign
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
@@ -31,6 +32,7 @@ from coadjoint.systems.vanishing_products import Products, field_products
 BYTES_PER_CONSTANT = 120  # both orders of every bracket, and temporaries of J(x) u
 
 
+@suggest_keywords
 @dataclass(frozen=True, init=False, repr=False, eq=False)
 class LiePoissonSystem:
     """The generalized Euler equations ``x' = sign * J(x) grad H(x)`` on the dual of a Lie algebra.

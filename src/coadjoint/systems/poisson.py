@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
@@ -26,6 +27,7 @@ from coadjoint.validation import read_integer, read_numbers
 BYTES_PER_PRODUCT = 40  # peak, while J(x) is checked
 
 
+@suggest_keywords
 @dataclass(frozen=True, init=False, repr=False, eq=False)
 class PoissonSystem:
     """The system ``x' = sign * J(x) grad H(x)`` with any skew-symmetric function J.

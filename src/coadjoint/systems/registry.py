@@ -29,6 +29,7 @@ def ready_made(function: Builder) -> Builder: ...
 def ready_made(*, gallery_entry: GalleryEntry) -> Callable[[Builder], Builder]: ...
 
 
+@suggest_keywords
 def ready_made(function: Any = None, *, gallery_entry: GalleryEntry | None = None) -> Any:
     """Register a function that makes a system, under its own name.
 

@@ -7,10 +7,12 @@ from fractions import Fraction
 from coadjoint.algebra.constants import check_algebra_memory
 from coadjoint.algebra.families.matrix_bases import Entry, Form, matrix_algebra, pairs, real_form, traceless
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer
 
 
+@suggest_keywords
 def gl(n: int) -> LieAlgebra:
     """Return gl(n), all n x n matrices, in the basis E_11, E_12, ..., E_nn.
 
@@ -43,6 +45,7 @@ def gl(n: int) -> LieAlgebra:
     return matrix_algebra(f"gl({n})", basis, basis, n, casimirs if n > 1 else {}, {"trace": trace})
 
 
+@suggest_keywords
 def sl(n: int = 2) -> LieAlgebra:
     """Return sl(n), the n x n matrices of trace zero.
 
@@ -89,6 +92,7 @@ def sl(n: int = 2) -> LieAlgebra:
     )
 
 
+@suggest_keywords
 def sp(size: int) -> LieAlgebra:
     """Return sp(2n, R), the matrices (A, B; C, -A^T) with n x n blocks, B and C symmetric: linear Hamiltonian fields.
 
@@ -145,6 +149,7 @@ def _antihermitian(n: int) -> tuple[list[Entry], list[Entry], list[Entry]]:
     return real, imaginary, weights
 
 
+@suggest_keywords
 def su(n: int) -> LieAlgebra:
     """Return su(n), the anti-Hermitian n x n matrices of trace zero.
 
@@ -187,6 +192,7 @@ def su(n: int) -> LieAlgebra:
     return matrix_algebra(f"su({n})", basis, weights, 2 * n, {"quadratic": form + traceless(n, begin, 2)})
 
 
+@suggest_keywords
 def u(n: int) -> LieAlgebra:
     """Return u(n), the anti-Hermitian n x n matrices.
 

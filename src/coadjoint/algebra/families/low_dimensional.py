@@ -20,6 +20,7 @@ from coadjoint.algebra.invariants.logarithmic import LOGARITHM, LogarithmicSum
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.formulas import Number, condition_holds, parse_formula
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.validation import read_choice, read_number
 
@@ -136,6 +137,7 @@ def _representation(brackets: Constants, dim: int) -> Floats | None:
     return rho
 
 
+@suggest_keywords
 def low_dimensional(name: str, **parameters: Any) -> LieAlgebra:
     """Return one of the 62 algebras A2_1 ... A5_40.
 
@@ -195,6 +197,7 @@ def low_dimensional(name: str, **parameters: Any) -> LieAlgebra:
     )
 
 
+@suggest_keywords
 def A3_7(a: float) -> LieAlgebra:
     """Return A_{3,7}: [e1, e3] = a e1 - e2, [e2, e3] = e1 + a e2; spirals (Bianchi VII_h), not unimodular for a != 0.
 

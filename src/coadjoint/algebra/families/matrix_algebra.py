@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.families.matrix_families import INDEFINITE_KINDS, KINDS, Adjoint, Kind
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
@@ -25,6 +26,7 @@ TRACE_TOLERANCE = 8 * UNIT_ROUNDOFF
 Matrix = npt.NDArray[Any]
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class MatrixAlgebra:
     """Matrices with the commutator ``[A, B] = A B - B A``: a classical Lie algebra, or a block-diagonal sum.

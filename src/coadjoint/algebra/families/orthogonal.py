@@ -5,6 +5,7 @@ from __future__ import annotations
 from coadjoint.algebra.constants import check_algebra_memory
 from coadjoint.algebra.families.matrix_bases import Entry, Form, matrix_algebra, pairs
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer
 
@@ -21,6 +22,7 @@ def rotations(p: int, q: int = 0) -> tuple[list[Entry], list[Entry]]:
     return basis, [(k, i, j, sign[j]) for k, (i, j) in upper]
 
 
+@suggest_keywords
 def so(n: int, q: int = 0) -> LieAlgebra:
     """Return so(n), the skew-symmetric n x n matrices, or so(p, q), the algebra of a form of signature (p, q).
 
@@ -74,6 +76,7 @@ def so(n: int, q: int = 0) -> LieAlgebra:
     return matrix_algebra(name, basis, weights, size, casimirs, {"x1": [0]} if size == 2 else None)
 
 
+@suggest_keywords
 def e(n: int = 3) -> LieAlgebra:
     """Return e(n), the rigid motions of n-dimensional space: first rotations, in the basis of so(n), then translations.
 
@@ -115,6 +118,7 @@ def e(n: int = 3) -> LieAlgebra:
     return matrix_algebra(f"e({n})", basis + translations, weights + translations, n + 1, casimirs)
 
 
+@suggest_keywords
 def se(n: int = 3) -> LieAlgebra:
     """Return se(n), the algebra of the special Euclidean group: it is e(n), another name for the same algebra.
 

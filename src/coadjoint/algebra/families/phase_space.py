@@ -12,6 +12,7 @@ from coadjoint.algebra.families.matrix_bases import MAX_REPRESENTATION_NUMBERS, 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import exponents_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer
 
@@ -19,6 +20,7 @@ MAX_DETERMINANT_DEGREE = 10  # a catalecticant of 6 x 6, 720 products
 MAX_MOMENT_DEGREE = 100
 
 
+@suggest_keywords
 def heisenberg(n: int = 1) -> LieAlgebra:
     """Return the Heisenberg algebra: [q_i, p_i] = z, in the order q1 ... qn, p1 ... pn, z.
 

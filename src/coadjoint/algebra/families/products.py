@@ -16,6 +16,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.quadratic_forms import casimirs_fit, embedded
 from coadjoint.algebra.representation import check_representation
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import MAX_CACHED_SIZE, check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer, truncate_title
@@ -32,6 +33,7 @@ def joined(parts: Sequence[Triples]) -> Triples:
     return Triples(i, j, k, np.concatenate([part.c for part in parts]))
 
 
+@suggest_keywords
 def direct_sum(*algebras: LieAlgebra) -> LieAlgebra:
     """Return the direct sum: the coordinates of the algebras in order; different summands commute.
 
@@ -88,6 +90,7 @@ def direct_sum(*algebras: LieAlgebra) -> LieAlgebra:
     )
 
 
+@suggest_keywords
 def copies(g: LieAlgebra, count: int) -> LieAlgebra:
     """Return the direct sum of `count` copies of one algebra, such as a lattice of spins for g = so(3).
 
@@ -192,6 +195,7 @@ def _block_diagonal(parts: Sequence[Floats | None]) -> Floats | None:
     return rho
 
 
+@suggest_keywords
 def semidirect(g: LieAlgebra, representation: Any = None, ideal: LieAlgebra | None = None) -> LieAlgebra:
     """Return the semidirect product of g with the space it acts on: ``[e_i, p_a] = sum_b (rho_i)_ba p_b``.
 

@@ -17,6 +17,7 @@ from coadjoint.algebra.invariants.logarithmic import LogarithmicInvariant
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.quadratic_forms import substituted
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.validation import to_array, truncate_title
@@ -128,6 +129,7 @@ def _to_integers(vectors: Sequence[Mapping[int, Number]]) -> tuple[list[dict[int
     return [{i: int(value * common) for i, value in vector.items()} for vector in vectors], common
 
 
+@suggest_keywords
 def change_of_basis(g: LieAlgebra, matrix: Any, basis: Sequence[str] | None = None) -> LieAlgebra:
     """Return the same algebra in the basis e'_i = sum_j T_ij e_j.
 
@@ -196,6 +198,7 @@ def change_of_basis(g: LieAlgebra, matrix: Any, basis: Sequence[str] | None = No
     )
 
 
+@suggest_keywords
 def subalgebra(g: LieAlgebra, vectors: Any, basis: Sequence[str] | None = None) -> LieAlgebra:
     """Return the subalgebra with a given basis.
 
@@ -245,6 +248,7 @@ def subalgebra(g: LieAlgebra, vectors: Any, basis: Sequence[str] | None = None) 
     )
 
 
+@suggest_keywords
 def quotient(g: LieAlgebra, ideal: Any) -> LieAlgebra:
     """Return the quotient of g by an ideal; its basis consists of the classes of the e_k not determined by the ideal.
 

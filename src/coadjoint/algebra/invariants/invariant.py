@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import function_name, short
 from coadjoint.validation import read_number
 
 
+@suggest_keywords
 @dataclass(frozen=True, repr=False)
 class Invariant:
     """A function of the state that the motion preserves, given as a Python function.

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.numbers import exact_number, exact_numbers, is_finite
 from coadjoint.short_repr import short
+from coadjoint.validation import is_integer
 
 Coefficient = int | float | Fraction
 Exponents = tuple[int, ...]
@@ -29,7 +30,7 @@ def read_exponents(argument: Any) -> Exponents:
     if set(map(type, argument)) <= {int} and min(argument, default=0) >= 0:  # fast path for many coordinates
         return tuple(argument)
     for exponent in argument:
-        if isinstance(exponent, bool) or not isinstance(exponent, int | np.integer):
+        if not is_integer(exponent):
             raise TypeError(f"exponents {short(argument)} must be whole numbers; {short(exponent)} is not")
         if exponent < 0:
             raise ValueError(f"exponents {short(argument)} must not be negative")
@@ -57,7 +58,7 @@ def factors_of(exponents: Exponents) -> list[int]:
 
 def read_coefficient(value: Any, what: str) -> Coefficient:
     """Validate a coefficient and return it as int, float or Fraction."""
-    if isinstance(value, bool) or not isinstance(value, Rational | float | np.floating):
+    if isinstance(value, bool | np.timedelta64) or not isinstance(value, Rational | float | np.floating):
         raise TypeError(f"{what} must be an int, float or Fraction, not {short(value)}")
     number: Coefficient = float(value) if isinstance(value, float | np.floating) else exact_number(value)
     if not is_finite(number):

@@ -22,6 +22,7 @@ from coadjoint.algebra.polynomials.monomials import (
     read_exponents,
 )
 from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, latex, plain, sympy_of
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.validation import MAX_TITLE_LENGTH, read_integer, read_list, read_title, to_array
@@ -33,6 +34,7 @@ TOO_HIGH = "beyond it even powers of 2 leave the range of float64"
 BYTES_PER_EXPONENT = 30  # peak during construction of a monomial
 
 
+@suggest_keywords
 class Polynomial:
     """A polynomial in x_1 ... x_n: a mapping from exponents to coefficients.
 
@@ -260,7 +262,7 @@ class Polynomial:
             if other._dim != self._dim:
                 raise ValueError(f"polynomials in {self._dim} and in {other._dim} coordinates cannot be combined")
             return other
-        if isinstance(other, Rational | float) and not isinstance(other, bool):
+        if isinstance(other, Rational | float) and not isinstance(other, bool | np.timedelta64):
             return Polynomial({(0,) * self._dim: read_coefficient(other, "constant")})
         return None
 
@@ -299,7 +301,7 @@ class Polynomial:
     __rmul__ = __mul__
 
     def __truediv__(self, divisor: Coefficient) -> Polynomial:
-        if not isinstance(divisor, Rational | float) or isinstance(divisor, bool):
+        if not isinstance(divisor, Rational | float) or isinstance(divisor, bool | np.timedelta64):
             return NotImplemented
         number = read_coefficient(divisor, "the divisor of a Polynomial")
         if number == 0:

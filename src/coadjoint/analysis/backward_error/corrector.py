@@ -19,6 +19,7 @@ from coadjoint.analysis.backward_error.modified_hamiltonian import (
     modified_hamiltonian,
 )
 from coadjoint.analysis.short_motion import short_motion
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.suggested_scheme import reference_scheme
@@ -112,6 +113,7 @@ class Corrector:
         return np.asarray(run.x[-1]).reshape(states.shape)
 
 
+@suggest_keywords
 def make_corrector(system: LiePoissonSystem, method: Method | str | Mapping[str, Any], x0: npt.ArrayLike) -> Corrector:
     """Return a map of the output that reduces the energy error of a splitting near a motion.
 

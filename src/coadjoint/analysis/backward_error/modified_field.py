@@ -13,6 +13,7 @@ from coadjoint.analysis.backward_error.field_at_points import FieldAtPoints
 from coadjoint.analysis.backward_error.field_of_step import field_of_series, size_of
 from coadjoint.analysis.backward_error.modified_field_base import ModifiedField
 from coadjoint.analysis.backward_error.step_series import ExactSystem, check_at_a_point, scale_of_motion
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.formal_step import with_formal_step
 from coadjoint.methods.protocol.method import Method
@@ -29,6 +30,7 @@ MARGIN = 1000  # below the order of a scheme, terms within this many roundings o
 WAYS = ("auto", "exact", "numerical")
 
 
+@suggest_keywords
 @long_operation("modified_field")
 def modified_field(system: System, method: Any, order: int, *, way: str = "auto") -> ModifiedField:
     """Return the field X = f_0 + h f_1 + h^2 f_2 + ... whose flow over a time h is the step of a scheme (Lemma 6.1).

@@ -22,6 +22,7 @@ from coadjoint.analysis.backward_error.scheme_terms import (
     Term,
     symbols_of,
 )
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.flow_method import flows_of
 from coadjoint.methods.protocol.method import Method
@@ -207,6 +208,7 @@ def _read_step(h: Any) -> Any:
     return h
 
 
+@suggest_keywords
 @long_operation("modified_hamiltonian")
 def modified_hamiltonian(
     system: System, method: Method | str | Mapping[str, Any], order: int = 4, *, symbols: Any = False

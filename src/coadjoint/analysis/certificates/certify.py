@@ -18,6 +18,7 @@ from coadjoint.analysis.checks.poisson import poisson_row
 from coadjoint.analysis.checks.study import study
 from coadjoint.analysis.checks.subject import Subject
 from coadjoint.analysis.checks.symmetry import reversibility_row, symmetry_row
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, warn_if_long
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.properties import Properties
@@ -32,6 +33,7 @@ ALLOWED_SIZES = (1e-75, 1e75)
 """Allowed sizes of the largest entry of a state."""
 
 
+@suggest_keywords
 def certify(
     system: System,
     method: Any,

@@ -13,6 +13,7 @@ from coadjoint.files.archives.archived_run import FINISHED, STEPS, states_of
 from coadjoint.files.archives.blocks import BLOCK_SIZE_ATTRIBUTE
 from coadjoint.files.archives.metadata_checks import as_archive_errors, check_archive, check_reported
 from coadjoint.files.archives.reading import ArchiveError, ArchiveMoved, read_archive_path, read_root, read_state
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.piecewise_run import STATE_PREFIX, larger_deviations
 from coadjoint.runs.results.run_record import RunRecord, Statistics
@@ -69,6 +70,7 @@ def _opened(path: Path, system: Any) -> Solution:
     return solution
 
 
+@suggest_keywords
 def open_archive(path: str | Path, system: Any = None) -> Solution:
     """Open the archive of a run, finished or not, also while it is written.
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from coadjoint.files.archives.run_in_blocks import read_worker_pool, run_in_blocks
 from coadjoint.files.datasets.variables import ExtraMetadata, Variables
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.prepared_run import PreparedRun
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from coadjoint.runs.results.solution import Solution
 
 
+@suggest_keywords
 def integrate_ensemble(
     system: System | ForcedSystem | Batch,
     x0: Any,

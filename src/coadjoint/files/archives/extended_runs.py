@@ -20,6 +20,7 @@ from coadjoint.files.archives.reading import ArchiveError, StoredState, read_sta
 from coadjoint.files.archives.store import ArchiveStore
 from coadjoint.runs.piecewise_run import STATE_PREFIX, PiecewiseRun, larger_deviations
 from coadjoint.runs.times import StepDoesNotDivide, times_between
+from coadjoint.short_repr import distinct
 from coadjoint.validation import read_number
 
 if TYPE_CHECKING:
@@ -40,8 +41,8 @@ def extended_times(store: ArchiveStore, times: Times, prepared: PreparedRun, t_e
         # The step of a run that has begun cannot be changed.
         before = times.t0 + math.floor((end - times.t0) / times.h) * times.h
         raise ArchiveError(
-            f"{store.path}: t_end {end:g} is between two steps of {prepared.step:g}; give {before:.12g} or "
-            f"{before + times.h:.12g}"
+            f"{store.path}: t_end {end!r} is between two steps of {prepared.step!r}; give {before!r} or "
+            f"{before + times.h!r}"
         ) from None
     if extended.steps == times.steps and extended.h == times.h:
         return times
@@ -49,9 +50,10 @@ def extended_times(store: ArchiveStore, times: Times, prepared: PreparedRun, t_e
         raise ArchiveError(f"{store.path}: the run saves states at given times, and cannot be continued to a later end")
     done = attributes[STEPS]
     if extended.h != times.h or extended.steps < done or (attributes[FINISHED] and extended.steps == done):
+        given, reached, last = distinct(end, times.t0 + done * times.h, times.end)
         raise ArchiveError(
-            f"{store.path}: t_end is {end:g}, but the run has reached t = {times.t0 + done * times.h:g} on its way to "
-            f"{times.end:g}; give a later end"
+            f"{store.path}: t_end is {given}, but the run has reached t = {reached} on its way to {last}; give a later "
+            "end"
         )
     return extended
 

@@ -36,6 +36,7 @@ from coadjoint.files.datasets.export import attributes_of
 from coadjoint.files.datasets.variables import NO_METADATA, ExtraMetadata, accounts_of
 from coadjoint.files.output.atomic_output import PendingOutput, remove_leftovers
 from coadjoint.files.records.required_functions import function_attributes, resume_arguments
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import read_events
 from coadjoint.runs.piecewise_run import PiecewiseRun
@@ -144,6 +145,7 @@ def creation_error(target: Path, reason: OSError) -> ArchiveError:
     return ArchiveError(f"{target}: cannot be created ({reason.strerror}); give another name")
 
 
+@suggest_keywords
 def resume(
     path: str | Path,
     t_end: float | None = None,
@@ -166,7 +168,8 @@ def resume(
     path : str or Path
         The folder that ``integrate(..., archive=path)`` has written.
     t_end : float, optional
-        A new end, a whole number of steps from the start and later than what was computed. The result is bitwise equal
+        A new end, a whole number of steps from the start (up to rounding, as in `integrate`) and later than what was
+        computed. The result is bitwise equal
         to a run with this end from the beginning. Some steps, usually less than a sixth, are recomputed to find the
         drifts in each tenth of the new run.
     system, observe, events : optional

@@ -17,6 +17,7 @@ from coadjoint.optional_packages import installed
 from coadjoint.runs.events import read_events
 from coadjoint.runs.memory_estimate import bytes_of_run
 from coadjoint.runs.times import Times
+from coadjoint.short_repr import distinct
 from coadjoint.systems.protocol import is_batch, member_of
 
 if TYPE_CHECKING:
@@ -70,7 +71,8 @@ class Plan:
         yield "keeps", conserved_quantities(self.properties)
         start, end = run.t_span
         size = abs(end - start) / self.steps if self.steps else run.step
-        yield "steps", f"{self.steps} of {size:g}, from t = {start:g} to {end:g}"
+        first, last = distinct(start, end)
+        yield "steps", f"{self.steps} of {size:g}, from t = {first} to {last}"
         yield "saved", f"{self.points} points" + ("" if self.members == 1 else f" of {self.members} members")
         yield "memory", f"{format_size(self.memory)}, {format_bytes(available())} are free"
         if self.written is None:

@@ -25,6 +25,7 @@ from coadjoint.files.configuration.values import (
     WholeNumber,
     file_name_schema,
 )
+from coadjoint.keyword_hints import KEYWORDS
 from coadjoint.short_repr import short
 
 
@@ -214,8 +215,60 @@ def places_of(key: str, elsewhere: Mapping[str, Iterable[str]]) -> tuple[str | N
     return own_table, [table for table, keys in elsewhere.items() if key in keys]
 
 
+PLACES: Mapping[str, str] = types.MappingProxyType(
+    {
+        "x0": "[initial] x",
+        "system": "[system] name",
+        "method": "[method] name",
+        "t_span": "[run] t_span",
+        "step": "[run] step",
+        "accuracy": "[run] accuracy",
+        "t_eval": "[run] t_eval",
+        "save_every": "[run] save_every",
+        "threads": "[run] threads",
+        "events": "[events.NAME] g",
+        "observe": "[observe] NAME",
+        "archive": "[output] archive",
+        "inertia": "[system.parameters] inertia",
+        "parameters": "[system.parameters]",
+        "file": "[output] file",
+        "figure": "[output] figure",
+        "movie": "[output] movie",
+        "polynomial": "[hamiltonian] polynomial",
+        "samples": "[sweep] samples",
+    }
+)
+"""Argument of `integrate`, or key of a file -> its place in a file."""
+OTHER_NAMES: Mapping[str, str] = types.MappingProxyType(
+    {
+        **dict.fromkeys(("params", "args", "p"), "parameters"),
+        **dict.fromkeys(("out", "output_file", "filename", "netcdf", "results"), "file"),
+        **dict.fromkeys(("plot", "picture", "image"), "figure"),
+        **dict.fromkeys(("animation", "video"), "movie"),
+        **dict.fromkeys(("H", "energy", "formula"), "polynomial"),
+        **dict.fromkeys(("observables", "outputs"), "observe"),
+        **dict.fromkeys(("members", "ensemble", "count"), "samples"),
+        **dict.fromkeys(("duration", "end"), "t_span"),
+        **dict.fromkeys(("rtol", "atol"), "accuracy"),
+    }
+)
+"""Usual name of a key -> the argument or key of `PLACES`, beside the names of `keyword_hints.KEYWORDS`."""
+
+
+def place_meant(key: str) -> str | None:
+    """Return the place in a file of what an argument or a usual name means, or None.
+
+    Examples
+    --------
+    >>> place_meant("x0"), place_meant("dt"), place_meant("plot"), place_meant("colour")
+    ('[initial] x', '[run] step', '[output] figure', None)
+    """
+    argument = OTHER_NAMES.get(key) or KEYWORDS.get(key, key).partition("=")[0]
+    return PLACES.get(argument)
+
+
 def unknown_key(key: str, known: Iterable[str], elsewhere: Mapping[str, Iterable[str]] = NO_TABLES) -> str:
-    """Describe an unknown key, with its table, the nearest known one, or all known ones if none is near.
+    """Describe an unknown key, with its place, the nearest known one, or all known ones if none is near.
 
     `elsewhere` are the keys of other tables, as from `keys_by_table`.
 
@@ -231,6 +284,8 @@ def unknown_key(key: str, known: Iterable[str], elsewhere: Mapping[str, Iterable
         return f"unknown key; {key!r} is a table of its own, {own_table}"
     if tables:
         return f"unknown key; {key!r} belongs to {' or '.join(tables)}"
+    if (place := place_meant(key)) is not None:
+        return f"unknown key; give {place}"
     names = sorted(known)
     near = nearest(key, names)
     if near is not None:
@@ -280,13 +335,19 @@ def all_errors(error: ValidationError, elsewhere: Mapping[str, Iterable[str]] = 
         )
         path = path.lstrip(".")
         reason = _reason(entry["type"], entry["msg"], entry["input"], entry.get("ctx", {}), key_path, elsewhere)
-        misspelled = entry["type"] == "missing" and any(
-            f"did you mean {key_path[-1]!r}?" in message for message in messages.values()
-        )
+        misspelled = entry["type"] == "missing" and _is_named(key_path, messages.values())
         # For a union, pydantic lists one error per alternative; report the first.
         if not misspelled:
             messages.setdefault(".".join(map(str, key_path[:2])), f"{path}: {reason}" if path else f": {reason}")
     return list(messages.values())
+
+
+def _is_named(key_path: Sequence[int | str], messages: Iterable[str]) -> bool:
+    """Return whether messages about unknown keys name a missing key or table as the one that is meant."""
+    path = ".".join(map(str, key_path))
+    table, _, key = path.rpartition(".")
+    names = (f"did you mean {key!r}?", f"give [{table}] {key}", f"give [{path}] ")
+    return any(name in message for name in names for message in messages)
 
 
 def _reason(
@@ -317,8 +378,10 @@ def _reason(
         "greater_than_equal": f"{context.get('ge')} or more",
         "finite_number": "finite",
     }.get(kind)
+    # A name in place of a table.
+    place = PLACES.get(str(key_path[-1])) if expected == "a table" and isinstance(value, str) and key_path else None
     return (
-        f"must be {expected}, not {short(value, MAX_SHOWN_LENGTH)}"
+        f"must be {expected}, not {short(value, MAX_SHOWN_LENGTH)}" + (f"; give {place}" if place else "")
         if expected
         else f"{message[:1].lower()}{message[1:]}, not {short(value, MAX_SHOWN_LENGTH)}"
     )

@@ -178,15 +178,23 @@ def _correct_parameter_names(
         known = {*names, "name", "parameters"} if table_path == ("method",) else {*names}
         for key in [key for key in table if key not in known]:
             messages.append(f"{'.'.join(table_path)}.{key}: {unknown_key(key, names, elsewhere)}")
-            raw = _rename_key(raw, (*table_path, key), _suggestions(key, known, elsewhere))
+            raw = _rename_key(raw, (*table_path, key), _correction((*table_path, key), known, elsewhere))
     return raw
 
 
-def _suggestions(key: str, known: Iterable[str], elsewhere: Mapping[str, Iterable[str]]) -> Iterable[str]:
-    """Return the known keys to which an unknown one may be corrected: none if it belongs to another table."""
-    from coadjoint.files.configuration.models import places_of
+def _correction(key_path: tuple[str, ...], known: Iterable[str], elsewhere: Mapping[str, Iterable[str]]) -> str | None:
+    """Return the known key to which an unknown one is corrected; None if there is none, or it belongs elsewhere."""
+    from coadjoint.files.configuration.models import place_meant, places_of
 
-    return () if any(places_of(key, elsewhere)) else known
+    *table_path, key = key_path
+    if any(places_of(key, elsewhere)):
+        return None
+    if (place := place_meant(key)) is not None:
+        table, _, name = place.partition(" ")
+        # An accuracy excludes a step, which the table may have.
+        is_here = table == f"[{'.'.join(table_path)}]" and name != "accuracy"
+        return name if is_here and name in known else None
+    return nearest(key, known)
 
 
 def _repair(
@@ -200,7 +208,7 @@ def _repair(
         key_path = tuple(str(key) for key in entry["loc"])
         if entry["type"] == "extra_forbidden":
             known = known_keys(key_path[:-1], entry["input"])
-            raw = _rename_key(raw, key_path, _suggestions(key_path[-1], known, elsewhere))
+            raw = _rename_key(raw, key_path, _correction(key_path, known, elsewhere))
         elif key_path:
             invalid.add(key_path[0])
     valid = {key: value for key, value in raw.items() if key not in invalid}
@@ -213,12 +221,11 @@ def _value_at(raw: Any, table_path: Iterable[str]) -> Any:
     return raw
 
 
-def _rename_key(raw: Mapping[str, Any], key_path: tuple[str, ...], known: Iterable[str]) -> Mapping[str, Any]:
-    """Rename an unknown key to the nearest known name, or drop it if there is none or it is taken."""
+def _rename_key(raw: Mapping[str, Any], key_path: tuple[str, ...], correct: str | None) -> Mapping[str, Any]:
+    """Rename an unknown key, or drop it if there is no correct name or it is taken."""
     key = key_path[0]
     if len(key_path) > 1:
-        return {**raw, key: _rename_key(raw[key], key_path[1:], known)}
-    near = nearest(key, known)
-    if near is None or near in raw:
+        return {**raw, key: _rename_key(raw[key], key_path[1:], correct)}
+    if correct is None or correct in raw:
         return {name: value for name, value in raw.items() if name != key}
-    return {near if name == key else name: value for name, value in raw.items()}
+    return {correct if name == key else name: value for name, value in raw.items()}

@@ -27,6 +27,7 @@ from coadjoint.files.datasets.variables import (
 from coadjoint.files.records.entries import Entry, as_value_errors, parsed
 from coadjoint.files.records.records import record_of, system_of
 from coadjoint.files.records.stored_events import event_record, events_of, not_stored, variables_of
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods import registry
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import Event
@@ -45,6 +46,7 @@ ENDED_ATTRIBUTE = "ended_after"
 """Attribute with the number of steps after which an event ended the run."""
 
 
+@suggest_keywords
 def dataset_of(solution: Solution) -> xarray.Dataset:
     """Return a solution as a dataset whose attributes make it repeatable.
 
@@ -134,6 +136,7 @@ def incomplete_attributes(reason: str, time: float) -> dict[str, Any]:
     return {"run_incomplete": 1, "incomplete_reason": reason, "incomplete_time": time}
 
 
+@suggest_keywords
 def mark_failed(dataset: xarray.Dataset, error: IntegrationError) -> xarray.Dataset:
     """Add attributes of the failure to the dataset of a partial solution.
 
@@ -171,6 +174,7 @@ def failure_attributes(error: IntegrationError) -> dict[str, Any]:
     }
 
 
+@suggest_keywords
 def solution_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = None) -> dict[str, Any]:
     """Return the arguments of `integrate` that repeat the run of a dataset.
 
@@ -286,6 +290,7 @@ def _with_state_format_of(dataset: xarray.Dataset, system: Any) -> Any:
     return as_vector_system(system) if "component" in dataset["x0"].dims else system
 
 
+@suggest_keywords
 def rebuild(dataset: xarray.Dataset) -> Solution:
     """Repeat the run of a dataset, bitwise, with any number of threads.
 

@@ -19,6 +19,7 @@ from coadjoint.files.datasets.export import ENDED_ATTRIBUTE, REQUIRED_ATTRIBUTES
 from coadjoint.files.datasets.named_axes import stacked
 from coadjoint.files.datasets.stored_record import initial_values, stored_record
 from coadjoint.files.output.file_validation import check_hdf5, check_zarr
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
@@ -133,6 +134,7 @@ def _invariants_at(system: Any, x: NDArray[Any], t: float) -> dict[str, Any]:
     return {"energy": system.energy(x, t)} | {name: function(x) for name, function in system.casimirs.items()}
 
 
+@suggest_keywords
 def load(path: str | Path, system: Any = None) -> Solution:
     """Open a run that was written to a file or a folder.
 

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 from coadjoint.kernels.compiling import options, tuning
 from coadjoint.kernels.library import kernels, level_in_use
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.compiled_steps.code_cache import cached_library
 from coadjoint.methods.compiled_steps.preprocessed_source import PreprocessedSource, Stamp, stamps_are_final, stamps_of
 from coadjoint.short_repr import short
@@ -77,6 +78,7 @@ _LIBRARIES: dict[tuple[str, str], ctypes.CDLL] = {}
 _LAST_COMPILATIONS: dict[str, _Compiled] = {}
 
 
+@suggest_keywords
 def compile_step(path: str | Path, name: str | None = None) -> CompiledStep:
     """Compile a step in C++ for this processor, in some seconds, and load it.
 

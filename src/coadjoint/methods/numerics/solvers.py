@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.numerics.stages import Step
 from coadjoint.program.numbers import roundoff
 
@@ -138,6 +139,7 @@ def _at_roundoff(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]], 
     return bool(np.all(correction <= SAMPLED * (distance + np.abs(start) * (2 * unit))))
 
 
+@suggest_keywords
 def iterate_to_stagnation(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDArray[Any]:
     """Iterate X = x + mix L(X) until the correction no longer falls, and return the last slopes L, shape (s, n).
 

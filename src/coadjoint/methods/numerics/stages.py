@@ -8,7 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.program.numbers import Number
+from coadjoint.short_repr import record_repr
 from coadjoint.systems.system_checks import System
 
 
@@ -22,6 +24,9 @@ class Coefficients(NamedTuple):
     scale: NDArray[Any]
     mix: NDArray[Any]
     out: NDArray[Any]
+
+    def __repr__(self) -> str:
+        return record_repr(self)
 
 
 class Step(NamedTuple):
@@ -114,6 +119,7 @@ def read_tableau(coefficients: Coefficients, solver: str, scheme: str) -> Coeffi
     return tableau
 
 
+@suggest_keywords
 def begin(tableau: Callable[[Number], Coefficients], system: System, x: Any, t: Any, h: Any) -> Step:
     """Return a step at its start, in the number type of x, for an implicit step of your own in Python.
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from coadjoint.kernels.interface import limit
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.program.describe import action_work, bodies_of, count_series_blocks, share_work
 from coadjoint.program.table import Program
 from coadjoint.systems.protocol import has_structure_constants
@@ -62,6 +63,7 @@ ELIMINATION_COST = 0.015
 PRODUCT_COST, PRODUCT_CALL_COST = 0.006, 10.0
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Work:
     """Cost of a step of a scheme on a system, for `choose`; the method ``work`` of a scheme returns it.

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from inspect import Parameter, signature
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.keyword_hints import unknown_keyword
+from coadjoint.keyword_hints import ExplainedCalls
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
@@ -37,7 +36,7 @@ BYTES_PER_CONSTANT = 450  # peak memory per structure constant during the constr
 MAX_PARAMETER_TEXT = 200  # characters of a parameter in a message
 
 
-class Method(ABC):
+class Method(metaclass=ExplainedCalls):
     """A scheme: what it preserves, its compiled loop, its step in Python, its tangent, and its cost.
 
     Families implement this protocol from coefficients (`FlowMethod`), a tableau (`RungeKuttaMethod`) or a step
@@ -46,14 +45,10 @@ class Method(ABC):
     """
 
     def __new__(cls, *arguments: Any, **parameters: Any) -> Self:
-        """Raise TypeError for a tolerance that the scheme does not have, and for unknown parameters."""
+        """Raise TypeError for a tolerance that the scheme does not have."""
         for name in ERROR_CONTROL.intersection(parameters):
             if name not in getattr(cls, "__dataclass_fields__", {}):
                 raise TypeError(f"{cls.__name__} has no {name}: {NO_ERROR_CONTROL}")
-        for name in parameters.keys() - getattr(cls, "__dataclass_fields__", {}).keys():
-            accepted = signature(cls.__init__).parameters  # a class may define its own constructor
-            if name not in accepted and Parameter.VAR_KEYWORD not in {p.kind for p in accepted.values()}:
-                raise unknown_keyword(cls.__name__, name, list(accepted)[1:])
         return super().__new__(cls)
 
     failures: ClassVar[Mapping[str, str]] = {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.validation import read_bool, read_choice, read_list
 
@@ -12,6 +13,7 @@ KINDS_OF_ATTITUDE = ("every representation", "coadjoint", "group", "integrated",
 SHOWN_IF_SET = ("broken_by", "reversible")
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Properties:
     """What a scheme preserves to round-off on a given system.

@@ -16,7 +16,7 @@ from coadjoint.runs.crossings.root_search import minimize_each, roots
 from coadjoint.runs.events import Event
 from coadjoint.runs.loops.execution import status_name
 from coadjoint.runs.partial_steps import PartialSteps
-from coadjoint.short_repr import short
+from coadjoint.short_repr import distinct, short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -133,7 +133,8 @@ class WatchedEvents:
                 continue
             if undefined[row].any():
                 name = self.names[int(np.argmax(undefined[row]))]
-                reason = f"the event {name} is not a number at t = {t0 + step * h:g}; its function is undefined there"
+                when = distinct(t0 + step * h, t0 + (step - 1) * h)[0]
+                reason = f"the event {name} is not a number at t = {when}; its function is undefined there"
                 failures[member] = MemberFailure(member, step, "UNDEFINED", reason=reason)
             else:
                 status, residual = status_name(search.status[row]), float(search.residual[row])

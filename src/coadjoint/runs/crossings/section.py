@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.events import MAX_CROSSINGS, Event, RecordedEvents
 from coadjoint.runs.integrate import integrate
@@ -93,6 +94,7 @@ class Section:
         return self.events.plot(components, axes)
 
 
+@suggest_keywords
 def poincare_section(
     system: System | ForcedSystem | Batch,
     x0s: Any,

@@ -26,6 +26,7 @@ from coadjoint.runs.loops.execution import sum_in_threads
 from coadjoint.runs.loops.rows import split_members
 from coadjoint.runs.output_times import OutputTimes, check_partial_steps, resample
 from coadjoint.runs.results.solution import Solution
+from coadjoint.short_repr import distinct
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.parameters import Parameter, parameters_of
 from coadjoint.systems.protocol import is_batch, rows_of, shape_of, unforced
@@ -362,9 +363,10 @@ class Trajectory:
         if (raised := raised_by(tables.keepalive)) is not None:
             raise raised
         if count:
+            begin, end = distinct(run.t0 + run.k0 * run.h, run.t0 + run.k1 * run.h)
             raise IntegrationError(
-                f"the linear equations of the derivatives between t = {run.t0 + run.k0 * run.h:g} and "
-                f"{run.t0 + run.k1 * run.h:g} are not solved; take a smaller step than {abs(run.h):g}",
+                f"the linear equations of the derivatives between t = {begin} and {end} are not solved; take a "
+                f"smaller step than {abs(run.h):g}",
                 step=run.k1,
                 time=run.t0 + run.k1 * run.h,
                 residual=float("nan"),

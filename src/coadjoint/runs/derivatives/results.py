@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.short_repr import record_repr
+
 Floats = NDArray[np.float64]
 
 
@@ -37,6 +39,9 @@ class Tangents:
     energy: Floats
     events: Mapping[str, Floats] = field(default_factory=dict)
     rule: Mapping[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return record_repr(self)
 
 
 class Gradient(Mapping[str, Any]):

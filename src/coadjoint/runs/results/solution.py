@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.keyword_hints import NamedValues
+from coadjoint.keyword_hints import NamedValues, suggest_keywords
 from coadjoint.runs.results.drift import Drift, scales_of_invariants
 from coadjoint.runs.results.run_record import SOLUTION_FIELDS, RunRecord
 from coadjoint.runs.results.solution_output import SolutionOutput
@@ -128,6 +128,7 @@ class Solution(SolutionOutput):
         """Copy and pickle a stored run by reopening it, and a run in memory with all its attributes."""
         return self.record.reopen if "reopen" in self.record else (Solution, (self.record,))
 
+    @suggest_keywords
     def drift(self, relative: bool = True) -> dict[str, Drift]:
         """Return the largest deviation of each invariant from its initial value.
 
@@ -163,6 +164,7 @@ class Solution(SolutionOutput):
             )
         return self._deviations(0, relative)
 
+    @suggest_keywords
     def balance(self, relative: bool = True) -> dict[str, Drift]:
         """Return the change of each invariant minus the work of the forces: the error of the scheme.
 
@@ -198,6 +200,7 @@ class Solution(SolutionOutput):
         balances = {name: drift for name, drift in deviations.items() if conserves_casimirs or name in accounted}
         return NamedValues(balances)
 
+    @suggest_keywords
     def change(self, relative: bool = True) -> dict[str, Drift]:
         """Return the largest change of each invariant from its initial value, by forces and scheme.
 
@@ -213,6 +216,7 @@ class Solution(SolutionOutput):
         """
         return self._deviations(0, relative)
 
+    @suggest_keywords
     def error_estimate(self) -> Any:
         """Return the estimated error of the last state, relative to the largest momentum during the run.
 
@@ -248,6 +252,7 @@ class Solution(SolutionOutput):
             error = self.record.error = shortcut("error_at_end")(self)
         return float(error[0]) if self.failed is None else error
 
+    @suggest_keywords
     def step_error(self) -> float:
         """Return the error of a step, relative to the change of the state in it: a cheap test of the step.
 
@@ -303,6 +308,7 @@ class Solution(SolutionOutput):
             scales = self.__dict__["_scales_found"] = scales_of_invariants(system, self.x0, self.initial)
         return scales
 
+    @suggest_keywords
     def spectrum(self) -> NDArray[Any]:
         """Return the eigenvalues of the saved matrices of a `MatrixSystem`, invariants of isospectral schemes.
 
@@ -335,6 +341,7 @@ class Solution(SolutionOutput):
         spectra[finite] = values
         return spectra
 
+    @suggest_keywords
     def modified_energy(self, order: int = 4) -> NDArray[np.float64]:
         """Return the modified Hamiltonian of the scheme and the step of the run, at the saved points.
 
@@ -373,6 +380,7 @@ class Solution(SolutionOutput):
             return np.stack([H(self.x[:, m], h) for m, H in enumerate(hamiltonians)], axis=1)
         return np.asarray(modified_hamiltonian(self.system, self.method, order)(self.x, h))
 
+    @suggest_keywords
     def at(self, t: Any) -> StateAt:
         """Return the states at any times within the run, as accurate as those at its steps.
 
@@ -384,7 +392,7 @@ class Solution(SolutionOutput):
         Parameters
         ----------
         t : float or array_like, shape (k,)
-            Times within the run, in any order.
+            Times within the run, in any order; a time beyond its ends by rounding, as in `integrate`, is that end.
 
         Returns
         -------

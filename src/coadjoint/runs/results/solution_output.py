@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.runs.results.run_record import RunAttributes, RunRecord
 from coadjoint.runs.results.unfinished_members import members_text
 from coadjoint.shortcuts import shortcut
@@ -68,6 +69,7 @@ class SolutionOutput(RunAttributes):
             )
         return Rotation.from_matrix(A.reshape(-1, 3, 3))
 
+    @suggest_keywords
     def to_xarray(self) -> xarray.Dataset:
         """Return the run as an xarray dataset, with everything needed to repeat it.
 
@@ -80,6 +82,7 @@ class SolutionOutput(RunAttributes):
             return self.record.to_xarray()
         return shortcut("dataset_of")(self)
 
+    @suggest_keywords
     def to_pandas(self) -> pd.DataFrame:
         """Return the run as a table: coordinates, energy, Casimirs, and observed numbers over time.
 
@@ -100,6 +103,7 @@ class SolutionOutput(RunAttributes):
         """
         return shortcut("table_of")(self)
 
+    @suggest_keywords
     def plot(
         self,
         panels: Any = None,
@@ -158,6 +162,7 @@ class SolutionOutput(RunAttributes):
         """
         return shortcut("draw_solution")(self, panels, components, axes, members, width, style)
 
+    @suggest_keywords
     def movie(
         self,
         path: str | Path,

@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
+from coadjoint.runs.partial_steps import noises_of
 from coadjoint.runs.results.unfinished_members import (
     ends_by_events,
     last_times,
     members_text,
     unfinished_members,
 )
-from coadjoint.runs.times import Times
-from coadjoint.short_repr import short
+from coadjoint.runs.times import Times, accumulated_rounding
+from coadjoint.short_repr import distinct, short
 from coadjoint.validation import are_finite, read_numbers
 
 if TYPE_CHECKING:
@@ -68,37 +69,51 @@ def _shown(value: Any) -> str:
             + (f", and {len(value) - 4} more}}" if len(value) > 4 else "}")
         )
     numbers = np.asarray(value)
-    return f"of shape {numbers.shape}" if numbers.size > 8 else np.array2string(numbers, precision=6, separator=", ")
+    if numbers.size > 8:
+        return f"of shape {numbers.shape}"
+    return " ".join(np.array2string(numbers, precision=6, separator=", ").split())
 
 
 def state_at(solution: Solution, t: Any) -> StateAt:
     """Return the states of a solution at times within its run, (k,) or a single one; see `Solution.at`."""
-    requested = read_numbers(t, "t")
-    if requested.ndim > 1 or not requested.size:
-        raise ValueError(f"t has the shape {requested.shape}; it must be a time, or a row of times")
-    if not are_finite(requested):
+    given = read_numbers(t, "t")
+    if given.ndim > 1 or not given.size:
+        raise ValueError(f"t has the shape {given.shape}; it must be a time, or a row of times")
+    if not are_finite(given):
         raise ValueError(f"t is {short(t)}; every time must be finite")
-    queries, direction = np.atleast_1d(requested), 1.0 if solution.t_span[1] >= solution.t_span[0] else -1.0
+    requested, direction = np.atleast_1d(given), 1.0 if solution.t_span[1] >= solution.t_span[0] else -1.0
     unfinished = unfinished_members(solution)
     ends = np.where(unfinished, last_times(solution, unfinished, direction), ends_by_events(solution))
     if solution.failed is not None and (solution.failed & np.isnan(ends)).any():
         raise ValueError("members of the run have failed; integrate the others alone for states at any time")
-    known = np.append(solution.t_span[0], solution.t)  # t_eval may omit the start
+    # t_eval may omit the start, and exceed the span by rounding.
+    low, high = sorted(solution.t_span)
+    known = np.clip(np.append(solution.t_span[0], solution.t), low, high)
     end = float(solution.t[-1]) if solution.t_eval is None else solution.t_span[1]
     saved = direction * known
-    near = 4 * np.spacing(max(abs(solution.t_span[0]), abs(solution.t_span[1]), solution.step))
-    outside = np.flatnonzero((direction * queries < saved[0] - near) | (direction * queries > direction * end + near))
+    count = max(len(requested), len(solution.t), solution.stats.steps + 1)
+    beyond = near = accumulated_rounding(count, *solution.t_span, solution.step)
+    noisy = bool(noises_of(solution.system))
+    if not noisy:
+        near = 4 * np.spacing(max(abs(solution.t_span[0]), abs(solution.t_span[1]), solution.step))
+    outside = np.flatnonzero(
+        (direction * requested < saved[0] - beyond) | (direction * requested > direction * end + beyond)
+    )
     if len(outside):
-        raise ValueError(f"t is {queries[outside[0]]:g}; it must lie within the run, from {known[0]:g} to {end:g}")
+        shown = distinct(requested[outside[0]], known[0], end)
+        raise ValueError(f"t is {shown[0]}; it must lie within the run, from {shown[1]} to {shown[2]}")
+    low, high = sorted((float(known[0]), end))
+    queries = np.clip(requested, low, high)
     late = np.flatnonzero(np.all(direction * queries[:, None] > direction * ends + near, axis=1))
     if len(late) and unfinished.all():
-        raise ValueError(f"t is {queries[late[0]]:g}, which {members_text(unfinished)} of this run have not reached")
+        raise ValueError(f"t is {requested[late[0]]:g}, which {members_text(unfinished)} of this run have not reached")
     if len(late):
-        latest = float(direction * np.max(direction * ends))
-        raise ValueError(
-            f"t is {queries[late[0]]:g}, after events ended the runs of all members, the last at {latest:g}"
-        )
+        shown = distinct(requested[late[0]], float(direction * np.max(direction * ends)))
+        raise ValueError(f"t is {shown[0]}, after events ended the runs of all members, the last at {shown[1]}")
     before = np.clip(np.searchsorted(saved, direction * queries + near, side="right") - 1, 0, None)
+    if noisy:
+        # The noise of a step depends on every bit of its time, which is that from the start of the run.
+        before[direction * queries - saved[before] > near] = 0
     ahead = np.maximum(direction * queries - saved[before], 0.0)
     steps = np.ceil(np.where(ahead > near, ahead - near, 0.0) / solution.step).astype(np.int64)
     pieces = np.unique(before)
@@ -116,14 +131,14 @@ def state_at(solution: Solution, t: Any) -> StateAt:
         )
         for j, count, low, high in zip(pieces.tolist(), last, edges[:-1], edges[1:], strict=True)
     ]
-    positions = 0 if requested.ndim == 0 else np.argsort(order, kind="stable")
+    positions = 0 if given.ndim == 0 else np.argsort(order, kind="stable")
 
     def in_order(series: Sequence[Any]) -> Any:
         return None if series[0] is None else np.concatenate(series)[positions]
 
     casimirs = {name: in_order([state.casimirs[name] for state in states]) for name in states[0].casimirs}
     x, energy, attitude = (in_order([getattr(state, name) for state in states]) for name in ("x", "energy", "attitude"))
-    return StateAt(float(requested) if requested.ndim == 0 else queries, x, energy, casimirs, attitude)
+    return StateAt(float(given) if given.ndim == 0 else given, x, energy, casimirs, attitude)
 
 
 def _from_point(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from coadjoint.short_repr import html_table
+from coadjoint.short_repr import distinct, html_table
 from coadjoint.systems.protocol import member_of
 
 if TYPE_CHECKING:
@@ -30,11 +30,14 @@ def extent_text(solution: Solution) -> str:
     >>> extent_text(co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 1), step=0.1))
     '11 points from t = 0 to 1'
     """
-    t, (first, last) = solution.t, solution.t_span
-    if not solution.incomplete:
-        return f"{len(t)} points from t = {first:g} to {last:g}"
-    reached = f"{t[-1]:g} of {last:g}" if len(t) else f"{last:g}"
-    return f"{len(t)} points from t = {first:g} to {reached}, {solution.incomplete}"
+    t = solution.t
+    if not solution.incomplete or not len(t):
+        first, reached = distinct(*solution.t_span)
+    else:
+        first, last, reached = distinct(*solution.t_span, t[-1])
+        reached = f"{reached} of {last}"
+    text = f"{len(t)} points from t = {first} to {reached}"
+    return f"{text}, {solution.incomplete}" if solution.incomplete else text
 
 
 def seconds_text(stats: Statistics) -> str:

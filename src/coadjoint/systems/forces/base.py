@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
@@ -11,9 +11,8 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.short_repr import short
-
-MAX_PARAMETER_LENGTH = 80
+from coadjoint.keyword_hints import ExplainedCalls
+from coadjoint.short_repr import record_repr
 
 
 class Noise(NamedTuple):
@@ -50,7 +49,7 @@ class ForceReader(Protocol):
         """Register noise of given amplitudes on modes of a matrix; lists over diagonals."""
 
 
-class Force(ABC):
+class Force(metaclass=ExplainedCalls):
     """A force, which acts in addition to the Hamiltonian: its flow and the invariants that it preserves.
 
     `LinearDamping`, `Torque`, `DoubleBracketDamping` and `HeatBath` are forces, and `OwnForce` makes one from a
@@ -74,6 +73,8 @@ class Force(ABC):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
+        # A dataclass keeps a representation that its class has.
+        cls.__repr__ = cls.__repr__  # type: ignore[method-assign]
         # `given_to` is the former name.
         if "given_to" in vars(cls) and "describe_to" not in vars(cls):
             cls.describe_to = vars(cls)["given_to"]  # type: ignore[method-assign]
@@ -83,11 +84,8 @@ class Force(ABC):
         """Name in balances and messages."""
         return type(self).__name__
 
-    def __str__(self) -> str:
-        if not is_dataclass(self):
-            return self.label
-        shown = [f"{field.name}={short(getattr(self, field.name), MAX_PARAMETER_LENGTH)}" for field in fields(self)]
-        return f"{type(self).__name__}({', '.join(shown)})"
+    def __repr__(self) -> str:
+        return record_repr(self) if is_dataclass(self) else self.label
 
     @abstractmethod
     def check(self, system: Any) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
-from coadjoint.short_repr import dataclass_repr
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.forces.rates import has_matrix_state, sample_states
 from coadjoint.systems.user_functions import SAMPLE_TIME, check_arguments
@@ -68,9 +67,6 @@ class OwnForce(Force):
         object.__setattr__(self, "name", read_title(self.name, "name of a force"))
         for flag in ("keeps_casimirs", "backward"):
             object.__setattr__(self, flag, read_bool(getattr(self, flag), flag))
-
-    def __repr__(self) -> str:
-        return dataclass_repr(self)
 
     @property
     def label(self) -> str:

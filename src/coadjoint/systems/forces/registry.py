@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Mapping
 from typing import Any
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.forces.beta_plane import BetaPlane
@@ -27,6 +28,7 @@ FORCES: tuple[type[Force], ...] = (
 KINDS: dict[str, type[Force]] = {kind.__name__: kind for kind in FORCES}
 
 
+@suggest_keywords
 def names() -> tuple[str, ...]:
     """Return the names of the forces, sorted.
 
@@ -42,6 +44,7 @@ def names() -> tuple[str, ...]:
     return tuple(sorted(KINDS))
 
 
+@suggest_keywords
 def get(name: str, /, **parameters: Any) -> Force:
     """Return a force by its name, as a configuration file does.
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
-from coadjoint.short_repr import dataclass_repr
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.forces.rates import check_state, has_matrix_state, read_state, sample_states, state_vector
 from coadjoint.systems.user_functions import SAMPLE_TIME, takes_time
@@ -60,9 +59,6 @@ class Torque(Force):
             self._arguments()
         else:
             object.__setattr__(self, "torque", read_state(self.torque, "the torque"))
-
-    def __repr__(self) -> str:
-        return dataclass_repr(self)
 
     def _arguments(self) -> str:
         """Return the arguments of the function: "t", "x" or "x, t"."""

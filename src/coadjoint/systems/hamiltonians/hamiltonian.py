@@ -13,8 +13,9 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomials.formulas import NotPolynomial, names_in, parse_polynomial
 from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.algebra.polynomials.polynomial import Polynomial, read_dimension
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
-from coadjoint.short_repr import short
+from coadjoint.short_repr import MAX_SHOWN_LENGTH, short
 from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.hamiltonians.jax_function import JaxFunction, check_traceable, is_array_of_jax
 from coadjoint.systems.hamiltonians.parsed_function import ParsedFunction
@@ -70,6 +71,7 @@ class HamiltonianLike(Protocol):
         """Return the terms of the sum; the Hamiltonian must be bound."""
 
 
+@suggest_keywords
 class Hamiltonian(Summable):
     """A Hamiltonian given by Python functions.
 
@@ -303,7 +305,10 @@ class PolynomialHamiltonian(Summable):
         return (PolynomialTerm(self.polynomial),)
 
     def __repr__(self) -> str:
-        return f"PolynomialHamiltonian({self.polynomial!r})"
+        text = repr(self.polynomial)
+        if len(text) > MAX_SHOWN_LENGTH:
+            text = f"{len(self.polynomial.monomials)} monomials in {self.dim} coordinates"
+        return f"PolynomialHamiltonian({text})"
 
 
 def _check_variables(polynomial: Polynomial, n: int, owner: str = "the system") -> None:

@@ -12,8 +12,9 @@ import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.monomials import Coefficient, factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small, check_available_memory
-from coadjoint.short_repr import short
+from coadjoint.short_repr import MAX_SHOWN_LENGTH, short
 from coadjoint.systems.evaluation import ignore_overflow, lossless_coefficients, read_point, scatter
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, repeated_rows
 from coadjoint.systems.hamiltonians.summable import Summable
@@ -32,6 +33,7 @@ class Entries(NamedTuple):
     linear: npt.NDArray[Any]
 
 
+@suggest_keywords
 class Quadratic(Summable):
     """The quadratic Hamiltonian ``x . M x / 2 + linear . x + constant``.
 
@@ -479,13 +481,15 @@ class Quadratic(Summable):
     def __repr__(self) -> str:
         if self._scalar is not None:
             return f"Quadratic({self._scalar!r})"
+        shown = ""
         if self.dim is not None and self.dim <= 4:
             dense = self.hessian(np.zeros(self.dim))
             diagonal = np.array_equal(dense, np.diag(np.diag(dense)))
-            shown = (np.diag(dense) if diagonal else dense).tolist()
-        else:
+            shown = str((np.diag(dense) if diagonal else dense).tolist())
+        if len(shown) > MAX_SHOWN_LENGTH or not shown:
             count = self._indices.size if self._repeated is None else int(self._repeated.lengths.sum())
             shown = f"<{self.dim} x {self.dim}, {count} nonzero>"
         linear = self._linear_part(np.zeros(self.dim or 0))
-        tail = "" if not linear.any() else f", linear={linear.tolist() if linear.size <= 4 else '...'}"
+        entries = str(linear.tolist()) if linear.size <= 4 else ""
+        tail = f", linear={entries if 0 < len(entries) <= MAX_SHOWN_LENGTH else '...'}" if linear.any() else ""
         return f"Quadratic({shown}{tail})"

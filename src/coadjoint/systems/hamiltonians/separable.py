@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.errors import in_one_line
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.hamiltonians.summable import Summable
@@ -21,6 +22,7 @@ from coadjoint.validation import read_integer
 MAX_COORDINATES = 2**32 - 1
 
 
+@suggest_keywords
 class Separable(Summable):
     """A sum of functions of one coordinate each, ``sum of H_i(x_i)``.
 

@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import Coefficient
-from coadjoint.short_repr import short
+from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.short_repr import MAX_SHOWN_LENGTH, short
 from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.separable import MAX_COORDINATES
@@ -20,6 +21,7 @@ from coadjoint.systems.hamiltonians.terms import Term
 from coadjoint.validation import read_integer, read_list
 
 
+@suggest_keywords
 class SplitHamiltonian(Summable):
     """A sum of pieces ``H_a(x[coordinates of a])``, each of coordinates that commute in the algebra.
 
@@ -189,6 +191,5 @@ class SplitHamiltonian(Summable):
 
     def __repr__(self) -> str:
         shown = [f"({short(chosen)}, {part!r})" for chosen, part in zip(self.coordinates, self.pieces, strict=True)]
-        return (
-            f"SplitHamiltonian([{', '.join(shown)}])" if len(shown) <= 4 else f"SplitHamiltonian({len(shown)} pieces)"
-        )
+        text = ", ".join(shown)
+        return f"SplitHamiltonian({f'[{text}]' if len(text) <= MAX_SHOWN_LENGTH else f'{len(shown)} pieces'})"

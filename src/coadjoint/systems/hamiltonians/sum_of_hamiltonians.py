@@ -11,7 +11,7 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
-from coadjoint.short_repr import short
+from coadjoint.short_repr import MAX_SHOWN_LENGTH, short
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import (
     Hamiltonian,
@@ -69,7 +69,8 @@ class SumOfHamiltonians(Summable):
         return tuple(term for summand in self.summands for term in summand.terms())
 
     def __repr__(self) -> str:
-        return " + ".join(map(repr, self.summands))
+        text = " + ".join(map(repr, self.summands))
+        return text if len(text) <= MAX_SHOWN_LENGTH else f"a sum of {len(self.summands)} Hamiltonians"
 
 
 def summands_of(H: HamiltonianLike) -> tuple[HamiltonianLike, ...]:

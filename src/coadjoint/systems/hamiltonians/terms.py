@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows
 from coadjoint.systems.hamiltonians.traced_function import picklable_function, restored_function
@@ -82,6 +83,7 @@ def rows_of(starts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     return np.repeat(np.arange(len(starts) - 1, dtype=np.int64), np.diff(starts))
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class QuadraticTerm:
     """The term ``constant + linear . x + x . M x / 2``, M symmetric and sparse.
@@ -186,6 +188,7 @@ class RepeatedTerm(QuadraticTerm):
         return int(self.matrix.lengths.sum())
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class PolynomialTerm:
     """A polynomial in all n coordinates.
@@ -236,6 +239,7 @@ class PolynomialTerm:
         return reader.polynomial(self)
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class FunctionTerm:
     """A Python function of some coordinates, ``y = x[coordinates]``.

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.user_functions import takes_time
 from coadjoint.validation import to_array
@@ -17,6 +18,7 @@ Floats = npt.NDArray[np.float64]
 Matrix = npt.NDArray[Any]
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class FunctionStream:
     """P = f(W), or f(W, t), given by a Python function of one matrix.

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.families.matrix_algebra import TRACE_TOLERANCE, MatrixAlgebra
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import html_table, short
 from coadjoint.systems.arguments import read_closed_form, read_parameters, read_sign
@@ -33,6 +34,7 @@ DEGENERACY_TOLERANCE = 1e-9
 """Relative to the largest eigenvalue: real parts that differ by less are treated as equal in sorting."""
 
 
+@suggest_keywords
 class MatrixSystem:
     """A system whose state is a matrix W in a Lie algebra of matrices, ``W' = [P, W]`` with P = stream(W) + linear.
 

@@ -8,6 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.validation import read_finite
 
@@ -35,6 +36,7 @@ class Stream(Protocol):
         """Return P."""
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class DiagonalSolve:
     """P solves a symmetric tridiagonal system for each diagonal of a skew-Hermitian matrix.
@@ -116,6 +118,7 @@ def _mirrored(upper: Matrix) -> Matrix:
     return np.asarray(upper - np.conj(np.swapaxes(above, -1, -2)))
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class Circulants:
     """P is a circulant matrix times each cyclic diagonal of a skew-Hermitian matrix of odd size.
@@ -184,6 +187,7 @@ class Inverse:
         return self.of(P)
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class Weights:
     """P_ij = w_ij W_ij, such as the angular velocity of a body of N dimensions, w_ij = 1 / (a_i + a_j).

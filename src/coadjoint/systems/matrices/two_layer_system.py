@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.families.matrix_algebra import TRACE_TOLERANCE, MatrixAlgebra
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_energy import MatrixEnergy
@@ -34,6 +35,7 @@ class TwoLayerEnergy(MatrixEnergy):
         return np.stack([self.gradient(unit) for unit in np.eye(self.dim)], axis=1)
 
 
+@suggest_keywords
 class TwoLayerSystem(MatrixSystem):
     """Two matrices, a carried field Theta and a vorticity W: ``Theta' = [P, Theta]``, ``W' = [P, W] + [J, Theta]``.
 
