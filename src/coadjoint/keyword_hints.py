@@ -95,48 +95,6 @@ FUNCTIONS: Mapping[str, str] = {
 }
 """Usual name of a function -> where it is here."""
 
-CONSTRUCTORS: Mapping[str, str] = {
-    **dict.fromkeys(
-        (
-            "from_tensor",
-            "from_structure_constants",
-            "from_constants",
-            "from_array",
-            "from_triples",
-            "structure_constants",
-        ),
-        "co.LieAlgebra(constants), of shape (n, n, n), or of (i, j, k, c) with dim=",
-    ),
-    **dict.fromkeys(
-        ("from_basis", "from_matrix", "from_representation", "matrix_algebra", "from_matrix_basis", "matrix"),
-        "co.LieAlgebra.from_matrices(matrices)",
-    ),
-    **dict.fromkeys(
-        ("from_generators", "generate", "generated_by", "span", "close"), "co.LieAlgebra.closure(matrices)"
-    ),
-    **dict.fromkeys(
-        ("from_dict", "from_commutators", "from_commutator", "from_relations", "from_table", "from_text", "from_lines"),
-        'co.LieAlgebra.from_brackets(["[h, e] = 2 e", ...])',
-    ),
-    **dict.fromkeys(
-        ("from_cartan", "from_cartan_matrix", "from_dynkin", "from_name", "from_type", "get", "so", "su", "sl", "se"),
-        "co.algebras, such as co.algebras.so(3); co.algebras.names() lists them",
-    ),
-}
-"""Usual name of a constructor of a Lie algebra -> the one here."""
-
-
-def unknown_constructor(owner: str, name: str) -> AttributeError:
-    """Return the AttributeError for an unknown constructor of `LieAlgebra`.
-
-    Examples
-    --------
-    >>> print(unknown_constructor("LieAlgebra", "from_dict"))
-    LieAlgebra has no attribute 'from_dict'; use co.LieAlgebra.from_brackets(["[h, e] = 2 e", ...])
-    """
-    text = f"{owner} has no attribute {name!r}"
-    return AttributeError(f"{text}; use {CONSTRUCTORS[name]}" if name in CONSTRUCTORS else text)
-
 
 def suggest_keywords(function: Function) -> Function:
     """Decorate a function, method or class so that calls with wrong arguments raise a TypeError that says what to give.

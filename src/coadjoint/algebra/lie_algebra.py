@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,14 +13,13 @@ from coadjoint.algebra.constants import Triples, parse_brackets, parse_constants
 from coadjoint.algebra.exact.sparse_sums import Floats
 from coadjoint.algebra.identities import antisymmetric, check_jacobi
 from coadjoint.algebra.invariants.invariant import Invariant
-from coadjoint.algebra.matrix_span import MatrixSpan, read_matrices
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
 from coadjoint.algebra.representation import check_representation
 from coadjoint.algebra.structure import Structure
-from coadjoint.keyword_hints import suggest_keywords, unknown_constructor
+from coadjoint.keyword_hints import unknown_constructor
 from coadjoint.short_repr import html_table, short
-from coadjoint.validation import read_integer, read_list, read_title
+from coadjoint.validation import read_integer, read_list, read_title, truncate_title
 
 FEW_BRACKETS = 6
 """Number of brackets shown in a one-line repr."""
@@ -28,21 +27,14 @@ MAX_BRACKETS = 30
 """Number of brackets shown by `print` and in notebooks."""
 
 
-MAX_CLOSURE_DIM = 256
-"""Largest dimension of an algebra that is completed."""
+class Constructors(type):
+    """Metaclass whose AttributeError leads from the names of other libraries to the constructor that is meant."""
+
+    def __getattr__(cls, name: str) -> Any:
+        raise unknown_constructor(name, [known for known in dir(cls) if not known.startswith("_")])
 
 
-class _NamesConstructors(type):
-    """Metaclass whose errors for unknown attributes name the constructor that is meant."""
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(cls, name: str) -> Any:
-            raise unknown_constructor(cls.__name__, name)
-
-
-@suggest_keywords
-class LieAlgebra(Structure, metaclass=_NamesConstructors):
+class LieAlgebra(Structure, metaclass=Constructors):
     """A finite-dimensional real Lie algebra, [e_i, e_j] = sum_k c_ij^k e_k, given by its structure constants.
 
     The constants are stored sparse. Antisymmetry and the Jacobi identity are checked at construction, to 64 u times the
@@ -225,91 +217,112 @@ class LieAlgebra(Structure, metaclass=_NamesConstructors):
         name: str | None = None,
         casimirs: Mapping[str, Any] | None = None,
     ) -> LieAlgebra:
-        """Build an algebra from matrices that span it, with [A, B] = A B - B A.
+        """Build the algebra of which matrices are a basis, from their commutators.
 
-        Choose it if the algebra is known by matrices, as SE(3) by 4 x 4 matrices or su(3) by Gell-Mann's. The matrices
-        are the representation of the group element (the attitude) of runs.
+        Choose it if the algebra is known by its matrices. If every number is rational, a float of a simple fraction, or
+        a rational multiple of the square root of an integer (``np.sqrt(3) / 2``), the constants are computed exactly
+        and rounded once. Otherwise they are found by least squares, and a commutator belongs to the span if its
+        distance from it is at most 2^-40 of the product of the norms of the two matrices.
 
         Parameters
         ----------
-        matrices : sequence of (N, N)
-            Linearly independent matrices of numbers: integers, fractions, floats, complex numbers. Complex matrices
-            A + iB become the real ones [[A, -B], [B, A]]; multiples by i are other matrices.
-        basis : sequence of str, optional
-            Names of the matrices; ``e1, e2, ...`` by default.
-        name, casimirs : optional
+        matrices : sequence of n arrays of shape (d, d)
+            A basis: independent, and closed under the commutator. Integers, fractions, floats or complex numbers, also
+            sparse. Complex matrices span the algebra over the real numbers: of Hermitian matrices give -i times them.
+        basis, name, casimirs
             As for `LieAlgebra`.
 
         Returns
         -------
         LieAlgebra
+            With the matrices as representation, complex ones A + i B as real matrices (A, -B; B, A) of twice the size.
 
         Raises
         ------
         TypeError, ValueError
-            Matrices of different shapes; a matrix that is a combination of others; a commutator that is no combination
-            of the matrices, with the matrix that is missing.
+            The matrices are not numbers of one shape; one of them depends on those before it, and the message has the
+            combination; or a commutator is outside of their span, and the message has the pair and the matrix.
 
         See Also
         --------
         closure : adds the commutators that are missing.
 
-        Notes
-        -----
-        The structure constants are exact, rounded once, if all entries are rational, or square roots of rational
-        numbers; floats that round simple ones are read as such. For other entries the constants are those of least
-        squares, if commutators differ from combinations by at most 64 N u of their terms, u = 2^-53.
-
         Examples
         --------
         >>> LieAlgebra.from_matrices([[[1, 0], [0, -1]], [[0, 1], [0, 0]], [[0, 0], [1, 0]]], basis=("h", "e", "f"))
         LieAlgebra(dim=3: [h, e] = 2 e, [h, f] = -2 f, [e, f] = h)
+        >>> spins = np.array([[[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]]]) / 2
+        >>> LieAlgebra.from_matrices(-1j * spins)
+        LieAlgebra(dim=3: [e1, e2] = e3, [e1, e3] = -e2, [e2, e3] = e1)
         >>> LieAlgebra.from_matrices([[[0, 1], [0, 0]], [[0, 0], [1, 0]]])
         Traceback (most recent call last):
-        ValueError: [e1, e2] is no combination of the matrices, by 0.5 of its terms; add the matrix [[1, 0], ...
+        ValueError: [A1, A2] is not in the span of the 2 matrices: it is [[1.0, 0.0], [0.0, -1.0]]; add this matrix, ...
         """
-        found = read_matrices(matrices)
-        names = read_basis(basis, len(found))
-        span = MatrixSpan(found, names)
+        from coadjoint.algebra.matrix_span import read_matrices, spanned
+
+        given = read_matrices(matrices)
+        names = read_basis(basis, len(given.entries))
+        found = spanned(given, names if basis is not None else [f"A{k + 1}" for k in range(len(names))])
         return cls(
-            span.constants(), dim=len(span), basis=basis, name=name, representation=span.matrices, casimirs=casimirs
+            found.constants,
+            dim=len(names),
+            basis=names,
+            name=name,
+            representation=found.representation,
+            casimirs=casimirs,
         )
 
     @classmethod
-    def closure(cls, matrices: Any, *, name: str | None = None, max_dim: int = 64) -> LieAlgebra:
-        """Build the algebra that matrices generate: they and all commutators that are missing.
+    def closure(cls, matrices: Any, *, basis: Sequence[str] | None = None, name: str | None = None) -> LieAlgebra:
+        """Build the smallest algebra that contains matrices: their commutators are added until nothing is missing.
 
-        Choose it if only generators are known, as those of a control system.
+        Choose it for the algebra that control fields or a few generators span. The given matrices are the first
+        elements of the basis, and each further one is the commutator of a given matrix with an element before it.
 
         Parameters
         ----------
-        matrices : sequence of (N, N)
-            As for `from_matrices`. They are the first elements of the basis.
+        matrices : sequence of arrays of shape (d, d)
+            Independent, as for `from_matrices`.
+        basis : sequence of str, optional
+            Names of the given matrices; added ones are called e and their number.
         name : str, optional
-            Name of the algebra.
-        max_dim : int, optional
-            Largest dimension.
+            Name of the algebra; by default it states which elements were added.
 
         Returns
         -------
         LieAlgebra
-            ``e1, e2, ...``: the matrices as given, then the commutators that were added, in ``representation``.
+            Its `representation` has the given matrices, followed by those that were added.
 
         Raises
         ------
         TypeError, ValueError
-            As for `from_matrices`; or more than `max_dim` dimensions.
+            As for `from_matrices`; or the dimension exceeds 256.
 
         Examples
         --------
         >>> g = LieAlgebra.closure([[[0, 1], [0, 0]], [[0, 0], [1, 0]]])
-        >>> g.dim, g.representation[2].tolist()
-        (3, [[1.0, 0.0], [0.0, -1.0]])
+        >>> g
+        LieAlgebra('2 matrices, and e3 = [e1, e2]', dim=3: [e1, e2] = e3, [e1, e3] = -2 e1, [e2, e3] = 2 e2)
+        >>> g.representation[2]
+        array([[ 1.,  0.],
+               [ 0., -1.]])
         """
-        found = read_matrices(matrices)
-        span = MatrixSpan(found, read_basis(None, len(found)))
-        span.close(read_integer(max_dim, "max_dim", 1, MAX_CLOSURE_DIM))
-        return cls(span.constants(), dim=len(span), name=name, representation=span.matrices)
+        from coadjoint.algebra.matrix_span import closed, read_matrices
+
+        given = read_matrices(matrices)
+        first = read_basis(basis, len(given.entries))
+        labels = list(first) if basis is not None else [f"A{k + 1}" for k in range(len(first))]
+        found = closed(given, labels)
+        names = [*first, *(f"e{len(first) + k + 1}" for k in range(len(found.added)))]
+        added = (f"{names[len(first) + k]} = [{names[i]}, {names[j]}]" for k, (i, j) in enumerate(found.added))
+        title = ", and ".join([f"{len(first)} matrices", *(", ".join(added),) * bool(found.added)])
+        return cls(
+            found.constants,
+            dim=len(names),
+            basis=names,
+            name=truncate_title(title) if name is None else name,
+            representation=found.representation,
+        )
 
     @property
     def dim(self) -> int:
