@@ -29,7 +29,8 @@ MEMBERS_OF = (
     (
         "A Lie algebra",
         co.LieAlgebra,
-        "basis bracket casimirs coadjoint dim from_brackets generic_rank name representation structure_matrix",
+        "basis bracket casimirs closure coadjoint dim from_brackets from_matrices generic_rank name representation "
+        "structure_matrix",
     ),
     (
         "A polynomial",

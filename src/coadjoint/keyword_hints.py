@@ -89,11 +89,53 @@ FUNCTIONS: Mapping[str, str] = {
     **dict.fromkeys(("drift", "energy", "casimirs"), "an attribute of a solution of co.integrate, such as sol.drift()"),
     **dict.fromkeys(("RigidBody", "body", "HeavyTop", "top"), "in co.systems, such as co.systems.rigid_body"),
     **dict.fromkeys(("open", "read"), "co.load"),
+    **dict.fromkeys(("from_matrices", "from_brackets", "closure"), "a constructor of co.LieAlgebra, of the same name"),
     **dict.fromkeys(("monte_carlo", "metropolis", "sample", "thermalize", "sampler"), "co.thermal_states"),
     **dict.fromkeys(("structure_factor", "dispersion", "intensities"), "co.spectra.structure_factor"),
     **dict.fromkeys(("autocorrelation", "acf", "integrated_time", "correlation_time"), "co.spectra.autocorrelation"),
 }
 """Usual name of a function -> where it is here."""
+
+
+CONSTRUCTORS: Mapping[str, str] = {
+    **dict.fromkeys(
+        (
+            "from_tensor",
+            "from_structure_constants",
+            "from_constants",
+            "from_array",
+            "from_coefficients",
+            "from_triples",
+        ),
+        "LieAlgebra(constants), for an array of shape (n, n, n) or a list of (i, j, k, c)",
+    ),
+    **dict.fromkeys(
+        ("from_commutators", "from_commutator_table", "from_table", "from_dict", "from_relations", "from_string"),
+        "LieAlgebra.from_brackets",
+    ),
+    **dict.fromkeys(
+        ("from_basis", "from_matrix", "from_generators", "from_representation", "from_matrix_basis", "matrices"),
+        "LieAlgebra.from_matrices",
+    ),
+    **dict.fromkeys(("generated_by", "lie_closure", "span", "generate", "from_span", "complete"), "LieAlgebra.closure"),
+    **dict.fromkeys(("from_name", "by_name", "from_type", "cartan_type"), "co.algebras.get(name)"),
+}
+"""Usual name of a constructor of a Lie algebra -> the one here."""
+
+
+def unknown_constructor(name: str, known: list[str]) -> AttributeError:
+    """Return the AttributeError for an unknown attribute of the class of Lie algebras.
+
+    Examples
+    --------
+    >>> print(unknown_constructor("from_commutators", []))
+    LieAlgebra has no attribute 'from_commutators'; here it is LieAlgebra.from_brackets
+    """
+    text = f"LieAlgebra has no attribute {name!r}"
+    if name in CONSTRUCTORS:
+        return AttributeError(f"{text}; here it is {CONSTRUCTORS[name]}")
+    near = None if name.startswith("_") else nearest(name, known)
+    return AttributeError(f"{text}; did you mean {near!r}?" if near else text)
 
 
 def suggest_keywords(function: Function) -> Function:
@@ -291,6 +333,8 @@ def unknown_function(name: str) -> AttributeError | None:
     coadjoint has no attribute 'solve'; here it is co.integrate
     """
     meant = FUNCTIONS.get(name)
+    if meant is None and name in CONSTRUCTORS and name.startswith(("from_", "lie_")):
+        meant = f"co.{CONSTRUCTORS[name].removeprefix('co.')}"
     return None if meant is None else AttributeError(f"coadjoint has no attribute {name!r}; here it is {meant}")
 
 

@@ -77,6 +77,14 @@ IDEAL = Domain(
      np.full((3, 6), math.nan), np.eye(6)[3:] * 1j, None, 1.0, True),
 )  # fmt: skip
 
+MATRICES = Domain(
+    ([[[1, 0], [0, 0]], [[0, 1], [0, 0]]], np.array([[[1, 0], [0, 0]], [[0, 1j], [0, 0]]]),
+     [[[Fraction(1, 3), 0], [0, 0]], [[0, 1], [0, 0]]]),
+    (np.ones((2, 2, 2)), np.ones((2, 2)), np.ones((5, 2, 2)), np.ones((2, 2, 3)), np.full((2, 2, 2), math.nan),
+     np.zeros((2, 2, 2)), [np.eye(2), np.eye(3)], np.ones((2, 2, 2)) > 0, [[["a"]]], [], None, "", 1.0, True, 1j),
+    r"\bmatri(x|ces)\b",
+)  # fmt: skip
+
 A_LIE_ALGEBRA = instance(SO3, SL2).but_called(r"\bLieAlgebras?\b")
 
 ALGEBRAS = {
@@ -132,6 +140,23 @@ ALGEBRAS = {
             "name": optional(title("g")),
             "representation": Domain((None,), (np.ones((2, 2, 2)), np.ones((2, 2)), "", 1.0, True, [])),
             "casimirs": CASIMIRS,
+        },
+    ),
+    "LieAlgebra.from_matrices": Case(
+        co.LieAlgebra.from_matrices,
+        {
+            "matrices": MATRICES,
+            "basis": Domain((None, ("a", "b")), (("a",), ("a", "a"), ("a", 1), "", 1.0, True, 1j, ("", "b"))),
+            "name": optional(title("g")),
+            "casimirs": CASIMIRS,
+        },
+    ),
+    "LieAlgebra.closure": Case(
+        co.LieAlgebra.closure,
+        {
+            "matrices": MATRICES,
+            "basis": Domain((None, ("a", "b")), (("a",), ("a", "a"), ("a", 1), "", 1.0, True, 1j, ("", "b"))),
+            "name": optional(title("g")),
         },
     ),
     "MatrixAlgebra": Case(

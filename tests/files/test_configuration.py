@@ -1,5 +1,6 @@
 """Configuration files: systems, schemes, polynomials, brackets, and errors by key."""
 
+import re
 from fractions import Fraction
 
 import numpy as np
@@ -164,6 +165,42 @@ def test_errors_of_own_algebras_have_the_key(written, changes, expected):
     message = str(error.value)
     assert "\n" not in message
     assert message.startswith(f"run.toml: {expected}")
+
+
+BY_MATRICES = (
+    ("dim = 3\n", 'basis = ["a", "b", "c"]\n'),
+    (
+        'brackets = ["[e1, e2] = e3", "[e2, e3] = e1", "[e3, e1] = e2"]',
+        "matrices = [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], "
+        "[[0, -1, 0], [1, 0, 0], [0, 0, 0]]]",
+    ),
+    ('"x1^2 + x2^2 + x3^2"', '"a^2 + b^2 + c^2"'),
+)
+
+
+def test_an_algebra_by_its_matrices(written):
+    found = load(written(OWN, *BY_MATRICES))
+    assert found.system.algebra == co.algebras.so(3) and found.system.algebra.basis == ("a", "b", "c")
+    assert np.array_equal(found.system.algebra.representation, co.algebras.so(3).representation)
+    with_attitude = load(written(OWN, *BY_MATRICES, ("x = [1.0, 0.1, 0.5]", "x = [1.0, 0.1, 0.5]\nattitude = true")))
+    assert with_attitude.integrate().attitude.shape[-2:] == (3, 3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ([("[0, 1, 0]]", "[0, 1, 1]]")], "algebra.matrices: [a, b] is not in the span of the 3 matrices"),
+        ([("[0, 1, 0]]", "[0, 1]]")], "algebra.matrices: "),
+        ([("[0, 1, 0]]", '[0, 1, "x"]]')], "algebra.matrices"),
+        ([("basis =", "dim = 4\nbasis =")], "algebra.dim: is 4, and there are 3 matrices"),
+        ([('["a", "b", "c"]', '["a", "b"]')], "algebra.matrices: basis must have 3 names"),
+        ([("matrices =", 'brackets = ["[a, b] = c"]\nmatrices =')], "algebra.matrices: is given with brackets"),
+        ([("basis =", 'name = "so(3)"\nbasis =')], "algebra.name: is for an algebra of the catalogue; give it or m"),
+    ],
+)
+def test_errors_of_matrices_have_the_key(written, changes, expected):
+    with pytest.raises(ConfigurationError, match="^run.toml: " + re.escape(expected)):
+        load(written(OWN, *BY_MATRICES, *changes))
 
 
 def test_text_other_than_utf8_is_refused(tmp_path):

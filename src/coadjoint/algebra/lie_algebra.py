@@ -17,7 +17,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
 from coadjoint.algebra.representation import check_representation
 from coadjoint.algebra.structure import Structure
-from coadjoint.keyword_hints import unknown_constructor
+from coadjoint.keyword_hints import suggest_keywords, unknown_constructor
 from coadjoint.short_repr import html_table, short
 from coadjoint.validation import read_integer, read_list, read_title, truncate_title
 
@@ -34,6 +34,7 @@ class Constructors(type):
         raise unknown_constructor(name, [known for known in dir(cls) if not known.startswith("_")])
 
 
+@suggest_keywords
 class LieAlgebra(Structure, metaclass=Constructors):
     """A finite-dimensional real Lie algebra, [e_i, e_j] = sum_k c_ij^k e_k, given by its structure constants.
 

@@ -199,28 +199,40 @@ def _check_dimension(name: str, table: AlgebraTable, states: Any) -> None:
 
 
 def _algebra(name: str, table: AlgebraTable) -> LieAlgebra:
-    has_brackets = table.brackets is not None
+    has_brackets, has_matrices = table.brackets is not None, table.matrices is not None
+    if has_brackets and has_matrices:
+        raise ConfigurationError(f"{name}: algebra.matrices: is given with brackets, which follow from it; give one")
     for key in ("dim", "basis"):
-        if getattr(table, key) is not None and not has_brackets:
+        if getattr(table, key) is not None and not has_brackets and not has_matrices:
             raise ConfigurationError(
                 f"{name}: algebra.brackets: is missing; give it with {key}, or a name of the catalogue"
             )
-    if not has_brackets:
+    if not has_brackets and not has_matrices:
         if table.name is None:
-            raise ConfigurationError(f"{name}: algebra.name: is missing; give it, or brackets with dim or basis")
+            raise ConfigurationError(
+                f"{name}: algebra.name: is missing; give it, or brackets with dim or basis, or matrices"
+            )
         if "name" in table.parameters:
             raise ConfigurationError(f"{name}: algebra.parameters.name: no algebra has a parameter of this name")
         with section(name, "algebra"):
             return catalogue.get(table.name, **table.parameters)
     if table.name is not None:
+        given = "brackets" if has_brackets else "matrices"
         raise ConfigurationError(
-            f"{name}: algebra.name: is for an algebra of the catalogue; give it or brackets, not both "
+            f"{name}: algebra.name: is for an algebra of the catalogue; give it or {given}, not both "
             "(a title goes into the key name at the top)"
         )
     if table.parameters:
         raise ConfigurationError(
             f"{name}: algebra.parameters: belongs to an algebra of the catalogue; write numbers in brackets"
         )
+    if table.matrices is not None:
+        if table.dim not in (None, len(table.matrices)):
+            raise ConfigurationError(
+                f"{name}: algebra.dim: is {table.dim}, and there are {len(table.matrices)} matrices"
+            )
+        with section(name, "algebra.matrices"):
+            return LieAlgebra.from_matrices(table.matrices, basis=table.basis)
     dim = table.dim if table.dim is not None else len(table.basis or ())
     if dim == 0:
         raise ConfigurationError(f"{name}: algebra.dim: is missing; give it, or basis")

@@ -45,7 +45,7 @@ class SystemTable(Table):
 
 
 class AlgebraTable(Table):
-    """An algebra of the catalogue, or one given by brackets."""
+    """An algebra of the catalogue, or one given by brackets or matrices."""
 
     name: str | None = None
     """An algebra of the catalogue, such as "so(4)" or "A3,7"."""
@@ -57,6 +57,8 @@ class AlgebraTable(Table):
     """The names of its basis elements, in the order of the coordinates."""
     brackets: list[str] | None = None
     """Its brackets, such as "[e1, e2] = 2 e3 - e1"; those that are not listed are zero."""
+    matrices: list[list[list[Number]]] | None = None
+    """In place of brackets: square matrices that are a basis and a representation; brackets are their commutators."""
 
 
 class HamiltonianTable(Table):

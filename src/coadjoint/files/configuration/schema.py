@@ -231,6 +231,13 @@ def _algebras(keys: Mapping[str, Schema]) -> Iterator[Schema]:
         "anyOf": [{"required": ["dim"]}, {"required": ["basis"]}],
         "additionalProperties": False,
     }
+    yield {
+        "type": "object",
+        "description": "An algebra of your own, by matrices.",
+        "properties": {**{key: keys[key] for key in ("dim", "basis", "matrices")}, "parameters": EMPTY_TABLE},
+        "required": ["matrices"],
+        "additionalProperties": False,
+    }
     by_parameters: dict[tuple[str, ...], list[str]] = {}
     for name in entries():
         by_parameters.setdefault(parameters_of(name), []).extend((name, name.replace("_", ",")))

@@ -1,0 +1,512 @@
+"""Structure constants of the algebra that matrices span: exact over square roots, else by least squares."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.constants import check_algebra_memory
+from coadjoint.algebra.exact.elimination import Number, Span, Vector, add_multiple
+from coadjoint.algebra.exact.numbers import exact_number, is_finite, rounded
+from coadjoint.algebra.exact.rational_constants import as_fraction
+from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Floats
+from coadjoint.long_operations import long_operation, note_progress
+from coadjoint.memory import check_available_memory
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.short_repr import short
+from coadjoint.validation import read_list, to_array
+
+MAX_RADICALS = 8  # square roots that are independent over the rationals, such as 1, sqrt(2), sqrt(3), sqrt(6)
+MAX_SQUARE = 10**4  # numerator and denominator of the square of a float that is recognized as a square root
+ROOT_ERROR = 4.0 * UNIT_ROUNDOFF  # of such a float: a root, a quotient and a product are rounded
+DISTANCE = 2.0**-40  # from a span, relative to the products in a commutator, below which a matrix belongs to it
+EXACT_INTEGERS = 2.0**53  # floats from here on are integers whatever was rounded
+PRECISION = 1024  # bits of the least squares
+ROOT_BITS = 512
+MAX_DIM = 256  # of a closure
+BYTES_PER_NUMBER = 300  # of an exact number in a dictionary
+
+Roots = dict[int, Number]
+Entries = dict[tuple[int, int], Roots]
+
+
+class Matrices(NamedTuple):
+    """Matrices as exact numbers, sums of rational multiples of square roots, and the rounded real representation."""
+
+    entries: list[Entries]
+    floats: Floats
+    size: int
+    complex: bool
+    hermitian: bool
+    recognized: bool
+    certain: bool
+
+
+class Algebra(NamedTuple):
+    """Constants (i, j, k, c), and the representation; `added` has the pair of each commutator that was added."""
+
+    constants: list[tuple[int, int, int, float]]
+    representation: Floats
+    added: list[tuple[int, int]]
+
+
+def read_matrices(argument: Any) -> Matrices:
+    """Validate matrices (n, d, d); complex ones become real matrices (A, -B; B, A) of twice the size."""
+    rule = "give n square matrices of one size, such as [A1, A2, A3]"
+    matrices = read_list(argument, "matrices", rule)
+    arrays: list[NDArray[Any]] = []
+    for number, matrix in enumerate(matrices, 1):
+        dense = matrix.toarray() if hasattr(matrix, "toarray") else matrix
+        array = to_array(dense, f"matrix A{number}", "iufc")
+        if array.ndim != 2 or array.shape[0] != array.shape[1] or 0 in array.shape:
+            raise ValueError(f"matrix A{number} has shape {array.shape}; {rule}")
+        if arrays and array.shape != arrays[0].shape:
+            raise ValueError(f"matrix A{number} has shape {array.shape}, and A1 has {arrays[0].shape}; {rule}")
+        arrays.append(array)
+    if not arrays:
+        raise ValueError(f"there are no matrices; {rule}")
+    d = len(arrays[0])
+    numbers = [[_parts(value, f"matrix A{n}") for value in array.flat] for n, array in enumerate(arrays, 1)]
+    is_complex = any(imaginary for row in numbers for _, imaginary in row)
+    most = (1 + is_complex) * d * d
+    if len(arrays) > most:
+        raise ValueError(
+            f"there are {len(arrays)} matrices of {d} x {d}, of which at most {most} are independent; leave out those "
+            "that depend on others"
+        )
+    size = d * (1 + is_complex)
+    check_algebra_memory(f"the algebra of {len(arrays)} matrices", len(arrays), len(arrays) * size * size)
+    count = 4 * sum(int(np.count_nonzero(array)) for array in arrays)
+    check_available_memory(BYTES_PER_NUMBER * count, f"exact numbers of {len(arrays)} matrices of {d} x {d}")
+    parts = [part for row in numbers for pair in row for part in pair]
+    certain = all(
+        isinstance(part, int | Fraction) or (part.is_integer() and abs(part) < EXACT_INTEGERS) for part in parts
+    )
+    roots = _recognized(parts)
+    recognized = roots is not None
+    entries, floats = [], np.zeros((len(arrays), size, size))
+    for n, row in enumerate(numbers):
+        entry: Entries = {}
+        for position, pair in enumerate(row):
+            a, b = divmod(position, d)
+            for imaginary, value in enumerate(pair):
+                if value == 0:
+                    continue
+                exact = {1: exact_number(value)} if roots is None else roots[value]
+                places = ((a, b, 1), (a + d, b + d, 1)) if not imaginary else ((a, b + d, -1), (a + d, b, 1))
+                for r, c, sign in places[: 1 + is_complex]:
+                    entry[r, c] = {root: sign * factor for root, factor in exact.items()}
+                    floats[n, r, c] = sign * rounded(value)
+        entries.append(entry)
+    hermitian = is_complex and all(np.array_equal(rho, rho.T) for rho in floats)
+    return Matrices(entries, floats, size, is_complex, hermitian, recognized, certain)
+
+
+def _parts(value: Any, what: str) -> tuple[Any, Any]:
+    """Return the real and the imaginary part of a number, each an int, a Fraction or a float."""
+    exact = exact_number(value) if not isinstance(value, float | complex | np.number) else value
+    if isinstance(exact, int | Fraction):
+        parts: tuple[Any, Any] = exact, 0
+    elif isinstance(value, np.integer):
+        parts = int(value), 0
+    else:
+        try:
+            number = complex(value)
+        except (TypeError, ValueError, OverflowError):
+            raise TypeError(f"{what} contains {short(value)}; give real or complex numbers") from None
+        parts = number.real, number.imag
+    if not all(map(is_finite, parts)):
+        raise ValueError(f"{what} contains {short(value)}; its numbers must be finite in float64")
+    return parts
+
+
+def _recognized(parts: list[Any]) -> dict[Any, Roots] | None:
+    """Return each number as a rational multiple of a square root; None if one is not recognized."""
+    found: dict[Any, Roots] = {}
+    radicals = {1}
+    for value in set(parts):
+        simple = value if isinstance(value, int | Fraction) else as_fraction(value)
+        found[value] = {1: simple} if simple is not None else _square_root(value)
+        if not found[value]:
+            return None
+        root = next(iter(found[value]))
+        if root not in radicals:
+            radicals |= {_product(root, other)[0] for other in radicals}
+            if len(radicals) > MAX_RADICALS:
+                return None
+    return found
+
+
+def _square_root(value: float) -> Roots:
+    """Return {m: q} if a float is q sqrt(m) to round-off, with a square q^2 m that is a simple fraction; else empty.
+
+    Examples
+    --------
+    >>> _square_root(-2 / np.sqrt(3.0)), _square_root(np.pi)
+    ({3: Fraction(-2, 3)}, {})
+    """
+    square = (Fraction(value) ** 2).limit_denominator(MAX_SQUARE)
+    if not 0 < square.numerator <= MAX_SQUARE:
+        return {}
+    product, root, square_free = square.numerator * square.denominator, 1, 1
+    for prime in range(2, math.isqrt(product) + 1):
+        if prime * prime > product:
+            break
+        while product % (prime * prime) == 0:
+            product, root = product // prime**2, root * prime
+        if product % prime == 0:
+            product, square_free = product // prime, square_free * prime
+    factor = Fraction(root, square.denominator) * (1 if value > 0 else -1)
+    roots: Roots = {square_free * product: factor}
+    return roots if abs(_rounded(roots) - value) <= ROOT_ERROR * abs(value) else {}
+
+
+@lru_cache(maxsize=4096)
+def _product(a: int, b: int) -> tuple[int, int]:
+    """Return (m, s) with sqrt(a) sqrt(b) = s sqrt(m), for numbers without square factors."""
+    common = math.gcd(a, b)
+    return (a // common) * (b // common), common
+
+
+def _rounded(roots: Roots) -> float:
+    """Round a sum of rational multiples of square roots once."""
+    if all(root == 1 for root in roots):
+        return rounded(roots.get(1, 0))
+    total = sum(
+        (factor * Fraction(math.isqrt(root << (2 * ROOT_BITS)), 1 << ROOT_BITS) for root, factor in roots.items()),
+        start=Fraction(0),
+    )
+    return rounded(total)
+
+
+def _add_product(total: Entries, left: Entries, right: Entries, sign: int) -> None:
+    by_row: dict[int, list[tuple[int, Roots]]] = {}
+    for (row, column), value in right.items():
+        by_row.setdefault(row, []).append((column, value))
+    for (row, middle), a in left.items():
+        for column, b in by_row.get(middle, ()):
+            entry = total.setdefault((row, column), {})
+            for p, u in a.items():
+                for q, v in b.items():
+                    root, factor = _product(p, q)
+                    add_multiple(entry, sign * factor * u, {root: v})
+
+
+def commutator(left: Entries, right: Entries) -> Entries:
+    """Return the commutator of two matrices, exactly."""
+    total: Entries = {}
+    _add_product(total, left, right, 1)
+    _add_product(total, right, left, -1)
+    return {position: value for position, value in total.items() if value}
+
+
+class ExactSpan:
+    """The span of matrices over a field of square roots: coordinates of a matrix, or None outside of the span.
+
+    Every matrix times every root is a vector over the rationals.
+    """
+
+    def __init__(self, matrices: Sequence[Entries], size: int) -> None:
+        self._size, found = size, {1}
+        for entries in matrices:
+            for value in entries.values():
+                for root in value.keys() - found:
+                    found |= {_product(root, other)[0] for other in found}
+        self.roots = sorted(found)
+        self._index = {root: number for number, root in enumerate(self.roots)}
+        vectors = [self._vector(entries, root) for entries in matrices for root in self.roots]
+        count = sum(map(len, vectors))
+        check_available_memory(BYTES_PER_NUMBER * count, f"the span of {len(matrices)} matrices")
+        self._span = Span(vectors)
+
+    def _vector(self, entries: Entries, root: int = 1) -> Vector:
+        vector: Vector = {}
+        for (row, column), value in entries.items():
+            for other, factor in value.items():
+                product, scale = _product(root, other)
+                add_multiple(
+                    vector, scale * factor, {(row * self._size + column) * len(self.roots) + self._index[product]: 1}
+                )
+        return vector
+
+    def coordinates(self, entries: Entries) -> dict[int, Roots] | None:
+        """Return the coordinates of a matrix by their number."""
+        combination = self._span.combination(self._vector(entries))
+        if combination is None:
+            return None
+        found: dict[int, Roots] = {}
+        for number, value in combination.items():
+            if value:
+                k, root = divmod(number, len(self.roots))
+                found.setdefault(k, {})[self.roots[root]] = value
+        return found
+
+
+class NearestSpan:
+    """The span of matrices of floats: coordinates by least squares in 1024 bits, the same on every machine.
+
+    Each matrix is scaled by a power of two, so that the units of the matrices do not matter.
+    """
+
+    def __init__(self, matrices: Sequence[Entries], size: int) -> None:
+        self._size = size
+        self._exponents = [_exponent(entries) for entries in matrices]
+        self._rows = [_flat(entries, size, e) for entries, e in zip(matrices, self._exponents, strict=True)]
+        self._norms = [math.hypot(*map(float, row)) for row in self._rows]
+        self._projections: dict[int, tuple[Any, Any]] = {}
+
+    def coordinates(self, entries: Entries, i: int, j: int) -> tuple[dict[int, float] | None, float]:
+        """Return the coordinates of the commutator of matrices i and j, None outside of the span, and its distance."""
+        exponent, scale = self._exponents[i] + self._exponents[j], self._norms[i] * self._norms[j]
+        found, distance = self.distance(_flat(entries, self._size, exponent), scale, len(self._rows))
+        if distance > DISTANCE:
+            return None, distance
+        # Components below the rounding of the given numbers are zero.
+        smallest = DEFECT_FACTOR * UNIT_ROUNDOFF * scale
+        return {
+            k: rounded(value * Fraction(2) ** (exponent - self._exponents[k]))
+            for k, value in enumerate(found)
+            if abs(value) * Fraction(self._norms[k]) > smallest
+        }, distance
+
+    def first_dependent(self) -> tuple[int, dict[int, float]] | None:
+        """Return the first matrix that depends on those before it, and its coordinates in them."""
+        from flint import arb, ctx
+
+        with ctx.workprec(PRECISION):
+            known = self._known(len(self._rows))
+            gram = (known * known.transpose()).mid().tolist()
+            lower: list[list[Any]] = []  # L of L D L^T; D has the squared distances
+            squares: list[Any] = []
+            for k, norm in enumerate(self._norms):
+                row: list[Any] = []
+                for j in range(k):
+                    total = gram[k][j] - sum((row[m] * lower[j][m] * squares[m] for m in range(j)), start=arb(0))
+                    row.append((total / squares[j]).mid())
+                square = gram[k][k] - sum((v * v * d for v, d in zip(row, squares, strict=True)), start=arb(0))
+                if not square.mid() > (arb(DISTANCE) * arb(norm)) ** 2:
+                    found, _ = self.distance(self._rows[k], norm, k) if norm else ([], 0.0)
+                    powers = (Fraction(2) ** (self._exponents[k] - e) for e in self._exponents)
+                    return k, {i: rounded(v * q) for i, (v, q) in enumerate(zip(found, powers, strict=False)) if v}
+                lower.append(row)
+                squares.append(square.mid())
+        return None
+
+    def _known(self, count: int) -> Any:
+        """Return the first `count` matrices as the rows of a matrix."""
+        from flint import arb_mat
+
+        return arb_mat([[_to_arb(value) for value in row] for row in self._rows[:count]])
+
+    def _projection(self, count: int) -> tuple[Any, Any]:
+        """Return the transposed matrices, and the map from a matrix to its coordinates."""
+        if count not in self._projections:
+            known = self._known(count)
+            self._projections[count] = known.transpose(), ((known * known.transpose()).mid().inv() * known).mid()
+        return self._projections[count]
+
+    def distance(self, row: list[Fraction], scale: float, count: int) -> tuple[list[Fraction], float]:
+        """Return the coordinates in the first `count` matrices of the nearest one, and its distance over `scale`."""
+        from flint import arb, arb_mat, ctx
+
+        if not count:
+            return [], math.hypot(*map(float, row)) / scale
+        with ctx.workprec(PRECISION):
+            transposed, projection = self._projection(count)
+            target = arb_mat([[_to_arb(value)] for value in row])
+            found = (projection * target).mid()
+            rest = (target - transposed * found).mid()
+            square = sum((value * value for value in rest.entries()), start=arb(0))
+            return [_from_arb(value) for value in found.entries()], float(square.mid().sqrt()) / scale
+
+
+def _exponent(entries: Entries) -> int:
+    """Return about the binary logarithm of the largest entry."""
+    values = [Fraction(value[1]) for value in entries.values()]
+    return max((abs(v.numerator).bit_length() - v.denominator.bit_length() for v in values), default=0)
+
+
+def _flat(entries: Entries, size: int, exponent: int) -> list[Fraction]:
+    row = [Fraction(0)] * (size * size)
+    for (a, b), value in entries.items():
+        row[a * size + b] = Fraction(value[1]) / Fraction(2) ** exponent
+    return row
+
+
+def _to_arb(value: Fraction) -> Any:
+    from flint import arb
+
+    return arb(value.numerator) / arb(value.denominator)
+
+
+def _from_arb(value: Any) -> Fraction:
+    mantissa, exponent = value.mid().man_exp()
+    return Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
+
+
+@long_operation("from_matrices")
+def spanned(given: Matrices, names: Sequence[str]) -> Algebra:
+    """Return the algebra spanned by matrices; ValueError if they are dependent, or a commutator leaves their span."""
+    missing: tuple[int, int, Entries, float] | None = None
+    if given.recognized:
+        _check_exactly_independent(given, names)
+        constants, missing = _constants(given.entries, _exact(given))
+        if missing is None:
+            return Algebra(constants, given.floats, [])
+    if not given.certain:
+        rounded_ones = _as_floats(given)
+        constants, missing = _constants(rounded_ones, _independent(rounded_ones, names, given.size))
+        if missing is None:
+            return Algebra(constants, given.floats, [])
+    assert missing is not None
+    i, j, matrix, distance = missing
+    text = short(_shown(matrix, given).tolist(), 300)
+    by = f" by {distance:.1e} of the size of its products" if distance else ""
+    hint = "add this matrix, or complete the set by LieAlgebra.closure"
+    if given.hermitian:
+        hint = "for Hermitian matrices give -1j or 1j times them, which are closed where these are not"
+    raise ValueError(
+        f"[{names[i]}, {names[j]}] is not in the span of the {len(given.entries)} matrices{by}: it is {text}; {hint}"
+    )
+
+
+def _as_floats(given: Matrices) -> list[Entries]:
+    """Return the rounded matrices, as exact numbers."""
+    return [
+        {(int(a), int(b)): {1: exact_number(float(rho[a, b]))} for a, b in zip(*np.nonzero(rho), strict=True)}
+        for rho in given.floats
+    ]
+
+
+def _shown(entries: Entries, given: Matrices) -> Any:
+    """Return a matrix for messages: complex if the given ones are."""
+    dense = np.zeros((given.size, given.size))
+    for position, value in entries.items():
+        dense[position] = _rounded(value)
+    if not given.complex:
+        return dense
+    d = given.size // 2
+    return dense[:d, :d] + 1j * dense[d:, :d]
+
+
+Coordinates = Callable[[Entries, int, int], tuple[dict[int, float] | None, float]]
+
+
+def _exact(given: Matrices) -> Coordinates:
+    span = ExactSpan(given.entries, given.size)
+
+    def coordinates(entries: Entries, i: int, j: int) -> tuple[dict[int, float] | None, float]:
+        found = span.coordinates(entries)
+        return (None if found is None else {k: _rounded(value) for k, value in found.items()}), 0.0
+
+    return coordinates
+
+
+def _constants(
+    matrices: Sequence[Entries], coordinates: Coordinates
+) -> tuple[list[tuple[int, int, int, float]], tuple[int, int, Entries, float] | None]:
+    """Return the constants, and the first pair whose commutator is outside of the span, with it and its distance."""
+    constants = []
+    for i, left in enumerate(matrices):
+        note_progress(f"the commutators of {len(matrices)} matrices", i / len(matrices))
+        for j in range(i + 1, len(matrices)):
+            bracket = commutator(left, matrices[j])
+            if not bracket:
+                continue
+            found, distance = coordinates(bracket, i, j)
+            if found is None:
+                return [], (i, j, bracket, distance)
+            constants += [(i, j, k, value) for k, value in found.items()]
+    return constants, None
+
+
+def _check_exactly_independent(given: Matrices, names: Sequence[str]) -> None:
+    """Raise a ValueError with the first matrix that is a combination of those before it, and the combination."""
+    try:
+        ExactSpan(given.entries, given.size)
+        return
+    except ValueError as error:
+        if "combination" not in str(error):
+            raise
+    first, last = 0, len(given.entries)  # those before `first` are independent, those before `last` are not
+    while last - first > 1:
+        middle = (first + last) // 2
+        try:
+            ExactSpan(given.entries[:middle], given.size)
+            first = middle
+        except ValueError:
+            last = middle
+    found = ExactSpan(given.entries[:first], given.size).coordinates(given.entries[first]) or {}
+    raise _dependent(names, first, {k: _rounded(value) for k, value in found.items()})
+
+
+def _independent(matrices: Sequence[Entries], names: Sequence[str], size: int) -> Coordinates:
+    """Return the coordinates by least squares; ValueError if the matrices are dependent."""
+    span = NearestSpan(matrices, size)
+    dependent = span.first_dependent()
+    if dependent is not None:
+        raise _dependent(names, *dependent)
+    return span.coordinates
+
+
+def _dependent(names: Sequence[str], k: int, combination: dict[int, float]) -> ValueError:
+    """Return the error for a matrix that depends on others."""
+    terms = " + ".join(f"{value:.6g} {names[i]}" for i, value in list(combination.items())[:6])
+    more = " + ..." if len(combination) > 6 else ""
+    return ValueError(f"the matrices are dependent: {names[k]} = {terms or '0'}{more}; leave {names[k]} out")
+
+
+@long_operation("closure")
+def closed(given: Matrices, names: list[str]) -> Algebra:
+    """Return the algebra generated by matrices: commutators with the given ones are added until all are in the span.
+
+    `names` receives the names of added ones. Commutators with generators suffice by the Jacobi identity.
+    """
+    exact = given.recognized
+    if exact:
+        _check_exactly_independent(given, names)
+        matrices, span = list(given.entries), _exact(given)
+    else:
+        matrices = _as_floats(given)
+        span = _independent(matrices, names, given.size)
+    generators, added = len(matrices), list[tuple[int, int]]()
+    i = 1
+    while i < len(matrices):
+        note_progress(f"the commutators of {len(matrices)} matrices")
+        for g in range(min(i, generators)):
+            bracket = commutator(matrices[g], matrices[i])
+            if not bracket:
+                continue
+            found, _ = span(bracket, g, i)
+            if found is None:
+                if len(matrices) == MAX_DIM:
+                    raise ValueError(
+                        f"{generators} matrices generate an algebra of dimension above {MAX_DIM}; give fewer, or a "
+                        "basis to LieAlgebra.from_matrices"
+                    )
+                if not exact:
+                    bracket = _rounded_entries(bracket)
+                matrices.append(bracket)
+                added.append((g, i))
+                names.append(f"A{len(matrices)}")
+                complete = given._replace(entries=matrices)
+                span = _exact(complete) if exact else NearestSpan(matrices, given.size).coordinates
+        i += 1
+    floats = np.zeros((len(matrices), given.size, given.size))
+    floats[:generators] = given.floats
+    for k in range(generators, len(matrices)):
+        for position, value in matrices[k].items():
+            floats[(k, *position)] = _rounded(value)
+    complete = given._replace(entries=matrices, floats=floats)
+    return spanned(complete, names)._replace(added=added)
+
+
+def _rounded_entries(entries: Entries) -> Entries:
+    values = {position: _rounded(value) for position, value in entries.items()}
+    return {position: {1: exact_number(value)} for position, value in values.items() if value}
