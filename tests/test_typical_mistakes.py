@@ -58,10 +58,6 @@ MISTAKES = {
         lambda: co.integrate(co.systems.spin_lattice("ring", 4), np.ones((4, 3)), SPAN, 0.1),
         "x0 has the shape (4, 3); it must be (12,) or (members, 12); np.ravel(x0) makes one state of its numbers",
     ),
-    "a Hamiltonian as text": (
-        lambda: SYSTEM(SO3, "x1^2/2"),
-        "the Hamiltonian is the text 'x1^2/2'; give co.Polynomial(text, 3) if its coordinates are x1, x2, ..., or",
-    ),
     "an event as text": (lambda: full(events="x2"), "events is 'x2'; give an Event, such as co.Event('x2'), or a list"),
     "a polynomial as an event": (
         lambda: full(events=co.Event("x2^2 - 0.1")),
