@@ -165,7 +165,11 @@ class _Measured:
                 rounding[~np.isfinite(rounding)] = 0.0
             else:
                 rounding = self.rounding[member]
-            errors = np.maximum(0.0, errors - np.maximum(ROUNDING * groups.norms(states), HALVED * rounding))
+            sizes = groups.norms(states)
+            # If a step loses the largest group too, it is so large that it amplifies rounding.
+            amplified = np.where(sizes == sizes.max(axis=1, keepdims=True), rounding > WARNED * sizes, False)
+            rounded = np.where(amplified.any(axis=1, keepdims=True), 0.0, HALVED * rounding)
+            errors = np.maximum(0.0, errors - np.maximum(ROUNDING * sizes, rounded))
         failed = ~np.isfinite(errors + changes).all(axis=1)
         errors[failed], changes[failed] = 0.0, 0.0
         return Step(errors, changes, rounding)
