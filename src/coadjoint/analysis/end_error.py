@@ -17,7 +17,7 @@ from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.rounded_runs import advance_in_turns
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import momenta_of, with_group
-from coadjoint.runs.step_error import lossy_members
+from coadjoint.runs.step_error import loses_digits
 from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.protocol import forces_of, is_batch
@@ -85,7 +85,7 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
         resolved = valid & ((distances[0] > ROUNDOFF_FACTOR * roundoff) | (counts[pending] == 2))
         pending = pending[~resolved]
     errors = np.sqrt(squares / np.maximum(counts, 1))
-    if lossy_members(solution):
+    if loses_digits(solution):
         same_steps = FinerRun(solution.method, steps, 0.0)
         rounded = _distances(solution, groups, starts, ends, time, same_steps, advance_in_turns)
         errors = np.maximum(errors, np.where(np.isfinite(rounded), rounded, 0.0))

@@ -68,7 +68,7 @@ def step_error(solution: Solution, by_group: bool = False) -> float | dict[str, 
     return measured.worst().error
 
 
-def lossy_members(solution: Solution) -> bool:
+def loses_digits(solution: Solution) -> bool:
     """Test whether a step loses many digits of a group by rounding; False if steps cannot be repeated."""
     method, system = solution.method, solution.system
     if method.own_steps or any(force.random for _, force in forces_of(system)):
@@ -136,7 +136,7 @@ class _Measured:
         else:
             step = self._step(None, np.concatenate(states), points[0][0])
             step = Step(*(part.reshape(len(points), -1, self.groups.count) for part in step))
-        norms = self.groups.norms(np.stack(states))
+        norms = self.groups.norms(states[0][None] if len(points) == 1 else np.stack(states))
         held = np.stack([held for _, _, held in points])
         if not held.all():
             step, norms = Step(*(np.where(held[..., None], part, 0.0) for part in step)), norms * held[..., None]
