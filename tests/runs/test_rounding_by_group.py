@@ -278,3 +278,30 @@ def test_the_repeated_run_is_a_part_of_long_ones(monkeypatch):
     monkeypatch.setattr(module, "_most_steps", lambda *_: 24)
     part = module._Measured(sol, prepared).rounded_group()
     assert part is not None and whole.error / 10 < part.error < 10 * whole.error
+
+
+@functools.cache
+def pair():
+    """Two particles on a line with a spring, in canonical coordinates: momenta are fed by a difference of positions."""
+    spring = co.Hamiltonian(lambda q: 0.5 * (q[0] - q[1]) ** 2 + 0.1 * (q[0] - q[1]) ** 4)
+    H = co.SplitHamiltonian([((0, 1), spring), ((2, 3), co.Quadratic(1.0))])
+    return co.LiePoissonSystem(co.algebras.heisenberg(2), H)
+
+
+@pytest.mark.parametrize("method", [METHOD, co.GaussLegendre(2), co.ExplicitRungeKutta("rk4")])
+@pytest.mark.parametrize(("offset", "warned"), [(1e4, False), (1e8, False), (1e12, None), (1e14, True)])
+def test_momenta_beside_large_positions(offset, warned, method):
+    """The same motion around the origin is the reference; errors of both by truncation are equal."""
+    x0, span = np.array([0.5, -0.5, 0.3, -0.2, 1.0]), (0, 100)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        sol = co.integrate(pair(), x0 + np.array([offset, offset, 0, 0, 0]), span, 0.05, method)
+    assert warned is None or [one.category for one in found] == [co.RoundingWarning] * warned
+    near = co.integrate(pair(), x0, span, 0.05, method)
+    rounded = np.abs(sol.x - near.x)[:, 2:4].max(axis=0) / np.abs(near.x)[:, 2:4].max(axis=0)
+    told, by_step = sol.error_estimate(by_group=True), near.error_estimate(by_group=True)
+    for name, error in zip(("p1", "p2"), rounded, strict=True):
+        total = np.hypot(error, by_step[name])
+        assert total / 10 < told[name] < 10 * total
+    assert sol.error_estimate() < 1e-7
+    assert warned is None or (rounded.max() > 0.02) == warned

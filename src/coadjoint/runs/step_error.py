@@ -48,7 +48,7 @@ WARNED, SUGGESTED = 0.02, 0.002
 # Largest change by the field in a step, relative to the error of a step, of a state that is at rest.
 AT_REST = 0.01
 # Differences between a step and two half steps by rounding alone, relative to that by its direction.
-HALVED = 4.0
+HALVED = 8.0
 # Rounding of a group in a step, relative to its size, below which the group keeps its digits in any run.
 EXCESS = 2.0**14 * UNIT_ROUNDOFF
 # Rounding of a step, relative to a group at the start, above which the group is zero but for rounding.
@@ -60,12 +60,15 @@ ROUNDED = 0.01
 ROUNDED_POINTS = 16
 
 
-def step_error(solution: Solution, by_group: bool = False) -> float | dict[str, float]:
+def step_error(solution: Solution) -> float:
     """Return the largest error of a step among the members, relative to the change of the state; see `Solution`."""
+    return _Measured(solution, None).worst().error
+
+
+def step_errors_of_groups(solution: Solution) -> dict[str, float]:
+    """Return the same for each group of coordinates, relative to its own change, by the names of the groups."""
     measured = _Measured(solution, None)
-    if by_group:
-        return dict(zip(measured.groups.names(), measured.errors_of_groups().tolist(), strict=True))
-    return measured.worst().error
+    return dict(zip(measured.groups.names(), measured.errors_of_groups().tolist(), strict=True))
 
 
 def loses_digits(solution: Solution) -> bool:

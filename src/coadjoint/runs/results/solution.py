@@ -304,10 +304,10 @@ class Solution(SolutionOutput):
         >>> co.integrate(top, x0, (0, 10), step=0.05, method=co.Splitting(order=4)).step_error() < 1e-3
         True
         """
-        from coadjoint.runs.step_error import step_error
+        from coadjoint.runs.step_error import step_error, step_errors_of_groups
 
         if read_bool(by_group, "by_group"):
-            return NamedValues(step_error(self, by_group=True))
+            return NamedValues(step_errors_of_groups(self))
         error: Any = self.__dict__.get("_step_error")
         if error is None:
             error = self.__dict__["_step_error"] = step_error(self)
