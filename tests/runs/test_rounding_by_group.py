@@ -305,3 +305,16 @@ def test_momenta_beside_large_positions(offset, warned, method):
         assert total / 10 < told[name] < 10 * total
     assert sol.error_estimate() < 1e-7
     assert warned is None or (rounded.max() > 0.02) == warned
+
+
+@pytest.mark.parametrize("size", [1e-310, 1e-160, 1e160, 1e300])
+@pytest.mark.parametrize("group", [0, 1])
+def test_groups_whose_squares_are_no_numbers_raise_no_warning(group, size):
+    """Beside others of size one."""
+    lattice = co.systems.spin_lattice("chain", 2)
+    x0 = np.array([0.3, 0.2, 0.8, -0.5, 0.4, 0.1])
+    x0[3 * group : 3 * group + 3] *= size
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sol = co.integrate(lattice, x0, (0, 1 / max(1.0, size)), 0.1 / max(1.0, size))
+        sol.step_error(by_group=True), sol.error_estimate(by_group=True)

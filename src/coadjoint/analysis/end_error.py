@@ -20,6 +20,7 @@ from coadjoint.runs.start import momenta_of, with_group
 from coadjoint.runs.step_error import loses_digits
 from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import CoordinateGroups
+from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.protocol import forces_of, is_batch
 
 # Numbers of steps of the finer runs, relative to the run; the next one is used if the error is not yet resolved. They
@@ -35,6 +36,7 @@ MAX_SAVED_NUMBERS = 2**22
 FEW_STEPS = 20
 
 
+@ignore_overflow
 def error_at_end(solution: Solution) -> NDArray[np.float64]:
     """Estimate the errors at the end of a run, shape (1 + groups, members): of the state, and of each group.
 

@@ -22,6 +22,7 @@ from coadjoint.runs.run import Run
 from coadjoint.runs.start import momenta_of, vector_size, with_group
 from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import CoordinateGroups
+from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.protocol import forces_of, is_batch, member_of, rows_of, states_of
 
 Floats = NDArray[np.float64]
@@ -112,6 +113,7 @@ class Rounded(NamedTuple):
 class _Measured:
     """Steps of a run at a few points: their errors, changes and rounding, by member and group of coordinates."""
 
+    @ignore_overflow
     def __init__(self, solution: Solution, prepared: PreparedRun | None) -> None:
         # An archive need not know its scheme and system; that of a run with inputs has their values.
         described: Any = solution if prepared is None or prepared.takes_inputs else prepared
@@ -150,29 +152,28 @@ class _Measured:
     def _step(self, member: int | None, states: Floats, t: float) -> Step:
         """Measure a step from states; of a member with its known rounding, and zero if it cannot be repeated."""
         h, groups, prepared = self.h, self.groups, self.prepared if member is None else self._of_member(member)
-        with np.errstate(over="ignore", invalid="ignore"):
-            middle, halved = _run(prepared, states, Times(t, 0.5 * h, 2, 1).with_saved_steps([1, 2]))
-            change = groups.norms(middle - states)
-            # Without the arrays of this run, of a large state.
-            halved, middle = halved.copy(), None
-            whole = Times(t, h, 1, 1).with_saved_steps([1])
-            (full,) = _run(prepared, states, whole)
-            # The difference of two half steps from a step of order p is all but 2^-p of the error of the latter.
-            factor = 1.0 / (1.0 - 0.5**self.method.order)
-            errors = factor * groups.norms(full - halved)
-            changes = np.maximum(groups.norms(full - states), change)
-            if member is None:
-                halved, full = None, full.copy()
-                (up,) = _run(self.alone, states, whole, advance_up)
-                rounding = groups.norms(up - full)
-                rounding[~np.isfinite(rounding)] = 0.0
-            else:
-                rounding = self.rounding[member]
-            sizes = groups.norms(states)
-            # If a step loses the largest group too, it is so large that it amplifies rounding.
-            amplified = np.where(sizes == sizes.max(axis=1, keepdims=True), rounding > WARNED * sizes, False)
-            rounded = np.where(amplified.any(axis=1, keepdims=True), 0.0, HALVED * rounding)
-            errors = np.maximum(0.0, errors - np.maximum(ROUNDING * sizes, rounded))
+        middle, halved = _run(prepared, states, Times(t, 0.5 * h, 2, 1).with_saved_steps([1, 2]))
+        change = groups.norms(middle - states)
+        # Without the arrays of this run, of a large state.
+        halved, middle = halved.copy(), None
+        whole = Times(t, h, 1, 1).with_saved_steps([1])
+        (full,) = _run(prepared, states, whole)
+        # The difference of two half steps from a step of order p is all but 2^-p of the error of the latter.
+        factor = 1.0 / (1.0 - 0.5**self.method.order)
+        errors = factor * groups.norms(full - halved)
+        changes = np.maximum(groups.norms(full - states), change)
+        if member is None:
+            halved, full = None, full.copy()
+            (up,) = _run(self.alone, states, whole, advance_up)
+            rounding = groups.norms(up - full)
+            rounding[~np.isfinite(rounding)] = 0.0
+        else:
+            rounding = self.rounding[member]
+        sizes = groups.norms(states)
+        # If a step loses the largest group too, it is so large that it amplifies rounding.
+        amplified = np.where(sizes == sizes.max(axis=1, keepdims=True), rounding > WARNED * sizes, False)
+        rounded = np.where(amplified.any(axis=1, keepdims=True), 0.0, HALVED * rounding)
+        errors = np.maximum(0.0, errors - np.maximum(ROUNDING * sizes, rounded))
         failed = ~np.isfinite(errors + changes).all(axis=1)
         errors[failed], changes[failed] = 0.0, 0.0
         return Step(errors, changes, rounding)
@@ -197,6 +198,7 @@ class _Measured:
         """Return states (..., members, n) of the chosen members with groups relative to their sizes."""
         return states if self.groups.count == 1 else states * self.weights[members][..., self.groups.labels]
 
+    @ignore_overflow
     def errors_of_groups(self) -> Floats:
         """Return the error of a step with its rounding, relative to the change of the group, the largest of members."""
         errors = np.sum(self.step.errors**2 + self._excess() ** 2, axis=0)
@@ -206,6 +208,7 @@ class _Measured:
         """Return the rounding of the steps beyond that of a group that keeps its digits."""
         return np.maximum(0.0, self.step.rounding - EXCESS * self.sizes)
 
+    @ignore_overflow
     def worst(self) -> Worst:
         """Return the member with the largest error of a step."""
         solution, system, weights = self.solution, self.system, self.weights
@@ -244,6 +247,7 @@ class _Measured:
         end = float(ends_by_events(solution)[self.members[m]])
         return abs((solution.t_span[1] if math.isnan(end) else end) - solution.t_span[0]) / solution.step
 
+    @ignore_overflow
     def rounded_group(self) -> Rounded | None:
         """Return the group that rounding changes most in the run of a member, relative to its size; None if little.
 
@@ -269,9 +273,8 @@ class _Measured:
             [_run(prepared, state, times, partial(advance_in_turns, first=first)) for first in (1, -1)],
             axis=1,
         )
-        with np.errstate(over="ignore", invalid="ignore"):
-            differences = self.groups.norms(rounded - path).max(axis=(0, 1))
-            sizes = self.groups.norms(path)[:, 0].max(axis=0)
+        differences = self.groups.norms(rounded - path).max(axis=(0, 1))
+        sizes = self.groups.norms(path)[:, 0].max(axis=0)
         errors = np.divide(
             differences, sizes, out=np.zeros_like(sizes), where=own[m] & (self.starts[m] > 0.0) & (sizes > 0.0)
         )
@@ -423,8 +426,7 @@ def _run(prepared: PreparedRun, states: Floats, times: Times, advance: Callable[
 
 def _ratios(errors: Floats, changes: Floats) -> Floats:
     """Return the roots of the ratios of squares; zero where nothing changes."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratios: Floats = np.nan_to_num(np.sqrt(errors / changes), nan=0.0)
+    ratios: Floats = np.nan_to_num(np.sqrt(errors / changes), nan=0.0)
     return ratios
 
 
