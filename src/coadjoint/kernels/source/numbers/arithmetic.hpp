@@ -47,8 +47,9 @@ template <class A>
 INLINE Rotation<A> reduced_rotation(const A& phi, const typename Numbers<A>::Mask& near) {
     A shifted = fma(phi, A(TWO_OVER_PI), A(ROUND));
     // Where rounding is up or down (boundary/rounding.cpp), the nearest integer is one less or more.
-    A rest = fma(phi, A(TWO_OVER_PI), A(ROUND) - shifted);
-    shifted = shifted + select(rest > A(HALF), A(1.0), select(rest < A(-HALF), A(-1.0), A(0.0)));
+    const A rest = fma(phi, A(TWO_OVER_PI), A(ROUND) - shifted);
+    if (__builtin_expect(any(absolute(rest) > A(HALF)), 0))
+        shifted = shifted + select(rest > A(HALF), A(1.0), select(rest < A(-HALF), A(-1.0), A(0.0)));
     A q = shifted - ROUND;
     A large = fma(-q, A(P1), phi), small = -q * P2;
     A r = large + small;
