@@ -23,7 +23,7 @@ PARAMETERS = [(name, parameter) for name, case in CASES.items() for parameter in
 RESULTS = {"Certificate", "Choice", "Corrector", "Frequencies", "IntegrationError", "LargeStepWarning",
            "LongWait", "Equilibrium", "ThermalStates",
            "LyapunovExponents", "ModifiedField", "ModifiedHamiltonian", "PhaseDrift", "PreparedRun",
-           "RecordedEvents", "Section", "Solution"}  # fmt: skip
+           "RecordedEvents", "RoundingWarning", "Section", "Solution"}  # fmt: skip
 # Functions of existing systems and schemes; their arguments are in tests/test_hostile_input.py.
 USES = {"certify", "choose", "equilibrium", "fit", "frequencies", "identify", "integrate", "integrate_ensemble", "load",
         "lyapunov", "make_corrector", "modified_field", "modified_hamiltonian", "open_archive", "phase_drift",

@@ -248,7 +248,7 @@ CALLS = {
 NOT_CALLED = {"Certificate", "Choice", "Corrector", "Frequencies", "IntegrationError", "LargeStepWarning",
               "LongWait", "Equilibrium", "equilibrium", "ThermalStates",
               "LyapunovExponents", "ModifiedField", "ModifiedHamiltonian", "PhaseDrift", "PreparedRun",
-              "RecordedEvents", "Section", "Solution"}  # fmt: skip
+              "RecordedEvents", "RoundingWarning", "Section", "Solution"}  # fmt: skip
 SLOW = [("predicted_drift", "step"), ("certify", "step"), ("exact", "t"), ("level_surface", "box")]
 # A prepared run validates its span as "run" does.
 SLOW += [(name, "t_span") for name in ("end", "run to an accuracy", "end to an accuracy")]

@@ -40,6 +40,7 @@ from .choosing.accuracy import Choice as Choice
 from .choosing.accuracy import choose as choose
 from .errors import IntegrationError as IntegrationError
 from .errors import LargeStepWarning as LargeStepWarning
+from .errors import RoundingWarning as RoundingWarning
 from .files.archives.archived_solution import open_archive as open_archive
 from .files.archives.ensemble import ensemble as ensemble
 from .files.archives.ensemble import integrate_ensemble as integrate_ensemble

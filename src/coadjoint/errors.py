@@ -71,6 +71,22 @@ class LargeStepWarning(UserWarning):
     """
 
 
+class RoundingWarning(UserWarning):
+    """Warning that rounding changes a small group of coordinates by about 2 per cent of its size, or more, in a run.
+
+    It comes of larger numbers that nearly cancel in each step, such as the torque of a central force. Shorter steps do
+    not help. See `Solution.error_estimate` with ``by_group=True``.
+
+    Examples
+    --------
+    Make it an error:
+
+    >>> import warnings
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("error", RoundingWarning)
+    """
+
+
 class OneLineError(ValueError):
     """Base class of errors whose message is one line of bounded length.
 

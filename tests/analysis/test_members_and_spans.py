@@ -103,7 +103,7 @@ TABLE: dict[str, dict[str, Entry]] = {
         "function": Entry(lambda sol: co.frequencies(sol, third, count=2)),
     },
     "signals.sampled": {"momentum": Entry(sampled)},
-    "end_error.error_at_end": {"at the end": Entry(error_at_end, {"scheme": "accuracy"})},
+    "end_error.error_at_end": {"at the end": Entry(lambda sol: error_at_end(sol)[0], {"scheme": "accuracy"})},
     "round_off.round_off": {"invariants": Entry(round_off, alone=False)},
     "round_off.orthogonality": {"attitude": Entry(orthogonality, alone=False)},
     "round_off.spatial_momentum": {"momentum": Entry(spatial_momentum, {"attitude": "coadjoint"}, alone=False)},

@@ -10,6 +10,7 @@ import pytest
 
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.tables.structures import address
+from coadjoint.runs.rounded_runs import rounding
 
 U = 2.0**-53
 
@@ -205,3 +206,25 @@ def test_solution(size, lanes):
 @pytest.mark.parametrize("A", [np.zeros((2, 2)), np.ones((3, 3)), np.array([[np.nan, 1.0], [1.0, 1.0]])])
 def test_singular_and_undefined_matrices_are_told(A):
     assert solve(A, np.ones((len(A), 1)))[0] == 0
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("where", ["every magnitude", "one turn", "around multiples of pi/2", "at the octants"])
+def test_rotations_rounded_up_or_down_are_near_those_rounded_to_nearest(direction, where):
+    """The angle is reduced to the same octant; series of more than 30 operations differ by fewer units."""
+    angles = ANGLES[where]
+    nearest = has_compiled_bracket(rotations, angles)
+    with rounding(direction):
+        rounded = has_compiled_bracket(rotations, angles)
+    assert 0.0 < np.abs(rounded - nearest).max() <= 32 * U
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize(("what", "bound"), [(hyperbolics, 2.0**13), (3, 2.0**13), (4, 2.0**13)])
+def test_growth_rounded_up_or_down_keeps_most_digits(direction, what, bound):
+    """Below the 2^14 units from which on a group loses digits."""
+    arguments = np.random.default_rng(5).uniform(-20.0, 20.0, 4000)
+    nearest = has_compiled_bracket(what, arguments)
+    with rounding(direction):
+        rounded = has_compiled_bracket(what, arguments)
+    assert 0.0 < np.max(np.abs(rounded - nearest) / np.maximum(1.0, np.abs(nearest))) <= bound * U

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import Triples
+from coadjoint.algebra.exact.components import strongly_connected
 from coadjoint.algebra.exact.numbers import exact_numbers
 from coadjoint.algebra.exact.ranks import generic_rank
 from coadjoint.algebra.exact.sparse_sums import Integers
@@ -265,6 +266,25 @@ class Structure:
     @cached_property
     def _rank(self) -> int:
         return generic_rank(self._triples, self._dim)
+
+    @cached_if_small
+    def factors(self) -> Integers:
+        """Numbers of the factors of the coordinates: equal where brackets with basis elements lead from either to the
+        other; read-only.
+
+        These are the finest sets between successive ideals that basis elements span, by their first coordinates.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> co.algebras.e(3).factors.tolist(), co.algebras.heisenberg(1).factors.tolist()
+        ([0, 0, 0, 1, 1, 1], [0, 1, 2])
+        """
+        i, j, k, _ = self._triples
+        labels = strongly_connected(self._dim, np.concatenate([i, j]), np.concatenate([k, k]))
+        numbers: Integers = np.unique(labels, return_inverse=True)[1].reshape(-1)
+        numbers.flags.writeable = False
+        return numbers
 
     @cached_if_small
     def _neighbours(self) -> tuple[Integers, Integers]:

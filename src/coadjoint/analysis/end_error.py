@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,13 @@ from coadjoint.methods.protocol.own_steps import FinerRun, OwnSteps
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.rounded_runs import advance_in_turns
+from coadjoint.runs.run import Run
 from coadjoint.runs.start import momenta_of, with_group
+from coadjoint.runs.step_error import loses_digits
 from coadjoint.runs.times import Times
+from coadjoint.systems.coordinates import CoordinateGroups
+from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.protocol import forces_of, is_batch
 
 # Numbers of steps of the finer runs, relative to the run; the next one is used if the error is not yet resolved. They
@@ -30,11 +36,14 @@ MAX_SAVED_NUMBERS = 2**22
 FEW_STEPS = 20
 
 
+@ignore_overflow
 def error_at_end(solution: Solution) -> NDArray[np.float64]:
-    """Estimate the error of each member at the end of a run, shape (members,), relative to its largest momentum.
+    """Estimate the errors at the end of a run, shape (1 + groups, members): of the state, and of each group.
 
-    The run is compared with one of 1.5 times as many steps, corrected by the order; if the difference is within
-    round-off, also with a further one. Infinite if all four finer runs fail; NaN without a last state.
+    They are relative to the largest momentum of the member, and to the largest one of the group. The run is compared
+    with one of 1.5 times as many steps, corrected by the order; if the difference is within round-off, also with a
+    further one; and if steps lose many digits, with one that rounds differently. Infinite if all four finer runs fail;
+    NaN without a last state.
     """
     system = solution.system
     if any(force.random for _, force in forces_of(system)):
@@ -57,26 +66,34 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
     )
     time = float(solution.t[-1]) - solution.t_span[0]
     steps = math.ceil(abs(time) / solution.step * (1.0 - WHOLE_STEP_TOLERANCE))
+    groups = CoordinateGroups(system)
     if steps == 0:
-        return np.zeros(len(starts))
+        return np.zeros((1 + groups.count, len(starts)))
     # Without a choice the growth of rounding is not known, and is taken as a random walk.
     roundoff = UNIT_ROUNDOFF * math.sqrt(steps) if solution.choice is None else solution.choice.roundoff
-    squares, counts, pending = np.zeros(len(starts)), np.zeros(len(starts), dtype=int), np.flatnonzero(~lost)
+    squares, counts = np.zeros((1 + groups.count, len(starts))), np.zeros(len(starts), dtype=int)
+    pending = np.flatnonzero(~lost)
     for refinement in REFINEMENTS:
         if not len(pending):
             break
         members = np.arange(len(starts)) if is_batch(system) else pending
-        distances = _distances(solution, starts[members], ends[members], time, steps, refinement)
-        distances = distances[pending] if is_batch(system) else distances
-        valid = np.isfinite(distances)
-        squares[pending[valid]] += distances[valid] ** 2
+        finer = finer_run(solution.method, steps, refinement)
+        distances = _distances(solution, groups, starts[members], ends[members], time, finer)
+        distances = distances[:, pending] if is_batch(system) else distances
+        valid = np.isfinite(distances[0])
+        squares[:, pending[valid]] += distances[:, valid] ** 2
         counts[pending[valid]] += 1
         # A single difference within round-off may be small by chance, so a second one is required.
-        resolved = valid & ((distances > ROUNDOFF_FACTOR * roundoff) | (counts[pending] == 2))
+        resolved = valid & ((distances[0] > ROUNDOFF_FACTOR * roundoff) | (counts[pending] == 2))
         pending = pending[~resolved]
-    squares[counts == 0] = np.inf
-    squares[lost] = np.nan
-    return np.maximum(np.sqrt(squares / np.maximum(counts, 1)), UNIT_ROUNDOFF)
+    errors = np.sqrt(squares / np.maximum(counts, 1))
+    if loses_digits(solution):
+        same_steps = FinerRun(solution.method, steps, 0.0)
+        rounded = _distances(solution, groups, starts, ends, time, same_steps, advance_in_turns)
+        errors = np.maximum(errors, np.where(np.isfinite(rounded), rounded, 0.0))
+    errors[:, counts == 0] = np.inf
+    errors[:, lost] = np.nan
+    return np.maximum(errors, UNIT_ROUNDOFF)
 
 
 def finer_run(method: Method, steps: int, times: float) -> FinerRun:
@@ -93,33 +110,39 @@ def finer_run(method: Method, steps: int, times: float) -> FinerRun:
 
 def _distances(
     solution: Solution,
+    groups: CoordinateGroups,
     starts: NDArray[np.float64],
     ends: NDArray[np.float64],
     time: float,
-    steps: int,
-    refinement: float,
+    finer: FinerRun,
+    advance: Callable[[Run], None] = Run.advance,
 ) -> NDArray[np.float64]:
-    """Return the relative distances of end states from those of a finer run, corrected for the error of that run."""
-    finer = finer_run(solution.method, steps, refinement)
+    """Return the relative distances of end states from those of a finer run, corrected for the error of that run.
+
+    The first row is that of whole states, the others those of the groups of coordinates.
+    """
     points = max(2, min(MAX_SAVED_POINTS, MAX_SAVED_NUMBERS // starts.shape[1]))
     every = -(-finer.steps // points)
     plan = Times(solution.t_span[0], time / finer.steps, finer.steps, every)
     prepared = PreparedRun(solution.system, finer.method, abs(plan.h), watch=False)
     size = max(1, MAX_SAVED_NUMBERS // (points * starts.shape[1]))
     size = len(starts) if is_batch(solution.system) else size
-    groups = [slice(first, first + size) for first in range(0, len(starts), size)]
-    distances = [_group_distances(prepared, plan, starts[group], ends[group]) for group in groups]
-    return np.concatenate(distances) / (1.0 - finer.left)
+    if advance is not Run.advance:
+        prepared = prepared.in_one_thread()
+    chunks = [slice(first, first + size) for first in range(0, len(starts), size)]
+    distances = []
+    for chunk in chunks:
+        run = prepared.begun(plan, with_group(prepared.system, starts[chunk], False, None, False))
+        advance(run)
+        distances.append(_distances_of(run, groups, ends[chunk]))
+    return np.concatenate(distances, axis=1) / (1.0 - finer.left)
 
 
-def _group_distances(
-    prepared: PreparedRun, plan: Times, starts: NDArray[np.float64], ends: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    run = prepared.begun(plan, with_group(prepared.system, starts, False, None, False))
-    run.advance()
-    x: Any = run.saved["x"][..., : starts.shape[1]]
+def _distances_of(run: Run, groups: CoordinateGroups, ends: NDArray[np.float64]) -> NDArray[np.float64]:
+    x: Any = run.saved["x"][..., : ends.shape[1]]
     failed = run.state["status"] != 0
-    size = np.max(np.linalg.norm(x, axis=2), axis=0)
-    distances = np.linalg.norm(ends - x[-1], axis=1)
+    size = np.concatenate([np.linalg.norm(x, axis=2, keepdims=True), groups.norms(x)], axis=2).max(axis=0)
+    difference = ends - x[-1]
+    distances = np.concatenate([np.linalg.norm(difference, axis=1, keepdims=True), groups.norms(difference)], axis=1)
     # If the size is zero, so is the distance.
-    return np.where(failed, np.inf, distances / np.where(size > 0.0, size, 1.0))
+    return np.where(failed, np.inf, (distances / np.where(size > 0.0, size, 1.0)).T)

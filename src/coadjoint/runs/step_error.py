@@ -1,23 +1,29 @@
-"""The error of a step, measured by two half steps at a few points of a run, and a warning if it is large."""
+"""The error of a step by two half steps, and its rounding, at a few points of a run, and warnings if one is large."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import LargeStepWarning
+from coadjoint.errors import LargeStepWarning, RoundingWarning
 from coadjoint.long_operations import warn_caller
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.passed_poles import passed_pole, states_in_memory
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.unfinished_members import ends_by_events
+from coadjoint.runs.rounded_runs import advance_in_turns, advance_up
+from coadjoint.runs.run import Run
 from coadjoint.runs.start import momenta_of, vector_size, with_group
 from coadjoint.runs.times import Times
-from coadjoint.systems.protocol import forces_of, is_batch, member_of, states_of
+from coadjoint.systems.coordinates import CoordinateGroups
+from coadjoint.systems.evaluation import ignore_overflow
+from coadjoint.systems.protocol import forces_of, is_batch, member_of, rows_of, states_of
 
 Floats = NDArray[np.float64]
 
@@ -31,6 +37,8 @@ FASTEST = 0.4
 PASSAGE = 2.0
 # Largest number of steps between two saved points that are repeated to find the fastest one, and part of the run.
 STEPS, PART = 1000, 0.05
+# Smallest number of entries of the states at the points whose steps take several threads.
+THREADED = 2**16
 # Largest number of entries of the states in repeated steps, if they are not a small part of the run.
 REPEATED = 2**18
 # Differences between a step and two half steps by rounding alone, relative to the state.
@@ -40,137 +48,322 @@ ROUNDING = 64 * UNIT_ROUNDOFF
 WARNED, SUGGESTED = 0.02, 0.002
 # Largest change by the field in a step, relative to the error of a step, of a state that is at rest.
 AT_REST = 0.01
+# Differences between a step and two half steps by rounding alone, relative to that by its direction.
+HALVED = 8.0
+# Rounding of a group in a step, relative to its size, below which the group keeps its digits in any run.
+EXCESS = 2.0**14 * UNIT_ROUNDOFF
+# Rounding of a step, relative to a group at the start, above which the group is zero but for rounding.
+OF_ZERO = 1.0 / 64.0
+# Largest rounding of a group in the run, relative to its size, without a warning: half of the 2 per cent that must
+# warn, since the estimate may be half of the error.
+ROUNDED = 0.01
+# Saved points of the run that is repeated to measure rounding.
+ROUNDED_POINTS = 16
 
 
-def step_error(solution: Solution, prepared: PreparedRun | None = None) -> float:
+def step_error(solution: Solution) -> float:
     """Return the largest error of a step among the members, relative to the change of the state; see `Solution`."""
-    return _worst(solution, prepared).error
+    return _Measured(solution, None).worst().error
+
+
+def step_errors_of_groups(solution: Solution) -> dict[str, float]:
+    """Return the same for each group of coordinates, relative to its own change, by the names of the groups."""
+    measured = _Measured(solution, None)
+    return dict(zip(measured.groups.names(), measured.errors_of_groups().tolist(), strict=True))
+
+
+def loses_digits(solution: Solution) -> bool:
+    """Test whether a step loses many digits of a group by rounding; False if steps cannot be repeated."""
+    method, system = solution.method, solution.system
+    if method.own_steps or any(force.random for _, force in forces_of(system)):
+        return False
+    return _Measured(solution, None).lossy
 
 
 class Worst(NamedTuple):
     """The largest error of a step among the members, with its member.
 
-    Of a run at rest `total` is such an error in each of its steps, relative to the state, else infinite; `pole` is the
-    time of a pole passed.
+    `truncation` is the part of the error that shorter steps reduce. Of a run at rest `total` is such an error in each
+    of its steps, relative to the state, else infinite; `pole` is the time of a pole passed.
     """
 
     error: float
+    truncation: float
     member: int
     total: float
     pole: float | None = None
 
 
-def _worst(solution: Solution, prepared: PreparedRun | None) -> Worst:
-    # An archive need not know its scheme and system; that of a run with inputs has their values.
-    described: Any = solution if prepared is None or prepared.takes_inputs else prepared
-    method, system = described.method, described.system
-    if method.own_steps:
-        raise TypeError(f"{method} chooses its own steps, and controls their error; there is no step to measure")
-    if any(force.random for _, force in forces_of(system)):
-        raise TypeError(f"{system.name} has random forces, which are defined for whole steps only")
-    # Loops of a run with attitudes need elements, and those with inputs their values.
-    if prepared is None or prepared.representation is not None or prepared.takes_inputs:
-        prepared = PreparedRun(system, method, solution.step, watch=False)
-    h = math.copysign(solution.step, solution.t_span[1] - solution.t_span[0])
-    members = _members(solution, system)
-    points = _points(solution, system, members)
-    if is_batch(system) and len(members) < len(system):
-        prepared = prepared.sampled(members)
-    if is_batch(system) or member_of(system).hamiltonian.timed or forces_of(system):
-        pairs = [_squares(prepared, states, t, h) for t, states, _ in points]
-    else:
-        count = len(points[0][1])
-        all_states = [states for _, states, _ in points]
-        states = all_states[0] if len(points) == 1 else np.concatenate(all_states)
-        squares = _squares(prepared, states, points[0][0], h)
-        pairs = [squares[:, k * count : (k + 1) * count] for k in range(len(points))]
-    errors, changes = np.sum([np.where(held, pair, 0.0) for pair, (_, _, held) in zip(pairs, points, strict=True)], 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        relative = np.nan_to_num(np.sqrt(errors / changes), nan=0.0)
-    worst = int(np.argmax(relative))
-    end = float(ends_by_events(solution)[members[worst]])
-    steps = abs((solution.t_span[1] if math.isnan(end) else end) - solution.t_span[0]) / solution.step
-    known = [states[worst] for _, states, held in points if held[worst]]
-    mean = math.sqrt(errors[worst] / len(known))
-    one, total = member_of(system, int(members[worst])), math.inf
-    if relative[worst] > WARNED and (
-        np.linalg.norm(one.vector_field(states_of(one, known[0]), points[0][0])) * abs(h) <= AT_REST * mean
-    ):
-        total = steps * mean / (math.sqrt(np.mean([np.sum(state**2) for state in known])) or 1.0)
-    largest = Worst(float(relative[worst]), int(members[worst]), total)
-    if states_in_memory(solution) and len(solution.t) > 1:
-        passage, closest = _passages(solution, system, members)
-        found = [] if passage is None else [(_error_of_passage(solution, prepared, members, *passage, h), passage[0])]
-        found += _error_inside(solution, prepared, members, closest, h)
-        for fastest, m in found:
-            if FASTEST * fastest > largest.error:
-                largest = Worst(FASTEST * fastest, int(members[m]), math.inf)
-    pole = passed_pole(solution, system, method, members, h)
-    return largest if pole is None else Worst(math.inf, int(members[pole.member]), math.inf, pole.t)
+class Step(NamedTuple):
+    """Errors of a step by its length, changes in it, and differences by rounding, (..., members, groups)."""
+
+    errors: Floats
+    changes: Floats
+    rounding: Floats
 
 
-def _passages(solution: Solution, system: Any, members: NDArray[np.int64]) -> tuple[tuple[int, int] | None, int]:
-    """Return the fastest passage, and the saved interval over which the states change least.
+class Rounded(NamedTuple):
+    """The largest error of a group by rounding, relative to its size, with the group and the member."""
 
-    The passage is the member, among the chosen ones, and the saved interval; None if no passage is much faster than the
-    rest. Of long runs, first the fastest of many equal pieces is found.
-    """
-    count = len(solution.t) - 1
-    stride = min(count, max(1, count * len(members) * system.dim // NUMBERS))
-
-    def speeds(first: int, last: int, stride: int) -> Floats:
-        """Speeds between every stride-th saved point, (intervals, members); NaN of members that have ended."""
-        states = solution.x[first : last + 1 : stride]
-        states = states.reshape(len(states), -1, states[0].size // max(1, _members_of(solution)))[:, members]
-        elapsed = np.abs(np.diff(solution.t[first : last + 1 : stride]))[:, None]
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            found = np.linalg.norm(np.diff(states, axis=0), axis=2) / elapsed
-        return np.where(np.isfinite(found), found, np.nan)
-
-    found = speeds(0, count, stride)
-    known = ~np.isnan(found)
-    mean = np.where(known, found, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-    ratios = np.where(known, found / np.where(mean > 0.0, mean, np.inf), 1.0)
-    m = int(np.argmax(ratios.max(axis=0)))
-    closest = stride * int(np.argmin(ratios.sum(axis=1)))
-    if ratios[:, m].max() < PASSAGE:
-        return None, closest
-    first = stride * int(np.argmax(ratios[:, m]))
-    last = min(first + stride, count)
-    inner = np.nan_to_num(speeds(first, last, 1)[:, m], nan=0.0) if stride > 1 else np.zeros(1)
-    return (m, first + int(np.argmax(inner))), closest
+    error: float
+    group: int
+    member: int
 
 
-def _error_inside(
-    solution: Solution, prepared: PreparedRun, members: NDArray[np.int64], k: int, h: float
-) -> list[tuple[float, int]]:
-    """Return the error of the fastest step after saved point k, and its member, of the one with the fastest passage.
+class _Measured:
+    """Steps of a run at a few points: their errors, changes and rounding, by member and group of coordinates."""
 
-    The list is empty if no member has one. States that return between saved points do not show their passages.
-    """
-    steps = _steps_after(solution, k, h)
-    states = _states_at(solution, members, k)
-    if not 1 < steps <= _most_steps(solution, states.size, h):
-        return []
-    if is_batch(prepared.system) and len(members) < len(prepared.system):
-        prepared = prepared.sampled(members)
-    t = float(solution.t[k])
-    path = _run(prepared, states, Times(t, h, steps, 1))
-    # Steps after the end of a member are not in the run.
-    left = (ends_by_events(solution)[members] - t) / h
-    path[np.arange(steps + 1)[:, None] - 1.0 > np.where(np.isnan(left), np.inf, left)] = np.nan
-    with np.errstate(over="ignore", invalid="ignore"):
-        lengths = np.nan_to_num(np.linalg.norm(np.diff(path, axis=0), axis=2), nan=0.0, posinf=0.0)
-    mean = lengths.mean(axis=0)
-    ratios = lengths.max(axis=0) / np.where(mean > 0.0, mean, np.inf)
-    m = int(np.argmax(ratios))
-    if ratios[m] < PASSAGE:
-        return []
-    j = int(np.argmax(lengths[:, m]))
-    if is_batch(prepared.system):
-        prepared = prepared.sampled(np.array([m]))
-    errors, changes = _squares(prepared, path[j, m][None], t + j * h, h)
-    return [(float(np.sqrt(errors[0] / changes[0])), m)] if changes[0] > 0.0 else []
+    @ignore_overflow
+    def __init__(self, solution: Solution, prepared: PreparedRun | None) -> None:
+        # An archive need not know its scheme and system; that of a run with inputs has their values.
+        described: Any = solution if prepared is None or prepared.takes_inputs else prepared
+        method, system = described.method, described.system
+        if method.own_steps:
+            raise TypeError(f"{method} chooses its own steps, and controls their error; there is no step to measure")
+        if any(force.random for _, force in forces_of(system)):
+            raise TypeError(f"{system.name} has random forces, which are defined for whole steps only")
+        # Loops of a run with attitudes need elements, and those with inputs their values.
+        if prepared is None or prepared.representation is not None or prepared.takes_inputs:
+            prepared = PreparedRun(system, method, solution.step, watch=False, threads=1)
+        self.solution, self.method, self.system = solution, method, system
+        self.groups = CoordinateGroups(system)
+        self.h = math.copysign(solution.step, solution.t_span[1] - solution.t_span[0])
+        self.members = members = _members(solution, system)
+        self.points = points = _points(solution, system, members)
+        if is_batch(system) and len(members) < len(system):
+            prepared = prepared.sampled(members)
+        # Rounding is that of this thread.
+        self.alone = prepared.in_one_thread()
+        self.prepared = prepared if sum(states.size for _, states, _ in points) >= THREADED else self.alone
+        states = [states for _, states, _ in points]
+        if is_batch(system) or member_of(system).hamiltonian.timed or forces_of(system):
+            step = Step(*map(np.stack, zip(*(self._step(None, x, t) for t, x, _ in points), strict=True)))
+        else:
+            step = self._step(None, np.concatenate(states), points[0][0])
+            step = Step(*(part.reshape(len(points), -1, self.groups.count) for part in step))
+        norms = self.groups.norms(states[0][None] if len(points) == 1 else np.stack(states))
+        held = np.stack([held for _, _, held in points])
+        if not held.all():
+            step, norms = Step(*(np.where(held[..., None], part, 0.0) for part in step)), norms * held[..., None]
+        self.step, self.starts, self.sizes = step, norms[0], norms.max(axis=0)
+        self.rounding = step.rounding.max(axis=0)
+        self.weights = self._weights()
+
+    def _step(self, member: int | None, states: Floats, t: float) -> Step:
+        """Measure a step from states; of a member with its known rounding, and zero if it cannot be repeated."""
+        h, groups, prepared = self.h, self.groups, self.prepared if member is None else self._of_member(member)
+        middle, halved = _run(prepared, states, Times(t, 0.5 * h, 2, 1).with_saved_steps([1, 2]))
+        change = groups.norms(middle - states)
+        # Without the arrays of this run, of a large state.
+        halved, middle = halved.copy(), None
+        whole = Times(t, h, 1, 1).with_saved_steps([1])
+        (full,) = _run(prepared, states, whole)
+        # The difference of two half steps from a step of order p is all but 2^-p of the error of the latter.
+        factor = 1.0 / (1.0 - 0.5**self.method.order)
+        errors = factor * groups.norms(full - halved)
+        changes = np.maximum(groups.norms(full - states), change)
+        if member is None:
+            halved, full = None, full.copy()
+            (up,) = _run(self.alone, states, whole, advance_up)
+            rounding = groups.norms(up - full)
+            rounding[~np.isfinite(rounding)] = 0.0
+        else:
+            rounding = self.rounding[member]
+        sizes = groups.norms(states)
+        # If a step loses the largest group too, it is so large that it amplifies rounding.
+        amplified = np.where(sizes == sizes.max(axis=1, keepdims=True), rounding > WARNED * sizes, False)
+        rounded = np.where(amplified.any(axis=1, keepdims=True), 0.0, HALVED * rounding)
+        errors = np.maximum(0.0, errors - np.maximum(ROUNDING * sizes, rounded))
+        failed = ~np.isfinite(errors + changes).all(axis=1)
+        errors[failed], changes[failed] = 0.0, 0.0
+        return Step(errors, changes, rounding)
+
+    @property
+    def lossy(self) -> bool:
+        """Whether a step loses many digits of a group."""
+        return bool(np.any(self.rounding > EXCESS * self.sizes))
+
+    def _weights(self) -> Floats:
+        """Return the weights of the groups, (members, groups): one over their sizes, if there are several.
+
+        Groups that start at zero, but for rounding, have no size of their own, and take that of the state.
+        """
+        if self.groups.count == 1:
+            return np.ones_like(self.sizes)
+        whole = np.sqrt(np.sum(self.sizes**2, axis=1, keepdims=True))
+        sizes = np.where(OF_ZERO * self.starts > self.rounding, self.sizes, np.maximum(self.sizes, whole))
+        return np.divide(1.0, sizes, out=np.zeros_like(sizes), where=sizes > 0.0)
+
+    def scaled(self, states: Floats, members: Any) -> Floats:
+        """Return states (..., members, n) of the chosen members with groups relative to their sizes."""
+        return states if self.groups.count == 1 else states * self.weights[members][..., self.groups.labels]
+
+    @ignore_overflow
+    def errors_of_groups(self) -> Floats:
+        """Return the error of a step with its rounding, relative to the change of the group, the largest of members."""
+        errors = np.sum(self.step.errors**2 + self._excess() ** 2, axis=0)
+        return _ratios(errors, np.sum(self.step.changes**2, axis=0)).max(axis=0)
+
+    def _excess(self) -> Floats:
+        """Return the rounding of the steps beyond that of a group that keeps its digits."""
+        return np.maximum(0.0, self.step.rounding - EXCESS * self.sizes)
+
+    @ignore_overflow
+    def worst(self) -> Worst:
+        """Return the member with the largest error of a step."""
+        solution, system, weights = self.solution, self.system, self.weights
+
+        def total(part: Floats) -> Floats:
+            squares: Floats = (part * weights) ** 2
+            return squares.sum(axis=(0, 2))
+
+        errors, changes = total(self.step.errors), total(self.step.changes)
+        relative = _ratios(errors, changes)
+        with_rounding = _ratios(errors + total(self._excess()), changes) if self.lossy else relative
+        worst = int(np.argmax(relative))
+        known = [states[worst] for _, states, held in self.points if held[worst]]
+        mean = math.sqrt(errors[worst] / len(known))
+        one, rest = member_of(system, int(self.members[worst])), math.inf
+        if relative[worst] > WARNED:
+            field = rows_of(one, one.vector_field(states_of(one, known[0]), self.points[0][0]))
+            if np.linalg.norm(self.scaled(field, worst)) * abs(self.h) <= AT_REST * mean:
+                sizes = [np.sum(self.scaled(state, worst) ** 2) for state in known]
+                rest = self.step_count(worst) * mean / (math.sqrt(np.mean(sizes)) or 1.0)
+        largest = Worst(float(with_rounding.max()), float(relative[worst]), int(self.members[worst]), rest)
+        if states_in_memory(solution) and len(solution.t) > 1:
+            passage, closest = self._passages()
+            found = [] if passage is None else [(self._error_of_passage(*passage), passage[0])]
+            found += self._error_inside(closest)
+            for fastest, m in found:
+                if FASTEST * fastest > largest.truncation:
+                    error = max(largest.error, FASTEST * fastest)
+                    largest = Worst(error, FASTEST * fastest, int(self.members[m]), math.inf)
+        pole = passed_pole(solution, system, self.method, self.members, self.h)
+        return largest if pole is None else Worst(math.inf, math.inf, int(self.members[pole.member]), math.inf, pole.t)
+
+    def step_count(self, m: int) -> float:
+        """Return the number of steps of a chosen member."""
+        solution = self.solution
+        end = float(ends_by_events(solution)[self.members[m]])
+        return abs((solution.t_span[1] if math.isnan(end) else end) - solution.t_span[0]) / solution.step
+
+    @ignore_overflow
+    def rounded_group(self) -> Rounded | None:
+        """Return the group that rounding changes most in the run of a member, relative to its size; None if little.
+
+        If a step loses so many digits that the run could, the run of that member is repeated, or the part of it that
+        few steps reach, with rounding up and down in turns. Groups that are zero but for rounding are left out.
+        """
+        if not self.lossy:
+            return None
+        counts = np.array([self.step_count(m) for m in range(len(self.members))])[:, None]
+        largest = self.sizes == self.sizes.max(axis=1, keepdims=True)
+        own = largest | (self.rounding * np.sqrt(counts) < self.sizes)
+        lost = np.where(own & (self.rounding > EXCESS * self.sizes), self.rounding * counts, 0.0)
+        ratios = np.divide(lost, self.sizes, out=np.zeros_like(lost), where=self.sizes > 0.0)
+        if not ratios.max() > ROUNDED:
+            return None
+        m = int(np.argmax(ratios.max(axis=1)))
+        prepared, state = self._of_member(m), self.points[0][1][m : m + 1]
+        whole = float(counts[m, 0])
+        steps = max(1, min(math.ceil(whole * (1.0 - ROUNDING)), _most_steps(self.solution, state.size, self.h)))
+        times = Times(self.solution.t_span[0], self.h, steps, max(1, steps // ROUNDED_POINTS))
+        path = _run(prepared, state, times)
+        rounded = np.concatenate(
+            [_run(prepared, state, times, partial(advance_in_turns, first=first)) for first in (1, -1)],
+            axis=1,
+        )
+        differences = self.groups.norms(rounded - path).max(axis=(0, 1))
+        sizes = self.groups.norms(path)[:, 0].max(axis=0)
+        errors = np.divide(
+            differences, sizes, out=np.zeros_like(sizes), where=own[m] & (self.starts[m] > 0.0) & (sizes > 0.0)
+        )
+        # Beyond the steps repeated, errors of rounding are taken as a random walk.
+        errors = np.nan_to_num(errors, nan=0.0, posinf=0.0) * math.sqrt(max(1.0, whole / steps))
+        # The group that loses most digits is named, others follow it.
+        group = int(np.argmax(np.where(errors > ROUNDED, ratios[m], -1.0)))
+        return Rounded(float(errors[group]), group, int(self.members[m])) if errors[group] > ROUNDED else None
+
+    def _passages(self) -> tuple[tuple[int, int] | None, int]:
+        """Return the fastest passage, and the saved interval over which the states change least.
+
+        The passage is the member, among the chosen ones, and the saved interval; None if no passage is much faster than
+        the rest. Of long runs, first the fastest of many equal pieces is found.
+        """
+        solution, members = self.solution, self.members
+        count = len(solution.t) - 1
+        stride = min(count, max(1, count * len(members) * self.system.dim // NUMBERS))
+
+        def speeds(first: int, last: int, stride: int) -> Floats:
+            """Speeds between every stride-th saved point, (intervals, members); NaN of members that have ended."""
+            states = solution.x[first : last + 1 : stride]
+            states = states.reshape(len(states), -1, states[0].size // max(1, _members_of(solution)))[:, members]
+            elapsed = np.abs(np.diff(solution.t[first : last + 1 : stride]))[:, None]
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                found = np.linalg.norm(self.scaled(np.diff(states, axis=0), slice(None)), axis=2) / elapsed
+            return np.where(np.isfinite(found), found, np.nan)
+
+        found = speeds(0, count, stride)
+        known = ~np.isnan(found)
+        mean = np.where(known, found, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+        ratios = np.where(known, found / np.where(mean > 0.0, mean, np.inf), 1.0)
+        m = int(np.argmax(ratios.max(axis=0)))
+        closest = stride * int(np.argmin(ratios.sum(axis=1)))
+        if ratios[:, m].max() < PASSAGE:
+            return None, closest
+        first = stride * int(np.argmax(ratios[:, m]))
+        last = min(first + stride, count)
+        inner = np.nan_to_num(speeds(first, last, 1)[:, m], nan=0.0) if stride > 1 else np.zeros(1)
+        return (m, first + int(np.argmax(inner))), closest
+
+    def _error_inside(self, k: int) -> list[tuple[float, int]]:
+        """Return the error of the fastest step after saved point k, of the member with the fastest passage, and it.
+
+        The list is empty if no member has one. States that return between saved points do not show their passages.
+        """
+        solution, prepared, members, h = self.solution, self.prepared, self.members, self.h
+        steps = _steps_after(solution, k, h)
+        states = _states_at(solution, members, k)
+        if not 1 < steps <= _most_steps(solution, states.size, h):
+            return []
+        t = float(solution.t[k])
+        path = _run(prepared, states, Times(t, h, steps, 1))
+        # Steps after the end of a member are not in the run.
+        left = (ends_by_events(solution)[members] - t) / h
+        path[np.arange(steps + 1)[:, None] - 1.0 > np.where(np.isnan(left), np.inf, left)] = np.nan
+        with np.errstate(over="ignore", invalid="ignore"):
+            lengths = np.nan_to_num(
+                np.linalg.norm(self.scaled(np.diff(path, axis=0), slice(None)), axis=2), nan=0.0, posinf=0.0
+            )
+        mean = lengths.mean(axis=0)
+        ratios = lengths.max(axis=0) / np.where(mean > 0.0, mean, np.inf)
+        m = int(np.argmax(ratios))
+        if ratios[m] < PASSAGE:
+            return []
+        j = int(np.argmax(lengths[:, m]))
+        return [(self._error_of(m, path[j, m][None], t + j * h), m)]
+
+    def _error_of_passage(self, m: int, k: int) -> float:
+        """Return the error of the fastest step after saved point k of a chosen member, relative to the change in it."""
+        solution, h = self.solution, self.h
+        t = float(solution.t[k])
+        state = _states_at(solution, self.members[m : m + 1], k)
+        steps = _steps_after(solution, k, h)
+        if 1 < steps <= max(STEPS, _most_steps(solution, state.size, h)):
+            path = _run(self._of_member(m), state, Times(t, h, steps, 1))[:, 0]
+            j = int(np.argmax(np.nan_to_num(np.linalg.norm(self.scaled(np.diff(path, axis=0), m), axis=1), nan=0.0)))
+            state, t = path[j : j + 1], t + j * h
+        return self._error_of(m, state, t)
+
+    def _of_member(self, m: int) -> PreparedRun:
+        """Return the run of a chosen member in one thread."""
+        return self.alone.sampled(np.array([m])) if is_batch(self.system) else self.alone
+
+    def _error_of(self, m: int, state: Floats, t: float) -> float:
+        """Return the error of a step of a chosen member from a state (1, n), relative to the change in it."""
+        step = self._step(m, state, t)
+        errors, changes = (np.sum((part * self.weights[m]) ** 2, axis=1) for part in (step.errors, step.changes))
+        return float(_ratios(errors, changes)[0])
 
 
 def _steps_after(solution: Solution, k: int, h: float) -> int:
@@ -192,23 +385,6 @@ def _most_steps(solution: Solution, numbers: int, h: float) -> int:
 
 def _members_of(solution: Solution) -> int:
     return 1 if solution.failed is None else len(solution.failed)
-
-
-def _error_of_passage(
-    solution: Solution, prepared: PreparedRun, members: NDArray[np.int64], m: int, k: int, h: float
-) -> float:
-    """Return the error of the fastest step after saved point k of a chosen member, relative to the change in it."""
-    system, t = prepared.system, float(solution.t[k])
-    if is_batch(system):
-        prepared = prepared.sampled(np.array([m]))
-    state = _states_at(solution, members[m : m + 1], k)
-    steps = _steps_after(solution, k, h)
-    if 1 < steps <= max(STEPS, _most_steps(solution, state.size, h)):
-        path = _run(prepared, state, Times(t, h, steps, 1))
-        j = int(np.argmax(np.nan_to_num(np.linalg.norm(np.diff(path[:, 0], axis=0), axis=1), nan=0.0)))
-        state, t = path[j], t + j * h
-    errors, changes = _squares(prepared, state, t, h)
-    return float(np.sqrt(errors[0] / changes[0])) if changes[0] > 0.0 else 0.0
 
 
 def _members(solution: Solution, system: Any) -> NDArray[np.int64]:
@@ -240,43 +416,34 @@ def _points(
     return points
 
 
-def _squares(prepared: PreparedRun, states: Floats, t: float, h: float) -> Floats:
-    """Return squared errors and changes of a step, (2, members); zeros where the step cannot be repeated."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        middle, halved = _run(prepared, states, Times(t, 0.5 * h, 2, 1).with_saved_steps([1, 2]))
-        change = np.linalg.norm(middle - states, axis=1)
-    # Without the arrays of this run, of a large state.
-    halved, middle = halved.copy(), None
-    (full,) = _run(prepared, states, Times(t, h, 1, 1).with_saved_steps([1]))
-    # The difference of two half steps from a step of order p is all but 2^-p of the error of the latter.
-    factor = 1.0 / (1.0 - 0.5**prepared.method.order)
-    with np.errstate(over="ignore", invalid="ignore"):
-        errors = factor * np.linalg.norm(full - halved, axis=1)
-        errors = np.maximum(0.0, errors - ROUNDING * np.linalg.norm(states, axis=1))
-        changes = np.max([np.linalg.norm(full - states, axis=1), change], axis=0)
-        squares: Floats = np.array([errors, changes]) ** 2
-    squares[:, ~np.isfinite(squares).all(axis=0)] = 0.0
-    return squares
-
-
-def _run(prepared: PreparedRun, states: Floats, times: Times) -> Floats:
+def _run(prepared: PreparedRun, states: Floats, times: Times, advance: Callable[[Run], None] = Run.advance) -> Floats:
     run = prepared.begun(times, with_group(prepared.system, states, False, None, False))
-    run.advance()
+    advance(run)
     x: Any = run.saved["x"][..., : states.shape[1]]
     x[:, run.state["status"] != 0] = np.nan
     return x
 
 
+def _ratios(errors: Floats, changes: Floats) -> Floats:
+    """Return the roots of the ratios of squares; zero where nothing changes."""
+    ratios: Floats = np.nan_to_num(np.sqrt(errors / changes), nan=0.0)
+    return ratios
+
+
 def warn_of_large_step(solution: Solution, prepared: PreparedRun) -> None:
-    """Warn if the error of a step is a large part of the change of the state in it."""
+    """Warn if the error of a step is a large part of the change of the state in it, or rounding one of a group."""
     if prepared.method.own_steps or any(force.random for _, force in forces_of(prepared.system)):
         return
     try:
-        error, member, total, pole = _worst(solution, prepared)
+        measured = _Measured(solution, prepared)
+        error, truncation, member, total, pole = measured.worst()
+        too_large = pole is not None or (truncation > WARNED and total > WARNED)
+        rounded = None if too_large else measured.rounded_group()
     except Exception:
         # Functions of the user may refuse half steps, which are no part of the run; `step_error` raises their errors.
         return
     solution.__dict__["_step_error"] = error
+    member = member if rounded is None else rounded.member
     motion = "this motion" if solution.failed is None else f"the motion of member {member}"
     if pole is not None:
         warn_caller(
@@ -285,11 +452,18 @@ def warn_of_large_step(solution: Solution, prepared: PreparedRun) -> None:
             "the motion; take a smaller step, or end the run earlier if the motion itself goes to infinity there",
             LargeStepWarning,
         )
-    elif error > WARNED and total > WARNED:
-        suggested = solution.step * (SUGGESTED / min(error, total)) ** (1.0 / prepared.method.order)
+    elif too_large:
+        suggested = solution.step * (SUGGESTED / min(truncation, total)) ** (1.0 / prepared.method.order)
         warn_caller(
             f"the step {solution.step:g} is too large for {motion}: the error of a step of {prepared.method} is "
-            f"{error:.2g} of the change of the state, though invariants may be kept; take a step of about "
+            f"{truncation:.2g} of the change of the state, though invariants may be kept; take a step of about "
             f"{suggested:.1g}",
             LargeStepWarning,
+        )
+    elif rounded is not None:
+        warn_caller(
+            f"rounding changes {measured.groups.names()[rounded.group]} in {motion} by about {rounded.error:.1g} of "
+            f"its size, beside larger numbers that nearly cancel in {prepared.method}; shorter steps do not help, "
+            "coordinates or terms of the Hamiltonian in which they cancel exactly do",
+            RoundingWarning,
         )

@@ -1,9 +1,14 @@
-"""Names of the coordinates of systems."""
+"""Names of the coordinates of systems, and groups of coordinates that have units of their own."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import coordinate_names as default_names
@@ -50,3 +55,70 @@ def in_coordinates_of(system: Any, function: Function) -> Function:
 def all_in_coordinates_of(system: Any, functions: Mapping[str, Any]) -> dict[str, Any]:
     """Return functions of the state by name, see `in_coordinates_of`."""
     return {name: in_coordinates_of(system, function) for name, function in functions.items()}
+
+
+class CoordinateGroups:
+    """The coordinates of a system in groups whose sizes may differ by any factor: momentum, position, each spin.
+
+    Brackets with basis elements turn the coordinates of a group into each other, as rotations do those of a vector;
+    they lead from one group to others never both ways. The groups are the finest sets between successive ideals that
+    basis elements span. Without structure constants, and for matrices, all coordinates are one group.
+
+    Attributes
+    ----------
+    labels : ndarray, shape (dim,)
+        The number of the group of each coordinate, in the order of their first coordinates.
+    count : int
+        Number of groups.
+    """
+
+    def __init__(self, system: Any) -> None:
+        from coadjoint.systems.protocol import unforced  # that file imports this one
+
+        self._system = unforced(system)
+        factors = getattr(self._system.algebra, "factors", None)
+        if factors is None or len(factors) != self._system.dim or not factors.any():
+            self.labels, self.count = np.zeros(self._system.dim, dtype=np.int64), 1
+            return
+        self.labels, self.count = factors, int(factors.max()) + 1
+        self._order = np.argsort(factors, kind="stable")
+        self._starts = np.flatnonzero(np.diff(factors[self._order], prepend=-1))
+        self._sorted = bool((factors[:-1] <= factors[1:]).all())
+
+    def norms(self, states: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the norms of the groups of states (..., dim), shape (..., count)."""
+        if self.count == 1:
+            return np.linalg.norm(states, axis=-1, keepdims=True)
+        ordered = states if self._sorted else states[..., self._order]
+        return np.sqrt(np.add.reduceat(ordered**2, self._starts, axis=-1))
+
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the groups, by those of their coordinates: L for L1, L2, L3; x for all coordinates.
+
+        Examples
+        --------
+        >>> from coadjoint.systems.bodies.satellite import satellite
+        >>> CoordinateGroups(satellite()).names()
+        ('L', 'p', 'r', 'z')
+        """
+        if self.count == 1:
+            return ("x",)
+        all_names = np.array(coordinate_names(self._system), dtype=object)[self._order]
+        members = [part.tolist() for part in np.split(all_names, self._starts[1:])]
+        stems = [_stem(names) for names in members]
+        counts = Counter(stems)
+        return tuple(
+            stem if stem and counts[stem] == 1 else _listed(names) for stem, names in zip(stems, members, strict=True)
+        )
+
+
+def _stem(names: Sequence[str]) -> str:
+    """Return the common name of coordinates without their first numbers; empty if there is none."""
+    if len(names) == 1:
+        return names[0]
+    stems = {re.sub(r"\d+", "", name, count=1) for name in names}
+    return stems.pop() if len(stems) == 1 else ""
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names) if len(names) <= 3 else f"{names[0]}, ..., {names[-1]}"

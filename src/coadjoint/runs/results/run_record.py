@@ -106,8 +106,8 @@ class RunRecord(RunAttributes):
         Largest deviation of each invariant in each tenth of the run; then, with forces, those of the balances.
     starts : ndarray, shape (members, n), or None
         Initial momenta of a run with `accuracy`.
-    error : ndarray, shape (members,), or None
-        Estimated error of a run with `accuracy`, once it is known.
+    error : ndarray, shape (1 + groups, members), or None
+        Estimated errors at the end of the state and of its groups of coordinates, once they are known.
     times, start, ending
         Times, initial state, and the terminal event that ended the run.
     given_system, saved, state, saved_points, names, seconds, elapsed,

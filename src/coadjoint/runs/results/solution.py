@@ -16,6 +16,7 @@ from coadjoint.runs.results.summary import extent_text, table_of_run
 from coadjoint.runs.results.unfinished_members import unfinished_members
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
+from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.protocol import is_batch, unforced_matrix_system
 from coadjoint.validation import read_bool
 
@@ -217,20 +218,29 @@ class Solution(SolutionOutput):
         return self._deviations(0, relative)
 
     @suggest_keywords
-    def error_estimate(self) -> Any:
+    def error_estimate(self, by_group: bool = False) -> Any:
         """Return the estimated error of the last state, relative to the largest momentum during the run.
 
         Choose it to know how accurate a run is; conserved invariants do not show it. It is computed once, by a second
         run of 1.5 times as many steps. If both agree to rounding, a third run of 1.75 times as many steps is compared.
         This takes 1.5 or 3.25 times as long as the run. The estimate is accurate within a factor of 10, if it is well
         below one. If the error is below the expected rounding, the estimate is that rounding. If a finer run fails,
-        another is tried, four at most; if all fail, the estimate is infinite.
+        another is tried, four at most; if all fail, the estimate is infinite. If steps lose many digits of a group of
+        coordinates by rounding, one more run of as many steps is rounded up and down in turns.
+
+        Parameters
+        ----------
+        by_group : bool
+            Return the errors of the groups of coordinates that brackets do not turn into each other, such as angular
+            momentum, momentum and position, or each spin. Choose it where their sizes differ: the error of a small
+            group is no part of that of the whole state. Without structure constants all coordinates are one group.
 
         Returns
         -------
         float, or ndarray of shape (members,)
             Error relative to the same scale as `accuracy`; NaN for members without a last state, which have not run
-            yet, have failed, or were ended by an event.
+            yet, have failed, or were ended by an event. With `by_group` a dict: name of the group, made of those of its
+            coordinates -> the error of the group, relative to its largest size during the run.
 
         Raises
         ------
@@ -246,25 +256,46 @@ class Solution(SolutionOutput):
         >>> sol = co.integrate(body, x0, (0, 100), step=0.5, method=co.Taylor(order=4))
         >>> bool(sol.drift()["energy"] < 1e-14), bool(1e-6 < sol.error_estimate() < 1e-2)
         (True, True)
+
+        Of the momentum and of the axis of gravity of a top:
+
+        >>> top = co.systems.heavy_top()
+        >>> sol = co.integrate(top, (0.01, 0.0, 0.02, 0.1, 0.0, 1.0), (0, 1), step=0.05)
+        >>> sorted(sol.error_estimate(by_group=True))
+        ['gamma', 'm']
         """
-        error = self.record.error
-        if error is None:
-            error = self.record.error = shortcut("error_at_end")(self)
-        return float(error[0]) if self.failed is None else error
+        errors = self.record.error
+        if errors is None:
+            errors = self.record.error = shortcut("error_at_end")(self)
+        if self.failed is None:
+            errors = errors[:, 0].tolist()
+        if not read_bool(by_group, "by_group"):
+            return errors[0]
+        return NamedValues(zip(CoordinateGroups(self.system).names(), errors[1:], strict=True))
 
     @suggest_keywords
-    def step_error(self) -> float:
+    def step_error(self, by_group: bool = False) -> Any:
         """Return the error of a step, relative to the change of the state in it: a cheap test of the step.
 
         At five points of the run a step is compared with two half steps; and so is the fastest step that the saved
         points show, such as a pericentre, whose error counts 0.4 times. Above 0.02 the scheme does not follow the
         motion, whatever its invariants, and `integrate` warns. For the error at the end see `error_estimate`.
+        Groups of coordinates count relative to their sizes, such as momentum and position, or each spin; those that
+        start at zero relative to the size of the state. The rounding of a step counts if it loses many digits of a
+        group.
+
+        Parameters
+        ----------
+        by_group : bool
+            Return the errors of the groups instead, at the five points. That of a group which hardly moves may be
+            large while its error is small beside its size; see ``error_estimate(by_group=True)``.
 
         Returns
         -------
         float
             The root mean square over the points; of an ensemble that of the worst of at most 64 members. Infinite if a
-            step of `Kahan` has passed a pole.
+            step of `Kahan` has passed a pole. With `by_group` a dict: name of the group -> its error in a step,
+            relative to its change.
 
         Raises
         ------
@@ -278,9 +309,11 @@ class Solution(SolutionOutput):
         >>> co.integrate(top, x0, (0, 10), step=0.05, method=co.Splitting(order=4)).step_error() < 1e-3
         True
         """
-        from coadjoint.runs.step_error import step_error
+        from coadjoint.runs.step_error import step_error, step_errors_of_groups
 
-        error: float | None = self.__dict__.get("_step_error")
+        if read_bool(by_group, "by_group"):
+            return NamedValues(step_errors_of_groups(self))
+        error: Any = self.__dict__.get("_step_error")
         if error is None:
             error = self.__dict__["_step_error"] = step_error(self)
         return error

@@ -19,6 +19,7 @@ constexpr double P3 = -1.4973849048591698e-33;
 constexpr double TWO_OVER_PI = 0.63661977236758134308;
 constexpr double ROUND = 6755399441055744.0;  // 1.5 * 2^52: adding and subtracting it rounds to the nearest integer
 constexpr double UNREDUCED = 0.785;           // just below pi/4: q is 0
+constexpr double HALF = 0.5 + 0x1p-20;       // above what is left of a number rounded to the nearest integer
 constexpr double LARGEST_REDUCED = 1.0e6;     // |q| < 2^20
 
 template <class A>
@@ -45,6 +46,10 @@ INLINE void circular_series(const A& r, A& z, A& s, A& c) {
 template <class A>
 INLINE Rotation<A> reduced_rotation(const A& phi, const typename Numbers<A>::Mask& near) {
     A shifted = fma(phi, A(TWO_OVER_PI), A(ROUND));
+    // Where rounding is up or down (boundary/rounding.cpp), the nearest integer is one less or more.
+    const A rest = fma(phi, A(TWO_OVER_PI), A(ROUND) - shifted);
+    if (__builtin_expect(any(absolute(rest) > A(HALF)), 0))
+        shifted = shifted + select(rest > A(HALF), A(1.0), select(rest < A(-HALF), A(-1.0), A(0.0)));
     A q = shifted - ROUND;
     A large = fma(-q, A(P1), phi), small = -q * P2;
     A r = large + small;
