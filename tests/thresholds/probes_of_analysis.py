@@ -83,8 +83,11 @@ def invariants_are_kept_over_a_run(off):
     return found
 
 
-@probe(("analysis/signals.py", "off <= 64.0 * UNIT_ROUNDOFF * float(np.max(np.abs(t)))"), at=64 * U)
+@probe(
+    ("analysis/signals.py", "off <= max(64.0 * UNIT_ROUNDOFF * float(np.max(np.abs(t))), rounding)"), at=129 * 16 * U
+)
 def times_are_even(off):
+    """The rounding of 129 times."""
     t = perturbed(np.arange(129.0) / 128.0, (64,), off)
     return accepted(lambda: co.frequencies(t, np.cos(40.0 * t), count=1), "equidistant")
 

@@ -1,5 +1,7 @@
 """Thresholds of `program/`, `methods/`, `kernels/` and `runs/`."""
 
+import warnings
+
 import numpy as np
 
 import coadjoint as co
@@ -131,13 +133,19 @@ def a_coupling_of_scaled_spins_is_isotropic(off):
     raise AssertionError("no form is isotropic")
 
 
-@probe((TIMES, "abs(quotient - steps) > 8 * UNIT_ROUNDOFF * max(quotient, abs(first) / size)"), at=8 * U)
+@probe((TIMES, "TIME_ROUNDING"), at=256 * U)
 def a_step_divides_the_span(off):
+    """Sixteen steps, with the rounding of sixteen times of this size."""
     (found,) = {
         accepted(lambda ends=ends: times_between(ends, (1.0 + off) / 16.0, 1), "divide")
         for ends in ((0.0, 1.0), (1.0, 0.0))
     }
     return found
+
+
+@probe((TIMES, "STEP_SHARE"), at=0.01)
+def rounding_of_many_steps_is_a_small_part_of_one(share):
+    return accepted(lambda: times_between((0.0, 2.0**26 + share), 1.0, 2**20), "divide")
 
 
 @sides((TIMES, "quotient < 2.0 ** 53"), below=2.0**51, above=2.0**54)
@@ -159,9 +167,14 @@ def events_are_not_too_many(count):
 
 
 @probe(("runs/output_times.py", "ULP_TOLERANCE"), at=4)
-def a_time_is_that_of_the_end(places):
-    t = 1.0 + places * np.spacing(1.0)
-    return accepted(lambda: co.integrate(BODY, (1, 2, 3), (0.0, 1.0), 0.25, t_eval=[t]), "t_eval")
+def a_time_is_that_of_a_step(places):
+    """In the last places of the end, before which the body turns far."""
+    end = 2.0**20
+    times = [0.5 * end, 0.5 * end + places * np.spacing(end)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", co.LargeStepWarning)
+        first, second = co.integrate(BODY, (1, 2, 3), (0.0, end), 0.25 * end, co.Splitting(), t_eval=times).x
+    return np.array_equal(first, second)
 
 
 @probe(("runs/tangent_stretching.py", "NEARLY_DEPENDENT"), at=2.0**-26)

@@ -446,6 +446,7 @@ def read_dimension(text: str, dim: int | None, basis: Sequence[str] | None) -> i
     count = read_integer(dim if basis is None else len(names), "dim of a Polynomial")
     if dim is not None and count != dim:
         raise ValueError(f"dim is {short(dim)}, and basis has {count} names; give one of them")
+    check_available_memory(BYTES_PER_EXPONENT * count, f"a formula of {short(count)} coordinates")
     return count
 
 
