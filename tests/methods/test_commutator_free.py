@@ -72,6 +72,23 @@ def test_a_linear_hamiltonian_is_one_exponential(order, algebra, sign):
         assert np.max(np.abs(K - expm(-D))) < size
 
 
+@pytest.mark.parametrize("span", [20.0, 60.0, 200.0])
+@pytest.mark.parametrize("algebra", [co.algebras.so(4), co.algebras.su(3)], ids=str)
+def test_exponentials_of_many_substeps(algebra, span):
+    """By squares from 65 substeps on; members of an ensemble as alone. On a compact algebra only round-off grows."""
+    u = np.linspace(-1.0, 1.5, algebra.dim)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(np.zeros(algebra.dim), linear=u))
+    members = RNG.uniform(-1, 1, (5, algebra.dim))
+    run = co.integrate(system, members, (0, span), span, co.CommutatorFree(4), attitude="coadjoint")
+    alone = co.integrate(system, members[3], (0, span), span, co.CommutatorFree(4), attitude="coadjoint")
+    assert np.array_equal(run.x[:, 3], alone.x) and np.array_equal(run.attitude[:, 3], alone.attitude)
+    D = span * algebra.coadjoint(u)
+    size = 64 * algebra.dim * UNIT_ROUNDOFF * np.abs(D).sum(axis=0).max()
+    E, inverse = (np.linalg.matrix_power(expm(sign * D / 64), 64) for sign in (1, -1))
+    assert np.abs(alone.x[-1] - E @ members[3]).max() < size
+    assert np.abs(alone.attitude[-1] - inverse).max() < size
+
+
 def test_the_group_element_is_that_of_the_motion():
     """In 4 x 4 matrices of SE(3) and of SO(4), beside the rotation of a fine splitting."""
     for algebra in (co.algebras.e(3), co.algebras.so(4)):

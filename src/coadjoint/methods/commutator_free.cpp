@@ -56,9 +56,10 @@ struct VectorOrbit {
             sums[group.column[q]] = fma(absolute(constants.number_at<double>(group.value, q)),
                                         absolute(k[group.element[q]]), sums[group.column[q]]);
         if (!exponential.measure(sums.data(), group.size, group.size * group.entries)) return false;
-        exponential.act(g, square, [&](const double* from, double factor, double* to) {
+        const auto multiply = [&](const double* from, double factor, double* to) {
             group_slope(group, constants, k, from, factor, to);
-        });
+        };
+        exponential.act(g, square, multiply, group.size);
         return true;
     }
 };

@@ -17,8 +17,8 @@ constexpr double GROWTH = power_of_two(GROWTH_BITS);  // larger than the first c
 constexpr double NOISE = 0x1p-32;     // of the size of the stages: only smaller corrections may be round-off
 constexpr int64_t TEST_INTERVAL = 16;  // interval, in iterations, of the test for slow convergence
 constexpr double SLOW = 0x1p-6;        // a smaller fall since the last test would take more than MAX_ITERATIONS
-constexpr double WAKING = 0x1p-47;     // of a component and its move: a larger correction after a rest is no round-off
-constexpr double ROUGH = 0x1p-20;      // of a component and its move: stagnating corrections that are too large
+constexpr double WAKING = 0x1p-47;     // of a component: a larger correction may be no round-off
+constexpr double ROUGH = 0x1p-20;      // of a component: stagnating corrections that are too large
 constexpr double SPREAD_NOISE = 0x1p-16;  // of NOISE: 32 roundings of the largest components, which reach the others
 constexpr int64_t SAMPLES = 8;         // points that differ by roundings, of which few can end alike by chance
 constexpr int64_t SAMPLE_LENGTH = 3;   // iterations from these: round-off spreads from one component to the others
@@ -157,51 +157,65 @@ struct Unknowns {
 
     // Whether the correction of any component of a stage is smaller than all previous ones: components differ in size,
     // and each must stop falling. One unit in the last place is ignored, since among many components one would always
-    // fall; a component with such a correction rests, which is the sign of `least`. If it moves again by more than
-    // round-off, it falls as before: where components move each other in turns, every other correction vanishes.
+    // fall.
     INLINE auto falling(const typename Numbers<V>::Mask& where, int64_t blocks, int64_t size) {
-        auto any_falls = A(0.0) < A(0.0);
-        for (int64_t b = 0; b < blocks; ++b) {
-            const A number = shared_sum<A>(size, [&](int64_t first, int64_t last) {
-                auto found = A(0.0) < A(0.0);
-                for (int64_t c = first; c < last; ++c) {
-                    const int64_t k = b * size + c;
-                    const A extent = absolute(points.at[k]), correction = change.at[k], known = least.at[k];
-                    const auto resting = known < A(0.0), still = correction <= A(2.0 * UNIT_ROUNDOFF) * extent;
-                    auto decreased = (still | (correction < known)) & !resting;
-                    if (any(resting)) {
-                        const A own = extent + absolute(points.at[k] - Layout::spread(base[c]));
-                        const auto wakes = (A(WAKING) * own < correction) & (correction < -known);
-                        decreased = decreased | (resting & wakes & !still);
-                    }
-                    if constexpr (Numbers<V>::lanes > 1) decreased = decreased & where;
-                    least.at[k] = select(decreased, select(still, -known, correction), known);
-                    found = found | decreased;
-                }
-                return select(found, A(1.0), A(0.0));
-            });
-            any_falls = any_falls | (A(0.0) < number);
-        }
-        return Layout::some(any_falls);
+        const A number = shared_sum<A>(blocks * size, [&](int64_t first, int64_t last) {
+            auto found = A(0.0) < A(0.0);
+            for (int64_t k = first; k < last; ++k) {
+                const A unit = A(2.0 * UNIT_ROUNDOFF) * absolute(points.at[k]);
+                const A correction = select(change.at[k] <= unit, A(0.0), change.at[k]);
+                auto decreased = correction < least.at[k];
+                if constexpr (Numbers<V>::lanes > 1) decreased = decreased & where;
+                least.at[k] = select(decreased, correction, least.at[k]);
+                found = found | decreased;
+            }
+            return select(found, A(1.0), A(0.0));
+        });
+        return Layout::some(A(0.0) < number);
     }
 
-    // Whether the correction of any component of a stage is large for this component and its move, and not as small as
-    // the round-off of the largest ones: then it does not converge.
-    NOINLINE auto rough(int64_t blocks, int64_t size) const {
-        auto any_rough = A(0.0) < A(0.0);
-        for (int64_t b = 0; b < blocks; ++b) {
-            const A number = shared_sum<A>(size, [&](int64_t first, int64_t last) {
-                auto found = A(0.0) < A(0.0);
-                for (int64_t c = first; c < last; ++c) {
-                    const A point = points.at[b * size + c], correction = change.at[b * size + c];
-                    const A own = absolute(point) + absolute(point - Layout::spread(base[c]));
-                    found = found | ((A(ROUGH) * own < correction) & (A(SPREAD_NOISE) * noise.at[b] < correction));
-                }
-                return select(found, A(1.0), A(0.0));
-            });
-            any_rough = any_rough | (A(0.0) < number);
-        }
-        return Layout::some(any_rough);
+    // The same for lanes that are `again` tested from the start. Where components move each other in turns, every other
+    // correction vanishes: a component then rests, which is the sign of `least`, and falls as before if it moves again
+    // by more than round-off.
+    NOINLINE auto falling_again(const typename Numbers<V>::Mask& where, const typename Numbers<V>::Mask& again,
+                                int64_t blocks, int64_t size) {
+        auto any_falls = A(0.0) < A(0.0);
+        for (int64_t b = 0; b < blocks; ++b)
+            for (int64_t c = 0; c < size; ++c) {
+                const int64_t k = b * size + c;
+                const A extent = absolute(points.at[k]), correction = change.at[k], known = least.at[k];
+                const A own = extent + absolute(Layout::spread(base[c]));
+                const auto resting = known <= A(0.0), still = correction <= A(2.0 * UNIT_ROUNDOFF) * extent;
+                const auto wakes = (A(WAKING) * own < correction) & (correction < -known) & !still;
+                auto decreased = (still | (correction < known)) & !resting;
+                if constexpr (Numbers<V>::lanes > 1)
+                    decreased = (decreased | (resting & wakes & again)) & where;
+                else
+                    decreased = decreased | (resting & wakes);
+                least.at[k] = select(decreased, select(still, -known, correction), known);
+                any_falls = any_falls | decreased;
+            }
+        return Layout::some(any_falls);
+    }
+    NOINLINE void test_again(const typename Numbers<V>::Mask& where, int64_t blocks, int64_t size) {
+        for (int64_t k = 0; k < blocks * size; ++k)
+            least.at[k] = Layout::choose(where, A(std::numeric_limits<double>::infinity()), least.at[k]);
+    }
+
+    // Whether the correction of any component of a stage is larger than this part of it before and now, and, if `rough`,
+    // than the round-off of the largest components, which reaches the others.
+    template <bool rough>
+    NOINLINE auto any_larger(double part, int64_t blocks, int64_t size) const {
+        auto found = A(0.0) < A(0.0);
+        for (int64_t b = 0; b < blocks; ++b)
+            for (int64_t c = 0; c < size; ++c) {
+                const A correction = change.at[b * size + c];
+                const A own = absolute(points.at[b * size + c]) + absolute(Layout::spread(base[c]));
+                auto larger = A(part) * own < correction;
+                if constexpr (rough) larger = larger & (A(SPREAD_NOISE) * noise.at[b] < correction);
+                found = found | larger;
+            }
+        return Layout::some(found);
     }
 };
 
@@ -274,6 +288,7 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask active, int64_t blocks, int64_t 
     for (const int64_t last = int64_t(unwatched); passed <= last; ++passed) iterate(std::false_type());
     std::fill_n(y.least.at, blocks * size, A(std::numeric_limits<double>::infinity()));
     V first = infinite, last_tested = infinite, stagnant(0.0);
+    typename Numbers<V>::Mask again = no_lane;
     bool any_stored = false;
     // After the last iteration every trajectory has settled or failed.
     for (; passed <= MAX_ITERATIONS; ++passed) {
@@ -288,12 +303,27 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask active, int64_t blocks, int64_t 
             for (int64_t b = 0; b < blocks; ++b) unchanged = unchanged & Layout::every(y.moved.at[b] == A(0.0));
             ended = unchanged;
             auto stagnating = small & !unchanged;
-            if (any(stagnating))
-                stagnating = stagnating & !y.falling(stagnating, blocks, size) & (count > V(double(FIRST_TEST)));
+            if (any(stagnating)) {
+                const typename Numbers<V>::Mask falls =
+                    __builtin_expect(any(again), 0) ? y.falling_again(stagnating, again, blocks, size)
+                                                    : y.falling(stagnating, blocks, size);
+                stagnating = stagnating & !falls & (count > V(double(FIRST_TEST)));
+            }
             stagnant = select(stagnating, stagnant + 1.0, V(0.0));
-            const auto stagnated = stagnating & (stagnant >= V(stagnation_length(passed)));
-            if (any(stagnated)) failed = stagnated & y.rough(blocks, size);
-            ended = ended | (stagnated & !failed);
+            typename Numbers<V>::Mask stagnated = stagnating & (stagnant >= V(stagnation_length(passed)));
+            if (any(stagnated)) {
+                const typename Numbers<V>::Mask large = stagnated & y.template any_larger<false>(WAKING, blocks, size);
+                if (__builtin_expect(any(large), 0)) {
+                    // Large for some component: round-off of other terms, or not yet, or never converged.
+                    const typename Numbers<V>::Mask once_more = large & !again;
+                    failed = large & again & y.template any_larger<true>(ROUGH, blocks, size);
+                    stagnated = stagnated & !once_more & !failed;
+                    stagnant = select(once_more, V(0.0), stagnant);
+                    y.test_again(once_more, blocks, size);
+                    again = again | once_more;
+                }
+            }
+            ended = ended | stagnated;
         } else {
             stagnant = V(0.0);
         }
