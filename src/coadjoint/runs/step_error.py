@@ -438,7 +438,8 @@ def warn_of_large_step(solution: Solution, prepared: PreparedRun) -> None:
         measured = _Measured(solution, prepared)
         error, truncation, member, total, pole = measured.worst()
         too_large = pole is not None or (truncation > WARNED and total > WARNED)
-        rounded = None if too_large else measured.rounded_group()
+        # Where rounding is most of the error of a step, two half steps differ by rounding too.
+        rounded = None if pole is not None or (too_large and error < 2.0 * truncation) else measured.rounded_group()
     except Exception:
         # Functions of the user may refuse half steps, which are no part of the run; `step_error` raises their errors.
         return
@@ -452,7 +453,7 @@ def warn_of_large_step(solution: Solution, prepared: PreparedRun) -> None:
             "the motion; take a smaller step, or end the run earlier if the motion itself goes to infinity there",
             LargeStepWarning,
         )
-    elif too_large:
+    elif too_large and rounded is None:
         suggested = solution.step * (SUGGESTED / min(truncation, total)) ** (1.0 / prepared.method.order)
         warn_caller(
             f"the step {solution.step:g} is too large for {motion}: the error of a step of {prepared.method} is "
