@@ -238,3 +238,11 @@ def test_names_of_other_libraries_lead_to_the_constructor():
     with pytest.raises(AttributeError, match="did you mean 'from_brackets'"):
         _ = co.LieAlgebra.from_bracket
     assert not hasattr(co.LieAlgebra, "__wrapped__")
+
+
+def test_complex_matrices_are_written_by_real_blocks():
+    # The conjugate (A, B; -B, A) has the same commutators.
+    for scale in (1.0, np.pi):
+        g = co.LieAlgebra.from_matrices([scale * np.array([[1j, 2.0], [-2.0, -1j]])])
+        A, B = scale * np.array([[0.0, 2.0], [-2.0, 0.0]]), scale * np.diag([1.0, -1.0])
+        assert np.array_equal(g.representation[0], np.block([[A, -B], [B, A]]))

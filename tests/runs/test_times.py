@@ -153,3 +153,14 @@ def test_larger_end_limits_the_step():
         assert times_of(ends, 16.0, 1).steps == 2**50
         with pytest.raises(ValueError, match="same number"):
             times_of(ends, 8.0, 1)
+
+
+def test_one_rounding_of_a_distant_time_is_always_permitted():
+    """Of Unix times the last place is a fifth of this step, more than the part that sums may have."""
+    first = 1.7e9
+    last = first + 0.3
+    assert abs((last - first) / 1e-6 - 300_000) > 0.01
+    assert times_of((first, last), 1e-6, 300_000).steps == 300_000
+    assert times_of((last, first), 1e-6, 300_000).steps == 300_000
+    with pytest.raises(ValueError, match="divide"):
+        times_of((first, first + 0.30001), 3e-5, 1)

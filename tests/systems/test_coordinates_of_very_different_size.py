@@ -228,3 +228,63 @@ def test_derivatives_by_coefficients_whose_products_cancel(scheme: Any) -> None:
     table = co.Splitting(order=2).program(system(diagonal)).to_mapping()
     monomials = [table["energy"]["monomials"][k] for k in table["fixed"]]
     assert [[k, k] for k in range(9) if [k, k] in monomials] == [[3, 3], [4, 4], [5, 5], [6, 6], [7, 7]]
+
+
+def beside_a_central_force(*pieces: Any) -> Any:
+    """Return a body on the algebra of the satellite, with a function of r that is central and not, and other terms."""
+
+    def V(x: Any) -> Any:
+        distance = np.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
+        return -1.0 / distance + 0.1 * np.cos(x[0]) / distance
+
+    parts = [((i,), co.Quadratic(1 / moment)) for i, moment in enumerate((1.0, 2.0, 2.5))]
+    parts += [((3, 4, 5), co.Quadratic(0.5)), ((6, 7, 8), co.Hamiltonian(V)), *pieces]
+    return co.LiePoissonSystem(co.systems.satellite().algebra, co.SplitHamiltonian(parts), sign=-1)
+
+
+R = (6, 7, 8)
+TERMS = {
+    "linear": (R, co.Quadratic(np.zeros(3), linear=[0.3, -0.2, 0.5])),
+    "quadratic": (R, co.Quadratic([0.3, 0.1, 0.2])),
+    "quartic of the second coordinates": (R, co.Polynomial({(0, 3, 0): 0.4, (0, 1, 2): -0.3, (0, 0, 4): 0.2})),
+    "isotropic quartic": (R, co.Polynomial("0.1*(x1^2 + x2^2 + x3^2)^2", 3)),
+}
+
+
+@pytest.mark.parametrize("name", TERMS)
+def test_other_terms_beside_a_central_force(name: Any) -> None:
+    system = beside_a_central_force(TERMS[name])
+    x = np.r_[0.1, -0.2, 0.3, 0.5, 0.9, -0.1, 1.2, -0.4, 0.3, 1.0]
+    expected = system.sign * system.structure_matrix(x) @ system.hamiltonian.gradient(x)
+    assert np.abs(system.vector_field(x) - expected).max() < 1e-14
+    scheme = co.GaussLegendre(3)
+    compiled = co.integrate(system, x, (0, 0.05), 0.05, scheme).x[-1]
+    assert np.abs(compiled - scheme.step(system, x, 0.0, 0.05)).max() < 1e-14
+    assert np.abs(compiled - co.integrate(system, x, (0, 0.05), 0.05 / 64, co.Splitting(order=4)).x[-1]).max() < 1e-9
+
+
+def test_derivatives_by_a_coefficient_of_an_isotropic_quartic() -> None:
+    exponents = np.zeros((9, 10), dtype=int)
+    exponents[range(3), range(3)] = exponents[range(3, 6), range(3, 6)] = 2
+    quartic = co.Polynomial("0.1*(x1^2 + x2^2 + x3^2)^2", 3)
+    low = {tuple(row): c for row, c in zip(exponents[:6].tolist(), [0.5, 0.25, 0.2, 0.5, 0.5, 0.5], strict=True)}
+    high = {(0,) * 6 + e + (0,): c for e, c in quartic.monomials.items()}
+
+    def system(change: float, which: Any) -> Any:
+        terms = {**low, **high}
+        terms[which] += change
+        return co.LiePoissonSystem(co.systems.satellite().algebra, co.Polynomial(terms), sign=-1)
+
+    x0, scheme = np.r_[0.1, -0.2, 0.3, 0.5, 0.9, -0.1, 1.2, -0.4, 0.3, 1.0], co.Splitting(order=4)
+    weights = np.random.default_rng(5).standard_normal(10)
+    which = next(iter(high))
+    ready = co.prepare(system(0.0, which), scheme, step=0.05)
+    sol, pullback = ready.vjp(x0, (0, 1), save_every=20)
+    ends = np.zeros(sol.x.shape)
+    ends[-1] = weights
+    found = pullback(ends)["coefficients"]
+    names = list(system(0.0, which).hamiltonian.polynomial.monomials)
+    for key in (which, next(reversed(high))):
+        above, below = (co.integrate(system(d, key), x0, (0, 1), 0.05, scheme).x[-1] for d in (1e-5, -1e-5))
+        # With another coefficient the parts are others, and so is the error of the steps.
+        assert abs(found[names.index(key)] - weights @ (above - below) / 2e-5) < 1e-5

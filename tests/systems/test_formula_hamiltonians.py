@@ -121,3 +121,14 @@ def test_functions_that_are_undefined_are_refused(text):
 def test_long_functions_are_refused():
     with pytest.raises(ValueError, match="more than 2000 operations"):
         co.formula("+".join(f"cos({k}*x1)" for k in range(1100)), 1)
+
+
+def test_names_of_coordinates_are_pickled():
+    # In another order than their numbers: without the names, the coordinates would be exchanged in silence.
+    for names in (("m1", "m2", "m3"), ("x2", "x1", "x3")):
+        H = co.formula(f"cos({names[0]}) + 2*{names[1]}^2 + {names[2]}^3", basis=names)
+        x = np.array([0.1, 0.7, 0.4])
+        again = pickle.loads(pickle.dumps(H))
+        assert again.value(x) == H.value(x) == np.cos(0.1) + 2 * 0.7**2 + 0.4**3
+        system = co.LiePoissonSystem(co.algebras.so(3), H)
+        assert np.array_equal(pickle.loads(pickle.dumps(system)).vector_field(x), system.vector_field(x))
