@@ -271,6 +271,7 @@ def test_by_group_is_a_bool():
         assert getattr(sol, name)(by_group=True)["x"] == getattr(sol, name)()
 
 
+@pytest.mark.filterwarnings("ignore:rounding changes:coadjoint.errors.RoundingWarning")
 def test_the_repeated_run_is_a_part_of_long_ones(monkeypatch):
     """Of a run of 96 steps, 24 are repeated, and the error is that of the whole as a random walk."""
     sol, _ = run(2e15)
@@ -279,6 +280,9 @@ def test_the_repeated_run_is_a_part_of_long_ones(monkeypatch):
     monkeypatch.setattr(module, "_most_steps", lambda *_: 24)
     part = module._Measured(sol, prepared).rounded_group()
     assert part is not None and whole.error / 10 < part.error < 10 * whole.error
+    first = co.integrate(satellite(2e15), start(2e15), (0, 24 * STEP), STEP, METHOD, watch=False)
+    monkeypatch.setattr(module, "ROUNDED", 1e-9)
+    assert part.error == pytest.approx(2 * module._Measured(first, prepared).rounded_group().error, rel=1e-12)
 
 
 @functools.cache
