@@ -284,6 +284,11 @@ class _Measured:
         group = int(np.argmax(np.where(errors > ROUNDED, ratios[m], -1.0)))
         return Rounded(float(errors[group]), group, int(self.members[m])) if errors[group] > ROUNDED else None
 
+    def is_beside_larger(self, rounded: Rounded) -> bool:
+        """Test whether a group is smaller than another one, and rounding is not what an unstable run has amplified."""
+        m = int(np.flatnonzero(self.members == rounded.member)[0])
+        return rounded.error < 1.0 and bool(self.sizes[m, rounded.group] < self.sizes[m].max())
+
     def _passages(self) -> tuple[tuple[int, int] | None, int]:
         """Return the fastest passage, and the saved interval over which the states change least.
 
@@ -440,6 +445,8 @@ def warn_of_large_step(solution: Solution, prepared: PreparedRun) -> None:
         too_large = pole is not None or (truncation > WARNED and total > WARNED)
         # Where rounding is most of the error of a step, two half steps differ by rounding too.
         rounded = None if pole is not None or (too_large and error < 2.0 * truncation) else measured.rounded_group()
+        if too_large and rounded is not None and not measured.is_beside_larger(rounded):
+            rounded = None
     except Exception:
         # Functions of the user may refuse half steps, which are no part of the run; `step_error` raises their errors.
         return
