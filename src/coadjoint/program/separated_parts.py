@@ -11,8 +11,10 @@ import numpy as np
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.program.actions import NOTHING_OMITTED
 from coadjoint.program.commutation import Commutation
 from coadjoint.program.parts.part import BodyShare, FunctionShare, Parts
+from coadjoint.program.parts.part_polynomials import sparse_row
 from coadjoint.program.sparse_rows import starts_of
 from coadjoint.systems.vanishing_products import (
     MAX_MONOMIALS,
@@ -59,7 +61,7 @@ def _separated(algebra: LieAlgebra, parts: Parts, inputs: frozenset[int]) -> Sep
         separated |= functions
         omitted += entries
     if not omitted:
-        return SeparatedParts(parts, np.zeros((0, 3), dtype=np.int64))
+        return SeparatedParts(parts, NOTHING_OMITTED)
     copies = np.ones(len(parts.row) - 1, dtype=np.int64)
     for s, share in separated.items():
         copies[s] = share.copies
@@ -123,7 +125,7 @@ def _omitted_in_part(
             for q in sorted(numbers):
                 each = candidates[q]
                 omitted.append((s, copy * len(index) + index[each.column], each.row, each.state))
-        functions[s] = replace(share, divided=found.term, copies=len(found.omitted))
+        functions[s] = replace(share, divided=found.term)
     listed = _of_polynomials(parts, shares, candidates.values(), inputs)
     for (s, a, each, _), number in zip(listed, cancelling([product for *_, product in listed]), strict=True):
         if number >= 0:
@@ -149,7 +151,7 @@ def _of_polynomials(
         polynomial = share.polynomial if share else None
         derivatives = derivatives_of(polynomial, range(polynomial.dim)) if polynomial else {}
         for a, angle in enumerate(range(int(parts.row[s]), int(parts.row[s + 1]))):
-            coordinate, value = _row(parts.forms, angle)
+            coordinate, value = sparse_row(parts.forms, angle)
             if len(coordinate) != 1 or coordinate[0] not in by_column:
                 continue
             monomials = derivatives.get(coordinate[0], [])
@@ -187,13 +189,8 @@ def joined_if_cancelling(algebra: LieAlgebra, commutation: Commutation, parts: P
 
 
 def _linear_monomials(parts: Parts, angle: int, given: bool) -> list[Monomial]:
-    coordinates, values = _row(parts.weights, angle)
+    coordinates, values = sparse_row(parts.weights, angle)
     monomials = [Monomial(None, (k,), value) for k, value in zip(coordinates, values, strict=True)]
     if given or parts.offset[angle] != 0:
         monomials.append(Monomial(("input", angle) if given else None, (), 1 if given else parts.offset[angle]))
     return monomials
-
-
-def _row(rows: Any, r: int) -> tuple[list[int], list[Any]]:
-    entries = slice(int(rows.start[r]), int(rows.start[r + 1]))
-    return rows.coordinate[entries].tolist(), rows.value[entries].tolist()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.actions import Action, build_action
+from coadjoint.program.actions import NOTHING_OMITTED, Action, build_action
 from coadjoint.program.copied_actions import copied_action
 from coadjoint.program.generators import BasisMatrices, SplittingTooExpensive
 from coadjoint.program.numbers import Number, array_of
@@ -144,7 +144,7 @@ def build_program(
         decomposition = decompose(system, method.parts)
     except (NotSplittable, SplittingTooExpensive) as reason:
         raise ValueError(f"{type(method).__name__} cannot be used for {system.name}: {reason}") from None
-    parts, omitted = decomposition.parts, np.zeros((0, 3), dtype=np.int64)
+    parts, omitted = decomposition.parts, NOTHING_OMITTED
     if field_products(system) is not None:
         parts, omitted = separated_parts(system.algebra, parts, decomposition.choice.linear)
     if decomposition.shift is None and group is not None:

@@ -6,6 +6,7 @@ much larger than the coordinate that they are added to. They are left out of flo
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from fractions import Fraction
 from functools import lru_cache
@@ -15,6 +16,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.exact.components import connected
 from coadjoint.algebra.exact.numbers import exact_number
 from coadjoint.algebra.exact.sparse_sums import expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
@@ -97,25 +99,17 @@ def cancelling(products: Sequence[tuple[int, int, Iterable[Monomial], Any]]) -> 
     Each product is (row, state, monomials of its component of the gradient, constant). Products of a row that share a
     monomial are linked, and cancel together if all of their monomials do.
     """
-    link = list(range(len(products)))
-
-    def find(q: int) -> int:
-        while link[q] != q:
-            link[q] = q = link[link[q]]
-        return q
-
     first: dict[Any, int] = {}
+    links: list[tuple[int, int]] = []
     total: dict[Any, Any] = {}
     for q, (row, state, monomials, constant) in enumerate(products):
         for factor, coordinates, coefficient in monomials:
             key = row, factor, tuple(sorted((*coordinates, state)))
             total[key] = total.get(key, 0) + Fraction(exact_number(constant)) * Fraction(exact_number(coefficient))
-            link[find(q)] = find(first.setdefault(key, q))
-    remaining = {find(first[key]) for key, value in total.items() if value}
-    sizes = [0] * len(products)
-    for q in range(len(products)):
-        sizes[find(q)] += 1
-    return [find(q) if sizes[find(q)] > 1 and find(q) not in remaining else -1 for q in range(len(products))]
+            links.append((q, first.setdefault(key, q)))
+    label = connected(len(products), *np.array(links, dtype=np.int64).reshape(-1, 2).T).tolist()
+    remaining, sizes = {label[first[key]] for key, value in total.items() if value}, Counter(label)
+    return [number if sizes[number] > 1 and number not in remaining else -1 for number in label]
 
 
 def derivatives_of(polynomial: Polynomial, coordinates: Sequence[int], factor: Any = None) -> dict[int, list[Monomial]]:

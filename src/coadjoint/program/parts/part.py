@@ -29,13 +29,17 @@ class PolynomialShare:
 class FunctionShare:
     """Angles that are the gradient of a user function of the term's coordinates.
 
-    With several `copies` they are those of `divided`, the same function with its gradient as so many vectors that
-    add up to it.
+    They are those of `divided`, if it is given: the same function, with its gradient as several vectors that add up to
+    it.
     """
 
     term: FunctionTerm
     divided: FunctionTerm | None = None
-    copies: int = 1
+
+    @property
+    def copies(self) -> int:
+        """The number of vectors that the gradient is the sum of."""
+        return 1 if self.divided is None else len(self.divided.coordinates) // len(self.term.coordinates)
 
 
 @dataclass(frozen=True)

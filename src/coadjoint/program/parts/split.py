@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -41,15 +41,16 @@ def split(system: LiePoissonSystem, choice: Choice = "auto", terms: Sequence[Ter
     """
     commutation = Commutation(system.algebra)
     terms = terms or system.hamiltonian.terms()
+    cancels = cache(lambda: products_without_cancelling(system.algebra, terms) is not None)
     if isinstance(choice, str) and choice == "auto" and system.dim <= MAX_PATTERN_SIZE:
         cached = _parts_by_pattern(terms, commutation)
-        if cached is not None and products_without_cancelling(system.algebra, terms) is None:
+        if cached is not None and not cancels():
             return cached
     atoms = _by_first_coordinate(_atoms(system, terms, commutation, separate=choice == "coordinates"))
     if choice == "coordinates":
         return atoms
     if isinstance(choice, str):
-        if products_without_cancelling(system.algebra, terms) is not None:
+        if cancels():
             atoms = joined_if_cancelling(system.algebra, commutation, atoms)
         return few_parts(atoms, commutation)
     return _join_as_chosen(system, choice, atoms, commutation)

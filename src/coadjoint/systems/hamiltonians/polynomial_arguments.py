@@ -27,10 +27,9 @@ class PolynomialArguments:
     """
 
     def __init__(self, value: Callable[..., Any], n: int, timed: bool) -> None:
-        recorded = traced(value, n, timed)
-        self._graph, self._variables, self._result, self._timed = recorded
+        self._recorded = traced(value, n, timed)
         self._divided: dict[Any, tuple[Any, ...]] = {}
-        by_node = _outermost(recorded)
+        by_node = _outermost(self._recorded)
         self._ends = tuple(by_node)
         self.polynomials = tuple(
             Polynomial({exponents_of(key, n): c for key, c in monomials.items() if c != 0}, dim=n)
@@ -50,22 +49,21 @@ class PolynomialArguments:
         return replace(term, coordinates=coordinates, value=value, gradient=gradient, hessian=hessian)
 
     def _functions(self, sets: Sequence[Sequence[int]], without_hessian: bool) -> tuple[Any, ...]:
-        graph, variables, n = self._graph, self._variables, len(self._variables)
-        ends = [Traced(graph, index) for index in self._ends]
-        slopes = graph.gradient(self._result, ends, frozenset(self._ends))
+        graph, variables, result, timed = self._recorded
+        n, ends = len(variables), [Traced(graph, index) for index in self._ends]
+        slopes = graph.gradient(result, ends, frozenset(self._ends))
         gradient: list[Any] = []
         for numbers in sets:
             rows = [graph.gradient(ends[k], variables) for k in numbers]
             gradient += [sum(slopes[k] * row[a] for k, row in zip(numbers, rows, strict=True)) for a in range(n)]
-        value = graph.function([self._result], "{0}", self._timed)
-        first = graph.function(gradient, "np.array(({0},))", self._timed)
+        value, first = self._recorded.value(), graph.function(gradient, "np.array(({0},))", timed)
         if without_hessian:
             return value, first, None
         # Derivatives by the first of the repeated coordinates.
         rest = [0] * (len(gradient) - n)
         curvatures = [entry for one in gradient for entry in (*graph.gradient(one, variables), *rest)]
         shape = (len(gradient),) * 2
-        return value, first, graph.function(curvatures, f"np.array(({{0}},)).reshape({shape})", self._timed)
+        return value, first, graph.function(curvatures, f"np.array(({{0}},)).reshape({shape})", timed)
 
 
 @lru_cache(maxsize=256)
