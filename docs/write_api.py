@@ -116,7 +116,7 @@ def page() -> str:
 
 def signatures() -> str:
     """Return every public name with its parameters and their defaults, a line for each, sorted."""
-    lines = {f"co.{old} = co.{new}" for old, new in aliases(co).items()}
+    lines: set[str] = set()
     for module in ("", *(f".{name}" for name in ("algebras", *(name for _, name in NAMESPACES)))):
         space = getattr(co, module[1:]) if module else co
         lines |= {_signed(name, value) for name, value in _names_of(f"co{module}", space)}
@@ -182,8 +182,6 @@ def get(name: str, **parameters: Any) -> LiePoissonSystem | PoissonSystem: ...
 
 def _sections() -> Iterator[str]:
     yield _table("The package", list(_names_of("co", co)))
-    former = ", ".join(f"`co.{old}` (`co.{new}`)" for old, new in aliases(co).items())
-    yield f"Former names, which remain: {former}.\n"
     yield _table("Algebras", list(_names_of("co.algebras", co.algebras)))
     families = ", ".join(f"`{name}`" for name in co.algebras.names() if not name.startswith("A"))
     real = ", ".join(f"`{name}`" for name in co.algebras.names() if name.startswith("A"))
@@ -202,18 +200,11 @@ def _sections() -> Iterator[str]:
     ]
     yield "\n".join(["## The command\n", "| command | what it does |", "|---|---|", *lines])
     yield "\n`coadjoint COMMAND --help` shows the options. [files.md](files.md) describes configuration files."
-    yield "\nNext: [Changes before 1.0](changes_before_1.0.md)."
-
-
-def aliases(module: Any) -> dict[str, str]:
-    """Return the former names of a module and the present ones."""
-    named = {name: getattr(getattr(module, name), "__name__", name) for name in dir(module)}
-    return {name: present for name, present in sorted(named.items()) if present != name and present in named}
 
 
 def _names_of(shown: str, module: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the public names of a module, without former ones."""
-    for name in sorted(set(dir(module)) - set(aliases(module)), key=lambda name: (name.lower(), name)):
+    """Yield the public names of a module."""
+    for name in sorted(dir(module), key=lambda name: (name.lower(), name)):
         yield f"{shown}.{name}", getattr(module, name)
 
 

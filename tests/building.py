@@ -75,6 +75,19 @@ class Kernels:
         objects = [str(self._object(path)) for path in order]
         return _called([*self.compiler, *self.linking, "-shared", "-pthread", *objects, "-o", self.library])
 
+    def including(self, header: Path) -> tuple[str, ...]:
+        """Return the names of the sources that a file is part of."""
+        name = header.relative_to(self.tree)
+
+        def includes(path: Path) -> bool:
+            command = [*self.compiler, *self.flags, "-MM", str(path)]
+            return str(name) in subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            return tuple(
+                path.name for path, found in zip(self.sources, pool.map(includes, self.sources), strict=True) if found
+            )
+
     def restore(self, only: tuple[str, ...], stored: dict[str, bytes]) -> None:
         """Restore the objects that a defect replaced, and the library."""
         for name in only:

@@ -14,7 +14,6 @@ from .algebra.invariants.invariant import Invariant as Invariant
 from .algebra.lie_algebra import LieAlgebra as LieAlgebra
 from .algebra.polynomials.polynomial import Polynomial as Polynomial
 from .analysis.backward_error.corrector import Corrector as Corrector
-from .analysis.backward_error.corrector import corrector as corrector
 from .analysis.backward_error.corrector import make_corrector as make_corrector
 from .analysis.backward_error.modified_field import modified_field as modified_field
 from .analysis.backward_error.modified_field_base import ModifiedField as ModifiedField
@@ -42,7 +41,6 @@ from .errors import IntegrationError as IntegrationError
 from .errors import LargeStepWarning as LargeStepWarning
 from .errors import RoundingWarning as RoundingWarning
 from .files.archives.archived_solution import open_archive as open_archive
-from .files.archives.ensemble import ensemble as ensemble
 from .files.archives.ensemble import integrate_ensemble as integrate_ensemble
 from .files.archives.resume import resume as resume
 from .files.datasets.loaded_solution import load as load
@@ -64,9 +62,7 @@ from .methods.splitting import Splitting as Splitting
 from .methods.taylor import Taylor as Taylor
 from .runs.crossings.section import Section as Section
 from .runs.crossings.section import poincare_section as poincare_section
-from .runs.crossings.section import section as section
 from .runs.events import Event as Event
-from .runs.events import Events as Events
 from .runs.events import RecordedEvents as RecordedEvents
 from .runs.integrate import integrate as integrate
 from .runs.prepared_run import PreparedRun as PreparedRun

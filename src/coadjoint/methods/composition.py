@@ -18,7 +18,6 @@ from coadjoint.validation import read_finite
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.methods.numerics.quadratic_field import QuadraticField
     from coadjoint.methods.protocol.cost_model import Work
 
 MAX_SUM = 1000.0
@@ -102,9 +101,6 @@ class Composition(Composed, Composable):
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         return self.expanded.tangent(system, x, t, h)
-
-    def field_with_poles(self, system: System) -> QuadraticField | None:
-        return self.base.field_with_poles(system)
 
     def work(self, system: System, group: Representation = None) -> Work:
         return self.expanded.work(system, group)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.numerics.quadratic_field import QuadraticField, derivative
 from coadjoint.methods.numerics.stages import linear_solve
 from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.method import Representation, has_quadratic_energy
@@ -37,7 +36,7 @@ class Kahan(CompiledStepMethod):
     symmetric systems, and unbounded otherwise.
 
     Where the determinant of the linear system changes its sign between the steps by 0 and by h, the state jumps through
-    infinity; `integrate` emits a `LargeStepWarning` with the time of the step.
+    infinity and comes back, with finite numbers that belong to another motion.
 
     The linear system is factorized in up to 200 dimensions, and solved by GMRES in more.
 
@@ -89,25 +88,31 @@ class Kahan(CompiledStepMethod):
         """Return one step, computed in NumPy for any number type."""
         self.properties(system)
         point = np.asarray(x)
-        matrix = np.eye(len(point), dtype=np.int64) - h / 2 * derivative(system, point, t)
+        matrix = np.eye(len(point), dtype=np.int64) - h / 2 * _derivative(system, point, t)
         return point + linear_solve(matrix, (h * system.vector_field(point, t))[:, None])[:, 0]
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its exact derivative, ``(1 - h/2 f'(x))^-1 (1 + h/2 f'(x_new))``: f' is linear in x."""
         start = np.asarray(x, dtype=np.float64)
         end, identity = self.step(system, start, t, h), np.eye(len(start))
-        before, after = (h / 2 * derivative(system, point, t) for point in (start, end))
+        before, after = (h / 2 * _derivative(system, point, t) for point in (start, end))
         return end, linear_solve(identity - before, identity + after)
-
-    def field_with_poles(self, system: System) -> QuadraticField:
-        """Return the field, for steps from many states that tell whether they pass a pole."""
-        return QuadraticField.of(system)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the field, of its derivative, and of the linear system."""
         from coadjoint.methods.protocol.cost_model import work_of_evaluations
 
         return work_of_evaluations(system, substeps * (1 + min(system.dim, TYPICAL_COLUMNS)), self.explicit)
+
+
+def _derivative(system: System, x: NDArray[Any], t: Any) -> NDArray[Any]:
+    """Return f'(x) of a quadratic field; if J is a function, by differences, which are then exact."""
+    if system.algebra is not None:
+        return np.asarray(system.jacobian(x, t))
+    size = max(abs(x)) or 1
+    offsets = size * np.eye(len(x), dtype=np.int64)
+    pairs = [system.vector_field(x + offset, t) - system.vector_field(x - offset, t) for offset in offsets]
+    return np.stack(pairs, axis=1) / (2 * size)
 
 
 @lru_cache(maxsize=64)

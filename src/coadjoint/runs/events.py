@@ -249,10 +249,6 @@ class RecordedEvents:
         return shortcut("draw_crossings")(self, components, axes)
 
 
-Events = RecordedEvents
-"""Former name."""
-
-
 class TerminalEvent(NamedTuple):
     """Terminal event of a single-member run: number of saved points, step, time, state, invariants and attitude."""
 

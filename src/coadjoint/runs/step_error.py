@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from coadjoint.errors import LargeStepWarning, RoundingWarning
 from coadjoint.long_operations import warn_caller
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.passed_poles import passed_pole, states_in_memory
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.unfinished_members import ends_by_events
@@ -84,14 +83,13 @@ class Worst(NamedTuple):
     """The largest error of a step among the members, with its member.
 
     `truncation` is the part of the error that shorter steps reduce. Of a run at rest `total` is such an error in each
-    of its steps, relative to the state, else infinite; `pole` is the time of a pole passed.
+    of its steps, relative to the state, else infinite.
     """
 
     error: float
     truncation: float
     member: int
     total: float
-    pole: float | None = None
 
 
 class Step(NamedTuple):
@@ -238,8 +236,7 @@ class _Measured:
                 if FASTEST * fastest > largest.truncation:
                     error = max(largest.error, FASTEST * fastest)
                     largest = Worst(error, FASTEST * fastest, int(self.members[m]), math.inf)
-        pole = passed_pole(solution, system, self.method, self.members, self.h)
-        return largest if pole is None else Worst(math.inf, math.inf, int(self.members[pole.member]), math.inf, pole.t)
+        return largest
 
     def step_count(self, m: int) -> float:
         """Return the number of steps of a chosen member."""
@@ -392,6 +389,11 @@ def _members_of(solution: Solution) -> int:
     return 1 if solution.failed is None else len(solution.failed)
 
 
+def states_in_memory(solution: Solution) -> bool:
+    """Test whether the states are those of a run or a file; those of archives are not read to check steps."""
+    return "saved" in solution.record or "dataset" in solution.record
+
+
 def _members(solution: Solution, system: Any) -> NDArray[np.int64]:
     """Return the members whose steps are repeated: the first few of each system."""
     if not is_batch(system):
@@ -441,10 +443,10 @@ def warn_of_large_step(solution: Solution, prepared: PreparedRun) -> None:
         return
     try:
         measured = _Measured(solution, prepared)
-        error, truncation, member, total, pole = measured.worst()
-        too_large = pole is not None or (truncation > WARNED and total > WARNED)
+        error, truncation, member, total = measured.worst()
+        too_large = truncation > WARNED and total > WARNED
         # Where rounding is most of the error of a step, two half steps differ by rounding too.
-        rounded = None if pole is not None or (too_large and error < 2.0 * truncation) else measured.rounded_group()
+        rounded = None if too_large and error < 2.0 * truncation else measured.rounded_group()
         if too_large and rounded is not None and not measured.is_beside_larger(rounded):
             rounded = None
     except Exception:
@@ -453,14 +455,7 @@ def warn_of_large_step(solution: Solution, prepared: PreparedRun) -> None:
     solution.__dict__["_step_error"] = error
     member = member if rounded is None else rounded.member
     motion = "this motion" if solution.failed is None else f"the motion of member {member}"
-    if pole is not None:
-        warn_caller(
-            f"{motion} passed through a pole of {prepared.method} at t = {pole:g}: 1 - h/2 f'(x) is singular for a "
-            f"shorter step than {solution.step:g}, the state goes through infinity, and later states are not those of "
-            "the motion; take a smaller step, or end the run earlier if the motion itself goes to infinity there",
-            LargeStepWarning,
-        )
-    elif too_large and rounded is None:
+    if too_large and rounded is None:
         suggested = solution.step * (SUGGESTED / min(truncation, total)) ** (1.0 / prepared.method.order)
         warn_caller(
             f"the step {solution.step:g} is too large for {motion}: the error of a step of {prepared.method} is "

@@ -183,10 +183,6 @@ def make_corrector(system: LiePoissonSystem, method: Method | str | Mapping[str,
     return Corrector(system, generator, scheme.order, remaining)
 
 
-corrector = make_corrector
-"""Former name."""
-
-
 def _largest_speed(system: LiePoissonSystem, function: Polynomial, points: Floats) -> float:
     """Return the largest speed of the flow of a function at some states."""
     slopes = np.asarray(function.gradient(points))

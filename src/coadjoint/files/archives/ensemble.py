@@ -120,10 +120,6 @@ def integrate_ensemble(
     return run_in_blocks(prepared, x0, t_span, save_every, archive, pool, size=size, progress=progress, about=metadata)
 
 
-ensemble = integrate_ensemble
-"""Former name."""
-
-
 def _along_members(coordinates: Mapping[str, Any], members: int) -> Variables:
     """Validate coordinates and return them as variables of an archive."""
     if not isinstance(coordinates, Mapping):

@@ -91,11 +91,6 @@ class Work:
     in_lanes: float = 1.0
     compensated: Callable[[], Work] | None = None
 
-    @property
-    def in_a_crowd(self) -> float:
-        """Former name of `in_lanes`."""
-        return self.in_lanes
-
 
 def flow_work(program: Program, compensated: bool) -> float:
     """Return the cost of one step of a splitting, including the group action, in rotations."""

@@ -20,7 +20,6 @@ from coadjoint.systems.system_checks import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.methods.numerics.quadratic_field import QuadraticField
     from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.program.table import Program
 
@@ -220,10 +219,6 @@ class Method(metaclass=ExplainedCalls):
 
         result = derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))
         return result.value, result.derivative
-
-    def field_with_poles(self, system: System) -> QuadraticField | None:
-        """Return the field whose steps solve linear systems that can be singular; None for all other schemes."""
-        return None
 
     def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
         """Return the table of exact flows that make up a step.

@@ -161,7 +161,3 @@ def poincare_section(
     sol = integrate(system, x0s, t_span, step, method, save_every=ENDS_ONLY, watch=False, **options)
     assert sol.events is not None
     return Section(sol.events, 1 if sol.failed is None else len(sol.failed))
-
-
-section = poincare_section
-"""Former name."""

@@ -293,9 +293,8 @@ class Solution(SolutionOutput):
         Returns
         -------
         float
-            The root mean square over the points; of an ensemble that of the worst of at most 64 members. Infinite if a
-            step of `Kahan` has passed a pole. With `by_group` a dict: name of the group -> its error in a step,
-            relative to its change.
+            The root mean square over the points; of an ensemble that of the worst of at most 64 members. With
+            `by_group` a dict: name of the group -> its error in a step, relative to its change.
 
         Raises
         ------

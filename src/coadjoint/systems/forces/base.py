@@ -75,9 +75,6 @@ class Force(metaclass=ExplainedCalls):
         super().__init_subclass__(**options)
         # A dataclass keeps a representation that its class has.
         cls.__repr__ = cls.__repr__  # type: ignore[method-assign]
-        # `given_to` is the former name.
-        if "given_to" in vars(cls) and "describe_to" not in vars(cls):
-            cls.describe_to = vars(cls)["given_to"]  # type: ignore[method-assign]
 
     @property
     def label(self) -> str:

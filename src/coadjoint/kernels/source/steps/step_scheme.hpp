@@ -59,10 +59,4 @@ extern "C" __attribute__((visibility("default"), weak)) void import_interrupts(c
         return new Type(tables, constants);                                                 \
     }
 
-// Former names, which steps of users may contain.
-typedef MemberConstants Own;
-typedef InterruptCheck Hearing;
-template <class A>
-using FieldRoom = FieldWorkspace<A>;
-
 }  // namespace coadjoint

@@ -1,0 +1,134 @@
+"""Figures of the source tree: sizes, concepts, imports and cycles (`python tests/structure.py`).
+
+Nothing is imported or run: the files that git tracks are parsed. `MAXIMA` is the budget that a test checks.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[1]
+ENTRY = "coadjoint.runs.integrate"
+INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
+
+# A change may lower a maximum. One that raises it says in a comment beside the number what users gain for it.
+MAXIMA: dict[str, int] = {}
+
+
+class Import(NamedTuple):
+    """An import of a module of the package: inside a function, or only for types."""
+
+    module: str
+    inside: bool
+    typing: bool
+
+
+def tracked(root: Path = ROOT) -> list[Path]:
+    """Return the files that git tracks; all files outside of a repository."""
+    command = ["git", "-C", str(root), "ls-files", "--cached", "--others", "--exclude-standard"]
+    try:
+        names = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    except (OSError, subprocess.CalledProcessError):
+        return sorted(path for path in root.rglob("*") if path.is_file())
+    return sorted(path for name in names if (path := root / name).is_file())
+
+
+def line_count(paths: Iterable[Path]) -> int:
+    return sum(path.read_text("utf-8").count("\n") for path in paths)
+
+
+def module_name(path: Path, root: Path = ROOT) -> str:
+    """Return the dotted name of a file of the package."""
+    parts = path.relative_to(root / "src").with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports_of(tree: ast.AST, own: str, modules: Iterable[str]) -> Iterator[Import]:
+    """Yield the imports of modules of the package in a syntax tree."""
+    known = set(modules)
+    pending = [(tree, False, False)]
+    while pending:
+        node, inside, typing = pending.pop()
+        inside = inside or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        typing = typing or (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test))
+        names: list[str] = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            deeper = [f"{node.module}.{alias.name}" for alias in node.names]
+            names = [name if name in known else str(node.module) for name in deeper]
+        yield from (Import(name, inside, typing) for name in dict.fromkeys(names) if name in known and name != own)
+        pending += [(child, inside, typing) for child in ast.iter_child_nodes(node)]
+
+
+def reached(start: str, graph: dict[str, set[str]]) -> set[str]:
+    """Return the modules that are imported with one."""
+    found: set[str] = set()
+    pending = [start]
+    while pending:
+        name = pending.pop()
+        if name not in found:
+            found.add(name)
+            pending += graph.get(name, ())
+    return found
+
+
+def cycles(graph: dict[str, set[str]]) -> list[set[str]]:
+    """Return the largest sets of modules each of which imports every other, directly or not."""
+    behind = {name: reached(name, graph) for name in graph}
+    found: list[set[str]] = []
+    done: set[str] = set()
+    for name in graph:
+        if name not in done:
+            ring = {other for other in behind[name] if name in behind[other]}
+            done |= ring
+            found += [ring] if len(ring) > 1 else []
+    return sorted(found, key=len, reverse=True)
+
+
+def figures(root: Path = ROOT) -> dict[str, int]:
+    """Return the figures by name."""
+    files = tracked(root)
+    python = [path for path in files if path.suffix == ".py" and path.is_relative_to(root / "src")]
+    cpp = [path for path in files if path.suffix in (".cpp", ".hpp") and path.is_relative_to(root / "src")]
+    tests = [path for path in files if path.suffix == ".py" and path.is_relative_to(root / "tests")]
+    pages = [path for path in files if path.suffix == ".md" and path.is_relative_to(root / "docs")]
+    modules = {module_name(path, root): path for path in python}
+    trees = {name: ast.parse(path.read_text("utf-8")) for name, path in modules.items()}
+    imports = {name: list(imports_of(tree, name, modules)) for name, tree in trees.items()}
+    nodes = [node for tree in trees.values() for node in ast.walk(tree)]
+    on_import = {n: {one.module for one in found if not one.inside and not one.typing} for n, found in imports.items()}
+    rings = cycles({name: {one.module for one in found} for name, found in imports.items()})
+    behind = reached(ENTRY, on_import)
+    functions = [node for node in nodes if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
+    return {
+        "Python files": len(python),
+        "Python lines": line_count(python),
+        "folders": len({path.parent for path in python}),
+        "longest file": max(line_count([path]) for path in python),
+        "longest function": max((node.end_lineno or 0) - node.lineno + 1 for node in functions),
+        "classes": sum(isinstance(node, ast.ClassDef) for node in nodes),
+        "isinstance": sum(isinstance(node, ast.Call) and getattr(node.func, "id", "") == "isinstance" for node in nodes),
+        "imports inside functions": sum(one.inside and not one.typing for found in imports.values() for one in found),
+        "import cycles": len(cycles(on_import)),
+        "files in cycles, with imports inside functions and for types": sum(map(len, rings)),
+        "modules behind integrate": len(behind),
+        "lines behind integrate": line_count(modules[name] for name in behind),
+        "C++ files": len(cpp),
+        "C++ lines": line_count(cpp),
+        "test files": len(tests),
+        "test lines": line_count(tests),
+        "test files that import internals": sum(bool(INTERNAL.search(path.read_text("utf-8"))) for path in tests),
+        "doc pages": len(pages),
+        "doc page lines": line_count(pages),
+    }
+
+
+if __name__ == "__main__":
+    for name, value in figures().items():
+        print(f"{value:>8}  {name}" + (f"  (at most {MAXIMA[name]})" if name in MAXIMA else ""))
