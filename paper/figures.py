@@ -29,7 +29,7 @@ def heavy_top() -> co.LiePoissonSystem:
 
 
 def conservation(span: float) -> Figure:
-    """Changes of the energy and of a Casimir over time, beside a general solver."""
+    """Draw changes of the energy and of a Casimir over time, beside a general solver."""
     top, times = heavy_top(), np.linspace(0.0, span, 401)
     figure = Figure((7.0, 2.8), layout="constrained")
     energies, casimirs = figure.subplots(1, 2)

@@ -113,7 +113,7 @@ def figures(root: Path = ROOT) -> dict[str, int]:
         "longest file": max(line_count([path]) for path in python),
         "longest function": max((node.end_lineno or 0) - node.lineno + 1 for node in functions),
         "classes": sum(isinstance(node, ast.ClassDef) for node in nodes),
-        "isinstance": sum(isinstance(node, ast.Call) and getattr(node.func, "id", "") == "isinstance" for node in nodes),
+        "isinstance": sum(getattr(getattr(node, "func", None), "id", "") == "isinstance" for node in nodes),
         "imports inside functions": sum(one.inside and not one.typing for found in imports.values() for one in found),
         "import cycles": len(cycles(on_import)),
         "files in cycles, with imports inside functions and for types": sum(map(len, rings)),

@@ -158,7 +158,7 @@ class Structure:
 
     @cached_if_small
     def actions(self) -> tuple[Integers, Triples]:
-        """Starts and sorted entries (i, row, column, value) of all matrices D_{e_i}; read-only.
+        """Return starts and sorted entries (i, row, column, value) of all matrices D_{e_i}; read-only.
 
         Examples
         --------

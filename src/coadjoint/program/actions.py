@@ -137,7 +137,7 @@ def _group_blocks(blocks: BlockTable, part_of_angle: Integers, level: Integers) 
 
 
 def _group_ranks(angle: Integers, kind: NDArray[np.uint8], count: Integers, leader: Integers) -> Integers:
-    """Number the groups of one angle and shape by their first blocks."""
+    """Assign numbers to the groups of one angle and shape by their first blocks."""
     order = np.arange(len(angle))[order_by(angle, kind, count, leader)]
     first = run_starts(angle[order], kind[order], count[order])
     position = np.arange(len(order))

@@ -80,7 +80,7 @@ class AddedPart(NamedTuple):
     counts: NDArray[np.int64]
 
     def renumbered(self, coefficients: CoefficientMap) -> CoefficientMap:
-        """Number coefficients of the program as those of all terms."""
+        """Assign to coefficients of the program the numbers of those of all terms."""
         own, joined = starts_of(self.counts[0]), starts_of(self.counts.sum(axis=0))
         return _moved(coefficients, own, joined[:-1])
 

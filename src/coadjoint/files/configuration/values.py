@@ -48,7 +48,7 @@ def _numbers(*depths: int) -> AfterValidator:
 
 
 def nested_schema(*depths: int, **more: int) -> WithJsonSchema:
-    """Schema of numbers nested in lists to one of these depths.
+    """Return the schema of numbers nested in lists to one of these depths.
 
     Examples
     --------
@@ -59,7 +59,7 @@ def nested_schema(*depths: int, **more: int) -> WithJsonSchema:
 
 
 def list_schema(depth: int) -> dict[str, Any]:
-    """Schema of numbers nested in lists.
+    """Return the schema of numbers nested in lists.
 
     Examples
     --------
@@ -70,7 +70,7 @@ def list_schema(depth: int) -> dict[str, Any]:
 
 
 def union_schema(*schemas: dict[str, Any]) -> dict[str, Any]:
-    """Schema of a union.
+    """Return the schema of a union.
 
     Examples
     --------
@@ -121,7 +121,7 @@ def _name(value: str) -> str:
 
 
 def file_name_schema(*suffixes: str) -> WithJsonSchema:
-    r"""Schema of a file name with one of these suffixes; the commands validate the name.
+    r"""Return the schema of a file name with one of these suffixes; the commands validate the name.
 
     Examples
     --------

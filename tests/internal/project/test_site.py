@@ -39,7 +39,7 @@ from coadjoint.runs.system_summary import summarize_system
 from coadjoint.systems.registry import gallery_entry_of
 from long import long_where
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"
 SITE = DOCS / "site"
 GENERATED = {"systems/index", "schemes/index", "pictures/index", "reference/index", "paper"}

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 import coadjoint as co
+from coadjoint import commands
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 PAGES = sorted([*ROOT.glob("docs/*.md"), ROOT / "README.md", *ROOT.glob("src/coadjoint/**/README.md")])
 
 
@@ -21,7 +22,6 @@ def api():
 
 
 def test_every_public_name_is_listed(api):
-    from coadjoint import commands
 
     text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
     names = {f"co.{name}" for name in dir(co)}

@@ -15,7 +15,7 @@ import coadjoint as co
 from coadjoint.files.archives.reading import FORMAT
 from coadjoint.program.public_table import VERSION
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason="not a checkout")
 # Extras of users; the others are tools of developers.
 DEVELOPING = {"all", "dev", "docs", "bench", "bench-fortran", "torch"}

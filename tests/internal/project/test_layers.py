@@ -11,7 +11,7 @@ import coadjoint
 from coadjoint.shortcuts import SHORTCUTS, shortcut
 
 PACKAGE = Path(coadjoint.__file__).parent
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[3] / "docs"
 
 
 @pytest.fixture(scope="module")

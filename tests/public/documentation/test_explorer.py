@@ -125,7 +125,7 @@ def test_the_kernels_of_the_explorer_compile_and_link(tmp_path):
     command = tmp_path / "emcc"
     command.write_text(NATIVE_COMPILER)
     command.chmod(0o755)
-    script = Path(__file__).parents[1] / "explorer" / "wasm" / "build.sh"
+    script = Path(__file__).parents[3] / "explorer" / "wasm" / "build.sh"
     environment = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
     environment |= {"FOLDER": str(tmp_path), "EXPORTED": str(tmp_path / "exported")}
     done = subprocess.run(["sh", str(script), str(tmp_path)], env=environment, capture_output=True, text=True)
