@@ -26,7 +26,7 @@ BUILT := $(shell sed -n 's/^CMAKE_HOME_DIRECTORY:INTERNAL=//p' $(BUILD)/CMakeCac
 # Installing configures the build folder too.
 CONFIGURE := $(if $(BUILT),$(if $(MOVED),,$(if $(wildcard $(VENV)/installed),package)))
 
-.PHONY: moved demo test variants long core torch minimum newest mutants soak fuzz sanitize compilers aarch64 levels cross bench explorer explorer-test site site-test kernels package packages release-checks clean
+.PHONY: moved demo test variants long core torch minimum newest coverage mutants soak fuzz sanitize compilers aarch64 levels cross bench explorer explorer-test site site-test kernels package packages release-checks clean
 
 demo: kernels
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
@@ -77,9 +77,22 @@ minimum newest:
 	build/$@/bin/python -m pip install --quiet --disable-pip-version-check ".[$(EXTRAS)]" pytest hypothesis jsonschema $(VERSIONS)
 	cd tests && $(ONE_THREAD) "$(CURDIR)/build/$@/bin/python" -m pytest -m "not long" $(DEPENDENT)
 
-# Plants the defects of tests/mutants one after the other, in a copy, and prints those that no test notices.
+# Which tests cover which lines and branches, in build/coverage: for `make mutants`, and a report.
+coverage: kernels
+	mkdir -p build/coverage
+	$(ONE_THREAD) $(BIN)/pytest -n 2 -m "not long" --hypothesis-profile=ci --cov --cov-context=test --cov-report=
+	$(BIN)/coverage report --sort=miss --skip-covered | tail -n 40
+
+# Draws N defects in FILES (patterns of paths from src/coadjoint), plants one after the other in a copy, runs the tests
+# that cover it, and prints those that no test notices; with LISTED=tests/mutants/standing.txt those of a list. Defects
+# in C++ are tested by the tests of the kernels.
+FILES ?= *.py
+N ?= 100
+SEED ?= 0
+
 mutants: kernels
-	cd tests && "$(CURDIR)/$(BIN)/python" -m mutants.plant $(MUTANTS)
+	cd tests && "$(CURDIR)/$(BIN)/python" -m mutants.plant $(foreach file,$(FILES),'$(file)') --count $(N) \
+		--seed $(SEED) $(if $(LISTED),--listed "$(abspath $(LISTED))")
 
 # Random systems, schemes and ensembles: the same bits in any company, and an end to every run. Then runs with archives
 # are killed at random moments, 100 times or COUNT / 10 times, whichever is more, and workers 12 or COUNT / 100 times.

@@ -1,157 +1,282 @@
-"""Plant each defect in a copy of the tree, run the tests that should notice it, and print the survivors."""
+"""Plant drawn or listed defects, run the tests that cover them, and print those that no test notices.
+
+Python defects are planted in a copy of the tree and tested by the tests that cover their lines, as recorded by
+`make coverage`, the most specific first. C++ defects need a build each, and are tested by the tests of the kernels.
+"""
 
 from __future__ import annotations
 
 import argparse
+import ast
 import compileall
+import fnmatch
 import os
 import py_compile
+import random
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from pathlib import Path
 from queue import SimpleQueue
 
+from coverage import CoverageData
+
 from building import Kernels
-from mutants.defects import ROOT, Defect, defects, missing_test
+from coadjoint.kernels import compiling
+from coadjoint.kernels.library import SUFFIX, processor_level
+from mutants import cpp_defects, python_defects
+from mutants.defect import Defect
+from structure import tracked
 
-SECONDS = 300.0
-COPIED = ("src", "tests", "docs", "examples", "README.md", "pyproject.toml")
-NOTICED, SURVIVED, EQUIVALENT, WRONG = "noticed", "SURVIVED", "equivalent", "WRONG"
-# Exit statuses of pytest: a test failed, or its file could not be read; the others say that it was called wrongly.
-FAILED, STOPPED = 1, 2
+ROOT = Path(__file__).parents[2]
+KERNEL_TESTS = ("tests/internal/kernels", "tests/public/runs/test_matrix.py", "tests/public/accuracy")
+CHUNKS = (20, 200, 2000)
+"""Numbers of tests of one process: most defects are noticed by the first ones."""
+NOTICED, SURVIVED, UNCOVERED, INVALID = "noticed", "SURVIVED", "NOT COVERED", "invalid"
 
 
-class Tree:
-    """A copy of the checkout in a temporary folder."""
+def defects_in(tree: Path, patterns: Sequence[str]) -> list[Defect]:
+    """Return all defects of the sources whose paths from `src/coadjoint` match one of the patterns."""
+    found: list[Defect] = []
+    for path in sorted((tree / "src/coadjoint").rglob("*")):
+        name = str(path.relative_to(tree / "src/coadjoint"))
+        reader = {".py": python_defects, ".cpp": cpp_defects, ".hpp": cpp_defects}.get(path.suffix)
+        if reader and any(fnmatch.fnmatch(name, pattern) for pattern in patterns):
+            found += reader.defects_of(name, path.read_text("utf-8"))
+    return found
 
-    def __init__(self, root: Path, kernels: Kernels | None) -> None:
-        self.root, self.kernels = root, kernels
 
-    @classmethod
-    def of_checkout(cls, folder: Path, compiled: bool) -> Tree:
-        """Return a copy of the files that the tests need; build its kernels if a defect changes them."""
-        for name in COPIED:
-            if (ROOT / name).is_dir():
-                shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
-            elif (ROOT / name).exists():
-                shutil.copy2(ROOT / name, folder / name)
-        # By the hash of the source: a defect of the same length within the same second would be read from the cache.
-        mode = py_compile.PycInvalidationMode.CHECKED_HASH
-        compileall.compile_dir(folder / "src", quiet=2, invalidation_mode=mode)
-        kernels = Kernels(folder) if compiled else None
-        if kernels is not None and (message := kernels.build()):
-            raise RuntimeError(f"the kernels cannot be built: {message}")
-        return cls(folder, kernels)
+def drawn(found: Iterable[Defect], seed: int) -> Iterator[Defect]:
+    """Yield defects in random order: a kind, a file with defects of this kind, and one of them, all equally likely."""
+    groups: dict[str, dict[str, list[Defect]]] = {}
+    for defect in found:
+        groups.setdefault(defect.kind, {}).setdefault(defect.file, []).append(defect)
+    generator = random.Random(seed)
+    while groups:
+        kind = generator.choice(sorted(groups))
+        file = generator.choice(sorted(groups[kind]))
+        own = groups[kind][file]
+        yield own.pop(generator.randrange(len(own)))
+        if not own:
+            del groups[kind][file]
+        if not groups[kind]:
+            del groups[kind]
 
-    def copied(self, folder: Path) -> Tree:
-        """Return a copy of this tree."""
-        shutil.copytree(self.root, folder)
-        return Tree(folder, None if self.kernels is None else Kernels(folder))
 
-    def pytest(self, tests: Iterable[str], seconds: float) -> tuple[int, str]:
-        """Run tests; return pytest's exit status, 0 if all passed, and its output. A timeout is a failure."""
-        environment = {
-            **os.environ,
-            "PYTHONPATH": str(self.root / "src"),
-            "PYTHONDONTWRITEBYTECODE": "1",
+def listed(found: Iterable[Defect], path: Path) -> list[Defect]:
+    """Return the defects whose addresses a file lists; ValueError names those that no longer exist."""
+    known = {defect.address: defect for defect in found}
+    lines = [line.partition("#")[0].strip() for line in path.read_text("utf-8").splitlines()]
+    addresses = [line for line in lines if line]
+    if missing := [address for address in addresses if address not in known]:
+        raise ValueError(f"{path.name} lists defects whose functions have changed: {missing}")
+    return [known[address] for address in addresses]
+
+
+class Coverage:
+    """Which tests cover which lines."""
+
+    def __init__(self, path: Path) -> None:
+        if not path.exists():
+            raise FileNotFoundError(f"{path} does not exist: run `make coverage` first")
+        self.data = CoverageData(str(path))
+        self.data.read()
+        self.files = {
+            Path(name).as_posix().rpartition("/src/coadjoint/")[2]: name for name in self.data.measured_files()
         }
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
+
+    @cached_property
+    def sizes(self) -> dict[str, int]:
+        """Number of lines or branches that each test covers."""
+        sizes: dict[str, int] = {}
+        table, size = ("arc", "1") if self.data.has_arcs() else ("line_bits", "length(numbits)")
+        query = f"select context, total from context join (select context_id, sum({size}) as total from {table} "
+        with self.data._connect() as connection:
+            for context, total in connection.execute(query + "group by context_id) on context.id = context_id"):
+                test = context.partition("|")[0]
+                sizes[test] = sizes.get(test, 0) + total
+        return sizes
+
+    def tests(self, defect: Defect, text: bytes) -> list[str]:
+        """Return the tests that cover a defect, the most specific first.
+
+        Lines that run on import count as covered where the body of their function is, or else any line of their file.
+        """
+        if (name := self.files.get(defect.file)) is None:
+            return []
+        by_line = self.data.contexts_by_lineno(name)
+        lines: Iterable[int] = by_line
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef) and node.lineno <= defect.first_line <= (node.end_lineno or 0):
+                body = range(node.body[0].lineno, (node.end_lineno or 0) + 1)
+                lines = range(defect.first_line, defect.last_line + 1) if defect.first_line in body else body
+        found = {one.partition("|")[0] for line in lines for one in by_line.get(line, ()) if one}
+        return sorted(found, key=lambda test: (self.sizes[test], test))
+
+
+class Copy:
+    """A copy of a tree, in which defects are planted."""
+
+    def __init__(self, tree: Path, folder: Path, compiled: bool) -> None:
+        self.root = folder
+        for path in [*tracked(tree), *(tree / "src/coadjoint/kernels").glob(f"*{SUFFIX}")]:
+            copy = folder / path.relative_to(tree)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(path, copy)
+        # By the hash of the source: a defect of the same length within the same second would be read from the cache.
+        compileall.compile_dir(folder / "src", quiet=2, invalidation_mode=py_compile.PycInvalidationMode.CHECKED_HASH)
+        # Without the optimizations that take most of the time of a build: bits do not depend on them.
+        tuning = ["-O1" if option == "-O3" else option for option in compiling.tuning(processor_level())]
+        self.kernels = Kernels(folder, tuning=tuning) if compiled else None
+        if self.kernels is not None and (message := self.kernels.build()):
+            raise RuntimeError(f"the kernels cannot be built: {message}")
+        self.unreliable: set[str] = set()
+
+    def pytest(self, tests: Sequence[str], seconds: float) -> tuple[list[str], bool]:
+        """Run tests; return those that failed, at most one, and whether there was time for all."""
+        file = self.root / "chosen_tests.txt"
+        file.write_text("\n".join(tests), encoding="utf-8")
+        paths = {"PYTHONPATH": str(self.root / "src"), "PYTHONDONTWRITEBYTECODE": "1"}
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", "-p", "no:cacheprovider", "-m", "not long"]
+        process = subprocess.Popen(
+            [*command, f"@{file}"],
+            cwd=self.root,
+            env=os.environ | paths,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
         try:
-            run = subprocess.run(
-                command, cwd=self.root, env=environment, capture_output=True, text=True, timeout=seconds, check=False
-            )
+            output, _ = process.communicate(timeout=seconds)
         except subprocess.TimeoutExpired:
-            return FAILED, f"longer than {seconds:g} s"
-        return run.returncode, run.stdout + run.stderr
+            os.killpg(process.pid, 9)
+            process.communicate()
+            return [], False
+        if process.returncode in (0, 5):
+            return [], True
+        names = [
+            line.split(" ", 1)[1].partition(" - ")[0]
+            for line in output.splitlines()
+            if line[:6] in ("FAILED", "ERROR ")
+        ]
+        return names[:1] or [output.strip()[-200:]], True
 
-    def verdict(self, defect: Defect, seconds: float) -> tuple[str, str]:
-        """Plant a defect, run its tests, and restore the source; return the verdict and its reason."""
-        path = self.root / defect.file
-        text = path.read_text(encoding="utf-8")
-        objects = self.kernels.keep(defect.compile) if self.kernels is not None and defect.compile else {}
+    def noticed(self, tests: Sequence[str], seconds: float, passes_without: Callable[[Sequence[str]], bool]) -> str:
+        """Return the test that notices the planted defect, or an empty string."""
+        end, remaining, sizes = time.monotonic() + seconds, list(tests), list(CHUNKS)
+        while remaining and time.monotonic() < end:
+            size = sizes.pop(0) if sizes else len(remaining)
+            chunk = [test for test in remaining[:size] if test not in self.unreliable]
+            failed, complete = self.pytest(chunk, end - time.monotonic()) if chunk else ([], True)
+            if not complete:
+                return "no end" if len(remaining) == len(tests) else ""
+            if not failed:
+                remaining = remaining[size:]
+            elif passes_without(failed):
+                return failed[0]
+            else:
+                self.unreliable.update(failed)
+                sizes.insert(0, size)
+        return ""
+
+    def verdict(self, defect: Defect, tests: Sequence[str], seconds: float) -> tuple[str, str]:
+        """Plant a defect and run tests; restore the source; return the verdict, and the test or the reason."""
+        path = self.root / "src/coadjoint" / defect.file
+        text = path.read_bytes()
+        compiled = self.kernels is not None and path.suffix != ".py"
+        sources = self.kernels.including(path) if compiled else ()
+        objects = self.kernels.keep(sources) if compiled else {}
+
+        def written(content: bytes) -> str:
+            path.write_bytes(content)
+            return self.kernels.build(sources) if compiled else ""
+
+        def passes_without(failed: Sequence[str]) -> bool:
+            """Return whether the tests that failed pass without the defect."""
+            path.write_bytes(text)
+            if compiled:
+                return True
+            again, complete = self.pytest(failed, seconds)
+            path.write_bytes(defect.planted(text))
+            return complete and not again
+
         try:
-            path.write_text(defect.planted(text), encoding="utf-8")
-            if objects and self.kernels is not None and (message := self.kernels.build(defect.compile)):
-                return WRONG, f"it does not compile: {message}"
-            status, output = self.pytest(defect.tests, seconds)
+            if message := written(defect.planted(text)):
+                return INVALID, message[:100]
+            test = self.noticed(tests, seconds, passes_without)
         finally:
-            path.write_text(text, encoding="utf-8")
-            if objects and self.kernels is not None:
-                self.kernels.restore(defect.compile, objects)
-        if status == 0:
-            return (EQUIVALENT if defect.equivalent else SURVIVED), defect.equivalent
-        if status > STOPPED:
-            return WRONG, f"pytest ended with status {status}: {output[-500:]}"
-        if defect.equivalent:
-            return WRONG, f"it is listed as equivalent ({defect.equivalent}), but is noticed: {_failure(output)}"
-        return NOTICED, _failure(output)
-
-
-def _failure(output: str) -> str:
-    lines = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return lines[0] if lines else output.strip().rpartition("\n")[2]
-
-
-def check(chosen: Sequence[Defect]) -> None:
-    """Raise ValueError if a defect does not fit the sources or a test is missing."""
-    for defect in chosen:
-        defect.planted((ROOT / defect.file).read_text(encoding="utf-8"))
-        for test in defect.tests:
-            if wrong := missing_test(test):
-                raise ValueError(f"{defect.folder}: {defect.name!r}: {wrong}")
+            path.write_bytes(text)
+            if compiled:
+                self.kernels.restore(sources, objects)
+        return (NOTICED, test) if test else (SURVIVED, f"{len(tests)} tests")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Return 0 if all defects were noticed or are listed as equivalent, else 1."""
+    """Return 0 if all defects were noticed, else 1."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("only", nargs="*", help="folders, or words in the names of defects; all by default")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="number of trees used in parallel")
-    parser.add_argument("--seconds", type=float, default=SECONDS, help="time limit for the tests of one defect")
+    parser.add_argument(
+        "files", nargs="*", default=["*.py"], help="patterns of paths from src/coadjoint; all of Python"
+    )
+    parser.add_argument("--count", type=int, default=100, help="number of defects to draw")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--listed", type=Path, help="a file of addresses, instead of drawing")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="number of copies used in parallel")
+    parser.add_argument("--seconds", type=float, default=150.0, help="time limit for the tests of one defect")
+    parser.add_argument("--tree", type=Path, default=ROOT, help="the checkout to copy")
+    parser.add_argument("--coverage", type=Path, help="recorded by `make coverage`")
+    parser.add_argument("--tests", nargs="*", default=KERNEL_TESTS, help="tests of defects in C++")
     options = parser.parse_args(arguments)
-    chosen = [d for d in defects() if not options.only or any(w == d.folder or w in d.name for w in options.only)]
-    if not chosen:
-        print("no defect has such a name")
-        return 1
-    check(chosen)
-    compiled = any(defect.compile for defect in chosen)
-    counts = dict.fromkeys((NOTICED, SURVIVED, EQUIVALENT, WRONG), 0)
-    remaining: list[tuple[str, Defect, str]] = []
+    found = defects_in(options.tree, options.files)
+    chosen = listed(found, options.listed) if options.listed else drawn(found, options.seed)
+    coverage = None
+    counts = dict.fromkeys((NOTICED, SURVIVED, UNCOVERED, INVALID), 0)
+    missed: list[str] = []
     with tempfile.TemporaryDirectory(prefix="defects-") as folder:
-        first = Tree.of_checkout(Path(folder) / "0", compiled)
-        tests = sorted({test for defect in chosen for test in defect.tests})
-        status, output = first.pytest(tests, 20 * options.seconds)
-        if status:
-            print(output)
-            print("the tests fail without a defect")
-            return 1
-        trees: SimpleQueue[Tree] = SimpleQueue()
-        trees.put(first)
-        for number in range(1, min(options.jobs, len(chosen))):
-            trees.put(first.copied(Path(folder) / str(number)))
+        copies: SimpleQueue[Copy] = SimpleQueue()
+        compiled = any(not defect.file.endswith(".py") for defect in found)
+        for number in range(options.jobs):
+            copies.put(Copy(options.tree, Path(folder) / str(number), compiled))
 
-        def tested(defect: Defect) -> tuple[Defect, str, str, float]:
-            tree = trees.get()
-            began = time.perf_counter()
+        def tested(defect: Defect, tests: Sequence[str]) -> tuple[Defect, str, str, float]:
+            began, copy = time.monotonic(), copies.get()
             try:
-                return defect, *tree.verdict(defect, options.seconds), time.perf_counter() - began
+                verdict, reason = copy.verdict(defect, tests, options.seconds) if tests else (UNCOVERED, "")
+                return defect, verdict, reason, time.monotonic() - began
             finally:
-                trees.put(tree)
+                copies.put(copy)
 
-        with ThreadPoolExecutor(max(1, options.jobs)) as pool:
-            for defect, verdict, reason, seconds in pool.map(tested, chosen):
+        with ThreadPoolExecutor(options.jobs) as pool:
+            waiting = []
+            for defect in chosen:
+                text = (options.tree / "src/coadjoint" / defect.file).read_bytes()
+                if defect.file.endswith(".py"):
+                    try:
+                        compile(defect.planted(text), defect.file, "exec")
+                    except SyntaxError:
+                        continue
+                    recorded = options.coverage or options.tree / "build" / "coverage" / "tests"
+                    coverage = coverage or Coverage(recorded)
+                    tests = coverage.tests(defect, text)
+                else:
+                    tests = list(options.tests)
+                waiting.append(pool.submit(tested, defect, tests))
+                if not options.listed and len(waiting) == options.count:
+                    break
+            for future in waiting:
+                defect, verdict, reason, seconds = future.result()
                 counts[verdict] += 1
-                print(f"{verdict:10} {seconds:5.1f} s  {defect.folder}: {defect.name}  ({reason})", flush=True)
-                if verdict in (SURVIVED, WRONG):
-                    remaining.append((verdict, defect, reason))
-    print(", ".join(f"{count} {verdict}" for verdict, count in counts.items()))
-    for verdict, defect, reason in remaining:
-        print(f"{verdict}: {defect.folder}: {defect.name} in {defect.file}{f': {reason}' if reason else ''}")
-    return 1 if remaining else 0
+                print(f"{verdict:11} {seconds:5.1f} s  {defect.address}  ({reason})", flush=True)
+                if verdict in (SURVIVED, UNCOVERED):
+                    text = (options.tree / "src/coadjoint" / defect.file).read_bytes()
+                    missed.append(f"{verdict}: {defect.address}\n{defect.shown(text)}\n")
+    print("\n".join([", ".join(f"{count} {verdict}" for verdict, count in counts.items()), "", *missed]))
+    return 1 if missed else 0
 
 
 if __name__ == "__main__":
