@@ -124,6 +124,7 @@ def figures(root: Path = ROOT) -> dict[str, int]:
         "test files": len(tests),
         "test lines": line_count(tests),
         "test files that import internals": sum(bool(INTERNAL.search(path.read_text("utf-8"))) for path in tests),
+        "public names": len(re.findall(r"^\| `", (root / "docs" / "api.md").read_text("utf-8"), re.MULTILINE)),
         "doc pages": len(pages),
         "doc page lines": line_count(pages),
     }
