@@ -9,11 +9,13 @@ from __future__ import annotations
 import argparse
 import ast
 import compileall
+import contextlib
 import fnmatch
 import os
 import py_compile
 import random
 import shutil
+import sqlite3
 import subprocess
 import sys
 import tempfile
@@ -84,7 +86,7 @@ class Coverage:
     def __init__(self, path: Path) -> None:
         if not path.exists():
             raise FileNotFoundError(f"{path} does not exist: run `make coverage` first")
-        self.data = CoverageData(str(path))
+        self.path, self.data = path, CoverageData(str(path))
         self.data.read()
         self.files = {
             Path(name).as_posix().rpartition("/src/coadjoint/")[2]: name for name in self.data.measured_files()
@@ -96,7 +98,7 @@ class Coverage:
         sizes: dict[str, int] = {}
         table, size = ("arc", "1") if self.data.has_arcs() else ("line_bits", "length(numbits)")
         query = f"select context, total from context join (select context_id, sum({size}) as total from {table} "
-        with self.data._connect() as connection:
+        with contextlib.closing(sqlite3.connect(self.path)) as connection:
             for context, total in connection.execute(query + "group by context_id) on context.id = context_id"):
                 test = context.partition("|")[0]
                 sizes[test] = sizes.get(test, 0) + total
