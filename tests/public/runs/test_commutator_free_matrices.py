@@ -3,32 +3,31 @@
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from torus_flows import first_modes, last_modes
 
 import coadjoint as co
-from coadjoint.methods.commutator_free import SCHEMES
-from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.fluids.torus_euler import torus_euler
-from coadjoint.systems.matrices.streams import Weights
-from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
-from torus import first_modes, last_modes
+from refusals import refused
+from rounding import UNIT_ROUNDOFF
 
 
 def body(N):
     """A body of N dimensions with random moments, on so(N)."""
     a = np.random.default_rng(N).uniform(1.0, 2.0, N)
-    return co.MatrixSystem(co.MatrixAlgebra("so", N), Weights(1 / np.add.outer(a, a)), name="body")
+    return co.MatrixSystem(co.MatrixAlgebra("so", N), co.systems.Weights(1 / np.add.outer(a, a)), name="body")
 
 
 SYSTEMS = {
-    "torus": torus_euler(N=5),
+    "torus": co.systems.torus_euler(N=5),
     "sphere": co.systems.sphere_euler(N=6),
     "body": body(5),
-    "two layers": TwoLayerSystem(
+    "two layers": co.TwoLayerSystem(
         co.MatrixAlgebra("u", 4),
-        Weights(1 / (1 + np.add.outer(np.arange(4.0), np.arange(4.0)))),
-        Weights(np.add.outer(np.arange(4.0), np.arange(4.0)) / 4),
+        co.systems.Weights(1 / (1 + np.add.outer(np.arange(4.0), np.arange(4.0)))),
+        co.systems.Weights(np.add.outer(np.arange(4.0), np.arange(4.0)) / 4),
     ),
-    "u": co.MatrixSystem(co.MatrixAlgebra("u", 4), Weights(np.add.outer(np.arange(4.0), np.arange(4.0))), name="u"),
+    "u": co.MatrixSystem(
+        co.MatrixAlgebra("u", 4), co.systems.Weights(np.add.outer(np.arange(4.0), np.arange(4.0))), name="u"
+    ),
 }
 
 
@@ -44,7 +43,7 @@ def last(system, W, time, steps, method):
 
 
 @pytest.mark.thinned(6)
-@pytest.mark.parametrize("order", SCHEMES)
+@pytest.mark.parametrize("order", [2, 3, 4])
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_order_and_spectrum(name, order):
     """Slopes, forward and backward, against six stages; the spectrum moves by rounding alone."""
@@ -60,7 +59,7 @@ def test_order_and_spectrum(name, order):
 
 
 @pytest.mark.thinned(4)
-@pytest.mark.parametrize("order", SCHEMES)
+@pytest.mark.parametrize("order", [2, 3, 4])
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_the_kernels_do_the_plain_reading(name, order):
     system, method = SYSTEMS[name], co.CommutatorFree(order)
@@ -98,23 +97,21 @@ def test_the_energy_drifts_and_the_spectrum_does_not():
 
 def test_a_step_beyond_its_series_fails_by_name():
     system = SYSTEMS["sphere"]
-    with pytest.raises(co.IntegrationError, match="too large for its series"):
+    with refused(co.IntegrationError, "too large for its series"):
         co.integrate(system, state(system, 7, 1e6), (0.0, 1.0), 1.0, co.CommutatorFree())
 
 
-def test_what_it_says():
+def test_properties():
     for system in SYSTEMS.values():
         said = co.CommutatorFree().properties(system)
         assert not said.poisson and said.casimirs == "all" and said.attitude == "none"
-    with pytest.raises(ValueError, match="attitude"):
+    with refused(ValueError, "attitude"):
         co.integrate(SYSTEMS["body"], np.zeros((5, 5)), (0, 1), 0.1, co.CommutatorFree(), attitude=np.eye(5))
-    with pytest.raises(TypeError, match="power series"):
-        co.CommutatorFree().formal_step(SYSTEMS["body"], np.zeros(25), 0.1)
 
 
 def test_forty_digits():
     """Seven by seven modes of a fluid on the torus at t = 1: the slope, and the value that it leads to."""
-    system = torus_euler(N=7)
+    system = co.systems.torus_euler(N=7)
     start, exact = system.from_modes(first_modes(7)), system.from_modes(last_modes(7))
     errors = [np.abs(last(system, start, 1.0, n, co.CommutatorFree(4)) - exact).max() for n in (16, 32, 512)]
     assert abs(np.log2(errors[0] / errors[1]) - 4) < 0.3 and errors[2] < 1e-12
@@ -124,11 +121,11 @@ def test_forty_digits():
 def test_a_step_in_python_is_that_of_exact_exponentials_for_streams_of_any_shape(h):
     """The norm of a commutator is that of both sides, however much the sums of rows and columns differ."""
     for P in (np.diag([0.9, 0.0, -0.9, 0.4]), np.ones((4, 1)) * [1.2, 0.0, 0.0, -0.3], 2.0 * np.eye(4, k=2)):
-        system = co.MatrixSystem(co.MatrixAlgebra("gl", 4), Weights(np.zeros((4, 4))), P)
+        system = co.MatrixSystem(co.MatrixAlgebra("gl", 4), co.systems.Weights(np.zeros((4, 4))), P)
         W = np.random.default_rng(3).uniform(-1.0, 1.0, (4, 4))
         U, V = expm(h * P), expm(-h * P)
         exact, scale = U @ W @ V, np.abs(U) @ np.abs(W) @ np.abs(V)
-        for order in SCHEMES:
+        for order in (2, 3, 4):
             found = co.CommutatorFree(order).step(system, W, 0.0, h)
             # Substeps of norm one, each a series with sums of at most exp(1): some roundings of each.
             assert np.abs(found - exact).max() < 256 * UNIT_ROUNDOFF * scale.max()

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.rounding import UNIT_ROUNDOFF
 from drawn_matrices import full
+from refusals import refused
+from rounding import UNIT_ROUNDOFF
 
 RNG = np.random.default_rng(12)
 
@@ -82,7 +83,7 @@ def test_many_dimensions_without_a_matrix_give_the_same():
     assert np.max(np.abs(back - x0)) < 64 * UNIT_ROUNDOFF * 4
 
 
-def test_it_is_read_as_a_series():
+def test_the_modified_field_has_the_flow_of_the_step():
     """The flow of the modified field is the step, up to h^5."""
     system = SYSTEMS[0]
     modified = co.modified_field(system, co.Kahan(), order=4)
@@ -114,17 +115,13 @@ REFUSED = {
 @pytest.mark.parametrize("what", REFUSED)
 def test_what_is_not_quadratic_is_refused(what):
     system = REFUSED[what]
-    with pytest.raises(ValueError, match=f"Kahan needs a quadratic vector field.*{what}"):
+    with refused(ValueError, "Kahan", "quadratic", what):
         co.integrate(system, np.full(system.dim, 0.5), (0, 1), 0.1, co.Kahan())
 
 
 def test_a_singular_matrix_is_named():
     """x2' = x2 on [e1, e2] = e2 with H = x1, backward or forward: 1 - h/2 f' = 0 at |h| = 2."""
     system = co.LiePoissonSystem(co.algebras.get("A2,1"), co.Quadratic([0.0, 0.0], linear=[1.0, 1.0]))
-    for span in ((0, 2), (0, -2)):
-        try:
-            co.integrate(system, (0.5, 0.5), span, 2.0, co.Kahan())
-        except co.IntegrationError as failure:
-            assert "singular" in str(failure)
-            return
-    raise AssertionError("it is singular in neither direction")
+    backward = np.sign(system.vector_field(np.array([0.5, 0.5]))[1])
+    with refused(co.IntegrationError, "singular"):
+        co.integrate(system, (0.5, 0.5), (0, 2 * backward), 2.0, co.Kahan())

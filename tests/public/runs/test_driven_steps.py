@@ -1,13 +1,13 @@
-"""Steps in Python of a driven system, from any time and in both directions: time, symmetry, short orbits."""
+"""Steps of a driven system from any time and in both directions; derivatives of steps in Python."""
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.methods.numerics.short_orbit import rate_at, short_orbit
-from coadjoint.methods.protocol.step_derivatives import derivative_of
+from methods.own_schemes import NOTHING
 
 U = 2.0**-53
 JUMP = 1 / (2 - 2 ** (1 / 3))
@@ -74,40 +74,29 @@ def test_a_symmetric_step_is_undone_by_the_step_backward(name):
     assert np.abs(back - X0).max() <= 512 * U
 
 
-@pytest.mark.parametrize("base", [splitting(2), splitting(4), co.GaussLegendre(1), co.GaussLegendre(2)])
-def test_fractions_are_known_no_better_than_those_of_the_base(base):
-    assert co.Composition(base, (0.25, 0.5, 0.25)).known_to == base.known_to
-    assert co.Composition(base, UNEVEN).known_to == max(base.known_to, U)
+@dataclasses.dataclass(frozen=True)
+class Given(co.methods.StepMethod):
+    """A step of given components."""
 
+    components: tuple
 
-def test_a_short_orbit_begins_at_its_time():
-    method = splitting(2)
-    here, there = short_orbit(method, driven(), X0, 1.25, 16), short_orbit(method, driven(1.25), X0, 0.0, 16)
-    assert abs(here.spacing - there.spacing) <= 16 * U * there.spacing
-    # Round-off of 16 steps of a motion that turns by a quarter in each.
-    assert np.abs(here.points - there.points).max() <= 4096 * U
-    assert np.abs(here.tangents - there.tangents).max() <= 4096 * U
-    assert np.abs(here.points - short_orbit(method, driven(), X0, 0.0, 16).points).max() > 1e-3
+    order, explicit, symmetric, compiles = 1, True, False, False
 
+    def properties(self, system):
+        return NOTHING
 
-def test_the_rate_is_that_of_the_field_or_of_its_derivative():
-    sheared = co.LiePoissonSystem(co.algebras.heisenberg(1), co.Quadratic(np.zeros(3), linear=[2.0, 0.0, 0.0]))
-    # The derivative of the field is nilpotent, so that only |f|/|x| counts: x2' = 2 x3, up to its sign.
-    assert math.isclose(rate_at(sheared, np.array([0.0, 3.0, 4.0])), 8.0 / 5.0, rel_tol=8 * U)
-    body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 2.0, 4.0]))
-    # At rest about the first axis, a perturbation turns at the frequency sqrt((2 - 1) (4 - 1)) |x|, in two components.
-    assert math.isclose(rate_at(body, np.array([2.0, 0.0, 0.0])), 2.0 * math.sqrt(3.0 * math.sqrt(2.0)), rel_tol=8 * U)
-    assert rate_at(sheared, np.zeros(3)) == 1.0
+    def step(self, system, x, t, h):
+        return np.array([component(x) for component in self.components])
 
 
 def test_differences_are_taken_at_the_state_zero_too():
-    def step(x):
-        return np.array([math.sin(x[0]) + 2.0 * x[1], x[0] * x[1] - x[1]])  # math rejects complex numbers
-
-    found = derivative_of(step, np.zeros(2))
-    assert found.by == "differences"
+    """The functions of math reject complex numbers."""
+    method = Given((lambda x: math.sin(x[0]) + 2.0 * x[1], lambda x: x[0] * x[1] - x[1]))
+    plane = co.LiePoissonSystem(co.algebras.get("A2,1"), co.Quadratic([1.0, 1.0]))
+    step = co.stepper(plane, method, 0.1)
+    assert step.tangent_by(np.zeros(2)) == "differences"
     # Central differences at the distance 2^-17: h^2/6 by the third derivative.
-    assert np.abs(found.derivative - [[1.0, 2.0], [0.0, -1.0]]).max() <= 2.0**-34
+    assert np.abs(step.tangent(np.zeros(2)) - [[1.0, 2.0], [0.0, -1.0]]).max() <= 2.0**-34
 
 
 def test_a_component_that_is_not_analytic_is_found_among_others():
@@ -124,11 +113,11 @@ def test_a_component_that_is_not_analytic_is_found_among_others():
         (lambda x: np.conj(x[2]) * x[2] + 0.0 * x[0], [0.0, 0.0, 2.0 * x[2]]),
         (lambda x: np.linalg.norm(x) * x[0], np.linalg.norm(x) * np.eye(3)[0] + x[0] * x / np.linalg.norm(x)),
     ]
+    body = co.systems.rigid_body((1.0, 2.0, 3.0))
 
     def derivative(parts):
-        found = derivative_of(lambda x: np.array([function(x) for function, _ in parts]), x)
-        assert np.array_equal(found.value, [function(x) for function, _ in parts])
-        return found.by, np.abs(found.derivative - [slope for _, slope in parts]).max()
+        step = co.stepper(body, Given(tuple(function for function, _ in parts)), 0.1)
+        return step.tangent_by(x), np.abs(step.tangent(x) - [slope for _, slope in parts]).max()
 
     by, error = derivative(analytic)
     assert by == "complex step" and error <= 8 * U
