@@ -1,6 +1,5 @@
-"""Rational rotations, tan(phi/2) := half the angle: Poisson where they are offered, refused elsewhere by name."""
+"""Rational rotations, tan(phi/2) := half the angle: Poisson where they are offered, refused elsewhere."""
 
-import ctypes
 import math
 
 import mpmath
@@ -9,11 +8,8 @@ import pytest
 import scipy.linalg
 
 import coadjoint as co
-from coadjoint.kernels.library import kernels
-from coadjoint.kernels.tables.structures import address
-from coadjoint.program.interpreter import Interpreter
-from coadjoint.program.table import build_program
 from long import long_where
+from refusals import refused
 
 pytestmark = pytest.mark.thinned(6)
 
@@ -48,35 +44,6 @@ METHODS = {
 }
 
 
-def has_compiled_bracket(angles, out):
-    pairs = np.empty((angles.size, 2))
-    kernels().probe_pairs(ctypes.c_int64(2), address(angles), ctypes.c_int64(angles.size), address(pairs))
-    out[:, :2] = pairs
-    angle, short = kernels().probe_rational_angle, kernels().probe_shortfall
-    angle.restype = short.restype = ctypes.c_double
-    for k, (sine, lowered) in enumerate(pairs.tolist()):
-        out[k, 2] = angle(ctypes.c_double(angles[k]), ctypes.c_double(1.5))
-        out[k, 3] = short(*(ctypes.c_double(number) for number in (sine, -lowered, 1.0)))
-
-
-def test_arithmetic():
-    """Sine and cosine minus one of 2 atan(phi/2) within 4 u, and what the rounded pair lacks in length."""
-    rng = np.random.default_rng(2)
-    angles = rng.choice([-1.0, 1.0], 500) * 10 ** rng.uniform(-8, 1, 500)
-    out = np.empty((angles.size, 4))
-    has_compiled_bracket(angles, out)
-    with mpmath.workdps(50):
-        for phi, (sine, lowered, angle, short) in zip(angles.tolist(), out.tolist(), strict=True):
-            half = mpmath.mpf(phi) / 2
-            assert abs(sine - 2 * half / (1 + half**2)) <= 4 * U * abs(sine)
-            assert abs(lowered + 2 * half**2 / (1 + half**2)) <= 4 * U * abs(lowered)
-            assert abs(angle - mpmath.atan(half * 1.5) * 2 / 1.5) <= 4 * U * abs(angle)
-            s, c = mpmath.mpf(sine), -mpmath.mpf(lowered)
-            missing = (s**2 - 2 * c + c**2) / 2
-            assert abs(missing) <= 8 * U * abs(lowered)
-            assert abs(short - missing) <= 2 * U * lowered**2
-
-
 def state(s):
     return np.linspace(-0.75, 1.25, s.dim)
 
@@ -89,36 +56,37 @@ def one(dim):
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("method", METHODS)
 def test_poisson_in_40_digits(name, method):
-    """P J P^T = J with the exact tangent, and P against differences: (h^2 of them) in 40 digits."""
-    s, h = SYSTEMS[name], 0.5
-    with mpmath.workdps(40):
-        read = Interpreter(build_program(s, METHODS[method], number=mpmath.mpf))
-        x0 = np.array([mpmath.mpf(v) for v in state(s)], dtype=object)
-        x, P = read.steps(x0, mpmath.mpf(h), 1, tangent=one(s.dim))
+    """P J P^T = J, with the derivative by central differences in 80 digits, with an error of d^2."""
+    s, method = SYSTEMS[name], METHODS[method]
+    with mpmath.workdps(80):
+        x0, h, d = np.array([mpmath.mpf(v) for v in state(s)], dtype=object), mpmath.mpf(0.5), mpmath.mpf(10) ** -22
+        x = method.step(s, x0, 0, h)
+        columns = [
+            (method.step(s, x0 + d * unit, 0, h) - method.step(s, x0 - d * unit, 0, h)) / (2 * d)
+            for unit in np.eye(s.dim, dtype=int).astype(object)
+        ]
+        P = np.stack(columns, axis=1)
         defect = P @ s.structure_matrix(x0) @ P.T - s.structure_matrix(x)
         assert np.max(np.abs(defect)) < 1e-35
-        small = mpmath.mpf(10) ** -12
-        ahead, behind = (read.steps(x0 + sign * small * x, mpmath.mpf(h), 1) for sign in (1, -1))
-        assert np.max(np.abs((ahead - behind) / (2 * small) - P @ x)) < 1e-18
-        exact = Interpreter(build_program(s, co.Splitting(order=METHODS[method].order), number=mpmath.mpf))
-        assert np.max(np.abs(exact.steps(x0, mpmath.mpf(h), 1) - x)) > 1e-8  # it is another map
+        found = method.tangent(s, state(s), 0.0, 0.5)[1]
+        assert np.max(np.abs(found - P)) < 1e-12 * np.max(np.abs(P))
+        exact = co.Splitting(order=method.order).step(s, x0, 0, h)
+        assert np.max(np.abs(exact - x)) > 1e-8  # it is another map
 
 
 @pytest.mark.thinned(28)
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("method", METHODS)
-def test_compiled_and_plain_reading_agree(name, method):
+def test_compiled_and_plain_steps_agree(name, method):
     """Ten steps of twelve roundings for each component of each flow."""
     s, scheme = SYSTEMS[name], METHODS[method]
-    x0 = state(s)
-    for attitude, matrices in (("coadjoint", "coadjoint"), (True, s.representation)):
-        if matrices is None:
-            continue
-        run = co.integrate(s, x0, (0, 1), 0.1, scheme, attitude=attitude, save_every=10)
-        program = build_program(s, scheme, group=matrices)
-        x, g = Interpreter(program).steps(x0, 0.1, 10, group=one(program.group.size))
-        bound = 12 * s.dim * U * run.stats.evaluations * np.linalg.norm(x0) * np.linalg.norm(g)
-        assert np.max(np.abs(run.x[-1] - x)) <= bound and np.max(np.abs(run.attitude[-1] - g)) <= bound
+    x = x0 = state(s)
+    for _ in range(10):
+        x = scheme.step(s, x, 0.0, 0.1)
+    run = co.integrate(s, x0, (0, 1), 0.1, scheme, attitude="coadjoint")
+    K = run.attitude[-1]
+    bound = 12 * s.dim * U * run.stats.evaluations * np.linalg.norm(x0) * np.linalg.norm(K)
+    assert np.max(np.abs(run.x[-1] - x)) <= bound and np.max(np.abs(K @ run.x[-1] - x0)) <= bound
     step = co.stepper(s, scheme, 0.1)
     P = step.tangent(x0)
     defect = P @ s.structure_matrix(x0) @ P.T - s.structure_matrix(step(x0))
@@ -132,25 +100,13 @@ def test_order(name, method):
     """One step against two halves in 40 digits: h^(p+1) (1 + O(h)), h = 1/128."""
     s, scheme = SYSTEMS[name], METHODS[method]
     with mpmath.workdps(40):
-        read = Interpreter(build_program(s, scheme, number=mpmath.mpf))
         x0 = np.array([mpmath.mpf(v) for v in state(s)], dtype=object)
         errors = []
         for k in (7, 8):
             h = mpmath.mpf(2) ** -k
-            errors.append(max(abs(v) for v in read.steps(x0, h, 1) - read.steps(x0, h / 2, 2)))
+            halves = scheme.step(s, scheme.step(s, x0, 0, h / 2), 0, h / 2)
+            errors.append(max(abs(v) for v in scheme.step(s, x0, 0, h) - halves))
         assert abs(mpmath.log(errors[0] / errors[1], 2) - scheme.order - 1) < 0.15
-
-
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_order_two_converges_to_the_motion(name):
-    """Against Gauss-Legendre of order 16: a rotation by another angle would keep every invariant and be wrong."""
-    s, x0 = SYSTEMS[name], state(SYSTEMS[name])
-    exact = co.integrate(s, x0, (0, 1), 1 / 32, co.GaussLegendre(8), save_every=32).x[-1]
-    errors = [
-        np.max(np.abs(co.integrate(s, x0, (0, 1), 1 / n, METHODS["order 2"], save_every=n).x[-1] - exact))
-        for n in (64, 128)
-    ]
-    assert abs(math.log2(errors[0] / errors[1]) - 2) < 0.05
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
@@ -162,23 +118,11 @@ def test_a_step_back_undoes_a_step(name, method):
     assert np.max(np.abs(back(there(x0)) - x0)) <= 512 * s.dim * U * np.linalg.norm(x0)
 
 
-def test_rational_flows_are_not_merged_but_for_the_middle_of_a_step():
-    rows = build_program(SYSTEMS["so(3) diagonal"], METHODS["order 2"]).rows
-    assert rows.section.tolist() == [0, 5, 10, 10]
-    assert rows.part[:5].tolist() == [0, 1, 2, 1, 0] and rows.coefficient[:5].tolist() == [0.5, 0.5, 1, 0.5, 0.5]
-    single = co.Splitting(scheme="blanes_moan4", rotation="rational", parts="coordinates")
-    assert len(build_program(SYSTEMS["so(3) diagonal"], single).rows.part) == 2 * 12 * 3
-
-
 def test_nilpotent_generators_are_untouched():
     """On a Heisenberg algebra nothing turns: the same bits."""
     s = co.LiePoissonSystem(co.algebras.heisenberg(2), co.Quadratic([1.0, 2.0, 0.5, 0.25, 1.0]))
     runs = [co.integrate(s, state(s), (0, 1), 0.1, co.Splitting(rotation=r)) for r in ("exact", "rational")]
     assert np.array_equal(runs[0].x, runs[1].x)
-    top = build_program(SYSTEMS["e(3) heavy top"], METHODS["order 2"])
-    assert [f == 0 for f in top.frequency] == [
-        len(form[0]) == 1 and form[0][0] > 2 for p in top.parts for form in p.forms
-    ]
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -207,9 +151,6 @@ def test_a_representation_with_other_frequencies(method):
     q = run.attitude[-1]
     assert np.max(np.abs(q.T @ q - one(4))) <= wander
     assert np.max(np.abs(q @ rho[1] @ q.T - rho[0])) <= wander * np.linalg.norm(x0)
-    program = build_program(s, METHODS[method], group=QUATERNIONS)
-    _, read = Interpreter(program).steps(x0, 0.1, 200, group=one(4))
-    assert np.max(np.abs(read - q)) <= 12 * 4 * U * run.stats.evaluations
     # The rotation matrices of the same run are the squares of the quaternions: the same angles.
     vectors = co.LiePoissonSystem(SO3, co.Quadratic(FULL))
     A = co.integrate(vectors, x0, (0, 20), 0.1, METHODS[method], attitude=True, save_every=200).attitude[-1]
@@ -269,10 +210,10 @@ def ring(value):
 REFUSED = {
     "so(4) full": (
         co.LiePoissonSystem(SO4, co.Quadratic(np.eye(6) + 0.125)),
-        "along x1 .* x2 .*is neither nilpotent nor",
+        ("x1", "x2", "nilpotent"),
     ),
-    "sl(2)": (co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([2.0, 0.5, 0.75])), "neither nilpotent nor"),
-    "A3,7": (co.systems.paper_a37(2.0, (1.0, 2.0, 0.01)), "along x3 .*neither nilpotent nor"),
+    "sl(2)": (co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([2.0, 0.5, 0.75])), ("nilpotent",)),
+    "A3,7": (co.systems.paper_a37(2.0, (1.0, 2.0, 0.01)), ("x3", "nilpotent")),
     "coupled angles": (
         co.LiePoissonSystem(
             SO4,
@@ -280,7 +221,7 @@ REFUSED = {
                 [((0, 5), co.Quadratic(ring(0.25))), ((1, 4), co.Quadratic(1.0)), ((2, 3), co.Quadratic(0.5))]
             ),
         ),
-        "whose angle depends on other quantities too",
+        ("angle depends on other quantities",),
     ),
     "a coupling function": (
         co.LiePoissonSystem(
@@ -292,21 +233,20 @@ REFUSED = {
                 ]
             ),
         ),
-        "whose angle depends on other quantities too",
+        ("angle depends on other quantities",),
     ),
     "a coupling polynomial": (
         co.LiePoissonSystem(SO4, co.Polynomial({(1, 0, 0, 0, 0, 2): 0.5, (0, 2, 0, 0, 0, 0): 0.5})),
-        "whose angle depends on other quantities too",
+        ("angle depends on other quantities",),
     ),
 }
 
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_refused_where_it_would_not_be_poisson(name):
-    s, reason = REFUSED[name]
-    with pytest.raises(ValueError, match=reason) as refusal:
+    s, named = REFUSED[name]
+    with refused(ValueError, 'rotation="exact"', *named):
         co.integrate(s, state(s), (0, 1), 0.1, co.Splitting(rotation="rational", parts="coordinates"))
-    assert "\n" not in str(refusal.value) and 'rotation="exact"' in str(refusal.value)
 
 
 def test_what_is_refused_would_not_be_poisson():

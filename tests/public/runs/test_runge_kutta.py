@@ -1,6 +1,4 @@
-"""The plain reading of the Runge-Kutta schemes: number types, exact derivatives, invariants, refusals."""
-
-from __future__ import annotations
+"""Steps of the Runge-Kutta schemes in any number type: derivatives, invariants, refusals."""
 
 from fractions import Fraction
 
@@ -9,9 +7,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.methods.explicit_runge_kutta import TABLEAUX
-from coadjoint.methods.numerics.stages import linear_solve
 from long import long_where
+from refusals import refused
 from served import serves
 
 pytestmark = pytest.mark.thinned(3)
@@ -80,7 +77,7 @@ def multiprecision(x):
     return np.array([mpmath.mpf(v) for v in x], dtype=object)
 
 
-def test_order_6_and_12_from_one_stage_on():
+def test_orders():
     assert [GAUSS(s).order for s in (1, 3, 6)] == [2, 6, 12]
     assert ITERATED(3).order == 6 and ITERATED(3).function_iterations == 5
     assert MODIFIED(2).order == 4 and MODIFIED(2).function_iterations == 3
@@ -97,9 +94,9 @@ def test_runge2_is_exact_in_fractions():
 def test_exact_fractions_are_refused_where_no_step_is_rational():
     system, _ = systems()["sl(2)"]
     x = np.array([Fraction(1), Fraction(1, 2), Fraction(-1, 3)], dtype=object)
-    with pytest.raises(TypeError, match="irrational"):
+    with refused(TypeError, "irrational"):
         ITERATED(2).step(system, x, 0, Fraction(1, 10))
-    with pytest.raises(TypeError, match="take floats"):
+    with refused(TypeError, "floats"):
         GAUSS(1).step(system, x, 0, Fraction(1, 10))
     # one stage is rational, and so is its linear system: the energy is kept exactly
     new = MODIFIED(1).step(system, x, 0, Fraction(1, 10))
@@ -154,7 +151,9 @@ def test_tangent_is_the_derivative_of_the_step(name, method):
 
 
 @pytest.mark.thinned(1)
-@pytest.mark.parametrize("method", [*map(EXPLICIT, TABLEAUX), GAUSS(2), ITERATED(2), MODIFIED(2, freeze="gradient")])
+@pytest.mark.parametrize(
+    "method", [EXPLICIT("runge2"), EXPLICIT("rk4"), GAUSS(2), ITERATED(2), MODIFIED(2, freeze="gradient")]
+)
 def test_each_stage_takes_the_derivative_at_its_own_time(method):
     """x2' = r(t) x2 is linear: its derivative is the step from x2 = 1; r differs from stage to stage."""
     line = co.LieAlgebra([(0, 1, 1, 1.0)], dim=2)
@@ -177,7 +176,7 @@ def test_each_stage_takes_the_derivative_at_its_own_time(method):
 def test_tangent_needs_the_second_derivatives():
     H = co.Hamiltonian(driven, driven_gradient)
     system = co.LiePoissonSystem(co.algebras.sl(2), H)
-    with pytest.raises(TypeError, match="second derivatives"):
+    with refused(TypeError, "second derivatives"):
         GAUSS(2).tangent(system, [1.0, 0.5, 0.25], 0.0, 0.1)
 
 
@@ -210,35 +209,22 @@ def test_quadratic_invariants_in_multiprecision():
 @pytest.mark.parametrize(
     ("method", "name", "said"),
     [
-        (MODIFIED(1), "cubic", "needs a quadratic Hamiltonian"),
-        (MODIFIED(1), "driven", "needs a quadratic Hamiltonian"),
-        (MODIFIED(1, freeze="gradient"), "quadratic J", "needs a Lie algebra"),
+        (MODIFIED(1), "cubic", "quadratic Hamiltonian"),
+        (MODIFIED(1), "driven", "quadratic Hamiltonian"),
+        (MODIFIED(1, freeze="gradient"), "quadratic J", "Lie algebra"),
         (co.RadauEnergy(2), "driven", "depends on time"),
     ],
 )
 def test_systems_that_cannot_be_served_are_refused(method, name, said):
     system, x0 = systems()[name]
-    with pytest.raises(ValueError, match=said):
+    with refused(ValueError, said):
         method.properties(system)
-    with pytest.raises(ValueError, match=said):
+    with refused(ValueError, said):
         method.step(system, x0, 0.0, 0.1)
 
 
 def test_no_convergence_says_so():
     system, x0 = systems()["so(4)"]
-    with pytest.raises(co.IntegrationError, match="do not converge") as caught:
+    with refused(co.IntegrationError, "converge") as caught:
         GAUSS(2).step(system, x0, 0.0, 10.0)
     assert caught.value.residual > 1.0
-
-
-@pytest.mark.parametrize("size", [1, 2, 3, 5])
-def test_linear_systems_are_solved_exactly_in_fractions(size):
-    """Random ones, and ones whose pivots are zero until rows are exchanged."""
-    rng = np.random.default_rng(size)
-    for trial in range(12):
-        lower = np.tril(rng.integers(-3, 4, (size, size)), -1) + np.eye(size, dtype=int)
-        upper = np.triu(rng.integers(-3, 4, (size, size)), 1) + np.diag(rng.choice([-2, -1, 1, 3], size))
-        order = rng.permutation(size) if trial % 2 else np.arange(size)[::-1]
-        A = np.vectorize(Fraction, otypes=[object])((upper if trial % 3 == 0 else lower @ upper)[order])
-        X = np.vectorize(Fraction, otypes=[object])(rng.integers(-5, 6, (size, 2)))
-        assert np.array_equal(linear_solve(A, A @ X), X)
