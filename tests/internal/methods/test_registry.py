@@ -5,10 +5,12 @@ import importlib.metadata
 from types import SimpleNamespace
 
 import pytest
-from own_schemes import OwnKahan
 
 import coadjoint as co
 from coadjoint.methods import registry
+from methods.own_schemes import OwnKahan
+from refusals import refused
+from served import served
 
 
 def named(name, module="another_package", path=None):
@@ -48,10 +50,10 @@ def test_a_name_of_the_package_is_taken(name):
     before = described()
     own = before[name]
     for other in (named(name), named(name, own.__module__, f"made.<locals>.{name}")):
-        with pytest.raises(ValueError, match=rf"another scheme {name}, in {own.__module__}; give this one another"):
+        with refused(ValueError, name, own.__module__):
             co.methods.register(other)
         assert described() == before
-        with pytest.raises(ValueError, match=f"'{name}'"):
+        with refused(ValueError, f"'{name}'"):
             registry.forget(name)
     assert co.methods.register(own) is own and described() == before
 
@@ -60,7 +62,7 @@ def test_a_registered_name_is_taken_until_it_is_forgotten():
     before, first = described(), named("Third")
     co.methods.register(first)
     for other in (named("Third", "a_third_package"), named("Third", path="made.<locals>.Third")):
-        with pytest.raises(ValueError, match="another scheme Third, in another_package"):
+        with refused(ValueError, "Third", "another_package"):
             co.methods.register(other)
         assert described() == {**before, "Third": first}
     again = named("Third")  # the same definition, as after a change in a notebook
@@ -85,8 +87,34 @@ def test_names_of_packages_and_registered_ones_exclude_each_other(monkeypatch):
     assert found == {**before, "Mine": own, "Theirs": theirs}
     skipped = [str(warning.message).split()[2] for warning in warned]
     assert skipped == ["b", "c", "d"]
-    with pytest.raises(ValueError, match="another scheme Theirs, in another_package"):
+    with refused(ValueError, "Theirs", "another_package"):
         co.methods.register(named("Theirs", "a_third_package"))
     assert described() == found
-    with pytest.raises(ValueError, match="'Theirs'"):
+    with refused(ValueError, "'Theirs'"):
         registry.forget("Theirs")
+
+
+def test_a_registered_scheme_is_described_and_made_by_name():
+    assert co.methods.register(OwnKahan) is OwnKahan
+    assert "OwnKahan" in co.methods.names() and co.methods.get("OwnKahan") == OwnKahan()
+    composition = co.Composition(OwnKahan(), (0.5, 0.5))
+    assert registry.from_description(registry.description_of(composition)) == composition
+    registry.forget("OwnKahan")
+    with refused(ValueError, "'OwnKahan'"):
+        co.methods.get("OwnKahan")
+
+
+@pytest.mark.parametrize("given", [int, co.methods.StepMethod])
+def test_what_is_no_scheme_is_not_registered(given):
+    before = described()
+    with refused(TypeError, "int" if given is int else "StepMethod"):
+        co.methods.register(given)
+    assert described() == before
+
+
+@pytest.mark.parametrize("name", co.methods.names())
+def test_examples_equal_their_descriptions(name):
+    for method in registry.scheme(name).examples():
+        assert type(method).__name__ == name and method.order >= 1
+        assert registry.from_description(registry.description_of(method)) == method
+        assert method.work(served(method)[0]).cost(1.0, 1.0) > 0

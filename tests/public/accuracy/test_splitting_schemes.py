@@ -219,12 +219,11 @@ def test_order_in_double_precision_down_to_rounding(name):
 def test_steps_between_saved_states_leave_out_the_processor(name):
     """P K^4 P^-1 is four times P K P^-1, to the rounding of four steps."""
     system, x0 = heavy_top()
-    runs = [
-        co.integrate(system, x0, (0, 1), 0.25, co.Splitting(scheme=name), save_every=k, watch=False) for k in (1, 4)
-    ]
-    rounding = 16 * UNIT_ROUNDOFF * runs[0].stats.evaluations
-    assert np.abs(runs[1].x[-1] - runs[0].x[-1]).max() < rounding
-    assert runs[1].stats.evaluations < 0.7 * runs[0].stats.evaluations
+    run = co.integrate(system, x0, (0, 1), 0.25, co.Splitting(scheme=name))
+    step, x = co.stepper(system, co.Splitting(scheme=name), 0.25), np.array(x0)
+    for _ in range(4):
+        x = step(x)
+    assert np.abs(run.x[-1] - x).max() < 16 * UNIT_ROUNDOFF * run.stats.evaluations
 
 
 @pytest.mark.parametrize("name", ORDERS)
