@@ -9,7 +9,7 @@ import pytest
 
 import coadjoint as co
 from long import long_beyond
-from verification.test_catalogue import EXAMPLES, NAMES
+from catalogue_cases import EXAMPLES, NAMES
 
 pytestmark = pytest.mark.thinned(6)
 

@@ -16,7 +16,7 @@ from coadjoint.program.parts.split import split
 from coadjoint.program.table import build_program
 from drawn_matrices import whole_matrix
 from guards import bounded_work
-from verification.test_catalogue import EXAMPLES
+from catalogue_cases import EXAMPLES
 
 
 def lattice(count, seed=1):

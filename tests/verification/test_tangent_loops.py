@@ -24,7 +24,7 @@ from .random_systems import drawn_bracket
 from .schemes_under_test import large_step, schemes, serves, witnesses
 from .systems_under_test import all_cases, full_matrix
 from .tangent_products import NEVER, finished_vectors, product_of_tangents, run_with, stretches, tolerance
-from .test_catalogue import EXAMPLES, NAMES
+from catalogue_cases import EXAMPLES, NAMES
 
 pytestmark = pytest.mark.thinned(6)
 

@@ -28,7 +28,7 @@ def digests(every: int, **environment: str) -> dict[str, str]:
     own = {"PYTHONPATH": str(Path(coadjoint.__file__).parents[1]), **environment}
     command = [sys.executable, "-W", "ignore", "-m", "verification.digests_of_systems", str(every)]
     done = subprocess.run(
-        command, cwd=HERE.parent, env=os.environ | own, capture_output=True, text=True, check=False, timeout=300
+        command, cwd=HERE.parents[1], env=os.environ | own, capture_output=True, text=True, check=False, timeout=300
     )
     assert done.returncode == 0, done.stderr
     found: dict[str, str] = json.loads(done.stdout)

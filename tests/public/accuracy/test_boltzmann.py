@@ -4,7 +4,7 @@ import numpy as np
 from scipy import special, stats
 
 import coadjoint as co
-from coadjoint.rounding import UNIT_ROUNDOFF
+from rounding import UNIT_ROUNDOFF
 
 
 def starts(members, spins, seed):

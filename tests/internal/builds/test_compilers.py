@@ -16,7 +16,7 @@ from building import Kernels
 from coadjoint.kernels import compiling
 from coadjoint.kernels.library import built_levels, processor_level
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 # Unrolling fewer orders of series is quicker to build, and must not change bits either.
 FEW_UNROLLED = "-DCOADJOINT_UNROLLED=2"
 
@@ -35,7 +35,7 @@ def digests(level: str | None) -> dict[str, str]:
     if level is not None:
         environment["COADJOINT_LEVEL"] = level
     command = [sys.executable, "-m", "verification.digests_of_runs"]
-    folder = Path(__file__).parents[1]
+    folder = ROOT / "tests"
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=True)
     found: dict[str, str] = json.loads(done.stdout)
     return found

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from rounding import UNIT_ROUNDOFF as U
 
 pytestmark = pytest.mark.thinned(3)
 
-U = 2.0**-53
 STEPS = 1000
 ELLIPTIC = (1.0, 0.0, -1.0)
 

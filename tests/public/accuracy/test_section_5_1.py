@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-
-from .measures import U
+from rounding import UNIT_ROUNDOFF as U
 
 A, MASSES = 2.0, (1.0, 2.0, 0.01)
 X0, SPAN, STEP = np.array([1.0, 1.0, 1.0]), (0.0, 20.0), 0.01
