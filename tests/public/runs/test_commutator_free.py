@@ -7,7 +7,6 @@ import pytest
 from scipy.linalg import expm
 
 import coadjoint as co
-from drawn_matrices import full
 from moments import moments
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
@@ -55,19 +54,6 @@ def test_exponentials_of_many_substeps(algebra, span):
     E, inverse = (np.linalg.matrix_power(expm(sign * D / 64), 64) for sign in (1, -1))
     assert np.abs(alone.x[-1] - E @ members[3]).max() < size
     assert np.abs(alone.attitude[-1] - inverse).max() < size
-
-
-def test_the_group_element_is_that_of_the_motion():
-    """In 4 x 4 matrices of SE(3) and of SO(4), beside the rotation of a fine splitting."""
-    for algebra in (co.algebras.e(3), co.algebras.so(4)):
-        system = co.LiePoissonSystem(algebra, co.Quadratic(full(6, 6)), sign=-1)
-        x0 = np.linspace(0.7, -0.5, 6)
-        fine = co.integrate(system, x0, (0, 2), 2**-9, co.Splitting(order=4), attitude=True).attitude[-1]
-        errors = [
-            np.max(np.abs(co.integrate(system, x0, (0, 2), h, co.CommutatorFree(4), attitude=True).attitude[-1] - fine))
-            for h in (2**-4, 2**-5)
-        ]
-        assert 3.6 < np.log2(errors[0] / errors[1]) < 4.6 and errors[1] < 1e-4
 
 
 @pytest.mark.parametrize("order", [2, 3, 4])

@@ -67,13 +67,6 @@ def test_a_step_depends_on_the_time_of_the_system_alone(name):
     assert np.abs(here - there).max() <= 512 * U
 
 
-@pytest.mark.parametrize("name", [name for name, method in METHODS.items() if method.symmetric])
-def test_a_symmetric_step_is_undone_by_the_step_backward(name):
-    method, system, t, h = METHODS[name], driven(sign=1), 0.8, 0.125
-    back = method.step(system, method.step(system, X0, t, h), t + h, -h)
-    assert np.abs(back - X0).max() <= 512 * U
-
-
 @dataclasses.dataclass(frozen=True)
 class Given(co.methods.StepMethod):
     """A step of given components."""

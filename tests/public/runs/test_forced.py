@@ -4,7 +4,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import coadjoint as co
@@ -38,15 +37,6 @@ SYSTEMS = {
     "A3,7": on(co.algebras.A3_7(0.7), +1, 2),
     "su(3)": on(co.algebras.su(3), -1, 3),
 }
-BASES = [
-    co.Splitting(order=2),
-    co.Splitting(order=4, compensated=True),
-    co.GaussLegendre(2),
-    co.Taylor(6),
-    co.CommutatorFree(3),
-    co.ExplicitRungeKutta("rk4"),
-    co.Projected(co.ExplicitRungeKutta("rk4")),
-]
 
 
 def state(n):
@@ -194,51 +184,6 @@ def forces_for(system):
     )
 
 
-@pytest.mark.parametrize("name", ["e(3)", "so(4)", "A3,7"])
-def test_the_order_is_two_on_full_systems(name):
-    """Three forces at once, with full matrices; the reference is another solver on the whole field."""
-    forced = SYSTEMS[name].with_forces(*forces_for(SYSTEMS[name]))
-    x0 = state(forced.dim)
-    for end in (0.5, -0.5):
-        found = solve_ivp(lambda t, x: forced.vector_field(x, t), (0, end), x0, "DOP853", rtol=1e-10, atol=1e-11)
-
-        def run(h, end=end):
-            return co.integrate(forced, x0, (0, end), h, co.Splitting(order=4)).x[-1]
-
-        assert abs(fitted_order(run, found.y[:, -1]) - 2.0) < 0.1
-
-
-@pytest.mark.thinned(4)
-@pytest.mark.parametrize("method", BASES, ids=str)
-def test_every_scheme_takes_the_step_that_is_read_in_python(method):
-    for name in ("e(3)", "su(3)"):
-        forced = SYSTEMS[name].with_forces(*forces_for(SYSTEMS[name]))
-        x0 = state(forced.dim)
-        for h in (0.05, -0.05):
-            read = co.methods.Forced(method).step(forced, x0, 0.3, h)
-            assert np.max(np.abs(co.stepper(forced, method, h)(x0, 0.3) - read)) < 256 * UNIT_ROUNDOFF
-            assert np.max(np.abs(read - co.stepper(forced.system, method, h)(x0, 0.3))) > 1e-4
-
-
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_double_brackets_keep_casimirs_and_lose_energy(name):
-    """With any positive metric, on every algebra, whatever is no polynomial among the Casimirs too."""
-    system = SYSTEMS[name]
-    force = co.forces.DoubleBracketDamping(0.3, positive(system.dim, 8))
-    forced = system.with_forces(force)
-    method = co.Splitting(compensated=True)
-    sol = co.integrate(forced, state(system.dim), (0, 10), 2**-6, method, save_every=64)
-    assert len(sol.casimirs) > 0
-    for casimir, left in sol.balance(relative=False).items():
-        if casimir != "energy":
-            assert left < 640 * 8 * UNIT_ROUNDOFF * max(1.0, np.abs(sol.x).max() ** 3)
-    done = sol.work["DoubleBracketDamping"]["energy"]
-    assert np.all(np.diff(done) < 0) and list(sol.work["DoubleBracketDamping"]) == ["energy"]
-    # The rate of the loss at the start is that of the formula.
-    f, x0 = system.vector_field(state(system.dim)), state(system.dim)
-    assert abs(forced.power(x0)["DoubleBracketDamping"] + 0.3 * f @ positive(system.dim, 8) @ f) < 1e-14
-
-
 def test_the_balance_is_the_error_of_the_scheme():
     """Each force has its account; all changes together are the accounts and what the scheme itself adds."""
     system = SYSTEMS["e(3)"]
@@ -308,26 +253,6 @@ def test_the_attitude_goes_with_the_hamiltonian_part(attitude):
         assert np.max(np.abs(alone.x - sol.x)) < 1e-2
     with refused(ValueError, "group element"):
         co.integrate(tumbling, (0.6, 0.5, -0.3), (0, 1), 2**-5, co.RadauEnergy(2), attitude=attitude)
-
-
-def test_a_batch_has_the_bits_of_its_members():
-    """Other constants, rates and temperatures, one for each; the noise of a member has its number."""
-    parts = [on(co.algebras.e(3), -1, seed) for seed in (1, 2, 3)]
-    rates, metric = (0.1, (0.3,) * 6, full(6, 9)), positive(6, 1)
-    for method in (co.Splitting(), co.GaussLegendre(2)):
-
-        def forced(m, stream):
-            bath = co.forces.HeatBath(0.1, metric, temperature=0.1 * m, seed=4, stream=stream)
-            return parts[m].with_forces(co.forces.LinearDamping(rates[m]), bath)
-
-        batch = co.batch([forced(m, 0) for m in range(3)])
-        sol = co.integrate(batch, state(6), (0, 1), 2**-4, method, attitude="coadjoint", threads=2)
-        for m in range(3):
-            alone = co.integrate(forced(m, m), state(6), (0, 1), 2**-4, method, attitude="coadjoint")
-            assert np.array_equal(sol.x[:, m], alone.x) and np.array_equal(sol.attitude[:, m], alone.attitude)
-            assert sol.balance(relative=False)["energy"].members[m] == alone.balance(relative=False)["energy"]
-            done, own = (s.work["LinearDamping"]["energy"] for s in (sol, alone))
-            assert np.array_equal(done[:, m], own)
 
 
 def test_what_is_broken_is_labelled():

@@ -130,20 +130,6 @@ def test_rotations_of_spins_are_those_of_the_exponential(name, strength):
         assert np.max(np.abs(left)) < 1e-3 * np.max(np.abs(together.energy))
 
 
-def test_heat_of_many_pairs_of_spins_is_the_change_of_their_energy():
-    """The flows of pairs preserve the energy, which is summed in blocks of spins."""
-    rng, pairs, steps = np.random.default_rng(8), 350, 6
-    exchange = rng.uniform(0.5, 1.5, pairs)
-    system = co.systems.spin_lattice(2 * np.arange(pairs)[:, None] + [0, 1], 2 * pairs, exchange=exchange)
-    hot = system.with_forces(co.forces.HeatBath(0.2, temperature=0.4, seed=3))
-    x0 = rng.standard_normal((2 * pairs, 3))
-    x0 /= np.linalg.norm(x0, axis=1)[:, None]
-    sol = co.integrate(hot, x0.ravel(), (0, 0.1 * steps), 0.1, co.Splitting(parts="bonds"))
-    assert abs(sol.work["HeatBath"]["energy"][-1]) > 1.0
-    # Each of three components of each pair is rounded some 16 times in a flow of two of the bath and one of the pair.
-    assert sol.balance(relative=False)["energy"] < 2.0**-53 * 16 * 3 * steps * 3 * exchange.sum()
-
-
 LONG_CHAINS = {
     "damping": co.forces.DoubleBracketDamping(0.4),
     "noise": co.forces.HeatBath(0.4, temperature=0.5, seed=7),

@@ -113,15 +113,6 @@ def test_tangents_are_differences_where_a_complex_step_is_wrong(kind):
     assert np.max(np.abs(step.tangent(x) - expected)) < 1e-8
 
 
-def test_the_classical_method_is_the_one_that_is_built_in():
-    for name, system in SYSTEMS.items():
-        x0 = start_of(system)
-        own, known = (co.integrate(system, x0, (0, 2), 0.05, m) for m in (Classical(), co.ExplicitRungeKutta("rk4")))
-        assert np.max(np.abs(own.x - known.x)) < 40 * 64 * 2.0**-53, name
-        assert own.energy == pytest.approx(known.energy, abs=1e-12)
-        assert own.stats.steps == 40 and own.stats.evaluations == 40
-
-
 def test_inputs_reach_compiled_steps():
     system, linear = SYSTEMS["e(3), full"], 0.2 * np.cos(np.arange(6.0))
     other = co.LiePoissonSystem(system.algebra, co.Quadratic(np.diag(np.arange(1.0, 7)) + 0.1, linear))

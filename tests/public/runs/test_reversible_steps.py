@@ -116,15 +116,6 @@ def test_the_order_is_that_of_the_base_in_the_stride(name):
     assert abs(np.log2(errors[0] / errors[1]) - base.order) < 0.35
 
 
-@pytest.mark.parametrize("base", [co.Splitting(order=2), co.Splitting(order=4, parts="coordinates")], ids=str)
-def test_the_group_element_goes_with_the_steps(base):
-    method = co.ReversibleSteps(base, 0.1)
-    sol = co.integrate(TOP, start_of(TOP), (0.0, 20.0), 0.5, method, attitude="coadjoint")
-    kept = np.einsum("kij,kj->ki", sol.attitude, sol.x)
-    assert np.abs(kept - kept[0]).max() < 1e-12
-    assert np.array_equal(co.integrate(TOP, start_of(TOP), (0.0, 20.0), 0.5, method).x, sol.x)
-
-
 def test_casimirs_to_rounding_and_energy_without_drift():
     """A symmetric top whose axis starts near the vertical and falls."""
     system = co.LiePoissonSystem(
@@ -141,13 +132,6 @@ def test_casimirs_to_rounding_and_energy_without_drift():
     assert energy < 0.02 and energy.growth < 1.5
     coarser = co.integrate(system, x0, (0.0, 2000.0), 1.0, co.ReversibleSteps(co.Splitting(order=2), 0.1))
     assert 2.5 < coarser.drift()["energy"] / energy < 6.0
-
-
-@pytest.mark.parametrize("base", [co.Splitting(order=4), co.GaussLegendre(2), co.Kahan()], ids=str)
-def test_properties_are_those_of_the_base_without_the_bracket(base):
-    declared, alone = co.ReversibleSteps(base).properties(BODY), base.properties(BODY)
-    assert declared.reversible and not declared.poisson and not alone.reversible
-    assert (declared.energy, declared.casimirs, declared.attitude) == (alone.energy, alone.casimirs, alone.attitude)
 
 
 def test_a_speed_that_vanishes_is_a_failure():

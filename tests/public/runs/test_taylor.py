@@ -2,9 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
-from itertools import pairwise
 
-import mpmath
 import numpy as np
 import pytest
 
@@ -106,32 +104,6 @@ def test_high_orders_are_exact(name, order):
     assert np.max(np.abs(found - exact)) < 64 * np.sqrt(system.dim) * U * np.linalg.norm(x)
 
 
-@pytest.mark.parametrize("name", ["so(3), full", "heavy top", "so(4), full", "8 spins", "13 spins", "so(4), quintic"])
-def test_every_coefficient_counts(name):
-    """Without its last coefficient a step is another one: by the size of that coefficient."""
-    system = systems()[name]
-    x, h = start_of(system), 0.5
-    with mpmath.workdps(30):
-        exact = [
-            co.Taylor(p, projected=False).step(system, np.array([mpmath.mpf(v) for v in x]), 0, mpmath.mpf(h))
-            for p in range(4, 10)
-        ]
-        terms = [(more - fewer).astype(float) for fewer, more in pairwise(exact)]
-    found = [one_step(system, co.Taylor(p, projected=False), x, h) for p in range(4, 10)]
-    for term, (fewer, more) in zip(terms, pairwise(found), strict=True):
-        assert np.max(np.abs(more - fewer - term)) < 64 * np.sqrt(system.dim) * U
-
-
-def test_products_stand_behind_any_number_of_coordinates():
-    """Coordinates and products begin with vectors of their own, whether or not coordinates fill all before."""
-    for count, degree in [(1, 4), (2, 3), (2, 4), (3, 3), (3, 4), (4, 4), (6, 3)]:
-        n = 3 * count
-        system = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), count), polynomial(n, degree, count))
-        x, method = start_of(system), co.Taylor(6, projected=False)
-        found, read = one_step(system, method, x, 0.125), method.step(system, x, 0.0, 0.125)
-        assert np.max(np.abs(found - read)) < 32 * np.sqrt(n) * U * np.linalg.norm(x), (n, degree)
-
-
 @pytest.mark.thinned(1)
 @pytest.mark.parametrize("order", [2, 8, 25])
 def test_products_that_cancel_move_nothing(order):
@@ -169,23 +141,6 @@ def test_fractions_give_the_exact_polynomial_in_the_step():
     assert list(co.Taylor(2, projected=False).step(system, x, 0, h)) == list(euler + h * h * bent / 2)
     with refused(TypeError, "projected=False"):
         co.Taylor(2).step(system, x, 0, h)
-
-
-@pytest.mark.parametrize("projected", [True, False])
-@pytest.mark.parametrize("name", ["so(3), full", "heavy top", "so(4), full", "e(3), quartic"])
-def test_tangent_is_the_derivative_of_the_step(name, projected):
-    """Central differences in 50 digits with e = 1e-15 are exact to 1e-28; the tangent itself rounds like the step."""
-    system, method, h = systems()[name], co.Taylor(5, projected), 0.25
-    x0, n = start_of(system), system.dim
-    new, P = method.tangent(system, x0, 0.0, h)
-    with mpmath.workdps(50):
-        e, x = mpmath.mpf(10) ** -15, np.array([mpmath.mpf(v) for v in x0], dtype=object)
-        direction = np.random.default_rng(3).uniform(-1.0, 1.0, n)
-        ends = [method.step(system, x + sign * e * direction, 0, h) for sign in (1, -1)]
-        slope = np.array([float(v) for v in (ends[0] - ends[1]) / (2 * e)])
-    assert np.max(np.abs(P @ direction - slope)) < 1e4 * n * U * np.max(np.abs(P))
-    assert np.max(np.abs(new - method.step(system, x0, 0.0, h))) < 64 * U
-    assert np.max(np.abs(P - np.eye(n))) > 1e-2
 
 
 @pytest.mark.thinned(6)
@@ -293,21 +248,3 @@ def test_short_calls_of_many_systems_do_not_meet():
     with ThreadPoolExecutor(4) as pool:
         for found, x in zip(pool.map(lambda run: run.run(x0, span).x, ready), alone, strict=True):
             assert np.array_equal(found, x)
-
-
-@pytest.mark.parametrize(
-    ("name", "products"),
-    [("so(3), diagonal", 0.5), ("heavy top", 2), ("so(4), full", 4), ("so(5)", 6), ("5 spins", 4)]
-    + [("5 particles", 1), ("8 particles", 2), ("affine, 3", 0.5), ("affine, 9, full", 8), ("affine, 14", 4)],
-)
-def test_work_counts_the_products_that_are_multiplied(name, products):
-    """One product a row of the rigid body, in half a vector; two of the tops; four of so(4), each with the gradient.
-
-    The eight products of the chain of five, and of an affine algebra, are factored: the rows are sums of them.
-    """
-    system = systems()[name]
-    small, large = (co.Taylor(order).operations(system) for order in (8, 16))
-    assert small.vectors == 32 * products and large.vectors == 128 * products
-    uncorrected = co.Taylor(8, False).operations(system)
-    assert large.waiting == 2 * small.waiting
-    assert large.invariant_terms == small.invariant_terms > uncorrected.invariant_terms

@@ -103,31 +103,6 @@ def test_one_step_is_the_flow_of_the_polynomial_that_the_gradient_is(name, degre
             assert np.max(np.abs(found - exact)) < 32 * len(exact) * UNIT_ROUNDOFF * np.max(np.abs(exact))
 
 
-@pytest.mark.thinned(20)
-@pytest.mark.parametrize("name", ALGEBRAS)
-@pytest.mark.parametrize("projected", [True, False])
-def test_order_by_slope_and_beside_a_splitting_of_order_ten(name, projected):
-    """The error falls with the order, and is like that of the momentum; of the coadjoint matrix, and of the own one."""
-    system = system_on(name)
-    x, span = start_of(system), (0.0, -1.5)
-    for attitude in attitudes(system):
-        fine = co.integrate(system, x, span, 2**-7, co.Splitting(order=10), attitude=attitude)
-        size = np.max(np.abs(fine.attitude[-1]))
-        for order in (3, 6):
-            errors = []
-            for h in (1 / 8, 1 / 16):
-                run = co.integrate(system, x, span, h, co.Taylor(order, projected), attitude=attitude)
-                of_x = np.max(np.abs(run.x[-1] - fine.x[-1]))
-                errors.append(np.max(np.abs(run.attitude[-1] - fine.attitude[-1])))
-            coarse, error = errors
-            # The next term of the error has the step once more, and a constant that may be some times larger.
-            assert np.log2(coarse / error) > order - 0.6
-            assert error < 16 * size * of_x
-        converged = co.integrate(system, x, span, 1 / 16, co.Taylor(20, projected), attitude=attitude)
-        bound = 16 * system.dim * UNIT_ROUNDOFF * np.sqrt(1.5 * 128) * size * np.linalg.norm(fine.attitude[-1])
-        assert np.max(np.abs(converged.attitude[-1] - fine.attitude[-1])) < bound
-
-
 def test_closed_forms():
     """A free body over twenty times its period, and one that is nearly a sphere, which turns 60 times in a step."""
     bodies = (((1, 2, 3), (0.3, 1.0, -0.5), 100.0, 0.5), ((1, 1.001, 1.002), (30.0, 10.0, 5.0), 48.0, 12.0))
@@ -183,20 +158,6 @@ def test_the_element_stays_in_its_group(name, order):
         assert np.max(np.abs(g @ inverse @ g.T - inverse)) < bound
 
 
-@pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "A3,7", "su(3)"])
-def test_matrices_and_the_coadjoint_matrix_are_one_group_element(name):
-    """g^(-1) rho(e_i) g = sum_j K_ij rho(e_j) up to rounding, though the series is far from the motion."""
-    system = system_on(name)
-    x = start_of(system)
-    step = 0.05 if name == "A3,7" else 0.25
-    span, method = (0, 40 * step), co.Taylor(3)
-    g, K = (co.integrate(system, x, span, step, method, attitude=a).attitude[-1] for a in (True, "coadjoint"))
-    rho = system.representation
-    moved = np.linalg.solve(g, rho @ g)
-    size = np.linalg.cond(g) ** 2 * np.linalg.norm(K) * np.linalg.norm(rho)
-    assert np.max(np.abs(moved - np.einsum("ij,jab->iab", K, rho))) < 40 * 4 * len(g) * UNIT_ROUNDOFF * size
-
-
 def test_elements_that_cannot_be_followed():
     growing = co.LiePoissonSystem(co.algebras.A3_7(2.0), co.Quadratic(np.zeros(3), linear=[0, 0, 3.0]))
     with refused(co.IntegrationError, "overflow"):
@@ -207,17 +168,6 @@ def test_elements_that_cannot_be_followed():
     states = np.array([[1.0, 1.0, 1.0], [1e9, 0.0, 0.0]])
     with refused(co.IntegrationError, "1 of 2 members"):
         co.integrate(sphere, states, (0, 3), 1.0, co.Taylor(4), attitude=True)
-
-
-def test_it_is_offered_where_an_attitude_is_asked_for():
-    system = system_on("so(4)")
-    x = start_of(system)
-    plain, carried = (co.choose(system, x, (0, 20), 1e-9, attitude=attitude) for attitude in (False, True))
-    assert isinstance(carried.method, co.Taylor) and carried.cost > plain.cost
-    run = co.integrate(system, x, (0, 20), accuracy=1e-9, attitude=True)
-    fine = co.integrate(system, x, (0, 20), 2**-6, co.Splitting(order=10), attitude=True)
-    # Entries of 4 x 4 rotations move by twice what those of the momentum do, and along with them.
-    assert np.max(np.abs(run.attitude[-1] - fine.attitude[-1])) < 4e-9
 
 
 @pytest.mark.parametrize("span", [(0.0, 3.0), (3.0, 0.0)])

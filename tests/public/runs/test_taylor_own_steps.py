@@ -136,20 +136,6 @@ def test_times_far_from_zero_and_where_they_begin_change_nothing():
     assert co.integrate(system, x, (3.0, 3.0), 0.5, method).x.tolist() == [x.tolist()]
 
 
-@pytest.mark.long
-def test_tangent_is_the_derivative_of_the_motion():
-    for name in ("so(3)", "e(3), quartic", "solvable"):
-        system = systems()[name]
-        x, direction = start_for(system), start_for(system, 1)
-        for projected in (True, False):
-            method = co.Taylor(tolerance=1e-13, projected=projected)
-            new, P = method.tangent(system, x, 0.0, 2.0)
-            assert np.max(np.abs(new - method.step(system, x, 0.0, 2.0))) < 1e-13
-            ends = [end_of(system, method, x + e * direction, 2.0).x[-1] for e in (1e-4, -1e-4, 2e-4, -2e-4)]
-            slope = (8 * (ends[0] - ends[1]) - (ends[2] - ends[3])) / 12e-4
-            assert np.max(np.abs(P @ direction - slope)) < 1e-8 * np.max(np.abs(P))
-
-
 def test_steps_become_long_where_the_motion_calms_down():
     """The particles of a chain fly apart, and nothing turns any more."""
     chain = co.systems.toda(5)
