@@ -85,21 +85,6 @@ def test_the_order_is_the_first_power_of_the_field(base, order: int, jump: str) 
         assert all(not F.monomials for F in found.terms[k]), "a symmetric scheme has even powers alone"
 
 
-@pytest.mark.parametrize("base", BASES, ids=str)
-def test_runs_have_the_order_and_keep_what_the_base_keeps(base) -> None:
-    system = served(base, 1)
-    x0, method = np.array([0.5, -0.75, 0.625]), co.methods.even_order(base, 4)
-    exact = co.integrate(system, x0, (0, 2), 0.01, co.GaussLegendre(6)).x[-1]
-    steps = 0.25 / 2.0 ** np.arange(4)
-    errors = [np.abs(co.integrate(system, x0, (0, 2), h, method).x[-1] - exact).max() for h in steps]
-    assert co.analysis.fit_order(steps, errors, floor=1e-13).order == pytest.approx(4, abs=0.3)
-    stepper = co.stepper(system, method, 0.25)
-    back = co.stepper(system, method, -0.25)
-    np.testing.assert_allclose(back(stepper(x0)), x0, atol=1e-13)
-    if base.properties(system).casimirs == "all":
-        assert co.integrate(system, x0, (0, 50), 0.25, method).drift()["|x|^2"] < 1e-13
-
-
 @pytest.mark.thinned(12)
 @pytest.mark.parametrize("base", [base for base in BASES if getattr(base, "rotation", "exact") == "exact"], ids=str)
 @pytest.mark.parametrize("order", [2, 4])
@@ -161,17 +146,6 @@ def test_a_condition_holds_to_rounding(factor, order):
     off = factor * 24 * UNIT_ROUNDOFF * (2 * C1 - 1) ** 3
     a = C1 + off / (6.0 * C1**2 - 6.0 * (1.0 - 2.0 * C1) ** 2)
     assert co.Composition(STRANG, (a, 1.0 - 2.0 * a, a)).order == order
-
-
-def test_a_composition_of_splittings_is_the_scheme_of_that_name():
-    """Coefficients in floats against those in 50 digits: rounding of 100 steps of 30 rows."""
-    s = co.LiePoissonSystem(co.algebras.e(3), co.Quadratic([1.0, 0.5, 0.25, 2.0, 3.0, 4.0]))
-    x0 = np.linspace(-0.5, 0.75, 6)
-    ends = [
-        co.integrate(s, x0, (0, 5), 0.05, method).x[-1]
-        for method in (co.Splitting(scheme="yoshida4"), co.Composition(STRANG, YOSHIDA))
-    ]
-    assert np.abs(ends[0] - ends[1]).max() <= 100 * 30 * 8 * UNIT_ROUNDOFF
 
 
 def test_compositions_of_compositions_multiply_their_coefficients():

@@ -10,26 +10,8 @@ from verification.measures import drift_bounds
 from verification.schemes_under_test import schemes
 from verification.systems_under_test import (
     full_matrix,
-    rotation_unlike_jacobi,
-    rotation_unlike_jacobi_derivative,
     without_jacobi,
 )
-
-
-def jacobi_defect(J, dJ, x):
-    """sum over cyclic (i, j, k) of J_il d J_jk / dx_l."""
-    T = np.einsum("il,jkl->ijk", J(x), dJ(x))
-    return np.max(np.abs(T + T.transpose(1, 2, 0) + T.transpose(2, 0, 1)))
-
-
-def test_example_violates_the_jacobi_identity():
-    x = without_jacobi().x0
-    assert jacobi_defect(rotation_unlike_jacobi, rotation_unlike_jacobi_derivative, x) > 0.1
-    # The measure itself: zero on a Lie algebra.
-    e3 = co.algebras.e(3)
-    c = np.array([[e3.bracket(u, v) for v in np.eye(6)] for u in np.eye(6)])
-    y = np.linspace(-1, 1, 6)
-    assert jacobi_defect(e3.structure_matrix, lambda x: c, y) <= 64 * U
 
 
 @pytest.mark.parametrize("scheme", ["Splitting 2", "Composition of Splitting"])

@@ -85,14 +85,6 @@ def test_estimate_on_growing_and_decaying_motions(rate, time):
     check_estimate(co.integrate(system, x0, (0, time), accuracy=1e-2, method="Splitting"), exact, largest)
 
 
-@pytest.mark.parametrize("gap", [1e-3, 1e-6])
-def test_estimate_near_a_separatrix(gap):
-    body, time = co.systems.rigid_body(inertia=(1, 2, 3)), 60.0
-    exact, largest = many_digits(plain_field(body), np.array([gap, 1.0, 0.0]), time)
-    for accuracy in (1e-3, 1e-6, 1e-8):
-        check_estimate(co.integrate(body, (gap, 1.0, 0.0), (0, time), accuracy=accuracy), exact, largest)
-
-
 SPLITTING, GAUSS = co.Splitting(order=2), co.GaussLegendre
 STEPS = {1: 384, 2: 192, 3: 96, 4: 64}  # of constant steps, by their order; so many that the error follows the order
 MORE_STEPS = 32

@@ -6,7 +6,7 @@ import pytest
 import coadjoint as co
 from rounding import UNIT_ROUNDOFF as U
 from verification.measures import drift_bounds, five_errors, measured_order, order_of, step_counts
-from verification.systems_under_test import all_cases, cases, full_matrix
+from verification.systems_under_test import all_cases, cases
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -48,28 +48,6 @@ def test_step_is_m_orthogonal(case, s):
     assert np.max(np.abs(B.T @ M @ B - M)) <= bound
     step = co.stepper(system, co.ModifiedGaussLegendre(s), h)
     assert np.max(np.abs(step(x) - B @ x)) <= bound * np.linalg.norm(x)
-
-
-def modified_midpoint(system, M, x, h, freeze):
-    """Equations (10)-(11) by hand, in both forms."""
-    X = x + h / 2 * system.vector_field(x)
-    A = system.structure_matrix(X) @ M if freeze == "structure" else system.algebra.coadjoint(M @ X)
-    A, one = system.sign * A, np.eye(len(x))
-    return np.linalg.solve(one - h / 2 * A, (one + h / 2 * A) @ x)
-
-
-@pytest.mark.parametrize("freeze", FREEZES)
-def test_equations_10_and_11_are_one_stage_twice_iterated(freeze):
-    for algebra, n, sign in ((co.algebras.e(3), 6, -1), (co.algebras.A3_7(2.0), 3, 1), (co.algebras.so(4), 6, 1)):
-        M = full_matrix(7, n)
-        system = co.LiePoissonSystem(algebra, co.Quadratic(M), sign=sign)
-        step = co.stepper(system, co.ModifiedGaussLegendre(1, iterations=2, freeze=freeze), 0.1)
-        x = np.linspace(-1.0, 0.7, n)
-        for _ in range(5):
-            by_hand = modified_midpoint(system, M, x, 0.1, freeze)
-            # One linear system of n equations near the unit matrix.
-            assert np.max(np.abs(step(x) - by_hand)) <= 64 * n * U * np.max(np.abs(x))
-            x = by_hand
 
 
 @pytest.mark.parametrize(

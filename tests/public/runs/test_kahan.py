@@ -83,23 +83,6 @@ def test_many_dimensions_without_a_matrix_give_the_same():
     assert np.max(np.abs(back - x0)) < 64 * UNIT_ROUNDOFF * 4
 
 
-def test_the_modified_field_has_the_flow_of_the_step():
-    """The flow of the modified field is the step, up to h^5."""
-    system = SYSTEMS[0]
-    modified = co.modified_field(system, co.Kahan(), order=4)
-    x0, errors = RNG.uniform(-1, 1, 6), []
-    for h in (0.1, 0.05):
-        own = co.stepper(system, co.Kahan(), h)(x0)
-        x, steps = x0, 16
-        for _ in range(steps):
-            k1 = modified(x, h)
-            k2 = modified(x + h / steps / 2 * k1, h)
-            k3 = modified(x + h / steps / 2 * k2, h)
-            x = x + h / steps / 6 * (k1 + 2 * k2 + 2 * k3 + modified(x + h / steps * k3, h))
-        errors.append(np.max(np.abs(x - own)))
-    assert 4.6 < np.log2(errors[0] / errors[1]) < 5.5
-
-
 CUBIC = co.Polynomial({(3, 0, 0): 1.0, (0, 2, 0): 0.5})
 REFUSED = {
     "not quadratic": co.LiePoissonSystem(co.algebras.so(3), CUBIC),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from methods.own_schemes import NOTHING, Asking, Classical, Failing, Interpreted, OwnKahan, Relaxed
+from methods.own_schemes import NOTHING, Classical, Failing, Interpreted, OwnKahan, Relaxed
 from refusals import refused
 
 pytestmark = pytest.mark.thinned(3)
@@ -70,25 +70,6 @@ def test_a_run_takes_the_steps_of_the_function(name, scheme, h):
     assert (sol.x[1] - x0) @ system.vector_field(x0, t0) * h > 0
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "system",
-    [
-        co.LiePoissonSystem(
-            co.algebras.get("A3,7", a=0.5),
-            co.Polynomial({(2, 0, 0): 0.5, (0, 2, 1): 0.3, (1, 1, 1): -0.2, (0, 0, 0): 7.0}),
-            sign=-1,
-        ),
-        co.LiePoissonSystem(co.algebras.e(3), co.Polynomial({(2,) + (0,) * 5: 1.0, (0,) * 6: 3.0})),
-    ],
-    ids=["polynomial", "constant"],
-)
-def test_all_members_of_a_system_are_compiled(system):
-    x0 = start_of(system)
-    found = co.integrate(system, x0, (0, 0.3), 0.1, Asking()).x[-1]
-    assert np.max(np.abs(found - stepped(Asking(), system, x0, 0.0, 0.1, 3))) < 1e-14
-
-
 @dataclasses.dataclass(frozen=True)
 class Unsmooth(co.methods.StepMethod):
     """Steps of which a complex step gives no derivative: the imaginary part is dropped, or has no meaning."""
@@ -142,18 +123,6 @@ def test_orders_and_compositions():
     for fraction in (0.125, 0.125, 0.375, 0.375):
         x = OwnKahan().step(system, x, 0.0, 0.1 * fraction)
     assert np.max(np.abs(co.stepper(system, nested, 0.1)(x0) - x)) < 1e-14
-
-
-def test_steppers_and_their_tangents():
-    system = SYSTEMS["e(3), full"]
-    x0 = start_of(system)
-    step = co.stepper(system, OwnKahan(), 0.1)
-    assert np.max(np.abs(step(x0) - OwnKahan().step(system, x0, 0.0, 0.1))) < 1e-14
-    assert step.tangent_by(x0) == "complex step"
-    known = co.stepper(system, co.ExplicitRungeKutta("rk4"), 0.1)
-    own = co.stepper(system, Classical(), 0.1)
-    assert known.tangent_by(x0) == "formula"
-    assert np.max(np.abs(own.tangent(x0) - known.tangent(x0))) < 1e-14
 
 
 def test_choose_takes_it():

@@ -21,16 +21,12 @@ SO3, E3, SO4 = co.algebras.so(3), co.algebras.e(3), co.algebras.so(4)
 TOP = co.Quadratic([1.0, 0.5, 0.375, 0, 0, 0], linear=[0, 0, 0, 0.75, 0.5, 1.0])
 
 
-def scaled(algebra, factor):
-    i, j, k, c = algebra.triples
-    return co.LieAlgebra(list(zip(i.tolist(), j.tolist(), k.tolist(), (factor * c).tolist(), strict=True)), dim=3)
-
-
+SCALED = co.LieAlgebra.from_brackets(3, {(0, 1): {2: 1.5}, (1, 2): {0: 1.5}, (0, 2): {1: -1.5}})
 SYSTEMS = {
     "so(3) diagonal": co.LiePoissonSystem(SO3, co.Quadratic([1.0, 0.5, 0.25])),
     "so(3) full": co.LiePoissonSystem(SO3, co.Quadratic(FULL), sign=-1),
     "so(3) quartic": co.LiePoissonSystem(SO3, co.Polynomial({(4, 0, 0): 0.25, (0, 3, 0): 0.5, (0, 0, 2): 1.0})),
-    "so(3) with another frequency": co.LiePoissonSystem(scaled(SO3, 1.5), co.Quadratic([1.0, 0.5, 0.25])),
+    "so(3) with another frequency": co.LiePoissonSystem(SCALED, co.Quadratic([1.0, 0.5, 0.25])),
     "e(3) heavy top": co.LiePoissonSystem(E3, TOP, sign=-1),
     "so(4) diagonal": co.LiePoissonSystem(SO4, co.Quadratic([2.0, 0.5, 0.75, 0.25, 0.5, 1.0])),
 }
@@ -45,10 +41,6 @@ METHODS = {
 
 def state(s):
     return np.linspace(-0.75, 1.25, s.dim)
-
-
-def one(dim):
-    return np.eye(dim)
 
 
 @pytest.mark.thinned(28)
@@ -122,34 +114,18 @@ def test_rotation_matrices_carry_the_momentum(method):
     run = co.integrate(s, x0, (0, 100), 0.1, METHODS[method], attitude=True, save_every=100, watch=False)
     wander = 8 * math.sqrt(run.stats.evaluations) * U
     for x, A in zip(run.x, run.attitude, strict=True):
-        assert np.max(np.abs(A.T @ A - one(3))) <= wander
+        assert np.max(np.abs(A.T @ A - np.eye(3))) <= wander
         assert np.max(np.abs(A @ x - x0)) <= 2 * wander * np.linalg.norm(x0)
-    assert np.max(np.abs(run.attitude[-1] - one(3))) > 0.1
+    assert np.max(np.abs(run.attitude[-1] - np.eye(3))) > 0.1
 
 
 VECTORS = SO3.representation
 
 
-def sum_of(first, second):
-    """Return the direct sum of two representations."""
-    return np.array([scipy.linalg.block_diag(a, b) for a, b in zip(first, second, strict=True)])
-
-
-def product_of(first, second):
-    """Return the tensor product: its frequencies are the sums and differences of those of the factors."""
-    units = np.eye(len(first[0])), np.eye(len(second[0]))
-    return np.array([np.kron(a, units[1]) + np.kron(units[0], b) for a, b in zip(first, second, strict=True)])
-
-
-REPRESENTATIONS = {
-    "1": VECTORS,
-    "1 + 1": sum_of(VECTORS, VECTORS),
-    "1/2 + 1": sum_of(QUATERNIONS, VECTORS),
-    "1 + 1/2": sum_of(VECTORS, QUATERNIONS),
-    "0 + 1 + 2": product_of(VECTORS, VECTORS),
-    "1/2 + 3/2": product_of(QUATERNIONS, VECTORS),
-    "1 + 1/2 + 3/2": sum_of(VECTORS, product_of(QUATERNIONS, VECTORS)),
-}
+BOTH = np.array([scipy.linalg.block_diag(q, v) for q, v in zip(QUATERNIONS, VECTORS, strict=True)])
+# The frequencies of a tensor product are the sums and differences of those of the factors.
+PRODUCT = np.array([np.kron(q, np.eye(3)) + np.kron(np.eye(4), v) for q, v in zip(QUATERNIONS, VECTORS, strict=True)])
+REPRESENTATIONS = {"1": VECTORS, "1/2": QUATERNIONS, "1/2 + 1": BOTH, "1/2 + 3/2": PRODUCT}
 
 
 @pytest.mark.thinned(4)
@@ -164,49 +140,32 @@ def test_representations_with_several_frequencies(spins, system, method):
     run = co.integrate(s, x0, (0, 4), 0.25, METHODS[method], attitude=True, save_every=16)
     g, rho = run.attitude[-1], [np.einsum("i,ijk->jk", x, matrices) for x in (x0, run.x[-1])]
     bound = 12 * len(g) * U * run.stats.evaluations
-    assert np.max(np.abs(g.T @ g - one(len(g)))) <= bound
+    assert np.max(np.abs(g.T @ g - np.eye(len(g)))) <= bound
     assert np.max(np.abs(g @ rho[1] @ g.T - rho[0])) <= 4 * bound * np.max(np.abs(rho[0]))
     turned = np.array([[-np.trace(g @ r @ g.T @ t) for r in matrices] for t in matrices]) / np.sum(matrices[0] ** 2)
     vectors = co.LiePoissonSystem(SO3, known.hamiltonian, sign=known.sign, representation=VECTORS)
     A = co.integrate(vectors, x0, (0, 4), 0.25, METHODS[method], attitude=True, save_every=16).attitude[-1]
-    assert np.max(np.abs(turned - A)) <= 4 * bound and np.max(np.abs(A - one(3))) > 0.1
+    assert np.max(np.abs(turned - A)) <= 4 * bound and np.max(np.abs(A - np.eye(3))) > 0.1
 
 
-def ring(value):
-    return np.array([[0.5, value], [value, 0.5]])
-
-
+RING = np.array([[0.5, 0.25], [0.25, 0.5]])
+PRODUCT_OF_TWO = co.Hamiltonian(lambda y: y[0] * y[1], lambda y: np.array([y[1], y[0]]))
+OTHERS = ("angle depends on other quantities",)
 REFUSED = {
-    "so(4) full": (
-        co.LiePoissonSystem(SO4, co.Quadratic(np.eye(6) + 0.125)),
-        ("x1", "x2", "nilpotent"),
-    ),
+    "so(4) full": (co.LiePoissonSystem(SO4, co.Quadratic(np.eye(6) + 0.125)), ("x1", "x2", "nilpotent")),
     "sl(2)": (co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([2.0, 0.5, 0.75])), ("nilpotent",)),
     "A3,7": (co.systems.paper_a37(2.0, (1.0, 2.0, 0.01)), ("x3", "nilpotent")),
     "coupled angles": (
-        co.LiePoissonSystem(
-            SO4,
-            co.SplitHamiltonian(
-                [((0, 5), co.Quadratic(ring(0.25))), ((1, 4), co.Quadratic(1.0)), ((2, 3), co.Quadratic(0.5))]
-            ),
-        ),
-        ("angle depends on other quantities",),
+        co.LiePoissonSystem(SO4, co.SplitHamiltonian([((0, 5), co.Quadratic(RING)), ((1, 4), co.Quadratic(1.0))])),
+        OTHERS,
     ),
     "a coupling function": (
-        co.LiePoissonSystem(
-            SO4,
-            co.SplitHamiltonian(
-                [
-                    ((0, 5), co.Hamiltonian(lambda y: y[0] * y[1], lambda y: np.array([y[1], y[0]]))),
-                    ((1, 4), co.Quadratic(1.0)),
-                ]
-            ),
-        ),
-        ("angle depends on other quantities",),
+        co.LiePoissonSystem(SO4, co.SplitHamiltonian([((0, 5), PRODUCT_OF_TWO), ((1, 4), co.Quadratic(1.0))])),
+        OTHERS,
     ),
     "a coupling polynomial": (
         co.LiePoissonSystem(SO4, co.Polynomial({(1, 0, 0, 0, 0, 2): 0.5, (0, 2, 0, 0, 0, 0): 0.5})),
-        ("angle depends on other quantities",),
+        OTHERS,
     ),
 }
 

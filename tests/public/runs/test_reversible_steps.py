@@ -216,7 +216,7 @@ def driven(value, slope):
         ),
         (
             lambda: co.methods.get("ReversibleSteps", base={"name": "Kahan"}, speed=[[1.0, 2, 3]]),
-            ("speed of ReversibleSteps", "[[1.0, 2, 3]]"),
+            ("speed of ReversibleSteps", "(1.0, 2, 3)"),
         ),
     ],
 )

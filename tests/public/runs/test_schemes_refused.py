@@ -75,8 +75,9 @@ GAUSS = (co.GaussLegendre(2), co.ModifiedGaussLegendre(1, freeze="gradient"))
 
 
 def attitude_run(method, algebra, representation):
-    system = co.LiePoissonSystem(algebra, co.Quadratic(np.linspace(1.0, 2.0, algebra.dim)))
-    return co.integrate(system, np.full(algebra.dim, 0.1), (0, 0.1), 0.05, method, attitude=representation)
+    H = co.Quadratic(np.linspace(1.0, 2.0, algebra.dim))
+    system = co.LiePoissonSystem(algebra, H, representation=representation)
+    return co.integrate(system, np.full(algebra.dim, 0.1), (0, 0.1), 0.05, method, attitude=True)
 
 
 @pytest.mark.parametrize("method", GAUSS, ids=repr)

@@ -5,7 +5,6 @@ from itertools import pairwise
 import mpmath
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 import coadjoint as co
 from drawn_matrices import full
@@ -113,23 +112,6 @@ def test_closed_forms():
         # the angle is |x| t, which is known to its rounding, of which there is one in a step
         assert np.max(np.abs(run.attitude[-1] - A)) < 64 * UNIT_ROUNDOFF * np.linalg.norm(x0) * t
         assert np.max(np.abs(run.attitude[-1] @ run.x[-1] - x0)) < 64 * UNIT_ROUNDOFF * np.linalg.norm(x0) * t / h
-
-
-@pytest.mark.parametrize("name", ["so(3)", "A3,7", "A5,3", "sl(2)", "e(3)"])
-@pytest.mark.parametrize("order", [1, 5])
-def test_a_linear_hamiltonian_is_one_exponential(name, order):
-    """A constant gradient: whatever the order, over a step that turns far, in parts."""
-    algebra = ALGEBRAS[name]
-    n = algebra.dim
-    u = np.linspace(-1.0, 1.5, n)
-    system = co.LiePoissonSystem(algebra, co.Quadratic(np.zeros(n), linear=u), sign=1)
-    for h in (0.5, -3.0, 7.0):
-        for attitude in attitudes(system):
-            D = -h * np.einsum("i,iab->ab", u, matrices_of(system, attitude))
-            method = co.Taylor(order, projected=False)
-            found = co.integrate(system, np.zeros(n), (0, h), abs(h), method, attitude=attitude).attitude[-1]
-            # The parts of the step are products of so many matrices, which may grow and shrink again.
-            assert np.max(np.abs(found - expm(D))) < 64 * n * UNIT_ROUNDOFF * np.max(expm(np.abs(D)))
 
 
 def invariant_form(rho):

@@ -8,35 +8,27 @@ from energies import polynomial
 
 pytestmark = pytest.mark.thinned(6)
 
-ALGEBRAS = {
-    name: co.algebras.get(name) for name in ("so(3)", "A3,1", "gl(2)", "A5,3", "e(3)", "so(2,2)", "su(3)", "so(5)")
-}
-ALGEBRAS["A3,7"] = co.algebras.A3_7(0.7)
 # Where few coordinates act on the others, products are factored.
-for n, acting in ((3, 1), (4, 1), (7, 2), (12, 1)):
-    A = np.random.default_rng(n).integers(-3, 4, (n - acting, n - acting)) / 4
-    powers = {n - acting + k: A if k == 0 else A @ A for k in range(acting)}
-    ALGEBRAS[f"{acting} on {n - acting}"] = co.LieAlgebra.from_brackets(
-        n, {(f, i): dict(enumerate(B[:, i])) for f, B in powers.items() for i in range(n - acting)}
-    )
-ALGEBRAS["3 spins"] = co.algebras.copies(co.algebras.so(3), 3)
-ALGEBRAS["4 spins"] = co.algebras.copies(co.algebras.so(3), 4)
+A = np.random.default_rng(7).integers(-3, 4, (5, 5)) / 4
+ALGEBRAS = {name: co.algebras.get(name) for name in ("so(3)", "gl(2)", "A5,3", "e(3)", "su(3)", "so(5)")} | {
+    "A3,7": co.algebras.A3_7(0.7),
+    "2 on 5": co.LieAlgebra.from_brackets(
+        7, {(5 + k, i): dict(enumerate(B[:, i])) for k, B in enumerate((A, A @ A)) for i in range(5)}
+    ),
+    "4 spins": co.algebras.copies(co.algebras.so(3), 4),
+}
 MEMBERS = 21  # two registers of eight and five alone, or five of four and one
 
 
-def hamiltonian(n, degree, seed):
-    """Return an energy of the degree; of degree 1 linear, and of degree 2 with a full or a sparse matrix."""
-    rng = np.random.default_rng([n, degree, seed])
-    linear = np.round(rng.uniform(-0.4, 0.4, n), 3)
-    if degree <= 2:
-        B = rng.uniform(-0.3, 0.3, (n, n)) * (rng.uniform(size=(n, n)) < (1.0 if seed % 2 else 0.2))
-        return co.Quadratic((np.diag(np.linspace(0.6, 1.4, n)) + B + B.T) * (degree == 2), linear=linear)
-    return polynomial(n, degree, rng)
-
-
-def system_on(name, degree, seed=0):
+def system_on(name, degree, sign=1):
+    """Return a system with an energy of the degree; of degree 1 linear, and of degree 2 with a full matrix."""
     algebra = ALGEBRAS[name]
-    return co.LiePoissonSystem(algebra, hamiltonian(algebra.dim, degree, seed), sign=-1 if seed % 2 else 1)
+    n, rng = algebra.dim, np.random.default_rng([algebra.dim, degree])
+    if degree > 2:
+        return co.LiePoissonSystem(algebra, polynomial(n, degree, rng), sign=sign)
+    B = rng.uniform(-0.3, 0.3, (n, n))
+    M = (np.diag(np.linspace(0.6, 1.4, n)) + B + B.T) * (degree == 2)
+    return co.LiePoissonSystem(algebra, co.Quadratic(M, linear=rng.uniform(-0.4, 0.4, n)), sign=sign)
 
 
 def states(system, count=MEMBERS):
@@ -54,13 +46,13 @@ def followed(*given, **options):
         return error.partial
 
 
-@pytest.mark.thinned(44)
+@pytest.mark.thinned(24)
 @pytest.mark.parametrize("name", ALGEBRAS)
 @pytest.mark.parametrize("degree", [1, 2, 3, 4])
 @pytest.mark.parametrize("projected", [True, False])
 def test_members_have_the_bits_that_they_have_alone(name, degree, projected):
     for seed, order in enumerate((2, 5, 9, 16)):
-        system = system_on(name, degree, seed)
+        system = system_on(name, degree, (-1) ** seed)
         x = states(system)
         method, span = co.Taylor(order, projected), (0.0, 3.0 if seed < 2 else -3.0)
         run = followed(system, x, span, 0.25, method)
@@ -74,21 +66,12 @@ def test_members_have_the_bits_that_they_have_alone(name, degree, projected):
             assert np.array_equal(alone.energy, run.energy[:kept, m], equal_nan=True)
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 5, 6, 7, 8, 9, 14, 16, 40])
-def test_any_number_of_members(count):
-    for name in ("so(3)", "e(3)", "su(3)"):
-        system = system_on(name, 2, 1)
-        x = states(system, 40)
-        whole = co.integrate(system, x, (0, 2), 0.25, co.Taylor(8)).x
-        assert np.array_equal(co.integrate(system, x[:count], (0, 2), 0.25, co.Taylor(8)).x, whole[:, :count])
-
-
 @pytest.mark.parametrize("name", ["so(3)", "e(3)", "su(3)", "A5,3"])
 @pytest.mark.parametrize("degree", [2, 3])
 @pytest.mark.parametrize("projected", [True, False])
 def test_members_that_fail_leave_the_others_alone(name, degree, projected):
     """One that overflows at once and two that fail on the way; the others have their bits, and each says its step."""
-    system = system_on(name, degree, 1)
+    system = system_on(name, degree, -1)
     x = 0.5 * states(system)
     sound = followed(system, x, (0, 10), 0.25, co.Taylor(10, projected))
     wild = x.copy()
@@ -106,11 +89,11 @@ def test_members_that_fail_leave_the_others_alone(name, degree, projected):
         assert np.array_equal(run.x[: len(alone), m], alone)
 
 
-@pytest.mark.parametrize("name", ["so(3)", "A5,3", "3 spins", "so(5)"])
+@pytest.mark.parametrize("name", ["so(3)", "A5,3", "so(5)"])
 @pytest.mark.parametrize("degree", [2, 3])
 def test_nothing_is_left_of_members_that_overflow(name, degree):
     """Rows of 3 to 10 coordinates end within a register; what overflows in one member must not stay behind them."""
-    system = system_on(name, degree, 1)
+    system = system_on(name, degree, -1)
     x = 0.5 * states(system, 70)
     sizes = 10.0 ** np.linspace(2.0, 160.0, 35)
     x[::2] *= sizes[:, None]
@@ -121,9 +104,3 @@ def test_nothing_is_left_of_members_that_overflow(name, degree):
         assert np.array_equal(run.x[: len(alone), m], alone), m
         assert run.failed[m] == (len(alone) < len(run.x)) and not np.isfinite(run.x[len(alone) :, m]).any()
     assert run.failed[::2].sum() > 20 and not run.failed[1::2].all()
-
-
-def test_the_work_of_each_member_is_counted():
-    system = system_on("e(3)", 2, 1)
-    run = co.integrate(system, states(system), (0, 10), 0.25, co.Taylor(6))
-    assert run.stats.evaluations == MEMBERS * 40 * 6
