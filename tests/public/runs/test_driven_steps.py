@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from methods.own_schemes import NOTHING
+from methods.own_schemes import Plain
 
 U = 2.0**-53
 JUMP = 1 / (2 - 2 ** (1 / 3))
@@ -68,15 +68,12 @@ def test_a_step_depends_on_the_time_of_the_system_alone(name):
 
 
 @dataclasses.dataclass(frozen=True)
-class Given(co.methods.StepMethod):
+class Given(Plain):
     """A step of given components."""
 
     components: tuple
 
     order, explicit, symmetric, compiles = 1, True, False, False
-
-    def properties(self, system):
-        return NOTHING
 
     def step(self, system, x, t, h):
         return np.array([component(x) for component in self.components])

@@ -89,24 +89,13 @@ def test_linear_damping_alone_is_the_exponential_of_its_matrix():
     R = np.diag(np.linspace(0.5, 40, n)) + rng.uniform(-0.4, 0.4, (n, n))
     turning = 3.0 * (np.triu(np.ones((n, n)), 1) - np.tril(np.ones((n, n)), -1)) + 0.1 * np.eye(n)
     for rate, whole in ((R, R), (turning, turning), (np.diag(R), np.diag(np.diag(R))), (0.7, 0.7 * np.eye(n))):
-        sol = co.integrate(still.with_forces(co.forces.LinearDamping(rate, aim)), x0, (0, 1), 0.25, save_every=4)
-        exact = aim + expm(-whole) @ (x0 - aim)
-        assert np.max(np.abs(sol.x[-1] - exact)) < 512 * UNIT_ROUNDOFF
-        assert sol.balance(relative=False)["energy"] < 64 * UNIT_ROUNDOFF * np.abs(sol.energy).max()
-
-
-@pytest.mark.parametrize("tau", [3.0, 0.5, -0.5, -3.0])
-def test_damping_over_long_steps_in_both_directions(tau):
-    """Half flows whose exponents have norms from 0.5 to about 4."""
-    still = co.LiePoissonSystem(co.LieAlgebra.from_brackets(4, {}), co.Quadratic(full(4, 7)), casimirs={})
-    R = np.diag([0.2, 0.5, 1.0, 1.5]) + np.random.default_rng(2).uniform(-0.4, 0.4, (4, 4))
-    forced = still.with_forces(co.forces.LinearDamping(R, np.zeros(4)))
-    x0 = np.array([1.0, -0.5, 0.25, 0.75])
-    exact = expm(-tau * R) @ x0
-    found = co.integrate(forced, x0, (0.0, tau), abs(tau)).x[-1]
-    # Rounding grows with the condition of the exponential.
-    bound = 64 * UNIT_ROUNDOFF * np.linalg.cond(expm(-tau * R)) * np.abs(exact).max()
-    np.testing.assert_allclose(found, exact, rtol=0, atol=bound)
+        forced = still.with_forces(co.forces.LinearDamping(rate, aim))
+        for end, step in ((1.0, 0.25), (1.0, 1.0), (-0.125, 0.125)):
+            sol = co.integrate(forced, x0, (0, end), step)
+            exact = aim + expm(-end * whole) @ (x0 - aim)
+            bound = 512 * UNIT_ROUNDOFF
+            assert np.max(np.abs(sol.x[-1] - exact)) < bound * max(1.0, np.abs(exact).max())
+            assert sol.balance(relative=False)["energy"] < bound * np.abs(sol.energy).max()
 
 
 def oscillating(y, t):
@@ -271,33 +260,6 @@ def test_what_is_broken_is_labelled():
     assert spin.casimirs == "quadratic" and spin.broken_by == ("energy: DoubleBracketDamping",)
 
 
-FORCES_OF_VALUES = (
-    lambda N: co.forces.Torque(lambda t: N),
-    lambda N: co.forces.Torque(lambda x: N),
-    lambda N: co.forces.Torque(lambda x, t: N),
-    lambda N: co.forces.Torque(lambda t: N.tolist()),
-    lambda N: co.forces.Torque(N),
-    lambda N: co.forces.LinearDamping(0.1, N),
-    lambda N: co.forces.OwnForce(lambda x, t, tau: x if N.shape == x.shape else x[0] + 0.0 * N),
-)
-
-
-def test_vectors_of_forces_have_the_shape_of_the_state():
-    """Other shapes with as many entries would be broadcast to matrices."""
-    for system, shapes in (
-        (co.systems.rigid_body(inertia=(1, 2, 3)), [(1,), (2,), (4,), (3, 1), (1, 3), (1, 1, 3), (3, 3)]),
-        (co.systems.heavy_top(), [(1,), (3,), (7,), (6, 1), (1, 6), (2, 3), (3, 2), (6, 1, 1), (6, 6)]),
-    ):
-        n = system.dim
-        for shape in [*shapes, (n,)]:
-            for make in FORCES_OF_VALUES:
-                if shape == (n,):
-                    assert system.with_forces(make(np.full(shape, 0.5))).dim == n
-                else:
-                    with pytest.raises(ValueError, match=r"shape|is a matrix"):
-                        system.with_forces(make(np.full(shape, 0.5)))
-
-
 BODY, X0 = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, 0.4, 0.5)
 DAMPED = BODY.with_forces(co.forces.LinearDamping(0.1))
 HOT = BODY.with_forces(co.forces.HeatBath(0.1, temperature=1, seed=0))
@@ -349,7 +311,7 @@ def test_forces_without_an_algebra():
     assert sol.balance(relative=False)["energy"] < 1e-14
 
 
-@pytest.mark.thinned(1)
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     ("make", "error", "named"),
     [
@@ -358,6 +320,17 @@ def test_forces_without_an_algebra():
         (lambda f: f.Torque(lambda x: x[:2]), ValueError, ("torque", "(2,)", "(3,)")),
         (lambda f: f.Torque(lambda x: x[None]), ValueError, ("torque", "(1, 3)", "(3,)")),
         (lambda f: f.Torque(lambda t: 1.0), ValueError, ("torque", "()", "(3,)")),
+        # Shapes with as many entries would be broadcast to matrices.
+        *(
+            (lambda f, shape=shape, make=make: make(f, np.full(shape, 0.5)), ValueError, ())
+            for shape in [(1,), (2,), (4,), (3, 1), (1, 3), (3, 3)]
+            for make in (
+                lambda f, N: f.Torque(N),
+                lambda f, N: f.Torque(lambda x, t: N),
+                lambda f, N: f.LinearDamping(0.1, N),
+                lambda f, N: f.OwnForce(lambda x, t, tau: x[0] + 0.0 * N),
+            )
+        ),
         (lambda f: f.Torque(lambda a, b, c: a), TypeError, ("positional arguments",)),
         (lambda f: f.DoubleBracketDamping(1, -np.eye(3)), ValueError, ("positive semidefinite",)),
         (lambda f: f.DoubleBracketDamping(1, np.triu(np.ones((3, 3)))), ValueError, ("not symmetric",)),

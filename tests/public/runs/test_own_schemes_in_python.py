@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from methods.own_schemes import NOTHING, Classical, Failing, Interpreted, OwnKahan, Relaxed
+from methods.own_schemes import Classical, Failing, Interpreted, OwnKahan, Plain, Relaxed
 from refusals import refused
 
 pytestmark = pytest.mark.thinned(3)
@@ -71,15 +71,10 @@ def test_a_run_takes_the_steps_of_the_function(name, scheme, h):
 
 
 @dataclasses.dataclass(frozen=True)
-class Unsmooth(co.methods.StepMethod):
+class Unsmooth(Plain):
     """Steps of which a complex step gives no derivative: the imaginary part is dropped, or has no meaning."""
 
     kind: str
-
-    order, explicit, symmetric = 1, True, False
-
-    def properties(self, system):
-        return NOTHING
 
     def step(self, system, x, t, h):
         return x * (1 + h * np.real(x)) if self.kind == "real" else np.asarray(x, dtype=float) + h * np.abs(x) * x
@@ -132,15 +127,11 @@ def test_choose_takes_it():
     assert np.max(np.abs(sol.x[-1] - SYSTEMS["so(3)"].exact((1, 0.2, 0.5), 10.0))) < 1e-4
 
 
-class Scaled(co.methods.StepMethod):
+class Scaled(Plain):
     """Parameters of every kind that a compiled step reads, as attributes of the class."""
 
-    order, explicit, symmetric = 1, True, False
     factor, shifts, kind, power, turned = 0.5, (0.25, -0.5, 0.125), "plain", 2, False
     _hidden = 3.0
-
-    def properties(self, system):
-        return NOTHING
 
     def step(self, system, x, t, h):
         f = system.vector_field(x, t)
@@ -188,16 +179,12 @@ def test_parameters_of_a_compiled_step_are_those_of_the_scheme(scheme):
 
 
 @dataclasses.dataclass(frozen=True)
-class InPlace(co.methods.StepMethod):
+class InPlace(Plain):
     """A step in Python that changes the state that it was given, and keeps it."""
 
     given: list = dataclasses.field(default_factory=list)
     result: str = "same"
     compiles = False
-    order, explicit, symmetric = 1, True, False
-
-    def properties(self, system):
-        return NOTHING
 
     def step(self, system, x, t, h):
         before = x.copy()
@@ -255,6 +242,7 @@ class Returning(OwnKahan):
     """A step with a wrong result."""
 
     kind: str = "short"
+    compiles = False
 
     def step(self, system, x, t, h):
         if self.kind == "attribute":
@@ -295,15 +283,12 @@ def test_a_member_that_overflows_fails_alone():
 
 
 @dataclasses.dataclass(frozen=True)
-class RunningAnother(co.methods.StepMethod):
+class RunningAnother(Plain):
     """A step that is the end of another run: loops inside of loops."""
 
     inner: co.methods.Method
     compiles = False
     order, explicit, symmetric = 2, True, True
-
-    def properties(self, system):
-        return NOTHING
 
     def step(self, system, x, t, h):
         return co.stepper(system, self.inner, h)(x, t)
