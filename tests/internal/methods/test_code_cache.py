@@ -148,6 +148,7 @@ def given_away(where):
     return pytest.param(lambda cache: os.chown(getattr(cache, where), STRANGER, STRANGER), marks=AS_ROOT)
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     "change",
     [
@@ -170,6 +171,7 @@ def test_what_others_can_have_written_is_not_loaded(cache, change):
     assert sorted((path, os.lstat(path).st_mtime_ns) for path in cache.base.rglob("*")) == before
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("given", ["", ".", "relative", "../relative", "~/cache"])
 def test_a_relative_folder_is_ignored(cache, monkeypatch, given):
     home = cache.base.parent / "home"
@@ -185,6 +187,7 @@ def nowhere():
     raise RuntimeError("Could not determine home directory.")
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("case", ["absent", "relative", "unknown", "file", "below a file"])
 def test_no_folder_can_be_made(cache, monkeypatch, case):
     file = cache.base.parent / "file"

@@ -44,6 +44,7 @@ def described():
     return {name: registry.scheme(name) for name in registry.names()}
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("name", co.methods.names())
 def test_a_name_of_the_package_is_taken(name):
     """Whichever of module and place in it another class shares; the own class may be registered again."""
@@ -112,6 +113,7 @@ def test_what_is_no_scheme_is_not_registered(given):
     assert described() == before
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("name", co.methods.names())
 def test_examples_equal_their_descriptions(name):
     for method in registry.scheme(name).examples():

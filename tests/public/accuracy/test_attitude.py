@@ -65,6 +65,7 @@ def test_initial_elements_are_kept_bitwise_and_multiply_from_the_left(case, sche
                 assert np.max(np.abs(run.attitude - given @ one.attitude)) <= group_bound(one, 3.0 * np.max(given))
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     "scheme",
     [

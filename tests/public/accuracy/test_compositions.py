@@ -85,20 +85,6 @@ def test_the_order_is_the_first_power_of_the_field(base, order: int, jump: str) 
         assert all(not F.monomials for F in found.terms[k]), "a symmetric scheme has even powers alone"
 
 
-@pytest.mark.thinned(12)
-@pytest.mark.parametrize("base", [base for base in BASES if getattr(base, "rotation", "exact") == "exact"], ids=str)
-@pytest.mark.parametrize("order", [2, 4])
-def test_steps_of_a_driven_system_have_the_order_and_are_symmetric(base, order) -> None:
-    spins = co.systems.spin_lattice("chain", 2, field=lambda t: (np.cos(3.0 * t), np.sin(3.0 * t), 0.2))
-    x0, method = np.array([0.6, 0.0, 0.8, 0.0, 0.28, 0.96]), co.methods.even_order(base, order)
-    there, back = (co.stepper(spins, method, h) for h in (0.125, -0.125))
-    np.testing.assert_allclose(back(there(x0, 0.7), 0.825), x0, rtol=0, atol=1e-13)
-    exact = co.integrate(spins, x0, (0.5, 1.5), 1 / 64, co.GaussLegendre(6)).x[-1]
-    steps = 1 / 2.0 ** np.arange(3, 7)
-    errors = [np.abs(co.integrate(spins, x0, (0.5, 1.5), h, method).x[-1] - exact).max() for h in steps]
-    assert co.analysis.fit_order(steps, errors, floor=1e-13).order == pytest.approx(order, abs=0.3)
-
-
 def test_a_sweep_and_its_adjoint_are_the_splitting_of_order_2() -> None:
     assert co.methods.even_order(co.Splitting(order=1), 2) == co.Splitting(order=2)
     # The two meet in the middle; the other way round the outer part is the last.
@@ -118,6 +104,7 @@ def test_the_pair_of_euler_methods_is_the_trapezoidal_rule() -> None:
     np.testing.assert_allclose(residual, 0, atol=1e-15)
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("coefficients", "base", "order"),
     [
@@ -140,6 +127,7 @@ def test_order_from_the_conditions(coefficients, base, order):
     assert not co.Composition(co.GaussLegendre(1), coefficients).explicit
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(("factor", "order"), [(0.5, 4), (-0.5, 4), (2.0, 2), (-2.0, 2)])
 def test_a_condition_holds_to_rounding(factor, order):
     """That of a triple jump, 2 a^3 + (1 - 2 a)^3 = 0, is missed by a part of 24 u times the largest cube."""
@@ -167,6 +155,7 @@ def jump(total):
     return co.Composition(STRANG, (a, 1.0 - 2.0 * a, a))
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     "make",
     [
@@ -180,6 +169,7 @@ def test_coefficients_within_the_limits(make):
     make()
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("make", "error", "named"),
     [

@@ -71,6 +71,7 @@ def test_quadratic_invariants_of_gauss_follow_brouwer(case, stages):
         assert run.drift()[name] <= walk(run, size, 16 * run.system.dim * stages), name
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.Splitting(order=2, compensated=True)])
 def test_rotations_follow_brouwer(method):
     """Group elements are always compensated; the rounding of the momentum is added to that of A x."""

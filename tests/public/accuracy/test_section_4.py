@@ -94,6 +94,7 @@ def rotation(i, angle):
     return R
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("i", range(3))
 @pytest.mark.parametrize("t", [0.1, 1.0, 7.0, -2.5])
 def test_flows_are_rotations_in_closed_form(i, t):

@@ -29,6 +29,7 @@ def printed_flow(i, t, x):
     return np.array([growth * (c * x1 - s * x2), growth * (s * x1 + c * x2), x3])
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("i", range(3))
 @pytest.mark.parametrize("t", [0.01, 1.0, -3.0])
 def test_printed_flows(i, t):

@@ -23,6 +23,7 @@ def carried(method, t, h=H, x0=X0, system=BODY):
     return co.integrate(system, x0, (0.0, t), h, method, attitude=True)
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("method", "errors"),
     [

@@ -187,6 +187,7 @@ def test_steps_between_saved_states_leave_out_the_processor(name):
     assert np.abs(run.x[-1] - x).max() < 16 * UNIT_ROUNDOFF * run.stats.evaluations
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("name", ORDERS)
 def test_coefficients_fill_one_step(name):
     """Fractions add up to one in the kernel and to none in the processor; floats are the rounded 40 digits."""
@@ -213,6 +214,7 @@ PLANE = co.PoissonSystem(
 )
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("options", "error", "named"),
     [

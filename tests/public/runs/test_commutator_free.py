@@ -72,6 +72,7 @@ BODY = co.systems.rigid_body((1, 2, 3))
 PLANE = co.PoissonSystem(lambda x: np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 2.0]), dim=2)
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("call", "error", "named"),
     [

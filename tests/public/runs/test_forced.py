@@ -346,6 +346,7 @@ def test_wrong_forces_are_refused(make, error, named):
         BODY.with_forces(make(co.forces))
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("force", "named"),
     [

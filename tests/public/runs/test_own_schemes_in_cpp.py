@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from methods.own_schemes import NOTHING, Relaxed
+from methods.own_schemes import NOTHING
 from refusals import refused
 
 SOURCE = Path(__file__).with_name("own_step.cpp")
@@ -49,22 +49,6 @@ def scheme_of(own):
             return self.step(system, x, t, h), np.eye(len(x)) + self.part * h * system.jacobian(x, t)
 
     return OwnEuler
-
-
-@pytest.mark.long
-def test_a_run_takes_the_steps_of_the_function(step):
-    scheme = scheme_of(step)
-    system = co.LiePoissonSystem(co.algebras.e(3), co.Quadratic(np.diag(np.arange(1.0, 7)) + 0.1, np.ones(6)))
-    x0 = 0.3 * np.cos(np.arange(6.0))
-    sol = co.integrate(system, x0, (0, 1), 0.1, scheme(0.5))
-    python = co.integrate(system, x0, (0, 1), 0.1, Relaxed(0.5))
-    assert np.max(np.abs(sol.x - python.x)) < 1e-14 and sol.stats.evaluations == 10
-    ensemble = co.integrate(system, np.stack([x0, 2 * x0, -x0]), (0, 1), 0.1, scheme(0.5), threads=2)
-    assert np.array_equal(ensemble.x[:, 0], sol.x)
-    ready = co.prepare(system, scheme(0.5), 0.1, inputs=True)
-    other = co.LiePoissonSystem(system.algebra, co.Quadratic(np.diag(np.arange(1.0, 7)) + 0.1, x0))
-    assert np.array_equal(ready.run(x0, (0, 1), linear=x0).x, co.integrate(other, x0, (0, 1), 0.1, scheme(0.5)).x)
-    assert np.max(np.abs(co.stepper(system, scheme(), 0.1).tangent(x0) - np.eye(6) - 0.1 * system.jacobian(x0))) < 1e-15
 
 
 @pytest.mark.long
@@ -118,6 +102,7 @@ def compiler(folder, text):
     return str(path)
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("command", "named"),
     [
@@ -159,6 +144,7 @@ def test_on_windows_only_clang_compiles(own, monkeypatch):
             co.methods.compile_step(own)
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("text", "named"),
     [

@@ -20,6 +20,7 @@ def run(scheme, system=BODY, **options):
     return co.integrate(system, X0, (0, 1), 0.1, scheme, **options)
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("given", "named"),
     [
@@ -90,6 +91,7 @@ class Midpoint(co.methods.RungeKuttaMethod):
         return np.zeros(2 if self.wrong == "forecast" else (2, 2))
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("wrong", "named"),
     [
@@ -134,6 +136,7 @@ def test_flows_need_their_sweeps_alone():
     assert np.array_equal(own.x, known.x) and np.array_equal(own.attitude, known.attitude)
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(("off", "accepted"), [(2.0**-41, True), (-(2.0**-41), True), (2.0**-39, False), (-0.5, False)])
 def test_sweeps_must_cover_the_step(off, accepted):
     """Coefficients of twelve digits add up to one."""
@@ -178,6 +181,7 @@ class Trapped:
         return (kinetic, co.Quadratic(1.0) if self.wrong == "kind" else first)
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("wrong", "named"),
     [

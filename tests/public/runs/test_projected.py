@@ -202,6 +202,7 @@ def run(system, base, end=1.0, step=0.1):
     return co.integrate(system, start_of(system), (0, end), step, co.Projected(base))
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("call", "error", "named"),
     [

@@ -65,41 +65,6 @@ def test_poisson_in_40_digits(name, method):
         assert np.max(np.abs(exact - x)) > 1e-8  # it is another map
 
 
-@pytest.mark.thinned(28)
-@pytest.mark.parametrize("name", SYSTEMS)
-@pytest.mark.parametrize("method", METHODS)
-def test_compiled_and_plain_steps_agree(name, method):
-    """Ten steps of twelve roundings for each component of each flow."""
-    s, scheme = SYSTEMS[name], METHODS[method]
-    x = x0 = state(s)
-    for _ in range(10):
-        x = scheme.step(s, x, 0.0, 0.1)
-    run = co.integrate(s, x0, (0, 1), 0.1, scheme, attitude="coadjoint")
-    K = run.attitude[-1]
-    bound = 12 * s.dim * U * run.stats.evaluations * np.linalg.norm(x0) * np.linalg.norm(K)
-    assert np.max(np.abs(run.x[-1] - x)) <= bound and np.max(np.abs(K @ run.x[-1] - x0)) <= bound
-    step = co.stepper(s, scheme, 0.1)
-    P = step.tangent(x0)
-    defect = P @ s.structure_matrix(x0) @ P.T - s.structure_matrix(step(x0))
-    assert np.max(np.abs(defect)) <= 64 * U * run.stats.evaluations * np.linalg.norm(P) ** 2 * np.linalg.norm(x0)
-
-
-@pytest.mark.thinned(12)
-@pytest.mark.parametrize("name", SYSTEMS)
-@pytest.mark.parametrize("method", ["order 2", "order 4", "first-order steps", "processed"])
-def test_order(name, method):
-    """One step against two halves in 40 digits: h^(p+1) (1 + O(h)), h = 1/128."""
-    s, scheme = SYSTEMS[name], METHODS[method]
-    with mpmath.workdps(40):
-        x0 = np.array([mpmath.mpf(v) for v in state(s)], dtype=object)
-        errors = []
-        for k in (7, 8):
-            h = mpmath.mpf(2) ** -k
-            halves = scheme.step(s, scheme.step(s, x0, 0, h / 2), 0, h / 2)
-            errors.append(max(abs(v) for v in scheme.step(s, x0, 0, h) - halves))
-        assert abs(mpmath.log(errors[0] / errors[1], 2) - scheme.order - 1) < 0.15
-
-
 def test_nilpotent_generators_are_untouched():
     """On a Heisenberg algebra nothing turns: the same bits."""
     s = co.LiePoissonSystem(co.algebras.heisenberg(2), co.Quadratic([1.0, 2.0, 0.5, 0.25, 1.0]))
@@ -170,6 +135,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("name", REFUSED)
 def test_refused_where_it_would_not_be_poisson(name):
     s, named = REFUSED[name]

@@ -200,6 +200,7 @@ def driven(value, slope):
     return co.LiePoissonSystem(co.algebras.so(3), co.Separable({0: (value, slope)}), name="driven")
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("make", "named"),
     [

@@ -94,6 +94,7 @@ def test_each_stage_takes_the_derivative_at_its_own_place(method):
     assert np.max(np.abs(P - np.eye(6))) > 1e-2
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("call", "error", "named"),
     [

@@ -49,6 +49,7 @@ def last(system, W, time, steps, method):
     return co.integrate(system, W, (0.0, time), abs(time) / steps, method, save_every=steps, watch=False).x[-1]
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("method", "N", "counts", "fine"),
     [(co.CommutatorFree(4), 7, (16, 32), 512)]
@@ -112,6 +113,7 @@ def test_short_isospectral_steps_round_in_proportion_to_their_length():
     assert np.abs(system.spectrum(run.x) - system.spectrum(W)).max() < 4 * 8 * U
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("size", [10.0, 1000.0])
 @pytest.mark.parametrize("kind", ["so", "u"])
 def test_isospectral_steps_far_longer_than_a_turn_keep_the_spectrum(kind, size):
@@ -281,6 +283,7 @@ def test_a_translated_fluid_moves_as_before():
     assert np.abs(translated - W).max() > 0.1 * np.abs(W).max()
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("call", "error", "named"),
     [

@@ -93,6 +93,7 @@ def test_gauss_accepts_turned_coadjoint_matrices_with_more_rows(method):
     assert np.abs(moved - kept).max() < 1e-14
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("method", GAUSS, ids=repr)
 @pytest.mark.parametrize(
     ("algebra", "named"),
@@ -115,6 +116,7 @@ def test_there_is_no_group_without_an_algebra():
         co.integrate(SYSTEMS["no algebra"], X0, (0, 1), 0.1, co.GaussLegendre(2), attitude="coadjoint")
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("name", ("tolerance", "rtol", "atol"))
 @pytest.mark.parametrize("scheme", (co.Splitting, co.GaussLegendre, co.ExplicitRungeKutta))
 def test_a_scheme_without_a_tolerance_names_what_has_one(scheme, name):
@@ -138,6 +140,7 @@ def test_copies_are_equal(method):
     assert pickle.loads(pickle.dumps(method)) == copy.deepcopy(method) == method
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("make", "allowed", "excluded", "named"),
     [

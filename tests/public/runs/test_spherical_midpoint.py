@@ -127,6 +127,7 @@ def test_the_energy_is_declared_alike_however_it_is_divided(seed):
     assert kept == (sol.drift()["energy"] < 1e-13)
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("first", [True, False])
 def test_functions_and_couplings_in_any_piece_are_no_sums_of_such_functions(first):
     """Nor are polynomials of higher degree."""
@@ -166,6 +167,7 @@ ELLIPSOID = co.LieAlgebra([(0, 1, 2, 1.0), (1, 2, 0, 2.0), (0, 2, 1, -1.0)], dim
 REFUSED = [co.algebras.so(4), co.algebras.e(3), co.algebras.sl(2), co.algebras.get("A3,7", a=1.0), ELLIPSOID]
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("algebra", REFUSED, ids=str)
 def test_other_algebras_are_refused(algebra):
     system = co.LiePoissonSystem(algebra, co.Quadratic(np.ones(algebra.dim)))

@@ -149,6 +149,7 @@ def test_invariants_stay_for_ever(name):
     assert lost.absolute > 1e-9
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("system", "x0"),
     [

@@ -123,6 +123,7 @@ def test_steps_become_long_where_the_motion_calms_down():
     assert np.max(np.abs(sol.x - exact)) < own_steps(sol) * 4 * 1e-12
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("projected", [True, False])
 @pytest.mark.parametrize("rate", [0.7, -0.7, 70.0, 1e6, 1e-7])
 def test_growth_and_decay_by_thirty_orders_of_magnitude(projected, rate):
