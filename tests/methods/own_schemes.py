@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
-
 import coadjoint as co
 
 NOTHING = co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
@@ -57,29 +55,6 @@ class Classical(Plain):
         k3 = system.vector_field(x + h / 2 * k2, t + h / 2)
         k4 = system.vector_field(x + h * k3, t + h)
         return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-
-
-@dataclasses.dataclass(frozen=True)
-class Relaxed(Plain):
-    """A step with a parameter, by J(x) grad H(x) written out."""
-
-    part: float = 1.0
-
-    def step(self, system, x, t, h):
-        gradient = system.hamiltonian.gradient(x, t)
-        return x + self.part * h * system.sign * (system.structure_matrix(x) @ gradient)
-
-
-@dataclasses.dataclass(frozen=True)
-class Asking(Plain):
-    """A step that asks for all that there is, also at views of its state and at numbers of another type."""
-
-    def step(self, system, x, t, h):
-        back, single = x[::-1], (x + 0.25).astype(np.float32)
-        weight = 1 + 0.01 * system.energy(x, t) - 0.02 * system.hamiltonian.value(back, t + 0.1)
-        bent = system.hamiltonian.hessian(single, t) @ x + system.jacobian(back) @ system.hamiltonian.gradient(x)
-        field = system.vector_field(x) + 0.5 * system.vector_field(back, t)
-        return x + h * weight * field + 0.01 * h * bent / system.dim
 
 
 @dataclasses.dataclass(frozen=True)
