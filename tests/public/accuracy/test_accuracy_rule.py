@@ -141,19 +141,6 @@ def test_accuracy_is_reached_on_every_kind_of_system(name, accuracy):
     assert np.linalg.norm(run.x[-1] - found.y[:, -1]) <= (accuracy + 1e-13 * len(found.t)) * largest
 
 
-def test_worst_member_of_an_ensemble_decides():
-    """Slow members with a fast one among them."""
-    body = co.systems.rigid_body(inertia=(1, 2, 3))
-    ensemble = 0.1 * np.random.default_rng(5).uniform(-1.0, 1.0, (40, 3))
-    ensemble[23] *= 30.0
-    choice = co.choose(body, ensemble, (0, 60), 1e-7)
-    run = co.integrate(body, ensemble, (0, 60), accuracy=1e-7, watch=False)
-    sizes = np.linalg.norm(ensemble, axis=1)
-    errors = [np.linalg.norm(run.x[-1, k] - body.exact(x, 60.0)) / sizes[k] for k, x in enumerate(ensemble)]
-    assert max(errors) <= 1e-7
-    assert max(errors) == errors[23] and not is_wasteful(errors[23], choice, 60.0)
-
-
 @pytest.mark.parametrize("accuracy", (1e-2, 1e-5, 1e-9))
 @pytest.mark.parametrize("name", ("so(3)", "e(3)", "spin ring"))
 def test_schemes_left_out_are_not_cheaper(name, accuracy):
@@ -168,15 +155,6 @@ def test_schemes_left_out_are_not_cheaper(name, accuracy):
         assert np.linalg.norm(run.x[-1] - exact) <= accuracy * largest
         # Alone it is confirmed, and its step corrected by a fraction; in company only where it wins.
         assert best.cost <= 1.25 * alone.cost, f"{alone} against {best}"
-
-
-def test_order_rises_with_accuracy():
-    case = written_out()["so(3)"]
-    x0, span = case.starts[0], (0, case.time)
-    orders = [co.choose(case.system, x0, span, a, methods=SPLITTINGS).method.order for a in (1e-1, 1e-3, 1e-6, 1e-10)]
-    assert orders == sorted(orders) and orders[0] <= 4 and orders[-1] >= 8
-    for accuracy in (1e-9, 1e-12):
-        assert co.choose(case.system, x0, span, accuracy).method.order >= 12
 
 
 def dying_motion(seed, spans):

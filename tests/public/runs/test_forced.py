@@ -4,7 +4,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 import coadjoint as co
 from drawn_matrices import full
@@ -79,23 +78,6 @@ def test_torques_about_the_axis_of_a_symmetric_body(method):
 
     assert abs(run(0.125)[2] - exact[2]) < 1e-14
     assert abs(fitted_order(run, exact) - 2.0) < 0.05
-
-
-def test_linear_damping_alone_is_the_exponential_of_its_matrix():
-    """On an algebra without brackets nothing else moves. Rates that are large against the step are no matter."""
-    rng = np.random.default_rng(5)
-    n, aim, x0 = 5, np.linspace(-1, 1, 5), np.ones(5)
-    still = co.LiePoissonSystem(co.LieAlgebra.from_brackets(n, {}), co.Quadratic(full(n, 7)), casimirs={})
-    R = np.diag(np.linspace(0.5, 40, n)) + rng.uniform(-0.4, 0.4, (n, n))
-    turning = 3.0 * (np.triu(np.ones((n, n)), 1) - np.tril(np.ones((n, n)), -1)) + 0.1 * np.eye(n)
-    for rate, whole in ((R, R), (turning, turning), (np.diag(R), np.diag(np.diag(R))), (0.7, 0.7 * np.eye(n))):
-        forced = still.with_forces(co.forces.LinearDamping(rate, aim))
-        for end, step in ((1.0, 0.25), (1.0, 1.0), (-0.125, 0.125)):
-            sol = co.integrate(forced, x0, (0, end), step)
-            exact = aim + expm(-end * whole) @ (x0 - aim)
-            bound = 512 * UNIT_ROUNDOFF
-            assert np.max(np.abs(sol.x[-1] - exact)) < bound * max(1.0, np.abs(exact).max())
-            assert sol.balance(relative=False)["energy"] < bound * np.abs(sol.energy).max()
 
 
 def oscillating(y, t):
