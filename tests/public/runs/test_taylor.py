@@ -226,3 +226,26 @@ def test_short_calls_of_many_systems_do_not_meet():
     with ThreadPoolExecutor(4) as pool:
         for found, x in zip(pool.map(lambda run: run.run(x0, span).x, ready), alone, strict=True):
             assert np.array_equal(found, x)
+
+
+@pytest.mark.parametrize("scale", [2.0**-20, 1.0, 2.0**20])
+def test_weights_of_any_size_are_factored(scale):
+    """A sum whose weights cannot be divided by its first one without loss is not scaled."""
+    brackets = {(3, 1): {0: 2.0**500, 1: 0.25, 2: -0.7 * 2.0**-540}}
+    system = co.LiePoissonSystem(co.LieAlgebra.from_brackets(4, brackets), co.Quadratic([0, 0, 0, scale]))
+    x, h = np.array([2.0**-500, 1.0, 2.0**540, 1.0]), 0.5 / scale
+    found = one_step(system, co.Taylor(4, projected=False), x, h)
+    read = co.Taylor(4, projected=False).step(system, x, 0.0, h)
+    assert np.allclose(found, read, rtol=64 * U, atol=0.0)
+
+
+def test_casimirs_that_are_functions_are_not_restored():
+    system = co.LiePoissonSystem(co.algebras.A3_7(2.0), co.Quadratic([1.0, 0.5, 0.25]))
+    assert all(isinstance(C, co.Invariant) for C in system.casimirs.values())
+    assert co.Taylor(4).properties(system).casimirs == "none"
+    square = co.Polynomial({(2, 0, 0): 1.0, (0, 2, 0): 1.0, (0, 0, 2): 1.0})
+    both = {"|x|^2": square, "|x|": co.Invariant(lambda x: np.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2))}
+    mixed = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]), casimirs=both)
+    assert co.Taylor(4).properties(mixed).casimirs == "polynomial"
+    assert co.Taylor(4).properties(systems()["heavy top"]).casimirs == "all"
+    assert co.Taylor(4, projected=False).properties(systems()["heavy top"]).casimirs == "none"
