@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from long import long_beyond
 from catalogue_cases import EXAMPLES, NAMES
+from long import long_beyond
 
 pytestmark = pytest.mark.thinned(6)
 

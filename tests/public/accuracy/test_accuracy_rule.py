@@ -88,41 +88,31 @@ def test_accuracy_near_a_separatrix_is_refused():
         co.choose(body, (1e-8, 1.0, 0.0), (0, 200), 1e-6)
 
 
-def driven():
-    def value(y, t):
-        return 0.5 * y * y + math.sin(3.0 * t) * y
-
-    def slope(y, t):
-        return y + math.sin(3.0 * t)
-
-    return co.LiePoissonSystem(co.algebras.so(3), co.Separable({i: (value, slope) for i in (0, 1)}))
-
-
-def curved():
-    def structure(x):
-        a, b, c = x[2] * x[2], x[1], x[0]
-        return np.array([[0.0, a, -b], [-a, 0.0, c], [b, -c, 0.0]])
-
-    return co.PoissonSystem(structure, co.Quadratic([1.0, 2.0, 3.0]), name="curved")
-
-
-def coupled():
-    def value(x):
-        return 0.5 * (x[0] ** 2 + x[1] ** 2 * x[2] ** 2) + math.cos(x[2])
-
-    def gradient(x):
-        return np.array([x[0], x[1] * x[2] ** 2, x[1] ** 2 * x[2] - math.sin(x[2])])
-
-    return co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(value, gradient))
-
-
+DRIVEN = co.LiePoissonSystem(
+    co.algebras.so(3),
+    co.Separable(
+        dict.fromkeys((0, 1), (lambda y, t: 0.5 * y * y + math.sin(3.0 * t) * y, lambda y, t: y + math.sin(3.0 * t)))
+    ),
+)
+CURVED = co.PoissonSystem(
+    lambda x: np.array([[0.0, x[2] * x[2], -x[1]], [-x[2] * x[2], 0.0, x[0]], [x[1], -x[0], 0.0]]),
+    co.Quadratic([1.0, 2.0, 3.0]),
+    name="curved",
+)
+COUPLED = co.LiePoissonSystem(
+    co.algebras.so(3),
+    co.Hamiltonian(
+        lambda x: 0.5 * (x[0] ** 2 + x[1] ** 2 * x[2] ** 2) + math.cos(x[2]),
+        lambda x: np.array([x[0], x[1] * x[2] ** 2, x[1] ** 2 * x[2] - math.sin(x[2])]),
+    ),
+)
 HEISENBERG = co.LiePoissonSystem(co.algebras.heisenberg(1), co.Quadratic([1.0, 0.5, 0.25]))
 EXPANDING = co.LiePoissonSystem(co.LieAlgebra.from_brackets(2, {(0, 1): {0: 1.0}}), co.Quadratic([1.0, 0.25]))
 ODD = {
-    "driven": (driven(), (1.0, 0.2, 0.5), (1.0, 21.0)),
-    "driven, backward": (driven(), (1.0, 0.2, 0.5), (1.0, -14.0)),
-    "nonlinear J": (curved(), (1.0, 0.2, 0.5), (0.0, 15.0)),
-    "does not split": (coupled(), (1.0, 0.2, 0.5), (0.0, 15.0)),
+    "driven": (DRIVEN, (1.0, 0.2, 0.5), (1.0, 21.0)),
+    "driven, backward": (DRIVEN, (1.0, 0.2, 0.5), (1.0, -14.0)),
+    "nonlinear J": (CURVED, (1.0, 0.2, 0.5), (0.0, 15.0)),
+    "does not split": (COUPLED, (1.0, 0.2, 0.5), (0.0, 15.0)),
     "nilpotent": (HEISENBERG, (0.5, 1.0, 0.7), (0.0, 30.0)),
     "solvable": (EXPANDING, (0.5, 0.9), (0.0, 8.0)),
     "solvable, backward": (EXPANDING, (0.5, 0.9), (0.0, -8.0)),

@@ -145,31 +145,6 @@ def test_the_spectrum_of_long_isospectral_runs_stays(n, steps):
     assert np.abs(away).max() < 0.02 and abs(second.mean() - first.mean()) < 4 * away.std()
 
 
-@pytest.mark.thinned(6)
-@pytest.mark.parametrize("stages", [2, 3])
-@pytest.mark.parametrize(("kind", "n"), [("gl", 3), ("so", 5), ("u", 5)])
-def test_slow_isospectral_iterations_come_to_their_end(kind, n, stages):
-    """With complex eigenvalues corrections rise and fall while they shrink; none of the rises is the end."""
-    algebra, rng, seen = co.MatrixAlgebra(kind, n), np.random.default_rng(n), 0
-    for share in (0.15, 0.2, 0.25, 0.3, 0.35, 0.4) * 3:
-        weights = rng.random((n, n))
-        system = co.MatrixSystem(algebra, co.systems.Weights(weights + weights.T), name="random")
-        W = rng.standard_normal((n, n)) + 1j * system.complex * rng.standard_normal((n, n))
-        W = algebra.projected(W if system.complex else W.real)
-        W = W / np.abs(np.linalg.eigvals(W)).max()
-        h = turning(system, W, share)
-        try:
-            run = co.integrate(system, W, (0, 4 * h), h, co.IsospectralGauss(stages))
-        except co.IntegrationError:
-            continue
-        seen += 1
-        largest = max(1.0, np.abs(run.x).max() * n)
-        for name, trace in system.casimirs.items():
-            values, power = np.array([trace(x) for x in run.x]), int(name.partition("^")[2] or 1)
-            assert np.abs(values - values[0]).max() < 1e-13 * largest**power, (share, name)
-    assert seen > 4
-
-
 @pytest.mark.parametrize("kind", [SPHERE, co.systems.reduced_mhd], ids=["one layer", "two layers"])
 def test_plain_isospectral_steps_that_fail_name_their_time(kind):
     system = kind(N=5)

@@ -228,36 +228,3 @@ def test_time_is_summed_exactly():
     error = np.max(np.abs(sol.x[-1] - body.exact(x0, t)))
     # A plain sum of a million steps would be off by up to 1e6 u t, and by about the root of that at random.
     assert error < 2e-9
-
-
-@pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "solvable"])
-@pytest.mark.parametrize("t", [3.0, -3.0])
-def test_the_group_element_goes_along(name, t):
-    """As accurate as the momentum, of a group, and no look changes it; nor does it change the momentum."""
-    system = systems()[name]
-    x, method = start_for(system), co.Taylor(tolerance=1e-11)
-    exact = co.integrate(system, x, (0.0, t), 1 / 64, co.Splitting(order=8), attitude="coadjoint")
-    sol = co.integrate(system, x, (0.0, t), 0.125, method, attitude="coadjoint")
-    assert np.max(np.abs(sol.attitude[-1] - exact.attitude[-1])) < 1e-9 * np.max(np.abs(exact.attitude[-1]))
-    assert np.max(np.abs(sol.attitude[:9] @ sol.x[:9, :, None] - x[:, None])) < 1e-9
-    assert np.array_equal(sol.x, co.integrate(system, x, (0.0, t), 0.125, method).x)
-    for save_every, watch in ((1, False), (5, True), (24, False)):
-        kept = np.unique(np.r_[0:25:save_every, 24])
-        other = co.integrate(
-            system, x, (0.0, t), 0.125, method, attitude="coadjoint", save_every=save_every, watch=watch
-        )
-        assert np.array_equal(other.attitude, sol.attitude[kept])
-
-
-@pytest.mark.parametrize("name", ["so(3)", "e(3), quartic", "toda"])
-@pytest.mark.parametrize("h", [0.125, -0.125, 2.5])
-def test_a_resumed_run_is_the_whole_run(name, h, tmp_path):
-    """The archive has all of the state, between steps of the scheme."""
-    system, method = systems()[name], co.Taylor(tolerance=1e-9)
-    x = start_for(system)
-    whole = co.integrate(system, x, (0.0, 12 * h), abs(h), method)
-    co.integrate(system, x, (0.0, 7 * h), abs(h), method, archive=tmp_path / "run")
-    co.integrate(system, 0.5 * x, (0.0, 7 * h), abs(h), method)
-    resumed = co.resume(tmp_path / "run", 12 * h, system=system)
-    assert np.array_equal(resumed.x, whole.x)
-    assert resumed.stats.evaluations == whole.stats.evaluations
