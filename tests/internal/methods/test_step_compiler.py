@@ -21,7 +21,9 @@ pytestmark = pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ comp
 def step(tmp_path_factory):
     patch = pytest.MonkeyPatch()
     patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-    yield co.methods.compile_step(SOURCE)
+    path = tmp_path_factory.mktemp("source") / "own_step.cpp"
+    path.write_text(SOURCE.read_text() + "\nextern int of_these_tests;\n")  # unlike that of other tests in the process
+    yield co.methods.compile_step(path)
     patch.undo()
 
 
@@ -33,7 +35,7 @@ def test_another_process_finds_what_was_compiled(step, monkeypatch):
     for known in ("_LOADED", "_LIBRARIES", "_LAST_COMPILATIONS"):
         monkeypatch.setattr(step_compiler, known, {})
     monkeypatch.setattr(step_compiler, "_build", refused)
-    assert co.methods.compile_step(SOURCE) == step and step.address != 0
+    assert co.methods.compile_step(step.path) == step and step.address != 0
 
 
 class Project:
