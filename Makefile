@@ -113,7 +113,7 @@ sanitize: kernels
 
 # The same bits by GCC and by Clang, with and without fused products; `make long` builds one of the four.
 compilers: kernels
-	COADJOINT_COMPILERS=all $(BIN)/pytest tests/verification/test_compilers.py
+	COADJOINT_COMPILERS=all $(BIN)/pytest tests/internal/builds/test_compilers.py
 
 # The same bits on aarch64, under emulation; what is missing for that is named.
 aarch64: kernels

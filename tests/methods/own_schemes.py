@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
-
 import coadjoint as co
 
 NOTHING = co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
 
 
+class Plain(co.methods.StepMethod):
+    """A step of first order that preserves nothing."""
+
+    order, explicit, symmetric = 1, True, False
+
+    def properties(self, system):
+        return NOTHING
+
+
 @dataclasses.dataclass(frozen=True)
-class OwnKahan(co.methods.StepMethod):
+class OwnKahan(Plain):
     """Kahan's method for quadratic fields: x' = x + h (1 - h/2 f'(x))^-1 f(x).
 
     Eliminated number by number: Numba takes six seconds to compile `np.linalg.solve`, in each process.
     """
 
     order, explicit, symmetric = 2, False, True
-
-    def properties(self, system):
-        return NOTHING
 
     def step(self, system, x, t, h):
         n, matrix, rest = len(x), -h / 2 * system.jacobian(x, t), h * system.vector_field(x, t)
@@ -40,13 +44,10 @@ class OwnKahan(co.methods.StepMethod):
 
 
 @dataclasses.dataclass(frozen=True)
-class Classical(co.methods.StepMethod):
+class Classical(Plain):
     """The classical Runge-Kutta method."""
 
     order, explicit, symmetric = 4, True, False
-
-    def properties(self, system):
-        return NOTHING
 
     def step(self, system, x, t, h):
         k1 = system.vector_field(x, t)
@@ -57,46 +58,8 @@ class Classical(co.methods.StepMethod):
 
 
 @dataclasses.dataclass(frozen=True)
-class Relaxed(co.methods.StepMethod):
-    """A step with a parameter, by J(x) grad H(x) written out."""
-
-    part: float = 1.0
-
-    order, explicit, symmetric = 1, True, False
-
-    def properties(self, system):
-        return NOTHING
-
-    def step(self, system, x, t, h):
-        gradient = system.hamiltonian.gradient(x, t)
-        return x + self.part * h * system.sign * (system.structure_matrix(x) @ gradient)
-
-
-@dataclasses.dataclass(frozen=True)
-class Asking(co.methods.StepMethod):
-    """A step that asks for all that there is, also at views of its state and at numbers of another type."""
-
-    order, explicit, symmetric = 1, True, False
-
-    def properties(self, system):
-        return NOTHING
-
-    def step(self, system, x, t, h):
-        back, single = x[::-1], (x + 0.25).astype(np.float32)
-        weight = 1 + 0.01 * system.energy(x, t) - 0.02 * system.hamiltonian.value(back, t + 0.1)
-        bent = system.hamiltonian.hessian(single, t) @ x + system.jacobian(back) @ system.hamiltonian.gradient(x)
-        field = system.vector_field(x) + 0.5 * system.vector_field(back, t)
-        return x + h * weight * field + 0.01 * h * bent / system.dim
-
-
-@dataclasses.dataclass(frozen=True)
-class Interpreted(co.methods.StepMethod):
+class Interpreted(Plain):
     """What Numba does not compile: an import in the step."""
-
-    order, explicit, symmetric = 1, True, False
-
-    def properties(self, system):
-        return NOTHING
 
     def step(self, system, x, t, h):
         import math
@@ -105,13 +68,8 @@ class Interpreted(co.methods.StepMethod):
 
 
 @dataclasses.dataclass(frozen=True)
-class Failing(co.methods.StepMethod):
+class Failing(Plain):
     """A step that raises beyond a time."""
-
-    order, explicit, symmetric = 1, True, False
-
-    def properties(self, system):
-        return NOTHING
 
     def step(self, system, x, t, h):
         if t > 0.5:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from catalogue_cases import EXAMPLES, NAMES
 from long import long_beyond
-from verification.test_catalogue import EXAMPLES, NAMES
 
 pytestmark = pytest.mark.thinned(6)
 

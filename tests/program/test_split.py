@@ -9,6 +9,7 @@ import pytest
 from scipy.sparse import coo_array
 
 import coadjoint as co
+from catalogue_cases import EXAMPLES
 from coadjoint.algebra.families.low_dimensional import entries
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.parts.decompose import decompose
@@ -16,7 +17,6 @@ from coadjoint.program.parts.split import split
 from coadjoint.program.table import build_program
 from drawn_matrices import whole_matrix
 from guards import bounded_work
-from verification.test_catalogue import EXAMPLES
 
 
 def lattice(count, seed=1):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import coadjoint as co
-from coadjoint.algebra.families.low_dimensional import parameters_of
+from catalogue_cases import EXAMPLES
 
 FAMILIES = {
     "so(n)": (3, 8),
@@ -23,7 +23,7 @@ def low_dimensional(rng: np.random.Generator) -> co.LieAlgebra:
     names = [name for name in co.algebras.names() if name.startswith("A")]
     name = names[rng.integers(len(names))]
     while True:
-        values = {p: float(np.round(rng.uniform(-1, 1), 2)) for p in parameters_of(name)}
+        values = {p: float(np.round(rng.uniform(-1, 1), 2)) for p in EXAMPLES.get(name, {})}
         if "eps" in values:
             values["eps"] = float(rng.choice([-1, 1]))
         try:

@@ -25,12 +25,12 @@ from derivative_cases import (
 )
 
 import coadjoint as co
+from catalogue_cases import EXAMPLES, NAMES
 from coadjoint.program.blocks import Kind
 from coadjoint.runs.derivatives import differentiable_run
 from long import long_beyond
 from random_runs.algebras import some_algebra
 from verification.systems_under_test import cases, full_matrix
-from verification.test_catalogue import EXAMPLES, NAMES
 
 PAIRS = [(s, c) for s, method in flow_schemes().items() for c, case in cases().items() if fits(method, case.system)]
 

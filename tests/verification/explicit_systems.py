@@ -169,7 +169,7 @@ def extrapolated(field: Callable[[Any], Any], x: Any, h: Any) -> tuple[Any, floa
             before, now = now, before + 2 * d * field(now)
         row = [(before + now + d * field(now)) / 2]
         for j in range(stage - 1):
-            ratio = LONG(stage) / (stage - 1 - j)
+            ratio = type(h)(stage) / (stage - 1 - j)
             row.append(row[j] + (row[j] - rows[-1][j]) / (ratio * ratio - 1))
         rows.append(row)
     return rows[-1][-1], float(max(abs(rows[-1][-1] - rows[-1][-2])))

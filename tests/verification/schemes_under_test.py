@@ -42,7 +42,7 @@ def schemes() -> dict[str, co.methods.Method]:
     found |= {f"Taylor {p}": co.Taylor(p) for p in (1, 2, 3, 5, 6)}
     found |= {f"Taylor {p} alone": co.Taylor(p, projected=False) for p in (2, 5)}
     for name in co.methods.names():
-        scheme = co.methods.registry.scheme(name)
+        scheme = getattr(co, name)
         if not any(type(method) is scheme for method in found.values()):
             found |= {str(method): method for method in scheme.examples() if not method.own_steps}
     return found
@@ -78,7 +78,7 @@ def pairs(systems: dict) -> list[tuple[str, str]]:
 def schemes_in_steps() -> set[str]:
     """Return the names of the registered schemes of constant steps."""
     names = co.methods.names()
-    return {name for name in names if not co.methods.registry.scheme(name).examples()[0].own_steps}
+    return {name for name in names if not getattr(co, name).examples()[0].own_steps}
 
 
 def concrete_schemes() -> set[str]:

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 import coadjoint as co
-from coadjoint.systems.matrices.streams import Weights
 
 AXES = (2, 0, 1)
 
@@ -247,7 +246,7 @@ def matrices() -> dict[str, Case]:
 
     masses = np.linspace(1.0, 2.0, 5)
     return {
-        "so(5), body": case(co.MatrixSystem(g("so", 5), Weights(3.0 / np.add.outer(masses, masses)))),
+        "so(5), body": case(co.MatrixSystem(g("so", 5), co.systems.Weights(3.0 / np.add.outer(masses, masses)))),
         "sphere": case(co.systems.sphere_euler(N=3), size=3.0),
         "torus": case(co.systems.torus_euler(N=3), 2.0),
         "gl(3), transposed": case(co.MatrixSystem(g("gl", 3), np.transpose, np.diag([0.3, 0.1, -0.2]), energy_sign=-1)),

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.methods.protocol.cost_model import Work
 
-MAX_SUM = 1000.0
-MAX_SUBSTEPS = 1000
+MAX_SUM = 1000.0  # of absolute coefficients: states move so much farther, and rounding with them
+MAX_SUBSTEPS = 1000  # of a step; tables of flows stay small
 CUBE_ROOT_OF_2 = 1.2599210498948732  # literal, since ** calls pow of the C library, whose bits differ by machine
 
 

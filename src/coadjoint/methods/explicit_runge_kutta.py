@@ -16,7 +16,7 @@ from coadjoint.program.numbers import Number, convert
 from coadjoint.systems.system_checks import System, check_vector_states
 from coadjoint.validation import read_choice
 
-HALF = Fraction(1, 2)
+HALF = Fraction(1, 2)  # exact in every number type
 TABLEAUX: dict[str, tuple[int, tuple[Any, ...], tuple[tuple[Any, ...], ...], tuple[Any, ...]]] = {
     "runge2": (2, (0, HALF), ((), (HALF,)), (0, 1)),
     "rk4": (

@@ -49,7 +49,7 @@ def gauss_tableau(stages: int, number: Number = float) -> Coefficients:
 
 
 # Largest number of stages or iterations: nodes for more take minutes to compute, and float64 runs gain nothing.
-MAX_STAGES = 256
+MAX_STAGES = 256  # order 512; coefficients take seconds
 
 
 def read_stages(value: Any, what: str) -> int:

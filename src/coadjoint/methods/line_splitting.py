@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 Complexes = NDArray[np.complex128]
 Matrix = NDArray[Any]
 
-ORDERS = (2, 4, 6, 8, 10)
+ORDERS = (2, 4, 6, 8, 10)  # those of symmetric compositions of lines
 TRANSFORM_COST = 0.08  # cost of both Fourier transforms per number and factor of 2 in N, in units of a rotation
 
 

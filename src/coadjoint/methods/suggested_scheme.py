@@ -19,7 +19,7 @@ PREFERRED_SCHEMES: tuple[Method, ...] = (Splitting(order=4), GaussLegendre(stage
 DEFAULT_SCHEME: Method = Splitting()
 """For systems of vectors that it supports."""
 ANY_TOLERANCE = 1e-9
-"""Of a candidate, whose tolerance is chosen."""
+"""Relative tolerance of a candidate, which `choose` replaces by that for the accuracy."""
 
 
 def default_scheme(system: Any) -> Method:

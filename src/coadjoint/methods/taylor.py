@@ -41,8 +41,8 @@ from coadjoint.validation import read_bool, read_integer, read_number
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
 
-MAX_ORDER = 64
-DEFAULT_ORDER, LEAST_ORDER = 16, 4
+MAX_ORDER = 64  # higher terms are below rounding in all steps that converge
+DEFAULT_ORDER, LEAST_ORDER = 16, 4  # without a tolerance, and the least with one
 ORDERS = range(6, 25, 2)  # sums of higher orders are not unrolled
 TOLERANCE_REDUCTION = 32.0  # factor by which the tolerance is reduced for an error estimate
 TOO_FAR_MESSAGE = "the group element turns too far in one step for its series"
@@ -50,7 +50,7 @@ TOO_FAR_MESSAGE = "the group element turns too far in one step for its series"
 TYPICAL_GROUP_TERMS, MAX_EXTRA_TERMS = 16, 40
 # Largest dimension in which members are computed in vector lanes, see `LARGEST_CACHED` in ``stepping.cpp``.
 MAX_LANE_DIMENSION = 64
-MIN_TOLERANCE, MAX_TOLERANCE = 1e-18, 0.1
+MIN_TOLERANCE, MAX_TOLERANCE = 1e-18, 0.1  # relative to the size of the motion; below the least, rounding decides
 
 # Cached operations of series of order 1, projected or not, from which those of other orders are scaled.
 _OPERATIONS: WeakKeyDictionary[System, dict[bool, Operations]] = WeakKeyDictionary()

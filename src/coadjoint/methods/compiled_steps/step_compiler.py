@@ -26,7 +26,7 @@ from coadjoint.short_repr import short
 
 # On Windows GCC does not align the stack for vectors.
 COMPILERS = ("clang++",) if sys.platform == "win32" else ("c++", "g++", "clang++")
-COMPILER_TIMEOUT = 600.0
+COMPILER_TIMEOUT = 600.0  # seconds; a step compiles in some three
 
 
 @dataclass(frozen=True)

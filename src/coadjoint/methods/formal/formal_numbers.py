@@ -143,4 +143,4 @@ def is_short(value: Any) -> bool:
     return Fraction(value).denominator <= MAX_SHORT_DENOMINATOR
 
 
-MAX_SHORT_DENOMINATOR = 2**20
+MAX_SHORT_DENOMINATOR = 2**20  # floats with larger denominators are measured numbers, not short fractions

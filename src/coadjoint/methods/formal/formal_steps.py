@@ -134,7 +134,7 @@ def _converged_slopes(stages: FormalStages, slopes_at: Callable[[NDArray[Any]], 
     return slopes
 
 
-DIGITS = 50
+DIGITS = 50  # decimal digits of irrational coefficients: those published, and more than any float keeps
 
 
 def rational_tableau(coefficients: Callable[..., Coefficients]) -> tuple[Coefficients, float]:

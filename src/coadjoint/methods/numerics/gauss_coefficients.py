@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from coadjoint.program.numbers import Number, roundoff
 
 DIGITS = 60  # working precision for float64 coefficients; the formulas lose far fewer than 40 digits
-UNIT_SPACING = 2.0**-52
+UNIT_SPACING = 2.0**-52  # of float64 between 1 and 2, on which mu is rounded so that mu + mu^T is exactly one
 MAX_DECIMAL_STAGES = 24  # up to this number of stages, sums in decimals are faster than the import of flint
 
 

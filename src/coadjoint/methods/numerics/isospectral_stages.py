@@ -19,14 +19,14 @@ from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 Matrix = NDArray[Any]
 Floats = NDArray[np.float64]
 
-MAX_ITERATIONS = 192
+MAX_ITERATIONS = 192  # of a step; slower convergence is refused, since a shorter step is cheaper
 FIRST_TESTED = 3  # first iteration tested for convergence; early corrections may grow
 LATE_ITERATION = 12  # from this iteration on, a single correction that does not fall is not yet stagnation
 STAGNANT_CORRECTIONS = 3  # consecutive corrections that do not fall count as stagnation
 ROUND_OFF_CANDIDATE = 2.0**17 * UNIT_ROUNDOFF  # relative to the entries: a correction can be round-off only below this
 ROUND_OFF = 64 * UNIT_ROUNDOFF  # times sqrt(N), relative to the entries: a stagnant correction below it is round-off
 DIVERGED = 1 / UNIT_ROUNDOFF  # corrections of matrices that begin near 1; later iterations would overflow
-DIFFERENCE_STEP = 2.0**-17
+DIFFERENCE_STEP = 2.0**-17  # about the cube root of the unit roundoff, relative to the state: errors are balanced
 
 
 class Stages(NamedTuple):

@@ -15,9 +15,9 @@ from coadjoint.systems.system_checks import System
 
 Floats = NDArray[np.float64]
 
-STEPS = 128
+STEPS = 128  # of an orbit, some 32 radians
 RELATIVE_STEP = 0.25  # in units of the time in which the motion rotates by one radian or grows by a factor e
-MIN_STEPS = 8
+MIN_STEPS = 8  # of an orbit that leaves float64; fewer do not sample the motion
 
 
 class ShortOrbit(NamedTuple):

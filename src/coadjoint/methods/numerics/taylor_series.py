@@ -20,9 +20,9 @@ from coadjoint.methods.numerics.power_series import PowerSeries
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 DECIDING_TERMS = 4  # number of last and of middle terms that determine the length
-LN2 = 0.6931471805599453
+LN2 = 0.6931471805599453  # literal, so that no bit depends on a library
 NO_LIMIT = 900.0  # binary logarithm of the largest length
-MAX_STEPS = 1_000_000
+MAX_STEPS = 1_000_000  # steps of a plain step in Python, some minutes
 TOO_MANY_STEPS_MESSAGE = "or more than 2^24 of its own steps would lie in one step of the run: give a smaller step"
 """End of the messages about steps that become too short; the limit is that of the kernels."""
 TOO_SHORT_MESSAGE = (

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.systems.energy_derivatives import EnergyDerivative
 
-MAX_ORDER = 12
+MAX_ORDER = 12  # highest order that is tested, unless that of the base is higher
 
 
 class Composed(Wrapper):

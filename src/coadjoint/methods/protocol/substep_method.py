@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
 
-FULL_STEP = (1.0,)
+FULL_STEP = (1.0,)  # fractions of a step that is not composed
 
 
 class SubstepMethod(FormalStep, Composable):

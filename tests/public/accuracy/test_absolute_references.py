@@ -1,0 +1,136 @@
+"""Final states against references of 25 and more digits, which detect wrong speeds, signs and indices."""
+
+import itertools
+import json
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+pytestmark = pytest.mark.thinned(3)
+
+HERE = Path(__file__).parents[2] / "verification" / "references"
+SYSTEMS = {s["name"]: s for s in json.loads((HERE / "lie_poisson_systems.json").read_text())["systems"]}
+BODIES = {c["name"]: c for c in json.loads((HERE / "rigid_body.json").read_text())["cases"]}
+
+
+def numbers(values):
+    return np.array([float(Fraction(v)) for v in values])
+
+
+def system_of(given, sign):
+    algebra = co.LieAlgebra([(i, j, k, float(Fraction(c))) for i, j, k, c in given["brackets"]], dim=given["dim"])
+    H = co.Polynomial({tuple(exponents): Fraction(c) for exponents, c in given["hamiltonian"]})
+    return co.LiePoissonSystem(algebra, H, sign=sign)
+
+
+def states_at(system, x0, times, direction, steps, method):
+    """Return the states at the times, run in the direction in the same number of steps for each unit of time."""
+    end = direction * times[-1]
+    run = co.integrate(system, x0, (0.0, end), 1.0 / steps, method, save_every=steps, watch=False)
+    return run.x[list(times)]
+
+
+def gauss(stages):
+    return lambda *where: states_at(*where[:4], where[4] // (2 if stages == 6 else 4), co.GaussLegendre(stages))
+
+
+def splitting_extrapolated(system, x0, times, direction, steps):
+    """Order 4 at h, h/2, h/4 and h/8; symmetric, so that the error is in h^4, h^6, h^8: three extrapolations."""
+    rows = [
+        states_at(system, x0, times, direction, steps * 2**k, co.Splitting(order=4, compensated=True)) for k in range(4)
+    ]
+    for power in (4, 6, 8):
+        rows = [fine + (fine - coarse) / (2.0**power - 1) for coarse, fine in itertools.pairwise(rows)]
+    return rows[-1]
+
+
+FAMILIES = {"GaussLegendre 6": gauss(6), "GaussLegendre 8": gauss(8), "Splitting 4": splitting_extrapolated}
+
+
+@pytest.mark.thinned(6)
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("flipped", [False, True])
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_lie_poisson_systems_match_references(name, flipped, family):
+    """With the given sign, and with the other sign backward in time: the same motion."""
+    given = SYSTEMS[name]
+    sign = given["sign"]
+    system = system_of(given, -sign if flipped else sign)
+    times = [state["t"] for state in given["states"]]
+    found = FAMILIES[family](system, numbers(given["x0"]), times, -1 if flipped else 1, 32)
+    for x, state in zip(found, given["states"], strict=True):
+        exact = numbers(state["x"])
+        assert np.max(np.abs(x - exact)) <= 1e-11 * np.max(np.abs(exact)), (name, state["t"], np.max(np.abs(x - exact)))
+
+
+def body(case, sign):
+    return co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(numbers(case["inverse_inertia"])), sign=sign)
+
+
+def amplification(case, t):
+    """Return the growth of initial round-off: on the separatrix at the rate |x| sqrt((m1 - m2)(m2 - m3))."""
+    if not case["name"].startswith("separatrix"):
+        return 1.0
+    m1, m2, m3 = numbers(case["inverse_inertia"])
+    return float(np.exp(t * np.linalg.norm(numbers(case["x0"])) * np.sqrt((m1 - m2) * (m2 - m3))))
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("flipped", [False, True])
+@pytest.mark.parametrize("name", BODIES)
+def test_rigid_bodies_match_references(name, flipped, family):
+    case = BODIES[name]
+    times = [state["t"] for state in case["states"]]
+    system = body(case, 1 if flipped else -1)
+    steps = 64 if name == "paper_5_2" else 32
+    found = FAMILIES[family](system, numbers(case["x0"]), times, -1 if flipped else 1, steps)
+    for x, state in zip(found, case["states"], strict=True):
+        exact = numbers(state["x"])
+        error = np.max(np.abs(x - exact)) / np.max(np.abs(exact))
+        assert error <= 1e-11 * amplification(case, state["t"]), (state["t"], error)
+
+
+WITH_ATTITUDE = [name for name, case in BODIES.items() if "A" in case["states"][0]]
+MOTIONS = [(n, key) for n in WITH_ATTITUDE for key in ("", "_backward") if f"A{key}" in BODIES[n]["states"][0]]
+
+
+@pytest.mark.parametrize(
+    ("method", "steps"), [(co.GaussLegendre(6), 32), (co.GaussLegendre(8), 16), (co.Splitting(order=4), 8192)]
+)
+@pytest.mark.parametrize(("name", "key"), MOTIONS)
+def test_attitudes_match_references(name, key, method, steps):
+    """In the body convention, and in the paper's, which is the same motion backward in time."""
+    case = BODIES[name]
+    times = [state["t"] for state in case["states"]]
+    if isinstance(method, co.Splitting):
+        times = [t for t in times if t <= 10]  # 8192 steps a unit of time
+    run = co.integrate(
+        body(case, 1 if key else -1),
+        numbers(case["x0"]),
+        (0.0, times[-1]),
+        1.0 / steps,
+        method,
+        save_every=steps,
+        attitude=True,
+        watch=False,
+    )
+    for t, state in zip(times, case["states"], strict=False):
+        x, A = numbers(state[f"x{key}"]), np.array([numbers(row) for row in state[f"A{key}"]])
+        assert np.max(np.abs(run.x[t] - x)) <= 1e-11 * np.max(np.abs(x)), t
+        assert np.max(np.abs(run.attitude[t] - A)) <= 1e-11, t
+
+
+@pytest.mark.parametrize("name", WITH_ATTITUDE)
+def test_closed_form_matches_references(name):
+    case = BODIES[name]
+    system = co.systems.rigid_body(inertia=tuple(1 / numbers(case["inverse_inertia"])))
+    for state in case["states"]:
+        x, A = system.exact(numbers(case["x0"]), float(state["t"]), attitude=True)
+        # The moments are rounded once more, which moves the phase by u times the angle turned.
+        angle = 10.0 * state["t"]
+        assert np.max(np.abs(x - numbers(state["x"]))) <= 1e-13 * (1 + angle)
+        assert np.max(np.abs(A - np.array([numbers(row) for row in state["A"]]))) <= 1e-13 * (1 + angle)

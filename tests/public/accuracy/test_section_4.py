@@ -1,0 +1,116 @@
+"""Section 4: Lemmas 4.1 (order, symmetry, Poisson property) and 4.2 (Casimirs) and Example 4.1 (rotations on so(3))."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import coadjoint as co
+from rounding import UNIT_ROUNDOFF as U
+from verification.measures import drift_bounds
+from verification.systems_under_test import cases
+
+pytestmark = pytest.mark.thinned(3)
+
+DIAGONAL = ("so(3), diagonal", "A3,7, diagonal", "sl(2), diagonal", "so(4), diagonal")
+
+
+def flow(system, i, t, x):
+    """Return the flow of (12): x_i is constant, x(t) = exp(t m_ii x_i D_i) x."""
+    unit = np.eye(system.dim)[i]
+    rate = system.hamiltonian.gradient(x)[i]
+    return expm(t * system.sign * rate * system.algebra.coadjoint(unit)) @ x
+
+
+def printed_product(system, h, x):
+    for i in [*range(system.dim), *reversed(range(system.dim))]:
+        x = flow(system, i, h / 2, x)
+    return x
+
+
+def roundoff(x):
+    """Return the rounding of two dozen matrix products of at most 6 dimensions, those of expm included."""
+    return 24 * 64 * U * np.max(np.abs(x))
+
+
+@pytest.mark.parametrize("case", DIAGONAL)
+def test_step_is_the_printed_product(case):
+    system, x, _ = cases()[case]
+    step = co.stepper(system, co.Splitting(order=2, parts="coordinates"), 0.1)
+    for _ in range(5):
+        new = step(x)
+        assert np.max(np.abs(new - printed_product(system, 0.1, x))) <= roundoff(x)
+        x = new
+
+
+@pytest.mark.parametrize("case", DIAGONAL)
+def test_first_order_sweep_and_its_adjoint(case):
+    system, x, _ = cases()[case]
+    sweep = adjoint = x
+    for i in range(system.dim):
+        sweep, adjoint = flow(system, i, 0.1, sweep), flow(system, system.dim - 1 - i, 0.1, adjoint)
+    for given, by_hand in ((False, sweep), (True, adjoint)):
+        step = co.stepper(system, co.Splitting(order=1, adjoint=given, parts="coordinates"), 0.1)
+        assert np.max(np.abs(step(x) - by_hand)) <= roundoff(x)
+
+
+def test_multivalued_casimir_over_whole_turns():
+    """theta turns several times; the principal branch of log C jumps by 4 pi a."""
+    a = 0.05
+    algebra = co.algebras.A3_7(a)
+    system = co.LiePoissonSystem(algebra, co.Quadratic([1.0, 2.0, 1.0]))
+    run = co.integrate(system, (0.3, 0.2, 3.0), (0.0, 20.0), 0.01, co.Splitting(order=2))
+    principal = [algebra.casimirs_known["log C"](x) for x in run.x]
+    assert max(abs(np.diff(principal))) > 4 * math.pi * a * 0.9
+    assert run.drift()["log C"] <= drift_bounds(run)["log C"]
+
+
+MASSES = (1.0, 0.5, 1 / 3)
+X = np.array([0.7, -1.2, 0.4])
+
+
+def only(i, masses=MASSES):
+    """Return the system with H = m_ii x_i^2 / 2."""
+    return co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(np.where(np.arange(3) == i, masses, 0.0)))
+
+
+@pytest.mark.parametrize("i", range(3))
+def test_printed_vector_fields(i):
+    x, m = X, MASSES
+    printed = [
+        m[0] * x[0] * np.array([0, -x[2], x[1]]),
+        m[1] * x[1] * np.array([x[2], 0, -x[0]]),
+        m[2] * x[2] * np.array([-x[1], x[0], 0]),
+    ]
+    assert np.max(np.abs(only(i).vector_field(x) - printed[i])) <= 4 * U
+
+
+def rotation(i, angle):
+    c, s = np.cos(angle), np.sin(angle)
+    j, k = (i + 1) % 3, (i + 2) % 3
+    R = np.eye(3)
+    R[j, j], R[j, k], R[k, j], R[k, k] = c, -s, s, c
+    return R
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("i", range(3))
+@pytest.mark.parametrize("t", [0.1, 1.0, 7.0, -2.5])
+def test_flows_are_rotations_in_closed_form(i, t):
+    closed = rotation(i, t * MASSES[i] * X[i]) @ X
+    flow = co.stepper(only(i), co.Splitting(order=1), t)(X)
+    assert np.max(np.abs(flow - closed)) <= 16 * U * np.linalg.norm(X)
+
+
+def test_printed_composition_is_orthogonal():
+    h, x, B = 0.1, X, np.eye(3)
+    for i, fraction in ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5)):
+        R = rotation(i, fraction * h * MASSES[i] * x[i])
+        x, B = R @ x, R @ B
+    body = co.systems.paper_rigid_body()
+    step = co.stepper(body, co.Splitting(order=2, parts="coordinates"), h)
+    assert np.max(np.abs(step(X) - x)) <= 64 * U
+    assert np.max(np.abs(B.T @ B - np.eye(3))) <= 64 * U
+    # The group element of the step is B^T: A_(k+1) = A_k B^T.
+    assert np.max(np.abs(step.group(X) - B.T)) <= 64 * U

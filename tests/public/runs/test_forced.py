@@ -1,0 +1,344 @@
+"""Systems with forces: closed forms, what forces keep and change, balances, and refusals."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from drawn_matrices import full
+from refusals import refused
+from rounding import UNIT_ROUNDOFF
+
+AXES = co.systems.rigid_body(inertia=(1.0, 1.0, 2.0))
+GAP = 1.0 / 2.0 - 1.0 / 1.0  # x1' = GAP x3 x2, x2' = -GAP x3 x1
+
+
+def turned(x0, phase, shrunk=1.0):
+    """The transverse momentum of a symmetric body after a phase, the integral of GAP x3."""
+    z = (x0[0] + 1j * x0[1]) * np.exp(-1j * phase) * shrunk
+    return z.real, z.imag
+
+
+def positive(n, seed):
+    B = np.random.default_rng(seed).uniform(-0.5, 0.5, (n, n))
+    return B @ B.T + 0.1 * np.eye(n)
+
+
+def on(algebra, sign, seed=0):
+    n = algebra.dim
+    return co.LiePoissonSystem(algebra, co.Quadratic(full(n, seed), linear=np.linspace(-0.3, 0.4, n)), sign=sign)
+
+
+SYSTEMS = {
+    "e(3)": on(co.algebras.e(3), -1),
+    "so(4)": on(co.algebras.so(4), +1, 1),
+    "A3,7": on(co.algebras.A3_7(0.7), +1, 2),
+    "su(3)": on(co.algebras.su(3), -1, 3),
+}
+
+
+def state(n):
+    return np.linspace(0.7, -0.5, n)
+
+
+def fitted_order(run, exact, steps=(2**-4, 2**-5, 2**-6)):
+    errors = [np.max(np.abs(run(h) - exact)) for h in steps]
+    return np.polyfit(np.log2(steps), np.log2(errors), 1)[0]
+
+
+def test_a_damped_symmetric_body():
+    """x3 = x3(0) exp(-r3 t); the phase is the integral of GAP x3. Both signs of time; the axis is exact."""
+    rates, x0 = (0.3, 0.3, 0.2), np.array([0.5, -0.2, 0.8])
+    body = AXES.with_forces(co.forces.LinearDamping(rates))
+    for end in (4.0, -2.0):
+        phase = GAP * x0[2] * -np.expm1(-rates[2] * end) / rates[2]
+        exact = [*turned(x0, phase, np.exp(-rates[0] * end)), x0[2] * np.exp(-rates[2] * end)]
+
+        def run(h, end=end):
+            return co.integrate(body, x0, (0, end), h, co.Splitting()).x[-1]
+
+        assert abs(run(2**-4)[2] - exact[2]) < 256 * UNIT_ROUNDOFF
+        assert abs(fitted_order(run, exact) - 2.0) < 0.05
+
+
+@pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(3)], ids=str)
+def test_torques_about_the_axis_of_a_symmetric_body(method):
+    """Constant N: the phase grows by N t^2/2. Of time, cos(t): x3 by sin(t), to the quadrature."""
+    x0, N, end = np.array([0.5, -0.2, 0.8]), 0.4, 3.0
+    body = AXES.with_forces(co.forces.Torque((0.0, 0.0, N)))
+    exact = [*turned(x0, GAP * (x0[2] * end + N * end**2 / 2)), x0[2] + N * end]
+    # The phase of the splitting is that of the trapezoidal rule of x3, which is linear: exact.
+    assert np.max(np.abs(co.integrate(body, x0, (0, end), 0.125, method).x[-1] - exact)) < 1e-10
+    swung = AXES.with_forces(co.forces.Torque(lambda t: np.array([0.0, 0.0, np.cos(t)])))
+    exact = [*turned(x0, GAP * (x0[2] * end + 1 - np.cos(end))), x0[2] + np.sin(end)]
+
+    def run(h):
+        return co.integrate(swung, x0, (0, end), h, method).x[-1]
+
+    assert abs(run(0.125)[2] - exact[2]) < 1e-14
+    assert abs(fitted_order(run, exact) - 2.0) < 0.05
+
+
+def oscillating(y, t):
+    return 0.5 * y * y * (1.0 + 0.5 * np.sin(3.0 * t))
+
+
+def oscillating_slope(y, t):
+    return y * (1.0 + 0.5 * np.sin(3.0 * t))
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("h", [0.125, -0.125])
+@pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2)], ids=str)
+def test_accounts_of_driven_systems(method, h):
+    """A force is credited with the change of H at fixed time, that of the start and that of the end of a step."""
+    H = co.Separable(dict.fromkeys(range(3), (oscillating, oscillating_slope)))
+    system = co.LiePoissonSystem(co.algebras.so(3), H, sign=-1)
+    forces = [co.forces.LinearDamping((0.3, 0.1, 0.2)), co.forces.Torque((0.2, -0.1, 0.3))]
+    x, t, steps = np.array([0.5, 0.8, -0.3]), 0.75, 8
+    sol = co.integrate(system.with_forces(*forces), x, (t, t + steps * h), abs(h), method)
+    labels, accounts = list(sol.work), np.zeros(2)
+    for k in range(steps):
+        now = t + k * h
+        for order, start, fixed in (((0, 1), now, now), ((1, 0), now + h / 2, now + h)):
+            for f in order:
+                after = forces[f].flow(system, x, start, h / 2)
+                accounts[f] += H.value(after, fixed) - H.value(x, fixed)
+                x = after
+            if fixed == now:
+                x = method.step(system, x, now, h)
+        np.testing.assert_allclose(sol.x[k + 1], x, rtol=0, atol=1e-14)
+        np.testing.assert_allclose([sol.work[label]["energy"][k + 1] for label in labels], accounts, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize(("alpha", "length", "sense"), [(0.1, 1.0, 1), (0.25, 2.0, -1)])
+def test_one_spin_in_a_field(alpha, length, sense):
+    """S_3 = s tanh(alpha B s t + artanh S_3(0)/s), and S precesses; S_3' = alpha B (s^2 - S_3^2)."""
+    B, end = 1.5, 2.0
+    x0 = length * np.array([0.6, 0.0, -0.8])
+    H = co.Polynomial({(0, 0, 1): -B})
+    spin = co.LiePoissonSystem(co.algebras.so(3), H, sign=sense).with_forces(co.forces.DoubleBracketDamping(alpha))
+    for goal in (end, -0.5):
+        along = length * np.tanh(alpha * B * length * goal + np.arctanh(x0[2] / length))
+        # J(x) u = u x x: x' = -sense B e3 x x.
+        angle = -sense * B * goal
+        across = np.sqrt(length**2 - along**2)
+        exact = [across * np.cos(angle), across * np.sin(angle), along]
+
+        def run(h, goal=goal):
+            return co.integrate(spin, x0, (0, goal), h, co.Splitting()).x[-1]
+
+        assert abs(fitted_order(run, exact, (2**-4, 2**-5, 2**-6)) - 2.0) < 0.05
+        assert np.max(np.abs(run(2**-9) - exact)) < 1e-5
+        sol = co.integrate(spin, x0, (0, goal), 2**-6, co.Splitting())
+        assert sol.balance(relative=False)["|x|^2"] < 64 * UNIT_ROUNDOFF * length**2
+        assert sol.balance(relative=False)["energy"] < 64 * UNIT_ROUNDOFF * B * length
+        assert abs(sol.work["DoubleBracketDamping"]["energy"][-1] + B * (sol.x[-1, 2] - x0[2])) < 1e-14
+
+
+@cache
+def breeze(n):
+    """A torque of state and time, one for each dimension, so that it is compiled once."""
+    wind = np.linspace(0.1, -0.2, n)
+    return lambda x, t: wind * np.cos(t) - 0.05 * x * x
+
+
+def forces_for(system):
+    n = system.dim
+    wind = np.linspace(0.1, -0.2, n)
+    damping = 0.1 * full(n, 5) + 0.05 * np.triu(np.ones((n, n)), 1)
+    return (
+        co.forces.LinearDamping(damping, 0.2 * wind),
+        co.forces.Torque(breeze(n)),
+        co.forces.DoubleBracketDamping(0.2, positive(n, 4)),
+    )
+
+
+def test_the_balance_is_the_error_of_the_scheme():
+    """Each force has its account; all changes together are the accounts and what the scheme itself adds."""
+    system = SYSTEMS["e(3)"]
+    forced = system.with_forces(*forces_for(system))
+    for method, bound in ((co.GaussLegendre(4), 1e-13), (co.Taylor(12), 1e-13), (co.Splitting(), 1e-2)):
+        sol = co.integrate(forced, state(6), (0, 4), 2**-5, method, save_every=8)
+        changes = {"energy": sol.energy - sol.energy[0]} | {n: c - c[0] for n, c in sol.casimirs.items()}
+        for name, change in changes.items():
+            done = sum(of_force[name] for of_force in sol.work.values() if name in of_force)
+            left = np.abs(change - done)
+            assert np.max(left) <= sol.balance(relative=False)[name] + 1e-14 <= bound + 1e-14
+            assert sol.balance(relative=False)[name].tenths.shape == (10,)
+            assert abs(sol.change(relative=False)[name] - np.max(np.abs(change))) < 0.02
+        # Each account is the integral of the power of its force, by Simpson's rule.
+        powers = [forced.power(x, t) for x, t in zip(sol.x, sol.t, strict=True)]
+        for label, of_force in sol.work.items():
+            rates = np.array([power[label] for power in powers])
+            spent = (rates[0] + rates[-1] + 4 * rates[1:-1:2].sum() + 2 * rates[2:-1:2].sum()) * 0.25 / 3
+            assert abs(of_force["energy"][-1] - spent) < 2e-3 < 5e-3 < abs(spent)
+        assert np.max(np.abs(changes["energy"])) > 0.03
+    assert float(sol.balance(relative=False)["energy"]) > 1e-6, "the splitting has an error of the second order"
+    halved = co.integrate(forced, state(6), (0, 4), 2**-6, co.Splitting()).balance(relative=False)["energy"]
+    assert 1.7 < np.log2(sol.balance(relative=False)["energy"] / halved) < 2.3
+    with refused(TypeError, "forces", "balance"):
+        sol.drift(relative=False)
+
+
+def turned_by_three(x, t, tau):
+    c, s = np.cos(3 * tau), np.sin(3 * tau)
+    return np.array([c * x[0] - s * x[1], s * x[0] + c * x[1], x[2]])
+
+
+def test_balances_of_multivalued_casimirs():
+    """log C of A3,7 jumps by periods as the angle turns; what a force does to it is unwrapped."""
+    H = co.Quadratic([0.3, 0.2, 0.1], linear=[0.0, 0.0, 4.0])
+    spiral = co.LiePoissonSystem(co.algebras.A3_7(0.7), H).with_forces(co.forces.LinearDamping((0.05, 0.05, 0.3)))
+    sol = co.integrate(spiral, (0.6, 0.1, 0.4), (0, 6), 2**-6, co.Splitting())
+    (name,) = sol.casimirs
+    assert np.max(np.abs(np.diff(sol.casimirs[name]))) < 0.05
+    # x1 and x2 shrink alike, so that the angle is left alone: log C loses 2 * 0.05 t.
+    assert abs(sol.work["LinearDamping"][name][-1] + 0.1 * 6) < 1e-12
+    assert sol.balance(relative=False)[name] < 1e-12
+    # A force that turns x1 and x2 by 3 t, over the jump of the angle many times: log C loses 2 * 0.7 * 3 t.
+    turning = co.forces.OwnForce(turned_by_three, name="turning")
+    sol = co.integrate(spiral.system.with_forces(turning), (0.6, 0.1, 0.4), (0, 6), 2**-6, co.Splitting())
+    assert abs(abs(sol.work["turning"][name][-1]) - 2 * 0.7 * 3 * 6) < 1e-12
+    assert sol.balance(relative=False)[name] < 1e-12
+
+
+@pytest.mark.parametrize("attitude", [True, "coadjoint"])
+def test_the_attitude_goes_with_the_hamiltonian_part(attitude):
+    """About its axis a body under a torque turns by the integral of x3/I3; rotations stay orthogonal."""
+    body = co.systems.rigid_body(inertia=(1.0, 1.0, 1.5)).with_forces(co.forces.Torque((0.0, 0.0, 0.4)))
+    sol = co.integrate(body, (0.0, 0.0, 0.5), (0, 5), 2**-5, co.Splitting(), attitude=attitude)
+    angle = (0.5 * 5 + 0.4 * 12.5) / 1.5
+    found = sol.attitude[-1]
+    assert abs(found[0, 0] - np.cos(angle)) < 1e-13 and abs(abs(found[1, 0]) - abs(np.sin(angle))) < 1e-13
+    tumbling = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(co.forces.LinearDamping(0.1))
+    for method in (co.Splitting(), co.GaussLegendre(2), co.Taylor(12)):
+        sol = co.integrate(tumbling, (0.6, 0.5, -0.3), (0, 20), 2**-5, method, attitude=attitude, save_every=64)
+        errors = np.swapaxes(sol.attitude, 1, 2) @ sol.attitude - np.eye(3)
+        assert np.max(np.abs(errors)) < 640 * 4 * UNIT_ROUNDOFF
+        # The momentum in space only loses its length.
+        space = np.einsum("kij,kj->ki", sol.attitude, sol.x)
+        assert np.max(np.abs(space - np.exp(-0.1 * sol.t)[:, None] * space[0])) < 1e-13
+        alone = co.integrate(tumbling, (0.6, 0.5, -0.3), (0, 20), 2**-5, method, save_every=64)
+        assert np.max(np.abs(alone.x - sol.x)) < 1e-2
+    with refused(ValueError, "group element"):
+        co.integrate(tumbling, (0.6, 0.5, -0.3), (0, 1), 2**-5, co.RadauEnergy(2), attitude=attitude)
+
+
+def test_what_is_broken_is_labelled():
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    damped = body.with_forces(
+        co.forces.LinearDamping(0.1), co.forces.LinearDamping(0.2), co.forces.DoubleBracketDamping(1)
+    )
+    assert damped.labels == ("LinearDamping", "LinearDamping 2", "DoubleBracketDamping")
+    found = co.methods.Forced(co.Splitting()).properties(damped)
+    assert (found.poisson, found.energy, found.casimirs) == (False, False, "none")
+    assert found.broken_by == (
+        "Poisson map: LinearDamping, LinearDamping 2, DoubleBracketDamping",
+        "Casimirs: LinearDamping, LinearDamping 2",
+    )
+    assert [co.methods.Forced(co.Splitting(order=p)).order for p in (1, 2, 4)] == [1, 2, 2]
+    spin = co.methods.Forced(co.GaussLegendre(2)).properties(body.with_forces(co.forces.DoubleBracketDamping(1)))
+    assert spin.casimirs == "quadratic" and spin.broken_by == ("energy: DoubleBracketDamping",)
+
+
+BODY, X0 = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, 0.4, 0.5)
+DAMPED = BODY.with_forces(co.forces.LinearDamping(0.1))
+HOT = BODY.with_forces(co.forces.HeatBath(0.1, temperature=1, seed=0))
+PLANE = co.PoissonSystem(lambda x: np.array([[0.0, x[0] * x[1]], [-x[0] * x[1], 0.0]]), co.Quadratic([1.0, 2.0]))
+FORCED = "rigid_body with LinearDamping"
+ENSEMBLE = ([X0, X0], (0, 2), 0.125)
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(
+    ("call", "error", "named"),
+    [
+        (lambda: co.choose(DAMPED, X0, (0, 1), 1e-6), TypeError, (FORCED,)),
+        (lambda: co.integrate(DAMPED, X0, (0, 1), accuracy=1e-6), TypeError, (FORCED,)),
+        (lambda: co.certify(DAMPED, co.Splitting(), X0, step=0.1), TypeError, (FORCED,)),
+        (lambda: co.lyapunov(DAMPED, X0, (0, 1), 0.1), TypeError, (FORCED,)),
+        (lambda: co.Splitting().properties(DAMPED), TypeError, (FORCED,)),
+        (lambda: co.GaussLegendre(2).properties(DAMPED), TypeError, (FORCED,)),
+        (lambda: co.modified_field(DAMPED, co.Splitting(), 4), TypeError, (FORCED,)),
+        (lambda: co.analysis.round_off(co.integrate(DAMPED, *ENSEMBLE)), TypeError, ("forces",)),
+        (
+            lambda: co.analysis.spatial_momentum(co.integrate(DAMPED, *ENSEMBLE, attitude="coadjoint")),
+            TypeError,
+            ("forces",),
+        ),
+        (lambda: DAMPED.exact(X0, 1.0), TypeError, ("closed form", FORCED)),
+        (lambda: co.integrate(DAMPED, X0, (0, 1), 0.125, co.methods.Forced(co.Splitting())), TypeError, ("runs",)),
+        (lambda: co.methods.Forced(co.Splitting()).properties(BODY), TypeError, ("rigid_body", "no forces")),
+        (lambda: co.modified_hamiltonian(DAMPED, co.Splitting()), TypeError, ("LiePoissonSystem",)),
+        (
+            lambda: co.batch([DAMPED, BODY.with_forces(co.forces.Torque((0.0, 0.0, 1.0)))]),
+            ValueError,
+            ("Torque", "LinearDamping"),
+        ),
+        (lambda: co.batch([DAMPED, BODY]), ValueError, ("LiePoissonSystem", "ForcedSystem")),
+        (lambda: co.integrate(HOT, X0, (1, 0), 0.125), ValueError, ("HeatBath", "backward")),
+        (lambda: HOT.vector_field(X0), TypeError, ("noise",)),
+        (lambda: PLANE.with_forces(co.forces.DoubleBracketDamping(0.1)), ValueError, ("structure constants",)),
+    ],
+)
+def test_what_forces_exclude_is_refused(call, error, named):
+    with refused(error, *named):
+        call()
+
+
+def test_forces_without_an_algebra():
+    forced = PLANE.with_forces(co.forces.LinearDamping(1.0))
+    sol = co.integrate(forced, (1.0, 2.0), (0, 1), 2**-4, co.GaussLegendre(2))
+    assert sol.balance(relative=False)["energy"] < 1e-14
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize(
+    ("make", "error", "named"),
+    [
+        (lambda f: f.LinearDamping(np.ones((2, 3))), ValueError, ("LinearDamping", "(n, n)")),
+        (lambda f: f.LinearDamping(0.1, [1.0]), ValueError, ("toward of LinearDamping", "shape")),
+        (lambda f: f.Torque(lambda x: x[:2]), ValueError, ("torque", "(2,)", "(3,)")),
+        (lambda f: f.Torque(lambda x: x[None]), ValueError, ("torque", "(1, 3)", "(3,)")),
+        (lambda f: f.Torque(lambda t: 1.0), ValueError, ("torque", "()", "(3,)")),
+        # Shapes with as many entries would be broadcast to matrices.
+        *(
+            (lambda f, shape=shape, make=make: make(f, np.full(shape, 0.5)), ValueError, ())
+            for shape in [(1,), (2,), (4,), (3, 1), (1, 3), (3, 3)]
+            for make in (
+                lambda f, N: f.Torque(N),
+                lambda f, N: f.Torque(lambda x, t: N),
+                lambda f, N: f.LinearDamping(0.1, N),
+                lambda f, N: f.OwnForce(lambda x, t, tau: x[0] + 0.0 * N),
+            )
+        ),
+        (lambda f: f.Torque(lambda a, b, c: a), TypeError, ("positional arguments",)),
+        (lambda f: f.DoubleBracketDamping(1, -np.eye(3)), ValueError, ("positive semidefinite",)),
+        (lambda f: f.DoubleBracketDamping(1, np.triu(np.ones((3, 3)))), ValueError, ("not symmetric",)),
+        (lambda f: f.HeatBath(1, temperature=1), TypeError, ("seed",)),
+        (lambda f: f.OwnForce(dict), TypeError, ("(x, t, tau)",)),
+        (lambda f: f.OwnForce(lambda x: x), TypeError, ("(x, t, tau)",)),
+        (lambda f: f.OwnForce(lambda x, t, tau: x + 1), ValueError, ("tau = 0",)),
+        (lambda f: f.OwnForce(lambda x, t, tau: x[:1]), ValueError, ("shape",)),
+    ],
+)
+def test_wrong_forces_are_refused(make, error, named):
+    with refused(error, *named):
+        BODY.with_forces(make(co.forces))
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(
+    ("force", "named"),
+    [
+        (co.forces.Torque(lambda t: np.array([0.0, 0.0, np.log(1.0 - t)])), ("step 9", "t = 1")),
+        (co.forces.DoubleBracketDamping(1e6), ("step 1",)),
+        (co.forces.DoubleBracketDamping(500.0), ("did not converge",)),
+    ],
+    ids=["undefined", "too strong", "slow"],
+)
+def test_failures_name_the_step(force, named):
+    with refused(co.IntegrationError, *named):
+        co.integrate(BODY.with_forces(force), (0.1, 0.2, 0.3), (0, 2), 0.125)

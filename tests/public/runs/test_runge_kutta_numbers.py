@@ -1,0 +1,122 @@
+"""Steps of the Runge-Kutta schemes in exact and multiprecision numbers: invariants, tangents, refusals."""
+
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+
+import coadjoint as co
+from refusals import refused
+from rounding import UNIT_ROUNDOFF
+
+GAUSS, ITERATED, MODIFIED, EXPLICIT = (
+    co.GaussLegendre,
+    co.IteratedGaussLegendre,
+    co.ModifiedGaussLegendre,
+    co.ExplicitRungeKutta,
+)
+FULL = np.diag([1.0, 0.5, 1.25, 0.75, 1.5, 0.25]) + 0.125 * (np.ones((6, 6)) - np.eye(6))
+BODY4 = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(FULL))
+X4 = np.array([1.0, 0.5, -0.25, 0.75, -1.0, 0.375])
+SL2 = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, 2.0, 3.0]))
+CUBIC = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(1, 1, 1): 1.0, (2, 0, 0): 0.5}))
+DRIVEN = co.LiePoissonSystem(
+    co.algebras.sl(2),
+    co.Hamiltonian(
+        lambda x, t: x[0] * x[0] * (1 + t) / 2 + x[2] * x[2], lambda x, t: np.array([x[0] * (1 + t), 0 * t, 2 * x[2]])
+    ),
+    name="driven",
+)
+FUNCTION = co.PoissonSystem(
+    lambda x: np.array([[0.0, -(x[2] ** 2), x[1]], [x[2] ** 2, 0.0, -x[0]], [-x[1], x[0], 0.0]]),
+    co.Quadratic([1.0, 0.5, 0.25]),
+    name="function J",
+)
+THIRDS, TENTH = np.array([Fraction(1), Fraction(1, 2), Fraction(-1, 3)], dtype=object), Fraction(1, 10)
+
+
+def test_orders():
+    assert [GAUSS(s).order for s in (1, 3, 6)] == [2, 6, 12]
+    assert ITERATED(3).order == 6 and MODIFIED(2).order == 4
+
+
+def test_exact_fractions():
+    """Explicit steps are rational; so is the linear system of one stage, which keeps the energy exactly."""
+    middle = THIRDS + TENTH / 2 * SL2.vector_field(THIRDS)
+    assert list(EXPLICIT("runge2").step(SL2, THIRDS, 0, TENTH)) == list(THIRDS + TENTH * SL2.vector_field(middle))
+    new = MODIFIED(1).step(SL2, THIRDS, 0, TENTH)
+    assert all(isinstance(v, Fraction) for v in new) and SL2.energy(new) == SL2.energy(THIRDS)
+
+
+def test_quadratic_invariants_in_multiprecision():
+    """To 45 of 50 digits in one large step; the paper's claim and its two halves."""
+    with mpmath.workdps(50):
+        x, h = np.array([mpmath.mpf(v) for v in X4], dtype=object), mpmath.mpf("0.25")
+        changes = {}
+        for key, method in {
+            "gauss": GAUSS(3),
+            "structure": MODIFIED(2, iterations=2),
+            "gradient": MODIFIED(2, iterations=2, freeze="gradient"),
+            "iterated": ITERATED(2),
+        }.items():
+            new = method.step(BODY4, x, 0, h)
+            lost = [abs(C(new) - C(x)) > 1e-9 for C in BODY4.casimirs.values()]
+            kept = [abs(C(new) - C(x)) < 1e-45 for C in BODY4.casimirs.values()]
+            energy = abs(BODY4.energy(new) - BODY4.energy(x))
+            changes[key] = (energy < 1e-45, energy > 1e-9, all(kept), any(lost))
+    assert changes == {
+        "gauss": (True, False, True, False),
+        "structure": (True, False, False, True),
+        "gradient": (False, True, True, False),
+        "iterated": (False, True, False, True),
+    }
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(
+    "method",
+    [EXPLICIT("runge2"), EXPLICIT("rk4"), GAUSS(2), ITERATED(2), MODIFIED(2, freeze="gradient"), co.RadauEnergy(2)],
+    ids=str,
+)
+def test_each_stage_takes_the_derivative_at_its_own_place(method):
+    """Central differences in 50 digits with e = 1e-15 are exact to 1e-28; the tangent itself rounds like the step."""
+    t = 0.25
+    new, P = method.tangent(BODY4, X4, t, 0.125)
+    with mpmath.workdps(50):
+        e, x = mpmath.mpf(10) ** -15, np.array([mpmath.mpf(v) for v in X4], dtype=object)
+        direction = np.random.default_rng(3).uniform(-1.0, 1.0, 6)
+        ends = [method.step(BODY4, x + sign * e * direction, t, 0.125) for sign in (1, -1)]
+        slope = ((ends[0] - ends[1]) / (2 * e)).astype(float)
+    # s n unknowns at most 18, condition numbers below 20, some 10 evaluations of n products: 1e4 roundings.
+    assert np.max(np.abs(P @ direction - slope)) < 6e4 * UNIT_ROUNDOFF * np.max(np.abs(P))
+    assert np.max(np.abs(new - method.step(BODY4, X4, t, 0.125))) <= 64 * UNIT_ROUNDOFF
+    assert np.max(np.abs(P - np.eye(6))) > 1e-2
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(
+    ("call", "error", "named"),
+    [
+        (lambda: ITERATED(2).step(SL2, THIRDS, 0, TENTH), TypeError, ("irrational",)),
+        (lambda: GAUSS(1).step(SL2, THIRDS, 0, TENTH), TypeError, ("floats",)),
+        (lambda: GAUSS(2).tangent(DRIVEN, [1.0, 0.5, 0.25], 0.0, 0.1), TypeError, ("second derivatives",)),
+        *(
+            (lambda call=call, system=system: call(system), ValueError, ("quadratic Hamiltonian",))
+            for system in (CUBIC, DRIVEN)
+            for call in (MODIFIED(1).properties, lambda s: MODIFIED(1).step(s, [1.0, 0.5, 0.25], 0.0, 0.1))
+        ),
+        (lambda: MODIFIED(1, freeze="gradient").properties(FUNCTION), ValueError, ("Lie algebra",)),
+        (lambda: co.RadauEnergy(2).properties(DRIVEN), ValueError, ("time",)),
+        (lambda: co.RadauEnergy(2).step(DRIVEN, [1.0, 0.5, 0.25], 0.0, 0.1), ValueError, ("time",)),
+    ],
+)
+def test_refusals(call, error, named):
+    with refused(error, *named):
+        call()
+
+
+def test_stages_that_do_not_converge_are_a_failure():
+    with refused(co.IntegrationError, "converge") as failure:
+        GAUSS(2).step(BODY4, X4, 0.0, 10.0)
+    assert failure.value.residual > 1.0

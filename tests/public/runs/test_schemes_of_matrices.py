@@ -1,0 +1,291 @@
+"""Schemes for matrices: steps against their equations, references to 40 digits, the spectrum, and refusals."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from torus_flows import first_modes, last_modes, smooth, translation
+
+import coadjoint as co
+from refusals import refused
+from rounding import UNIT_ROUNDOFF as U
+
+pytestmark = pytest.mark.thinned(3)
+
+TORUS, SPHERE = co.systems.torus_euler, co.systems.sphere_euler
+
+
+def body(n):
+    """Return a free body of n dimensions."""
+    inertia = 1.0 + np.arange(n) / n
+    stream = co.systems.Weights(1 / np.add.outer(inertia, inertia))
+    return co.MatrixSystem(co.MatrixAlgebra("so", n), stream, name="body")
+
+
+SYSTEMS = {
+    **{f"sphere {n}": (lambda n=n: SPHERE(N=n)) for n in (2, 5, 8, 33, 65)},
+    **{f"torus {n}": (lambda n=n: TORUS(N=n)) for n in (3, 9)},
+    **{f"so({n})": (lambda n=n: body(n)) for n in (3, 4, 7, 35)},
+}
+
+
+def start(system, seed=1):
+    """Return a random matrix of spectral radius one; smooth where a stream smooths."""
+    rng = np.random.default_rng(seed)
+    W = rng.standard_normal(system.shape)
+    if system.complex:
+        W = W + 1j * rng.standard_normal(system.shape)
+    W = system.stream(system.algebra.projected(W))
+    return W / np.abs(np.linalg.eigvals(W)).max()
+
+
+def turning(system, W, share):
+    """Return the step in which the fastest mode of the stream turns by `share` of a half turn."""
+    return float(share * np.pi / np.abs(np.linalg.eigvals(system.stream(W))).max())
+
+
+def last(system, W, time, steps, method):
+    return co.integrate(system, W, (0.0, time), abs(time) / steps, method, save_every=steps, watch=False).x[-1]
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(
+    ("method", "N", "counts", "fine"),
+    [(co.CommutatorFree(4), 7, (16, 32), 512)]
+    + [(co.LineSplitting(2), N, (32, 64), None) for N in (3, 5, 7)]
+    + [(co.LineSplitting(4), N, (4, 8), 256) for N in (3, 5, 7)]
+    + [(co.LineSplitting(6), N, (1, 2), 64) for N in (5, 7)],
+)
+def test_modes_of_the_torus_against_forty_digits(method, N, counts, fine):
+    """At t = 1: the slope, and the value that it leads to."""
+    system = TORUS(N=N)
+    W, exact = system.from_modes(first_modes(N)), system.from_modes(last_modes(N))
+    errors = [np.abs(last(system, W, 1.0, n, method) - exact).max() for n in counts]
+    assert abs(np.log2(errors[0] / errors[1]) - method.order) < 0.35
+    assert fine is None or np.abs(last(system, W, 1.0, fine, method) - exact).max() < 1e-12
+
+
+@pytest.mark.thinned(15)
+@pytest.mark.parametrize("stages", [1, 2, 3])
+@pytest.mark.parametrize("name", [name for name in SYSTEMS if name != "sphere 65"])
+@pytest.mark.parametrize("direction", [1, -1])
+def test_isospectral_steps_are_the_plain_ones(name, stages, direction):
+    """Also after steps from which the loop guesses the next one."""
+    system, scheme = SYSTEMS[name](), co.IsospectralGauss(stages)
+    W = start(system)
+    h = direction * turning(system, W, 0.05)
+    for before, after in pairwise(co.integrate(system, W, (0, 3 * h), abs(h), scheme).x):
+        # The stages end where corrections of 1 stop falling; products of N entries round by some N^(1/2) units.
+        assert np.abs(after - scheme.step(system, before, 0.0, h)).max() < 32 * np.sqrt(system.shape[-1]) * U
+
+
+def dense_step(system, W, h):
+    """Return a step of the midpoint rule, by dense inverses and fixed-point iteration for the stream matrix."""
+    P, one = system.stream_of(W), np.eye(len(W))
+    for _ in range(80):
+        left = np.linalg.inv(one - 0.5 * h * P)
+        P = system.stream_of(left @ W @ left.conj().T)
+    turn = np.linalg.solve(one - 0.5 * h * P, one + 0.5 * h * P)
+    return turn @ W @ turn.conj().T
+
+
+@pytest.mark.thinned(6)
+@pytest.mark.parametrize("name", ["sphere 2", "sphere 33", "sphere 65", "torus 9", "so(3)", "so(35)"])
+@pytest.mark.parametrize("share", [0.05, 0.3])
+def test_every_isospectral_step_solves_the_equation_of_the_midpoint(name, share):
+    """The first steps, whose stream is predicted from few earlier ones, and later ones, which replace the oldest."""
+    system = SYSTEMS[name]()
+    W = start(system)
+    h = turning(system, W, share)
+    for before, after in pairwise(co.integrate(system, W, (0, 24 * h), h, co.IsospectralGauss()).x):
+        # Products of N entries round by some N^(1/2) units; the unsaved compensation is below half a unit.
+        assert np.abs(after - dense_step(system, before, h)).max() < 32 * np.sqrt(len(W)) * U
+
+
+def test_short_isospectral_steps_round_in_proportion_to_their_length():
+    """A step of the fraction 1/1000 of a half turn moves W by a fraction of that size, and rounds as little of it."""
+    system = SPHERE(N=8)
+    W = start(system)
+    steps, h = 20000, turning(system, W, 0.001)
+    run = co.integrate(system, W, (0, steps * h), h, co.IsospectralGauss(), save_every=1000)
+    # Rounding by a unit of W in each step would add up to sqrt(20000) / 3 units or more; LAPACK's are about N units.
+    assert np.abs(system.spectrum(run.x) - system.spectrum(W)).max() < 4 * 8 * U
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("size", [10.0, 1000.0])
+@pytest.mark.parametrize("kind", ["so", "u"])
+def test_isospectral_steps_far_longer_than_a_turn_keep_the_spectrum(kind, size):
+    """A constant part of the stream for which the condition of 1 - (h/2) P is about (h/2) |P| = `size`."""
+    n, steps, h, rng = 40, 50, 2.0, np.random.default_rng(2)
+    algebra = co.MatrixAlgebra(kind, n)
+    draws = rng.standard_normal((2, n, n)) + (1j * rng.standard_normal((2, n, n)) if algebra.complex else 0.0)
+    W, constant = (A / np.abs(np.linalg.eigvals(A)).max() for A in algebra.projected(draws))
+    stream = co.systems.Weights(1 / np.add.outer(1.0 + np.arange(n) / n, 1.0 + np.arange(n) / n))
+    system = co.MatrixSystem(algebra, stream, linear=size * constant, name="turned")
+    end = co.integrate(system, W, (0, steps * h), h, co.IsospectralGauss()).x[-1]
+    found, before = (np.sort(np.linalg.eigvals(A).imag) for A in (end, W))
+    # Without pivots, entries of an elimination grow up to the condition, and their rounding by the condition again.
+    assert np.abs(found - before).max() < (2 * n + size**2 * np.sqrt(steps)) * 2 * U
+
+
+@pytest.mark.parametrize(("n", "steps"), [(16, 5000), pytest.param(64, 10**4, marks=pytest.mark.long)])
+def test_the_spectrum_of_long_isospectral_runs_stays(n, steps):
+    """And the energy is bounded by the square of the step, without a trend."""
+    system = SPHERE(N=n)
+    W = start(system, seed=7)
+    h = turning(system, W, 0.1)
+    run = co.integrate(system, W, (0, steps * h), h, co.IsospectralGauss(), save_every=steps // 100)
+    found = system.spectrum(run.x)
+    # Each step rounds the middle once, by which W moves h |P| times as much; the roundings add up like a walk.
+    assert np.abs(found - found[0]).max() < max(0.6 * np.sqrt(steps), 4 * n) * U * np.abs(found).max()
+    away = (run.energy - run.energy[0]) / run.energy[0]
+    first, second = np.array_split(away, 2)
+    assert np.abs(away).max() < 0.02 and abs(second.mean() - first.mean()) < 4 * away.std()
+
+
+@pytest.mark.parametrize("kind", [SPHERE, co.systems.reduced_mhd], ids=["one layer", "two layers"])
+def test_plain_isospectral_steps_that_fail_name_their_time(kind):
+    system = kind(N=5)
+    W = 100 * np.random.default_rng(2).standard_normal(system.dim)
+    for state in (W, system.matrices(W)):
+        for call in (co.IsospectralGauss().step, co.IsospectralGauss().tangent):
+            with refused(co.IntegrationError) as failure:
+                call(system, state, -3.0, 1.0)
+            assert (failure.value.time, failure.value.step) == (-3.0, 1)
+
+
+@pytest.mark.thinned(12)
+@pytest.mark.parametrize("scheme", [co.IsospectralGauss(1), co.IsospectralGauss(2), co.CommutatorFree(3)], ids=str)
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("h", [0.3, -0.3])
+def test_tangents_along_a_nonlinear_stream_that_depends_on_time(scheme, size, h):
+    """States and steps of any scale: W -> size W and t -> t / size leave the derivative as it is."""
+
+    def stream(W, t):
+        return (1.0 + 0.5 * np.sin(3.0 * size * t)) * (W + W**3 / size**2).T
+
+    def energy(W, t):
+        return (1.0 + 0.5 * np.sin(3.0 * size * t)) * np.sum(W**2 / 2 + W**4 / (4 * size**2))
+
+    system = co.MatrixSystem(co.MatrixAlgebra("gl", 3), stream, energy=energy)
+    W = size * np.random.default_rng(5).uniform(-0.5, 0.5, (3, 3))
+    step = co.stepper(system, scheme, h / size)
+    x, e = system.to_vector(W), 2.0**-9 * size
+    columns = []
+    for unit in np.eye(9):
+        ends = [step(system.from_vector(x + d * unit), t=0.4 / size) for d in (e, -e, e / 2, -e / 2)]
+        wide, narrow = (ends[0] - ends[1]) / (2 * e), (ends[2] - ends[3]) / e
+        columns.append(system.to_vector((4 * narrow - wide) / 3))
+    # Streams given as functions are differentiated to nine digits; Richardson's difference has ten.
+    np.testing.assert_allclose(step.tangent(W, t=0.4 / size), np.stack(columns, axis=1), rtol=0, atol=1e-7)
+    assert step.tangent_by(W) == "differences"
+
+
+def test_a_commutator_free_step_is_a_product_of_exponentials():
+    """The second stage of order 2 is V W V* with V = exp(h/2 P)."""
+    system = SPHERE(N=6)
+    W, h = start(system, 3), 0.8 * np.pi
+    V = expm(h / 2 * system.stream(W))
+    V = expm(h * system.stream(V @ W @ np.conj(V.T)))
+    found = last(system, W, h, 1, co.CommutatorFree(2))
+    assert np.abs(found - V @ W @ np.conj(V.T)).max() < 64 * U
+
+
+@pytest.mark.parametrize("h", [1.0, -3.0])
+def test_commutator_free_steps_for_streams_of_any_shape(h):
+    """In one exponential, in several substeps; sums of rows and columns of the stream may differ."""
+    for P in (np.diag([0.9, 0.0, -0.9, 0.4]), np.ones((4, 1)) * [1.2, 0.0, 0.0, -0.3], 2.0 * np.eye(4, k=2)):
+        system = co.MatrixSystem(co.MatrixAlgebra("gl", 4), co.systems.Weights(np.zeros((4, 4))), P)
+        W = np.random.default_rng(3).uniform(-1.0, 1.0, (4, 4))
+        exact, scale = expm(h * P) @ W @ expm(-h * P), np.abs(expm(h * P)) @ np.abs(W) @ np.abs(expm(-h * P))
+        for order in (2, 3, 4):
+            method = co.CommutatorFree(order)
+            for found in (method.step(system, W, 0.0, h), last(system, W, h, 1, method)):
+                # Substeps of norm one, each a series with sums of at most exp(1): some roundings of each.
+                assert np.abs(found - exact).max() < 256 * U * scale.max()
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize("N", [5, 7, 17, 19, 37, 61])
+def test_steps_of_lines_are_the_plain_ones(N):
+    """Every way of a transform: fewer lanes than eight, eight side by side, columns around the end, convolutions.
+
+    For N = 17 the last of the diagonals 0 to 8 is alone in its group of eight.
+    """
+    system = TORUS(N=N)
+    W = smooth(system, N)
+    for h in (0.2, -0.3):
+        found, plain = last(system, W, h, 1, co.LineSplitting()), co.LineSplitting().step(system, W, 0.0, h)
+        assert np.abs(found - plain).max() < 16 * N * U * np.abs(W).max()
+        assert np.abs(found - W).max() > 1e-3 * np.abs(W).max()
+        flat = co.LineSplitting().step(system, system.to_vector(W), 0.0, h)
+        assert np.array_equal(flat, system.to_vector(plain))
+
+
+def test_lines_of_another_stream_of_modes():
+    """Any factors by which a stream multiplies modes are split, such as those of waves with a finite radius."""
+    N, back = 7, -np.arange(7) % 7
+    spectrum = np.random.default_rng(5).uniform(-1.0, 1.0, (N, N))
+    spectrum[0, 0] = 0.0
+    # The same for d and N - d, even in k: what a circulant stream is.
+    spectrum = (spectrum + spectrum[back] + spectrum[:, back] + spectrum[back][:, back]) / 4
+    system = co.MatrixSystem(co.MatrixAlgebra("su", N), co.systems.Circulants(spectrum), name="waves")
+    W = smooth(system, 3)
+    exact = last(system, W, 1.0, 32, co.IsospectralGauss(6))
+    assert np.abs(last(system, W, 1.0, 64, co.LineSplitting(6)) - exact).max() < 1e-12 * np.abs(W).max()
+
+
+def test_rounding_of_lines_has_no_preferred_sign():
+    """Fifty thousand steps: what one of them rounds, a hundredth of a unit, adds up like a root, not in a line."""
+    system = TORUS(N=5)
+    W = smooth(system, 3)
+    sol = co.integrate(system, W, (0.0, 1e4), 0.2, co.LineSplitting(), save_every=10000, watch=False)
+    spectrum = system.spectrum(sol.x)
+    assert np.abs(spectrum - spectrum[0]).max() < 32 * U * np.abs(spectrum[0]).max()
+    assert np.array_equal(sol.x[-1], -np.conj(sol.x[-1].T))
+
+
+def test_a_translated_fluid_moves_as_before():
+    """T W T* is W, translated: every mode turns by a phase."""
+    system = TORUS(N=7)
+    T, W = translation(7, (2, -3)), smooth(system, 11)
+    translated = system.algebra.projected(T @ W @ np.conj(T.T))
+    assert np.abs(np.abs(system.mode_array(translated)) - np.abs(system.mode_array(W))).max() < 1e-14
+    moved, again = (last(system, state, 3.0, 30, co.LineSplitting()) for state in (W, translated))
+    assert np.abs(again - T @ moved @ np.conj(T.T)).max() < 1e-13 * np.abs(W).max()
+    assert np.abs(translated - W).max() > 0.1 * np.abs(W).max()
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(
+    ("call", "error", "named"),
+    [
+        (
+            lambda: co.integrate(SPHERE(N=6), 1e6 * start(SPHERE(N=6)), (0.0, 1.0), 1.0, co.CommutatorFree()),
+            co.IntegrationError,
+            ("too large for its series",),
+        ),
+        (
+            lambda: co.integrate(body(5), np.zeros((5, 5)), (0, 1), 0.1, co.CommutatorFree(), attitude=np.eye(5)),
+            ValueError,
+            ("attitude",),
+        ),
+        *(
+            (lambda system=system: co.LineSplitting().properties(system), ValueError, ("LineSplitting", system.name))
+            for system in (SPHERE(N=5), co.systems.rigid_body((1, 2, 3)), body(5))
+        ),
+        *(
+            (lambda N=N: co.LineSplitting().properties(TORUS(N=N)), ValueError, ("N of torus_euler", N))
+            for N in (9, 15, 49)
+        ),
+        *(
+            (lambda order=order: co.LineSplitting(order), (ValueError, TypeError), ("order", order))
+            for order in (1, 3, 5, 12, "two", 2.5)
+        ),
+    ],
+)
+def test_refusals(call, error, named):
+    with refused(error, *named):
+        call()
