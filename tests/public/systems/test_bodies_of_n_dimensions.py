@@ -1,22 +1,26 @@
-"""Bodies of n dimensions and the top of Manakov: by hand, and with all their integrals."""
+"""Bodies of n dimensions and the top of Manakov: by hand, in closed form, and with all their integrals."""
 
 import numpy as np
 import pytest
-from motions import FULL, U, assert_bounded, assert_order, bracket, polynomial_of
+from brackets import U, bracket, exact, rational_points
 from scipy.linalg import expm, solve_sylvester
 
 import coadjoint as co
 
 pytestmark = pytest.mark.thinned(3)
+FULL = np.array([[2.0, 0.25, -0.1], [0.25, 3.0, 0.5], [-0.1, 0.5, 4.0]])
 
 
 def matrix_of(system, x):
     return np.einsum("k,kij->ij", x, system.representation)
 
 
-@pytest.mark.thinned(4)
-@pytest.mark.parametrize("n", [3, 4, 5, 6])
-@pytest.mark.parametrize("full", [False, True])
+def end_of(system, x0, t, step=0.05):
+    return co.integrate(system, x0, (0.0, t), step, co.Taylor(order=20), save_every=10**6).x[-1]
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(("n", "full"), [(3, False), (4, True), (5, False), (5, True), (6, False)])
 def test_so_n_body_by_hand(n, full):
     rng = np.random.default_rng(n)
     root = rng.uniform(-1.0, 1.0, (n, n))
@@ -31,8 +35,6 @@ def test_so_n_body_by_hand(n, full):
     sol = co.integrate(body, x0, (0.0, 2.0), 0.05, co.Splitting(order=2), attitude=True)
     spatial = [g @ matrix_of(body, x) @ g.T for g, x in zip(sol.attitude, sol.x, strict=True)]
     np.testing.assert_allclose(spatial[-1], spatial[0], rtol=0, atol=1e4 * U)
-    if not (full and n == 6):  # that has quartics of thousands of terms
-        assert_bounded(body, x0, T=10.0, h=0.05)
 
 
 @pytest.mark.parametrize("n", [3, 4, 5, 6])
@@ -49,7 +51,8 @@ def test_integrals_of_manakov_are_in_involution_and_complete(n):
     for F in [*found, top.hamiltonian]:
         for G in found:
             if n < 6 or F is top.hamiltonian or not isinstance(F, co.Polynomial):
-                assert bracket(top, F, G) == 0
+                (point,) = rational_points(dim, 1)
+                assert bracket(top, F, G, point) == 0
     x = np.cos(1.0 + np.arange(dim) ** 2)
     X, mu = matrix_of(top, x), 0.37
     # (-1)^j / m times the coefficient of mu^(m - 2j), from values at many mu by interpolation
@@ -60,7 +63,7 @@ def test_integrals_of_manakov_are_in_involution_and_complete(n):
         for j in range(1, (m + 1) // 2):
             power = m - 2 * j
             F = top.integrals[f"X^{2 * j} a" + (f"^{power}" if power > 1 else "")]
-            assert polynomial_of(F)(x) == pytest.approx((-1) ** j / m * coefficients[power], rel=1e-8)
+            assert exact(F)(x) == pytest.approx((-1) ** j / m * coefficients[power], rel=1e-8)
     gradients = [F.gradient(x) for F in found]
     for j in range(1, rank + 1):  # those of the Casimirs tr X^2j
         power = np.linalg.matrix_power(X, 2 * j - 1)
@@ -91,7 +94,7 @@ def test_the_body_of_three_dimensions_is_the_rigid_body_and_manakovs_top():
     top = co.systems.manakov_top(moments**2, moments)
     for other in (rigid, top):
         np.testing.assert_allclose(body.vector_field(x), other.vector_field(x), rtol=0, atol=4 * U)
-    assert_order(body, x, rigid.exact(x, 8.0), 8.0, 0.5)
+    np.testing.assert_allclose(end_of(body, x, 8.0), rigid.exact(x, 8.0), rtol=0, atol=1e-12)
     tensor = co.systems.so_n_body(FULL)
     np.testing.assert_allclose(
         tensor.vector_field(x),
@@ -99,42 +102,6 @@ def test_the_body_of_three_dimensions_is_the_rigid_body_and_manakovs_top():
         rtol=0,
         atol=8 * U,
     )
-
-
-@pytest.mark.parametrize("n", [3, 4])
-def test_two_principal_values_whose_sum_vanishes_up_to_rounding_are_refused(n):
-    rng, signs = np.random.default_rng(n), set()
-    for _ in range(12):
-        Q = np.linalg.qr(rng.normal(size=(n, n)))[0]
-        tensor = (Q * np.array([-1.0, 1.0, 2.0, 3.0])[:n]) @ Q.T
-        tensor = (tensor + tensor.T) / 2
-        signs.add(np.sign(np.linalg.eigvalsh(tensor)[:2].sum()))
-        with pytest.raises(ValueError, match=r"inertia has the principal values .*their sum must be positive"):
-            co.systems.so_n_body(tensor)
-    assert 1.0 in signs
-
-
-@pytest.mark.parametrize("n", [3, 4])
-def test_a_tensor_symmetric_up_to_rounding_counts_by_its_upper_half(n):
-    """As for the other bodies: the stored tensor is symmetric, and makes the same system again."""
-    root = np.random.default_rng(n).uniform(-1.0, 1.0, (n, n))
-    upper = np.triu(root @ root.T + n * np.eye(n))
-    symmetric = upper + np.triu(upper, 1).T
-    nearly = symmetric * (1.0 + 4 * U * np.tril(np.ones((n, n)), -1))
-    assert not np.array_equal(nearly, nearly.T)
-    x = np.cos(np.arange(n * (n - 1) / 2))
-    makers = [co.systems.so_n_body, co.systems.rigid_body] if n == 3 else [co.systems.so_n_body]
-    for make in makers:
-        body, wanted = make(nearly), make(symmetric)
-        np.testing.assert_array_equal(body.hamiltonian.hessian(x), wanted.hamiltonian.hessian(x))
-        again = co.systems.get(body.name, **body.parameters)
-        np.testing.assert_array_equal(again.hamiltonian.hessian(x), wanted.hamiltonian.hessian(x))
-    assert co.systems.so_n_body(nearly).parameters == co.systems.so_n_body(symmetric).parameters
-    for far in (1e-13, -1e-13):
-        wrong = symmetric.copy()
-        wrong[n - 1, 1] += far * symmetric.max()
-        with pytest.raises(ValueError, match=rf"inertia is not symmetric: .* at \[1, {n - 1}\] and \[{n - 1}, 1\]"):
-            co.systems.so_n_body(wrong)
 
 
 def test_a_symmetric_body_of_four_dimensions_in_closed_form():
@@ -147,7 +114,7 @@ def test_a_symmetric_body_of_four_dimensions_in_closed_form():
     exact[:3, 3] = expm((1 / (a + b) - 1 / (2 * a)) * t * X[:3, :3]) @ X[:3, 3]
     exact[3, :3] = -exact[:3, 3]
     states = np.linalg.lstsq(body.representation.reshape(6, 16).T, exact.ravel(), rcond=None)[0]
-    assert_order(body, x0, states, t, 0.25)
+    np.testing.assert_allclose(end_of(body, x0, t), states, rtol=0, atol=1e-12)
 
 
 def test_a_body_of_four_dimensions_that_moves_in_three():
@@ -163,20 +130,4 @@ def test_a_body_of_four_dimensions_that_moves_in_three():
         return np.linalg.lstsq(body.representation.reshape(6, 16).T, X.ravel(), rcond=None)[0]
 
     assert not matrix_of(body, state(y0))[left_out].any()
-    assert_order(body, state(y0), state(rigid.exact(y0, t)), t, 0.25)
-
-
-S = co.systems
-WRONG = [
-    (S.manakov_top, {"a": (1, 2.5, 3, 2.5), "b": (1, 2, 3, 4)}, r"a\[1\] and a\[3\] are both 2.5"),
-    (S.manakov_top, {"a": (1, 1 + 2**-52, 3), "b": (1e300, -1e300, 0)}, "overflows"),
-    (S.manakov_top, {"a": (1e200, 2, 3, 4), "b": (1, 2, 3, 4)}, "the power 2 of the entries overflows"),
-    (S.manakov_top, {"a": (1, 2, 3, 1e120, 5), "b": (1, 2, 3, 4, 5)}, "the power 3 of the entries overflows"),
-    (S.manakov_top, {"a": (1, 2, 3, 1e200, 5), "b": (1, 2, 3, 4, 5)}, "the power 2 of the entries overflows"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("make", "given", "message"), WRONG)
-def test_wrong_parameters(make, given, message):
-    with pytest.raises(ValueError, match=message):
-        make(**given)
+    np.testing.assert_allclose(end_of(body, state(y0), t), state(rigid.exact(y0, t)), rtol=0, atol=1e-12)
