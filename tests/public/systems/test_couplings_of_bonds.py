@@ -1,14 +1,17 @@
-"""Spin lattices whose couplings differ from bond to bond and from site to site, against sums edge by edge."""
+"""Spin lattices whose couplings differ from bond to bond and from site to site, against sums bond by bond."""
+
+import functools
 
 import numpy as np
 import pytest
-from spins_by_hand import by_hand, energy_by_hand
+from spins_by_hand import bonds, by_hand, energy_by_hand, has_closed_form
 
 import coadjoint as co
-from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.lattices.neighbours import graph
+from rounding import UNIT_ROUNDOFF
 
 spin_lattice = co.systems.spin_lattice
+
+
 LATTICES = {
     "chain": ("chain", 4, False),
     "ring": ("ring", 5, False),
@@ -16,6 +19,11 @@ LATTICES = {
     "honeycomb": ("honeycomb", (3, 3), True),
     "complete": ("complete", 4, False),
 }
+
+
+bonds_of = functools.cache(bonds)
+
+
 PATTERNS = {
     "none": np.zeros((3, 3)),
     "isotropic": np.eye(3),
@@ -36,11 +44,11 @@ def drawn(rng, count, patterns, first):
 def couplings(seed, lattice):
     """Couplings of which the first bond, or the first site, has only some entries, and others have others."""
     rng = np.random.default_rng(seed)
-    sites, edges = graph(*lattice)
-    bonds = len(edges)
-    J = rng.integers(-2, 3, bonds) * 0.5
-    T = drawn(rng, bonds, list(PATTERNS), rng.choice(list(PATTERNS)))
-    D = rng.standard_normal((bonds, 3)) * rng.integers(0, 2, (bonds, 3))
+    edges = bonds_of(*lattice)
+    count, sites = len(edges), edges.max() + 1
+    J = rng.integers(-2, 3, count) * 0.5
+    T = drawn(rng, count, list(PATTERNS), rng.choice(list(PATTERNS)))
+    D = rng.standard_normal((count, 3)) * rng.integers(0, 2, (count, 3))
     K = drawn(rng, sites, SYMMETRIC, rng.choice(SYMMETRIC))
     B = rng.standard_normal((sites, 3)) * rng.integers(0, 2, (sites, 3))
     for values in (J, D, B):
@@ -80,17 +88,17 @@ def test_entries_that_the_first_bond_lacks(lattice, seed):
 @pytest.mark.parametrize("other", PATTERNS)
 def test_every_pattern_after_every_other(first, other):
     """Both bonds of a chain and both tensors of sites in each order."""
-    bonds, sites = np.array([PATTERNS[first], PATTERNS[other]]), np.zeros((3, 3, 3))
+    tensors, sites = np.array([PATTERNS[first], PATTERNS[other]]), np.zeros((3, 3, 3))
     if {first, other} <= {*SYMMETRIC}:
-        sites[[0, 2]] = 0.5 * bonds
-    values = (np.array([1.0, -1.5]), bonds, np.zeros((2, 3)), sites, np.zeros((3, 3)))
-    assert_by_hand(system_of(("chain", 3, False), *values), 1, graph("chain", 3, False)[1], *values)
+        sites[[0, 2]] = 0.5 * tensors
+    values = (np.array([1.0, -1.5]), tensors, np.zeros((2, 3)), sites, np.zeros((3, 3)))
+    assert_by_hand(system_of(("chain", 3, False), *values), 1, bonds_of("chain", 3, False), *values)
 
 
 @pytest.mark.parametrize("strengths", [(1.0, 1.0, 1.0), (1.0, -0.5, 0.25)], ids=["equal", "different"])
 def test_kitaev_honeycomb(strengths):
     """Bonds of each direction couple one component: the field of a spin has one component of each neighbour."""
-    sites, edges = graph("honeycomb", (3, 3), True)
+    edges, sites = bonds_of("honeycomb", (3, 3), True), 18
     cells = (edges // 2).T
     steps = np.array(np.unravel_index(cells[1], (3, 3))) - np.unravel_index(cells[0], (3, 3))
     kinds = np.unique(steps % 3, axis=1, return_inverse=True)[1].ravel()
@@ -105,7 +113,7 @@ def test_kitaev_honeycomb(strengths):
     wanted = np.cross(S, seen).ravel()
     # One product per component, so three roundings.
     np.testing.assert_allclose(system.vector_field(S.ravel()), wanted, rtol=0, atol=8 * UNIT_ROUNDOFF * np.max(S**2))
-    assert system.integrals == {} and system.closed_form is None
+    assert system.integrals == {} and not has_closed_form(system)
 
 
 @pytest.mark.thinned(4)
@@ -118,7 +126,8 @@ def test_integrals_and_closed_forms_take_every_bond_and_site_into_account(lattic
     Only spins that are all coupled equally have a closed form; its slope is the motion by hand.
     """
     chosen = 0 if place == "first" else -1
-    sites, edges = graph(*LATTICES[lattice])
+    edges = bonds_of(*LATTICES[lattice])
+    sites = edges.max() + 1
     J, T = np.ones(len(edges)), np.tile(np.eye(3), (len(edges), 1, 1))
     D, K, B = np.zeros((len(edges), 3)), np.zeros((sites, 3, 3)), np.zeros((sites, 3))
     values = {"J": J, "T": T, "D": D, "K": K, "B": B}
@@ -126,7 +135,7 @@ def test_integrals_and_closed_forms_take_every_bond_and_site_into_account(lattic
     if kind != "none":
         values[kind][chosen] += 0.5 if kind == "J" else axis if kind in "DB" else np.outer(axis, axis)
     system = system_of(LATTICES[lattice], *values.values())
-    assert (system.closed_form is not None) == (kind == "none" and lattice == "complete")
+    assert has_closed_form(system) == (kind == "none" and lattice == "complete")
     states = np.random.default_rng(3).standard_normal((6, system.dim))
     rates = np.array([by_hand(x, edges, *values.values()) for x in states])
     torques = rates.reshape(6, sites, 3).sum(axis=1)
@@ -135,7 +144,7 @@ def test_integrals_and_closed_forms_take_every_bond_and_site_into_account(lattic
     for x, rate in zip(states, rates, strict=True):
         for F in system.integrals.values():
             assert abs(F.gradient(x) @ rate) < 1e-12
-        if system.closed_form is not None:
+        if has_closed_form(system):
             h = 2.0**-12
             slope = (system.exact(x, h) - system.exact(x, -h)) / (2 * h)
             # Rotations at a rate below 10 about fixed axes: the third derivative of a spin is below 10^3 |S|.
