@@ -4,6 +4,9 @@ import numpy as np
 
 import coadjoint as co
 
+FINE = co.IsospectralGauss(6)
+"""Of order twelve: a steady state moves by rounding alone."""
+
 
 def random_matrix(system, seed=4):
     """Return a random state of a system of matrices, of numbers of size one."""
@@ -18,6 +21,6 @@ def generators(N):
     return [sphere.from_modes(each) for each in modes]
 
 
-def last(system, x, t, step, method):
+def last(system, x, t, step, method=FINE):
     """Return the end of a run."""
     return co.integrate(system, x, (0, t), step, method, save_every=10**6).x[-1]
