@@ -4,7 +4,7 @@ import functools
 
 import numpy as np
 import pytest
-from spins_by_hand import bonds, by_hand, energy_by_hand, has_closed_form
+from bonds_and_spins import bonds, by_hand, energy_by_hand, has_closed_form
 
 import coadjoint as co
 from rounding import UNIT_ROUNDOFF
