@@ -4,12 +4,13 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from scipy import sparse
+from scipy.integrate import solve_ivp
 
 import coadjoint as co
-from coadjoint.systems.hamiltonians.sum_of_hamiltonians import SumOfHamiltonians
+from refusals import refused
 
 pytestmark = pytest.mark.thinned(3)
-
 rng = np.random.default_rng(11)
 A, B = (M + M.T for M in rng.normal(size=(2, 6, 6)))
 a, b = rng.normal(size=(2, 6))
@@ -59,7 +60,6 @@ def test_properties_of_a_sum_are_those_of_what_is_written_out(method):
     parts = {0: (lambda y: 0.5 * y * y, lambda y: y), 1: (lambda y: 0.25 * y * y, lambda y: 0.5 * y)}
     cosh = {2: (np.cosh, np.sinh)}
     whole, added = co.Separable({**parts, **cosh}), co.Quadratic([1.0, 0.5, 0.0]) + co.Separable(cosh)
-    assert isinstance(added, SumOfHamiltonians)
     found, expected = (method.properties(co.LiePoissonSystem(co.algebras.so(3), H)) for H in (added, whole))
     assert found == expected
 
@@ -145,8 +145,6 @@ def test_multiples_run_as_what_is_written_at_once(first, second):
     def slope(t, x):
         return np.cross(x, float(p) * one.gradient(x, t) + q * other.gradient(x, t))
 
-    from scipy.integrate import solve_ivp
-
     x = np.array([0.3, -0.2, 0.9])
     sign = np.sign(system.vector_field(x, 0.3) @ slope(0.3, x))
     for span in ((0.0, 1.0), (1.0, 0.0)):
@@ -161,120 +159,6 @@ def test_multiples_run_as_what_is_written_at_once(first, second):
             split = co.integrate(system, x, span, 1 / 64, co.Splitting(order=4)).x[-1]
             half = co.integrate(system, x, span, 1 / 128, co.Splitting(order=4)).x[-1]
             assert np.abs(half - expected).max() < np.abs(split - expected).max() / 8 < 64.0**-4
-
-
-def test_functions_alone_refuse_what_their_summands_refuse():
-    wave = KINDS["functions"]() + co.Quadratic([1.0, 2.0, 3.0])
-    system = co.LiePoissonSystem(co.algebras.so(3), wave)
-    with pytest.raises(ValueError, match=r"its monomial x1\*x2\*x3 couples x1 and x2, which do not commute"):
-        co.Splitting().properties(system)
-    with pytest.raises(ValueError, match="piece 0 has the coordinates 0 and 1"):
-        co.LiePoissonSystem(
-            co.algebras.so(3), co.Quadratic(1.0) + co.SplitHamiltonian([((0, 1), co.Quadratic([1.0, 1.0]))])
-        )
-
-
-def test_many_entries_stay_sparse():
-    from scipy import sparse
-
-    n = 20_000
-    chain = sparse.diags_array([np.ones(n - 1), np.ones(n - 1)], offsets=[-1, 1])
-    H = co.Quadratic(sparse.eye_array(n)) + co.Quadratic(chain) / 2
-    y = np.ones(n)
-    assert H.value(y) == n / 2 + (n - 1) / 2
-    assert len(H.terms()[0].values) == 3 * n - 2 and len((H - H).terms()[0].values) == 0
-
-
-def test_sums_are_saved_and_read_back(tmp_path):
-    from coadjoint.files.records.records import record_of, system_of
-
-    H = co.Polynomial("x1^3 + 0.1*x2*x3", dim=3) + co.SplitHamiltonian([((0,), co.Quadratic(2.0))]) / 2
-    system = co.LiePoissonSystem(co.algebras.so(3), H)
-    record = record_of(system)
-    assert record["hamiltonian"]["kind"] == "sum" and "not_stored" not in record
-    again = system_of(record)
-    x = np.array([0.5, 0.25, -1.0])
-    assert again.energy(x) == system.energy(x)
-    runs = [co.integrate(one, x, (0.0, 1.0), 0.1, co.GaussLegendre(2)) for one in (system, again)]
-    np.testing.assert_array_equal(*(run.x for run in runs))
-    co.integrate(system, x, (0.0, 0.5), 0.1, co.GaussLegendre(2), archive=tmp_path / "sum.zarr")
-    resumed = co.resume(tmp_path / "sum.zarr", t_end=1.0)
-    np.testing.assert_array_equal(resumed.x[-1], runs[0].x[-1])
-    named = record_of(co.LiePoissonSystem(co.algebras.so(3), H + 2 * KINDS["separable"]()))
-    assert named["not_stored"][0] == "hamiltonian: MultipleOf"
-
-
-def test_the_linear_term_of_a_sum_can_change():
-    from coadjoint.systems.hamiltonians.linear_term import linear_of, with_linear
-
-    for H in (co.Quadratic([1.0, 2.0, 3.0], linear=a[:3]) + KINDS["split"](), KINDS["split"]() + KINDS["separable"]()):
-        system = co.LiePoissonSystem(co.algebras.so(3), H)
-        new = np.array([0.5, 0.0, -2.0])
-        changed = with_linear(system, new)
-        np.testing.assert_allclose(linear_of(changed.hamiltonian, 3), new, atol=2**-52)
-        difference = changed.hamiltonian.gradient(POINTS[0]) - system.hamiltonian.gradient(POINTS[0])
-        np.testing.assert_allclose(difference, new - linear_of(system.hamiltonian, 3), atol=2**-50)
-
-
-def test_ready_made_systems_give_their_hamiltonians():
-    for name, parameters in (("rigid_body", {}), ("toda", {}), ("heavy_top", {}), ("separable_cosh", {})):
-        system = co.systems.get(name, **parameters) if name in co.systems.names() else None
-        if system is None:
-            continue
-        x = 0.1 + rng.normal(size=system.dim) / 4
-        twice = type(system)(system.algebra, 2 * system.hamiltonian + 1.0, sign=system.sign)
-        np.testing.assert_allclose(twice.vector_field(x), 2 * system.vector_field(x), rtol=1e-14, atol=1e-14)
-        assert np.isclose(twice.energy(x), 2 * system.energy(x) + 1.0, rtol=1e-14)
-
-
-@pytest.mark.long
-def test_driven_ones():
-    from coadjoint.systems.hamiltonians.driven import Driven
-
-    H = Driven(co.Quadratic([1.0, 2.0, 3.0]), lambda t: (0.0, np.sin(t), 2.0), sites=1, axes=3, what="field")
-    x = POINTS[0]
-    np.testing.assert_allclose((H / 2).gradient(x, 0.7), H.gradient(x, 0.7) / 2, rtol=1e-15)
-    twice = co.LiePoissonSystem(co.algebras.so(3), 2 * H - H)
-    once = co.LiePoissonSystem(co.algebras.so(3), H)
-    runs = [co.integrate(one, x, (0.0, 1.0), 0.05, co.GaussLegendre(2)).x[-1] for one in (once, twice)]
-    np.testing.assert_allclose(*runs, atol=1e-13)  # 20 steps, each to round-off of iterations
-
-
-def made_of_each_kind():
-    from coadjoint.systems.hamiltonians.driven import Driven
-
-    def force(t):
-        return 0.0, np.sin(t), 2.0
-
-    parts = {0: (np.cosh, np.sinh), 2: (np.cosh, np.sinh)}
-    return {
-        "quadratic": lambda: co.Quadratic([1.0, 2.0, 3.0], linear=[0.1, 0.2, 0.3]),
-        "polynomial": lambda: co.Polynomial("x1*x2*x3 + x1^2", dim=3),
-        "separable": lambda: co.Separable(parts),
-        "function": lambda: co.Hamiltonian(
-            lambda x: x[0] ** 2 * x[1], lambda x: np.array([2 * x[0] * x[1], x[0] ** 2, 0.0])
-        ),
-        "driven": lambda: Driven(co.Quadratic([1.0, 2.0, 3.0]), force, sites=1, axes=3, what="field"),
-        "sum": lambda: co.Quadratic([1.0, 2.0, 3.0]) + co.Separable(parts),
-    }
-
-
-@pytest.mark.thinned(7)
-@pytest.mark.parametrize("kind", made_of_each_kind())
-@pytest.mark.parametrize("change", [lambda H: 2 * H, lambda H: -H, lambda H: H / 4, lambda H: H + H])
-def test_what_is_made_of_one_that_has_run_is_made_of_a_new_one(kind, change):
-    """To the bit: nothing that a run has prepared is left in it."""
-    make = made_of_each_kind()[kind]
-
-    def run(H):
-        system = co.LiePoissonSystem(co.algebras.so(3), H)
-        return [co.integrate(system, POINTS[0], (0.5, 1.0), 0.125, co.GaussLegendre(2)).x]
-
-    used = make()
-    run(used)
-    changed, new = change(used), change(make())
-    np.testing.assert_array_equal(run(changed), run(new))
-    np.testing.assert_array_equal(changed.gradient(POINTS[0]), new.gradient(POINTS[0]))
 
 
 class Own:
@@ -306,31 +190,10 @@ def test_kinds_of_the_user_are_summands():
     x = POINTS[0]
     np.testing.assert_allclose(system.hamiltonian.gradient(x), [3 * x[0], x[1] / 2, x[2] / 4])
     assert (Own() + KINDS["separable"]()).summands[1].timed is False
-    with pytest.raises(TypeError, match="cannot be subtracted from a Hamiltonian: it has no __neg__"):
+    with refused(TypeError, "subtracted", "__neg__"):
         co.Quadratic(1.0) - Own()
-    with pytest.raises(TypeError, match=r"piece 0 is .*multiply the piece itself"):
+    with refused(TypeError, "piece 0"):
         2 * co.SplitHamiltonian([((0,), Own())])
-
-
-@pytest.mark.parametrize("H", [H for name, H in KINDS.items() if "polynomial" not in name])
-@pytest.mark.parametrize("factor", ["2", 1j, None, True, np.ones(3), [1, 2]])
-def test_factors_that_are_no_numbers(H, factor):
-    for wrong in (lambda: factor * H(), lambda: H() * factor, lambda: H() / factor):
-        with pytest.raises(TypeError, match=r"a Hamiltonian is multiplied by .*; the factor must be a number"):
-            wrong()
-
-
-@pytest.mark.parametrize("H", KINDS.values())
-def test_factors_that_are_not_finite(H):
-    for wrong in (lambda: np.nan * H(), lambda: H() * np.inf, lambda: 10**400 * H()):
-        with pytest.raises(ValueError, match="finite"):
-            wrong()
-    with pytest.raises(ValueError, match="can be divided by a number other than 0, not by 0"):
-        H() / 0
-    with pytest.raises(TypeError):
-        H() + "x1"
-    with pytest.raises(TypeError):
-        H() - None
 
 
 def test_a_polynomial_less_another_kind():
@@ -340,30 +203,122 @@ def test_a_polynomial_less_another_kind():
     assert np.isclose((1 - H).value(x), 1 - H.value(x), rtol=1e-14)
 
 
-def test_what_cannot_be_added():
-    with pytest.raises(TypeError, match="'x1' is not a Hamiltonian and cannot be added to one"):
-        co.Quadratic([1, 2]) + "x1"
-    with pytest.raises(TypeError, match="the factor must be a number"):
-        co.Quadratic([1, 2]) * co.Quadratic([1, 2])
-    with pytest.raises(ValueError, match="Hamiltonians of 2 and 3 coordinates cannot be added"):
-        co.Quadratic([1, 2]) + co.Quadratic([1, 2, 3])
-    with pytest.raises(ValueError, match="Hamiltonians of 2 and 3 coordinates cannot be added"):
-        co.Quadratic([1, 2]) + KINDS["separable"]().bind(3)
-    with pytest.raises(ValueError, match=r"must be finite|leaves the range of float64|is inf"):
-        co.Quadratic([1e308, 1.0]) + co.Quadratic([1e308, 1.0])
-    with pytest.raises(ValueError, match=r"'x1\^2' does not determine the number of coordinates; give dim= or basis="):
-        co.Polynomial("x1^2")
-    with pytest.raises(ValueError, match=r"has 'q'; the coordinates are h, e, f"):
-        co.Polynomial("h*q", basis=("h", "e", "f"))
+def test_many_entries_stay_sparse():
+    n = 20_000
+    chain = sparse.diags_array([np.ones(n - 1), np.ones(n - 1)], offsets=[-1, 1])
+    H = co.Quadratic(sparse.eye_array(n)) + co.Quadratic(chain) / 2
+    y = np.ones(n)
+    assert H.value(y) == n / 2 + (n - 1) / 2
+    assert len(H.terms()[0].values) == 3 * n - 2 and len((H - H).terms()[0].values) == 0
 
 
-def test_polynomials_divide_exactly():
+def test_sums_are_saved_and_read_back(tmp_path):
+    H = co.Polynomial("x1^3 + 0.1*x2*x3", dim=3) + co.SplitHamiltonian([((0,), co.Quadratic(2.0))]) / 2
+    system, x = co.LiePoissonSystem(co.algebras.so(3), H), np.array([0.5, 0.25, -1.0])
+    run = co.integrate(system, x, (0.0, 1.0), 0.1, co.GaussLegendre(2))
+    co.integrate(system, x, (0.0, 0.5), 0.1, co.GaussLegendre(2), archive=tmp_path / "sum.zarr")
+    resumed = co.resume(tmp_path / "sum.zarr", t_end=1.0)
+    np.testing.assert_array_equal(resumed.x[-1], run.x[-1])
+    assert resumed.system.energy(x) == system.energy(x)
+
+
+def force(t):
+    return 0.0, np.sin(t), 2.0
+
+
+def driven():
+    return co.systems.spin_lattice("chain", 1, on_site=(-0.5, -1.0, -1.5), field=force).hamiltonian
+
+
+PARTS = {0: (np.cosh, np.sinh), 2: (np.cosh, np.sinh)}
+USED = {
+    "quadratic": lambda: co.Quadratic([1.0, 2.0, 3.0], linear=[0.1, 0.2, 0.3]),
+    "polynomial": lambda: co.Polynomial("x1*x2*x3 + x1^2", dim=3),
+    "separable": lambda: co.Separable(PARTS),
+    "function": lambda: co.Hamiltonian(
+        lambda x: x[0] ** 2 * x[1], lambda x: np.array([2 * x[0] * x[1], x[0] ** 2, 0.0])
+    ),
+    "driven": driven,
+    "sum": lambda: co.Quadratic([1.0, 2.0, 3.0]) + co.Separable(PARTS),
+}
+
+
+@pytest.mark.thinned(7)
+@pytest.mark.parametrize("kind", USED)
+@pytest.mark.parametrize("change", [lambda H: 2 * H, lambda H: -H, lambda H: H / 4, lambda H: H + H])
+def test_what_is_made_of_one_that_has_run_is_made_of_a_new_one(kind, change):
+    """To the bit: nothing that a run has prepared is left in it."""
+    used = USED[kind]()
+
+    def run(H):
+        system = co.LiePoissonSystem(co.algebras.so(3), H)
+        return co.integrate(system, POINTS[0], (0.5, 1.0), 0.125, co.GaussLegendre(2)).x
+
+    run(used)
+    changed, new = change(used), change(USED[kind]())
+    np.testing.assert_array_equal(run(changed), run(new))
+    np.testing.assert_array_equal(changed.gradient(POINTS[0], 0.7), new.gradient(POINTS[0], 0.7))
+    once = USED[kind]().gradient(POINTS[0], 0.7)
+    np.testing.assert_allclose(changed.gradient(POINTS[0], 0.7), change(once), rtol=1e-15)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_factors_that_are_refused(kind):
+    H = KINDS[kind]
+    if "polynomial" not in kind:
+        for factor in ("2", 1j, None, True, np.ones(3), [1, 2]):
+            for wrong in (lambda f=factor: f * H(), lambda f=factor: H() * f, lambda f=factor: H() / f):
+                with refused(TypeError, "factor", "number"):
+                    wrong()
+    for wrong in (lambda: np.nan * H(), lambda: H() * np.inf, lambda: 10**400 * H()):
+        with refused(ValueError, "finite"):
+            wrong()
+    with refused(ValueError, "divided", "0"):
+        H() / 0
+    for wrong in (lambda: H() + "x1", lambda: H() - None):
+        with pytest.raises(TypeError):
+            wrong()
+
+
+def so3(H):
+    return co.LiePoissonSystem(co.algebras.so(3), H)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error", "named"),
+    [
+        (lambda: co.Quadratic([1, 2]) + "x1", TypeError, ("'x1'",)),
+        (lambda: co.Quadratic([1, 2]) * co.Quadratic([1, 2]), TypeError, ("factor", "number")),
+        (lambda: co.Quadratic([1, 2]) + co.Quadratic([1, 2, 3]), ValueError, ("2 and 3",)),
+        (lambda: co.Quadratic([1, 2]) + KINDS["separable"]().bind(3), ValueError, ("2 and 3",)),
+        (lambda: co.Quadratic([1e308, 1.0]) + co.Quadratic([1e308, 1.0]), ValueError, ()),
+        (
+            lambda: co.Quadratic([1, 2]) + type("OwnKind", (co.Quadratic,), {"__module__": "mine"}),
+            TypeError,
+            ("added",),
+        ),
+        (lambda: co.Polynomial("x1^2"), ValueError, ("x1^2", "dim=")),
+        (lambda: co.Polynomial("h*q", basis=("h", "e", "f")), ValueError, ("'q'", "h, e, f")),
+        (lambda: co.Polynomial("x1", dim=2) / co.Polynomial("x1", dim=2), TypeError, ()),
+        (
+            lambda: co.Splitting().properties(so3(KINDS["functions"]() + co.Quadratic([1.0, 2.0, 3.0]))),
+            ValueError,
+            ("x1*x2*x3", "x1 and x2"),
+        ),
+        (
+            lambda: so3(co.Quadratic(1.0) + co.SplitHamiltonian([((0, 1), co.Quadratic([1.0, 1.0]))])),
+            ValueError,
+            ("piece 0", "0 and 1"),
+        ),
+    ],
+)
+def test_what_cannot_be_added(wrong, error, named):
+    with refused(error, *named):
+        wrong()
+
+
+def test_polynomials_divide_exactly_and_have_names():
     p = co.Polynomial("2*x1^2 - 3*x2 + 0.5", dim=2)
     assert p / 3 == co.Polynomial({(2, 0): Fraction(2, 3), (0, 1): -1, (0, 0): 0.5 / 3})
-    with pytest.raises(TypeError):
-        p / p
-
-
-def test_polynomials_of_named_coordinates():
     assert co.Polynomial("0.5*h^2 + 2*e*f", basis=("h", "e", "f")) == co.Polynomial({(2, 0, 0): 0.5, (0, 1, 1): 2})
     assert co.Polynomial("1/3*x2", dim=2) == co.Polynomial({(0, 1): Fraction(1, 3)})

@@ -8,8 +8,7 @@ import pytest
 import scipy.sparse
 
 import coadjoint as co
-from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from refusals import refused
 
 U = 2.0**-53
 
@@ -23,7 +22,7 @@ def test_forms_of_m_agree():
     n = 5
     diagonal = np.random.default_rng(1).standard_normal(n)
     x = np.random.default_rng(2).standard_normal(n)
-    forms = [Quadratic(diagonal), Quadratic(np.diag(diagonal)), Quadratic(scipy.sparse.diags_array(diagonal))]
+    forms = [co.Quadratic(diagonal), co.Quadratic(np.diag(diagonal)), co.Quadratic(scipy.sparse.diags_array(diagonal))]
     for H in forms:
         assert H.dim == n
         np.testing.assert_array_equal(H.gradient(x), diagonal * x)
@@ -39,7 +38,7 @@ def test_full_m_with_linear_part(sparse):
     M, b = random_symmetric(n), np.random.default_rng(3).standard_normal(n)
     M[0, 3] = M[3, 0] = 0.0
     x = np.random.default_rng(4).standard_normal(n)
-    H = Quadratic(sparse(M), linear=b, constant=2.0)
+    H = co.Quadratic(sparse(M), linear=b, constant=2.0)
     size = np.abs(M) @ np.abs(x) + np.abs(b)
     assert np.all(np.abs(H.gradient(x) - (M @ x + b)) <= 2 * (n + 2) * U * size)
     assert abs(H.value(x) - (x @ M @ x / 2 + b @ x + 2)) <= 4 * (n + 2) * U * (size @ np.abs(x) + 2)
@@ -64,90 +63,55 @@ def test_sparse_entries_in_any_order_with_duplicates_and_zeros(kind):
         indptr = np.concatenate([[0], np.cumsum(np.bincount(major, minlength=4))])
         M = kind((values[order], minor[order], indptr), shape=(4, 4))
     stored, dense = M.data.copy(), M.toarray()
-    H = Quadratic(M)
+    H = co.Quadratic(M)
     np.testing.assert_array_equal(H.hessian(np.zeros(4)), dense)
     (term,) = H.terms()
     assert list(zip(term.rows.tolist(), term.indices.tolist(), strict=True)) == [(0, 2), (1, 1), (2, 0)]
     np.testing.assert_array_equal(M.data, stored)
-    assert Quadratic(M) is not H and M.nnz == 11
-
-
-@pytest.mark.parametrize("lead", [(), (1,), (4,), (2, 3), (2, 0)])
-def test_values_at_many_states(lead):
-    M, b = random_symmetric(3), np.array([0.5, 0.0, -1.0])
-    H, x = Quadratic(M, linear=b, constant=2.0), np.random.default_rng(6).standard_normal((*lead, 3))
-    found = H(x)
-    wanted = 0.5 * np.einsum("...i,ij,...j->...", x, M, x) + x @ b + 2.0
-    assert np.shape(found) == lead
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=64 * U * (1 + np.abs(M).max()) * 9)
+    assert co.Quadratic(M) is not H and M.nnz == 11
 
 
 def test_a_number_binds_to_any_dimension():
-    H = Quadratic(3.0)
+    H = co.Quadratic(3.0)
     assert H.dim is None
-    with pytest.raises(TypeError, match="bind"):
+    with refused(TypeError, "bind"):
         H.terms()
     assert H.value([1.0, 2.0]) == 7.5
     np.testing.assert_array_equal(H.bind(4).hessian(np.zeros(4)), 3.0 * np.eye(4))
-    assert Quadratic(3.0, linear=[1.0, 0.0]).dim == 2
-
-
-def test_round_off_asymmetry_takes_the_upper_triangle():
-    M = np.array([[1.0, 0.3], [0.3 + 2.0**-53, 2.0]])
-    hessian = Quadratic(M).hessian(np.zeros(2))
-    assert hessian[0, 1] == hessian[1, 0] == 0.3
+    assert co.Quadratic(3.0, linear=[1.0, 0.0]).dim == 2
 
 
 @pytest.mark.parametrize("wrap", [np.asarray, scipy.sparse.csr_array])
 def test_asymmetry_is_refused_by_entry(wrap):
     M = random_symmetric(4)
     M[2, 1] += 1e-12
-    with pytest.raises(ValueError, match=r"M\[1, 2\]"):
-        Quadratic(wrap(M))
+    with refused(ValueError, "M[1, 2]"):
+        co.Quadratic(wrap(M))
     only_below = np.zeros((3, 3))
     only_below[2, 0] = 1.0
-    with pytest.raises(ValueError, match=r"M\[0, 2\] = 0 but M\[2, 0\] = 1"):
-        Quadratic(wrap(only_below))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "error", "message"),
-    [
-        ((scipy.sparse.csr_array(np.diag([1.0, np.inf])),), ValueError, r"M\[1, 1\] is inf"),
-        ((scipy.sparse.csr_array(np.zeros((2, 3))),), ValueError, "shape"),
-    ],
-)
-def test_refusals(arguments, error, message):
-    with pytest.raises(error, match=message):
-        Quadratic(*arguments)
+    with refused(ValueError, "M[0, 2] = 0", "M[2, 0] = 1"):
+        co.Quadratic(wrap(only_below))
 
 
 def test_fractions_are_exact():
     third = Fraction(1, 3)
     M = np.array([[third, Fraction(1, 7)], [Fraction(1, 7), Fraction(2)]], dtype=object)
-    H = Quadratic(M, linear=[0.5, 0.0])
+    H = co.Quadratic(M, linear=[0.5, 0.0])
     x = np.array([Fraction(3, 5), Fraction(-1, 2)], dtype=object)
     assert H.gradient(x).tolist() == [third * x[0] + x[1] / 7 + Fraction(1, 2), x[0] / 7 + 2 * x[1]]
     assert H.value(x) == (third * x[0] ** 2 + 2 * x[0] * x[1] / 7 + 2 * x[1] ** 2) / 2 + x[0] / 2
     assert H.hessian(x)[0, 0] == third
     assert H.hessian(np.zeros(2)).dtype == np.float64
-    rounded = Quadratic([0.1, 0.2])
+    rounded = co.Quadratic([0.1, 0.2])
     assert rounded.gradient(x).tolist() == [Fraction(0.1) * x[0], Fraction(0.2) * x[1]]
 
 
 def test_multiprecision():
     with mpmath.workdps(50):
-        H = Quadratic(np.array([Fraction(1, 3), Fraction(2)], dtype=object), linear=[0.0, 0.25])
+        H = co.Quadratic(np.array([Fraction(1, 3), Fraction(2)], dtype=object), linear=[0.0, 0.25])
         x = np.array([mpmath.sqrt(2), mpmath.pi], dtype=object)
         assert abs(H.gradient(x)[0] - mpmath.sqrt(2) / 3) < mpmath.mpf(10) ** -49
         assert abs(H.value(x) - (mpmath.mpf(1) / 3 + mpmath.pi**2 + mpmath.pi / 4)) < mpmath.mpf(10) ** -47
-
-
-def test_input_is_copied():
-    M = np.array([1.0, 2.0])
-    H = Quadratic(M)
-    M[0] = 9.0
-    assert H.gradient([1.0, 1.0])[0] == 1.0
 
 
 @pytest.mark.parametrize(
@@ -158,7 +122,7 @@ def test_input_is_copied():
 @pytest.mark.parametrize("constant", [-3.25, Fraction(-13, 4)])
 def test_the_constant_stays_in_every_form_of_m(M, constant):
     """Also where a number becomes a matrix, once the system says the dimension."""
-    H = Quadratic(M, constant=constant)
+    H = co.Quadratic(M, constant=constant)
     x = np.array([1.0, -2.0, 0.5])
     for same in (H, H.bind(3), co.LiePoissonSystem(co.algebras.so(3), H).hamiltonian):
         assert same.value(x) == x @ x - 3.25
@@ -168,15 +132,15 @@ def test_the_constant_stays_in_every_form_of_m(M, constant):
 
 
 def test_polynomial_of_degree_two():
-    p = Polynomial({(2, 0, 0): Fraction(1, 3), (0, 1, 1): -1, (0, 0, 1): 4, (0, 0, 0): 7})
-    H = Quadratic.from_polynomial(p)
+    p = co.Polynomial({(2, 0, 0): Fraction(1, 3), (0, 1, 1): -1, (0, 0, 1): 4, (0, 0, 0): 7})
+    H = co.Quadratic.from_polynomial(p)
     x = np.array([Fraction(1, 2), Fraction(3), Fraction(-5, 4)], dtype=object)
     assert H.value(x) == p(x)
     assert H.gradient(x).tolist() == p.gradient(x).tolist()
     assert H.hessian(x).tolist() == p.hessian(x).tolist()
     assert H.terms()[0].constant == 7.0
-    with pytest.raises(ValueError, match="degree 3"):
-        Quadratic.from_polynomial(Polynomial({(3,): 1.0}))
+    with refused(ValueError, "degree 3"):
+        co.Quadratic.from_polynomial(co.Polynomial({(3,): 1.0}))
 
 
 NUMBERS = {"float": 0.1, "whole": 3, "fraction": Fraction(1, 3)}
@@ -190,20 +154,20 @@ def test_coefficients_of_polynomials_keep_their_numbers(seed):
         terms = [(2, 0, 0), (0, 2, 0), (1, 1, 0), (0, 1, 1), (1, 0, 0), (0, 0, 1), (0, 0, 0)]
         numbers = [list(NUMBERS.values())[k] for k in rng.permutation(np.resize(kinds, len(terms)))]
         monomials = {e: c * int(rng.choice([-2, -1, 1, 2])) for e, c in zip(terms, numbers, strict=True)}
-        H = Quadratic.from_polynomial(Polynomial(monomials))
+        H = co.Quadratic.from_polynomial(co.Polynomial(monomials))
         x = [Fraction(int(n), 7) for n in rng.choice([-3, -2, -1, 1, 2, 3], 3)]
         wanted = sum(Fraction(c) * x[0] ** i * x[1] ** j * x[2] ** k for (i, j, k), c in monomials.items())
         assert H.value(np.array(x, dtype=object)) == wanted
         assert H.to_polynomial().monomials == monomials
         assert H.exact == any(not isinstance(c, float) for c in monomials.values())
-        doubled = Quadratic.from_polynomial(2 * H.to_polynomial())
+        doubled = co.Quadratic.from_polynomial(2 * H.to_polynomial())
         assert doubled.value(np.array(x, dtype=object)) == 2 * wanted
 
 
 def test_a_million_coordinates_stay_sparse():
     n = 10**6
     M = scipy.sparse.diags_array([np.full(n - 1, -1.0), np.full(n, 2.0), np.full(n - 1, -1.0)], offsets=[-1, 0, 1])
-    H = Quadratic(M)
+    H = co.Quadratic(M)
     gradient = H.gradient(np.ones(n))
     assert gradient[0] == gradient[-1] == 1.0
     assert not gradient[1:-1].any()
@@ -213,8 +177,105 @@ def test_a_million_coordinates_stay_sparse():
 
 
 def test_repr():
-    assert repr(Quadratic([1.0, 2.0])) == "Quadratic([1.0, 2.0])"
-    assert repr(Quadratic(2.0)) == "Quadratic(2.0)"
-    assert repr(Quadratic([[1.0, 0.5], [0.5, 1.0]], [1.0, 0.0])) == (
+    assert repr(co.Quadratic([1.0, 2.0])) == "Quadratic([1.0, 2.0])"
+    assert repr(co.Quadratic(2.0)) == "Quadratic(2.0)"
+    assert repr(co.Quadratic([[1.0, 0.5], [0.5, 1.0]], [1.0, 0.0])) == (
         "Quadratic([[1.0, 0.5], [0.5, 1.0]], linear=[1.0, 0.0])"
     )
+
+
+def sparse_symmetric(n, seed, density=0.35):
+    """Small whole numbers at drawn places, so that all sums are exact."""
+    rng = np.random.default_rng(seed)
+    upper = np.triu(rng.integers(-4, 5, (n, n)) * (rng.uniform(size=(n, n)) < density)).astype(float)
+    return upper + np.triu(upper, 1).T
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_sums_of_sparse_matrices_are_sums_of_matrices(seed):
+    """Entries of the two in any order and place, also of one column in consecutive rows."""
+    n = 2 + seed % 5
+    A, B = sparse_symmetric(n, seed), sparse_symmetric(n, 100 + seed, density=0.6)
+    a, b = np.random.default_rng(seed).integers(-3, 4, (2, n)).astype(float)
+    first, second = co.Quadratic(scipy.sparse.csr_array(A), a, 0.25), co.Quadratic(B, b, -2.0)
+    x = np.random.default_rng(seed + 1).integers(-5, 6, n).astype(float)
+    exact = co.Quadratic(np.array([[Fraction(v) for v in row] for row in A.tolist()], dtype=object), a, 0.25)
+    for H in (first + second, second + first, exact + second, 3 * first - 2 * first + second):
+        np.testing.assert_array_equal(H.hessian(x), A + B)
+        np.testing.assert_array_equal(H.gradient(x), (A + B) @ x + a + b)
+        assert H.value(x) == x @ (A + B) @ x / 2 + (a + b) @ x - 1.75
+        (term,) = H.terms()
+        dense = np.zeros((n, n))
+        dense[term.rows, term.indices] = term.values
+        np.testing.assert_array_equal(dense, A + B)
+        assert np.array_equal(term.linear, a + b) and term.constant == -1.75
+
+
+@pytest.mark.parametrize("kind", [np.int8, np.int16, np.int32, np.int64])
+def test_numpy_integers_among_fractions_do_not_overflow(kind):
+    large, third = int(np.iinfo(kind).max), Fraction(1, 3)
+    M = np.array([[third, kind(-large)], [kind(-large), kind(large)]], dtype=object)
+    H = co.Quadratic(M, linear=np.array([kind(large), third], dtype=object))
+    x = [Fraction(large), Fraction(-3 * large, 2)]
+    point = np.array(x, dtype=object)
+    slope = [third * x[0] - large * x[1] + large, -large * x[0] + large * x[1] + third]
+    value = third * x[0] ** 2 / 2 - large * x[0] * x[1] + Fraction(large, 2) * x[1] ** 2 + large * x[0] + third * x[1]
+    for same in (H, H + H - H, 2 * H / 2):
+        assert same.exact and same.value(point) == value and same.gradient(point).tolist() == slope
+        assert same.to_polynomial()(point) == value
+    assert (H + H).hessian(point).tolist() == [[2 * third, -2 * large], [-2 * large, 2 * large]]
+
+
+def test_constants_of_numbers_of_fractions_and_of_pieces():
+    """Also where no dimension is known yet."""
+    for factor in (3, -0.5, Fraction(1, 4)):
+        for H in (co.Quadratic(2.0, constant=1.5), co.Quadratic([2.0, 2.0], constant=1.5)):
+            assert (factor * H).bind(2).value([1.0, 2.0]) == float(factor) * 6.5
+            assert (factor * H + H).bind(2).value([1.0, 2.0]) == float(factor + 1) * 6.5
+    third = Fraction(1, 3)
+    assert co.Quadratic([1.0, 2.0], constant=third).exact and not co.Quadratic([1.0, 2.0], constant=0.25).exact
+    assert co.Quadratic(1.0, constant=third).exact and co.Quadratic([1.0, 2.0], linear=[third, 0.0]).exact
+    x = np.array([third, Fraction(-2)], dtype=object)
+    assert co.Quadratic([Fraction(3), 0], constant=third).value(x) == Fraction(1, 2) * third + third
+    odd = co.Quadratic([[3, 1], [1, 0]]).to_polynomial()
+    assert odd(x) == Fraction(3, 2) * third**2 - 2 * third
+    whole = co.Quadratic(np.array([[3, 1], [1, Fraction(1, 2)]], dtype=object)).to_polynomial()
+    assert whole(x) == Fraction(3, 2) * third**2 - 2 * third + 1
+
+
+def test_sparse_matrices_that_are_given_stay_as_they_are():
+    """With duplicates and stored zeros, of real numbers of any type; complex ones are refused."""
+    for kind in (np.float64, np.float32, np.int32):
+        M = scipy.sparse.csr_array((np.array([1, 2, 3, 0, 3, 5], kind), [0, 0, 1, 2, 0, 2], [0, 4, 5, 6]), shape=(3, 3))
+        parts = [part.copy() for part in (M.data, M.indices, M.indptr)]
+        H = co.Quadratic(M)
+        np.testing.assert_array_equal(H.hessian(np.ones(3)), [[3.0, 3.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 5.0]])
+        for now, before in zip((M.data, M.indices, M.indptr), parts, strict=True):
+            np.testing.assert_array_equal(now, before)
+        M.data[:] = 9
+        np.testing.assert_array_equal(H.gradient([0.0, 0.0, 1.0]), [0.0, 0.0, 5.0])
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "named"),
+    [
+        (lambda: co.Quadratic(scipy.sparse.csr_array(np.diag([1.0, np.inf]))), ValueError, ("M[1, 1]", "inf")),
+        (lambda: co.Quadratic(scipy.sparse.csr_array(np.zeros((2, 3)))), ValueError, ("shape",)),
+        (lambda: co.Quadratic(scipy.sparse.eye_array(3, dtype=complex)), TypeError, ("M", "complex128")),
+        (lambda: co.Quadratic([1.0, 2.0, 3.0]).with_linear([[1.0, 2.0, 3.0]]), ValueError, ("linear", "(1, 3)")),
+        (lambda: co.Quadratic([1.0, 2.0, 3.0]).with_linear([1.0, 2.0]), ValueError, ("linear", "(2,)")),
+        (lambda: co.Quadratic([1.0, 2.0, 3.0]).with_linear(1.0), ValueError, ("linear",)),
+    ],
+)
+def test_refusals(call, error, named):
+    with refused(error, *named):
+        call()
+
+
+def test_input_is_copied_and_round_off_asymmetry_takes_the_upper_triangle():
+    M = np.array([1.0, 2.0])
+    H = co.Quadratic(M)
+    M[0] = 9.0
+    assert H.gradient([1.0, 1.0])[0] == 1.0
+    hessian = co.Quadratic(np.array([[1.0, 0.3], [0.3 + 2.0**-53, 2.0]])).hessian(np.zeros(2))
+    assert hessian[0, 1] == hessian[1, 0] == 0.3
