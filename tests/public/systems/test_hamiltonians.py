@@ -107,9 +107,8 @@ def test_pieces_are_numbered():
     assert tuple(type(term) for term in terms) == kinds
     assert terms[3].coordinates.tolist() == [0, 3]
     assert terms[2].scalar
-    nested = co.SplitHamiltonian(
-        [((3, 1), co.SplitHamiltonian([((1,), co.Quadratic(2.0)), ((0,), co.Quadratic(1.0))]))]
-    )
+    inner = co.SplitHamiltonian([((1,), co.Quadratic(2.0)), ((0,), co.Quadratic(1.0))])
+    nested = co.SplitHamiltonian([((3, 1), inner)])
     assert [term.piece for term in nested.bind(4).terms()] == [0, 0]
     np.testing.assert_array_equal(nested.bind(4).gradient(X), [0.0, 2.0 * X[1], 0.0, X[3]])
 
@@ -146,20 +145,20 @@ def test_functions_with_a_domain():
         co.Separable({0: (np.log, lambda y: 2 / y)}).bind(1)
 
 
-@pytest.mark.parametrize("bound", [False, True], ids=["unbound", "bound"])
-def test_every_hamiltonian_is_called(bound):
+@pytest.mark.parametrize("known", [False, True], ids=["unbound", "bound"])
+def test_every_hamiltonian_is_called(known):
     """H(x) is `value` at one state, and the same numbers at many states; H(x, t) takes the time."""
     timed = co.Separable({0: (lambda y, t: t * y**2, lambda y, t: 2 * t * y)})
     split = co.SplitHamiltonian([((0, 1), co.Quadratic([1.0, 2.0])), ((3,), co.Quadratic(3.0))])
     quadratic = co.Quadratic([1.0, 2.0, 3.0, 4.0], linear=[0.0, 1.0, 0.0, 0.0])
     states = np.stack([X, 2 * X, X[::-1]])
     for H in (timed, split, quadratic, co.Quadratic(2.0), general(), split + general(), 2 * timed):
-        H = H.bind(4) if bound else H
+        H = H.bind(4) if known else H
         assert H(X, 0.5) == H.value(X, 0.5) and H(X) == H.value(X)
         assert H(states, 0.5).tolist() == [H.value(x, 0.5) for x in states]
         assert H(states[None]).shape == (1, 3)
         assert H(X.tolist()) == H.value(X)
-        if bound:
+        if known:
             with refused(ValueError, "shape"):
                 H(np.ones((2, 5)))
     assert bound(CUBIC, 2)([1.0, 2.0]) == CUBIC([1.0, 2.0])
@@ -261,11 +260,7 @@ FUNCTIONS_THAT_ARE_REFUSED = [
     (lambda: co.SplitHamiltonian([((0, 0), co.Quadratic(1.0))]), ValueError, ("different numbers",)),
     (lambda: co.SplitHamiltonian([((0, 1), co.Quadratic([1.0]))]), ValueError, ("piece 0", "2 coordinates")),
     (lambda: co.SplitHamiltonian([((0, 9), co.Quadratic(1.0))]).bind(4), ValueError, ("coordinate 9",)),
-    (
-        lambda: co.SplitHamiltonian([((k,), co.Quadratic(1.0)) for k in range(3)]).bind(2),
-        ValueError,
-        ("piece 2", "0 to 1"),
-    ),
+    (lambda: co.SplitHamiltonian([((2,), co.Quadratic(1.0))]).bind(2), ValueError, ("piece 0", "0 to 1")),
     (lambda: bound(3.0, 2), TypeError, ("float",)),
     (lambda: bound(co.Quadratic, 2), TypeError, ("class Quadratic",)),
     (lambda: bound(CUBIC, 3), ValueError, ("2 variables", "dimension 3")),
