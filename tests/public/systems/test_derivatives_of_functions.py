@@ -53,7 +53,8 @@ def in_mpmath(name, *arguments):
 
 
 UNARY = (
-    "sin cos tan arcsin arccos arctan sinh cosh tanh arcsinh arccosh arctanh exp expm1 exp2 log log1p log2 log10 sqrt"
+    "sin cos tan arcsin arccos arctan sinh cosh tanh arcsinh arccosh arctanh "
+    "exp expm1 exp2 log log1p log2 log10 sqrt cbrt"
 ).split()
 
 

@@ -1,4 +1,4 @@
-"""What the protocols admit: a bracket without a table, a state that is a matrix, a part that is no Hamiltonian flow."""
+"""Systems and terms of one's own: a bracket without a table, states that are matrices, and the protocol alone."""
 
 import dataclasses
 
@@ -7,9 +7,46 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
-from coadjoint.program.blocks import Kind
-from coadjoint.program.term_table import LINEAR
-from coadjoint.systems.hamiltonians.terms import FunctionTerm, QuadraticTerm
+from refusals import refused
+
+FunctionTerm = co.systems.FunctionTerm
+KNOWN = co.systems.rigid_body(inertia=(1, 2, 3))
+
+
+class OwnBody:
+    """A class with the interface of `GeneralSystem` alone."""
+
+    name, sign, representation = "own body", -1, None
+    algebra, hamiltonian, casimirs = KNOWN.algebra, KNOWN.hamiltonian, KNOWN.casimirs
+    dim = 3
+
+    def vector_field(self, x, t=0.0):
+        return KNOWN.vector_field(x, t)
+
+    def energy(self, x, t=0.0):
+        return KNOWN.energy(x, t)
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8)], ids=str)
+def test_structure_constants_suffice(method):
+    """Schemes need structure constants, not a class: the run of a user-defined system has the same bits."""
+    for attitude in (False, "coadjoint"):
+        own, known = (
+            co.integrate(system, (0.1, 1.0, 0.1), (0, 2), 0.1, method, attitude=attitude)
+            for system in (OwnBody(), KNOWN)
+        )
+        assert np.array_equal(own.x, known.x) and np.array_equal(own.energy, known.energy)
+        assert attitude is False or np.array_equal(own.attitude, known.attitude)
+    own = OwnBody()
+    own.algebra = None
+    with refused(ValueError, "own body", "Lie algebra"):
+        co.integrate(own, (0.1, 1.0, 0.1), (0, 1), 0.1, co.Splitting())
+    own = OwnBody()
+    # Attributes of these names are not those of forces and batches.
+    own.system, own.systems = "of units", ("SI", "CGS")
+    run = co.integrate(own, (0.1, 1.0, 0.1), (0, 1), 0.1, co.Splitting(order=4))
+    assert run.to_xarray()["component"].values.tolist() == ["x1", "x2", "x3"]
+
 
 RNG = np.random.default_rng(20)
 
@@ -96,16 +133,6 @@ def test_matrices_without_structure_constants():
     assert np.array_equal(shown.get_ydata()[np.isin(shown.get_xdata(), sol.t)], sol.x[:, 0, 1, 0])
 
 
-def test_the_compiled_loops_refuse_it_by_name():
-    for method in (co.GaussLegendre(2), co.ExplicitRungeKutta("rk4")):
-        with pytest.raises(TypeError, match=r"a body of 4 x 4 has no structure constants in memory.*StepMethod"):
-            co.integrate(body(4), skew(4), (0, 1), 0.1, method)
-    with pytest.raises(ValueError, match=r"x0 has the shape \(4, 3\); it must be \(4, 4\) or \(members, 4, 4\)"):
-        co.integrate(body(4), np.ones((4, 3)), (0, 1), 0.1, Isospectral())
-    with pytest.raises(TypeError, match="system is"):
-        co.integrate(object(), skew(4), (0, 1), 0.1, Isospectral())
-
-
 class Springs:
     """A term of one's own: an energy that is a square and the function of one coordinate."""
 
@@ -134,8 +161,7 @@ class SpringEnergy:
     def __init__(self, n):
         self.dim = n
         square = co.Quadratic([0.0, 1.0] + [0.0] * (n - 2)).terms()[0]
-        assert isinstance(square, QuadraticTerm)
-        self._terms = (Springs(square, FunctionTerm(np.array([2]), np.cosh, np.sinh, np.cosh, scalar=True)),)
+        self.kept = (Springs(square, FunctionTerm(np.array([2]), np.cosh, np.sinh, np.cosh, scalar=True)),)
 
     def bind(self, n):
         return self
@@ -154,7 +180,7 @@ class SpringEnergy:
         return found
 
     def terms(self):
-        return self._terms
+        return self.kept
 
 
 @pytest.mark.parametrize("algebra", [co.algebras.so(3), co.algebras.e(3), co.algebras.get("A4,10")], ids=repr)
@@ -169,96 +195,6 @@ def test_a_term_of_ones_own_is_what_it_gives_itself_as(algebra, method):
     assert np.max(np.abs(found.x - expected.x)) < 1e-5
     assert np.max(np.abs(found.x[-1] - x0)) > 1e-2
     assert np.max(np.abs(found.energy - expected.energy)) < 1e-5
-
-
-@dataclasses.dataclass(frozen=True)
-class Damped(co.methods.FlowMethod):
-    """Sweeps of a splitting, each followed by the flow of x' = -rate x, which is no Hamiltonian one."""
-
-    rate: float = 0.1
-
-    order, explicit, symmetric = 1, True, False
-    parts, compensated, rotation = "coordinates", False, "exact"
-
-    def properties(self, system):
-        return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
-
-    def sweeps(self, number=float):
-        return co.Splitting(order=1).sweeps(number)
-
-    def program(self, system, *, group=None, number=float):
-        program = co.Splitting(order=1, parts="coordinates").program(system, group=group, number=number)
-        return with_damping(program, self.rate)
-
-
-def with_damping(program, rate):
-    """The program with one part more: all coordinates scaled, by an angle that does not depend on the state."""
-    terms, state, rows, new = program.terms, program.state, program.rows, len(program.parts)
-
-    def more(array, *values):
-        return np.append(array, np.array(values, dtype=array.dtype))
-
-    angles = terms._replace(
-        size=terms.size + 1,
-        kind=more(terms.kind, LINEAR),
-        row=more(terms.row, terms.row[-1] + 1),
-        target=more(terms.target, 0),
-        offset=more(terms.offset, -rate),
-        entry=more(terms.entry, terms.entry[-1]),
-        monomial=more(terms.monomial, terms.monomial[-1]),
-    )
-    action = state._replace(
-        run=more(state.run, state.run[-1] + 1),
-        kind=more(state.kind, Kind.SCALE),
-        angles=more(state.angles, 1),
-        repeat=more(state.repeat, state.size),
-        angle=more(state.angle, 0),
-        position=more(state.position, len(state.indices)),
-        constant=more(state.constant, len(state.constants)),
-        width=more(state.width, 1),
-        entries=more(state.entries, 0),
-        degree=more(state.degree, 0),
-        indices=more(state.indices, *range(state.size)),
-        constants=more(state.constants, 1.0),
-    )
-    cuts = rows.section.astype(int)
-    columns = {}
-    for name, value in (("part", new), ("coefficient", 1.0), ("moment", 0.0)):
-        column = getattr(rows, name)
-        start, step, finish = column[: cuts[1]], column[cuts[1] : cuts[2]], column[cuts[2] :]
-        pieces = [more(start, value), more(step, value), finish]
-        columns[name] = np.concatenate(pieces)
-    section = (cuts + np.array([0, 1, 2, 2])).astype(rows.section.dtype)
-    return dataclasses.replace(
-        program,
-        rows=rows._replace(section=section, **columns),
-        terms=angles,
-        share=more(program.share, program.share[-1] + 1),
-        state=action,
-        frequency=more(program.frequency, 0.0),
-    )
-
-
-@pytest.mark.parametrize("h", [0.05, -0.05])
-@pytest.mark.parametrize("members", [1, 6])
-def test_a_part_that_is_no_hamiltonian_flow(h, members):
-    """The scheme keeps |x|^2 but for the damping, which is exact: it shrinks by exp(-2 rate t)."""
-    four = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(np.arange(1.0, 7)))
-    for system in (co.systems.rigid_body(inertia=(1, 2, 2.5)), four):
-        x0 = RNG.standard_normal((members, system.dim))
-        sol = co.integrate(system, x0, (0, 40 * h), abs(h), Damped(0.3))
-        squares = np.sum(sol.x**2, axis=-1)
-        exact = squares[0] * np.exp(-0.6 * sol.t)[:, None]
-        assert np.max(np.abs(squares / exact - 1)) < 40 * 64 * 2.0**-53
-        plain = co.integrate(system, x0, (0, 40 * h), abs(h), co.Splitting(order=1, parts="coordinates"))
-        assert np.max(np.abs(sol.x - plain.x)) > 0.1
-        # The plain reading knows the part too, and its tangent.
-        read = Damped(0.3).step(system, x0[0], 0.0, h)
-        assert np.max(np.abs(read - sol.x[1, 0])) < 1e-14
-        P = co.stepper(system, Damped(0.3), h).tangent(x0[0])
-        direction = np.eye(system.dim)[0]
-        ahead, behind = (Damped(0.3).step(system, x0[0] + side * 1e-6 * direction, 0.0, h) for side in (1, -1))
-        assert np.max(np.abs(P @ direction - (ahead - behind) / 2e-6)) < 1e-8
 
 
 @pytest.mark.filterwarnings("ignore:the steps of Isospectral")
@@ -276,5 +212,15 @@ def test_matrices_with_forces():
     errors = [np.max(np.abs(found.x[-1].ravel() - exact)) for found in (coarse, fine)]
     assert coarse.x.shape == (65, 4, 4) and 3.0 < errors[0] / errors[1] < 5.0
     assert fine.balance(relative=False)["|X|^2"] < 1e-12 < 1e-2 < abs(fine.work["LinearDamping"]["|X|^2"][-1])
-    with pytest.raises(ValueError, match="structure constants, which a body of 4 x 4 does not have"):
+    with refused(ValueError, "structure constants", "a body of 4 x 4"):
         co.ForcedSystem(system, (co.forces.DoubleBracketDamping(0.1),))
+
+
+def test_the_compiled_loops_refuse_it_by_name():
+    for method in (co.GaussLegendre(2), co.ExplicitRungeKutta("rk4")):
+        with refused(TypeError, "a body of 4 x 4", "structure constants", "StepMethod"):
+            co.integrate(body(4), skew(4), (0, 1), 0.1, method)
+    with refused(ValueError, "x0", "(4, 3)", "(4, 4)"):
+        co.integrate(body(4), np.ones((4, 3)), (0, 1), 0.1, Isospectral())
+    with refused(TypeError, "system is"):
+        co.integrate(object(), skew(4), (0, 1), 0.1, Isospectral())
