@@ -31,24 +31,14 @@ class OwnBody:
 def test_structure_constants_suffice(method):
     """Schemes need structure constants, not a class: the run of a user-defined system has the same bits."""
     for attitude in (False, "coadjoint"):
-        own, known = (
-            co.integrate(system, (0.1, 1.0, 0.1), (0, 2), 0.1, method, attitude=attitude)
-            for system in (OwnBody(), KNOWN)
-        )
+        run = {"x0": (0.1, 1.0, 0.1), "t_span": (0, 2), "step": 0.1, "method": method, "attitude": attitude}
+        own, known = (co.integrate(system, **run) for system in (OwnBody(), KNOWN))
         assert np.array_equal(own.x, known.x) and np.array_equal(own.energy, known.energy)
         assert attitude is False or np.array_equal(own.attitude, known.attitude)
     own = OwnBody()
     own.algebra = None
     with refused(ValueError, "own body", "Lie algebra"):
         co.integrate(own, (0.1, 1.0, 0.1), (0, 1), 0.1, co.Splitting())
-    own = OwnBody()
-    # Attributes of these names are not those of forces and batches.
-    own.system, own.systems = "of units", ("SI", "CGS")
-    run = co.integrate(own, (0.1, 1.0, 0.1), (0, 1), 0.1, co.Splitting(order=4))
-    assert run.to_xarray()["component"].values.tolist() == ["x1", "x2", "x3"]
-
-
-RNG = np.random.default_rng(20)
 
 
 class SkewMatrices:
