@@ -244,9 +244,7 @@ def test_what_is_given_and_returned_is_copied():
     wanted = {key: dict(value) for key, value in wanted.items()}
     system = co.LiePoissonSystem(so3, co.Quadratic([1.0, 1.0, 2.0]), **given)
     some = {key: given[key] for key in ("casimirs", "parameters")}
-    J = co.PoissonSystem(
-        so3.structure_matrix, co.Quadratic(1.0), dim=3, **{k: given[k] for k in ("casimirs", "parameters")}
-    )
+    J = co.PoissonSystem(so3.structure_matrix, co.Quadratic(1.0), dim=3, **some)
     for mapping in given.values():
         mapping.clear()
     for one in (system, J):

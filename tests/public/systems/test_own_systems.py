@@ -10,6 +10,7 @@ import coadjoint as co
 from refusals import refused
 
 FunctionTerm = co.systems.FunctionTerm
+RNG = np.random.default_rng(20)
 KNOWN = co.systems.rigid_body(inertia=(1, 2, 3))
 
 

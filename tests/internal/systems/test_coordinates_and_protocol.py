@@ -1,4 +1,4 @@
-"""Groups of coordinates: the finest sets between successive ideals that basis elements span, and their names."""
+"""Names and groups of coordinates, and what callers ask of any system: forced, in a batch, of matrices or own."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,8 @@ from scipy.sparse.csgraph import connected_components
 
 import coadjoint as co
 from coadjoint.algebra.exact.components import strongly_connected
-from coadjoint.systems.coordinates import CoordinateGroups
-from coadjoint.systems.registry import gallery_systems
+from coadjoint.systems import protocol
+from coadjoint.systems.coordinates import CoordinateGroups, coordinate_names
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -86,7 +86,7 @@ def test_in_a_random_basis_all_are_one_group(name, seed):
     assert list(groups(co.LiePoissonSystem(co.LieAlgebra(mixed), co.Quadratic(np.ones(n))))) == ["x"]
 
 
-@pytest.mark.parametrize("name", gallery_systems())
+@pytest.mark.parametrize("name", co.systems.names())
 def test_names_are_unique_and_norms_those_of_the_coordinates(name):
     system = co.systems.get(name)
     found = CoordinateGroups(system)
@@ -94,3 +94,79 @@ def test_names_are_unique_and_norms_those_of_the_coordinates(name):
     x = np.random.default_rng(1).normal(size=(2, 4, system.dim))
     expected = [np.linalg.norm(x[..., found.labels == g], axis=-1) for g in range(found.count)]
     np.testing.assert_allclose(found.norms(x), np.stack(expected, axis=-1), rtol=1e-14)
+
+
+BODY = co.systems.rigid_body(inertia=(1, 2, 3))
+DAMPED = BODY.with_forces(co.forces.LinearDamping(0.1), co.forces.Torque((0, 0, 0.2)))
+FLUID = co.systems.sphere_euler(N=3)
+
+
+class OwnBody:
+    """A class with the interface of `GeneralSystem` alone."""
+
+    name, sign, representation = "own body", -1, None
+    algebra, hamiltonian, casimirs = BODY.algebra, BODY.hamiltonian, BODY.casimirs
+    dim = 3
+
+    def vector_field(self, x, t=0.0):
+        return BODY.vector_field(x, t)
+
+    def energy(self, x, t=0.0):
+        return BODY.energy(x, t)
+
+
+def test_members():
+    bodies = co.batch([co.systems.rigid_body(inertia=(1, 2, third)) for third in (2.5, 2.75, 3)])
+    assert protocol.is_batch(bodies) and not protocol.is_batch(BODY)
+    assert protocol.members_of(bodies) == bodies.systems and protocol.members_of(BODY) == (BODY,)
+    assert [protocol.member_of(bodies, m) for m in range(3)] == list(bodies)
+    assert protocol.member_of(BODY, 2) is BODY
+    assert protocol.among(bodies, 1, 3).systems == bodies.systems[1:] and protocol.among(DAMPED, 1, 3) is DAMPED
+    noisy = BODY.with_forces(co.forces.HeatBath(0.1, temperature=0.2, seed=1))
+    assert [force.stream for _, force in protocol.forces_of(protocol.among(noisy, 2, 3))] == [2]
+
+
+def test_forces():
+    assert [label for label, _ in protocol.forces_of(DAMPED)] == ["LinearDamping", "Torque"]
+    assert [force for _, force in protocol.forces_of(co.batch([DAMPED, DAMPED]))] == list(DAMPED.forces)
+    assert protocol.unforced(DAMPED) is protocol.unforced(co.batch([DAMPED, DAMPED])) is BODY
+    own = OwnBody()
+    assert protocol.unforced(own) is own and protocol.forces_of(own) == protocol.forces_of(FLUID) == ()
+
+
+def test_states():
+    rows = np.arange(36.0).reshape(2, 18)
+    assert np.array_equal(protocol.states_of(FLUID, rows), FLUID.from_vector(rows))
+    assert np.array_equal(protocol.states_of(FLUID.in_numbers, rows), rows)
+    assert np.array_equal(protocol.states_of(co.batch([DAMPED, DAMPED]), rows.reshape(2, 6, 3)), rows.reshape(2, 6, 3))
+    own = OwnBody()
+    own.dim, own.shape = 9, (3, 3)
+    assert np.array_equal(protocol.states_of(own, rows.reshape(4, 9)), rows.reshape(4, 3, 3))
+    assert protocol.coordinates_of(own) == tuple(f"x{i}" for i in range(1, 10)) and protocol.coordinates_of(FLUID) == ()
+    assert not protocol.is_matrix_system(own) and protocol.is_matrix_system(FLUID.in_numbers)
+    drag = FLUID.with_forces(co.forces.LinearDamping(0.1))
+    assert protocol.unforced_matrix_system(drag) is protocol.unforced_matrix_system(FLUID) is FLUID
+    assert protocol.unforced_matrix_system(own) is None and protocol.coordinates_of(drag) == ()
+
+
+def test_attributes_of_own_systems_are_not_those_of_forces_and_batches():
+    own = OwnBody()
+    own.system, own.systems = "of units", ("SI", "CGS")
+    assert protocol.coordinates_of(own) == coordinate_names(own) == ("x1", "x2", "x3")
+    assert coordinate_names(co.batch([DAMPED, DAMPED])) == coordinate_names(BODY)
+
+
+def test_names_of_coordinates():
+    assert coordinate_names(co.systems.spin_lattice("chain", 3), 9)[3:8] == tuple(
+        f"S{axis}[{site}]" for site, axis in ((2, 1), (2, 2), (2, 3), (3, 1), (3, 2))
+    )
+    assert coordinate_names(co.systems.so_n_body((1, 2, 3, 4)), 6) == ("x12", "x13", "x14", "x23", "x24", "x34")
+    # Without names of its own a system has those of the basis, of which only e1, e2, ... are changed.
+    assert coordinate_names(co.systems.so_n_body((1, 2, 3)), 3) == ("x1", "x2", "x3")
+    g = co.LieAlgebra.from_brackets(3, {(0, 1): {2: 1.0}}, basis=("e1", "re2", "e"))
+    own = co.LiePoissonSystem(g, co.Quadratic(1.0))
+    assert coordinate_names(own, 3) == ("x1", "re2", "e")
+    for count in (2, 4):
+        assert coordinate_names(own, count) == tuple(f"x{k + 1}" for k in range(count))
+    curved = co.PoissonSystem(lambda x: x[0] * np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 1.0]))
+    assert coordinate_names(curved, 2) == ("x1", "x2")
