@@ -7,9 +7,9 @@ from pathlib import Path
 import mpmath as mp
 import numpy as np
 import pytest
+from bonds_and_spins import bonds, by_hand, energy_by_hand, has_closed_form
 from brackets import bracket, rational_points
 from scipy.integrate import solve_ivp
-from bonds_and_spins import bonds, by_hand, energy_by_hand, has_closed_form
 
 import coadjoint as co
 import refusals
