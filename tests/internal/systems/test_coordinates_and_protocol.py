@@ -23,16 +23,6 @@ def test_strong_components_are_those_of_scipy(seed):
         assert strongly_connected(size, first, second).tolist() == smallest
 
 
-def test_strong_components_of_long_chains_take_no_longer_than_their_length():
-    """A chain of 3000 nodes, and one of 2000 cycles of three nodes, in both directions."""
-    k = np.arange(2999)
-    assert strongly_connected(3000, k, k + 1).tolist() == list(range(3000))
-    k = 3 * np.arange(2000)
-    first, second = np.concatenate([k, k + 1, k + 2, k[1:]]), np.concatenate([k + 1, k + 2, k, k[:-1]])
-    for a, b in ((first, second), (second, first)):
-        np.testing.assert_array_equal(strongly_connected(6000, a, b), np.repeat(k, 3))
-
-
 def groups(system):
     found = CoordinateGroups(system)
     return dict(zip(found.names(), np.bincount(found.labels).tolist(), strict=True))
@@ -115,25 +105,6 @@ class OwnBody:
         return BODY.energy(x, t)
 
 
-def test_members():
-    bodies = co.batch([co.systems.rigid_body(inertia=(1, 2, third)) for third in (2.5, 2.75, 3)])
-    assert protocol.is_batch(bodies) and not protocol.is_batch(BODY)
-    assert protocol.members_of(bodies) == bodies.systems and protocol.members_of(BODY) == (BODY,)
-    assert [protocol.member_of(bodies, m) for m in range(3)] == list(bodies)
-    assert protocol.member_of(BODY, 2) is BODY
-    assert protocol.among(bodies, 1, 3).systems == bodies.systems[1:] and protocol.among(DAMPED, 1, 3) is DAMPED
-    noisy = BODY.with_forces(co.forces.HeatBath(0.1, temperature=0.2, seed=1))
-    assert [force.stream for _, force in protocol.forces_of(protocol.among(noisy, 2, 3))] == [2]
-
-
-def test_forces():
-    assert [label for label, _ in protocol.forces_of(DAMPED)] == ["LinearDamping", "Torque"]
-    assert [force for _, force in protocol.forces_of(co.batch([DAMPED, DAMPED]))] == list(DAMPED.forces)
-    assert protocol.unforced(DAMPED) is protocol.unforced(co.batch([DAMPED, DAMPED])) is BODY
-    own = OwnBody()
-    assert protocol.unforced(own) is own and protocol.forces_of(own) == protocol.forces_of(FLUID) == ()
-
-
 def test_states():
     rows = np.arange(36.0).reshape(2, 18)
     assert np.array_equal(protocol.states_of(FLUID, rows), FLUID.from_vector(rows))
@@ -154,19 +125,3 @@ def test_attributes_of_own_systems_are_not_those_of_forces_and_batches():
     own.system, own.systems = "of units", ("SI", "CGS")
     assert protocol.coordinates_of(own) == coordinate_names(own) == ("x1", "x2", "x3")
     assert coordinate_names(co.batch([DAMPED, DAMPED])) == coordinate_names(BODY)
-
-
-def test_names_of_coordinates():
-    assert coordinate_names(co.systems.spin_lattice("chain", 3), 9)[3:8] == tuple(
-        f"S{axis}[{site}]" for site, axis in ((2, 1), (2, 2), (2, 3), (3, 1), (3, 2))
-    )
-    assert coordinate_names(co.systems.so_n_body((1, 2, 3, 4)), 6) == ("x12", "x13", "x14", "x23", "x24", "x34")
-    # Without names of its own a system has those of the basis, of which only e1, e2, ... are changed.
-    assert coordinate_names(co.systems.so_n_body((1, 2, 3)), 3) == ("x1", "x2", "x3")
-    g = co.LieAlgebra.from_brackets(3, {(0, 1): {2: 1.0}}, basis=("e1", "re2", "e"))
-    own = co.LiePoissonSystem(g, co.Quadratic(1.0))
-    assert coordinate_names(own, 3) == ("x1", "re2", "e")
-    for count in (2, 4):
-        assert coordinate_names(own, count) == tuple(f"x{k + 1}" for k in range(count))
-    curved = co.PoissonSystem(lambda x: x[0] * np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 1.0]))
-    assert coordinate_names(curved, 2) == ("x1", "x2")

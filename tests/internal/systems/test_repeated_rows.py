@@ -9,8 +9,6 @@ from coadjoint.program.actions import build_action
 from coadjoint.program.copied_actions import copied_action
 from coadjoint.program.generators import BasisMatrices
 from coadjoint.program.parts.decompose import decompose
-from coadjoint.program.parts.part import Parts
-from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.systems.hamiltonians import repeated_rows as rows
 from coadjoint.systems.hamiltonians.terms import RepeatedTerm
 from coadjoint.systems.lattices import coupling_matrix
@@ -88,20 +86,6 @@ def test_matrix_is_that_of_the_couplings(name):
     assert np.all(np.abs(lattice(name).hamiltonian.gradient(x) - expected @ x - term.linear) <= 1e-14 * (1 + scale))
 
 
-def test_matrix_given_as_such_is_searched_for_shapes():
-    M = matrix_by_hand("square", (40, 41), periodic=True)
-    (term,) = co.Quadratic(M).terms()
-    assert isinstance(term, RepeatedTerm)
-    for mine, theirs in ((term.indptr, M.indptr), (term.indices, M.indices), (term.values, M.data)):
-        np.testing.assert_array_equal(mine, theirs)
-
-
-def test_different_shapes_with_one_hash_are_not_confused(monkeypatch):
-    monkeypatch.setattr(rows, "_mixed", np.zeros_like)
-    (term,) = lattice("open").hamiltonian.terms()
-    assert not isinstance(term, RepeatedTerm)
-
-
 @pytest.mark.parametrize("name", [name for name in LATTICES if name not in (*EXPLICIT, "directed", "only on site")])
 @pytest.mark.parametrize("options", [{}, {"compensated": True}], ids=["plain", "compensated"])
 def test_runs_have_the_bits_of_explicit_rows(name, options, monkeypatch):
@@ -129,17 +113,6 @@ def test_members_and_partial_steps_have_the_bits_of_explicit_rows(monkeypatch):
         assert np.array_equal(runs[0].energy, runs[1].energy)
 
 
-def test_batches_read_explicit_rows():
-    """Members of a batch have constants of their own, which are no constants of shapes."""
-    systems = [co.systems.spin_lattice("chain", 1500, exchange=J) for J in (1.0, 2.0)]
-    x0 = np.random.default_rng(5).standard_normal((2, systems[0].dim))
-    together = co.integrate(co.batch(systems), x0, (0.0, 0.2), 0.05, co.Splitting(), watch=False)
-    for member, system in enumerate(systems):
-        alone = co.integrate(system, x0[member], (0.0, 0.2), 0.05, co.Splitting(), watch=False)
-        assert np.array_equal(alone.x, together.x[:, member])
-        assert np.array_equal(alone.energy, together.energy[:, member])
-
-
 @pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (1.0, 0.0, 1.0)])
 def test_actions_of_copies_are_those_of_all_blocks(axes):
     system = co.systems.spin_lattice("ring", 2100, tensor=axes)
@@ -150,15 +123,6 @@ def test_actions_of_copies_are_those_of_all_blocks(axes):
     for name, column in copied._asdict().items():
         np.testing.assert_array_equal(column, getattr(expected, name), name)
         assert np.asarray(column).dtype == np.asarray(getattr(expected, name)).dtype
-
-
-def test_actions_with_planes_in_common_are_those_of_all_blocks():
-    """All components of a spin in a part do not commute, and many parts are no runs of rotations."""
-    algebra = co.algebras.copies(co.algebras.so(3), 1500)
-    units, count = SparseRows.units(np.arange(4500)), 4500
-    for rows_of_parts in (np.array([0, count]), np.arange(count + 1)):
-        parts = Parts.linear(units, np.zeros(count), SparseRows.empty(count), rows_of_parts)
-        assert copied_action(algebra, parts) is None
 
 
 def arrays_in(item, found):

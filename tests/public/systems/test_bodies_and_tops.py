@@ -113,21 +113,6 @@ def test_tops_in_40_digits(name):
         assert min(abs(abs(factor) - known) for known in (0.5, 1, 2)) < 1e-13
 
 
-def test_a_top_that_swings_in_a_plane_is_a_pendulum():
-    """With m and the axis of the swing along e1: I theta'' = -w sin theta, theta from the lowest point, sn of scipy."""
-    inertia, w, amplitude, t = 2.0, 3.0, 1.2, 3.0
-    top = S.heavy_top((inertia, 1.0, 1.5), (0.0, 0.0, w))
-    k, rate = np.sin(amplitude / 2), np.sqrt(w / inertia)
-    sn, cn, _, _ = ellipj(rate * t, k**2)
-
-    # theta turns the body about e1; the lever along e3 hangs along -vertical where theta = 0.
-    def state(theta, speed):
-        return np.array([inertia * speed, 0, 0, 0, -np.sin(theta), -np.cos(theta)])
-
-    wanted = state(2 * np.arcsin(k * sn), 2 * rate * k * cn)
-    np.testing.assert_allclose(end_of(top, state(0.0, 2 * rate * k), t), wanted, rtol=0, atol=1e-13)
-
-
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("up", [1.0, -1.0])
@@ -338,20 +323,3 @@ def test_integrals_and_closed_forms_of_equal_moments(moments):
     tilted = np.diag(moments)
     tilted[0, 1] = tilted[1, 0] = 0.25
     assert S.kirchhoff_body(tilted, (1.0, 1.0, 1.0)).integrals == {}
-
-
-@pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize(
-    ("inertia", "rotors"), [((2, 2, 3), (0, 0, 0.7)), ((2, 2, 2), (0.3, -0.4, 0.8)), ((2, 2, 1), (0, 0, 0))]
-)
-def test_symmetric_gyrostats(order, inertia, rotors):
-    """The closed form carries A x, which is constant, and is the end of a run."""
-    inertia, k, x0 = turned(order, np.array(inertia, float), np.array(rotors, float), [1.0, 0.5, -0.7])
-    system = S.gyrostat(inertia, k)
-    first = S.rigid_body((1, 2, 3)).exact((0.3, 0.4, 0.5), 1.0, attitude=True)[1]
-    x, A = system.exact(x0, np.array([0.0, 1.3, 3.0]), attitude=first)
-    np.testing.assert_allclose(A @ x[..., None], np.broadcast_to((first @ x0)[:, None], (3, 3, 1)), rtol=0, atol=32 * U)
-    run = co.integrate(system, x0, (0.0, 3.0), 0.05, co.Splitting(order=6), attitude=first)
-    np.testing.assert_allclose(run.x[-1], x[-1], rtol=0, atol=1e-10)
-    np.testing.assert_allclose(run.attitude[-1], A[-1], rtol=0, atol=1e-10)
-    assert assert_integrals(system, list(system.integrals), rounded=rotors[1] != 0) >= 2 and len(system.integrals) == 1

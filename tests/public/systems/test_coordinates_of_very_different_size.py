@@ -127,20 +127,6 @@ def test_momentum_cross_velocity_moves_nothing(scheme: Any, ratio: float) -> Non
         assert np.abs(found[:, :3] - alone).max() < 200 * 16 * 2.0**-53
 
 
-def test_backward_and_with_a_group_element() -> None:
-    mass, inertia = BODIES["3U CubeSat"]
-    system, scheme, x0 = co.systems.satellite(inertia, mass, GRAVITY), co.Splitting(order=4), released(mass, inertia)
-    sol = co.integrate(system, x0, (0, 3000), 15.0, scheme, attitude=True)
-    assert np.array_equal(sol.x, co.integrate(system, x0, (0, 3000), 15.0, scheme).x)
-    back = co.integrate(system, sol.x[-1], (3000, 0), 15.0, scheme).x[-1]
-    for group in (slice(3), slice(3, 6), slice(6, 9)):
-        assert np.abs(back[group] - x0[group]).max() < 1e-12 * np.abs(x0[group]).max()
-    A, L, p, r = sol.attitude[:, 1:4, 1:4], sol.x[:, :3], sol.x[:, 3:6], sol.x[:, 6:9]
-    in_space = np.einsum("tij,tj->ti", A, r)
-    assert np.abs(np.linalg.norm(in_space, axis=1) - RADIUS).max() < 1e-5 * RADIUS
-    assert np.ptp(np.einsum("tij,tj->ti", A, L + np.cross(r, p)), axis=0).max() < 1e-12 * mass * RADIUS**2 * RATE
-
-
 @pytest.mark.parametrize(
     "function",
     [

@@ -95,27 +95,6 @@ def test_every_pattern_after_every_other(first, other):
     assert_by_hand(system_of(("chain", 3, False), *values), 1, bonds_of("chain", 3, False), *values)
 
 
-@pytest.mark.parametrize("strengths", [(1.0, 1.0, 1.0), (1.0, -0.5, 0.25)], ids=["equal", "different"])
-def test_kitaev_honeycomb(strengths):
-    """Bonds of each direction couple one component: the field of a spin has one component of each neighbour."""
-    edges, sites = bonds_of("honeycomb", (3, 3), True), 18
-    cells = (edges // 2).T
-    steps = np.array(np.unravel_index(cells[1], (3, 3))) - np.unravel_index(cells[0], (3, 3))
-    kinds = np.unique(steps % 3, axis=1, return_inverse=True)[1].ravel()
-    assert np.bincount(kinds).tolist() == [9, 9, 9]
-    tensor = np.zeros((len(edges), 3, 3))
-    tensor[np.arange(len(edges)), kinds, kinds] = np.array(strengths)[kinds]
-    system, S = spin_lattice("honeycomb", (3, 3), True, tensor=tensor), np.random.default_rng(2).normal(size=(sites, 3))
-    seen = np.zeros((sites, 3))
-    for (i, j), kind in zip(edges, kinds, strict=True):
-        seen[i, kind] += strengths[kind] * S[j, kind]
-        seen[j, kind] += strengths[kind] * S[i, kind]
-    wanted = np.cross(S, seen).ravel()
-    # One product per component, so three roundings.
-    np.testing.assert_allclose(system.vector_field(S.ravel()), wanted, rtol=0, atol=8 * UNIT_ROUNDOFF * np.max(S**2))
-    assert system.integrals == {} and not has_closed_form(system)
-
-
 @pytest.mark.thinned(4)
 @pytest.mark.parametrize("lattice", LATTICES)
 @pytest.mark.parametrize("kind", ["none", "J", "T", "D", "K", "B"])

@@ -226,17 +226,6 @@ def test_runs_and_their_derivatives_are_those_of_given_functions(form, given):
         np.testing.assert_allclose(ours, expected, rtol=1e-12, atol=1e-13)
 
 
-def test_pieces_of_a_splitting():
-    jnp = pytest.importorskip("jax.numpy")
-    pieces = [((0,), lambda y: jnp.cosh(y[0])), ((2,), lambda y: y[0] ** 4)]
-    ours = co.SplitHamiltonian([(k, co.Hamiltonian(f)) for k, f in pieces])
-    exact = co.Separable({0: (np.cosh, np.sinh, np.cosh), 2: (lambda y: y**4, lambda y: 4 * y**3, lambda y: 12 * y**2)})
-    for method in (co.Splitting(order=4), co.GaussLegendre(2)):
-        results = [runs(H, SO3, X0[:3], method) for H in (ours, exact)]
-        for one, other in zip(*results, strict=True):
-            np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-13)
-
-
 def test_functions_of_time():
     jnp = pytest.importorskip("jax.numpy")
     import jax
@@ -252,16 +241,6 @@ def test_functions_of_time():
     for H in (co.Hamiltonian(driven), in_jax):
         for ours, exact in zip(runs(H, SO3, X0[:3]), reference, strict=True):
             np.testing.assert_allclose(ours, exact, rtol=1e-12, atol=1e-13)
-
-
-def test_representation_names_the_rule():
-    jnp = pytest.importorskip("jax.numpy")
-    assert "recorded operations" in repr(co.Hamiltonian(value).bind(6))
-    assert "by JAX" in repr(co.Hamiltonian(lambda x: jnp.sum(x)).bind(2))
-    assert "derivatives" not in repr(co.Hamiltonian(value, gradient).bind(6))
-    assert "derivatives" not in repr(co.Hamiltonian(value))
-    np.testing.assert_array_equal(co.Hamiltonian(value).gradient(X0), co.Hamiltonian(value).bind(6).gradient(X0))
-    np.testing.assert_array_equal(co.Hamiltonian(value).hessian(X0), co.Hamiltonian(value).bind(6).hessian(X0))
 
 
 def test_functions_that_jax_refuses():

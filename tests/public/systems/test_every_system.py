@@ -315,18 +315,6 @@ def test_group_elements_of_closed_forms(name):
         system.exact(x0, 1.0, attitude=np.eye(d + 1))
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_no_closed_form_is_refused_by_the_name(name):
-    """And the description says which systems have one."""
-    system = EVERY[name]
-    if hasattr(system, "shape"):
-        return
-    solved = {one.name for one, _ in SOLVED.values()}
-    if name not in solved:
-        with refused(TypeError, "closed form", name):
-            system.exact(start_of(system), 1.0)
-
-
 def value_of(formula, names, x):
     """Evaluate a formula in named coordinates; any other word in it is an error."""
     longest_first = sorted(range(len(names)), key=lambda k: -len(names[k]))

@@ -240,20 +240,6 @@ def test_torques_are_functions_of_matrices():
             assert size < 1e-9 * np.abs(wanted).max()
 
 
-def test_flows_of_ones_own_are_those_of_matrices():
-    """In Python, where states are vectors, as in the compiled loops; not linear, and dependent on time."""
-
-    def flow(W, t, tau):
-        return W / (1 + tau * (1 + t) * np.abs(np.trace(W @ W)))
-
-    for s in (SPHERES[0], TORUS):
-        own, W = some.OwnForce(flow, name="drag"), random_matrix(s)
-        x = s.to_vector(W)
-        np.testing.assert_allclose(s.from_vector(own.flow(s, x, 0.7, 0.25)), flow(W, 0.7, 0.25), rtol=0, atol=1e-14)
-        slope = s.from_vector(own.field(s, x, 0.7))
-        np.testing.assert_allclose(slope, -1.7 * np.abs(np.trace(W @ W)) * W, rtol=0, atol=1e-6 * np.abs(slope).max())
-
-
 @pytest.mark.thinned(1)
 @FLUIDS
 def test_derivatives_of_flows_are_those_of_linear_maps(s):
@@ -269,20 +255,6 @@ def test_derivatives_of_flows_are_those_of_linear_maps(s):
         start = force.flow(s, x, 0.7, 0.25)
         changes = np.array([force.flow(s, x + y, 0.7, 0.25) - start for y in moved])
         np.testing.assert_allclose(moved @ matrix.T, changes, rtol=0, atol=1e-12 * np.abs(moved).max())
-
-
-@pytest.mark.long
-def test_functions_of_matrices_run_as_what_they_say():
-    s, F = SPHERES[0], one_degree(SPHERES[0])
-    pushed = s.with_forces(some.Torque(lambda t: np.cos(t) * F))
-    assert np.abs(last(pushed, 0 * F, 2, 0.25) - np.sin(2.0) * F).max() < 1e-13
-    W = 0.3 * random_matrix(s)
-    damped = last(s.with_forces(some.LinearDamping(0.3)), W, 1, 0.125)
-    by_state = last(s.with_forces(some.Torque(lambda x, t: -0.3 * x + 0.0 * t)), W, 1, 0.125)
-    # The step of a torque of the state is of order four: its error is the next term of the exponential.
-    assert np.abs(by_state - damped).max() < 16 * (0.3 * 0.0625) ** 5 / 120 + 1e-14
-    own = some.OwnForce(lambda x, t, tau: np.exp(-0.3 * tau) * x, name="drag")
-    assert np.abs(last(s.with_forces(own), W, 1, 0.125) - damped).max() < 1e-14
 
 
 def test_records_make_the_run_again():

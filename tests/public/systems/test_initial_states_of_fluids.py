@@ -27,18 +27,6 @@ def integral(s, field):
     return 2 * np.pi * np.sum(coefficients[k] * 2 / (1.0 - k**2))
 
 
-@fluids
-def test_a_random_field_has_the_spectrum_that_is_asked_for(s):
-    W = s.random(11, spectrum=lambda l: l**-2.0, degrees=(3, 9))
-    degree, energy = s.energy_spectrum(W)
-    wanted = np.where((degree >= 3) & (degree <= 9), degree**-2.0, 0.0)
-    assert np.abs(energy - wanted).max() < 1e-13
-    assert s.energy_spectrum(s.random(11, degrees=(2, 5), energy=0.25))[1].sum() == pytest.approx(0.25, rel=1e-12)
-    assert s.enstrophy_spectrum(s.random(11, degrees=(2, 5), enstrophy=3.0))[1].sum() == pytest.approx(3.0, rel=1e-12)
-    other = s.random(12, spectrum=lambda l: l**-2.0, degrees=(3, 9))
-    assert np.abs(other - W).max() > 0.1 * np.abs(s.relative(W)).max()
-
-
 @pytest.mark.thinned(4)
 @fluids
 @pytest.mark.parametrize("lead", [(0,), (1,), (2, 3), (2, 0)])

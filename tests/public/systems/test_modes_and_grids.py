@@ -83,14 +83,6 @@ def test_coarser_and_finer_grids_keep_what_they_resolve():
     assert max(degrees) == 4  # of six rows
 
 
-def test_leading_axes():
-    W = np.stack([SPHERE.random(1), SPHERE.random(2)])[:, None]
-    field = SPHERE.to_grid(W)
-    assert field.shape == (2, 1, N + 1, 2 * N)
-    assert np.abs(field[1, 0] - SPHERE.to_grid(W[1, 0])).max() < 1e-13
-    assert np.abs(SPHERE.from_grid(field) - W).max() < 1e-12 * np.abs(W).max()
-
-
 @pytest.mark.parametrize("shape", [None, (12, 20), (5, 4), (1, 3), (16, 9)])
 def test_values_are_sums_of_waves(shape):
     W = TORUS.random(3, degrees=(1, N // 2))

@@ -81,23 +81,6 @@ def test_algebra_of_degree_4_and_2():
     assert system_of(2).casimirs["emittance^2"] == co.Polynomial({(1, 0, 1): 1, (0, 2, 0): -1})
 
 
-@pytest.mark.parametrize("degree", [2, 4, 6])
-def test_moments_move_as_the_particles_do(degree):
-    """d<q^i p^j>/dt = <i q^(i-1) p^(j+1) - j q^i p^(j-1) W'(q)>, where no moment above the degree comes in."""
-    q, p = cloud(degree)
-    coefficients = np.random.default_rng(1).standard_normal(degree // 2)
-    text = " + ".join(f"{c!r}*x{2 * k}0" for k, c in enumerate(coefficients.tolist(), 1)).replace("+ -", "- ")
-    system = vlasov_moments(degree, text)
-    force = -sum(2 * k * c * q ** (2 * k - 1) for k, c in enumerate(coefficients, 1))
-    field = system.vector_field(moments_of(q, p, degree))
-    for k, (i, j) in enumerate(powers_of(degree)):
-        if i + j == 2:
-            rate = np.mean(i * q ** max(i - 1, 0) * p ** (j + 1) + j * q**i * p ** max(j - 1, 0) * force)
-            assert field[k] == pytest.approx(rate, rel=1e-12)
-    energy = np.mean(p**2 / 2 + sum(c * q ** (2 * k) for k, c in enumerate(coefficients, 1)))
-    assert system.energy(moments_of(q, p, degree)) == pytest.approx(energy, rel=1e-13)
-
-
 def test_field_by_hand():
     system = vlasov_moments(4, "1/2*x20 + 0.1*x20^2 + 1/4*x40 + 0.05*x20*x40")
     x = np.random.default_rng(3).standard_normal(8)
@@ -259,37 +242,6 @@ def test_particles_by_hand(count):
             mixed.exact(x, 1.0)
     assert "H in 2 parts" in str(co.Splitting().describe(system))
     assert next(iter(system.casimirs)) == "z" and len(system.casimirs) == count + 1
-
-
-@pytest.mark.long
-def test_functions_are_compiled():
-    def gauss(r):
-        return np.exp(-r * r)
-
-    def first(r):
-        return -2 * r * np.exp(-r * r)
-
-    def second(r):
-        return (4 * r * r - 2) * np.exp(-r * r)
-
-    def third(r):
-        return (12 * r - 8 * r**3) * np.exp(-r * r)
-
-    w = np.array([1.0, 0.5, 0.25])
-    system = decorated_particles(w, (0.0,), (gauss, first, second, third))
-    x0 = canonical_state([-1.0, 0.2, 0.9], [0.2, 0.1, -0.3], [0.1, 0.0, 0.1, 0.2, 0.1, 0.2, 0.1, -0.05, 0.3])
-    exact = co.integrate(system, x0, (0, 1), 1 / 32, co.GaussLegendre(stages=6)).x[-1]
-    ends = [co.integrate(system, x0, (0, 1), h, co.Splitting()).x[-1] for h in (0.1, 0.05)]
-    coarse, fine = (np.abs(end - exact).max() for end in ends)
-    assert 3.5 < coarse / fine < 4.5
-    run = co.integrate(system, x0, (0, 1), 0.1, co.Splitting(), observe=system.integrals)
-    assert list(system.integrals) == ["total momentum"]
-    assert max(value for name, value in run.drift().items() if name != "energy") < 1e-14
-    wrong = (gauss, first, first, third)
-    with refused(ValueError, "pair[2]", "pair[1]"):
-        decorated_particles(w, (0.0,), wrong)
-    with refused(ValueError, "pair", "even"):
-        decorated_particles(w, (0.0,), (np.sin, np.cos, lambda r: -np.sin(r), lambda r: -np.cos(r)))
 
 
 def test_integrals_of_particles():

@@ -331,9 +331,3 @@ def test_the_stream_of_the_kernels(N):
     # Its rounding, and that of the products, moves with the increment.
     assert np.abs(found - method.step(system, W, 0.0, 0.02)).max() < 64 * np.sqrt(N) * UNIT_ROUNDOFF * np.abs(W).max()
     assert moved > 1e-4 * np.abs(W).max()
-
-
-def test_modes_there_and_back():
-    system = co.systems.torus_euler(N=7)
-    W = smooth(system, 2)
-    assert np.abs(system.from_modes(system.modes(W)) - W).max() < 1e-14

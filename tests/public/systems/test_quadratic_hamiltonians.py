@@ -30,26 +30,6 @@ def test_forms_of_m_agree():
         assert H.value(x) == pytest.approx(0.5 * np.sum(diagonal * x**2), rel=8 * U * n)
 
 
-@pytest.mark.parametrize(
-    "sparse", [np.asarray, scipy.sparse.csr_array, scipy.sparse.coo_matrix, scipy.sparse.csc_array]
-)
-def test_full_m_with_linear_part(sparse):
-    n = 6
-    M, b = random_symmetric(n), np.random.default_rng(3).standard_normal(n)
-    M[0, 3] = M[3, 0] = 0.0
-    x = np.random.default_rng(4).standard_normal(n)
-    H = co.Quadratic(sparse(M), linear=b, constant=2.0)
-    size = np.abs(M) @ np.abs(x) + np.abs(b)
-    assert np.all(np.abs(H.gradient(x) - (M @ x + b)) <= 2 * (n + 2) * U * size)
-    assert abs(H.value(x) - (x @ M @ x / 2 + b @ x + 2)) <= 4 * (n + 2) * U * (size @ np.abs(x) + 2)
-    np.testing.assert_array_equal(H.hessian(x), M)
-    (term,) = H.terms()
-    assert (0, 3) not in set(zip(term.rows.tolist(), term.indices.tolist(), strict=True))
-    again = scipy.sparse.csr_array((term.values, term.indices, term.indptr), shape=(n, n))
-    np.testing.assert_array_equal(again.toarray(), M)
-    assert again.has_sorted_indices
-
-
 @pytest.mark.parametrize("kind", [scipy.sparse.coo_array, scipy.sparse.csr_array, scipy.sparse.csc_array])
 def test_sparse_entries_in_any_order_with_duplicates_and_zeros(kind):
     """Entries at one place are added; zeros, stored or by cancellation, are left out; the given matrix is unchanged."""
@@ -131,18 +111,6 @@ def test_the_constant_stays_in_every_form_of_m(M, constant):
     assert co.integrate(system, x, (0.0, 1.0), 0.5).energy[0] == x @ x - 3.25
 
 
-def test_polynomial_of_degree_two():
-    p = co.Polynomial({(2, 0, 0): Fraction(1, 3), (0, 1, 1): -1, (0, 0, 1): 4, (0, 0, 0): 7})
-    H = co.Quadratic.from_polynomial(p)
-    x = np.array([Fraction(1, 2), Fraction(3), Fraction(-5, 4)], dtype=object)
-    assert H.value(x) == p(x)
-    assert H.gradient(x).tolist() == p.gradient(x).tolist()
-    assert H.hessian(x).tolist() == p.hessian(x).tolist()
-    assert H.terms()[0].constant == 7.0
-    with refused(ValueError, "degree 3"):
-        co.Quadratic.from_polynomial(co.Polynomial({(3,): 1.0}))
-
-
 NUMBERS = {"float": 0.1, "whole": 3, "fraction": Fraction(1, 3)}
 
 
@@ -174,14 +142,6 @@ def test_a_million_coordinates_stay_sparse():
     assert H.value(np.ones(n)) == 1.0
     assert H.terms()[0].values.size == 3 * n - 2
     assert "nonzero" in repr(H)
-
-
-def test_repr():
-    assert repr(co.Quadratic([1.0, 2.0])) == "Quadratic([1.0, 2.0])"
-    assert repr(co.Quadratic(2.0)) == "Quadratic(2.0)"
-    assert repr(co.Quadratic([[1.0, 0.5], [0.5, 1.0]], [1.0, 0.0])) == (
-        "Quadratic([[1.0, 0.5], [0.5, 1.0]], linear=[1.0, 0.0])"
-    )
 
 
 def sparse_symmetric(n, seed, density=0.35):
@@ -241,19 +201,6 @@ def test_constants_of_numbers_of_fractions_and_of_pieces():
     assert odd(x) == Fraction(3, 2) * third**2 - 2 * third
     whole = co.Quadratic(np.array([[3, 1], [1, Fraction(1, 2)]], dtype=object)).to_polynomial()
     assert whole(x) == Fraction(3, 2) * third**2 - 2 * third + 1
-
-
-def test_sparse_matrices_that_are_given_stay_as_they_are():
-    """With duplicates and stored zeros, of real numbers of any type; complex ones are refused."""
-    for kind in (np.float64, np.float32, np.int32):
-        M = scipy.sparse.csr_array((np.array([1, 2, 3, 0, 3, 5], kind), [0, 0, 1, 2, 0, 2], [0, 4, 5, 6]), shape=(3, 3))
-        parts = [part.copy() for part in (M.data, M.indices, M.indptr)]
-        H = co.Quadratic(M)
-        np.testing.assert_array_equal(H.hessian(np.ones(3)), [[3.0, 3.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 5.0]])
-        for now, before in zip((M.data, M.indices, M.indptr), parts, strict=True):
-            np.testing.assert_array_equal(now, before)
-        M.data[:] = 9
-        np.testing.assert_array_equal(H.gradient([0.0, 0.0, 1.0]), [0.0, 0.0, 5.0])
 
 
 @pytest.mark.parametrize(

@@ -213,18 +213,6 @@ def test_edges_that_go_around(lattice):
         assert {tuple(sorted(edge)) for edge in bonds(lattice, shape, around).tolist()} == near, around
 
 
-def test_each_spin_without_coupling_turns_about_its_own_field_at_all_times():
-    fields = np.array([[0.0, 0.0, 2.0], [1.0, -0.5, 0.25], [0.0, 0.0, 0.0]])
-    system, x0 = spin_lattice("chain", 3, exchange=0.0, field=fields), spins_of(3, 3)
-    t = np.array([0.0, 1.5, -0.75, 4.0])
-    found = system.exact(x0, t)
-    for k, time in enumerate(t):
-        turns = [np.array(rotation(B, time).tolist(), dtype=float) for B in fields]
-        wanted = np.concatenate([turn @ S for turn, S in zip(turns, x0.reshape(3, 3), strict=True)])
-        np.testing.assert_allclose(found[k], wanted, rtol=0, atol=1e-13)
-    np.testing.assert_array_equal(found[:, 6:], np.broadcast_to(x0[6:], (4, 3)))
-
-
 def test_equal_anisotropies_in_fields_of_each_site():
     """Spins of which all have the same squares have offsets of their own; by a scheme that completes none."""
     K = np.array([[0.3, 0.2, 0.1], [0.2, -0.4, 0.15], [0.1, 0.15, 0.25]])

@@ -161,41 +161,6 @@ def test_multiples_run_as_what_is_written_at_once(first, second):
             assert np.abs(half - expected).max() < np.abs(split - expected).max() / 8 < 64.0**-4
 
 
-class Own:
-    """A kind of the user, without arithmetic of its own."""
-
-    timed = False
-
-    def __init__(self, dim=None):
-        self.dim = dim
-
-    def bind(self, n):
-        return Own(n)
-
-    def value(self, x, t=0.0):
-        return x[0] ** 2
-
-    def gradient(self, x, t=0.0):
-        return np.array([2 * x[0], *np.zeros(len(x) - 1)])
-
-    def hessian(self, x, t=0.0):
-        return np.diag([2.0, *np.zeros(len(x) - 1)])
-
-    def terms(self):
-        return co.Quadratic(np.diag([2.0, *np.zeros(self.dim - 1)])).terms()
-
-
-def test_kinds_of_the_user_are_summands():
-    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]) + Own())
-    x = POINTS[0]
-    np.testing.assert_allclose(system.hamiltonian.gradient(x), [3 * x[0], x[1] / 2, x[2] / 4])
-    assert (Own() + KINDS["separable"]()).summands[1].timed is False
-    with refused(TypeError, "subtracted", "__neg__"):
-        co.Quadratic(1.0) - Own()
-    with refused(TypeError, "piece 0"):
-        2 * co.SplitHamiltonian([((0,), Own())])
-
-
 def test_a_polynomial_less_another_kind():
     P, H = co.Polynomial("x1^3 + x2", dim=3), KINDS["separable"]()
     x = POINTS[0]

@@ -125,36 +125,6 @@ def test_the_gradient_is_that_of_the_energy(kind):
         assert np.abs(s.structure_matrix(x) @ trace.gradient(x)).max() < 1e-14
 
 
-def of_diagonal(W):
-    """A slope on su(3) that is none beside it: of H = (a^2 + a^4/2 + b^2/2)/2, i a and i b the first two entries."""
-    P = np.zeros((3, 3), dtype=np.complex128)
-    a, b = W[0, 0].imag, W[1, 1].imag
-    P[0, 0], P[1, 1] = 1j * (a + a**3), 0.5j * b
-    mean = (P[0, 0] + P[1, 1]) / 3
-    for i in range(3):
-        P[i, i] -= mean
-    P[0, 1], P[1, 0] = W[0, 1], W[1, 0]
-    return P
-
-
-def of_diagonal_energy(W):
-    a, b = W[0, 0].imag, W[1, 1].imag
-    return (a**2 + a**4 / 2 + b**2 / 2) / 2 + np.abs(W[0, 1]) ** 2
-
-
-@pytest.mark.long
-def test_a_function_does_not_see_the_trace_of_stages():
-    """Else the step would be no Poisson map: the stages M of matrices of trace zero have a trace."""
-    s = co.MatrixSystem(G("su", 3), of_diagonal, energy=of_diagonal_energy)
-    seen = []
-    co.MatrixSystem(G("su", 3), lambda W: seen.append(np.trace(W)) or W).stream(np.eye(3) + 0j)
-    assert max(map(abs, seen)) < 1e-15
-    for method in (co.IsospectralGauss(1), co.IsospectralGauss(2)):
-        step, W = co.stepper(s, method, 0.1), 3.0 * state_of(s)
-        assert co.analysis.poisson_defect(step, W).defect < 1e-8  # by differences
-        assert np.abs(method.step(s, W, 0.0, 0.1) - step(W)).max() < 1e-14
-
-
 def test_stacks_are_taken_one_by_one():
     s = co.MatrixSystem(G("su", 3), lambda W: 0.5 * W, 0.1 * state_of(co.systems.sphere_euler(3)))
     W = np.stack([[state_of(s, seed) for seed in (1, 2, 3)], [state_of(s, seed) for seed in (4, 5, 6)]])

@@ -99,50 +99,6 @@ def test_alfven_waves_on_the_torus():
     assert np.abs(found - wanted).max() < 1e-5 * np.abs(wanted).max()
 
 
-@pytest.mark.parametrize("N", [2, 3])
-def test_against_the_semidirect_product(N):
-    """As a Lie-Poisson system of vectors, on su(N) and the space of its adjoint action."""
-    s = co.systems.reduced_mhd(N=N)
-    basis = basis_of_su(N)
-    c = np.real(np.einsum("iab,jbc,kac->ijk", basis, basis, basis.conj()))
-    c = c - np.swapaxes(c, 0, 1)
-    n = len(basis)
-    algebra = co.algebras.semidirect(co.LieAlgebra(c), np.swapaxes(c, 1, 2))
-
-    def gram(stream):
-        return np.array([[np.vdot(a, stream(b)).real for b in basis] for a in basis])
-
-    M = np.zeros((2 * n, 2 * n))
-    M[:n, :n], M[n:, n:] = -gram(s.stream), -gram(s.second_stream)
-    vectors = co.LiePoissonSystem(algebra, co.Quadratic((M + M.T) / 2), sign=-1)
-    X = random_state(s)
-
-    def coordinates(state):
-        return np.concatenate([np.einsum("iab,ab->i", basis.conj(), state[k]).real for k in (1, 0)])
-
-    assert np.abs(vectors.vector_field(coordinates(X)) - coordinates(s.vector_field(X))).max() < 1e-14
-    assert vectors.energy(coordinates(X)) == pytest.approx(s.energy(X), rel=1e-13)
-    found = last(s, X, 2, 1 / 16, co.IsospectralGauss(4))
-    wanted = co.integrate(vectors, coordinates(X), (0, 2), 1 / 16, co.GaussLegendre(4)).x[-1]
-    assert np.abs(coordinates(found) - wanted).max() < 1e-12
-
-
-def basis_of_su(N):
-    """Orthonormal, skew-Hermitian, of trace zero."""
-    found = []
-    for i in range(N):
-        for j in range(i):
-            for value in (1.0, 1j):
-                A = np.zeros((N, N), dtype=complex)
-                A[i, j], A[j, i] = value, -np.conj(value)
-                found.append(A / np.sqrt(2))
-    for k in range(1, N):
-        d = np.zeros(N)
-        d[:k], d[k] = 1.0, -k
-        found.append(1j * np.diag(d) / np.linalg.norm(d))
-    return np.array(found)
-
-
 def test_forces_on_the_layers():
     s, fluid = co.systems.reduced_mhd(N=6), co.systems.sphere_euler(N=6)
     method = co.IsospectralGauss(6)

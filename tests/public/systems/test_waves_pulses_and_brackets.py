@@ -304,35 +304,6 @@ def test_field_and_derivative():
     np.testing.assert_allclose(system.jacobian(ANY), np.transpose(shifts), rtol=0, atol=1e-9)  # u / h and h^2
 
 
-def test_jacobi_identity_and_casimirs_as_polynomials():
-    """In whole numbers, as polynomials: the bracket of every three coordinates, and of the Casimirs with each."""
-    x = [co.Polynomial.variable(i, 4) for i in range(4)]
-    j = (-3, 6, -3)  # of J = (2, 5, 8)
-    table = {(1, 0): j[0] * (x[2] * x[3]), (2, 0): j[1] * (x[3] * x[1]), (3, 0): j[2] * (x[1] * x[2])}
-    table |= {(1, 2): -(x[0] * x[3]), (2, 3): -(x[0] * x[1]), (3, 1): -(x[0] * x[2])}
-    table |= {(k, i): -p for (i, k), p in table.items()}
-    zero = co.Polynomial({}, dim=4)
-    system = S.sklyanin((2.0, 5.0, 8.0), M)
-    matrix = system.structure_matrix(ANY)
-    for i in range(4):
-        for k in range(4):
-            assert matrix[i, k] == pytest.approx(table[i, k](ANY) if i != k else 0.0, abs=1e-15)
-
-    def bracket(f, g):
-        total = zero
-        for (i, k), p in table.items():
-            total = total + f.derivative(i) * p * g.derivative(k)
-        return total
-
-    for a in range(4):
-        for b in range(4):
-            for c in range(4):
-                sums = [bracket(x[p], bracket(x[q], x[r])) for p, q, r in ((a, b, c), (b, c, a), (c, a, b))]
-                assert sums[0] + sums[1] + sums[2] == zero
-    for casimir in system.casimirs.values():
-        assert all(bracket(casimir, one) == zero for one in x)
-
-
 @pytest.mark.parametrize("masses", [(1.0, 0.0, 0.0, 0.0), (0.3, 2.0, 2.0, 2.0), (-1.0, 1.5, 3.0, 4.5)])
 def test_closed_form_where_the_clock_is_constant(masses):
     system = S.sklyanin(J, masses)
