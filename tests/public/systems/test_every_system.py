@@ -220,7 +220,7 @@ def test_names_are_sorted_and_listed():
 
 def test_import_is_light():
     code = (
-        "import sys; import coadjoint.systems as s; s.rigid_body(); "
+        "import sys; import coadjoint as co; co.systems.rigid_body(); "
         "print([m for m in ('scipy', 'numba', 'xarray', 'matplotlib', 'pydantic') if m in sys.modules])"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -302,7 +302,7 @@ def test_sizes_of_lattices_and_tori():
         # Below the limit an edge that leaves the lattice is refused.
         with pytest.raises(ValueError, match="shape" if refused else "edge"):
             S.spin_lattice([[0, 2**31]], count)
-    for count, kept in ((2**14, True), (2**16, False)):  # numbers of a list of edges, two for each
+    for count, kept in ((2**15 - 100, True), (2**15 + 1, False)):  # numbers of a list of edges, two for each
         ring = np.stack([np.arange(count), np.roll(np.arange(count), -1)], axis=1)
         assert (S.spin_lattice(ring, count).parameters is not None) == kept
 

@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 
 import coadjoint as co
 import refusals
+from long import long_beyond
 from refusals import refused
 
 spin_lattice = co.systems.spin_lattice
@@ -146,7 +147,7 @@ def test_integrals_by_polynomial_identity():
         assert bracket(system, first, system.hamiltonian, point) != 0
 
 
-@pytest.mark.parametrize("uniform", [True, False])
+@pytest.mark.parametrize("uniform", long_beyond(1, [True, False]))
 def test_field_in_time(uniform):
     """The field of each spin by hand, the gradient by differences, and the order against a code of SciPy."""
     if uniform:
