@@ -64,41 +64,6 @@ def test_each_force_is_compiled_as_it_is_read(s):
             assert np.abs(slope - force.field(s, x, 0.0)).max() < 1e-7
 
 
-@FLUIDS
-@pytest.mark.parametrize("power", [1, 4])
-def test_one_degree_decays_exactly(s, power):
-    W = one_degree(s)
-    eigenvalue = 5 if s is TORUS else 3 * 4 - 2
-    nu, t = 2.0 / eigenvalue**power, 1.5
-    found = last(s.with_forces(some.Viscosity(nu, power)), W, t, 0.25)
-    assert np.abs(found - np.exp(-2.0 * t) * W).max() < 1e-14 * np.abs(W).max()
-
-
-@pytest.mark.parametrize("s", SPHERES)
-def test_a_solid_rotation_has_no_strain(s):
-    W = s.from_modes({(1, 0): 0.3, (1, 1): 0.5j, (4, 2): 0.4})
-    spared = co.integrate(s.with_forces(some.Viscosity(0.05)), W, (0, 2), 0.125, FINE)
-    momentum = s.angular_momentum(spared.x)
-    assert np.abs(momentum - momentum[0]).max() < 1e-13
-    decayed = co.integrate(s.with_forces(some.Viscosity(0.05, rotation=True)), W, (0, 2), 0.125, FINE)
-    momentum = s.angular_momentum(decayed.x)
-    assert np.abs(momentum[-1] - np.exp(-0.05 * 2 * 2) * momentum[0]).max() < 1e-12 * np.abs(momentum).max()
-
-
-@FLUIDS
-def test_friction_by_scale(s):
-    W = one_degree(s)
-    scale = np.sqrt(5) if s is TORUS else 3
-    drag = some.Friction(lambda k: 0.4 * k)
-    assert np.abs(last(s.with_forces(drag), W, 2, 0.25) - np.exp(-0.8 * scale) * W).max() < 1e-14 * np.abs(W).max()
-    other = some.Friction(lambda k: 0.0 if abs(k - scale) < 1e-9 else 1.0)
-    x = s.to_vector(W)
-    assert np.abs(other.flow(s, x, 0.0, 1.0) - x).max() < 64 * UNIT_ROUNDOFF * np.abs(W).max()
-    plain, by_mode = some.LinearDamping(0.3), some.Friction(0.3)
-    U = random_matrix(s)
-    assert np.abs(last(s.with_forces(plain), U, 1, 0.25) - last(s.with_forces(by_mode), U, 1, 0.25)).max() < 1e-13
-
-
 def test_on_a_rotating_sphere_the_relative_motion_decays():
     s = co.systems.sphere_euler(N=7, rotation=0.8)
     relative = s.from_modes({(1, 0): 0.2, (3, 0): 0.5})  # zonal: it stands still

@@ -192,20 +192,6 @@ def test_the_field_of_two_jets(speed, perturbation, waves):
     np.testing.assert_allclose(s.to_grid(W, (16, 80)), wanted, rtol=0, atol=1e-7)
 
 
-def test_known_integrals():
-    W = SPHERE.random(9, degrees=(1, 7))
-    assert list(SPHERE.integrals) == ["angular momentum x", "angular momentum y", "angular momentum z"]
-    assert list(TURNING.integrals) == ["angular momentum z"]
-    for s in (SPHERE, TURNING):
-        sol = co.integrate(s, W, (0, 2), 0.125, co.IsospectralGauss(), observe=s.integrals)
-        for name, F in s.integrals.items():
-            values = sol.observed[name]
-            assert values.shape == (17,) and np.ptp(values) < 1e-12
-            wanted = s.angular_momentum(sol.x)[:, "xyz".index(name[-1])]
-            np.testing.assert_allclose(values, wanted, rtol=0, atol=1e-13)
-            assert isinstance(F(W), float) and F(W) == wanted[0] and np.array_equal(F(sol.x), wanted)
-
-
 @FLUIDS
 def test_energy_is_that_of_the_relative_motion(s):
     """But for a constant and the factor that turns traces into integrals."""
