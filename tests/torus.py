@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from coadjoint.systems.matrices.torus_modes import matrix_of_modes, representatives
+import coadjoint as co
 
-REFERENCE = json.loads((Path(__file__).parent / "systems" / "torus_reference.json").read_text())["modes"]
+REFERENCE = json.loads((Path(__file__).parent / "public" / "systems" / "torus_reference.json").read_text())["modes"]
 
 
 def first_modes(N):
@@ -21,15 +21,9 @@ def last_modes(N):
     return {(m1, m2): complex(float(re), float(im)) for m1, m2, re, im in REFERENCE[str(N)]}
 
 
-def mode(N, n):
-    """Return T_n."""
-    w = np.zeros((N, N), dtype=complex)
-    w[n[0] % N, n[1] % N] = 1.0
-    return matrix_of_modes(w) / (-1j * N / (4 * np.pi))
-
-
 def of_size(N):
-    n = representatives(N)
+    """Return |n|^2 of all modes, in the order of the discrete Fourier transform."""
+    n = np.rint(np.fft.fftfreq(N, 1 / N)).astype(int)
     return n[:, None] ** 2 + n[None, :] ** 2
 
 
@@ -40,4 +34,15 @@ def smooth(system, seed, width=2.0):
     w[0, 0] = 0.0
     back = -np.arange(N) % N
     w = w + np.conj(w[back][:, back])
-    return system.algebra.projected(matrix_of_modes(w / np.linalg.norm(w)))
+    field = co.systems.torus_euler(N=N).from_modes(w / np.linalg.norm(w))
+    return system.algebra.projected(field)
+
+
+def mode(N, n):
+    """Return T_n, of two real fields."""
+    n1, n2 = ((int(k) + N // 2) % N - N // 2 for k in n)
+    if (n1, n2) == (0, 0):
+        return np.eye(N, dtype=complex)
+    system = co.systems.torus_euler(N=N)
+    real, imaginary = (system.from_modes({(n1, n2): c}) for c in (1.0, 1j))
+    return (real - 1j * imaginary) / (-1j * N / (2 * np.pi))

@@ -7,7 +7,6 @@ from thresholds import (  # noqa: F401
     probes_of_analysis,
     probes_of_files,
     probes_of_methods,
-    probes_of_systems,
 )
 from thresholds.probing import PROBES
 

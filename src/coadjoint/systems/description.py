@@ -17,7 +17,7 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.protocol import is_matrix_system, unforced
 from coadjoint.systems.registry import gallery_entry_of, ready_made_systems
 
-MAX_FORMULA_LENGTH = 120
+MAX_FORMULA_LENGTH = 120  # characters; longer formulas are cut between two terms
 _HEADING = re.compile(r"^(\w[\w ]*)\n-+\n", re.MULTILINE)
 
 

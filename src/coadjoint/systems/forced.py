@@ -16,7 +16,7 @@ from coadjoint.systems.evaluation import ignore_overflow, read_point, vectorized
 from coadjoint.systems.forces.base import Force
 from coadjoint.validation import read_list, read_number, read_numbers, to_array, truncate_title
 
-MAX_FORCES_TEXT = 240
+MAX_FORCES_TEXT = 240  # characters of the forces in a representation; longer lists are cut
 
 
 @suggest_keywords

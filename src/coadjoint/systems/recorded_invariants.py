@@ -177,7 +177,7 @@ def _check(name: str, casimir: Polynomial | Quadratic | Invariant, n: int, produ
             )
 
 
-TIMES = (0.0, 1.0)
+TIMES = (0.0, 1.0)  # at which integrals are checked: a field may rest at time zero
 
 
 @ignore_overflow

@@ -17,8 +17,8 @@ from coadjoint.optional_packages import installed
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 
-SEED = 1993
-SAMPLE_TIME = 0.625
+SEED = 1993  # of sample points; any other would do
+SAMPLE_TIME = 0.625  # where functions of the time are evaluated: not zero, and exact in binary
 MANY_COORDINATES = 1 << 16
 """Dimension above which one point is a sample."""
 

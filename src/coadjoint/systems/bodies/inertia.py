@@ -15,7 +15,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.validation import check_finite, read_finite, read_number, read_numbers, read_positive
 
-MIN_MOMENT = 2.0**-1022
+MIN_MOMENT = 2.0**-1022  # smallest normal number: below it the inverse overflows
 
 
 def inverse_inertia(inertia: npt.ArrayLike, what: str = "inertia") -> tuple[npt.NDArray[np.float64], Any]:

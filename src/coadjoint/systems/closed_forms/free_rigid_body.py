@@ -41,7 +41,7 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 Floats = npt.NDArray[np.float64]
 
-PRINCIPAL_BITS = 256
+PRINCIPAL_BITS = 256  # for principal axes of a tensor beside those of the phase; nearly equal moments lose bits
 
 
 def _cross_matrix(w: Floats) -> Floats:

@@ -11,7 +11,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 
 Floats = npt.NDArray[np.float64]
 
-MAX_ITERATIONS = 200
+MAX_ITERATIONS = 200  # of doublings, and of Newton's method within a bracket, which 64 halvings close to round-off
 SERIES = 12  # number of terms; the next is below round-off for |z| <= 1
 
 

@@ -15,7 +15,7 @@ Floats = npt.NDArray[np.float64]
 PHASE_BITS = 96
 """Bits of a phase below one period."""
 
-MAX_SWEEPS = 24
+MAX_SWEEPS = 24  # of rotations; each squares the small entries, and some five suffice
 
 
 def working_bits(t: Floats, rate: float, period: float) -> int:

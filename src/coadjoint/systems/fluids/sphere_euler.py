@@ -28,7 +28,7 @@ from coadjoint.systems.registry import ready_made
 from coadjoint.validation import read_integer, read_number
 
 MAX_ROTATION = 1e100
-MAX_N = 4096
+MAX_N = 4096  # a state has 256 MB, and a step some minutes
 Floats = npt.NDArray[np.float64]
 Matrix = npt.NDArray[np.complex128]
 

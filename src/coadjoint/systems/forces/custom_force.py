@@ -15,7 +15,7 @@ from coadjoint.systems.forces.rates import has_matrix_state, sample_states
 from coadjoint.systems.user_functions import SAMPLE_TIME, check_arguments
 from coadjoint.validation import read_bool, read_title
 
-DIFFERENCE_TIME = 2.0**-12
+DIFFERENCE_TIME = 2.0**-12  # step of differences of order four: their error, its fourth power, is that of rounding
 
 
 @dataclass(frozen=True)

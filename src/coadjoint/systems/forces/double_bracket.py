@@ -14,9 +14,9 @@ from coadjoint.systems.forces.orbit_flow import Exponential, Midpoint, OrbitFlow
 from coadjoint.systems.forces.rates import apply_metric, check_dimension, metric_root, read_matrix
 from coadjoint.validation import read_number
 
-MAX_SUBSTEPS = 192
-SERIES_TOLERANCE = 2.0**-40
-MAX_TERMS = 60
+MAX_SUBSTEPS = 192  # iterations of the midpoint rule; convergent ones take some ten
+SERIES_TOLERANCE = 2.0**-40  # of |x|: below it a correction that stagnates is round-off
+MAX_TERMS = 60  # of a power series, whose arguments are scaled to norm one: 1/60! is below 2^-270
 
 
 @dataclass(frozen=True)

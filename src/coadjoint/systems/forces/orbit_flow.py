@@ -15,8 +15,8 @@ from coadjoint.systems.energy_derivatives import EnergyDerivative
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-MAX_TERMS = 60
-NEGLIGIBLE = 2.0**-60
+MAX_TERMS = 60  # of a power series, whose arguments are scaled to norm one: 1/60! is below 2^-270
+NEGLIGIBLE = 2.0**-60  # of the result: bound of a term that no longer changes it
 # Iterations of the transposed midpoint rule, of whose number a convergent one takes a few.
 MAX_ITERATIONS = 1000
 SETTLED = 2.0**-48

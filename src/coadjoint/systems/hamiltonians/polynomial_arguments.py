@@ -15,7 +15,7 @@ from coadjoint.systems.hamiltonians.recorded_polynomials import Monomials, Recor
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.hamiltonians.traced_function import Traced, TracedFunction, TracingError, traced
 
-MAX_COORDINATES = 64
+MAX_COORDINATES = 64  # of a function; the search takes the third power of their number
 
 
 class PolynomialArguments:

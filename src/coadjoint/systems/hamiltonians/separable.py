@@ -19,7 +19,7 @@ from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term
 from coadjoint.systems.user_functions import all_take_time, check_derivative, multiple_of
 from coadjoint.validation import read_integer
 
-MAX_COORDINATES = 2**32 - 1
+MAX_COORDINATES = 2**32 - 1  # the largest unsigned number of 32 bits, the type of indices in compiled loops
 
 
 @suggest_keywords

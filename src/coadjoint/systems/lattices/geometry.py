@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 
-COS_60, SIN_60 = 0.5, math.sqrt(0.75)
+COS_60, SIN_60 = 0.5, math.sqrt(0.75)  # directions of bonds of triangles and hexagons
 
 
 class CellGeometry(NamedTuple):

@@ -40,7 +40,7 @@ LEVI_CIVITA[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1.0
 LEVI_CIVITA[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = -1.0
 
 
-EXAMPLE_SIDE = 18
+EXAMPLE_SIDE = 18  # sites along an edge of the example run: room for two vortices
 
 
 def _vortices() -> Floats:

@@ -18,7 +18,7 @@ Complexes = npt.NDArray[np.complex128]
 
 GRIDS = {"clenshaw-curtis": "CC", "fejer": "F1", "gauss-legendre": "GL"}
 """Rows of latitude: equally spaced with the poles, equally spaced without them, Gauss-Legendre nodes."""
-MAX_GRID_SIZE = 2**16
+MAX_GRID_SIZE = 2**16  # rows or columns; a larger grid exceeds any memory
 
 
 def read_shape(shape: Any, min_shape: tuple[int, int], default: tuple[int, int]) -> tuple[int, int]:

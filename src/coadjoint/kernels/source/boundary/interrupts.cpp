@@ -15,6 +15,7 @@ namespace coadjoint {
 
 namespace {
 
+// Operations between two checks: some milliseconds at most.
 constexpr int64_t CHECK_INTERVAL = int64_t(1) << 20;
 constexpr std::chrono::milliseconds SIGNAL_INTERVAL(50);
 

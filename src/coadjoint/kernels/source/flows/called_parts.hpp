@@ -15,6 +15,7 @@
 
 namespace coadjoint {
 
+// Of a step of a free body: about the third, first, second and third axis.
 constexpr int BODY_ROTATIONS = 4;
 constexpr int BODY_COLUMNS = 6;       // the triple, and the other one of a bond; repeated for a free body
 constexpr int BODY_CONSTANTS = 15;    // moments, principal axes in rows of components, lengths of the generators

@@ -28,6 +28,7 @@ struct ElementaryFlow {
     AngleBlocks momentum, group;
     uint32_t angle;
 };
+// In place of a kind: the row is not one elementary flow.
 constexpr int WHOLE_ROW = -1;
 
 class FlowsOfRows {

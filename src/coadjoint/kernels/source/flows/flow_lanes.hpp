@@ -155,6 +155,7 @@ struct FlowLanes : RowsTarget<A, A, C> {
     }
 };
 
+// Groups of members that advance in turn, so that one computes while the other waits for operands.
 constexpr int LANE_GROUPS = 2;
 
 // The members first to last - 1 of a range.

@@ -196,6 +196,7 @@ class DenseExponential {
     }
 
   private:
+    // Numbers of substeps up to which no matrix is formed, and terms of a series of a substep, for the cost model.
     static constexpr double FEW_SUBSTEPS = 64.0, FEW_SUBSTEPS_OF_ROWS = 8.0, DENSE_DEGREE = 20.0;
     const int64_t size;
     std::vector<double> increment, other;

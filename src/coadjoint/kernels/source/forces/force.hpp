@@ -267,8 +267,11 @@ class Force {
         return true;
     }
 
+    // More than float64 has powers of two.
     static constexpr int MOST_HALVINGS = 1100;
+    // Terms of exp of a matrix of norm 1/2: the next is 2^-17/17!, below 2^-65. Midpoint iterations: some ten converge.
     static constexpr int64_t SERIES_OF_HALF = 16, MOST_MIDPOINTS = 192;
+    // Of the state: residuals that may stagnate as round-off, and multiple of the first one that diverges.
     static constexpr double NEAR_ROUND_OFF = 0x1p-40, GROWN = 0x1p20;
 };
 

@@ -72,7 +72,10 @@ class SpinBath {
   private:
     typedef SpinRows::A A;
     static constexpr int W = SpinRows::W;
+    // Midpoint iterations: some ten converge.
     static constexpr int64_t MOST_MIDPOINTS = 192;
+    // Of the state: residuals that may stagnate as round-off, multiple of the first one that diverges, and predicted
+    // residual that ends the iteration. Squares of angles up to SMALL_SQUARE have a series.
     static constexpr double NEAR_ROUND_OFF = 0x1p-40, GROWN = 0x1p20, REST = 0x1p-52, SMALL_SQUARE = 0x1p-6;
     // Aligned to vectors.
     struct Components {

@@ -22,6 +22,7 @@ class Cayley {
     void transform(T* X) { sweep(X, n); }
 
   private:
+    // Rows that are swept without splitting, which fit in the first cache; rows are padded to multiples of WIDTH.
     static constexpr int LEAF = 32, WIDTH = 8;
     const Gemm<T> gemm;
     const int n;

@@ -8,6 +8,7 @@
 
 namespace coadjoint {
 
+// Diagonals that are transformed together: one vector of the widest processors.
 constexpr int64_t SIDE_BY_SIDE = 8;
 typedef Lanes<SIDE_BY_SIDE> Eight;
 

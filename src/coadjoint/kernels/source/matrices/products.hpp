@@ -80,6 +80,7 @@ class Products {
     void lower_by_adjoint(const T* a, const T* b, T* c) const { by_panels(a, b, c, true, true, false); }
 
   private:
+    // Panels of which only the lower half is computed, and sizes below which one panel is faster.
     static constexpr int PANELS = 4, SMALL = 32;
     const Gemm<T> gemm;
     const int n;

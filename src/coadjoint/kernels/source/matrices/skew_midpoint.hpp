@@ -47,6 +47,7 @@ struct SkewMidpoint final : Isospectral<T> {
     std::vector<T> X, C, Z, V, M, G, P, F, D, start;
     std::vector<LowPrecision> low_B, low_M, low_D, low_U, low_Y;
 
+    // Directions kept orthogonal; more cost memory, and fewer cost iterations.
     static constexpr int64_t DIRECTIONS = 4;
     struct Direction {
         std::vector<LowPrecision> p, q, y;
@@ -225,6 +226,7 @@ struct SkewMidpoint final : Isospectral<T> {
 
     template <class A, class B>
     static double dot(int64_t count, const A* a, const B* b) {
+        // Partial sums, in a fixed order on every processor.
         constexpr int64_t ROWS = 8;
         double sums[ROWS] = {};
         int64_t e = 0;
@@ -256,6 +258,7 @@ struct SkewMidpoint final : Isospectral<T> {
         double factor[HISTORY];
         const int64_t taken = fit(int64_t(this->memory[0]) - 1, factor);
         const double* last = this->memory + 3;
+        // Numbers that stay in the first cache while all samples are added.
         constexpr int64_t BLOCK = 2048;
         for (int64_t begin = 0; begin < half; begin += BLOCK) {
             const int64_t end = std::min(begin + BLOCK, half);

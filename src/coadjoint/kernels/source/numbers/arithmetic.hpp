@@ -13,6 +13,7 @@ constexpr double power_of_two(int64_t exponent) {
     return exponent == 0 ? 1.0 : exponent > 0 ? 2.0 * power_of_two(exponent - 1) : 0.5 * power_of_two(exponent + 1);
 }
 
+// P1 + P2 + P3 is pi/2 to three times the precision.
 constexpr double P1 = 1.5707963267948966;
 constexpr double P2 = 6.123233995736766e-17;
 constexpr double P3 = -1.4973849048591698e-33;
@@ -137,6 +138,7 @@ INLINE A shortfall(const A& s, const A& c, const A& square) {
     return 0.5 * (fma(s, s, -2.0 * c) + power + fma(c, curved, -power));
 }
 
+// 1 / ln 2.
 constexpr double LOG2_E = 1.4426950408889634;
 constexpr double LN2 = 0.6931471805599453, LN2_REST = 2.3190468138462996e-17;  // the sum is ln 2 to twice the precision
 constexpr double FAR_GROWTH = 700.0;  // beyond it powers of two overflow or lose digits

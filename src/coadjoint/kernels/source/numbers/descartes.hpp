@@ -43,7 +43,9 @@ class Isolation {
     }
 
   private:
+    // Bisections: roots nearer than 2^-30 of the interval count as one.
     static constexpr int64_t DEEPEST = 30;
+    // Beside the middle, where roots of symmetric polynomials are; exact in binary.
     static constexpr double CUT = 0.5078125;
     struct Piece {
         double low, high;

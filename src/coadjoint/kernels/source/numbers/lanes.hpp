@@ -27,6 +27,7 @@ constexpr int NATIVE = 4;
 constexpr int NATIVE = 2;
 #endif
 
+// The bits of exponents, and the sum of the exponents of a power of two and of its inverse.
 constexpr int64_t EXPONENT_BITS = int64_t(0x7ff) << 52, INVERSE_BITS = int64_t(2046) << 52;
 constexpr uint64_t UNIT_OF_2_52 = uint64_t(1075) << 52;  // the bits of 2^52, to which those of a small integer are added
 

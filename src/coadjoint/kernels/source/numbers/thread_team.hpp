@@ -282,6 +282,7 @@ class SharedSteps {
     INLINE void end_as_measured() { team_of_this_thread = outer; }
 
   private:
+    // Calls after which both ways are measured again, and measurements of each.
     static constexpr int64_t REPEATED = 64, TRIALS = 2;
     std::unique_ptr<MeasuredTeam> measured;
     ThreadTeam* const outer = team_of_this_thread;

@@ -11,6 +11,7 @@
 
 namespace coadjoint {
 
+// Newton's method takes some five, with old factors some twenty.
 constexpr int64_t MOST_CORRECTIONS = 50;
 constexpr double SLUGGISH = 0.25;  // ratio of corrections above which the factors are renewed
 constexpr double SETTLING = 0x1p-40;  // of the size of the stages: below it stagnating corrections are round-off

@@ -7,6 +7,7 @@
 
 namespace coadjoint {
 
+// In place of what stays frozen while the rest is evaluated.
 constexpr int64_t NOT_FROZEN = -1;
 constexpr int64_t REFINED = 3;  // evaluations of a linear system: before the solution, before one refinement, and after
 

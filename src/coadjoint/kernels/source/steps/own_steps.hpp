@@ -94,6 +94,7 @@ struct OwnSteps : StepScheme {
     virtual int64_t finish(const Base& base, double t0) = 0;
 
   private:
+    // Numbers before the states in the memory of a member: the time as a compensated sum, and the step.
     static constexpr int64_t HEAD = 3;
 
     // Number of own steps that end within one step of the run, independent of the points.

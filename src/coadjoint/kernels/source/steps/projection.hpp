@@ -9,6 +9,7 @@
 
 namespace coadjoint {
 
+// Relative defect that counts as rounding; codes.hpp has its multiple.
 constexpr double EXACT = double(PROJECTION_EXACT) * UNIT_ROUNDOFF;
 static_assert(DEPENDENT == power_of_two(-DEPENDENT_BITS), "the plain reading finds the same rows dependent");
 

@@ -16,6 +16,7 @@ struct CachedStep {
     std::shared_ptr<StepScheme> scheme;
     std::shared_ptr<LaneStep> lane_step;
 };
+// Steps that a thread keeps for the next call, and the largest dimension of these, whose set-up costs as a step.
 constexpr int64_t CACHE_SIZE = 16, LARGEST_CACHED = 64;
 // With fewer members too many lanes would be empty.
 constexpr int64_t MIN_FILLED_LANES = 3 * NATIVE / 4;

@@ -13,6 +13,7 @@ namespace coadjoint {
 
 struct NotSolved {};  // thrown if the linear equations of the derivatives are not solved
 
+// The iteration converges as that of the stages, in some ten.
 constexpr int64_t MOST_DERIVATIVE_ITERATIONS = 64;
 // Relative change that counts as rounding, and largest one at which the iteration may stagnate.
 constexpr double DERIVATIVE_ROUNDING = 0x1p-51, DERIVATIVE_STAGNATION = 0x1p-40;

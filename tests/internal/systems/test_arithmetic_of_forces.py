@@ -1,0 +1,117 @@
+"""Exponentials along orbits, roots of metrics, normal deviates, and the noise on fluids deviate by deviate."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import coadjoint as co
+from coadjoint.systems.forces import random_forcing
+from coadjoint.systems.forces.base import normal_deviates
+from coadjoint.systems.forces.double_bracket import exponential
+from coadjoint.systems.forces.rates import apply_metric, metric_root
+
+U, N = 2.0**-53, 5
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("name", ["so(3)", "e(3)", "A3,7", "sl(2)"])
+def test_exponentials_along_orbits(name, sign):
+    """Of small and large arguments, which take several pieces: exp(D), D x = sign J(x) v, linear in x."""
+    algebra = co.algebras.get(name, **({"a": 1.5} if name == "A3,7" else {}))
+    n, rng = algebra.dim, np.random.default_rng(3)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(1.0), sign=sign)
+    x, direction = rng.standard_normal((2, n))
+    for size in (0.0, 0.01, 1.0, 4.5):
+        v = size * direction
+        D = np.column_stack([sign * system.structure_matrix(unit) @ v for unit in np.eye(n)])
+        wanted = expm(D) @ x
+        # Terms of the series reach e times the state in each piece; their number is the norm.
+        tolerance = 64 * U * (1 + np.abs(D).sum()) * np.abs(expm(np.abs(D)) @ np.abs(x)).max()
+        np.testing.assert_allclose(exponential(system, v, x), wanted, rtol=0, atol=tolerance)
+
+
+def test_normal_deviates():
+    """Independent of how many are drawn, different by every argument, and of the normal distribution."""
+    many = normal_deviates(7, 3, 0.5, 1, 20_000)
+    for count in (1, 2, 3, 4, 5, 9):
+        np.testing.assert_array_equal(normal_deviates(7, 3, 0.5, 1, count), many[:count])
+    np.testing.assert_array_equal(normal_deviates(7, 3, -0.0, 1, 8), normal_deviates(7, 3, 0.0, 1, 8))
+    draws = [many[:8]]
+    for other in ((8, 3, 0.5, 1), (7, 4, 0.5, 1), (7, 3, -0.5, 1), (7, 3, 0.5 + 2.0**-53, 1), (7, 3, 0.5, 0)):
+        draws.append(normal_deviates(*other, 8))
+    assert len({draw.tobytes() for draw in draws}) == len(draws)
+    assert np.abs(np.corrcoef(np.array(draws))[~np.eye(6, dtype=bool)]).max() < 0.99
+    # Five standard deviations of the means of powers: 1, 2, 15 and 96 are the variances of x, x^2, x^3, x^4.
+    for power, mean, variance in ((1, 0, 1), (2, 1, 2), (3, 0, 15), (4, 3, 96)):
+        assert abs(np.mean(many**power) - mean) < 5 * np.sqrt(variance / len(many))
+    assert abs(np.mean(many[1:] * many[:-1])) < 5 / np.sqrt(len(many))
+
+
+def block(*rows):
+    return np.array(rows, dtype=float)
+
+
+SEMIDEFINITE = {
+    "zero": np.zeros((3, 3)),
+    "one direction": np.outer([1.0, -2.0, 0.5], [1.0, -2.0, 0.5]),
+    "a coordinate left out": block([0, 0, 0], [0, 2, 1], [0, 1, 1]),
+    "two equal rows": block([1, 1, 0], [1, 1, 0], [0, 0, 3]),
+    "definite": block([2, -1, 0.5], [-1, 3, 0.25], [0.5, 0.25, 1]),
+}
+
+
+@pytest.mark.parametrize("name", SEMIDEFINITE)
+def test_the_root_times_its_transpose_is_the_metric(name):
+    for order in itertools.permutations(range(3)):
+        for scale in (1.0, 2.0**-200, 2.0**200):
+            P = scale * SEMIDEFINITE[name][np.ix_(order, order)]
+            L = metric_root(tuple(map(tuple, P.tolist())), "metric")
+            assert not np.triu(L, 1).any()
+            # A pivot below 64 n u of the largest entry is taken as zero.
+            assert np.abs(L @ L.T - P).max() <= 64 * 3 * 3 * U * np.abs(P).max()
+    diagonal, y, P = np.array([4.0, 0.0, 0.25]), np.array([1.0, -2.0, 3.0]), SEMIDEFINITE["definite"]
+    np.testing.assert_array_equal(metric_root(tuple(diagonal.tolist()), "metric"), np.sqrt(diagonal))
+    for metric, dense in ((2.0, 2.0 * np.eye(3)), (diagonal, np.diag(diagonal)), (P, P)):
+        np.testing.assert_array_equal(apply_metric(metric, y), dense @ y)
+
+
+BANDS = {  # the eigenvalues of all real modes inside, by hand
+    "sphere": {(1, 1): [2] * 3, (2, 3): [6] * 5 + [12] * 7, (2.5, 4): [12] * 7 + [20] * 9, (4, 9): [20] * 9},
+    "torus": {(1, 1): [1] * 4, (2, 2): [4] * 4, (1.2, 2.3): [2] * 4 + [4] * 4 + [5] * 8, (2.5, 3): [8] * 4},
+}
+
+
+@pytest.mark.parametrize("surface", BANDS)
+@pytest.mark.parametrize("layer", ["vorticity", "carried"])
+def test_the_noise_feeds_in_its_rate_and_each_mode_has_the_same_share(surface, layer, monkeypatch):
+    """The energy is a square: its mean is the sum over the deviates, one at a time."""
+    make = {"sphere": co.systems.sphere_euler, "torus": co.systems.torus_euler}[surface]
+    fluid, tau, rate = make(N=N), 0.25, 0.6
+    s = fluid if layer == "vorticity" else co.systems.reduced_mhd(N, surface)
+    x, e = np.zeros(s.dim), fluid.eigenvalues
+    for band, eigenvalues in BANDS[surface].items():
+        force = co.forces.RandomForcing(rate, band, seed=3, layer=layer)
+        asked, squares = [], np.zeros(fluid.degrees.shape)
+        monkeypatch.setattr(
+            random_forcing, "normal_deviates", lambda *a, asked=asked: asked.append(a) or np.zeros(a[-1])
+        )
+        np.testing.assert_array_equal(force.flow(s, x, 0.5, tau), x)
+        (((seed, stream, moment, part, count)),) = asked
+        assert (seed, stream, moment, part) == (3, 0, 0.5, 0)
+        for unit in np.eye(count):
+            monkeypatch.setattr(random_forcing, "normal_deviates", lambda *a, unit=unit: unit)
+            late = s.from_vector(force.flow(s, x, 0.5, tau))
+            if s is not fluid:
+                assert not late[1].any()
+                late = late[0]
+            squares += np.abs(fluid.mode_array(late)) ** 2 * fluid.squares
+        weights = squares * (e if layer == "carried" else np.divide(1.0, e, out=0 * e, where=e > 0)) / 2
+        # Traces are integrals times this factor.
+        energy = weights.sum() * (fluid.scale**2 if surface == "sphere" else N**3 / (4 * np.pi) ** 2 / (4 * np.pi**2))
+        assert energy == pytest.approx(rate * tau, rel=1e-12), band
+        for eigenvalue in set(eigenvalues):
+            share = weights[np.abs(e - eigenvalue) < 1e-9].sum() / weights.sum()
+            assert share == pytest.approx(eigenvalues.count(eigenvalue) / len(eigenvalues), rel=1e-12), band
+        assert set(np.rint(e[weights > 1e-20])) == set(eigenvalues)

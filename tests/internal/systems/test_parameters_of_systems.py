@@ -1,0 +1,444 @@
+"""Parameters by which runs are differentiated: which there are, derivatives of the energy by them, and other values."""
+
+import gc
+import weakref
+
+import numpy as np
+import pytest
+import scipy.sparse
+
+import coadjoint as co
+from coadjoint.systems import parameters
+from coadjoint.systems.coefficient_derivatives import derivatives_by_entries
+from coadjoint.systems.coefficients import Coefficients, coefficients_of
+from coadjoint.systems.parameters import parameter_of, parameters_at, parameters_of, with_parameters
+from refusals import refused
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*principal moment")
+
+
+TENSOR = ((2.0, 0.3, 0.1), (0.3, 3.0, -0.2), (0.1, -0.2, 4.0))
+OTHER = ((0.5, 0.25, 0.125), (0.0, 0.5, 0.25), (0.75, -0.25, 1.0))
+SQUARE = {"lattice": "square", "shape": (2, 2)}
+VARIANTS = [
+    ("rigid_body", {"inertia": TENSOR}),
+    ("gyrostat", {"inertia": TENSOR, "rotors": (0.1, 0.0, 0.3)}),
+    ("heavy_top", {"inertia": TENSOR, "lever": (0.0, 0.0, 1.0)}),
+    ("kirchhoff_body", {"inertia": TENSOR, "mass": TENSOR}),
+    ("kirchhoff_body", {"coupling": OTHER}),
+    ("kirchhoff_body", {"coupling": np.diag((0.25, 0.5, -0.125)).tolist()}),
+    ("clebsch_body", {"inertia": (2.0, 2.0, 2.0), "inverse_mass": (-1.0, 0.5, 0.0)}),
+    # Entries of M are (b_i - b_j)/(a_i - a_j): poles are near.
+    ("manakov_top", {"a": (1.0, 2.0, 4.5, 5.0), "b": (2.0, 3.0, 1.0, 5.0)}),
+    ("paper_rigid_body", {"masses": (0.0, 1.0, 2.0)}),
+    ("riccati", {"constant": 0.25, "linear": 0.5, "quadratic": -0.125}),
+    ("decorated_particles", {"weights": (1.0, 2.0, 0.5), "external": (0, 0, 0.5, 0.1), "pair": (0, 0, 0.5)}),
+    ("spin_lattice", {"shape": 3, "exchange": (1.0, 2.0), "on_site": TENSOR}),
+    # One field for each of three spins, which happens to be a symmetric matrix.
+    ("spin_lattice", {"shape": 3, "field": TENSOR}),
+    ("spin_lattice", {**SQUARE, "exchange": 0.75, "tensor": TENSOR, "dm": (0.1, 0.2, 0.3)}),
+    ("spin_lattice", {**SQUARE, "tensor": OTHER}),
+]
+
+
+def cases():
+    """Arguments of ready-made systems, and the names of those by which they are differentiated."""
+    for name, given in [*((name, {}) for name in co.systems.names()), *VARIANTS]:
+        system = co.systems.get(name, **given)
+        yield from ((name, given, parameter) for parameter in parameters_of(system) if parameter in system.parameters)
+
+
+CASES = list(cases())
+
+
+def moved(value, index, by, symmetric):
+    changed = value.copy()
+    if symmetric:
+        changed[index] += by / 2
+        changed[index[::-1]] += by / 2
+    else:
+        changed[index] += by
+    return changed if changed.ndim else float(changed)
+
+
+@pytest.mark.thinned(4)
+@pytest.mark.parametrize(("name", "given", "parameter"), CASES, ids=str)
+def test_derivatives_of_energies_agree_with_differences(name, given, parameter):
+    """Of systems built with other values; where a matrix must be symmetric, of the mirrored entry as well."""
+    system = co.systems.get(name, **given)
+    found = parameter_of(system, parameter)
+    states, (value, derivative) = (
+        np.random.default_rng(1).standard_normal((4, system.dim)),
+        (found.value, found.energy()),
+    )
+    assert derivative.size == value.size and derivative.at(states).shape == (4, value.size)
+
+    def energies(index, by):
+        for symmetric in (False, True):
+            try:
+                changed = {**system.parameters, parameter: moved(value, index, by, symmetric)}
+                return np.array([co.systems.get(name, **changed).energy(x) for x in states])
+            except ValueError:
+                assert value.ndim == 2 and not symmetric
+        raise AssertionError
+
+    for column, index in enumerate(np.ndindex(value.shape)):
+        h = 2.0**-10 * max(1.0, abs(float(value[index])))
+        terms = [w * (energies(index, k * h) - energies(index, -k * h)) for k, w in enumerate((45, -9, 1), 1)]
+        difference = sum(terms) / (60 * h)
+        # Of the error, u over 2^-10 is 1e-13, and the sixth power of 2^-10 1e-18 times high derivatives.
+        size = np.max(np.abs([*difference, *energies(index, 0.0), 1.0]))
+        assert np.max(np.abs(derivative.at(states)[:, column] - difference)) <= 1e-10 * size, index
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "names"),
+    [
+        ("rigid_body", {}, {"inertia"}),
+        ("heavy_top", {}, {"inertia", "lever"}),
+        ("spin_lattice", {}, {"exchange", "tensor", "dm", "field", "on_site"}),
+        # The algebra depends on a.
+        ("paper_a37", {}, {"masses"}),
+        ("separable_cosh", {}, set()),
+        # Moments and masses enter functions.
+        ("satellite", {}, set()),
+        ("double_spherical_pendulum", {}, set()),
+        # Any masses are possible only if the moments are equal, and so are tied to each other.
+        ("clebsch_body", {}, {"inverse_mass"}),
+        ("clebsch_body", {"inertia": (1.0, 2.0, 4.0), "inverse_mass": (1.0, 2.0, 4.0)}, {"M", "linear"}),
+        # Odd powers of the pair potential must be zero.
+        ("decorated_particles", {}, {"weights", "external"}),
+        # Numbers of sites and wave numbers are whole.
+        ("toda", {}, {"M", "linear"}),
+        ("fluid_triad", {}, {"M", "linear"}),
+        ("vlasov_moments", {}, {"M", "linear"}),
+    ],
+)
+def test_arguments_that_enter_coefficients_alone_are_parameters(name, given, names):
+    system = co.systems.get(name, **given)
+    found = parameters_of(system)
+    assert set(found) == names
+    for parameter in names & set(system.parameters):
+        assert np.array_equal(found[parameter].value, np.asarray(system.parameters[parameter], dtype=float))
+
+
+def form(system):
+    """Return M and the linear term."""
+    zero = np.zeros(system.dim)
+    return system.hamiltonian.hessian(zero), system.hamiltonian.gradient(zero)
+
+
+SO3 = co.algebras.so(3)
+FULL = np.array(TENSOR)
+
+
+@pytest.mark.parametrize(
+    ("M", "shape"), [((1.0, 0.0, 2.0), (3,)), (0.5, (3,)), (FULL, (3, 3)), (np.zeros((3, 3)), (3,))]
+)
+def test_parameters_of_quadratic_energies_are_m_and_the_linear_term(M, shape):
+    system = co.LiePoissonSystem(SO3, co.Quadratic(M, linear=(0.0, 0.5, -1.0)))
+    found, (matrix, linear) = parameters_of(system), form(system)
+    assert found["M"].value.shape == shape
+    assert np.array_equal(found["M"].value, np.diag(matrix) if len(shape) == 1 else matrix)
+    assert np.array_equal(found["linear"].value, linear)
+    x = np.array([[1.0, 2.0, 3.0], [-1.0, 0.5, 0.25]])
+    squares = x**2 / 2 if len(shape) == 1 else x[:, :, None] * x[:, None] / 2
+    assert np.array_equal(found["M"].energy().at(x), squares.reshape(2, -1))
+    assert np.array_equal(found["linear"].energy().at(x), x)
+
+
+def test_parameters_of_polynomials_are_their_coefficients():
+    energy = co.Polynomial({(0, 0, 0): 2.0, (0, 0, 3): 0.5, (1, 0, 0): 0.25, (1, 1, 2): -1.0, (0, 2, 0): 1.0})
+    (found,) = parameters_of(co.LiePoissonSystem(SO3, energy)).values()
+    assert found.value.tolist() == list(energy.monomials.values())
+    x = np.array([2.0, 3.0, 5.0])
+    assert found.energy().at(x).tolist() == [np.prod(x**exponents) for exponents in energy.monomials]
+
+
+def test_arguments_that_do_not_give_the_system_are_no_parameters():
+    """A system may have the name of a ready-made one, and arguments as a note."""
+    body = co.systems.rigid_body((1.0, 2.0, 3.0))
+    for energy, names in ((body.hamiltonian, {"inertia"}), (co.Quadratic((1.0, 2.0, 3.0)), {"M", "linear"})):
+        system = co.LiePoissonSystem(SO3, energy, sign=-1, name="rigid_body", parameters=dict(body.parameters))
+        assert set(parameters_of(system)) == names
+    wrong = co.LiePoissonSystem(SO3, body.hamiltonian, sign=-1, name="rigid_body", parameters={"inertia": (1.0, 2.0)})
+    assert set(parameters_of(wrong)) == {"M", "linear"}
+
+
+def test_values_that_a_system_refuses_are_avoided():
+    """A tensor that is almost singular, of which few neighbours are positive definite."""
+    inertia = np.diag([1.0, 1.0, 1.0]) + 0.4999 * (np.ones((3, 3)) - np.eye(3)) * np.array([-1.0, 1.0, 1.0])
+    inertia = (inertia + inertia.T) / 2
+    body = co.systems.rigid_body(inertia.tolist())
+    x = np.array([1.0, -0.5, 0.25])
+    omega = np.linalg.solve(inertia, x)
+    expected = -np.outer(omega, omega) / 2
+    found = parameter_of(body, "inertia").energy().at(x).reshape(3, 3)
+    # Inverses have the condition number as relative error, in units of rounding, and differences more.
+    assert np.abs(found - expected).max() <= 1e-9 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("entry", [0.0, 1e-15, 1e-9, 1e-6, 1e-3, 0.2])
+def test_small_entries_of_a_tensor_have_exact_derivatives(entry):
+    """Changes relative to such an entry would change the coefficients by little more than their rounding."""
+    inertia, x = np.array([[1.0, entry, 0.0], [entry, 2.0, 0.0], [0.0, 0.0, 2.5]]), np.array([1.0, -0.5, 0.25])
+    omega = np.linalg.solve(inertia, x)
+    found = parameter_of(co.systems.rigid_body(inertia.tolist()), "inertia").energy().at(x).reshape(3, 3)
+    # Interpolation amplifies the rounding of the inverse by 80.
+    assert np.abs(found + np.outer(omega, omega) / 2).max() <= 80 * 4 * 2.0**-53 * (omega @ omega)
+
+
+def derivatives_of(monkeypatch, diagonal, value):
+    """Return the derivatives of M = diag(diagonal(p)) at a value, by entries of M and of p."""
+
+    def made(p):
+        return co.LiePoissonSystem(SO3, co.Quadratic(diagonal(np.asarray(p))), name="made", parameters={"p": p})
+
+    monkeypatch.setattr(parameters, "ready_made_systems", lambda: {"made": made})
+    found = parameter_of(made(value), "p").energy()
+    table = np.zeros((3, np.size(value)))
+    table[found.quadratic[:, 0], found.quadratic_entry] = 2.0 * found.quadratic_factor
+    return table
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(
+    ("diagonal", "value", "derivatives"),
+    [
+        (lambda p: [3.0 - 2.0 * p, 1.0, 2.0], 0.75, [[-2.0], [0.0], [0.0]]),
+        (lambda p: [p * p, 1.0 / p, 0.25 / (1.0 + p * p)], 0.75, [[1.5], [-1.0 / 0.5625], [-0.375 / 1.5625**2]]),
+        (lambda p: [np.exp(p), p, 1.0], 0.75, [[np.exp(0.75)], [1.0], [0.0]]),
+        (lambda p: [1.0 / p + p, 1.0, 1.0], 0.75, [[1.0 - 1.0 / 0.5625], [0.0], [0.0]]),
+        (lambda p: 1.0 / p, [1.0, 2.0, 4.0], np.diag([-1.0, -0.25, -0.0625])),
+        (lambda p: [p[0], p[2], 1.0], [1.0, 2.0, 4.0], [[1, 0, 0], [0, 0, 1], [0, 0, 0]]),
+        # The second entry changes what the first one has changed.
+        (lambda p: [p[0] + p[1], p[2], 1.0], [1.0, 2.0, 4.0], [[1, 1, 0], [0, 0, 1], [0, 0, 0]]),
+        # Alone, the first entry changes nothing: its factor is zero.
+        (lambda p: [p[0] * (p[1] - 2.0), p[2], 1.0], [1.0, 2.0, 4.0], [[0, 1, 0], [0, 0, 1], [0, 0, 0]]),
+    ],
+)
+def test_derivatives_of_coefficients(monkeypatch, diagonal, value, derivatives):
+    found = derivatives_of(monkeypatch, diagonal, value if np.ndim(value) == 0 else np.array(value))
+    np.testing.assert_allclose(found, derivatives, rtol=80 * 2.0**-51, atol=0)
+
+
+def test_entries_that_only_change_alone_are_differentiated(monkeypatch):
+    """Where one entry may change by some amount, all together may not: their sum is limited."""
+
+    def limited(p):
+        if p.sum() > 3.25:
+            raise ValueError("too large")
+        return p
+
+    found = derivatives_of(monkeypatch, limited, np.array([1.0, 1.0, 1.0]))
+    np.testing.assert_allclose(found, np.eye(3), rtol=2.0**-50, atol=0)
+
+
+def test_parameters_are_cached_as_long_as_their_system():
+    system, x = co.systems.heavy_top((1.0, 2.0, 2.5), lever=(0.1, 0.2, 0.3)), np.arange(6.0)
+    found = parameters_of(system)
+    assert parameters_of(system) is found and found["inertia"].energy() is found["inertia"].energy()
+    again = parameters_of(co.systems.heavy_top((1.0, 2.0, 2.5), lever=(0.1, 0.2, 0.3)))
+    assert again is not found
+    for name, one in found.items():
+        assert np.array_equal(one.energy().at(x), again[name].energy().at(x))
+    ready = co.prepare(system, co.Splitting(), step=0.1)
+    ready.parameters["inertia"][:] = 0.0
+    assert ready.parameters["inertia"].tolist() == [1.0, 2.0, 2.5]
+    left = weakref.ref(system)
+    del system, ready
+    gc.collect()
+    assert left() is None
+
+
+def at_least_one(stiffness=1.0):
+    if stiffness < 1.0:
+        raise ValueError("too soft")
+    H = co.Quadratic((stiffness, 0.0, 0.0))
+    return co.LiePoissonSystem(SO3, H, name="at_least_one", parameters={"stiffness": stiffness})
+
+
+def test_values_at_the_end_of_their_range_are_refused(monkeypatch):
+    monkeypatch.setattr(parameters, "ready_made_systems", lambda: {"at_least_one": at_least_one})
+    system, x = at_least_one(2.0), np.array([1.0, 2.0, 3.0])
+    assert parameter_of(system, "stiffness").energy().at(x) == pytest.approx([0.5], rel=2.0**-50)
+    with refused(ValueError, "stiffness", "at_least_one", "near 1"):
+        parameter_of(at_least_one(), "stiffness").energy()
+
+
+ALGEBRA = SO3
+QUARTIC = co.Polynomial({(4, 0, 0): 0.25, (0, 2, 0): 0.5, (0, 0, 2): 1.0, (1, 1, 0): 0.1})
+NAMES = ("heavy_top", "kirchhoff_body", "lagrange_top", "manakov_top", "riccati", "rigid_body", "spin_lattice", "toda")
+
+
+def system_on_so3(H):
+    return co.LiePoissonSystem(ALGEBRA, H, sign=-1, name="mine", integrals={"H": H})
+
+
+def band(n):
+    """A sparse matrix above the largest dense one, and its stored entries."""
+    return scipy.sparse.diags_array([np.full(n - 1, 0.1), np.ones(n), np.full(n - 1, 0.1)], offsets=(-1, 0, 1)).tocsr()
+
+
+def get(name):
+    return co.systems.get(name, **({"inertia": (1.0, 2.0, 2.5)} if name == "rigid_body" else {}))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_ready_made_systems_are_made_by_their_functions(name):
+    system = get(name)
+    values = {key: np.asarray(1.0625 * one.value) for key, one in parameters_of(system).items()}
+    changed, x = with_parameters(system, values), np.cos(np.arange(system.dim))
+    if set(values) <= set(system.parameters):
+        made = co.systems.get(name, **(system.parameters | values))
+        assert changed.parameters == made.parameters
+        assert np.array_equal(changed.vector_field(x), made.vector_field(x))
+    found = parameters_at(system, values)
+    for key, one in parameters_of(changed).items():
+        assert np.array_equal(one.value, found[key].value)
+        assert np.array_equal(one.energy().at(x), found[key].energy().at(x))
+
+
+@pytest.mark.parametrize("M", [[1.0, 0.5, 0.4], FULL], ids=["diagonal", "full"])
+def test_matrix_and_linear_part_are_replaced(M):
+    system = system_on_so3(co.Quadratic(M, linear=[0.0, 0.1, 0.0], constant=2.0))
+    values = {"M": 1.5 * np.array(M), "linear": np.array([0.5, 0.0, 0.25])}
+    changed = with_parameters(system, values)
+    own, x = co.Quadratic(values["M"], values["linear"], 2.0), np.array([1.0, 2.0, 0.5])
+    assert changed.energy(x) == own(x) and np.array_equal(changed.hamiltonian.gradient(x), own.gradient(x))
+    assert (changed.name, changed.sign, changed.algebra) == ("mine", -1, ALGEBRA)
+    assert changed.integrals == {} and changed.parameters is None
+    assert system.energy(x) == co.Quadratic(M, [0.0, 0.1, 0.0], 2.0)(x)
+    only = with_parameters(system, {"linear": values["linear"]})
+    assert np.array_equal(only.hamiltonian.gradient(x), co.Quadratic(M, values["linear"]).gradient(x))
+
+
+def test_symmetric_part_of_a_matrix_counts():
+    system = system_on_so3(co.Quadratic(FULL))
+    changed = with_parameters(system, {"M": FULL + np.array([[0.0, 0.5, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])})
+    assert np.array_equal(
+        changed.hamiltonian.hessian(np.zeros(3))[0], [FULL[0, 0], 0.5 * (2 * FULL[0, 1] + 0.5), FULL[0, 2]]
+    )
+
+
+def test_stored_entries_of_a_large_matrix_are_replaced():
+    n, M = 129, band(129)
+    system = co.LiePoissonSystem(co.algebras.copies(ALGEBRA, n // 3), co.Quadratic(M), casimirs={})
+    value = parameters_of(system)["M"].value
+    assert value.shape == (3 * n - 2,)
+    changed = with_parameters(system, {"M": 2.0 * value})
+    assert abs(changed.hamiltonian.hessian(np.zeros(n)) - 2.0 * M.toarray()).max() == 0.0
+    # An entry alone counts with its symmetric part, as in smaller matrices.
+    moved = value.copy()
+    moved[1] += 0.5
+    hessian = with_parameters(system, {"M": moved}).hamiltonian.hessian(np.zeros(n))
+    assert M.toarray()[0, 1] == 0.1 and hessian[0, 1] == hessian[1, 0] == 0.5 * (0.6 + 0.1)
+
+
+def test_coefficients_are_replaced_in_the_order_of_the_monomials():
+    system = system_on_so3(QUARTIC)
+    values, x = np.array([2.0, 0.0, 3.0, 0.5]), np.array([1.0, 2.0, 0.5])
+    changed = with_parameters(system, {"coefficients": values})
+    monomials = dict(zip(system.hamiltonian.polynomial.monomials, values.tolist(), strict=True))
+    assert changed.energy(x) == co.Polynomial(monomials, dim=3)(x)
+
+
+@pytest.mark.parametrize(
+    ("H", "values"),
+    [
+        (co.Quadratic(FULL, linear=[0.1, 0.0, 0.2]), {"M": np.diag([1.0, 0.5, 0.4]), "linear": np.zeros(3)}),
+        (QUARTIC, {"coefficients": np.zeros(4)}),
+    ],
+    ids=["quadratic", "polynomial"],
+)
+def test_derivatives_by_coefficients_that_are_zero_remain(H, values):
+    """The energy is linear in these parameters: its difference for a unit of an entry is the derivative."""
+    system, x = system_on_so3(H), np.array([1.0, 2.0, 0.5])
+    found = parameters_at(system, values)
+    energy = with_parameters(system, values).energy(x)
+    for name, value in values.items():
+        assert found[name].value.shape == value.shape
+        for k, derivative in zip(np.ndindex(value.shape), found[name].energy().at(x), strict=True):
+            unit = np.zeros_like(value)
+            unit[k] = 1.0
+            moved = with_parameters(system, values | {name: value + unit}).energy(x)
+            assert abs(moved - energy - derivative) < 8 * 2.0**-53 * (abs(moved) + abs(energy))
+
+
+@pytest.mark.parametrize(
+    ("system", "values", "message"),
+    [
+        (co.systems.rigid_body((1, 2, 3)), {"inertia": np.array([1.0, -2.0, 3.0])}, "inertia"),
+        (system_on_so3(co.Quadratic(FULL)), {"M": np.full((3, 3), np.nan)}, "M"),
+    ],
+    ids=["builder", "Hamiltonian"],
+)
+def test_refused_values_are_named(system, values, message):
+    with pytest.raises(ValueError, match=message):
+        with_parameters(system, values)
+
+
+def test_coefficients_of_a_quadratic_are_half_its_squares_and_its_products():
+    M = np.array([[1.0, 2.0, 0.0], [2.0, 3.0, 4.0], [0.0, 4.0, 0.0]])
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M, linear=[0.0, 5.0, 0.0], constant=6.0))
+    expected = {(): 6.0, (1,): 5.0, (0, 0): 0.5, (0, 1): 2.0, (1, 1): 1.5, (1, 2): 4.0}
+    assert coefficients_of(system).by_key() == expected
+
+
+def of(codes, values, others=None):
+    return Coefficients.summed(np.asarray(codes, dtype=np.int64), np.asarray(values, dtype=float), others or {})
+
+
+@pytest.mark.parametrize("count", [2, 5, 16, 17, 1000])
+def test_entries_of_their_own_take_a_logarithm_of_calls(count):
+    """With four blocks for each digit of the number of an entry, at most, and five nodes."""
+    calls = []
+    value = np.linspace(1.0, 2.0, count)
+
+    def squares(shifts):
+        calls.append(shifts)
+        return of(np.arange(1, count + 1), (value + shifts) ** 2, {(0, 0, 0): 1.0})
+
+    energy, radii = derivatives_by_entries(squares, value)
+    digits = int(np.ceil(np.log(count) / np.log(4) - 1e-9))
+    assert len(calls) <= 5 + 4 * digits
+    assert energy.linear.tolist() == energy.linear_entry.tolist() == list(range(count))
+    np.testing.assert_allclose(energy.linear_factor, 2.0 * value, rtol=2.0**-45)
+    assert np.array_equal(radii, 0.25 * value) and energy.others == ()
+
+
+@pytest.mark.parametrize("pair", [(0, 1), (0, 16), (3, 19), (5, 18)])
+def test_a_coefficient_of_two_entries_is_differentiated_by_both(pair):
+    """Also if the numbers of both entries share digits."""
+    value = np.linspace(1.0, 2.0, 20)
+
+    def shared(shifts):
+        entries = value + shifts
+        return of(np.arange(1, 22), [*entries, entries[list(pair)].sum()])
+
+    energy, _ = derivatives_by_entries(shared, value)
+    at_shared = energy.linear == 20
+    assert energy.linear_entry[at_shared].tolist() == list(pair)
+    np.testing.assert_allclose(energy.linear_factor, 1.0, rtol=2.0**-40)
+    assert len(energy.linear) == 22
+
+
+def test_matrices_are_parameters_with_all_entries_up_to_a_dimension():
+    for n in (128, 129):
+        commuting = co.LieAlgebra.from_brackets(n, {})
+        M = parameters_of(co.LiePoissonSystem(commuting, co.Quadratic(band(n)), casimirs={}))["M"]
+        x = np.cos(np.arange(n))
+        expected, (i, j) = np.outer(x, x) / 2, band(n).nonzero()
+        if n == 128:
+            assert np.array_equal(M.value, band(n).toarray()) and np.array_equal(M.energy().at(x), expected.ravel())
+        else:
+            assert M.value.shape == (3 * n - 2,) and np.array_equal(M.energy().at(x), expected[i, j])
+
+
+def test_energies_of_functions_and_of_pieces_have_no_parameters():
+    cube = (lambda y: y**3, lambda y: 3 * y**2, lambda y: 6 * y)
+    pieces = [((0,), co.Quadratic(1.0)), ((1,), co.Quadratic(2.0))]
+    for energy in (co.Separable({0: cube}), co.SplitHamiltonian(pieces)):
+        assert parameters_of(co.LiePoissonSystem(SO3, energy)) == {}
+    with refused(ValueError, "inertai", "inertia", "rigid_body"):
+        parameter_of(co.systems.rigid_body(), "inertai")

@@ -1,0 +1,154 @@
+"""Rows that repeat, as those of a lattice, are stored once: the same matrix, the same bits, few bytes a spin."""
+
+import numpy as np
+import pytest
+import scipy.sparse
+
+import coadjoint as co
+from coadjoint.program.actions import build_action
+from coadjoint.program.copied_actions import copied_action
+from coadjoint.program.generators import BasisMatrices
+from coadjoint.program.parts.decompose import decompose
+from coadjoint.systems.hamiltonians import repeated_rows as rows
+from coadjoint.systems.hamiltonians.terms import RepeatedTerm
+from coadjoint.systems.lattices import coupling_matrix
+from coadjoint.systems.lattices.neighbours import graph
+
+SIDE = 12  # of a cubic lattice, with more rows than MIN_ROWS
+SITES = SIDE**3
+RANDOM = np.random.default_rng(11)
+BOTH_WAYS = np.stack([np.arange(1499), np.arange(1, 1500)], axis=1)  # bonds of a chain, every second one backward
+BOTH_WAYS[::2] = BOTH_WAYS[::2, ::-1]
+FULL = np.array([[1.0, 0.1, 0.0], [0.2, -1.0, 0.3], [0.0, 0.0, 0.5]])
+LATTICES = {
+    "periodic": ("cubic", (SIDE, SIDE, SIDE), {"periodic": True}),
+    "open": ("cubic", (SIDE, SIDE, SIDE), {"tensor": (1.0, 0.5, 0.0), "exchange": -2.0}),
+    "on site": ("square", (48, 50), {"periodic": (True, False), "on_site": (0.0, 0.0, 0.3), "field": (0.1, 0.0, 0.2)}),
+    "kagome": ("kagome", (30, 31), {"periodic": True, "field": RANDOM.standard_normal((2790, 3))}),
+    "directed": ("chain", 1500, {"tensor": FULL, "dm": (0.0, 0.4, 0.0)}),
+    "both ways": (BOTH_WAYS, 1500, {"dm": (0.0, 0.0, 0.3)}),
+    "one DM axis": ("square", (40, 41), {"periodic": True, "dm": (0.0, 0.0, 0.3)}),
+    "DM by bond": ("chain", 1500, {"dm": np.tile([[0.0, 0.0, 0.2], [0.0, 0.0, -0.2]], (750, 1))[:1499]}),
+    "disordered": ("cubic", (SIDE, SIDE, SIDE), {"exchange": RANDOM.standard_normal(3 * SIDE**2 * (SIDE - 1))}),
+    "diluted": ("ring", 1500, {"exchange": np.where(np.arange(1500) % 5, 1.0, 0.0), "on_site": (0.0, 0.1, 0.0)}),
+    "only on site": ("chain", 1500, {"exchange": 0.0, "on_site": FULL + FULL.T}),
+}
+EXPLICIT = ("disordered",)
+# With shares of few angles, which the loops over flows read row by row, or of products of different components.
+SHORT_SHARES = ("one DM axis", "both ways", "DM by bond", "diluted")
+
+
+def lattice(name):
+    kind, shape, options = LATTICES[name]
+    return co.systems.spin_lattice(kind, shape, **options)
+
+
+def explicit(name, monkeypatch):
+    """Return the same lattice without shapes of rows."""
+    with monkeypatch.context() as patched:
+        patched.setattr(rows, "MIN_ROWS", 2**40)
+        patched.setattr(coupling_matrix, "MIN_ROWS", 2**40)
+        return lattice(name)
+
+
+def matrix_by_hand(
+    kind, shape, *, exchange=1.0, tensor=(1.0, 1.0, 1.0), dm=(0.0, 0.0, 0.0), on_site=(0.0, 0.0, 0.0), **others
+):
+    """Return M as the sum of the couplings of all edges, in both orders, and of all sites."""
+    sites, edges = graph(kind, shape, others.get("periodic", False))
+    T, K = (np.diag(array) if np.ndim(array) == 1 else array for array in (tensor, on_site))
+    J, D = np.broadcast_to(exchange, len(edges)), np.broadcast_to(dm, (len(edges), 3))
+    cross = np.zeros((3, 3, 3))
+    cross[[0, 1, 2], [1, 2, 0], [2, 0, 1]], cross[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = 1.0, -1.0
+    blocks = -J[:, None, None] * T + np.einsum("ek,kab->eab", D, cross)
+    a, b = np.indices((3, 3)).reshape(2, 1, 9)
+    upper = scipy.sparse.coo_array(
+        (blocks.ravel(), ((3 * edges[:, :1] + a).ravel(), (3 * edges[:, 1:] + b).ravel())), shape=(3 * sites,) * 2
+    ).tocsr()
+    found = (upper + upper.T + scipy.sparse.kron(scipy.sparse.eye_array(sites), -2.0 * K, format="csr")).tocsr()
+    found.eliminate_zeros()
+    found.sort_indices()
+    return found
+
+
+@pytest.mark.parametrize("name", LATTICES)
+def test_matrix_is_that_of_the_couplings(name):
+    kind, shape, options = LATTICES[name]
+    (term,) = lattice(name).hamiltonian.terms()
+    expected = matrix_by_hand(kind, shape, **options)
+    assert isinstance(term, RepeatedTerm) == (name not in EXPLICIT)
+    np.testing.assert_array_equal(term.indptr, expected.indptr)
+    np.testing.assert_array_equal(term.indices, expected.indices)
+    np.testing.assert_array_equal(term.values, expected.data)
+    assert term.multiplications == expected.nnz
+    x = np.random.default_rng(2).standard_normal(expected.shape[0])
+    scale = np.abs(expected) @ np.abs(x)
+    assert np.all(np.abs(lattice(name).hamiltonian.gradient(x) - expected @ x - term.linear) <= 1e-14 * (1 + scale))
+
+
+@pytest.mark.parametrize("name", [name for name in LATTICES if name not in (*EXPLICIT, "directed", "only on site")])
+@pytest.mark.parametrize("options", [{}, {"compensated": True}], ids=["plain", "compensated"])
+def test_runs_have_the_bits_of_explicit_rows(name, options, monkeypatch):
+    systems = lattice(name), explicit(name, monkeypatch)
+    x0 = np.random.default_rng(3).standard_normal(systems[0].dim)
+    loops = [co.prepare(system, co.Splitting(order=2), 0.05).loops(0.05) for system in systems]
+    assert [loop.prepared.tables.terms.repeated > 0 for loop in loops] == [name not in SHORT_SHARES, False]
+    assert [loop.watch.terms.repeated > 0 for loop in loops] == [True, False]
+    for threads in (1, 2):
+        runs = [
+            co.integrate(system, x0, (0.0, 0.3), 0.05, co.Splitting(order=4, **options), threads=threads)
+            for system in systems
+        ]
+        assert np.array_equal(runs[0].x, runs[1].x)
+        assert np.array_equal(runs[0].energy, runs[1].energy)
+        assert runs[0].step_error() == runs[1].step_error()
+
+
+def test_members_and_partial_steps_have_the_bits_of_explicit_rows(monkeypatch):
+    systems = lattice("open"), explicit("open", monkeypatch)
+    members = np.random.default_rng(4).standard_normal((3, systems[0].dim))
+    for options in ({}, {"t_eval": [0.08, 0.13]}):
+        runs = [co.integrate(system, members, (0.0, 0.2), 0.05, co.Splitting(), **options) for system in systems]
+        assert np.array_equal(runs[0].x, runs[1].x)
+        assert np.array_equal(runs[0].energy, runs[1].energy)
+
+
+@pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (1.0, 0.0, 1.0)])
+def test_actions_of_copies_are_those_of_all_blocks(axes):
+    system = co.systems.spin_lattice("ring", 2100, tensor=axes)
+    parts = decompose(system, "auto").parts
+    copied = copied_action(system.algebra, parts)
+    expected = build_action(BasisMatrices.coadjoint(system.algebra), parts)
+    assert copied is not None
+    for name, column in copied._asdict().items():
+        np.testing.assert_array_equal(column, getattr(expected, name), name)
+        assert np.asarray(column).dtype == np.asarray(getattr(expected, name)).dtype
+
+
+def arrays_in(item, found):
+    """Collect the arrays in tables, by the memory that they occupy."""
+    if isinstance(item, np.ndarray):
+        owner = item
+        while isinstance(owner.base, np.ndarray):
+            owner = owner.base
+        found[owner.__array_interface__["data"][0]] = owner.nbytes
+    elif isinstance(item, tuple):
+        for each in item:
+            arrays_in(each, found)
+    elif isinstance(item, rows.RepeatedRows):
+        arrays_in(tuple(vars(item).values()), found)
+
+
+@pytest.mark.parametrize(("name", "most"), [("periodic", 160), ("open", 160), ("disordered", 920)])
+def test_bytes_of_the_tables_of_a_spin(name, most):
+    """All arrays of the Hamiltonian, the invariants, the parts and the loops, each counted once."""
+    system = lattice(name)
+    loops = co.prepare(system, co.Splitting(order=2), 0.05, watch=False).loops(0.05)
+    parts, found = loops.prepared.parts, {}
+    terms = [term for F in (system.hamiltonian, *system.casimirs.values()) for term in F.terms()]
+    for term in terms:
+        of_matrix = (term.matrix,) if isinstance(term, RepeatedTerm) else (term.indptr, term.indices, term.values)
+        arrays_in((*of_matrix, term.linear), found)
+    arrays_in((parts.forms, parts.offset, parts.weights, parts.row, parts.share), found)
+    arrays_in((loops.prepared.tables, loops.watch), found)
+    assert sum(found.values()) <= most * SITES

@@ -1,0 +1,240 @@
+"""Linear terms, polynomials and formulas inside Hamiltonians, signatures of functions, and failing functions of JAX."""
+
+import functools
+import math
+
+import mpmath as mp
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.kernels.tables.invariants import invariants_table
+from coadjoint.kernels.tables.recording import values_along
+from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
+from coadjoint.systems.hamiltonians.jax_function import JaxFunction
+from coadjoint.systems.hamiltonians.linear_term import (
+    PLACEHOLDER_COEFFICIENT,
+    check_linear,
+    linear_of,
+    with_linear,
+    with_placeholders,
+)
+from coadjoint.systems.hamiltonians.polynomial_form import polynomial_of
+from coadjoint.systems.user_functions import takes_time
+from refusals import refused
+
+M = np.array([[1.0, 0.5, 0.0, -0.25], [0.5, 2.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.75], [-0.25, 0.0, 0.75, 0.5]])
+X = np.array([0.3, -0.7, 1.1, 0.4])
+ABELIAN = co.LieAlgebra.from_brackets(4, {})
+
+
+def cosh():
+    """A function without a linear term."""
+    return co.Separable({0: (np.cosh, np.sinh, np.cosh)})
+
+
+def squares():
+    return co.Hamiltonian(lambda y: y @ y, lambda y: 2 * y, lambda y: 2 * np.eye(len(y)))
+
+
+def overlapping():
+    """Pieces that share coordinates, in no order, each with a linear term."""
+    return co.SplitHamiltonian(
+        [
+            ((2, 0), co.Quadratic([[1.0, 0.5], [0.5, -2.0]], linear=[0.25, -1.0])),
+            ((0, 3), co.Polynomial({(3, 0): 1.0, (1, 2): -2.0, (0, 1): 0.5, (1, 0): 3.0})),
+            ((3, 2), co.Quadratic(0.5, linear=[-0.125, 2.0])),
+            ((1,), cosh()),
+        ]
+    )
+
+
+KINDS = {
+    "quadratic": lambda: co.Quadratic(M, linear=[0.5, 0.0, -1.5, 2.0], constant=0.75),
+    "polynomial": lambda: co.Polynomial({(2, 0, 1, 0): 1.5, (1, 0, 0, 0): -0.5, (0, 0, 0, 1): 3.0, (0, 2, 0, 0): 1.0}),
+    "separable": lambda: co.Separable({1: (np.cosh, np.sinh, np.cosh), 3: (np.cosh, np.sinh, np.cosh)}),
+    "split": lambda: co.SplitHamiltonian(
+        [((3, 1), co.Quadratic(M[:2, :2], linear=[2.0, -0.5])), ((0,), cosh()), ((2,), co.Quadratic(1.0, linear=[0.5]))]
+    ),
+    "split in a split": lambda: co.SplitHamiltonian([((3, 1), co.SplitHamiltonian([((1, 0), quadratic_of_two())]))]),
+    "quadratic and separable": lambda: co.Quadratic(M, linear=[0.5, 0.0, -1.5, 2.0]) + KINDS["separable"](),
+    "split and separable": lambda: KINDS["split"]() + KINDS["separable"](),
+    "split, functions and polynomial": lambda: KINDS["split"]() + squares() + KINDS["polynomial"](),
+    "overlapping and polynomial": lambda: overlapping() + KINDS["polynomial"](),
+}
+
+
+def quadratic_of_two():
+    return co.Quadratic([[0.5, 0.25], [0.25, 1.0]], linear=[1.0, -3.0])
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "overlapping"])
+def test_it_is_the_gradient_at_zero(kind):
+    """All functions here are even."""
+    H = as_hamiltonian(overlapping() if kind == "overlapping" else KINDS[kind](), 4)
+    np.testing.assert_array_equal(linear_of(H, 4), H.gradient(np.zeros(4)))
+
+
+def linear_of_terms(H):
+    """The sum of the linear parts of quadratic and polynomial terms."""
+    found = np.zeros(4)
+    for term in H.terms():
+        if term.form is not None:
+            found += term.form.linear
+        elif not term.called:
+            found += term.polynomial.gradient(np.zeros(4))
+    return found
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_another_one_changes_nothing_else(kind):
+    system = co.LiePoissonSystem(ABELIAN, KINDS[kind](), casimirs={})
+    old = linear_of(system.hamiltonian, 4)
+    for new in (np.array([0.5, 0.0, -2.0, 1.0]), np.zeros(4), old + [0.0, 0.0, 0.0, 1.0], old):
+        changed = with_linear(system, new).hamiltonian
+        np.testing.assert_allclose(linear_of(changed, 4), new, rtol=0, atol=2.0**-50)
+        np.testing.assert_allclose(changed.gradient(X) - system.hamiltonian.gradient(X), new - old, atol=2.0**-49)
+        np.testing.assert_allclose(changed.value(X) - system.hamiltonian.value(X), (new - old) @ X, atol=2.0**-48)
+        np.testing.assert_array_equal(changed.hessian(X), system.hamiltonian.hessian(X))
+        # The terms, which compiled loops use; those of the former Hamiltonian are kept.
+        slopes = [linear_of_terms(H) for H in (changed, system.hamiltonian)]
+        np.testing.assert_allclose(slopes[0] - slopes[1], new - old, rtol=0, atol=2.0**-50)
+    np.testing.assert_array_equal(linear_of(system.hamiltonian, 4), old)
+
+
+def test_a_coordinate_of_two_polynomials_is_refused_and_the_others_are_not():
+    system = co.LiePoissonSystem(ABELIAN, overlapping(), casimirs={})
+    old = linear_of(system.hamiltonian, 4)
+    for k, pieces in ((0, "0 and 1"), (2, "0 and 2"), (3, "1 and 2")):
+        with refused(ValueError, f"pieces {pieces}", f"coordinate {k}"):
+            with_linear(system, old + np.eye(4)[k])
+    changed = with_linear(system, old + [0.0, 0.5, 0.0, 0.0]).hamiltonian
+    np.testing.assert_array_equal(linear_of(changed, 4), old + [0.0, 0.5, 0.0, 0.0])
+
+
+def test_a_replacement_drops_what_holds_for_the_former_one_alone():
+    system = co.systems.gyrostat((2.0, 2.0, 1.0), (0.0, 0.0, 0.5))
+    changed = with_linear(system, np.array([0.25, 0.0, 0.0]))
+    assert changed.closed_form is None and changed.parameters is None and changed.integrals == {}
+    assert system.closed_form is not None and system.parameters and list(system.integrals) == ["x3"]
+    assert changed.casimirs == system.casimirs and changed.sign == system.sign == -1
+    x = np.array([0.3, -0.5, 0.8])
+    slope = x / [2.0, 2.0, 1.0] + [0.25, 0.0, 0.0]
+    np.testing.assert_allclose(changed.vector_field(x), np.cross(x, slope), rtol=0, atol=2.0**-52)
+
+
+def test_placeholders_only_where_a_chosen_coefficient_is_zero():
+    system = co.LiePoissonSystem(ABELIAN, co.Quadratic(M, linear=[0.5, 0.0, 0.0, 2.0]), casimirs={})
+    np.testing.assert_array_equal(
+        linear_of(with_placeholders(system, (0, 2)).hamiltonian, 4), [0.5, 0.0, PLACEHOLDER_COEFFICIENT, 2.0]
+    )
+    assert with_placeholders(system, (0, 3)) is system and with_placeholders(system, ()) is system
+    np.testing.assert_array_equal(linear_of(system.hamiltonian, 4), [0.5, 0.0, 0.0, 2.0])
+
+
+def test_functions_of_all_coordinates_have_none():
+    system = co.LiePoissonSystem(ABELIAN, squares(), casimirs={}, name="squares")
+    with refused(TypeError, "'squares'", "inputs"):
+        check_linear(system)
+    with refused(TypeError, "linear term"):
+        with_linear(system, np.zeros(4))
+
+
+def test_the_polynomial_of_a_hamiltonian_has_all_of_its_parts():
+    split = co.SplitHamiltonian(
+        [
+            ((2, 0), co.Quadratic([[1.0, 0.5], [0.5, 3.0]], linear=[0.25, -1.0], constant=-4.0)),
+            ((1, 2), co.Polynomial("1/3*x1*x2^2 + 2", dim=2)),
+            ((0,), co.Quadratic(2.0, linear=[1.0], constant=0.5)),
+        ]
+    ).bind(3)
+    both = as_hamiltonian(split + co.Polynomial({(1, 1, 1): 2.0, (0, 0, 0): 7.0}, dim=3), 3)
+    for H in (split, both, as_hamiltonian(co.Quadratic(3.0, constant=1.0), 3)):
+        polynomial = polynomial_of(H)
+        for x in (np.zeros(3), X[:3], -2 * X[:3]):
+            assert polynomial(x) == pytest.approx(H.value(x), rel=1e-14)
+    assert polynomial_of(as_hamiltonian(split + co.Separable({0: (np.cosh, np.sinh)}), 3)) is None
+
+
+def test_the_kernels_have_the_formula_and_its_multiples():
+    """Value, slope and curvature of each function by its tables, also of 3 H: rounding of a few operations."""
+    mass, kappa = 0.7, 1.25
+    system = co.systems.separable_cosh("A3,7", (1.0, mass, -0.3), kappa, {"a": 1.5})
+    points = np.concatenate([np.linspace(-3.0, 3.0, 25), [1e-12, -1e-5, 40.0, 565.0]])
+    with mp.workdps(40):
+        exact = {
+            "value": [mass * 2 * (mp.sinh(mp.mpf(kappa * y) / 2) / kappa) ** 2 for y in points],
+            "gradient": [mass * mp.sinh(mp.mpf(kappa * y)) / kappa for y in points],
+            "hessian": [mass * mp.cosh(mp.mpf(kappa * y)) for y in points],
+        }
+    for factor, hamiltonian in ((1.0, system.hamiltonian), (3.0, 3.0 * system.hamiltonian)):
+        term = hamiltonian.functions()[1]
+        for which, wanted in exact.items():
+            table = invariants_table([(which, co.Invariant(getattr(term, which)))], 1)
+            found = np.empty((len(points), 1, 1))
+            values_along(table.tables, points[:, None, None], np.zeros(len(points)), found)
+            expected = [float(factor * number) for number in wanted]
+            np.testing.assert_allclose(found[:, 0, 0], expected, rtol=2.0**-53 * 24)
+
+
+class Callable:
+    def __call__(self, x, t):
+        return t * x
+
+
+SIGNATURES = [  # a function, whether it takes the time
+    (lambda x: x, False),
+    (lambda x, t: x, True),
+    (lambda y, s: y, True),
+    (lambda x, m=2.0: x, False),
+    (lambda x, t=0.0: x, True),
+    (lambda x, m=2.0, t=0.0: x, False),
+    (lambda x, *rest: x, False),
+    (lambda x, *, m=2.0: x, False),
+    (np.sin, False),
+    (np.hypot, True),
+    (math.sin, False),
+    (Callable(), True),
+    (functools.partial(lambda m, x: m * x, 2.0), False),
+    (functools.partial(lambda m, x, t: m * x, 2.0), True),
+    (np.linalg.norm, False),
+]
+
+
+@pytest.mark.parametrize(("function", "timed"), SIGNATURES)
+def test_which_functions_take_the_time(function, timed):
+    assert takes_time(function, "f") is timed
+
+
+def test_errors_in_functions_of_jax_end_the_run(monkeypatch):
+    jax = pytest.importorskip("jax")
+    jax.config.update("jax_enable_x64", True)
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(lambda x: jax.numpy.sum(jax.numpy.cosh(x))))
+    ready = co.prepare(system, co.GaussLegendre(1), step=0.1)
+    step = co.stepper(system, co.GaussLegendre(1), 0.1)
+    _, pullback = ready.vjp((1.0, 0.2, 0.5), (0, 1))
+    plain, remaining = JaxFunction.__call__, []
+
+    def failing(self, x, t=0.0):
+        if not remaining:
+            raise OSError("the disk is gone")
+        remaining.pop()
+        return plain(self, x, t)
+
+    monkeypatch.setattr(JaxFunction, "__call__", failing)
+    for call in (
+        lambda: ready.run((1.0, 0.2, 0.5), (0, 1)),
+        lambda: ready.jvp((1.0, 0.2, 0.5), (0, 1), {"x0": np.eye(3)}),
+        lambda: pullback(np.ones((11, 3))),
+        lambda: step((1.0, 0.2, 0.5)),
+        lambda: step.tangent((1.0, 0.2, 0.5)),
+    ):
+        remaining[:] = range(20)
+        for _ in range(20):  # a step takes a few calls
+            try:
+                call()
+            except OSError as error:
+                assert "disk" in str(error)
+                break
+        else:
+            pytest.fail("no error")

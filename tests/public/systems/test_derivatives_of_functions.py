@@ -1,0 +1,280 @@
+"""Hamiltonians given by their value alone: derivatives of recorded operations, and by JAX."""
+
+import pickle
+import subprocess
+import sys
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+
+import coadjoint as co
+from refusals import refused
+
+SO3, SE3 = co.algebras.so(3), co.algebras.se(3)
+
+
+WEIGHTS = np.array([1.0, 0.5, 0.4, 0.3, 0.2, 0.1])
+
+
+X0 = np.array([1.0, 0.2, 0.5, 0.3, -0.4, 0.2])
+
+
+MPMATH = {"arcsin": "asin", "arccos": "acos", "arctan": "atan", "arctan2": "atan2"} | {
+    f"arc{name}": f"a{name}" for name in ("sinh", "cosh", "tanh")
+}
+
+
+def value(x):
+    return 0.5 * x @ (WEIGHTS * x) + 0.1 * np.sum(np.cosh(x))
+
+
+def gradient(x):
+    return WEIGHTS * x + 0.1 * np.sinh(x)
+
+
+def hessian(x):
+    return np.diag(WEIGHTS) + 0.1 * np.diag(np.cosh(x))
+
+
+def driven(x, t):
+    return x[0] * np.cos(t) + x[1] ** 2 * x[2] * np.sin(2 * t)
+
+
+def in_mpmath(name, *arguments):
+    if name == "expm1":
+        return mpmath.exp(arguments[0]) - 1
+    if name == "exp2":
+        return mpmath.mpf(2) ** arguments[0]
+    if name in ("log1p", "log2"):
+        return mpmath.log(1 + arguments[0]) if name == "log1p" else mpmath.log(arguments[0], 2)
+    return getattr(mpmath, MPMATH.get(name, name))(*arguments)
+
+
+UNARY = (
+    "sin cos tan arcsin arccos arctan sinh cosh tanh arcsinh arccosh arctanh "
+    "exp expm1 exp2 log log1p log2 log10 sqrt cbrt"
+).split()
+
+
+def recorded(function, n):
+    return co.Hamiltonian(function).bind(n)
+
+
+@pytest.mark.parametrize("name", UNARY)
+def test_functions_against_50_digits(name):
+    at = 1.75 if name == "arccosh" else 0.375
+    # Sample points are anywhere: the argument is moved where the function is defined.
+    low, high = {"arccosh": (1.25, 0.5), "arcsin": (0.0, 0.5), "arccos": (0.0, 0.5), "arctanh": (0.0, 0.5)}.get(
+        name, (0.125, 0.25)
+    )
+    inner = lambda y: low + high / (1 + y * y)  # noqa: E731
+    y = np.sqrt(high / (at - low) - 1) if at > low else 1.0
+    H = recorded(lambda x: getattr(np, name)(inner(x[0])), 1)
+    with mpmath.workdps(50):
+        for order, found in ((1, H.gradient([y])[0]), (2, H.hessian([y])[0, 0])):
+            expected = float(mpmath.diff(lambda z: in_mpmath(name, inner(z)), mpmath.mpf(float(y)), order))
+            assert found == pytest.approx(expected, rel=1e-13, abs=1e-14)
+
+
+@pytest.mark.parametrize("base, exponent", [(-1.5, 3), (-1.5, -2), (1.5, 2.5), (-1.5, 2), (2.0, 1), (3.0, 0.5)])
+def test_powers_with_constants(base, exponent):
+    H = recorded(lambda x: x[0] ** exponent, 1)
+    assert H.gradient([base])[0] == pytest.approx(exponent * base ** (exponent - 1), rel=1e-15)
+    assert H.hessian([base])[0, 0] == pytest.approx(exponent * (exponent - 1) * base ** (exponent - 2), rel=1e-15)
+
+
+TWO = {
+    "add": (lambda a, b: a + b,) * 2,
+    "sub": (lambda a, b: a - b,) * 2,
+    "mul": (lambda a, b: a * b,) * 2,
+    "div": (lambda a, b: a / b,) * 2,
+    "pow": (lambda a, b: (a * a) ** b,) * 2,
+    "constant base": (lambda a, b: 2.5**a - b,) * 2,
+    "arctan2": (np.arctan2, mpmath.atan2),
+    "hypot": (np.hypot, mpmath.hypot),
+}
+
+
+@pytest.mark.parametrize("name", TWO)
+def test_operations_of_two_coordinates_against_50_digits(name):
+    operation, exact = TWO[name]
+    H, at = recorded(lambda x: operation(x[0], x[1]), 2), (0.875, -1.25)
+    with mpmath.workdps(50):
+        expected = [float(mpmath.diff(exact, at, n)) for n in ((1, 0), (0, 1))]
+        second = [float(mpmath.diff(exact, at, n)) for n in ((2, 0), (1, 1), (0, 2))]
+    np.testing.assert_allclose(H.gradient(at), expected, rtol=1e-14, atol=1e-15)
+    np.testing.assert_allclose(H.hessian(at)[[0, 0, 1], [0, 1, 1]], second, rtol=1e-13, atol=1e-15)
+    np.testing.assert_array_equal(H.hessian(at)[0, 1], H.hessian(at)[1, 0])
+
+
+ARRAYS = {
+    "matrix": lambda x: 0.5 * x @ np.arange(9.0).reshape(3, 3) @ x,
+    "norm": lambda x: np.linalg.norm(x) ** 3,
+    "einsum": lambda x: np.einsum("i,ij,j->", x, np.arange(9.0).reshape(3, 3), np.sin(x)),
+    "cross": lambda x: np.cross(x, [1.0, 2.0, 3.0]) @ x**2,
+    "loop": lambda x: sum(x[k] ** 2 / (k + 1) for k in range(len(x))),
+    "product": lambda x: np.prod(x) + np.mean(np.exp(-x)) - x.sum(),
+    "constant": lambda x: 3.0,
+    "reciprocal": lambda x: np.sum(1 / (2 + np.square(x))) + np.float64(2.0) * x[0],
+}
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+def test_arrays_against_complex_steps(name):
+    """Values are those of the function up to the order of sums; a complex step has no cancellation."""
+    function, x, step = ARRAYS[name], np.array([0.375, -0.5, 1.25]), 2.0**-100
+    H, steps = recorded(function, 3), 1j * step * np.eye(3)
+    assert H.value(x) == pytest.approx(float(function(x)), rel=1e-15)
+    if name != "norm":  # of complex numbers it is another function
+        expected = [np.imag(function(x + e)) / step for e in steps]
+        np.testing.assert_allclose(H.gradient(x), expected, rtol=1e-14, atol=1e-16)
+    else:
+        np.testing.assert_allclose(H.gradient(x), 3 * np.linalg.norm(x) * x, rtol=1e-14)
+    expected = [np.imag(H.gradient(x + e)) / step for e in steps]
+    np.testing.assert_allclose(H.hessian(x), expected, rtol=1e-13, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("function", "named"),
+    [
+        (lambda x: abs(x[0]), "absolute value"),
+        (lambda x: np.abs(x).sum(), "absolute value"),
+        (lambda x: x[0] if x[0] > 0 else x[1], "compares"),
+        (lambda x: x[0] * (x[0] == 0), "compares"),
+        (lambda x: np.maximum(x[0], x[1]), "compares"),
+        (lambda x: np.sum(np.array(x, dtype=float)), "plain number"),
+        (lambda x: np.floor(x[0]), "plain number"),
+        (lambda x: np.nan * x[0], "nan"),
+        (lambda x: x[0] % 1, "%"),
+        (lambda x: x, ""),
+        (lambda x: 1j * x[0], "1j"),
+    ],
+)
+def test_refused_functions(function, named):
+    with refused((TypeError, ValueError), named) as refusal:
+        recorded(function, 3)
+    assert "\n" not in str(refusal.value)
+
+
+def test_hessian_without_gradient_is_refused():
+    with refused(TypeError, "gradient"):
+        co.Hamiltonian(value, hessian=hessian)
+
+
+def test_number_of_operations_is_limited():
+    """First the second derivatives are left out, then the function is refused: beyond 2000 operations."""
+
+    def sums(count):
+        return recorded(lambda x: sum(np.sin((k + 2) * x[0]) for k in range(count)), 1)
+
+    assert sums(200).hessian([0.1]).shape == (1, 1)
+    with refused(TypeError, "hessian="):
+        sums(2000 // 6).hessian([0.1])
+    with refused(TypeError, "2000", "gradient="):
+        sums(2000 // 3)
+
+
+def test_objects_and_complex_numbers():
+    H = recorded(lambda x: 2 * x[0] ** 3 + x[1] * x[0], 2)
+    exact = H.gradient(np.array([Fraction(1, 3), Fraction(2)], dtype=object))
+    assert exact.tolist() == [Fraction(6, 9) + 2, Fraction(1, 3)]
+    np.testing.assert_allclose(H.gradient([1j, 2.0]), [6 * (1j) ** 2 + 2, 1j], rtol=1e-15)
+
+
+def runs(H, system=SE3, x0=X0, method=None, span=(1.0, 0.5)):
+    ready = co.prepare(co.LiePoissonSystem(system, H), method or co.GaussLegendre(2), step=0.05)
+    sol, pullback = ready.vjp(x0, span)
+    return sol.x, pullback(np.cos(sol.x))["x0"]
+
+
+FORMS = {
+    "recorded": lambda: co.Hamiltonian(value),
+    "jax": lambda: co.Hamiltonian(by_jax),
+    "multiple of bound": lambda: 0.5 * (2 * co.Hamiltonian(by_jax).bind(6)),
+    "sum": lambda: co.Hamiltonian(value) + co.Hamiltonian(by_jax) - co.Hamiltonian(value),
+}
+
+
+def by_jax(x):
+    jnp = pytest.importorskip("jax.numpy")
+    return 0.5 * jnp.sum(WEIGHTS * x * x) + 0.1 * jnp.sum(jnp.cosh(x))
+
+
+@pytest.fixture(scope="module")
+def given():
+    return runs(co.Hamiltonian(value, gradient, hessian))
+
+
+@pytest.fixture(autouse=True)
+def x64():
+    if "jax" in sys.modules:
+        import jax
+
+        jax.config.update("jax_enable_x64", True)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_runs_and_their_derivatives_are_those_of_given_functions(form, given):
+    """In e(3), backward in time. Round-off of a gradient, 2^-52, is repeated in ten steps."""
+    if form != "recorded":
+        jax = pytest.importorskip("jax")
+        jax.config.update("jax_enable_x64", True)
+    for ours, expected in zip(runs(FORMS[form]()), given, strict=True):
+        np.testing.assert_allclose(ours, expected, rtol=1e-12, atol=1e-13)
+
+
+def test_functions_of_time():
+    jnp = pytest.importorskip("jax.numpy")
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    expected = co.Hamiltonian(
+        driven,
+        lambda x, t: np.array([np.cos(t), 2 * x[1] * x[2] * np.sin(2 * t), x[1] ** 2 * np.sin(2 * t)]),
+        lambda x, t: 2 * np.sin(2 * t) * np.array([[0.0, 0.0, 0.0], [0.0, x[2], x[1]], [0.0, x[1], 0.0]]),
+    )
+    in_jax = co.Hamiltonian(lambda x, t: x[0] * jnp.cos(t) + x[1] ** 2 * x[2] * jnp.sin(2 * t))
+    reference = runs(expected, SO3, X0[:3])
+    for H in (co.Hamiltonian(driven), in_jax):
+        for ours, exact in zip(runs(H, SO3, X0[:3]), reference, strict=True):
+            np.testing.assert_allclose(ours, exact, rtol=1e-12, atol=1e-13)
+
+
+def test_functions_that_jax_refuses():
+    jnp = pytest.importorskip("jax.numpy")
+    with refused(TypeError, "JAX"):
+        co.Hamiltonian(lambda x: jnp.sum(x) * np.cosh(float(x[0]))).bind(2)
+    with refused(TypeError, "shape"):
+        co.Hamiltonian(lambda x: jnp.cosh(x)).bind(2)
+    H = co.Hamiltonian(lambda x: jnp.sum(x**2)).bind(2)
+    with refused(TypeError, "complex128"):
+        H.gradient([1j, 0.0])
+
+
+def test_jax_without_float64_is_refused():
+    pytest.importorskip("jax")
+    code = (
+        "import jax.numpy as jnp, coadjoint as co\n"
+        "try:\n    co.Hamiltonian(lambda x: jnp.sum(x)).bind(2)\n"
+        "except TypeError as error:\n    assert 'jax_enable_x64' in str(error), error\n"
+        "else:\n    raise SystemExit(1)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=100)
+
+
+def test_functions_of_numpy_do_not_import_jax():
+    code = (
+        "import sys, coadjoint as co\n"
+        "co.Hamiltonian(lambda x: x[0] ** 4).bind(2).hessian([1.0, 2.0])\n"
+        "assert 'jax' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=100)
+
+
+def test_pickled_functions_of_jax():
+    pytest.importorskip("jax")
+    H = co.Hamiltonian(by_jax).bind(6)
+    H.gradient(X0)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(H)).gradient(X0), H.gradient(X0))

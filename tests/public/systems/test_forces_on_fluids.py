@@ -1,0 +1,356 @@
+"""Forces on fluids of matrices: rates mode by mode, closed forms, energy and enstrophy, noise, refusals."""
+
+import numpy as np
+import pytest
+from fluids_by_modes import FINE, last, random_matrix
+
+import coadjoint as co
+from refusals import refused
+from rounding import UNIT_ROUNDOFF
+
+some = co.forces
+
+GAUSS = co.IsospectralGauss()
+
+
+SPHERES = [co.systems.sphere_euler(N=6), co.systems.sphere_euler(N=7)]
+
+
+TORUS = co.systems.torus_euler(N=7)
+
+
+FLUIDS = pytest.mark.parametrize("s", [*SPHERES, TORUS], ids=["sphere 6", "sphere 7", "torus 7"])
+
+
+# of one degree, or one wave number: the stream is a multiple of W, so that the fluid alone stands still
+SPHERICAL = {(3, 0): 0.7, (3, 1): 0.3 - 0.4j, (3, 3): 0.2j}
+
+
+PERIODIC = {(1, 2): 0.4 + 0.1j, (2, 1): -0.3j, (-2, 1): 0.5}
+
+
+def one_degree(s):
+    return s.from_modes(PERIODIC if s is TORUS else SPHERICAL)
+
+
+def every_force(s):
+    found = [
+        some.Viscosity(0.02),
+        some.Viscosity(1e-5, power=3, rotation=True),
+        some.Friction(lambda k: 0.3 / k),
+        some.LinearDamping(0.2),
+        some.LinearDamping(0.2, toward=random_matrix(s, 5)),
+        some.Torque(random_matrix(s, 6)),
+        some.RandomForcing(0.4, band=(1, 2.5), seed=3),
+    ]
+    return [*found, some.BetaPlane(1.3)] if s is TORUS else found
+
+
+@FLUIDS
+def test_each_force_is_compiled_as_it_is_read(s):
+    W = 0.3 * random_matrix(s)
+    for force in every_force(s):
+        driven = s.with_forces(force)
+        step = co.methods.Forced(GAUSS).step(driven, W, 0.0, 0.125)
+        found = last(driven, W, 0.125, 0.125, GAUSS)
+        assert np.abs(found - step).max() < 64 * UNIT_ROUNDOFF * s.algebra.N * np.abs(W).max(), force
+        assert np.abs(step - last(s, W, 0.125, 0.125, GAUSS)).max() > 1e-5 * np.abs(W).max()
+        assert np.array_equal(np.diagonal(found).real, np.zeros(s.algebra.N))
+        # the flow is what the field says: differences of order four
+        if not force.random:
+            x, tau = s.to_vector(W), 2.0**-7
+            flows = [force.flow(s, x, 0.0, k * tau) for k in (-2, -1, 1, 2)]
+            slope = (flows[0] - 8 * flows[1] + 8 * flows[2] - flows[3]) / (12 * tau)
+            assert np.abs(slope - force.field(s, x, 0.0)).max() < 1e-7
+
+
+def test_on_a_rotating_sphere_the_relative_motion_decays():
+    s = co.systems.sphere_euler(N=7, rotation=0.8)
+    relative = s.from_modes({(1, 0): 0.2, (3, 0): 0.5})  # zonal: it stands still
+    for force, rate in ((some.Friction(0.3), 0.3), (some.Friction(lambda l: 0.3), 0.3)):
+        found = s.relative(last(s.with_forces(force), s.absolute(relative), 2, 0.25))
+        assert np.abs(found - np.exp(-rate * 2) * relative).max() < 1e-14 * np.abs(relative).max()
+    viscous = s.with_forces(some.Viscosity(0.1, rotation=True))
+    W = s.absolute(random_matrix(s))
+    assert np.abs(last(viscous, W, 0.125, 0.125) - co.methods.Forced(FINE).step(viscous, W, 0.0, 0.125)).max() < 1e-13
+    found = s.modes(s.relative(last(viscous, s.absolute(relative), 2, 0.25)))
+    assert found[1, 0] == pytest.approx(0.2 * np.exp(-0.4), rel=1e-13)
+    assert found[3, 0] == pytest.approx(0.5 * np.exp(-2.4), rel=1e-13)
+
+
+@pytest.mark.parametrize("N", [5, 9])
+def test_rossby_waves_on_the_beta_plane(N):
+    """Modes of one |n| do not feel one another, and each has its frequency, exactly; energy and enstrophy stay."""
+    s = co.systems.torus_euler(N=N)
+    modes, beta, t = {(1, 2): 0.4 + 0.1j, (2, 1): -0.3j, (-2, 1): 0.5}, 3.0, 4.0
+    moving = s.with_forces(some.BetaPlane(beta))
+    sol = co.integrate(moving, s.from_modes(modes), (0, t), 0.125, FINE)
+    found = s.modes(sol.x[-1])
+    for n, w in modes.items():
+        assert abs(found[n] - w * np.exp(1j * beta * n[0] / 5 * t)) < 1e-14
+    assert max(sol.change(relative=False)["energy"], sol.change(relative=False)["tr W^2"]) < 1e-13
+    # on the grid a crest of cos(x) goes to the west by beta t / |n|^2
+    crest = co.integrate(moving, s.from_modes({(1, 0): 0.5}), (0, 0.5), 0.25, FINE).x[-1]
+    x, _ = s.grid((16, 1))
+    assert np.abs(s.to_grid(crest, (16, 1))[:, 0] - np.cos(x + beta * 0.5)).max() < 1e-14
+
+
+def test_the_beta_term_keeps_energy_and_enstrophy_and_no_other_casimir():
+    sol = co.integrate(TORUS.with_forces(some.BetaPlane(3.0)), random_matrix(TORUS), (0, 2), 0.0625, GAUSS)
+    assert max(np.abs(sol.work["BetaPlane"][name]).max() for name in ("energy", "tr W^2")) < 1e-12
+    assert sol.change(relative=False)["tr W^2"] < 1e-12
+    assert sol.change(relative=False)["tr W^3"] > 0.1
+
+
+@FLUIDS
+def test_work_and_balance(s):
+    W = random_matrix(s)
+    W /= np.abs(W).max()
+    driven = s.with_forces(some.Viscosity(0.02), some.Torque(0.1 * one_degree(s)))
+    coarse, fine = (co.integrate(driven, W, (0, 1), h, GAUSS) for h in (1 / 32, 1 / 64))
+    assert sorted(fine.balance(relative=False)) == ["energy", "tr W^2"]
+    assert fine.balance()["tr W^2"] < 64 * 64 * UNIT_ROUNDOFF < fine.change()["tr W^2"]
+    # the scheme is of order two, and its energy error with it
+    assert 3.5 < coarse.balance(relative=False)["energy"] / fine.balance(relative=False)["energy"] < 4.5
+    done = sum(work["energy"][-1] for work in fine.work.values())
+    assert abs(fine.energy[-1] - fine.energy[0] - done) <= fine.balance(relative=False)["energy"] + 1e-14
+    # the work is the integral of the power, by Simpson's formula
+    for label in driven.labels:
+        power = np.array([driven.power(x, t)[label] for x, t in zip(fine.x, fine.t, strict=True)])
+        simpson = (power[0] + power[-1] + 4 * power[1::2].sum() + 2 * power[2:-1:2].sum()) / (3 * 64)
+        work = fine.work[label]["energy"]
+        coarse_work = coarse.work[label]["energy"]
+        assert abs(work[-1] - simpson) < 2 * abs(work[-1] - coarse_work[-1]) + 1e-7
+    for name in ("energy", "tr W^2"):
+        assert sum(work[name][-1] for work in fine.work.values()) < 0.0
+
+
+KINDS = [("so", 4), ("u", 3), ("su", 3), ("gl", 3), ("sl", 3), ("sp", 4), ("gl(C)", 2), ("so(C)", 3)]
+
+
+@pytest.mark.parametrize("kind", [*KINDS, ("so", 4, 1), ("su", 3, 1)], ids=str)
+def test_account_is_kept_on_every_algebra(kind):
+    """Linear damping multiplies by exp(-rate t): so do energy and trace, twice, but for what the scheme adds."""
+    w = np.random.default_rng(9).uniform(0.5, 2.0, (kind[1], kind[1]))
+    algebra = co.MatrixAlgebra(*kind)
+    drawn = np.random.default_rng(2).standard_normal((2, *w.shape))
+    W, A = (algebra.projected(drawn[k] + 1j * drawn[1 - k] if algebra.complex else drawn[k]) for k in range(2))
+    weights = co.systems.Weights(np.ones_like(w) if kind[0] == "sp" else w + w.T)
+    try:
+        body = co.MatrixSystem(algebra, weights, 0.1 * A, name="body", energy_sign=-1)
+    except ValueError:  # weights that leave the algebra
+        body = co.MatrixSystem(algebra, co.systems.Weights(np.ones_like(w)), 0.1 * A, name="body", energy_sign=-1)
+    sol = co.integrate(body.with_forces(some.LinearDamping(0.1)), 0.3 * W, (0, 1), 1 / 32, co.IsospectralGauss(4))
+    assert set(sol.balance(relative=False)) == {"energy", *body.quadratic_casimirs}
+    for name, off in sol.balance(relative=False).items():
+        series = sol.energy if name == "energy" else sol.casimirs[name]
+        assert off < 1e-11
+        assert np.abs(sol.work["LinearDamping"][name] - (series - series[0])).max() < 1e-11
+        assert sol.change(relative=False)[name] > 1e-5
+    for name in body.quadratic_casimirs:
+        assert np.abs(sol.casimirs[name] - np.exp(-0.2 * sol.t) * sol.casimirs[name][0]).max() < 1e-12
+    assert len(body.quadratic_casimirs) == 1
+
+
+@FLUIDS
+def test_a_noise_feeds_the_energy_in_that_it_says(s):
+    """From rest, so that after one step the noise has acted alone: energy and enstrophy are sums of squares."""
+    band, rate, members = ((2.0, 2.9) if s is TORUS else (2, 4)), 1e-4, 400
+    noise = some.RandomForcing(rate, band, seed=11)
+    sol = co.integrate(s.with_forces(noise), np.zeros((members, *s.shape)), (0, 0.5), 0.5, FINE)
+    if s is TORUS:
+        eigenvalues = np.repeat([4.0, 5.0, 8.0], [4, 8, 4])
+    else:
+        eigenvalues = np.repeat([6.0, 12.0, 20.0], [5, 7, 9])
+    parts = len(eigenvalues)
+    spread = np.sqrt(2 / parts / members)
+    assert sol.energy[-1].mean() == pytest.approx(0.5 * rate, rel=4 * spread)
+    assert sol.casimirs["tr W^2"][-1].mean() == pytest.approx(2 * 0.5 * rate * eigenvalues.mean(), rel=4 * 1.2 * spread)
+    assert np.abs(sol.work["RandomForcing"]["energy"] - sol.energy).max() < 1e-13 * rate
+    # every part has the same share of the energy: so many are in the last degree
+    spectrum = s.energy_spectrum(sol.x[-1])[1].mean(axis=0)
+    count, degree = (4, 3) if s is TORUS else (9, 4)
+    assert spectrum[degree - 1] / spectrum.sum() == pytest.approx(count / parts, rel=4 * np.sqrt(2 / count / members))
+
+
+@pytest.mark.parametrize("s", [SPHERES[1], TORUS])
+def test_the_stationary_energy_of_one_degree(s):
+    """Of an Ornstein-Uhlenbeck process, as the splitting has it: h/2 rate coth(r h), r that of the energy over two."""
+    rate, nu, h, members = 0.6, 0.5, 0.25, 150
+    band, eigenvalue, parts = ((2.2, 2.3), 5, 8) if s is TORUS else ((3, 3), 10, 7)
+    nu /= eigenvalue
+    driven = s.with_forces(some.RandomForcing(rate, band, seed=7), some.Viscosity(nu))
+    sol = co.integrate(driven, np.zeros((members, *s.shape)), (0, 40), h, GAUSS, save_every=40)
+    wanted = 0.5 * rate * h / np.tanh(0.5 * h)
+    # saved points are ten times apart, and correlated by exp(-10): from the second on they are independent samples
+    samples = sol.energy[2:]
+    assert samples.mean() == pytest.approx(wanted, rel=4 * np.sqrt(2 / parts / samples.size))
+    assert samples.std() == pytest.approx(wanted * np.sqrt(2 / parts), rel=0.2)
+
+
+def test_torques_are_functions_of_matrices():
+    """In Python, where states are vectors, as in the compiled loops."""
+    for s in (SPHERES[0], TORUS):
+        W = random_matrix(s)
+        x, steady = s.to_vector(W), one_degree(s)
+        for torque, wanted in (
+            (lambda W, t: (1 + t) * np.abs(np.trace(W @ W)) * W, 1.7 * np.abs(np.trace(W @ W)) * W),
+            (lambda t, W=steady: np.sin(t) * W, np.sin(0.7) * steady),
+            (steady, steady),
+        ):
+            force = some.Torque(torque)
+            found = s.from_vector(force.field(s, x, 0.7))
+            np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-13 * np.abs(wanted).max())
+            size = np.abs(force.flow(s, x, 0.7, 1e-6) - x - 1e-6 * s.to_vector(wanted)).max()
+            assert size < 1e-9 * np.abs(wanted).max()
+
+
+@pytest.mark.thinned(1)
+@FLUIDS
+def test_derivatives_of_flows_are_those_of_linear_maps(s):
+    """Every column, of states in the algebra: the flow is linear but for its rest state."""
+    x, moved = s.to_vector(random_matrix(s)), np.random.default_rng(7).standard_normal((5, s.dim))
+    moved = s.to_vector(s.algebra.projected(s.from_vector(moved)))
+    modes = [some.Viscosity(0.02, power=2, rotation=True), some.Friction(lambda k: 0.3 / k)]
+    if s is TORUS:
+        modes.append(some.BetaPlane(0.7))
+    for force in modes:
+        matrix = np.asarray(force.tangent(s, x, 0.7, 0.25))
+        assert matrix.shape == (s.dim, s.dim)
+        start = force.flow(s, x, 0.7, 0.25)
+        changes = np.array([force.flow(s, x + y, 0.7, 0.25) - start for y in moved])
+        np.testing.assert_allclose(moved @ matrix.T, changes, rtol=0, atol=1e-12 * np.abs(moved).max())
+
+
+def test_records_make_the_run_again():
+    """To the same bits; a dataset has no balance where no account is kept."""
+    s = SPHERES[0]
+    W = 0.3 * random_matrix(s)
+    driven = s.with_forces(some.Viscosity(0.02, power=2), some.Torque(0.1 * W), some.RandomForcing(0.1, (2, 3), seed=1))
+    sol = co.integrate(driven, W, (0, 1), 0.125, GAUSS)
+    found = sol.to_xarray()
+    again = co.results.rebuild(found).system
+    assert np.array_equal(co.integrate(again, W, (0, 1), 0.125, GAUSS).x, sol.x)
+    assert list(found.account.values)[:2] == ["Viscosity: energy", "Viscosity: tr W^2"]
+    known = [str(name) for name in found.invariant.values if np.isfinite(found.balance.sel(invariant=name)).all()]
+    assert known == ["energy", "tr W^2"]
+
+
+def test_a_noise_does_not_run_backward():
+    s = SPHERES[0].with_forces(some.RandomForcing(1.0, (2, 3), seed=1))
+    W = random_matrix(s.system)
+    with refused(ValueError, "backward"):
+        co.integrate(s, W, (1, 0), 0.125, GAUSS)
+    with refused(TypeError, "noise"):
+        s.power(W)
+    with refused(TypeError, "balance"):
+        co.integrate(s, W, (0, 1), 0.125, GAUSS).drift(relative=False)
+
+
+N = 5
+BY_SURFACE = {"sphere": co.systems.sphere_euler(N=N), "torus": co.systems.torus_euler(N=N)}
+CASES = [  # system, the fluid of its modes, layer
+    (BY_SURFACE["sphere"], "sphere", "vorticity"),
+    (co.systems.sphere_euler(N=N, rotation=0.8), "sphere", "vorticity"),
+    (BY_SURFACE["torus"], "torus", "vorticity"),
+    (co.systems.reduced_mhd(N=N), "sphere", "vorticity"),
+    (co.systems.reduced_mhd(N=N), "sphere", "carried"),
+    (co.systems.reduced_mhd(N=N, surface="torus"), "torus", "vorticity"),
+    (co.systems.reduced_mhd(N=N, surface="torus"), "torus", "carried"),
+    (co.systems.passive_scalar(N=N), "sphere", "carried"),
+    (co.systems.passive_scalar(N=N, surface="torus"), "torus", "carried"),
+]
+IDS = [f"{s.name} {surface} {layer} {getattr(s, 'rotation', '')}" for s, surface, layer in CASES]
+
+
+def layers_of(s, x):
+    """The carried field, if there is one, and the vorticity relative to the frame."""
+    state = s.from_vector(x)
+    planetary = getattr(s, "planetary", np.zeros((N, N)))
+    return {"vorticity": state - planetary} if state.ndim == 2 else {"carried": state[0], "vorticity": state[1]}
+
+
+def rates_of(layer, surface):
+    """Each force with its rate, a function of (n1, scale, eigenvalue), the scale l or |n|."""
+    spared = 2.0 if surface == "sphere" and layer == "vorticity" else 0.0
+    found = [
+        (some.Viscosity(0.03, layer=layer), lambda n1, k, e: 0.03 * (e - spared)),
+        (some.Viscosity(0.002, power=3, layer=layer), lambda n1, k, e: 0.002 * (e - spared) ** 3),
+        (some.Viscosity(0.03, power=2, rotation=True, layer=layer), lambda n1, k, e: 0.03 * e**2),
+        (some.Friction(0.2, layer=layer), lambda n1, k, e: 0.2 + 0 * e),
+        (some.Friction(lambda k: 0.1 * k if k < 2.9 else 0.0, layer), lambda n1, k, e: np.where(k < 2.9, 0.1 * k, 0)),
+    ]
+    if surface == "torus" and layer == "vorticity":
+        found.append((some.BetaPlane(1.7), lambda n1, k, e: -1.7j * n1 / np.maximum(e, 1)))
+    return found
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(("s", "surface", "layer"), CASES, ids=IDS)
+@pytest.mark.parametrize("tau", [0.75, -0.5])
+def test_each_mode_of_the_layer_decays_by_its_own_rate_and_nothing_else_moves(s, surface, layer, tau):
+    fluid = BY_SURFACE[surface]
+    state = random_matrix(s, 2)
+    x, e, n1 = s.to_vector(state), fluid.eigenvalues, np.fft.fftfreq(N, 1 / N)[:, None]
+    scale = np.sqrt(e) if surface == "torus" else fluid.degrees
+    for force, rate in rates_of(layer, surface):
+        force.check(s)
+        late = layers_of(s, force.flow(s, x, 0.4, tau))
+        for name, W in layers_of(s, x).items():
+            factor = np.exp(-tau * rate(n1, scale, e)) if name == layer else 1.0
+            wanted = fluid.mode_array(W) * factor
+            # Sums of at most N^2 products, in the way there and back.
+            tolerance = 64 * N**2 * UNIT_ROUNDOFF * max(1.0, np.abs(wanted).max())
+            assert np.abs(fluid.mode_array(late[name]) - wanted).max() < tolerance, (force, name)
+        field = s.from_vector(force.field(s, x, 0.4))
+        W, moved = layers_of(s, x)[layer], field if field.ndim == 2 else field[1 if layer == "vorticity" else 0]
+        wanted = -rate(n1, scale, e) * fluid.mode_array(W)
+        tolerance = 64 * N**2 * UNIT_ROUNDOFF * max(1.0, np.abs(wanted).max())
+        assert np.abs(fluid.mode_array(moved) - wanted).max() < tolerance
+
+
+@pytest.mark.parametrize(
+    ("call", "named"),
+    [
+        (lambda: SPHERES[0].with_forces(some.RandomForcing(1.0, (2.2, 2.8), seed=1)), ("2.2", "2.8")),
+        (lambda: SPHERES[0].with_forces(some.BetaPlane(1.0)), ("BetaPlane", "rotation")),
+        (lambda: SPHERES[0].with_forces(some.Viscosity(0.1, layer="carried")), ("one field",)),
+        (lambda: SPHERES[0].with_forces(some.Friction(lambda l: np.inf)), ("rate of Friction",)),
+        (lambda: SPHERES[0].with_forces(some.Torque(np.eye(6))), ("Torque", "su")),
+        (lambda: SPHERES[0].with_forces(some.Torque(np.zeros((5, 5)))), ("Torque", "(5, 5)")),
+        (lambda: SPHERES[0].with_forces(some.Torque(lambda t: np.eye(6))), ("su",)),
+        (lambda: SPHERES[0].with_forces(some.LinearDamping(0.1, toward=1.0)), ("toward", "shape")),
+        (lambda: SPHERES[0].with_forces(some.LinearDamping(np.ones(72))), ("LinearDamping", "Friction")),
+        (lambda: SPHERES[0].with_forces(some.DoubleBracketDamping(0.1)), ("structure constants",)),
+        (lambda: SPHERES[0].with_forces(some.HeatBath(0.1, temperature=1.0, seed=1)), ("structure constants",)),
+        (
+            lambda: co.prepare(
+                SPHERES[0].with_forces(some.Torque(one_degree(SPHERES[0]))), GAUSS, 0.125, inputs={"stirring": "Torque"}
+            ),
+            ("matrix",),
+        ),
+        (lambda: some.Viscosity(-0.1), ("nu of Viscosity", "-0.1")),
+        (lambda: some.Viscosity(0.1, power=0), ("power of Viscosity", "0")),
+        (lambda: some.Friction(lambda k: 0.1, layer="stream"), ("layer of Friction", "stream")),
+        (lambda: some.Viscosity(0.1, layer="stream"), ("layer of Viscosity", "stream")),
+        (lambda: some.BetaPlane(np.nan), ("beta of BetaPlane", "nan")),
+        (lambda: some.RandomForcing(-1.0, (2, 3), seed=1), ("energy_rate of RandomForcing", "-1.0")),
+        (lambda: some.LinearDamping(0.1, toward=[[0.0, 1j], [np.inf * 1j, 0.0]]), ("toward", "finite")),
+        (lambda: co.systems.rigid_body().with_forces(some.Viscosity(0.1)), ("Viscosity", "modes of a fluid")),
+        (lambda: co.systems.rigid_body().with_forces(some.Torque(np.zeros((3, 3)))), ("Torque", "matrix")),
+        (
+            lambda: co.systems.passive_scalar(5).with_forces(some.RandomForcing(1.0, (1, 2), 3, layer="carried")),
+            ("carried", "passive_scalar", "energy"),
+        ),
+        (lambda: co.batch([SPHERES[0].with_forces(some.Viscosity(0.02))] * 2), ("member 0",)),
+        (
+            lambda: co.MatrixSystem(
+                co.MatrixAlgebra("gl", 3), lambda W: W.T @ W @ W.T, energy=lambda W: np.sum((W @ W.T) ** 2) / 4
+            ).with_forces(some.LinearDamping(0.1)),
+            ("energy",),
+        ),
+    ],
+)
+def test_refused_forces(call, named):
+    with refused((ValueError, TypeError), *named):
+        call()

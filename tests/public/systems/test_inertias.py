@@ -1,0 +1,184 @@
+"""Inertias that no body has, tensors that are symmetric or definite up to rounding, and units beyond float64."""
+
+import itertools
+import warnings
+
+import numpy as np
+import pytest
+from brackets import U
+
+import coadjoint as co
+from refusals import refused
+
+S = co.systems
+NO_BODY = [(1, 1, 5), (5, 1, 1), (1, 5, 1), (1, 2, 4), (1.0, 2.0, 3.0 + 1e-12)]
+BODIES = [(1, 2, 3), (3, 1, 2), (0.1, 0.7, 0.8), (0.1, 0.2, 0.3), (1, 1, 1), (1e-3, 1, 1), (2e200, 3e200, 4e200)]
+MAKERS = {
+    "rigid_body": S.rigid_body,
+    "heavy_top": S.heavy_top,
+    "gyrostat": S.gyrostat,
+    "satellite": lambda inertia: S.satellite(np.array(inertia) / max(inertia)),
+}
+
+
+def turned(moments, seed=4):
+    Q = np.linalg.qr(np.random.default_rng(seed).normal(size=(len(moments),) * 2))[0]
+    tensor = Q @ np.diag(moments) @ Q.T
+    return (tensor + tensor.T) / 2
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+def test_an_inertia_that_no_body_has_is_warned_of(maker):
+    """Once, at the line that makes it; a body is made without a warning."""
+    for inertia in NO_BODY:
+        with pytest.warns(UserWarning, match="inertia: .*no body has") as noticed:
+            MAKERS[maker](inertia)
+        assert len(noticed) == 1 and noticed[0].filename == __file__
+    for inertia in BODIES:
+        MAKERS[maker](inertia)
+
+
+@pytest.mark.parametrize("scale", [1e-150, 1.0, 1e150])
+def test_a_tensor_is_checked_in_its_principal_axes(scale):
+    for moments in BODIES[:-1]:
+        S.rigid_body(scale * turned(moments))
+    with pytest.warns(UserWarning, match="no body has"):
+        S.rigid_body(scale * turned((1, 2, 4)))
+
+
+def test_points_in_a_plane_are_a_body_whatever_its_axes():
+    random = np.random.default_rng(8)
+    for _ in range(50):
+        turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
+        points = np.column_stack([random.normal(size=(20, 2)), np.zeros(20)]) @ turn.T
+        tensor = (points**2).sum() * np.eye(3) - points.T @ points
+        S.rigid_body((tensor + tensor.T) / 2)
+
+
+def test_the_warning_names_what_has_no_such_limit():
+    with pytest.warns(UserWarning, match=r"co.LiePoissonSystem\(co.algebras.so\(3\), co.Quadratic\(...\), sign=-1\)"):
+        body = S.rigid_body((1, 1, 5))
+    with pytest.warns(UserWarning, match=r"co.algebras.e\(3\)"):
+        S.heavy_top((1, 1, 5))
+    meant = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 1, 1 / 5]), sign=-1)
+    assert np.array_equal(meant.vector_field([0.3, 0.4, 0.5]), body.vector_field([0.3, 0.4, 0.5]))
+    # Of the inertia of a body in a fluid there is none: the fluid adds to it.
+    S.kirchhoff_body(inertia=(1, 2, 4))
+    S.clebsch_body(inertia=(1.0, 2.0, 4.0), inverse_mass=(1.0, 2.0, 4.0))
+    S.lagrange_top(equatorial=1.0, axial=2.0)
+    with pytest.warns(UserWarning, match="axial: .* no body has"):
+        S.lagrange_top(equatorial=1.0, axial=2.25)
+
+
+def test_a_line_that_makes_many_warns_once():
+    with warnings.catch_warnings(record=True) as noticed:
+        warnings.simplefilter("default")
+        for third in range(1, 100):
+            S.rigid_body((1, 2, third))
+    assert len(noticed) == 1
+
+
+@pytest.mark.parametrize("make", [S.so_n_body, S.matrix_body])
+def test_second_moments_are_of_a_mass(make):
+    """In any order: the two smallest add up to more than zero, and none is negative."""
+    make((0.0, 1.0, 2.0, 3.0))
+    for order in itertools.permutations(range(4)):
+        with refused(ValueError, "inertia", "positive"):
+            make(np.array([-1.5, 1.0, 3.0, 4.0])[list(order)])
+        with pytest.warns(UserWarning, match=r"negative.*no body has; .* co.LiePoissonSystem\(co.algebras.so\(4\)"):
+            make(np.array([-0.5, 1.0, 3.0, 4.0])[list(order)])
+
+
+@pytest.mark.parametrize(
+    ("n", "scale", "draws"), [(3, 1e-120, 12), (3, 1.0, 12), (3, 1e120, 12), (4, 1.0, 4), (5, 1.0, 2)]
+)
+def test_a_flat_mass_has_a_second_moment_of_zero_up_to_rounding(n, scale, draws):
+    """Its matrix in other axes has an eigenvalue that is zero up to rounding, of either sign."""
+    random, signs = np.random.default_rng(n), set()
+    for _ in range(draws):
+        Q = np.linalg.qr(random.normal(size=(n, n)))[0] * [*[1.0] * (n - 1), 0.0]
+        flat = scale * (Q * random.uniform(0.5, 2.0, n)) @ Q.T
+        flat = (flat + flat.T) / 2
+        signs.add(np.sign(np.linalg.eigvalsh(flat)[0]))
+        S.so_n_body(flat)
+    assert n > 3 or {1.0, -1.0} <= signs
+    below = np.eye(n) - 1.001 * np.outer(Q[:, 0], Q[:, 0]) / (Q[:, 0] @ Q[:, 0])
+    with pytest.warns(UserWarning, match=rf"negative.*no body has; .*co.algebras.so\({n}\)") as noticed:
+        S.so_n_body(scale * (below + below.T) / 2)
+    assert len(noticed) == 1
+
+
+@pytest.mark.parametrize("n", [3, 4])
+def test_two_principal_values_whose_sum_vanishes_up_to_rounding_are_refused(n):
+    signs = set()
+    for seed in range(12):
+        tensor = turned([-1.0, 1.0, 2.0, 3.0][:n], seed)
+        signs.add(np.sign(np.linalg.eigvalsh(tensor)[:2].sum()))
+        with refused(ValueError, "inertia", "sum", "positive"):
+            S.so_n_body(tensor)
+    assert 1.0 in signs
+
+
+@pytest.mark.parametrize("n", [3, 4])
+def test_a_tensor_symmetric_up_to_rounding_counts_by_its_upper_half(n):
+    """The stored tensor is symmetric, and makes the same system again."""
+    root = np.random.default_rng(n).uniform(-1.0, 1.0, (n, n))
+    upper = np.triu(root @ root.T + n * np.eye(n))
+    symmetric = upper + np.triu(upper, 1).T
+    nearly = symmetric * (1.0 + 4 * U * np.tril(np.ones((n, n)), -1))
+    assert not np.array_equal(nearly, nearly.T)
+    x = np.cos(np.arange(n * (n - 1) / 2))
+    for make in [S.so_n_body, S.rigid_body] if n == 3 else [S.so_n_body]:
+        body, wanted = make(nearly), make(symmetric)
+        assert make is S.rigid_body or body.parameters == wanted.parameters
+        np.testing.assert_array_equal(body.hamiltonian.hessian(x), wanted.hamiltonian.hessian(x))
+        again = S.get(body.name, **body.parameters)
+        np.testing.assert_array_equal(again.hamiltonian.hessian(x), wanted.hamiltonian.hessian(x))
+    for far in (1e-13, -1e-13):
+        wrong = symmetric.copy()
+        wrong[n - 1, 1] += far * symmetric.max()
+        with refused(ValueError, "inertia", "symmetric", f"[1, {n - 1}]", f"[{n - 1}, 1]"):
+            S.so_n_body(wrong)
+
+
+@pytest.mark.filterwarnings("ignore:.*no body has")
+@pytest.mark.parametrize("place", range(3))
+def test_moments_whose_inverse_overflows(place):
+    """Half and a quarter of a moment may overflow where the moment itself does not."""
+    moments = [1.0, 1.0, 1.0]
+    moments[place] = 2.0**-1023
+    for make in (S.rigid_body, S.heavy_top, S.gyrostat, S.kirchhoff_body):
+        with refused(ValueError, f"inertia[{place}]", "e-308"):
+            make(moments)
+    for make, least in ((S.kovalevskaya_top, 2.0**-1021), (S.goryachev_chaplygin_top, 2.0**-1020)):
+        with refused(ValueError, "equatorial"):
+            make(least / 2)
+
+
+@pytest.mark.parametrize(
+    ("make", "given", "named"),
+    [
+        (S.gyrostat, {"rotors": (1e200, 0, 0)}, ("rotors", "1e+200")),
+        (S.gyrostat, {"inertia": turned((1, 2, 2.5)), "rotors": (1e200, 1e200, 0)}, ("rotors", "1e+200")),
+        (S.manakov_top, {"a": (1, 2.5, 3, 2.5), "b": (1, 2, 3, 4)}, ("a[1]", "a[3]", "2.5")),
+        (S.manakov_top, {"a": (1, 1 + 2**-52, 3), "b": (1e300, -1e300, 0)}, ("overflows",)),
+        (S.manakov_top, {"a": (1e200, 2, 3, 4), "b": (1, 2, 3, 4)}, ("power 2", "overflows")),
+        (S.manakov_top, {"a": (1, 2, 3, 1e120, 5), "b": (1, 2, 3, 4, 5)}, ("power 3", "overflows")),
+        (S.manakov_top, {"a": (1, 2, 3, 1e200, 5), "b": (1, 2, 3, 4, 5)}, ("power 2", "overflows")),
+        (S.fluid_triad, {"first": (1e-160, 0.0), "second": (0.0, 1e-160)}, ("range of float64",)),
+        (S.fluid_triad, {"first": (1e170, 0.0), "second": (0.0, 1e-10)}, ("range of float64",)),
+        (S.lorenz_1960, {"k": 1e-170, "l": 1.0}, ("1e-170", "range of float64")),
+        (S.lorenz_1960, {"k": 9.6e153, "l": 9.6e153}, ("9.6e+153", "range of float64")),
+        (S.sklyanin, {"anisotropy": (1e308, -1e308, 0.0)}, ("range of float64",)),
+        (S.sklyanin, {"anisotropy": (1e308, 0.0, 0.0), "masses": (1e10, 1.0, 1.0, 1.0)}, ("range of float64",)),
+        (S.toda, {"sites": 10**13}, ("GB",)),
+        (S.matrix_body, {"inertia": (1e-320, 1e-320)}, ("float64",)),
+        (S.satellite, {"gravity": 1e60}, ("gravity", "1e+60")),
+        (S.satellite, {"mass": 1e-60}, ("mass", "1e-60")),
+        (S.sphere_euler, {"N": 6, "rotation": np.nan}, ("rotation", "nan")),
+        (S.reduced_mhd, {"N": 5, "surface": "plane"}, ("surface", "plane")),
+    ],
+)
+def test_parameters_that_are_refused(make, given, named):
+    with refused(ValueError, *named):
+        make(**given)

@@ -1,0 +1,280 @@
+"""Modes and grids of sphere and torus: sums of harmonics and waves, there and back, and what is no field."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+import scipy.special
+from fluids_by_modes import generators
+from scipy.linalg import expm
+
+import coadjoint as co
+from refusals import refused
+from rounding import UNIT_ROUNDOFF
+
+N = 9
+SPHERE, TORUS = co.systems.sphere_euler(N=N), co.systems.torus_euler(N=N)
+GRIDS = ("clenshaw-curtis", "fejer", "gauss-legendre")
+
+
+def harmonic(l, m, latitude, longitude):
+    """Return Y_lm with the phase of Condon and Shortley, m >= 0."""
+    factor = np.sqrt((2 * l + 1) / (4 * np.pi) * scipy.special.gamma(l - m + 1) / scipy.special.gamma(l + m + 1))
+    return factor * scipy.special.lpmv(m, l, np.sin(latitude)) * np.exp(1j * m * longitude)
+
+
+def summed(modes, latitude, longitude):
+    found = np.zeros(np.broadcast_shapes(latitude.shape, longitude.shape))
+    for (l, m), c in modes.items():
+        if m >= 0:
+            found += (c * harmonic(l, m, latitude, longitude)).real * (2 if m else 1)
+    return found
+
+
+def summed_waves(modes, x, y):
+    return sum((w * np.exp(1j * (n1 * x - n2 * y))).real for (n1, n2), w in modes.items())
+
+
+ROUNDED = 8 * N**2 * UNIT_ROUNDOFF
+
+
+@pytest.mark.parametrize("points", GRIDS)
+@pytest.mark.parametrize("shape", [None, (12, 7), (3, 1), (40, 61)])
+def test_values_are_sums_of_harmonics(points, shape):
+    W = SPHERE.random(3, degrees=(1, N - 1))
+    latitude, longitude = SPHERE.grid(shape, points)
+    wanted = summed(SPHERE.modes(W), latitude[:, None], longitude[None, :])
+    found = SPHERE.to_grid(W, shape, points)
+    assert found.shape == (len(latitude), len(longitude)) == (shape or (N + 1, 2 * N))
+    # some N^2 products, with the functions of SciPy good to some N round-offs
+    assert np.abs(found - wanted).max() < 8 * N**2 * UNIT_ROUNDOFF * np.abs(wanted).max() + 1e-13
+    assert np.all(np.diff(latitude) < 0) and longitude[0] == 0.0
+
+
+@pytest.mark.parametrize("points", GRIDS)
+@pytest.mark.parametrize("shape", [(N + 1, 2 * N), (N + 2, 2 * N - 1), (31, 50)])
+def test_there_and_back(points, shape):
+    W = SPHERE.random(5, degrees=(1, N - 1))
+    back = SPHERE.from_grid(SPHERE.to_grid(W, shape, points), points)
+    assert np.abs(back - W).max() < 64 * N**2 * UNIT_ROUNDOFF * np.abs(W).max()
+
+
+def test_a_grid_of_other_longitudes_and_a_mean():
+    W = SPHERE.random(6)
+    latitude, longitude = SPHERE.grid((12, 20))
+    field = summed(SPHERE.modes(W), latitude[:, None], longitude[None, :] + 0.3)
+    back = SPHERE.from_grid(field + 5.0, longitude=0.3)
+    assert np.abs(back - W).max() < 1e-12 * np.abs(W).max()
+    assert abs(np.trace(back)) < 1e-13 * np.abs(W).max()
+
+
+def test_coarser_and_finer_grids_keep_what_they_resolve():
+    W = SPHERE.random(7, degrees=(1, 4))
+    assert np.abs(SPHERE.from_grid(SPHERE.to_grid(W, (7, 12))) - W).max() < 1e-12 * np.abs(W).max()
+    small = co.systems.sphere_euler(N=5)
+    fine = SPHERE.to_grid(SPHERE.random(8, degrees=(1, N - 1)), (20, 40))
+    cut = small.modes(small.from_grid(fine))
+    kept = {mode: c for mode, c in SPHERE.modes(SPHERE.from_grid(fine)).items() if mode[0] < 5}
+    assert list(cut) == list(kept)
+    assert max(abs(cut[mode] - kept[mode]) for mode in kept) < 1e-12
+    # eight columns do not tell the phase of an order of 4
+    assert np.abs(SPHERE.from_grid(SPHERE.to_grid(SPHERE.from_modes({(5, 4): 1.0}), (12, 8)))).max() < 1e-12
+    degrees = {l for l, _ in SPHERE.modes(SPHERE.from_grid(SPHERE.to_grid(SPHERE.random(9), (6, 30))))}
+    assert max(degrees) == 4  # of six rows
+
+
+@pytest.mark.parametrize("shape", [None, (12, 20), (5, 4), (1, 3), (16, 9)])
+def test_values_are_sums_of_waves(shape):
+    W = TORUS.random(3, degrees=(1, N // 2))
+    x, y = TORUS.grid(shape)
+    wanted = summed_waves(TORUS.modes(W), x[:, None], y[None, :])
+    found = TORUS.to_grid(W, shape)
+    assert found.shape == (len(x), len(y)) == (shape or (N, N))
+    assert np.abs(found - wanted).max() < 10 * ROUNDED
+
+
+@pytest.mark.parametrize("shape", [(N, N), (10, 9), (32, 15)])
+def test_there_and_back_on_the_torus(shape):
+    W = np.stack([TORUS.random(4), TORUS.random(5)])
+    back = TORUS.from_grid(TORUS.to_grid(W, shape) + 3.0)
+    assert back.shape == W.shape and np.abs(back - W).max() < ROUNDED * np.abs(W).max()
+    assert np.abs(TORUS.from_modes(TORUS.mode_array(W)) - W).max() < ROUNDED * np.abs(W).max()
+
+
+def test_coarse_grids_and_small_sizes_keep_what_they_resolve():
+    W = TORUS.from_modes({(1, 2): 1.0, (2, -1): 1j, (3, 0): 0.5, (0, 2): 0.25})
+    assert set(TORUS.modes(TORUS.from_grid(TORUS.to_grid(W, (32, 4))))) == {(2, -1), (-2, 1), (3, 0), (-3, 0)}
+    small = co.systems.torus_euler(N=5)
+    assert set(small.modes(small.from_grid(TORUS.to_grid(W)))) == {(1, 2), (-1, -2), (2, -1), (-2, 1), (0, 2), (0, -2)}
+
+
+def test_wave_numbers_beyond_the_range_are_refused():
+    """Otherwise they would be taken for others mod N."""
+    for size in (3, 5, 9):
+        s, half = co.systems.torus_euler(N=size), size // 2
+        x, y = s.grid()
+        for n1, n2 in {*product(range(-half - 2, half + 3), repeat=2), (-(10**30), 0), (1, -size)} - {(0, 0)}:
+            modes = {(n1, n2): 0.5 + 0.25j}
+            if max(n1, n2, -n1, -n2) > half:
+                with refused(ValueError, f"-{half} to {half}"):
+                    s.from_modes(modes)
+            else:
+                wave = 2.0 * summed_waves(modes, x[:, None], y[None, :])
+                assert np.abs(s.to_grid(s.from_modes(modes)) - wave).max() < ROUNDED
+
+
+def rounded(N):
+    """Sums of N products with eigenvectors that miss orthogonality by some N round-offs."""
+    return 32 * N * UNIT_ROUNDOFF
+
+
+def matrix_harmonic(s, l, m):
+    """Return T_lm of norm one, up to the phase -i, from two real fields."""
+    if m == 0:
+        return s.from_modes({(l, 0): 1.0}) / s.scale
+    real, imaginary = (s.from_modes({(l, m): c}) for c in (1.0, 1j))
+    return (real - 1j * imaginary) / (2 * s.scale)
+
+
+def test_harmonics_of_matrices():
+    """Eigenvectors of double commutators, with the phases of Condon and Shortley, and of norm one."""
+    s, S = SPHERE, generators(N)
+    raising, z = 1j * (S[0] + 1j * S[1]), 1j * S[2]
+    for l in range(1, N):
+        for m in range(-l, l + 1):
+            T = matrix_harmonic(s, l, m)
+            found = -sum(a @ (a @ T - T @ a) - (a @ T - T @ a) @ a for a in S)
+            assert np.abs(found - l * (l + 1) * T).max() < rounded(N) * N**2
+            assert np.abs(S[2] @ T - T @ S[2] + 1j * m * T).max() < rounded(N) * N
+            assert np.linalg.norm(T) == pytest.approx(1.0, rel=rounded(N))
+            # L_+ Y_lm = sqrt((l - m)(l + m + 1)) Y_l(m+1), and z Y_lm has Y_(l+1)m with a positive factor.
+            if m < l:
+                up, factor = raising @ T - T @ raising, np.sqrt((l - m) * (l + m + 1))
+                assert np.abs(up - factor * matrix_harmonic(s, l, m + 1)).max() < rounded(N) * N**2
+            if l + 1 < N:
+                assert np.vdot(matrix_harmonic(s, l + 1, m), z @ T + T @ z).real > 0.1
+    assert matrix_harmonic(s, 1, 0)[0, 0].imag > 0  # north
+
+
+@pytest.mark.parametrize("size", [2, 3, 4, 7, 32, 65, 130])
+def test_there_and_back_of_coefficients(size):
+    s, rng = co.systems.sphere_euler(N=size), np.random.default_rng(size)
+    c = np.tril(rng.standard_normal((2, size, size)) + 1j * rng.standard_normal((2, size, size)))
+    c[..., 0, 0], c[..., 0] = 0.0, c[..., 0].real
+    c[..., 0, 0] = 0.0
+    W = s.from_modes(c)
+    np.testing.assert_array_equal(W, -np.swapaxes(W.conj(), 1, 2))
+    assert abs(np.trace(W[0])) < rounded(size) * np.abs(W).max()
+    assert np.abs(s.mode_array(W) - c).max() < 4 * rounded(size) * np.abs(c).max()
+    np.testing.assert_allclose(W[1], s.from_modes(c[1]), rtol=0, atol=rounded(size) * s.scale)
+    # the integral of the square of the field
+    square = np.sum(np.abs(c[0, :, 0]) ** 2) + 2 * np.sum(np.abs(c[0, :, 1:]) ** 2)
+    assert np.linalg.norm(W[0]) ** 2 / s.scale**2 == pytest.approx(square, rel=rounded(size))
+
+
+def test_the_stream_divides_by_the_eigenvalues():
+    s = co.systems.sphere_euler(N=12)
+    W = s.random(4, degrees=(1, 11))
+    c, psi = s.mode_array(W), s.mode_array(s.stream(W))
+    assert isinstance(s.stream, co.systems.DiagonalSolve)
+    assert np.abs(psi + c / np.maximum(s.eigenvalues, 1)).max() < rounded(12)
+
+
+def test_a_turn_of_the_matrix_is_a_turn_of_the_field():
+    """exp(b n . S) turns the field about n by b, as the right hand does: a blob goes where its place goes."""
+    size, n, b = 24, np.array([0.6, -0.48, 0.64]), 1.1
+    s, S = co.systems.sphere_euler(N=size), np.stack(generators(size))
+    place = np.array([0.4, 2.0])
+    x = np.array([np.cos(place[0]) * np.cos(place[1]), np.cos(place[0]) * np.sin(place[1]), np.sin(place[0])])
+    x = x * np.cos(b) + np.cross(n, x) * np.sin(b) + n * (n @ x) * (1 - np.cos(b))
+    U = expm(b * np.einsum("a,aij->ij", n, S))
+    there = s.blobs([(np.arcsin(x[2]), np.arctan2(x[1], x[0]))], 1.0, 0.3)
+    turned = U @ s.blobs([place], 1.0, 0.3) @ U.conj().T
+    # the places of blobs are good to 3e-13
+    assert np.abs(turned - there).max() < 1e-12 * np.abs(there).max() * size
+
+
+def test_modes_of_a_mapping():
+    s = co.systems.sphere_euler(N=5)
+    given = {(2, -1): 1 + 2j, (4, 0): 3.0, (3, 3): 1j}
+    found, wanted = s.modes(s.from_modes(given)), given | {(2, 1): -1 + 2j, (3, -3): 1j}
+    assert list(found) == sorted(wanted)
+    for mode, value in wanted.items():
+        assert found[mode] == pytest.approx(value, abs=1e-14)
+    assert np.abs(s.from_modes(found) - s.from_modes(given)).max() < 1e-13
+    with refused(ValueError, "one matrix"):
+        s.modes(np.zeros((2, 5, 5)))
+
+
+SMALL = co.systems.sphere_euler(N=5)
+
+
+@pytest.mark.parametrize(
+    ("s", "modes", "kind", "named"),
+    [
+        (SMALL, {(5, 0): 1.0}, ValueError, ("(5, 0)", "1 to 4")),
+        (SMALL, {(0, 0): 1.0}, ValueError, ("(0, 0)",)),
+        (SMALL, {(2, 3): 1.0}, ValueError, ("(2, 3)", "order m")),
+        (SMALL, {(2, 1): np.nan}, ValueError, ("(2, 1)", "finite")),
+        (SMALL, {(2, 0): 1j}, ValueError, ("(2, 0)", "real")),
+        (SMALL, {(2, 1): 1.0, (2, -1): 1.0}, ValueError, ("(2, 1)", "real")),
+        (SMALL, {2: 1.0}, TypeError, ("modes",)),
+        (SMALL, np.ones((4, 4)), ValueError, ("(4, 4)",)),
+        (SMALL, np.ones((5, 5)), ValueError, ("zero",)),
+        (SMALL, np.triu(np.ones((5, 5)), 1), ValueError, ("zero",)),
+        (SMALL, np.outer(np.eye(5)[0], np.eye(5)[0]), ValueError, ("zero",)),
+        (SMALL, 1j * np.outer(np.eye(5)[3], np.eye(5)[0]), ValueError, ("zero",)),
+        (SMALL, np.full((5, 5), np.inf), ValueError, ("finite",)),
+        (SMALL, "(2, 1)", TypeError, ("modes",)),
+        (SMALL, {(2, 1): 10**400}, ValueError, ("float64",)),
+        (SMALL, {(2, 1): 1.0, (2, -1): 10**400}, ValueError, ("float64",)),
+        (SMALL, {(10**400, 0): 1.0}, ValueError, ("degree l",)),
+        (SMALL, {(2, 10**5000): 1.0}, ValueError, ("order m",)),
+        (SMALL, [[10**400] * 5] * 5, ValueError, ("float64",)),
+        (TORUS, np.ones((3, 3)), ValueError, ("(3, 3)",)),
+        (TORUS, np.eye(N), ValueError, ("conjugate",)),
+        (TORUS, np.full((N, N), np.nan), ValueError, ("finite",)),
+        (TORUS, "(1, 0)", TypeError, ("modes",)),
+        (TORUS, {(1, 0): 10**400}, ValueError, ("float64",)),
+        (TORUS, [[10**400] * N] * N, ValueError, ("float64",)),
+        (TORUS, {(1, 2): 1j, (-1, -2): 1j}, ValueError, ("(1, 2)", "(-1, -2)", "conjugate")),
+        (TORUS, {(-1, 2): 0.5, (1, -2): -0.5}, ValueError, ("conjugate",)),
+        (TORUS, {(0, 2): 0.5, (0, -2): 0.25}, ValueError, ("conjugate",)),
+        (TORUS, {(0, 0): 1.0}, ValueError, ("not both 0",)),
+        (TORUS, {(0, N // 2 + 1): 1.0}, ValueError, ("-4 to 4",)),
+        (TORUS, {(-N // 2, 1): 1.0}, ValueError, ("-4 to 4",)),
+        (TORUS, {(1, 1): np.inf}, ValueError, ("finite",)),
+        *(
+            (s, {mode: 0.5}, TypeError, ("modes",))
+            for s in (SMALL, TORUS)
+            for mode in ((1.7, 0), (0, -0.5), "10", (True, 0.5), (1, 0, 0), 1)
+        ),
+    ],
+)
+def test_what_is_no_field_is_refused(s, modes, kind, named):
+    with refused(kind, *named):
+        s.from_modes(modes)
+
+
+@pytest.mark.parametrize(
+    ("call", "kind", "named"),
+    [
+        (lambda: SPHERE.to_grid(SPHERE.random(1), (1, 4)), ValueError, ("shape[0]",)),
+        (lambda: SPHERE.to_grid(SPHERE.random(1), 12), TypeError, ("12",)),
+        (lambda: SPHERE.to_grid(SPHERE.random(1), points="gauss"), ValueError, ("gauss", "gauss-legendre")),
+        (lambda: SPHERE.grid(points="gauss"), ValueError, ("gauss", "gauss-legendre")),
+        (lambda: SPHERE.from_grid(np.zeros((2, 8))), ValueError, ("at least 3",)),
+        (lambda: SPHERE.from_grid(np.zeros(8)), ValueError, ("rows, columns",)),
+        (lambda: SPHERE.from_grid(np.full((9, 8), np.nan)), ValueError, ("finite",)),
+        (lambda: SPHERE.from_grid(np.zeros((9, 8), dtype=complex)), TypeError, ("real",)),
+    ],
+)
+def test_grids_that_are_refused(call, kind, named):
+    with refused(kind, *named):
+        call()
+
+
+def test_without_ducc0(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with refused(ImportError, "ducc0", "coadjoint[fluids]"):
+        SPHERE.to_grid(SPHERE.random(1))

@@ -1,0 +1,217 @@
+"""Systems and terms of one's own: a bracket without a table, states that are matrices, and the protocol alone."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import coadjoint as co
+from refusals import refused
+
+FunctionTerm = co.systems.FunctionTerm
+RNG = np.random.default_rng(20)
+KNOWN = co.systems.rigid_body(inertia=(1, 2, 3))
+
+
+class OwnBody:
+    """A class with the interface of `GeneralSystem` alone."""
+
+    name, sign, representation = "own body", -1, None
+    algebra, hamiltonian, casimirs = KNOWN.algebra, KNOWN.hamiltonian, KNOWN.casimirs
+    dim = 3
+
+    def vector_field(self, x, t=0.0):
+        return KNOWN.vector_field(x, t)
+
+    def energy(self, x, t=0.0):
+        return KNOWN.energy(x, t)
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8)], ids=str)
+def test_structure_constants_suffice(method):
+    """Schemes need structure constants, not a class: the run of a user-defined system has the same bits."""
+    for attitude in (False, "coadjoint"):
+        run = {"x0": (0.1, 1.0, 0.1), "t_span": (0, 2), "step": 0.1, "method": method, "attitude": attitude}
+        own, known = (co.integrate(system, **run) for system in (OwnBody(), KNOWN))
+        assert np.array_equal(own.x, known.x) and np.array_equal(own.energy, known.energy)
+        assert attitude is False or np.array_equal(own.attitude, known.attitude)
+    own = OwnBody()
+    own.algebra = None
+    with refused(ValueError, "own body", "Lie algebra"):
+        co.integrate(own, (0.1, 1.0, 0.1), (0, 1), 0.1, co.Splitting())
+
+
+class SkewMatrices:
+    """so(N) as matrices: a bracket, and no structure constants."""
+
+    def __init__(self, N):
+        self.dim, self.basis = N * N, [f"x{i}{j}" for i in range(N) for j in range(N)]
+
+    def bracket(self, A, B):
+        return A @ B - B @ A
+
+
+class MatrixBody:
+    """X' = [X, A(X)], A(X)_ij = w_ij X_ij, for a skew matrix X."""
+
+    sign, representation = 1, None
+
+    def __init__(self, weights):
+        N = len(weights)
+        self.shape, self.dim, self.name = (N, N), N * N, f"a body of {N} x {N}"
+        self.algebra, self.weights = SkewMatrices(N), weights
+        self.hamiltonian = co.Quadratic(weights.ravel())
+        self.casimirs = {"|X|^2": co.Quadratic(2.0 * np.ones(N * N))}
+
+    def vector_field(self, x, t=0.0):
+        X = np.reshape(x, self.shape)
+        return self.algebra.bracket(X, self.weights * X).ravel()
+
+    def energy(self, x, t=0.0):
+        return 0.5 * float(np.sum(self.weights * np.reshape(x, self.shape) ** 2))
+
+
+@dataclasses.dataclass(frozen=True)
+class Isospectral(co.methods.StepMethod):
+    """X -> Q^T X Q with Q the Cayley map of h A at the midpoint: all eigenvalues are kept."""
+
+    order, explicit, symmetric = 2, False, False
+
+    def properties(self, system):
+        return co.methods.Properties(poisson=False, energy=False, casimirs="all", attitude="none")
+
+    def step(self, system, x, t, h):
+        X = np.reshape(x, system.shape)
+        one, middle = np.eye(len(X)), X + h / 2 * np.reshape(system.vector_field(x), system.shape)
+        A = system.weights * middle
+        Q = np.linalg.solve(one - h / 2 * A, one + h / 2 * A)
+        return (Q.T @ X @ Q).ravel()
+
+
+def skew(N):
+    half = RNG.standard_normal((N, N))
+    return (half - half.T) / 2
+
+
+def body(N):
+    half = RNG.uniform(0.5, 2.0, (N, N))
+    return MatrixBody((half + half.T) / 2)
+
+
+@pytest.mark.filterwarnings("ignore:the steps of Isospectral")
+def test_matrices_without_structure_constants():
+    system = body(7)
+    X = np.stack([skew(7), 0.5 * skew(7)])
+    sol = co.integrate(system, X, (0, 2), 0.02, Isospectral(), save_every=50, threads=2)
+    assert sol.x.shape == (3, 2, 7, 7) and sol.energy.shape == (3, 2)
+    assert np.array_equal(sol.x[0], X)
+    for m in range(2):
+        alone = co.integrate(system, X[m], (0, 2), 0.02, Isospectral(), save_every=50)
+        assert alone.x.shape == (3, 7, 7) and np.array_equal(alone.x, sol.x[:, m])
+        exact = solve_ivp(lambda t, x: system.vector_field(x), (0, 2), X[m].ravel(), rtol=1e-11, atol=1e-12).y[:, -1]
+        fine = co.integrate(system, X[m], (0, 2), 0.01, Isospectral(), save_every=200).x[-1]
+        errors = [np.max(np.abs(found.ravel() - exact)) for found in (alone.x[-1], fine)]
+        assert 3.0 < errors[0] / errors[1] < 5.0 and errors[1] < 1e-2
+        before, after = (np.sort(np.linalg.eigvals(found).imag) for found in (X[m], alone.x[-1]))
+        assert np.max(np.abs(before - after)) < 1e-12
+    assert sol.drift(relative=False)["|X|^2"] < 1e-11 and 1e-8 < sol.drift(relative=False)["energy"] < 1e-1
+    assert abs(sol.energy[0, 0] - system.energy(X[0])) < 1e-12
+    drift, components = sol.plot().axes
+    assert len(drift.lines) == 2 * 2 and "8 of 49" in components.get_title()
+    assert components.lines[0].get_label() == "$x_{00}$"
+    shown = components.lines[2]  # with the states between the three that were saved
+    assert np.array_equal(shown.get_ydata()[np.isin(shown.get_xdata(), sol.t)], sol.x[:, 0, 1, 0])
+
+
+class Springs:
+    """A term of one's own: an energy that is a square and the function of one coordinate."""
+
+    piece, constant, degree, called, differentiable, form = None, 0.0, None, True, True, None
+    multiplications = 2
+
+    def __init__(self, square, function):
+        self.parts = (square, function)
+
+    def couplings(self):
+        for part in self.parts:
+            yield from part.couplings()
+
+    def placed(self, where, n, piece):
+        return Springs(*(part.placed(where, n, piece) for part in self.parts))
+
+    def describe_to(self, reader):
+        return [part.describe_to(reader) for part in self.parts][-1]
+
+
+class SpringEnergy:
+    """A Hamiltonian of one's own with one such term, H = x1^2 / 2 + cosh x2."""
+
+    timed = False
+
+    def __init__(self, n):
+        self.dim = n
+        square = co.Quadratic([0.0, 1.0] + [0.0] * (n - 2)).terms()[0]
+        self.kept = (Springs(square, FunctionTerm(np.array([2]), np.cosh, np.sinh, np.cosh, scalar=True)),)
+
+    def bind(self, n):
+        return self
+
+    def value(self, x, t=0.0):
+        return 0.5 * x[1] ** 2 + np.cosh(x[2])
+
+    def gradient(self, x, t=0.0):
+        found = np.zeros(len(x), dtype=np.asarray(x).dtype)
+        found[1], found[2] = x[1], np.sinh(x[2])
+        return found
+
+    def hessian(self, x, t=0.0):
+        found = np.zeros((len(x), len(x)))
+        found[1, 1], found[2, 2] = 1.0, np.cosh(x[2])
+        return found
+
+    def terms(self):
+        return self.kept
+
+
+@pytest.mark.parametrize("algebra", [co.algebras.so(3), co.algebras.e(3), co.algebras.get("A4,10")], ids=repr)
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.ExplicitRungeKutta("rk4")], ids=str)
+def test_a_term_of_ones_own_is_what_it_gives_itself_as(algebra, method):
+    n = algebra.dim
+    known = co.Separable({1: (lambda y: 0.5 * y * y, lambda y: y), 2: (np.cosh, np.sinh)})
+    own, other = (co.LiePoissonSystem(algebra, H) for H in (SpringEnergy(n), known))
+    x0 = 0.3 * np.cos(np.arange(n) + 1.0)
+    found, expected = (co.integrate(system, x0, (0, 2), 0.05, method) for system in (own, other))
+    # Parts in another order have another error of the scheme, which is below the bound of order four.
+    assert np.max(np.abs(found.x - expected.x)) < 1e-5
+    assert np.max(np.abs(found.x[-1] - x0)) > 1e-2
+    assert np.max(np.abs(found.energy - expected.energy)) < 1e-5
+
+
+@pytest.mark.filterwarnings("ignore:the steps of Isospectral")
+def test_matrices_with_forces():
+    """Viscosity that differs by entry, and forcing, for states without structure constants; orbits need these."""
+    system, X = body(4), skew(4)
+    drag = np.abs(skew(4)).ravel()
+    forced = co.ForcedSystem(system, (co.forces.LinearDamping(drag), co.forces.Torque(0.1 * skew(4).ravel())))
+
+    def run(h):
+        return co.integrate(forced, X, (0, 1), h, Isospectral())
+
+    exact = solve_ivp(lambda t, x: forced.vector_field(x), (0, 1), X.ravel(), rtol=1e-11, atol=1e-12).y[:, -1]
+    coarse, fine = run(2**-6), run(2**-7)
+    errors = [np.max(np.abs(found.x[-1].ravel() - exact)) for found in (coarse, fine)]
+    assert coarse.x.shape == (65, 4, 4) and 3.0 < errors[0] / errors[1] < 5.0
+    assert fine.balance(relative=False)["|X|^2"] < 1e-12 < 1e-2 < abs(fine.work["LinearDamping"]["|X|^2"][-1])
+    with refused(ValueError, "structure constants", "a body of 4 x 4"):
+        co.ForcedSystem(system, (co.forces.DoubleBracketDamping(0.1),))
+
+
+def test_the_compiled_loops_refuse_it_by_name():
+    for method in (co.GaussLegendre(2), co.ExplicitRungeKutta("rk4")):
+        with refused(TypeError, "a body of 4 x 4", "structure constants", "StepMethod"):
+            co.integrate(body(4), skew(4), (0, 1), 0.1, method)
+    with refused(ValueError, "x0", "(4, 3)", "(4, 4)"):
+        co.integrate(body(4), np.ones((4, 3)), (0, 1), 0.1, Isospectral())
+    with refused(TypeError, "system is"):
+        co.integrate(object(), skew(4), (0, 1), 0.1, Isospectral())

@@ -1,0 +1,160 @@
+"""Systems with any skew J(x), and known integrals: checked to be constant, observed, and stored."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from refusals import refused
+
+A = np.array([[0.0, 1.0, -2.0], [-1.0, 0.0, 0.5], [2.0, -0.5, 0.0]])
+
+
+def lotka_volterra(x):
+    return np.outer(x, x) * A
+
+
+SUM = co.Separable({i: (lambda y: y - np.log(y), lambda y: 1 - 1 / y, lambda y: 1 / y**2) for i in range(3)})
+
+
+# J(x) grad C = x_i sum_j A_ij v_j = 0 with A v = 0.
+KERNEL = np.array([0.5, 2.0, 1.0])
+
+
+LOG = co.Invariant(lambda x: KERNEL @ np.log(x), lambda x: KERNEL / x)
+
+
+def test_field_energy_and_casimir():
+    system = co.PoissonSystem(lotka_volterra, SUM, dim=3, casimirs={"C": LOG}, sign=-1)
+    x = np.array([0.5, 1.5, 2.0])
+    np.testing.assert_allclose(system.vector_field(x), -x * (A @ (x - 1)), rtol=1e-14)
+    assert system.energy(x) == pytest.approx(np.sum(x - np.log(x)))
+    assert system.casimirs["C"] is LOG
+    assert system.algebra is None and system.representation is None and system.parameters is None
+    with refused(TypeError, "derivative="):
+        system.jacobian(x)
+    with refused(TypeError, "closed form", "Poisson system"):
+        system.exact(x, 1.0)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("seed", range(4))
+def test_field_and_jacobian_of_random_brackets(seed, sign):
+    """J_ij = x_i x_j B_ij + (Q x)_k, B and J skew, both at random: against its formula, and complex steps of it."""
+    rng = np.random.default_rng(seed)
+    B, Q = rng.uniform(-1.0, 1.0, (4, 4)), rng.uniform(-1.0, 1.0, (4, 4, 4))
+    B, Q = B - B.T, Q - Q.transpose(1, 0, 2)
+
+    def structure(x):
+        return np.outer(x, x) * B + Q @ x
+
+    def derivative(x):
+        e = np.eye(4)
+        return B[:, :, None] * (e[:, None, :] * x[None, :, None] + x[:, None, None] * e[None, :, :]) + Q
+
+    M = rng.uniform(-1.0, 1.0, (4, 4))
+    H = co.Quadratic(M + M.T, linear=rng.uniform(-1.0, 1.0, 4))
+    system = co.PoissonSystem(structure, H, derivative=derivative, sign=sign)
+    x = rng.uniform(0.5, 1.5, 4) * rng.choice([-1.0, 1.0], 4)
+    np.testing.assert_allclose(system.vector_field(x), sign * (structure(x) @ H.gradient(x)), rtol=1e-13, atol=1e-13)
+    jacobian = system.jacobian(x)
+    for i in range(4):
+        column = np.imag(system.vector_field(x + 1e-30j * np.eye(4)[i])) / 1e-30
+        np.testing.assert_allclose(jacobian[:, i], column, rtol=1e-13, atol=1e-13)
+
+
+def test_missing_dimension_and_time_are_refused():
+    with refused(TypeError, "dim="):
+        co.PoissonSystem(lotka_volterra, co.Quadratic(1.0))
+    with refused(TypeError, "structure_matrix", "(x, t)"):
+        co.PoissonSystem(lambda x, t: A, co.Quadratic(1.0), dim=3)
+
+
+SO3, E3 = co.algebras.so(3), co.algebras.e(3)
+
+
+THIRD = co.Polynomial({(0, 0, 1): 1})
+
+
+SYMMETRIC = co.Quadratic([0.3, 0.3, 0.7])
+
+
+def body(**given):
+    return co.LiePoissonSystem(SO3, SYMMETRIC, sign=-1, name="own", **given)
+
+
+def test_they_are_read_only_and_may_be_observed():
+    system = body(integrals={"x3": THIRD, "x3^2": co.Quadratic([0, 0, 2]), "cos": co.Invariant(lambda x: np.cos(x[2]))})
+    assert list(system.integrals) == ["x3", "x3^2", "cos"] and system.integrals["x3"] == THIRD
+    system.integrals.clear()
+    assert len(system.integrals) == 3
+    kept = {name: F for name, F in system.integrals.items() if name != "cos"}
+    sol = co.integrate(system, (1.0, 0.5, 0.25), (0, 5), 0.5, co.Splitting(2), observe=kept)
+    assert np.ptp(sol.observed["x3"]) == 0.0 and sol.observed["x3^2"][0] == 0.0625
+    assert body().integrals == {}
+
+
+def test_a_dataset_keeps_those_that_are_polynomials():
+    cube = co.Polynomial({(0, 0, 3): 1})
+    forms = {"x3": THIRD, "cube": cube, "x3^2": co.Quadratic([0, 0, 2])}
+    sol = co.integrate(body(integrals={**forms, "f": lambda x: x[2]}), (1.0, 0.5, 0.25), (0, 1), 0.5, co.Splitting(2))
+    dataset = sol.to_xarray()
+    assert "integral: f" in str(dataset.attrs)
+    again = co.results.rebuild(dataset).system
+    assert list(again.integrals) == list(forms) and again.integrals["cube"] == cube
+    assert again.integrals["x3^2"].value([0, 0, 2.0]) == 4.0
+
+
+@pytest.mark.parametrize(
+    ("given", "kind", "named"),
+    [
+        ({"x2": co.Polynomial({(0, 1, 0): 1})}, ValueError, ("'x2'", "integral", "rate")),
+        ({"q": co.Quadratic([1, 2, 0])}, ValueError, ("'q'", "integral")),
+        ({"v": co.Invariant(lambda x: x[1], lambda x: np.array([0.0, 1.0, 0.0]))}, ValueError, ("'v'", "integral")),
+        ({"x": co.Polynomial({(0, 1): 1})}, ValueError, ("'x'", "2 variables")),
+        ({"energy": THIRD}, ValueError, ("'energy'",)),
+        ({"x": 3}, TypeError, ("'x'", "3")),
+        ([THIRD], TypeError, ("integrals", "list")),
+    ],
+)
+def test_what_is_no_integral_is_refused(given, kind, named):
+    with refused(kind, *named):
+        body(integrals=given)
+
+
+@pytest.mark.parametrize("H", [SYMMETRIC, co.Polynomial("0.15*x1^2 + 0.15*x2^2 + 0.5*x3^3", dim=3)], ids=str)
+@pytest.mark.parametrize("off", [1e-10, 1e-12])
+def test_one_that_changes_by_more_than_rounding_is_refused(H, off):
+    """For polynomials the tolerance is some hundred round-offs."""
+    nearly = {"linear": co.Polynomial({(0, 0, 1): 1, (1, 0, 0): off}), "square": co.Quadratic([1.0, 1.0 + off, 1.0])}
+    for name, F in nearly.items():
+        with refused(ValueError, f"'{name}'", "integral"):
+            co.LiePoissonSystem(SO3, H, sign=-1, integrals={name: F})
+    exact = {"linear": THIRD, "square": co.Quadratic([1.0, 1.0, 1.0])}
+    assert list(co.LiePoissonSystem(SO3, H, sign=-1, integrals=exact).integrals) == list(exact)
+
+
+def test_energies_that_are_functions():
+    value, slope = (
+        (lambda x: np.cosh(x[2]) + x[0] ** 2 + x[1] ** 2),
+        (lambda x: np.array([2 * x[0], 2 * x[1], np.sinh(x[2])])),
+    )
+    assert co.LiePoissonSystem(SO3, co.Hamiltonian(value, slope), integrals={"x3": THIRD}).integrals
+    with refused(ValueError, "'x1'", "integral"):
+        co.LiePoissonSystem(SO3, co.Hamiltonian(value, slope), integrals={"x1": co.Polynomial({(1, 0, 0): 1})})
+    cubic = co.Polynomial({(2, 0, 1): 1, (0, 2, 1): 1, (0, 0, 3): 0.1})
+    assert co.LiePoissonSystem(SO3, cubic, integrals={"x3": THIRD}).integrals
+
+
+def test_a_field_that_rests_at_time_zero_is_looked_at_later():
+    turning = co.Hamiltonian(lambda x, t: t * x[0], lambda x, t: np.array([t, 0 * t, 0 * t]))
+    with refused(ValueError, "'x3'", "integral"):
+        co.LiePoissonSystem(SO3, turning, integrals={"x3": THIRD})
+    assert co.LiePoissonSystem(SO3, turning, integrals={"x1": co.Polynomial({(1, 0, 0): 1})}).integrals
+
+
+def test_a_top_on_e3_with_a_rounded_mass():
+    H = co.Quadratic([1 / 3, 1 / 3, 1 / 7, 0, 0, 0], linear=[0, 0, 0, 0, 0, 0.3])
+    system = co.LiePoissonSystem(E3, H, sign=-1, integrals={"m3": co.Polynomial({(0, 0, 1, 0, 0, 0): 1})})
+    assert list(system.integrals) == ["m3"]
+    with refused(ValueError, "'p3'", "integral"):
+        co.LiePoissonSystem(E3, H, sign=-1, integrals={"p3": co.Polynomial({(0, 0, 0, 0, 0, 1): 1})})

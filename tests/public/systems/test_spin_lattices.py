@@ -1,0 +1,321 @@
+"""Spins on graphs: every coupling by hand, precession, 40 digits, integrals, shapes, and what is refused."""
+
+import itertools
+import json
+from pathlib import Path
+
+import mpmath as mp
+import numpy as np
+import pytest
+from bonds_and_spins import bonds, by_hand, energy_by_hand, has_closed_form
+from brackets import bracket, rational_points
+from scipy.integrate import solve_ivp
+
+import coadjoint as co
+import refusals
+from long import long_beyond
+from refusals import refused
+
+spin_lattice = co.systems.spin_lattice
+(FILE,) = Path(refusals.__file__).parent.rglob("lie_poisson_systems.json")
+BY_NAME = {s["name"]: s for s in json.loads(FILE.read_text())["systems"]}
+
+
+TOTALS = ["total S1", "total S2", "total S3"]
+
+
+def spins_of(seed, count):
+    return np.random.default_rng(seed).standard_normal(3 * count)
+
+
+def disordered(seed):
+    rng = np.random.default_rng(seed)
+    count = 5
+    edges = np.array([(0, 1), (3, 1), (2, 4), (4, 0), (1, 2)])
+    J, T, D = rng.standard_normal(5), rng.standard_normal((5, 3, 3)), rng.standard_normal((5, 3))
+    K, B = rng.standard_normal((count, 3, 3)), rng.standard_normal((count, 3))
+    return edges, J, T, D, K + K.transpose(0, 2, 1), B
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_every_coupling_by_hand(seed):
+    edges, J, T, D, K, B = disordered(seed)
+    system, x = spin_lattice(edges, 5, exchange=J, tensor=T, dm=D, on_site=K, field=B), spins_of(seed, 5)
+    np.testing.assert_allclose(system.vector_field(x), by_hand(x, edges, J, T, D, K, B), rtol=0, atol=1e-13)
+    assert system.energy(x) == pytest.approx(energy_by_hand(x, edges, J, T, D, K, B), rel=1e-13)
+    assert system.integrals == {}
+
+
+def test_one_for_all_is_each_the_same():
+    edges = bonds("triangular", (3, 3), True)
+    rng = np.random.default_rng(3)
+    T, D, K, B = rng.standard_normal((3, 3)), rng.standard_normal(3), np.array([0.0, 0.3, -1.0]), rng.standard_normal(3)
+    short = spin_lattice("triangular", (3, 3), True, 0.7, T, D, B, K)
+    long = spin_lattice(
+        edges, 9, False, np.full(27, 0.7), np.array([T] * 27), np.array([D] * 27), np.array([B] * 9), np.diag(K)
+    )
+    x = spins_of(1, 9)
+    np.testing.assert_array_equal(short.vector_field(x), long.vector_field(x))
+
+
+def test_one_spin_precesses_backwards_about_its_field():
+    system = spin_lattice(shape=1, field=(0.0, 0.0, 2.0))
+    assert system.sign == 1
+    # S' = S x B: S_1' = 2 S_2, S_2' = -2 S_1
+    t = 0.6
+    np.testing.assert_allclose(system.exact([1.0, 0.0, 0.5], t), [np.cos(2 * t), -np.sin(2 * t), 0.5], atol=1e-15)
+    run = co.integrate(system, (1.0, 0.0, 0.5), (0.0, t), 0.1, co.Splitting())
+    np.testing.assert_allclose(run.x[-1], [np.cos(2 * t), -np.sin(2 * t), 0.5], rtol=0, atol=1e-15)
+    assert list(system.integrals) == ["total S3", "|total S|^2"]
+
+
+@pytest.mark.parametrize(("name", "lattice", "count"), [("heisenberg_2", "chain", 2), ("heisenberg_ring_3", "ring", 3)])
+def test_reference_in_40_digits(name, lattice, count):
+    reference, system = BY_NAME[name], spin_lattice(lattice, count)
+    x0 = np.array([float(eval(v, {"__builtins__": {}})) for v in reference["x0"]])
+    for late in reference["states"]:
+        wanted = np.array([float(v) for v in late["x"]])
+        np.testing.assert_allclose(system.exact(x0, late["t"]), wanted, rtol=0, atol=1e-15 * (2 + 3 * late["t"]))
+        if late["t"] <= 5:
+            run = co.integrate(system, x0, (0, float(late["t"])), 0.05, co.GaussLegendre(6))
+            np.testing.assert_allclose(run.x[-1], wanted, rtol=0, atol=1e-13)
+
+
+def rotation(axis, t):
+    """exp of the matrix of S -> t S x axis, in 40 digits."""
+    with mp.workdps(40):
+        a, b, c = (mp.mpf(float(v)) * mp.mpf(float(t)) for v in axis)
+        return mp.expm(mp.matrix([[0, c, -b], [-c, 0, a], [b, -a, 0]]))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_complete_graph_in_a_field(seed):
+    """S_i' = S_i x (J S + B): in the frame that turns about B they turn about the constant J S."""
+    rng = np.random.default_rng(seed)
+    count, J, B, t = 2 + seed, rng.standard_normal(), rng.standard_normal(3), rng.uniform(-9, 9)
+    system, x0 = spin_lattice("complete", count, exchange=J, field=B), spins_of(seed, count)
+    both = rotation(B, t) * rotation(J * x0.reshape(-1, 3).sum(axis=0), t)
+    turn = np.array(both.tolist(), dtype=float)
+    wanted = (x0.reshape(-1, 3) @ turn.T).ravel()
+    np.testing.assert_allclose(system.exact(x0, t), wanted, rtol=0, atol=1e-13)
+    times = np.array([0.0, t])
+    np.testing.assert_array_equal(system.exact(x0, times), [x0, system.exact(x0, t)])
+    start = co.integrate(system, x0, (0, -1.0), 0.05, co.GaussLegendre(stages=4)).x[-1]
+    np.testing.assert_allclose(start, system.exact(x0, -1.0), rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("given", "names"),
+    [
+        ({}, TOTALS),
+        ({"exchange": np.arange(1.0, 5.0)}, TOTALS),
+        ({"on_site": (2, 2, 2)}, TOTALS),
+        ({"exchange": 0.0, "tensor": (1, 2, 3)}, TOTALS),
+        ({"tensor": (1, 1, 0.5)}, ["total S3"]),
+        ({"tensor": (1, 0.5, 1), "dm": (0, 1, 0), "field": (0, 2, 0), "on_site": (0, 3, 0)}, ["total S2"]),
+        ({"tensor": (1, 2, 3)}, []),
+        ({"tensor": (1, 1, 0.5), "dm": (0, 1, 0)}, []),
+        ({"field": (0, 3, 4)}, ["total S along (0, 0.75, 1)", "|total S|^2"]),
+        ({"field": (-1, 0, 4)}, ["total S along (-0.25, 0, 1)", "|total S|^2"]),
+        ({"dm": (2, 0, -0.5)}, ["total S along (1, 0, -0.25)"]),
+        ({"field": np.array([(0, 1, 1), (0, -2, -2), (0, 1, 1 + 2**-40), (0, 0, 0)])}, []),
+        ({"field": np.array([(0, 0, 1), (0, 0, 2), (0, 0, 0), (0, 0, -1)])}, ["total S3"]),
+        ({"field": np.eye(4)[:, :3]}, []),
+        (
+            {"dm": np.array([(0.5, 1, 1.5), (1, 2, 3), (0, 0, 0), (-3, -6, -9)])},
+            ["total S along (0.333333, 0.666667, 1)"],
+        ),
+        ({"field": lambda t: (0.0, np.sin(t), 1.0)}, ["|total S|^2"]),
+        ({"field": lambda t: np.outer(np.arange(4.0), np.array([0.0, 0.0, np.cos(t)]))}, []),
+    ],
+)
+def test_integrals_are_found(given, names):
+    system = spin_lattice("ring", 4, **given)
+    assert list(system.integrals) == names
+    x = spins_of(5, 4)
+    for t in (0.0, 0.7):
+        field = system.vector_field(x, t)
+        for F in system.integrals.values():
+            assert abs(F.gradient(x) @ field) < 1e-13
+
+
+def test_integrals_by_polynomial_identity():
+    system = spin_lattice("ring", 4, tensor=(1, 1, 0.5), dm=(0, 0, 0.25), field=(0, 0, 2), on_site=(0, 0, 1))
+    first = co.Quadratic(0.0, linear=np.eye(12)[0::3].sum(axis=0))
+    for point in rational_points(12):
+        assert bracket(system, system.integrals["total S3"], system.hamiltonian, point) == 0
+        assert bracket(system, first, system.hamiltonian, point) != 0
+
+
+@pytest.mark.parametrize("uniform", long_beyond(1, [True, False]))
+def test_field_in_time(uniform):
+    """The field of each spin by hand, the gradient by differences, and the order against a code of SciPy."""
+    if uniform:
+
+        def field(t):  # a tuple of numbers of different kinds
+            return 0.5 * np.cos(2 * t), np.sin(2 * t), 0
+    else:
+
+        def field(t):
+            return np.array(
+                [[0.5 * np.cos(2 * t), np.sin(2 * t), 0.0], [0.2 * np.cos(2 * t), -0.4 * np.sin(2 * t), 1.0]]
+            )
+
+    system, x0 = spin_lattice(tensor=(1, 0.5, 0.25), field=field), spins_of(4, 2)
+    E = np.zeros((1, 3, 3)) + np.diag([1, 0.5, 0.25])
+    B = np.array(field(0.3), dtype=float) * np.ones((2, 1))
+    wanted = by_hand(x0, [(0, 1)], [1.0], E, np.zeros((1, 3)), np.zeros((2, 3, 3)), B)
+    np.testing.assert_allclose(system.vector_field(x0, 0.3), wanted, rtol=0, atol=1e-14)
+    h = 2.0**-17
+    slope = np.array([system.energy(x0 + h * d, 0.3) - system.energy(x0 - h * d, 0.3) for d in np.eye(6)]) / (2 * h)
+    np.testing.assert_allclose(system.hamiltonian.gradient(x0, 0.3), slope, rtol=0, atol=1e-8)
+
+    def rates(t, x):
+        B = np.array(field(t), dtype=float) * np.ones((2, 1))
+        return by_hand(x, [(0, 1)], [1.0], E, np.zeros((1, 3)), np.zeros((2, 3, 3)), B)
+
+    exact = solve_ivp(rates, (0, 2), x0, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    found = co.integrate(system, x0, (0, 2), 0.05, co.Splitting(order=6)).x[-1]
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-6)
+    assert system.parameters is None
+    assert "H in 3 parts" in str(co.Splitting().describe(system))
+
+
+def test_resonance():
+    """Rabi's formula: a field that turns with the spin tips it over after half of 2 pi / b, exactly."""
+    b = 0.25
+    system = spin_lattice(shape=1, field=lambda t: (0.25 * np.cos(3.0 * t), -0.25 * np.sin(3.0 * t), 3.0))
+    run = co.integrate(system, (0.0, 0.0, 1.0), (0.0, np.pi / b), np.pi / b / 400, co.Splitting(order=6))
+    # S' = S x B turns by -w about the third axis, as the field does: in its frame only b is left
+    np.testing.assert_allclose(run.x[:, 2], np.cos(b * run.t), rtol=0, atol=1e-8)
+
+
+PLACES = {  # axes of the cells and places of their sites; bonds have the length of the shortest distance
+    "square": (np.eye(2), [(0, 0)]),
+    "triangular": (np.array([[1, 0], [0.5, np.sqrt(0.75)]]), [(0, 0)]),
+    "honeycomb": (np.array([[1.5, np.sqrt(0.75)], [1.5, -np.sqrt(0.75)]]), [(0, 0), (1, 0)]),
+    "kagome": (np.array([[2, 0], [1, np.sqrt(3)]]), [(0, 0), (1, 0), (0.5, np.sqrt(0.75))]),
+    "cubic": (np.eye(3), [(0, 0, 0)]),
+}
+
+
+@pytest.mark.parametrize("lattice", PLACES)
+def test_edges_that_go_around(lattice):
+    """Along each axis by itself: the nearest neighbours among the images of the sites along the periodic axes."""
+    axes, sites = PLACES[lattice]
+    shape = (4, 3, 3)[: len(axes)]
+    cells = np.indices(shape).reshape(len(axes), -1).T @ axes
+    places = (cells[:, None] + np.array(sites, dtype=float)).reshape(-1, len(axes))
+    for around in itertools.product((False, True), repeat=len(axes)):
+        near = set()
+        for turns in itertools.product(*((-1, 0, 1) if flag else (0,) for flag in around)):
+            apart = np.linalg.norm(places[:, None] - places + (np.array(turns) * shape) @ axes, axis=2)
+            near |= {(i, j) for i, j in np.argwhere(np.abs(apart - 1) < 1e-9).tolist() if i < j}
+        assert {tuple(sorted(edge)) for edge in bonds(lattice, shape, around).tolist()} == near, around
+
+
+def test_equal_anisotropies_in_fields_of_each_site():
+    """Spins of which all have the same squares have offsets of their own; by a scheme that completes none."""
+    K = np.array([[0.3, 0.2, 0.1], [0.2, -0.4, 0.15], [0.1, 0.15, 0.25]])
+    fields = np.array([[0.3, 0.1, -0.2], [-0.4, 0.2, 0.6], [0.0, 0.5, 0.1]])
+    x0 = spins_of(5, 3)
+    lattice = spin_lattice("chain", 3, exchange=0.0, on_site=K, field=fields)
+    found = co.integrate(lattice, x0, (0, 2), 0.05, co.Splitting(order=4)).x.reshape(-1, 3, 3)
+    for site, field in enumerate(fields):
+        alone = spin_lattice("chain", 1, on_site=K, field=field)
+        wanted = co.integrate(alone, x0[3 * site : 3 * site + 3], (0, 2), 0.05, co.GaussLegendre(4)).x
+        # The error of the splitting is 7e-8.
+        np.testing.assert_allclose(found[:, site], wanted, rtol=0, atol=1e-6)
+
+
+def test_many_spins():
+    system = spin_lattice("square", (100, 120), periodic=True, tensor=(1, 1, 0.5), field=(0, 0, 1))
+    assert system.dim == 36000 and list(system.casimirs) == ["sum of |x|^2"] and list(system.integrals) == ["total S3"]
+    x0 = spins_of(0, 12000)
+    S, B = x0.reshape(100, 120, 3), np.zeros((100, 120, 3))
+    for axis in (0, 1):
+        B += np.roll(S, 1, axis) + np.roll(S, -1, axis)
+    B = B * [1, 1, 0.5] + [0, 0, 1]
+    np.testing.assert_allclose(system.vector_field(x0), np.cross(S, B).ravel(), rtol=0, atol=1e-13)
+    run = co.integrate(system, x0, (0, 0.5), 0.1, co.Splitting(), observe=system.integrals)
+    # rotations keep each length to rounding, and the sum of 36000 squares is added in that order
+    assert run.drift()["sum of |x|^2"] < 36000 * 36000 * 2.0**-53
+
+
+def test_layouts_and_graphs_of_one_site():
+    assert spin_lattice("square", (3, 2)).layout == {"lattice": "square", "shape": (3, 2)}
+    assert spin_lattice([(0, 1)], 2).layout == {"lattice": "graph"}
+    for lattice in ("complete", np.zeros((0, 2), dtype=int)):
+        single = spin_lattice(lattice, 1, field=(0.0, 0.0, 2.0))
+        np.testing.assert_array_equal(single.vector_field([1.0, 0.5, 0.25]), [1.0, -2.0, 0.0])
+
+
+def test_where_a_closed_form_is_known():
+    fields = np.arange(12.0).reshape(4, 3)
+    assert has_closed_form(spin_lattice("complete", 4, tensor=2 * np.eye(3), on_site=(0.5, 0.5, 0.5)))
+    assert has_closed_form(spin_lattice("square", (2, 2), exchange=0.0, field=fields))
+    for couplings in (
+        {"field": fields},
+        {"tensor": (1, 1, 2)},
+        {"exchange": np.arange(6.0)},
+        {"on_site": (0, 0, 1)},
+        {"on_site": np.diag([0.0, 0.0, 1.0]) * np.arange(4.0)[:, None, None]},
+        {"tensor": np.eye(3) * np.arange(1.0, 7.0)[:, None, None]},
+        {"dm": (0, 0, 1)},
+    ):
+        assert not has_closed_form(spin_lattice("complete", 4, **couplings))
+    assert not has_closed_form(spin_lattice("ring", 4))
+    assert not has_closed_form(spin_lattice(field=lambda t: (0.0, 0.0, np.cos(t))))
+
+
+def test_numbers_of_bonds():
+    for lattice, periodic, edges in (
+        ("chain", False, 4),
+        ("chain", True, 5),
+        ("ring", False, 5),
+        ("complete", False, 10),
+    ):
+        found = bonds(lattice, 5, periodic)
+        assert found.shape == (edges, 2)
+        assert lattice == "chain" or set(np.bincount(found.ravel()).tolist()) == {2 * edges // 5}
+
+
+def test_parameters_count_together():
+    """2^16 numbers are kept, and no more."""
+    ring = spin_lattice("ring", 30000, exchange=np.ones(30000), field=np.ones((30000, 3)))
+    assert ring.parameters is None
+    half = spin_lattice("ring", 15000, exchange=np.ones(15000), field=np.ones((15000, 3)))
+    assert half.parameters["exchange"] == (1.0,) * 15000
+    S = spins_of(8, 15000)
+    assert half.casimirs["sum of |x|^2"](S) == pytest.approx(S @ S, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ({"lattice": "ring"}, ("ring", "shape 2", "0 and 1")),
+        ({"lattice": "chain", "shape": 1, "periodic": True}, ("site 0", "itself")),
+        ({"lattice": "square", "shape": (4, 3), "periodic": (True, 1)}, ("periodic[1] is 1",)),
+        ({"lattice": "square", "shape": (3, 2), "periodic": (False, True)}, ("0 and 1", "twice")),
+        ({"lattice": "square", "shape": (3, 1), "periodic": True}, ("site 0", "itself")),
+        ({"lattice": [(0, 1), (3, 4), (2, 2)], "shape": 5}, ("site 2", "itself")),
+        ({"lattice": [(0, 1), (4, 3), (1, 2), (3, 4)], "shape": 5}, ("3 and 4", "twice")),
+        ({"lattice": [(0, 1), (4, 3), (1, 7)], "shape": 5}, ("edge 2", "site 7", "0 to 4")),
+        ({"lattice": [(0, 1), (-2, 3)], "shape": 5}, ("edge 1", "site -2", "0 to 4")),
+        ({"field": lambda t: (1.0, 2.0)}, ("field(t)", "(2,)")),
+        ({"field": lambda x, t: (1.0, 2.0, 3.0)}, ("field", "time")),
+        ({"field": lambda t: [1.0 / t] * 3}, ("field(0.0)", "ZeroDivisionError")),
+        ({"field": lambda t: np.array([np.inf, 0.0, 0.0])}, ("field(0.0)", "finite")),
+        ({"field": lambda t: np.array([[0.0] * 3, [0.0, np.nan, 0.0]])}, ("field(0.0)", "finite")),
+        ({"on_site": [[0, 1, 2], [1, 0, 0], [3, 0, 0]]}, ("on_site", "[0, 2]")),
+        ({"exchange": 1e300}, ("exchange", "1e+100")),
+        ({"lattice": "square", "shape": (3, 3), "periodic": (True, False), "dipolar": 0.1}, ("dipolar", "periodic")),
+        ({"lattice": "complete", "shape": 4, "dipolar": 0.1}, ("dipolar", "positions", "chain")),
+        ({"lattice": "ring", "shape": 4, "dipolar": 0.1}, ("dipolar", "ring")),
+        ({"lattice": [(0, 1)], "shape": 2, "dipolar": 0.1}, ("dipolar", "positions")),
+        ({"lattice": "cubic", "shape": (10**4, 10**4, 10**2), "dipolar": 0.1}, ("GB",)),
+    ],
+)  # fmt: skip
+def test_refused_values(given, named):
+    with refused((ValueError, TypeError), *named):
+        spin_lattice(**given)

@@ -1,0 +1,287 @@
+"""H1 + H2 and multiples: the values, the runs and the properties of what is written out by hand."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.integrate import solve_ivp
+
+import coadjoint as co
+from refusals import refused
+
+pytestmark = pytest.mark.thinned(3)
+rng = np.random.default_rng(11)
+A, B = (M + M.T for M in rng.normal(size=(2, 6, 6)))
+a, b = rng.normal(size=(2, 6))
+
+
+def test_quadratic_ones_add_up_to_a_quadratic_one():
+    H = co.Quadratic(A, linear=a, constant=0.5) + 3.0 * co.Quadratic(B, linear=b, constant=2.0)
+    assert isinstance(H, co.Quadratic)
+    x = rng.normal(size=6)
+    expected = 0.5 * x @ (A + 3 * B) @ x + (a + 3 * b) @ x + 6.5
+    np.testing.assert_allclose(H.value(x), expected, rtol=1e-14)
+    np.testing.assert_array_equal(H.hessian(x), A + 3 * B)
+    np.testing.assert_array_equal((H - H).hessian(x), np.zeros((6, 6)))
+    np.testing.assert_array_equal((-co.Quadratic(A)).hessian(x), -A)
+    np.testing.assert_array_equal((co.Quadratic(2.0) + co.Quadratic(A)).hessian(x), A + 2 * np.eye(6))
+    np.testing.assert_array_equal(sum([co.Quadratic(A), co.Quadratic(B)]).hessian(x), A + B)
+
+
+def test_fractions_stay_exact():
+    third = co.Quadratic([Fraction(1, 3), Fraction(1)])
+    H = third + 2 * third
+    assert H.exact and H.to_polynomial() == co.Polynomial({(2, 0): Fraction(1, 2), (0, 2): Fraction(3, 2)})
+
+
+def test_a_polynomial_and_a_quadratic_one_are_a_polynomial():
+    P = co.Polynomial("x1*x2*x3", dim=3)
+    written = co.Polynomial("x1*x2*x3 + 0.5*x1^2 + x2^2", dim=3)
+    assert P + co.Quadratic([1.0, 2.0, 0.0]) == written == co.Quadratic([1.0, 2.0, 0.0]) + P
+
+
+def test_scalars_take_the_dimension_of_the_other_summand():
+    """In either order, for every kind, as the matrix 1.5 times the identity."""
+    x, square = POINTS[0], 0.75 * POINTS[0] @ POINTS[0]
+    for name, make in KINDS.items():
+        for scalar, added in ((co.Quadratic(1.5), square), (co.Quadratic(1.5) - 2, square - 2.0), (3, 3.0)):
+            expected = bound(make()).value(x) + added
+            for H in (scalar + make(), make() + scalar, sum([scalar, make()]), sum([make(), scalar])):
+                assert abs(bound(H).value(x) - expected) < 2.0**-46, name
+                assert name in ("scalar", "functions") or H.dim in (3, None), name
+    P = co.Polynomial("x1*x2*x3 - 2", dim=3)
+    written = co.Polynomial("x1*x2*x3 + x1^2 + x2^2 + x3^2 - 2", dim=3)
+    assert co.Quadratic(2.0) + P == P + co.Quadratic(2.0) == written and written - P == co.Quadratic(2.0) + 0 * P
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(3), co.ExplicitRungeKutta()], ids=str)
+def test_properties_of_a_sum_are_those_of_what_is_written_out(method):
+    parts = {0: (lambda y: 0.5 * y * y, lambda y: y), 1: (lambda y: 0.25 * y * y, lambda y: 0.5 * y)}
+    cosh = {2: (np.cosh, np.sinh)}
+    whole, added = co.Separable({**parts, **cosh}), co.Quadratic([1.0, 0.5, 0.0]) + co.Separable(cosh)
+    found, expected = (method.properties(co.LiePoissonSystem(co.algebras.so(3), H)) for H in (added, whole))
+    assert found == expected
+
+
+KINDS = {
+    "quadratic": lambda: co.Quadratic(A[:3, :3], linear=a[:3], constant=0.25),
+    "scalar": lambda: co.Quadratic(1.5),
+    "fractions": lambda: co.Quadratic([Fraction(1, 3), 2, Fraction(5, 7)], constant=Fraction(1, 9)),
+    "polynomial": lambda: co.Polynomial("x1*x2*x3 + 0.25*x1^4 - x2 + 2", dim=3),
+    "low polynomial": lambda: co.Polynomial("1/3*x1^2 - x2*x3 + x1", dim=3),
+    "separable": lambda: co.Separable({0: (np.cosh, np.sinh, np.cosh), 2: (np.sin, np.cos, lambda y: -np.sin(y))}),
+    "separable in time": lambda: co.Separable(
+        {1: (lambda y, t: y**2 * np.cos(t), lambda y, t: 2 * y * np.cos(t), lambda y, t: 2 * np.cos(t) + 0 * y)}
+    ),
+    "functions": lambda: co.Hamiltonian(
+        lambda x: x[0] * x[1] * x[2],
+        lambda x: np.array([x[1] * x[2], x[0] * x[2], x[0] * x[1]]),
+        lambda x: np.array([[0 * x[0], x[2], x[1]], [x[2], 0 * x[0], x[0]], [x[1], x[0], 0 * x[0]]]),
+    ),
+    "functions that return lists, in time": lambda: co.Hamiltonian(
+        lambda x, t: t * x[0], lambda x, t: [t, 0.0, 0.0], lambda x, t: np.zeros((3, 3))
+    ),
+    "split": lambda: co.SplitHamiltonian(
+        [((0,), co.Quadratic(2.0, linear=[1.0])), ((2,), co.Polynomial("x1^3 - x1", dim=1)), ((1,), cosh())]
+    ),
+    "split too": lambda: co.SplitHamiltonian([((1,), co.Quadratic(0.5)), ((2,), cosh())]),
+}
+POINTS = rng.normal(size=(3, 3))
+
+
+def cosh():
+    return co.Separable({0: (np.cosh, np.sinh, np.cosh)})
+
+
+def bound(H):
+    return co.LiePoissonSystem(co.algebras.so(3), H).hamiltonian
+
+
+@pytest.mark.thinned(32)
+@pytest.mark.parametrize("first", KINDS)
+@pytest.mark.parametrize("second", KINDS)
+def test_every_kind_and_every_other(first, second):
+    H1, H2 = KINDS[first](), KINDS[second]()
+    ways = {
+        (1, 1): H1 + H2,
+        (1, -1): H1 - H2,
+        (2, -0.5): 2 * H1 - H2 / 2,
+        (1, Fraction(1, 3)): sum([H1, H2 / 3]),
+        (-1, 3): -(H1 - 3 * H2),
+        (np.float64(0.5), np.int64(2)): np.float64(0.5) * H1 + H2 * np.int64(2),
+    }
+    one, other = bound(H1), bound(H2)
+    for (p, q), H in ways.items():
+        p, q, whole = float(p), float(q), bound(H)
+        assert whole.timed == (one.timed or other.timed)
+        for x in POINTS:
+            for t in (0.0, 0.7):
+                for name in ("value", "gradient", "hessian"):
+                    parts = [p * getattr(one, name)(x, t), q * getattr(other, name)(x, t)]
+                    # Each summand takes at most some 20 operations on numbers of the size 10.
+                    size = max(10.0, *(np.abs(part).max() for part in parts))
+                    np.testing.assert_allclose(getattr(whole, name)(x, t), sum(parts), rtol=0, atol=2**-53 * 40 * size)
+
+
+@pytest.mark.thinned(5)
+@pytest.mark.parametrize(
+    "first, second",
+    [
+        ("quadratic", "separable"),
+        ("split", "separable in time"),
+        ("polynomial", "functions"),
+        ("functions that return lists, in time", "fractions"),
+        ("separable", "split too"),
+    ],
+)
+def test_multiples_run_as_what_is_written_at_once(first, second):
+    """Against a fine run of one Hamiltonian of functions, which knows nothing of sums."""
+    p, q = Fraction(3, 4), -0.5
+    H = p * KINDS[first]() + q * KINDS[second]()
+    one, other = bound(KINDS[first]()), bound(KINDS[second]())
+    system = co.LiePoissonSystem(co.algebras.so(3), H)
+
+    def slope(t, x):
+        return np.cross(x, float(p) * one.gradient(x, t) + q * other.gradient(x, t))
+
+    x = np.array([0.3, -0.2, 0.9])
+    sign = np.sign(system.vector_field(x, 0.3) @ slope(0.3, x))
+    for span in ((0.0, 1.0), (1.0, 0.0)):
+        expected = solve_ivp(lambda t, x: sign * slope(t, x), span, x, method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+        found = co.integrate(system, x, span, 1 / 64, co.GaussLegendre(4)).x[-1]
+        # Order eight: the truncation is far below the tolerance of the reference.
+        assert np.abs(found - expected).max() < 1e-11
+        if "functions" not in first + second:
+            # Order four with pieces of size one: h^4 times a constant of their brackets.
+            split = co.integrate(system, x, span, 1 / 64, co.Splitting(order=4)).x[-1]
+            half = co.integrate(system, x, span, 1 / 128, co.Splitting(order=4)).x[-1]
+            assert np.abs(half - expected).max() < np.abs(split - expected).max() / 8 < 64.0**-4
+
+
+def test_a_polynomial_less_another_kind():
+    P, H = co.Polynomial("x1^3 + x2", dim=3), KINDS["separable"]()
+    x = POINTS[0]
+    assert np.isclose((P - H).value(x), P(x) - H.value(x), rtol=1e-14)
+    assert np.isclose((1 - H).value(x), 1 - H.value(x), rtol=1e-14)
+
+
+def test_many_entries_stay_sparse():
+    n = 20_000
+    chain = sparse.diags_array([np.ones(n - 1), np.ones(n - 1)], offsets=[-1, 1])
+    H = co.Quadratic(sparse.eye_array(n)) + co.Quadratic(chain) / 2
+    y = np.ones(n)
+    assert H.value(y) == n / 2 + (n - 1) / 2
+    assert len(H.terms()[0].values) == 3 * n - 2 and len((H - H).terms()[0].values) == 0
+
+
+def test_sums_are_saved_and_read_back(tmp_path):
+    H = co.Polynomial("x1^3 + 0.1*x2*x3", dim=3) + co.SplitHamiltonian([((0,), co.Quadratic(2.0))]) / 2
+    system, x = co.LiePoissonSystem(co.algebras.so(3), H), np.array([0.5, 0.25, -1.0])
+    run = co.integrate(system, x, (0.0, 1.0), 0.1, co.GaussLegendre(2))
+    co.integrate(system, x, (0.0, 0.5), 0.1, co.GaussLegendre(2), archive=tmp_path / "sum.zarr")
+    resumed = co.resume(tmp_path / "sum.zarr", t_end=1.0)
+    np.testing.assert_array_equal(resumed.x[-1], run.x[-1])
+    assert resumed.system.energy(x) == system.energy(x)
+
+
+def force(t):
+    return 0.0, np.sin(t), 2.0
+
+
+def driven():
+    return co.systems.spin_lattice("chain", 1, on_site=(-0.5, -1.0, -1.5), field=force).hamiltonian
+
+
+PARTS = {0: (np.cosh, np.sinh), 2: (np.cosh, np.sinh)}
+USED = {
+    "quadratic": lambda: co.Quadratic([1.0, 2.0, 3.0], linear=[0.1, 0.2, 0.3]),
+    "polynomial": lambda: co.Polynomial("x1*x2*x3 + x1^2", dim=3),
+    "separable": lambda: co.Separable(PARTS),
+    "function": lambda: co.Hamiltonian(
+        lambda x: x[0] ** 2 * x[1], lambda x: np.array([2 * x[0] * x[1], x[0] ** 2, 0.0])
+    ),
+    "driven": driven,
+    "sum": lambda: co.Quadratic([1.0, 2.0, 3.0]) + co.Separable(PARTS),
+}
+
+
+@pytest.mark.thinned(7)
+@pytest.mark.parametrize("kind", USED)
+@pytest.mark.parametrize("change", [lambda H: 2 * H, lambda H: -H, lambda H: H / 4, lambda H: H + H])
+def test_what_is_made_of_one_that_has_run_is_made_of_a_new_one(kind, change):
+    """To the bit: nothing that a run has prepared is left in it."""
+    used = USED[kind]()
+
+    def run(H):
+        system = co.LiePoissonSystem(co.algebras.so(3), H)
+        return co.integrate(system, POINTS[0], (0.5, 1.0), 0.125, co.GaussLegendre(2)).x
+
+    run(used)
+    changed, new = change(used), change(USED[kind]())
+    np.testing.assert_array_equal(run(changed), run(new))
+    np.testing.assert_array_equal(changed.gradient(POINTS[0], 0.7), new.gradient(POINTS[0], 0.7))
+    once = USED[kind]().gradient(POINTS[0], 0.7)
+    np.testing.assert_allclose(changed.gradient(POINTS[0], 0.7), change(once), rtol=1e-15)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_factors_that_are_refused(kind):
+    H = KINDS[kind]
+    if "polynomial" not in kind:
+        for factor in ("2", 1j, None, True, np.ones(3), [1, 2]):
+            for wrong in (lambda f=factor: f * H(), lambda f=factor: H() * f, lambda f=factor: H() / f):
+                with refused(TypeError, "factor", "number"):
+                    wrong()
+    for wrong in (lambda: np.nan * H(), lambda: H() * np.inf, lambda: 10**400 * H()):
+        with refused(ValueError, "finite"):
+            wrong()
+    with refused(ValueError, "divided", "0"):
+        H() / 0
+    for wrong in (lambda: H() + "x1", lambda: H() - None):
+        with pytest.raises(TypeError):
+            wrong()
+
+
+def so3(H):
+    return co.LiePoissonSystem(co.algebras.so(3), H)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error", "named"),
+    [
+        (lambda: co.Quadratic([1, 2]) + "x1", TypeError, ("'x1'",)),
+        (lambda: co.Quadratic([1, 2]) * co.Quadratic([1, 2]), TypeError, ("factor", "number")),
+        (lambda: co.Quadratic([1, 2]) + co.Quadratic([1, 2, 3]), ValueError, ("2 and 3",)),
+        (lambda: co.Quadratic([1, 2]) + KINDS["separable"]().bind(3), ValueError, ("2 and 3",)),
+        (lambda: co.Quadratic([1e308, 1.0]) + co.Quadratic([1e308, 1.0]), ValueError, ()),
+        (
+            lambda: co.Quadratic([1, 2]) + type("Kind", (co.Quadratic,), {"__module__": "m"}),
+            TypeError,
+            ("added",),
+        ),
+        (lambda: co.Polynomial("x1^2"), ValueError, ("x1^2", "dim=")),
+        (lambda: co.Polynomial("h*q", basis=("h", "e", "f")), ValueError, ("'q'", "h, e, f")),
+        (lambda: co.Polynomial("x1", dim=2) / co.Polynomial("x1", dim=2), TypeError, ()),
+        (
+            lambda: co.Splitting().properties(so3(KINDS["functions"]() + co.Quadratic([1.0, 2.0, 3.0]))),
+            ValueError,
+            ("x1*x2*x3", "x1 and x2"),
+        ),
+        (
+            lambda: so3(co.Quadratic(1.0) + co.SplitHamiltonian([((0, 1), co.Quadratic([1.0, 1.0]))])),
+            ValueError,
+            ("piece 0", "0 and 1"),
+        ),
+    ],
+)
+def test_what_cannot_be_added(wrong, error, named):
+    with refused(error, *named):
+        wrong()
+
+
+def test_polynomials_divide_exactly_and_have_names():
+    p = co.Polynomial("2*x1^2 - 3*x2 + 0.5", dim=2)
+    assert p / 3 == co.Polynomial({(2, 0): Fraction(2, 3), (0, 1): -1, (0, 0): 0.5 / 3})
+    assert co.Polynomial("0.5*h^2 + 2*e*f", basis=("h", "e", "f")) == co.Polynomial({(2, 0, 0): 0.5, (0, 1, 1): 2})
+    assert co.Polynomial("1/3*x2", dim=2) == co.Polynomial({(0, 1): Fraction(1, 3)})

@@ -1,0 +1,196 @@
+"""Two fields on one flow: reduced magnetohydrodynamics, passive scalars, and two layers of any algebra."""
+
+import numpy as np
+import pytest
+from fluids_by_modes import generators, last
+from scipy.linalg import expm
+
+import coadjoint as co
+from refusals import refused
+from rounding import UNIT_ROUNDOFF
+
+Weights, TwoLayerSystem = co.systems.Weights, co.TwoLayerSystem
+
+
+MHD = [co.systems.reduced_mhd(N=6), co.systems.reduced_mhd(N=5, surface="torus")]
+DYED = [co.systems.passive_scalar(N=5), co.systems.passive_scalar(N=5, surface="torus")]
+WEIGHTS = np.random.default_rng(8).uniform(0.5, 2.0, (2, 4, 4))
+BODY = TwoLayerSystem(co.MatrixAlgebra("so", 4), *(Weights(w + w.T) for w in WEIGHTS), name="two layers of so(4)")
+ALL = pytest.mark.parametrize("s", [*MHD, *DYED, BODY], ids=lambda s: f"{s.name} {s.parameters}")
+
+
+def random_state(s, seed=1, size=0.5):
+    drawn = np.random.default_rng(seed).standard_normal((2, *s.shape))
+    X = s.algebra.projected(drawn[0] + 1j * drawn[1] if s.complex else drawn[0])
+    X[0] /= np.abs(s.vector_field(np.stack([X[0], 0 * X[0]]))).max() ** 0.5 or 1.0
+    return size * X / np.abs(X).max()
+
+
+@pytest.mark.thinned(2)
+@ALL
+def test_invariants(s):
+    X = random_state(s)
+    sol = co.integrate(s, X, (0, 10), 0.125, co.IsospectralGauss(2))
+    assert np.abs(sol.x[-1] - X).max() > 0.1
+    drift = sol.drift()
+    assert drift.pop("energy") < 1e-4 * abs(sol.energy[0])
+    assert list(drift) == list(s.casimirs)
+    for name, off in drift.items():
+        k = 2 if name == "tr W Theta" else int(name[-1]) + ("W T" in name)
+        size = np.linalg.norm(-1j * X, axis=(-2, -1)).max() ** k
+        assert off < 80 * 16 * UNIT_ROUNDOFF * size, name
+        assert s.casimirs[name](sol.x[-1]) == pytest.approx(sol.casimirs[name][-1], abs=1e-14 * size)
+    assert np.abs(s.spectrum(sol.x[-1]) - s.spectrum(X)).max() < 1e-13
+    base = -1j * X if s.complex else X
+    assert sol.casimirs["tr W Theta"][0] == pytest.approx(np.trace(base[1] @ base[0]).real, rel=1e-13)
+    third = next(name for name in s.casimirs if name.startswith("tr W Theta^"))
+    power = np.linalg.matrix_power(base[0], int(third[-1]))
+    assert sol.casimirs[third][0] == pytest.approx(np.trace(base[1] @ power).real, rel=1e-12)
+
+
+def test_the_casimirs_that_there_are():
+    assert list(MHD[0].casimirs)[:4] == ["tr Theta^2", "tr W Theta", "tr Theta^3", "tr W Theta^2"]
+    assert not any(name.startswith("tr W^") for name in MHD[0].casimirs)
+    assert "tr W^3" in DYED[0].casimirs
+    X = random_state(MHD[0])
+    sol = co.integrate(MHD[0], X, (0, 5), 0.125, co.IsospectralGauss(2))
+    square = np.sum(np.abs(sol.x[:, 1]) ** 2, axis=(-2, -1))
+    assert np.ptp(square) > 0.1 * square[0]  # the field acts back
+
+
+@pytest.mark.parametrize("s", DYED)
+def test_a_dye_that_is_the_vorticity_stays_it(s):
+    W = random_state(s)[1]
+    surface = {"sphere": co.systems.sphere_euler, "torus": co.systems.torus_euler}[s.parameters["surface"]]
+    alone = co.integrate(surface(N=5), W, (0, 5), 0.125, co.IsospectralGauss(2))
+    both = co.integrate(s, np.stack([W, W]), (0, 5), 0.125, co.IsospectralGauss(2))
+    assert np.abs(both.x[:, 0] - alone.x).max() < 1e-13
+    assert np.abs(both.x[:, 1] - alone.x).max() < 1e-13
+
+
+@pytest.mark.parametrize("N", [6, 7])
+@pytest.mark.parametrize(("degree", "order"), [(2, 1), (3, 2), (4, 4)])
+def test_alfven_waves_on_the_sphere(N, degree, order):
+    """About Theta = a S_3 the degree l, order m oscillates by a m sqrt((l(l+1) - 2)/(l(l+1))), to first order."""
+    s, fluid, a, small = co.systems.reduced_mhd(N=N), co.systems.sphere_euler(N=N), 0.7, 1e-7
+    w = fluid.from_modes({(degree, order): 1.0})
+    eigenvalue = degree * (degree + 1)
+    frequency = a * order * np.sqrt((eigenvalue - 2) / eigenvalue)
+    S = generators(N)[2]
+    t = 2.0
+    found = last(s, np.stack([a * S, small * w]), t, 1 / 16, co.IsospectralGauss(3))
+    size = np.abs(w).max()
+    assert np.abs(found[1] / small - np.cos(frequency * t) * w).max() < 1e-5 * size
+    # Theta' = [P, a S_3] with P = -w cos / eigenvalue
+    moved = (w @ S - S @ w) * (-a / eigenvalue) * np.sin(frequency * t) / frequency
+    assert np.abs((found[0] - a * S) / small - moved).max() < 1e-5 * np.abs(moved).max()
+
+
+def test_alfven_waves_on_the_torus():
+    """About the field of one wave, which stands still: by the exponential of the linearised equation."""
+    s, fluid, small, t = MHD[1], co.systems.torus_euler(N=5), 1e-7, 1.5
+    still = np.stack([fluid.from_modes({(1, 0): 0.6}), np.zeros((5, 5))])
+    assert np.abs(s.vector_field(still)).max() < 1e-14
+    drawn = np.random.default_rng(5).standard_normal((2, *s.shape))
+    start, x = s.algebra.projected(drawn[0] + 1j * drawn[1]), s.to_vector(still)
+    columns = [s.vector_field(x + unit) - s.vector_field(x) - s.vector_field(unit) for unit in np.eye(s.dim)]
+    wanted = s.from_vector(expm(t * np.array(columns).T) @ s.to_vector(start))
+    found = (last(s, still + small * start, t, 1 / 32, co.IsospectralGauss(4)) - still) / small
+    assert np.abs(found - wanted).max() < 1e-5 * np.abs(wanted).max()
+
+
+def test_forces_on_the_layers():
+    s, fluid = co.systems.reduced_mhd(N=6), co.systems.sphere_euler(N=6)
+    method = co.IsospectralGauss(6)
+    theta, W = (fluid.from_modes({(3, 1): value, (3, 2): 0.2}) for value in (0.4, 0.0))
+    W = 0 * W
+    # of one degree the field is free of force: [J, Theta] = 0
+    resistive = s.with_forces(co.forces.Viscosity(0.02, layer="carried"))
+    found = last(resistive, np.stack([theta, W]), 2, 0.25, method)
+    assert np.abs(found[0] - np.exp(-0.02 * 12 * 2) * theta).max() < 1e-13
+    assert np.abs(found[1]).max() < 1e-13
+    viscous = s.with_forces(co.forces.Viscosity(0.02))
+    found = last(viscous, np.stack([0 * theta, theta]), 2, 0.25, method)
+    assert np.abs(found[1] - np.exp(-0.02 * 10 * 2) * theta).max() < 1e-13
+    assert np.abs(found[0]).max() < 1e-14
+    X = random_state(s)
+    both = s.with_forces(co.forces.Friction(lambda l: 0.1 * l, layer="carried"), co.forces.Viscosity(0.01))
+    sol = co.integrate(both, X, (0, 2), 0.0625, co.IsospectralGauss(2))
+    assert sorted(sol.balance()) == ["energy", "tr Theta^2", "tr W Theta"]
+    assert max(sol.balance()["tr Theta^2"], sol.balance()["tr W Theta"]) < 1e-13
+    assert sol.balance()["energy"] < 1e-5 < 1e-2 < sol.change()["energy"]
+    assert np.abs(sol.work["Viscosity"]["tr Theta^2"]).max() == 0.0
+    step = co.methods.Forced(co.IsospectralGauss(2)).step(both, X, 0.0, 0.0625)
+    assert np.abs(sol.x[1] - step).max() < 1e-14
+
+
+@ALL
+def test_vectors_beside_the_algebra_are_taken_as_the_nearest_states(s):
+    """Functions that need coordinates move them freely; nothing depends on the part that is no state."""
+    rng = np.random.default_rng(6)
+    x = rng.standard_normal(s.dim)
+    near = s.to_vector(s.algebra.projected(s.from_vector(x)))
+    assert np.abs(near - x).max() > 0.1
+    # Projections of numbers of order one, and products of N of them.
+    for look in (s.hamiltonian.value, s.hamiltonian.gradient, s.vector_field, s.energy, s.structure_matrix):
+        np.testing.assert_allclose(look(x), look(near), rtol=1e-13, atol=1e-12)
+    hessian = s.hamiltonian.hessian(x)
+    np.testing.assert_allclose(hessian @ x, s.hamiltonian.gradient(x), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(hessian, hessian.T, rtol=0, atol=1e-13 * np.abs(hessian).max())
+    for trace in s.casimirs.values():
+        assert trace(x) == pytest.approx(trace(near), rel=1e-12, abs=1e-12)
+
+
+@ALL
+def test_the_rank_is_that_of_the_structure_matrix(s):
+    singular = np.linalg.svd(s.structure_matrix(random_state(s, seed=4)), compute_uv=False)
+    assert s.generic_rank() == np.count_nonzero(singular > 1e-9 * singular[0])
+
+
+@ALL
+def test_members_are_stacks_of_states_and_no_more(s):
+    X = np.stack([random_state(s, seed) for seed in (1, 2)])
+    np.testing.assert_array_equal(s.read(X), [s.read(one) for one in X])
+    for wrong in (X[None], X[:, :1], X[..., :-1], X[0, 0]):
+        with refused(ValueError, "x0", wrong.shape):
+            s.read(wrong)
+
+
+@ALL
+def test_the_equation(s):
+    X = random_state(s)
+    theta, W = X
+    P = s.stream(W)
+    J = 0 * P if s.second_stream is None else s.second_stream(theta)
+    field = s.vector_field(X)
+    assert np.abs(field[0] - (P @ theta - theta @ P)).max() < 1e-14
+    assert np.abs(field[1] - (P @ W - W @ P + J @ theta - theta @ J)).max() < 1e-13
+    assert np.array_equal(s.from_vector(s.vector_field(s.to_vector(X))), field)
+    for stages in (1, 2):
+        method = co.IsospectralGauss(stages)
+        found, step = last(s, X, 0.125, 0.125, method), method.step(s, X, 0.0, 0.125)
+        assert np.abs(found - step).max() < 64 * s.algebra.N * UNIT_ROUNDOFF * np.abs(X).max()
+        assert np.array_equal(s.from_vector(method.step(s, s.to_vector(X), 0.0, 0.125)), step)
+
+
+def test_noise_on_the_layers():
+    s, rate, members = co.systems.reduced_mhd(N=6), 1e-4, 300
+    noise = co.forces.RandomForcing(rate, (2, 3), seed=2, layer="carried")
+    sol = co.integrate(s.with_forces(noise), np.zeros((members, *s.shape)), (0, 1), 1.0, co.IsospectralGauss(4))
+    assert sol.energy[-1].mean() == pytest.approx(rate, rel=4 * np.sqrt(2 / 12 / members))
+
+
+def test_refused_states_and_streams():
+    s = MHD[0]
+    for wrong, named in (
+        (random_state(s)[0], "shape"),
+        (np.eye(6) * np.ones((2, 1, 1)), "su"),
+        (np.full(s.shape, np.nan), "NaN"),
+    ):
+        with refused(ValueError, named):
+            co.integrate(s, wrong, (0, 1), 0.125, co.IsospectralGauss())
+    for system in MHD:
+        with refused(ValueError, "IsospectralGauss"):
+            co.integrate(system, random_state(system), (0, 1), 0.125, co.LineSplitting())
+    with refused((TypeError, ValueError), "stream"):
+        TwoLayerSystem(co.MatrixAlgebra("su", 4), Weights(np.ones((4, 4))), "none")
