@@ -1,4 +1,4 @@
-"""Runs: bits independent of saving, watching, members and threads; saved points, drifts and failures."""
+"""Runs: saved points, watched invariants, drifts, observed quantities and failures."""
 
 import math
 
@@ -7,9 +7,8 @@ import pytest
 
 import coadjoint as co
 from drawn_matrices import wide
-
-U = 2.0**-53
-C1 = 1 / (2 - 2 ** (1 / 3))
+from refusals import refused
+from rounding import UNIT_ROUNDOFF as U
 
 
 def driven():
@@ -25,12 +24,6 @@ SYSTEMS = {
     "A3,7": co.LiePoissonSystem(co.algebras.get("A3,7", a=0.25), co.Quadratic([1.0, 2.0, 0.25])),
     "driven so(4)": co.LiePoissonSystem(co.algebras.so(4), driven()),
 }
-SCHEMES = {
-    "Splitting 2": co.Splitting(order=2),
-    "Splitting 4 compensated": co.Splitting(order=4, compensated=True),
-    "GaussLegendre 2": co.GaussLegendre(2),
-    "Composition of midpoints": co.Composition(co.GaussLegendre(1), (C1, 1 - 2 * C1, C1)),
-}
 
 
 def start_of(system):
@@ -39,44 +32,6 @@ def start_of(system):
 
 def e3_and_start():
     return SYSTEMS["e(3)"], start_of(SYSTEMS["e(3)"])
-
-
-# Bits
-
-
-@pytest.mark.thinned(3)
-@pytest.mark.parametrize("scheme", SCHEMES)
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_saving_and_watching_do_not_change_bits(name, scheme):
-    s, method = SYSTEMS[name], SCHEMES[scheme]
-    every = co.integrate(s, start_of(s), (0, 1.25), 0.0625, method, attitude="coadjoint")
-    for k, watch in ((7, True), (1000, False)):
-        sol = co.integrate(s, start_of(s), (0, 1.25), 0.0625, method, attitude="coadjoint", save_every=k, watch=watch)
-        at = [round(t / 0.0625) for t in sol.t]
-        assert np.array_equal(sol.x, every.x[at])
-        assert np.array_equal(sol.attitude, every.attitude[at])
-        assert np.array_equal(sol.energy, every.energy[at])
-    assert np.array_equal(co.integrate(s, start_of(s), (0, 1.25), 0.0625, method).x, every.x)
-
-
-@pytest.mark.thinned(3)
-@pytest.mark.parametrize("scheme", SCHEMES)
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_members_and_threads_do_not_change_bits(name, scheme):
-    s, method = SYSTEMS[name], SCHEMES[scheme]
-    ensemble = np.random.default_rng(3).uniform(-1, 1, (7, s.dim))
-    one, two = (co.integrate(s, ensemble, (0, 1), 0.125, method, threads=n, attitude="coadjoint") for n in (1, 2))
-    assert np.array_equal(one.x, two.x) and np.array_equal(one.attitude, two.attitude)
-    assert np.array_equal(one.energy, two.energy)
-    for member in (0, 3, 6):
-        np.testing.assert_allclose(one.x[1, member], method.step(s, ensemble[member], 0.0, 0.125), rtol=1e-9, atol=1e-9)
-        alone = co.integrate(s, ensemble[member], (0, 1), 0.125, method, attitude="coadjoint")
-        assert np.array_equal(alone.x, one.x[:, member]) and np.array_equal(alone.attitude, one.attitude[:, member])
-        for key, drift in alone.drift(relative=False).items():
-            assert drift == one.drift(relative=False)[key].members[member]
-
-
-# Times and what is saved
 
 
 def test_saved_times_and_array_shapes():
@@ -114,12 +69,6 @@ def test_arguments_are_not_modified():
     sol = co.integrate(s, given, (0, 1), 0.1, attitude=element)
     assert np.array_equal(given, x0) and not np.shares_memory(sol.x, given)
     assert np.array_equal(element, np.eye(4)) and not np.shares_memory(sol.attitude, element)
-
-
-# Attitude
-
-
-# Watching
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
@@ -189,8 +138,6 @@ def test_observed_quantities():
         assert np.array_equal(sol.observed["late"], t * x3)
 
 
-# Failure
-
 UNSTABLE = co.LiePoissonSystem(
     co.algebras.sl(2), co.Quadratic([[1.0, 0.3, 0.0], [0.3, -2.0, 0.1], [0.0, 0.1, 0.5]]), name="runaway"
 )
@@ -200,7 +147,7 @@ RUNAWAY = np.array([0.1, 0.2, 0.3])  # overflows after some thirty steps
 @pytest.mark.parametrize("every", [1, 7])
 @pytest.mark.parametrize("order", [1, 2, 4])
 def test_overflow_returns_the_partial_solution(order, every):
-    with pytest.raises(co.IntegrationError, match=r"overflowed.* smaller step than 0\.1") as failure:
+    with refused(co.IntegrationError, "overflowed", "0.1") as failure:
         co.integrate(UNSTABLE, RUNAWAY, (1, 11), 0.1, co.Splitting(order=order), save_every=every, attitude="coadjoint")
     error = failure.value
     assert 5 < error.step < 100 and error.time == 1 + (error.step - 1) * 0.1 and math.isnan(error.residual)
@@ -212,7 +159,7 @@ def test_overflow_returns_the_partial_solution(order, every):
 
 
 def test_iteration_that_does_not_converge_is_an_error():
-    with pytest.raises(co.IntegrationError, match="did not converge") as failure:
+    with refused(co.IntegrationError, "converge") as failure:
         co.integrate(SYSTEMS["e(3)"], 100 * start_of(SYSTEMS["e(3)"]), (0, 10), 1.0, co.GaussLegendre(2))
     assert failure.value.residual > 0 and failure.value.step >= 1
 
@@ -226,61 +173,16 @@ ESCAPE = co.LiePoissonSystem(  # x2' = x2^2 from 1 escapes at t = 1
 @pytest.mark.parametrize("start", [(1.0, 1.0), [(1.0, 0.1), (1.0, 1.0)]])
 @pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2), co.Taylor(order=8)])
 def test_failure_of_a_growing_motion_names_both_reasons(method, start):
-    with pytest.raises(co.IntegrationError, match=r"smaller step.* near the same time, the motion itself") as failure:
+    with refused(co.IntegrationError, "smaller step", "the motion itself") as failure:
         co.integrate(ESCAPE, start, (0, 2), 0.01, method)
     assert abs(failure.value.time - 1.0) < 0.05
 
 
 @pytest.mark.parametrize(("method", "failed_in"), [(co.GaussLegendre(2), 2), (co.Taylor(order=8), 1)])
 def test_failure_of_a_bounded_motion_is_that_of_the_step(method, failed_in):
-    with pytest.raises(co.IntegrationError, match=r"take a smaller step than 5$") as failure:
+    with refused(co.IntegrationError, "smaller step than 5") as failure:
         co.integrate(BODY, (1.0, 5.0, 2.0), (0, 100), 5.0, method)
-    assert failure.value.step == failed_in
-
-
-# Refusals
-
-BARE = co.LiePoissonSystem(
-    co.LieAlgebra.from_brackets(3, {(0, 2): {0: 2.0, 1: -1.0}, (1, 2): {0: 1.0, 1: 2.0}}),
-    co.Quadratic(1.0),
-    name="bare spiral",
-)
-PLANE = co.PoissonSystem(lambda x: np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 2.0]), name="plane")
-
-
-@pytest.mark.parametrize(
-    ("change", "error", "message"),
-    [
-        ({"step": 0.3}, ValueError, r"does not divide the time 1.0.* 0.25 and 0.333"),
-        ({"x0": (1.0, math.nan, 0.0)}, ValueError, "x0 contains NaN or infinity"),
-        ({"x0": (1.0, 2.0)}, ValueError, r"x0 has the shape \(2,\).*\(members, 3\)"),
-        ({"x0": 1.0}, ValueError, r"x0 has the shape \(\)"),
-        ({"x0": np.zeros((2, 2, 3))}, ValueError, r"x0 has the shape \(2, 2, 3\)"),
-        ({"x0": np.zeros((0, 3))}, ValueError, "at least one member"),
-        ({"save_every": 0}, ValueError, "save_every .* not 0"),
-        ({"threads": 0}, ValueError, "threads .* not 0"),
-        ({"threads": "all"}, ValueError, "threads .* not 'all'"),
-        ({"method": "strang"}, ValueError, "'strang'.* CommutatorFree, .*Taylor"),
-        ({"method": 2}, TypeError, "method is 2.*Splitting"),
-        ({"method": co.Splitting}, TypeError, r"class Splitting.*Splitting\(\)"),
-        ({"attitude": "quaternion"}, ValueError, "attitude is 'quaternion'.*'coadjoint'"),
-        ({"attitude": np.eye(2)}, ValueError, r"attitude has the shape \(2, 2\).*\(3, 3\)"),
-        ({"attitude": np.full((3, 3), math.nan)}, ValueError, "attitude contains NaN"),
-        ({"attitude": True, "system": BARE}, ValueError, "bare spiral has no representation .* attitude='coadjoint'"),
-        (
-            {"attitude": True, "system": PLANE, "x0": (1.0, 0.0), "method": co.GaussLegendre(1)},
-            ValueError,
-            "plane has no Lie algebra",
-        ),
-        ({"system": PLANE, "x0": (1.0, 0.0)}, ValueError, "Splitting needs a Lie algebra.*plane"),
-        ({"observe": {"e": 3.0}}, TypeError, r"observe\['e'\] is 3.0.* function"),
-    ],
-)
-def test_wrong_arguments_are_refused(change, error, message):
-    given = {"system": BODY, "x0": (1.0, 0.0, 0.5), "t_span": (0.0, 1.0), "step": 0.25, **change}
-    with pytest.raises(error, match=message) as refusal:
-        co.integrate(**given)
-    assert "\n" not in str(refusal.value)
+    assert failure.value.step == failed_in and "motion itself" not in str(failure.value)
 
 
 @pytest.mark.parametrize("written", ["Splitting", {"name": "Splitting", "order": 4}])

@@ -1,0 +1,60 @@
+"""Interrupts of runs: in a step of a scheme in Python, or after some processor time."""
+
+from __future__ import annotations
+
+import dataclasses
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+NOTHING = co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+
+
+ARMED: list[bool] = []
+"""Has an entry while `Interruptible` may interrupt."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Interruptible(co.methods.StepMethod):
+    """The explicit midpoint rule. Once armed, it is interrupted in a step beyond a time from a state beyond a norm."""
+
+    at: float = 0.0
+    norm: float = 0.0
+
+    order, explicit, symmetric, compiles = 2, True, False, False
+
+    def properties(self, system: Any) -> Any:
+        return NOTHING
+
+    def step(self, system: Any, x: Any, t: float, h: float) -> Any:
+        if ARMED and h * (t - self.at) > 0.0 and np.linalg.norm(x) > self.norm:
+            ARMED.clear()
+            raise KeyboardInterrupt
+        return x + h * system.vector_field(x + h / 2 * system.vector_field(x, t), t + h / 2)
+
+
+def interrupted(call: Callable[[], Any]) -> BaseException:
+    """Return the interrupt of a call that uses `Interruptible`."""
+    ARMED.append(True)
+    with pytest.raises(KeyboardInterrupt) as raised:
+        call()
+    return raised.value
+
+
+@contextmanager
+def interrupt_after(seconds: float) -> Iterator[None]:
+    """Raise KeyboardInterrupt in the block after a processor time (s) of this process."""
+
+    before = signal.signal(signal.SIGPROF, lambda *_: signal.raise_signal(signal.SIGINT))
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
