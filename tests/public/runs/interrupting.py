@@ -1,4 +1,4 @@
-"""Interrupts of runs: in a step of a scheme in Python, or after some processor time."""
+"""Schemes in Python that interrupt a run or fail, and interrupts after some processor time."""
 
 from __future__ import annotations
 
@@ -37,6 +37,24 @@ class Interruptible(co.methods.StepMethod):
             ARMED.clear()
             raise KeyboardInterrupt
         return x + h * system.vector_field(x + h / 2 * system.vector_field(x, t), t + h / 2)
+
+
+@dataclasses.dataclass(frozen=True)
+class Failing(co.methods.StepMethod):
+    """Euler's method, which raises in Python beyond a time, for systems of one name if that is given."""
+
+    beyond: float
+    name: str = ""
+
+    order, explicit, symmetric, compiles = 1, True, False, False
+
+    def properties(self, system: Any) -> Any:
+        return NOTHING
+
+    def step(self, system: Any, x: Any, t: float, h: float) -> Any:
+        if t > self.beyond and self.name in ("", system.name):
+            raise LookupError(f"nothing is known at t = {t:.1f}")
+        return x + h * system.vector_field(x, t)
 
 
 def interrupted(call: Callable[[], Any]) -> BaseException:

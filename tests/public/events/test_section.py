@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.runs.crossings import event_run
 from long import long_beyond
-
-U = 2.0**-53
+from refusals import refused
+from rounding import UNIT_ROUNDOFF as U
 
 
 def starts(members, seed=1):
@@ -20,9 +19,7 @@ METHODS = [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(order=12)]
 
 
 @pytest.mark.parametrize("method", long_beyond(1, METHODS), ids=str)
-def test_members_end_after_the_given_crossings(method, monkeypatch):
-    monkeypatch.setattr(event_run, "FIRST_CHUNK", 16)
-    monkeypatch.setattr(event_run, "MAX_STEPS", 64)
+def test_members_end_after_the_given_crossings(method):
     top, x0 = co.systems.kovalevskaya_top(), starts(40)
     found = co.section(top, x0, co.Event(1, direction=1), (0, 400), 0.125, method, crossings=7)
     assert (found.counts == 7).sum() > 30 and found.x.shape == (40, 7, 6)
@@ -62,13 +59,13 @@ def test_plots_and_refusals_of_sections():
     assert axes.get_xlabel() == "$x_{1}$" and axes.get_ylabel() == "$x_{3}$"
     assert sum(len(line.get_xdata()) for line in axes.lines) == len(found.events)
     assert found.plot(components=("x3", 0)).axes[0].get_xlabel() == "$x_{3}$"
-    with pytest.raises(ValueError, match="coordinate"):
+    with refused(ValueError, "x9"):
         found.plot(components=("x3", "x9"))
-    with pytest.raises(ValueError, match="no crossings"):
+    with refused(ValueError, "no crossings"):
         co.section(body, (1.0, 0.2, 0.1), co.Event(0), (0, 1), 0.125).plot()
-    with pytest.raises(TypeError, match="give an Event"):
+    with refused(TypeError, "Event"):
         co.section(body, (1.0, 0.2, 0.1), "x2", (0, 1), 0.125)
-    with pytest.raises(ValueError, match="crossings"):
+    with refused(ValueError, "crossings", "0"):
         co.section(body, (1.0, 0.2, 0.1), co.Event(0), (0, 1), 0.125, crossings=0)
 
 
@@ -91,29 +88,13 @@ def test_members_without_crossings_have_empty_rows():
     assert repr(found) == f"<section: {2 * len(own.events)} crossings of x2 by 6 members>"
 
 
-def test_arguments_are_passed_to_the_run(monkeypatch):
-    body, x0, seen = co.systems.rigid_body(inertia=(1, 2, 3)), [(0.1, 1.0, 0.1)] * 2, []
-
-    def recorded(*given, **options):
-        seen.append((given, options))
-        return co.integrate(*given, **options)
-
-    monkeypatch.setattr("coadjoint.runs.crossings.section.integrate", recorded)
-    event, method = co.Event("x2", -1, name="down"), co.GaussLegendre(2)
-    co.section(body, x0, event, (1, 41), 0.125, method, crossings=2, threads=1)
-    co.section(body, x0, event, (1, 21), accuracy=1e-6, method=method)
-    (one, options), (two, others) = seen
-    assert one == (body, x0, (1, 41), 0.125, method) and two == (body, x0, (1, 21), None, method)
-    assert (options["threads"], others["threads"]) == (1, None) and (options["accuracy"], others["accuracy"]) == (
-        None,
-        1e-6,
-    )
-    event_used = options["events"]
-    assert (event_used.g, event_used.direction, event_used.count, event_used.terminal, event_used.name) == (
-        "x2",
-        -1,
-        2,
-        True,
-        "down",
-    )
-    assert others["events"] is event and not options["progress"] and not options["watch"]
+def test_sections_are_runs_that_end_at_the_last_crossing():
+    body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), [(0.1, 1.0, 0.1)] * 2
+    found = co.section(body, x0, co.Event("x2", -1, name="down"), (1, 41), 0.125, co.GaussLegendre(2), crossings=2)
+    ended = co.Event("x2", -1, count=2, terminal=True, name="down")
+    sol = co.integrate(body, x0, (1, 41), 0.125, co.GaussLegendre(2), events=ended, watch=False)
+    assert np.array_equal(found.events.t, sol.events.t) and np.array_equal(found.events.x, sol.events.x)
+    assert found.events.names == sol.events.names == ("down",) and found.counts.tolist() == [2, 2]
+    chosen = co.section(body, x0, co.Event("x2", -1), (1, 21), accuracy=1e-6, method=co.GaussLegendre(2))
+    exact = co.section(body, x0, co.Event("x2", -1), (1, 21), 2.0**-7, co.GaussLegendre(4))
+    assert len(chosen.events) and np.abs(chosen.events.x - exact.events.x).max() < 1e-5

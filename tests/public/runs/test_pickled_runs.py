@@ -53,32 +53,6 @@ def test_pickled_run_has_the_same_bits(name, span):
         np.testing.assert_array_equal(one.values, other.values)
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_pickled_subsets_equal_the_whole_run(name):
-    system, method, attitude = CASES[name]
-    ready = co.prepare(system, method, 0.125, attitude=attitude)
-    whole = ready.run(X, (0, 2))
-    part = pickled(ready.among(1, 4)).run(X[1:4], (0, 2))
-    np.testing.assert_array_equal(part.x, whole.x[:, 1:4])
-    np.testing.assert_array_equal(part.energy, whole.energy[:, 1:4])
-    if attitude:
-        np.testing.assert_array_equal(part.attitude, whole.attitude[:, 1:4])
-
-
-@pytest.mark.parametrize("name", ["splitting", "batch", "batch of series", "functions", "series"])
-def test_tables_are_not_derived_again(name, monkeypatch):
-    system, method, attitude = CASES[name]
-    ready = co.prepare(system, method, 0.125, attitude=attitude)
-    data, part = cloudpickle.dumps(ready), cloudpickle.dumps(ready.among(0, 2))
-
-    def derive(*given):
-        raise AssertionError("tables are derived again")
-
-    monkeypatch.setattr(type(ready.method), "loop", derive)
-    assert cloudpickle.loads(data).run(X, (0, 1)).x.shape == (9, 5, 3)
-    assert cloudpickle.loads(part).run(X[:2], (0, 1)).x.shape == (9, 2, 3)
-
-
 def test_pickle_runs_in_another_process(tmp_path):
     """Function addresses differ there."""
     ready = co.prepare(SPIRAL, co.Splitting(), 0.125, attitude="coadjoint")

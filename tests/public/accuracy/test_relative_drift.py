@@ -2,13 +2,11 @@
 
 import copy
 import pickle
-import warnings
 
 import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.runs.results import drift as module
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 TOP = co.systems.heavy_top()
@@ -49,7 +47,7 @@ def test_a_casimir_that_vanishes_is_compared_with_its_terms():
 @pytest.mark.parametrize("factor, cancels", [(0.98, True), (1.02, False)])
 def test_where_cancellation_begins(factor, cancels):
     """m.p = (1 + d) - 1 is small by cancellation if it is below a 1024th of the sum of terms, 2 + d."""
-    d = factor * 2 * module.CANCELLATION / (1 - module.CANCELLATION)
+    d = factor * 2 / 1023
     x0 = np.array([1.0 + d, -1.0, 0.0, 1.0, 1.0, 0.0])
     scale = co.integrate(TOP, x0, (0, 0.1), 0.01).drift()["m.p"].scale
     assert scale == pytest.approx(2 + d if cancels else d, rel=1e-12)
@@ -103,13 +101,12 @@ def test_traces_of_matrices_by_their_singular_values():
         assert two.casimirs[name].sum_of_absolute_terms(X) == pytest.approx(terms.sum(), rel=1e-12)
 
 
-def test_many_invariants_are_compared_with_each_other(monkeypatch):
-    """Beyond the first ones, terms are summed only of values that are far smaller than others."""
-    spins = np.tile([[0.6, 0.0, 0.8], [0.0, 1e-3, 0.0]], (3, 1))
-    ring = co.systems.spin_lattice("ring", 6)
-    monkeypatch.setattr(module, "SUMMED_INVARIANTS", 1)
-    drift = co.integrate(ring, spins.ravel(), (0, 1), 0.1).drift()
-    assert [drift[name].scale for name in list(drift)[1:]] == pytest.approx([1.0, 1e-6] * 3, rel=1e-15)
+def test_many_invariants_are_compared_with_each_other():
+    """Beyond the first 64, terms are summed only of values that are far smaller than others."""
+    spins = np.tile([[0.6, 0.0, 0.8], [0.0, 1e-3, 0.0]], (64, 1))
+    ring = co.systems.spin_lattice("ring", 128)
+    drift = co.integrate(ring, spins.ravel(), (0, 0.1), 0.1).drift()
+    assert [drift[name].scale for name in list(drift)[1:]] == pytest.approx([1.0, 1e-6] * 64, rel=1e-15)
 
 
 def test_forces_and_copies():
@@ -120,31 +117,3 @@ def test_forces_and_copies():
         assert change.scale == balance.scale == (sol.initial["energy"] if relative else 1.0)
     again = [pickle.loads(pickle.dumps(change)), copy.deepcopy(change), copy.copy(change)]
     assert all(each == change and each.scale == change.scale and (each.tenths == change.tenths).all() for each in again)
-
-
-def test_values_that_are_not_finite_are_absolute():
-    scales = module.scales_of_invariants(TOP, np.full((2, 6), np.nan), {"energy": np.array([np.nan, 2.0])})
-    assert scales["energy"].tolist() == [1.0, 2.0]
-
-
-@pytest.mark.parametrize("as_batch", [False, True])
-def test_sizes_do_not_depend_on_how_many_members_are_summed_together(as_batch, monkeypatch):
-    """Members of two systems in turn, whose Casimirs cancel or not."""
-    other = co.systems.heavy_top(inertia=(1.0, 1.5, 2.0))
-    systems = [(TOP, other, TOP)[m % 3] if as_batch else TOP for m in range(7)]
-    states = np.tile([[1.0, 0.0, 0.0, 0.0, 0.6, 0.8], [0.8, -0.6, 0.0, 0.6, 0.8, 0.0]], (4, 1))[:7]
-    states *= np.linspace(1.0, 2.0, 7)[:, None]
-    alone = [co.integrate(s, x, (0, 0.1), 0.05).drift() for s, x in zip(systems, states, strict=True)]
-    for numbers in (6, 13, 2**18):
-        monkeypatch.setattr(module, "SUMMED_NUMBERS", numbers)
-        drifts = co.integrate(co.batch(systems) if as_batch else TOP, states, (0, 0.1), 0.05).drift()
-        for name, drift in drifts.items():
-            assert drift.scale.tolist() == [own[name].scale for own in alone]
-
-
-def test_a_drift_beyond_the_largest_number_is_infinite():
-    """A run that leaves everything behind, of an invariant that was small, warns of nothing here."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        drift = module.Drift(np.linspace(1e300, 1e305, 10), 1e-10, 1e-10)
-    assert drift == np.inf and drift.absolute == 1e305

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.configuration.loading import load
+from command import command
 
 E3, SO4 = co.algebras.se(3), co.algebras.so(4)
 RNG = np.random.default_rng(4)
@@ -79,17 +79,11 @@ def test_every_entry_point_has_the_same_default(systems, tmp_path):
 @pytest.mark.parametrize(
     ("H", "scheme"), [("x1^2/2 + cos(x2)", co.Splitting()), (COUPLED, co.GaussLegendre(3))], ids=["split", "coupled"]
 )
-def test_files_have_the_same_default(H, scheme, tmp_path):
+def test_files_have_the_same_default(H, scheme, tmp_path, capsys):
     path = tmp_path / "run.toml"
     path.write_text(
         f'[algebra]\nname = "e(3)"\n[hamiltonian]\nformula = "{H}"\n[initial]\nx = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]\n'
         "[run]\nt_span = [0, 0.5]\nstep = 0.05\n"
     )
-    configuration = load(path)
-    assert configuration.method == scheme and configuration.integrate().method == scheme
-
-
-def test_what_no_scheme_serves_is_refused_with_a_reason():
-    for wrong in ("so(3)", None, co.algebras.so(3)):
-        with pytest.raises(TypeError, match="it must be a LiePoissonSystem or a PoissonSystem"):
-            co.integrate(wrong, [1.0, 0.0, 0.0], (0, 1), 0.1)
+    assert command(capsys, "run", path, "--quiet", "--out", tmp_path / "run.nc").status == 0
+    assert co.load(tmp_path / "run.nc").method == scheme
