@@ -40,7 +40,7 @@ def test_it_is_the_error_of_a_step(method, h):
 @pytest.mark.parametrize("span", [(3.0, 7.0), (3.0, -1.0)])
 def test_with_forces_it_is_that_of_steps_in_the_direction_of_the_run(span):
     """Against fine steps; with a damping steps forward and backward differ."""
-    damped, h = BODY.with_forces(co.forces.LinearDamping(0.5)), 0.4
+    damped, h = BODY.with_forces(co.forces.LinearDamping(0.15)), 0.4
     sol = co.integrate(damped, X0, span, h, co.Splitting())
     forward = np.sign(span[1] - span[0])
     ends = [

@@ -90,9 +90,9 @@ def test_members_without_crossings_have_empty_rows():
 
 def test_sections_are_runs_that_end_at_the_last_crossing():
     body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), [(0.1, 1.0, 0.1)] * 2
-    found = co.section(body, x0, co.Event("x2", -1, name="down"), (1, 41), 0.125, co.GaussLegendre(2), crossings=2)
+    found = co.section(body, x0, co.Event("x2", -1, name="down"), (1, 101), 0.125, co.GaussLegendre(2), crossings=2)
     ended = co.Event("x2", -1, count=2, terminal=True, name="down")
-    sol = co.integrate(body, x0, (1, 41), 0.125, co.GaussLegendre(2), events=ended, watch=False)
+    sol = co.integrate(body, x0, (1, 101), 0.125, co.GaussLegendre(2), events=ended, watch=False)
     assert np.array_equal(found.events.t, sol.events.t) and np.array_equal(found.events.x, sol.events.x)
     assert found.events.names == sol.events.names == ("down",) and found.counts.tolist() == [2, 2]
     chosen = co.section(body, x0, co.Event("x2", -1), (1, 21), accuracy=1e-6, method=co.GaussLegendre(2))
