@@ -52,7 +52,7 @@ def run(system, x0, threads, method=METHODS["plain"], step=0.01, steps=STEPS, **
     return co.integrate(system, x0, (1.0, end), step, method, threads=threads, **given)
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_bits_do_not_depend_on_the_number_of_threads(name, method):
@@ -139,6 +139,7 @@ MORE = {
 }
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", MORE)
 def test_every_scheme_on_large_states_has_the_same_bits_and_energies(name):
     make, method, step = MORE[name]
@@ -197,6 +198,7 @@ def derivatives(system, method, step, threads, reverse="exact"):
     return tangents.x, tangents.energy, gradient
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize(
     ("name", "reverse"),
     [(name, "exact") for name in DIFFERENTIATED] + [(name, "reversible") for name in ("square", "disorder", "bonds")],
@@ -336,6 +338,7 @@ FLUIDS = {
 }
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", FLUIDS)
 def test_fluids_have_the_same_bits(name):
     make, method = FLUIDS[name]

@@ -1,4 +1,4 @@
-"""Steps by Newton's method, dense, banded or without a matrix, and the band of the Jacobian."""
+"""Steps by Newton's method, dense, banded or without a matrix."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ import mpmath
 import numpy as np
 import pytest
 from scipy.optimize import root
-from test_runge_kutta import spin_chain, systems
+from stage_systems import spin_chain, systems
 
 import coadjoint as co
-from coadjoint.kernels.tables import runge_kutta as couplings
-from coadjoint.kernels.tables.runge_kutta import MAX_HALF_BANDWIDTH, MAX_MEAN_COUPLINGS, narrow_band, runge_kutta_tables
+from rounding import UNIT_ROUNDOFF as U
 
-U = 2.0**-53
 X0 = np.array([2.0, -1.0, 1.5, 1.0, 0.5, -0.75])
 
 
@@ -99,13 +97,9 @@ def test_the_jacobian_is_that_of_the_time_of_the_step(algebra, h, span):
     np.testing.assert_allclose(later.x, now.x, rtol=0, atol=100 * LATE * U * np.linalg.norm(X0))
 
 
-@pytest.mark.parametrize("banded", [True, False])
-def test_large_systems_take_newton_by_a_band_or_without_a_matrix(banded, monkeypatch):
+def test_large_systems_take_newton():
     """120 spins, 360 coordinates and 720 unknowns: h f' is about 6."""
     system, x0 = spin_chain(120)
-    if not banded:
-        monkeypatch.setattr(couplings, "MAX_HALF_BANDWIDTH", 0)
-    assert (runge_kutta_tables(system, co.GaussLegendre(2)).tables.band >= 0) == banded
     method, h = co.GaussLegendre(2), 2.0
     run = co.integrate(system, x0, (0.0, 10 * h), h, method)
     expected = x0
@@ -195,57 +189,3 @@ def test_many_stages_of_a_large_rotation_carry_the_group_element(algebra, stages
     returned = np.einsum("kij,kj->ki", run.attitude, run.x)
     size = np.abs(run.attitude).max() * np.abs(run.x).max()
     assert np.abs(returned - x0).max() <= 64 * U * algebra.dim * stages * size
-
-
-SITES = 40
-
-
-def chain(seed, across=0):
-    """Spins of which each is coupled to its neighbours, in a drawn numbering; with so many other couplings."""
-    rng, n = np.random.default_rng(seed), 3 * SITES
-    M = np.diag(rng.uniform(0.5, 1.5, n))
-    for k in range(n - 3):
-        M[k, k + 3] = M[k + 3, k] = rng.uniform(0.1, 0.3)
-    for k, l in rng.integers(0, n, (across, 2)):
-        M[k, l] = M[l, k] = 0.5
-    place = rng.permutation(n)
-    i, j, k, c = co.algebras.copies(co.algebras.so(3), SITES).triples
-    brackets = {}
-    for a, b, to, value in zip(place[i], place[j], place[k], c, strict=True):
-        brackets.setdefault((int(a), int(b)), {})[int(to)] = float(value)
-    mixed = np.empty_like(M)
-    mixed[np.ix_(place, place)] = M
-    g = co.LieAlgebra.from_brackets(n, brackets)
-    return co.LiePoissonSystem(g, co.Quadratic(mixed, linear=rng.standard_normal(n)), -1, casimirs={})
-
-
-def jacobians(system, x):
-    """Return the matrices of the three solvers, up to signs, from the vector field by its parts."""
-    whole, bends = system.jacobian(x), system.sign * system.structure_matrix(x) @ system.hamiltonian.hessian(x)
-    return {"implicit": whole, "structure": bends, "gradient": whole - bends}
-
-
-@pytest.mark.parametrize("seed", [1, 2])
-def test_every_entry_lies_in_the_band(seed):
-    system = chain(seed)
-    x = np.random.default_rng(9).standard_normal(system.dim)
-    for solver, matrix in jacobians(system, x).items():
-        band, position = narrow_band(system, 2, solver)
-        assert sorted(position.tolist()) == list(range(system.dim))
-        rows, columns = np.nonzero(np.abs(matrix) > 1e-12)
-        apart = np.abs(position[rows].astype(int) - position[columns].astype(int))
-        # No wider than the entries need, and as narrow as a chain of triples with neighbours allows.
-        assert apart.max() == band and 0 < band <= (2 if solver == "gradient" else 12), solver
-
-
-def test_wide_patterns_have_no_band():
-    assert narrow_band(chain(3, across=200), 2, "implicit")[0] == -1
-    # With more stages the same band is too wide.
-    system = chain(1)
-    band, _ = narrow_band(system, 2, "implicit")
-    most = (MAX_HALF_BANDWIDTH + 1) // (band + 1)
-    assert narrow_band(system, most, "implicit")[0] == band and narrow_band(system, most + 1, "implicit")[0] == -1
-    n = MAX_MEAN_COUPLINGS + 20
-    g = co.algebras.copies(co.algebras.heisenberg(1), n // 3)
-    full = co.LiePoissonSystem(g, co.Quadratic(np.ones((g.dim, g.dim)) + np.eye(g.dim)), casimirs={})
-    assert narrow_band(full, 1, "implicit")[0] == -1

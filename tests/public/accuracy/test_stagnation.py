@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from rounding import UNIT_ROUNDOFF as U
 
-U = 2.0**-53
 RATIOS = (1.0, 1e4, 1e8, 1e12)
 TWO_SPINS = co.algebras.copies(co.algebras.so(3), 2)
 STRONG, WEAK = np.array([0.6, -0.9, 1.1]), np.array([-0.4, 0.8, 0.7])
@@ -124,7 +124,7 @@ def in_a_cancelling_force():
 @pytest.mark.parametrize(
     "method", [co.GaussLegendre(1), co.GaussLegendre(2), co.GaussLegendre(3), co.RadauEnergy(2)], ids=str
 )
-@pytest.mark.filterwarnings("ignore:rounding changes:coadjoint.errors.RoundingWarning")
+@pytest.mark.filterwarnings("ignore:rounding changes")
 def test_corrections_that_are_round_off_of_large_terms(method):
     """Corrections of p stagnate far above its own round-off; the body turns as without the force, up to round-off."""
     system, x0, inertia, h = in_a_cancelling_force()

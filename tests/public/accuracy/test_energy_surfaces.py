@@ -1,38 +1,15 @@
-"""The loop for step methods and Radau on the energy surface: the plain reading, energy, substeps, failures."""
+"""Radau methods on the energy surface: the loops and `Method.step`, energy, compositions, failures."""
 
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
-from coadjoint.kernels.interface import codes
-from coadjoint.kernels.loop import MemberBatch, StopFlag
-from coadjoint.kernels.tables.invariants import watch_tables
-from coadjoint.kernels.tables.recording import schedule_of
-from coadjoint.kernels.tables.steps import STEP_LOOP, step_tables
-
-pytestmark = pytest.mark.thinned(3)
-
-U = 2.0**-53
-
-
-def run(system, method, x0, h, steps, *, t0=0.0, cuts=(), fractions=(1.0,)):
-    """Return the final states, the largest deviations of energy and Casimirs, and the whole state, for all members."""
-    momenta = np.atleast_2d(np.array(x0, dtype=float))
-    members, n = momenta.shape
-    prepared, watch = step_tables(system, method, None, fractions), watch_tables(system, system.casimirs)
-    layout = Layout(Extent(members, 2, n, 0, 1 + len(system.casimirs), 0))
-    saved, state = NamedArrays(layout.saved), NamedArrays(layout.state)
-    state["momenta"][:] = momenta
-    member_batch = MemberBatch(STEP_LOOP, prepared.tables, watch.tables, 0, members)
-    for k0, k1 in pairwise([0, *cuts, steps]):
-        member_batch.advance(layout, schedule_of(t0, h, steps, steps, True), saved, state, k0, k1, StopFlag())
-    return state["momenta"], state["worst"].max(axis=1), state
+from refusals import refused
+from rounding import UNIT_ROUNDOFF as U
 
 
 def allocating(x):
@@ -75,38 +52,37 @@ def systems():
     }
 
 
-@pytest.mark.thinned(8)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("stages", [1, 2, 3])
 @pytest.mark.parametrize("name", list(systems()))
-def test_compiled_step_is_the_plain_reading(name, stages):
+def test_steps_of_the_loop_and_of_the_method(name, stages):
     """The multipliers carry u T / (x . grad H): some ten times the round-off of a state."""
     system, x = systems()[name]
     method = co.RadauEnergy(stages)
     for h in (0.0625, -0.0625) if stages == 2 else (0.0625,):
-        found, _, report = run(system, method, x, h, 1)
-        assert report["status"][0] == 0
-        assert np.max(np.abs(found[0] - method.step(system, x, 0.0, h))) < 64 * len(x) * U * np.max(np.abs(x))
-        assert np.max(np.abs(found[0] - x)) > 1e-3
+        found = co.stepper(system, method, h)(x)
+        assert np.max(np.abs(found - method.step(system, x, 0.0, h))) < 64 * len(x) * U * np.max(np.abs(x))
+        assert np.max(np.abs(found - x)) > 1e-3
 
 
-@pytest.mark.parametrize("name", ["top", "so(4)", "quartic", "functions", "nonlinear J"])
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", list(systems()))
 def test_energy_is_kept_and_casimirs_are_not(name):
     """A random walk of 500 steps, each of some 4 n roundings of products of the size of H; six times its width."""
     system, x0 = systems()[name]
-    _, worst, report = run(system, co.RadauEnergy(2), x0, 0.05, 500)
-    assert report["status"][0] == 0
-    assert worst[0, 0] < 6 * U * 4 * len(x0) * 5.0 * math.sqrt(500)
-    assert np.all(worst[0, 1:] > 1e-8)
+    run = co.integrate(system, x0, (0.0, 25.0), 0.05, co.RadauEnergy(2), save_every=500)
+    drift = run.drift(relative=False)
+    assert drift.pop("energy") < 6 * U * 4 * len(x0) * 5.0 * math.sqrt(500)
+    assert all(lost > 1e-8 for lost in drift.values())
 
 
-def test_substeps():
-    system, x0 = systems()["top"]
-    method = co.RadauEnergy(2)
-    found, _, _ = run(system, method, x0, 0.125, 1, fractions=(0.5, -0.25, 0.75))
-    x = x0
-    for fraction in (0.5, -0.25, 0.75):
+def test_compositions():
+    system, x = systems()["top"]
+    method, fractions = co.RadauEnergy(2), (0.5, -0.25, 0.75)
+    found = co.stepper(system, co.Composition(method, fractions), 0.125)(x)
+    for fraction in fractions:
         x = method.step(system, x, 0.0, 0.125 * fraction)
-    assert np.max(np.abs(found[0] - x)) < 3 * 64 * len(x) * U * 2.0
+    assert np.max(np.abs(found - x)) < 3 * 64 * len(x) * U * 2.0
 
 
 def test_a_change_of_sign_of_x_grad_h_is_told_and_not_stepped_over():
@@ -117,27 +93,26 @@ def test_a_change_of_sign_of_x_grad_h_is_told_and_not_stepped_over():
     truth = co.integrate(system, x0, (0.0, 1.0), 1 / 128, co.GaussLegendre(4))
     signs = [np.sign(x @ system.hamiltonian.gradient(x)) for x in truth.x]
     crossing = next(k for k in range(128) if signs[k + 1] != signs[0])
-    found = set()
+    told = []
     for steps in (16, 32, 64, 128, 256):
-        _, _, report = run(system, co.RadauEnergy(2), x0, 1 / steps, steps)
-        assert abs(report["step"][0] / steps - (crossing + 1) / 128) <= 0.1
-        found.add(int(report["status"][0]))
-    # near the crossing the multiplier grows without bound: it may also be that the iteration does not get there
-    status = codes("Status")
-    assert found <= {status["NOT_CONVERGED"], status["UNDEFINED"]}
-    assert status["UNDEFINED"] in found
+        with pytest.raises(co.IntegrationError) as failure:
+            co.integrate(system, x0, (0.0, 1.0), 1 / steps, co.RadauEnergy(2))
+        assert abs(failure.value.step / steps - (crossing + 1) / 128) <= 0.1
+        told.append(str(failure.value))
+    # Near the crossing the multiplier grows without bound: it may also be that the iteration does not get there.
+    assert all("vanishes" in one or "converge" in one for one in told) and any("vanishes" in one for one in told)
 
 
 def test_failures():
     """No convergence, and no multiplier where x . grad H = 0; other members go on."""
     system, x0 = systems()["so(4)"]
-    _, _, report = run(system, co.RadauEnergy(2), x0, 20.0, 3)
-    assert (report["status"][0], report["step"][0]) == (1, 1)
+    with refused(co.IntegrationError, "converge") as failure:
+        co.integrate(system, x0, (0.0, 60.0), 20.0, co.RadauEnergy(2))
+    assert failure.value.step == 1
     saddle = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, -1.0, 2.0]))
-    method = co.RadauEnergy(2)
-    states, _, report = run(saddle, method, [[1.0, 1.0, 0.0], [1.0, 0.5, 0.25]], 0.01, 5)
-    assert report["status"].tolist() == [codes("Status")["UNDEFINED"], 0]
-    assert "x . grad H(x) vanishes" in method.failures["UNDEFINED"]
-    with pytest.raises(co.IntegrationError, match="vanishes"):
-        method.step(saddle, [1.0, 1.0, 0.0], 0.0, 0.01)
-    assert np.max(np.abs(states[1] - [1.0, 0.5, 0.25])) > 1e-3
+    with refused(co.IntegrationError, "x . grad H(x) vanishes", "member 0") as failure:
+        co.integrate(saddle, [[1.0, 1.0, 0.0], [1.0, 0.5, 0.25]], (0.0, 0.05), 0.01, co.RadauEnergy(2))
+    partial = failure.value.partial
+    assert partial.failed.tolist() == [True, False] and np.abs(partial.x[-1, 1] - [1.0, 0.5, 0.25]).max() > 1e-3
+    with refused(co.IntegrationError, "vanishes"):
+        co.RadauEnergy(2).step(saddle, [1.0, 1.0, 0.0], 0.0, 0.01)

@@ -1,15 +1,10 @@
-"""The compiled flow of bonds: against the closed form, what it keeps, ensembles, tangents, and any representation."""
+"""Splittings into bonds: each flow is the closed form; what they keep, tangents, and any size of spins."""
 
 import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program.interpreter import Interpreter
-from coadjoint.program.table import build_program
-from coadjoint.runs.times import Times
-from verification.tangent_products import finished_vectors, run_with
-
-U = 2.0**-53
+from rounding import UNIT_ROUNDOFF as U
 
 
 def by_bonds(**options):
@@ -87,50 +82,21 @@ def test_total_spin_and_lengths_are_kept(system, order, compensated):
     assert np.abs(run.x[-1] - x0).max() > 0.1
 
 
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("system", LATTICES, ids=["graph", "field", "ring", "stretched"])
-def test_ensembles_have_the_bits_of_each_member_alone(system):
-    rng = np.random.default_rng(5)
-    x0 = rng.standard_normal((19, system.dim))
-    x0[3], x0[4], x0[5] = 0.0, 1e-200 * x0[4], 30.0 * x0[5]
-    for compensated in (False, True):
-        method = by_bonds(compensated=compensated)
-        together = co.integrate(system, x0, (0.0, 1.5), 0.5, method, threads=2)
-        carried = co.integrate(system, x0[:3], (0.0, 1.5), 0.5, method, attitude="coadjoint")
-        np.testing.assert_array_equal(carried.x, together.x[:, :3])
-        for k, start in enumerate(x0):
-            alone = co.integrate(system, start, (0.0, 1.5), 0.5, method)
-            np.testing.assert_array_equal(together.x[:, k], alone.x)
-
-
-def test_members_with_couplings_of_their_own_have_the_bits_of_each_alone():
-    rng = np.random.default_rng(8)
-    edges = [(0, 1), (1, 2), (2, 3), (3, 0), (0, 2)]
-    members = [co.systems.spin_lattice(edges, 4, exchange=J) for J in rng.standard_normal((11, 5))]
-    x0 = rng.standard_normal((11, 12))
-    together = co.integrate(co.batch(members), x0, (0.0, 2.0), 0.5, by_bonds(order=4))
-    for k, member in enumerate(members):
-        np.testing.assert_array_equal(
-            together.x[:, k], co.integrate(member, x0[k], (0.0, 2.0), 0.5, by_bonds(order=4)).x
-        )
-
-
 @pytest.mark.parametrize("system", [LATTICES[1], LATTICES[3]], ids=["field", "stretched"])
 def test_the_plain_reading_and_its_tangent_agree_with_the_loops(system):
     x0, h, n = np.random.default_rng(6).standard_normal(system.dim), 0.25, system.dim
     method = by_bonds()
     run = co.integrate(system, x0, (0.0, h), h, method, attitude="coadjoint")
-    read = Interpreter(build_program(system, method))
-    x, P = read.steps(x0, h, 1, tangent=np.eye(n))
+    x, step = method.step(system, x0, 0.0, h), co.stepper(system, method, h)
     size = max(1.0, np.abs(x).max())
     np.testing.assert_allclose(run.x[-1], x, rtol=0, atol=2.0**8 * U * size)
-    times = Times(0.0, h, 2, 2).with_saved_steps([2])
-    found = finished_vectors(run_with(system, method, x0, times, np.eye(n)), np.eye(n))
-    _, expected = read.steps(x0, h, 2, tangent=np.eye(n))
-    assert np.abs(found - expected).max() <= 2.0**10 * U * np.abs(expected).max() ** 2 * size
-    J = system.algebra.structure_matrix
+    P, J = step.tangent(x0), system.algebra.structure_matrix
     defect = P @ J(x0) @ P.T - J(x)
     assert np.abs(defect).max() <= 2.0**10 * U * max(1.0, np.abs(P).max()) ** 2 * size
+    d = 2.0**-18
+    differences = [(step(x0 + d * e) - step(x0 - d * e)) / (2 * d) for e in np.eye(n)]
+    assert np.abs(np.transpose(differences) - P).max() < 1e-8 * np.abs(P).max() ** 2 * size
+    np.testing.assert_allclose(np.linalg.solve(run.attitude[-1], x0), run.x[-1], rtol=0, atol=2.0**10 * U * size)
 
 
 @pytest.mark.parametrize("scale", [2.0**-600, 2.0**400])
