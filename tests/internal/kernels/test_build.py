@@ -1,6 +1,5 @@
 """The build of the compiled kernels: what it refuses, what it compiles again, and what its libraries export."""
 
-import importlib.util
 import json
 import os
 import re
@@ -8,15 +7,14 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 from coadjoint.kernels import compiling
-from coadjoint.kernels.library import FOLDER, SUFFIX, kernels, processor_level
+from coadjoint.kernels.library import processor_level
 from long import long_beyond
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SOURCES = "src/coadjoint/kernels/source"
 # The packages cmake and ninja stand beside the interpreter.
 PLACES = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
@@ -115,51 +113,6 @@ def test_two_processors_of_macos_are_refused(tmp_path):
     assert "The kernels of two processors are not the same files: build for each of x86_64;arm64 alone" in said
 
 
-def test_options_of_other_systems_are_those_of_this_one(monkeypatch):
-    """Spelled as zig reads them; the linker of macOS gets no list of exports."""
-    monkeypatch.syspath_prepend(str(ROOT / "packaging/cross"))
-    import zig
-
-    for level in compiling.levels():
-        given = compiling.options(compiling.tuning(level))
-        changed = {"-march=x86-64", f"-march=x86-64-v{level}", "-mtune=generic"}
-        name = "x86_64" if level == 1 else f"x86_64_v{level}"
-        expected = {*given} - changed | {f"-mcpu={name}", "-fno-sanitize=undefined"}
-        assert set(zig.options(given)) == expected
-    linking = ["-bundle", "-Xlinker", "-exported_symbol", "-Xlinker", "_[a-z]*", "-o", "_kernels.dylib"]
-    assert zig.options(linking)[1:] == ["-dynamiclib", "-o", "_kernels.dylib"]
-
-
-@pytest.mark.parametrize("wrong", ["", "compiler", "library", "number"])
-def test_libraries_of_other_systems_that_fail_are_an_error(tmp_path, monkeypatch, capsys, wrong):
-    """The first of two systems: it is not compiled, a library of it has a fault, or one is missing."""
-    monkeypatch.setitem(sys.modules, "lief", SimpleNamespace(logging=SimpleNamespace(disable=lambda: None)))
-    spec = importlib.util.spec_from_file_location("cross_build", ROOT / "packaging/cross/build.py")
-    cross = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(cross)
-    first, second = "x86_64-macos", "aarch64-macos"
-
-    def build(folder, target, options):
-        if (wrong, target) == ("compiler", first):
-            return "error: unknown option"
-        folder.mkdir()
-        for k in range(cross.TARGETS[target] - ((wrong, target) == ("number", first))):
-            (folder / f"_kernels_v{k}.dylib").touch()
-        return ""
-
-    def faults(path, target, expected):
-        return ["needs another library"] if (wrong, target) == ("library", first) else []
-
-    monkeypatch.setattr(cross, "build", build)
-    monkeypatch.setattr(cross, "faults", faults)
-    monkeypatch.setattr(sys, "argv", ["build.py", str(tmp_path / "cross"), first, second])
-    for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR"):
-        monkeypatch.setenv(name, "")  # and restored
-    assert cross.main() == int(bool(wrong))
-    last = capsys.readouterr().out.splitlines()[-1]
-    assert last == f"failed: {first}" if wrong else "failed" not in last
-
-
 @pytest.mark.thinned(4)
 @needs_tools
 @needs_levels
@@ -235,22 +188,6 @@ def test_options_of_the_build_are_those_of_the_tests(tmp_path):
         assert sorted(kept) == sorted(expected)
         # In the same order but for the last three, which add nothing to what others say.
         assert [option for option in kept if option in expected[:-3]] == expected[:-3]
-
-
-@pytest.mark.skipif(SUFFIX != ".so" or shutil.which("nm") is None, reason="nm is missing, or the libraries are no ELF")
-def test_libraries_export_what_python_calls():
-    done = subprocess.run(
-        ["nm", "-D", "--defined-only", kernels()._name], capture_output=True, text=True, check=True, timeout=60
-    )
-    names = {line.split()[-1] for line in done.stdout.splitlines()}
-    texts = [path.read_text(encoding="utf-8") for path in FOLDER.parent.rglob("*.cpp")]
-    said = set(re.findall(r"^EXPORT [^;=]*?(\w+)\(", "\n".join(texts), flags=re.MULTILINE))
-    loops = set(re.findall(r"^EXPORT_LOOP\((\w+),", "\n".join(texts), flags=re.MULTILINE))
-    memory_sizes = {f"{name}_memory_size" for name in loops}
-    inside = {f"{name}_{kind}" for name in loops for kind in ("inside", "whole")}
-    steps = {f"{name}_step" for name in re.findall(r"^\s*STEP_SCHEME\((\w+)", "\n".join(texts), flags=re.MULTILINE)}
-    assert len(said) > 8 and len(loops) == 5 and steps
-    assert names == (said - {"processor_level"}) | loops | memory_sizes | inside | steps
 
 
 def recipes(folder, target="kernels"):

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import mpmath
 import numpy as np
-import pytest
 
 import coadjoint
 from coadjoint.kernels.library import kernels
@@ -117,43 +116,6 @@ def test_angles_of_zeros_and_infinities():
             (found,), expected = values(ANGLE, [y], [x]), math.atan2(y, x)
             assert abs(found - expected) <= math.ulp(expected) and math.copysign(1, found) == math.copysign(1, expected)
     assert np.isnan(values(ANGLE, [math.nan, 1.0], [1.0, math.nan])).all()
-
-
-def constant(name):
-    """Return the numbers of a constant of the header, as they are written."""
-    text = (SOURCE / "numbers" / "elementary.hpp").read_text()
-    (listed,) = re.findall(rf"\b{name}\[\] = \{{(.*?)\}};", text, re.DOTALL)
-    return re.findall(r"-?0x[0-9a-f.]+(?:p-?\d+)?|\b0\b", listed)
-
-
-def parts(exact, count):
-    found = []
-    for _ in range(count):
-        found.append(float(exact))
-        exact -= mpmath.mpf(found[-1])
-    return found
-
-
-@pytest.mark.parametrize(
-    ("name", "count", "length", "exact"),
-    [
-        ("INVERSE_FACTORIALS", 28, 2, lambda n: 1 / mpmath.factorial(n)),
-        ("INVERSE_ODDS", 22, 2, lambda k: 1 / mpmath.mpf(2 * k + 1)),
-        ("ARCTANGENTS", 17, 2, lambda k: mpmath.atan(mpmath.mpf(k) / 16)),
-        ("LN2_PARTS", 1, 3, lambda k: mpmath.log(2)),
-    ],
-)
-def test_constants(name, count, length, exact):
-    with mpmath.workdps(80):
-        expected = [part for k in range(count) for part in parts(exact(k), length)]
-    assert [float.fromhex(number) for number in constant(name)] == expected
-
-
-def test_bits_of_two_over_pi():
-    with mpmath.workprec(64 * 21 + 40):
-        bits = int(mpmath.floor(mpmath.ldexp(2 / mpmath.pi, 64 * 21)))
-    words = [(bits >> (64 * k)) & (2**64 - 1) for k in reversed(range(21))]
-    assert [int(word, 16) for word in constant("TWO_OVER_PI_WORDS")] == [0, *words]
 
 
 # Their last bits differ between C libraries.

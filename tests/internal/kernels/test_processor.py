@@ -6,7 +6,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from kernels.test_build import COMPILER, needs_levels, needs_tools
+from test_build import COMPILER, needs_levels, needs_tools
 
 from coadjoint.kernels.compiling import SOURCE
 from coadjoint.kernels.library import processor_level

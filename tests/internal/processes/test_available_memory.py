@@ -11,28 +11,6 @@ from coadjoint import memory
 from refusals import refused
 
 
-def test_cgroup_limits(tmp_path):
-    """A batch job has the remainder of its parent group; cached files do not count as used."""
-    own, root = tmp_path / "cgroup", tmp_path / "fs"
-    job = root / "slurm" / "job"
-    job.mkdir(parents=True)
-    own.write_text("0::/slurm/job\n")
-    (root / "slurm" / "memory.max").write_text("5000\n")
-    (root / "slurm" / "memory.current").write_text("3000\n")
-    (root / "slurm" / "memory.stat").write_text("anon 2000\nfile 1000\n")
-    (job / "memory.max").write_text("max\n")
-    (job / "memory.current").write_text("3000\n")
-    assert memory._available_in_cgroups(str(root), str(own)) == 3000
-    own.write_text("5:cpu,memory:/job\n")
-    old = root / "memory" / "job"
-    old.mkdir(parents=True)
-    (old / "memory.limit_in_bytes").write_text("700\n")
-    (old / "memory.usage_in_bytes").write_text("300\n")
-    (old / "memory.stat").write_text("total_cache 100\n")
-    assert memory._available_in_cgroups(str(root), str(own)) == 500
-    assert memory._available_in_cgroups(str(root), str(tmp_path / "absent")) == memory.NO_LIMIT
-
-
 def test_available_memory_of_this_machine():
     assert 2**20 < memory.available() <= memory.NO_LIMIT
 

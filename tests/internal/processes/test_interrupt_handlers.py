@@ -1,7 +1,6 @@
 """Signal handlers: order of actions and exit status of interrupted processes."""
 
 import signal
-import time
 
 import pytest
 
@@ -134,57 +133,3 @@ def test_error_in_a_deferred_context(received):
         signal.raise_signal(signal.SIGTERM)
         raise ValueError("inside")
     assert received == [signal.SIGTERM]
-
-
-def test_handlers_are_restored_after_an_early_signal(received, monkeypatch):
-    """The signal arrives while handlers are exchanged: those exchanged before are restored."""
-    exchanged, real = [], signal.signal
-
-    def exchange(number, handler):
-        exchanged.append(number)
-        if len(exchanged) == 2:
-            raise KeyboardInterrupt
-        return real(number, handler)
-
-    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
-        patched.setattr(signal, "signal", exchange)
-        with interruption.deferred():
-            raise AssertionError
-    signal.raise_signal(signal.SIGTERM)
-    assert received == [signal.SIGTERM]
-
-
-def test_cleanups_are_unregistered_once():
-    before = list(interruption._cleanups)
-    for act in (time.sleep, print, time.sleep):
-        interruption.register_cleanup(act)
-    interruption.unregister_cleanup(time.sleep)
-    interruption.unregister_cleanup(print)
-    assert interruption._cleanups == [*before, time.sleep]
-    interruption.unregister_cleanup(time.sleep)
-    assert interruption._cleanups == before
-
-
-@pytest.mark.parametrize("present", [True, False])
-def test_break_of_windows_interrupts_where_it_exists(present):
-    """SIGUSR1 takes its place here; without such a signal the others are handled."""
-    place = "signal.SIGBREAK = signal.SIGUSR1\n" if present else "assert not hasattr(signal, 'SIGBREAK')\n"
-    raised = "signal.SIGBREAK" if present else "signal.SIGTERM"
-    code = f"""
-import signal
-{place}
-{BEGIN}
-if {present}:
-    signal.signal(signal.SIGBREAK, signal.SIG_DFL)
-install_handlers()
-try:
-    with raise_on_interrupt():
-        signal.raise_signal({raised})
-except Interrupted as error:
-    print(error.number == {raised}, error.description)
-signal.raise_signal({raised})
-"""
-    done = run_python(code)
-    number, message = (signal.SIGUSR1, "interrupted") if present else (signal.SIGTERM, "terminated")
-    assert (done.returncode, done.stdout) == (128 + number, f"True {message}\n")
-    assert done.stderr == f"coadjoint: {message}\n"

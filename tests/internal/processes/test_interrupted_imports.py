@@ -50,53 +50,6 @@ ticks = outcome(None)[2]
 print(json.dumps([outcome(at) for at in range(1, len(ticks) + 1)]))
 """
 
-# Interrupts the k-th import of a call that imports large packages, each in a process of its own.
-REAL = """
-import json, os, signal, sys
-import coadjoint as co
-import numpy as np
-
-signal.signal(signal.SIGINT, signal.default_int_handler)
-CALLS = "import numba; import scipy.sparse; f, casimirs = numba.njit(lambda x: x), co.algebras.su(3).casimirs(2)"
-def call():
-    names = {"__name__": "coadjoint.of_a_test", "co": co}
-    exec(CALLS, names)
-    return list(names["casimirs"])
-
-def outcome(at):
-    count = 0
-    def hook(event, given):
-        nonlocal count
-        if event == "import":
-            count += 1
-            if count == at:
-                signal.raise_signal(signal.SIGINT)
-    sys.addaudithook(hook)
-    try:
-        call()
-        interrupted = False
-    except KeyboardInterrupt:
-        interrupted = True
-    return count, interrupted, call() == ["C2"]
-
-def in_child(at):
-    read, write = os.pipe()
-    if os.fork() == 0:
-        try:
-            os.write(write, json.dumps(outcome(at)).encode())
-        finally:
-            os._exit(0)
-    os.close(write)
-    with os.fdopen(read) as pipe:
-        answer = pipe.read()
-    os.wait()
-    return json.loads(answer) if answer else None
-
-count = in_child(0)[0]
-points = [1 + count * k // 5 for k in range(5)]
-print(json.dumps([in_child(at) for at in points]))
-"""
-
 
 def printed(code, *arguments, cwd=None):
     done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, cwd=cwd)
@@ -120,12 +73,6 @@ def test_interrupted_imports_leave_complete_modules(tmp_path):
     assert len(executed) == count
     # Nothing is executed twice: modules imported before the interrupt stay the same.
     assert found == [[True, [5, 1, 3, 4], executed, True]] * count
-
-
-@pytest.mark.long
-def test_call_works_after_interrupted_imports():
-    found = printed(REAL)
-    assert all(message is not None and message[1:] == [True, True] for message in found), found
 
 
 OTHER_HANDLERS = """

@@ -147,32 +147,6 @@ def test_large_linear_stages_beyond_the_iteration(freeze):
     assert run.drift()["energy" if freeze == "structure" else "S"] < 6 * 4 * size * U * np.sqrt(3)
 
 
-@pytest.mark.long
-def test_a_hundred_thousand_coordinates():
-    """Nothing of size n x n is made: 33334 spins."""
-    spins = 33334
-    first = 3 * np.arange(spins)
-    rows = [
-        row for i in first.tolist() for row in ((i, i + 1, i + 2, 1.0), (i + 1, i + 2, i, 1.0), (i + 2, i, i + 1, 1.0))
-    ]
-    algebra = co.LieAlgebra(rows, dim=3 * spins)
-    from scipy.sparse import coo_array
-
-    here, there = 3 * np.arange(spins), 3 * np.roll(np.arange(spins), -1)
-    i = np.concatenate([here + a for a in range(3)] + [there + a for a in range(3)])
-    j = np.concatenate([there + a for a in range(3)] + [here + a for a in range(3)])
-    couplings = np.repeat([1.0, 0.5, 0.25, 1.0, 0.5, 0.25], spins)
-    H = co.Quadratic(coo_array((couplings, (i, j)), shape=(3 * spins, 3 * spins)).tocsr())
-    system = co.LiePoissonSystem(algebra, H, casimirs={})
-    x0 = np.random.default_rng(5).standard_normal((spins, 3))
-    x0 /= np.linalg.norm(x0, axis=1, keepdims=True)
-    for h, steps in ((0.1, 3), (2.0, 1)):
-        run = co.integrate(system, x0.ravel(), (0.0, steps * h), h, co.GaussLegendre(2), save_every=steps)
-        lengths = np.linalg.norm(run.x[-1].reshape(spins, 3), axis=1)
-        assert np.max(np.abs(lengths - 1)) < 64 * U
-        assert run.drift()["energy"] < 6 * 4 * U * 3 * spins
-
-
 @pytest.mark.thinned(5)
 @pytest.mark.parametrize("algebra", [co.algebras.so(3), co.algebras.e(3), co.algebras.su(3)], ids=repr)
 @pytest.mark.parametrize("stages", [16, 20])

@@ -215,17 +215,6 @@ def test_derivatives_have_the_same_bits(name, reverse):
         np.testing.assert_array_equal(other[parameter], gradient[parameter])
 
 
-@pytest.mark.parametrize("method", [METHODS["plain"], co.ExplicitRungeKutta()])
-def test_tangents_of_exponents_have_the_same_bits(method):
-    system, x0 = SYSTEMS["square"](), spins(3)
-    alone, *others = [
-        co.lyapunov(system, x0, (0.0, 0.4), 0.02, method, exponents=DIRECTIONS, threads=threads).exponents
-        for threads in (1, 2, 7)
-    ]
-    for shared in others:
-        np.testing.assert_array_equal(shared, alone)
-
-
 @pytest.mark.parametrize("threads", [1, 3])
 @pytest.mark.parametrize("fast", [(0, -1), (-1, 0)])
 def test_leading_exponents_of_many_coordinates_are_their_rates(fast, threads):
@@ -248,21 +237,6 @@ def test_leading_exponents_of_many_coordinates_are_their_rates(fast, threads):
     )
     # In a step a rotation or growth of few operations, whose length is measured once for ten steps.
     np.testing.assert_allclose(found.exponents, [3.0, 2.0], rtol=0.0, atol=2.0**-53 * 16 / step)
-
-
-def test_equal_couplings_of_copies_have_the_same_bits():
-    """Rows of equal couplings repeat, and each copy has a block of its own: so(3) by e1, e1 + e2 and e1 + e2 + e3."""
-    skew = {(0, 1): {1: -1, 2: 1}, (0, 2): {0: 1, 1: -2, 2: 1}, (1, 2): {0: 2, 1: -1}}
-    algebra, n = co.LieAlgebra.from_brackets(3, skew), 3 * SPINS
-    own, others = np.tile([1.0, 0.8, 1.2], SPINS), np.full(n, 0.1)
-    M = sparse.dia_array((np.stack([others, own, others]), [-3, 0, 3]), shape=(n, n))
-    system = co.LiePoissonSystem(co.algebras.copies(algebra, SPINS), co.Quadratic(M), sign=-1, casimirs={})
-    x0 = spins(17)
-    for compensated in (False, True):
-        alone, *others = (run(system, x0, threads, co.Splitting(compensated=compensated)) for threads in (1, 2, 7))
-        for shared in others:
-            np.testing.assert_array_equal(shared.x, alone.x)
-            np.testing.assert_array_equal(shared.energy, alone.energy)
 
 
 spirals = co.LieAlgebra.from_brackets(
@@ -352,16 +326,6 @@ def test_fluids_have_the_same_bits(name):
     for shared in others:
         np.testing.assert_array_equal(shared.x, alone.x)
         np.testing.assert_array_equal(shared.energy, alone.energy)
-
-
-def test_states_of_one_step_calls_have_the_same_bits():
-    system, x0 = isotropic(), spins(13)
-    one = {threads: x0 for threads in (1, 3)}
-    for threads in one:
-        ready = co.prepare(system, METHODS["plain"], 0.01, watch=False, threads=threads)
-        for _ in range(STEPS):
-            one[threads] = ready.end(one[threads], (0.0, 0.01))
-    np.testing.assert_array_equal(one[3], one[1])
 
 
 def test_members_come_first_then_the_inside_of_each():

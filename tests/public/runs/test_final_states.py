@@ -1,7 +1,5 @@
 """`PreparedRun.end`: the final state alone, with the bits, refusals and failures of a run."""
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 from interrupting import Failing, Interruptible
@@ -108,18 +106,3 @@ def test_exceptions_of_user_functions_propagate():
         assert np.array_equal(ready.end(X, (0, 0.3)), ready.run(X, (0, 0.3)).x[-1])
         with pytest.raises(LookupError, match=r"0\.6"):
             ready.end(X, (0, 1))
-
-
-def test_threads_share_a_prepared_run():
-    ready = co.prepare(BODY, co.GaussLegendre(2), 0.01, threads=1)
-    calls = [(X * k, (0.0, 0.01 * steps)) for steps in (1, 7, 3000) for k in (0.5, 1.0, 2.0)]
-    expected, wrong = [ready.run(*call).x[-1] for call in calls], []
-
-    def work(turn):
-        for call in np.random.default_rng(turn).permutation(np.tile(np.arange(len(calls)), 20)):
-            if not np.array_equal(ready.end(*calls[call]), expected[call]):
-                wrong.append(call)
-
-    with ThreadPoolExecutor(4) as pool:
-        list(pool.map(work, range(4)))
-    assert wrong == []

@@ -155,19 +155,6 @@ def bodies_with(culprit):
 
 
 @pytest.mark.filterwarnings("ignore:the tangents of .* are computed in Python:RuntimeWarning")
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_tangents_in_python_per_member(way):
-    bodies, x0 = bodies_with(5), np.array([(0.1, 1.0, 0.2), (0.4, -0.3, 0.8), (-0.9, 0.2, 0.5)])
-    given = (T0, T0 + 4.0 * way), 0.125, Forward()
-    together = co.lyapunov(co.batch(bodies), x0, *given)
-    for m, body in enumerate(bodies):
-        assert np.array_equal(together.exponents[m], co.lyapunov(body, x0[m], *given).exponents)
-        ensemble = co.lyapunov(body, x0, *given)
-        assert np.array_equal(together.exponents[m], ensemble.exponents[m])
-    assert len(np.unique(together.exponents)) == together.exponents.size
-
-
-@pytest.mark.filterwarnings("ignore:the tangents of .* are computed in Python:RuntimeWarning")
 @pytest.mark.parametrize("culprit", [0, 2])
 def test_exceptions_propagate_from_tangent_runs(culprit):
     batch = co.batch(bodies_with(culprit))

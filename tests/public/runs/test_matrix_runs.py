@@ -83,29 +83,6 @@ def test_default_scheme_of_matrices():
     assert isinstance(co.prepare(SPHERE, None, 0.1).method, co.IsospectralGauss)
 
 
-def test_time_dependent_energy():
-    masses = np.diag([1.0, 2.0, 3.0])
-
-    def stream(W, t):
-        return (1.0 + 0.5 * np.cos(t)) * np.linalg.multi_dot([masses, W, masses])
-
-    system = co.MatrixSystem(co.MatrixAlgebra("so", 3), stream)
-    W, method = state_of(system), co.IsospectralGauss(3)
-    sol = co.integrate(system, W, (2.0, 4.0), 0.125, method, observe={"H": system.energy})
-    assert np.array_equal(sol.observed["H"], sol.energy)
-    x = W
-    for k in range(16):
-        x = method.step(system, x, 2.0 + 0.125 * k, 0.125)
-    assert np.abs(x - sol.x[-1]).max() < 1e-15
-    back = co.integrate(system, sol.x[-1], (4.0, 2.0), 0.125, method)
-    y = method.step(system, sol.x[-1], 4.0, -0.125)
-    assert np.abs(back.x[1] - y).max() < 1e-15 and np.abs(back.x[-1] - W).max() < 1e-14
-    # H(t) is a factor times the energy of the body, which is preserved.
-    factor = (1.0 + 0.5 * np.cos(sol.t)) / (1.0 + 0.5 * np.cos(2.0))
-    assert np.abs(sol.energy / sol.energy[0] - factor).max() < 1e-8
-    assert sol.spectrum().std(axis=0).max() < 1e-15
-
-
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_drift_of_a_time_dependent_energy(way):
     system = co.MatrixSystem(co.MatrixAlgebra("gl", 3), lambda W, t: dict(P=(1.0 + t) * W)["P"].T)
@@ -120,29 +97,6 @@ def test_drift_of_a_time_dependent_energy(way):
     # Steps 3, 6 and 8 of 8 are in the tenths 2, 6 and 8.
     assert np.array_equal(drift.tenths[:, [2, 6, 8]], np.abs(off[1:]).T) and np.count_nonzero(drift.tenths) == 6
     assert alone.drift(relative=False)["energy"].tenths.tolist() == drift.tenths[1].tolist()
-
-
-def test_balance_of_several_forces():
-    forces = co.forces.LinearDamping(0.2), co.forces.Viscosity(0.02), co.forces.Friction(lambda k: 0.3 / k)
-    driven, W = SPHERE.with_forces(*forces), states(SPHERE, 2)
-    sol = co.integrate(driven, W, (1.0, 2.0), 0.125)
-    for name, values in {"energy": sol.energy, "tr W^2": sol.casimirs["tr W^2"]}.items():
-        done = [work[name] for work in sol.work.values()]
-        assert len(done) == 3 and all(np.abs(work[-1]).min() > 1e-3 * np.abs(values[0]).max() for work in done)
-        left, drift = np.abs(values - values[0] - sum(done)), sol.balance(relative=False)[name]
-        # The sums are rounded in another order.
-        assert np.abs(drift.members - left.max(axis=0)).max() <= 16 * 2.0**-53 * np.abs(values).max()
-        assert drift < 0.01 * np.abs(values - values[0]).max()
-
-
-def test_forces_leave_states_matrices_for_observed_functions_and_spectra():
-    driven, W = SPHERE.with_forces(co.forces.Viscosity(0.02)), states(SPHERE, 2)
-    size = {"size": lambda V, t: float(np.abs(V[0]).max()) + t}
-    for start in (W, W[0]):
-        sol = co.integrate(driven, start, (1.0, 2.0), 0.125, observe=size, save_every=2)
-        times = sol.t.reshape(-1, *[1] * (start.ndim - 2))
-        assert np.array_equal(sol.observed["size"], np.abs(sol.x[..., 0, :]).max(axis=-1) + times)
-        assert np.array_equal(sol.spectrum(), SPHERE.spectrum(sol.x))
 
 
 def test_failed_member_leaves_the_others_unchanged():
@@ -255,12 +209,3 @@ def test_callable_objects_as_streams(name, kind):
     exact = solve_ivp(slope, (0.0, 1.0), W.ravel(), "DOP853", rtol=1e-12, atol=1e-14).y[:, -1].reshape(3, 3)
     assert np.array_equal(*ends)
     assert np.abs(ends[0] - exact).max() < 1e-7 and np.abs(exact - W).max() > 1e-3
-
-
-def test_forced_matrices_are_measured_at_the_saved_points():
-    """As without forces: `watch` does not apply, and the summary says so."""
-    system = co.ForcedSystem(co.systems.sphere_euler(N=5), [co.forces.Viscosity(1e-3)])
-    W = system.system.random(seed=1, degrees=(1, 4))
-    few, every = (co.integrate(system, W, (0.0, 1.0), 0.125, save_every=k) for k in (8, 1))
-    assert not few.watched and np.array_equal(few.x[-1], every.x[-1])
-    assert few.change(relative=False)["energy"] == abs(few.energy[-1] - few.energy[0]) > 0.0

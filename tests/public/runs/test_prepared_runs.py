@@ -131,14 +131,6 @@ def test_runs_in_the_other_direction_are_those_prepared_for_it(system, method):
     np.testing.assert_allclose(first.run(sols[0].x[-1], (0.3, 1.0)).x[-1], x0, rtol=0, atol=1e-13)
 
 
-def test_solutions_own_their_arrays():
-    ready = co.prepare(BODY, co.GaussLegendre(2), 0.1, attitude=True)
-    first = ready.run(X, (0, 1))
-    copies = first.x.copy(), first.attitude.copy()
-    ready.run(2 * X, (0, 1))
-    assert np.array_equal(first.x, copies[0]) and np.array_equal(first.attitude, copies[1])
-
-
 @pytest.mark.parametrize(
     "method", [co.Splitting(order=4), co.GaussLegendre(3), co.RadauEnergy(2), co.Taylor(6)], ids=str
 )
@@ -208,22 +200,6 @@ def test_solution_is_pickled_completely():
         _ = sol.momentum
     with pytest.raises(dataclasses.FrozenInstanceError):
         sol.x = X
-
-
-@pytest.mark.parametrize("members", [False, True])
-def test_copies_of_matrix_runs_have_a_spectrum(members):
-    system = co.MatrixSystem(co.MatrixAlgebra("gl", 2), lambda W: W.T)
-    W = np.array([[1.0, 0.5], [2.0, -4.0]])
-    sol = co.integrate(system, [W, 2 * W] if members else W, (0, 0.125), 2.0**-5)
-    expected = sol.spectrum()
-    assert expected.shape == ((5, 2, 2) if members else (5, 2))
-    assert np.array_equal(copy.copy(sol).spectrum(), expected)
-
-
-def test_solution_lists_its_attributes():
-    sol = co.integrate(BODY, X, (0, 1), 0.1)
-    assert {"x", "t", "energy", "drift", "plot", "at", "to_xarray"} <= {*dir(sol)} and not hasattr(sol, "path")
-    assert repr(sol).endswith("by Splitting(order=2): 11 points from t = 0 to 1, step 0.1>")
 
 
 def test_solutions_of_many_members():

@@ -12,35 +12,6 @@ from rounding import UNIT_ROUNDOFF as U
 pytestmark = pytest.mark.thinned(3)
 
 
-def cases():
-    rng = np.random.default_rng(7)
-    e3, M6 = co.algebras.e(3), (1.0, 0.5, 0.3, 0.2, 0.4, 0.9)
-    return {
-        "so(3), body": (co.systems.rigid_body((1.0, 2.0, 3.0)), True),
-        "so(3), paper": (co.systems.paper_rigid_body(), True),
-        "so(3), coadjoint": (co.systems.rigid_body((1.0, 2.0, 2.75)), "coadjoint"),
-        "e(3)": (co.LiePoissonSystem(e3, co.Quadratic((1, 0.5, 0.3, 0.2, 0.4, 0.9)), sign=-1), True),
-        "e(3), coadjoint": (co.LiePoissonSystem(e3, co.Quadratic((1, 0.5, 0.3, 0.2, 0.4, 0.9))), "coadjoint"),
-        "so(4)": (co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(rng.uniform(0.5, 2, 6)), sign=-1), True),
-        "sl(2)": (co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic((0.5, 1.0, 0.3))), True),
-        "two so(3)": (co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 2), co.Quadratic(M6), sign=-1), True),
-    }
-
-
-@pytest.mark.parametrize("name", list(cases()))
-def test_shifted_and_unshifted_attitudes_agree(name):
-    system, attitude = cases()[name]
-    x0 = 0.6 * np.random.default_rng(4).standard_normal(system.dim)
-    reference = co.integrate(
-        system, x0, (0, 2), 0.0025, co.Splitting(order=4, parts="coordinates"), attitude=attitude, save_every=800
-    ).attitude[-1]
-    errors = []
-    for h in (0.1, 0.05):
-        sol = co.integrate(system, x0, (0, 2), h, co.Splitting(order=4), attitude=attitude, save_every=100)
-        errors.append(np.abs(sol.attitude[-1] - reference).max())
-    assert errors[0] < 0.05 and errors[1] < errors[0] / 8 + 1e-12  # order 4: a factor 16
-
-
 SHIFTED = {
     "so(3)": co.systems.rigid_body((1.0, 2.0, 3.0)),
     "so(4)": co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(np.linspace(0.5, 2, 6)), sign=-1),
@@ -161,22 +132,6 @@ def test_overflowing_attitude_is_an_error(factors, sense):
     sound = np.isfinite(partial.attitude).reshape(len(partial.t), -1).all(axis=1)
     assert np.isfinite(partial.x).all() and sound[:11].all() and not sound[-1]
     assert raised.value.time == partial.t[np.argmin(sound)]
-
-
-@pytest.mark.parametrize("way", [1.0, -1.0])
-@pytest.mark.parametrize("members", [1, 30])
-@pytest.mark.parametrize("x0", [(0.1, 1.0, 0.2), (-0.1, -1.0, -0.2), (0.1, 0.2, -1.0)], ids=str)
-def test_attitude_overflow_for_all_signs(x0, members, way):
-    """Of the momentum and of the step; also if only the last member is fast."""
-    M = np.diag([1.0, -1.0, -1.0]) + np.diag([1e-3, 0.0, 0.0])
-    system = co.LiePoissonSystem(co.algebras.get("so(2,1)"), co.Quadratic(M))
-    ensemble = 1e-6 * np.ones((members, 3))
-    ensemble[-1] = x0
-    with refused(co.IntegrationError, "attitude at t = ", "shorter span"):
-        co.integrate(system, ensemble, (1, 1 + 1000 * way), 0.5, attitude=True, save_every=100)
-    if members > 1:
-        calm = co.integrate(system, ensemble[:-1], (1, 1 + 1000 * way), 0.5, attitude=True, save_every=100)
-        assert np.isfinite(calm.attitude).all()
 
 
 def motion_of(system, x0, g0, kind, end):

@@ -1,21 +1,23 @@
-"""Functions that are alike are compiled once; those that differ in anything are not; many are told of beforehand."""
+"""Keys and fingerprints of functions: whatever changes their meaning changes them, and nothing else does."""
 
 import collections
+import ctypes
 import decimal
 import functools
 import math
+import random
+import subprocess
+import sys
 import types
-import warnings
+from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.functions.contents import compilation_key
-
-numba = pytest.importorskip("numba")
-
-from coadjoint.kernels.functions import callbacks, fresh_code, matrix_functions, numba_steps  # noqa: E402
+from coadjoint.files.records.fingerprints import fingerprint_of, same_fingerprint
+from coadjoint.kernels.functions.contents import compilation_key, contents_of
 
 SLOPE = 2.0
 
@@ -30,30 +32,6 @@ def defaults(a):
 
 def inner(y):
     return SLOPE * y
-
-
-def reads_another(y):
-    return inner(y) + math.sin(y)
-
-
-def with_module(**names):
-    """Return a function whose module has some values."""
-    return types.FunctionType(reads_another.__code__, {"math": math, "inner": inner, **names})
-
-
-def test_what_is_alike():
-    for one, other in (
-        (times(2.0)[0], times(2.0)[0]),
-        (defaults(0.5), defaults(0.5)),
-        (times(np.arange(3.0))[0], times(np.arange(3.0))[0]),
-        (with_module(), with_module()),
-        (times((1, "a"))[0], times((1, "a"))[0]),
-    ):
-        assert (
-            one is not other
-            and compilation_key(one) == compilation_key(other)
-            and hash(compilation_key(one)) == hash(compilation_key(other))
-        )
 
 
 class Holder:
@@ -235,113 +213,166 @@ def test_a_value_that_is_met_again_is_another_than_an_equal_one():
     assert compilation_key([one, other, one]) != compilation_key([one, other, other])
 
 
-def spins(functions):
-    count = len(functions)
-    pairs = {3 * k: pair for k, pair in enumerate(functions)}
-    return co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), count), co.Separable(pairs))
+# Every {k} is a place for an edit, given as (text, another text).
+TEMPLATE = """
+import functools, math
+import numpy as np
+{decorator}
+def deepest(y, scale={0}):
+    return scale * y {1} {2}
+{decorator}
+def helper(y):
+    def inside(z):
+        return z * {3}
+    return inside(deepest(y)) + TABLE[1][{4}]
+TABLE = ({5}, ({6}, -0.25, (1.0, 2.0)), "text")
+ARRAY = np.array([0.5, {7}])
+SETTINGS = {{"a": [1.0, {8}], "b": {{1, 2, {9}}}}}
+class Base:
+    factor = {10}
+    def shift(self, y):
+        return y + {11}
+class Machine(Base):
+    def __init__(self):
+        self.own = {12}
+    def __call__(self, y):
+        return self.own * self.shift(y) * self.factor
+machine = Machine()
+def bound(power, y):
+    return y ** power
+partial = functools.partial(bound, {13})
+def given(*, slope={14}):
+    return lambda y: slope * y
+lifted = given()
+module = __import__("types").ModuleType("module")
+module.constant = {15}
+counts = {16}
+def value(y, *, offset={17}):
+    unused = y.real
+    total = helper(y) + ARRAY[1] * SETTINGS["a"][1] + len(SETTINGS["b"])
+    total += machine(y) + partial(y) + lifted(y) + module.constant + counts.size
+    return total + offset + math.{18}(y) + [u * {19} for u in (y, y)][0]
+"""
+PLACES = [
+    ("2.0", "2"),
+    ("+", "-"),
+    ("1.5", "1.25"),
+    ("3.0", "-3.0"),
+    ("0", "1"),
+    ("0.0", "-0.0"),
+    ("0.5", "0.75"),
+    ("0.25", "0.2500000000000001"),
+    ("1.0", "True"),
+    ("3", "4"),
+    ("1.5", "2.5"),
+    ("0.125", "0.0"),
+    ("1.0", "np.float64(1.0)"),
+    ("2", "3"),
+    ("0.5", "np.nan"),
+    ("1e-3", "1e-4"),
+    ("np.zeros(3)", "np.zeros((3, 1))"),
+    ("1.0", "1"),
+    ("sin", "cos"),
+    ("0.5", "0.25"),
+]
 
 
-def test_one_text_at_many_sites_is_compiled_once(monkeypatch):
-    compiled = []
-    plain = callbacks._compiled
-    monkeypatch.setattr(callbacks, "_compiled", lambda *given: (compiled.append(given), plain(*given))[1])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        system = spins([times(0.7251)] * 40 + [times(0.7251) for _ in range(40)])
-        x = np.tile([0.3, 0.4, -0.2], 80)
-        sol = co.integrate(system, x, (0.0, 0.5), 0.05, co.Splitting())
-    assert len(compiled) == 2  # a value and a slope
-    # Each spin turns about its axis, by a cosh(y)-slope that it keeps.
-    angle = 0.5 * 0.7251 * np.sinh(0.3)
-    sign = np.sign(system.vector_field(x)[1]) / np.sign(-x[2])
-    c, d = np.cos(angle), sign * np.sin(angle)
-    turned = np.array([0.3, 0.4 * c + 0.2 * d, -0.2 * c + 0.4 * d])
-    np.testing.assert_allclose(sol.x[-1].reshape(80, 3), np.tile(turned, (80, 1)), rtol=0, atol=1e-14)
+def made(edited=None, decorator="", text=TEMPLATE, name="made.py"):
+    """Return the module of the template, with one of the edits."""
+    chosen = [pair[k == edited] for k, pair in enumerate(PLACES)]
+    module = types.ModuleType("user_functions_of_a_test")
+    exec(compile(text.format(*chosen, decorator=decorator), name, "exec"), vars(module))
+    return module
 
 
-def test_a_module_that_has_changed_is_compiled_again():
-    module = types.ModuleType("changing")
-    exec("import numpy as np\nSLOPE = 2.0\ndef value(y): return SLOPE * y\ndef slope(y): return SLOPE", vars(module))
+@pytest.mark.parametrize("decorator", ["", "__import__('numba').njit"])
+def test_every_edit_is_noticed(decorator):
+    if decorator:
+        pytest.importorskip("numba")
+    found = [contents_of(made(k, decorator).value) for k in (None, *range(len(PLACES)))]
+    assert not any(one.unknown for one in found)
+    assert len({one.digest for one in found}) == len(found)
+    assert contents_of(made(None, decorator).value) == found[0]
+    prints = [fingerprint_of({"value": made(k, decorator).value}) for k in (None, *range(len(PLACES)))]
+    assert same_fingerprint(prints[0], fingerprint_of({"value": made(None, decorator).value}))
+    assert not any(same_fingerprint(prints[0], one) for one in prints[1:])
 
-    def end():
-        system = spins([(module.value, module.slope)])
-        return co.integrate(system, [0.0, 1.0, 0.0], (0.0, 0.5), 0.5, co.Splitting()).x[-1, 2]
 
-    first = end()
-    module.SLOPE = 1.0
-    assert abs(first) == pytest.approx(np.sin(1.0), abs=1e-15)
-    assert abs(end()) == pytest.approx(np.sin(0.5), abs=1e-15)
+def test_several_random_edits_in_place():
+    draw, module = random.Random(5), made()
+    edits = [
+        lambda: module.ARRAY.__setitem__(0, draw.random()),
+        lambda: module.SETTINGS["a"].append(draw.random()),
+        lambda: module.SETTINGS["b"].add(draw.random()),
+        lambda: setattr(module.machine, "own", draw.random()),
+        lambda: setattr(module.Base, "factor", draw.random()),
+        lambda: setattr(module.module, "constant", draw.random()),
+        lambda: setattr(module.deepest, "__defaults__", (draw.random(),)),
+        lambda: module.value.__kwdefaults__.__setitem__("offset", draw.random()),
+        lambda: setattr(module, "partial", functools.partial(module.bound, draw.random())),
+        lambda: setattr(module, "lifted", module.given(slope=draw.random())),
+        lambda: setattr(module, "len", functools.partial(pow, draw.random())),
+        lambda: setattr(module, "TABLE", (0.0, (draw.random(),), "text")),
+    ]
+    known = [contents_of(module.value).digest]
+    for _ in range(2):
+        draw.shuffle(edits)
+        for edit in edits:
+            edit()
+            known.append(contents_of(module.value).digest)
+    assert len(set(known)) == len(known)
+
+
+def test_edits_without_a_meaning_are_not_noticed():
+    plain = contents_of(made().value)
+    moved = "# a comment\n\n\nfurther = 5\n" + TEMPLATE.replace("def helper(y):", "def helper(y):  # moved\n")
+    assert contents_of(made(text=moved, name="elsewhere.py").value) == plain
+    module = made()
+    module.real = module.unread = 7.0  # an attribute that is named, and a global that is not
+    assert contents_of(module.value) == plain
+
+
+def test_numbers_that_are_equal_and_not_the_same():
+    numbers = [1, 1.0, True, np.float64(1), np.float32(1), 1 + 0j, "1", b"1", 0.0, -0.0, math.nan, None, (), [], {}]
+    numbers += [(1, 2), [1, 2], {1, 2}, frozenset((1, 2)), {1: 2, 3: 4}, {3: 4, 1: 2}, np.array(1), np.array([1])]
+    numbers += [np.array([(1, 2)], dtype=[(name, "i4"), ("c", "i4")]) for name in "ab"]
+    numbers += [np.array([1, "a"], dtype=object), np.array([1, "b"], dtype=object), np.ones((2, 3)).T, np.ones((3, 2))]
+    assert len({contents_of(lambda number=number: number).digest for number in numbers}) == len(numbers)
+
+
+def test_what_cannot_be_followed_is_named():
+    library = ctypes.CDLL(None)
+    for function in (
+        lambda y: library.abs(y),
+        lambda y: eval("y"),
+        lambda y: open("file").read(),
+        types.FunctionType(made().value.__code__, {**vars(made()), "helper": (one for one in ())}),
+    ):
+        assert contents_of(function).unknown
+    assert not contents_of(lambda y: np.sin(y) + math.erf(y) + np.linalg.norm([y]) + len(np.fft.fft([y]))).unknown
+
+
+def test_structures_that_contain_themselves():
+    loop = [1.0]
+    loop.append(loop)
+
+    def one(y):
+        return other(y) + loop[0]
+
+    def other(y):
+        return one(y) if y > 0 else 0.0
+
+    before = contents_of(one)
+    assert not before.unknown and before == contents_of(one)
+    loop[0] = 2.0
+    assert contents_of(one) != before
 
 
 @pytest.mark.long
-def test_many_functions_are_told_of_beforehand(monkeypatch):
-    monkeypatch.setattr(callbacks, "WARNING_COUNT", 4)
-    system = spins([times(5.0 + k) for k in range(4)])
-    with pytest.warns(UserWarning, match="4 different Python functions are compiled one by one, about 0 s in all"):
-        co.prepare(system, co.Splitting(), 0.1)
-    few = spins([times(50.0), times(51.0), times(52.0), times(52.0)])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        co.prepare(system, co.Splitting(), 0.2)  # they are known by now
-        co.prepare(few, co.Splitting(), 0.2)
-
-
-@pytest.mark.long
-def test_what_is_kept_is_bounded(monkeypatch):
-    monkeypatch.setattr(fresh_code, "_COMPILED", {})
-    monkeypatch.setattr(fresh_code, "MAX_CACHED", 3)
-    for k in range(5):
-        co.prepare(spins([times(90.0 + k)]), co.Splitting(), 0.1)
-    assert len(fresh_code._COMPILED) == 3
-
-
-def product(a, b):
-    return a * b
-
-
-@pytest.fixture
-def made(monkeypatch):
-    """Nothing is compiled: each compilation is an object of its own, with its arguments."""
-
-    class Made(tuple):
-        address = 8
-
-        __hash__, __eq__ = object.__hash__, object.__eq__
-
-    for module, name in ((callbacks, "_compiled"), (matrix_functions, "_adapted"), (numba_steps, "_compiled")):
-        monkeypatch.setattr(module, name, lambda *given: Made(given))
-    monkeypatch.setattr(fresh_code, "_COMPILED", {})
-
-
-def all_different(make, base, others):
-    """Whether each call has a result of its own, and the same call the same result."""
-    calls = [base, *({**base, **other} for other in others)]
-    found = [make(**call) for call in calls]
-    again = [make(**call) for call in reversed(calls)]
-    assert all(one is other for one, other in zip(found, reversed(again), strict=True))
-    assert len({id(one) for one in found}) == len(calls)
-
-
-def test_functions_are_compiled_for_each_way_of_calling(made):
-    base = {"function": product, "size": 3, "results": 3, "scalar": False, "flat": True, "timed": False, "what": "f"}
-    others = [{"size": 2}, {"results": 9}, {"scalar": True}, {"flat": False}, {"timed": True}, {"function": inner}]
-    all_different(callbacks.callback_of, base, others)
-    assert callbacks.callback_of(**base) is callbacks.callback_of(**{**base, "what": "another name"})
-
-
-def test_streams_are_compiled_for_each_kind_of_matrices(made):
-    base = {"function": product, "N": 3, "complex_entries": False, "timed": False, "traceless": ()}
-    others = [{"N": 4}, {"complex_entries": True}, {"timed": True}, {"traceless": ((0, 3),)}, {"function": inner}]
-    others += [{"traceless": ((0, 2),)}, {"traceless": ((0, 2), (2, 3))}]
-    all_different(matrix_functions._compiled, base, others)
-
-
-def test_steps_are_compiled_for_each_scheme_and_kind_of_system(made):
-    def compiled(**given):
-        found, reason = numba_steps.compiled_step(**given)
-        assert reason == ""
-        return found
-
-    base = {"function": product, "names": ("a", "b"), "values": (1, 2.0), "derivatives": False}
-    others = [{"derivatives": True}, {"names": ("b", "a")}, {"values": (2, 2.0)}, {"values": (1.0, 2.0)}]
-    all_different(compiled, base, [*others, {"function": inner}])
+def test_every_process_has_the_same_digests():
+    code = "from test_function_keys import contents_of, made; print(contents_of(made().value).digest)"
+    here = contents_of(made().value).digest
+    for seed in ("1", "2"):
+        environment = {"PYTHONHASHSEED": seed, "PYTHONPATH": f"{Path(co.__file__).parents[1]}:{Path(__file__).parent}"}
+        done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+        assert done.stdout.strip() == here
