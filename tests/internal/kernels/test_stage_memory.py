@@ -42,24 +42,6 @@ def run(method, x0, h, steps, *, cuts=(), keep=None, representation=None, fracti
     return state
 
 
-CUTS = (1, 2, 7, 40)
-
-
-@pytest.mark.parametrize("members", [1, 5])
-@pytest.mark.parametrize(
-    "method", [co.GaussLegendre(2), co.GaussLegendre(8), co.ModifiedGaussLegendre(2, freeze="gradient")], ids=repr
-)
-def test_cut_and_resumed_runs_have_the_same_bits(method, members):
-    """What is kept between calls is all there is: copied, and handed to a loop that knows nothing else."""
-    states = some_states(members)
-    for how in ({}, {"fractions": (1.3, -1.6, 1.3)}):
-        whole = run(method, states, 0.1, 60, representation="coadjoint", **how)
-        cut = run(method, states, 0.1, 60, representation="coadjoint", cuts=CUTS, **how)
-        resumed = run(method, states, 0.1, 60, representation="coadjoint", cuts=CUTS, keep=NamedArrays.copy, **how)
-        for other in (cut, resumed):
-            assert all(np.array_equal(whole[name], other[name], equal_nan=True) for name in STATE)
-
-
 def test_the_memory_matters():
     """The control: a run that forgets its slopes between calls comes to the same states, but with more iterations."""
     method, states = co.GaussLegendre(8), X0[None]

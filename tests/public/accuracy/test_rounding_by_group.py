@@ -69,11 +69,16 @@ def exact(ratio):
         return np.array(states[::12], dtype=float)
 
 
-def run(ratio, method=METHOD):
+def told(call):
+    """Return the result of a call and its warnings."""
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
-        sol = co.integrate(satellite(ratio), start(ratio), (0, STEPS * STEP), STEP, method)
-    return sol, [one for one in found if one.category in (co.RoundingWarning, co.LargeStepWarning)]
+        result = call()
+    return result, [one for one in found if one.category in (co.RoundingWarning, co.LargeStepWarning)]
+
+
+def run(ratio, method=METHOD):
+    return told(lambda: co.integrate(satellite(ratio), start(ratio), (0, STEPS * STEP), STEP, method))
 
 
 def errors_by_rounding(sol, ratio):
@@ -104,17 +109,15 @@ def following(ratio, times):
 @pytest.mark.parametrize("ratio", [1e2, 1e4, 1e8, 1e12, 1e14, 1e15])
 def test_errors_at_the_end_are_those_of_the_groups(ratio):
     """By truncation at small ratios, and by rounding at large ones."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", co.RoundingWarning)
-        sol = co.integrate(satellite(ratio), start(ratio), (0, STEPS * STEP), STEP, METHOD)
-    motion, told = following(ratio, sol.t), sol.error_estimate(by_group=True)
+    sol, _ = run(ratio)
+    motion, estimate = following(ratio, sol.t), sol.error_estimate(by_group=True)
     for name in ("L", "p", "r"):
         part = GROUPS[name]
         size = np.linalg.norm(motion[:, part], axis=1).max()
         error = np.linalg.norm(sol.x[-1, part] - motion[-1, part]) / size
-        assert error / 10 < told[name] < 10 * error
-    assert list(told) == list(GROUPS) and told["z"] == UNIT_ROUNDOFF
-    assert sol.error_estimate() == pytest.approx(max(told["p"], told["r"]), rel=0.5)
+        assert error / 10 < estimate[name] < 10 * error
+    assert list(estimate) == list(GROUPS) and estimate["z"] == UNIT_ROUNDOFF
+    assert sol.error_estimate() == pytest.approx(max(estimate["p"], estimate["r"]), rel=0.5)
 
 
 @pytest.mark.parametrize(("ratio", "warned"), [(1e8, False), (1e12, False), (1e14, False), (2e15, True)])
@@ -149,13 +152,11 @@ def test_satellites_of_real_size(mass, moments, warned):
     rate = (gravity / radius**3) ** 0.5
     c, s = np.cos(angle), np.sin(angle)
     x0 = [0, 0, moments[2] * rate, *(mass * radius * rate * np.array([-s, c, 0.0])), radius * c, radius * s, 0, 1]
-    with warnings.catch_warnings(record=True) as found:
-        warnings.simplefilter("always")
-        span = 6 * np.pi / rate
-        sol = co.integrate(body(moments, mass, gravity), x0, (0, span), span / 1080, METHOD)
+    span = 6 * np.pi / rate
+    sol, found = told(lambda: co.integrate(body(moments, mass, gravity), x0, (0, span), span / 1080, METHOD))
     assert [one.category for one in found] == [co.RoundingWarning] * warned
-    told = sol.error_estimate(by_group=True)
-    assert (max(told["L"], told["r"]) > 0.002) == warned
+    errors = sol.error_estimate(by_group=True)
+    assert (max(errors["L"], errors["r"]) > 0.002) == warned
 
 
 @pytest.mark.parametrize("method", [co.ExplicitRungeKutta("rk4"), co.Splitting(order=2), co.Splitting(order=6)])
@@ -173,8 +174,8 @@ def test_of_ensembles_a_member_is_named_alone_in_a_batch_and_prepared():
         sol = co.integrate(co.batch(systems), states, (0, STEPS * STEP), STEP, METHOD)
     alone, found = run(2e15)
     np.testing.assert_array_equal(sol.x[:, 2], alone.x)
-    told = sol.error_estimate(by_group=True)
-    assert told["L"].shape == (3,) and told["L"][2] == alone.error_estimate(by_group=True)["L"] > 1e3 * told["L"][0]
+    errors = sol.error_estimate(by_group=True)["L"]
+    assert errors.shape == (3,) and errors[2] == alone.error_estimate(by_group=True)["L"] > 1e3 * errors[0]
     prepared = co.prepare(satellite(2e15), METHOD, STEP)
     with pytest.warns(co.RoundingWarning) as first:
         prepared.run(start(2e15), (0, STEPS * STEP))
@@ -213,8 +214,7 @@ def test_a_small_spin_that_steps_do_not_follow_is_warned_of(ratio):
     with pytest.warns(co.LargeStepWarning, match="too large for this motion"):
         sol = co.integrate(system, x0, (0, 10), 0.1)
     assert sol.step_error() > 0.05
-    told = sol.step_error(by_group=True)
-    first, second = told.values()
+    first, second = sol.step_error(by_group=True).values()
     assert second > 0.1 > 0.02 > first
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -246,9 +246,7 @@ def test_rounding_is_restored_and_changes_no_bits():
     sols = [run(2e15)[0] for _ in range(2)]
     assert one + small == one - small == 1.0
     prepared = co.prepare(satellite(2e15), METHOD, STEP)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", co.RoundingWarning)
-        runs = [prepared.run(start(2e15), (0, STEPS * STEP)) for _ in range(2)]
+    runs = [told(lambda: prepared.run(start(2e15), (0, STEPS * STEP)))[0] for _ in range(2)]
     for sol in (*sols[1:], *runs):
         np.testing.assert_array_equal(sol.x, sols[0].x)
 
@@ -275,16 +273,15 @@ def pair():
 def test_momenta_beside_large_positions(offset, warned, method):
     """The same motion around the origin is the reference; errors of both by truncation are equal."""
     x0, span = np.array([0.5, -0.5, 0.3, -0.2, 1.0]), (0, 100)
-    with warnings.catch_warnings(record=True) as found:
-        warnings.simplefilter("always")
-        sol = co.integrate(pair(), x0 + np.array([offset, offset, 0, 0, 0]), span, 0.05, method)
+    far = x0 + np.array([offset, offset, 0, 0, 0])
+    sol, found = told(lambda: co.integrate(pair(), far, span, 0.05, method))
     assert warned is None or [one.category for one in found] == [co.RoundingWarning] * warned
     near = co.integrate(pair(), x0, span, 0.05, method)
     rounded = np.abs(sol.x - near.x)[:, 2:4].max(axis=0) / np.abs(near.x)[:, 2:4].max(axis=0)
-    told, by_step = sol.error_estimate(by_group=True), near.error_estimate(by_group=True)
+    errors, by_step = sol.error_estimate(by_group=True), near.error_estimate(by_group=True)
     for name, error in zip(("p1", "p2"), rounded, strict=True):
         total = np.hypot(error, by_step[name])
-        assert total / 10 < told[name] < 10 * total
+        assert total / 10 < errors[name] < 10 * total
     assert sol.error_estimate() < 1e-7
     assert warned is None or (rounded.max() > 0.02) == warned
 

@@ -119,7 +119,7 @@ def estimate_of(monkeypatch, make):
     [
         lambda: co.algebras.so(130),
         lambda: co.algebras.e(120),
-        lambda: co.algebras.su(60),
+        lambda: co.algebras.su(100),
         lambda: co.algebras.heisenberg(500_000),
         lambda: co.LieAlgebra([], dim=500_000),
     ],
@@ -142,9 +142,10 @@ def test_large_algebras_are_created_in_seconds():
     assert (so.dim, sl.dim) == (11175, 9999)
 
 
-@pytest.mark.parametrize(("members", "end"), [(1, 1_000_000), (7, 1_000_000), (150_000, 100)])
-def test_suggested_save_every_fits(members, end, small_memory):
+@pytest.mark.parametrize(("members", "end"), [(1, 300_000), (7, 100_000), (40_000, 100)])
+def test_suggested_save_every_fits(members, end, monkeypatch):
     """The suggestion is accepted, and half of it is refused."""
+    limited(monkeypatch, 80 * 10**6)
     ready, x0 = co.prepare(BODY, co.Splitting(), 0.1), np.tile(X, (members, 1))
     with refused(ValueError, "saved points", "save_every=") as refusal:
         ready.run(x0, (0, end))
