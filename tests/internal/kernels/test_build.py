@@ -188,37 +188,3 @@ def test_options_of_the_build_are_those_of_the_tests(tmp_path):
         assert sorted(kept) == sorted(expected)
         # In the same order but for the last three, which add nothing to what others say.
         assert [option for option in kept if option in expected[:-3]] == expected[:-3]
-
-
-def recipes(folder, target="kernels"):
-    """Return the commands that make would run in a folder, which has what an installation leaves."""
-    # The tests may be run by make, which hands its options on.
-    environment = {name: value for name, value in os.environ.items() if name not in {"MAKEFLAGS", "MAKELEVEL"}}
-    command = ["make", "--dry-run", target]
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=True, timeout=300)
-    return done.stdout.splitlines()
-
-
-@pytest.mark.skipif(shutil.which("make") is None, reason="make is missing")
-def test_a_copied_checkout_is_not_built_with_the_paths_of_the_other_one(tmp_path):
-    def checkout(name, environment_of, build_of):
-        folder = tmp_path / name
-        for sub in (".venv", "build/editable"):
-            (folder / sub).mkdir(parents=True)
-        for file in ("Makefile", "pyproject.toml"):
-            shutil.copy(ROOT / file, folder)
-        (folder / ".venv/pyvenv.cfg").write_text(
-            f"command = /usr/bin/python3 -m venv {tmp_path / environment_of}/.venv\n"
-        )
-        (folder / ".venv/installed").touch()
-        cache = f"CMAKE_HOME_DIRECTORY:INTERNAL={tmp_path / build_of}\n"
-        (folder / "build/editable/CMakeCache.txt").write_text(cache)
-        return recipes(folder)
-
-    own = checkout("own", "own", "own")
-    whole = checkout("copied-whole", "own", "own")
-    build = checkout("copied", "copied", "own")
-    assert not any("rm -rf" in line or "--editable" in line for line in own)
-    assert sum("rm -rf .venv" in line for line in whole) == 1 and not any("rm -rf" in line for line in build)
-    assert [sum("--editable ." in line for line in lines) for lines in (whole, build)] == [1, 1]
-    assert all("cmake --build build/editable" in lines[-1] for lines in (own, whole, build))

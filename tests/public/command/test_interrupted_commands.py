@@ -11,6 +11,7 @@ import pytest
 import xarray
 
 import coadjoint as co
+from command import command
 from core_only import ENVIRONMENT, run_python
 from long import long_beyond
 
@@ -59,6 +60,10 @@ def hook(event, given):
         acted.append(event)
         {act}
 sys.addaudithook(hook)
+"""
+WHOLE = """
+body = co.systems.rigid_body()
+co.integrate(body, [1.0, 0.1, 0.5], (0, 4000), 0.125, Signalling(0, -1.0)).to_xarray().to_netcdf("whole.nc")
 """
 AT_IMPORT = """
 class Finder:
@@ -129,18 +134,16 @@ def test_interrupted_archive_is_resumed(folder, name, status, message):
     continued = f"run.zarr holds the run up to step {reached}: coadjoint resume run.zarr continues it"
     assert (found[0], found[1], told) == (status, "", [f"body.toml: {message}; {continued}"])
     assert sorted(os.listdir(folder)) == ["body.toml", "run.zarr"] and 0 < reached <= 24000
-    found = child(SIGNALLING.format(armed=False), "resume", "run.zarr")
+    found = child(SIGNALLING.format(armed=False) + WHOLE, "resume", "run.zarr")
     assert found[0] == 0 and found[1].endswith("written: run.zarr\n")
-    whole = child(SIGNALLING.format(armed=False), "run", "body.toml", "--quiet", "--out", "whole.nc")
-    assert whole[0] == 0
     with xarray.open_dataset("whole.nc", engine="h5netcdf") as whole, xarray.open_zarr("run.zarr") as found:
         np.testing.assert_array_equal(found["x"], whole["x"])
 
 
-def old_result(target):
+def old_result(capsys, target):
     """Write the result of an earlier run, with 41 points."""
     Path("old.toml").write_text(BODY.replace("10.0]", "5.0]"))
-    assert child("", "run", "old.toml", "--quiet", "--out", target)[0] == 0
+    assert command(capsys, "run", "old.toml", "--quiet", "--out", target).status == 0
     os.remove("old.toml")
 
 
@@ -152,9 +155,9 @@ def points(target):
 @pytest.mark.parametrize("target", ["run.nc", "run.zarr"])
 @pytest.mark.parametrize(("name", "status", "message"), SIGNALS[:2])
 @pytest.mark.parametrize("dropped", [False, True])
-def test_interrupt_while_a_result_is_replaced(folder, target, name, status, message, dropped):
+def test_interrupt_while_a_result_is_replaced(folder, capsys, target, name, status, message, dropped):
     """The old result stays, or the new one is there; nothing else is left."""
-    old_result(target)
+    old_result(capsys, target)
     act = KILL.format(name=name)
     found = child(AT_EVENT.format(event=EVENT, act=DROPPED.format(act=act) if dropped else act), *run_to(target))
     assert found == (status, "", f"coadjoint: {message}\n")
@@ -198,8 +201,9 @@ def test_next_run_removes_leftovers_of_its_target(folder, target):
 def test_files_of_a_running_command_are_not_removed(folder):
     act = "print('waiting', flush=True) or sys.stdin.readline()"
     code = COMMAND.format(before=AT_EVENT.format(event=EVENT, act=act), arguments=run_to("run.zarr"))
-    command = [sys.executable, "-c", code]
-    with subprocess.Popen(command, stdin=-1, stdout=-1, stderr=-1, text=True, env=ENVIRONMENT) as other:
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=-1, stdout=-1, stderr=-1, text=True, env=ENVIRONMENT
+    ) as other:
         assert other.stdout.readline() == "waiting\n"
         assert child("", *run_to("run.zarr"))[0] == 0
         assert len(os.listdir(folder)) == 3
@@ -209,9 +213,9 @@ def test_files_of_a_running_command_are_not_removed(folder):
 
 
 @pytest.mark.long
-def test_replaced_store_is_restored_after_a_kill(folder):
+def test_replaced_store_is_restored_after_a_kill(folder, capsys):
     """By the next command that writes to it, also if that is interrupted."""
-    old_result("run.zarr")
+    old_result(capsys, "run.zarr")
     killed = f"""
 replace = os.replace
 def act(source, target, **given):
