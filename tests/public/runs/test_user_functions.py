@@ -42,6 +42,19 @@ def test_one_text_at_many_sites():
     np.testing.assert_allclose(sol.x[-1].reshape(80, 3), np.tile(turned, (80, 1)), rtol=0, atol=1e-14)
 
 
+@pytest.mark.parametrize(("pairs", "warns"), [(48, True), pytest.param(47, False, marks=pytest.mark.long)])
+def test_many_functions_are_warned_of_before_they_are_compiled(pairs, warns):
+    """From 48 different functions on."""
+    system = spins([times(5.0 + k) for k in range(pairs)])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        if warns:
+            with refused(UserWarning, "48", "functions"):
+                co.prepare(system, co.Splitting(), 0.1)
+        else:
+            co.prepare(system, co.Splitting(), 0.1)
+
+
 def test_a_module_that_has_changed_is_compiled_again():
     module = types.ModuleType("changing")
     exec("import numpy as np\nSLOPE = 2.0\ndef value(y): return SLOPE * y\ndef slope(y): return SLOPE", vars(module))
