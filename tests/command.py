@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from importlib.metadata import entry_points
 from typing import NamedTuple
@@ -21,6 +22,8 @@ def command(capsys: pytest.CaptureFixture[str], *arguments: object) -> Outcome:
     """Run `coadjoint` with arguments, as a shell would."""
     (script,) = entry_points(group="console_scripts", name="coadjoint")
     before, sys.argv = sys.argv, ["coadjoint", *map(str, arguments)]
+    # The command handles signals, and ignores them at its end, for the rest of its process.
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     capsys.readouterr()
     try:
         status = script.load()()
@@ -28,4 +31,6 @@ def command(capsys: pytest.CaptureFixture[str], *arguments: object) -> Outcome:
         status = ended.code
     finally:
         sys.argv = before
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
     return Outcome(int(status or 0), *capsys.readouterr())

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import signal
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -67,12 +70,19 @@ def interrupted(call: Callable[[], Any]) -> BaseException:
 
 @contextmanager
 def interrupt_after(seconds: float) -> Iterator[None]:
-    """Raise KeyboardInterrupt in the block after a processor time (s) of this process."""
+    """Send SIGINT to this process in the block, after a processor time (s)."""
+    ended, began = threading.Event(), time.process_time()
 
-    before = signal.signal(signal.SIGPROF, lambda *_: signal.raise_signal(signal.SIGINT))
-    signal.setitimer(signal.ITIMER_PROF, seconds)
+    def watch() -> None:
+        while not ended.wait(0.002):
+            if time.process_time() - began > seconds:
+                os.kill(os.getpid(), signal.SIGINT)
+                return
+
+    watching = threading.Thread(target=watch)
+    watching.start()
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
-        signal.signal(signal.SIGPROF, before)
+        ended.set()
+        watching.join()

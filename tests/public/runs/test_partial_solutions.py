@@ -106,9 +106,9 @@ def test_compiled_loops_are_interrupted_between_their_steps(name):
     if name == "later run":
         ready.run(x0, (0, 2 * every * step), every)
     with pytest.raises(KeyboardInterrupt) as stopped, interrupt_after(0.2):
-        ready.run(x0, (0, 2**16), every)
+        ready.run(x0, (0, 2**14), every)
     found, count = stopped.value.partial, min(len(stopped.value.partial.t), 3)
-    assert stopped.value.__notes__ == IN_MEMORY and found.incomplete == "interrupted" and 0 < len(found.t) <= 2**14 + 1
+    assert stopped.value.__notes__ == IN_MEMORY and found.incomplete == "interrupted" and 0 < len(found.t) <= 2**12 + 1
     finite = np.isfinite(found.x[:count])
     assert finite.any()
     np.testing.assert_array_equal(found.x[:count][finite], first.x[:count][finite])
