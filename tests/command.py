@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 import pytest
 
+HANDLED = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
+
 
 class Outcome(NamedTuple):
     """Exit status and output of a command."""
@@ -22,8 +24,8 @@ def command(capsys: pytest.CaptureFixture[str], *arguments: object) -> Outcome:
     """Run `coadjoint` with arguments, as a shell would."""
     (script,) = entry_points(group="console_scripts", name="coadjoint")
     before, sys.argv = sys.argv, ["coadjoint", *map(str, arguments)]
-    # The command handles signals, and ignores them at its end, for the rest of its process.
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    # At its end the command ignores signals, which child processes would inherit.
+    handlers = {number: signal.getsignal(number) for number in HANDLED}
     capsys.readouterr()
     try:
         status = script.load()()
