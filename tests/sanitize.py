@@ -36,7 +36,7 @@ SUPPRESSIONS = "race:_dl_deallocate_tls\n"
 PRELOADED = {"address": ("libasan.so", "libubsan.so", "libstdc++.so.6"), "threads": ("libtsan.so", "libstdc++.so.6")}
 PYTEST = ["-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-m", "not long"]
 # Tests that start processes, interrupt them, or build the package are omitted.
-OMITTED = ["--ignore=tests/internal/kernels/test_build.py", "--ignore=tests/public/runs/test_signals.py"]
+OMITTED = ["--ignore=tests/internal/kernels/test_build.py", "--ignore=tests/public/runs/test_signals_during_runs.py"]
 OMITTED += ["--ignore=tests/public/runs/test_memory_limits.py"]  # sanitizers reserve terabytes of addresses
 COMMANDS = {
     "address": [
