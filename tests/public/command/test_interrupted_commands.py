@@ -76,7 +76,8 @@ KILL = "os.kill(os.getpid(), signal.{name})"
 DROPPED = "type('Deleted', (), {{'__del__': lambda self: {act}}})()"  # exceptions in deletions are dropped
 
 
-EVENT = "os.rename"
+EVENT, WRITING = "os.rename", "os.scandir"
+"""Events when the output replaces the target, and while a store is written."""
 
 
 def child(before, *arguments):
@@ -200,7 +201,7 @@ def test_next_run_removes_leftovers_of_its_target(folder, target):
 @pytest.mark.long
 def test_files_of_a_running_command_are_not_removed(folder):
     act = "print('waiting', flush=True) or sys.stdin.readline()"
-    code = COMMAND.format(before=AT_EVENT.format(event=EVENT, act=act), arguments=run_to("run.zarr"))
+    code = COMMAND.format(before=AT_EVENT.format(event=WRITING, act=act), arguments=run_to("run.zarr"))
     with subprocess.Popen(
         [sys.executable, "-c", code], stdin=-1, stdout=-1, stderr=-1, text=True, env=ENVIRONMENT
     ) as other:
@@ -225,6 +226,6 @@ os.replace = act
 """
     assert child(killed, *run_to("run.zarr"))[0] == -signal.SIGKILL
     assert not Path("run.zarr").exists()
-    assert child(AT_EVENT.format(event=EVENT, act=KILL.format(name="SIGINT")), *run_to("run.zarr"))[0] == 130
+    assert child(AT_EVENT.format(event=WRITING, act=KILL.format(name="SIGINT")), *run_to("run.zarr"))[0] == 130
     assert points("run.zarr") == 41
     assert sorted(os.listdir(folder)) == ["body.toml", "run.zarr"]
