@@ -32,7 +32,7 @@ PERIOD, SHARE = 0.1, 0.2
 """Period (s) and share of it in which the processes run."""
 # Tests that wait for other processes run under a quota, and only there: other tests do not depend on the quota, and
 # these do not depend on instructions.
-WAITING = {"test_interrupted_imports.py", "test_interrupted_preparation.py", "test_interrupted_runs.py"}
+WAITING = {"test_interrupted_imports.py", "test_interrupted_preparation.py", "test_interrupted_commands.py"}
 
 
 class Variant(NamedTuple):

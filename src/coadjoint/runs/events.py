@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 MAX_EVENTS = 64
 MAX_CROSSINGS = 2**53
+"""Largest `count`: whole numbers up to it are exact in float64."""
 PER_CROSSING = ("t", "x", "which", "member", "direction")
 
 

@@ -51,6 +51,7 @@ RESERVED_NAMES = frozenset(
     )
 )
 SEED = 1993
+"""Seed of the drawn values by which inputs are located in tables; any other serves as well."""
 
 
 class Inputs:

@@ -8,7 +8,7 @@ from coadjoint.memory import UNCHECKED_BYTES, format_bytes
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import short
 
-BYTES_PER_NUMBER = 8
+BYTES_PER_NUMBER = 8  # of float64
 BYTES_PER_POINT = 24  # time, number and observed quantities
 
 

@@ -185,6 +185,7 @@ class Run:
             target = min(last, done + chunk)
             before = time.perf_counter()
             failed_count = run_in_threads(member_batches, (*arrays, done, target), self.loops, self.workers)
+            # Steps per second; the clock may not have advanced.
             pace = (target - done) / max(time.perf_counter() - before, 1e-6)
             bar(target - done)
             chunk, done = max(1, min(int(pace * SECONDS_BETWEEN_UPDATES), 1000 * chunk)), target

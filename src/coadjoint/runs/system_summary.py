@@ -11,8 +11,8 @@ from coadjoint.methods.suggested_scheme import suggested_scheme
 from coadjoint.systems.description import description
 from coadjoint.systems.registry import gallery_entry_of
 
-LINE_WIDTH = 100
-MAX_NAMED = 30
+LINE_WIDTH = 100  # characters of a line of the text
+MAX_NAMED = 30  # coordinates that are listed by name: some two lines
 ATTITUDES = {
     "representation": "attitude=True",
     "coadjoint": 'attitude="coadjoint"; no representation is known',

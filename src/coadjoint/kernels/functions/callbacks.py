@@ -32,6 +32,7 @@ def callback_of(
     return compile_cached(function, (size, results, scalar, flat, timed), what, make)
 
 
+# Functions from which on a warning is given, after some seconds of compilation, and the time (s) that one takes.
 WARNING_COUNT = 48
 SECONDS_PER_FUNCTION = 0.05
 

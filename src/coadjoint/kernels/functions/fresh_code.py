@@ -13,6 +13,7 @@ from coadjoint.interruption import deferred
 from coadjoint.kernels.functions.code_reads import cell_value, is_own
 from coadjoint.kernels.functions.contents import contents_of
 
+# Number of compiled functions that are kept; the oldest one is dropped for the next.
 MAX_CACHED = 4096
 _COMPILED: dict[Any, Any] = {}
 _FRESH: dict[str, Any] = {}

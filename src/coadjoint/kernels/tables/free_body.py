@@ -14,7 +14,7 @@ from coadjoint.program.blocks import Kind
 from coadjoint.program.parts.part import BodyShare
 from coadjoint.program.table import Program
 
-MAX_SWEEPS = 16
+MAX_SWEEPS = 16  # of the Jacobi method, which takes about six for a 3 x 3 matrix
 DIRECT, TOGETHER = 1, 2  # bits of `properties`
 
 
@@ -81,6 +81,7 @@ def principal_axes(matrix: Sequence[Sequence[float]]) -> tuple[list[float], list
         if M[0][1] == M[0][2] == M[1][2] == 0.0:
             break
         for p, q in ((0, 1), (0, 2), (1, 2)):
+            # Smaller entries no longer change the diagonal ones, since convergence is quadratic.
             if abs(M[p][q]) <= 2.0**-60 * (abs(M[p][p]) + abs(M[q][q])):
                 M[p][q] = M[q][p] = 0.0
                 continue

@@ -18,6 +18,7 @@ from coadjoint.runs.progress import progress_bar
 from coadjoint.runs.run import Run
 from coadjoint.systems.protocol import states_of
 
+# Steps of the first chunk, few because an event may end a run soon, and the most of a later one.
 FIRST_CHUNK = 256
 MAX_STEPS = 2**16
 MAX_CHUNK_BYTES = 2**28

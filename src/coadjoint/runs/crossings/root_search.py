@@ -13,6 +13,7 @@ Values = Callable[[NDArray[np.int64], Floats], Floats]
 MAX_ROUNDS = 200
 """Limit on the rounds of a search; a root takes about seven (bisection down to the smallest float: 1074)."""
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+"""Part of the bracket that a round of the golden-section search keeps."""
 MIN_BRACKET = 2.0**-26
 """Bracket width at a minimum below which function values are indistinguishable, sqrt(2^-52)."""
 

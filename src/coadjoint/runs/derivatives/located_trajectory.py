@@ -123,7 +123,7 @@ class LocatedTrajectory(Trajectory):
             lengths.append(abs(length))
             if forward * (elapsed[-1] + length) > last - tolerance:
                 break
-            if len(lengths) % 1024 == 0:
+            if len(lengths) % 1024 == 0:  # not more often, since files of the system are read
                 check_available_memory(
                     16 * (x.size + group.size) * len(lengths), "the states of the steps that the scheme chooses"
                 )

@@ -28,6 +28,7 @@ MOST_PIECES = 65536
 REST = 1e-100
 # The sine above which the rotation about the second axis counts as near a right angle.
 UPRIGHT = 0.9
+# Axes of the four rotations of a body.
 AXES = (2, 0, 1, 2)
 
 
@@ -105,7 +106,7 @@ def _bond_quaternion(tau: Any, moments: Any, z: Any) -> Any:
     """Return the quaternion of the rotation about z by the angle moment tau |z|."""
     vector = 0.5 * moments[0] * tau * z
     square = vector @ vector
-    near = square < 1e-4
+    near = square < 1e-4  # where the terms that the series leave out are below the round-off
     half = jnp.sqrt(jnp.where(near, 1.0, square))
     sine = jnp.where(near, 1.0 - square / 6 * (1.0 - square / 20 * (1.0 - square / 42)), jnp.sin(half) / half)
     cosine = jnp.where(near, 1.0 - square / 2 * (1.0 - square / 12 * (1.0 - square / 30)), jnp.cos(half))

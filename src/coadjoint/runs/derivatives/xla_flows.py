@@ -21,6 +21,7 @@ from coadjoint.runs.derivatives.xla_sparse import Sparse, sparse
 
 Table = Mapping[str, Any]
 
+# Version of the table of a splitting that is read, as docs/table.md describes it.
 VERSION = 2
 DEPENDENT = ("offset", "weight", "coefficient_of_monomial")
 

@@ -19,6 +19,7 @@ CANCELLATION = 2.0**-10
 # Number of invariants whose terms are always summed; those of further ones only if their values are far smaller than
 # others.
 SUMMED_INVARIANTS = 64
+# Numbers (2 MB) of the states whose terms are summed together; the values do not depend on it.
 SUMMED_NUMBERS = 2**18
 
 

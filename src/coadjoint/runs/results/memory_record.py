@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 # Arrays that a record copies from a large state of a run; a small state is shared, since copying takes a step's time.
 REPORTED_ARRAYS = ("worst", "status", "evaluations", "iterations")
+# Numbers (8 MB) beyond which a state is large.
 MAX_STATE_NUMBERS = 2**20
 # Fields of records that are the same for all runs of a setup.
 RECORDED = (

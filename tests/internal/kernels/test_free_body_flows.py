@@ -1,0 +1,145 @@
+"""Splittings into free bodies: each flow is the closed form, in every order of the axes and any representation."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.systems.closed_forms.free_rigid_body import exact_solution
+from group_elements import random_element
+from refusals import refused
+from rounding import UNIT_ROUNDOFF as U
+
+SO3 = co.algebras.so(3)
+ORDERS = list(itertools.permutations(range(3)))
+SIGNS = list(itertools.product((1.0, -1.0), repeat=3))
+
+
+def free_body(**options):
+    return co.Splitting(parts="free_body", **options)
+
+
+def body(M, sign=-1):
+    return co.LiePoissonSystem(SO3, co.Quadratic(M), sign=sign)
+
+
+def gap(size):
+    """A state at a relative distance from the separatrix of m = (1, 0.5, 0.3)."""
+    return (1.0, 0.5, 0.3), (np.sqrt(0.4) * 1.1 * (1.0 + size), 0.6, 1.1)
+
+
+STATES = {
+    "generic": ((1.0, 0.5, 1 / 3), (1.0, 2.0, 0.5)),
+    **{f"gap {size:g}": gap(size) for size in (1e-2, -1e-4, 1e-6, -1e-8, 1e-10, -1e-12)},
+    "separatrix": ((1.25, 1.0, 0.0), (2.0, 0.75, 1.0)),
+    "middle axis": ((1.0, 0.5, 0.25), (0.0, -2.0, 0.0)),
+    "at rest": ((1.0, 0.5, 0.25), (0.0, 0.0, 0.0)),
+    "two equal": ((0.5, 0.5, 0.8), (0.3, -0.4, 1.2)),
+    "almost equal": ((0.5, 0.5 + 2.0**-30, 0.8), (0.3, -0.4, 1.2)),
+    "three equal": ((0.6, 0.6, 0.6), (0.3, -0.4, 1.2)),
+    "of both signs": ((1.0, -0.5, 0.25), (1.0, 0.5, -1.0)),
+}
+
+
+@pytest.mark.thinned(5)
+@pytest.mark.parametrize("name", STATES)
+def test_a_step_of_any_length_is_the_closed_form_in_every_order_and_sign(name):
+    m, x0 = (np.array(values) for values in STATES[name])
+    for order in ORDERS:
+        own, start = m[list(order)], x0[list(order)]
+        ensemble = start * np.array(SIGNS)
+        for sign, h in ((-1, 0.03), (-1, 2.0), (1, 7.0), (-1, -11.0)):
+            found = co.integrate(body(own, sign), ensemble, (0.0, h), abs(h), free_body(), attitude=True)
+            # 1/8 radian of nonlinear motion is a piece, with some 2^5 roundings; what they move grows with the phase.
+            pieces = 1.0 + np.ptp(own) * np.linalg.norm(x0) * abs(h) * 8.0
+            phase = 1.0 + np.abs(own).max() * np.linalg.norm(x0) * abs(h)
+            bound = 2.0**5 * U * max(np.sqrt(pieces) * 2.0, phase)
+            # Near a separatrix, exp(lam t) amplifies rounding, until |x|^2/gap.
+            lam = np.ptp(own) * np.linalg.norm(x0) / 2.0
+            bound *= np.exp(lam * abs(h)) if "gap" in name or "axis" in name or "separatrix" in name else 1.0
+            for k, state in enumerate(ensemble):
+                x, A = exact_solution(own, sign, state, h, True)
+                assert np.abs(found.x[-1, k] - x).max() <= bound * np.linalg.norm(x0), (order, k, h)
+                assert np.abs(found.attitude[-1, k] - A).max() <= bound, (order, k, h)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_full_matrices_of_any_signature(seed):
+    rng = np.random.default_rng(seed)
+    B = rng.standard_normal((3, 3))
+    M, x0, sign, h = B + B.T, rng.standard_normal(3), int(rng.choice([-1, 1])), float(rng.choice([0.1, 0.9, 4.0]))
+    first = random_element(co.algebras.so(3).representation, seed)
+    run = co.integrate(body(M, sign), x0, (0.0, 5 * h), h, free_body(), attitude=first)
+    x, A = exact_solution(M, sign, x0, run.t, first)
+    bound = 2.0**6 * U * (1.0 + 5 * h * np.linalg.norm(M, 2) * np.linalg.norm(x0)) * max(1.0, np.linalg.norm(x0))
+    assert np.abs(run.x - x).max() <= bound
+    assert np.abs(run.attitude - A).max() <= bound
+
+
+def spin_representation():
+    """su(2) on C^2 as real 4 x 4 matrices: every block turns by half the angle."""
+    pauli = np.array([[[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]]])
+    rho = -0.5j * pauli
+    return np.array([np.block([[r.real, -r.imag], [r.imag, r.real]]) for r in rho])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_attitude_of_a_spinor_keeps_its_sign(seed):
+    """Against steps so short that the turn in each is small: a whole turn is minus the unit matrix."""
+    rng = np.random.default_rng(seed)
+    M, x0 = np.diag(rng.uniform(0.5, 2.0, 3)), 2.0 * rng.standard_normal(3)
+    spin = co.LiePoissonSystem(SO3, co.Quadratic(M), sign=-1, representation=spin_representation())
+    fine = co.integrate(spin, x0, (0.0, 8.0), 2.0**-5, free_body(), attitude=True, save_every=16)
+    coarse = co.integrate(spin, x0, (0.0, 8.0), 0.5, free_body(), attitude=True)
+    assert np.abs(fine.attitude - coarse.attitude).max() <= 2.0**10 * U * np.linalg.norm(x0)
+    assert any(np.trace(g) < 0 for g in coarse.attitude)
+
+
+def tops():
+    rng = np.random.default_rng(3)
+    B = rng.standard_normal((6, 6))
+    # e(3) is not compact: energies that are positive keep states where they are.
+    yield co.LiePoissonSystem(co.algebras.e(3), co.Quadratic(B @ B.T, linear=rng.standard_normal(6)), sign=-1)
+    yield co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(B + B.T), sign=1)
+    yield co.systems.heavy_top((1.0, 2.0, 2.5), (0.3, 0.2, -0.4))
+    yield co.systems.gyrostat((1.0, 2.0, 3.0), (0.25, 0.5, -0.75))
+    two = co.algebras.direct_sum(SO3, SO3)
+    yield co.LiePoissonSystem(two, co.Quadratic(np.diag([1, 2, 3, 3, 1, 2.0]) + 0.1), sign=1)
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize("system", list(tops()), ids=lambda system: system.name)
+def test_the_plain_reading_and_its_tangent_agree_with_the_loops(system):
+    x0, h = np.random.default_rng(6).standard_normal(system.dim), 0.25
+    method = free_body()
+    run = co.integrate(system, x0, (0.0, h), h, method, attitude="coadjoint")
+    x, step = method.step(system, x0, 0.0, h), co.stepper(system, method, h)
+    size = max(1.0, np.abs(x).max())
+    np.testing.assert_allclose(run.x[-1], x, rtol=0, atol=2.0**8 * U * size)
+    g = run.attitude[-1]
+    assert np.abs(g @ run.x[-1] - x0).max() <= 2.0**8 * U * max(1.0, np.abs(g).max()) * size * system.dim
+    P, J = step.tangent(x0), system.algebra.structure_matrix
+    defect = P @ J(x0) @ P.T - J(x)
+    assert np.abs(defect).max() <= 2.0**10 * U * max(1.0, np.abs(P).max()) ** 2 * size
+    d = 2.0**-18
+    differences = [(step(x0 + d * e) - step(x0 - d * e)) / (2 * d) for e in np.eye(system.dim)]
+    assert np.abs(np.transpose(differences) - P).max() < 1e-7 * np.abs(P).max() ** 2 * size
+
+
+def test_a_body_that_turns_too_far_in_a_step_is_an_error():
+    run = co.prepare(body([1.0, 0.5, 0.25]), free_body(), 1e9)
+    with refused(co.IntegrationError, "smaller step"):
+        run.run((1.0, 2.0, 0.5), (0.0, 1e9))
+    with refused(ValueError, "smaller step"):
+        free_body().step(body([1.0, 0.5, 0.25]), np.array([1.0, 2.0, 0.5]), 0.0, 1e9)
+
+
+@pytest.mark.parametrize("scale", [2.0**-600, 2.0**400])
+def test_any_size_of_momentum(scale):
+    x0 = np.array([1.0, 2.0, 0.5])
+    system = body([1.0, 0.5, 0.25])
+    one = co.integrate(system, x0, (0.0, 1.0), 0.25, free_body(), attitude=True)
+    other = co.integrate(system, scale * x0, (0.0, 1.0 / scale), 0.25 / scale, free_body(), attitude=True, watch=False)
+    np.testing.assert_array_equal(other.x, scale * one.x)
+    np.testing.assert_array_equal(other.attitude, one.attitude)

@@ -1,0 +1,304 @@
+"""Splittings: steps of the loops and of `Method.step`, alone and in ensembles, and flows that are long series."""
+
+import math
+
+import numpy as np
+import pytest
+import scipy.linalg
+from scipy.linalg import expm
+
+import coadjoint as co
+from drawn_matrices import whole_matrix, wide
+from refusals import refused
+from rounding import UNIT_ROUNDOFF as U
+
+MOST_SUBSTEPS, SERIES = 4096, 5
+"""Largest number of substeps of a flow, and the kind of its block in the table of docs/table.md."""
+
+
+def acting(D):
+    """The algebra in which the last basis element acts on the others by the matrix D."""
+    m = len(D)
+    brackets = {(j, m): {k: float(D[j, k]) for k in range(m) if D[j, k]} for j in range(m) if np.any(D[j])}
+    return co.LieAlgebra.from_brackets(m + 1, brackets)
+
+
+def driven():
+    a = (lambda y, t: 0.5 * y * y * (2 + math.sin(t)), lambda y, t: y * (2 + math.sin(t)))
+    return co.Separable(
+        {0: a, 1: (lambda y: math.cosh(y), lambda y: math.sinh(y)), 2: (lambda y: y**4, lambda y: 4 * y**3)}
+    )
+
+
+E3, SO4, SL2, SO3, SO5 = co.algebras.e(3), co.algebras.so(4), co.algebras.sl(2), co.algebras.so(3), co.algebras.so(5)
+A37, HEISENBERG = co.algebras.get("A3,7", a=1.75), co.algebras.heisenberg(2)
+HOLLOW = np.array([[0.0, 1.0, 0.5], [1.0, 0.0, -2.0], [0.5, -2.0, 0.0]])
+SYSTEMS = {
+    "e(3) diagonal": (E3, co.Quadratic([1.0, 0.5, 0.25, 2.0, 3.0, 4.0], linear=[0, 0, 1, 0, 0.5, 0])),
+    "e(3) full": (E3, co.Quadratic(wide(6, 1))),
+    "so(4) full": (SO4, co.Quadratic(wide(6, 2))),
+    "sl(2) full": (SL2, co.Quadratic(wide(3, 3), linear=[0.25, 0, -0.5])),
+    "A3,7 full": (A37, co.Quadratic(wide(3, 4))),
+    "Heisenberg full": (HEISENBERG, co.Quadratic(wide(5, 5))),
+    "so(5)": (SO5, co.Quadratic(np.linspace(0.5, 1.5, 10))),
+    "so(3) zero diagonal": (SO3, co.Quadratic(HOLLOW, linear=[1.0, 2.0, 3.0])),
+    "so(3) other basis": (co.algebras.change_of_basis(SO3, whole_matrix(3, 7)), co.Quadratic(wide(3, 6))),
+    "e(3) other basis": (co.algebras.change_of_basis(E3, whole_matrix(6, 8)), co.Quadratic(0.1 * wide(6, 7))),
+    "3 spins": (co.algebras.copies(SO3, 3), co.Quadratic(wide(9, 8))),
+    "quartic on so(3)": (SO3, co.Polynomial({(4, 0, 0): 0.25, (0, 3, 0): 0.5, (0, 0, 2): 1.0, (1, 0, 1): 0.5})),
+    "driven sl(2)": (SL2, driven()),
+}
+
+
+SO3_DIAGONAL = co.Quadratic([1.0, 0.5, 0.25], linear=[0.0, 0.5, 0.0])
+# The first flow of a part moves both coordinates of the form of the second, their difference but for rounding not.
+MOVED = co.LieAlgebra.from_brackets(5, {(0, 1): {4: 1.0}, (0, 2): {4: 1.0}, (1, 2): {4: 1.0}, (1, 3): {4: 1.0}})
+DIFFERENCE = np.diag([1.0, 1.0, 1.0, 1.0, 0.0])
+DIFFERENCE[1, 2] = DIFFERENCE[2, 1] = -1.0
+# Parts that only rotate and shear.
+ELEMENTARY = {
+    "moved form": (MOVED, co.Quadratic(DIFFERENCE)),
+    "so(3) diagonal": (SO3, SO3_DIAGONAL),
+    "so(4) diagonal": (SO4, co.Quadratic(np.linspace(0.5, 1.5, 6))),
+    "so(6) diagonal": (co.algebras.so(6), co.Quadratic(np.linspace(0.5, 1.5, 15))),
+    "su(3) diagonal": (co.algebras.su(3), co.Quadratic(np.linspace(0.5, 1.5, 8))),
+    "10 spins": (co.algebras.copies(SO3, 10), co.Quadratic(np.linspace(0.5, 1.5, 30))),
+}
+
+
+def compare(s, method, h, steps):
+    """Rounding of ten steps, of up to 100 flows of n coordinates each; norm(K) bounds the growth of an error."""
+    x0, n = np.linspace(-0.5, 0.7, s.dim), s.dim
+    sol = co.integrate(s, x0, (0.5, 0.5 + steps * h), abs(h), method, attitude="coadjoint", save_every=steps)
+    x, K = x0, sol.attitude[-1]
+    for k in range(steps):
+        x = method.step(s, x, 0.5 + k * h, h)
+    size = max(1.0, np.linalg.norm(K))
+    bound = U * steps * 100 * (n + 12) * size * np.linalg.norm(x)
+    assert np.abs(sol.x[-1] - x).max() <= bound
+    assert np.abs(K @ x - x0).max() <= n * bound * size
+    assert np.abs(x - x0).max() > 1e-3
+
+
+@pytest.mark.thinned(5)
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_steps_of_the_loop_and_of_the_method(name):
+    forward, reversed_ = (co.LiePoissonSystem(*SYSTEMS[name], sign=sign) for sign in (1, -1))
+    compare(forward, co.Splitting(order=2), 0.0625, 10)
+    compare(forward, co.Splitting(order=1, adjoint=True), 0.0625, 10)
+    compare(reversed_, co.Splitting(order=4), 0.0625, 10)
+    compare(reversed_, co.Splitting(order=2, compensated=True), -0.0625, 10)
+
+
+@pytest.mark.thinned(12)
+@pytest.mark.parametrize("attitude", [False, "coadjoint", True])
+@pytest.mark.parametrize(
+    "method",
+    [co.Splitting(order=2), co.Splitting(order=4, compensated=True), co.Splitting(order=2, parts="coordinates")],
+    ids=repr,
+)
+@pytest.mark.parametrize("name", [*SYSTEMS, *ELEMENTARY])
+def test_one_trajectory_has_the_bits_of_an_ensemble(name, method, attitude):
+    """Alone, rows of parts that only rotate and shear are read ahead; in an ensemble each part from its table."""
+    system = co.LiePoissonSystem(*(SYSTEMS | ELEMENTARY)[name])
+    if attitude is True and system.representation is None:
+        return
+    x0, h = np.linspace(-0.5, 0.7, system.dim), 0.0625
+    alone, ensemble = (
+        co.integrate(system, x, (0.0, 2.0), h, method, attitude=attitude, save_every=4, threads=1)
+        for x in (x0, np.tile(x0, (5, 1)))
+    )
+    for field in ("x", "energy", *(["attitude"] if attitude else [])):
+        assert np.array_equal(getattr(alone, field), getattr(ensemble, field)[:, 4])
+    y = x0
+    for k in range(4):
+        y = method.step(system, y, k * h, h)
+    assert np.abs(alone.x[1] - y).max() <= U * 400 * (system.dim + 12) * np.linalg.norm(y)
+
+
+PLANES = {
+    "rotation with damping": [[-0.5, 2.0], [-1.5, -0.5]],
+    "saddle": [[0.0, 2.0], [0.5, 0.0]],
+    "decay at two rates": [[0.0, 1.0], [1e-3, -2.0]],
+    "growth at two rates": [[1.5, 0.25], [0.5, 0.5]],
+    "Jordan": [[1.0, 1.0], [0.0, 1.0]],
+    "nearly Jordan, real": [[1.5, 0.5], [-0.5 + 1e-14, 0.5]],
+    "nearly Jordan, complex": [[1.5, 0.5], [-0.5 - 1e-14, 0.5]],
+    "triangular": [[2.0, 1.0], [0.0, -1.0]],
+}
+MATRICES = {
+    **{name: np.array(D) for name, D in PLANES.items()},
+    "rotation": np.array([[0.0, -1.5], [1.5, 0.0]]),
+    "scale": np.diag([1.0, -0.5]),
+    "shear": np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -2.0], [0.0, 0.0, 0.0]]),
+    "chain": np.diag([1.0, 2.0, 3.0], 1),
+    "general": np.array([[0.0, 1.0, 0.0, 0.5], [-1.0, 0.2, 0.0, 0.0], [0.3, 0.0, -0.1, 2.0], [0.0, 0.4, -2.0, 0.0]]),
+    "so(3)": co.algebras.change_of_basis(SO3, whole_matrix(3, 7)).coadjoint([0.3, -0.2, 0.5]),
+    "sl(2), elliptic": co.algebras.change_of_basis(SL2, whole_matrix(3, 11)).coadjoint([0.3, -0.2, 0.5]),
+    "sl(2), hyperbolic": co.algebras.change_of_basis(SL2, whole_matrix(3, 11)).coadjoint([0.3, 0.7, 0.5]),
+}
+
+
+CUBIC = ("so(3)", "sl(2), elliptic", "sl(2), hyperbolic")
+
+
+def cubic_bound(D, theta):
+    """1 + S D + C D^2: the rounding of each term, and of lam = (D^3)_ij / D_ij, whose relative error is kappa u."""
+    i, j = np.unravel_index(np.argmax(abs(D)), D.shape)
+    lam = np.trace(D @ D) / 2
+    kappa = 8 * np.linalg.matrix_power(abs(D), 3)[i, j] / abs(lam * D[i, j])
+    root = np.sqrt(abs(lam))
+    grown = np.exp(root * abs(theta)) if lam > 0 else 1.0
+    terms = np.linalg.norm(D) / root + np.linalg.norm(abs(D) @ abs(D)) / abs(lam)
+    return U * (16 + (2 + abs(theta) * root) * kappa) * (1.0 + grown * terms)
+
+
+@pytest.mark.thinned(8)
+@pytest.mark.parametrize("theta", [0.0, 1e-12, -1e-12, 0.37, -3.1, 20.0, -20.0, 50.0, -50.0])
+@pytest.mark.parametrize("name", MATRICES)
+def test_every_kind_of_block_at_any_angle(name, theta):
+    """The plain reading is held to exp(theta D) in its own tests; both may miss it by what rounding theta and D moves.
+
+    That is |theta D| u max_s |exp((1 - s) A)| |exp(s A)|, A = theta D, sampled at 9 values of s; 8 (n + 2) roundings.
+    """
+    D = MATRICES[name]
+    n = len(D)
+    s = co.LiePoissonSystem(acting(D), co.Quadratic([0.0] * n + [1.0]))
+    x = np.append(np.linspace(-0.5, 0.7, n), theta)
+    compiled = co.stepper(s, co.Splitting(order=1), 1.0)(x)
+    plain = co.Splitting(order=1).step(s, x, 0.0, 1.0)
+    ends = [np.linalg.norm(expm(k * theta / 8 * D)) for k in range(9)]
+    spread = max(a * b for a, b in zip(ends, ends[::-1], strict=True))
+    moved = 1.0 + abs(theta) * np.linalg.norm(D)
+    bound = 8 * (n + 2) * U * moved * max(spread, 1.0) + (cubic_bound(D, theta) if name in CUBIC else 0.0)
+    assert np.abs(compiled - plain).max() <= bound * np.linalg.norm(x[:n])
+    assert compiled[n] == theta
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize("same", ["everything", "the field", "the couplings", "nothing"])
+def test_many_rotations_of_one_part_by_hand(same):
+    """A ring of spins: all x components turn, then y, z, y, x, in NumPy; numbers that are the same for all, and not."""
+    count, h, steps = 1500, 0.1, 3
+    J = np.full(count, 0.75) if same in ("everything", "the couplings") else 0.5 + np.arange(count) % 7 / 8
+    B = np.tile([0.2, 0.0, -0.3], (count, 1))
+    if same in ("the couplings", "nothing"):
+        B = B + np.sin(np.arange(3.0 * count)).reshape(count, 3)
+    edges = np.stack([np.arange(count), (np.arange(count) + 1) % count], axis=1)
+    system = co.systems.spin_lattice(edges, count, exchange=J, tensor=(1.0, 0.8, 0.6), field=B)
+    x = np.random.default_rng(3).standard_normal((count, 3))
+    method = co.Splitting(order=2, parts=[tuple(range(axis, 3 * count, 3)) for axis in range(3)])
+    found = co.integrate(system, x.ravel(), (0, steps * h), h, method, save_every=steps, watch=False).x[-1]
+    for _ in range(steps):
+        for axis, share in ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5)):
+            i, j, factor = (axis + 1) % 3, (axis + 2) % 3, (1.0, 0.8, 0.6)[axis]
+            near = J * np.roll(x[:, axis], -1) + np.roll(J * x[:, axis], 1)
+            angle = -share * h * (factor * near + B[:, axis])
+            c, s, a, b = np.cos(angle), np.sin(angle), x[:, i].copy(), x[:, j].copy()
+            x[:, i], x[:, j] = c * a - s * b, s * a + c * b
+    # 15 turns, each with some eight roundings of numbers up to 5
+    np.testing.assert_allclose(found, x.ravel(), rtol=0, atol=15 * 8 * 5 * 2.0**-53)
+
+
+TURNS = scipy.linalg.block_diag([[0, 1], [-1, 0]], [[0, 2], [-2, 0]])
+BASIS = np.eye(4, dtype=int) + np.eye(4, k=1, dtype=int) + np.eye(4, k=3, dtype=int)
+X0 = np.array([0.5, 1.0, -0.3, 0.2, 0.7])
+
+
+def moved_by(matrix):
+    """H = x1 where e1 acts by a matrix on four commuting elements, in a basis in which no block is simpler."""
+    D = np.rint(np.linalg.inv(BASIS) @ matrix @ BASIS).astype(int)
+    rows = [(0, 1 + i, 1 + j, float(D[i, j])) for i in range(4) for j in range(4) if D[i, j]]
+    algebra = co.LieAlgebra(rows, dim=5, name="acted on")
+    return co.LiePoissonSystem(algebra, co.Quadratic(0.0, linear=[1.0, 0.0, 0.0, 0.0, 0.0]))
+
+
+def norm_of(system):
+    """The time in which the series goes one substep far is its inverse."""
+    table = co.Splitting(order=1).program(system).to_mapping()
+    assert table["state_kind"].tolist() == [SERIES]
+    return float(table["state_norm"][0])
+
+
+@pytest.mark.thinned(4)
+@pytest.mark.parametrize("members", [1, 7])
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_up_to_the_limit_a_flow_is_exact_and_beyond_it_is_refused(members, direction):
+    system = moved_by(TURNS)
+    limit = MOST_SUBSTEPS / norm_of(system)
+    x0 = X0 * (1.0 + 0.1 * np.arange(members)[:, None])
+    step = co.Splitting(order=1).step
+
+    near = limit * (1.0 - 2.0**-30)
+    found = co.integrate(system, x0, (0.0, direction * near), near, co.Splitting(order=1)).x[-1]
+    generator = np.array([system.structure_matrix(e) @ [1.0, 0, 0, 0, 0] for e in np.eye(5)]).T
+    # A multiple of the period is left out: 20 roundings in each substep are what the series loses.
+    exact = x0 @ scipy.linalg.expm(np.fmod(direction * near, 2.0 * np.pi) * generator).T
+    scale = np.linalg.norm(BASIS, 1) * np.linalg.norm(np.linalg.inv(BASIS), 1)
+    tolerance = 20 * MOST_SUBSTEPS * 2.0**-53 * scale**2 * np.abs(x0).max()
+    assert np.abs(found - exact).max() < tolerance
+    assert np.abs(step(system, x0[0], 0.0, direction * near) - exact[0]).max() < tolerance
+
+    far = limit * (1.0 + 2.0**-30)
+    with refused(co.IntegrationError, "longer than 4096", "digits"):
+        co.integrate(system, x0, (0.0, direction * far), far, co.Splitting(order=1))
+    with refused(ValueError, "4096", "smaller step"):
+        step(system, x0[0], 0.0, direction * far)
+
+
+# In substeps of the series; the exponential is a matrix from 65 on, that of group elements from 9 on.
+LENGTHS = np.array([0.5, 7.9, 8.1, 63.9, 64.1, 300.0, 4095.0, 4097.0, 1e9, 1e300, 2.0, 1000.0, 20.0])
+
+
+@pytest.mark.parametrize("attitude", [False, "coadjoint"])
+@pytest.mark.parametrize("compensated", [False, True])
+def test_flows_of_every_length_alone_and_in_lanes(attitude, compensated):
+    """With H = x1^2 / 2, x1 is constant, and the rate at which the others turn."""
+    linear = moved_by(TURNS)
+    system = co.LiePoissonSystem(linear.algebra, co.Quadratic([1.0, 0.0, 0.0, 0.0, 0.0]))
+    x0 = np.tile(X0, (len(LENGTHS), 1))
+    x0[:, 0] = LENGTHS / norm_of(linear)
+    method = co.Splitting(order=2, compensated=compensated)
+    given = (0.0, 2.0), 1.0, method
+    with refused(co.IntegrationError, "longer than 4096", "3 of 13 members", "member 7") as raised:
+        co.integrate(system, x0, *given, attitude=attitude)
+    found = raised.value.partial
+    assert np.flatnonzero(found.failed).tolist() == [7, 8, 9]
+    generator = np.array([linear.structure_matrix(e) @ [1.0, 0, 0, 0, 0] for e in np.eye(5)]).T
+    scale = np.linalg.norm(BASIS, 1) * np.linalg.norm(np.linalg.inv(BASIS), 1)
+    for m, length in enumerate(LENGTHS):
+        try:
+            alone = co.integrate(system, x0[m], *given, attitude=attitude)
+        except co.IntegrationError as error:
+            assert length > MOST_SUBSTEPS and error.step == 1
+            assert np.isnan(found.x[1:, m]).all()
+            continue
+        np.testing.assert_array_equal(alone.x, found.x[:, m])
+        turn = scipy.linalg.expm(np.fmod(2.0 * x0[m, 0], 2.0 * np.pi) * generator)
+        # Two steps, each with 20 roundings in a substep, or with as much error in the squares.
+        tolerance = 2 * 20 * max(length, 1.0) * 2.0**-53 * scale**2
+        assert np.abs(alone.x[-1, 1:] - (turn @ x0[m])[1:]).max() < tolerance
+        if attitude:
+            np.testing.assert_array_equal(alone.attitude, found.attitude[:, m])
+            # The group element takes the momentum back to the start.
+            assert np.abs(alone.attitude[-1] @ turn - np.eye(5)).max() < scale * tolerance
+
+
+@pytest.mark.parametrize("length", [20.0, 100.0, 3000.0])
+def test_derivatives_of_long_flows(length):
+    """x(t) = exp(t x1 D) x(0): the derivative by x1 is t D x(t); forward, and backward by the transpose."""
+    linear = moved_by(TURNS)
+    system = co.LiePoissonSystem(linear.algebra, co.Quadratic([1.0, 0.0, 0.0, 0.0, 0.0]))
+    x0 = np.array([length / norm_of(linear), *X0[1:]])
+    ready = co.prepare(system, co.Splitting(order=2), 1.0)
+    generator = np.array([linear.structure_matrix(e) @ [1.0, 0, 0, 0, 0] for e in np.eye(5)]).T
+    turn = scipy.linalg.expm(np.fmod(2.0 * x0[0], 2.0 * np.pi) * generator)
+    exact = turn.copy()
+    exact[:, 0] += 2.0 * generator @ turn @ x0
+    scale = np.linalg.norm(BASIS, 1) * np.linalg.norm(np.linalg.inv(BASIS), 1)
+    tolerance = 2 * 2 * 20 * length * 2.0**-53 * scale**3
+    for k in range(5):
+        unit = np.eye(5)[k]
+        assert np.abs(ready.jvp(x0, (0.0, 2.0), {"x0": unit}, 2)[1].x[-1] - exact[:, k]).max() < tolerance
+        _, pullback = ready.vjp(x0, (0.0, 2.0), 2)
+        assert np.abs(pullback(x=[0.0 * unit, unit])["x0"] - exact[k]).max() < tolerance

@@ -1,0 +1,299 @@
+"""Errors by group of coordinates, and the warning of rounding, at many ratios of sizes."""
+
+import functools
+import re
+import warnings
+
+import mpmath
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import coadjoint as co
+from refusals import refused
+from rounding import UNIT_ROUNDOFF
+
+STEPS, STEP, ANGLE = 96, 2 * np.pi / 48, 0.2
+METHOD = co.Splitting(order=4)
+
+
+@functools.cache
+def body(moments, mass, gravity):
+    """A satellite whose potential is one function of a user: its torque is what is left of the central force."""
+    a, b, c = moments
+
+    def value(r):
+        square = r[0] ** 2 + r[1] ** 2 + r[2] ** 2
+        if square == 0.0:  # with a comparison, a function is not recorded and taken apart
+            return -np.inf
+        along = (a * r[0] ** 2 + b * r[1] ** 2 + c * r[2] ** 2) / square
+        return -gravity * (mass + (a + b + c - 3 * along) / (2 * square)) * square**-0.5
+
+    def gradient(r):
+        square = r[0] ** 2 + r[1] ** 2 + r[2] ** 2
+        along = (a * r[0] ** 2 + b * r[1] ** 2 + c * r[2] ** 2) / square
+        factor = mass + (3 * (a + b + c) - 15 * along) / (2 * square)
+        strength = gravity * square**-1.5
+        result = 0 * r
+        result[0] = strength * (factor + 3 * a / square) * r[0]
+        result[1] = strength * (factor + 3 * b / square) * r[1]
+        result[2] = strength * (factor + 3 * c / square) * r[2]
+        return result
+
+    parts = [((i,), co.Quadratic(1 / moment)) for i, moment in enumerate((a, b, c))]
+    parts += [((3, 4, 5), co.Quadratic(1 / mass)), ((6, 7, 8), co.Hamiltonian(value, gradient))]
+    return co.LiePoissonSystem(co.systems.satellite().algebra, co.SplitHamiltonian(parts), sign=-1, name="small body")
+
+
+def satellite(ratio):
+    """Mass, radius and gravity are 1, and the moments of inertia are 1, 2 and 2.5 divided by the ratio."""
+    return body((1.0 / ratio, 2.0 / ratio, 2.5 / ratio), 1.0, 1.0)
+
+
+def start(ratio):
+    """A circular orbit, the body turned from the radius in its plane."""
+    c, s = np.cos(ANGLE), np.sin(ANGLE)
+    return np.array([0.0, 0.0, 2.5 / ratio, -s, c, 0.0, c, s, 0.0, 1.0])
+
+
+GROUPS = {"L": slice(0, 3), "p": slice(3, 6), "r": slice(6, 9), "z": slice(9, 10)}
+
+
+@functools.cache
+def exact(ratio):
+    """The states of the same scheme in 50 digits, after every twelfth step."""
+    with mpmath.workdps(50):
+        states = [np.array([mpmath.mpf(float(v)) for v in start(ratio)], dtype=object)]
+        for _ in range(STEPS):
+            states.append(METHOD.step(satellite(ratio), states[-1], 0, mpmath.mpf(STEP)))
+        return np.array(states[::12], dtype=float)
+
+
+def told(call):
+    """Return the result of a call and its warnings."""
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        result = call()
+    return result, [one for one in found if one.category in (co.RoundingWarning, co.LargeStepWarning)]
+
+
+def run(ratio, method=METHOD):
+    return told(lambda: co.integrate(satellite(ratio), start(ratio), (0, STEPS * STEP), STEP, method))
+
+
+def errors_by_rounding(sol, ratio):
+    """The largest errors of the groups at every twelfth step, relative to their sizes."""
+    states, differences = exact(ratio), sol.x[::12] - exact(ratio)
+    norms = {name: np.linalg.norm(differences[:, part], axis=1).max() for name, part in GROUPS.items()}
+    return {name: norms[name] / np.linalg.norm(states[:, part], axis=1).max() for name, part in GROUPS.items()}
+
+
+def following(ratio, times):
+    """The motion by DOP853, with the torque 3 r cross I r / |r|^5 in place of r cross dV/dr."""
+    moments = np.array([1.0, 2.0, 2.5]) / ratio
+
+    def field(t, x):
+        L, p, r = x[:3], x[3:6], x[6:]
+        spin, square = L / moments, r @ r
+        along = (moments * r) @ r / square
+        factor = 1 + (3 * moments.sum() - 15 * along) / (2 * square) + 3 * moments / square
+        torque = 3 * square**-2.5 * np.cross(r, moments * r)
+        turned = [np.cross(L, spin) + torque, np.cross(p, spin) - square**-1.5 * factor * r, np.cross(r, spin) + p]
+        return np.concatenate(turned)
+
+    tolerance = np.repeat([1e-13 / ratio, 1e-13, 1e-13], 3)
+    x0 = start(ratio)[:9]
+    return solve_ivp(field, (0, times[-1]), x0, method="DOP853", rtol=1e-12, atol=tolerance, t_eval=times).y.T
+
+
+@pytest.mark.parametrize("ratio", [1e2, 1e4, 1e8, 1e12, 1e14, 1e15])
+def test_errors_at_the_end_are_those_of_the_groups(ratio):
+    """By truncation at small ratios, and by rounding at large ones."""
+    sol, _ = run(ratio)
+    motion, estimate = following(ratio, sol.t), sol.error_estimate(by_group=True)
+    for name in ("L", "p", "r"):
+        part = GROUPS[name]
+        size = np.linalg.norm(motion[:, part], axis=1).max()
+        error = np.linalg.norm(sol.x[-1, part] - motion[-1, part]) / size
+        assert error / 10 < estimate[name] < 10 * error
+    assert list(estimate) == list(GROUPS) and estimate["z"] == UNIT_ROUNDOFF
+    assert sol.error_estimate() == pytest.approx(max(estimate["p"], estimate["r"]), rel=0.5)
+
+
+@pytest.mark.parametrize(("ratio", "warned"), [(1e8, False), (1e12, False), (1e14, False), (2e15, True)])
+def test_the_warning_of_rounding_states_its_size(ratio, warned):
+    """Above 2 per cent of a group there is one, and below half a per cent none; the error is that of 50 digits."""
+    sol, found = run(ratio)
+    errors = errors_by_rounding(sol, ratio)
+    worst = max(errors.values())
+    assert worst > 0.02 if warned else worst < 0.006
+    assert [one.category for one in found] == [co.RoundingWarning] * warned
+    if warned:
+        message = re.fullmatch("rounding changes (.) in this motion by about (.*) of its size.*", str(found[0].message))
+        assert message[1] == "L" and worst / 4 < float(message[2]) < 4 * worst
+        assert found[0].filename == __file__
+        (again,) = [one for one in run(ratio)[1]]
+        assert str(again.message) == str(found[0].message)
+
+
+@pytest.mark.parametrize(
+    ("mass", "moments", "warned"),
+    [
+        (4.0, (0.0067, 0.0333, 0.0350), True),
+        (24.0, (0.2, 0.35, 0.4), True),
+        (7827.0, (17023.3, 124825.7, 129112.2), False),
+        (4.2e5, (1.0e8, 1.5e8, 2.0e8), False),
+    ],
+    ids=["3U", "12U", "Envisat", "ISS"],
+)
+def test_satellites_of_real_size(mass, moments, warned):
+    """On circular orbits in SI units; the pitch of the first two is wrong by 15 and 19 degrees."""
+    gravity, radius, angle = 3.986004418e14, 6.778e6, np.radians(10.0)
+    rate = (gravity / radius**3) ** 0.5
+    c, s = np.cos(angle), np.sin(angle)
+    x0 = [0, 0, moments[2] * rate, *(mass * radius * rate * np.array([-s, c, 0.0])), radius * c, radius * s, 0, 1]
+    span = 6 * np.pi / rate
+    sol, found = told(lambda: co.integrate(body(moments, mass, gravity), x0, (0, span), span / 1080, METHOD))
+    assert [one.category for one in found] == [co.RoundingWarning] * warned
+    errors = sol.error_estimate(by_group=True)
+    assert (max(errors["L"], errors["r"]) > 0.002) == warned
+
+
+@pytest.mark.parametrize("method", [co.ExplicitRungeKutta("rk4"), co.Splitting(order=2), co.Splitting(order=6)])
+def test_the_warning_comes_for_any_scheme_and_shorter_steps_do_not_help(method):
+    for steps in (4 * STEPS, 16 * STEPS):
+        with pytest.warns(co.RoundingWarning, match="rounding changes . in this motion"):
+            co.integrate(satellite(1e17), start(1e17), (0, STEPS * STEP), STEPS * STEP / steps, method)
+
+
+def test_of_ensembles_a_member_is_named_alone_in_a_batch_and_prepared():
+    """The small body is also the last of a batch; others keep their digits."""
+    states = np.array([start(1e4), start(1e4), start(2e15)])
+    systems = [satellite(1e4), satellite(1e4), satellite(2e15)]
+    with pytest.warns(co.RoundingWarning, match="rounding changes L in the motion of member 2 by about"):
+        sol = co.integrate(co.batch(systems), states, (0, STEPS * STEP), STEP, METHOD)
+    alone, found = run(2e15)
+    np.testing.assert_array_equal(sol.x[:, 2], alone.x)
+    errors = sol.error_estimate(by_group=True)["L"]
+    assert errors.shape == (3,) and errors[2] == alone.error_estimate(by_group=True)["L"] > 1e3 * errors[0]
+    prepared = co.prepare(satellite(2e15), METHOD, STEP)
+    with pytest.warns(co.RoundingWarning) as first:
+        prepared.run(start(2e15), (0, STEPS * STEP))
+    assert str(first[0].message) == str(found[0].message)
+
+
+def spins(ratio, rate=1.0):
+    """Two spins, the second smaller by the ratio, that turn about each other's directions at comparable rates."""
+    H = np.diag([1.0, 2.0, 3.0, *(rate * ratio * np.array([1.0, 2.0, 3.0]))])
+    H[0, 3] = H[3, 0] = 0.3
+    return co.LiePoissonSystem(co.algebras.direct_sum(co.algebras.so(3), co.algebras.so(3)), co.Quadratic(H))
+
+
+SPINS = np.array([0.3, 1.0, 0.2, 0.5, 0.4, 0.8])
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1e4, 1e8, 1e12])
+def test_small_groups_that_keep_their_digits_do_not_warn(ratio):
+    system, x0 = spins(ratio), SPINS / np.repeat([1.0, ratio], 3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sol = co.integrate(system, x0, (0, 20), 0.05, METHOD, save_every=20)
+    better = co.integrate(system, x0, (0, 20), 0.05 / 8, METHOD, save_every=160)
+    errors = np.linalg.norm((sol.x - better.x).reshape(-1, 2, 3), axis=2)[-1] / np.linalg.norm(x0.reshape(2, 3), axis=1)
+    assert list(sol.error_estimate(by_group=True).values()) == pytest.approx(errors, rel=0.5)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1e4, 1e8, 1e12])
+def test_a_small_spin_that_steps_do_not_follow_is_warned_of(ratio):
+    """The second spin turns at 20 times the rate of the first; its size does not matter."""
+    x0 = SPINS / np.repeat([1.0, ratio], 3)
+    system = co.LiePoissonSystem(
+        co.algebras.direct_sum(co.algebras.so(3), co.algebras.so(3)),
+        co.Quadratic([1.0, 2.0, 3.0, *(20.0 * ratio * np.array([1.0, 2.0, 3.0]))]),
+    )
+    with pytest.warns(co.LargeStepWarning, match="too large for this motion"):
+        sol = co.integrate(system, x0, (0, 10), 0.1)
+    assert sol.step_error() > 0.05
+    first, second = sol.step_error(by_group=True).values()
+    assert second > 0.1 > 0.02 > first
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        co.integrate(system, x0, (0, 10), 0.005)
+
+
+@pytest.mark.parametrize("start_of_L", [0.0, 1e-17, 1e-300])
+def test_groups_that_are_zero_but_for_rounding_do_not_warn(start_of_L):
+    """The angular momentum of a body on a Kepler orbit whose moments are equal is fed by rounding alone."""
+    ratio = 1e3
+    body = co.LiePoissonSystem(
+        satellite(ratio).algebra,
+        co.SplitHamiltonian(
+            [((i,), co.Quadratic(ratio)) for i in range(3)]
+            + [((3, 4, 5), co.Quadratic(1.0)), ((6, 7, 8), co.Hamiltonian(lambda r: -((r @ r) ** -0.5)))]
+        ),
+        sign=-1,
+    )
+    x0 = start(ratio)
+    x0[:3] = 0.0, 0.0, start_of_L
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sol = co.integrate(body, x0, (0, STEPS * STEP), STEP, METHOD)
+    assert sol.error_estimate(by_group=True)["r"] < 1e-3
+
+
+def test_rounding_is_restored_and_changes_no_bits():
+    one, small = np.float64(1.0), np.float64(2.0**-60)
+    sols = [run(2e15)[0] for _ in range(2)]
+    assert one + small == one - small == 1.0
+    prepared = co.prepare(satellite(2e15), METHOD, STEP)
+    runs = [told(lambda: prepared.run(start(2e15), (0, STEPS * STEP)))[0] for _ in range(2)]
+    for sol in (*sols[1:], *runs):
+        np.testing.assert_array_equal(sol.x, sols[0].x)
+
+
+def test_by_group_is_a_bool():
+    sol = co.integrate(co.systems.rigid_body(), (0.3, 1.0, 0.2), (0, 1), 0.1)
+    for name in ("error_estimate", "step_error"):
+        with refused(TypeError, "by_group", "'L'"):
+            getattr(sol, name)(by_group="L")
+        assert list(getattr(sol, name)(by_group=True)) == ["x"]
+        assert getattr(sol, name)(by_group=True)["x"] == getattr(sol, name)()
+
+
+@functools.cache
+def pair():
+    """Two particles on a line with a spring, in canonical coordinates: momenta are fed by a difference of positions."""
+    spring = co.Hamiltonian(lambda q: 0.5 * (q[0] - q[1]) ** 2 + 0.1 * (q[0] - q[1]) ** 4)
+    H = co.SplitHamiltonian([((0, 1), spring), ((2, 3), co.Quadratic(1.0))])
+    return co.LiePoissonSystem(co.algebras.heisenberg(2), H)
+
+
+@pytest.mark.parametrize("method", [METHOD, co.GaussLegendre(2), co.ExplicitRungeKutta("rk4")])
+@pytest.mark.parametrize(("offset", "warned"), [(1e4, False), (1e8, False), (1e12, None), (1e14, True)])
+def test_momenta_beside_large_positions(offset, warned, method):
+    """The same motion around the origin is the reference; errors of both by truncation are equal."""
+    x0, span = np.array([0.5, -0.5, 0.3, -0.2, 1.0]), (0, 100)
+    far = x0 + np.array([offset, offset, 0, 0, 0])
+    sol, found = told(lambda: co.integrate(pair(), far, span, 0.05, method))
+    assert warned is None or [one.category for one in found] == [co.RoundingWarning] * warned
+    near = co.integrate(pair(), x0, span, 0.05, method)
+    rounded = np.abs(sol.x - near.x)[:, 2:4].max(axis=0) / np.abs(near.x)[:, 2:4].max(axis=0)
+    errors, by_step = sol.error_estimate(by_group=True), near.error_estimate(by_group=True)
+    for name, error in zip(("p1", "p2"), rounded, strict=True):
+        total = np.hypot(error, by_step[name])
+        assert total / 10 < errors[name] < 10 * total
+    assert sol.error_estimate() < 1e-7
+    assert warned is None or (rounded.max() > 0.02) == warned
+
+
+@pytest.mark.parametrize("size", [1e-310, 1e-160, 1e160, 1e300])
+@pytest.mark.parametrize("group", [0, 1])
+def test_groups_whose_squares_are_no_numbers_raise_no_warning(group, size):
+    """Beside others of size one."""
+    lattice = co.systems.spin_lattice("chain", 2)
+    x0 = np.array([0.3, 0.2, 0.8, -0.5, 0.4, 0.1])
+    x0[3 * group : 3 * group + 3] *= size
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sol = co.integrate(lattice, x0, (0, 1 / max(1.0, size)), 0.1 / max(1.0, size))
+        sol.step_error(by_group=True), sol.error_estimate(by_group=True)

@@ -1,0 +1,133 @@
+"""Runge-Kutta methods: steps of the loops and of `Method.step`, round-off, group elements, large systems, failures."""
+
+from __future__ import annotations
+
+import math
+
+import mpmath
+import numpy as np
+import pytest
+from stage_systems import spin_chain, systems
+
+import coadjoint as co
+from refusals import refused
+from rounding import UNIT_ROUNDOFF as U
+
+SCHEMES = (
+    co.GaussLegendre(1),
+    co.GaussLegendre(2),
+    co.GaussLegendre(5),
+    co.IteratedGaussLegendre(2),
+    co.IteratedGaussLegendre(3, iterations=2),
+    co.ExplicitRungeKutta("runge2"),
+    co.ExplicitRungeKutta("rk4"),
+    co.ModifiedGaussLegendre(1),
+    co.ModifiedGaussLegendre(3, iterations=4),
+    co.ModifiedGaussLegendre(1, freeze="gradient"),
+    co.ModifiedGaussLegendre(3, iterations=4, freeze="gradient"),
+)
+
+
+@pytest.mark.thinned(8)
+@pytest.mark.parametrize("name", list(systems()))
+@pytest.mark.parametrize("method", SCHEMES, ids=repr)
+def test_compiled_step_is_the_plain_reading(name, method):
+    """Both round each of at most E evaluations of n products, times h |f'|, here below 1."""
+    system, x = systems()[name]
+    try:
+        method.properties(system)
+    except ValueError:
+        with refused(ValueError, "take"):
+            co.stepper(system, method, 0.125)
+        return
+    for h in (0.125, -0.125) if method == co.GaussLegendre(2) else (0.125,):
+        found, expected = co.stepper(system, method, h)(x, 0.75), method.step(system, x, 0.75, h)
+        assert np.max(np.abs(found - expected)) <= 4 * len(x) * method.order * U * np.max(np.abs(x))
+        assert np.max(np.abs(found - x)) > 1e-3
+
+
+def test_round_off_of_gauss_8_has_no_bias():
+    """At t = 20000 a random walk: with plainly rounded coefficients the energy is off by 3e-13, with one sign."""
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    run = co.integrate(body, (1.0, 2.0, 0.5), (0.0, 20000.0), 0.25, co.GaussLegendre(8), save_every=10**6)
+    assert run.drift()["energy"] < 2 * U * run.energy[0] * math.sqrt(run.stats.steps)
+
+
+@pytest.mark.parametrize("method", [co.GaussLegendre(2), co.ModifiedGaussLegendre(1, freeze="gradient")], ids=repr)
+@pytest.mark.parametrize("name", ["top", "so(4)", "A3,7", "sl(2)"])
+def test_coadjoint_matrix_keeps_the_spatial_momentum(name, method):
+    system, x0 = systems()[name]
+    run = co.integrate(system, x0, (0.0, 4.0), 0.1, method, attitude="coadjoint")
+    spatial = np.einsum("kab,kb->ka", run.attitude, run.x)
+    # each of 40 steps rounds products of n terms of the size of K x
+    size = max(np.max(np.abs(run.attitude)) * np.max(np.abs(run.x)), 1.0)
+    assert np.max(np.abs(spatial - x0)) < 40 * 4 * len(x0) * U * size
+    assert np.max(np.abs(run.attitude[-1] - np.eye(len(x0)))) > 0.1
+    plain = co.integrate(system, x0, (0.0, 4.0), 0.1, method)
+    assert np.array_equal(plain.x, run.x)
+
+
+@pytest.mark.parametrize("stages", [2, 3, 4, 5, 7, 8, 9, 12, 16, 17, 33])
+@pytest.mark.parametrize("name", ["top", "quartic", "driven"])
+def test_any_number_of_stages(name, stages):
+    """Blocks of 4, 8 and 16 lanes, full and not: both round n products in each of the s stages, times h |f'| < 1."""
+    system, x = systems()[name]
+    method = co.GaussLegendre(stages)
+    found, expected = co.stepper(system, method, 0.125)(x, 0.75), method.step(system, x, 0.75, 0.125)
+    assert np.max(np.abs(found - expected)) <= 8 * len(x) * U * np.max(np.abs(x))
+
+
+@pytest.mark.parametrize("freeze", ["structure", "gradient"])
+def test_large_systems_are_solved_without_a_matrix(freeze):
+    """A chain of 60 spins, 180 unknowns: iterated; 12 spins, 36 unknowns: by factors. Both keep their invariant."""
+    for spins in (60, 12):
+        system, x0 = spin_chain(spins)
+        method = co.ModifiedGaussLegendre(1, freeze=freeze)
+        found = co.stepper(system, method, 0.1)(x0)
+        assert np.max(np.abs(found - method.step(system, x0, 0.0, 0.1))) < 64 * U
+        run = co.integrate(system, x0, (0.0, 10.0), 0.1, method, save_every=100)
+        size = 3 * spins
+        kept = "energy" if freeze == "structure" else "S"
+        lost = "S" if freeze == "structure" else "energy"
+        assert run.drift()[kept] < 6 * 4 * size * U * math.sqrt(100)
+        assert run.drift()[lost] > 1e-6
+
+
+def test_no_convergence_is_reported_with_step_time_and_residual():
+    """The equation of the midpoint has no solution here: Newton's method does not find one either."""
+    system, x0 = systems()["sl(2)"]
+    with refused(co.IntegrationError, "converge") as caught:
+        co.integrate(system, x0, (0.0, 40.0), 4.0, co.GaussLegendre(1))
+    error = caught.value
+    assert (error.step, error.time) == (1, 0.0)
+    assert error.residual > 1e-3
+    assert np.array_equal(error.partial.x, x0[None])
+
+
+def test_overflow_is_reported():
+    system = co.LiePoissonSystem(co.algebras.sl(2), co.Polynomial({(4, 0, 0): 1.0, (0, 3, 1): 1.0}))
+    with refused(co.IntegrationError, "overflow"):
+        co.integrate(system, (1e4, 1e4, 1e4), (0.0, 100.0), 1.0, co.ExplicitRungeKutta("rk4"))
+
+
+def test_an_equilibrium_stays():
+    """All corrections vanish at once: no iteration is left hanging, and no step is lost."""
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    for x0 in ((0.0, 0.0, 2.0), (0.0, 0.0, 0.0)):
+        run = co.integrate(body, x0, (0.0, 1.0), 0.1, co.GaussLegendre(3))
+        assert np.array_equal(run.x[-1], x0)
+        assert run.stats.iterations == 10
+
+
+def test_components_of_different_size_are_all_converged():
+    """|x1| = 1e6 against 1e-3: the small component is as accurate, relatively, as where it stands alone."""
+    rows = [(0, 1, 2, 1.0), (1, 2, 0, 1.0), (2, 0, 1, 1.0), (3, 4, 5, 1.0), (4, 5, 3, 1.0), (5, 3, 4, 1.0)]
+    system = co.LiePoissonSystem(co.LieAlgebra(rows, dim=6), co.Quadratic([1e-6, 2e-6, 3e-6, 1e3, 2e3, 3e3]))
+    large, small = np.array([1.0, 0.5, -0.75]) * 1e6, np.array([0.5, 1.0, -0.25]) * 1e-3
+    found = co.stepper(system, co.GaussLegendre(4), 0.5)(np.concatenate([large, small]))
+    with mpmath.workdps(40):
+        x = np.array([mpmath.mpf(v) for v in np.concatenate([large, small])], dtype=object)
+        exact = co.GaussLegendre(4).step(system, x, 0, 0.5)
+    error = np.array([float(v) for v in exact - found])
+    assert np.max(np.abs(error[:3])) < 32 * U * 1e6
+    assert np.max(np.abs(error[3:])) < 32 * U * 1e-3

@@ -1,0 +1,202 @@
+"""Runs: saved points, watched invariants, drifts, observed quantities and failures."""
+
+import math
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from drawn_matrices import wide
+from refusals import refused
+from rounding import UNIT_ROUNDOFF as U
+
+
+def driven():
+    a = (lambda y, t: 0.5 * y * y * (2 + math.sin(t)), lambda y, t: y * (2 + math.sin(t)))
+    return co.SplitHamiltonian(
+        [((0,), co.Separable({0: a})), ((1, 4), co.Quadratic([1.0, 0.5])), ((2,), co.Quadratic(0.7))]
+    )
+
+
+SYSTEMS = {
+    "e(3)": co.LiePoissonSystem(co.algebras.e(3), co.Quadratic(wide(6, 1), linear=np.arange(6) / 5), sign=-1),
+    "sl(2)": co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic(wide(3, 2))),
+    "A3,7": co.LiePoissonSystem(co.algebras.get("A3,7", a=0.25), co.Quadratic([1.0, 2.0, 0.25])),
+    "driven so(4)": co.LiePoissonSystem(co.algebras.so(4), driven()),
+}
+
+
+def start_of(system):
+    return np.linspace(-0.5, 0.75, system.dim)
+
+
+def e3_and_start():
+    return SYSTEMS["e(3)"], start_of(SYSTEMS["e(3)"])
+
+
+def test_saved_times_and_array_shapes():
+    s, x0 = e3_and_start()
+    sol = co.integrate(s, x0, (0.5, 3.0), 0.1, save_every=10)
+    assert sol.t.tolist() == [0.5, 0.5 + 10 * 0.1, 0.5 + 20 * 0.1, 0.5 + 25 * 0.1]
+    assert sol.x.shape == (4, 6) and sol.energy.shape == (4,) and sol.attitude is None and sol.failed is None
+    assert set(sol.casimirs) == set(s.casimirs) and all(v.shape == (4,) for v in sol.casimirs.values())
+    many = co.integrate(s, np.stack([x0] * 3), (0.5, 3.0), 0.1, save_every=10, attitude=True)
+    assert many.x.shape == (4, 3, 6) and many.energy.shape == (4, 3) and many.attitude.shape == (4, 3, 4, 4)
+    assert many.failed.tolist() == [False] * 3
+    assert sol.stats.steps == 25 and (sol.step, sol.save_every) == (0.1, 10)
+
+
+def test_energy_and_casimirs_of_the_saved_states():
+    """The compiled values against the system's own: 16 roundings of n^2 products."""
+    for s in SYSTEMS.values():
+        sol = co.integrate(s, start_of(s), (0.5, 1.5), 0.125)
+        for t, x, energy in zip(sol.t, sol.x, sol.energy, strict=True):
+            assert abs(energy - s.energy(x, t)) <= 16 * U * (1 + 4 * (x @ x))
+        for name, casimir in s.casimirs.items():
+            assert abs(sol.casimirs[name][0] - casimir(sol.x[0])) <= 16 * U * (1 + sol.x[0] @ sol.x[0])
+
+
+def test_empty_span_returns_the_start():
+    s, x0 = e3_and_start()
+    sol = co.integrate(s, x0, (2.0, 2.0), 0.1, attitude=True)
+    assert sol.t.tolist() == [2.0] and np.array_equal(sol.x, [x0]) and np.array_equal(sol.attitude, [np.eye(4)])
+    assert sol.drift(relative=False)["energy"] == 0.0 and sol.stats.steps == 0
+
+
+def test_arguments_are_not_modified():
+    s, x0 = e3_and_start()
+    given, element = x0.copy(), np.eye(4)
+    sol = co.integrate(s, given, (0, 1), 0.1, attitude=element)
+    assert np.array_equal(given, x0) and not np.shares_memory(sol.x, given)
+    assert np.array_equal(element, np.eye(4)) and not np.shares_memory(sol.attitude, element)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_drift_is_over_every_step(name):
+    s = SYSTEMS[name]
+    every = co.integrate(s, start_of(s), (0, 8.125), 0.0625, co.Splitting(order=2))
+    steps = every.stats.steps
+    assert steps == 130
+    tenths = (np.arange(1, steps + 1) - 1) * 10 // steps
+    for k in (1, 37, 1000):
+        sol = co.integrate(s, start_of(s), (0, 8.125), 0.0625, co.Splitting(order=2), save_every=k)
+        for key, values in {"energy": every.energy, **every.casimirs}.items():
+            deviation = np.abs(values - values[0])[1:]
+            drift = sol.drift(relative=False)[key]
+            assert drift == deviation.max() and drift.initial == values[0] and drift.members is None
+            assert drift.tenths.tolist() == [deviation[tenths == tenth].max() for tenth in range(10)]
+            assert drift.growth == drift.tenths[9] / drift.tenths[0]
+
+
+def test_unwatched_drift_is_over_saved_points():
+    s, x0 = e3_and_start()
+    sol = co.integrate(s, x0, (0, 8), 0.0625, save_every=10, watch=False)
+    for key, values in {"energy": sol.energy, **sol.casimirs}.items():
+        assert sol.drift(relative=False)[key] == np.abs(values - values[0]).max()
+    assert sol.drift()["energy"] < co.integrate(s, x0, (0, 8), 0.0625, save_every=10).drift()["energy"]
+
+
+def test_drift_of_an_ensemble_per_member():
+    s, x0 = e3_and_start()
+    ensemble = np.stack([x0, 2 * x0, -x0])
+    drift = co.integrate(s, ensemble, (0, 2), 0.125, save_every=5).drift(relative=False)["energy"]
+    alone = [co.integrate(s, x, (0, 2), 0.125).drift(relative=False)["energy"] for x in ensemble]
+    assert drift.members.tolist() == alone and drift == max(alone)
+    assert drift.tenths.shape == (3, 10) and drift.initial.shape == (3,)
+    assert drift.growth.tolist() == [each.tenths[9] / each.tenths[0] for each in alone]
+
+
+@pytest.mark.parametrize(
+    "method", [co.ExplicitRungeKutta("runge2"), co.RadauEnergy(stages=2), co.Taylor(order=3, projected=False)], ids=repr
+)
+@pytest.mark.parametrize("members", [1, 9])
+def test_branches_are_followed_between_saved_points(method, members):
+    """For schemes that lose the Casimir: its branch is followed at every step."""
+    s = co.LiePoissonSystem(co.algebras.get("A3,7", a=0.005), co.Quadratic([0.01, 0.02, 1.0]))
+    x0 = np.array([(1.0, 0.0, 3.0)] * members) * np.linspace(1, 1.2, members)[:, None]
+    watched = co.integrate(s, x0, (0, 10), 0.125, method, save_every=70)
+    others = co.integrate(s, x0, (0, 10), 0.125, method, save_every=70, watch=False)
+    values = others.casimirs["log C"]
+    assert np.array_equal(watched.casimirs["log C"], values)
+    assert np.ptp(values, axis=0).max() > 0.5 * s.casimirs["log C"].period  # ambiguous from saved points alone
+    # Unwatched drifts are over the saved points.
+    for key, each in {"log C": values, "energy": others.energy}.items():
+        assert others.drift(relative=False)[key] == np.abs(each - each[0]).max()
+        assert not others.drift(relative=False)[key].tenths[..., 1:8].any()  # saved are the steps 0, 70 and 80
+
+
+def test_observed_quantities():
+    s, x0 = e3_and_start()
+    height = co.Polynomial({(1, 0, 0, 0, 0, 1): 2.0, (0, 1, 0, 0, 0, 0): 1})
+    observe = {"height": height, "angle": lambda x: math.atan2(x[1], x[0]), "late": lambda x, t: t * x[2]}
+    for start in (x0, np.stack([x0, -x0])):
+        sol = co.integrate(s, start, (0.5, 1.5), 0.125, save_every=3, observe=observe)
+        x1, x2, x3, x6 = (sol.x[..., i] for i in (0, 1, 2, 5))
+        assert np.abs(sol.observed["height"] - (2 * x1 * x6 + x2)).max() <= 8 * U
+        assert np.abs(sol.observed["angle"] - np.arctan2(x2, x1)).max() <= 8 * U
+        t = sol.t if start.ndim == 1 else sol.t[:, None]
+        assert np.array_equal(sol.observed["late"], t * x3)
+
+
+UNSTABLE = co.LiePoissonSystem(
+    co.algebras.sl(2), co.Quadratic([[1.0, 0.3, 0.0], [0.3, -2.0, 0.1], [0.0, 0.1, 0.5]]), name="runaway"
+)
+RUNAWAY = np.array([0.1, 0.2, 0.3])  # overflows after some thirty steps
+
+
+@pytest.mark.parametrize("every", [1, 7])
+@pytest.mark.parametrize("order", [1, 2, 4])
+def test_overflow_returns_the_partial_solution(order, every):
+    with refused(co.IntegrationError, "overflowed", "0.1") as failure:
+        co.integrate(UNSTABLE, RUNAWAY, (1, 11), 0.1, co.Splitting(order=order), save_every=every, attitude="coadjoint")
+    error = failure.value
+    assert 5 < error.step < 100 and error.time == 1 + (error.step - 1) * 0.1 and math.isnan(error.residual)
+    partial = error.partial
+    assert np.all(np.isfinite(partial.x)) and np.all(np.isfinite(partial.attitude))
+    assert len(partial.t) == len(partial.x) == len(partial.energy) == 1 + (error.step - 1) // every
+    assert partial.t[-1] <= error.time + 1e-12
+    assert "\n" not in str(error) and f"in step {error.step}" in str(error)
+
+
+BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
+ESCAPE = co.LiePoissonSystem(  # x2' = x2^2 from 1 escapes at t = 1
+    co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1}}), co.Polynomial("x1*x2", basis=("x1", "x2")), sign=-1
+)
+
+
+@pytest.mark.parametrize("start", [(1.0, 1.0), [(1.0, 0.1), (1.0, 1.0)]])
+@pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2), co.Taylor(order=8)])
+def test_failure_of_a_growing_motion_names_both_reasons(method, start):
+    with refused(co.IntegrationError, "smaller step", "the motion itself") as failure:
+        co.integrate(ESCAPE, start, (0, 2), 0.01, method)
+    assert abs(failure.value.time - 1.0) < 0.05
+
+
+@pytest.mark.parametrize(("method", "failed_in"), [(co.GaussLegendre(2), 2), (co.Taylor(order=8), 1)])
+def test_failure_of_a_bounded_motion_is_that_of_the_step(method, failed_in):
+    with refused(co.IntegrationError, "smaller step than 5") as failure:
+        co.integrate(BODY, (1.0, 5.0, 2.0), (0, 100), 5.0, method)
+    assert failure.value.step == failed_in and "motion itself" not in str(failure.value)
+
+
+@pytest.mark.parametrize("written", ["Splitting", {"name": "Splitting", "order": 4}])
+def test_schemes_may_be_given_by_name_everywhere(written):
+    body, X = co.systems.rigid_body(), (1.0, 0.2, 0.1)
+    method = co.Splitting() if isinstance(written, str) else co.Splitting(order=4)
+    calls = (
+        lambda given: co.integrate(body, X, (0, 1), 0.125, given).x,
+        lambda given: co.prepare(body, given, 0.125).end(X, (0, 1)),
+        lambda given: co.stepper(body, given, 0.125)(X),
+        lambda given: co.ensemble(body, [X, X], (0, 1), 0.125, given).x,
+        lambda given: co.section(body, [X], co.Event(1), (0, 20), 0.125, given).x,
+        lambda given: co.lyapunov(body, X, (0, 5), 0.125, given).exponents,
+        lambda given: co.choose(body, X, (0, 1), 1e-3, methods=given).step,
+        lambda given: co.choose(body, X, (0, 1), 1e-3, methods=[given, co.GaussLegendre(3)]).step,
+        lambda given: [row.value for row in co.certify(body, given, X, 0.125, steps=5).table],
+        lambda given: co.modified_hamiltonian(body, given, 4)(X, 0.125),
+        lambda given: co.modified_field(body, given, 4)(X, 0.125),
+        lambda given: co.suggest_step(body, given, X, energy=1e-5),
+        lambda given: co.corrector(body, given, X)(X, 0.125),
+    )
+    for call in calls:
+        np.testing.assert_array_equal(np.asarray(call(written), float), np.asarray(call(method), float))

@@ -1,0 +1,211 @@
+"""Runs of matrices: ensembles, threads, prepared runs, steppers, observed quantities and failures."""
+
+import copy
+import functools
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import coadjoint as co
+from long import long_where
+from refusals import refused
+
+SPHERE = co.systems.sphere_euler(N=4)
+BODY = co.systems.matrix_body()
+GENERAL = co.MatrixSystem(co.MatrixAlgebra("gl", 3), np.transpose, np.diag([0.3, 0.1, -0.2]), name="general")
+SYSTEMS = {"sphere": SPHERE, "body": BODY, "general": GENERAL}
+pytestmark = pytest.mark.filterwarnings("ignore:the stream .* is called in Python:RuntimeWarning")
+
+
+def state_of(system, seed=1):
+    """Return a drawn matrix of the algebra of a system, of size one."""
+    rng, shape = np.random.default_rng(seed), system.shape
+    return system.algebra.projected(rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / shape[-1]
+
+
+def states(system, count):
+    return np.array([state_of(system, seed) for seed in range(count)])
+
+
+@pytest.mark.parametrize("name", ["sphere", "general"])
+def test_shapes_spectra_and_observed_matrices(name):
+    system, method = SYSTEMS[name], co.IsospectralGauss(2)
+    W = states(system, 3)
+    ensemble = co.integrate(system, W, (0.0, 1.0), 0.0625, method, save_every=3)
+    assert ensemble.x.shape == (7, 3, *system.shape) and ensemble.x.dtype == W.dtype
+    assert ensemble.failed.tolist() == [False] * 3 and ensemble.energy.shape == (7, 3)
+    ready = co.prepare(system, method, 0.0625, observe={"size": lambda V: float(np.abs(V).max())})
+    for m in range(3):
+        alone = ready.run(W[m], (0.0, 1.0), save_every=3)
+        assert np.array_equal(alone.x, ensemble.x[:, m])
+        assert np.array_equal(alone.observed["size"], np.abs(alone.x).max(axis=(1, 2)))
+        assert np.array_equal(alone.spectrum(), ensemble.spectrum()[:, m])
+    assert np.array_equal(ensemble.x[0], W)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_drifts_are_over_the_saved_points(name):
+    system, W = SYSTEMS[name], state_of(SYSTEMS[name])
+    every = co.integrate(system, W, (0.0, 1.0), 0.125, co.IsospectralGauss(2))
+    few = co.integrate(system, W, (0.0, 1.0), 0.125, co.IsospectralGauss(2), save_every=8)
+    assert np.array_equal(every.x[[0, -1]], few.x) and not every.watched
+    # Invariants are taken at the saved points.
+    assert every.drift(relative=False)["energy"] == np.abs(every.energy - every.energy[0]).max() > 0.0
+    # Step k of 8 is in the tenth 10 (k - 1) / 8, rounded down.
+    off, tenths = np.abs(every.energy - every.energy[0])[1:], every.drift(relative=False)["energy"].tenths
+    assert np.array_equal(tenths[[0, 1, 2, 3, 5, 6, 7, 8]], off) and tenths[4] == tenths[9] == 0.0
+    assert few.drift(relative=False)["energy"] == abs(few.energy[1] - few.energy[0])
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_stepper_of_matrices(name):
+    system, W, method = SYSTEMS[name], state_of(SYSTEMS[name]), co.IsospectralGauss(2)
+    step = co.stepper(system, method, 0.1)
+    run = co.integrate(system, W, (0.0, 0.1), 0.1, method)
+    assert np.array_equal(step(W), run.x[-1]) and step(np.stack([W, W])).shape == (2, *system.shape)
+    assert np.abs(method.step(system, W, 0.0, 0.1) - step(W)).max() < 1e-15
+    found = co.analysis.poisson_defect(step, W)
+    assert found.defect <= found.bound, found
+    seen = step.tangent(W) @ system.to_vector(state_of(system, 3))
+    d = 2.0**-16
+    ends = [step(W + side * d * state_of(system, 3)) for side in (1, -1)]
+    assert np.abs(system.to_vector(ends[0] - ends[1]) / (2 * d) - seen).max() < 1e-9
+    assert step.tangent_by(W) == "formula"
+    with refused(ValueError, "group element"):
+        step.both(W)
+
+
+def test_default_scheme_of_matrices():
+    assert isinstance(co.integrate(BODY, state_of(BODY), (0, 1), 0.1).method, co.IsospectralGauss)
+    assert isinstance(co.prepare(SPHERE, None, 0.1).method, co.IsospectralGauss)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_drift_of_a_time_dependent_energy(way):
+    system = co.MatrixSystem(co.MatrixAlgebra("gl", 3), lambda W, t: dict(P=(1.0 + t) * W)["P"].T)
+    W = states(system, 2)
+    sol = co.integrate(system, W, (2.0, 2.0 + way), 0.125, save_every=3)
+    alone = co.integrate(system, W[1], (2.0, 2.0 + way), 0.125, save_every=3)
+    for k, t in enumerate(sol.t):
+        assert np.array_equal(sol.energy[k], system.energy(sol.x[k], float(t)))
+    drift, off = sol.drift(relative=False)["energy"], sol.energy - sol.energy[0]
+    assert (np.sign(off[1:]) == way).all() and np.array_equal(drift.members, np.abs(off).max(axis=0))
+    assert np.array_equal(drift.initial, [system.energy(one, 2.0) for one in W])
+    # Steps 3, 6 and 8 of 8 are in the tenths 2, 6 and 8.
+    assert np.array_equal(drift.tenths[:, [2, 6, 8]], np.abs(off[1:]).T) and np.count_nonzero(drift.tenths) == 6
+    assert alone.drift(relative=False)["energy"].tenths.tolist() == drift.tenths[1].tolist()
+
+
+def test_failed_member_leaves_the_others_unchanged():
+    W = np.array([state_of(SPHERE), 1e9 * state_of(SPHERE), 0.5 * state_of(SPHERE)])
+    with refused(co.IntegrationError, "1 of 3 members", "member 1") as failure:
+        co.integrate(SPHERE, W, (0.0, 1.0), 0.125, co.IsospectralGauss(2))
+    partial = failure.value.partial
+    assert partial.failed.tolist() == [False, True, False]
+    assert np.array_equal(partial.x[:, 0], co.integrate(SPHERE, W[0], (0.0, 1.0), 0.125, co.IsospectralGauss(2)).x)
+    assert (
+        np.isnan(partial.x[-1, 1]).all() and np.isnan(partial.energy[-1, 1]) and np.isfinite(partial.energy[:, 2]).all()
+    )
+    assert np.isnan(partial.spectrum()[-1, 1]).all() and np.isfinite(partial.spectrum()[:, 2]).all()
+    with pytest.raises(co.IntegrationError) as alone:
+        co.integrate(SPHERE, W[1], (0.0, 1.0), 0.125, co.IsospectralGauss(2))
+    assert np.array_equal(alone.value.partial.x, W[1][None])
+
+
+class TooLarge(Exception):
+    """Raised by a function of the user."""
+
+
+def watched_stream(limit):
+    def stream(W):
+        if np.abs(W).max() > limit and not np.isnan(W).any():
+            raise TooLarge(f"beyond {limit}")
+        return dict(P=W)["P"].T
+
+    return stream
+
+
+@pytest.mark.parametrize("threads", long_where([1], [1, 2]))
+def test_exceptions_of_stream_functions_propagate(threads):
+    # W' = [W^T, W] makes entries above the diagonal of a triangular matrix fall, and so others rise.
+    system = co.MatrixSystem(co.MatrixAlgebra("gl", 3), watched_stream(2.0))
+    W = np.array([[0.5, 1.9, 0.0], [0.0, -0.5, 1.9], [0.3, 0.0, 0.1]])
+    with refused(TooLarge, "beyond 2"):
+        co.integrate(system, [W, 0.1 * W], (0.0, 0.5), 0.05, threads=threads)
+    calm = co.integrate(system, 0.1 * W, (0.0, 0.5), 0.05)
+    assert np.isfinite(calm.x).all()
+
+
+COEFFICIENTS = np.array([[1.0, 0.7, 0.2], [0.7, 0.5, 1.3], [0.2, 1.3, 0.4]])
+
+
+def scaled(factor, W):
+    return factor * COEFFICIENTS * W.T
+
+
+class Hashed:
+    def __call__(self, W):
+        return scaled(0.5, W)
+
+    def method(self, W):
+        return scaled(0.5, W)
+
+
+@dataclass
+class Unhashed:
+    """A dataclass that may change has no hash."""
+
+    factor: float
+
+    def __call__(self, W):
+        return scaled(self.factor, W)
+
+
+@dataclass(frozen=True)
+class Deep:
+    """It has a hash, and its field has none."""
+
+    factors: list
+
+    def __call__(self, W):
+        return scaled(self.factors[0], W)
+
+
+CALLABLES = {
+    "Hashed": Hashed(),
+    "method": Hashed().method,
+    "partial": functools.partial(scaled, 0.5),
+    "Unhashed": Unhashed(0.5),
+    "Deep": Deep([0.5]),
+}
+
+
+@pytest.mark.thinned(5)
+@pytest.mark.parametrize("name", CALLABLES)
+@pytest.mark.parametrize("kind", ["gl", "so", "u"])
+def test_callable_objects_as_streams(name, kind):
+    """Each warns once, and the motion is that of W' = [P, W]."""
+    algebra = co.MatrixAlgebra(kind, 3)
+    rng = np.random.default_rng(7)
+    W = 0.5 * algebra.projected(rng.standard_normal((3, 3)) + (1j * rng.standard_normal((3, 3)) if kind == "u" else 0))
+    # Warnings are cached by the value of the function: a copy for each case.
+    function = copy.deepcopy(CALLABLES[name])
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        runs = [co.MatrixSystem(algebra, function) for _ in range(2)]
+        ends = [co.integrate(run, W, (0.0, 1.0), 0.125, co.IsospectralGauss(3)).x[-1] for run in runs]
+    messages = [str(one.message) for one in caught if "is called in Python" in str(one.message)]
+    assert len(messages) == 1 and messages[0].startswith(f"the stream {name} is called")
+    assert "Numba type" in messages[0]
+
+    def slope(t, y):
+        now = y.reshape(3, 3)
+        P = scaled(0.5, now)
+        return (P @ now - now @ P).ravel()
+
+    exact = solve_ivp(slope, (0.0, 1.0), W.ravel(), "DOP853", rtol=1e-12, atol=1e-14).y[:, -1].reshape(3, 3)
+    assert np.array_equal(*ends)
+    assert np.abs(ends[0] - exact).max() < 1e-7 and np.abs(exact - W).max() > 1e-3

@@ -1,0 +1,151 @@
+"""Wrong arguments of runs: refused in one line that names them; energies and functions without a value."""
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from refusals import refused
+
+BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
+BARE = co.LiePoissonSystem(
+    co.LieAlgebra.from_brackets(3, {(0, 2): {0: 2.0, 1: -1.0}, (1, 2): {0: 1.0, 1: 2.0}}),
+    co.Quadratic(1.0),
+    name="bare spiral",
+)
+PLANE = co.PoissonSystem(lambda x: np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 2.0]), name="plane")
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(
+    ("change", "error", "named"),
+    [
+        ({"step": 0.3}, ValueError, ("0.3", "1.0", "0.25", "0.333")),
+        ({"t_span": (1e17, 1e17 + 1024), "step": 1.0}, ValueError, ("too small", "times")),
+        ({"system": "rigid_body"}, TypeError, ("system", "rigid_body", "LiePoissonSystem")),
+        ({"system": co.algebras.so(3)}, TypeError, ("system", "LiePoissonSystem", "PoissonSystem")),
+        ({"system": None}, TypeError, ("system", "None")),
+        ({"x0": "abc"}, TypeError, ("x0", "abc", "real numbers")),
+        ({"x0": ((1, 2), (3,))}, TypeError, ("x0", "real numbers")),
+        ({"x0": (1j, 2, 3)}, TypeError, ("x0", "real numbers")),
+        ({"x0": (1.0, math.nan, 0.0)}, ValueError, ("x0", "NaN")),
+        ({"x0": (1.0, 2.0)}, ValueError, ("x0", "(2,)", "(members, 3)")),
+        ({"x0": 1.0}, ValueError, ("x0", "()")),
+        ({"x0": np.zeros((2, 2, 3))}, ValueError, ("x0", "(2, 2, 3)")),
+        ({"x0": np.zeros((0, 3))}, ValueError, ("x0", "one member")),
+        ({"save_every": 0}, ValueError, ("save_every", "0")),
+        ({"save_every": 2.5}, ValueError, ("save_every", "2.5")),
+        ({"save_every": math.nan}, ValueError, ("save_every", "nan")),
+        ({"save_every": True}, ValueError, ("save_every", "True")),
+        ({"step": 0.0}, ValueError, ("step", "0.0", "positive")),
+        ({"step": math.nan}, ValueError, ("step", "nan")),
+        ({"step": "0.1"}, TypeError, ("step", "'0.1'")),
+        ({"t_span": (0, math.inf)}, ValueError, ("t_span", "inf")),
+        ({"t_span": (math.nan, 1)}, ValueError, ("t_span", "nan")),
+        ({"t_span": 1.0}, ValueError, ("t_span", "1.0", "two numbers")),
+        ({"t_span": (0, "1")}, TypeError, ("t_span", "'1'")),
+        ({"t_span": (0, 1e300), "step": 1e-300}, ValueError, ("too small",)),
+        ({"threads": 0}, ValueError, ("threads", "0")),
+        ({"threads": "all"}, ValueError, ("threads", "'all'")),
+        ({"watch": "no"}, TypeError, ("watch", "'no'")),
+        ({"method": "strang"}, ValueError, ("'strang'", "CommutatorFree", "Taylor")),
+        ({"method": 2}, TypeError, ("method", "2", "Splitting")),
+        ({"method": co.Splitting}, TypeError, ("class Splitting", "Splitting()")),
+        ({"attitude": "quaternion"}, ValueError, ("attitude", "'quaternion'", "'coadjoint'")),
+        ({"attitude": np.eye(2)}, ValueError, ("attitude", "(2, 2)", "(3, 3)")),
+        ({"attitude": np.full((3, 3), math.nan)}, ValueError, ("attitude", "NaN")),
+        ({"attitude": np.ones((3, 3))}, ValueError, ("attitude", "singular")),
+        ({"attitude": True, "system": BARE}, ValueError, ("bare spiral", "representation", "'coadjoint'")),
+        (
+            {"attitude": True, "system": PLANE, "x0": (1.0, 0.0), "method": co.GaussLegendre(1)},
+            ValueError,
+            ("plane", "Lie algebra"),
+        ),
+        ({"system": PLANE, "x0": (1.0, 0.0), "method": co.Splitting()}, ValueError, ("Splitting", "plane")),
+        ({"observe": {"e": 3.0}}, TypeError, ("observe['e']", "3.0")),
+        ({"observe": [1]}, TypeError, ("observe",)),
+        ({"observe": {1: lambda x: x[0]}}, TypeError, ("observe",)),
+        ({"observe": {"a": lambda x: x}}, TypeError, ("one real number",)),
+        ({"observe": {"a": lambda x: "s"}}, TypeError, ("one real number",)),
+    ],
+)
+def test_wrong_arguments_are_refused(change, error, named):
+    given = {"system": BODY, "x0": (1.0, 0.0, 0.5), "t_span": (0.0, 1.0), "step": 0.25, **change}
+    with refused(error, *named) as refusal:
+        co.integrate(**given)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(
+    ("error", "named", "call"),
+    [
+        (TypeError, ["LiePoissonSystem"], lambda: co.stepper(co.algebras.so(3), co.Splitting(), 0.1)),
+        (ValueError, ["attitude", "False"], lambda: co.stepper(BODY, co.Splitting(), 0.1).group(
+            (0.1, 1.0, 0.2), attitude=False)),
+        (ValueError, ["coordinate 2"], lambda: co.Splitting(parts=((0,), (1,), (2,), (2,)))),
+        (ValueError, ["2e+300"], lambda: co.Composition(co.Splitting(), (1e300, -1e300, 1))),
+        (ValueError, ["stages", "256"], lambda: co.GaussLegendre(10**9)),
+        (ValueError, ["'energy'"], lambda: co.LiePoissonSystem(BODY.algebra, co.Quadratic(1.0), casimirs={
+            "energy": co.Polynomial({(2, 0, 0): 1, (0, 2, 0): 1, (0, 0, 2): 1})})),
+    ],
+)  # fmt: skip
+def test_wrong_schemes_systems_and_steps_are_refused(error, named, call):
+    with refused(error, *named) as refusal:
+        call()
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(("span", "step"), [((0.0, 1.0), 0.3), ((5.0, 1.0), 0.7), ((0.0, 1.0), 3.0)])
+def test_two_nearest_steps_are_suggested(span, step):
+    with refused(ValueError, step) as refusal:
+        co.integrate(BODY, (1.0, 0.0, 0.5), span, step)
+    words = str(refusal.value).partition("nearest")[2].replace(",", " ").split()
+    names = []
+    for word in words:
+        try:
+            names.append(float(word.rstrip(".;)")))
+        except ValueError:
+            continue
+    below = max(1, math.floor(abs(span[1] - span[0]) / step))
+    counts = [co.integrate(BODY, (1.0, 0.0, 0.5), span, name).stats.steps for name in names]
+    assert counts == [below + 1, below]
+
+
+def test_function_reading_beyond_its_argument_raises():
+    with pytest.raises((TypeError, IndexError)):
+        co.integrate(BODY, (0.1, 1.0, 0.2), (0, 1), 0.1, observe={"a": lambda x: x[50]})
+
+
+def test_energy_that_is_not_finite_is_an_error():
+    H = co.Hamiltonian(lambda x: math.log(x[0]), lambda x: np.array([1 / x[0], 0.0, 0.0]))
+    system = co.LiePoissonSystem(BODY.algebra, H)
+    with refused(co.IntegrationError, "energy at t = 0 is not") as failure:
+        co.integrate(system, (-1.0, 1.0, 1.0), (0, 1), 0.1, co.GaussLegendre(2))
+    assert np.all(np.isfinite(failure.value.partial.x))
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_first_point_without_energy_is_named(way):
+    """x1 is cos(t - 1), negative from step 13 on, of which step 15 is saved."""
+    H = co.Hamiltonian(lambda x: x[2] + 0.0 * math.log(x[0]), lambda x: np.array([0.0, 0.0, 1.0]))
+    turning, span = co.LiePoissonSystem(BODY.algebra, H, casimirs={}), (1.0, 1.0 + 2.5 * way)
+    with pytest.raises(co.IntegrationError) as failure:
+        co.integrate(turning, (1.0, 0.0, 0.5), span, 0.125, co.GaussLegendre(2), save_every=3)
+    error = failure.value
+    assert (error.step, error.time) == (15, 1.0 + way * 15 * 0.125)
+    assert f"energy at t = {error.time:g} is not" in str(error)
+    assert len(error.partial.t) == 8 and np.isnan(error.partial.energy).tolist() == [False] * 5 + [True] * 3
+
+
+def test_integration_error_is_picklable():
+    error = co.IntegrationError("no convergence", step=3, time=0.2, residual=1e-3)
+    again = pickle.loads(pickle.dumps(error))
+    assert (str(again), again.step, again.time, again.residual) == ("no convergence", 3, 0.2, 1e-3)
+
+
+def test_save_every_beyond_the_run():
+    sol = co.integrate(BODY, (0.1, 1.0, 0.2), (0, 1), 0.1, save_every=10**30)
+    assert sol.t.tolist() == [0.0, 1.0]

@@ -1,0 +1,149 @@
+"""Single steps as functions: group elements, derivatives, threads and refusals."""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from drawn_matrices import wide
+from refusals import refused
+from rounding import UNIT_ROUNDOFF as U
+
+pytestmark = pytest.mark.thinned(3)
+
+
+def driven():
+    a = (lambda y, t: 0.5 * y * y * (2 + math.sin(t)), lambda y, t: y * (2 + math.sin(t)), lambda y, t: 2 + math.sin(t))
+    return co.SplitHamiltonian(
+        [((0,), co.Separable({0: a})), ((1, 4), co.Quadratic([1.0, 0.5])), ((2,), co.Quadratic(0.7))]
+    )
+
+
+SYSTEMS = {
+    "e(3)": (co.algebras.e(3), co.Quadratic(wide(6, 1), linear=np.arange(6) / 5)),
+    "so(4)": (co.algebras.so(4), co.Quadratic(np.linspace(0.5, 1.5, 6))),
+    "sl(2)": (co.algebras.sl(2), co.Quadratic(wide(3, 2))),
+    "A3,7": (co.algebras.get("A3,7", a=1.75), co.Quadratic([1.0, 2.0, 0.25])),
+    "Heisenberg": (co.algebras.heisenberg(2), co.Quadratic(wide(5, 3))),
+    "driven so(4)": (co.algebras.so(4), driven()),
+}
+
+
+def setup(name, sign=-1):
+    s = co.LiePoissonSystem(*SYSTEMS[name], sign=sign, casimirs={})
+    return s, np.linspace(-0.5, 0.75, s.dim)
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", ["e(3)", "so(4)", "sl(2)", "A3,7", "driven so(4)"])
+def test_group_element_of_a_step(name):
+    s, x = setup(name)
+    step = co.stepper(s, co.Splitting(order=2), 0.25)
+    K, y = step.group(x, attitude="coadjoint"), step(x)
+    assert np.abs(K @ y - x).max() <= 64 * s.dim * U * np.linalg.norm(K) * np.linalg.norm(y)
+    g = step.group(x)
+    assert g.shape == s.representation.shape[1:]
+    assert np.array_equal(g, step.group(x, attitude=True))
+    for i, rho in enumerate(s.representation):  # the representation of K: g rho(Ad) = rho g
+        moved = np.einsum("k,kab->ab", K[i], s.representation)
+        assert np.abs(g @ moved - rho @ g).max() <= 256 * U * np.linalg.norm(K) * np.linalg.norm(g)
+
+
+def test_default_group_element_is_the_coadjoint_matrix():
+    bare = co.LieAlgebra.from_brackets(3, {(0, 2): {0: 2.0, 1: -1.0}, (1, 2): {0: 1.0, 1: 2.0}})
+    step = co.stepper(co.LiePoissonSystem(bare, co.Quadratic([1.0, 2.0, 0.5])), co.Splitting(), 0.1)
+    x = np.array([1.0, 0.5, 0.25])
+    assert np.abs(step.group(x) @ step(x) - x).max() <= 64 * U
+
+
+def test_blow_up_is_an_error():
+    s = co.LiePoissonSystem(
+        co.algebras.get("A3,7", a=2.0), co.Quadratic([[1.0, 0.3, 0], [0.3, -2.0, 0.1], [0, 0.1, 0.5]])
+    )
+    with pytest.raises(co.IntegrationError) as failure:
+        co.stepper(s, co.Splitting(), 1e3)(np.array([1.0, 2.0, 3.0]))
+    assert failure.value.step == 1
+
+
+@pytest.mark.parametrize("h", [0.0, math.nan, math.inf])
+def test_zero_or_infinite_steps_are_refused(h):
+    with pytest.raises(ValueError, match=r"h is .*; it must (be finite|not be zero)"):
+        co.stepper(setup("e(3)")[0], co.Splitting(), h)
+
+
+def test_wrong_arguments_of_steppers_are_refused():
+    s, x = setup("e(3)")
+    with refused(ValueError, "method", "'strang'"):
+        co.stepper(s, "strang", 0.1)
+    step = co.stepper(s, co.Splitting(), 0.1)
+    with refused(ValueError, "x0", "(5,)"):
+        step(x[:5])
+    with refused(ValueError, "one state"):
+        step.tangent(np.stack([x, x]))
+    H = co.Separable({0: (lambda y: 0.5 * y * y, lambda y: y)})
+    blunt = co.stepper(co.LiePoissonSystem(co.algebras.sl(2), H), co.Splitting(), 0.1)
+    with refused(TypeError, "hessian"):
+        blunt.tangent(np.ones(3))
+    with refused(ValueError, "Splitting", "Lie algebra"):
+        co.stepper(
+            co.PoissonSystem(lambda x: np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 2.0])),
+            co.Splitting(),
+            0.1,
+        )
+
+
+STEERED = co.systems.rigid_body(inertia=(1, 2, 2.5)), {"rotors": (2, 0)}
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", ["tangent", "tangent_by_inputs"])
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.Taylor(order=4)])
+def test_derivatives_belong_to_the_caller(method, name):
+    """Later calls do not change those of earlier ones, and these may be written to."""
+    step = co.stepper(STEERED[0], method, 0.1, inputs=STEERED[1])
+    derivative, states = getattr(step, name), np.array([[1.0, 0.2, 0.5], [0.3, -1.0, 0.4]])
+    first = derivative(states[0], rotors=(0.1, -0.2))
+    kept = first.copy()
+    assert not np.array_equal(derivative(states[1], rotors=(0.5, 0.3)), kept)
+    assert np.array_equal(first, kept)
+    first[:] = 7.0
+    assert np.array_equal(derivative(states[0], rotors=(0.1, -0.2)), kept)
+
+
+def fading(x, t, tau):
+    """A damping that depends on time."""
+    return x * np.exp(-tau - np.sin(t + tau) + np.sin(t))
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.Taylor(order=4)])
+def test_derivatives_of_a_step_are_those_at_its_time(method):
+    damped = STEERED[0].with_forces(co.forces.OwnForce(fading))
+    x, u, e = np.array([1.0, 0.2, 0.5]), np.array([0.1, -0.2]), 2.0**-7
+    for t, system, h in ((0.0, damped, 0.25), (2.0, damped, 0.25), (-3.0, damped, -0.25), (1.0, STEERED[0], -0.25)):
+        step = co.stepper(system, method, h, inputs=STEERED[1])
+
+        def difference(after):
+            """Of order 4, with an error of some e^4 and U / e."""
+            return (8 * (after(e) - after(-e)) - (after(2 * e) - after(-2 * e))) / (12 * e)
+
+        by_x = [difference(lambda by, v=v, t=t, step=step: step(x + by * v, t, rotors=u)) for v in np.eye(3)]
+        by_u = [difference(lambda by, v=v, t=t, step=step: step(x, t, rotors=u + by * v)) for v in np.eye(2)]
+        np.testing.assert_allclose(step.tangent(x, t, rotors=u), np.transpose(by_x), rtol=0, atol=8 * e**4)
+        np.testing.assert_allclose(step.tangent_by_inputs(x, t, rotors=u), np.transpose(by_u), rtol=0, atol=8 * e**4)
+
+
+def test_steppers_are_safe_in_threads_and_after_failures():
+    step = co.stepper(co.systems.rigid_body(), co.Splitting(), 0.1)
+    states = np.random.default_rng(0).standard_normal((400, 3))
+    alone = [step(x) for x in states]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(step, states))
+    assert all(np.array_equal(a, b) for a, b in zip(alone, together, strict=True))
+    step, x = co.stepper(setup("driven so(4)")[0], co.GaussLegendre(3), 0.5), np.linspace(-0.5, 0.75, 6)
+    before = step(0.1 * x)
+    with pytest.raises(co.IntegrationError):
+        step(1e4 * x)
+    assert np.array_equal(step(0.1 * x), before)
