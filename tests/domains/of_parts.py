@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 import coadjoint as co
-from coadjoint.systems.matrices.streams import Weights
 from domains.case import Case
 from domains.kinds import (
     Domain,
@@ -29,6 +28,7 @@ SO3, BODY = co.algebras.so(3), co.systems.rigid_body((1.0, 2.0, 2.5))
 FLUID = co.systems.sphere_euler(N=6)
 SCALAR = co.systems.passive_scalar(N=6)
 MATRICES = co.MatrixAlgebra("so", 3)
+WEIGHTS, LARGE = (co.systems.Weights(np.ones((n, n))) for n in (3, 4))
 SQUARE = co.Polynomial({(2, 0, 0): 0.5, (0, 1, 1): 1.0})
 CUBIC = co.Polynomial({(3, 0, 0): 1.0})
 
@@ -267,7 +267,7 @@ OWN_SYSTEMS = {
         co.MatrixSystem,
         {
             "algebra": instance(MATRICES, co.MatrixAlgebra("su", 3)),
-            "stream": function(twice, Weights(np.ones((3, 3)))).plus(outside=(of_nothing, np.trace, np.abs)),
+            "stream": function(twice, WEIGHTS).plus(outside=(of_nothing, np.trace, np.abs)),
             "linear": Domain(
                 (None, np.zeros((3, 3)), [[0, 1, 0], [-1, 0, 2], [0, -2, 0]]),
                 (np.eye(3), np.zeros((2, 2)), np.zeros(3), np.full((3, 3), math.nan), np.eye(3) * 1j, "", 1.0, True,
@@ -286,9 +286,9 @@ OWN_SYSTEMS = {
         co.TwoLayerSystem,
         {
             "algebra": instance(MATRICES, co.MatrixAlgebra("su", 3)).plus(outside=(co.MatrixAlgebra("gl", 3),)),
-            "stream": instance(Weights(np.ones((3, 3)))).plus(outside=(Weights(np.ones((4, 4))),)),
-            "second_stream": optional(instance(Weights(np.ones((3, 3)))))
-            .plus(outside=(Weights(np.ones((4, 4))),))
+            "stream": instance(WEIGHTS).plus(outside=(LARGE,)),
+            "second_stream": optional(instance(WEIGHTS))
+            .plus(outside=(LARGE,))
             .but_called(r"\b(second_)?stream\b"),
             "energy_sign": SIGN,
             "name": title("mine"),

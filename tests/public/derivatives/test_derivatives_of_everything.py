@@ -553,7 +553,7 @@ def test_undone_steps_give_the_same_gradient(scheme):
         sol, pullback = ready.vjp(X6, (0.0, 5.0), save_every=9, reverse=reverse, **FOUR)
         weights = {name: np.cos(np.arange(v.size)).reshape(v.shape) for name, v in outputs(sol).items()}
         gradients.append(pullback(**weights))
-    for name, exact in gradients[0].items():
+    for name in gradients[0]:
         for one, other in zip(*((g[name].values() if name == "inputs" else [g[name]]) for g in gradients), strict=True):
             # The states differ by rounding, whose growth over 100 steps is below 2^14 for these motions.
             np.testing.assert_allclose(other, one, rtol=0, atol=2.0**14 * UNIT_ROUNDOFF * max(1.0, np.abs(one).max()))

@@ -88,7 +88,7 @@ def test_wrong_cotangents_are_refused(ready, x0, cotangents, error, named):
 
 def test_wrong_cotangents_of_events_and_of_real_matrices_are_refused():
     for x0, wrong in ((X, 7), (MANY[:2], 9)):
-        sol, pullback = READY.vjp(x0, (0.0, 20.0), events=co.Event("x2", terminal=True))
+        _, pullback = READY.vjp(x0, (0.0, 20.0), events=co.Event("x2", terminal=True))
         with refused(ValueError, "t of events", f"({wrong},)"):
             pullback(events={"t": np.ones(wrong)})
         with refused(ValueError, "events", "'time'"):

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from refusals import refused
 
 torch = pytest.importorskip("torch")
 
-PAGE = Path(__file__).parents[2] / "docs" / "derivatives.md"
+PAGE = Path(__file__).parents[3] / "docs" / "derivatives.md"
 SPAN, EVERY = (0, 10), 50
 X0 = np.array([1.0, 0.2, 0.5])
 MANY = np.array([X0, 2.0 * X0, X0[::-1]])
@@ -81,17 +82,17 @@ def test_attitude_is_returned_and_differentiated():
 
 
 @pytest.mark.parametrize(
-    ("x0", "values", "error", "message"),
+    ("x0", "values", "error", "named"),
     [
-        (X0.astype(np.float32), {}, TypeError, "x0 has the dtype torch.float32; give torch.float64"),
-        ("a", {}, TypeError, "x0 is 'a'; it must be an array of real numbers"),
-        (X0[:2], {}, ValueError, r"x0 has the shape \(2,\); it must be \(3,\) or \(members, 3\)"),
-        (X0, {"inertai": INERTIA}, ValueError, "unknown parameter of rigid_body 'inertai'; did you mean 'inertia'"),
-        (X0, {"inertia": -INERTIA}, ValueError, "inertia"),
+        (X0.astype(np.float32), {}, TypeError, ("x0", "float32", "float64")),
+        ("a", {}, TypeError, ("x0", "'a'")),
+        (X0[:2], {}, ValueError, ("x0", "(2,)", "(3,)")),
+        (X0, {"inertai": INERTIA}, ValueError, ("inertai", "inertia")),
+        (X0, {"inertia": -INERTIA}, ValueError, ("inertia",)),
     ],
 )
-def test_wrong_arguments_are_refused(g, x0, values, error, message):
-    with pytest.raises(error, match=message):
+def test_wrong_arguments_are_refused(g, x0, values, error, named):
+    with refused(error, *named):
         g(x0, **values)
 
 
@@ -102,7 +103,7 @@ def test_whole_numbers_are_taken(g):
 def test_second_derivatives_are_refused(g):
     x0 = variable(X0)
     (gradient,) = torch.autograd.grad(g(x0)[-1, 0], x0, create_graph=True)
-    with pytest.raises(NotImplementedError, match="runs have first derivatives only"):
+    with refused(NotImplementedError, "first derivatives"):
         gradient.sum().backward()
 
 

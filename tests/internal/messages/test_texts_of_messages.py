@@ -1,8 +1,11 @@
-"""Errors: pickling, suggestions of names, and one-line messages of bounded length."""
+"""Texts of messages: nearest names, one line of bounded length, and representations of any value."""
 
-import copy
+import dataclasses
+import functools
+import inspect
 import pickle
 import re
+from fractions import Fraction
 from operator import attrgetter
 
 import numpy as np
@@ -18,37 +21,9 @@ from coadjoint.errors import (
     unknown_attribute,
     unknown_name,
 )
-from coadjoint.files.configuration.construction import ConfigurationError
-from coadjoint.keyword_hints import (
-    ATTRIBUTES,
-    FUNCTIONS,
-    KEYWORDS,
-    PICTURES,
-    suggest_keywords,
-    unknown_keyword,
-)
-from coadjoint.pictures.register import kinds
+from coadjoint.keyword_hints import ATTRIBUTES, FUNCTIONS, KEYWORDS, PICTURES
+from coadjoint.short_repr import function_name, html_table, record_repr, short
 from guards import bounded_work
-
-
-@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda error: pickle.loads(pickle.dumps(error))])
-def test_copies_of_errors_have_all_parts(again):
-    """Worker processes send errors back."""
-    H = co.Polynomial({(4, 0, 0): 1.0, (0, 4, 0): 2.0, (0, 0, 4): 3.0})
-    system = co.LiePoissonSystem(co.algebras.so(3), H)
-    with pytest.raises(co.IntegrationError) as failure:
-        co.integrate(system, np.array([[1e160, 1e160, 1e160], [0.1, 0.2, 0.3]]), (0.5, 1.5), 0.125, co.GaussLegendre(2))
-    error = failure.value
-    found = again(error)
-    assert type(found) is co.IntegrationError and str(found) == str(error)
-    assert (found.step, found.time) == (error.step, error.time) and error.time >= 0.5
-    np.testing.assert_array_equal(found.residual, error.residual)
-    np.testing.assert_array_equal(found.partial.x, error.partial.x)
-    np.testing.assert_array_equal(found.partial.t, error.partial.t)
-    parts = {"step": 3, "time": -0.2, "residual": 1e-3, "partial": ("part", 2), "derivatives": (1.0, 3)}
-    error = co.IntegrationError("no", **parts)
-    assert vars(again(error)) == vars(error) == parts
-
 
 NAMES = ["rigid_body", "heavy_top", "lagrange_top", "so(3)", "GaussLegendre", "Splitting", "toda", "spin_lattice"]
 
@@ -131,16 +106,13 @@ def test_long_messages_are_shortened_in_the_middle(limit):
         assert in_one_line("\x00" * 10**7 + "end", limit).endswith("?end")
 
 
-@pytest.mark.parametrize("kind", [OneLineError, ConfigurationError])
-def test_one_line_errors(kind):
-    error = kind("a\nb " * 1000)
+def test_one_line_errors():
+    error = OneLineError("a\nb " * 1000)
     assert len(str(error)) <= MAX_MESSAGE_LENGTH and "\n" not in str(error) and isinstance(error, ValueError)
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
 
 
 def test_hints_for_foreign_keywords_exist():
-    import inspect
-
     known = {*inspect.signature(co.integrate).parameters, *inspect.signature(co.systems.rigid_body).parameters}
     for keyword, answer in KEYWORDS.items():
         name, equals, _ = answer.partition("=")
@@ -160,41 +132,134 @@ def test_functions_that_hints_name_exist():
         for name in re.findall(r"\bsol\.(\w+)", answer):
             assert hasattr(co.Solution, name), answer
     assert all("co." in answer for answer in FUNCTIONS.values())
-    assert set(PICTURES.values()) <= set(kinds())
+    assert set(PICTURES.values()) <= set(co.plotting.kinds())
 
 
-def test_unknown_keyword_names_valid_arguments():
-    assert str(unknown_keyword("run", "dt", ["x0", "dta"])) == "run has no dt; did you mean dta=?"
-    assert str(unknown_keyword("run", "dt", ["x0", "step"])).startswith("run has no dt; give step=, the size of a step")
-    assert str(unknown_keyword("run", "jac", ["x0"])).startswith("run has no jac; it needs none")
-    assert str(unknown_keyword("run", "zzz", ["x0", "step"])) == "run has no zzz; it takes x0, step"
+class Raises:
+    def __repr__(self):
+        raise RuntimeError("no")
 
 
-def test_too_many_positional_arguments():
-    calls = []
+class NoString:
+    def __repr__(self):
+        return 3
 
-    @suggest_keywords
-    def run(x0, step=None, *, threads=None):
-        calls.append((x0, step, threads))
 
-    @suggest_keywords
-    def one(inertia=None, *, name=None):
-        calls.append(inertia)
+class Endless:
+    def __repr__(self):
+        return "x" * 10**6
 
-    @suggest_keywords
-    def any_number(*members):
-        calls.append(members)
 
-    run(1, 2, threads=3)
-    any_number(1, 2, 3)
-    assert calls == [(1, 2, 3), (1, 2, 3)]
-    for call, message in (
-        (lambda: run(1, 2, 3), "run was given 3 arguments, and takes x0, step, threads, those after step by name"),
-        (lambda: one(1, 2), "one was given 2 arguments, and takes inertia, name, those after inertia by name"),
-        (lambda: run(1, thread=3), "run has no thread; did you mean threads=?"),
-        (lambda: any_number(1, members=2), None),
+class ManyLines:
+    def __repr__(self):
+        return "a\n  b\x1b[31m"
+
+
+def deep(levels):
+    nested = []
+    for _ in range(levels):
+        nested = [nested]
+    return nested
+
+
+def itself():
+    endless = []
+    endless.append(endless)
+    return endless
+
+
+HOSTILE = {
+    "a long list": list(range(10**6)),
+    "a long tuple of long strings": ("x" * 10**6,) * 1000,
+    "a large dict": dict.fromkeys(range(10**5)),
+    "a large set": set(range(10**5)),
+    "a large frozenset": frozenset(range(10**5)),
+    "a deep list": deep(100_000),
+    "a list of itself": itself(),
+    "a wide tree": [[[[list(range(1000))] * 1000] * 1000] * 1000] * 1000,
+    "a large int": 10**100_000,
+    "a negative one": -(10**4400),
+    "a large fraction": Fraction(10**5000, 3),
+    "large ints in a list": [10**100_000] * 3,
+    "a large array": np.ones(10**6),
+    "an array of many dimensions": np.ones((7,) * 7),
+    "an array of objects": np.array([[10**5000, Raises()], [NoString(), list(range(10**6))]], dtype=object),
+    "a masked array": np.ma.masked_array(np.ones(10**5)),
+    "a masked array of objects": np.ma.masked_array(np.array([Raises(), 1], dtype=object)),
+    "records": np.zeros(3, dtype=[(f"field {i}", float) for i in range(1000)]),
+    "bytes": b"\0" * 10**6,
+    "a bytearray": bytearray(10**6),
+    "a repr that raises": Raises(),
+    "such a class in a dict": {Raises(): [Raises()]},
+    "a repr that is no string": NoString(),
+    "a long repr": Endless(),
+    "lines and a terminal code": ManyLines(),
+    "a string of lines": "a\nb\x1b" * 1000,
+}
+
+
+@pytest.mark.parametrize("limit", [4, 20, 80, 200])
+@pytest.mark.parametrize("name", HOSTILE)
+def test_any_value_is_one_short_line(name, limit):
+    with bounded_work():
+        text = short(HOSTILE[name], limit)
+    assert 0 < len(text) <= limit
+    assert text.isprintable()
+
+
+@pytest.mark.parametrize("limit", [4, 10, 80])
+def test_representations_fill_the_limit(limit):
+    """Strings, lists and integers around the limit: in full, or their beginning up to the limit."""
+    for size in range(1, 2 * limit + 4):
+        for value in ("x" * size, [7] * size, (1.5,) * size, 10 ** (size - 1), b"x" * size, dict.fromkeys(range(size))):
+            text, expected = short(value, limit), repr(value)
+            if isinstance(value, int) and size > limit - 2:
+                assert text == expected or text.startswith("<int of about"[: limit - 3])
+            elif len(expected) <= limit:
+                assert text == expected
+            else:
+                assert text.endswith("...") and len(text) <= limit and expected.startswith(text[:-3])
+    assert short(10**60) == repr(10**60) and short(2**500) == "<int of about 151 digits>"
+
+
+def test_functions_have_no_addresses():
+    def own(x):
+        return x
+
+    for value, shown in (
+        (own, "the function own"),
+        (lambda x: x, "a lambda"),
+        (np.sin, "the function sin"),
+        ([own, own, own], "[the function own, the function own, the function own]"),
+        ([own] * 4, "4 functions"),
+        ([own, own, own, 1], "[the function own, the function own, the function own, 1]"),
+        ([(own, own)] * 4, "4 functions"),
+        ([(own, 1)] * 4, "[(the function own, 1), (the function own, 1), (the function own, 1), (the fu..."),
+        (dict.fromkeys(range(4), own), "4 functions"),
+        ({1: own}, "{1: the function own}"),
+        ([[], [], [], []], "[[], [], [], []]"),
+        ([[[[[[[1]]]]]]], "[[[[[[[...]]]]]]]"),
+        ([[[[[[[]]]]]]], "[[[[[[[]]]]]]]"),
     ):
-        with pytest.raises(TypeError) as refused:
-            call()
-        assert message is None or str(refused.value) == message
-    assert len(calls) == 2 and run.__name__ == "run"
+        assert short(value) == shown
+
+
+def test_tables_escape_text():
+    table = html_table("<b>&", {"<i>": "<td>", "two": ("<1>", 2), "none": ()})
+    assert table == (
+        "<table><caption><b>&lt;b&gt;&amp;</b></caption><tr><th>&lt;i&gt;</th><td>&lt;td&gt;</td></tr>"
+        "<tr><th>two</th><td>&lt;1&gt;</td><td>2</td></tr><tr><th>none</th></tr></table>"
+    )
+
+
+def test_hidden_fields_are_omitted():
+    @dataclasses.dataclass(repr=False)
+    class Own:
+        first: object
+        second: object = dataclasses.field(default=1, repr=False)
+        third: object = "c"
+
+    assert record_repr(Own([abs] * 5)) == "Own(first=5 functions, third='c')"
+    assert function_name(functools.partial(functools.partial(max, 1), 2)) == "partial of max"
+    assert function_name(functools.partial(Own([]).__class__, 1)) == "partial of Own"
+    assert function_name(Own([])) == "a Own"

@@ -9,7 +9,7 @@ import pytest
 
 from core_only import ENVIRONMENT
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT / "examples" / "rigid_body.toml"
 README = """
 import doctest, sys, warnings

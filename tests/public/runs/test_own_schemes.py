@@ -15,7 +15,7 @@ import pytest
 
 import coadjoint as co
 
-PAGE = (Path(__file__).parents[1] / "docs" / "own_schemes.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "own_schemes.md").read_text(encoding="utf-8")
 SOURCE = Path(co.__file__).parents[1]
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 X0 = (1.0, 0.2, 0.5)
@@ -155,8 +155,8 @@ def test_installed_package_registers_schemes(installed):
     assert "the scheme Missing (no_such_module_anywhere:Missing) is skipped" in warned
     run_python(installed, "-m", "coadjoint", "run", "run.toml")
     again = (
-        "import json, xarray; from coadjoint.files.datasets.export import rebuild; "
-        "dataset = xarray.open_dataset('out.nc', engine='h5netcdf'); sol = rebuild(dataset); "
+        "import json, xarray, coadjoint as co; "
+        "dataset = xarray.open_dataset('out.nc', engine='h5netcdf'); sol = co.results.rebuild(dataset); "
         "print(json.dumps([repr(sol.method), bool((sol.x == dataset['x'].values).all())]))"
     )
     assert json.loads(run_python(installed, "-W", "ignore", "-c", again)[0]) == ["Kutta3(part=0.5)", True]
