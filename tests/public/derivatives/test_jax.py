@@ -179,13 +179,6 @@ def test_attitude_is_returned_and_differentiated(attitude):
     np.testing.assert_allclose(forward, reverse, rtol=0, atol=ROUNDING)
 
 
-def test_individual_attitudes_follow_the_members_of_vmap():
-    turned = co.integrate(co.systems.rigid_body((1, 2, 3)), MANY, (0, 1), 0.1, attitude=True).attitude[-1]
-    g = co.jax.solution(prepared(attitude=turned), SPAN, EVERY)
-    batch = jax.vmap(g)(np.array([MANY, 2.0 * MANY]))[1]
-    assert np.array_equal(batch[1], g(2.0 * MANY)[1])
-
-
 def test_parameters_of_hamiltonians_keep_their_shapes_at_zeros():
     """M becomes diagonal, and `linear` zero; the derivatives by the other entries remain."""
     algebra, full = co.algebras.so(3), np.array([[1.0, 0.2, 0.0], [0.2, 0.5, 0.1], [0.0, 0.1, 0.4]])
@@ -267,32 +260,6 @@ def test_forces_may_be_given_values_at_which_they_have_no_derivative(force, limi
     assert np.array_equal(by_x0, pullback(np.ones(wanted.x.shape))["x0"])
     with refused(ValueError, parameter, "0.0"):
         jax.grad(lambda value: f(X0, **{parameter: value}).sum())(0.0)
-
-
-def test_gradient_descent_recovers_an_inertia():
-    """Attitudes determine all moments, momenta only their differences."""
-    g = co.jax.solution(prepared(attitude=True), (0, 4), 20)
-    wanted = g(X0)
-
-    @jax.jit
-    @jax.value_and_grad
-    def loss(inertia):
-        return sum(((a - b) ** 2).sum() for a, b in zip(g(X0, inertia=inertia), wanted, strict=True))
-
-    inertia = jnp.array([1.2, 1.8, 2.7])
-    _, gradient = loss(inertia)
-    rate = 0.01
-    for _ in range(60):
-        before, last = inertia, gradient
-        inertia = inertia - rate * gradient
-        value, gradient = loss(inertia)
-        if value < 1e-22:
-            break
-        # The step of Barzilai and Borwein.
-        change = gradient - last
-        rate = float((inertia - before) @ change / (change @ change))
-    # The distance 1e-11 of the outputs, divided by the smallest singular value of their derivative, 0.26.
-    np.testing.assert_allclose(inertia, [1.0, 2.0, 2.5], rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize(
@@ -382,8 +349,3 @@ print(jax.jit(jax.grad(lambda x: f(2.0 * x).sum()))(np.ones((20000, 3))).shape)
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="processes cannot be bound to one core")
 def test_large_ensembles_are_called_back_on_one_core():
     assert run_python(ONE_CORE, timeout=100).stdout == "(20000, 3)\n"
-
-
-def test_jax_is_imported_when_it_is_needed():
-    code = "import sys, coadjoint as co; co.jax.solution, co.torch.function; print({'jax', 'torch'} & set(sys.modules))"
-    assert run_python(code).stdout == "set()\n"
