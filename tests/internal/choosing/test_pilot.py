@@ -256,6 +256,22 @@ def test_rounding_grows_with_steps_and_time():
         )
 
 
+def test_rounding_model_is_accurate_within_a_factor():
+    """Compensated against plain sums of the same steps differ by the rounding of the plain ones."""
+    states = np.random.default_rng(2).standard_normal((8, 3))
+    for span, step in ((100.0, 0.01), (400.0, 0.02)):
+        plain, compensated = (
+            co.integrate(BODY, states, (0, span), step, co.Splitting(order=4, compensated=c), watch=False).x[-1]
+            for c in (False, True)
+        )
+        found = np.linalg.norm(plain - compensated, axis=1) / np.linalg.norm(states, axis=1)
+        rows = co.Splitting(order=4).program(BODY).rows.section
+        pilot = Pilot(BODY, states, 0.0, span)
+        expected = roundoff(pilot, round(span / step), int(rows[2] - rows[1]), False, pilot.windows)
+        # Not below what is there, and above the root mean square by no more than it takes to be on the safe side.
+        assert np.max(found) <= expected <= 50 * math.sqrt(np.mean(found**2))
+
+
 def test_growth_is_extrapolated():
     assert Growth(1.0, 1.0, 1.0).factor(1.0) == 1.0
     assert Growth(0.0, 0.0, 0.0).factor(100.0) == 1.0

@@ -1,7 +1,5 @@
 """Texts of messages: nearest names, one line of bounded length, and representations of any value."""
 
-import dataclasses
-import functools
 import inspect
 import pickle
 import re
@@ -22,7 +20,7 @@ from coadjoint.errors import (
     unknown_name,
 )
 from coadjoint.keyword_hints import ATTRIBUTES, FUNCTIONS, KEYWORDS, PICTURES
-from coadjoint.short_repr import function_name, html_table, record_repr, short
+from coadjoint.short_repr import short
 from guards import bounded_work
 
 NAMES = ["rigid_body", "heavy_top", "lagrange_top", "so(3)", "GaussLegendre", "Splitting", "toda", "spin_lattice"]
@@ -242,24 +240,3 @@ def test_functions_have_no_addresses():
         ([[[[[[[]]]]]]], "[[[[[[[]]]]]]]"),
     ):
         assert short(value) == shown
-
-
-def test_tables_escape_text():
-    table = html_table("<b>&", {"<i>": "<td>", "two": ("<1>", 2), "none": ()})
-    assert table == (
-        "<table><caption><b>&lt;b&gt;&amp;</b></caption><tr><th>&lt;i&gt;</th><td>&lt;td&gt;</td></tr>"
-        "<tr><th>two</th><td>&lt;1&gt;</td><td>2</td></tr><tr><th>none</th></tr></table>"
-    )
-
-
-def test_hidden_fields_are_omitted():
-    @dataclasses.dataclass(repr=False)
-    class Own:
-        first: object
-        second: object = dataclasses.field(default=1, repr=False)
-        third: object = "c"
-
-    assert record_repr(Own([abs] * 5)) == "Own(first=5 functions, third='c')"
-    assert function_name(functools.partial(functools.partial(max, 1), 2)) == "partial of max"
-    assert function_name(functools.partial(Own([]).__class__, 1)) == "partial of Own"
-    assert function_name(Own([])) == "a Own"

@@ -94,7 +94,7 @@ PAIRS += [(name, span) for name in ("body, rational", "body, Gauss") for span in
 PAIRS += [("top, free body", "times"), ("e(3), cubic", "backward times")]
 
 
-@pytest.mark.thinned(5)
+@pytest.mark.thinned(9)
 @pytest.mark.parametrize(("name", "span"), PAIRS)
 def test_values_and_gradients_agree_with_the_compiled_run(name, span):
     system, method = SYSTEMS[name]()

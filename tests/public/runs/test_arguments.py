@@ -345,6 +345,16 @@ def test_polynomial_degrees_are_limited():
             make()
 
 
+def test_powers_of_steps_stay_within_float64():
+    """The fourth power of 2^255 is a number, and that of 2^256 is none."""
+    functions = co.Separable({0: (np.sin, np.cos), 1: (np.cos, lambda y: -np.sin(y))})
+    found = co.modified_hamiltonian(co.LiePoissonSystem(co.algebras.so(3), functions), co.Splitting())
+    found(X, 2.0**255)
+    for wrong in (2.0**256, -(2.0**256)):
+        with refused(ValueError, "h is", "power 4"):
+            found(X, wrong)
+
+
 def test_batches_are_refused_where_one_system_is_needed():
     batch = co.batch([BODY, BODY])
     for wrong in (

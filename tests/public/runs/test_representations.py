@@ -191,17 +191,6 @@ def test_table_of_a_run():
     assert repr(ensemble).endswith("step 0.1, 4 members>") and "<th>members</th><td>4</td>" in table_of(ensemble)
 
 
-def test_worst_casimirs_are_shown():
-    x0 = np.random.default_rng(2).normal(size=(10, 3))
-    sol = co.integrate(co.systems.spin_lattice("chain", 10), x0.ravel(), (0, 5), 0.1)
-    table, moved = table_of(sol), sol.drift()
-    worst = max((name for name in moved if name != "energy"), key=lambda name: moved[name])
-    assert f"<th>drift of {worst}</th>" in table
-    falling = sorted((drift for name, drift in moved.items() if name != "energy"), reverse=True)
-    assert f"{falling[4]:.2g}" != f"{falling[-1]:.2g}"
-    assert f"<th>other Casimirs</th><td>6, none beyond {falling[4]:.2g}</td>" in table
-
-
 def test_functions_show_no_address():
     body = co.systems.rigid_body()
     shown = {
