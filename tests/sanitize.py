@@ -39,7 +39,17 @@ PYTEST = ["-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-m", "not long"
 OMITTED = ["--ignore=tests/kernels/test_build.py", "--ignore=tests/kernels/test_interrupts.py"]
 COMMANDS = {
     "address": [
-        [*PYTEST, *OMITTED, "-n", "2", "tests/kernels", "tests/methods", "tests/runs", "tests/choosing"],
+        [
+            *PYTEST,
+            *OMITTED,
+            "-n",
+            "2",
+            "tests/kernels",
+            "tests/methods",
+            "tests/runs",
+            "tests/internal/choosing",
+            "tests/public/accuracy",
+        ],
         ["-m", "random_runs.soak", "1000000", "300", "--limit", "1200", "--jobs", "2"],
     ],
     "threads": [

@@ -26,35 +26,35 @@ class Runs:
     """The command in a temporary folder."""
 
     def __init__(self):
-        self._place, self._home = tempfile.TemporaryDirectory(), tempfile.TemporaryDirectory()
-        self._outside = Path(self._place.name).resolve()
-        self._folder = make(self._outside)
-        os.chdir(self._folder)
-        os.environ["HOME"] = self._home.name  # caches of other packages
+        self.place, self.home = tempfile.TemporaryDirectory(), tempfile.TemporaryDirectory()
+        self.outside = Path(self.place.name).resolve()
+        self.folder = make(self.outside)
+        os.chdir(self.folder)
+        os.environ["HOME"] = self.home.name  # caches of other packages
         (script,) = entry_points(group="console_scripts", name="coadjoint")
-        self._command = script.load()
+        self.command = script.load()
         sys.argv = ["coadjoint", "run", "run.toml", "--quiet"]
 
     def tried(self, seed):
         """Return descriptions of what is wrong with the outcome of a run."""
-        (self._folder / "run.toml").write_bytes(draw(seed))
+        (self.folder / "run.toml").write_bytes(draw(seed))
         message, printed = io.StringIO(), io.StringIO()
-        before = snapshot(self._outside)
+        before = snapshot(self.outside)
         with warnings.catch_warnings(), contextlib.redirect_stdout(printed), contextlib.redirect_stderr(message):
             warnings.simplefilter("default")
             try:
-                status = self._command()
+                status = self.command()
             except SystemExit as ended:
                 status = ended.code
             except TooLong:  # steps that a scheme chooses, or large matrices: they can be interrupted
                 status = None
             except Exception as error:
                 return [f"raised {type(error).__name__}: {error}"[:300]]
-        wrong = [] if status is None else [*self._of_the_line(int(status or 0), message.getvalue(), printed.getvalue())]
-        return [*wrong, *self._of_the_folder(before)]
+        wrong = [] if status is None else [*self.of_the_line(int(status or 0), message.getvalue(), printed.getvalue())]
+        return [*wrong, *self.of_the_folder(before)]
 
     @staticmethod
-    def _of_the_line(status, line, printed):
+    def of_the_line(status, line, printed):
         if status not in (0, 1, 2):
             yield f"exit status {status}"
         if printed:
@@ -72,10 +72,10 @@ class Runs:
         if line.startswith(UNFORESEEN):
             yield f"unforeseen: {line[:300]!r}"
 
-    def _of_the_folder(self, before):
-        now, targets = snapshot(self._outside), [*self._targets()]
+    def of_the_folder(self, before):
+        now, targets = snapshot(self.outside), [*self.targets()]
         for name, state in now.items():
-            path = self._outside / name
+            path = self.outside / name
             if name == "work/run.toml" or state == before.get(name, "new"):
                 continue
             if not any(path == target or target in path.parents for target in targets):
@@ -86,14 +86,14 @@ class Runs:
             yield f"removed: {lost[0]}"
         # Each seed finds the same folder.
         for name in sorted(now, reverse=True):
-            path = self._outside / name
+            path = self.outside / name
             if name not in before and name != "work/run.toml" and os.path.lexists(path):
                 shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
 
-    def _targets(self):
+    def targets(self):
         """Yield the output paths of the file."""
         with contextlib.suppress(ValueError, RecursionError, OSError, AttributeError):
-            table = tomllib.loads((self._folder / "run.toml").read_bytes().decode())
+            table = tomllib.loads((self.folder / "run.toml").read_bytes().decode())
             for named in filter(lambda arguments: isinstance(arguments, str), table.get("output", {}).values()):
-                yield (self._folder / named).resolve()
-                yield Path(os.path.normpath(self._folder / named))
+                yield (self.folder / named).resolve()
+                yield Path(os.path.normpath(self.folder / named))

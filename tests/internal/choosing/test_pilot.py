@@ -17,7 +17,13 @@ from coadjoint.choosing.pilot import Growth, Pilot, Trial
 from coadjoint.choosing.roundoff import roundoff
 from coadjoint.choosing.unreached import rounded_up
 from coadjoint.kernels.interface import limit
-from coadjoint.methods.protocol.cost_model import MIN_LANE_MEMBERS, iteration_work, newton_work
+from coadjoint.methods.protocol.cost_model import (
+    FUNCTION_COST,
+    MIN_LANE_MEMBERS,
+    MULTIPLICATION_COST,
+    iteration_work,
+    newton_work,
+)
 
 X0 = np.array([1.0, 1.5, -0.5])
 MASSES = np.array([1.0, 0.5, 0.4])
@@ -294,6 +300,21 @@ def test_cost_weights_match_measured_times():
     assert 90 / 11 < co.Taylor(16).work(BODY).cost(1.0, 16.0) < 130 / 11
     assert iteration_work(BODY, 8.0, None) < iteration_work(BODY, 8.0, "coadjoint")
     assert iteration_work(BODY, 9.0, None) > 1.5 * iteration_work(BODY, 8.0, None)
+
+
+def test_functions_of_the_user_are_counted():
+    """The same energy as numbers and as functions: one call for each flow and each evaluation of the field."""
+    numbers = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]))
+    terms = {i: (lambda y, m=m: 0.5 * m * y * y, lambda y, m=m: m * y) for i, m in enumerate((1.0, 0.5, 0.25))}
+    functions = co.LiePoissonSystem(co.algebras.so(3), co.Separable(terms))
+    method = co.Splitting(parts="coordinates", compensated=False)
+    section = method.program(functions).rows.section
+    count = int(section[2] - section[1])
+    plain, called = (method.work(system).cost(0.0, 0.0) for system in (numbers, functions))
+    wanted, margin = count * (FUNCTION_COST - MULTIPLICATION_COST), 2 * count * MULTIPLICATION_COST
+    assert called - plain == pytest.approx(wanted, abs=margin)
+    apart = iteration_work(functions, 8.0, None) - iteration_work(numbers, 8.0, None)
+    assert apart > 8.0 * 3 * FUNCTION_COST * 0.9
 
 
 @pytest.mark.parametrize("quarter", [0.0, 1e-12, 1.0, 5.0, 40.0])

@@ -250,11 +250,8 @@ def matrices(kind, stream, size=3, **terms):
 
 MATRICES = {
     "sphere": (named("sphere_euler", N=4, rotation=0.3), co.IsospectralGauss(3), 7),
-    "sphere, composed": (
-        named("sphere_euler", N=3, rotation=0.3),
-        co.Composition(co.IsospectralGauss(1), (0.75, -0.5, 0.75)),
-        -4,
-    ),
+    "sphere, composed": (named("sphere_euler", N=3, rotation=0.3), co.Composition(co.IsospectralGauss(1), (0.75, -0.5,
+        0.75)), -4),
     "sphere, commutator-free": (named("sphere_euler", N=3, rotation=0.3), co.CommutatorFree(), 3),
     "torus": (named("torus_euler", N=5), co.IsospectralGauss(2), -4),
     "torus by lines": (named("torus_euler", N=5), co.LineSplitting(4), 4),
@@ -263,32 +260,15 @@ MATRICES = {
     "passive layer": (named("passive_scalar", N=3, surface="torus"), co.IsospectralGauss(1), 4),
     "gl": (matrices("gl", co.systems.Weights(SYMMETRIC)), co.IsospectralGauss(2), 4),
     "function on sp": (matrices("sp", lambda W: W - W.T, 2), co.IsospectralGauss(2), 4),
-    "function of time": (
-        matrices("so", lambda W, t: (1.0 + 0.5 * t) * OFF_DIAGONAL * W),
-        co.IsospectralGauss(2),
-        4,
-    ),
-    "nonlinear": (
-        matrices("gl", lambda W: W.T @ W @ W.T / 8, energy=lambda W: np.sum((W @ W.T) ** 2) / 32),
-        co.IsospectralGauss(2),
-        4,
-    ),
-    "forces": (
-        forced(
-            named("sphere_euler", N=4, rotation=0.7),
-            (F.Viscosity, {"nu": 0.05, "rotation": True}),
-            (F.Friction, {"rate": 0.1}),
-            (F.RandomForcing, {"energy_rate": 0.3, "band": (2, 3), "seed": 1}),
-        ),
-        co.IsospectralGauss(1),
-        4,
-    ),
-    "forces on the torus": (
-        forced(named("torus_euler", N=3), (F.BetaPlane, {"beta": 0.5}), (F.Friction, {"rate": lambda n: 0.1 * n})),
-        co.CommutatorFree(),
-        2,
-    ),
-}
+    "function of time": (matrices("so", lambda W, t: (1.0 + 0.5 * t) * OFF_DIAGONAL * W), co.IsospectralGauss(2), 4),
+    "nonlinear": (matrices("gl", lambda W: W.T @ W @ W.T / 8, energy=lambda W: np.sum((W @ W.T) ** 2) / 32),
+        co.IsospectralGauss(2), 4),
+    "forces": (forced(named("sphere_euler", N=4, rotation=0.7), (F.Viscosity, {"nu": 0.05, "rotation": True}),
+        (F.Friction, {"rate": 0.1}), (F.RandomForcing, {"energy_rate": 0.3, "band": (2, 3), "seed": 1})),
+        co.IsospectralGauss(1), 4),
+    "forces on the torus": (forced(named("torus_euler", N=3), (F.BetaPlane, {"beta": 0.5}), (F.Friction, {"rate":
+        lambda n: 0.1 * n})), co.CommutatorFree(), 2),
+}  # fmt: skip
 
 
 def drawing(system):
@@ -326,31 +306,16 @@ END = co.Event("x2", terminal=True)
 EVENTS = {
     "forward": (BODY, co.Splitting(order=4), X, (0.5, 20.5), {"events": END, "save_every": 3, "attitude": True}),
     "backward": (BODY, co.Splitting(), X, (0.5, -19.5), {"events": END, "t_eval": [0.43, -0.2, -1.5, -8.0]}),
-    "turning": (
-        BODY,
-        co.GaussLegendre(2),
-        X,
-        (0.5, 10.5),
-        {"events": co.Event(turning, count=2, terminal=True), "save_every": 7},
-    ),
-    "polynomial": (
-        BODY,
-        co.Splitting(order=4),
-        X,
-        (0.5, 5.5),
-        {"events": co.Event(co.Polynomial({(0, 1, 1): 1.0, (1, 0, 0): -0.03}))},
-    ),
+    "turning": (BODY, co.GaussLegendre(2), X, (0.5, 10.5), {"events": co.Event(turning, count=2, terminal=True),
+        "save_every": 7}),
+    "polynomial": (BODY, co.Splitting(order=4), X, (0.5, 5.5), {"events": co.Event(co.Polynomial({(0, 1, 1): 1.0, (1,
+        0, 0): -0.03}))}),
     "step by step": (TOP, co.Taylor(order=4), X6, (0.0, 0.7), {"events": co.Event(2)}),
     "in time": (timed, co.GaussLegendre(2), X, (0.5, 5.5), {"events": co.Event("x2"), "save_every": 7}),
     "ensemble": (BODY, co.Splitting(order=4), PAIR, (0.5, 20.5), {"events": END, "save_every": 3, "attitude": True}),
-    "forces": (
-        forced(BODY, (F.LinearDamping, {"rate": 0.1, "toward": 0.0})),
-        co.Splitting(order=4),
-        X,
-        (0.5, 20.5),
-        {"events": END},
-    ),
-}
+    "forces": (forced(BODY, (F.LinearDamping, {"rate": 0.1, "toward": 0.0})), co.Splitting(order=4), X, (0.5, 20.5),
+        {"events": END}),
+}  # fmt: skip
 
 
 @pytest.mark.thinned(1)
