@@ -8,6 +8,8 @@ import pytest
 import coadjoint as co
 from refusals import refused
 
+pytestmark = pytest.mark.thinned(1)
+
 H, SPAN = 0.125, (0.0, 1.0)
 BODY = co.systems.rigid_body((1, 2, 3))
 X = np.array([0.3, 1.0, 0.2])
