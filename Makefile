@@ -59,14 +59,14 @@ torch:
 	rm -rf build/torch
 	$(PYTHON) -m venv build/torch
 	build/torch/bin/python -m pip install --quiet --disable-pip-version-check . pytest torch==2.13.0
-	cd tests && "$(CURDIR)/build/torch/bin/python" -m pytest front_ends/test_torch.py
+	cd tests && "$(CURDIR)/build/torch/bin/python" -m pytest public/derivatives/test_torch.py
 
 # What depends most on other packages, with the lowest versions that pyproject.toml permits, and with the newest, also
 # those that are not yet released.
-DEPENDENT := test_typical_session.py test_core_alone.py test_cli.py files/test_archives.py files/test_load.py \
+DEPENDENT := public/command/test_typical_session.py test_core_alone.py test_cli.py files/test_archives.py files/test_load.py \
 	files/test_output.py files/test_export.py files/test_hostile_files.py \
 	pictures/test_solution_picture.py pictures/test_movies.py pictures/test_kinds.py runs/test_integrate.py \
-	runs/test_functions_in_python.py algebra front_ends
+	runs/test_functions_in_python.py algebra public/derivatives/test_jax.py public/derivatives/test_xla.py
 EXTRAS := functions,io,plot,cli,precision,algebra,fluids,cluster,jax
 
 minimum: VERSIONS := --constraint tests/minimum_versions.txt

@@ -40,7 +40,7 @@ OMITTED = ["--ignore=tests/internal/kernels/test_build.py", "--ignore=tests/publ
 OMITTED += ["--ignore=tests/public/runs/test_memory_limits.py"]  # sanitizers reserve terabytes of addresses
 COMMANDS = {
     "address": [
-        [*PYTEST, *OMITTED, "-n", "2", "tests/internal/kernels", "tests/methods", "tests/public", "tests/choosing"],
+        [*PYTEST, *OMITTED, "-n", "2", "tests/internal", "tests/public/runs", "tests/public/accuracy"],
         ["-m", "random_runs.soak", "1000000", "300", "--limit", "1200", "--jobs", "2"],
     ],
     "threads": [

@@ -100,7 +100,7 @@ class OneLineError(ValueError):
         super().__init__(in_one_line(message, MAX_MESSAGE_LENGTH))
 
 
-MAX_MESSAGE_LENGTH = 900
+MAX_MESSAGE_LENGTH = 900  # characters: some lines of a terminal, whatever the value that is named
 MAX_LISTED_NAMES = 50
 """Maximum number of names listed in a message."""
 

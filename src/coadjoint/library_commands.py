@@ -17,7 +17,7 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
 from coadjoint.validation import read_choice
 
-MAX_NUMBER_LENGTH = 60
+MAX_NUMBER_LENGTH = 60  # characters of a parameter, which is read as an exact fraction
 
 
 @click.command("systems")

@@ -14,8 +14,8 @@ UNCHECKED_BYTES = 2**26
 RELEASED_SIZE = 2**18
 """Dimension above which memory freed in the preparation of a system and of its runs is returned to the system."""
 
-NO_LIMIT = 2**62
-MAX_CACHED_SIZE = 2**16
+NO_LIMIT = 2**62  # bytes: more than any machine has, and still a number of 64 bits
+MAX_CACHED_SIZE = 2**16  # entries: half a megabyte of an array is kept, larger ones are computed again
 
 Arrays = TypeVar("Arrays")
 

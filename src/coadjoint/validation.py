@@ -22,8 +22,8 @@ REAL_KINDS = "iuf"
 FLOAT64 = np.dtype(np.float64)
 SMALL_SIZE = 64  # up to this many numbers plain Python is faster than NumPy
 UNCHECKED_SIZE = 2**16  # up to this many numbers memory is not checked
-MAX_TITLE_LENGTH = 200
-BYTES_PER_ENTRY = 64
+MAX_TITLE_LENGTH = 200  # characters of a name, so that messages that contain two stay readable
+BYTES_PER_ENTRY = 64  # of a list: a pointer and an object of Python
 MAX_DIMENSIONS = 32  # maximum of an object array whose entries can be examined
 MAX_DEPTH = 64  # maximum depth of nested lists: that of array dimensions
 

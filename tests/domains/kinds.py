@@ -1,8 +1,9 @@
-"""Kinds of documented domains, each as values just inside and values just outside."""
+"""Documented domains of parameters, each as values just inside and values just outside."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,6 +38,36 @@ class Domain:
     def first(self, *inside: Any) -> Domain:
         """Take other values inside."""
         return Domain(inside, self.outside, self.called)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A constructor with the domain of each parameter.
+
+    `then` is applied to what it makes, where a value can be checked only on a system, before the first step; `usual`
+    are values of the other parameters that differ from the first ones inside.
+    """
+
+    make: Callable[..., Any]
+    domains: Mapping[str, Domain]
+    then: Callable[[Any], Any] | None = None
+    usual: Mapping[str, Any] | None = None
+
+    def arguments(self) -> dict[str, Any]:
+        return {name: domain.inside[0] for name, domain in self.domains.items()} | dict(self.usual or {})
+
+    def __call__(self, **given: Any) -> Any:
+        made = self.make(**given)
+        return made if self.then is None else self.then(made)
+
+
+JUNK = (None, "", 1.0, True, 1j, [], {})
+
+
+def structured(inside: tuple[Any, ...], outside: tuple[Any, ...], called: str | None = None, keep: Any = ()) -> Domain:
+    """Values with a structure of their own; `keep` are those of `JUNK` that are inside."""
+    kept = {repr(value) for value in keep}
+    return Domain(inside, (*outside, *(value for value in JUNK if repr(value) not in kept)), called)
 
 
 def real(usual: float = 0.5) -> Domain:

@@ -9,172 +9,110 @@ from fractions import Fraction
 import numpy as np
 
 import coadjoint as co
-from domains.case import Case
-from domains.kinds import Domain, choice, instance, optional, real, title, whole
+from domains.kinds import Case, Domain, choice, instance, optional, real, structured, title, whole
 
-SO3, SL2 = co.algebras.so(3), co.algebras.sl(2)
-NAMES = Domain(
-    (None, ("a", "b", "c"), ["x", "y", "z"]),
-    (("a", "b"), ("a", "a", "b"), ("a", "b", 3), "", 3, 1j, True, ("", "b", "c")),
+SO3, SL2, UNIT = co.algebras.so(3), co.algebras.sl(2), np.eye(3)
+ROTATIONS, E3 = SO3.representation, co.algebras.e(3)
+NAMES = structured(
+    (None, ("a", "b", "c"), ["x", "y", "z"]), (("a", "b"), ("a", "a", "b"), ("a", "b", 3)), keep=(None, [], {})
 )
-UNIT = np.eye(3)
-ROTATIONS = SO3.representation
-MATRIX = Domain(
-    (UNIT, 2 * UNIT, [[1, 1, 0], [0, 1, 0], [0, 0, Fraction(1, 3)]]),
-    (np.zeros((3, 3)), np.ones((3, 3)), np.eye(2), np.eye(4), UNIT[:2], np.ones(3), np.full((3, 3), math.nan),
-     np.full((3, 3), math.inf), UNIT * 1j,
-     UNIT > 0, UNIT.astype(str), [], None, "", 1.0, True, [[1.0], [1.0, 2.0]]),
+TWO_NAMES = structured((None, ("a", "b")), (("a",), ("a", "a"), ("a", 1)), keep=(None, [], {}))
+MATRIX = structured(
+    (UNIT, [[1, 1, 0], [0, 1, 0], [0, 0, Fraction(1, 3)]]),
+    (np.zeros((3, 3)), np.ones((3, 3)), np.eye(2), UNIT[:2], np.ones(3), UNIT * math.nan, UNIT * 1j, UNIT > 0),
     r"\bnew basis\b",
-)  # fmt: skip
-REPRESENTATION = Domain(
-    (None, ROTATIONS),
-    (
-        2 * ROTATIONS,
-        ROTATIONS[:2],
-        np.ones((3, 3)),
-        np.full((3, 3, 3), math.nan),
-        ROTATIONS * 1j,
-        [],
-        "",
-        1.0,
-        True,
-        np.ones((3, 2, 3)),
-    ),
 )
-CASIMIRS = Domain(
+REPRESENTATION = structured(
+    (None, ROTATIONS),
+    (2 * ROTATIONS, ROTATIONS[:2], np.ones((3, 2, 3)), ROTATIONS * math.nan, ROTATIONS * 1j),
+    keep=(None, {}),
+)
+CASIMIRS = structured(
     (None, {}, {"C": co.Polynomial({(0, 2): 1})}, {"C": co.Invariant(lambda x: x[0])}),
-    ([], "C", 1.0, True, {"C": 1.0}, {"C": None}, {1: co.Polynomial({(0, 2): 1})},
-     {"C": co.Polynomial({(0, 0, 2): 1})}),
+    ({"C": 1.0}, {"C": None}, {1: co.Polynomial({(0, 2): 1})}, {"C": co.Polynomial({(0, 0, 2): 1})}),
+    keep=(None, "", {}),
+)
+CONSTANTS = structured(
+    ([(0, 1, 1, 1.0)], [], [(0, 1, 0, 2), (1, 0, 0, -2)], np.zeros((2, 2, 2))),
+    ([(0, 1, 2, 1.0)], [(-1, 1, 0, 1.0)], [(0, 0, 1, 1.0)], [(0, 1, 1, math.nan)], [(0, 1, 1, 1j)], [(0, 1, 1, "1")],
+     [(0, 1, 1)], [(0, 1.5, 1, 1.0)], [(0, 1, 0, 2), (1, 0, 0, 2)], np.ones((2, 2, 2)), np.zeros((2, 2, 3))),
+    r"\bconstants?\b|\[e1, e[12]\]", keep=([], {}),
 )  # fmt: skip
-TRIPLES = [(0, 1, 1, 1.0)]
-CONSTANTS = Domain(
-    (TRIPLES, [], [(0, 1, 0, 2), (1, 0, 0, -2)], np.zeros((2, 2, 2))),
-    ([(0, 1, 2, 1.0)], [(-1, 1, 0, 1.0)], [(0, 0, 1, 1.0)], [(0, 1, 1, math.nan)], [(0, 1, 1, math.inf)],
-     [(0, 1, 1, 1j)],
-     [(0, 1, 1, "1")], [(0, 1, 1, True)], [(0, 1, 1)], [(0, 1.5, 1, 1.0)], [(0, 1, 0, 2), (1, 0, 0, 2)],
-     np.ones((2, 2, 2)),
-     np.ones((2, 2)), np.zeros((2, 2, 3)), None, 1.0, "", "x", True, 1j),
-    r"\bconstants?\b|\[e1, e[12]\]",
-)  # fmt: skip
-BRACKETS = Domain(
+BRACKETS = structured(
     ({(0, 1): {1: 1.0}}, {}, {(1, 0): {0: 2}}, ["[e1, e2] = e2"]),
     ({(0, 1): {2: 1.0}}, {(0, 0): {1: 1.0}}, {(-1, 1): {0: 1.0}}, {(0, 1): {1: math.nan}}, {(0, 1): {1: 1j}},
-     {(0, 1): 1.0},
-     {(0, 1): {1: True}}, {0: {1: 1.0}}, {(0, 1): {1: "1"}}, ["[e1, e3] = e2"], ["e1 = e2"], [""], 1.0, "", True, 1j),
-    r"\bbrackets?\b|\bconstants?\b|\[e1, e1\]",
+     {(0, 1): 1.0}, {(0, 1): {1: True}}, {0: {1: 1.0}}, ["[e1, e3] = e2"], ["e1 = e2"], [""]),
+    r"\bbrackets?\b|\bconstants?\b|\[e1, e1\]", keep=(None, [], {}),
 )  # fmt: skip
-VECTORS = Domain(
-    (["e1"], [[1, 0, 0]], np.array([[0.0, 0.5, 1.0]]), np.eye(3)),
-    (np.eye(3)[:2], ["e1", "e2"], ["e1", "e1"], ["e4"], ["e1", 2], np.zeros((1, 3)), [[1, 0]], [1, 0, 0],
-     [[math.nan, 0, 1]],
-     [[1j, 0, 0]], [[True, False, False]], [], "", "e1", None, 1.0, True),
-    r"\bsubalgebra\b|\bvectors?\b",
+VECTORS = structured(
+    (["e1"], [[1, 0, 0]], np.array([[0.0, 0.5, 1.0]]), UNIT),
+    (UNIT[:2], ["e1", "e2"], ["e1", "e1"], ["e4"], ["e1", 2], np.zeros((1, 3)), [[1, 0]], [[1j, 0, 0]]),
+    r"\bsubalgebra\b|\bvectors?\b", keep=({},),
 )  # fmt: skip
-IDEAL = Domain(
+IDEAL = structured(
     (["e4", "e5", "e6"], np.eye(6)[3:], [[0, 0, 0, 0, 0, 2], [0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 1, 1]]),
-    (np.eye(6)[:3], ["e1", "e2", "e3"], ["e4"], np.eye(6), ["e4", "e4", "e5"], ["e7"], np.eye(5)[:2],
-     np.zeros((1, 6)), "", "e4",
-     np.full((3, 6), math.nan), np.eye(6)[3:] * 1j, None, 1.0, True),
+    (np.eye(6)[:3], ["e4"], np.eye(6), ["e4", "e4", "e5"], ["e7"], np.eye(5)[:2], np.zeros((1, 6)), np.eye(6)[3:] * 1j),
+    keep=([], {}),
 )  # fmt: skip
-
-MATRICES = Domain(
-    ([[[1, 0], [0, 0]], [[0, 1], [0, 0]]], np.array([[[1, 0], [0, 0]], [[0, 1j], [0, 0]]]),
-     [[[Fraction(1, 3), 0], [0, 0]], [[0, 1], [0, 0]]]),
+MATRICES = structured(
+    ([[[1, 0], [0, 0]], [[0, 1], [0, 0]]], [[[Fraction(1, 3), 0], [0, 0]], [[0, 1], [0, 0]]]),
     (np.ones((2, 2, 2)), np.ones((2, 2)), np.ones((5, 2, 2)), np.ones((2, 2, 3)), np.full((2, 2, 2), math.nan),
-     np.zeros((2, 2, 2)), [np.eye(2), np.eye(3)], np.ones((2, 2, 2)) > 0, [[["a"]]], [], None, "", 1.0, True, 1j),
-    r"\bmatri(x|ces)\b",
+     np.zeros((2, 2, 2)), [np.eye(2), UNIT], np.ones((2, 2, 2)) > 0, [[["a"]]]),
+    r"\bmatri(x|ces)\b", keep=({},),
 )  # fmt: skip
-
 A_LIE_ALGEBRA = instance(SO3, SL2).but_called(r"\bLieAlgebras?\b")
+TITLE = optional(title("g"))
+DIM = whole(2, tried=3).but_called(r"\bdim\b|\bindex j = 1\b")
 
 ALGEBRAS = {
     "A3_7": Case(co.algebras.A3_7, {"a": real(2.0).plus(Fraction(1, 3))}),
     "change_of_basis": Case(co.algebras.change_of_basis, {"g": A_LIE_ALGEBRA, "matrix": MATRIX, "basis": NAMES}),
     "copies": Case(co.algebras.copies, {"g": A_LIE_ALGEBRA, "count": whole(1, usual=2)}),
     "direct_sum": Case(lambda algebras: co.algebras.direct_sum(SL2, algebras), {"algebras": A_LIE_ALGEBRA}),
-    "e": Case(co.algebras.e, {"n": whole(2)}),
-    "gl": Case(co.algebras.gl, {"n": whole(1)}),
-    "heisenberg": Case(co.algebras.heisenberg, {"n": whole(1)}),
-    "quotient": Case(
-        co.algebras.quotient, {"g": A_LIE_ALGEBRA.first(co.algebras.e(3)), "ideal": IDEAL}
-    ),
-    "se": Case(co.algebras.se, {"n": whole(2)}),
-    "semidirect": Case(
-        co.algebras.semidirect,
-        {
-            "g": A_LIE_ALGEBRA.first(SO3),
-            "representation": REPRESENTATION,
-            "ideal": optional(instance(SO3).but_called("LieAlgebra|ideal|Jacobi")).plus(outside=(SL2,
-                co.algebras.so(4))),
-        },
-    ),
-    "sl": Case(co.algebras.sl, {"n": whole(2)}),
+    **{name: Case(getattr(co.algebras, name), {"n": whole(least)}) for name, least in {"e": 2, "gl": 1, "heisenberg":
+        1, "se": 2, "sl": 2, "su": 2, "u": 1}.items()},
+    "quotient": Case(co.algebras.quotient, {"g": A_LIE_ALGEBRA.first(E3), "ideal": IDEAL}),
+    "semidirect": Case(co.algebras.semidirect, {
+        "g": A_LIE_ALGEBRA.first(SO3),
+        "representation": REPRESENTATION,
+        "ideal": optional(instance(SO3).but_called("LieAlgebra|ideal|Jacobi")).plus(outside=(SL2, co.algebras.so(4))),
+    }),
     "so": Case(co.algebras.so, {"n": whole(2), "q": whole(0)}),
     "sp": Case(co.algebras.sp, {"size": whole(2, tried=4).plus(outside=(0, 3, 5))}),
-    "su": Case(co.algebras.su, {"n": whole(2)}),
-    "subalgebra": Case(
-        co.algebras.subalgebra, {"g": A_LIE_ALGEBRA.first(SO3), "vectors": VECTORS, "basis": NAMES},
-        usual={"vectors": UNIT}
-    ),
-    "u": Case(co.algebras.u, {"n": whole(1)}),
-    "LieAlgebra": Case(
-        co.LieAlgebra,
-        {
-            "constants": CONSTANTS,
-            "dim": whole(2, tried=3).but_called(r"\bdim\b|\bindex j = 1\b"),
-            "basis": Domain((None, ("a", "b")), (("a",), ("a", "a"), ("a", 1), "", 1.0, True, 1j, ("", "b"))),
-            "name": optional(title("g")),
-            "representation": Domain((None, co.algebras.get("A2_1").representation),
-                                     (np.ones((2, 2, 2)), np.ones((2, 2)), np.ones((3, 2, 2)),
-                                      np.full((2, 2, 2), math.nan), "", 1.0,
-                                      True, [], np.ones((2, 2, 2)) * 1j)),
-            "casimirs": CASIMIRS,
-        },
-    ),
-    "LieAlgebra.from_brackets": Case(
-        co.LieAlgebra.from_brackets,
-        {
-            "dim": whole(2, tried=3).but_called(r"\bdim\b|\bindex j = 1\b").plus(outside=(["[a, b]"], ["a"])),
-            "brackets": BRACKETS,
-            "basis": Domain((None, ("a", "b")), (("a",), ("a", "a"), ("a", 1), "", 1.0, True, 1j, ("", "b"))),
-            "name": optional(title("g")),
-            "representation": Domain((None,), (np.ones((2, 2, 2)), np.ones((2, 2)), "", 1.0, True, [])),
-            "casimirs": CASIMIRS,
-        },
-    ),
-    "LieAlgebra.from_matrices": Case(
-        co.LieAlgebra.from_matrices,
-        {
-            "matrices": MATRICES,
-            "basis": Domain((None, ("a", "b")), (("a",), ("a", "a"), ("a", 1), "", 1.0, True, 1j, ("", "b"))),
-            "name": optional(title("g")),
-            "casimirs": CASIMIRS,
-        },
-    ),
-    "LieAlgebra.closure": Case(
-        co.LieAlgebra.closure,
-        {
-            "matrices": MATRICES,
-            "basis": Domain((None, ("a", "b")), (("a",), ("a", "a"), ("a", 1), "", 1.0, True, 1j, ("", "b"))),
-            "name": optional(title("g")),
-        },
-    ),
-    "MatrixAlgebra": Case(
-        co.MatrixAlgebra,
-        {
-            "kind": choice("u", "su", "so", "gl", "sl", "sp", "gl(C)", "sl(C)", "so(C)", "sp(C)").plus(
-                outside=("U", "SO", "sum")
-            ).but_called("kind|sum|blocks"),
-            "N": whole(2, 4096, usual=4, tried=6),
-            "q": whole(0, 4, tried=4),
-            "blocks": Domain(((),), (None, [], 1.0, "", "so", True, (1.0,), (co.MatrixAlgebra("so", 3),), 1j)),
-        },
-        usual={"kind": "so", "q": 0},
-    ),
-    "MatrixAlgebra.sum": Case(
-        lambda algebras: co.MatrixAlgebra.sum(co.MatrixAlgebra("so", 3), algebras),
-        {"algebras": instance(co.MatrixAlgebra("so", 2), co.MatrixAlgebra("so", 4))},
-    ),
+    "subalgebra": Case(co.algebras.subalgebra, {
+        "g": A_LIE_ALGEBRA.first(SO3),
+        "vectors": VECTORS,
+        "basis": NAMES,
+    }, usual={"vectors": UNIT}),
+    "LieAlgebra": Case(co.LieAlgebra, {
+        "constants": CONSTANTS,
+        "dim": DIM,
+        "basis": TWO_NAMES,
+        "name": TITLE,
+        "casimirs": CASIMIRS,
+        "representation": structured((None, co.algebras.get("A2_1").representation), (np.ones((2, 2, 2)), np.ones((2,
+            2))), keep=(None, {})),
+    }),
+    "LieAlgebra.from_brackets": Case(co.LieAlgebra.from_brackets, {
+        "dim": DIM.plus(outside=(["[a, b]"], ["a"])),
+        "brackets": BRACKETS,
+        "basis": TWO_NAMES,
+        "name": TITLE,
+        "casimirs": CASIMIRS,
+    }),
+    "LieAlgebra.from_matrices": Case(co.LieAlgebra.from_matrices, {
+        "matrices": MATRICES,
+        "basis": TWO_NAMES,
+        "name": TITLE,
+        "casimirs": CASIMIRS,
+    }),
+    "LieAlgebra.closure": Case(co.LieAlgebra.closure, {"matrices": MATRICES, "basis": TWO_NAMES, "name": TITLE}),
+    "MatrixAlgebra": Case(co.MatrixAlgebra, {
+        "kind": choice("u", "su", "so", "gl", "sl", "sp", "gl(C)", "sl(C)", "so(C)", "sp(C)").plus(outside=("U", "SO",
+            "sum")).but_called("kind|sum|blocks"),
+        "N": whole(2, 4096, usual=4, tried=6),
+        "q": whole(0, 4, tried=4),
+    }, usual={"kind": "so", "q": 0}),
 }  # fmt: skip
 
 BELOW, ABOVE = math.nextafter(1.0, 0.0), math.nextafter(1.0, 2.0)

@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 import coadjoint as co
-from domains.case import Case
-from domains.kinds import Domain, not_negative, optional, positive, real, vector, whole
+from domains.kinds import Case, Domain, not_negative, optional, positive, real, vector, whole
 
 SPHERE, TORUS = co.systems.sphere_euler(N=8), co.systems.torus_euler(N=9)
 HALF = math.pi / 2

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
+import datetime
+import json
 import math
 import random
 import tomllib
+from functools import cache
 from pathlib import Path
 
-from coadjoint import forces, systems
-from coadjoint.methods import registry
+import coadjoint as co
 
-from .plausible import gently, plausible
-from .wild import EXECUTED, FORMULAS, KEYS, NUMBERS, PLACES, SUFFIXES, TEXTS, any_name, wild
-from .written import toml
+from .values import EXECUTED, FORMULAS, KEYS, NUMBERS, PLACES, SUFFIXES, TEXTS, any_name, wild
 
+MAX_STEPS = 40
 EXAMPLES = Path(__file__).parents[2] / "examples"
 FLUID = "system = {name = 'torus_euler', parameters = {N = 5}}\nmethod = {name = 'IsospectralGauss', stages = 1}\n"
 FURTHER = (
@@ -66,11 +68,25 @@ def draw(seed):
     table = plausible(chosen) if kind < 0.5 else copy.deepcopy(chosen.choice(_BASES))
     for _ in range(chosen.choice((0, 1, 1, 2) if kind < 0.5 else (1, 1, 1, 2, 3, 5))):
         chosen.choice(_GENTLE if kind < 0.6 else _CHANGES)(chosen, table)
-    text = toml(table).encode("utf-8", "surrogatepass")
+    text = toml(_short(table)).encode("utf-8", "surrogatepass")
     if kind > 0.9:
         for _ in range(chosen.choice((1, 1, 2, 5, 30))):
             text = _other_bytes(chosen, text)
     return text
+
+
+def _short(table):
+    """Cut a run of many steps, whatever the table contains otherwise."""
+    run = table.get("run")
+    span, step = (run.get("t_span"), run.get("step")) if isinstance(run, dict) else (None, None)
+    if (
+        isinstance(span, list)
+        and len(span) == 2
+        and all(type(v) in (int, float) and abs(v) < 1e300 for v in (*span, step))
+    ):
+        if step and abs(span[1] - span[0]) > MAX_STEPS * abs(step):
+            run["t_span"] = [span[0], span[0] + math.copysign(MAX_STEPS * abs(step), span[1] - span[0])]
+    return table
 
 
 def _slots(table, inside=()):
@@ -156,13 +172,13 @@ def _of_one_name(chosen, table):
     """Replace a system, scheme, algebra, force or state by name, with the parameters of the old one."""
     kind = chosen.choice(("system", "method", "algebra", "forces", "initial", "method", "system"))
     if kind == "system":
-        table["system"] = {**_table(table.get("system")), "name": chosen.choice(systems.names())}
+        table["system"] = {**_table(table.get("system")), "name": chosen.choice(co.systems.names())}
     elif kind == "method":
-        table["method"] = {**_table(table.get("method")), "name": chosen.choice(registry.names())}
+        table["method"] = {**_table(table.get("method")), "name": chosen.choice(co.methods.names())}
     elif kind == "algebra":
         table["algebra"] = {**_table(table.get("algebra")), "name": any_name(chosen)}
     elif kind == "forces":
-        table["forces"] = [{"name": chosen.choice(forces.names()), chosen.choice(("rate", "alpha", "nu")): 0.1}]
+        table["forces"] = [{"name": chosen.choice(co.forces.names()), chosen.choice(("rate", "alpha", "nu")): 0.1}]
     else:
         table["initial"] = {**_table(table.get("initial")), "kind": chosen.choice(("random", "zonal_jet", "from_file"))}
 
@@ -211,6 +227,158 @@ def _other_bytes(chosen, text):
         b"[[" * 200,
     )
     return text[:at] + chosen.choice(extra) + text[at:]
+
+
+SMALL = {"sphere_euler": {"N": 5}, "torus_euler": {"N": 5}, "reduced_mhd": {"N": 3}, "passive_scalar": {"N": 3}}
+FORCES = (
+    {"name": "LinearDamping", "rate": 0.1},
+    {"name": "DoubleBracketDamping", "alpha": 0.1},
+    {"name": "HeatBath", "alpha": 0.1, "temperature": 0.1, "seed": 3},
+    {"name": "Viscosity", "nu": 0.1},
+    {"name": "BetaPlane", "beta": 0.1},
+    {"name": "Friction", "rate": 0.1},
+    {"name": "RandomForcing", "energy_rate": 0.1, "band": [1, 2], "seed": 1},
+)
+LEAST = {
+    "Composition": {"base": co.Splitting(), "coefficients": (1.0,)},
+    "Projected": {"base": co.GaussLegendre(1)},
+    "ReversibleSteps": {"base": co.Splitting()},
+    "Forced": {"base": co.Splitting()},
+}
+FACTORS = (-1, 0, 0.5, 2, 3, 10, 1e3, 1e-3, 1e8, 1e-8, 1e150, 1e-150, 1e300)
+
+
+@cache
+def system_of(name):
+    return co.systems.get(name, **SMALL.get(name, {}))
+
+
+@cache
+def schemes():
+    """Return the names and parameters of the examples of all schemes."""
+    return [table for name in co.methods.names() for one in type(co.methods.get(name, **LEAST.get(name, {}))).examples()
+            if (table := described(one))]  # fmt: skip
+
+
+def described(method):
+    """Return the table of a scheme, or None if a parameter is neither a number nor a text nor a scheme."""
+    parameters = {}
+    for field in dataclasses.fields(method):
+        value = getattr(method, field.name)
+        value = described(value) if isinstance(value, co.methods.Method) else value
+        if value is not None and not isinstance(value, bool | int | float | str | tuple | dict):
+            return None
+        parameters[field.name] = value
+    return {"name": type(method).__name__, **without_none(parameters)}
+
+
+def plausible(chosen):
+    """Return a configuration as tables."""
+    name = chosen.choice(co.systems.names())
+    system = system_of(name)
+    table = {
+        "system": {"name": name, "parameters": dict(SMALL.get(name, {}))},
+        "initial": {"x": _states(chosen, system)},
+        "method": chosen.choice(schemes()),
+        "run": {"t_span": chosen.choice(([0, 1], [1.0, -1.0], [0, 0.0625])), "step": 0.0625},
+    }
+    if isinstance(system, co.MatrixSystem) and "random" in getattr(system, "states_by_name", ()):
+        table["initial"] = {"kind": "random", "seed": 1, "degrees": [1, 2]}
+    if isinstance(system, co.MatrixSystem):
+        table["method"] = {"name": chosen.choice(("IsospectralGauss", "ExplicitRungeKutta", "LineSplitting"))}
+    further = {
+        "save_every": lambda: table["run"].update(save_every=chosen.choice((1, 3, 100))),
+        "t_eval": lambda: table["run"].update(t_eval=chosen.choice(([0.03, 0.25], [0.25, 0.03]))),
+        "watch": lambda: table["run"].update(watch=False),
+        "threads": lambda: table["run"].update(threads=chosen.choice((1, 2, 100))),
+        "attitude": lambda: table["initial"].update(attitude=chosen.choice((True, "coadjoint", [[1, 0], [0, 1]]))),
+        "forces": lambda: table.update(forces=[dict(chosen.choice(FORCES)) for _ in range(chosen.choice((1, 1, 2)))]),
+        "observe": lambda: table.update(observe={"a": "x1^2", "b": "x2 - 1"}),
+        "events": lambda: table.update(events={"a": {"g": chosen.choice((0, "x1", "x1*x2 - 0.1")), "count": 3}}),
+        "output": lambda: table.update(
+            output={chosen.choice(("file", "archive")): chosen.choice(("run.nc", "run.zarr"))}
+        ),
+        "figure": lambda: table.update(output={"figure": "run.png"}),
+        "sweep": lambda: table.update(sweep=_sweep(chosen, table)),
+    }
+    likely = (*list(further)[:-3], *list(further)[:-3], *list(further)[-3:])
+    for key in {chosen.choice(likely) for _ in range(chosen.choice((0, 1, 2, 3)))}:
+        if key != "figure" or chosen.random() < 0.1:  # figures take a second
+            further[key]()
+    return table
+
+
+def without_none(value):
+    """Return a description without None, which TOML does not have."""
+    if isinstance(value, dict):
+        return {key: without_none(entry) for key, entry in value.items() if entry is not None}
+    if isinstance(value, list | tuple):
+        return [without_none(entry) for entry in value if entry is not None]
+    return value
+
+
+def _states(chosen, system):
+    shape = getattr(system, "shape", None) or (system.dim,)
+    if isinstance(system, co.MatrixSystem):
+        return [[0.0 if i == j else (i - j) / 10 for j in range(shape[-1])] for i in range(shape[-2])]
+    one = [round(chosen.uniform(-1, 1), 3) for _ in range(system.dim)]
+    return [one, one[::-1]] if chosen.random() < 0.3 else one
+
+
+def _sweep(chosen, table):
+    place = chosen.choice(("initial.x[0]", "initial.x", "initial.x[0][0]", "system.parameters.N", "forces[0].rate"))
+    settings = (
+        [0.5, 0.25],
+        {"linear": [0.5, 1.0], "count": 3},
+        {"uniform": [0.0, 1.0]},
+        {"sphere": 1.0},
+        {"orbit": 0.1},
+        {"file": "states.npy"},
+        {"normal": [0.0, 1.0]},
+    )
+    over = {place: chosen.choice(settings)}
+    drawn = {"samples": 2, "seed": 1} if chosen.random() < 0.6 else {}
+    return {"over": over, **drawn}
+
+
+def gently(chosen, value):
+    """Return a similar number, a list of another length, or the value itself."""
+    if isinstance(value, bool) or value is None:
+        return value
+    if isinstance(value, int):
+        return chosen.choice(
+            (value + 1, value - 1, 2 * value, -value, 0, 10 * value, max(-(10**9), min(value, 10**9)) + 0.0)
+        )
+    if isinstance(value, float):
+        return value * chosen.choice(FACTORS)
+    if isinstance(value, list) and value:
+        return chosen.choice((value[:-1], [*value, value[-1]], value[::-1], [value[0]] * len(value), [value, value]))
+    return value
+
+
+def toml(table):
+    """Return the TOML text of a table, one key per line, inner tables inline."""
+    return "".join(f"{quoted(key)} = {value(entry)}\n" for key, entry in table.items())
+
+
+def value(entry):
+    if isinstance(entry, bool):
+        return str(entry).lower()
+    if isinstance(entry, float):
+        return "nan" if math.isnan(entry) else f"{'-' if entry < 0 else ''}inf" if math.isinf(entry) else repr(entry)
+    if isinstance(entry, int):
+        return str(entry) if abs(entry) < 10**4000 else f"0x{entry:x}"
+    if isinstance(entry, str):
+        return quoted(entry)
+    if isinstance(entry, datetime.date):
+        return entry.isoformat()
+    if isinstance(entry, list):
+        return f"[{', '.join(map(value, entry))}]"
+    return f"{{{', '.join(f'{quoted(key)} = {value(one)}' for key, one in entry.items())}}}"
+
+
+def quoted(text):
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 _BASES = bases()

@@ -24,8 +24,8 @@ CONSTANT_STEP_RATIO, MIN_PREDICTED_STEPS = 1.25, 12.0
 MAX_ADVANTAGE = 4.0
 TYPICAL_ADVANTAGE = 2.5
 MIN_ITERATIONS = 10.0
-MIN_ORDER_DIFFERENCE = 4
-MIN_ERROR = 2.0**-1000
+MIN_ORDER_DIFFERENCE = 4  # of two series, so that rounding of their fits hardly moves the model
+MIN_ERROR = 2.0**-1000  # relative error in place of zero, of which no logarithm exists
 
 
 class SeriesErrorModel:

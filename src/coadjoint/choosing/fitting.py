@@ -10,12 +10,12 @@ from coadjoint.choosing.candidates import Candidate
 from coadjoint.choosing.pilot import REFERENCE, Pilot, Trial
 from coadjoint.choosing.roundoff import ROUNDING_MARGIN, ROUNDING_SHARE, roundoff
 
-MAX_TRIALS = 10
+MAX_TRIALS = 10  # runs of one scheme; most take two or three
 # Largest cost of a trial, in rotations (30 ms), for any accuracy; smaller steps are extrapolated by the order.
 MAX_TRIAL_COST = 3e6
 # Largest cost of the confirmation of a choice, which may be repeated.
 MAX_CONFIRMATION_COST = 16 * MAX_TRIAL_COST
-MAX_CORRECTIONS = 6
+MAX_CORRECTIONS = 6  # runs of a confirmation, each with STEP_INCREASE times the steps or more
 # Factor on the number of steps where the order does not predict the error.
 STEP_INCREASE = 1.2
 # Smallest ratio of a measurable truncation error to rounding and to the error of the reference.

@@ -44,7 +44,7 @@ REPETITIONS = 3
 NEGLIGIBLE_ROUNDING = 2.0**-14
 # Largest initial step of the search, in radians at the initial rate.
 MAX_INITIAL_ANGLE = 2.0
-MIN_STEP_FRACTION = 2.0**-60
+MIN_STEP_FRACTION = 2.0**-60  # of the span: smaller steps would not change the time
 # Steps of the reference in a window, for dimensions up to 16; proportionally fewer above, but at least POINTS / 5.
 WINDOW_STEPS = 240
 # Tolerance on the length of its steps: 240 steps serve where 256 were needed.
@@ -53,8 +53,8 @@ STEP_LENGTH_TOLERANCE = 1.07
 MAX_WHOLE_WINDOWS = 2.5
 # Relative change of the initial state whose growth is measured.
 PERTURBATION = 2.0**-30
-MAX_PERTURBATION_GROWTH = 0.1
-SEED = 1993
+MAX_PERTURBATION_GROWTH = 0.1  # relative change of the state beyond which the growth is not that of small changes
+SEED = 1993  # of the directions of the changes, so that choices are reproducible
 
 # Growth faster than t^2.5 in both doublings of time counts as exponential.
 EXPONENTIAL_RATIO = 2.0**2.5

@@ -12,7 +12,7 @@ from coadjoint.choosing.fitting import LARGE_ERROR, MEASURABLE_RATIO, Fit
 from coadjoint.choosing.pilot import Pilot, Trial
 from coadjoint.choosing.roundoff import roundoff
 
-MAX_TRIALS = 6
+MAX_TRIALS = 6  # runs of one scheme, each with another tolerance; most take two
 # Accepted ratio of the target error to the error.
 GOAL_RATIO = 4.0
 # Largest factor between the tolerances of consecutive trials.

@@ -13,7 +13,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.stepper import stepper
 from coadjoint.systems.examples.paper_examples import paper_a37, paper_rigid_body
 
-TIME = 0.1
+TIME = 0.1  # one step of the example
 STAGES = 8  # of order 16; a step of 0.1 is the exact motion to round-off
 CONVERGED_ITERATIONS = 40  # each reduces the error by a factor of the step
 

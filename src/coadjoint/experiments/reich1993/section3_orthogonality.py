@@ -20,9 +20,9 @@ from coadjoint.runs.integrate import integrate
 from coadjoint.runs.stepper import stepper
 from coadjoint.systems.examples.paper_examples import paper_rigid_body
 
-STEP = 0.1
+STEP = 0.1  # as in the other sections
 MODIFIED = ModifiedGaussLegendre(stages=1, freeze="structure")
-CONVERGED_ITERATIONS = 60
+CONVERGED_ITERATIONS = 60  # at which the stages no longer change
 
 
 def statements() -> list[Statement]:

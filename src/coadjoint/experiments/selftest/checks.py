@@ -30,10 +30,10 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.integrate import integrate
 from coadjoint.systems.protocol import is_matrix_system
 
-STEP = 1 / 16
+STEP = 1 / 16  # a power of two, so that sums of times are exact
 ORDER_TOLERANCE = 0.5
 """Allowed deficit of the order measured from two finite steps."""
-CERTIFIED_STEPS = 100
+CERTIFIED_STEPS = 100  # enough for a drift to show beside rounding, in a second for all schemes
 MAX_NAME_LENGTH = 32  # characters of the name of a scheme
 CHECK_DESCRIPTIONS = {
     "symmetry": "a step back undoes a step",

@@ -1,0 +1,276 @@
+"""The experiments of Reich (1993) with a reduced setting, and self-tests of what is wrong."""
+
+import dataclasses
+import warnings
+
+import mpmath
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint import cli
+from coadjoint.experiments.reich1993 import reproduce
+from coadjoint.experiments.reich1993.figures import drift_figure
+from coadjoint.experiments.reich1993.section5_spiral import MODIFIED, spiral_run
+from coadjoint.experiments.reich1993.systems import BODY_START, COORDINATES, MIDPOINT, SPLITTING, body_run
+from coadjoint.experiments.selftest import checks, run, subjects
+from coadjoint.experiments.selftest.findings import Finding
+from coadjoint.experiments.statement import FAILS, HOLDS, LIMITED, judge
+from coadjoint.experiments.step_matrices import stage_iterates, step_matrix
+from refusals import refused
+
+# Statements that are not simply confirmed; all others hold.
+EXPECTED = {
+    "flow_poisson": LIMITED,  # the printed transpose is a misprint
+    "stronger_than_energy": FAILS,
+    "no_dissipation": FAILS,
+    "example_3_1_gauss": LIMITED,  # by two different matrices
+    "spiral_parameter": LIMITED,  # a > 1 is not needed
+    "spiral_casimir": LIMITED,  # the principal arctangent jumps
+    "small_phase_errors": LIMITED,  # to t = 2
+    "oscillating_phase": FAILS,
+    "remark_6_1": LIMITED,  # the adjoint is needed
+}
+
+
+def test_reproduction_has_all_verdicts_and_figures(tmp_path):
+    lines = []
+
+    def echo(line):
+        lines.append(line)
+        if len(lines) == 3:
+            warnings.warn("a warning of another kind", UserWarning, stacklevel=1)
+
+    with pytest.warns(UserWarning) as caught:
+        reproduction = reproduce(tmp_path / "new" / "folder", echo, phase_end=100.0, steps=10_000)
+    # Warnings of large steps are lines of the table; any others are passed on.
+    assert [str(warning.message) for warning in caught] == ["a warning of another kind"]
+    assert len(lines) == 10
+    keys = [row.key for row in reproduction.table]
+    assert len(keys) == len(set(keys)) >= 45
+    assert set(EXPECTED) <= set(keys)
+    assert {row.key: row.verdict for row in reproduction.table} == {key: EXPECTED.get(key, HOLDS) for key in keys}
+    for row in reproduction.table:
+        assert all(cell.strip() for cell in row) and "nan" not in row.measured
+        assert any(character.isdigit() for character in row.measured), row.key
+    order = ["flow_poisson", "lemma_3_1_order", "lemma_4_1_poisson", "figure_1", "figure_2", "runge_unacceptable"]
+    assert sorted(order, key=keys.index) == order, "as in the paper"
+    names = [path.name for path in reproduction.figures]
+    assert names == [*(f"figure{i}.png" for i in range(1, 6)), "modified_energies.png", "long_time.png"]
+    for path in reproduction.figures:
+        assert path.read_bytes().startswith(b"\x89PNG") and path.stat().st_size > 20_000
+    table = reproduction.files[0].read_text(encoding="utf-8")
+    assert table.count("\n| ") == len(reproduction.table) + 1
+    assert "3 does not hold" in table
+    large = [line for line in table.splitlines() if line.startswith("- the step ")]
+    assert len(large) == len(set(large)) >= 5
+    assert any("the step 0.1 is too large" in line and "runge2" in line for line in large)
+
+
+@pytest.mark.parametrize("wrong", [{"phase_end": 10.0}, {"phase_end": 60.5}, {"steps": 15_000}, {"steps": 0}])
+def test_wrong_lengths_are_refused(wrong, tmp_path):
+    with refused(ValueError, *wrong):
+        reproduce(tmp_path, lambda line: None, **wrong)
+
+
+@pytest.mark.parametrize(
+    ("method", "expected"),
+    [(MIDPOINT, (0.152, 0.280, 0.678, 1.39, 2.73)), (SPLITTING, (0.020, 0.008, 0.107, 0.198, 0.146))],
+)
+def test_attitude_errors_near_the_separatrix(method, expected):
+    run = body_run(method, BODY_START, 20.0, 0.1)
+    found = [run.angle[run.at(t)] for t in (1.0, 2.0, 5.0, 10.0, 20.0)]
+    # The reference has three digits.
+    assert found == pytest.approx(expected, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("method", "energy", "casimir"), [(COORDINATES, 3.7e-6, None), (MODIFIED, None, 5.5e-5)], ids=["fig1", "fig2"]
+)
+def test_drift_figures(method, energy, casimir):
+    run = spiral_run(method)
+    figure = drift_figure(run, 1, "scheme")
+    for axes in figure.axes:
+        dotted, solid = axes.lines
+        assert (dotted.get_linestyle(), solid.get_linestyle()) == (":", "-")
+        for line, size in ((dotted, energy), (solid, casimir)):
+            largest = np.nanmax(np.abs(line.get_ydata()))
+            # The reference has two digits; others are preserved to round-off: 8 u (5 flows) 2000 steps.
+            assert largest == pytest.approx(size, rel=0.02) if size else largest <= 8 * 2.0**-53 * 5 * 2000
+        assert axes.get_xlim() == (0.0, 20.0)
+    assert figure.axes[1].get_yscale() == "log"
+    assert "dotted" in figure.get_suptitle() and "solid" in figure.get_suptitle()
+
+
+WORDS = {"paper": "p", "criterion": "|x| < 1", "measured": "m, 0.5"}
+
+
+@pytest.mark.parametrize(
+    ("holds", "limited", "verdict"),
+    [(True, False, HOLDS), (True, True, LIMITED), (False, False, FAILS), (False, True, FAILS)],
+)
+def test_verdict(holds, limited, verdict):
+    assert judge("k", "place", "s", holds=holds, limited=limited, **WORDS).verdict == verdict
+
+
+X = np.array([1.0, 2.0, 0.5])
+
+
+H = 0.1
+
+
+@pytest.mark.parametrize("stages", [1, 2, 3])
+@pytest.mark.parametrize("freeze", ["structure", "gradient"])
+def test_step_matrix_reproduces_the_modified_step(stages, freeze):
+    body = co.systems.paper_rigid_body()
+    m = 2 * stages
+    frozen = stage_iterates(body, stages, H, X, m - 1)[-1]
+    B = step_matrix(body, frozen, H, freeze)
+    step = co.stepper(body, co.ModifiedGaussLegendre(stages, m, freeze=freeze), H)(X)
+    # 3 s unknowns by elimination.
+    assert np.linalg.norm(B @ X - step) <= 64 * 2.0**-53 * 3 * stages * np.linalg.norm(X)
+
+
+def test_converged_stages_reproduce_the_gauss_step():
+    body = co.systems.paper_rigid_body()
+    frozen = stage_iterates(body, 2, H, X, 50)[-1]
+    step = co.stepper(body, co.GaussLegendre(2), H)(X)
+    for freeze in ("structure", "gradient"):
+        assert np.linalg.norm(step_matrix(body, frozen, H, freeze) @ X - step) <= 64 * 2.0**-53 * 6 * np.linalg.norm(X)
+
+
+@pytest.mark.parametrize(
+    "found", [Finding("a", 2.0, 1.0), Finding("a", float("nan"), 1.0), Finding("a", 3.4, 3.5, "", True)]
+)
+def test_exit_status_is_1_if_a_check_fails(monkeypatch, capsys, found):
+    monkeypatch.setattr(run, "CHECKS", (lambda: [Finding("good", 0.0, 1.0), found],))
+    assert cli.main(["selftest", "--quiet"]) == 1
+    assert capsys.readouterr().out == f"{found}\n"
+    assert str(found).startswith("FAIL")
+
+
+def test_check_that_raises_has_failed(monkeypatch, capsys):
+    def broken():
+        yield Finding("begun", 0.0, 1.0)
+        raise KeyError("x")
+
+    monkeypatch.setattr(run, "CHECKS", (broken, lambda: [Finding("good", 0.0, 1.0)]))
+    assert cli.main(["selftest"]) == 1
+    output = capsys.readouterr().out
+    assert (
+        "KeyError" in output and "ok    begun" in output and "ok    good" in output and "3 checks, 1 failed" in output
+    )
+
+
+def failing(check):
+    return [found.what for found in check() if not found.passed]
+
+
+@pytest.mark.parametrize("key", ["so(3)", "so(5)", "A3,7"])
+def test_wrong_motion_is_detected(monkeypatch, key):
+    right = subjects.references()
+    monkeypatch.setattr(checks, "references", lambda: {key: right[key] * (1 + 1e-11)})
+    assert failing(checks.motions) == [f"motion on {key}"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Runge(co.methods.StepMethod):
+    """Of order 2, and preserves no Casimir, whatever is declared."""
+
+    explicit, symmetric = True, False
+    order: int = 2
+    casimirs: str = "none"
+
+    def properties(self, system):
+        return co.methods.Properties(poisson=False, energy=False, casimirs=self.casimirs, attitude="none")
+
+    def step(self, system, x, t, h):
+        return x + h * system.vector_field(x + h / 2 * system.vector_field(x, t), t)
+
+
+@pytest.mark.long
+def test_wrong_order_is_detected(monkeypatch):
+    monkeypatch.setattr(checks, "more_schemes", lambda: [Runge(order=3)])
+    monkeypatch.setattr(checks, "supported_systems", lambda method: {"so(3)": subjects.systems()["so(3)"]})
+    (found,) = failing(checks.orders)
+    assert found.startswith("order of Runge(")
+
+
+@pytest.mark.long
+def test_false_property_is_detected(monkeypatch):
+    monkeypatch.setattr(checks, "schemes", lambda: [Runge(casimirs="all")])
+    monkeypatch.setattr(checks, "supported_systems", lambda method: {"so(3)": subjects.systems()["so(3)"]})
+    found = {one.what: one for one in checks.certificates() if not one.passed}
+    assert "Casimirs, 1 times" in found and "Casimir |x|^2" in found["of 1 certificates fail"].where
+
+
+@pytest.mark.parametrize("what", ["threads", "watch"])
+def test_different_bits_are_detected(monkeypatch, what):
+    def other(*given, **named):
+        found = co.integrate(*given, **named)
+        if named.get(what) in (2, False):
+            found.x[-1] = np.nextafter(found.x[-1], 9.0)
+        return found
+
+    monkeypatch.setattr(checks, "integrate", other)
+    monkeypatch.setattr(checks, "more_schemes", lambda: [co.Splitting()])
+    assert [one.split(",")[0].split(":")[0] for one in failing(checks.same_bits)] == [
+        "bits alone" if what == "threads" else "bits saved and watched or not"
+    ]
+
+
+def test_kernels_that_differ_from_python_are_detected(monkeypatch):
+    def other(*given, **named):
+        found = co.integrate(*given, **named)
+        found.x[-1] *= 1 + 1e-12
+        return found
+
+    monkeypatch.setattr(checks, "integrate", other)
+    monkeypatch.setattr(checks, "more_schemes", lambda: [co.Splitting(), co.GaussLegendre(2)])
+    assert failing(checks.interpreted_steps) == ["compiled steps beside Python: 10"]
+
+
+def test_differently_resumed_run_is_detected(monkeypatch):
+    def other(path, t_end):
+        system, method = subjects.systems()["so(3)"], co.Splitting()
+        x0 = np.array([subjects.state_of(system, number) for number in range(2)])
+        return co.integrate(system, x0 * (1 + 2e-16), (0, t_end), checks.STEP, method)
+
+    monkeypatch.setattr("coadjoint.files.archives.resume.resume", other)
+    monkeypatch.setattr(checks, "schemes", lambda: [co.Splitting()])
+    assert failing(checks.resumed) == ["cut and resumed: 1"]
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize("key", ["so(3)", "se(3)", "A3,7", "su(3)"])
+def test_references_agree_with_power_series(key):
+    """By the power series of x' = sign J(x) (M x + linear), in 30 digits."""
+    system = subjects.systems()[key]
+    n, H, origin = system.dim, system.hamiltonian, np.zeros(system.dim)
+    linear = np.asarray(H.gradient(origin))
+    M = np.array([np.asarray(H.gradient(one)) - linear for one in np.eye(n)]).T
+    # sign J(x)_ij = sum_k x_k J[k, i, j]
+    J = system.sign * np.array([system.structure_matrix(one) for one in np.eye(n)])
+    np.testing.assert_allclose(
+        np.einsum("kij,k,j->i", J, np.ones(n), M @ np.ones(n) + linear), system.vector_field(np.ones(n)), atol=1e-12
+    )
+    terms = [(int(k), int(i), int(j), mpmath.mpf(float(J[k, i, j]))) for k, i, j in np.argwhere(J)]
+    with mpmath.workdps(30):
+        x = [mpmath.mpf(float(value)) for value in subjects.state_of(system)]
+        for _ in range(16):
+            series = [x]
+            for p in range(24):
+                u = [
+                    [
+                        mpmath.fsum(mpmath.mpf(float(M[i, j])) * series[q][j] for j in range(n) if M[i, j])
+                        + (mpmath.mpf(float(linear[i])) if q == 0 else 0)
+                        for i in range(n)
+                    ]
+                    for q in range(p + 1)
+                ]
+                following = [mpmath.mpf(0)] * n
+                for k, i, j, c in terms:
+                    following[i] += c * mpmath.fsum(series[q][k] * u[p - q][j] for q in range(p + 1))
+                series.append([value / (p + 1) for value in following])
+            x = [mpmath.fsum(series[p][i] / mpmath.mpf(16) ** p for p in range(25)) for i in range(n)]
+        assert [float(value) for value in x] == list(subjects.references()[key])

@@ -1,0 +1,242 @@
+"""Texts of messages: nearest names, one line of bounded length, and representations of any value."""
+
+import inspect
+import pickle
+import re
+from fractions import Fraction
+from operator import attrgetter
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.errors import (
+    MAX_LISTED_NAMES,
+    MAX_MESSAGE_LENGTH,
+    OneLineError,
+    in_one_line,
+    nearest,
+    unknown_attribute,
+    unknown_name,
+)
+from coadjoint.keyword_hints import ATTRIBUTES, FUNCTIONS, KEYWORDS, PICTURES
+from coadjoint.short_repr import short
+from guards import bounded_work
+
+NAMES = ["rigid_body", "heavy_top", "lagrange_top", "so(3)", "GaussLegendre", "Splitting", "toda", "spin_lattice"]
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("rigid_bodi", "rigid_body"),
+        ("SO(3)", "so(3)"),
+        ("RIGID_BODY", "rigid_body"),
+        ("gausslegendre", "GaussLegendre"),
+        ("Gauss", "GaussLegendre"),
+        ("tops", "toda"),
+        ("body", "rigid_body"),
+        ("lattices", "spin_lattice"),
+        ("agrange", "lagrange_top"),
+        ("qqq", None),
+        ("", None),
+        ("s", None),
+        ("rigid_body" * 10**5, "rigid_body"),
+        ("x" * 10**6, None),
+    ],
+)
+def test_nearest_name(name, found):
+    with bounded_work():
+        for known in (NAMES, NAMES[::-1]):
+            assert nearest(name, known) == found
+    assert nearest(name, []) is None
+
+
+def test_shortest_containing_name_is_nearest():
+    assert nearest("spin", ["a_spin_lattice", "spin_of_many", "the_spin"]) == "the_spin"
+    assert nearest("spins", ["lattice_of_many_spin_vectors", "toda"]) == "lattice_of_many_spin_vectors", "a plural"
+    assert nearest("splitting", ["Splitting", "splittings"]) == "Splitting", "equal up to case first"
+
+
+def test_unknown_names_are_listed_or_suggested():
+    few, many = [f"name{k}" for k in range(MAX_LISTED_NAMES)], [f"name{k:03}" for k in range(MAX_LISTED_NAMES + 1)]
+    assert str(unknown_name("kind", "zzz", few)) == f"unknown kind 'zzz'; there are: {', '.join(sorted(few))}"
+    suggested = str(unknown_name("kind", "zzz", many)).removeprefix("unknown kind 'zzz'; did you mean '")
+    assert suggested.removesuffix("'?") in many
+    assert str(unknown_name("kind", "nme017", many)) == "unknown kind 'nme017'; did you mean 'name017'?"
+    assert str(unknown_name("kind", 3, ["b", "a"])) == "unknown kind 3; give a name, such as 'a'"
+
+
+def test_missing_attributes_of_modules():
+    few, many = ["heavy_top", "toda"], [f"name{k:03}" for k in range(MAX_LISTED_NAMES + 1)]
+    for module, name, known, message in (
+        ("co.systems", "zzz", few, "co.systems has no attribute 'zzz'. It has: heavy_top, toda"),
+        ("co.systems", "__path__", few, "co.systems has no attribute '__path__'"),
+        ("co.systems", "Splitting", few, "co.systems has no attribute 'Splitting'; it is co.Splitting"),
+        ("coadjoint", "Splitting", few, "coadjoint has no attribute 'Splitting'. It has: heavy_top, toda"),
+        (
+            "co.a",
+            "NAME001",
+            many,
+            "co.a has no attribute 'NAME001'; did you mean 'name001'? dir(co.a) lists what it has",
+        ),
+    ):
+        error = unknown_attribute(module, name, known)
+        assert type(error) is AttributeError and str(error) == message
+
+
+@pytest.mark.parametrize("limit", [20, 21, 60, 400, 401])
+def test_long_messages_are_shortened_in_the_middle(limit):
+    for size in (0, 1, limit - 1, limit, limit + 1, 2 * limit, 10 * limit, 10**5):
+        text = "".join(chr(ord("a") + k % 26) for k in range(size))
+        line = in_one_line(text, limit)
+        assert len(line) <= limit
+        if size <= limit:
+            assert line == text
+        else:
+            head, tail = line.split(" ... ")
+            assert text.startswith(head) and text.endswith(tail) and limit - 1 <= len(line)
+            assert abs(len(head) - len(tail)) <= 1 and head and tail
+    words = in_one_line("a bc def " * limit, limit)
+    assert in_one_line(words, limit) == words and "  " not in words, "also blanks beside the omitted part"
+    assert in_one_line(" a\n  b\t\rc\x1b[31m\0d\u2028e ", limit) == "a b c?[31m?d e"[:limit]
+    with bounded_work():
+        assert in_one_line("\x00" * 10**7 + "end", limit).endswith("?end")
+
+
+def test_one_line_errors():
+    error = OneLineError("a\nb " * 1000)
+    assert len(str(error)) <= MAX_MESSAGE_LENGTH and "\n" not in str(error) and isinstance(error, ValueError)
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)
+
+
+def test_hints_for_foreign_keywords_exist():
+    known = {*inspect.signature(co.integrate).parameters, *inspect.signature(co.systems.rigid_body).parameters}
+    for keyword, answer in KEYWORDS.items():
+        name, equals, _ = answer.partition("=")
+        assert keyword not in inspect.signature(co.integrate).parameters
+        assert not equals or " " in name or name in known, keyword
+    run = co.integrate(co.systems.rigid_body(), (1.0, 0.1, 0.2), (0, 0.5), 0.25)
+    for name, answer in ATTRIBUTES.items():
+        first = answer.partition(",")[0].partition("(")[0].partition(" ")[0]
+        assert hasattr(type(run), first) or hasattr(run, first), answer
+        assert not hasattr(run, name), name
+
+
+def test_functions_that_hints_name_exist():
+    for answer in {*FUNCTIONS.values(), *KEYWORDS.values(), *ATTRIBUTES.values()}:
+        for name in re.findall(r"\bco\.([\w.]*\w)", answer):
+            attrgetter(name)(co)  # an AttributeError has the name
+        for name in re.findall(r"\bsol\.(\w+)", answer):
+            assert hasattr(co.Solution, name), answer
+    assert all("co." in answer for answer in FUNCTIONS.values())
+    assert set(PICTURES.values()) <= set(co.plotting.kinds())
+
+
+class Raises:
+    def __repr__(self):
+        raise RuntimeError("no")
+
+
+class NoString:
+    def __repr__(self):
+        return 3
+
+
+class Endless:
+    def __repr__(self):
+        return "x" * 10**6
+
+
+class ManyLines:
+    def __repr__(self):
+        return "a\n  b\x1b[31m"
+
+
+def deep(levels):
+    nested = []
+    for _ in range(levels):
+        nested = [nested]
+    return nested
+
+
+def itself():
+    endless = []
+    endless.append(endless)
+    return endless
+
+
+HOSTILE = {
+    "a long list": list(range(10**6)),
+    "a long tuple of long strings": ("x" * 10**6,) * 1000,
+    "a large dict": dict.fromkeys(range(10**5)),
+    "a large set": set(range(10**5)),
+    "a large frozenset": frozenset(range(10**5)),
+    "a deep list": deep(100_000),
+    "a list of itself": itself(),
+    "a wide tree": [[[[list(range(1000))] * 1000] * 1000] * 1000] * 1000,
+    "a large int": 10**100_000,
+    "a negative one": -(10**4400),
+    "a large fraction": Fraction(10**5000, 3),
+    "large ints in a list": [10**100_000] * 3,
+    "a large array": np.ones(10**6),
+    "an array of many dimensions": np.ones((7,) * 7),
+    "an array of objects": np.array([[10**5000, Raises()], [NoString(), list(range(10**6))]], dtype=object),
+    "a masked array": np.ma.masked_array(np.ones(10**5)),
+    "a masked array of objects": np.ma.masked_array(np.array([Raises(), 1], dtype=object)),
+    "records": np.zeros(3, dtype=[(f"field {i}", float) for i in range(1000)]),
+    "bytes": b"\0" * 10**6,
+    "a bytearray": bytearray(10**6),
+    "a repr that raises": Raises(),
+    "such a class in a dict": {Raises(): [Raises()]},
+    "a repr that is no string": NoString(),
+    "a long repr": Endless(),
+    "lines and a terminal code": ManyLines(),
+    "a string of lines": "a\nb\x1b" * 1000,
+}
+
+
+@pytest.mark.parametrize("limit", [4, 20, 80, 200])
+@pytest.mark.parametrize("name", HOSTILE)
+def test_any_value_is_one_short_line(name, limit):
+    with bounded_work():
+        text = short(HOSTILE[name], limit)
+    assert 0 < len(text) <= limit
+    assert text.isprintable()
+
+
+@pytest.mark.parametrize("limit", [4, 10, 80])
+def test_representations_fill_the_limit(limit):
+    """Strings, lists and integers around the limit: in full, or their beginning up to the limit."""
+    for size in range(1, 2 * limit + 4):
+        for value in ("x" * size, [7] * size, (1.5,) * size, 10 ** (size - 1), b"x" * size, dict.fromkeys(range(size))):
+            text, expected = short(value, limit), repr(value)
+            if isinstance(value, int) and size > limit - 2:
+                assert text == expected or text.startswith("<int of about"[: limit - 3])
+            elif len(expected) <= limit:
+                assert text == expected
+            else:
+                assert text.endswith("...") and len(text) <= limit and expected.startswith(text[:-3])
+    assert short(10**60) == repr(10**60) and short(2**500) == "<int of about 151 digits>"
+
+
+def test_functions_have_no_addresses():
+    def own(x):
+        return x
+
+    for value, shown in (
+        (own, "the function own"),
+        (lambda x: x, "a lambda"),
+        (np.sin, "the function sin"),
+        ([own, own, own], "[the function own, the function own, the function own]"),
+        ([own] * 4, "4 functions"),
+        ([own, own, own, 1], "[the function own, the function own, the function own, 1]"),
+        ([(own, own)] * 4, "4 functions"),
+        ([(own, 1)] * 4, "[(the function own, 1), (the function own, 1), (the function own, 1), (the fu..."),
+        (dict.fromkeys(range(4), own), "4 functions"),
+        ({1: own}, "{1: the function own}"),
+        ([[], [], [], []], "[[], [], [], []]"),
+        ([[[[[[[1]]]]]]], "[[[[[[[...]]]]]]]"),
+        ([[[[[[[]]]]]]], "[[[[[[[]]]]]]]"),
+    ):
+        assert short(value) == shown

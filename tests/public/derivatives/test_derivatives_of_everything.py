@@ -1,0 +1,549 @@
+"""Gradients by states, parameters, inputs and forces: those of tangents, and of differences of whole runs."""
+
+import numpy as np
+import pytest
+from derivative_checks import DIFFERENCE_ERROR, DISTANCE, assert_derivatives, difference, outputs
+
+import coadjoint as co
+from rounding import UNIT_ROUNDOFF
+
+F, H = co.forces, 0.0625
+X3, X6 = np.array([0.3, 1.0, 0.2]), np.array([0.3, 1.0, 0.2, 0.1, 0.4, 0.9])
+UNIT_SPINS = np.array([0.6, 0.0, 0.8, 0.48, 0.64, 0.6, 0.0, 0.6, -0.8])
+SCHEMES = {
+    "order 4": co.Splitting(order=4),
+    "processed": co.Splitting(scheme="blanes_casas_murua6"),
+    "compensated": co.Splitting(compensated=True),
+    "rational": co.Splitting(rotation="rational", parts="coordinates"),
+    "Gauss": co.GaussLegendre(2),
+    "rk4": co.ExplicitRungeKutta("rk4"),
+    "Taylor": co.Taylor(order=5),
+    "commutator-free": co.CommutatorFree(),
+    "Kahan": co.Kahan(),
+}
+
+
+def named(name, **values):
+    """Return the builder of a ready-made system."""
+    return lambda changed: getattr(co.systems, name)(**(values | changed))
+
+
+def own(algebra, M, linear, sign=-1, **terms):
+    """Return the builder of a system with a quadratic energy."""
+    linear = np.asarray(linear)
+    return lambda changed: co.LiePoissonSystem(
+        algebra, co.Quadratic(changed.get("M", M), linear=changed.get("linear", linear)), sign=sign, **terms
+    )
+
+
+def wave(amplitude):
+    return (
+        lambda y, t: amplitude * np.cos(3 * t) * y**2,
+        lambda y, t: 2 * amplitude * np.cos(3 * t) * y,
+        lambda y, t: 2 * amplitude * np.cos(3 * t) + 0 * y,
+    )
+
+
+def timed(changed):
+    M, linear = changed.get("M", [1.0, 0.5, 0.4]), changed.get("linear", np.zeros(3))
+    energy = co.Quadratic(M, linear=linear) + co.Separable({0: wave(0.5), 2: wave(0.25)})
+    return co.LiePoissonSystem(co.algebras.so(3), energy, sign=-1, name="timed")
+
+
+def cubic(changed):
+    monomials = {(2, 0, 0): 0.5, (0, 2, 0): 0.3, (0, 0, 2): 0.2, (0, 1, 2): 0.4, (1, 0, 0): 0.1}
+    order = co.Polynomial(monomials).monomials
+    values = changed.get("coefficients", list(order.values()))
+    return co.LiePoissonSystem(co.algebras.se(2), co.Polynomial(dict(zip(order, map(float, values), strict=True))))
+
+
+BODY, TOP = named("rigid_body", inertia=(1.0, 2.0, 2.5)), named("heavy_top", inertia=(1.0, 2.0, 2.5))
+FULL = own(co.algebras.so(3), [[1.0, 0.1, 0.2], [0.1, 0.7, 0.0], [0.2, 0.0, 0.4]], [0.1, 0.0, 0.2])
+SL2 = own(co.algebras.sl(2), [0.3, 0.6, 1.0], [0.1, 0.2, 0.3], sign=1)
+# Its matrices turn by half the angle of the momentum.
+SPINORS = own(co.algebras.get("su(2)"), [0.3, 0.6, 1.0], np.zeros(3))
+SPINS = named("spin_lattice", shape=3, field=(0.1, 0.2, 0.3), dm=(0.1, 0.1, 0.2))
+TIMES = {"t_eval": [0.5, 0.52, 0.75, 0.97]}
+RUNS = {
+    "top": (TOP, "order 4", X6, (0.5, 1.5), {"attitude": True, "save_every": 7}),
+    "body backward": (BODY, "rational", X3, (1.0, 0.5), {"attitude": True, "save_every": 3}),
+    "spinors": (SPINORS, "order 4", X3, (0.5, 1.0), {"attitude": True, **TIMES}),
+    "full": (FULL, "compensated", X3, (0.5, 1.0), {"attitude": "coadjoint", **TIMES}),
+    "sl(2)": (SL2, "processed", X3, (0.0, -0.5), {"attitude": "coadjoint"}),
+    "cubic": (cubic, "order 4", X3, (0.5, 1.0), {}),
+    "cubic by stages": (cubic, "Gauss", X3, (0.5, 0.25), {}),
+    "in time": (timed, "order 4", X3, (0.5, 1.0), TIMES),
+    "in time by stages": (timed, "Gauss", X3, (0.5, 1.0), {"attitude": "coadjoint"}),
+    "in time, step by step": (timed, "commutator-free", X3, (0.5, 0.3), {"attitude": "coadjoint"}),
+    "attitudes by stages": (BODY, "Gauss", X3, (1.2, 0.2), {"attitude": True}),
+    "attitudes of rk4": (TOP, "rk4", X6, (0.2, 0.7), {"attitude": "coadjoint"}),
+    "series": (TOP, "Taylor", X6, (0.5, 0.7), {"attitude": "coadjoint"}),
+    "lattice": (SPINS, "order 4", UNIT_SPINS, (0.5, 1.0), {"attitude": True}),
+}
+GIVEN = {"fields": [[3, 4], [5, 1]], "rotor": (0,)}
+FOUR = {"fields": np.array([[0.3, 0.1], [0.2, 0.4]]), "rotor": np.array([-0.2])}
+TWO = {"inputs": {"rates": (0, 2)}, "values": {"rates": np.array([0.3, -0.1])}}
+LINEAR = {"inputs": True, "values": {"linear": np.array([0.3, -0.1, 0.2])}}
+STEERED = {
+    "top": (TOP, "order 4", X6, (0.5, 1.0), {"inputs": GIVEN, "values": FOUR, "attitude": True}),
+    "top of stages": (TOP, "rk4", X6, (1.0, 0.5), {"inputs": GIVEN, "values": FOUR, "attitude": "coadjoint"}),
+    # Its parts are completed squares, whose offsets are sums of inputs.
+    "full": (FULL, "order 4", X3, (0.5, 1.0), {**LINEAR, **TIMES, "attitude": "coadjoint"}),
+    "rational": (BODY, "rational", X3, (1.0, 0.5), {**TWO, "attitude": True}),
+    "cubic": (cubic, "Gauss", X3, (0.5, 1.0), TWO),
+    "cubic, step by step": (cubic, "Taylor", X3, (0.5, 0.65), TWO),
+    "in time, step by step": (timed, "commutator-free", X3, (0.5, 0.35), TWO),
+}
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", RUNS)
+def test_derivatives_of_runs(name):
+    build, scheme, x0, span, options = RUNS[name]
+    assert_derivatives(build, SCHEMES[scheme], x0, span, **options)
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", STEERED)
+def test_derivatives_by_inputs(name):
+    build, scheme, x0, span, options = STEERED[name]
+    rule = assert_derivatives(build, SCHEMES[scheme], x0, span, **options).rule["inputs"]
+    assert rule == ("differences" if "step by step" in name else "exact")
+
+
+def forced(base, *forces):
+    """Return the builder of a system with forces, of which the parameters are named by their labels."""
+
+    def build(changed):
+        own = {name: value for name, value in changed.items() if "." not in name}
+        made, seen = [], {}
+        for force, values in forces:
+            label = force.__name__
+            seen[label] = seen.get(label, 0) + 1
+            label += f" {seen[label]}" if seen[label] > 1 else ""
+            new = {name.partition(".")[2]: value for name, value in changed.items() if name.startswith(f"{label}.")}
+            made.append(force(**(values | new)))
+        return base(own).with_forces(*made)
+
+    return build
+
+
+def forces_on(n):
+    """Return forces of every class for states of n numbers."""
+    rng = np.random.default_rng(n)
+    B = rng.uniform(-0.3, 0.3, (n, n))
+    waving, u = np.linspace(0.1, 0.3, n), rng.uniform(-0.3, 0.3, n)
+    metric = B @ B.T + np.eye(n)
+    return {
+        "damping": [
+            (F.LinearDamping, {"rate": 0.3, "toward": u}),
+            (F.LinearDamping, {"rate": np.eye(n) * 0.2 + B, "toward": 0.0}),
+            (F.Torque, {"torque": u}),
+            (F.Torque, {"torque": 2 * u[::-1]}),
+        ],
+        "functions": [
+            (F.Torque, {"torque": lambda t: np.cos(t) * waving}),
+            (F.Torque, {"torque": lambda x, t: 0.3 * x * x[0] - t * 0.01 * waving}),
+            (F.OwnForce, {"function": lambda x, t, tau: x * np.exp(-0.2 * tau), "name": "drag"}),
+        ],
+        "orbit": [
+            (F.DoubleBracketDamping, {"alpha": 0.2, "metric": np.linspace(0.5, 1.0, n)}),
+            (F.LinearDamping, {"rate": waving}),
+        ],
+        "noise": [
+            (F.HeatBath, {"alpha": 0.3, "metric": metric, "temperature": 0.2, "seed": 5}),
+            (F.DoubleBracketDamping, {"alpha": 0.1}),
+        ],
+    }
+
+
+def plain(name):
+    algebra, sign = {
+        "so(3)": (co.algebras.so(3), -1),
+        "so(4)": (co.algebras.so(4), -1),
+        "sl(2)": (co.algebras.sl(2), 1),
+        "A3,7": (co.algebras.get("A3,7", a=1.75), 1),
+        "A5,40": (co.algebras.get("A5,40"), -1),
+    }[name]
+    n = algebra.dim
+    return own(algebra, np.linspace(0.4, 1.2, n), np.linspace(-0.1, 0.2, n), sign), 0.3 + 0.4 * np.cos(
+        1.0 + np.arange(n)
+    )
+
+
+FORCED = [
+    ("damping", "order 4", "so(3)"),
+    ("damping", "Gauss", "A3,7"),
+    ("functions", "order 4", "sl(2)"),
+    ("functions", "Kahan", "so(3)"),
+    ("orbit", "processed", "A5,40"),
+    ("orbit", "Gauss", "so(3)"),
+    ("orbit", "commutator-free", "sl(2)"),
+    ("noise", "order 4", "so(3)"),
+    ("noise", "Gauss", "A3,7"),
+    ("noise", "Kahan", "sl(2)"),
+]
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(("kind", "scheme", "name"), FORCED)
+def test_derivatives_with_forces(kind, scheme, name):
+    """Of noise that is frozen, and of torques and dampings at their times, forward, backward and between steps."""
+    base, x0 = plain(name)
+    build = forced(base, *forces_on(len(x0))[kind])
+    attitude = False if scheme == "Kahan" else "coadjoint"
+    backward = kind != "noise" and scheme != "order 4"
+    t0, h = (-40.0, -H) if backward else (0.5, H)
+    points = {} if kind == "noise" else {"t_eval": t0 + h * np.array([0.0, 0.25, 1.0, 2.75])}
+    gradient = assert_derivatives(build, SCHEMES[scheme], x0, (t0, t0 + 3 * h), H, attitude=attitude, **points)
+    assert {"M", "linear"} <= set(gradient)
+
+
+def test_a_shifted_energy_turns_the_attitude_of_each_step():
+    """A Casimir is subtracted from the energy of this body; its factor of the attitude begins anew in each step."""
+    toward, torque = (0.1, 0.2, 0.3), (0.1, 0.2, 0.3)
+    build = forced(BODY, (F.LinearDamping, {"rate": 0.3, "toward": toward}), (F.Torque, {"torque": torque}))
+    for x0, span in ((X3, (0.5, 1.0)), (np.array([X3, X3[::-1]]), (0.5, 0.25))):
+        assert_derivatives(build, co.Splitting(order=4), x0, span, H, attitude=True)
+
+
+@pytest.mark.parametrize("scheme", ["order 4", "Gauss", "Kahan"])
+def test_derivatives_by_torques_that_are_inputs(scheme):
+    """A field changes the damping on the orbit too; a parameter changes at fixed inputs."""
+    base, x0 = plain("so(4)")
+    torques = [(F.Torque, {"torque": np.linspace(a, b, 6)}) for a, b in ((0.1, 0.2), (-0.2, 0.1))]
+    build = forced(base, torques[0], (F.DoubleBracketDamping, {"alpha": 0.2}), torques[1])
+    values = {"jets": np.linspace(-0.3, 0.2, 6), "field": np.array([0.2, -0.1])}
+    assert_derivatives(build, SCHEMES[scheme], x0, (0.5, 0.75), H, inputs={"jets": "Torque 2", "field": (2, 0)},
+                       values=values)  # fmt: skip
+
+
+class Spring(co.forces.Force):
+    """A force of the user without formula, parameters and complex numbers."""
+
+    def check(self, system):
+        pass
+
+    def field(self, system, x, t):
+        return -np.array([float(one) for one in x]) * 0.3
+
+    def flow(self, system, x, t, tau):
+        return np.array([float(one) for one in x]) * np.exp(-0.3 * tau)
+
+    def describe_to(self, reader, system):
+        return reader.damping(np.asarray(0.3), np.zeros(system.dim))
+
+
+def test_a_force_of_the_user_without_formulas_is_differentiated_by_differences():
+    base, x0 = plain("so(3)")
+    # Central differences of order 2 have nine digits.
+    assert_derivatives(forced(base, (Spring, {})), co.Splitting(order=4), x0, (0.5, 0.25), H, error=2.0**-30)
+
+
+SYMMETRIC = np.array([[0.2, 1.0, 0.5], [1.0, 0.3, 0.7], [0.5, 0.7, 0.9]])
+OFF_DIAGONAL = SYMMETRIC - np.diag(np.diag(SYMMETRIC))
+
+
+def matrices(kind, stream, size=3, **terms):
+    return lambda changed: co.MatrixSystem(co.MatrixAlgebra(kind, size), stream, **terms)
+
+
+MATRICES = {
+    "sphere": (named("sphere_euler", N=4, rotation=0.3), co.IsospectralGauss(3), 7),
+    "sphere, composed": (named("sphere_euler", N=3, rotation=0.3), co.Composition(co.IsospectralGauss(1), (0.75, -0.5,
+        0.75)), -4),
+    "sphere, commutator-free": (named("sphere_euler", N=3, rotation=0.3), co.CommutatorFree(), 3),
+    "torus": (named("torus_euler", N=5), co.IsospectralGauss(2), -4),
+    "torus by lines": (named("torus_euler", N=5), co.LineSplitting(4), 4),
+    "body": (named("matrix_body", inertia=(1.0, 2.0, 3.0, 4.0)), co.IsospectralGauss(2), -4),
+    "two layers": (named("reduced_mhd", N=4), co.IsospectralGauss(2), 4),
+    "passive layer": (named("passive_scalar", N=3, surface="torus"), co.IsospectralGauss(1), 4),
+    "gl": (matrices("gl", co.systems.Weights(SYMMETRIC)), co.IsospectralGauss(2), 4),
+    "function on sp": (matrices("sp", lambda W: W - W.T, 2), co.IsospectralGauss(2), 4),
+    "function of time": (matrices("so", lambda W, t: (1.0 + 0.5 * t) * OFF_DIAGONAL * W), co.IsospectralGauss(2), 4),
+    "nonlinear": (matrices("gl", lambda W: W.T @ W @ W.T / 8, energy=lambda W: np.sum((W @ W.T) ** 2) / 32),
+        co.IsospectralGauss(2), 4),
+    "forces": (forced(named("sphere_euler", N=4, rotation=0.7), (F.Viscosity, {"nu": 0.05, "rotation": True}),
+        (F.Friction, {"rate": 0.1}), (F.RandomForcing, {"energy_rate": 0.3, "band": (2, 3), "seed": 1})),
+        co.IsospectralGauss(1), 4),
+    "forces on the torus": (forced(named("torus_euler", N=3), (F.BetaPlane, {"beta": 0.5}), (F.Friction, {"rate":
+        lambda n: 0.1 * n})), co.CommutatorFree(), 2),
+}  # fmt: skip
+
+
+def drawing(system):
+    """Return a function that draws a state of a system of matrices."""
+    base = getattr(system, "system", system)
+
+    def draw(rng):
+        return base.from_vector(base.to_vector(base.algebra.projected(base.from_vector(rng.standard_normal(base.dim)))))
+
+    return draw
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", MATRICES)
+def test_derivatives_of_matrices(name):
+    build, method, steps = MATRICES[name]
+    error = 1e-7 if "nonlinear" in name else DIFFERENCE_ERROR  # central differences of order 2
+    draw = drawing(build({}))
+    x0, span = 0.5 * draw(np.random.default_rng(2)), (0.5, 0.5 + steps * H)
+    points = {} if "forces" in name else {"t_eval": 0.5 + np.sign(steps) * H * np.array([0.0, 0.25, 1.75])}
+    gradient = assert_derivatives(build, method, x0, span, H, draw=draw, error=error, **points)
+    algebra = getattr(build({}), "system", build({})).algebra
+    outside = gradient["x0"] - algebra.projected(gradient["x0"])
+    assert np.abs(outside).max() <= 2.0**10 * UNIT_ROUNDOFF * np.abs(gradient["x0"]).max()
+
+
+def turning(x, t):
+    """A component along an axis that turns, so that its gradient depends on the time."""
+    return np.cos(0.5 * t) * x[1] + np.sin(0.5 * t) * x[2]
+
+
+X = np.array([1.0, 0.2, 0.5])
+PAIR = np.array([X, [0.5, 0.3, 0.9]])
+END = co.Event("x2", terminal=True)
+EVENTS = {
+    "forward": (BODY, co.Splitting(order=4), X, (0.5, 20.5), {"events": END, "save_every": 3, "attitude": True}),
+    "backward": (BODY, co.Splitting(), X, (0.5, -19.5), {"events": END, "t_eval": [0.43, -0.2, -1.5, -8.0]}),
+    "turning": (BODY, co.GaussLegendre(2), X, (0.5, 10.5), {"events": co.Event(turning, count=2, terminal=True),
+        "save_every": 7}),
+    "polynomial": (BODY, co.Splitting(order=4), X, (0.5, 5.5), {"events": co.Event(co.Polynomial({(0, 1, 1): 1.0, (1,
+        0, 0): -0.03}))}),
+    "step by step": (TOP, co.Taylor(order=4), X6, (0.0, 0.7), {"events": co.Event(2)}),
+    "in time": (timed, co.GaussLegendre(2), X, (0.5, 5.5), {"events": co.Event("x2"), "save_every": 7}),
+    "ensemble": (BODY, co.Splitting(order=4), PAIR, (0.5, 20.5), {"events": END, "save_every": 3, "attitude": True}),
+    "forces": (forced(BODY, (F.LinearDamping, {"rate": 0.1, "toward": 0.0})), co.Splitting(order=4), X, (0.5, 20.5),
+        {"events": END}),
+}  # fmt: skip
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", EVENTS)
+def test_derivatives_of_crossings_and_of_the_runs_that_they_end(name):
+    build, method, x0, span, options = EVENTS[name]
+    assert_derivatives(build, method, x0, span, 0.1, **options)
+
+
+def test_observed_quantities_of_the_time_move_with_the_crossing_that_ends_a_run():
+    observe = {"clock": lambda x, t: t, "both": lambda x, t: x[0] * t**2, "state": lambda x: x[2] ** 2}
+    ready = co.prepare(BODY({}), co.Splitting(order=4), step=0.05, observe=observe)
+    event = co.Event(lambda x: x[1] + 0.2, terminal=True)
+    sol, pullback = ready.vjp(X, (1.0, 21.0), save_every=7, events=event)
+    assert sol.t[-1] < 20.0
+    weights = {name: np.random.default_rng(k).standard_normal(len(sol.t)) for k, name in enumerate(observe)}
+    found, direction = pullback(observed=weights)["x0"], np.array([0.5, -1.0, 0.3])
+
+    def total(by):
+        run = ready.run(X + by * direction, (1.0, 21.0), save_every=7, events=event)
+        return sum(weights[name] @ run.observed[name] for name in observe)
+
+    assert abs(found @ direction - difference(total)) <= DIFFERENCE_ERROR * np.abs(found * direction).sum()
+
+
+BATCH = [co.systems.rigid_body(inertia=(1.0, 2.0, third)) for third in (2.25, 2.5, 2.75)]
+NOISE = [BATCH[0].with_forces(F.LinearDamping(rate), F.HeatBath(0.3, temperature=0.2, seed=5)) for rate in (0.1, 0.3)]
+
+
+@pytest.mark.parametrize("systems", [BATCH, NOISE], ids=["bodies", "noise"])
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2)], ids=str)
+def test_members_of_a_batch_have_the_bits_of_single_runs(systems, method):
+    """A bath of member m is that of the stream m."""
+    rng, count, span = np.random.default_rng(3), len(systems), (1.0, 1.5)
+    x0 = rng.uniform(0.2, 0.9, (count, 3))
+    ready = co.prepare(co.batch(systems), method, 0.125, attitude="coadjoint")
+    assert ready.parameters["inertia"][:, 2].tolist() == [2.25, 2.5, 2.75] if systems is BATCH else count * [2.25]
+    directions = {name: rng.standard_normal((*value.shape, 2)) for name, value in ready.parameters.items()}
+    directions["x0"] = rng.standard_normal((count, 3, 2))
+    sol, tangents = ready.jvp(x0, span, directions, save_every=2)
+    _, pullback = ready.vjp(x0, span, save_every=2)
+    weights = {name: rng.standard_normal(value.shape) for name, value in outputs(sol).items()}
+    gradient = pullback(**weights)
+    for m, system in enumerate(systems):
+        if systems is NOISE:
+            bath = F.HeatBath(0.3, temperature=0.2, seed=5, stream=m)
+            system = BATCH[0].with_forces(system.forces[0], bath)
+        single = co.prepare(system, method, 0.125, attitude="coadjoint")
+        alone, one = single.jvp(x0[m], span, {name: value[m] for name, value in directions.items()}, save_every=2)
+        together = outputs(tangents)
+        assert all(np.array_equal(value, together[name][:, m]) for name, value in outputs(one).items())
+        assert np.array_equal(sol.x[:, m], alone.x)
+        found = single.vjp(x0[m], span, save_every=2)[1](**{name: value[:, m] for name, value in weights.items()})
+        assert all(np.array_equal(gradient[name][m], value) for name, value in found.items() if name != "attitude0")
+
+
+def test_members_of_an_ensemble_have_the_noise_of_their_numbers():
+    """Also beyond the number that a loop takes at a time; gradients by shared parameters are sums over members."""
+    base, _ = plain("A3,7")
+    x0, last = np.random.default_rng(2).uniform(0.2, 0.6, (17, 3)), 16
+    moving, span = {"HeatBath.temperature": np.array(0.5)}, (0.5, 0.5 + 2 * H)
+
+    def run_from(stream):
+        return co.prepare(base({}).with_forces(F.HeatBath(0.3, temperature=0.2, seed=5, stream=stream)), None, H)
+
+    sol, tangents = run_from(0).jvp(x0, span, moving)
+    weights = np.zeros_like(sol.x)
+    weights[:, [1, last]] = 1.0
+    gradient, total = run_from(0).vjp(x0, span)[1](weights), 0.0
+    for m in (1, last):
+        single, alone = run_from(m).jvp(x0[m], span, moving)
+        assert np.array_equal(single.x, sol.x[:, m]) and np.array_equal(alone.x, tangents.x[:, m])
+        found = run_from(m).vjp(x0[m], span)[1](np.ones((3, 3)))
+        np.testing.assert_allclose(gradient["x0"][m], found["x0"], rtol=2.0**6 * UNIT_ROUNDOFF)
+        total += found["HeatBath.temperature"]
+    assert abs(total - gradient["HeatBath.temperature"]) <= 2.0**10 * UNIT_ROUNDOFF * abs(total)
+
+
+@pytest.mark.parametrize("method", [co.GaussLegendre(2), co.GaussLegendre(4)], ids=str)
+@pytest.mark.parametrize("step", [0.25, 4.0])
+def test_derivatives_of_long_steps(method, step):
+    """The iteration for the derivatives of the stages converges for the smaller step, and not for the larger one."""
+    ready, x0, span, direction = co.prepare(BODY({}), method, step), 2.0 * X3, (0.0, 4 * step), np.array([0.5, -1.0, 2])
+    wanted = difference(lambda by: ready.end(x0 + by * direction, span))
+    _, tangents = ready.jvp(x0, span, {"x0": direction}, save_every=4)
+    np.testing.assert_allclose(tangents.x[-1], wanted, rtol=0, atol=8 * DIFFERENCE_ERROR * np.abs(wanted).max())
+    gradient = ready.vjp(x0, span, save_every=4)[1](x=[np.zeros(3), np.ones(3)])["x0"]
+    size = np.abs(gradient * direction).sum()
+    assert abs(gradient @ direction - tangents.x[-1].sum()) <= 2.0**12 * UNIT_ROUNDOFF * size
+
+
+@pytest.mark.parametrize("span", [(0.3, 1.3), (1.3, 0.3)], ids=["forward", "backward"])
+def test_substeps_of_driven_runs_are_differentiated_at_their_times(span):
+    """A field that turns once in each step is another one in every substep."""
+    driven = co.systems.spin_lattice("chain", 2, field=lambda t: [np.cos(60.0 * t), np.sin(60.0 * t), 0.3 * t])
+    assert_derivatives(lambda changed: driven, co.Composition(co.GaussLegendre(2), (0.4, 0.2, 0.4)), X6, span, 0.1)
+
+
+def test_differences_by_an_entry_far_below_the_others_do_not_show_rounding():
+    """Differences on the scale of the entry would lose ten digits."""
+    found = []
+    for entry in (0.0, 1e-9):
+        M = [[1.0, entry, 0.1], [entry, 0.7, 0.0], [0.1, 0.0, 0.4]]
+        ready = co.prepare(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M)), co.Kahan(), 0.05)
+        _, tangents = ready.jvp(X3, (0.0, 0.2), {"M": np.eye(9)[3].reshape(3, 3)}, save_every=4)
+        found.append(tangents.x[-1])
+    assert np.abs(found[1] - found[0]).max() <= DIFFERENCE_ERROR
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2)], ids=str)
+def test_derivatives_of_one_step(method):
+    """By its state and by its inputs."""
+    step, values = co.stepper(TOP({}), method, 0.1, inputs={"field": (3, 4, 5), "rotor": (1,)}), [0.1, 0.2, 0.3, 0.4]
+    given = {"field": values[:3], "rotor": values[3:]}
+    rng = np.random.default_rng(1)
+    dx, du = rng.standard_normal(6), rng.standard_normal(4)
+
+    def moved(by):
+        u = values + by * du
+        return step(X6 + by * dx, field=u[:3], rotor=u[3:])
+
+    found = step.tangent(X6, **given) @ dx + step.tangent_by_inputs(X6, **given) @ du
+    np.testing.assert_allclose(found, difference(moved), rtol=0, atol=DIFFERENCE_ERROR)
+
+
+@pytest.mark.parametrize(
+    ("system", "parts", "x0"),
+    [
+        (TOP({}), "free_body", (0.0, 0.0, 0.0, 0.3, 0.1, 0.9)),
+        (co.systems.heavy_top(inertia=(1.0, 1.0, 1.0)), "free_body", (0.0, 0.0, 0.0, 0.3, 0.1, 0.9)),
+        (co.systems.spin_lattice(shape=2, exchange=1.3), "bonds", (0.6, 0.0, 0.8, -0.6, 0.0, -0.8)),
+    ],
+    ids=["top", "round top", "opposite spins"],
+)
+@pytest.mark.parametrize("members", [(), (40,)])
+def test_bodies_at_rest_and_opposite_spins_have_derivatives(system, parts, x0, members):
+    """Their rotation has no axis, but an angular velocity that is linear in the momentum."""
+    x0, span, direction = np.array(x0), (0.5, 1.5), np.linspace(-1.0, 0.5, 6)
+    ready = co.prepare(system, co.Splitting(order=2, parts=parts), 0.1)
+    wanted = difference(lambda by: ready.end(x0 + by * direction, span))
+    start, along = np.broadcast_to(x0, (*members, 6)), np.broadcast_to(direction, (*members, 6))
+    sol, tangents = ready.jvp(start, span, {"x0": along}, save_every=10)
+    np.testing.assert_allclose(tangents.x[-1], np.broadcast_to(wanted, (*members, 6)), atol=DIFFERENCE_ERROR)
+    cotangent = np.zeros(sol.x.shape)
+    cotangent[-1] = np.arange(1.0, 7.0)
+    found = ready.vjp(start, span, save_every=10)[1](cotangent)["x0"]
+    np.testing.assert_allclose(found @ direction, wanted @ np.arange(1.0, 7.0), atol=64 * DIFFERENCE_ERROR)
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(2)], ids=str)
+def test_parameters_do_not_move_coefficients_that_are_inputs(method):
+    """The field of all spins acts on those coordinates that inputs have not replaced."""
+    given = {"B": np.array([0.3, -0.2])}
+    gradient = assert_derivatives(
+        named("spin_lattice", shape=3, field=(0.1, 0.2, 0.3)), method, UNIT_SPINS, (0.0, 0.5),
+        inputs={"B": (0, 7)}, values=given,
+    )  # fmt: skip
+    assert "field" in gradient and np.any(gradient["field"])
+
+
+@pytest.mark.parametrize("order", [2, 4])
+@pytest.mark.parametrize("parameter", ["M", "linear"])
+@pytest.mark.parametrize("name", ["so(3)", "A3,7", "so(4)"])
+def test_derivatives_by_added_parts_have_the_order_of_the_scheme(name, parameter, order):
+    """Of energies with full matrices; the reference has another scheme and a step that is eight times smaller."""
+    algebra = plain(name)[0]({}).algebra
+    n = algebra.dim
+    B = np.random.default_rng(n).uniform(-0.2, 0.2, (n, n))
+    system = co.LiePoissonSystem(algebra, co.Quadratic(np.eye(n) + B + B.T, linear=np.linspace(-0.3, 0.3, n)), sign=-1)
+    x0, w = 0.3 + 0.4 * np.cos(1.0 + np.arange(n)), np.random.default_rng(1).uniform(-1.0, 1.0, n)
+    direction = {parameter: np.diag(w) + B + B.T if parameter == "M" else w}
+
+    def derivatives(method, count):
+        ready = co.prepare(system, method, 1.0 / count, attitude="coadjoint")
+        _, tangents = ready.jvp(x0, (0, 1), direction, count)
+        return np.concatenate([tangents.x[-1], tangents.attitude[-1].ravel()]), tangents.rule
+
+    wanted, _ = derivatives(co.GaussLegendre(4), 64)
+    found = [derivatives(co.Splitting(order=order), count) for count in (16, 32)]
+    assert found[0][1] == {parameter: "added part"}
+    errors = [np.linalg.norm(value - wanted) for value, _ in found]
+    # The next order of the error is at most some times the step larger or smaller.
+    assert abs(np.log2(errors[0] / errors[1]) - order) < 0.6
+    assert errors[1] < 40 * 32.0**-order * np.linalg.norm(wanted)
+
+
+@pytest.mark.parametrize("scheme", ["order 4", "processed", "compensated"])
+def test_undone_steps_give_the_same_gradient(scheme):
+    ready = co.prepare(TOP({}), SCHEMES[scheme], 0.05, attitude=True, inputs=GIVEN)
+    gradients = []
+    for reverse in ("exact", "reversible"):
+        sol, pullback = ready.vjp(X6, (0.0, 5.0), save_every=9, reverse=reverse, **FOUR)
+        weights = {name: np.cos(np.arange(v.size)).reshape(v.shape) for name, v in outputs(sol).items()}
+        gradients.append(pullback(**weights))
+    for name in gradients[0]:
+        for one, other in zip(*((g[name].values() if name == "inputs" else [g[name]]) for g in gradients), strict=True):
+            # The states differ by rounding, whose growth over 100 steps is below 2^14 for these motions.
+            np.testing.assert_allclose(other, one, rtol=0, atol=2.0**14 * UNIT_ROUNDOFF * max(1.0, np.abs(one).max()))
+
+
+READY_MADE = [
+    (name, parameter)
+    for name in co.systems.names()
+    for parameter in (co.systems.get(name).parameters or {})
+    if not isinstance(co.systems.get(name), co.MatrixSystem)
+]
+
+
+@pytest.mark.filterwarnings("ignore:.*principal moment")
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize(("name", "parameter"), READY_MADE)
+def test_derivatives_by_arguments_of_ready_made_systems(name, parameter):
+    system = co.systems.get(name)
+    try:
+        ready = co.prepare(system, co.Splitting(order=4), 1 / 64)
+    except ValueError:  # no parts with exact flows
+        ready = co.prepare(system, co.GaussLegendre(2), 1 / 64)
+    if parameter not in ready.parameters:
+        return
+    x0, value = 0.4 * np.cos(np.arange(1.0, 1.0 + system.dim)), ready.parameters[parameter]
+    w = np.random.default_rng(1).uniform(0.5, 1.0, value.shape) * np.maximum(np.abs(value), 0.5)
+    _, tangents = ready.jvp(x0, (0.0, 0.25), {parameter: w}, 16)
+
+    def run(by):
+        changed = value + by * w
+        given = {**system.parameters, parameter: changed if changed.ndim else float(changed)}
+        return co.prepare(co.systems.get(name, **given), ready.method, 1 / 64).run(x0, (0.0, 0.25), 16).x
+
+    expected = difference(run, DISTANCE)
+    bound = 10 * 64.0**-4 if tangents.rule[parameter] == "added part" else DIFFERENCE_ERROR
+    assert np.abs(tangents.x - expected).max() <= bound * max(1.0, np.abs(expected).max())

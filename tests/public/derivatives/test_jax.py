@@ -1,0 +1,351 @@
+"""Runs as functions of JAX: values, derivatives, transformations and refused arguments."""
+
+import os
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from core_only import run_python
+from refusals import refused
+
+jax = pytest.importorskip("jax")
+jnp = jax.numpy
+
+SPAN, EVERY = (0, 10), 50
+X0 = np.array([1.0, 0.2, 0.5])
+MANY = np.array([X0, 2.0 * X0, X0[::-1], 0.5 * X0])
+INERTIA = np.array([1.1, 2.0, 2.4])
+WEIGHTS = np.cos(np.arange(15.0)).reshape(5, 3)
+ALONG = np.array([0.3, -1.0, 0.5])
+# 200 steps of 15 flows, each of which rounds a few times, with derivatives below 16.
+ROUNDING = 200 * 15 * 4 * 16 * 2.0**-53
+
+
+@pytest.fixture(autouse=True)
+def double_precision():
+    jax.config.update("jax_enable_x64", True)
+    yield
+    jax.config.update("jax_enable_x64", False)
+
+
+def prepared(inertia=(1.0, 2.0, 2.5), **options):
+    return co.prepare(co.systems.rigid_body(inertia=inertia), co.Splitting(order=4), 0.05, **options)
+
+
+@pytest.fixture(scope="module")
+def ready():
+    return prepared()
+
+
+@pytest.fixture(scope="module")
+def f(ready):
+    return co.jax.solution(ready, SPAN, EVERY)
+
+
+@pytest.fixture
+def number(f):
+    return lambda x0, inertia: (WEIGHTS * f(x0, inertia=inertia)).sum()
+
+
+@pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit], ids=["at once", "jit"])
+def test_values_have_the_bits_of_the_run(ready, f, wrapped):
+    other = prepared(INERTIA)
+    assert np.array_equal(wrapped(f)(X0), ready.run(X0, SPAN, EVERY).x)
+    assert np.array_equal(wrapped(f)(MANY, inertia=INERTIA), other.run(MANY, SPAN, EVERY).x)
+    backward = co.jax.solution(ready, (10, 0), t_eval=[10.0, 3.123, 0.0])
+    assert np.array_equal(wrapped(backward)(X0), ready.run(X0, (10, 0), t_eval=[10.0, 3.123, 0.0]).x)
+
+
+@pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit], ids=["at once", "jit"])
+@pytest.mark.parametrize("inertia", [(1.0, 2.0, 2.5), INERTIA], ids=["as prepared", "other"])
+def test_gradient_is_that_of_the_pullback(number, wrapped, inertia):
+    _, pullback = prepared(inertia).vjp(X0, SPAN, EVERY)
+    wanted = pullback(WEIGHTS)
+    value, (of_x0, of_inertia) = wrapped(jax.value_and_grad(number, (0, 1)))(X0, np.array(inertia))
+    assert abs(value - number(X0, np.array(inertia))) < ROUNDING  # a compiled sum has another order
+    assert np.array_equal(of_x0, wanted["x0"])
+    assert np.array_equal(of_inertia, wanted["inertia"])
+    assert np.array_equal(wrapped(jax.grad(number, 1))(X0, np.array(inertia)), wanted["inertia"])
+
+
+def test_jvp_is_that_of_the_prepared_run(f):
+    _, wanted = prepared(INERTIA).jvp(X0, SPAN, {"x0": ALONG, "inertia": X0}, EVERY)
+    x, along = jax.jvp(lambda x0, inertia: f(x0, inertia=inertia), (X0, INERTIA), (ALONG, X0))
+    assert np.array_equal(x, f(X0, inertia=INERTIA)) and np.array_equal(along, wanted.x)
+    _, linear = jax.linearize(lambda x0: f(x0, inertia=INERTIA), X0)
+    of_x0 = prepared(INERTIA).jvp(X0, SPAN, {"x0": ALONG}, EVERY)[1].x
+    assert np.array_equal(linear(ALONG), of_x0)
+
+
+@pytest.mark.parametrize("name", ["x0", "inertia"])
+@pytest.mark.parametrize("x0", [X0, MANY], ids=["one", "ensemble"])
+def test_forward_and_reverse_mode_agree(f, name, x0):
+    def x(value):
+        return f(value, inertia=INERTIA) if name == "x0" else f(x0, inertia=value)
+
+    value = x0 if name == "x0" else INERTIA
+    forward, reverse = jax.jit(jax.jacfwd(x))(value), jax.jit(jax.jacrev(x))(value)
+    assert forward.shape == (5, *x0.shape, *value.shape)
+    np.testing.assert_allclose(forward, reverse, rtol=0, atol=ROUNDING)
+    assert np.array_equal(forward, jax.jacfwd(x)(value))
+
+
+@pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit], ids=["at once", "jit"])
+def test_vmap_over_initial_states_agrees_with_a_loop(f, number, wrapped):
+    assert np.array_equal(wrapped(jax.vmap(f))(MANY), np.stack([f(x0) for x0 in MANY]))
+    rows = wrapped(jax.vmap(jax.grad(number, (0, 1)), (0, None)))(MANY, INERTIA)
+    for m, x0 in enumerate(MANY):
+        for row, alone in zip(rows, jax.grad(number, (0, 1))(x0, INERTIA), strict=True):
+            np.testing.assert_allclose(row[m], alone, rtol=0, atol=ROUNDING)
+
+
+def test_vmap_over_ensembles_agrees_with_a_loop(f):
+    several = np.array([MANY, 1.5 * MANY])
+
+    def square(x0, inertia):
+        return (f(x0, inertia=inertia) ** 2 * WEIGHTS[:, None]).sum()
+
+    assert np.array_equal(jax.vmap(f)(several), np.stack([f(x0) for x0 in several]))
+    rows = jax.vmap(jax.grad(square, (0, 1)), (0, None))(several, INERTIA)
+    twice = jax.vmap(jax.vmap(jax.grad(lambda x0: (f(x0) ** 2 * WEIGHTS).sum())))(several)
+    _, along = jax.vmap(lambda x0: jax.jvp(lambda i: f(x0, inertia=i), (INERTIA,), (X0,)))(several)
+    for m, x0 in enumerate(several):
+        for row, alone in zip(rows, jax.grad(square, (0, 1))(x0, INERTIA), strict=True):
+            np.testing.assert_allclose(row[m], alone, rtol=0, atol=16 * ROUNDING)
+        np.testing.assert_allclose(twice[m][1], jax.grad(lambda x: (f(x) ** 2 * WEIGHTS).sum())(x0[1]), atol=ROUNDING)
+        alone = jax.jvp(lambda i, x0=x0: f(x0, inertia=i), (INERTIA,), (X0,))[1]
+        np.testing.assert_allclose(along[m], alone, rtol=0, atol=ROUNDING)
+
+
+def test_axes_of_vmap_may_be_any(f, number):
+    """The number of members is that along their axis, which is not the first one."""
+    value_and_gradient = jax.value_and_grad(number, (0, 1))
+    for axes, of_x0, of_inertia in (((1, None), MANY.T, INERTIA), ((1, 1), MANY.T, np.tile(INERTIA[:, None], 4))):
+        value, gradients = jax.vmap(value_and_gradient, axes)(of_x0, of_inertia)
+        wanted, expected = jax.vmap(value_and_gradient, (0, None))(MANY, INERTIA)
+        for one, other in zip((value, *gradients), (wanted, *expected), strict=True):
+            np.testing.assert_allclose(one, other, rtol=0, atol=ROUNDING)
+    along = jax.vmap(lambda v: jax.jvp(lambda x: f(x, inertia=INERTIA), (X0,), (v,))[1], 1, 2)(MANY.T)
+    each = [jax.jvp(lambda x: f(x, inertia=INERTIA), (X0,), (v,))[1] for v in MANY]
+    np.testing.assert_allclose(along, np.stack(each, axis=2), rtol=0, atol=ROUNDING)
+
+
+def test_vmap_over_parameters_agrees_with_a_loop(f, number):
+    several = np.array([INERTIA, INERTIA + 0.1])
+    values = jax.vmap(lambda inertia: f(X0, inertia=inertia))(several)
+    both = jax.jit(jax.vmap(jax.value_and_grad(number, (0, 1))))(MANY[:2], several)
+    along = jax.vmap(lambda i, v: jax.jvp(lambda i: f(X0, inertia=i), (i,), (v,))[1])(several, MANY[:2])
+    for k, inertia in enumerate(several):
+        assert np.array_equal(values[k], f(X0, inertia=inertia))
+        alone = jax.value_and_grad(number, (0, 1))(MANY[k], inertia)
+        for row, one in zip(jax.tree.leaves(both), jax.tree.leaves(alone), strict=True):
+            np.testing.assert_allclose(row[k], one, rtol=0, atol=ROUNDING)
+        one = jax.jvp(lambda i: f(X0, inertia=i), (inertia,), (MANY[k],))[1]
+        np.testing.assert_allclose(along[k], one, rtol=0, atol=ROUNDING)
+
+
+def test_ensembles_share_parameters(f):
+    """The gradient of a sum over members is the sum of those of the members."""
+    total = jax.grad(lambda inertia: (f(MANY, inertia=inertia)[-1] @ ALONG).sum())(INERTIA)
+    each = [jax.grad(lambda inertia, x0=x0: f(x0, inertia=inertia)[-1] @ ALONG)(INERTIA) for x0 in MANY]
+    np.testing.assert_allclose(total, np.sum(each, axis=0), rtol=0, atol=3 * ROUNDING)
+
+
+@pytest.mark.parametrize("attitude", [True, "coadjoint"])
+def test_attitude_is_returned_and_differentiated(attitude):
+    ready = prepared(attitude=attitude)
+    g = co.jax.solution(ready, SPAN, EVERY)
+    turned = co.integrate(co.systems.rigid_body(inertia=INERTIA), X0, (0, 1), 0.1, attitude=True).attitude[-1]
+    weights = np.sin(np.arange(45.0)).reshape(5, 3, 3)
+    sol, pullback = ready.vjp(X0, SPAN, EVERY, attitude=turned)
+    x, A = g(X0, attitude0=turned)
+    assert np.array_equal(x, sol.x) and np.array_equal(A, sol.attitude)
+    assert np.array_equal(g(X0)[1], ready.run(X0, SPAN, EVERY).attitude)
+
+    def number(x0, attitude0):
+        x, A = g(x0, attitude0=attitude0)
+        return (WEIGHTS * x).sum() + (weights * A).sum()
+
+    wanted = pullback(WEIGHTS, attitude=weights)
+    of_x0, of_A0 = jax.grad(number, (0, 1))(X0, turned)
+    assert np.array_equal(of_x0, wanted["x0"]) and np.array_equal(of_A0, wanted["attitude0"])
+    # Members share an attitude of shape (d, d), and its derivative is the sum of theirs.
+    of_A0 = jax.grad(lambda A0: (g(MANY, attitude0=A0)[1] * weights[:, None]).sum())(turned)
+    each = jax.vmap(jax.grad(lambda A0, x0: (g(x0, attitude0=A0)[1] * weights).sum()), (None, 0))(turned, MANY)
+    np.testing.assert_allclose(of_A0, each.sum(axis=0), rtol=0, atol=3 * ROUNDING)
+    forward = jax.jacfwd(lambda x0: g(x0, attitude0=turned)[1])(X0)
+    reverse = jax.jacrev(lambda x0: g(x0, attitude0=turned)[1])(X0)
+    np.testing.assert_allclose(forward, reverse, rtol=0, atol=ROUNDING)
+
+
+def test_parameters_of_hamiltonians_keep_their_shapes_at_zeros():
+    """M becomes diagonal, and `linear` zero; the derivatives by the other entries remain."""
+    algebra, full = co.algebras.so(3), np.array([[1.0, 0.2, 0.0], [0.2, 0.5, 0.1], [0.0, 0.1, 0.4]])
+    ready = co.prepare(co.LiePoissonSystem(algebra, co.Quadratic(full, [0.1, 0.0, 0.2])), co.Splitting(order=4), 0.05)
+    g, diagonal = co.jax.solution(ready, (0, 1), save_every=20), np.diag([1.0, 0.5, 0.4])
+    x = g(X0, M=diagonal, linear=np.zeros(3))
+    own = co.LiePoissonSystem(algebra, co.Quadratic(diagonal))
+    assert np.array_equal(x, co.integrate(own, X0, (0, 1), 0.05, co.Splitting(order=4), save_every=20).x)
+
+    def number(M, linear):
+        return g(X0, M=M, linear=linear)[-1] @ ALONG
+
+    found, shift = jax.grad(number, (0, 1))(diagonal, np.zeros(3)), 2.0**-17
+    for of, value, k in ((0, diagonal, (0, 1)), (0, diagonal, (2, 2)), (1, np.zeros(3), (1,))):
+        unit = np.zeros_like(value)
+        unit[k] = shift
+        arguments = [diagonal, np.zeros(3)]
+        ends = [number(*(a + sign * unit if i == of else a for i, a in enumerate(arguments))) for sign in (1, -1)]
+        # The difference has an error of shift^2 and u / shift; an added part one of order 4 of the step, 0.05^4 / 120.
+        assert abs((ends[0] - ends[1]) / (2 * shift) - found[of][k]) < 1e-7
+
+
+def test_equal_values_of_different_parameters_are_not_confused():
+    """The runs of the last values are cached."""
+
+    def with_values(M=ALONG, linear=X0):
+        system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M, linear))
+        return co.prepare(system, co.Splitting(order=4), 0.05)
+
+    g, names, weights = co.jax.solution(with_values(), (0, 1), 20), ("M", "linear"), np.array([0.0 * ALONG, ALONG])
+    runs = {name: with_values(**{name: INERTIA}).vjp(X0, (0, 1), 20) for name in names}
+    for name in names:
+        assert np.array_equal(g(X0, **{name: INERTIA}), runs[name][0].x)
+    for name in names:
+        found = jax.grad(lambda value, name=name: (weights * g(X0, **{name: value})).sum())(INERTIA)
+        assert np.array_equal(found, runs[name][1](weights)[name])
+
+
+def test_gradients_by_parameters_of_forces_are_those_at_the_given_values():
+    """Not those at the prepared ones: the flows of the forces depend on their parameters."""
+
+    def with_values(rate, toward, alpha, metric=1.0):
+        forces = (co.forces.LinearDamping(rate, toward=toward), co.forces.DoubleBracketDamping(alpha, metric))
+        body = co.systems.rigid_body(inertia=(1.0, 2.0, 2.5)).with_forces(*forces)
+        return co.prepare(body, co.Splitting(order=4), 0.05)
+
+    ready = with_values(0.1, (0.5, 0.0, 0.25), 0.125)
+    g = co.jax.solution(ready, (0, 1), 20)
+    values = {name: 1.5 * value + 0.25 for name, value in ready.parameters.items() if "." in name}
+    assert len(values) == 4
+    moved = with_values(
+        **{name.partition(".")[2]: value if value.ndim else float(value) for name, value in values.items()}
+    )
+    _, pullback = moved.vjp(X0, (0, 1), 20)
+    wanted = pullback(np.array([0.0 * ALONG, ALONG]))
+    found = jax.grad(lambda given: g(X0, **given)[-1] @ ALONG)(values)
+    for name, one in found.items():
+        assert np.array_equal(one, wanted[name]) and np.any(wanted[name]), name
+
+
+@pytest.mark.parametrize(
+    ("force", "limit", "parameter"),
+    [
+        (co.forces.DoubleBracketDamping(0.125), co.forces.DoubleBracketDamping(0.0), "DoubleBracketDamping.alpha"),
+        (
+            co.forces.HeatBath(0.125, temperature=0.5, seed=3),
+            co.forces.HeatBath(0.125, temperature=0.0, seed=3),
+            "HeatBath.temperature",
+        ),
+    ],
+    ids=["damping", "noise"],
+)
+def test_forces_may_be_given_values_at_which_they_have_no_derivative(force, limit, parameter):
+    body = co.systems.rigid_body((1.0, 2.0, 2.5))
+    f = co.jax.solution(co.prepare(body.with_forces(force), co.Splitting(), 0.125), (0, 2), 4)
+    wanted, pullback = co.prepare(body.with_forces(limit), co.Splitting(), 0.125).vjp(X0, (0, 2), 4)
+    assert np.array_equal(f(X0, **{parameter: 0.0}), wanted.x)
+    by_x0 = jax.grad(lambda x: f(x, **{parameter: 0.0}).sum())(X0)
+    assert np.array_equal(by_x0, pullback(np.ones(wanted.x.shape))["x0"])
+    with refused(ValueError, parameter, "0.0"):
+        jax.grad(lambda value: f(X0, **{parameter: value}).sum())(0.0)
+
+
+@pytest.mark.parametrize(
+    ("x0", "values", "error", "named"),
+    [
+        (X0.astype(np.float32), {}, TypeError, ("x0", "float32", "float64")),
+        (X0, {"inertia": INERTIA.astype(np.float32)}, TypeError, ("inertia", "float32", "float64")),
+        (X0[:2], {}, ValueError, ("x0", "(2,)", "(members, 3)")),
+        (MANY[None], {}, ValueError, ("x0", "(1, 4, 3)")),
+        (MANY[:0], {}, ValueError, ("x0", "(0, 3)")),
+        (X0, {"inertia": np.diag(INERTIA)}, ValueError, ("inertia", "(3, 3)", "(3,)")),
+        (X0, {"inertai": INERTIA}, ValueError, ("inertai", "inertia")),
+        (X0, {"attitude0": np.eye(3)}, ValueError, ("attitude0",)),
+    ],
+)
+@pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit, jax.jacfwd], ids=["at once", "jit", "jacfwd"])
+def test_wrong_arguments_are_refused(f, wrapped, x0, values, error, named):
+    with refused(error, *named):
+        wrapped(lambda x0: f(x0, **values))(x0)
+
+
+def test_whole_numbers_are_taken(f):
+    assert np.array_equal(f((1, 0, 1)), f(np.array([1.0, 0.0, 1.0])))
+
+
+@pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit], ids=["at once", "jit"])
+def test_single_precision_is_refused(f, wrapped):
+    jax.config.update("jax_enable_x64", False)
+    with refused(TypeError, "jax_enable_x64"):
+        wrapped(f)(X0)
+
+
+def test_second_derivatives_are_refused(f):
+    for second in (jax.hessian, lambda number: jax.jacrev(jax.jacrev(number)), lambda g: jax.jacfwd(jax.jacfwd(g))):
+        with refused(NotImplementedError, "first derivatives"):
+            second(lambda x0: f(x0)[-1, 0])(X0)
+
+
+def test_gauss_newton_products_are_linear_with_a_transpose(f):
+    def product(v):
+        return jax.vjp(f, X0)[1](jax.jvp(f, (X0,), (v,))[1])[0]
+
+    J = jax.jacfwd(f)(X0).reshape(-1, 3)
+    for matrix in (jax.jacfwd(product)(ALONG), jax.jacrev(product)(ALONG)):
+        np.testing.assert_allclose(matrix, J.T @ J, rtol=0, atol=16 * ROUNDING)
+
+
+def test_refused_values_and_failed_runs_raise(f):
+    with refused(ValueError, "inertia"):
+        f(X0, inertia=-INERTIA)
+    with refused(jax.errors.JaxRuntimeError, "inertia"):
+        jax.jit(lambda inertia: f(X0, inertia=inertia))(-INERTIA)
+    with pytest.raises(co.IntegrationError):
+        f(1e300 * X0)
+
+
+BODY = co.systems.rigid_body((1, 2, 3))
+
+
+@pytest.mark.parametrize(
+    ("ready", "options", "error", "named"),
+    [
+        (co.prepare(BODY, co.GaussLegendre(2), 0.1, inputs=True), {}, TypeError, ("inputs",)),
+        (co.prepare(BODY, co.Taylor(tolerance=1e-9), 0.1), {}, TypeError, ("step", "Taylor")),
+        (co.prepare(BODY, accuracy=1e-6, x0=X0, t_span=(0, 10)), {}, TypeError, ("co.prepare(system, method, step)",)),
+        (BODY, {}, TypeError, ("rigid_body",)),
+        (prepared(), {"backend": "compild"}, ValueError, ("backend", "compild", "compiled")),
+        (prepared(), {"save_every": 0}, ValueError, ("save_every", "0")),
+        (prepared(), {"t_eval": [11.0]}, ValueError, ("t_eval", "11")),
+    ],
+)
+def test_runs_without_derivatives_are_refused(ready, options, error, named):
+    with refused(error, *named):
+        co.jax.solution(ready, SPAN, **options)
+
+
+ONE_CORE = """
+import os
+os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+import jax, numpy as np, coadjoint as co
+jax.config.update("jax_enable_x64", True)
+f = co.jax.solution(co.prepare(co.systems.rigid_body((1, 2, 2.5)), co.Splitting(), 0.1), (0, 0.5))
+print(jax.jit(jax.grad(lambda x: f(2.0 * x).sum()))(np.ones((20000, 3))).shape)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="processes cannot be bound to one core")
+def test_large_ensembles_are_called_back_on_one_core():
+    assert run_python(ONE_CORE, timeout=100).stdout == "(20000, 3)\n"

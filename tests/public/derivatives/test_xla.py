@@ -1,0 +1,393 @@
+"""Runs as operations of JAX: agreement with the compiled loops, transformations, devices, memory and refused runs."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from core_only import run_python
+from refusals import refused
+from rounding import UNIT_ROUNDOFF
+
+jax = pytest.importorskip("jax")
+jnp = jax.numpy
+
+RNG = np.random.default_rng(41)
+X0 = np.array([1.0, 0.2, 0.5])
+INERTIA = np.array([1.1, 2.0, 2.4])
+C1 = 1 / (2 - 2 ** (1 / 3))
+
+
+@pytest.fixture(autouse=True)
+def double_precision_and_same_draws():
+    RNG.bit_generator.state = np.random.default_rng(41).bit_generator.state  # alone and after other tests
+    jax.config.update("jax_enable_x64", True)
+    yield
+    jax.config.update("jax_enable_x64", False)
+
+
+def full(n):
+    half = 0.2 * RNG.standard_normal((n, n))
+    return co.Quadratic(half @ half.T + np.diag(RNG.uniform(0.3, 1.0, n)), 0.2 * RNG.standard_normal(n))
+
+
+def polynomial(n):
+    """A cubic energy of the last coordinates, and squares."""
+    squares = {tuple(2 * int(k == i) for k in range(n)): 0.2 + 0.1 * i for i in range(n)}
+    return co.Polynomial(squares | {tuple(3 * int(k == n - 1) for k in range(n)): 0.1})
+
+
+def of_algebra(algebra):
+    return co.LiePoissonSystem(algebra, full(algebra.dim), sign=-1)
+
+
+BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
+DIAGONAL = co.LiePoissonSystem(co.algebras.get("A3,2"), co.Quadratic([0.9, 0.5, 0.7], [0.1, 0.2, 0.3]))
+FREE = co.LiePoissonSystem(co.algebras.su(3), co.Quadratic(np.linspace(0.3, 1.0, 8)))
+get = co.algebras.get
+SYSTEMS = {
+    "body, 1": lambda: (BODY, co.Splitting(order=1)),
+    "body, adjoint": lambda: (BODY, co.Splitting(order=1, adjoint=True)),
+    "body, 8": lambda: (BODY, co.Splitting(order=8)),
+    "body, processed": lambda: (BODY, co.Splitting(scheme="blanes_casas_murua6")),
+    "body, composition": lambda: (BODY, co.Composition(co.Splitting(order=2), (C1, 1 - 2 * C1, C1))),
+    "body, rational": lambda: (BODY, co.Splitting(order=4, rotation="rational")),
+    "body, Gauss": lambda: (BODY, co.GaussLegendre(3)),
+    "so(3), cubic": lambda: (co.LiePoissonSystem(co.algebras.so(3), polynomial(3)), co.Splitting(order=4)),
+    "e(3), cubic": lambda: (co.LiePoissonSystem(co.algebras.e(3), polynomial(6)), co.Splitting()),
+    "so(5)": lambda: (of_algebra(co.algebras.so(5)), co.Splitting()),
+    "su(3)": lambda: (of_algebra(co.algebras.su(3)), co.Splitting()),
+    "sl(2)": lambda: (of_algebra(co.algebras.sl(2)), co.Splitting(order=4)),
+    "A3,7": lambda: (of_algebra(get("A3,7", a=0.5)), co.Splitting(order=4)),
+    "A4,7": lambda: (of_algebra(get("A4,7")), co.Splitting()),
+    "A3,2": lambda: (DIAGONAL, co.Splitting(order=4)),
+    "A4,10": lambda: (of_algebra(get("A4,10")), co.Splitting(order=4)),
+    "heisenberg": lambda: (of_algebra(co.algebras.heisenberg(2)), co.Splitting(order=4)),
+    "top": lambda: (co.systems.heavy_top(), co.Splitting(order=4)),
+    "top, free body": lambda: (co.systems.heavy_top(), co.Splitting(parts="free_body")),
+    "su(3), free body": lambda: (FREE, co.Splitting(parts="free_body")),
+    "full free body": lambda: (of_algebra(co.algebras.so(3)), co.Splitting(parts="free_body")),
+    "bonds": lambda: (co.systems.spin_lattice("chain", 3, field=(0.1, 0.2, 0.3)), co.Splitting(parts="bonds")),
+    "30 spins": lambda: (co.systems.spin_lattice(shape=30, periodic=True), co.Splitting()),
+    "Toda": lambda: (co.systems.toda(sites=4), co.Splitting(order=4)),
+    "A5,2": lambda: (of_algebra(get("A5,2")), co.Splitting(order=4)),
+}
+SPANS = {
+    "forward": ((0.0, 2.0), {"save_every": 1}),
+    "late": ((1.5, 4.5), {"save_every": 7}),
+    "backward": ((3.0, 1.0), {"save_every": 20}),
+    "times": ((1.0, 3.0), {"t_eval": [1.0, 1.234, 1.25, 2.6, 2.96]}),
+    "backward times": ((3.0, 1.0), {"t_eval": [2.95, 2.3, 1.02]}),
+}
+
+
+PAIRS = [(name, list(SPANS)[k % 3]) for k, name in enumerate(SYSTEMS)]
+PAIRS += [(name, span) for name in ("body, rational", "body, Gauss") for span in ("times", "backward times")]
+PAIRS += [("top, free body", "times"), ("e(3), cubic", "backward times")]
+
+
+@pytest.mark.thinned(9)
+@pytest.mark.parametrize(("name", "span"), PAIRS)
+def test_values_and_gradients_agree_with_the_compiled_run(name, span):
+    system, method = SYSTEMS[name]()
+    ready, (ends, options) = co.prepare(system, method, 0.1), SPANS[span]
+    x0 = 0.7 * RNG.standard_normal(system.dim)
+    f = co.jax.solution(ready, ends, backend="xla", **options)
+    sol, pullback = ready.vjp(x0, ends, **options)
+    weights = np.cos(np.arange(sol.x.size)).reshape(sol.x.shape)
+    x, transposed = jax.vjp(f, x0)
+    # At most 1000 flows, which round a few times each.
+    largest = max(1.0, np.max(np.abs(sol.x)))
+    tolerance = 1000 * 8 * 2.0**-53 * largest
+    assert np.max(np.abs(x - sol.x)) < tolerance
+    (found,) = transposed(jnp.array(weights))
+    assert np.max(np.abs(found - pullback(weights)["x0"])) < 32 * largest * sol.x.size * tolerance
+
+
+@pytest.mark.parametrize(
+    ("system", "parts", "x0"),
+    [
+        pytest.param(co.systems.heavy_top(), "free_body", [0.0, 0.0, 0.0, 0.3, 0.1, 0.9], marks=pytest.mark.long),
+        (co.systems.spin_lattice("chain", 2, field=(0.1, 0.2, 0.3)), "bonds", [0.5, 0.1, 0.2, -0.5, -0.1, -0.2]),
+    ],
+    ids=["body", "bond"],
+)
+def test_derivatives_at_rest(system, parts, x0):
+    """The rotation has no axis there, but derivatives."""
+    ready = co.prepare(system, co.Splitting(parts=parts), 0.1)
+    f = co.jax.solution(ready, (0, 1), 10, backend="xla")
+
+    def end(x):
+        return ready.run(x, (0, 1), 10).x[-1]
+
+    units = 1e-3 * np.eye(6)
+    wanted = [(8 * (end(x0 + e) - end(x0 - e)) - (end(x0 + 2 * e) - end(x0 - 2 * e))) / 12e-3 for e in units]
+    # The error of the differences is 1e-12 times a fifth derivative, and the rounding divided by 1e-3.
+    np.testing.assert_allclose(jax.jacfwd(f)(jnp.array(x0))[-1].T, wanted, rtol=0, atol=1e-10)
+    g, shift = number(f), 2.0**-17
+    second = jax.jit(jax.hessian(g))(jnp.array(x0))
+    first = jax.jit(jax.grad(g))
+    differences = [(first(x0 + shift * unit) - first(x0 - shift * unit)) / (2 * shift) for unit in np.eye(6)]
+    np.testing.assert_allclose(second, differences, rtol=0, atol=1e-8)
+
+
+def prepared(inertia=(1.0, 2.0, 2.5), method=None, **options):
+    return co.prepare(co.systems.rigid_body(inertia=inertia), method or co.Splitting(order=4), 0.05, **options)
+
+
+@pytest.fixture
+def f():
+    return co.jax.solution(prepared(), (0, 5), 25, backend="xla")
+
+
+def number(f):
+    def weighted(x0, **parameters):
+        x = f(x0, **parameters)
+        return (jnp.cos(jnp.arange(x.size)).reshape(x.shape) * x).sum()
+
+    return weighted
+
+
+def parametrized(name):
+    """A run, a parameter of it, and another value."""
+    e3 = co.algebras.e(3)
+    M, linear = np.array([1.0, 0.6, 0.3, 0.2, 0.4, 0.1]), np.array([0.1, -0.2, 0.3, 0.3, 0.1, 0.2])
+    quadratic = co.LiePoissonSystem(e3, co.Quadratic(M, linear=linear))
+    cubic = co.LiePoissonSystem(e3, polynomial(6))
+    full_energy = co.LiePoissonSystem(co.algebras.so(3), full(3))
+    by_coordinates = co.Splitting(order=4, parts="coordinates")
+    system, method, parameter = {
+        "inertia": (co.systems.rigid_body((1, 2, 2.5)), co.Splitting(order=4), "inertia"),
+        "inertia, rational": (
+            co.systems.rigid_body((1, 2, 2.5)),
+            co.Splitting(parts="coordinates", rotation="rational"),
+            "inertia",
+        ),
+        "inertia, Gauss": (co.systems.rigid_body((1, 2, 2.5)), co.GaussLegendre(2), "inertia"),
+        "lever": (co.systems.heavy_top(), co.Splitting(order=4), "lever"),
+        "exchange": (co.systems.spin_lattice(shape=8, periodic=True), co.Splitting(), "exchange"),
+        "M": (quadratic, by_coordinates, "M"),
+        "M, Gauss": (full_energy, co.GaussLegendre(2), "M"),
+        "linear": (quadratic, by_coordinates, "linear"),
+        "coefficients": (cubic, co.Splitting(), "coefficients"),
+    }[name]
+    ready = co.prepare(system, method, 0.05)
+    value = ready.parameters[parameter]
+    return ready, parameter, value * np.random.default_rng(7).uniform(0.97, 1.03, value.shape)
+
+
+NAMES = ["inertia", "inertia, rational", "inertia, Gauss", "lever", "exchange", "M", "M, Gauss", "linear"]
+
+
+@pytest.mark.parametrize("name", [*NAMES, "coefficients"])
+def test_parameters_agree_with_the_compiled_backend(name):
+    ready, parameter, value = parametrized(name)
+    x0 = 0.7 * RNG.standard_normal(ready.system.dim)
+    numbers = [number(co.jax.solution(ready, (1, 3), 9, backend=backend)) for backend in ("compiled", "xla")]
+    values = [jax.value_and_grad(lambda x, v, g=g: g(x, **{parameter: v}), (0, 1))(x0, value) for g in numbers]
+    # As above. The derivative of the coefficients has the rounding of the interpolation, twelve digits and more.
+    for wanted, found in zip(*map(jax.tree.leaves, values), strict=True):
+        assert np.max(np.abs(found - wanted)) < 1e-10 * max(1.0, np.max(np.abs(wanted)))
+    plain = [float(g(x0)) for g in numbers]
+    assert abs(plain[0] - plain[1]) < 1e-11 and abs(plain[0] - values[0][0]) > 1e-5
+
+
+def test_several_parameters_of_a_ready_made_system_have_their_own_derivatives():
+    ready = co.prepare(co.systems.lagrange_top(), co.Splitting(), 0.05)
+    assert list(ready.parameters) == ["equatorial", "axial", "lever"]
+    x0 = 0.7 * RNG.standard_normal(6)
+    values = {name: 1.02 * value for name, value in ready.parameters.items()}
+    wanted, found = (
+        jax.grad(lambda given, f=f: f(x0, **given)[-1].sum())(values)
+        for f in (co.jax.solution(ready, (0, 1), 20, backend=backend) for backend in ("compiled", "xla"))
+    )
+    for name, derivative in wanted.items():
+        assert abs(found[name] - derivative) < 1e-10 * max(1.0, abs(derivative)) and abs(derivative) > 1e-3
+
+
+def test_transformations_compose(f):
+    g, many = number(f), np.array([X0, 2.0 * X0, X0[::-1]])
+    each = np.stack([f(x0) for x0 in many])
+    np.testing.assert_allclose(jax.jit(jax.vmap(f))(many), each, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(jax.lax.map(f, many), each, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(f(many), np.swapaxes(each, 0, 1), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(jax.jacfwd(f)(X0), jax.jacrev(f)(X0), rtol=0, atol=1e-12)
+    several = np.array([INERTIA, INERTIA + 0.1])
+    gradients = jax.jit(jax.vmap(jax.grad(lambda x0, i: g(x0, inertia=i), (0, 1))))(many[:2], several)
+    for k, inertia in enumerate(several):
+        alone = jax.grad(lambda x0, i: g(x0, inertia=i), (0, 1))(many[k], inertia)
+        for row, one in zip(gradients, alone, strict=True):
+            np.testing.assert_allclose(row[k], one, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2)])
+def test_second_derivatives_are_those_of_the_gradient(method):
+    g = number(co.jax.solution(prepared(method=method), (0, 2), 20, backend="xla"))
+    shift = 2.0**-17
+    differences = [
+        (jax.grad(g)(X0 + shift * unit) - jax.grad(g)(X0 - shift * unit)) / (2 * shift) for unit in np.eye(3)
+    ]
+    # The error is shift^2 times the fourth derivative, and the rounding divided by shift.
+    np.testing.assert_allclose(jax.hessian(g)(X0), differences, rtol=0, atol=1e-8)
+
+
+def test_a_million_steps_are_differentiated_in_little_memory():
+    for every in (1_000_000, 1000):
+        f = co.jax.solution(prepared(), (0, 50_000), every, backend="xla")
+        compiled = jax.jit(jax.grad(lambda x0, f=f: f(x0)[-1].sum())).lower(jnp.array(X0)).compile()
+        assert compiled.memory_analysis().temp_size_in_bytes < 2**22
+
+
+def hamiltonian(x):
+    return 0.5 * (x[0] ** 2 + 0.5 * x[1] ** 2 + 0.4 * x[2] ** 2) + 0.1 * jnp.sin(x[0] * x[2])
+
+
+def timed(x, t):
+    return hamiltonian(x) * (1.0 + 0.3 * jnp.cos(t))
+
+
+@pytest.mark.parametrize("H", [hamiltonian, timed])
+@pytest.mark.parametrize("ends", [(0.5, 4.5), (4.5, 0.5)])
+def test_functions_of_jax_are_stepped_by_gauss(H, ends):
+    """At multiples of seven steps, and at the last one, which is none."""
+    ready = co.prepare(co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(H)), co.GaussLegendre(2), 0.1)
+    f = co.jax.solution(ready, ends, 7, backend="xla")
+    sol, pullback = ready.vjp(X0, ends, 7)
+    weights = np.cos(np.arange(21.0)).reshape(7, 3)
+    # The compiled iteration stops at rounding.
+    np.testing.assert_allclose(f(X0), sol.x, rtol=0, atol=1e-13)
+    found = jax.grad(lambda x0: (weights * f(x0)).sum())(X0)
+    np.testing.assert_allclose(found, pullback(weights)["x0"], rtol=0, atol=1e-12)
+
+
+def test_stages_that_do_not_converge_are_nan():
+    ready = prepared(method=co.GaussLegendre(2))
+    f = co.jax.solution(ready, (0, 0.05), backend="xla")
+    assert np.isfinite(f(X0)).all() and np.isnan(f(1e3 * X0)[-1]).all()
+    # Also where the iteration is only too slow: every number that is returned is that of the converged stages.
+    scales = 2.0 ** np.arange(0.0, 8.0, 0.25)
+    ends = [f(scale * X0)[-1] for scale in scales]
+    converged = [bool(np.isfinite(x).all()) for x in ends]
+    assert converged == sorted(converged, reverse=True) and 8 < sum(converged) < 30
+    for scale, x in zip(scales[converged], ends, strict=False):
+        np.testing.assert_allclose(x, ready.run(scale * X0, (0, 0.05)).x[-1], rtol=1e-9)
+
+
+SHARDED = """
+import os
+os.environ["XLA_FLAGS"] = "--xla_force_host_platform_device_count=4"
+import numpy as np, jax, coadjoint as co
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+jax.config.update("jax_enable_x64", True)
+assert len(jax.devices()) == 4
+over_members = NamedSharding(Mesh(np.array(jax.devices()), ("members",)), PartitionSpec("members"))
+ready = co.prepare(co.systems.rigid_body((1, 2, 2.5)), co.Splitting(order=4), 0.05)
+f = co.jax.solution(ready, (0, 1), save_every=10, backend="xla")
+many = np.random.default_rng(5).standard_normal((8, 3))
+x0 = jax.device_put(many, over_members)
+inertia = np.array([1.1, 2.0, 2.4])
+wanted = ready.run(many, (0, 1), save_every=10).x
+for g, axis in ((f, 1), (jax.vmap(f), 0)):
+    compiled = jax.jit(g).lower(x0).compile()
+    found = compiled(x0)
+    assert found.sharding.spec[axis] == "members" and len(found.sharding.device_set) == 4, found.sharding
+    assert "all-gather" not in compiled.as_text() and "all-reduce" not in compiled.as_text()
+    assert np.max(np.abs(np.moveaxis(found, axis, 1) - wanted)) < 1e-13
+
+@jax.jit
+def gradients(x0, inertia):
+    return jax.grad(lambda x0, i: (f(x0, inertia=i)[-1] ** 3).sum(), (0, 1))(x0, inertia)
+
+of_x0, of_inertia = gradients(x0, inertia)
+assert of_x0.sharding.spec[0] == "members"
+alone = gradients(many, inertia)
+assert np.max(np.abs(of_x0 - alone[0])) < 1e-12 and np.max(np.abs(of_inertia - alone[1])) < 1e-11
+print("sharded")
+"""
+
+
+def test_ensembles_are_sharded_over_devices():
+    done = run_python(SHARDED)
+    assert done.stdout == "sharded\n", done.stderr
+
+
+def test_bonds_turn_by_angles_beyond_the_series():
+    """In a long step two spins turn about their sum by more than a radian."""
+    ready = co.prepare(co.systems.spin_lattice("chain", 3), co.Splitting(parts="bonds"), 1.5)
+    x0 = [0.6, 0.0, 0.8, 0.48, 0.64, 0.6, 0.0, 0.6, -0.8]
+    found = co.jax.solution(ready, (0, 6), backend="xla")(x0)
+    np.testing.assert_allclose(found, ready.run(x0, (0, 6)).x, rtol=0, atol=1e-13)
+
+
+DAMPED = BODY.with_forces(co.forces.LinearDamping(0.1))
+COSH = co.LiePoissonSystem(co.algebras.so(3), co.Separable({0: (np.cosh, np.sinh, np.cosh)}))
+
+
+@pytest.mark.parametrize(
+    ("ready", "named"),
+    [
+        (prepared(attitude=True), ("attitude=",)),
+        (co.prepare(DAMPED, co.Splitting(), 0.1), ("forces", "LinearDamping", "compiled")),
+        (co.prepare(DAMPED, co.GaussLegendre(2), 0.1), ("forces", "LinearDamping", "compiled")),
+        (prepared(method=co.GaussLegendre(2), inputs=True), ("inputs=",)),
+        (prepared(method=co.Splitting(compensated=True)), ("compensated=True", "compensated=False")),
+        (prepared(method=co.ExplicitRungeKutta("rk4")), ("ExplicitRungeKutta", "compiled")),
+        (co.prepare(COSH, co.Splitting(), 0.1), ("functions",)),
+        (co.prepare(COSH, co.GaussLegendre(2), 0.1), ("functions", "Hamiltonian")),
+        (co.prepare(co.systems.sklyanin(), co.GaussLegendre(2), 0.1), ("Lie algebra",)),
+    ],
+    ids=str,
+)
+def test_runs_that_are_not_supported_are_refused(ready, named):
+    with refused(TypeError, *named):
+        co.jax.solution(ready, (0, 1), backend="xla")
+
+
+# The algebra so(2,1) in a basis of a rotation and two boosts.
+BOOSTS = co.LieAlgebra([(0, 1, 2, -1.0), (1, 2, 0, 1.0), (2, 0, 1, 1.0)], dim=3)
+
+
+def test_blocks_of_every_kind_have_the_flows_and_derivatives_of_the_compiled_run():
+    """Parts that turn, boost, grow, and are nilpotent up to the third degree."""
+    algebra, h = co.algebras.direct_sum(BOOSTS, co.algebras.get("A5,2"), co.algebras.get("A3,7", a=0.5)), -0.5
+    n = algebra.dim
+    energy = co.Quadratic(np.linspace(0.3, 1.0, n), np.linspace(-0.2, 0.3, n))
+    ready = co.prepare(co.LiePoissonSystem(algebra, energy, sign=-1), co.Splitting(order=1), abs(h))
+    x0 = 0.7 * np.cos(1.0 + np.arange(n))
+    sol, pullback = ready.vjp(x0, (1.0, 1.0 + 2 * h))
+    weights = np.sin(np.arange(sol.x.size)).reshape(sol.x.shape)
+    x, transposed = jax.vjp(co.jax.solution(ready, (1.0, 1.0 + 2 * h), backend="xla"), x0)
+    np.testing.assert_allclose(x, sol.x, rtol=0, atol=2.0**8 * UNIT_ROUNDOFF * max(1.0, np.abs(sol.x).max()))
+    wanted = pullback(weights)["x0"]
+    (found,) = transposed(jnp.array(weights))
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=2.0**10 * UNIT_ROUNDOFF * np.abs(wanted).max())
+
+
+def test_output_times_on_steps_take_no_partial_steps():
+    ready = co.prepare(BODY, co.Splitting(order=1), 0.25)
+    times = [1.0, 1.5, 1.75, 3.0]
+    f = co.jax.solution(ready, (1.0, 4.0), t_eval=times, backend="xla")
+    np.testing.assert_allclose(f(X0), ready.run(X0, (1.0, 4.0), t_eval=times).x, rtol=0, atol=1e-14)
+
+
+def test_parameters_that_change_the_parts_are_refused():
+    ready = co.prepare(co.LiePoissonSystem(co.algebras.so(3), full(3)), co.Splitting(), 0.1)
+    f = co.jax.solution(ready, (0, 1), backend="xla")
+    with refused(ValueError, "M ", "parts"):
+        f(X0, M=np.eye(3))
+
+
+@pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit], ids=["at once", "jit"])
+def test_wrong_arguments_are_refused(f, wrapped):
+    for values, error, named in (
+        ({"inertia": INERTIA.astype(np.float32)}, TypeError, ("inertia", "float32", "float64")),
+        ({"inertia": INERTIA[:2]}, ValueError, ("inertia", "(2,)", "(3,)")),
+        ({"inertai": INERTIA}, ValueError, ("inertai", "'inertia'")),
+    ):
+        with refused(error, *named):
+            wrapped(lambda x0, values=values: f(x0, **values))(X0)
+    with refused(jax.errors.JaxRuntimeError, "inertia"):
+        wrapped(lambda inertia: f(X0, inertia=inertia))(-INERTIA)
+    jax.config.update("jax_enable_x64", False)
+    with refused(TypeError, "jax_enable_x64"):
+        wrapped(f)(X0)

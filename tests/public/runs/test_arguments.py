@@ -1,0 +1,430 @@
+"""Arguments of everything public: wrong calls, hostile values, and both sides of each documented domain."""
+
+import contextlib
+import copy
+import dataclasses
+import datetime
+import inspect
+import pickle
+import re
+import signal
+import warnings
+from decimal import Decimal
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+
+import coadjoint as co
+from domains.of_algebras import ALGEBRAS, CATALOGUE, FAMILIES
+from domains.of_parts import FORCES, HAMILTONIANS, OWN_SYSTEMS
+from domains.of_schemes import EVENTS, SCHEMES
+from domains.of_states import SPHERE, STATES, TORUS
+from domains.of_systems import SYSTEMS
+from fuzz.calls import BODY, ENTRIES, LONG, READY, TURNING, X, call
+from fuzz.judging import TooLong, wrong_error
+from fuzz.values import HOSTILE
+from refusals import refused
+
+PARTS = {**HAMILTONIANS, **OWN_SYSTEMS, **FORCES, **SCHEMES, **EVENTS}
+CASES = {**SYSTEMS, **STATES, **ALGEBRAS, **CATALOGUE, **PARTS}
+TIME_LIMIT = 30  # seconds of the processor until a call counts as endless
+ADDRESS_SPACE = 4 * 10**8  # bytes beyond those in use, which estimates of memory read
+
+
+@pytest.fixture
+def little_memory():
+    """Bound the memory that estimates find free, so that nothing large is allocated."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    with open("/proc/self/statm") as used:
+        size = int(used.read().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (size + ADDRESS_SPACE, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+@contextlib.contextmanager
+def time_limit():
+    def give_up(*_):
+        raise TooLong
+
+    before = signal.signal(signal.SIGPROF, give_up)
+    signal.setitimer(signal.ITIMER_PROF, TIME_LIMIT)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
+
+
+def test_public_functions_are_called():
+    assert {"co.integrate", "co.fit", "co.Splitting", "co.forces.LinearDamping", "co.systems.toda"} <= set(ENTRIES)
+    assert {"co.LieAlgebra", "LieAlgebra.from_brackets", "Solution.at", "PreparedRun.run"} <= set(ENTRIES)
+    assert len(ENTRIES) > 180
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", ENTRIES)
+def test_valid_arguments_are_accepted(name):
+    """Without them nothing below says that a refusal is about the value that was replaced."""
+    call(*ENTRIES[name])
+
+
+SLOW = {("co.predicted_drift", "step"), ("co.certify", "step"), ("LiePoissonSystem.exact", "t")}
+EVERY = [(name, parameter) for name, (_, known) in ENTRIES.items() for parameter in known]
+
+
+@pytest.mark.thinned(24)
+@pytest.mark.filterwarnings("ignore:.*no body has")
+@pytest.mark.parametrize(("name", "parameter"), [one for one in EVERY if one not in SLOW])
+def test_hostile_values_give_a_result_or_a_refusal(name, parameter, little_memory, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    function, arguments = ENTRIES[name]
+    wrong = []
+    for kind, value in HOSTILE.items():
+        try:
+            with time_limit(), warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                call(function, {**arguments, parameter: value})
+        except Exception as error:
+            if found := wrong_error(error, parameter):
+                wrong.append(f"{kind}: {found}")
+        except TooLong:
+            wrong.append(f"{kind}: not done after {TIME_LIMIT} s")
+    assert not wrong, f"{name}, {parameter}:\n" + "\n".join(wrong)
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.filterwarnings("ignore:.*no body has")
+@pytest.mark.parametrize("name", CASES)
+def test_domains_have_their_documented_ends(name):
+    """Values inside are accepted, and those outside are refused by the name of the parameter."""
+    case, wrong = CASES[name], []
+    for parameter, domain in case.domains.items():
+        for value in domain.inside:
+            case(**{**case.arguments(), parameter: value})
+        for k, value in enumerate(domain.outside):
+            try:
+                case(**{**case.arguments(), parameter: value})
+            except (ValueError, TypeError) as refusal:
+                if not re.search(domain.called or rf"\b{parameter}\b", str(refusal)):
+                    wrong.append(f"the message about {parameter}, {k}, does not name it: {refusal}")
+            except Exception as error:
+                wrong.append(f"{parameter}, {k}: {type(error).__name__}: {error}")
+            else:
+                wrong.append(f"{parameter}, {k} is accepted")
+    assert not wrong, "\n".join(wrong)
+
+
+def parameters_of(function):
+    named = inspect.signature(function).parameters.items()
+    return {key for key, parameter in named if parameter.kind is not parameter.VAR_KEYWORD}
+
+
+def test_domains_of_systems_forces_schemes_and_states_are_listed():
+    """A new one needs its domains."""
+    for space, listed in ((co.systems, SYSTEMS), (co.forces, FORCES)):
+        assert {name: parameters_of(getattr(space, name)) for name in space.names()} == {
+            name: set(case.domains) for name, case in listed.items()
+        }
+    for name in co.methods.names():
+        assert parameters_of(getattr(co, name)) == set(SCHEMES[name].domains)
+    for surface, system in (("sphere", SPHERE), ("torus", TORUS)):
+        for name in ("random", "blobs", "patches", "zonal_jet"):
+            assert parameters_of(getattr(system, name)) == set(STATES[f"{surface}, {name}"].domains)
+    assert {name for name in co.algebras.names() if re.search(r"[a-z]\)", name)} == {*FAMILIES, "so(p,q)"}
+    for name in co.algebras.names():
+        if name not in {*CATALOGUE}:
+            assert co.algebras.get(name).dim >= 1, "without parameters"
+
+
+def wrong_call(function, /, *arguments, **keywords):
+    with pytest.raises(TypeError) as caught:
+        function(*arguments, **keywords)
+    message = str(caught.value)
+    assert "\n" not in message and len(message) < 700
+    assert not re.search(r"unexpected keyword|positional argument|multiple values|required argument|\(\) ", message)
+    return message
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", [name for name in ENTRIES if " " not in name])
+def test_wrong_calls_are_explained(name):
+    """An unknown name, too many arguments, one that is given twice, and none of the required ones."""
+    function = ENTRIES[name][0]
+    parameters = inspect.signature(function).parameters
+    kinds = {key: parameter.kind for key, parameter in parameters.items()}
+    by_position = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    positional = [key for key, kind in kinds.items() if kind in by_position]
+    if name.partition(".")[0] not in ("co", "Solution", "PreparedRun") or positional[:1] in (["name"], ["text"]):
+        return  # plain methods of small classes
+    if inspect.Parameter.VAR_KEYWORD not in kinds.values():
+        assert "no_such_name" in wrong_call(function, no_such_name=1)
+    if inspect.Parameter.VAR_POSITIONAL not in kinds.values():
+        assert str(len(positional) + 1) in wrong_call(function, *[None] * (len(positional) + 1))
+    if positional and kinds[positional[0]] is inspect.Parameter.POSITIONAL_OR_KEYWORD:
+        assert f"{positional[0]} twice" in wrong_call(function, None, **{positional[0]: None})
+    required = [
+        key
+        for key, parameter in parameters.items()
+        if parameter.default is inspect.Parameter.empty
+        and parameter.kind in (*by_position, inspect.Parameter.KEYWORD_ONLY)
+    ]
+    if required:
+        assert f"needs {', '.join(required)};" in wrong_call(function)
+
+
+def test_classes_of_users_are_explained_too():
+    @dataclasses.dataclass(frozen=True)
+    class Spin(co.forces.Torque):
+        rate: float = 1.0
+
+    class Bath(co.forces.LinearDamping):
+        def __init__(self, strength, *, seed):
+            super().__init__(strength)
+
+    @dataclasses.dataclass(frozen=True)
+    class Halved(co.methods.StepMethod):
+        share: float
+        order, symmetric, explicit = 1, False, True
+
+        def step(self, system, x, t, h):
+            return x
+
+        def properties(self, system):
+            return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+
+    assert "rate=" in wrong_call(Spin, rat=2.0) and "seed" in wrong_call(Bath, 0.1)
+    assert "share" in wrong_call(Halved) and "2 arguments" in wrong_call(Halved, 1, 2)
+    for made in (Halved(0.5), Bath(0.1, seed=3), Spin((0.0, 0.0, 1.0))):
+        assert copy.deepcopy(made) == made
+    for made in (co.forces.LinearDamping(0.1), co.Composition(co.Kahan(), (0.5, 0.5))):
+        assert pickle.loads(pickle.dumps(made)) == made
+    assert list(inspect.signature(Halved).parameters) == ["share"]
+
+
+def test_errors_of_the_functions_themselves_pass_through():
+    """A TypeError that a call raises with right arguments is not replaced."""
+
+    def failing(x):
+        raise TypeError("a message of the user")
+
+    with pytest.raises(TypeError, match=r"^a message of the user$"):
+        co.integrate(BODY, X, (0, 1), 0.1, events=co.Event(failing))
+
+    @dataclasses.dataclass(frozen=True)
+    class Refusing(co.forces.LinearDamping):
+        def __post_init__(self):
+            raise TypeError("a message of the force")
+
+    with pytest.raises(TypeError, match=r"^a message of the force$"):
+        Refusing(0.1)
+    with refused(TypeError, "abstract"):
+        co.methods.Method()
+
+
+DURATIONS = {
+    "timedelta": (datetime.timedelta(seconds=2), "total_seconds"),
+    "timedelta64": (np.timedelta64(2, "s"), "np.timedelta64(1, 's')"),
+    "datetime": (datetime.datetime(2026, 1, 2), "seconds"),
+    "quantity": (HOSTILE["a quantity"], "magnitude"),
+    "quantity of NumPy": (HOSTILE["a number with a unit"], "magnitude"),
+}
+
+
+@pytest.mark.parametrize("name", DURATIONS)
+def test_durations_and_quantities_are_refused_with_what_to_give(name):
+    value, instead = DURATIONS[name]
+    calls = {
+        "step": lambda: co.integrate(BODY, X, (0, 1), value),
+        "t_span": lambda: co.integrate(BODY, X, (0, value), 0.1),
+        "t_eval": lambda: READY.run(X, (0, 1), t_eval=[value, value]),
+        "t is": lambda: LONG.at(value),
+        "x0": lambda: co.integrate(BODY, [1.0, value, 0.2], (0, 1), 0.1),
+        "inertia": lambda: co.systems.rigid_body((1, 2, value)),
+    }
+    for parameter, wrong in calls.items():
+        with refused(TypeError, parameter, "units of the system"):
+            wrong()
+    with refused(TypeError, instead):
+        calls["step"]()
+    # Numbers made of them are accepted.
+    assert co.integrate(BODY, X, (0, 1), datetime.timedelta(seconds=0.5).total_seconds()).stats.steps == 2
+
+
+HUGE = 10**400
+
+
+@pytest.mark.parametrize(
+    "number",
+    [3, 3.0, np.uint8(3), np.float16(3), np.longdouble(3), Fraction(3), Decimal(3), mpmath.mpf(3)],
+)
+def test_real_number_types_are_accepted(number):
+    assert co.integrate(BODY, X, (0, number), number, save_every=1).t.tolist() == [0.0, 3.0]
+    entries = np.empty(3, dtype=object)
+    entries[:] = [number] * 3
+    assert co.Quadratic(entries).gradient(np.ones(3)).tolist() == [3.0, 3.0, 3.0]
+
+
+def test_small_integer_types_do_not_overflow():
+    """200 + 200, 2 * 200 and -200 do not fit into eight bits without a sign."""
+    two, many = np.uint8(2), np.uint8(200)
+    assert co.algebras.get("sp(2n)", n=two) == co.algebras.sp(4) and co.algebras.so(two, np.uint8(2)).dim == 6
+    assert co.algebras.A3_7(many) == co.algebras.A3_7(200) and co.GaussLegendre(many).order == 400
+    p = co.Polynomial({(many, np.uint8(100)): many})
+    assert p.degree == 300 and p.derivative(0).monomials == {(199, 100): 40_000}
+    sol = co.integrate(BODY, np.array([200, 100, 50], dtype=np.uint8), (many, np.uint8(100)), many / np.uint8(200))
+    assert sol.t[-1] == 100.0 and sol.x[0].tolist() == [200.0, 100.0, 50.0]
+    assert len(co.integrate(BODY, X, (0, 256), 1, save_every=many).t) == 3
+
+
+def test_masked_arrays_labels_and_foreign_objects_are_refused():
+    pd = pytest.importorskip("pandas")
+    masked = np.ma.masked_array([1.0, 2.0, 3.0], [False, True, False])
+    assert co.Quadratic(pd.Series([1.0, 2.0, 3.0])).gradient(np.ones(3)).tolist() == [1.0, 2.0, 3.0]
+    for read in (co.Quadratic, BODY.energy, lambda value: co.integrate(BODY, value, (0, 1), 0.1)):
+        for value in (masked, [masked, masked]):
+            with refused(ValueError, "masked"):
+                read(value)
+    columns = pd.DataFrame(np.eye(3), columns=["a", "b", "c"])
+    labelled = (pd.Series([1.0, 2.0, 3.0], index=[2, 0, 1]), pd.Series([1.0, 2.0, 3.0], index=list("abc")), columns)
+    for value in labelled:
+        with refused(TypeError, "labels", "to_numpy"):
+            co.Quadratic(value)
+
+
+@pytest.mark.parametrize("size", [1, 2, 63, 64, 65, 200])
+def test_numbers_that_are_not_finite_are_named(size):
+    """Below and above the size up to which plain Python sums; finite numbers with an overflowing sum are finite."""
+    for index in {0, size // 2, size - 1}:
+        for wrong in (np.nan, np.inf, -np.inf):
+            numbers = np.full(size, 1e308)
+            co.Quadratic(1.0, linear=numbers)
+            numbers[index] = wrong
+            with refused(ValueError, f"linear[{index}]", wrong):
+                co.Quadratic(1.0, linear=numbers)
+    for value in (HUGE, -HUGE, np.longdouble("1e400")):
+        with refused(ValueError, "step"):
+            co.integrate(BODY, X, (0, 1), value)
+        with refused(ValueError):
+            co.Composition(co.Splitting(), (value, -value, 1))
+
+
+NAMED = {
+    "an algebra": lambda name: co.LieAlgebra([], dim=1, name=name),
+    "a basis": lambda name: co.LieAlgebra([], dim=1, basis=[name]),
+    "a system": lambda name: co.LiePoissonSystem(BODY.algebra, co.Quadratic(1.0), name=name),
+}
+
+
+@pytest.mark.parametrize("make", NAMED.values(), ids=NAMED)
+def test_names_are_one_short_line(make):
+    make("x" * 200)
+    for name in ("x" * 201, "x" * 10**6, "a\nb", "a\tb", "a\u2028b", "a\0", "\x1b[31m"):
+        with refused(ValueError, "one line", "200") as caught:
+            make(name)
+        assert len(str(caught.value)) < 1000
+
+
+def test_composed_names_stay_short():
+    g = co.algebras.direct_sum(*[co.algebras.so(3)] * 100)
+    for _ in range(10):
+        g = co.algebras.subalgebra(g, np.eye(g.dim, dtype=int)[:3].tolist())
+    assert len(g.name) <= 200
+
+
+def test_polynomial_degrees_are_limited():
+    assert co.Polynomial({(1024,): 1}).degree == 1024
+    for make in (
+        lambda: co.Polynomial({(1000, 25): 1}),
+        lambda: co.Polynomial({(600,): 1}) ** 2,
+        lambda: co.Polynomial({(600,): 1}) * co.Polynomial({(600,): 1}),
+        lambda: co.Polynomial({(0,): 2}) ** 10**9,
+    ):
+        with refused(ValueError, "1024"):
+            make()
+
+
+def test_powers_of_steps_stay_within_float64():
+    """The fourth power of 2^255 is a number, and that of 2^256 is none."""
+    functions = co.Separable({0: (np.sin, np.cos), 1: (np.cos, lambda y: -np.sin(y))})
+    found = co.modified_hamiltonian(co.LiePoissonSystem(co.algebras.so(3), functions), co.Splitting())
+    found(X, 2.0**255)
+    for wrong in (2.0**256, -(2.0**256)):
+        with refused(ValueError, "h is", "power 4"):
+            found(X, wrong)
+
+
+def test_batches_are_refused_where_one_system_is_needed():
+    batch = co.batch([BODY, BODY])
+    for wrong in (
+        lambda: co.choose(batch, X, (0, 1), 1e-3),
+        lambda: co.integrate(batch, X, (0, 1), accuracy=1e-3),
+        lambda: co.stepper(batch, co.Splitting(), 0.1),
+        lambda: co.Splitting.tuned(batch, X),
+        lambda: co.Splitting().describe(batch),
+        *(lambda m=m: m.properties(batch) for m in (co.Splitting(), co.Taylor(), co.GaussLegendre(), co.RadauEnergy())),
+    ):
+        with refused(TypeError, "batch"):
+            wrong()
+
+
+def test_failed_ensemble_of_one_has_full_length():
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(4, 0, 0): 1.0, (0, 4, 0): 2.0, (0, 0, 4): 3.0}))
+    x0, partial = np.array([1e160, 1e160, 1e160]), {}
+    for name, start in (("single", x0), ("one", x0[None]), ("two", np.array([x0, x0]))):
+        with refused(co.IntegrationError) as failure:
+            co.integrate(system, start, (0.5, 1.5), 0.1, co.GaussLegendre(2))
+        partial[name] = failure.value.partial
+        for again in (copy.copy, copy.deepcopy, lambda error: pickle.loads(pickle.dumps(error))):
+            found = again(failure.value)
+            assert type(found) is co.IntegrationError and str(found) == str(failure.value)
+            assert (found.step, found.time) == (failure.value.step, failure.value.time) and found.time >= 0.5
+            assert np.array_equal(found.partial.x, partial[name].x, equal_nan=True)
+    assert partial["single"].x.shape == (1, 3) and np.isfinite(partial["single"].x).all()
+    assert partial["one"].x.shape == (11, 1, 3) and partial["one"].failed.tolist() == [True]
+    assert np.array_equal(partial["one"].x[:, 0], partial["two"].x[:, 0], equal_nan=True)
+    assert np.isnan(partial["one"].x[1:]).all()
+
+
+@pytest.mark.parametrize("x0", [(1e100, 2e100, 3e100), (1e200, 1e200, 1.0), [(0.1, 1, 0.2), (1e200, 1e200, 1)]])
+def test_choices_near_a_blow_up_are_refused_without_warnings(x0):
+    system = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, 2.0, 3.0]))
+    with warnings.catch_warnings(), refused(ValueError):
+        warnings.simplefilter("error")
+        co.choose(system, x0, (0, 1), 1e-6)
+
+
+@pytest.mark.parametrize("size", [1e3, 1e155, 1e300])
+@pytest.mark.parametrize("name", ["so(3)", "sl(2)", "so(4)"])
+def test_attitudes_near_a_blow_up_do_not_warn(name, size):
+    """The exponential of a shift may overflow where the momentum does not."""
+    g = co.algebras.get(name)
+    system = co.LiePoissonSystem(g, co.Quadratic(np.linspace(1.0, 2.0, g.dim)))
+    x0 = size * np.cos(np.arange(3 * g.dim)).reshape(3, g.dim)
+    with np.errstate(all="raise"):
+        try:
+            found = co.integrate(system, x0, (0, 0.3), 0.1, attitude="coadjoint")
+        except co.IntegrationError as error:
+            found = error.partial
+    assert np.array_equal(found.attitude[0], np.broadcast_to(np.eye(g.dim), (3, g.dim, g.dim)))
+
+
+def test_arrays_beyond_memory_are_refused_early():
+    broad = np.broadcast_to(np.float32(1.0), (10**8, 10**8))
+    for wrong, named in (
+        (lambda: co.Quadratic(range(10**15)), ("M", "1000000000000000")),
+        (lambda: co.Quadratic(broad), ("M", "100000000")),
+        (lambda: co.integrate(BODY, broad, (0, 1), 0.1), ("x0", "100000000")),
+    ):
+        with refused(ValueError, *named):
+            wrong()
+    deep = 1.0
+    for _ in range(1000):
+        deep = [deep]
+    with refused(TypeError, "x0"):
+        co.integrate(BODY, deep, (0, 1), 0.1)
+    with refused(ValueError):
+        TURNING.spectrum(np.full((3, 3), np.inf))

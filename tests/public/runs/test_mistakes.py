@@ -1,0 +1,168 @@
+"""Typical mistakes of new users, and what the messages that answer them name."""
+
+import re
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from refusals import refused
+
+pytestmark = pytest.mark.thinned(1)
+
+BODY, X0, SPAN, SO3 = co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), (0, 1), co.algebras.so(3)
+RUN = co.integrate(BODY, X0, SPAN, 0.1)
+CUBE = co.LiePoissonSystem(SO3, co.Polynomial({(1, 1, 1): 1.0}))
+
+
+def run(*args, **kwargs):
+    return co.integrate(BODY, *args, **kwargs)
+
+
+def full(**kwargs):
+    return co.integrate(BODY, X0, SPAN, 0.1, **kwargs)
+
+
+def with_energy(H, **more):
+    return co.LiePoissonSystem(SO3, H, **more)
+
+
+MISTAKES = {
+    # keywords of other libraries
+    "dt": (lambda: run(X0, SPAN, dt=0.1), "dt", "step="),
+    "max_step": (lambda: run(X0, SPAN, max_step=0.1), "max_step", "step="),
+    "y0": (lambda: run(y0=X0, t_span=SPAN, step=0.1), "y0", "x0="),
+    "tspan": (lambda: run(X0, tspan=SPAN, step=0.1), "tspan", "t_span="),
+    "rtol": (lambda: full(rtol=1e-6), "rtol", "accuracy", "Taylor(tolerance=...)", "ReversibleSteps"),
+    "tol": (lambda: full(tol=1e-6), "tol", "accuracy="),
+    "dense_output": (lambda: full(dense_output=True), "dense_output", "sol.at(t)"),
+    "n_jobs": (lambda: full(n_jobs=4), "n_jobs", "threads="),
+    "solver": (lambda: full(solver="rk4"), "solver", "method="),
+    "verbose": (lambda: full(verbose=1), "verbose", "progress=True"),
+    "saveat": (lambda: full(saveat=[0.5]), "saveat", "t_eval="),
+    "workers": (lambda: full(workers=2), "workers", "co.integrate_ensemble("),
+    "misspelt": (lambda: full(save_evry=2), "save_evry", "save_every="),
+    "inertia as I": (lambda: co.systems.rigid_body(I=(1, 2, 3)), "I;", "inertia="),
+    "order of Gauss": (lambda: co.GaussLegendre(order=4), "order", "stages"),
+    "moments one by one": (lambda: co.systems.rigid_body(1, 2, 3), "3 arguments", "inertia=(1, 2, 3)"),
+    # states, times and steps
+    "a row for each spin": (
+        lambda: co.integrate(co.systems.spin_lattice("ring", 4), np.ones((4, 3)), SPAN, 0.1),
+        "x0",
+        "(4, 3)",
+        "np.ravel(x0)",
+    ),
+    "no step": (lambda: run(X0, SPAN), "step", "accuracy="),
+    "both": (lambda: full(accuracy=1e-8), "step", "accuracy="),
+    "a step that does not fit": (lambda: run(X0, SPAN, 0.3), "step", "0.3", "0.25", "0.333"),
+    "a negative step": (lambda: run(X0, SPAN, -0.1), "step", "-0.1", "direction"),
+    "one time": (lambda: run(X0, 10, 0.1), "t_span", "10"),
+    "t_eval a number": (lambda: full(t_eval=10), "t_eval", "()"),
+    "after the end": (lambda: RUN.at(2.0), "t is 2", "from 0 to 1"),
+    "two of three": (lambda: run((1, 2), SPAN, 0.1), "x0", "(2,)", "(3,)"),
+    # schemes
+    "an adaptive scheme": (lambda: full(method="RK45"), "RK45", "estimate of the error"),
+    "a scheme misspelt": (lambda: full(method="Spliting"), "Spliting", "'Splitting'"),
+    "a class": (lambda: full(method=co.Splitting), "method", "Splitting()"),
+    "an odd order": (lambda: co.Splitting(order=3), "orders", "3", "10"),
+    "coupled functions": (lambda: co.Splitting().properties(CUBE), "Splitting", "x1*x2*x3", "x1 and x2"),
+    "matrices for a vector": (lambda: full(method=co.IsospectralGauss()), "IsospectralGauss", "rigid_body"),
+    # events and observables
+    "an event as text": (lambda: full(events="x2"), "events", "x2", "co.Event('x2')"),
+    "a polynomial as an event": (lambda: full(events=co.Event("x2^2 - 0.1")), "x2^2 - 0.1", "co.Polynomial("),
+    "an index beyond": (lambda: full(observe={"seventh": lambda x: x[7]}), "observe['seventh']", "index 7"),
+    "a part of the state": (lambda: full(observe={"a": lambda x: x[:2]}), "observe['a']", "one real number"),
+    "quaternions": (lambda: full(attitude="quaternion"), "attitude", "quaternion", "coadjoint"),
+    "no rotation": (lambda: full(attitude=2 * np.eye(3)), "attitude", "rigid_body", "orthogonal"),
+    # names
+    "su3": (lambda: co.algebras.get("su3"), "su3", "'su(3)'"),
+    "SO(3)": (lambda: co.algebras.get("SO(3)"), "SO(3)", "'so(3)'"),
+    "a plural": (lambda: co.systems.get("rigid_bodies"), "rigid_bodies", "rigid_body"),
+    "no such system": (lambda: co.systems.heavi_top, "heavi_top", "'heavy_top'"),
+    "no such system by name": (lambda: co.systems.get("frisbee"), "frisbee", "clebsch_body"),
+    "a scheme among methods": (lambda: co.methods.Splitting, "Splitting", "co.Splitting"),
+    "a long name": (lambda: co.systems.get("x" * 10**6), "xxx", "clebsch_body"),
+    "a number for a name": (lambda: co.systems.get(3), "3", "a name"),
+    "sol.y": (lambda: RUN.y, "'y'", "x"),
+    "sol.sol": (lambda: RUN.sol, "'sol'", "at(t)"),
+    "sol.enregy": (lambda: RUN.enregy, "enregy", "'energy'"),
+    "a panel": (lambda: RUN.plot("orbits"), "orbits", "'coadjoint orbit'"),
+    "a parameter left out": (lambda: co.algebras.get("A3_7"), "A3_7", "'a'"),
+    "an unknown parameter": (lambda: co.algebras.get("A3_7", a=1.0, b=1.0), "'b'"),
+    # systems and algebras
+    "an algebra for a system": (lambda: co.integrate(SO3, X0, SPAN, 0.1), "system", "LieAlgebra"),
+    "a system not made": (lambda: co.integrate(co.systems.rigid_body, X0, SPAN, 0.1), "system", "rigid_body"),
+    "a name for an algebra": (lambda: co.LiePoissonSystem("so(3)", co.Quadratic(1)), "algebra", "co.algebras.so(3)"),
+    "an array for H": (lambda: with_energy(np.eye(3)), "Hamiltonian", "ndarray", "Quadratic"),
+    "M too short": (lambda: with_energy(co.Quadratic([1, 2])), "M", "2", "so(3)"),
+    "linear too long": (lambda: co.Quadratic([1, 2, 3], linear=[1] * 6), "M", "linear", "6"),
+    "M not symmetric": (lambda: co.Quadratic([[1, 2], [3, 4]]), "M[0, 1] = 2", "M[1, 0] = 3"),
+    "a formula of how many": (lambda: co.Polynomial("x1^2"), "x1^2", "dim="),
+    "no signs of products": (lambda: co.Polynomial("0.5 x1^2", dim=3), "0.5 x1^2", "x1^2"),
+    "a wrong gradient": (
+        lambda: with_energy(co.Hamiltonian(lambda x: x[0] ** 2, lambda x: np.array([x[0], 0, 0]))),
+        "gradient",
+        "value",
+    ),
+    "no Casimir": (lambda: with_energy(co.Quadratic(1), casimirs={"c": co.Polynomial({(1, 0, 0): 1.0})}), "'c'"),
+    "a moment below zero": (lambda: co.systems.rigid_body((1, -2, 3)), "inertia[1]", "-2", "positive"),
+    "a number as a force": (lambda: BODY.with_forces(0.1), "force", "0.1", "LinearDamping"),
+    "names as indices": (lambda: co.LieAlgebra([("D", "H", "H", 2.0)]), "indices", "LieAlgebra.from_brackets"),
+    "indices from 1": (lambda: co.LieAlgebra.from_brackets(3, {(1, 2): {3: 1.0}}), "brackets", "indices from 0"),
+    "names without a basis": (lambda: co.LieAlgebra.from_brackets(3, {("D", "H"): {"H": 1.0}}), "'D'", "basis="),
+    "no Jacobi identity": (
+        lambda: co.LieAlgebra.from_brackets(3, {(0, 1): {1: 1.0}, (1, 2): {0: 1.0}}),
+        "Jacobi",
+        "(0, 1, 2)",
+    ),
+    "a file as an archive": (lambda: co.resume(__file__), __file__, "folder"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_the_message_names_the_mistake_and_what_to_give(name):
+    make, *named = MISTAKES[name]
+    with refused((TypeError, ValueError, IndexError, AttributeError), *named) as caught:
+        make()
+    message = str(caught.value)
+    assert "\n" not in message and " at 0x" not in message and len(message) < 700
+    assert not re.search(r"unexpected keyword|positional argument|NoneType", message)
+
+
+def test_algebras_from_names_and_lines():
+    brackets = {("h", "e"): {"e": 2}, ("h", "f"): {"f": -2}, ("e", "f"): {"h": 1}}
+    names = co.LieAlgebra.from_brackets(3, brackets, basis=("h", "e", "f"))
+    lines = co.LieAlgebra.from_brackets(["[h, e] = 2 e", "[h, f] = -2 f", "[e, f] = h"])
+    other = co.LieAlgebra.from_brackets(3, ["[h, e] = 2 e", "[h, f] = -2 f", "[e, f] = h"], basis=("e", "h", "f"))
+    assert names == lines != other and lines.basis == ("h", "e", "f") and other.basis == ("e", "h", "f")
+    assert other.casimirs()["C2"].degree == lines.casimirs()["C2"].degree == 2
+
+
+@pytest.mark.parametrize(
+    "written", ["Splitting", {"name": "Splitting", "order": 2}, {"name": "Splitting", "parameters": {"order": 2}}]
+)
+def test_schemes_by_name_or_mapping(written):
+    for sol in (full(method=written), co.prepare(BODY, written, 0.1).run(X0, SPAN)):
+        assert sol.method == co.Splitting() and (sol.x == RUN.x).all()
+    assert (co.stepper(BODY, written, 0.1)(X0) == RUN.x[1]).all()
+    assert full(method={"name": "Splitting", "order": 4}).method == co.Splitting(order=4)
+    assert full(method="rk4").method == co.ExplicitRungeKutta("rk4")
+
+
+def test_missing_polynomial_casimirs_are_explained():
+    found = co.algebras.get("A3_7", a=0.5).casimirs()
+    assert found == {} and not found
+    assert "no polynomial" in repr(found) and "log C" in repr(found)
+    assert "no Casimir of any kind" in repr(co.algebras.get("A2_1").casimirs())
+    assert repr(SO3.casimirs()) == "{'C2': x1^2 + x2^2 + x3^2}"
+
+
+def test_hints_name_what_exists():
+    """Attributes of solutions of other libraries are none here, and functions in messages are there."""
+    for make, *_ in MISTAKES.values():
+        with pytest.raises((TypeError, ValueError, IndexError, AttributeError)) as caught:
+            make()
+        for name in re.findall(r"\bco\.([\w.]*\w)", str(caught.value)):
+            owner = co
+            for part in name.split("."):
+                owner = getattr(owner, part)

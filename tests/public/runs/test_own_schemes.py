@@ -1,0 +1,162 @@
+"""Examples of `docs/own_schemes.md` beside its doctests: a scheme in C++, and a package of schemes."""
+
+import importlib.util
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+PAGE = (Path(__file__).parents[3] / "docs" / "own_schemes.md").read_text(encoding="utf-8")
+SOURCE = Path(co.__file__).parents[1]
+BODY = co.systems.rigid_body(inertia=(1, 2, 3))
+X0 = (1.0, 0.2, 0.5)
+SCHEME = '''
+import dataclasses
+
+import coadjoint as co
+
+
+@dataclasses.dataclass(frozen=True)
+class {name}(co.methods.StepMethod):
+    """A scheme of another package."""
+
+    part: float = 1.0
+
+    order, explicit, symmetric = 1, True, False
+
+    def properties(self, system):
+        return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+
+    def step(self, system, x, t, h):
+        return x + self.part * h * system.vector_field(x, t)
+'''
+RUN = """
+[system]
+name = "rigid_body"
+
+[initial]
+x = [1.0, 0.2, 0.5]
+
+[method]
+name = "Kutta3"
+part = 0.5
+
+[run]
+t_span = [0, 1]
+step = 0.1
+
+[output]
+file = "out.nc"
+"""
+
+
+def blocks(language):
+    """Return the fenced blocks of the page in a language, without doctests."""
+    found = re.findall(rf"^```{language}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    return [block for block in found if ">>>" not in block]
+
+
+def module_of_page(scheme, folder, monkeypatch):
+    """Return the module of a scheme in C++ on the page, written to a folder with its C++ file."""
+    name = scheme.lower()
+    (step,) = (block for block in blocks("cpp") if f"STEP_SCHEME({name}, {scheme})" in block)
+    (source,) = (block for block in blocks("python") if f"class {scheme}(" in block)
+    (folder / f"{name}.cpp").write_text(step)
+    (folder / f"{name}.py").write_text(source)
+    specification = importlib.util.spec_from_file_location(name, folder / f"{name}.py")
+    module = importlib.util.module_from_spec(specification)
+    monkeypatch.setitem(sys.modules, name, module)
+    specification.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler is installed")
+def test_the_implicit_scheme_in_cpp_is_gauss_legendre(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    module = module_of_page("Gauss", tmp_path, monkeypatch)
+    driven = co.Hamiltonian(lambda x, t: x[0] * np.cos(t), lambda x, t: np.array([np.cos(t), 0.0, 0.0]))
+    for system in (BODY, co.LiePoissonSystem(co.algebras.so(3), driven)):
+        for stages in (1, 2):
+            method = module.Gauss(stages)
+            sol = co.integrate(system, X0, (0, 2), 0.05, method)
+            reference = co.integrate(system, X0, (0, 2), 0.05, co.GaussLegendre(stages))
+            assert np.max(np.abs(sol.x - reference.x)) < 40 * 8 * 2.0**-53
+            x = np.array(X0)
+            for k in range(40):
+                x = method.step(system, x, 0.05 * k, 0.05)
+            assert np.max(np.abs(sol.x[-1] - x)) < 40 * 40 * 2.0**-53
+            assert sol.drift()["|x|^2"] < 1e-14
+    with pytest.raises(co.IntegrationError):
+        co.integrate(BODY, X0, (0, 100), 50.0, module.Gauss())
+
+
+@pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler is installed")
+@pytest.mark.long
+def test_cpp_scheme_equals_its_python_version(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    module = module_of_page("Heun", tmp_path, monkeypatch)
+    for share in (1.0, 0.5, 2 / 3):
+        method = module.Heun(share)
+        coarse, fine = (co.integrate(BODY, X0, (0, 2), h, method) for h in (0.05, 0.025))
+        x = np.array(X0)
+        for _ in range(40):
+            x = method.step(BODY, x, 0.0, 0.05)
+        assert np.max(np.abs(coarse.x[-1] - x)) < 40 * 40 * 2.0**-53
+        errors = [np.max(np.abs(sol.x[-1] - BODY.exact(X0, 2.0))) for sol in (coarse, fine)]
+        assert 1.7 < np.log2(errors[0] / errors[1]) < 2.3
+    stepper = co.stepper(BODY, module.Heun(0.75), 0.1)
+    assert stepper.tangent_by(X0) == "complex step" and stepper.tangent(X0).shape == (3, 3)
+    assert coarse.stats.evaluations == 80
+    driven = co.Hamiltonian(lambda x, t: x[0] * np.cos(t), lambda x, t: np.array([np.cos(t), 0.0, 0.0]))
+    turning = co.LiePoissonSystem(co.algebras.so(3), driven)
+    reference = co.integrate(turning, X0, (0, 1), 0.01, co.GaussLegendre(4)).x[-1]
+    assert np.max(np.abs(co.integrate(turning, X0, (0, 1), 0.01, module.Heun(0.5)).x[-1] - reference)) < 1e-4
+
+
+@pytest.fixture
+def installed(tmp_path):
+    """Return a folder with the installed package of the page, and a broken package."""
+    project = tomllib.loads(blocks("toml")[0])["project"]
+    (point,) = project["entry-points"]["coadjoint.methods"].items()
+    broken = "Missing = no_such_module_anywhere:Missing\n"
+    for name, points in ((project["name"], f"{point[0]} = {point[1]}\n"), ("broken", broken)):
+        metadata = tmp_path / f"{name.replace('-', '_')}-0.1.dist-info"
+        metadata.mkdir()
+        (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 0.1\n")
+        (metadata / "entry_points.txt").write_text(f"[coadjoint.methods]\n{points}")
+    module, name = point[1].split(":")
+    (tmp_path / f"{module}.py").write_text(SCHEME.format(name=name))
+    (tmp_path / "run.toml").write_text(RUN)
+    return tmp_path
+
+
+def run_python(folder, *command):
+    paths = os.pathsep.join([str(folder), str(SOURCE)])
+    env = {**os.environ, "PYTHONPATH": paths}
+    done = subprocess.run([sys.executable, *command], capture_output=True, text=True, cwd=folder, env=env, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return done.stdout, done.stderr
+
+
+@pytest.mark.long
+def test_installed_package_registers_schemes(installed):
+    listed, warned = run_python(installed, "-m", "coadjoint", "methods")
+    assert "Kutta3(part=1.0)\n    A scheme of another package." in listed
+    assert "the scheme Missing (no_such_module_anywhere:Missing) is skipped" in warned
+    run_python(installed, "-m", "coadjoint", "run", "run.toml")
+    again = (
+        "import json, xarray, coadjoint as co; "
+        "dataset = xarray.open_dataset('out.nc', engine='h5netcdf'); sol = co.results.rebuild(dataset); "
+        "print(json.dumps([repr(sol.method), bool((sol.x == dataset['x'].values).all())]))"
+    )
+    assert json.loads(run_python(installed, "-W", "ignore", "-c", again)[0]) == ["Kutta3(part=0.5)", True]
