@@ -156,3 +156,15 @@ def test_invariants():
 def test_numbers_of_casimirs_are_exact():
     x = np.array([Fraction(k, 7) for k in range(1, 7)])
     assert known_casimirs(co.algebras.e(3))["m.p"](x) == x[:3] @ x[3:]
+
+
+def test_moments():
+    """Degrees up to 100, even ones; the determinant up to degree 10, and names with a comma from degree 10."""
+    moments = co.systems.vlasov_moments
+    for degree, known in ((4, True), (10, True), (12, False)):
+        algebra = moments(degree).algebra
+        assert ("catalecticant" in known_casimirs(algebra)) is known
+        assert any("," in name for name in algebra.basis) is (degree >= 10)
+    for degree, named in ((5, "even"), (101, "100"), (102, "100"), (0, "0")):
+        with refused(ValueError, "degree", named):
+            moments(degree)

@@ -147,6 +147,19 @@ def test_an_angle_jumps_by_its_period():
     assert again([2.0, 1.0, 3.0]) == casimir([2.0, 1.0, 3.0]) and again.period == casimir.period
 
 
+@pytest.mark.parametrize("sine", [-2.0, 0.0, 2.0])
+@pytest.mark.parametrize("cosine", [-3.0, 0.0, 3.0])
+def test_angles_on_the_axes(sine, cosine):
+    """In Python and in compiled loops; both zero, there is no angle."""
+    casimir = known_casimirs(co.algebras.A3_7(0.5))["log C"]
+    r2 = sine**2 + cosine**2
+    wanted = math.log(r2) - math.atan2(sine, cosine) if r2 else math.nan
+    point = np.array([cosine, sine, 1.0])
+    still = co.LiePoissonSystem(co.LieAlgebra([], dim=3), co.Quadratic(1.0), casimirs={"C": casimir})
+    recorded = co.integrate(still, point, (0.0, 1.0), 0.5).casimirs["C"]
+    np.testing.assert_allclose([casimir(point), *recorded], wanted, rtol=0, atol=8 * U)
+
+
 def test_two_angles():
     """A5,17 with p = q = 0 is two oscillators: their phases are comparable only where the ratio is rational."""
     key = "atan2(x4, x3) - s*atan2(x2, x1)"
