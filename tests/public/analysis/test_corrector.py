@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from refusals import refused
 
 
 def systems():
@@ -94,12 +95,12 @@ def test_shapes_and_refusals():
     assert better(states, 0.1).shape == (4, 5, 3)
     assert np.array_equal(better(states, 0.1)[2, 3], better(states[2, 3], 0.1))
     assert np.array_equal(better(states, 0.0), states)
-    with pytest.raises(ValueError, match="last axis"):
+    with refused(ValueError, "last axis"):
         better([1.0, 2.0], 0.1)
-    with pytest.raises(TypeError, match="flows"):
+    with refused(TypeError, "flows"):
         co.corrector(body, co.GaussLegendre(2), x0)
     large = co.LiePoissonSystem(co.algebras.so(8), co.Quadratic(np.arange(1.0, 29.0)))
-    with pytest.raises(ValueError, match="monomials"):
+    with refused(ValueError, "monomials"):
         co.corrector(large, co.Splitting(), np.ones(28))
     alone = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic((1.0, 0.0, 0.0)))
     assert co.corrector(alone, co.Splitting(), x0).generator.monomials == {}

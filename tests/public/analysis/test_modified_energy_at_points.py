@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from refusals import refused
 
 WAVE = (np.cos, lambda y: -np.sin(y), lambda y: -np.cos(y))
 WELL = (lambda y: 0.5 * y * y + 0.1 * y**4, lambda y: y + 0.4 * y**3, lambda y: 1 + 1.2 * y * y)
@@ -88,15 +89,15 @@ def test_what_cannot_be_differentiated_is_refused():
     system = co.LiePoissonSystem(co.algebras.so(3), co.Separable(functions))
     x = [0.5, 0.4, 0.3]
     assert isinstance(co.modified_hamiltonian(system, co.Splitting(), 4)(x, 0.1), float)
-    with pytest.raises(TypeError, match=r"gradient rejects complex numbers.*take a lower order"):
+    with refused(TypeError, "gradient rejects complex numbers", "take a lower order"):
         co.modified_hamiltonian(system, co.Splitting(), 6)(x, 0.1)
     kink = (lambda y: y * abs(y) ** 3 / 4, lambda y: abs(y) ** 3, lambda y: 3 * y * abs(y))
     system = co.LiePoissonSystem(co.algebras.so(3), co.Separable(dict.fromkeys(range(3), kink)))
-    with pytest.raises(ValueError, match="not analytic"):
+    with refused(ValueError, "not analytic"):
         co.modified_hamiltonian(system, co.Splitting(), 6)(x, 0.1)
     with pytest.raises(ValueError, match='use rotation="exact"'):
         co.modified_hamiltonian(system, co.Splitting(rotation="rational"), 4)
-    with pytest.raises(ValueError, match="symbols need a polynomial one"):
+    with refused(ValueError, "symbols need a polynomial one"):
         co.modified_hamiltonian(system, co.Splitting(), 4, symbols=True)
-    with pytest.raises(ValueError, match=r"must be \(..., 3\)"):
+    with refused(ValueError, "must be (..., 3)"):
         co.modified_hamiltonian(system, co.Splitting(), 4)([1.0, 2.0], 0.1)

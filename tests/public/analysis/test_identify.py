@@ -5,6 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 import coadjoint as co
+from refusals import refused
 
 SIGMA = 1e-3
 
@@ -216,5 +217,5 @@ def test_data_that_are_refused(case):
 
 def test_polynomials_beyond_the_degree_are_refused():
     found = co.identify(SO3, *data("so(3)")[2:], 2)
-    with pytest.raises(ValueError, match="beyond the degree"):
+    with refused(ValueError, "beyond the degree"):
         found.coefficients_of(co.Polynomial({(3, 0, 0): 1.0}))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.analysis.round_off import orthogonality, random_walk, round_off, spatial_momentum
+from refusals import refused
 
 STARTS = np.array([[1.0, 0.2, 0.5], [-0.1, 1.0, 0.2], [30.0, -10.0, 20.0], [0.01, -0.02, 0.03], [0.3, 0.3, -0.9]])
 
@@ -15,7 +15,7 @@ def test_a_walk_has_the_numbers_of_its_definition(shape):
     deviations = rng.normal(-0.3, 1.0, shape)
     deviations[-1].ravel()[-1] = -9.0  # the largest one is negative, and not the first
     for early in (0, shape[0] // 2, shape[0] - 1):
-        walk = random_walk(deviations, early)
+        walk = co.analysis.random_walk(deviations, early)
         means = np.array([member.mean() for member in deviations[-1]])
         assert walk.early == pytest.approx(np.sqrt((deviations[early] ** 2).mean()), rel=1e-14)
         assert walk.late == pytest.approx(np.sqrt((deviations[-1] ** 2).mean()), rel=1e-14)
@@ -26,13 +26,13 @@ def test_a_walk_has_the_numbers_of_its_definition(shape):
 
 
 def test_a_walk_from_nothing_grows_without_bound():
-    assert random_walk(np.array([[0.0, 0.0], [1.0, 2.0]]), 0).growth == np.inf
+    assert co.analysis.random_walk(np.array([[0.0, 0.0], [1.0, 2.0]]), 0).growth == np.inf
     for early in (-1, 2):
-        with pytest.raises(ValueError, match="early"):
-            random_walk(np.ones((2, 3)), early)
+        with refused(ValueError, "early"):
+            co.analysis.random_walk(np.ones((2, 3)), early)
     for wrong in (np.ones(3), np.ones((3, 0))):
-        with pytest.raises(ValueError, match="shape"):
-            random_walk(wrong, 0)
+        with refused(ValueError, "shape"):
+            co.analysis.random_walk(wrong, 0)
 
 
 @pytest.mark.parametrize("batch", [False, True])
@@ -44,7 +44,7 @@ def test_round_off_of_members_of_all_sizes(batch, order):
     starts = STARTS[order]
     sol = co.integrate(co.batch(systems) if batch else systems[0], starts, (0, 4.0), 0.1, save_every=10)
     for early in (1, 3):
-        found = round_off(sol, early)
+        found = co.analysis.round_off(sol, early)
         assert list(found) == ["energy", *sol.casimirs]
         for name, values in {"energy": sol.energy, **sol.casimirs}.items():
             relative = []
@@ -52,7 +52,7 @@ def test_round_off_of_members_of_all_sizes(batch, order):
                 invariant = own.hamiltonian if name == "energy" else own.casimirs[name]
                 size = np.linalg.norm(invariant.gradient(starts[m])) * np.linalg.norm(starts[m])
                 relative.append((values[:, m] - values[0, m]) / size)
-            wanted = random_walk(np.array(relative).T, early)
+            wanted = co.analysis.random_walk(np.array(relative).T, early)
             for field in ("early", "late", "worst", "bias"):
                 assert getattr(found[name], field) == pytest.approx(getattr(wanted, field), rel=1e-12), field
 
@@ -64,9 +64,9 @@ def test_orthogonality_and_spatial_momentum_by_their_definitions():
     for size in (None, 3):
         g = sol.attitude[..., :size, :size]
         wanted = np.array([[one @ one.T - np.eye(len(one)) for one in members] for members in g])
-        assert orthogonality(sol, size) == random_walk(wanted, 1)
+        assert co.analysis.orthogonality(sol, size) == co.analysis.random_walk(wanted, 1)
     moved = co.integrate(top, starts, (0, 3.0), 0.1, save_every=5, attitude="coadjoint")
-    assert spatial_momentum(moved).worst < 1e-12
+    assert co.analysis.spatial_momentum(moved).worst < 1e-12
     # Deviations of a thousandth, beside which the rounding of the products is nothing.
     moved.attitude[1:] *= 1.0 + 1e-3 * np.arange(1.0, len(moved.t))[:, None, None, None]
     relative = np.zeros((len(moved.t), 4, 6))
@@ -74,7 +74,7 @@ def test_orthogonality_and_spatial_momentum_by_their_definitions():
         K, x = moved.attitude[k, m], moved.x[k, m]
         off = K @ x - moved.attitude[0, m] @ moved.x[0, m]
         relative[k, m] = off / (np.linalg.norm(K, 2) * np.linalg.norm(x))
-    found, wanted = spatial_momentum(moved), random_walk(relative, 1)
+    found, wanted = co.analysis.spatial_momentum(moved), co.analysis.random_walk(relative, 1)
     for field in ("early", "late", "worst", "bias"):
         assert getattr(found, field) == pytest.approx(getattr(wanted, field), rel=1e-9)
 
@@ -83,17 +83,17 @@ def test_what_is_no_ensemble_is_refused():
     body = co.systems.rigid_body(inertia=(1, 2, 3))
     alone = co.integrate(body, STARTS[0], (0, 1.0), 0.1, attitude=True)
     ensemble = co.integrate(body, STARTS, (0, 1.0), 0.1, attitude=True)
-    with pytest.raises(ValueError, match="one trajectory"):
-        round_off(alone)
-    with pytest.raises(ValueError, match="not of an ensemble"):
-        orthogonality(alone)
-    with pytest.raises(ValueError, match="coadjoint"):
-        spatial_momentum(ensemble)
-    with pytest.raises(ValueError, match="coadjoint"):
-        spatial_momentum(co.integrate(body, STARTS[0], (0, 1.0), 0.1, attitude="coadjoint"))
+    with refused(ValueError, "one trajectory"):
+        co.analysis.round_off(alone)
+    with refused(ValueError, "not of an ensemble"):
+        co.analysis.orthogonality(alone)
+    with refused(ValueError, "coadjoint"):
+        co.analysis.spatial_momentum(ensemble)
+    with refused(ValueError, "coadjoint"):
+        co.analysis.spatial_momentum(co.integrate(body, STARTS[0], (0, 1.0), 0.1, attitude="coadjoint"))
     for size in (0, 4):
-        with pytest.raises(ValueError, match="size"):
-            orthogonality(ensemble, size)
+        with refused(ValueError, "size"):
+            co.analysis.orthogonality(ensemble, size)
 
 
 def test_invariants_that_are_functions_are_relative_to_their_largest_value_of_each_member():
@@ -104,7 +104,7 @@ def test_invariants_that_are_functions_are_relative_to_their_largest_value_of_ea
     changed = rng.normal(size=sol.casimirs["log C"].shape)
     changed[2, 1] = -7.0
     sol.casimirs["log C"][:] = changed
-    wanted = random_walk((changed - changed[0]) / np.abs(changed).max(axis=0), 2)
-    found = round_off(sol, 2)["log C"]
+    wanted = co.analysis.random_walk((changed - changed[0]) / np.abs(changed).max(axis=0), 2)
+    found = co.analysis.round_off(sol, 2)["log C"]
     for field in ("early", "late", "worst", "bias"):
         assert getattr(found, field) == pytest.approx(getattr(wanted, field), rel=1e-12), field
