@@ -65,7 +65,7 @@ def residue(value):
 
 
 def casimir_count(g, degree):
-    """Dimension of the homogeneous Casimirs of a degree: polynomials C with u . J(x) grad C(x) = 0 at random u and x."""
+    """Dimension of the Casimirs of a degree: polynomials C with u . J(x) grad C(x) = 0 at random u and x."""
     n, rng = g.dim, np.random.default_rng(degree)
     c = np.vectorize(residue, otypes=[np.int64])(constants_of(g))
     chosen = list(combinations_with_replacement(range(n), degree))

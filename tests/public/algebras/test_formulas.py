@@ -10,6 +10,7 @@ import pytest
 import coadjoint as co
 from refusals import refused
 
+
 @pytest.mark.parametrize(
     ("text", "same"),
     [

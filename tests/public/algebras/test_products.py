@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-import coadjoint as co
 from lie_algebras import constants_of, known_casimirs
 
+import coadjoint as co
 from refusals import refused
 from rounding import UNIT_ROUNDOFF as U
 

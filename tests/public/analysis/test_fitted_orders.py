@@ -6,7 +6,6 @@ import pytest
 import coadjoint as co
 from refusals import refused
 
-
 STEPS = 0.4 / 2.0 ** np.arange(8)
 
 

@@ -5,15 +5,14 @@ import pytest
 from scipy.special import ellipk
 
 import coadjoint as co
-from coadjoint.analysis.signals import sampled
-from coadjoint.analysis.spectral_lines import find_lines, frequency_uncertainty
+from refusals import refused
 
 pytestmark = pytest.mark.thinned(3)
 
 U = 2.0**-53
 
 
-def random_lines(seed: int, count: int) -> tuple[np.ndarray, ...]:
+def random_lines(seed: int, count: int):
     """Return times, frequencies, amplitudes over six decades, and phases; the lines at least ten bins apart."""
     rng = np.random.default_rng(seed)
     samples, span = int(rng.integers(4000, 9000)), rng.uniform(500.0, 1500.0)
@@ -28,7 +27,7 @@ def random_lines(seed: int, count: int) -> tuple[np.ndarray, ...]:
 @pytest.mark.thinned(24)
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("count", [1, 2, 4, 6])
-def test_lines_over_six_decades(seed: int, count: int) -> None:
+def test_lines_over_six_decades(seed: int, count: int):
     t, w, a, phase = random_lines(100 * count + seed, count)
     found = co.frequencies(t, 0.3 + np.cos(np.multiply.outer(t, w) + phase) @ a, count=count)
     # Arguments up to w t are rounded, by u w t each; relative to the line, over the span.
@@ -43,7 +42,7 @@ def test_lines_over_six_decades(seed: int, count: int) -> None:
     assert found(t[:9]) == pytest.approx(0.3 + np.cos(np.multiply.outer(t[:9], w) + phase) @ a, abs=8 * rounding)
 
 
-def test_complex_signals_have_frequencies_of_both_signs() -> None:
+def test_complex_signals_have_frequencies_of_both_signs():
     t = np.arange(3000) * 0.3 - 200.0
     signal = (2 + 1j) * np.exp(0.7j * t) + 1e-3j * np.exp(-1.3j * t) + 0.25j
     found = co.frequencies(t, signal, count=2)
@@ -53,15 +52,7 @@ def test_complex_signals_have_frequencies_of_both_signs() -> None:
     assert found(t) == pytest.approx(signal, abs=1e-12)
 
 
-def test_backward_times_give_the_same_lines() -> None:
-    t = np.arange(2000) * 0.4
-    signal = np.cos(0.9 * t + 0.4) + 0.1 * np.cos(2.2 * t)
-    forward, backward = co.frequencies(t, signal, 2), co.frequencies(t[::-1], signal[::-1], 2)
-    assert backward.frequency == pytest.approx(forward.frequency, abs=1e-14)
-    assert backward.amplitude == pytest.approx(forward.amplitude, abs=1e-11)
-
-
-def test_channels_share_their_frequencies() -> None:
+def test_channels_share_their_frequencies():
     t = np.arange(4000) * 0.2
     first = np.cos(t) + 1e-4 * np.cos(np.sqrt(3) * t)
     second = 1e-4 * np.sin(t) + np.sin(np.sqrt(3) * t + 0.2)
@@ -73,7 +64,7 @@ def test_channels_share_their_frequencies() -> None:
     assert found.mean == pytest.approx([0.0, 0.0, 5.0], abs=1e-12)
 
 
-def test_members_have_their_own_means_orders_and_numbers_of_lines() -> None:
+def test_members_have_their_own_means_orders_and_numbers_of_lines():
     """One line, two lines in either order of frequency, none; with two channels of different means."""
     t = np.arange(2000) * 0.3 - 100.0
     slow, fast = np.exp(0.5j * t), np.exp(2.1j * t)
@@ -96,7 +87,7 @@ def test_members_have_their_own_means_orders_and_numbers_of_lines() -> None:
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 @pytest.mark.parametrize("kind", ["real", "complex", "complex, negative"])
-def test_diffusion_is_the_later_frequency_minus_the_earlier_one(kind: str, sense: float) -> None:
+def test_diffusion_is_the_later_frequency_minus_the_earlier_one(kind: str, sense: float):
     """Of w + 2 c t the halves have mean frequencies that differ by c times the span; later is further along."""
     t = sense * np.arange(1501) * 0.2
     rate, c = (-1.5 if kind == "complex, negative" else 1.5), 2e-5
@@ -109,7 +100,7 @@ def test_diffusion_is_the_later_frequency_minus_the_earlier_one(kind: str, sense
 
 
 @pytest.mark.parametrize("complex_signal", [False, True])
-def test_the_residual_is_the_root_mean_square_of_what_is_left(complex_signal: bool) -> None:
+def test_the_residual_is_the_root_mean_square_of_what_is_left(complex_signal: bool):
     t = np.arange(4000) * 0.2
     weak = np.array([[0.03, 0.04], [0.0, 0.1]])  # members and channels
     wave, left = np.exp(0.7j * t), np.exp(2.2j * t)
@@ -119,7 +110,7 @@ def test_the_residual_is_the_root_mean_square_of_what_is_left(complex_signal: bo
     assert found.residual == pytest.approx(size, rel=1e-3)
 
 
-def test_a_wider_window_suppresses_the_lines_that_are_left_out() -> None:
+def test_a_wider_window_suppresses_the_lines_that_are_left_out():
     """By m^-(2p+1) at m bins, here 19.6: by some 380 for each power."""
     t = np.arange(2001) * 0.1
     # One more line than wanted is taken along, so that two are needed here.
@@ -128,27 +119,17 @@ def test_a_wider_window_suppresses_the_lines_that_are_left_out() -> None:
     assert errors[0] > 20.0 * errors[1] > 400.0 * errors[2] > 0.0
 
 
-def test_as_many_lines_as_the_samples_resolve() -> None:
+def test_as_many_lines_as_the_samples_resolve():
     t = np.arange(16 * 8) * 0.5
     assert co.frequencies(t, np.cos(t), count=8, window=1).frequency.shape == (8,)
-    with pytest.raises(ValueError, match="count is 9; 128 samples resolve at most 8"):
+    with refused(ValueError, "count is 9; 128 samples resolve at most 8"):
         co.frequencies(t, np.cos(t), count=9, window=1)
     for window in (0, 13):
-        with pytest.raises(ValueError, match="window"):
+        with refused(ValueError, "window"):
             co.frequencies(t, np.cos(t), window=window)
 
 
-def test_large_ensembles_are_analysed_in_groups(monkeypatch: pytest.MonkeyPatch) -> None:
-    from coadjoint.analysis import frequencies as module
-
-    t = np.arange(400) * 0.3
-    w = np.linspace(0.5, 3.0, 7)
-    monkeypatch.setattr(module, "MAX_NUMBERS", 2 * 400 * (8 + 3))
-    found = co.frequencies(t, np.cos(np.multiply.outer(t, w))[..., None], count=1)
-    assert found.frequency[:, 0] == pytest.approx(w, abs=1e-12)
-
-
-def test_what_is_not_there_is_no_line() -> None:
+def test_what_is_not_there_is_no_line():
     t = np.arange(3000) * 0.25
     found = co.frequencies(t, np.cos(t) + 1e-3 * np.cos(1.7 * t), count=4)
     assert np.isfinite(found.frequency).tolist() == [True, True, False, False]
@@ -157,28 +138,7 @@ def test_what_is_not_there_is_no_line() -> None:
     assert np.isnan(constant.frequency).all() and constant.mean == pytest.approx(2.5)
 
 
-@pytest.mark.thinned(48)
-@pytest.mark.parametrize("channels", [1, 3])
-@pytest.mark.parametrize("complex_signal", [False, True])
-@pytest.mark.parametrize("power", [1, 3, 5])
-@pytest.mark.parametrize("samples", [101, 801])
-def test_the_effect_of_noise_is_neither_too_small_nor_too_large(samples, power, complex_signal, channels):
-    """One line in white noise: true spread over claimed spread, real and complex, of all windows."""
-    members, level = 400, 0.1
-    rng = np.random.default_rng(samples + power)
-    s = np.linspace(-1.0, 1.0, samples)
-    w = 40.0 + rng.uniform(0.0, 3.0, (members, 1))
-    wave = np.exp(1j * w * s)[..., None] * np.arange(1.0, channels + 1.0)
-    noise = rng.standard_normal((2, members, samples, channels))
-    signal = wave + level * (noise[0] + 1j * noise[1])
-    found = find_lines(s, signal if complex_signal else signal.real, 1, power)
-    true = np.sqrt(np.mean((found.frequency - w) ** 2))
-    claimed = np.sqrt(np.mean(frequency_uncertainty(found, s, power) ** 2))
-    # The spread of 400 draws is known to 1 / sqrt(800); six per cent more cover the median of few bins.
-    assert abs(np.log(true / claimed)) < 4 / np.sqrt(2 * members) + 0.06
-
-
-def body_period(m: np.ndarray, x0: np.ndarray) -> float:
+def body_period(m: np.ndarray, x0: np.ndarray):
     """Return the period of the free body with the inverse inertia m, by a complete elliptic integral."""
     length2, energy2 = x0 @ x0, (m * x0) @ x0
     low, b, high = np.argsort(m)
@@ -189,7 +149,7 @@ def body_period(m: np.ndarray, x0: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_bodies_against_elliptic_integrals(seed: int) -> None:
+def test_bodies_against_elliptic_integrals(seed: int):
     rng = np.random.default_rng(seed)
     inertia = np.sort(rng.uniform(1.0, 1.9, 3))
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
@@ -209,7 +169,7 @@ def test_bodies_against_elliptic_integrals(seed: int) -> None:
     assert co.frequencies(run, count=1).frequency[0] / w == pytest.approx(multiple[0], abs=1e-12)
 
 
-def test_attitude_has_two_frequencies() -> None:
+def test_attitude_has_two_frequencies():
     body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), np.array([1.0, 0.2, 0.5])
     run = co.integrate(body, x0, (0.0, 800.0), 0.1, co.GaussLegendre(6), attitude=True)
     nutation = 2 * np.pi / body_period(1 / np.array([1.0, 2.0, 3.0]), x0)
@@ -220,30 +180,7 @@ def test_attitude_has_two_frequencies() -> None:
     assert free.basis.shape == (2,) and np.all(free.found)
 
 
-@pytest.mark.parametrize("name", ["so(4)", "e(3)"])
-def test_two_spans_of_a_quasi_periodic_run_agree(name: str) -> None:
-    rng = np.random.default_rng(11)
-    algebra = co.algebras.get(name)
-    # The Manakov body of four dimensions and the Lagrange top are integrable: all motions are quasi-periodic.
-    if name == "so(4)":
-        a = np.array([1.0, 1.7, 2.3, 3.1])
-        pairs = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
-        system = co.LiePoissonSystem(algebra, co.Quadratic([1 / (a[i] + a[j]) for i, j in pairs]), sign=-1)
-        x0 = 8.0 * rng.normal(size=6)
-    else:
-        terms = {(2, 0, 0, 0, 0, 0): 0.5, (0, 2, 0, 0, 0, 0): 0.5, (0, 0, 2, 0, 0, 0): 0.3, (0, 0, 0, 0, 0, 1): 1.0}
-        system = co.LiePoissonSystem(algebra, co.Polynomial(terms), sign=-1)
-        x0 = np.array([0.3, -0.2, 2.5, 0.2, 0.3, 0.9])
-    run = co.integrate(system, x0, (0.0, 6000.0), 0.05, co.GaussLegendre(6), save_every=5)
-    middle = len(run.t) // 2
-    early, late = (co.frequencies(run.t[part], run.x[part], count=4) for part in (slice(0, middle), slice(middle, -1)))
-    order = [int(np.argmin(np.abs(late.frequency - w))) for w in early.frequency]
-    change = late.frequency[order] - early.frequency
-    assert np.max(np.abs(change / early.frequency)) < 1e-10
-    assert np.all(np.abs(change) <= 10 * (early.uncertainty + late.uncertainty[order]) + 1e-13)
-
-
-def test_frequencies_of_a_chaotic_top_diffuse() -> None:
+def test_frequencies_of_a_chaotic_top_diffuse():
     """A heavy top without symmetry, between hanging and standing, beside its calm motion near the hanging rest."""
     masses = {(2, 0, 0, 0, 0, 0): 0.5, (0, 2, 0, 0, 0, 0): 0.35, (0, 0, 2, 0, 0, 0): 0.2}
     weight = {(0, 0, 0, 1, 0, 0): 0.8, (0, 0, 0, 0, 1, 0): 0.3, (0, 0, 0, 0, 0, 1): 0.6}
@@ -257,24 +194,8 @@ def test_frequencies_of_a_chaotic_top_diffuse() -> None:
     assert relative[0, 0] < 1e-9 and relative[1, 0] > 1e-4
 
 
-def test_signals_of_a_run() -> None:
-    body = co.systems.rigid_body(inertia=(1, 2, 3))
-    run = co.integrate(body, (1.0, 0.2, 0.5), (0.0, 300.0), 0.1, co.Splitting(order=4), save_every=7, attitude=True)
-    w = co.frequencies(run, count=1).frequency[0]
-    assert len(sampled(run).t) == len(run.t) - 1, "the last saved point is off the even grid"
-    assert co.frequencies(run, 2, count=1).amplitude.shape == (1,)
-    assert co.frequencies(run, lambda x: x[:, 1] + 1j * x[:, 2], count=1).frequency[0] == pytest.approx(-w, rel=1e-9)
-    assert co.frequencies(run, run.x[:, 1], count=1).frequency[0] == pytest.approx(w, rel=1e-9)
-    assert co.frequencies(run, "attitude", count=1).amplitude.shape == (1, 9)
-    assert co.frequencies(run, "energy", count=1).frequency.shape == (1,)
-    members = co.integrate(body, [(1.0, 0.2, 0.5), (0.1, 1.0, 0.2)], (0.0, 300.0), 0.1, co.Splitting(order=4))
-    found = co.frequencies(members, 1, count=2)
-    assert found.frequency.shape == (2, 2) and found.frequency[0, 0] == pytest.approx(w, rel=1e-6)
-    assert "members" in str(found) and "uncertainty" in str(co.frequencies(run))
-
-
 @pytest.mark.parametrize("seed", range(3))
-def test_combinations_are_the_smallest_within_the_uncertainty(seed: int) -> None:
+def test_combinations_are_the_smallest_within_the_uncertainty(seed: int):
     """Drawn frequencies, of which some are combinations, some are off by more than is known, and some are missing."""
     rng = np.random.default_rng(seed)
     basis = np.array([1.0, np.sqrt(2.0)]) * rng.uniform(0.5, 2.0)
@@ -289,7 +210,7 @@ def test_combinations_are_the_smallest_within_the_uncertainty(seed: int) -> None
     assert lines.found.tolist() == [True, True, True, False, False]
 
 
-def test_combinations_stay_within_the_largest_integer() -> None:
+def test_combinations_stay_within_the_largest_integer():
     found = co.Frequencies(np.array([5.0]), np.ones(1, complex), np.array([1e-9]), np.zeros(1), 0.0, 0.0, True)
     assert found.combinations([1.0], largest=5).integers.tolist() == [[5]]
     near = found.combinations([1.0], largest=4)
@@ -304,7 +225,7 @@ def test_combinations_stay_within_the_largest_integer() -> None:
     assert pair.combinations([0.99], largest=5).found.tolist() == [True, False]
 
 
-def drawn_combinations(seed: int) -> tuple[np.random.Generator, np.ndarray, np.ndarray, np.ndarray]:
+def drawn_combinations(seed: int):
     """Return basic frequencies, their uncertainties, and integers of either sign, no row twice."""
     rng = np.random.default_rng(seed)
     d = int(rng.integers(1, 4))
@@ -314,7 +235,7 @@ def drawn_combinations(seed: int) -> tuple[np.random.Generator, np.ndarray, np.n
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_the_uncertainties_of_all_lines_of_a_combination_add_up(seed: int) -> None:
+def test_the_uncertainties_of_all_lines_of_a_combination_add_up(seed: int):
     """Whatever the signs of the integers: off by 0.9 of the sum it is found, by 1.1 it is not."""
     rng, basis, known, integers = drawn_combinations(seed)
     own = 10.0 ** rng.uniform(-11.0, -9.0, len(integers))
@@ -340,7 +261,7 @@ def test_the_uncertainties_of_all_lines_of_a_combination_add_up(seed: int) -> No
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_given_basic_frequencies_are_exact(seed: int) -> None:
+def test_given_basic_frequencies_are_exact(seed: int):
     _, basis, _, integers = drawn_combinations(seed)
     own = np.full(len(integers), 1e-9)
     for factor in (0.9, 1.1):
@@ -350,7 +271,7 @@ def test_given_basic_frequencies_are_exact(seed: int) -> None:
         assert np.array_equal(combined.integers, integers) and np.all(combined.found == (factor < 1.0))
 
 
-def test_round_off_of_a_line_is_within_its_uncertainty() -> None:
+def test_round_off_of_a_line_is_within_its_uncertainty():
     w = 4.5 + np.array([0, 2, -2, 3, -3]) * 8.0 * U  # neighbours; the uncertainty of 4 u w is 18 u
     for sign in (1, -1):
         lines = co.Frequencies(sign * w, np.ones(5, complex), np.zeros(5), np.zeros(5), 0.0, 0.0, False)
@@ -360,7 +281,7 @@ def test_round_off_of_a_line_is_within_its_uncertainty() -> None:
     assert np.all(co.frequencies(t, np.cos(1.7 * t), count=1).uncertainty >= U * 1.7)
 
 
-def test_basic_frequencies_are_chosen_wherever_they_stand() -> None:
+def test_basic_frequencies_are_chosen_wherever_they_stand():
     """3 is 3 times 1 within its large uncertainty, 5.25 is not within integers up to 4; the last is 2 * 5.25 - 1."""
     w, known = np.array([1.0, 3.01, 5.25, 9.5 + 3e-5]), np.array([1e-6, 3e-3, 4e-6, 0.0])
     lines = co.Frequencies(w, np.ones(4, complex), known, 0.0 * w, 0.0, 0.0, True)
@@ -371,14 +292,14 @@ def test_basic_frequencies_are_chosen_wherever_they_stand() -> None:
     w[3] = 9.5 + 4e-5
     assert lines.combinations([1.0, 5.25], largest=4).found.tolist() == [True, True, True, False]
     assert lines.combinations(largest=4).basis.tolist() == [1.0, 5.25, w[3]]
-    with pytest.raises(ValueError, match="too many combinations"):
+    with refused(ValueError, "too many combinations"):
         lines.combinations([1.0, 1.1, 1.2, 1.3, 1.4], largest=20)
     for basis in ([[1.0, 5.25]], [1e308]):
-        with pytest.raises(ValueError, match=r"give a few frequencies, .* whose sums fit float64"):
+        with refused(ValueError, "give a few frequencies,", "whose sums fit float64"):
             lines.combinations(basis)
 
 
-def test_the_table_of_lines_has_a_row_for_each() -> None:
+def test_the_table_of_lines_has_a_row_for_each():
     amplitude = np.array([[3.0, 4.0j], [0.0, -0.25]])
     found = co.Frequencies(
         np.array([1.5, -0.75]), amplitude, np.array([2e-5, 3e-6]), np.array([-4e-7, 5e-8]), np.zeros(2), 0.0, False
@@ -391,7 +312,7 @@ def test_the_table_of_lines_has_a_row_for_each() -> None:
 
 
 @pytest.mark.parametrize("samples", [100, 101])
-def test_diffusion_of_a_few_samples_is_over_the_distance_of_the_halves(samples: int) -> None:
+def test_diffusion_of_a_few_samples_is_over_the_distance_of_the_halves(samples: int):
     """Of an even number of samples the halves share none, and of an odd number one: n/2 or (n - 1)/2 steps apart."""
     t = 3.0 + 0.2 * np.arange(samples)
     c = 1e-4
@@ -400,32 +321,32 @@ def test_diffusion_of_a_few_samples_is_over_the_distance_of_the_halves(samples: 
     assert found.diffusion[0] == pytest.approx(2.0 * c * 0.2 * (samples // 2), rel=1e-3)
 
 
-def test_what_is_refused() -> None:
+def test_what_is_refused():
     t = np.arange(200) * 0.1
-    with pytest.raises(ValueError, match="equidistant times"):
+    with refused(ValueError, "equidistant times"):
         co.frequencies(t**2, t)
-    with pytest.raises(ValueError, match="at least 64"):
+    with refused(ValueError, "at least 64"):
         co.frequencies(t[:20], t[:20])
-    with pytest.raises(ValueError, match=r"signal\[3\] is nan"):
+    with refused(ValueError, "signal[3] is nan"):
         co.frequencies(t, np.where(np.arange(200) == 3, np.nan, 1.0))
-    with pytest.raises(ValueError, match="at most 4 lines"):
+    with refused(ValueError, "at most 4 lines"):
         co.frequencies(t, np.sin(t), count=20)
-    with pytest.raises(ValueError, match="it must be"):
+    with refused(ValueError, "it must be"):
         co.frequencies(t, np.sin(t[:50]))
-    with pytest.raises(TypeError, match="samples as an array"):
+    with refused(TypeError, "samples as an array"):
         co.frequencies(t)
     body = co.systems.rigid_body(inertia=(1, 2, 3))
     run = co.integrate(body, (1.0, 0.2, 0.5), (0.0, 30.0), 0.1)
-    with pytest.raises(ValueError, match="attitude=True"):
+    with refused(ValueError, "attitude=True"):
         co.frequencies(run, "attitude")
-    with pytest.raises(ValueError, match="'energy'"):
+    with refused(ValueError, "'energy'"):
         co.frequencies(run, "enegy")
-    with pytest.raises(ValueError, match="from 0 to 2"):
+    with refused(ValueError, "from 0 to 2"):
         co.frequencies(run, 3)
 
 
 @pytest.mark.parametrize("size", [1e-15, 1.0, 1e10 / 3])
-def test_times_that_were_summed_are_equidistant(size: float) -> None:
+def test_times_that_were_summed_are_equidistant(size: float):
     """Up to eight units in the last place of the largest time for each of them."""
     t = 5.0 * size + np.cumsum(np.full(30_000, 0.001 * size))
     found = co.frequencies(t, np.cos(3.0 / size * t), count=1)
@@ -437,5 +358,36 @@ def test_times_that_were_summed_are_equidistant(size: float) -> None:
         if share < 1.0:
             co.frequencies(moved, np.cos(3.0 / size * moved), count=1)
             continue
-        with pytest.raises(ValueError, match="equidistant times"):
+        with refused(ValueError, "equidistant times"):
             co.frequencies(moved, np.cos(3.0 / size * moved), count=1)
+
+
+@pytest.mark.thinned(48)
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("complex_signal", [False, True])
+@pytest.mark.parametrize("power", [1, 3, 5])
+@pytest.mark.parametrize("samples", [101, 801])
+def test_the_effect_of_noise_is_neither_too_small_nor_too_large(samples, power, complex_signal, channels):
+    """One line in white noise: true spread over claimed spread, real and complex, of all windows."""
+    members, level = 400, 0.1
+    rng = np.random.default_rng(samples + power)
+    t = np.linspace(-1.0, 1.0, samples)
+    w = 40.0 + rng.uniform(0.0, 3.0, members)
+    wave = np.exp(1j * np.multiply.outer(t, w))[..., None] * np.arange(1.0, channels + 1.0)
+    noise = rng.standard_normal((2, samples, members, channels))
+    signal = wave + level * (noise[0] + 1j * noise[1])
+    found = co.frequencies(t, signal if complex_signal else signal.real, 1, power)
+    true = np.sqrt(np.mean((found.frequency[:, 0] - w) ** 2))
+    claimed = np.sqrt(np.mean(found.uncertainty[:, 0] ** 2))
+    # The spread of 400 draws is known to 1 / sqrt(800); six per cent more cover the median of few bins.
+    assert abs(np.log(true / claimed)) < 4 / np.sqrt(2 * members) + 0.06
+
+
+def test_signals_of_a_run():
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    run = co.integrate(body, (1.0, 0.2, 0.5), (0.0, 300.0), 0.1, co.Splitting(order=4), save_every=7, attitude=True)
+    w = co.frequencies(run, count=1).frequency[0]
+    assert co.frequencies(run, lambda x: x[:, 1] + 1j * x[:, 2], count=1).frequency[0] == pytest.approx(-w, rel=1e-9)
+    assert co.frequencies(run, run.x[:, 1], count=1).frequency[0] == pytest.approx(w, rel=1e-9)
+    assert co.frequencies(run, "attitude", count=1).amplitude.shape == (1, 9)
+    assert "uncertainty" in str(co.frequencies(run))
