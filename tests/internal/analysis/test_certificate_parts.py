@@ -1,29 +1,37 @@
-"""The checks behind a certificate, one by one: each sees a defect in any state, at any time and in either direction."""
+"""What the rows of a certificate are made of: references, studies, noise, conditions, elements, directions."""
 
-import functools
-import json
 import math
 
 import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.analysis.certificates.certificate import Certificate, Row
 from coadjoint.analysis.certificates.claims import scheme_and_claims
-from coadjoint.analysis.checks import attitude, convergence, invariants
+from coadjoint.analysis.checks import attitude, convergence, invariants, poisson, subject, symmetry
 from coadjoint.analysis.checks.convergence import allowed_error
-from coadjoint.analysis.checks.invariants import size_of
+from coadjoint.analysis.checks.invariants import keeps, size_of
 from coadjoint.analysis.checks.poisson import poisson_row
 from coadjoint.analysis.checks.reference import motion, natural_time
 from coadjoint.analysis.checks.study import LARGE_ERROR, study
-from coadjoint.analysis.checks.subject import STATE_SPACING, Subject
+from coadjoint.analysis.checks.subject import Subject
 from coadjoint.analysis.checks.symmetry import symmetry_row
-from coadjoint.analysis.fits import growth, slope_of_defects
-from coadjoint.methods import Properties
+from coadjoint.analysis.fits import slope_of_defects
+from rounding import UNIT_ROUNDOFF as U
 
+Properties = co.methods.Properties
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 X0 = np.array([0.3, 1.0, 0.2])
-EVERYTHING = Properties(poisson=True, energy=True, casimirs="all", attitude="none")
+RNG = np.random.default_rng(7)
+
+
+def euler(x, h):
+    return x + h * BODY.vector_field(x)
+
+
+@pytest.mark.parametrize(("speed", "rests"), [(32 * U, True), (128 * U, False)])
+def test_a_state_rests_up_to_its_threshold(speed, rests):
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(np.zeros(3), linear=(0.0, 0.0, speed)))
+    assert (natural_time(system, np.array([1.0, 0.0, 0.0])) == 0.0) is rests
 
 
 def subject_of(system, method, states, h, steps=32, **said):
@@ -32,45 +40,9 @@ def subject_of(system, method, states, h, steps=32, **said):
     return Subject(system, scheme, claims, h, states, steps, compiled=isinstance(method, co.methods.Method))
 
 
-# Every state of a sample counts
-
-
-def turning(broken):
-    """The exact flow of x1^2/2 on so(3), times 1 + h^4/10 where |x| > 1.2 if it is to be broken there."""
-
-    def step(x, h):
-        c, s = np.cos(h * x[0]), np.sin(h * x[0])
-        factor = 1.0 + 0.1 * h**4 if broken and np.linalg.norm(np.real(x)) > 1.2 else 1.0
-        return np.array([x[0], c * x[1] - s * x[2], s * x[1] + c * x[2]]) * factor
-
-    return step
-
-
-@pytest.mark.thinned(6)
-@pytest.mark.parametrize("place", [0, 2, 4])
-@pytest.mark.parametrize("h", [0.1, -0.1])
-def test_a_defect_in_one_state_of_a_sample_fails_every_row(place, h):
-    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.0, 0.0]))
-    sample = np.tile([0.6, 0.5, -0.4], (5, 1)) * np.linspace(0.5, 1.0, 5)[:, None]
-    sample[place] = [0.9, -0.8, 0.7]
-    options = {"steps": 16, "order": 2, "symmetric": True, "properties": EVERYTHING}
-    rows = ["symmetry", "poisson", "energy", "casimir |x|^2"]
-    right = co.certify(system, turning(False), sample, h, **options)
-    assert right.passed, str(right)
-    wrong = co.certify(system, turning(True), sample, h, **options)
-    assert set(rows) <= {row.key for row in wrong.failures}, str(wrong)
-    # Its size is that of the one state: 2 h^4/10 |x| there and back.
-    row = wrong["symmetry"]
-    step = float(row.measured.split("at the step ")[1].split(",")[0])
-    assert row.value == pytest.approx(0.2 * step**4 * np.linalg.norm(sample[place]), rel=0.05)
-    assert wrong["energy"].evidence["deviations"].shape[1] == 5
-    deviations = np.max(np.abs(wrong["energy"].evidence["deviations"]), axis=0)
-    assert np.argmax(deviations) == place and np.delete(deviations, place).max() < 1e-12
-
-
 @pytest.mark.thinned(8)
 @pytest.mark.parametrize("h", [0.1, -0.1])
-@pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2), co.ExplicitRungeKutta("rk4"), turning(True)])
+@pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2), co.ExplicitRungeKutta("rk4"), euler])
 def test_bounds_do_not_depend_on_the_number_of_states(method, h, monkeypatch):
     """A sample with each state twice as often has the values, the bounds and the verdicts of the sample."""
     sample = np.array([X0, [0.9, -0.8, 0.7]])
@@ -97,27 +69,6 @@ def test_bounds_do_not_depend_on_the_number_of_states(method, h, monkeypatch):
 
 @pytest.mark.thinned(4)
 @pytest.mark.parametrize("h", [0.1, -0.1])
-@pytest.mark.parametrize("at_the_given", [True, False])
-def test_a_defect_at_the_given_step_or_at_larger_ones_alone_fails(at_the_given, h):
-    """An exact step still follows the motion at larger steps than the given one, where rows look as well."""
-    exact = turning(False)
-
-    def step(x, length):
-        given = abs(abs(float(length)) - abs(h)) < 1e-9
-        wrong = given if at_the_given else abs(float(length)) > 2.0 * abs(h)
-        return exact(x, length) * (1.0 + 1e-7 if wrong else 1.0)
-
-    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.0, 0.0]))
-    sample = np.outer([0.5, 1.0, 0.8, 0.7], [0.6, 0.5, -0.4])
-    found = co.certify(system, step, sample, h, steps=16, order=2, symmetric=True, properties=EVERYTHING)
-    wanted = {"symmetry", "poisson", "energy", "casimir |x|^2"}
-    assert wanted <= {row.key for row in found.failures}, str(found)
-    lengths = [float(found[key].measured.split("at the step ")[1].split(",")[0]) for key in ("symmetry", "poisson")]
-    assert all((length == h) == at_the_given and length / h >= 1.0 for length in lengths)
-
-
-@pytest.mark.thinned(4)
-@pytest.mark.parametrize("h", [0.1, -0.1])
 @pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2)], ids=str)
 def test_the_order_of_single_steps_is_one_less_than_the_power_of_their_errors(method, h):
     subject = subject_of(BODY, method, np.array([X0, [0.9, -0.8, 0.7]]), h)
@@ -128,22 +79,6 @@ def test_the_order_of_single_steps_is_one_less_than_the_power_of_their_errors(me
         off = np.linalg.norm(moved - np.array([BODY.exact(x, math.copysign(length, h)) for x in subject.states]))
         # The closed form is rounded, to less than the sixteenth of an error.
         assert error == pytest.approx(off / np.linalg.norm(subject.states), rel=0.1)
-
-
-def test_a_reflection_must_reverse_the_motion_at_every_state():
-    """With a force along the third axis it is one of the first coordinate, though x -> -x does so on that axis."""
-    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25], linear=[0.0, 0.0, 0.5]))
-    sample = [[0.0, 0.0, 1.0], [0.3, -0.5, 0.4], [0.2, 0.7, -0.1], [1.0, 0.1, 0.2]]
-    for states in (sample, sample[::-1]):
-        found = co.certify(system, co.Splitting(), states, 0.1, steps=8)["reversibility"]
-        assert found.reason == "under the reflection (-, +, +)" and found.value <= found.bound
-    full = np.array([[1.0, 0.2, 0.1], [0.2, 0.5, 0.3], [0.1, 0.3, 0.25]])
-    turned = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(full, linear=[0.1, 0.2, 0.5]))
-    found = co.certify(turned, co.Splitting(), sample, 0.1, steps=8)["reversibility"]
-    assert found.verdict == "not applicable" and "no reflection was found" in found.reason
-
-
-# Group elements
 
 
 @pytest.mark.thinned(2)
@@ -180,26 +115,6 @@ def test_the_element_of_a_growing_motion_is_seen_over_fewer_steps():
     assert condition == pytest.approx(np.max(values[..., 0] / values[..., -1]))
     longer = subject.run(subject.states, 0.25, 2 * run.stats.steps, attitude="coadjoint").attitude
     assert np.max(np.linalg.cond(longer)) > attitude.MAX_CONDITION
-
-
-# Growth, slopes, sizes
-
-
-@pytest.mark.parametrize("t0", [0.0, 50.0, -1000.0])
-@pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_growth_depends_on_the_time_since_the_start(t0, direction):
-    since = np.linspace(0.0, 400.0, 257)
-    for power, kind in ((0.0, "bounded"), (0.5, "like sqrt(t)"), (1.0, "linear"), (2.0, "like t^2.1")):
-        deviations = since[:, None] ** power * np.array([1e-9, -3e-9, 0.0]) * (since[:, None] > 0)
-        found = growth(t0 + direction * since, deviations)
-        # The first window begins at 0, which lowers its mean: of t^2 by a third, for a slope that is higher by 0.1.
-        assert found.kind == kind and power - 0.02 <= found.power <= power + 0.12
-        assert np.all(np.diff(found.times) > 0) and found.times[-1] == pytest.approx(400.0 / math.sqrt(2.0))
-        last = deviations[since > 200.0]
-        assert found.sizes[-1] == pytest.approx(math.sqrt(np.mean(last**2)), rel=1e-12)
-        scaled = growth(t0 + direction * since, 1e-6 * deviations[:, ::-1])
-        assert scaled.power == pytest.approx(found.power, abs=1e-9)
-    assert growth(t0 + direction * since[:3], deviations[:3]).kind == "undetermined"
 
 
 @pytest.mark.parametrize("largest", [0.4, -0.4])
@@ -248,9 +163,6 @@ def test_errors_that_are_allowed_follow_the_order_and_the_ratio_of_the_steps():
         for ratio in (1.25, 2.0, 3.0):
             assert allowed_error(ratio**order - 1.0, ratio, order) == pytest.approx(6.0)
     assert allowed_error(1.0, 3.0, None) == allowed_error(1.0, 3.0, 1) == 3.0
-
-
-# References, and studies of convergence
 
 
 @pytest.mark.parametrize("t", [3.0, -3.0, 0.25])
@@ -308,23 +220,6 @@ def test_a_study_has_the_errors_of_its_runs(method, h):
     if coarse_step != h:
         place = found.counts.index(round(found.span / coarse_step))
         assert found.errors[place] < LARGE_ERROR / 5 and all(error >= LARGE_ERROR / 5 for error in found.errors[:place])
-
-
-# Subjects
-
-
-@pytest.mark.parametrize("h", [0.1, -0.1])
-def test_few_states_are_extended_along_the_motion(h):
-    given = np.array([X0, 2.0 * X0])
-    subject = subject_of(BODY, co.Splitting(), given, h)
-    time = min(natural_time(BODY, x) for x in given)
-    assert subject.time == time == subject_of(BODY, co.Splitting(), given[::-1], h).time
-    assert np.array_equal(subject.states[:2], given) and len(subject.states) == 4
-    for k, x in enumerate(subject.states[2:], 1):
-        np.testing.assert_allclose(x, BODY.exact(X0, math.copysign(k * STATE_SPACING * time, h)), atol=1e-13)
-    assert subject.span_time == min(natural_time(BODY, x) for x in subject.states)
-    many = np.random.default_rng(3).normal(size=(11, 3))
-    np.testing.assert_array_equal(subject_of(BODY, co.Splitting(), many, h).states, many[:8])
 
 
 def test_rests_only_if_every_state_rests():
@@ -387,30 +282,6 @@ def test_the_condition_of_a_step_is_that_of_its_tangent(method):
     assert len(seen) > 3
 
 
-def test_a_run_with_an_element_does_not_change_one_without():
-    subject = subject_of(BODY, co.Splitting(), X0, 0.1)
-    for _ in range(2):
-        plain = subject.run(X0[None], 0.1, 4)
-        assert plain.attitude is None
-        for kind in (True, "coadjoint"):
-            turned = subject.run(X0[None], 0.1, 4, attitude=kind)
-            np.testing.assert_array_equal(turned.x, plain.x)
-            once = co.integrate(BODY, X0[None], (0.0, 0.4), 0.1, co.Splitting(), save_every=4, attitude=kind)
-            np.testing.assert_allclose(turned.attitude, once.attitude, atol=1e-14)
-        back = subject.run(X0[None], -0.1, 4, t=0.4)
-        assert back.t[0] == 0.4 and back.t[-1] == pytest.approx(0.0)
-        watched = subject.run(X0[None], 0.1, 4, save_every=2, watch=True)
-        assert len(watched.t) == 3 and len(plain.t) == 2
-        # Watched runs know the drift at all steps, others at the saved points.
-        every = subject.run(X0[None], 0.1, 150, save_every=1)
-        for watch, energies in ((True, every.energy), (False, every.energy[::150])):
-            found = subject.run(X0[None], 0.1, 150, watch=watch).drift(relative=False)["energy"]
-            assert found == pytest.approx(np.max(np.abs(energies - energies[0])), abs=1e-15)
-
-
-# The long run
-
-
 @pytest.mark.parametrize("h", [0.5, -0.5])
 def test_the_long_run_is_as_long_as_the_motion_allows(h):
     """A growing motion is cut where a state has grown 16 times, of whichever member."""
@@ -428,68 +299,126 @@ def test_the_long_run_is_as_long_as_the_motion_allows(h):
         assert all("before a state has grown 16 times" in row.reason for row in rows)
 
 
-# Functions of the user
+def test_what_a_kind_of_casimirs_keeps():
+    quadratic, cubic = co.Polynomial({(2, 0): 1.0}), co.Polynomial({(3, 0): 1.0})
+    function = co.Invariant(lambda x: x[0])
+    kept = {
+        kind: [keeps(Properties(False, False, kind, "none"), c) for c in (quadratic, cubic, function)]
+        for kind in ("all", "polynomial", "quadratic", "none")
+    }
+    assert kept == {
+        "all": [True, True, True],
+        "polynomial": [True, True, False],
+        "quadratic": [True, False, False],
+        "none": [False, False, False],
+    }
 
 
-class Callable:
-    def __call__(self, x, h):
-        return x + h * BODY.vector_field(x)
+def coupled(algebra):
+    A = RNG.normal(size=(algebra.dim, algebra.dim))
+    return co.LiePoissonSystem(algebra, co.Quadratic(A @ A.T / algebra.dim + np.eye(algebra.dim)))
 
 
-@pytest.mark.parametrize(
-    ("function", "timed"),
-    [
-        (lambda x, h: x, False),
-        (lambda x, t, h: x, True),
-        (lambda x, h, tolerance=1e-9: x, False),
-        (lambda x, t, h, tolerance=1e-9: x, True),
-        (functools.partial(lambda rate, x, h: x, 0.5), False),
-        (functools.partial(lambda x, t, h: x, t=0.0), False),
-        (Callable(), False),
-        (np.add, False),
-    ],
-)
-def test_a_function_of_three_needed_arguments_takes_the_time(function, timed):
-    try:
-        scheme, claims = scheme_and_claims(BODY, function, 3, None, False)
-    except TypeError as refused:
-        assert isinstance(function, functools.partial) and "takes" in str(refused)
-        return
-    assert scheme.timed == timed and (claims.order, claims.symmetric, claims.properties) == (3, False, None)
+class SaidToBePoisson(co.GaussLegendre):
+    """A symmetric scheme that is no Poisson map."""
+
+    def properties(self, system):
+        return Properties(poisson=True, energy=False, casimirs="quadratic", attitude="none")
 
 
-def test_schemes_with_steps_of_their_own_declare_no_order_of_the_step():
-    _, claims = scheme_and_claims(BODY, co.Taylor(tolerance=1e-9), None, None, None)
-    assert claims.order is None and claims.properties is not None
-    _, claims = scheme_and_claims(BODY, co.Taylor(12), None, None, None)
-    assert claims.order == 12
+SYSTEMS = {name: coupled(co.algebras.get(name)) for name in ("sl(2)", "A5,3", "su(3)")}
 
 
-# Verdicts and records
+@pytest.fixture
+def dear(monkeypatch):
+    """Every step is taken for one that takes long."""
+    monkeypatch.setattr(subject, "EXPENSIVE_SECONDS", 0.0)
 
 
-@pytest.mark.parametrize("h", [0.1, -0.1])
-def test_a_record_has_what_was_given_and_no_number_that_is_not_finite(h):
-    rest = co.certify(BODY, co.Splitting(), (1.0, 0.0, 0.0), h, steps=8)
-    numbers = {"one": np.float64(math.inf), "many": np.array([[1.0, -math.inf], [math.nan, 2.0]]), "none": []}
-    row = Row("x", "x", "kept", "-", "fails", True, math.nan, np.float64(2.0), evidence=numbers)
-    for found in (rest, Certificate((*rest.rows, row), rest.subject)):
-        read = json.loads(found.to_json(), parse_constant=lambda name: pytest.fail(name))
-        subject = read["subject"]
-        assert subject["given"] == [[1.0, 0.0, 0.0]] == subject["states"][:1]
-        assert subject["system"]["sign"] == BODY.sign and subject["system"]["dim"] == 3
-        assert read["passed"] == found.passed is False
-        assert [row["key"] for row in read["rows"]] == [row.key for row in found.rows]
-        assert all(row["verdict"] == found[row["key"]].verdict for row in read["rows"])
-    assert read["rows"][-1]["evidence"] == {"one": None, "many": [[1.0, None], [None, 2.0]], "none": []}
-    assert (read["rows"][-1]["value"], read["rows"][-1]["bound"]) == (None, 2.0)
-    assert (rest.subject["step"], rest.subject["steps"]) == (h, 8)
+@pytest.mark.parametrize("name, h", [("sl(2)", 0.05), ("A5,3", -0.05)])
+def test_dear_steps_have_the_verdicts_of_cheap_ones(name, h, dear, monkeypatch):
+    system = SYSTEMS[name]
+    x0 = RNG.normal(size=system.dim)
+    for scheme in (co.Splitting(), co.GaussLegendre(2)):
+        few = co.certify(system, scheme, x0, h, steps=64)
+        along = few["poisson"].measured.endswith("by tangents along 4 directions there and back")
+        assert along == bool(few["poisson"].value is not None)
+        assert len(few.subject["states"]) == 2
+        with monkeypatch.context() as patch:
+            patch.setattr(subject, "EXPENSIVE_SECONDS", np.inf)
+            all_of_it = co.certify(system, scheme, x0, h, steps=64)
+        assert len(all_of_it.subject["states"]) == 4
+        told = {row.key: row.verdict for row in few.table if row.claimed}
+        assert told == {row.key: row.verdict for row in all_of_it.table if row.claimed} and few.passed
 
 
-@pytest.mark.parametrize("size", [1e-80, 1e80])
-def test_states_of_sizes_whose_products_leave_float64_are_refused(size):
-    with pytest.raises(ValueError, match="choose units"):
-        co.certify(BODY, co.Splitting(), [X0, -size * X0], 0.1) if size > 1 else co.certify(
-            BODY, co.Splitting(), size * X0, 0.1
-        )
-    assert co.certify(BODY, co.Splitting(), [X0, 0.0 * X0], 0.1, steps=4)["poisson"].verdict == "holds"
+@pytest.mark.parametrize("name", ["sl(2)", "su(3)"])
+def test_what_is_no_poisson_map_is_found_along_directions(name, dear):
+    system = SYSTEMS[name]
+    x0 = RNG.normal(size=system.dim)
+    row = co.certify(system, SaidToBePoisson(1), x0, 0.1, steps=8)["poisson"]
+    assert row.verdict == "fails" and row.value > 1e6 * row.bound
+
+
+def test_the_defect_along_directions_is_about_that_of_the_matrices(dear):
+    """P J - J(y) Q^T has 15^2 entries, whose mean square is estimated by 16 numbers: to a factor of 2, by 4 sigma."""
+    system, scheme, h = coupled(co.algebras.su(4)), co.GaussLegendre(1), 0.2
+    x = RNG.normal(size=system.dim)
+    row = co.certify(system, SaidToBePoisson(1), x[None], h, steps=1)["poisson"]
+    there, back = co.stepper(system, scheme, row.evidence.get("step", h)), co.stepper(system, scheme, -h)
+    y = there(x)
+    P, Q = there.tangent(x), back.tangent(y)
+    defect = np.linalg.norm(P @ system.structure_matrix(x) - system.structure_matrix(y) @ Q.T)
+    assert row.measured.startswith("defect")
+    found, bound, _ = poisson._directional_defect(subject_of(system, scheme, x, h, 1), x, h)
+    assert 0.5 * defect < found < 2.0 * defect and bound < 1e-6 * defect
+
+
+@pytest.mark.long
+def test_the_long_run_has_as_many_steps_as_take_seconds(monkeypatch):
+    monkeypatch.setattr(subject, "SECONDS_PER_COST", 2e-5)  # a step of su(3) then counts as some milliseconds
+    system = SYSTEMS["su(3)"]
+    x0 = RNG.normal(size=system.dim)
+    found = co.certify(system, co.Splitting(), x0, 0.05)
+    steps = found.subject["steps"]
+    assert 32 <= steps < 2000 and f"{steps} steps of 0.05 from 2 states" in found["run"].measured
+    assert "steps=2000 would take about" in found["run"].reason
+    with pytest.warns(co.LongWait, match="the long run of 5000 steps from 2 states takes about"):
+        asked = co.certify(system, co.Splitting(), x0, 0.05, steps=5000)
+    assert asked.subject["steps"] == 5000 and asked["run"].reason == ""
+
+
+def test_the_norm_of_a_tangent_by_directions():
+    """To a factor of 1.5: the norms of 4 columns of a matrix near the unit matrix, of 24 rows, are near each other."""
+    system = coupled(co.algebras.su(5))
+    x = RNG.normal(size=system.dim)
+    given = subject_of(system, co.Splitting(), x, 0.05, 1)
+    P = co.stepper(system, co.Splitting(), 0.05).tangent(x)
+    size = np.linalg.norm(P)
+    assert size / 1.5 < given.tangent_norm(x, 0.05) < 1.5 * size
+    exact = size * np.linalg.norm(np.linalg.inv(P))
+    assert exact / 2.25 < given._estimated_condition(x, 0.05) < 2.25 * exact
+    assert given.condition(x, 0.05) == given._condition(x, 0.05)
+
+
+@pytest.mark.long
+def test_matrices_that_would_be_too_large_are_not_needed_for_dear_steps(dear, monkeypatch):
+    """Neither J nor P is made as a matrix; a lattice of more coordinates is not read flow by flow."""
+    for module in (poisson, symmetry):
+        monkeypatch.setattr(module, "MAX_DENSE_DIM", 16)
+    g = co.algebras.so(7)
+    system = co.LiePoissonSystem(g, co.Quadratic(np.linspace(1.0, 2.0, g.dim)))
+    monkeypatch.setattr(type(system), "structure_matrix", None)
+    x0 = RNG.normal(size=g.dim) / np.sqrt(g.dim)
+    found = co.certify(system, co.Splitting(), x0, 0.05, steps=4)
+    assert [found[key].verdict for key in ("symmetry", "poisson")] == ["holds", "holds"]
+    monkeypatch.setattr(poisson, "MAX_DIRECTIONAL_DIM", 20)
+    assert co.certify(system, co.Splitting(), x0, 0.05, steps=4)["poisson"].verdict == "not decidable here"
+
+
+def test_matrix_systems_are_seen_along_directions(dear):
+    """Their J is a matrix of the system, not of an algebra with structure constants."""
+    ball = co.systems.sphere_euler(4)
+    found = co.certify(ball, co.IsospectralGauss(2), ball.random(seed=1), 0.02, steps=16)
+    assert found["poisson"].measured.endswith("by tangents along 4 directions there and back")
+    assert found["poisson"].verdict == "holds" and found.passed
