@@ -30,10 +30,14 @@ def whole(name: str, sign: int = 1, seed: int = 3, linear: bool = False) -> co.L
 
 
 def field_of(system) -> list[co.Polynomial]:
-    """Return sign J(x) grad H as polynomials, from the dense constants."""
+    """Return sign J(x) grad H as polynomials."""
+    return motion_by(system, [gradient_entry(system, i) for i in range(system.dim)])
+
+
+def motion_by(system, slopes) -> list[co.Polynomial]:
+    """Return sign J(x) slopes as polynomials, from the dense constants."""
     n, g = system.dim, system.algebra
     unit = np.eye(n)
-    slopes = [gradient_entry(system, i) for i in range(n)]
     found = [co.Polynomial({}, dim=n)] * n
     for i in range(n):
         for j in range(n):

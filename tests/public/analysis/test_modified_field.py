@@ -8,12 +8,11 @@ from fractions import Fraction
 import mpmath
 import numpy as np
 import pytest
-from fields_under_test import ALGEBRAS, along, elementary, field_of, whole
+from fields_under_test import ALGEBRAS, along, elementary, field_of, motion_by, whole
 
 import coadjoint as co
-from coadjoint.methods.numerics.stages import linear_solve
-from coadjoint.methods.numerics.taylor_series import expand
 from long import long_between, long_beyond
+from refusals import refused
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -50,23 +49,10 @@ EULER = Tableau(((0,),), (1,))
 TRAPEZOID = Tableau(((0, 0), (0.5, 0.5)), (0.5, 0.5), order=2, symmetric=True)
 
 
-@dataclasses.dataclass(frozen=True)
-class Kahan(co.methods.StepMethod):
-    order, explicit, symmetric = 2, False, True
-
-    def properties(self, system):
-        return NOTHING
-
-    def step(self, system, x, t, h):
-        field = system.vector_field(x, t)
-        matrix = np.eye(len(x), dtype=int) - h / 2 * system.jacobian(x, t)
-        return x + linear_solve(matrix, h * field[:, None])[:, 0]
-
-
 @pytest.mark.thinned(12)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("name", ALGEBRAS)
-def test_midpoint_rule_has_its_known_series(name: str, sign: int) -> None:
+def test_midpoint_rule_has_its_known_series(name: str, sign: int):
     """f_2 = (f'f'f - f''(f, f)/2)/12; for x' = ax it is the logarithm of (1 + ah/2)/(1 - ah/2), ah + (ah)^3/12."""
     system = whole(name, sign, linear=True)
     f = field_of(system)
@@ -82,7 +68,7 @@ def test_midpoint_rule_has_its_known_series(name: str, sign: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["e(3)", "A3,7"])
-def test_tableaux_have_their_known_series(name: str) -> None:
+def test_tableaux_have_their_known_series(name: str):
     """Explicit Euler: -f'f/2 and (f''(f, f) + 4 f'f'f)/12; trapezoidal rule: (f''(f, f) + f'f'f)/12."""
     system = whole(name, -1, linear=True)
     first, inner, bent = elementary(field_of(system))
@@ -95,7 +81,7 @@ def test_tableaux_have_their_known_series(name: str) -> None:
 
 @pytest.mark.parametrize("freeze", ["structure", "gradient"])
 @pytest.mark.parametrize("stages", [1, 2, 3])
-def test_lemma_3_1_is_read_off_the_first_term(stages: int, freeze: str) -> None:
+def test_lemma_3_1_is_read_off_the_first_term(stages: int, freeze: str):
     system = whole("so(3)", -1)
     for m in range(1, 2 * stages + 2):
         scheme = co.ModifiedGaussLegendre(stages, iterations=m, freeze=freeze)
@@ -106,14 +92,14 @@ def test_lemma_3_1_is_read_off_the_first_term(stages: int, freeze: str) -> None:
 @pytest.mark.thinned(12)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("name", ALGEBRAS)
-def test_gauss_keeps_quadratic_invariants_at_every_order(name: str, sign: int) -> None:
+def test_gauss_keeps_quadratic_invariants_at_every_order(name: str, sign: int):
     system = whole(name, sign)
     found = co.modified_field(system, co.GaussLegendre(2), 7 if system.dim < 6 else 5, way="exact")
     assert found.first_error == 4
     assert found.keeps("energy") is None
     for C, F in system.casimirs.items():
         if isinstance(F, co.Invariant):
-            with pytest.raises(TypeError, match="is not a polynomial"):
+            with refused(TypeError, "is not a polynomial"):
                 found.keeps(C)
         elif getattr(F, "degree", 2) == 2:
             assert found.keeps(C) is None
@@ -121,7 +107,7 @@ def test_gauss_keeps_quadratic_invariants_at_every_order(name: str, sign: int) -
 
 @pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "moments"])
-def test_what_is_frozen_is_what_is_kept(name: str) -> None:
+def test_what_is_frozen_is_what_is_kept(name: str):
     system = whole(name, -1)
     structure, gradient = (
         co.modified_field(system, co.ModifiedGaussLegendre(1, freeze=freeze), 5 if system.dim < 8 else 4)
@@ -137,26 +123,30 @@ def test_what_is_frozen_is_what_is_kept(name: str) -> None:
 
 def skew_systems():
     """M full, with a linear term, singular, singular with a linear term along its kernel (a heavy top), and J(x)."""
-    from verification.random_systems import curl_bracket
-
-    structure, derivative = curl_bracket(5)
     e3 = co.algebras.e(3)
     inertia = np.diag([1.0, 0.5, 0.25, 0.0, 0.0, 0.0])
     flat = inertia.copy()
     flat[0, 1] = flat[1, 0] = 0.25
+    turn = np.zeros((3, 3, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        turn[i, j, k], turn[j, i, k] = 1.0, -1.0
+    bent = np.array([[1.0, 0.25, 0.0], [0.25, 0.5, 0.125], [0.0, 0.125, 2.0]])  # J(x) v = v x grad(x.A x/2)
+    spun = co.PoissonSystem(
+        lambda x: turn @ (bent @ x), co.Quadratic([1.0, 0.5, 0.25]), -1, derivative=lambda x: turn @ bent
+    )
     return {
         **{f"{name} {sign:+d}": whole(name, sign) for name in ALGEBRAS if name != "moments" for sign in (1, -1)},
         "linear": whole("so(4)", -1, linear=True),
         "singular": co.LiePoissonSystem(e3, co.Quadratic(flat), sign=-1),
         "heavy top": co.LiePoissonSystem(e3, co.Quadratic(inertia, linear=[0, 0, 0, 0.5, 0, 1]), sign=-1),
         "linear in range": co.LiePoissonSystem(e3, co.Quadratic(flat, linear=[0.5, 0.25, 1, 0, 0, 0])),
-        "J(x)": co.PoissonSystem(structure, co.Quadratic([1.0, 0.5, 0.25]), -1, derivative=derivative),
+        "J(x)": spun,
     }
 
 
 @pytest.mark.thinned(5)
 @pytest.mark.parametrize("which", long_between(3, skew_systems()))
-def test_modified_midpoint_is_skew_to_every_order(which: str) -> None:
+def test_modified_midpoint_is_skew_to_every_order(which: str):
     system = skew_systems()[which]
     found = co.modified_field(system, co.ModifiedGaussLegendre(1), 5 if system.dim < 6 else 4)
     assert found.exact and found.first_error == 2
@@ -178,30 +168,13 @@ def test_modified_midpoint_is_skew_to_every_order(which: str) -> None:
     np.testing.assert_allclose(found.skew_matrix(states[0], 0.0), system.structure_matrix(states[0]), atol=1e-15)
 
 
-def test_a_scheme_that_loses_the_energy_has_no_skew_matrix() -> None:
+def test_a_scheme_that_loses_the_energy_has_no_skew_matrix():
     found = co.modified_field(whole("so(3)"), co.ModifiedGaussLegendre(1, freeze="gradient"), 4)
-    with pytest.raises(ValueError, match=r"does not keep the energy .* at h\^2 grad H \. f has a coefficient of 0\."):
+    with refused(ValueError, "does not keep the energy", "at h^2 grad H . f has a coefficient of 0."):
         found.skew_matrix((1, 2, 3), 0.1)
 
 
-@pytest.mark.thinned(8)
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "A3,7", "A4,7"])
-def test_splittings_are_poisson_with_hamiltonians(name: str, sign: int) -> None:
-    from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
-
-    system = whole(name, sign)
-    found = co.modified_field(system, co.Splitting(order=2), 5 if system.dim < 6 else 3)
-    assert found.first_error == 2 and not found.poisson_defects
-    ring = ExactPolynomials(system.algebra)
-    for k, H in found.hamiltonians.items():
-        assert [ring.polynomial(sign * f) for f in ring.field(ring.from_polynomial(H))] == list(found.terms[k])
-    for C in system.casimirs:
-        if isinstance(system.casimirs[C], co.Polynomial | co.Quadratic):
-            assert found.keeps(C) is None
-
-
-def test_a_rational_rotation_of_irrational_frequency_is_exact() -> None:
+def test_a_rational_rotation_of_irrational_frequency_is_exact():
     """2/(w h) atan(w h theta/2) = theta (1 - w^2 h^2 theta^2/12 + w^4 h^4 theta^4/80 - ...), theta = l.x, w^2 = l.l."""
     l = np.array([1, 2, 3])
     system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(np.outer(l, l)))
@@ -214,10 +187,10 @@ def test_a_rational_rotation_of_irrational_frequency_is_exact() -> None:
     assert list(found.terms[6]) == [square * square * square * F * Fraction(-1, 448) for F in f]
 
 
-def test_gauss_is_no_poisson_map_and_says_where() -> None:
+def test_gauss_is_no_poisson_map_and_says_where():
     found = co.modified_field(whole("e(3)"), co.GaussLegendre(1), 3)
     assert list(found.poisson_defects) == [2]
-    with pytest.raises(ValueError, match=r"not a Poisson map on .*: at h\^2 .* coefficient of"):
+    with refused(ValueError, "not a Poisson map on", ": at h^2", "coefficient of"):
         found.hamiltonians  # noqa: B018
 
 
@@ -239,7 +212,7 @@ SCHEMES = [
     co.Taylor(2, projected=False),
     EULER,
     TRAPEZOID,
-    Kahan(),
+    co.Kahan(),
 ]
 
 
@@ -249,10 +222,34 @@ def kinds_of_fields():
     return [whole("A3,7", -1, seed=8, linear=True), co.LiePoissonSystem(co.algebras.so(3), cubic, sign=-1)]
 
 
+def flow(terms, x, h, highest=7):
+    """The motion over h of the sum of h^k f_k, by its power series in time."""
+    fields = [{} for _ in x]
+    for k, term in terms.items():
+        for monomials, F in zip(fields, term, strict=True):
+            for e, c in F.monomials.items():
+                c = Fraction(c)
+                monomials[e] = monomials.get(e, 0) + h**k * mpmath.mpf(c.numerator) / c.denominator
+    series = [[v] for v in x]
+    for m in range(highest):
+        slopes = []
+        for monomials in fields:
+            total = 0
+            for e, c in monomials.items():
+                product = [c, *[0] * m]
+                for factor in (s for s, power in zip(series, e, strict=True) for _ in range(power)):
+                    product = [sum(product[j] * factor[q - j] for j in range(q + 1)) for q in range(m + 1)]
+                total += product[m]
+            slopes.append(total / (m + 1))
+        for s, slope in zip(series, slopes, strict=True):
+            s.append(slope)
+    return [sum(v * h**q for q, v in enumerate(s)) for s in series]
+
+
 @pytest.mark.thinned(6)
 @pytest.mark.parametrize("which", long_beyond(1, [0, 1]))
 @pytest.mark.parametrize("scheme", long_between(3, SCHEMES), ids=str)
-def test_a_step_is_the_flow_of_its_field(scheme, which: int) -> None:
+def test_a_step_is_the_flow_of_its_field(scheme, which: int):
     """One step and the flow of the terms below h^r differ by h^(r+1) f_r and less, forward and backward."""
     system, order = kinds_of_fields()[which], 4
     try:
@@ -264,15 +261,10 @@ def test_a_step_is_the_flow_of_its_field(scheme, which: int) -> None:
     first = next((k for k in range(1, order) if any(F.monomials for F in found.terms[k])), order)
     assert first == min(scheme.order, order)
     errors = []
-    with mpmath.workdps(80):
+    with mpmath.workdps(40):
         x = np.array([mpmath.mpf(v) for v in (0.5, -0.75, 0.625)], dtype=object)
         for h in (mpmath.mpf("1e-3"), mpmath.mpf("5e-4"), mpmath.mpf("-1e-3")):
-
-            def field(y, h=h):
-                values = [[F(y) for F in found.terms[k]] for k in range(order)]
-                return np.array([sum(values[k][i] * h**k for k in range(order)) for i in range(3)], dtype=object)
-
-            end = x + sum(expand(field, x, h, 9))
+            end = flow({k: found.terms[k] for k in range(order)}, x, h)
             step = scheme.step(system, x, mpmath.mpf(0), h)
             errors.append(max(abs(a - b) for a, b in zip(step, end, strict=True)))
         slope = float(mpmath.log(errors[0] / errors[1], 2))
@@ -286,7 +278,7 @@ SHORT = [s for s in SCHEMES if not isinstance(s, co.Composition) and s != co.Spl
 
 @pytest.mark.long
 @pytest.mark.parametrize("scheme", long_beyond(1, SHORT), ids=str)
-def test_the_two_ways_agree(scheme) -> None:
+def test_the_two_ways_agree(scheme):
     system = whole("e(3)", -1, seed=11, linear=True)
     exact = co.modified_field(system, scheme, 4, way="exact")
     points = co.modified_field(system, scheme, 4, way="numerical")
@@ -299,7 +291,7 @@ def test_the_two_ways_agree(scheme) -> None:
 
 
 @pytest.mark.long
-def test_radau_on_the_energy_surface() -> None:
+def test_radau_on_the_energy_surface():
     system = whole("so(3)", -1)
     found = co.modified_field(system, co.RadauEnergy(2), 4)
     assert not found.exact and "irrational" in found.reason
@@ -315,7 +307,7 @@ def test_radau_on_the_energy_surface() -> None:
     np.testing.assert_allclose(found.terms[3](x), values[3], atol=0)
 
 
-def test_projected_series_keep_what_they_restore() -> None:
+def test_projected_series_keep_what_they_restore():
     system = whole("so(3)", 1)
     found = co.modified_field(system, co.Taylor(2), 4)
     assert not found.exact
@@ -323,7 +315,7 @@ def test_projected_series_keep_what_they_restore() -> None:
     assert found.first_error == 2
 
 
-def test_a_scheme_at_a_wrong_speed_has_another_field() -> None:
+def test_a_scheme_at_a_wrong_speed_has_another_field():
     system = whole("so(3)")
 
     def slow(x, h):
@@ -336,14 +328,14 @@ def test_a_scheme_at_a_wrong_speed_has_another_field() -> None:
     assert exact.exact and exact.first_error == 0
 
 
-def test_a_function_is_a_scheme() -> None:
+def test_a_function_is_a_scheme():
     system = whole("A3,7")
     found = co.modified_field(system, lambda x, h: x + h * system.vector_field(x + h / 2 * system.vector_field(x)), 4)
     known = co.modified_field(system, co.ExplicitRungeKutta("runge2"), 4)
     assert found.exact and dict(found.terms) == dict(known.terms)
 
 
-def test_a_step_that_branches_is_not_read_in_series() -> None:
+def test_a_step_that_branches_is_not_read_in_series():
     system = whole("so(3)")
 
     def step(x, h):
@@ -364,7 +356,7 @@ def test_a_step_that_branches_is_not_read_in_series() -> None:
             end = new
         return end
 
-    with pytest.raises(TypeError, match=r"contradicts the step at a sample point .* a step that branches"):
+    with refused(TypeError, "contradicts the step at a sample point", "a step that branches"):
         co.modified_field(system, stopped, 4, way="exact")
     found = co.modified_field(system, step, 4)
     known = co.modified_field(system, co.GaussLegendre(1), 4)
@@ -372,7 +364,7 @@ def test_a_step_that_branches_is_not_read_in_series() -> None:
     np.testing.assert_allclose(found.values(x), known.values(x), atol=1e-14)
 
 
-def test_many_states_and_one() -> None:
+def test_many_states_and_one():
     system = whole("so(4)", -1)
     found = co.modified_field(system, co.ModifiedGaussLegendre(1), 4)
     states = np.random.default_rng(0).normal(size=(7, 6))
@@ -385,51 +377,147 @@ def test_many_states_and_one() -> None:
             np.testing.assert_allclose(found(x, h), value, rtol=0, atol=1e-13 * np.abs(together).max())
 
 
-def test_what_cannot_be_served_is_refused_by_name() -> None:
-    system = whole("so(3)")
-    timed = co.LiePoissonSystem(
-        co.algebras.so(3), co.Hamiltonian(lambda x, t: x[0] * np.cos(t), lambda x, t: np.array([np.cos(t), 0.0, 0.0]))
-    )
-    with pytest.raises(ValueError, match="depends on time"):
-        co.modified_field(timed, co.GaussLegendre(1), 4)
-    with pytest.raises(ValueError, match="order of a modified field"):
-        co.modified_field(system, co.GaussLegendre(1), 0)
-    with pytest.raises(TypeError, match="give a scheme such as"):
-        co.modified_field(system, 3, 4)
-    with pytest.raises(TypeError, match="returned float64"):
-        co.modified_field(system, lambda x, h: np.asarray(x, dtype=float), 3)
-    with pytest.raises(TypeError, match="no exact modified field"):
-        co.modified_field(system, co.RadauEnergy(2), 4, way="exact")
-    found = co.modified_field(system, co.GaussLegendre(1), 3)
-    with pytest.raises(ValueError, match=r"it must be \(3,\) or \(k, 3\)"):
-        found([1.0, 2.0], 0.1)
-    with pytest.raises(ValueError, match="is not an invariant of"):
-        found.keeps("mass")
-    with pytest.raises(ValueError, match=r"differs by .* of its size between two sets of steps"):
-        co.modified_field(system, lambda x, h: np.array([type(v)(float(v)) for v in x + h * system.vector_field(x)]), 3)
+@pytest.mark.thinned(8)
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "A3,7", "A4,7"])
+def test_splittings_are_poisson_with_hamiltonians(name, sign):
+    system = whole(name, sign)
+    found = co.modified_field(system, co.Splitting(order=2), 5 if system.dim < 6 else 3)
+    assert found.first_error == 2 and not found.poisson_defects
+    for k, H in found.hamiltonians.items():
+        H = co.Polynomial(dict(H.monomials), dim=system.dim)
+        assert motion_by(system, [H.derivative(i) for i in range(system.dim)]) == list(found.terms[k])
+    for C in system.casimirs:
+        if isinstance(system.casimirs[C], co.Polynomial | co.Quadratic):
+            assert found.keeps(C) is None
 
 
-def test_large_orders_are_refused_before_they_are_made() -> None:
-    system = co.LiePoissonSystem(co.algebras.so(10), co.Quadratic(np.arange(1.0, 46.0)), casimirs={})
-    with pytest.raises(TypeError, match=r"modified field of order 20, of degree 21 in 45 coordinates"):
-        co.modified_field(system, co.GaussLegendre(1), 20, way="exact")
+REFUSED = {
+    "driven": (lambda: co.modified_field(TIMED, co.GaussLegendre(1), 64), ValueError, "time"),
+    "no order": (lambda: co.modified_field(whole("so(3)"), co.GaussLegendre(1), 0), ValueError, "order"),
+    "an order too many": (lambda: co.modified_field(TIMED, co.GaussLegendre(1), 65), ValueError, "64"),
+    "a number": (lambda: co.modified_field(whole("so(3)"), 3, 4), TypeError, "scheme"),
+    "floats": (
+        lambda: co.modified_field(whole("so(3)"), lambda x, h: np.asarray(x, dtype=float), 3), TypeError, "float64"
+    ),
+    "irrational": (
+        lambda: co.modified_field(whole("so(3)"), co.RadauEnergy(2), 4, way="exact"), TypeError, "no exact"
+    ),
+    "a shape": (lambda: co.modified_field(whole("so(3)"), RUNGE, 3)([1.0, 2.0], 0.1), ValueError, "(3,)"),
+    "an invariant": (lambda: co.modified_field(whole("so(3)"), RUNGE, 3).keeps("mass"), ValueError, "mass"),
+    "rounded": (
+        lambda: co.modified_field(
+            whole("so(3)"),
+            lambda x, h: np.array([type(v)(float(v)) for v in x + h * whole("so(3)").vector_field(x)]), 3,
+        ),
+        ValueError, "two sets of steps",
+    ),
+    "a large order": (lambda: co.modified_field(LARGE, co.GaussLegendre(1), 20, way="exact"), TypeError, "order 20"),
+}  # fmt: skip
+TIMED = co.LiePoissonSystem(
+    co.algebras.so(3), co.Hamiltonian(lambda x, t: x[0] * np.cos(t), lambda x, t: np.array([np.cos(t), 0.0, 0.0]))
+)
+LARGE = co.LiePoissonSystem(co.algebras.so(10), co.Quadratic(np.arange(1.0, 46.0)), casimirs={})
+RUNGE, FROZEN = co.ExplicitRungeKutta("runge2"), co.ModifiedGaussLegendre(1, freeze="gradient")
 
 
-def test_it_prints_as_mathematics() -> None:
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_cannot_be_served_is_refused(what):
+    call, error, named = REFUSED[what]
+    with refused(error, named):
+        call()
+
+
+def test_it_prints_as_mathematics():
     quadratic_form = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 1 / 2, 1 / 4]), sign=-1)
     found = co.modified_field(quadratic_form, co.GaussLegendre(1), 3)
-    assert r"f_{0} = \left(-\frac{1}{4} x_{2} x_{3}" in found.to_latex()
-    assert "f_{1}" not in found.to_latex() and found._repr_latex_().startswith("$$")
-    assert "exact polynomials" in repr(found)
-    long = co.modified_field(co.systems.rigid_body(inertia=(1, 2, 3)), co.GaussLegendre(1), 1)
-    assert r"-0.166667 x_{2} x_{3}" in long._repr_latex_() and r"\frac{3002399751580331}" in long.to_latex()
+    assert r"f_{0} = \left(-\frac{1}{4} x_{2} x_{3}" in found.to_latex() and "f_{1}" not in found.to_latex()
     assert along(found.terms[0], co.Polynomial({(2, 0, 0): 1, (0, 2, 0): 1, (0, 0, 2): 1})).monomials == {}
 
 
-def test_a_field_of_very_many_monomials_is_not_made_exactly():
-    """It would take gigabytes."""
-    g = co.algebras.su(10)
-    A = np.random.default_rng(1).normal(size=(g.dim, g.dim))
-    system = co.LiePoissonSystem(g, co.Quadratic(A + A.T))
-    with pytest.raises(TypeError, match=r"no exact modified field: the field of .* has about .e\+05 monomials"):
-        co.modified_field(system, co.GaussLegendre(1), 3, way="exact")
+RATES = {
+    "so(3) +": lambda: whole("so(3)", 1, linear=True),
+    "so(3) -": lambda: whole("so(3)", -1, linear=True),
+    "A3,7 -": lambda: whole("A3,7", -1),
+}
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize(
+    ("name", "scheme"),
+    [("so(3) +", RUNGE), ("so(3) -", FROZEN), ("A3,7 -", RUNGE), ("A3,7 -", FROZEN)],
+)
+def test_rates_of_change_are_those_of_steps(name, scheme):
+    """A step changes F by h^(k + 1) r_k first; the mean over h and -h leaves out the next term."""
+    system = RATES[name]()
+    found = co.modified_field(system, scheme, 4)
+    x = np.array([0.5, -0.75, 0.625])
+    own = co.Polynomial({(1, 1, 0): 1, (0, 0, 3): Fraction(-1, 2), (1, 0, 0): Fraction(1, 4)})
+    for given, value in (("energy", system.energy), (own, own)):
+        rates = found.rate(given)
+        first = min(rates)
+        assert found.keeps(given) == first and all(F.monomials for F in rates.values())
+        means = []
+        for h in (0.02, 0.01):
+            changes = [(value(co.stepper(system, scheme, s)(x)) - value(x)) / s ** (first + 1) for s in (h, -h)]
+            means.append(sum(changes) / 2)
+        error = [abs(mean - rates[first](x)) for mean in means]
+        # What is left is of the size h^2, above rounding of 1e-16 / h^(k + 1).
+        assert error[1] < 0.3 * error[0] + 1e-9 and error[0] < 0.05 * abs(rates[first](x))
+    assert first == 0
+    for k, term in found.terms.items():
+        assert found.rate(own).get(k, co.Polynomial({}, dim=3)) == along(term, own)
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize("way", ["exact", "numerical"])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_matrix_at_points_is_skew_and_gives_the_field(sign, way):
+    """The exact flow of a quartic energy over h + h^3 - 2 h^4 keeps it: f_2 = f and f_3 = -2 f."""
+    H = co.Polynomial({(0, 4, 0): 0.25, (0, 1, 0): 1.0, (0, 2, 0): 0.5, (2, 0, 0): 0.125})
+    system = co.LiePoissonSystem(co.algebras.get("A3,1"), H, sign=sign)
+
+    def step(x, h):  # x1 and x2 are constant
+        return x + (h + h**3 - 2 * h**4) * system.vector_field(x)
+
+    found = co.modified_field(system, step, 4, way=way)
+    assert found.exact == (way == "exact") and found.first_error == 2 and found.keeps("energy") is None
+    states = np.array([[0.5, -0.75, 1.0], [1.0, 0.25, -0.5]])
+    gradients = [system.hamiltonian.gradient(x) for x in states]
+    motion = np.array([system.vector_field(x) for x in states])
+    J = np.array([system.structure_matrix(x) for x in states])
+    for h in (0.125, -0.25, 0.0):
+        K = found.skew_matrix(states, h)
+        assert K.shape == (2, 3, 3) and np.array_equal(K, -np.swapaxes(K, 1, 2))
+        product = sign * np.einsum("mij,mj->mi", K, gradients)
+        np.testing.assert_allclose(product, (1.0 + h**2 - 2 * h**3) * motion, rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(found(states, h), product, rtol=1e-12, atol=1e-15)
+        np.testing.assert_array_equal(found.skew_matrix(states[1], h), K[1])
+        # Twice the change of the field: of it and its mirror image.
+        excess = np.linalg.norm(K - J, axis=(1, 2))
+        expected = abs(h**2 - 2 * h**3) * np.linalg.norm(motion, axis=1) / np.linalg.norm(gradients, axis=1)
+        np.testing.assert_allclose(excess, np.sqrt(2.0) * expected, rtol=1e-9, atol=1e-14)
+    level = co.LiePoissonSystem(co.algebras.get("A3,1"), co.Polynomial({(0, 4, 0): 0.25}), sign=sign)
+    flat = co.modified_field(level, lambda x, h: x + h * level.vector_field(x), 2, way=way)
+    with refused(ValueError, "gradient of H is zero at [1.0, 0.0, 2.0]"):
+        flat.skew_matrix([[1.0, 1.0, 1.0], [1.0, 0.0, 2.0]], 0.1)
+
+
+def test_a_derivation_is_poisson_and_not_hamiltonian():
+    """On the Heisenberg algebra (2 x1, x2, x3) respects the bracket, and moves the Casimir x1."""
+    system = co.LiePoissonSystem(co.algebras.get("A3,1"), co.Quadratic([0.0, 1.0, 0.0]))
+
+    def step(x, h):
+        y = x + h * system.vector_field(x)  # the exact flow, since x1 and x2 are constant
+        growth = 1 + h * h + h**4 / 2
+        return np.array([growth * growth * y[0], growth * y[1], growth * y[2]])
+
+    found = co.modified_field(system, step, 3)
+    assert found.exact and not found.poisson_defects and found.first_error == 1
+    with refused(ValueError, "is not Hamiltonian: at h^1 it moves x1, with a coefficient of 2"):
+        found.hamiltonians  # noqa: B018
+    uneven = co.modified_field(system, lambda x, h: step(x, h) + h * h * np.array([x[0], 0 * x[0], 0 * x[0]]), 3)
+    assert uneven.poisson_defects[1] == 1.0
+    with refused(ValueError, "not a Poisson map", "at h^1"):
+        uneven.hamiltonians  # noqa: B018

@@ -14,9 +14,7 @@ from modified_systems import systems
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
-from coadjoint.methods.numerics.splitting_schemes import SCHEMES
-from coadjoint.program.modified_energy.second_order import second_order_term
-from long import long_where
+from refusals import refused
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -47,9 +45,6 @@ def digits():
 
 def slope_of(defects):
     return float(mpmath.log(defects[0] / defects[1], 2))
-
-
-# --- against formulas that were found otherwise
 
 
 def test_the_printed_formula_of_so3_to_the_letter():
@@ -104,22 +99,6 @@ def test_logarithm_of_matrices(algebra, name, sign):
     # The error is O(h^9); where all of the series is there, only the rounding of coefficients is left.
     assert sizes[1] < 1e-17 or 8.6 < slope_of(sizes) < 12.5
     assert sizes[1] < 1e-9
-
-
-@pytest.mark.thinned(6)
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_the_term_at_points_agrees(name):
-    """`second_order_term` nests pairs by gradients and Hessians; here it is a polynomial."""
-    system, _ = SYSTEMS[name]
-    points = np.random.default_rng(4).uniform(-1, 1, (5, system.dim))
-    for parts in ("auto", "coordinates"):
-        method = co.Splitting(parts=parts)
-        expected = second_order_term(system.algebra, method.program(system).parts, points)
-        term = co.modified_hamiltonian(system, method, order=4).terms.get(2, co.Polynomial({}, dim=system.dim))
-        assert term(points) == pytest.approx(expected, rel=1e-12, abs=1e-13)
-
-
-# --- against motions
 
 
 @pytest.mark.thinned(28)
@@ -193,20 +172,6 @@ def test_one_rational_rotation_is_integrated_exactly():
     assert found.error_term.power == 2
 
 
-# --- error terms
-
-
-@pytest.mark.thinned(19)
-@pytest.mark.parametrize("name", long_where(["blanes_casas_murua10", "kahan_li10a", "kahan_li10d"], sorted(SCHEMES)))
-def test_every_scheme_has_its_first_term_at_its_order(name):
-    system, _ = SYSTEMS["so(3)"]
-    scheme = co.Splitting(scheme=name, parts="coordinates")
-    kept = co.modified_hamiltonian(system, scheme, order=2)
-    power, term = kept.error_term
-    assert power == scheme.order and term.degree == power + 2
-    assert kept.neglected < 1e-35  # texts of 40 digits and more
-
-
 def test_first_order_and_its_adjoint():
     """Odd terms of the adjoint have the other sign, even ones the same."""
     system, _ = SYSTEMS["e(3), cubic"]
@@ -243,52 +208,6 @@ def test_sizes_of_error_terms_compare_schemes():
         assert measured == pytest.approx(predicted, abs=0.1 * np.max(np.abs(measured)))
 
 
-@pytest.mark.long
-def test_a_kernel_and_its_processor():
-    """P K P^-1: the Hamiltonian of K at the unprocessed state is that of the scheme at the processed one."""
-    system, x0 = SYSTEMS["so(3)"]
-    scheme = co.Splitting(scheme="blanes_casas_murua6", parts="coordinates")
-    kept = co.modified_hamiltonian(system, scheme, 9)
-    assert kept.kernel.error_term.power < kept.error_term.power == 6
-    apart = []
-    for k in (5, 6):
-        h = mpmath.mpf(2) ** -k
-        program = scheme.program(system, number=mpmath.mpf)
-        assert program is not None
-        x = exact(x0)
-        y = Processor(scheme).step(system, x, mpmath.mpf(0), h)
-        apart.append(abs(kept.kernel(x, h) - kept(y, h)))
-    assert slope_of(apart) > 8.5 or apart[1] < 1e-17
-    plain = co.modified_hamiltonian(system, co.Splitting(), 4)
-    assert plain.kernel.terms == plain.terms
-
-
-class Processor(co.methods.FlowMethod):
-    """The processor of a scheme, and then one step over nothing: its sweeps cover no time."""
-
-    order, explicit, symmetric, offered = 1, True, False, False
-
-    def __init__(self, scheme):
-        self._scheme = scheme
-
-    parts = property(lambda self: self._scheme.parts)
-
-    def properties(self, system):
-        return self._scheme.properties(system)
-
-    def sweeps(self, number=float):
-        # One step over the whole and its inverse, so that the coefficients add up to 1 as a program wants them.
-        return self._scheme.processor(number)
-
-    def program(self, system, *, group=None, number=float):
-        from coadjoint.program.table import build_program
-
-        return build_program(system, self, group=group, number=number)
-
-
-# --- schemes of users
-
-
 class Own(co.methods.FlowMethod):
     """The triple jump from a cube root, which is no rational number."""
 
@@ -320,9 +239,6 @@ def test_a_flow_method_of_a_user():
     found = co.modified_hamiltonian(system, in_floats, 6)
     assert all(not isinstance(value, float) for value in found.terms[4].monomials.values())
     assert 0 < found.neglected < 1e-14
-
-
-# --- evaluation
 
 
 def test_values_at_many_states_are_those_one_by_one():
@@ -361,13 +277,6 @@ def test_modified_energy_of_a_solution():
     assert np.array_equal(again.modified_energy(3), run.modified_energy(3))
 
 
-def test_casimirs_that_were_taken_off_are_in_the_first_term():
-    body = co.systems.rigid_body(inertia=(1, 2, 3))
-    assert co.Splitting().program(body).shift
-    kept = co.modified_hamiltonian(body, co.Splitting(), 2)
-    assert kept([1.0, 2.0, 3.0], 0.1) == body.energy([1.0, 2.0, 3.0])
-
-
 def test_fractions_of_the_hamiltonian_stay_exact():
     H = co.Polynomial({(2, 0, 0): Fraction(1, 6), (0, 2, 0): Fraction(1, 10), (0, 0, 2): Fraction(1, 14)})
     system = co.LiePoissonSystem(co.algebras.so(3), H)
@@ -376,47 +285,195 @@ def test_fractions_of_the_hamiltonian_stay_exact():
     assert 24 * term.monomials[2, 2, 0] == m1**2 * m2 - m1**2 * m3 - 2 * m1 * m2**2 + 2 * m1 * m2 * m3 - m2**2 * m3
 
 
-# --- what is refused
-
-
 def test_refusals():
     body, strang = SYSTEMS["so(3)"][0], co.Splitting()
-    with pytest.raises(TypeError, match="not made of exact flows"):
+    with refused(TypeError, "not made of exact flows"):
         co.modified_hamiltonian(body, co.GaussLegendre(1))
-    with pytest.raises(TypeError, match="is for one LiePoissonSystem"):
+    with refused(TypeError, "is for one LiePoissonSystem"):
         co.modified_hamiltonian(co.batch([body, body]), strang)
-    with pytest.raises(TypeError, match="it must be a scheme"):
+    with refused(TypeError, "it must be a scheme"):
         co.modified_hamiltonian(body, 0.5)
-    with pytest.raises(ValueError, match=r"unknown method 'strang'; there are: .*Splitting"):
+    with refused(ValueError, "unknown method 'strang'; there are:", "Splitting"):
         co.modified_hamiltonian(body, "strang")
-    with pytest.raises(ValueError, match="order must be at most 12"):
+    with refused(ValueError, "order must be at most 12"):
         co.modified_hamiltonian(body, strang, 14)
     driven = co.Separable({i: (lambda y, t: y * t, lambda y, t: t + 0 * y) for i in range(3)})
-    with pytest.raises(ValueError, match="depends on time"):
+    with refused(ValueError, "depends on time"):
         co.modified_hamiltonian(co.LiePoissonSystem(co.algebras.so(3), driven), strang)
     shifted = co.systems.rigid_body(inertia=(1, 2, 3))
     with pytest.raises(ValueError, match=r'Casimir .* subtracted from H.*parts="coordinates"'):
         co.modified_hamiltonian(shifted, strang, symbols=True)
-    with pytest.raises(ValueError, match="completed squares"):
+    with refused(ValueError, "completed squares"):
         co.modified_hamiltonian(SYSTEMS["so(3), full, body"][0], co.Splitting(parts="coordinates"), symbols=True)
-    with pytest.raises(ValueError, match="m7"):
+    with refused(ValueError, "m7"):
         co.modified_hamiltonian(body, co.Splitting(parts="coordinates"), symbols=("m7",))
     kept = co.modified_hamiltonian(body, co.Splitting(parts="coordinates"), symbols=True)
-    with pytest.raises(TypeError, match=r"has the symbols b1, b3, m1, m2, m3; use with_values\(\)"):
+    with refused(TypeError, "has the symbols b1, b3, m1, m2, m3; use with_values()"):
         kept([1.0, 2.0, 3.0], 0.1)
-    with pytest.raises(ValueError, match="values has 'm9'"):
+    with refused(ValueError, "values has 'm9'"):
         kept.with_values({"m9": 1})
-    with pytest.raises(TypeError, match="step h"):
+    with refused(TypeError, "step h"):
         kept.with_values()([1.0, 2.0, 3.0], "0.1")
 
 
-def test_what_is_too_large_is_refused_before_it_is_made(monkeypatch):
-    system, _ = SYSTEMS["so(4), full"]
-    monkeypatch.setattr("coadjoint.program.modified_energy.sweep_logarithm.MAX_PRODUCTS", 10**5)
-    assert co.modified_hamiltonian(system, co.Splitting(parts="coordinates"), 4).terms[2].monomials
-    with pytest.raises(ValueError, match=r"products of monomials or more, .* at most 1e\+05"):
-        co.modified_hamiltonian(system, co.Splitting(parts="coordinates"), 8)
-    monkeypatch.setattr("coadjoint.memory.available", lambda: 10**5)
-    monkeypatch.setattr("coadjoint.memory.UNCHECKED_BYTES", 10**4)
-    with pytest.raises(ValueError, match="a bracket in a modified Hamiltonian needs about"):
-        co.modified_hamiltonian(system, co.Splitting(parts="coordinates"), 4)
+@pytest.mark.parametrize(
+    "name", ["yoshida4", "suzuki4", "blanes_moan4", "mclachlan4", "blanes_moan6", "blanes_casas_murua6"]
+)
+def test_every_scheme_has_its_first_term_at_its_order(name):
+    scheme = co.Splitting(scheme=name, parts="coordinates")
+    kept = co.modified_hamiltonian(SYSTEMS["so(3)"][0], scheme, order=2)
+    power, term = kept.error_term
+    assert power == scheme.order and term.degree == power + 2
+    assert kept.neglected < 1e-35  # texts of 40 digits and more
+
+
+def test_casimirs_that_were_taken_off_are_in_the_first_term():
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    assert co.modified_hamiltonian(body, co.Splitting(), 2)([1.0, 2.0, 3.0], 0.1) == body.energy([1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_all_forms_of_a_modified_hamiltonian_have_one_value(order):
+    sympy = pytest.importorskip("sympy")
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]), sign=-1)
+    method = co.Splitting(order=order, parts="coordinates")
+    found = co.modified_hamiltonian(system, method, 4)
+    symbolic = co.modified_hamiltonian(system, method, 4, symbols=True)
+    assert set(found.terms) == ({0, 1, 2, 3} if order == 1 else {0, 2})
+    x, h = [0.5, -2.0, 1.5], -0.25
+    expected = sum(h**k * term(x) for k, term in found.terms.items())
+    assert found(x, h) == pytest.approx(expected, rel=1e-14)
+    places = {sympy.Symbol(f"x{i + 1}"): v for i, v in enumerate(x)} | {sympy.Symbol("h"): h}
+    assert float(found.to_sympy().subs(places)) == pytest.approx(expected, rel=1e-14)
+    values = {sympy.Symbol(name): float(value) for name, value in symbolic.values.items()}
+    assert float(symbolic.to_sympy().subs({**places, **values})) == pytest.approx(expected, rel=1e-14)
+    from sympy.parsing.sympy_parser import parse_expr
+
+    text = parse_expr(repr(found).replace("^", "**"))
+    assert float(text.subs(places)) == pytest.approx(expected, rel=1e-5)  # readable numbers have six digits
+    powers = [k for k in found.terms if k]
+    for written in (found.to_latex(), symbolic.to_latex()):
+        assert [k for k in range(1, 4) if f"h^{{{k}}}" in written or (k == 1 and r"h\," in written)] == powers
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_values_at_points_have_the_shape_of_the_states_and_the_sign_of_the_step(sign):
+    """A polynomial, and the same as functions: backward too, where odd terms change their sign."""
+    algebra = co.algebras.A3_7(1.5)
+    square = (lambda y: 0.5 * y * y, lambda y: y, lambda y: 1.0 + 0.0 * y)
+    functions = co.LiePoissonSystem(algebra, co.Separable(dict.fromkeys(range(3), square)), sign=sign)
+    plain = co.LiePoissonSystem(algebra, co.Polynomial({(2, 0, 0): 0.5, (0, 2, 0): 0.5, (0, 0, 2): 0.5}), sign=sign)
+    method = co.Splitting(order=1, parts="coordinates")
+    found, expected = (co.modified_hamiltonian(system, method, 3) for system in (functions, plain))
+    x = np.random.default_rng(2).uniform(-1.0, 1.0, (2, 2, 3))
+    for h in (0.5, -0.5):
+        np.testing.assert_allclose(found(x, h), expected(x, h), rtol=1e-9)
+        assert found(x[1, 0], h) == pytest.approx(found(x, h)[1, 0], rel=1e-14)
+    assert np.max(np.abs(found(x, 0.5) - found(x, -0.5))) > 1e-3
+    assert found(np.zeros((0, 3)), 0.5).shape == (0,)
+
+
+# Symbols
+
+
+COUPLED = {
+    "so(3)": co.algebras.so(3),
+    "A3,7": co.algebras.A3_7(1.5),
+    "e(3)": co.algebras.e(3),
+    "so(4)": co.algebras.so(4),
+}
+
+
+def product(n, *coordinates):
+    """Return the exponents of a product of coordinates."""
+    return tuple(coordinates.count(i) for i in range(n))
+
+
+def drawn(rng, n):
+    """Return squares of all coordinates and some linear terms, {exponents: Fraction}."""
+    squares = {product(n, i, i): Fraction(int(rng.integers(1, 9)), 6) for i in range(n)}
+    return squares | {product(n, int(i)): Fraction(int(rng.integers(1, 9)), 5) for i in rng.choice(n, 2, replace=False)}
+
+
+def name_of(exponents):
+    """Return the symbol of a coefficient: b1, m1 (of a square), m12, c112."""
+    factors = "".join(str(i + 1) * e for i, e in enumerate(exponents))
+    if len(factors) == 2:
+        return "m" + (factors[0] if factors[0] == factors[1] else factors)
+    return {1: "b", 3: "c"}[len(factors)] + factors
+
+
+@pytest.mark.parametrize("square", [True, False], ids=["one square", "two squares"])
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("name", list(COUPLED))
+def test_symbols_of_coupled_coordinates_are_refused(name, seed, square):
+    """a x1^2 + b x1 x2 + c x2^2 is a (x1 + b x2/2a)^2 + (c - b^2/4a) x2^2: each part depends on several coefficients.
+
+    Also if it is (x1 + x2)^2/2, whose form has the coefficients 1 and whose piece those of H.
+    """
+    rng, algebra = np.random.default_rng([32, seed]), COUPLED[name]
+    n = algebra.dim
+    constants = algebra.structure_matrix(rng.uniform(1.0, 2.0, n))
+    pairs = [(i, j) for i in range(n) for j in range(i) if constants[i, j]]
+    j, i = sorted(pairs[rng.integers(len(pairs))])
+    half = Fraction(1, 2)
+    coupling = {(i, i): half, (i, j): Fraction(1), (j, j): half} if square else {(i, j): Fraction(1, 10)}
+    monomials = drawn(rng, n) | {product(n, *factors): value for factors, value in coupling.items()}
+    system = co.LiePoissonSystem(algebra, co.Polynomial(monomials), sign=(1, -1)[seed % 2])
+    method = co.Splitting(parts="coordinates")
+    assert 2 in co.modified_hamiltonian(system, method, 3).terms
+    three = [name_of(product(n, *factors)) for factors in ((i, i), (i, j), (j, j))]
+    for symbols in (True, three, *([one] for one in three)):
+        with refused(ValueError, "symbols", "completed squares"):
+            co.modified_hamiltonian(system, method, 3, symbols=symbols)
+
+
+# Exponents and the factor of each symbol; of a square the symbol is twice its coefficient.
+WITH_SYMBOLS = {
+    "so(3)": (co.algebras.so(3), {"m1": ((2, 0, 0), 2), "m2": ((0, 2, 0), 2), "b3": ((0, 0, 1), 1)}),
+    "A3,7": (co.algebras.A3_7(1.5), {"m1": ((2, 0, 0), 2), "m3": ((0, 0, 2), 2), "c222": ((0, 3, 0), 1)}),
+    "A3,8": (co.algebras.get("A3,8"), {"m2": ((0, 2, 0), 2), "m3": ((0, 0, 2), 2), "b1": ((1, 0, 0), 1)}),
+    "e(3)": (
+        co.algebras.e(3),
+        {"m1": ((2, 0, 0, 0, 0, 0), 2), "c455": ((0, 0, 0, 1, 2, 0), 1), "b6": ((0, 0, 0, 0, 0, 1), 1)},
+    ),
+}
+SCHEMES = {
+    "strang": (co.Splitting(parts="coordinates"), 4),
+    "first order": (co.Splitting(order=1, parts="coordinates"), 3),
+    "rounded coefficients": (co.Splitting(scheme="blanes_moan4", parts="coordinates"), 5),
+}
+
+
+def system_of(algebra, names, values, sign):
+    """Return the system whose coefficients are those that the values stand for."""
+    H = co.Polynomial({names[name][0]: Fraction(value) / names[name][1] for name, value in values.items()})
+    return co.LiePoissonSystem(algebra, H, sign=sign)
+
+
+def drawn_fractions(rng, names):
+    """Return small fractions of either sign."""
+    return {name: Fraction(int(rng.choice([-5, -3, -1, 1, 2, 4])), int(rng.choice([1, 2, 3, 8]))) for name in names}
+
+
+@pytest.mark.thinned(10)
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("method", SCHEMES)
+@pytest.mark.parametrize("name", WITH_SYMBOLS)
+def test_given_numbers_replace_those_of_the_system_and_no_others(name, method, sign):
+    """For none, one and several of the symbols, where all or some coefficients are symbols."""
+    (algebra, names), (scheme, order) = WITH_SYMBOLS[name], SCHEMES[method]
+    rng = np.random.default_rng(len(name) + sign)
+    own = drawn_fractions(rng, names)
+    system, (first, _, third) = system_of(algebra, names, own, sign), names
+    for wanted in (list(names), [first, third]):
+        symbolic = co.modified_hamiltonian(system, scheme, order, symbols=wanted)
+        new = {key: own[key] + 1 + abs(value) for key, value in drawn_fractions(rng, wanted).items()}
+        for given in ({}, {third: 0}, {third: new[third]}, {first: float(new[first]), third: -2}):
+            found, other = symbolic.with_values(given), system_of(algebra, names, {**own, **given}, sign)
+            plain, x = co.modified_hamiltonian(other, scheme, order), rng.uniform(-1.0, 1.0, (4, algebra.dim))
+            assert (found.order, found.radius, found.neglected) == (order, symbolic.radius, symbolic.neglected)
+            assert not found.values and dict(symbolic.values) == {key: own[key] for key in wanted}
+            for h in (0.25, -0.5):
+                # A few hundred monomials of a few factors each, all below 2^10, are each rounded.
+                assert found(x, h) == pytest.approx(plain(x, h), rel=2.0**-40, abs=2.0**-40)
