@@ -66,7 +66,7 @@ def test_waves_travel_along_q():
 
 def test_static_structure_factor_of_cold_spins_is_that_of_equipartition():
     """kT / omega(q) for each transverse component, of states at a temperature, at every time of the run."""
-    kT, B, members = 0.002, 0.5, 400
+    kT, B, members = 0.002, 0.5, 150
     ring = co.systems.spin_lattice("ring", 12, field=(0.0, 0.0, B))
     states = co.thermal_states(ring, kT, members, sweeps=300, seed=3, x0=nearly_up(12, 1)[0])
     S = co.spectra.structure_factor(run(ring, states.x, span=20.0), path=(1 / 12, 1 / 2))
