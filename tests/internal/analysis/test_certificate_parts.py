@@ -7,14 +7,12 @@ import pytest
 
 import coadjoint as co
 from coadjoint.analysis.certificates.claims import scheme_and_claims
-from coadjoint.analysis.checks import attitude, convergence, invariants, poisson, subject, symmetry
+from coadjoint.analysis.checks import attitude, invariants, poisson, subject, symmetry
 from coadjoint.analysis.checks.convergence import allowed_error
-from coadjoint.analysis.checks.invariants import keeps, size_of
-from coadjoint.analysis.checks.poisson import poisson_row
+from coadjoint.analysis.checks.invariants import size_of
 from coadjoint.analysis.checks.reference import motion, natural_time
 from coadjoint.analysis.checks.study import LARGE_ERROR, study
 from coadjoint.analysis.checks.subject import Subject
-from coadjoint.analysis.checks.symmetry import symmetry_row
 from coadjoint.analysis.fits import slope_of_defects
 from rounding import UNIT_ROUNDOFF as U
 
@@ -38,47 +36,6 @@ def subject_of(system, method, states, h, steps=32, **said):
     scheme, claims = scheme_and_claims(system, method, said.get("order"), said.get("properties"), said.get("symmetric"))
     states = np.atleast_2d(np.asarray(states, dtype=float))
     return Subject(system, scheme, claims, h, states, steps, compiled=isinstance(method, co.methods.Method))
-
-
-@pytest.mark.thinned(8)
-@pytest.mark.parametrize("h", [0.1, -0.1])
-@pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2), co.ExplicitRungeKutta("rk4"), euler])
-def test_bounds_do_not_depend_on_the_number_of_states(method, h, monkeypatch):
-    """A sample with each state twice as often has the values, the bounds and the verdicts of the sample."""
-    sample = np.array([X0, [0.9, -0.8, 0.7]])
-    found = {}
-    for times in (2, 4):
-        subject = subject_of(BODY, method, np.tile(sample, (times, 1)), h, steps=64)
-        run = invariants.long_run(subject)
-        rows = [*invariants.invariant_rows(subject, run, 2.0 * h), symmetry_row(subject, 2.0 * h)]
-        rows += [] if callable(method) else attitude.attitude_rows(subject, None, 64)
-        found[times] = {row.key: row for row in [*rows, poisson_row(subject, 2.0 * h)]}
-        # Without single steps, whose deviations are nearer to their bounds, the rows are those of the long run.
-        with monkeypatch.context() as patch:
-            patch.setattr(invariants, "_single_steps", lambda subject, coarse_step: [])
-            rows = invariants.invariant_rows(subject, run, 2.0 * h)
-        assert all("round-off of the run" in row.source for row in rows)
-        found[times] |= {f"{row.key} over the run": row for row in rows}
-    assert len(found[2]) >= 6
-    for key, row in found[2].items():
-        other = found[4][key]
-        assert (other.verdict, other.measured) == (row.verdict, row.measured), key
-        # Sums over members are rounded.
-        assert other.value == pytest.approx(row.value, rel=1e-9) and other.bound == pytest.approx(row.bound, rel=1e-9)
-
-
-@pytest.mark.thinned(4)
-@pytest.mark.parametrize("h", [0.1, -0.1])
-@pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2)], ids=str)
-def test_the_order_of_single_steps_is_one_less_than_the_power_of_their_errors(method, h):
-    subject = subject_of(BODY, method, np.array([X0, [0.9, -0.8, 0.7]]), h)
-    found = convergence._single_steps(subject, study(subject))
-    assert found.value == pytest.approx(method.order, abs=0.3)
-    for length, error in zip(found.steps, found.errors, strict=True):
-        moved = [co.stepper(BODY, method, math.copysign(length, h))(x) for x in subject.states]
-        off = np.linalg.norm(moved - np.array([BODY.exact(x, math.copysign(length, h)) for x in subject.states]))
-        # The closed form is rounded, to less than the sixteenth of an error.
-        assert error == pytest.approx(off / np.linalg.norm(subject.states), rel=0.1)
 
 
 @pytest.mark.thinned(2)
@@ -222,14 +179,6 @@ def test_a_study_has_the_errors_of_its_runs(method, h):
         assert found.errors[place] < LARGE_ERROR / 5 and all(error >= LARGE_ERROR / 5 for error in found.errors[:place])
 
 
-def test_rests_only_if_every_state_rests():
-    rest, moving = [1.0, 0.0, 0.0], [0.3, 1.0, 0.2]
-    for states, at_equilibrium in (([rest, [0.0, 0.0, 2.0]], True), ([rest, moving], False), ([moving, rest], False)):
-        subject = subject_of(BODY, co.Splitting(), states, 0.1)
-        assert subject.at_equilibrium == at_equilibrium
-        assert subject.time == (0.1 if at_equilibrium else natural_time(BODY, np.array(moving)))
-
-
 @pytest.mark.parametrize("digits", [6, 9, None])
 @pytest.mark.parametrize("rough", [0, 1])
 def test_the_noise_of_a_step_is_that_of_the_rougher_state(digits, rough):
@@ -297,21 +246,6 @@ def test_the_long_run_is_as_long_as_the_motion_allows(h):
         assert np.max(np.linalg.norm(more.x[-1], axis=-1) / np.linalg.norm(states, axis=1)) > 16.0
         rows = invariants.invariant_rows(subject, run, h)
         assert all("before a state has grown 16 times" in row.reason for row in rows)
-
-
-def test_what_a_kind_of_casimirs_keeps():
-    quadratic, cubic = co.Polynomial({(2, 0): 1.0}), co.Polynomial({(3, 0): 1.0})
-    function = co.Invariant(lambda x: x[0])
-    kept = {
-        kind: [keeps(Properties(False, False, kind, "none"), c) for c in (quadratic, cubic, function)]
-        for kind in ("all", "polynomial", "quadratic", "none")
-    }
-    assert kept == {
-        "all": [True, True, True],
-        "polynomial": [True, True, False],
-        "quadratic": [True, False, False],
-        "none": [False, False, False],
-    }
 
 
 def coupled(algebra):

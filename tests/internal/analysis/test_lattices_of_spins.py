@@ -129,18 +129,6 @@ def test_spins_of_a_sublattice_are_not_coupled(name):
     assert len(spin_energy(even, "a test").sublattices) == 2
 
 
-def test_over_relaxation_keeps_the_energy_and_moves_every_spin():
-    lattice = co.systems.spin_lattice("square", (4, 4), tensor=(1.0, 0.8, 0.5), dm=(0.1, 0.2, 0.3), field=(0, 0, 0.2))
-    energies = spin_energy(lattice, "a test")
-    S = np.random.default_rng(1).normal(size=(16, 3, 2))
-    before, first = energies.energy(S), S.copy()
-    lengths = np.linalg.norm(S, axis=1)
-    for sublattice in energies.sublattices:
-        here = spin_moves.StepSizes(lengths[sublattice.sites], np.ones(2), lengths[sublattice.sites])
-        spin_moves.over_relax(sublattice, S, here, np.full((4, 16, 2), 1.0))
-    assert np.allclose(energies.energy(S), before, rtol=1e-13) and np.abs(S - first).max(axis=1).min() > 1e-3
-
-
 def test_parts_of_a_computation_change_nothing(monkeypatch):
     """Spins are drawn in groups of members, and spins of a run are summed in groups of times."""
     chain, kT = co.systems.spin_lattice("chain", 4, periodic=True), np.linspace(0.3, 2.0, 5)

@@ -6,21 +6,13 @@ rule. So built by G. M. Mubarakzyanov, Izv. Vyssh. Uchebn. Zaved. Mat. 1 (32) 11
 4 were compared with the English list of R. O. Popovych, V. M. Boyko, M. O. Nesterenko, M. W. Lutfullin, J. Phys. A 36
 (2003) 7337. In dimension 5 the form of each class is what its nilradical leaves: the matrices of R^4 up to conjugation
 and scaling, the derivations of Heisenberg's algebra beside a line and of the filiform one up to inner ones.
-
-`STRUCTURE` has dimensions that no change of basis alters, counted on these forms by hand: for an abelian ideal of
-dimension m under one D (not nilpotent, or of rank 2 and more) there are m + sum (2 i - 1) l_i derivations, l_1 >= l_2
-... the sizes of the Jordan blocks of each eigenvalue (Frobenius), and one more where D is nilpotent; else the inner
-ones, scalings of the generators, and what maps a weight to an equal one. `ROOTS` has the eigenvalues of N(x),
-N e_i = [e_i, x], as functions of x.
 """
 
 from collections.abc import Callable
 from fractions import Fraction
 from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
-from lie_invariants import Invariants
 
 Constants = np.ndarray  # (n, n, n), of Fractions: [e_i, e_j] = sum_k c[i, j, k] e_k
 Matrix = list[list[Fraction | int]]
@@ -214,203 +206,25 @@ FORMS: dict[str, Callable[..., Constants]] = {
 }
 
 
-# Derived series, lower central series, upper central series; derivations; nilradical.
-STRUCTURE = """
-A2_1                   | 2 1 0   | 2 1       | 0       |  2 | 1
-A3_1                   | 3 1 0   | 3 1 0     | 1 3     |  6 | 3
-A3_2                   | 3 2 0   | 3 2       | 0       |  4 | 2
-A3_3                   | 3 2 0   | 3 2       | 0       |  6 | 2
-A3_4                   | 3 2 0   | 3 2       | 0       |  4 | 2
-A3_5 a=1/3             | 3 2 0   | 3 2       | 0       |  4 | 2
-A3_5 a=-1/2            | 3 2 0   | 3 2       | 0       |  4 | 2
-A3_6                   | 3 2 0   | 3 2       | 0       |  4 | 2
-A3_7 a=2               | 3 2 0   | 3 2       | 0       |  4 | 2
-A3_7 a=-1/3            | 3 2 0   | 3 2       | 0       |  4 | 2
-A3_7 a=0               | 3 2 0   | 3 2       | 0       |  4 | 2
-A3_8                   | 3       | 3         | 0       |  3 | 0
-A3_9                   | 3       | 3         | 0       |  3 | 0
-A4_1                   | 4 2 0   | 4 2 1 0   | 1 2 4   |  7 | 4
-A4_2 a=3               | 4 3 0   | 4 3       | 0       |  6 | 3
-A4_2 a=-2/5            | 4 3 0   | 4 3       | 0       |  6 | 3
-A4_2 a=1               | 4 3 0   | 4 3       | 0       |  8 | 3
-A4_3                   | 4 2 0   | 4 2 1     | 1 2     |  6 | 3
-A4_4                   | 4 3 0   | 4 3       | 0       |  6 | 3
-A4_5 a=1/2 b=-1/3      | 4 3 0   | 4 3       | 0       |  6 | 3
-A4_5 a=-1 b=1          | 4 3 0   | 4 3       | 0       |  8 | 3
-A4_5 a=1 b=1           | 4 3 0   | 4 3       | 0       | 12 | 3
-A4_6 a=2 b=1/2         | 4 3 0   | 4 3       | 0       |  6 | 3
-A4_6 a=-1/3 b=0        | 4 3 0   | 4 3       | 0       |  6 | 3
-A4_7                   | 4 3 1 0 | 4 3       | 0       |  5 | 3
-A4_8                   | 4 3 1 0 | 4 3       | 1       |  5 | 3
-A4_9 b=1/2             | 4 3 1 0 | 4 3       | 0       |  5 | 3
-A4_9 b=1               | 4 3 1 0 | 4 3       | 0       |  7 | 3
-A4_9 b=0               | 4 2 0   | 4 2       | 0       |  5 | 3
-A4_9 b=-2/3            | 4 3 1 0 | 4 3       | 0       |  5 | 3
-A4_10                  | 4 3 1 0 | 4 3       | 1       |  5 | 3
-A4_11 a=2              | 4 3 1 0 | 4 3       | 0       |  5 | 3
-A4_11 a=1/7            | 4 3 1 0 | 4 3       | 0       |  5 | 3
-A4_12                  | 4 2 0   | 4 2       | 0       |  4 | 2
-A5_1                   | 5 2 0   | 5 2 0     | 2 5     | 13 | 5
-A5_2                   | 5 3 0   | 5 3 2 1 0 | 1 2 3 5 |  9 | 5
-A5_3                   | 5 3 0   | 5 3 2 0   | 2 3 5   | 10 | 5
-A5_4                   | 5 1 0   | 5 1 0     | 1 5     | 15 | 5
-A5_5                   | 5 2 0   | 5 2 1 0   | 1 3 5   | 10 | 5
-A5_6                   | 5 3 0   | 5 3 2 1 0 | 1 2 3 5 |  8 | 5
-A5_7 a=1/2 b=-1/3 c=1/5 | 5 4 0   | 5 4       | 0       |  8 | 4
-A5_7 a=-1 b=1 c=-1     | 5 4 0   | 5 4       | 0       | 12 | 4
-A5_8 c=1/2             | 5 3 0   | 5 3 2     | 1 2     |  8 | 4
-A5_8 c=-1              | 5 3 0   | 5 3 2     | 1 2     |  8 | 4
-A5_9 b=1/2 c=-2        | 5 4 0   | 5 4       | 0       |  8 | 4
-A5_9 b=1 c=1           | 5 4 0   | 5 4       | 0       | 14 | 4
-A5_10                  | 5 3 0   | 5 3 2 1   | 1 2 3   |  8 | 4
-A5_11 c=1/2            | 5 4 0   | 5 4       | 0       |  8 | 4
-A5_11 c=1              | 5 4 0   | 5 4       | 0       | 10 | 4
-A5_12                  | 5 4 0   | 5 4       | 0       |  8 | 4
-A5_13 a=1/2 p=1/3 s=2  | 5 4 0   | 5 4       | 0       |  8 | 4
-A5_13 a=-1 p=0 s=-1/3  | 5 4 0   | 5 4       | 0       |  8 | 4
-A5_14 p=1/3            | 5 3 0   | 5 3 2     | 1 2     |  8 | 4
-A5_14 p=0              | 5 3 0   | 5 3 2     | 1 2     |  8 | 4
-A5_15 a=1/2            | 5 4 0   | 5 4       | 0       |  8 | 4
-A5_15 a=0              | 5 3 0   | 5 3 2     | 1 2     |  8 | 4
-A5_15 a=1              | 5 4 0   | 5 4       | 0       | 12 | 4
-A5_16 p=1/3 s=2        | 5 4 0   | 5 4       | 0       |  8 | 4
-A5_16 p=0 s=-1         | 5 4 0   | 5 4       | 0       |  8 | 4
-A5_17 p=1/3 q=-1/2 s=2 | 5 4 0   | 5 4       | 0       |  8 | 4
-A5_17 p=1/3 q=0 s=-3/7 | 5 4 0   | 5 4       | 0       |  8 | 4
-A5_17 p=0 q=1/5 s=1    | 5 4 0   | 5 4       | 0       |  8 | 4
-A5_17 p=0 q=0 s=2/3    | 5 4 0   | 5 4       | 0       |  8 | 4
-A5_18 p=1/3            | 5 4 0   | 5 4       | 0       |  8 | 4
-A5_18 p=0              | 5 4 0   | 5 4       | 0       |  8 | 4
-A5_19 a=3 b=1/2        | 5 4 1 0 | 5 4       | 0       |  7 | 4
-A5_19 a=0 b=1          | 5 4 1 0 | 5 4       | 1       |  8 | 4
-A5_19 a=1 b=-2         | 5 3 0   | 5 3       | 0       |  7 | 4
-A5_20 a=3              | 5 4 1 0 | 5 4       | 0       |  7 | 4
-A5_20 a=0              | 5 3 1 0 | 5 3       | 1 2     |  7 | 4
-A5_20 a=1              | 5 3 0   | 5 3       | 0       |  8 | 4
-A5_21                  | 5 4 1 0 | 5 4       | 0       |  7 | 4
-A5_22                  | 5 3 0   | 5 3 2 1   | 1 2 3   |  7 | 4
-A5_23 b=1/2            | 5 4 1 0 | 5 4       | 0       |  7 | 4
-A5_23 b=2              | 5 4 1 0 | 5 4       | 0       |  8 | 4
-A5_24 eps=1            | 5 4 1 0 | 5 4       | 0       |  7 | 4
-A5_24 eps=-1           | 5 4 1 0 | 5 4       | 0       |  7 | 4
-A5_25 p=1/3 b=1/2      | 5 4 1 0 | 5 4       | 0       |  7 | 4
-A5_25 p=0 b=1          | 5 4 1 0 | 5 4       | 1       |  7 | 4
-A5_26 p=1/3 eps=1      | 5 4 1 0 | 5 4       | 0       |  7 | 4
-A5_26 p=0 eps=-1       | 5 3 1 0 | 5 3       | 1 2     |  7 | 4
-A5_27                  | 5 3 0   | 5 3       | 0       |  7 | 4
-A5_28 a=3              | 5 4 1 0 | 5 4       | 0       |  7 | 4
-A5_28 a=0              | 5 4 1 0 | 5 4       | 1       |  7 | 4
-A5_28 a=1              | 5 3 0   | 5 3       | 0       |  8 | 4
-A5_29                  | 5 3 0   | 5 3 2     | 1       |  7 | 4
-A5_30 a=3              | 5 4 2 0 | 5 4       | 0       |  6 | 4
-A5_30 a=0              | 5 4 2 0 | 5 4       | 0       |  6 | 4
-A5_30 a=-1             | 5 4 2 0 | 5 4       | 1       |  6 | 4
-A5_30 a=1              | 5 3 1 0 | 5 3       | 0       |  6 | 4
-A5_31                  | 5 4 2 0 | 5 4       | 0       |  6 | 4
-A5_32 a=3              | 5 3 0   | 5 3       | 0       |  6 | 4
-A5_32 a=0              | 5 3 0   | 5 3       | 0       |  7 | 4
-A5_33 a=1/2 b=3        | 5 3 0   | 5 3       | 0       |  6 | 3
-A5_33 a=0 b=-1         | 5 3 0   | 5 3       | 0       |  6 | 3
-A5_33 a=1 b=0          | 5 3 0   | 5 3       | 0       |  8 | 3
-A5_34 a=1/2            | 5 3 0   | 5 3       | 0       |  6 | 3
-A5_34 a=0              | 5 3 0   | 5 3       | 0       |  6 | 3
-A5_35 a=1/2 b=3        | 5 3 0   | 5 3       | 0       |  6 | 3
-A5_35 a=0 b=-1         | 5 3 0   | 5 3       | 0       |  6 | 3
-A5_35 a=1 b=0          | 5 3 0   | 5 3       | 0       |  6 | 3
-A5_36                  | 5 3 1 0 | 5 3       | 0       |  5 | 3
-A5_37                  | 5 3 1 0 | 5 3       | 0       |  5 | 3
-A5_38                  | 5 3 0   | 5 3 2     | 1       |  6 | 3
-A5_39                  | 5 3 0   | 5 3 2     | 1       |  6 | 3
-A5_40                  | 5       | 5         | 0       |  6 | 2
+# Parameters inside the ranges: rational ones, and those where terms of the invariants vanish.
+CHOSEN = """
+A3_5: a=1/3, a=-1/2; A3_7: a=2, a=-1/3, a=0; A4_2: a=3, a=-2/5, a=1; A4_5: a=1/2 b=-1/3, a=-1 b=1, a=1 b=1;
+A4_6: a=2 b=1/2, a=-1/3 b=0; A4_9: b=1/2, b=1, b=0, b=-2/3; A4_11: a=2, a=1/7;
+A5_7: a=1/2 b=-1/3 c=1/5, a=-1 b=1 c=-1; A5_8: c=1/2, c=-1; A5_9: b=1/2 c=-2, b=1 c=1; A5_11: c=1/2, c=1;
+A5_13: a=1/2 p=1/3 s=2, a=-1 p=0 s=-1/3; A5_14: p=1/3, p=0; A5_15: a=1/2, a=0, a=1; A5_16: p=1/3 s=2, p=0 s=-1;
+A5_17: p=1/3 q=-1/2 s=2, p=1/3 q=0 s=-3/7, p=0 q=1/5 s=1, p=0 q=0 s=2/3; A5_18: p=1/3, p=0;
+A5_19: a=3 b=1/2, a=0 b=1, a=1 b=-2; A5_20: a=3, a=0, a=1; A5_23: b=1/2, b=2; A5_24: eps=1, eps=-1;
+A5_25: p=1/3 b=1/2, p=0 b=1; A5_26: p=1/3 eps=1, p=0 eps=-1; A5_28: a=3, a=0, a=1; A5_30: a=3, a=0, a=-1, a=1;
+A5_32: a=3, a=0; A5_33: a=1/2 b=3, a=0 b=-1, a=1 b=0; A5_34: a=1/2, a=0; A5_35: a=1/2 b=3, a=0 b=-1, a=1 b=0
 """
 
 
-def structure() -> list[tuple[str, dict[str, Fraction], Invariants]]:
-    """The rows of the table: name, parameters, dimensions."""
-    found = []
-    for line in STRUCTURE.strip().splitlines():
-        label, *series, derivations, nilradical = line.split("|")
-        name, *chosen = label.split()
-        parameters = {key: Fraction(value) for key, value in (pair.split("=") for pair in chosen)}
-        derived, lower, upper = (tuple(map(int, text.split())) for text in series)
-        found.append((name, parameters, Invariants(derived, lower, upper, int(derivations), int(nilradical))))
-    return found
-
-
-class Pair(NamedTuple):
-    """Two roots, those of s^2 - total s + product."""
-
-    total: Fraction
-    product: Fraction
-
-
-def spiral(real, imaginary) -> Pair:
-    """The roots real +- i imaginary."""
-    return Pair(2 * real, real**2 + imaginary**2)
-
-
-def opposite(square) -> Pair:
-    """The roots +- sqrt(square)."""
-    return Pair(0, -square)
-
-
-# x is counted from 1; roots that vanish are left out.
-ROOTS: dict[str, Callable[..., list[Fraction | Pair]]] = {
-    "A2_1": lambda x: [-x[1]],
-    "A3_1": lambda x: [],
-    "A3_2": lambda x: [x[3]] * 2,
-    "A3_3": lambda x: [x[3]] * 2,
-    "A3_4": lambda x: [x[3], -x[3]],
-    "A3_5": lambda x, a: [x[3], a * x[3]],
-    "A3_6": lambda x: [spiral(0, x[3])],
-    "A3_7": lambda x, a: [spiral(a * x[3], x[3])],
-    "A3_8": lambda x: [opposite(x[2] ** 2 + 4 * x[1] * x[3])],
-    "A3_9": lambda x: [opposite(-(x[1] ** 2) - x[2] ** 2 - x[3] ** 2)],
-    "A4_1": lambda x: [],
-    "A4_2": lambda x, a: [a * x[4], x[4], x[4]],
-    "A4_3": lambda x: [x[4]],
-    "A4_4": lambda x: [x[4]] * 3,
-    "A4_5": lambda x, a, b: [x[4], a * x[4], b * x[4]],
-    "A4_6": lambda x, a, b: [a * x[4], spiral(b * x[4], x[4])],
-    "A4_7": lambda x: [2 * x[4], x[4], x[4]],
-    "A4_8": lambda x: [x[4], -x[4]],
-    "A4_9": lambda x, b: [(1 + b) * x[4], x[4], b * x[4]],
-    "A4_10": lambda x: [spiral(0, x[4])],
-    "A4_11": lambda x, a: [2 * a * x[4], spiral(a * x[4], x[4])],
-    "A4_12": lambda x: [spiral(x[3], x[4])],
-    **{f"A5_{k}": lambda x: [] for k in range(1, 7)},
-    "A5_7": lambda x, a, b, c: [x[5], a * x[5], b * x[5], c * x[5]],
-    "A5_8": lambda x, c: [x[5], c * x[5]],
-    "A5_9": lambda x, b, c: [x[5], x[5], b * x[5], c * x[5]],
-    "A5_10": lambda x: [x[5]],
-    "A5_11": lambda x, c: [x[5], x[5], x[5], c * x[5]],
-    "A5_12": lambda x: [x[5]] * 4,
-    "A5_13": lambda x, a, p, s: [x[5], a * x[5], spiral(p * x[5], s * x[5])],
-    "A5_14": lambda x, p: [spiral(p * x[5], x[5])],
-    "A5_15": lambda x, a: [x[5], x[5], a * x[5], a * x[5]],
-    "A5_16": lambda x, p, s: [x[5], x[5], spiral(p * x[5], s * x[5])],
-    "A5_17": lambda x, p, q, s: [spiral(p * x[5], x[5]), spiral(q * x[5], s * x[5])],
-    "A5_18": lambda x, p: [spiral(p * x[5], x[5])] * 2,
-    "A5_19": lambda x, a, b: [a * x[5], x[5], (a - 1) * x[5], b * x[5]],
-    "A5_20": lambda x, a: [a * x[5], x[5], (a - 1) * x[5], a * x[5]],
-    "A5_21": lambda x: [2 * x[5], x[5], x[5], x[5]],
-    "A5_22": lambda x: [x[5]],
-    "A5_23": lambda x, b: [2 * x[5], x[5], x[5], b * x[5]],
-    "A5_24": lambda x, eps: [2 * x[5], x[5], x[5], 2 * x[5]],
-    "A5_25": lambda x, p, b: [2 * p * x[5], spiral(p * x[5], x[5]), b * x[5]],
-    "A5_26": lambda x, p, eps: [2 * p * x[5], spiral(p * x[5], x[5]), 2 * p * x[5]],
-    "A5_27": lambda x: [x[5]] * 3,
-    "A5_28": lambda x, a: [a * x[5], (a - 1) * x[5], x[5], x[5]],
-    "A5_29": lambda x: [x[5]] * 2,
-    "A5_30": lambda x, a: [(a + 1) * x[5], a * x[5], (a - 1) * x[5], x[5]],
-    "A5_31": lambda x: [3 * x[5], 2 * x[5], x[5], x[5]],
-    "A5_32": lambda x, a: [x[5]] * 3,
-    "A5_33": lambda x, a, b: [x[4], x[5], b * x[4] + a * x[5]],
-    "A5_34": lambda x, a: [a * x[4] + x[5], x[4], x[4]],
-    "A5_35": lambda x, a, b: [b * x[4] + a * x[5], spiral(x[4], x[5])],
-    "A5_36": lambda x: [x[4], x[4] - x[5], x[5]],
-    "A5_37": lambda x: [2 * x[4], spiral(x[4], x[5])],
-    "A5_38": lambda x: [x[4], x[5]],
-    "A5_39": lambda x: [spiral(x[4], x[5])],
-    "A5_40": lambda x: [opposite(x[2] ** 2 + x[1] * x[3]), opposite(4 * (x[2] ** 2 + x[1] * x[3]))],
-}
+def rows() -> list[tuple[str, dict[str, Fraction]]]:
+    """Name and parameters of each algebra of the tests; at least one for each entry."""
+    chosen = dict(entry.split(": ") for entry in CHOSEN.strip().replace("\n", "").split(";"))
+    chosen = {name.strip(): text for name, text in chosen.items()}
+    return [
+        (name, {key: Fraction(value) for key, value in (pair.split("=") for pair in given.split())})
+        for name in FORMS
+        for given in chosen.get(name, "").split(",")
+    ]

@@ -84,6 +84,7 @@ def test_of_a_function_nothing_is_said():
 def test_a_function_with_true_and_false_claims():
     assert certified(euler, order=1, symmetric=False, properties=NOTHING).passed
     assert [row.key for row in certified(euler, order=2).failures] == ["order"]
+    assert "order" in [row.key for row in certified(euler, order=256).failures]
     assert [row.key for row in certified(euler, order=1, symmetric=True).failures] == ["symmetry"]
     assert [row.key for row in certified(euler, order=1, properties=SPLIT).failures] == ["poisson", "casimir |x|^2"]
 
@@ -204,16 +205,6 @@ def test_a_wrong_closed_form_is_said():
     found = co.certify(wrong, co.Splitting(), X0, 0.1, steps=20)
     assert found.passed and "closed form" in found["reference"].reason
     assert "DOP853" in found["reference"].measured
-
-
-def test_growth_is_classified():
-    t = np.linspace(0.0, 1000.0, 129)
-    walks = np.cumsum(np.random.default_rng(5).normal(size=(129, 64)), axis=0)
-    assert growth(t, walks - walks[0]).kind == "like sqrt(t)"
-    assert growth(-t, 3e-9 * t[:, None]).kind == "linear"
-    assert growth(t, np.sin(7.0 * t)[:, None]).kind == "bounded"
-    assert growth(t, (t**2)[:, None]).kind == "like t^2.0"
-    assert growth(t, np.zeros((129, 2))).kind == "none"
 
 
 def test_slopes_know_how_sure_they_are():

@@ -81,3 +81,10 @@ def test_the_defect_and_its_bound_are_those_of_their_definition(sign: int, h: fl
         co.analysis.defect_of_tangent(np.ones((2, 3)), np.ones((2, 3)), np.ones((2, 3)), operations=1)
     with refused(ValueError, "must all be (n, n)"):
         co.analysis.defect_of_tangent(np.eye(2), np.eye(2), np.eye(3), operations=1)
+
+
+@pytest.mark.parametrize(("share", "poisson"), [(0.5, True), (2.0, False)])
+def test_the_bound_of_a_defect_at_its_threshold(share, poisson):
+    """64 u for each operation, times |P|^2 |J|; here |P|^2 is 2."""
+    J, off = np.array([[0.0, 1.0], [-1.0, 0.0]]), share * 64 * 2.0**-53 * 10 * 2
+    assert co.analysis.defect_of_tangent(np.eye(2), J, (1.0 + off) * J, operations=10).poisson is poisson

@@ -194,22 +194,6 @@ def test_frequencies_of_a_chaotic_top_diffuse():
     assert relative[0, 0] < 1e-9 and relative[1, 0] > 1e-4
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_combinations_are_the_smallest_within_the_uncertainty(seed: int):
-    """Drawn frequencies, of which some are combinations, some are off by more than is known, and some are missing."""
-    rng = np.random.default_rng(seed)
-    basis = np.array([1.0, np.sqrt(2.0)]) * rng.uniform(0.5, 2.0)
-    integers = rng.integers(-3, 4, (5, 2))
-    known = np.array([1e-9, 1e-9, 1e-9, 1e-9, 1e-9, np.nan])
-    off = np.array([0.0, 3e-9, -3e-9, 1e-6, -1e-6, np.nan])
-    w = np.append(integers @ basis, 0.0) + off
-    found = co.Frequencies(w, np.ones(6, complex), known, 0.0 * known, 0.0, 0.0, True)
-    lines = found.combinations(basis, largest=3)
-    assert np.array_equal(lines.integers, integers) and np.array_equal(lines.basis, basis)
-    assert lines.misfit == pytest.approx(off[:5], abs=1e-14)
-    assert lines.found.tolist() == [True, True, True, False, False]
-
-
 def test_combinations_stay_within_the_largest_integer():
     found = co.Frequencies(np.array([5.0]), np.ones(1, complex), np.array([1e-9]), np.zeros(1), 0.0, 0.0, True)
     assert found.combinations([1.0], largest=5).integers.tolist() == [[5]]
@@ -260,17 +244,6 @@ def test_the_uncertainties_of_all_lines_of_a_combination_add_up(seed: int):
     assert np.array_equal(lines.combinations(largest=3).basis, w)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_given_basic_frequencies_are_exact(seed: int):
-    _, basis, _, integers = drawn_combinations(seed)
-    own = np.full(len(integers), 1e-9)
-    for factor in (0.9, 1.1):
-        w = integers @ basis + factor * 4.0 * own
-        lines = co.Frequencies(w, np.ones(len(w), complex), own, 0.0 * w, 0.0, 0.0, True)
-        combined = lines.combinations(basis, largest=3)
-        assert np.array_equal(combined.integers, integers) and np.all(combined.found == (factor < 1.0))
-
-
 def test_round_off_of_a_line_is_within_its_uncertainty():
     w = 4.5 + np.array([0, 2, -2, 3, -3]) * 8.0 * U  # neighbours; the uncertainty of 4 u w is 18 u
     for sign in (1, -1):
@@ -297,28 +270,6 @@ def test_basic_frequencies_are_chosen_wherever_they_stand():
     for basis in ([[1.0, 5.25]], [1e308]):
         with refused(ValueError, "give a few frequencies,", "whose sums fit float64"):
             lines.combinations(basis)
-
-
-def test_the_table_of_lines_has_a_row_for_each():
-    amplitude = np.array([[3.0, 4.0j], [0.0, -0.25]])
-    found = co.Frequencies(
-        np.array([1.5, -0.75]), amplitude, np.array([2e-5, 3e-6]), np.array([-4e-7, 5e-8]), np.zeros(2), 0.0, False
-    )
-    rows = [line.split() for line in str(found).splitlines()]
-    assert rows[0] == ["frequency", "uncertainty", "diffusion", "amplitude"]
-    assert [[float(entry) for entry in row] for row in rows[1:]] == [
-        [1.5, 2e-5, -4e-7, 5.0], [-0.75, 3e-6, 5e-8, 0.25]
-    ]  # fmt: skip
-
-
-@pytest.mark.parametrize("samples", [100, 101])
-def test_diffusion_of_a_few_samples_is_over_the_distance_of_the_halves(samples: int):
-    """Of an even number of samples the halves share none, and of an odd number one: n/2 or (n - 1)/2 steps apart."""
-    t = 3.0 + 0.2 * np.arange(samples)
-    c = 1e-4
-    found = co.frequencies(t, np.exp(1j * (4.0 * t + c * t**2)), count=1)
-    # The chirp is 0.04 radians off a line over the span; its effect on the frequency is of second order.
-    assert found.diffusion[0] == pytest.approx(2.0 * c * 0.2 * (samples // 2), rel=1e-3)
 
 
 def test_what_is_refused():
@@ -381,13 +332,3 @@ def test_the_effect_of_noise_is_neither_too_small_nor_too_large(samples, power, 
     claimed = np.sqrt(np.mean(found.uncertainty[:, 0] ** 2))
     # The spread of 400 draws is known to 1 / sqrt(800); six per cent more cover the median of few bins.
     assert abs(np.log(true / claimed)) < 4 / np.sqrt(2 * members) + 0.06
-
-
-def test_signals_of_a_run():
-    body = co.systems.rigid_body(inertia=(1, 2, 3))
-    run = co.integrate(body, (1.0, 0.2, 0.5), (0.0, 300.0), 0.1, co.Splitting(order=4), save_every=7, attitude=True)
-    w = co.frequencies(run, count=1).frequency[0]
-    assert co.frequencies(run, lambda x: x[:, 1] + 1j * x[:, 2], count=1).frequency[0] == pytest.approx(-w, rel=1e-9)
-    assert co.frequencies(run, run.x[:, 1], count=1).frequency[0] == pytest.approx(w, rel=1e-9)
-    assert co.frequencies(run, "attitude", count=1).amplitude.shape == (1, 9)
-    assert "uncertainty" in str(co.frequencies(run))

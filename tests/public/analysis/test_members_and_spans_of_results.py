@@ -245,21 +245,6 @@ def test_a_backward_run_is_the_mirror_image(name, kind):
         np.testing.assert_allclose(back.uncertainty, forth.uncertainty, rtol=1e-2, atol=1e-14)
 
 
-@pytest.mark.parametrize("t0", [0.0, T0])
-def test_lines_are_those_of_the_arrays_and_rebuild_the_signal(t0):
-    """On a grid of times that begins after the start of the run, whose last point is off the grid or not."""
-    span = (t0, t0 + STEPS * STEP)
-    grids = [{"save_every": EVERY}, {"t_eval": t0 + 3.1 + 0.37 * np.arange(380)}]
-    for grid in grids:
-        sol = co.integrate(bodies()[0], STARTS[0], span, STEP, **grid)
-        even = len(sol.t) - (not np.isclose(sol.t[-1] - sol.t[-2], sol.t[1] - sol.t[0]))
-        found, plain = co.frequencies(sol, count=4), co.frequencies(sol.t[:even], sol.x[:even], count=4)
-        close(found, plain, 0.0)
-        inner = slice(len(sol.t) // 4, 3 * len(sol.t) // 4)
-        rest = np.abs(found(sol.t[inner]) - sol.x[inner]).max()
-        assert rest < 0.02 * np.abs(sol.x).max(), "the sum of the lines is the signal at its own times"
-
-
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 @pytest.mark.parametrize("scheme", ["Splitting", "first order"])
 def test_modified_energies_of_a_batch_are_those_of_the_members(scheme, sense):
@@ -274,59 +259,3 @@ def test_modified_energies_of_a_batch_are_those_of_the_members(scheme, sense):
         # By the sixth power of the step the modified energy stays; the other sign of the step is seen.
         wander = np.ptp(found[:, m])
         assert wander < 0.05 * np.ptp(alone.energy)
-
-
-# Attributes of a solution: the axis of members, or None for what belongs to the run as a whole.
-AXES: dict[str, int | None] = {
-    "x": 1, "x0": 0, "energy": 1, "casimirs": 1, "attitude": 1, "attitude0": 0, "observed": 1, "work": 1, "initial": 0,
-    "failed": 0, "drift": 0, "balance": 0, "change": 0, "modified_energy": 1, "at": 1, "t": None, "t_eval": None,
-    "t_span": None, "asked_span": None, "step": None, "save_every": None, "carried": None, "method": None,
-    "watched": None, "incomplete": None,
-}  # fmt: skip
-
-
-def value_of(sol: co.Solution, name: str) -> Any:
-    found = getattr(sol, name)
-    if name == "modified_energy":
-        return found(4)
-    if name == "at":
-        state = found([T0 + 1.03, T0 + 40.0])
-        return {number: value for number, value in enumerate(state) if value is not state.t}
-    return found() if callable(found) else found
-
-
-def picked(value: Any, axis: int, m: int) -> Any:
-    if hasattr(value, "tenths"):
-        return value.members[m], value.tenths[m], value.initial[m]
-    if hasattr(value, "items"):
-        return {key: picked(each, axis, m) for key, each in value.items()}
-    return None if value is None else np.take(value, m, axis=axis)
-
-
-def plain(value: Any) -> Any:
-    if hasattr(value, "tenths"):
-        return float(value), value.tenths, value.initial
-    return {key: plain(each) for key, each in value.items()} if hasattr(value, "items") else value
-
-
-@pytest.mark.parametrize("forced", [False, True])
-def test_every_part_of_a_batch_is_that_of_its_members(forced):
-    systems = [body.with_forces(co.forces.LinearDamping(0.01 * (m + 1))) for m, body in enumerate(bodies())]
-    systems = systems if forced else list(bodies())
-    given = {"save_every": 5, "attitude": True, "observe": {"x3": third}}
-    whole = co.integrate(co.batch(systems), STARTS, (T0, T0 + 50.0), STEP, **given)
-    steps = 0
-    for m, system in enumerate(systems):
-        alone = co.integrate(system, STARTS[m], (T0, T0 + 50.0), STEP, **given)
-        steps += alone.stats.evaluations
-        prepared = co.prepare(system, co.Splitting(), STEP, attitude=True, observe={"x3": third})
-        again = prepared.run(STARTS[m], (T0, T0 + 50.0), save_every=5)
-        for name, axis in AXES.items():
-            if forced and name in ("drift", "modified_energy"):
-                continue
-            wanted = plain(value_of(alone, name))
-            np.testing.assert_equal(plain(value_of(again, name)), wanted, err_msg=f"{name} of a prepared run")
-            if name != "failed":
-                found = value_of(whole, name) if axis is None else picked(value_of(whole, name), axis, m)
-                np.testing.assert_equal(found, wanted, err_msg=f"{name} of member {m}")
-    assert whole.stats.evaluations == steps

@@ -168,12 +168,6 @@ def test_modified_midpoint_is_skew_to_every_order(which: str):
     np.testing.assert_allclose(found.skew_matrix(states[0], 0.0), system.structure_matrix(states[0]), atol=1e-15)
 
 
-def test_a_scheme_that_loses_the_energy_has_no_skew_matrix():
-    found = co.modified_field(whole("so(3)"), co.ModifiedGaussLegendre(1, freeze="gradient"), 4)
-    with refused(ValueError, "does not keep the energy", "at h^2 grad H . f has a coefficient of 0."):
-        found.skew_matrix((1, 2, 3), 0.1)
-
-
 def test_a_rational_rotation_of_irrational_frequency_is_exact():
     """2/(w h) atan(w h theta/2) = theta (1 - w^2 h^2 theta^2/12 + w^4 h^4 theta^4/80 - ...), theta = l.x, w^2 = l.l."""
     l = np.array([1, 2, 3])
@@ -364,19 +358,6 @@ def test_a_step_that_branches_is_not_read_in_series():
     np.testing.assert_allclose(found.values(x), known.values(x), atol=1e-14)
 
 
-def test_many_states_and_one():
-    system = whole("so(4)", -1)
-    found = co.modified_field(system, co.ModifiedGaussLegendre(1), 4)
-    states = np.random.default_rng(0).normal(size=(7, 6))
-    for h in (0.25, -0.25):
-        together = found(states, h)
-        assert together.shape == (7, 6)
-        for x, value in zip(states, together, strict=True):
-            exact = sum(h**k * np.array([F(x) for F in found.terms[k]]) for k in range(4))
-            np.testing.assert_allclose(value, exact, rtol=0, atol=1e-12 * np.abs(together).max())
-            np.testing.assert_allclose(found(x, h), value, rtol=0, atol=1e-13 * np.abs(together).max())
-
-
 @pytest.mark.thinned(8)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "A3,7", "A4,7"])
@@ -427,13 +408,6 @@ def test_what_cannot_be_served_is_refused(what):
     call, error, named = REFUSED[what]
     with refused(error, named):
         call()
-
-
-def test_it_prints_as_mathematics():
-    quadratic_form = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 1 / 2, 1 / 4]), sign=-1)
-    found = co.modified_field(quadratic_form, co.GaussLegendre(1), 3)
-    assert r"f_{0} = \left(-\frac{1}{4} x_{2} x_{3}" in found.to_latex() and "f_{1}" not in found.to_latex()
-    assert along(found.terms[0], co.Polynomial({(2, 0, 0): 1, (0, 2, 0): 1, (0, 0, 2): 1})).monomials == {}
 
 
 RATES = {

@@ -356,23 +356,6 @@ def test_all_forms_of_a_modified_hamiltonian_have_one_value(order):
         assert [k for k in range(1, 4) if f"h^{{{k}}}" in written or (k == 1 and r"h\," in written)] == powers
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-def test_values_at_points_have_the_shape_of_the_states_and_the_sign_of_the_step(sign):
-    """A polynomial, and the same as functions: backward too, where odd terms change their sign."""
-    algebra = co.algebras.A3_7(1.5)
-    square = (lambda y: 0.5 * y * y, lambda y: y, lambda y: 1.0 + 0.0 * y)
-    functions = co.LiePoissonSystem(algebra, co.Separable(dict.fromkeys(range(3), square)), sign=sign)
-    plain = co.LiePoissonSystem(algebra, co.Polynomial({(2, 0, 0): 0.5, (0, 2, 0): 0.5, (0, 0, 2): 0.5}), sign=sign)
-    method = co.Splitting(order=1, parts="coordinates")
-    found, expected = (co.modified_hamiltonian(system, method, 3) for system in (functions, plain))
-    x = np.random.default_rng(2).uniform(-1.0, 1.0, (2, 2, 3))
-    for h in (0.5, -0.5):
-        np.testing.assert_allclose(found(x, h), expected(x, h), rtol=1e-9)
-        assert found(x[1, 0], h) == pytest.approx(found(x, h)[1, 0], rel=1e-14)
-    assert np.max(np.abs(found(x, 0.5) - found(x, -0.5))) > 1e-3
-    assert found(np.zeros((0, 3)), 0.5).shape == (0,)
-
-
 # Symbols
 
 

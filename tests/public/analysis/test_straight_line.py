@@ -66,20 +66,6 @@ def test_powers_have_their_exponents():
     assert drift_of_series(T, T**2 + 50 * np.cos(3 * T)).exponent > 1.2, "an oscillation does not hide a parabola"
 
 
-@pytest.mark.parametrize("samples", [16, 17, 23, 40, 65])
-def test_short_series(samples: int):
-    t = np.arange(samples) * 0.5
-    line = drift_of_series(t, 0.1 * t + np.random.default_rng(samples).normal(0.0, 0.01, samples))
-    assert abs(line.slope - 0.1) < 6 * line.uncertainty and np.isfinite(line.exponent)
-
-
-def test_backward_times():
-    values = 0.1 * T + np.cos(T)
-    forward, backward = drift_of_series(T, values), drift_of_series(-T, values)
-    assert backward.slope == pytest.approx(-forward.slope, rel=1e-12)
-    assert backward.uncertainty == pytest.approx(forward.uncertainty, rel=1e-12)
-
-
 def test_few_blocks_have_a_wider_spread():
     """Of 16 samples there are four blocks and no more: two degrees of freedom are lost to the line."""
     t = np.arange(16.0)
