@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from long import long_beyond
 from refusals import refused
 from rounding import UNIT_ROUNDOFF as U
 
@@ -231,9 +232,9 @@ def test_slopes_are_those_of_the_smallest_steps_above_round_off():
     assert abs(found.value - 4) < 1e-9
 
 
-@pytest.mark.thinned(6)
-@pytest.mark.parametrize("method", [co.GaussLegendre(2), co.SphericalMidpoint()], ids=repr)
-@pytest.mark.parametrize("step", [0.1, -0.1])
+@pytest.mark.parametrize(
+    ("method", "step"), long_beyond(1, [(co.SphericalMidpoint(), -0.1), (co.GaussLegendre(2), 0.1)])
+)
 def test_schemes_of_a_driven_system_are_symmetric(method, step):
     spins = co.systems.spin_lattice("chain", 2, field=lambda t: (np.cos(3.0 * t), np.sin(3.0 * t), 0.2))
     found = co.certify(spins, method, (0.6, 0.0, 0.8, 0.0, 0.28, 0.96), step, steps=20)

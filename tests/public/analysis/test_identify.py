@@ -1,5 +1,7 @@
 """Identified Hamiltonians: exact without noise, within their uncertainties with it, and refused where undetermined."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -48,6 +50,13 @@ def truth(system):
     return H if isinstance(H, co.Polynomial) else getattr(H, "polynomial", None) or H.to_polynomial()
 
 
+@cache
+def identified(name, backward=False):
+    system, degree, t, x = data(name, backward=backward)
+    return system, degree, t, co.identify(system.algebra, t, x, degree, sign=system.sign)
+
+
+@cache
 def data(name, members=8, backward=False):
     make, degree, end, step = CASES[name]
     system = make()
@@ -64,8 +73,7 @@ def found_coefficients(found):
 @pytest.mark.parametrize("backward", [False, True])
 @pytest.mark.parametrize("name", CASES)
 def test_exact_trajectories_give_the_hamiltonian(name, backward):
-    system, degree, t, x = data(name, backward=backward)
-    found = co.identify(system.algebra, t, x, degree, sign=system.sign)
+    system, _, t, found = identified(name, backward)
     expected = found.coefficients_of(truth(system))
     # Integrals are accurate to 2e-15 of the largest test function, and the data to about 1e-12.
     np.testing.assert_allclose(found_coefficients(found), expected, rtol=0, atol=1e-8 * np.abs(expected).max())
@@ -75,8 +83,7 @@ def test_exact_trajectories_give_the_hamiltonian(name, backward):
 
 @pytest.mark.parametrize("name", CASES)
 def test_vector_fields_agree_although_casimirs_are_not_found(name):
-    system, degree, t, x = data(name)
-    found = co.identify(system.algebra, t, x, degree, sign=system.sign)
+    system, degree, _, found = identified(name)
     states = np.random.default_rng(2).standard_normal((20, system.dim))
     for state in states:
         field = system.vector_field(state)
@@ -102,7 +109,7 @@ def test_errors_have_the_stated_covariance():
     for name in CASES:
         system, degree, t, x = data(name)
         of_case, number = 0.0, 0
-        for seed in range(6):
+        for seed in range(2):
             noisy = x + SIGMA * np.random.default_rng(100 + seed).standard_normal(x.shape)
             found = co.identify(system.algebra, t, noisy, degree, sign=system.sign, radius=24)
             np.testing.assert_allclose(found.noise, SIGMA, rtol=0.3)

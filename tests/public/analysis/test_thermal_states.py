@@ -92,6 +92,7 @@ def test_one_spin_of_any_length_with_anisotropy_in_a_field(K, how):
         assert abs(values.mean() - expected) < 4.5 * values.std() / np.sqrt(len(values))
 
 
+@pytest.mark.long
 def test_square_lattice_has_the_energy_of_its_series():
     """Expansion in loops, up to those of six bonds: ln Z = 2 ln(sinh K / K) + 3 L^4 + 6 L^6 for each site."""
     K, side = 0.5, 16
