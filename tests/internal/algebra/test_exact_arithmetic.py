@@ -27,6 +27,8 @@ from coadjoint.algebra.invariants.casimir_equations import equations, monomials
 from drawn_matrices import constants_of
 from refusals import refused
 
+pytestmark = pytest.mark.thinned(1)
+
 SMALL = st.fractions(-3, 3, max_denominator=3)
 
 

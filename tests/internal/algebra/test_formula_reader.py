@@ -12,6 +12,8 @@ from coadjoint.algebra.invariants.logarithmic import LogarithmicSum
 from coadjoint.algebra.polynomials.formulas import condition_holds, parse_formula
 from coadjoint.algebra.polynomials.quadratic_forms import embedded, linear, quadratic, substituted
 
+pytestmark = pytest.mark.thinned(1)
+
 Polynomial = co.Polynomial
 X = {f"x{i + 1}": Polynomial.variable(i, 3) for i in range(3)}
 PARAMETERS = {"a": Fraction(1, 2)}

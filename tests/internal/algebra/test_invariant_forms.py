@@ -11,6 +11,8 @@ from group_elements import random_element
 from refusals import refused
 from rounding import UNIT_ROUNDOFF as U
 
+pytestmark = pytest.mark.thinned(1)
+
 catalogue = co.algebras
 
 

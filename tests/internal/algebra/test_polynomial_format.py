@@ -8,6 +8,8 @@ import coadjoint as co
 from coadjoint.algebra.polynomials.polynomial_format import latex, plain, readable, readable_latex, rounded_if_long
 from coadjoint.algebra.polynomials.symbolic_polynomial import SymbolicPolynomial
 
+pytestmark = pytest.mark.thinned(1)
+
 Polynomial = co.Polynomial
 
 

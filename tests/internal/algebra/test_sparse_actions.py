@@ -8,6 +8,8 @@ import pytest
 import coadjoint as co
 from refusals import refused
 
+pytestmark = pytest.mark.thinned(1)
+
 ALGEBRAS = [
     co.algebras.so(4),
     co.algebras.e(3),

@@ -13,6 +13,8 @@ from coadjoint.analysis.short_motion import short_motion
 from coadjoint.systems.user_functions import sample_points
 from refusals import refused
 
+pytestmark = pytest.mark.thinned(1)
+
 
 def whole(name, sign=1):
     """A system with a full M of eighths."""

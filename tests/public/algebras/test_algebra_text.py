@@ -7,6 +7,8 @@ import coadjoint as co
 from command import command
 from refusals import refused
 
+pytestmark = pytest.mark.thinned(1)
+
 
 def rows_of(text):
     """The lines under each heading, those that are continued joined."""

@@ -13,6 +13,8 @@ import coadjoint as co
 from refusals import refused
 from rounding import UNIT_ROUNDOFF as U
 
+pytestmark = pytest.mark.thinned(1)
+
 
 @pytest.mark.parametrize("name", catalogue())
 def test_identities_hold_exactly_in_fractions(name):

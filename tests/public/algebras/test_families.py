@@ -9,6 +9,8 @@ from lie_algebras import INDEFINITE, constants_of, known_casimirs
 import coadjoint as co
 from refusals import refused
 
+pytestmark = pytest.mark.thinned(1)
+
 get = co.algebras.get
 
 # name, dimension, number of Casimirs, semisimple

@@ -10,6 +10,8 @@ import pytest
 import coadjoint as co
 from refusals import refused
 
+pytestmark = pytest.mark.thinned(1)
+
 
 @pytest.mark.parametrize(
     ("text", "same"),

@@ -10,6 +10,8 @@ import coadjoint as co
 from refusals import refused
 from rounding import UNIT_ROUNDOFF as U
 
+pytestmark = pytest.mark.thinned(1)
+
 RNG = np.random.default_rng(5)
 
 

@@ -8,6 +8,8 @@ import coadjoint as co
 from group_elements import random_element
 from refusals import refused
 
+pytestmark = pytest.mark.thinned(1)
+
 TOLERANCE = 2.0**-26
 ALGEBRAS = {
     "so(3)": co.algebras.so(3),

@@ -25,6 +25,8 @@ from long import long_beyond, long_where
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
+pytestmark = pytest.mark.thinned(2)
+
 SMALL = {" ".join([name, *(f"{k}={v}" for k, v in given.items())]): (name, given) for name, given in rows()}
 
 

@@ -15,6 +15,8 @@ import coadjoint as co
 from refusals import refused
 from rounding import UNIT_ROUNDOFF as U
 
+pytestmark = pytest.mark.thinned(1)
+
 ROWS = rows()
 LABELS = [" ".join([name, *(f"{key}={value}" for key, value in chosen.items())]) for name, chosen in ROWS]
 each_row = pytest.mark.parametrize(("name", "parameters"), ROWS, ids=LABELS)

@@ -14,6 +14,8 @@ from commuting_actions import acting
 from refusals import refused
 from rounding import UNIT_ROUNDOFF as U
 
+pytestmark = pytest.mark.thinned(1)
+
 LieAlgebra = co.LieAlgebra
 NAMES = ["so(4)", "so(5)", "e(3)", "sl(2)", "heisenberg(2)"]
 

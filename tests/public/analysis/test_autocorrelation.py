@@ -6,6 +6,8 @@ from scipy.signal import lfilter
 
 import coadjoint as co
 
+pytestmark = pytest.mark.thinned(1)
+
 autocorrelation = co.spectra.autocorrelation
 
 

@@ -12,6 +12,8 @@ import coadjoint as co
 from refusals import refused
 from rounding import UNIT_ROUNDOFF as U
 
+pytestmark = pytest.mark.thinned(1)
+
 
 @pytest.mark.parametrize(("axis", "stability"), [(0, "stable"), (1, "unstable"), (2, "stable")])
 def test_axes_of_a_rigid_body(axis, stability):

@@ -10,6 +10,8 @@ import coadjoint as co
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
+pytestmark = pytest.mark.thinned(1)
+
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 X0 = (1.0, 0.2, 0.5)
 

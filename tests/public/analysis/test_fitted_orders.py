@@ -6,6 +6,8 @@ import pytest
 import coadjoint as co
 from refusals import refused
 
+pytestmark = pytest.mark.thinned(1)
+
 STEPS = 0.4 / 2.0 ** np.arange(8)
 
 

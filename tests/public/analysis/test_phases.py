@@ -216,6 +216,16 @@ def test_verdicts(series, growth):
     assert drift_of_series(-t, series(t)).growth == growth
 
 
+def test_verdicts_on_random_walks():
+    t = np.arange(2000) * 0.25
+    steps = np.random.default_rng(7).normal(size=(2000, 100))
+    walks = [drift_of_series(t, walk).growth for walk in np.cumsum(steps, axis=0).T]
+    phases = [drift_of_series(t, walk).growth for walk in np.cumsum(np.cumsum(steps, axis=0), axis=0).T]
+    assert walks.count("faster") == 0 and walks.count("linear") < 15 and walks.count("wandering") > 60
+    # A walk that happens to go nearly straight cannot be told from a line.
+    assert phases.count("faster") > 75 and phases.count("bounded") == 0
+
+
 def test_a_line_of_either_sign_is_as_early_as_its_motion(body: co.LiePoissonSystem):
     """The saved states are those of a clock that is ahead by 1e-3 of the time: of each line by 1e-3 w t, w > 0.
 

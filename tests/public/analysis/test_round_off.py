@@ -6,6 +6,8 @@ import pytest
 import coadjoint as co
 from refusals import refused
 
+pytestmark = pytest.mark.thinned(1)
+
 STARTS = np.array([[1.0, 0.2, 0.5], [-0.1, 1.0, 0.2], [30.0, -10.0, 20.0], [0.01, -0.02, 0.03], [0.3, 0.3, -0.9]])
 
 

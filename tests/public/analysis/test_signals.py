@@ -9,6 +9,8 @@ import coadjoint as co
 from refusals import refused
 from rounding import UNIT_ROUNDOFF as U
 
+pytestmark = pytest.mark.thinned(1)
+
 autocorrelation = co.spectra.autocorrelation
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 STARTS = np.array([[1.0, 0.2, 0.5], [0.1, 1.0, 0.2]])
