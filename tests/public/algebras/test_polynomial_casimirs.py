@@ -205,10 +205,16 @@ def test_unclear_ranks_are_refused():
         in_basis(both, orthogonal(6, 0)).casimirs()
 
 
-@pytest.mark.long
-def test_sizes_are_refused():
+def test_a_degree_with_too_many_monomials_is_refused():
     with refused(ValueError, "degree 6", "dimension 21", "230230", "40000"):
         co.algebras.so(7).casimirs(6)
+    one_block = co.LieAlgebra([(0, k, k, 1.0) for k in range(1, 16)], dim=16)
+    with refused(ValueError, "degree 6", "dimension 16", "54264", "40000"):
+        one_block.casimirs(6)
+
+
+@pytest.mark.long
+def test_sizes_are_refused():
     with refused(ValueError, "dimension 30000", "50000000"):
         co.algebras.copies(co.algebras.so(3), 10_000).casimirs()
     with refused(ValueError, "degree 4", "dimension 21", "equations"):

@@ -214,13 +214,13 @@ class Own(co.methods.FlowMethod):
     order, explicit, symmetric, offered = 4, True, True, False
 
     def __init__(self, coefficient):
-        self._coefficient = coefficient
+        self.chosen = coefficient
 
     def properties(self, system):
         return co.methods.Properties(poisson=True, energy=False, casimirs="all", attitude="every representation")
 
     def sweeps(self, number=float):
-        c = self._coefficient(number)
+        c = self.chosen(number)
         sweep = co.methods.Sweep
         return [s for w in (c, 1 - 2 * c, c) for s in (sweep(True, w / 2, number(0)), sweep(False, w / 2, number(0)))]
 
