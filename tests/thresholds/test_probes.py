@@ -3,8 +3,6 @@
 import pytest
 
 from thresholds import (  # noqa: F401
-    probes_of_algebra,
-    probes_of_analysis,
     probes_of_files,
     probes_of_methods,
 )

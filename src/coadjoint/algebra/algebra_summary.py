@@ -12,12 +12,12 @@ from coadjoint.algebra.families.low_dimensional import entries
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.errors import in_one_line
 
-LINE_WIDTH = 100
-MAX_BRACKETS = 20
-MAX_NAMES = 30
+LINE_WIDTH = 100  # letters, as of a wide terminal
+MAX_BRACKETS = 20  # shown; a screen with the other lines
+MAX_NAMES = 30  # of the basis, shown in at most two lines
 MAX_SEARCHED_DIMENSION = 16
 """Largest dimension for which unknown Casimirs are computed; above it the computation takes seconds."""
-MAX_FORMULA_LENGTH = 300
+MAX_FORMULA_LENGTH = 300  # letters, three lines
 
 
 def listed_algebras() -> list[str]:

@@ -13,7 +13,7 @@ from coadjoint.short_repr import short
 if TYPE_CHECKING:
     from coadjoint.algebra.constants import Triples
 
-MAX_QUOTED = 60
+MAX_QUOTED = 60  # letters of a bracket in a message
 MAX_EXAMINED_CONSTANTS = 20_000
 """Number of constants examined by `format_brackets`; an algebra may have millions."""
 

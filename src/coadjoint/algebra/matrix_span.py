@@ -28,7 +28,7 @@ ROOT_ERROR = 4.0 * UNIT_ROUNDOFF  # of such a float: a root, a quotient and a pr
 DISTANCE = 2.0**-40  # from a span, relative to the products in a commutator, below which a matrix belongs to it
 EXACT_INTEGERS = 2.0**53  # floats from here on are integers whatever was rounded
 PRECISION = 1024  # bits of the least squares
-ROOT_BITS = 512
+ROOT_BITS = 512  # of square roots: far more than products of matrices lose
 MAX_DIM = 256  # of a closure
 BYTES_PER_NUMBER = 300  # of an exact number in a dictionary
 

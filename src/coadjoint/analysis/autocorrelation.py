@@ -15,7 +15,7 @@ from coadjoint.validation import read_positive
 
 Floats = NDArray[np.float64]
 
-MIN_SAMPLES = 16
+MIN_SAMPLES = 16  # fewer have no window of five integrated times
 WINDOW = 5.0  # integrated times in the window, of Sokal's rule
 BYTES_PER_SAMPLE = 80  # peak, of one member and channel, padded
 BYTES_PER_LAG = 40  # of each channel

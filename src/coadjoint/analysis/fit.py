@@ -22,7 +22,7 @@ from coadjoint.validation import are_finite, read_integer, read_numbers, to_arra
 
 Floats = NDArray[np.float64]
 OUTPUTS = ("x", "attitude")
-FIRST_STEP = 1000.0
+FIRST_STEP = 1000.0  # in standard deviations: the first step is not limited by their scale
 # Peak memory, in arrays of the size of the Jacobian.
 COPIES = 10
 

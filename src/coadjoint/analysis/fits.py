@@ -28,10 +28,10 @@ KINDS = ((-0.25, 0.25, "bounded"), (0.25, 0.75, "like sqrt(t)"), (0.75, 1.25, "l
 
 BLOCKS = (4, 6, 8, 12, 16, 24, 32)  # numbers of blocks; the sums over blocks are assumed to be independent
 MIN_MEMORY_EXPONENT = 0.2  # noise without correlation over the span, and oscillations, have smaller exponents
-SLOPE_PIECES = 8
+SLOPE_PIECES = 8  # of the slow part, whose slopes tell a line from a curve
 SCALES = 64  # blocks, from whose means the growth is computed
-MIN_SAMPLES = 16
-MIN_PIECE_SAMPLES = 4
+MIN_SAMPLES = 16  # of a line with an uncertainty: four blocks of four
+MIN_PIECE_SAMPLES = 4  # of a block; fewer have no scatter of their own
 
 
 def fit_power(x: ArrayLike, y: ArrayLike) -> float:

@@ -25,10 +25,10 @@ from coadjoint.validation import read_finite, read_integer
 
 Floats = NDArray[np.float64]
 
-WINDOW = 5
+WINDOW = 5  # default power of the cosine window: side lobes fall like the 11th power
 MIN_SAMPLES = 64
 MAX_NUMBERS = 2**23  # largest size of the arrays of a group of members
-MAX_COMBINATIONS = 2**21
+MAX_COMBINATIONS = 2**21  # of integers: 16 MB for each basic frequency
 # Reduction of the power for the second window; the change of the result estimates the leakage of lines.
 WINDOW_REDUCTION = 2
 

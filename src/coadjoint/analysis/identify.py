@@ -39,7 +39,7 @@ from coadjoint.validation import read_integer
 
 RADII = (8, 12, 16, 24, 32, 48, 64, 96, 128)
 """Half lengths of test functions in samples, of which the one with the least uncertainty is chosen."""
-ITERATIONS = 20
+ITERATIONS = 20  # of weights and noise, which settle in some five
 CONVERGED = (1e-3, 1e-13)
 """Changes of coefficients, relative to their largest standard deviation and size, that end the iteration."""
 

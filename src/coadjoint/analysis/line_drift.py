@@ -18,10 +18,10 @@ from coadjoint.short_repr import short
 from coadjoint.systems.protocol import member_of
 from coadjoint.validation import read_number, read_positive
 
-WINDOW_POWER = 3
+WINDOW_POWER = 3  # of the cosine window: side lobes fall like the 7th power
 WINDOW_POSITIONS = 96  # positions of the window along the span
 WINDOWS_PER_SPAN = 8  # the default width of the window is 1/8 of the span
-MIN_WINDOW_SAMPLES = 32
+MIN_WINDOW_SAMPLES = 32  # fewer do not separate neighbouring lines
 
 
 @suggest_keywords

@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-10  # singular values of J(x) below this, relative to the largest, are zero
 MAX_DEGREE = 40  # of the series of an exponential, whose substeps have norms of at most one
-NEGLIGIBLE = 2.0**-60
+NEGLIGIBLE = 2.0**-60  # of the state: the series of an exponential ends there, below round-off
 
 
 class Orbit:

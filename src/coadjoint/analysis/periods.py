@@ -21,8 +21,8 @@ CROSSING_TOLERANCE = 1e-5  # the same for an interpolated crossing
 EQUILIBRIUM_SPEED = 2.0**-40  # speed, relative to the size of the state times the rate of change of the field
 MIN_PERIOD = 1e-6  # shortest period, times the rate
 SEGMENT_DURATION = 20.0  # duration of one integration, times the rate
-MAX_SEGMENTS = 400
-MAX_CROSSINGS = 64
+MAX_SEGMENTS = 400  # of the search for a return
+MAX_CROSSINGS = 64  # of the plane through the start; an orbit that winds more often is not called periodic
 MAX_EVALUATIONS = 2**18  # of the field; periods of bodies near a separatrix take up to 2^14
 
 

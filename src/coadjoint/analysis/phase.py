@@ -13,7 +13,7 @@ from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.system_checks import System, check_vector_states
 from coadjoint.validation import read_finite
 
-MAX_ITERATIONS = 30
+MAX_ITERATIONS = 30  # of Newton's method, which needs some five
 FIRST_POINTS = 4  # points with initial guess zero; then the number of points is doubled, by extrapolation
 
 

@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 
 SIGNIFICANT_UNCERTAINTIES = 4.0  # of a slope that is significant
 SLOW_FRACTION = 1.0 / 128.0  # slow deviations below this fraction of the growth of the line count as linear
-WANDERING_EXPONENT = 1.0 / 3.0
+WANDERING_EXPONENT = 1.0 / 3.0  # between 0 of bounded deviations and 1/2 of a random walk
 ANGLES, TIMES = "radians", "time"
 
 

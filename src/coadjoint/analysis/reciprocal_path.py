@@ -16,8 +16,8 @@ from coadjoint.validation import read_finite
 Floats = NDArray[np.float64]
 
 COMMENSURATE = 1e-9  # distance from a whole number of waves, in waves
-MAX_WAVES = 2**40
-BYTES_PER_POINT = 100
+MAX_WAVES = 2**40  # whole numbers of waves up to here are exact in float64
+BYTES_PER_POINT = 100  # of a path: coordinates, distance, and those of the result
 
 
 class ReciprocalPath(NamedTuple):

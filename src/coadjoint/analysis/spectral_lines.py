@@ -13,7 +13,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 Floats = NDArray[np.float64]
 
 SEARCH_ITERATIONS = 4  # refinements of all lines after each new one
-FINAL_ITERATIONS = 12
+FINAL_ITERATIONS = 12  # refinements of all lines at the end, which converge quadratically
 RESOLUTION_BINS = 2.0  # resolution limit, in bins of 2 pi over the span
 NOISE_BINS = 32  # bins on either side of a line whose median power is its noise
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-MIN_TIMES = 8
+MIN_TIMES = 8  # of a transform with a window
 NUMBERS_AT_ONCE = 2**22  # spins times times that are copied together
 BYTES_PER_VALUE = 500  # peak, of a wave vector at a time
 

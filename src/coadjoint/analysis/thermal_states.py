@@ -22,8 +22,8 @@ Floats = NDArray[np.float64]
 
 SPINS_AT_ONCE = 2**15  # of the members that are swept together
 BYTES_PER_SPIN = 600  # peak, of those
-MAX_SWEEPS = 2**40
-MAX_OVER_RELAXATION = 100
+MAX_SWEEPS = 2**40  # with which counters stay within 64 bits
+MAX_OVER_RELAXATION = 100  # half turns a sweep, far above any that are useful
 MIN_TEMPERATURE = 1e-300  # its inverse is finite
 
 

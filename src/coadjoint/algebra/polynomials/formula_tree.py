@@ -21,8 +21,8 @@ MAX_NESTING = 60
 MAX_OPERATIONS = 1000
 """Of one term of a sum; a term may contain sums in brackets."""
 NESTING_MESSAGE = "has brackets or signs that are nested too deeply"
-TERMS_PARSED_AT_ONCE = 256
-MAX_QUOTED = 60
+TERMS_PARSED_AT_ONCE = 256  # summands; keeps sums of any length from nesting
+MAX_QUOTED = 60  # letters of a formula in a message
 
 _WORD = r"[^\W\d]\w*(?:\[[\w, ]*\])?"
 NAME = re.compile(_WORD)

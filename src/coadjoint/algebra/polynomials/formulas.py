@@ -38,9 +38,9 @@ MAX_TERMS = 10_000
 """Terms of one product that is multiplied out."""
 MAX_WORK = 1 << 24
 """Products of two terms in a whole formula, each times the number of coordinates and 8."""
-MEMORY_CHECK_INTERVAL = 1024
-BYTES_PER_TERM = 300
-BYTES_PER_EXPONENT = 8
+MEMORY_CHECK_INTERVAL = 1024  # terms between two looks at the memory
+BYTES_PER_TERM = 300  # key, coefficient and entry of a mapping
+BYTES_PER_EXPONENT = 8  # a reference in the key
 BITS_OF_CONSTANTS = 1400  # in which functions of numbers are computed, the range of float64 and 300 more
 
 _EXACT_NOTATION = "write whole numbers, names and operations on them, such as a*x1**2 - log(x2)/3"
@@ -60,7 +60,7 @@ FUNCTIONS: Mapping[str, tuple[str, str]] = {
 """Function of formulas -> its names in NumPy and in python-flint."""
 
 _X = re.compile(r"x\d+")
-MAX_SHOWN_NAMES = 120
+MAX_SHOWN_NAMES = 120  # letters of names in a message
 _COMPARISONS: Mapping[type, Callable[[Any, Any], bool]] = {
     ast.Lt: operator.lt,
     ast.LtE: operator.le,

@@ -11,7 +11,7 @@ from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.optional_packages import require_packages
 
 Monomials = Mapping[tuple[int, ...], Coefficient]
-MAX_DIGITS = 6
+MAX_DIGITS = 6  # of numbers that are shown, as of format "g"
 MAX_SHOWN = 30  # monomials printed individually
 
 

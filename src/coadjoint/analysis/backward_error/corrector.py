@@ -31,7 +31,7 @@ from coadjoint.validation import check_power, read_finite, read_number
 
 Floats = npt.NDArray[np.float64]
 
-MAX_MONOMIALS = 1500
+MAX_MONOMIALS = 1500  # unknowns of a dense least squares problem; some seconds
 POINTS_PER_MONOMIAL = 4  # points of the motion for each monomial that is fitted
 # The least-squares fit drops singular directions, by increasing cutoffs, until the corrector moves states by at most
 # this multiple of the motion of the error term over one radian.

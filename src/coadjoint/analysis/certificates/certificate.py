@@ -27,7 +27,7 @@ UNDECIDED = "not decidable here"
 VERDICTS = (HOLDS, FAILS, UNDECLARED_PRESERVED, UNDECLARED_LOST, INAPPLICABLE, UNDECIDED)
 SCHEMA = 1
 """Version of the mapping of a certificate."""
-MAX_WIDTH = 120
+MAX_WIDTH = 120  # letters of a line of the text
 COLUMN_HEADINGS = ("what", "declared", "verdict", "measured")
 
 

@@ -27,12 +27,12 @@ MAX_DIM = 64
 """Largest dimension in which the coadjoint matrix is integrated."""
 MAX_REFERENCE_DIM = 16
 """Largest dimension in which the group element is compared with an independent integration."""
-SAVED_POINTS = 16
+SAVED_POINTS = 16  # of a run with elements, each of which is compared
 MAX_WORK = 5e7
 """Bound on steps times the cube of the dimension, which limits the steps with an element on large algebras."""
 TIME_LIMIT, MIN_STEPS, MAX_STEPS = 1.0, 4, 2**53
 """Approximate time limit of the steps with an element, and the limits of their number."""
-MAX_CONDITION = 1e3
+MAX_CONDITION = 1e3  # of an element; rounding grows with it, and the bound with its square
 CONSERVING_KINDS = ("every representation", "coadjoint")
 
 Measurement = tuple[float, float, str]

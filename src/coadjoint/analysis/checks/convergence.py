@@ -17,7 +17,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.own_steps import OwnSteps
 from coadjoint.rounding import UNIT_ROUNDOFF
 
-MAX_SINGLE_STEPS = 12
+MAX_SINGLE_STEPS = 12  # lengths, halved each time: down to 1/4096 of the largest
 # A slope with a larger uncertainty does not distinguish neighbouring orders. For high orders the uncertainty may be a
 # fraction of the order.
 MAX_UNCERTAINTY, MAX_RELATIVE_UNCERTAINTY = 0.4, 1.0 / 10.0

@@ -22,12 +22,12 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 
 Floats = NDArray[np.float64]
 
-STEPS = 2000
+STEPS = 2000  # of the long run; a drift of one unit of round-off a step is then plain
 MIN_STEPS = 32
 """Smallest default number of steps of the long run; fewer steps do not show the growth of deviations."""
-TIME_LIMIT = 3.0
-SAVED_POINTS = 128
-MAX_GROWTH_FACTOR = 16.0
+TIME_LIMIT = 3.0  # seconds, about, of the long run
+SAVED_POINTS = 128  # of the long run, enough to classify the growth of deviations
+MAX_GROWTH_FACTOR = 16.0  # of a state; beyond it, round-off of the start dominates
 SIZE_SAMPLES = 8
 """Number of points along the run at which the sizes of the invariants are evaluated."""
 

@@ -22,7 +22,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.step_tangents import compiled_tangents
 from coadjoint.systems.protocol import has_structure_constants
 
-SLOPE_STEPS = 4
+SLOPE_STEPS = 4  # lengths of steps for the order of a defect, over a factor of 2.8
 MAX_DIRECTIONAL_DIM = 1100
 """Largest dimension for derivatives along directions on a Lie algebra, for which flows are evaluated in Python."""
 MAX_UNDECLARED_DIM = 48

@@ -19,7 +19,7 @@ FINE_TOLERANCE, COARSE_TOLERANCE = 2.3e-14, 1e-12
 # The error of DOP853 per unit of time is proportional to the tolerance, so that of the finer run is 1/43 of the
 # difference; 1/8 is assumed.
 ERROR_SHARE = 0.125
-MAX_STEPS = 1500
+MAX_STEPS = 1500  # of each of the two runs; some seconds in Python
 # Largest relative difference of a closed form from the integrated field; beyond it, one of them is wrong.
 CLOSED_FORM_TOLERANCE = 1e-8
 

@@ -24,9 +24,9 @@ SPANS_TRIED = 4
 LARGE_ERROR = 0.05
 MAX_STEPS_COMPILED, MAX_STEPS_PYTHON = 512, 128
 """Upper limits on steps over the span for compiled and other steps, unless the given step needs more."""
-MAX_GIVEN_STEPS = 4096
-FIRST_STEPS = 64
-MAX_TRIALS = 16
+MAX_GIVEN_STEPS = 4096  # over the span, if the given step is short
+FIRST_STEPS = 64  # over the span, from which halvings and doublings start
+MAX_TRIALS = 16  # halvings and doublings, each way
 TIME_LIMIT = 3.0
 """Approximate time limit of the study if steps are expensive."""
 # Ratio of consecutive errors of the study at high order; at low order the step is halved.

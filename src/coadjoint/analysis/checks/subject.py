@@ -23,8 +23,8 @@ from coadjoint.systems.system_checks import System
 
 Floats = NDArray[np.float64]
 
-MIN_STATES = 4
-MAX_STATES = 8
+MIN_STATES = 4  # to which fewer given ones are extended along the motion
+MAX_STATES = 8  # of a sample that are looked at
 # Time between states along the motion, as a fraction of the natural time: distinct states, few steps apart.
 STATE_SPACING = 0.7
 MAX_DENSE_DIM = 256
@@ -33,9 +33,9 @@ SECONDS_PER_COST = 1.1e-8
 """Seconds on one core for a unit of the cost model."""
 EXPENSIVE_SECONDS = 2.5e-4
 """Seconds per step above which derivatives are computed along a few directions only, at fewer states."""
-STATES_OF_EXPENSIVE_STEPS = 2
-DIRECTIONS = 4
-SEED = 1993
+STATES_OF_EXPENSIVE_STEPS = 2  # instead of `MIN_STATES`
+DIRECTIONS = 4  # of tangents and of noise, for an estimate to a factor of two
+SEED = 1993  # of directions; fixed, so that a certificate is repeated to the bit
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ StepMap = Callable[[Floats, float], Floats]
 
 MAX_COORDINATES = 10
 """Largest dimension in which all reflections of coordinates are tested; above it, only x -> -x."""
-SLOPE_STEPS = 6
+SLOPE_STEPS = 6  # lengths of steps for the order of a defect, over a factor of 5.7
 DIRECTIONS_NOTE = f", seen along {DIRECTIONS} directions"
 # Largest relative noise allowed for the iteration error of a step given as a function.
 MAX_NOISE = 1e-6

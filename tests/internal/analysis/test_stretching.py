@@ -1,0 +1,115 @@
+"""Stretches of tangent vectors from the first frame, step by step and in 200 bits; memory."""
+
+import dataclasses
+import warnings
+
+import numpy as np
+import pytest
+from heavy_top import ONE, Top, fixed
+
+import coadjoint as co
+from coadjoint import memory
+from coadjoint.analysis.lyapunov import frame_of
+from coadjoint.runs import tangent_stretching as stretching
+from refusals import refused
+
+INERTIA, CENTRE = (1.0, 1.75, 2.5), (0.5, 0.25, 1.0)
+UPRIGHT = np.array([1.0, 0.5, -0.75, 0.6, 0.0, 0.8])  # of the chaotic region: its exponent is some 0.12
+BODY = co.systems.rigid_body(inertia=(1, 2, 3))
+
+
+def heavy_top(inertia=INERTIA, centre=CENTRE):
+    H = co.Quadratic([*(1.0 / np.array(inertia)), 0.0, 0.0, 0.0], linear=[0.0, 0.0, 0.0, *centre])
+    return co.LiePoissonSystem(co.algebras.e(3), H, sign=-1)
+
+
+@pytest.mark.long
+def test_the_heavy_top_twice():
+    """By the tangent map, and by trajectories that differ in the twelfth digit, with 200 bits: the same two numbers.
+
+    Pairs of them make the area that two vectors span, so that the second exponent is compared as well. Central
+    differences of 2^-40 are wrong by their square.
+    """
+    top, time, step, delta = Top(INERTIA, CENTRE), 48, 0.25, 2.0**-40
+    start, vectors = fixed(UPRIGHT), frame_of(2, 6)
+    columns = []
+    for vector in vectors:
+        moved = [fixed(side * delta * vector) for side in (1.0, -1.0)]
+        ends = [top.flow([a + b for a, b in zip(start, by, strict=True)], step, int(time / step)) for by in moved]
+        columns.append([(a - b) / (2 * delta * ONE) for a, b in zip(*ends, strict=True)])
+    wanted = np.log(np.abs(np.diag(np.linalg.qr(np.array(columns).T)[1]))) / time
+    system = heavy_top()
+    m, g = top.field([[v] for v in start[:3]], [[v] for v in start[3:]])
+    assert np.max(np.abs(np.array(m + g) / ONE - system.vector_field(UPRIGHT))) < 1e-15
+    assert wanted[0] > 0.05  # chaos, and not the linear parting of regular motion, log(48)/48 = 0.08 with both signs
+
+    def errors(method, h):
+        return np.abs(co.lyapunov(system, UPRIGHT, (0, time), h, method, exponents=2).exponents - wanted)
+
+    # Round-off of the states has grown by the stretch of some hundreds, and of the vectors with the steps.
+    assert np.max(errors(co.GaussLegendre(6), 0.0625)) < 1e-11
+    coarse, fine = errors(co.Splitting(order=4), 1 / 64), errors(co.Splitting(order=4), 1 / 128)
+    assert np.max(fine) < 1e-5 and np.max(fine) < np.max(coarse) / 12
+
+
+@dataclasses.dataclass(frozen=True)
+class Euler(co.methods.StepMethod):
+    order, explicit, symmetric = 1, True, False
+
+    def properties(self, system):
+        return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+
+    def step(self, system, x, t, h):
+        return x + h * system.vector_field(x, t)
+
+
+@pytest.mark.long
+def test_schemes_without_a_loop_go_step_by_step_and_say_so(monkeypatch):
+    """They give what products of their tangents give; complex steps and differences have some nine digits at least."""
+    monkeypatch.setattr(stretching, "_warned_types", set())
+    given = {"t_span": (0.0, 2.0), "step": 0.125, "renormalize_every": 3, "save_every": 8}
+    for method, name, by in (
+        (co.Taylor(4), "Taylor", ("formula",)),
+        (co.RadauEnergy(1), "RadauEnergy", ("formula",)),
+        (Euler(), "Euler", ("complex step", "differences")),
+    ):
+        with pytest.warns(RuntimeWarning, match=f"tangents of {name} are computed in Python"):
+            found = co.lyapunov(heavy_top(), UPRIGHT, **given, method=method)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            ensemble = co.lyapunov(heavy_top(), [0.5 * UPRIGHT, UPRIGHT], **given, method=method, exponents=2)
+        assert ensemble.stretches[:, 1].tobytes() == np.ascontiguousarray(found.stretches[:, :2]).tobytes()
+        step, product, wanted = co.stepper(heavy_top(), method, 0.125), np.eye(6), []
+        for k, x in enumerate(co.integrate(heavy_top(), UPRIGHT, (0, 2), 0.125, method).x[:-1]):
+            product = step.tangent(x) @ product
+            if k in (7, 15):
+                wanted.append(np.log(np.abs(np.diag(np.linalg.qr(product @ frame_of(6, 6).T)[1]))))
+        assert found.by in by and np.max(np.abs(found.stretches[1:] - wanted)) < 1e-12
+
+
+@pytest.mark.thinned(3)
+@pytest.mark.parametrize("span", [(0.0, 2.0), (3.5, 5.5), (3.5, 1.5)])
+@pytest.mark.parametrize("method", [Euler(), co.Splitting(order=2), co.GaussLegendre(2)], ids=str)
+def test_tangents_of_a_driven_system_are_those_at_the_time_of_each_step(method, span):
+    spins = co.systems.spin_lattice("chain", 2, field=lambda t: (np.cos(3.0 * t), np.sin(3.0 * t), 0.2))
+    x0, h = np.array([0.6, 0.0, 0.8, 0.0, 0.28, 0.96]), np.copysign(0.125, span[1] - span[0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        found = co.lyapunov(spins, x0, span, 0.125, method, renormalize_every=4, save_every=16)
+    step, product = co.stepper(spins, method, h), frame_of(6, 6).T
+    for k, x in enumerate(co.integrate(spins, x0, span, 0.125, method).x[:-1]):
+        product = step.tangent(x, span[0] + k * h) @ product
+    wanted = np.log(np.abs(np.diag(np.linalg.qr(product)[1])))
+    assert np.max(np.abs(found.stretches[-1] - wanted)) < 1e-10
+
+
+def test_memory_is_estimated_first(monkeypatch):
+    monkeypatch.setattr(memory, "available", lambda: 10**6)
+    monkeypatch.setattr(memory, "UNCHECKED_BYTES", 0)
+    spins = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 60), co.Quadratic(np.tile([1.0, 0.5, 0.25], 60)))
+    with refused(ValueError, "180 tangent vectors of dimension 180 needs about"):
+        co.lyapunov(spins, np.ones(180), (0, 1), 0.1)
+    with refused(ValueError, "history of 1000001 times needs about", "larger save_every"):
+        co.lyapunov(BODY, np.ones(3), (0, 10**6), 1.0, save_every=1)
+    with refused(ValueError, "states of 100000 steps", "needs about"):
+        co.lyapunov(BODY, np.ones(3), (0, 1000), 0.01, co.Taylor(4))

@@ -1,0 +1,177 @@
+"""Algebras of matrices: dimensions and ranks by counting, closed brackets, invariant pairings, and what is refused."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from refusals import refused
+from rounding import UNIT_ROUNDOFF as U
+
+pytestmark = pytest.mark.thinned(1)
+
+G = co.MatrixAlgebra
+KINDS = [
+    G("u", 3), G("su", 3), G("so", 2), G("so", 5), G("gl", 3), G("sl", 3), G("sp", 4),
+    G("gl(C)", 2), G("sl(C)", 3), G("so(C)", 4), G("sp(C)", 4), G("so", 5, 2), G("su", 3, 1), G("u", 4, 2),
+    G.sum(G("so", 3), G("su", 2)), G.sum(G("sp", 2), G("gl", 2), G("so", 4, 1)),
+]  # fmt: skip
+each_kind = pytest.mark.parametrize("g", KINDS, ids=str)
+
+
+def identity(W):
+    return W
+
+
+def random(g, seed):
+    rng = np.random.default_rng(seed)
+    return g.projected(rng.normal(size=g.shape) + 1j * rng.normal(size=g.shape))
+
+
+@each_kind
+def test_dimension_and_rank_are_those_that_are_counted(g):
+    s = co.MatrixSystem(g, identity)
+    assert np.linalg.matrix_rank(s.to_vector(g.projected(s.from_vector(np.eye(s.dim))))) == g.dim
+    assert np.linalg.matrix_rank(s.structure_matrix(random(g, 1))) == g.generic_rank() == g.dim - g.rank
+
+
+@each_kind
+def test_brackets_stay_and_the_pairing_is_invariant(g):
+    A, B, C = (random(g, seed) for seed in range(3))
+    bracket = g.bracket(A, B)
+    size = np.abs(A).max() * np.abs(B).max() * g.N
+    assert np.abs(bracket - (A @ B - B @ A)).max() <= 8 * U * g.N * size
+    assert np.abs(bracket - g.projected(bracket)).max() <= 4 * U * g.N * size
+    left, right = g.pairing(bracket, C), g.pairing(A, g.bracket(B, C))
+    assert abs(left - right) <= 64 * U * g.N * size * np.abs(C).max() * g.N
+    assert abs(left) > 1e-3 or g.dim < 3
+    assert abs(g.pairing(A, B) - np.sum(np.real(np.conj(g.dual(A)) * B))) <= 64 * U * size * g.N
+
+
+@each_kind
+def test_projections_are_nearest(g):
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=g.shape) + 1j * rng.normal(size=g.shape) * g.complex
+    near = g.projected(A)
+    assert np.array_equal(g.projected(near, spared=1e-15), near)
+    # What is left stands at right angles to all that the algebra has.
+    assert abs(np.vdot(A - near, random(g, 4)).real) <= 64 * U * g.N**2 * 10
+    assert g.projected(np.stack([A, 2 * A])).shape == (2, *g.shape)
+
+
+@each_kind
+def test_members_are_paired_one_by_one(g):
+    A, B = (np.stack([random(g, 3 * k + first) for k in range(6)]).reshape(2, 3, *g.shape) for first in (0, 1))
+    pairs, brackets, duals = g.pairing(A, B), g.bracket(A, B), g.dual(A)
+    assert pairs.shape == (2, 3) and np.isrealobj(pairs)
+    for k in np.ndindex(2, 3):
+        assert pairs[k] == g.pairing(A[k], B[k]) and np.array_equal(duals[k], g.dual(A[k]))
+        # Both are sums of N products; their order may differ.
+        size = g.N * np.abs(A[k]).max() * np.abs(B[k]).max()
+        assert np.abs(brackets[k] - g.bracket(A[k], B[k])).max() <= 8 * U * g.N * size
+
+
+def test_forms_of_any_signature():
+    for g, form, adjoint in (
+        (G("so", 4, 1), np.diag([1.0, 1.0, 1.0, -1.0]), np.transpose),
+        (G("sp", 4), np.kron([[0.0, 1.0], [-1.0, 0.0]], np.eye(2)), np.transpose),
+        (G("u", 3, 1), np.diag([1.0, 1.0, -1.0]), lambda W: np.conj(W.T)),
+    ):
+        W = random(g, 0)
+        np.testing.assert_array_equal(adjoint(W) @ form + form @ W, np.zeros(g.shape))
+    assert G("u", 3, 1).dim == 9 and str(G("u", 3, 1)) == "u(2, 1)"
+
+
+def test_sums():
+    g = G.sum(G.sum(G("so", 3), G("su", 2)), G("gl", 2))
+    assert [str(block) for block in g.blocks] == ["so(3)", "su(2)", "gl(2, R)"] and str(g) == "so(3) + su(2) + gl(2, R)"
+    assert g.complex and g.N == 7
+    W = random(g, 0)
+    assert np.all(W[:3, 3:] == 0) and np.all(W[:3, :3].imag == 0) and np.all(W[5:, 5:].imag == 0)
+    assert g == G.sum(*g.blocks) and hash(g) == hash(G.sum(*g.blocks))
+
+
+@pytest.mark.parametrize(
+    ("make", "named"),
+    [
+        (lambda: G("sp", 5), ["even"]),
+        (lambda: G("gl", 4, 1), ["negative signs"]),
+        (lambda: G("so", 4, 0, (G("so", 2), G("so", 2))), ["MatrixAlgebra.sum"]),
+        (lambda: G.sum(G("so", 3)), ["two MatrixAlgebras"]),
+        (lambda: G("sum", 4, 0, (G("so", 3), G("so", 2))), ["5 rows"]),
+        (lambda: G("su", 4097), ["N", "4096", "4097"]),
+    ],
+)
+def test_wrong_algebras_are_refused(make, named):
+    with refused((ValueError, TypeError), *named):
+        make()
+    assert G("su", 4096).dim == 4096**2 - 1
+
+
+def run(g, W):
+    """A run from a state, without motion: what is saved first."""
+    return co.integrate(co.MatrixSystem(g, identity), W, (0.0, 2.0**-10), 2.0**-10, co.IsospectralGauss()).x[0]
+
+
+@pytest.mark.parametrize(
+    ("g", "W", "named"),
+    [
+        (G("so", 3), np.ones((3, 3)), ["so(3)", "real and skew"]),
+        (G("sl", 3), np.eye(3), ["trace zero"]),
+        (G("sp", 4), np.diag([1.0, 0, 0, 0]), ["sp(4, R)"]),
+        (G("so", 3), 1j * np.diag([1.0, -1.0, 0.0]), ["real and skew"]),
+        (G.sum(G("so", 3), G("so", 3)), np.ones((6, 6)), ["block by block", "so(3)"]),
+        (G("gl", 3), np.full((3, 3), np.nan), ["finite"]),
+        (G("gl", 3), np.eye(4), ["shape", "(4, 4)"]),
+        (G("gl", 3), "x", ["x0"]),
+    ],
+)
+def test_states_outside_are_refused(g, W, named):
+    with refused((ValueError, TypeError), *named):
+        run(g, W)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-30])
+def test_a_member_is_measured_by_its_own_size(size):
+    skew = np.array([[0.0, 1.0, 2.0], [-1.0, 0.0, 3.0], [-2.0, -3.0, 0.0]])
+    members = np.array([skew, size * (skew + 1e-9 * np.eye(3)), skew])
+    with refused(ValueError, "x0[1]", "so(3)"):
+        run(G("so", 3), members)
+    members[1] = size * skew
+    assert np.array_equal(run(G("so", 3), members), members)
+
+
+@pytest.mark.parametrize(("share", "accepted"), [(0.5, True), (2.0, False)])
+def test_membership_at_its_threshold(share, accepted):
+    """64 u N; the nearest skew matrix takes half of what one entry is off."""
+    W = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1], [0, 0, -1, 0]])
+    W[0, 2] += share * 2 * 4 * 64 * U
+    if accepted:
+        run(G("so", 4), W)
+    else:
+        with refused(ValueError, "x0", "so(4)"):
+            run(G("so", 4), W)
+
+
+@pytest.mark.parametrize(("share", "left"), [(0.5, True), (2.0, False)])
+def test_a_trace_that_is_round_off_is_left(share, left):
+    """A mean of the diagonal up to 8 u of the largest entry; of each member by its own size."""
+    W = 1j * (np.diag([1.0, -1.0]) + share * 8 * U * np.eye(2)) / 2.0
+    assert bool(np.trace(run(G("su", 2), W))) is left
+    g = G("sl", 2)
+    members = np.array([np.diag([1.0, -1.0 + 2.0**-40]), 2.0**30 * np.diag([1.0, -1.0 + 2.0**-52])])
+    for order in (slice(None), slice(None, None, -1)):
+        together = g.projected(members[order], spared=8 * U)
+        assert np.array_equal(together, [g.projected(member, spared=8 * U) for member in members[order]])
+        changed = np.array([[[True, False], [False, True]], np.zeros((2, 2), bool)])[order]
+        assert np.array_equal(together != members[order], changed)
+
+
+@pytest.mark.parametrize("g", [G("so", 3), G("su", 2), G.sum(G("so", 2), G("u", 2)), G("sp(C)", 2)], ids=str)
+def test_the_numbers_of_a_matrix_are_named_by_their_places(g):
+    s = co.MatrixSystem(g, identity)
+    assert len(g.basis) == len(set(g.basis)) == s.dim
+    for k, name in enumerate(g.basis):
+        i, j = map(int, name.removeprefix("re").removeprefix("im").split(","))
+        expected = np.zeros(g.shape, dtype=complex)
+        expected[i, j] = 1j if name.startswith("im") else 1.0
+        assert np.array_equal(s.from_vector(np.eye(s.dim)[k]), expected)

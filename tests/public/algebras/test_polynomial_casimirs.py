@@ -1,0 +1,227 @@
+"""Casimirs found by machine: as many as linear algebra modulo a prime counts, in any basis, exact or in floats."""
+
+import math
+import pickle
+import subprocess
+import sys
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from casimir_comparison import (
+    assert_annihilated,
+    assert_same_span,
+    casimir_count,
+    generated,
+    independent_count,
+    rank,
+    substituted,
+)
+from classification import rows
+from lie_algebras import in_basis, known_casimirs, orthogonal, whole_change
+
+import coadjoint as co
+from long import long_beyond, long_where
+from refusals import refused
+from rounding import UNIT_ROUNDOFF
+
+pytestmark = pytest.mark.thinned(2)
+
+SMALL = {" ".join([name, *(f"{k}={v}" for k, v in given.items())]): (name, given) for name, given in rows()}
+
+
+def assert_all_found(g, degree):
+    """What is found is annihilated, generates as many polynomials as there are, and none of it is superfluous."""
+    found = list(g.casimirs(degree).values())
+    for casimir in found:
+        assert_annihilated(g, casimir)
+        assert all(type(value) is int for value in casimir.monomials.values())
+    for d in range(1, degree + 1):
+        assert rank(generated(found, d)) == casimir_count(g, d), f"degree {d}"
+        lower = generated([p for p in found if p.degree < d], d)
+        assert rank(generated(found, d)) == rank(lower) + sum(p.degree == d for p in found)
+    return found
+
+
+@pytest.mark.thinned(4)
+@pytest.mark.parametrize("label", SMALL)
+def test_all_casimirs_of_small_algebras_are_found(label):
+    name, given = SMALL[label]
+    g = co.algebras.get(name, **given)
+    found = assert_all_found(g, 4)
+    known = [c for c in known_casimirs(g).values() if isinstance(c, co.Polynomial)]
+    for casimir in known:
+        assert rank([*generated(found, casimir.degree), casimir]) == rank(generated(found, casimir.degree))
+
+
+@pytest.mark.parametrize(
+    ("name", "degree"),
+    [("so(3)", 4), ("so(4)", 4), ("so(5)", 4), ("e(3)", 4), ("e(4)", 3), ("sl(3)", 3), ("su(3)", 3), ("sp(4)", 2),
+     ("heisenberg(2)", 4), ("gl(3)", 3), ("so(3,1)", 4)],
+)  # fmt: skip
+def test_all_casimirs_of_classical_algebras_are_found(name, degree):
+    found = assert_all_found(co.algebras.get(name), degree)
+    known = [c for c in known_casimirs(co.algebras.get(name)).values() if c.degree <= degree]
+    assert independent_count(known) == len(known) <= independent_count(found)
+
+
+@pytest.mark.parametrize(
+    ("name", "degrees"),
+    long_where(
+        [("su(4)", [2, 3, 4])], [("so(5)", [2, 4]), ("so(6)", [2, 3, 4]), ("sl(4)", [2, 3, 4]), ("su(4)", [2, 3, 4])]
+    ),
+)
+def test_degrees_of_simple_algebras(name, degrees):
+    """The exponents of the Weyl group, plus one; independent and annihilated."""
+    g = co.algebras.get(name)
+    found = g.casimirs()
+    assert list(found) == [f"C{degree}" for degree in degrees]
+    assert len(found) == g.dim - g.generic_rank() == independent_count(list(found.values()))
+    for casimir in found.values():
+        assert_annihilated(g, casimir)
+    if name == "so(6)":  # the Pfaffian: the perfect matchings of six points
+        assert len(found["C3"].monomials) == 15 and set(found["C3"].monomials.values()) == {1, -1}
+
+
+def test_more_generators_than_independent_ones():
+    found = co.algebras.get("A5,2").casimirs()
+    assert list(found) == ["C1", "C2", "C3", "C4"] and independent_count(list(found.values())) == 3
+
+
+CHANGED = {
+    "3 so(3)": lambda: co.algebras.copies(co.algebras.so(3), 3),
+    "so(4)": lambda: co.algebras.so(4),
+    "e(3)": lambda: co.algebras.e(3),
+    "sl(3)": lambda: co.algebras.sl(3),
+    "sp(4)": lambda: co.algebras.sp(4),
+}
+
+
+@pytest.mark.parametrize("seed", long_beyond(1, [0, 1]))
+@pytest.mark.parametrize("name", CHANGED)
+def test_in_whole_bases(name, seed):
+    """x' = T x, so C(x) is C(T^-1 x') there; what is known of the algebra is carried over, exactly."""
+    g, degree = CHANGED[name](), 2 if name == "sp(4)" else 3
+    T = whole_change(g.dim, seed)
+    other = co.algebras.change_of_basis(g, T)
+    q = np.round(np.linalg.inv(T.astype(float))).astype(int)
+    assert np.array_equal(q @ T, np.eye(g.dim))
+    expected = {name: substituted(c, q) for name, c in known_casimirs(g).items()}
+    assert known_casimirs(other) == expected and expected
+    there = other.casimirs(degree).values()
+    assert_same_span(there, [substituted(c, q) for c in g.casimirs(degree).values()], degree)
+    for casimir in there:
+        assert_annihilated(other, casimir)
+
+
+def test_simple_casimirs_are_in_canonical_form():
+    assert repr(co.algebras.so(3).casimirs()) == "{'C2': x1^2 + x2^2 + x3^2}"
+    assert repr(co.algebras.sl(2).casimirs()) == "{'C2': x1*x3 + x2^2}"
+    assert repr(co.algebras.e(3).casimirs()) == "{'C2_1': x1*x4 + x2*x5 + x3*x6, 'C2_2': x4^2 + x5^2 + x6^2}"
+    oscillator = co.LieAlgebra([(1, 2, 0, 1.0), (1, 3, 2, -1.0), (2, 3, 1, 1.0)], dim=4)
+    assert repr(oscillator.casimirs()) == "{'C1': x1, 'C2': 2*x1*x4 + x2^2 + x3^2}"
+    assert repr(co.LieAlgebra([], dim=2).casimirs()) == "{'C1_1': x1, 'C1_2': x2}"
+
+
+def test_the_same_answer_every_time_and_whatever_the_scale():
+    g = co.algebras.so(5)
+    first = repr(g.casimirs())
+    scaled = co.algebras.change_of_basis(g, np.diag([Fraction(1, 3)] * 10))
+    code = "import coadjoint as co; print(co.algebras.so(5).casimirs())"
+    again = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert again.stdout.strip() == first == repr(g.casimirs()) == repr(scaled.casimirs())
+
+
+def test_summands_are_solved_one_by_one():
+    found = co.algebras.copies(co.algebras.so(3), 200).casimirs()
+    assert list(found)[:2] == ["C2_1", "C2_2"] and len(found) == 200
+    squares = {frozenset(e.index(2) for e in c.monomials if set(e) == {0, 2} and sum(e) == 2) for c in found.values()}
+    assert squares == {frozenset(range(3 * at, 3 * at + 3)) for at in range(200)}
+    # so(3) on the coordinates 0, 2, 4, an abelian one at 1, and A2,1 at 3, 5, which has none.
+    g = co.LieAlgebra([(0, 2, 4, 1.0), (2, 4, 0, 1.0), (4, 0, 2, 1.0), (3, 5, 5, 1.0)], dim=6)
+    assert repr(g.casimirs()) == "{'C1': x2, 'C2': x1^2 + x3^2 + x5^2}"
+
+
+@pytest.mark.parametrize("name", ["so(3)", "e(2)", "sl(2)", "so(4)", "e(3)", "heisenberg(1)"])
+def test_rotated_bases_in_floats(name):
+    """Constants that are zero become some u beside the others of their bracket, and have no effect."""
+    g = co.algebras.get(name)
+    for seed in range(3):
+        q = orthogonal(g.dim, seed)
+        other = in_basis(g, q)
+        assert other.generic_rank() == g.generic_rank()
+        found = other.casimirs(2)
+        assert independent_count(list(found.values())) == len(found) == g.dim - g.generic_rank()
+        assert all(type(value) is float for c in found.values() for value in c.monomials.values())
+        x = np.random.default_rng(seed).standard_normal(g.dim)
+        for casimir in found.values():
+            moved = q.T @ casimir.gradient(q @ x)
+            # error / pivot: about u / 2^-6, for some ten products
+            assert np.abs(g.structure_matrix(x) @ moved).max() <= 2**12 * UNIT_ROUNDOFF * np.abs(moved).max() * 10
+
+
+def test_a_rotated_square_stays_a_square():
+    found = in_basis(co.algebras.so(5), orthogonal(10, 3)).casimirs(2)
+    assert found == {"C2": co.Polynomial({tuple(2 * (j == i) for j in range(10)): 1.0 for i in range(10)})}
+
+
+def test_irrational_parameters():
+    a = math.sqrt(2.0)
+    for b in (a, -a):
+        assert co.LieAlgebra([(0, 2, 0, 1.0), (1, 2, 1, b)], dim=3).casimirs(6) == {}
+    three = co.LieAlgebra([(0, 3, 0, a), (1, 3, 1, -a), (2, 3, 2, 1.0)], dim=4)
+    assert three.casimirs() == {"C2": co.Polynomial({(1, 1, 0, 0): 1.0})}
+    assert co.algebras.A3_7(math.e).casimirs() == {}
+
+
+@pytest.mark.parametrize("factor", [1.0, math.pi])
+def test_rounded_sums_count_as_zero(factor):
+    """0.1 + 0.2 - 0.3 is not zero in floats, but in the fractions that are meant; with an irrational factor, to u."""
+    weights = factor * 0.1, factor * 0.2, -(factor * 0.1 + factor * 0.2)
+    weights = (0.1, 0.2, -0.3) if factor == 1.0 else weights
+    g = co.LieAlgebra([(i, 3, i, w) for i, w in enumerate(weights)], dim=4)
+    assert co.Polynomial({(1, 1, 1, 0): 1}) in g.casimirs(3).values()
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters"), [("A3_7", {"a": 2}), ("A4_2", {"a": 3}), ("A5_7", {"a": 0.5, "b": 0.3, "c": 0.2})]
+)
+def test_an_empty_result_says_what_there_is(name, parameters):
+    g = co.algebras.get(name, **parameters)
+    found = g.casimirs(3)
+    assert found == {} and "degree 3" in repr(found) and f" {g.dim - g.generic_rank()}" in repr(found)
+    assert all(known in repr(found) for known in known_casimirs(g))
+    again = pickle.loads(pickle.dumps(found))
+    assert repr(again) == repr(found) and type(again) is type(found)
+    none = co.algebras.get("A2,1").casimirs(3)
+    assert none == co.algebras.get("A4,7").casimirs() == {} and "no Casimir of any kind" in repr(none)
+
+
+def test_unclear_ranks_are_refused():
+    """Two so(3), one 10^-13 times the other, in a rotated basis: the small one could be round-off."""
+    size = np.diag([1.0, 1.0, 1.0, 1e-13, 1e-13, 1e-13])
+    both = in_basis(co.algebras.copies(co.algebras.so(3), 2), size)
+    with refused(ValueError, "rank of J(x)", "singular value"):
+        in_basis(both, orthogonal(6, 0)).casimirs()
+
+
+def test_a_degree_with_too_many_monomials_is_refused():
+    with refused(ValueError, "degree 6", "dimension 21", "230230", "40000"):
+        co.algebras.so(7).casimirs(6)
+    one_block = co.LieAlgebra([(0, k, k, 1.0) for k in range(1, 16)], dim=16)
+    with refused(ValueError, "degree 6", "dimension 16", "54264", "40000"):
+        one_block.casimirs(6)
+
+
+@pytest.mark.long
+def test_sizes_are_refused():
+    with refused(ValueError, "dimension 30000", "50000000"):
+        co.algebras.copies(co.algebras.so(3), 10_000).casimirs()
+    with refused(ValueError, "degree 4", "dimension 21", "equations"):
+        in_basis(co.algebras.so(7), orthogonal(21, 0)).casimirs()
+
+
+@pytest.mark.parametrize("wrong", [0, -1, 2.0, True, "4", None])
+def test_wrong_degrees_are_refused(wrong):
+    with refused(ValueError, "max_degree", repr(wrong)):
+        co.algebras.so(3).casimirs(wrong)

@@ -1,0 +1,251 @@
+"""Polynomials: exact arithmetic, evaluation in every kind of number, refusals, text, LaTeX and SymPy."""
+
+import importlib.util
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import coadjoint as co
+from guards import bounded_work
+from refusals import refused
+
+pytestmark = pytest.mark.thinned(1)
+
+Polynomial = co.Polynomial
+EXPONENTS = st.tuples(*[st.integers(0, 3)] * 3)
+COEFFICIENTS = st.one_of(st.integers(-9, 9), st.fractions(-3, 3, max_denominator=7))
+POLYNOMIALS = st.dictionaries(EXPONENTS, COEFFICIENTS, max_size=6).map(lambda m: Polynomial(m, dim=3))
+POINTS = st.lists(st.fractions(-3, 3, max_denominator=5), min_size=3, max_size=3).map(
+    lambda x: np.array([Fraction(v) for v in x], dtype=object)
+)
+
+
+def by_definition(p, x):
+    return sum((c * x[0] ** a * x[1] ** b * x[2] ** d for (a, b, d), c in p.monomials.items()), Fraction(0))
+
+
+@pytest.mark.long
+@settings(deadline=None)
+@given(POLYNOMIALS, POLYNOMIALS, POLYNOMIALS, POINTS)
+def test_ring_operations_are_exact(p, q, r, x):
+    assert p(x) == by_definition(p, x)
+    assert (p + q)(x) == p(x) + q(x)
+    assert (p - q)(x) == p(x) - q(x)
+    assert (p * q)(x) == p(x) * q(x)
+    assert p * (q + r) == p * q + p * r
+    assert (p * q) * r == p * (q * r)
+    assert p - p == Polynomial({}, dim=3)
+    assert p + 2 - p == Polynomial({(0, 0, 0): 2})
+    assert 3 - p == -(p - 3)
+    assert Fraction(1, 3) * p * 3 == p
+    assert p**3 == p * p * p
+    assert hash(p + q) == hash(q + p)
+    assert p**0 == Polynomial({(0, 0, 0): 1})
+
+
+@pytest.mark.long
+@settings(deadline=None)
+@given(POLYNOMIALS, POLYNOMIALS, POINTS)
+def test_derivatives_are_exact(p, q, x):
+    for i in range(3):
+        assert (p * q).derivative(i) == p.derivative(i) * q + p * q.derivative(i)
+    assert p.gradient(x).tolist() == [p.derivative(i)(x) for i in range(3)]
+    assert p.hessian(x).tolist() == [[p.derivative(i).derivative(j)(x) for j in range(3)] for i in range(3)]
+
+
+@settings(deadline=None, max_examples=40)
+@given(POLYNOMIALS, POINTS)
+def test_floats_agree_with_fractions(p, x):
+    # at most 6 monomials of degree 9, coefficients below 9, derivatives at most 9 * 8 times as large
+    bound = 64 * 2.0**-53 * 6 * 9 * 72 * 3.0**9
+    f = x.astype(float)
+    assert abs(p(f) - float(p(x))) <= bound
+    assert np.abs(p.gradient(f) - p.gradient(x).astype(float)).max() <= bound
+    assert np.abs(p.hessian(f) - p.hessian(x).astype(float)).max() <= bound
+    assert p.gradient(f).dtype == p.hessian(f).dtype == np.float64
+
+
+@pytest.mark.parametrize("kind", [int, np.int8, np.float32, float, complex, Fraction])
+@pytest.mark.parametrize("shape", [(), (4,), (2, 3), (0,), (5, 0, 2)])
+def test_states_of_each_kind_of_numbers_and_shape(kind, shape):
+    """Small multiples of a quarter, whose products are exact; contiguous in memory or not."""
+    p = Polynomial(
+        {(2, 1, 0): 3, (0, 0, 2): Fraction(1, 2), (1, 1, 1): -0.25, (0, 1, 0): 1, (0, 0, 0): Fraction(-5, 4)}
+    )
+    rng = np.random.default_rng(2)
+    x = rng.integers(-4, 5, (*shape, 3)).astype(object)
+    if kind is complex:
+        x = (x + 1j * rng.integers(-4, 5, x.shape)) / 4
+    elif kind not in (int, np.int8):
+        x = x * Fraction(1, 4)
+    x = x if kind is Fraction else x.astype(kind)
+    dtype = {complex: np.complex128, Fraction: object}.get(kind, np.float64)
+    rows = [[value if kind in (Fraction, complex) else Fraction(float(value)) for value in row]
+            for row in x.reshape(-1, 3).tolist()]  # fmt: skip
+    for points in (x, np.asfortranarray(x), np.repeat(x, 2, axis=-1)[..., ::2], x[::-1][::-1] if shape else x):
+        value, gradient = p(points), p.gradient(points)
+        assert np.shape(value) == shape and gradient.shape == x.shape and gradient.dtype == dtype
+        assert np.ravel(value).tolist() == [by_definition(p, row) for row in rows]
+        slopes = [[by_definition(p.derivative(i), row) for i in range(3)] for row in rows]
+        assert gradient.reshape(-1, 3).tolist() == slopes
+    if shape == ():
+        second = [[by_definition(p.derivative(i).derivative(j), rows[0]) for j in range(3)] for i in range(3)]
+        assert p.hessian(x).tolist() == second and p.hessian(x).dtype == dtype
+
+
+def test_multiprecision_and_float_coefficients():
+    p = Polynomial({(2, 1): 0.5, (0, 3): 0.1, (0, 0): 1})
+    with mpmath.workdps(60):
+        x = np.array([mpmath.sqrt(2), mpmath.sqrt(3)], dtype=object)
+        wanted = mpmath.mpf(0.5) * x[0] ** 2 * x[1] + mpmath.mpf(0.1) * x[1] ** 3 + 1  # 0.1 is the float that it is
+        assert abs(p(x) - wanted) < mpmath.mpf(10) ** -57
+        assert abs(p.gradient(x)[0] - x[0] * x[1]) < mpmath.mpf(10) ** -57
+
+
+def test_kinds_of_coefficients_are_kept():
+    p = Polynomial({(1, 0): 2, (0, 1): Fraction(1, 3), (1, 1): 0.25, (2, 2): np.int64(4), (3, 0): np.float32(0.5)})
+    assert [type(c) for c in p.monomials.values()] == [int, Fraction, float, float, int]
+    assert type(p.monomials[2, 2]) is int
+    assert type((p * p).monomials[2, 0]) is int
+    assert type((p * p).monomials[0, 2]) is Fraction
+
+
+def test_order_degree_and_repr():
+    p = Polynomial(
+        {(0, 1, 1): 1, (2, 0, 0): 0.5, (0, 0, 0): -3, (0, 0, 3): Fraction(-2, 3), (0, 1, 0): -1, (1, 1, 0): 0}
+    )
+    assert list(p.monomials) == [(0, 0, 0), (0, 1, 0), (2, 0, 0), (0, 1, 1), (0, 0, 3)]
+    assert repr(p) == "-3 - x2 + 0.5*x1^2 + x2*x3 - (2/3)*x3^3"
+    assert (p.degree, p.dim) == (3, 3)
+    assert repr(Polynomial({(2, 0, 0): 0.5, (0, 1, 1): 1.0})) == "0.5*x1^2 + x2*x3"
+    assert repr(Polynomial({}, dim=2)) == "0"
+    assert Polynomial({}, dim=2).degree == 0
+    with pytest.raises(TypeError):
+        p.monomials[0, 0, 0] = 1
+
+
+def test_equality_and_hash():
+    p = Polynomial({(1, 0): 2, (0, 1): 1})
+    assert p == Polynomial({(0, 1): 1.0, (1, 0): Fraction(2), (3, 3): 0})
+    assert hash(p) == hash(Polynomial({(0, 1): 1.0, (1, 0): Fraction(2)}))
+    assert p != Polynomial({(1, 0, 0): 2, (0, 1, 0): 1})
+    assert p != 3
+    constants = [Polynomial({(0,) * dim: value}, dim=dim) for dim in (1, 2, 3) for value in (0, 1, -1)]
+    variables = [Polynomial.variable(i, dim) for dim in (1, 2, 3) for i in range(dim)]
+    for k, one in enumerate(constants + variables):
+        assert [one == other for other in constants + variables] == [k == m for m in range(15)]
+    assert len({*constants, *variables}) == 15
+    assert Polynomial.variable(0, 2) * 2 + Polynomial.variable(1, 2) == p
+
+
+@pytest.mark.long
+def test_ten_thousand_monomials():
+    rng = np.random.default_rng(0)
+    monomials = {tuple(e): int(c) for *e, c in rng.integers(0, 12, (12_000, 7)).tolist() if c}
+    with bounded_work():  # below 1 s on an idle machine; quadratic work would take minutes
+        p = Polynomial(monomials)
+        assert len(p.monomials) > 10_000
+        x = rng.uniform(-1, 1, 6)
+        value, gradient = p(x), p.gradient(x)
+    exponents = np.array(list(p.monomials))
+    products = np.prod(x**exponents, axis=1) * np.array(list(p.monomials.values()), dtype=float)
+    # 10^4 terms of at most 66 factors each
+    bound = 2.0**-53 * 200 * np.abs(products).sum()
+    assert abs(value - products.sum()) <= bound
+    assert abs(gradient @ x - (products * exponents.sum(axis=1)).sum()) <= 72 * 6 * bound  # Euler
+    assert len((p + p * 2).monomials) == len(p.monomials)
+
+
+def test_latex():
+    p = Polynomial({(0, 0): -1, (2, 0): Fraction(1, 2), (1, 1): -1.5e-7, (0, 12): 3, (1, 0): -1})
+    assert p.to_latex() == r"-1 - x_{1} + \frac{1}{2} x_{1}^{2} - 1.5 \times 10^{-7} x_{1} x_{2} + 3 x_{2}^{12}"
+    assert Polynomial({}, dim=2).to_latex() == "0"
+
+
+@pytest.mark.skipif(importlib.util.find_spec("sympy") is None, reason="SymPy is not installed")
+def test_sympy():
+    import sympy
+
+    x1, x2, h, m1 = sympy.symbols("x1 x2 h m1")
+    assert Polynomial({(2, 0): Fraction(1, 3), (1, 1): -1}).to_sympy() == x1**2 / 3 - x1 * x2
+    line = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0, 0]))
+    method = co.Splitting(parts="coordinates", rotation="rational")
+    assert co.modified_hamiltonian(line, method, 4).to_sympy() == sympy.Float(0.5) * x1**2 - h**2 * x1**4 / 48
+    symbolic = co.modified_hamiltonian(line, co.Splitting(parts="coordinates"), 4, symbols=True)
+    assert sympy.expand(symbolic.to_sympy() - m1 * x1**2 / 2) == 0
+
+
+def test_many_states_are_those_one_by_one():
+    """More states than are evaluated at once."""
+    p = Polynomial({(2, 1): 0.5, (0, 3): 0.25, (2, 0): 1})
+    x = np.arange(2.0 * 3 * 10**5).reshape(3, 10**5, 2) % 64
+    places = np.random.default_rng(0).integers(0, 10**5, 50)
+    value, gradient = p(x), p.gradient(x)
+    assert value.shape == (3, 10**5) and gradient.shape == x.shape
+    for k in range(3):
+        for m in (0, 1, *places, 10**5 - 1):
+            assert value[k, m] == p(x[k, m]) and gradient[k, m].tolist() == p.gradient(x[k, m]).tolist()
+
+
+@pytest.mark.parametrize(
+    ("monomials", "dim", "named"),
+    [
+        ({(1, 0): 1, (1,): 2}, None, ["(1,)", "1", "2"]),
+        ({(1, 0): 1}, 3, ["dimension 3"]),
+        ({}, None, ["dim"]),
+        ({(): 1}, None, ["at least one"]),
+        ({(1,): 1}, 0, ["0"]),
+        ({(1025,): 1}, None, ["1024", "1025"]),
+        ({(1,): float("nan")}, None, ["nan"]),
+    ],
+)
+def test_wrong_polynomials_are_refused(monomials, dim, named):
+    with refused(ValueError, *named):
+        Polynomial(monomials, dim=dim)
+
+
+P, Q = Polynomial({(1, 0): 1}), Polynomial({(1, 0, 0): 1})
+WRONG = {
+    "a sum": (lambda: P + Q, ValueError, "in 2 and in 3"),
+    "a product": (lambda: P * Q, ValueError, "in 2 and in 3"),
+    "a text": (lambda: P + "x", TypeError, ""),
+    **{f"power {n}": (lambda n=n: P**n, ValueError, "whole number") for n in (-1, 0.5, True)},
+    "degree": (lambda: P**1025, ValueError, "1024"),
+    **{f"derivative {i}": (lambda i=i: P.derivative(i), ValueError, f"0 to 1, not {i}") for i in (-1, 2, 1.0)},
+    **{f"variable {i}": (lambda i=i: Polynomial.variable(i, 2), ValueError, f"not {i}") for i in (-1, 2, 1.0)},
+    "value": (lambda: P([1.0, 2.0, 3.0]), ValueError, "(2,), not (3,)"),
+    "gradient": (lambda: P.gradient([1.0, 2.0, 3.0]), ValueError, "(2,), not (3,)"),
+    "hessian": (lambda: P.hessian([1.0, 2.0, 3.0]), ValueError, "(2,), not (3,)"),
+    "values": (lambda: P(np.zeros((2, 3))), ValueError, "2), not (2, 3)"),
+    "gradients": (lambda: P.gradient(np.zeros((2, 3))), ValueError, "2), not (2, 3)"),
+    "hessians": (lambda: P.hessian(np.zeros((4, 2))), ValueError, "(2,), not (4, 2)"),
+    **{f"divisor {d!r}": (lambda d=d: P / d, ValueError, "0") for d in (0, 0.0, Fraction(0))},
+    "few names": (lambda: Polynomial("a*b", dim=3, basis=("a", "b")), ValueError, "2 names"),
+    "many names": (lambda: Polynomial("a*b", dim=2, basis=("a", "b", "c")), ValueError, "3 names"),
+    "texts": (lambda: P(["a", "b"]), TypeError, "real numbers"),
+    "no number": (lambda: P + float("nan"), ValueError, "nan"),
+    "overflow": (lambda: Polynomial({(1,): 1e300}) ** 2, ValueError, "float64"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_wrong_operations_are_refused(what):
+    call, error, named = WRONG[what]
+    with refused(error, named):
+        call()
+
+
+def test_powers_up_to_the_limit():
+    assert (Polynomial.variable(0, 1) ** 1024).degree == Polynomial({(1024,): 1}).degree == 1024
+    assert Polynomial("a*b", dim=2, basis=("b", "a")) == Polynomial({(1, 1): 1})
+
+
+def test_without_sympy_the_package_is_named(monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda name, *more: None if name == "sympy" else find(name, *more))
+    with refused(ImportError, "sympy", "coadjoint[algebra]"):
+        Polynomial({(1,): 1}).to_sympy()

@@ -1,0 +1,125 @@
+"""Autocorrelation: processes with known functions, error bars that hold, heat baths, series that are too short."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import coadjoint as co
+
+pytestmark = pytest.mark.thinned(1)
+
+autocorrelation = co.spectra.autocorrelation
+
+
+def autoregressive(a, count, members=1, seed=1):
+    """Stationary series (count, members) with x' = a x + noise, of variance 1 / (1 - a^2)."""
+    noise = np.random.default_rng(seed).normal(size=(count, members))
+    noise[0] /= np.sqrt(1.0 - a**2)
+    return lfilter([1.0], [1.0, -a], noise, axis=0)
+
+
+@pytest.mark.parametrize("a", [0.0, 0.6, 0.95])
+def test_autoregressive_process(a):
+    """Function a^k, integrated time (1 + a) / (1 - a) / 2, for one series and for members of it."""
+    tau, t = 0.5 * (1 + a) / (1 - a), np.arange(4000) * 0.25
+    found = autocorrelation(t, autoregressive(a, 4000, 40)[:, :, None])
+    assert found.time.shape == (1,) and abs(found.time[0] - 0.25 * tau) < 4 * found.error[0] < 0.25 * tau
+    assert np.allclose(found.values[:12, 0], a ** np.arange(12.0), rtol=0, atol=0.03)
+    assert found.t[1] == 0.25 and len(found.t) == 2001 and found.values[0, 0] == 1.0
+    assert 5 * found.time[0] <= found.window[0] < 5 * found.time[0] + 0.5
+
+
+def test_error_bars_hold():
+    """Deviations of the time and of the mean, in units of their errors, have the width one in any unit of time."""
+    a, runs, spacing = 0.8, 300, 0.125
+    series = autoregressive(a, 3000, runs, seed=5)
+    found = autocorrelation(spacing * np.arange(3000), series)  # every run a channel
+    times = (found.time - 4.5 * spacing) / found.error
+    means = found.mean / found.mean_error
+    assert 0.8 < times.std() < 1.2 and abs(times.mean()) < 0.4
+    assert 0.88 < means.std() < 1.12 and found.values.shape == (1501, runs)
+
+
+def test_members_are_pooled():
+    """Products of all members with the deviations from the common mean."""
+    series = autoregressive(0.5, 64, 3)
+    found = autocorrelation(np.arange(64.0), series[:, :, None])
+    deviations = series - series.mean()
+    direct = [np.mean(deviations[k:] * deviations[: 64 - k]) for k in range(33)]
+    assert np.allclose(found.values[:, 0], np.array(direct) / direct[0], rtol=0, atol=1e-13)
+    assert np.isclose(found.mean[0], series.mean(), rtol=1e-13)
+    one = autocorrelation(np.arange(64.0), series[:, 0])
+    assert isinstance(one.time, float) and one.values.shape == (33,)
+    assert repr(one).startswith("<autocorrelation: integrated time")
+
+
+def test_lags_of_a_backward_series_are_those_of_the_forward_one():
+    t, series = 0.25 * np.arange(400), autoregressive(0.6, 400)[:, 0]
+    forward, backward = autocorrelation(t, series), autocorrelation(3.0 - t, series)
+    assert np.array_equal(backward.t, forward.t) and backward.t[1] == 0.25
+    assert (backward.time, backward.error, backward.window) == (forward.time, forward.error, forward.window)
+    assert np.array_equal(backward.values, forward.values) and backward.error > 0
+
+
+def test_complex_rotation_that_decays():
+    a = 0.9 * np.exp(0.4j)
+    noise = np.random.default_rng(2).normal(size=(2, 60000))
+    found = autocorrelation(np.arange(60000), lfilter([1.0], [1.0, -a], noise[0] + 1j * noise[1]))
+    assert np.allclose(found.values[:20], (a ** np.arange(20)).real, rtol=0, atol=0.03)
+
+
+def test_free_spin_in_a_heat_bath():
+    """Rotational diffusion: exp(-2 alpha kT t) for each component."""
+    spin = co.systems.spin_lattice([], 1).with_forces(co.forces.HeatBath(0.5, temperature=0.4, seed=3))
+    x0 = co.thermal_states(spin.system, 0.4, 40, sweeps=1, seed=1).x
+    sol = co.integrate(spin, x0, (0, 200), 0.1)
+    found = autocorrelation(sol)
+    assert np.allclose(found.values[:30], np.exp(-0.4 * found.t[:30])[:, None], rtol=0, atol=0.06)
+    # The sum of an exponential by the trapezoidal rule.
+    assert np.all(np.abs(found.time - 0.05 / np.tanh(0.02)) < 4 * found.error) and np.all(found.error < 0.25)
+    assert np.all(np.abs(found.mean) < 4 * found.mean_error)
+
+
+def test_linear_damping_with_noise_of_a_chain_of_sweeps():
+    """The energy of two spins by the heat bath forgets everything in a sweep: each spin is drawn anew."""
+    states = co.thermal_states(co.systems.spin_lattice(), 0.5, 50, sweeps=400, seed=2)
+    found = autocorrelation(np.arange(401), states.energy)
+    assert np.all(np.abs(found.time - 0.5) < 5 * found.error)
+    slow = co.thermal_states(co.systems.spin_lattice(), 0.05, 50, sweeps=400, seed=2, method="Metropolis")
+    assert np.median(autocorrelation(np.arange(401), slow.energy).time) > 0.8
+
+
+def test_series_without_an_integrated_time():
+    t = np.arange(64.0)
+    constant = autocorrelation(t, np.full(64, 3.0))
+    assert np.isnan(constant.time) and np.all(np.isnan(constant.values)) and constant.mean == 3.0
+    short = autocorrelation(t, np.cumsum(np.ones(64)), window=10.0)
+    assert np.isnan(short.time) and np.isnan(short.window) and short.values[0] == 1.0
+    for words, call in {
+        "at least 16 equidistant": lambda: autocorrelation(t[:9], t[:9]),
+        "window": lambda: autocorrelation(t, t, window=-1.0),
+        "signal has the shape": lambda: autocorrelation(t, np.ones(5)),
+    }.items():
+        with pytest.raises(ValueError, match=words):
+            call()
+
+
+@pytest.mark.parametrize("members", [1, 3])
+def test_errors_are_those_of_madras_and_sokal(members):
+    """By the window, the time, the variance and the number of samples, each from the numbers that are returned."""
+    rng, spacing, count = np.random.default_rng(3), 0.25, 3000
+    noise = rng.normal(size=(count, members))
+    series = lfilter([1], [1, -0.7], noise, axis=0) + 2.0
+    found = co.spectra.autocorrelation(5.0 + spacing * np.arange(count), series[:, :, None], window=6.0)
+    (time,), (error,), (window,) = found.time, found.error, found.window
+    steps = window / spacing
+    assert steps == round(steps) and found.t[round(steps)] == window
+    assert time == pytest.approx(spacing * (found.values[: round(steps) + 1, 0].sum() - 0.5), rel=1e-12)
+    # The first lag of at least six times.
+    sums = spacing * (np.cumsum(found.values[:, 0]) - 0.5)
+    assert np.argmax(found.t >= 6.0 * sums) == round(steps)
+    assert error == pytest.approx(time * np.sqrt(2 * (2 * steps + 1) / (count * members)), rel=1e-12)
+    variance = np.mean((series - series.mean()) ** 2)
+    assert found.mean == pytest.approx([series.mean()], rel=1e-12)
+    wanted = np.sqrt(2 * time / spacing * variance / (count * members))
+    assert found.mean_error == pytest.approx([wanted], rel=1e-12)

@@ -1,0 +1,106 @@
+"""A corrector makes the energy of the output wander less, as much less as it says, and is a Poisson map."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from refusals import refused
+
+
+def systems():
+    rng = np.random.default_rng(1)
+    full = rng.standard_normal((6, 6))
+    return {
+        "body": co.systems.rigid_body(inertia=(1, 2, 3)),
+        "body, full": co.systems.rigid_body(((2.0, 0.3, 0.1), (0.3, 3.0, 0.2), (0.1, 0.2, 4.0))),
+        "field": co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(np.zeros(3), linear=(1.0, 2.0, 0.5))),
+        "top": co.LiePoissonSystem(
+            co.algebras.e(3), co.Quadratic([1, 1.3, 0.7, 0, 0, 0], linear=[0, 0, 0, 0.1, 0.2, 1]), -1
+        ),
+        "so(4)": co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(rng.uniform(0.5, 2, 6))),
+        "so(4), full": co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(full @ full.T / 6 + np.eye(6)), -1),
+        "A3,7": co.LiePoissonSystem(co.algebras.get("A3,7", a=2.0), co.Quadratic((1, 2, 0.01)), -1),
+    }
+
+
+def spreads(system, scheme, x0, h, count):
+    better = co.corrector(system, scheme, x0)
+    run = co.integrate(system, better.inverse(x0, h), (0, count * h), h, scheme)
+    output = np.array([system.energy(x) for x in better(run.x, h)])
+    return better, np.ptp(run.energy), np.ptp(output)
+
+
+@pytest.mark.thinned(4)
+@pytest.mark.parametrize("name", list(systems()))
+def test_the_energy_of_the_output_wanders_less(name):
+    """By the part that remains, up to the next term, which is of two orders higher: so at a small step."""
+    system = systems()[name]
+    x0 = np.random.default_rng(7).standard_normal(system.dim)
+    rate = np.linalg.norm(system.vector_field(x0)) / np.linalg.norm(x0)
+    better, plain, corrected = spreads(system, co.Splitting(), x0, 0.01 / rate, 1500)
+    assert better.remaining < 0.5
+    assert corrected < (2.0 * better.remaining + 0.05) * plain
+
+
+@pytest.mark.parametrize(("order", "expected"), [(2, 4), (4, 6)])
+def test_where_the_term_can_be_undone_the_order_is_two_higher(order, expected):
+    """Of a spin in a field all brackets are linear, and what is left is along the field."""
+    system, x0 = systems()["field"], np.array([0.3, -1.0, 0.8])
+    found = [spreads(system, co.Splitting(order=order), x0, h, 400)[2] for h in (0.1, 0.05)]
+    assert np.log2(found[0] / found[1]) == pytest.approx(expected, abs=0.1)
+    assert co.corrector(system, co.Splitting(order=order), x0).remaining < 1e-13
+
+
+@pytest.mark.thinned(3)
+@pytest.mark.parametrize("h", [0.05, -0.05])
+@pytest.mark.parametrize("name", ["body", "top", "A3,7"])
+def test_a_corrector_is_undone_by_its_inverse_and_keeps_casimirs(name, h):
+    system = systems()[name]
+    x0 = np.random.default_rng(8).standard_normal(system.dim)
+    better = co.corrector(system, co.Splitting(), x0)
+    moved = better(x0, h)
+    # The flow of G over h^2 by one step of order four: what it leaves is of the order (h^2)^5.
+    assert np.max(np.abs(better.inverse(moved, h) - x0)) < 1e-13 * np.linalg.norm(x0)
+    assert np.max(np.abs(moved - x0)) > 1e-7
+    for casimir in system.casimirs.values():
+        value, gradient = getattr(casimir, "value", casimir), casimir.gradient(x0)
+        bound = 1e-11 * np.linalg.norm(np.asarray(gradient, dtype=float)) * np.linalg.norm(x0)
+        assert abs(float(value(moved)) - float(value(x0))) <= bound
+
+
+def test_backward_and_forward_runs_are_corrected_alike():
+    system, x0 = systems()["body"], np.array([1.0, 0.2, 0.5])
+    forward = spreads(system, co.Splitting(), x0, 0.02, 1000)
+    better = co.corrector(system, co.Splitting(), x0)
+    run = co.integrate(system, better.inverse(x0, -0.02), (0, -20), 0.02, co.Splitting())
+    backward = np.ptp([system.energy(x) for x in better(run.x, -0.02)])
+    assert backward == pytest.approx(forward[2], rel=0.5)
+    assert backward < 0.01 * np.ptp(run.energy)
+
+
+@pytest.mark.parametrize("order", [1, 2, 4])
+def test_a_step_back_moves_the_output_by_the_power_of_the_step(order):
+    """The flow of G takes h^p: of odd order that of -h is the inverse of that of h, of even order it is the same."""
+    system, x0 = systems()["body"], np.array([[1.0, 0.2, 0.5], [0.3, -0.4, 0.8]])
+    better = co.corrector(system, co.Splitting(order=order), x0)
+    forward, back = better(x0, 0.2), better(x0, -0.2)
+    assert np.max(np.abs(forward - x0)) > 1e-9
+    np.testing.assert_array_equal(back, better.inverse(x0, 0.2) if order % 2 else forward)
+
+
+def test_shapes_and_refusals():
+    body, x0 = systems()["body"], (1.0, 0.2, 0.5)
+    better = co.corrector(body, co.Splitting(), [x0, (0.5, 0.5, 1.0)])
+    states = np.random.default_rng(0).standard_normal((4, 5, 3))
+    assert better(states, 0.1).shape == (4, 5, 3)
+    assert np.array_equal(better(states, 0.1)[2, 3], better(states[2, 3], 0.1))
+    assert np.array_equal(better(states, 0.0), states)
+    with refused(ValueError, "last axis"):
+        better([1.0, 2.0], 0.1)
+    with refused(TypeError, "flows"):
+        co.corrector(body, co.GaussLegendre(2), x0)
+    large = co.LiePoissonSystem(co.algebras.so(8), co.Quadratic(np.arange(1.0, 29.0)))
+    with refused(ValueError, "monomials"):
+        co.corrector(large, co.Splitting(), np.ones(28))
+    alone = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic((1.0, 0.0, 0.0)))
+    assert co.corrector(alone, co.Splitting(), x0).generator.monomials == {}

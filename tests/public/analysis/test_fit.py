@@ -1,0 +1,294 @@
+"""Fits of parameters and initial values, against Euler's equations by SciPy and the scatter of noisy fits."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+import coadjoint as co
+from drawn_matrices import full
+from long import long_beyond
+from refusals import refused
+
+INERTIA, X0 = np.array([1.0, 2.0, 2.5]), np.array([1.0, 0.2, 0.5])
+A0 = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
+SPAN, EVERY, SIGMA = (1.0, 21.0), 10, 0.01
+UNKNOWN = {"inertia": (0, 2), "x0": True, "attitude0": True}
+SCHEME = co.Splitting(order=4)
+
+
+def body(inertia=INERTIA):
+    return co.prepare(co.systems.rigid_body(inertia=inertia), SCHEME, step=0.05, attitude=True)
+
+
+def rotations(rng, count):
+    return Rotation.from_rotvec(SIGMA * rng.standard_normal((count, 3))).as_matrix()
+
+
+def by_euler(z, t):
+    """Attitudes of a free body with changed inertia, momentum and initial attitude, by SciPy."""
+    moments = INERTIA + np.array([z[0], 0.0, z[1]])
+    start = Rotation.from_rotvec(z[5:]).as_matrix() @ A0
+
+    def field(t, y):
+        velocity = y[:3] / moments
+        hat = np.cross(velocity, np.eye(3)).T  # hat @ v = velocity x v
+        return np.concatenate([np.cross(y[:3], velocity), (y[3:].reshape(3, 3) @ hat).ravel()])
+
+    y0 = np.concatenate([X0 + z[2:5], start.ravel()])
+    end = solve_ivp(field, (t[0], t[-1]), y0, method="DOP853", t_eval=t, rtol=1e-11, atol=1e-12)
+    return end.y[3:].T
+
+
+def fitted(measured, **options):
+    ready = body(INERTIA * [1.1, 1.0, 0.95])
+    return co.fit(ready, X0 * 1.05, SPAN, measured, UNKNOWN, EVERY, sigma={"attitude": SIGMA}, attitude=A0, **options)
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return body().run(X0, SPAN, EVERY, attitude=A0)
+
+
+def test_measurements_without_noise(exact):
+    """Round-off of a sum of 369 squares of 1e-14 / sigma; the covariance is that of the true Jacobian."""
+    found = fitted({"attitude": exact.attitude})
+    np.testing.assert_allclose(found.values["inertia"], INERTIA, rtol=1e-10)
+    np.testing.assert_allclose(found.values["x0"], X0, rtol=1e-10)
+    np.testing.assert_allclose(found.values["attitude0"], A0, atol=1e-11)
+    assert np.abs(found.residuals).max() < 1e-9
+    np.testing.assert_array_equal(found.solution.t, exact.t)
+
+
+def test_covariance_against_differences_of_euler_equations(exact):
+    """The scheme has an error of 1e-6, and a central difference one of 1e-11 / 1e-4."""
+    found, step = fitted({"attitude": exact.attitude}), 1e-4
+    np.testing.assert_allclose(by_euler(np.zeros(8), exact.t), exact.attitude.reshape(-1, 9), atol=1e-5)
+    columns = [(by_euler(step * e, exact.t) - by_euler(-step * e, exact.t)).ravel() / (2 * step) for e in np.eye(8)]
+    J = np.transpose(columns) / (np.sqrt(2) * SIGMA)
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(J.T @ J), rtol=1e-3, atol=1e-8)
+    assert [name for name, _ in found.unknowns] == ["inertia"] * 2 + ["x0"] * 3 + ["attitude0"] * 3
+    np.testing.assert_array_equal(found.standard_deviation("x0"), np.sqrt(np.diag(found.covariance)[2:5]))
+
+
+def coverage(exact, count):
+    """Squares of errors in units of the covariance, and sums of squares of the residuals, of noisy fits."""
+    rng, squares, sums = np.random.default_rng(11), [], []
+    for _ in range(count):
+        found = fitted({"attitude": exact.attitude @ rotations(rng, len(exact.t))})
+        turned = Rotation.from_matrix(found.values["attitude0"] @ A0.T).as_rotvec()
+        error = np.concatenate([(found.values["inertia"] - INERTIA)[[0, 2]], found.values["x0"] - X0, turned])
+        squares.append(error @ np.linalg.solve(found.covariance, error))
+        sums.append(np.sum(found.residuals**2))
+    return np.array(squares), np.array(sums)
+
+
+@pytest.mark.parametrize("count", [6, pytest.param(100, marks=pytest.mark.long)])
+def test_coverage_of_the_covariance(exact, count):
+    """The means of chi-squared variables of 8, and of 3 * 41 - 8 degrees of freedom, within 4 standard deviations."""
+    squares, sums = coverage(exact, count)
+    degrees = 3 * len(exact.t) - 8
+    assert abs(squares.mean() - 8) < 4 * np.sqrt(2 * 8 / count)
+    assert abs(sums.mean() - degrees) < 4 * np.sqrt(2 * degrees / count)
+
+
+def test_states_of_a_heavy_top():
+    """In e(3), with a standard deviation for each coordinate, backward in time."""
+    x0, lever = np.array([0.3, 0.2, 1.0, 0.6, 0.0, 0.8]), np.array([0.75, 0.5, 1.0])
+    run = co.prepare(co.systems.heavy_top(lever=lever), co.GaussLegendre(2), step=0.05)
+    guess = co.prepare(co.systems.heavy_top(lever=lever + 0.05), co.GaussLegendre(2), step=0.05)
+    times, deviations = np.linspace(2.0, -1.5, 12), np.array([0.01, 0.02, 0.01, 0.1, 0.1, 0.05])
+    span, exact = (2.0, -2.0), run.run(x0, (2.0, -2.0), t_eval=times).x
+    unknown = {"lever": True, "x0": (0, 1, 2)}
+    found = co.fit(guess, x0 + np.eye(6)[1] / 20, span, {"x": exact}, unknown, t_eval=times, sigma={"x": deviations})
+    np.testing.assert_allclose(found.values["lever"], lever, rtol=1e-9)
+    np.testing.assert_allclose(found.values["x0"], x0, atol=1e-10)
+    np.testing.assert_array_equal(found.solution.t, times)
+    np.testing.assert_allclose(found.solution.x, exact, atol=1e-9)
+    step, columns = 1e-5, []
+    for e in np.eye(6):
+        ends = []
+        for sign in (1, -1):
+            system = co.systems.heavy_top(lever=lever + sign * step * e[:3])
+            start = x0 + sign * step * np.concatenate([e[3:], np.zeros(3)])
+            ends.append(co.integrate(system, start, span, 0.05, co.GaussLegendre(2), t_eval=times).x / deviations)
+        columns.append((ends[0] - ends[1]).ravel() / (2 * step))
+    J = np.transpose(columns)
+    expected = np.linalg.inv(J.T @ J)
+    np.testing.assert_allclose(found.covariance, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("algebra", [co.algebras.so(4), co.algebras.get("A5,40")], ids=["so(4)", "A5,40"])
+def test_residuals_are_measured_minus_fitted_values(algebra):
+    """In units of the standard deviations, in the order of the measurements."""
+    rng, n = np.random.default_rng(3), algebra.dim
+    ready = co.prepare(co.LiePoissonSystem(algebra, co.Quadratic(np.linspace(0.5, 1.0, n))), SCHEME, 0.05)
+    x0, deviations = rng.uniform(0.2, 0.6, n), rng.uniform(0.005, 0.02, n)
+    exact = ready.run(x0, (0, 2), 4).x
+    measured = exact + deviations * rng.standard_normal(exact.shape)
+    found = co.fit(ready, x0, (0, 2), {"x": measured}, {"x0": True}, 4, sigma={"x": deviations})
+    wanted = ((measured - found.solution.x) / deviations).ravel()
+    np.testing.assert_allclose(found.residuals, wanted, rtol=0, atol=1e-10)
+
+
+def test_several_trajectories_are_those_of_single_runs_together():
+    """Two states and two initial attitudes, and the moments that they share."""
+    starts, attitudes = np.array([X0, [0.2, -0.9, 0.4]]), np.array([A0, A0.T])
+    exact = body().run(starts, SPAN, EVERY, attitude=attitudes)
+    measured, sigma = {"attitude": exact.attitude, "x": exact.x}, {"attitude": SIGMA, "x": 0.02}
+    unknown = {"inertia": (0, 2), "x0": (0, 1, 2, 4), "attitude0": (0, 2, 3, 4, 5)}
+    turned = (
+        Rotation.from_rotvec([0.02, 0.0, -0.01]).as_matrix() @ A0,
+        Rotation.from_rotvec([0.01, 0.02, 0]).as_matrix() @ A0.T,
+    )
+    guess = starts + [[0.05, -0.02, 0.01], [0.0, 0.03, 0.0]]
+    ready = body(INERTIA * [1.1, 1.0, 0.95])
+    found = co.fit(ready, guess, SPAN, measured, unknown, EVERY, sigma=sigma, attitude=np.array(turned))
+    np.testing.assert_allclose(found.values["inertia"], INERTIA, rtol=1e-9)
+    np.testing.assert_allclose(found.values["x0"], starts, atol=1e-10)
+    np.testing.assert_allclose(found.values["attitude0"], attitudes, atol=1e-10)
+    np.testing.assert_allclose(found.solution.x, exact.x, atol=1e-9)
+    np.testing.assert_allclose(found.solution.attitude, exact.attitude, atol=1e-9)
+    J = np.zeros((2, 41 * 12, 11))
+    columns = ([0, 1, 2, 3, 4, 6, 7], [0, 1, 5, 8, 9, 10])  # of the unknowns that each run has
+    chosen = (([0, 1, 2], [0, 2]), ([1], [0, 1, 2]))
+    for m in range(2):
+        of_x, of_attitude = chosen[m]
+        count = len(columns[m])
+        directions = {"inertia": np.zeros((3, count)), "x0": np.zeros((3, count)), "attitude0": np.zeros((3, 3, count))}
+        directions["inertia"][[0, 2], [0, 1]] = 1.0
+        directions["x0"][of_x, np.arange(2, 2 + len(of_x))] = 1.0
+        for k, axis in enumerate(of_attitude):
+            hat = np.cross(np.eye(3)[axis], np.eye(3)).T
+            directions["attitude0"][..., 2 + len(of_x) + k] = hat @ attitudes[m]
+        _, tangents = body().jvp(starts[m], SPAN, directions, EVERY, attitude=attitudes[m])
+        rows = tangents.attitude.reshape(-1, count) / (np.sqrt(2) * SIGMA), tangents.x.reshape(-1, count) / 0.02
+        J[m][:, columns[m]] = np.concatenate(rows)
+    J = J.reshape(-1, 11)
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(J.T @ J), rtol=1e-6, atol=1e-14)
+
+
+def moved_matrix(M, numbers, by):
+    """Return a matrix with these entries and their mirror images moved."""
+    moved = M.copy()
+    for k, change in zip(numbers, by, strict=True):
+        i, j = divmod(k, len(M))
+        moved[i, j] += change
+        moved[j, i] = moved[i, j]
+    return moved
+
+
+@pytest.mark.parametrize(("algebra", "casimirs"), long_beyond(1, [(co.algebras.so(3), 1), (co.algebras.so(4), 2)]))
+def test_symmetric_matrices_are_fitted_by_their_upper_triangles(algebra, casimirs):
+    """The known M from exact data, except for one entry for each Casimir, which the message counts."""
+    n, rng = algebra.dim, np.random.default_rng(11)
+    M, starts = full(n, 3), rng.standard_normal((3, n))
+
+    def ready(M):
+        return co.prepare(co.LiePoissonSystem(algebra, co.Quadratic(M)), SCHEME, step=0.05)
+
+    run, sigma = ((0, 4), 4), {"x": 0.01}
+    measured = {"x": ready(M).run(starts, *run).x}
+    upper = [int(k) for k in np.flatnonzero(np.triu(np.ones((n, n))))]
+    with pytest.raises(ValueError, match=rf"in {casimirs} of {casimirs} free directions H changes by a Cas") as refused:
+        co.fit(ready(M), starts, run[0], measured, {"M": True}, run[1], sigma=sigma)
+    omitted = [int(k) for k in re.findall(r"number (\d+)", str(refused.value))]
+    assert len(omitted) == casimirs and set(omitted) < set(upper)
+    chosen = [k for k in upper if k not in omitted]
+    guess = moved_matrix(M, chosen, 0.05 * rng.standard_normal(len(chosen)))
+    # Numbers below the diagonal, and both, are the same unknowns.
+    mirrors = [n * (k % n) + k // n for k in chosen]
+    found, lower = (
+        co.fit(ready(guess), starts, run[0], measured, {"M": numbers}, run[1], sigma=sigma)
+        for numbers in (chosen, mirrors + chosen[:2])
+    )
+    np.testing.assert_allclose(found.values["M"], M, atol=1e-9)
+    np.testing.assert_array_equal(found.values["M"], found.values["M"].T)
+    assert found.unknowns == lower.unknowns == tuple(("M", k) for k in chosen)
+    np.testing.assert_array_equal(found.covariance, lower.covariance)
+    h = 1e-5
+    ends = [[ready(moved_matrix(M, [k], [by])).run(starts, *run).x.ravel() for by in (h, -h)] for k in chosen]
+    J = np.array([after - before for after, before in ends]).T / (2 * h * sigma["x"])
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(J.T @ J), rtol=1e-4, atol=1e-6 * found.covariance.max())
+    assert len(found.standard_deviation("M")) == len(chosen)
+
+
+def test_a_full_inertia_is_fitted_to_attitudes():
+    """Six unknowns with a known momentum, of a matrix that must be symmetric; a common factor needs the momentum."""
+    turned = Rotation.from_rotvec([0.1, 0.3, -0.2]).as_matrix()
+    true = turned @ np.diag(INERTIA) @ turned.T
+    true = (true + true.T) / 2
+    ready = [
+        co.prepare(co.systems.rigid_body(inertia=one), SCHEME, step=0.05, attitude=True) for one in (true, true * 1.02)
+    ]
+    measured = {"attitude": ready[0].run(X0, (0, 5), 5, attitude=A0).attitude}
+    found = co.fit(ready[1], X0, (0, 5), measured, {"inertia": True}, 5, sigma={"attitude": SIGMA}, attitude=A0)
+    assert found.unknowns == tuple(("inertia", k) for k in (0, 1, 2, 4, 5, 8))
+    np.testing.assert_allclose(found.values["inertia"], true, rtol=1e-8)
+    with refused(ValueError, "entries of inertia and x0; omit"):
+        co.fit(ready[1], X0, (0, 5), measured, {"inertia": True, "x0": True}, 5, sigma={"attitude": SIGMA}, attitude=A0)
+
+
+GOOD = {"attitude": np.zeros((41, 3, 3))}
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(
+    "changed, error, why",
+    [
+        ({"unknown": {"mass": True}}, ValueError, "mass"),
+        ({"unknown": {"inertia": (3,)}}, ValueError, "inertia"),
+        ({"unknown": {}}, TypeError, "unknown"),
+        ({"x0": np.ones((2, 4))}, ValueError, r"it must be \(3,\) or \(members, 3\)"),
+        ({"x0": np.ones((2, 3))}, ValueError, r"it must be \(41, 2, 3, 3\)"),
+        ({"x0": np.ones((2, 3)), "attitude": np.ones((3, 3, 3))}, ValueError, r"attitude has the shape \(3, 3, 3\)"),
+        ({"measured": {"energy": np.zeros(41)}}, ValueError, "energy"),
+        ({"measured": {"attitude": np.zeros((40, 3, 3))}}, ValueError, "shape"),
+        ({"measured": {"attitude": np.full((41, 3, 3), np.nan)}}, ValueError, "finite"),
+        ({"measured": {}}, TypeError, "measured"),
+        ({"sigma": {"x": 1.0}}, ValueError, "sigma"),
+        ({"sigma": {"attitude": 0.0}}, ValueError, "positive"),
+        ({"sigma": {"attitude": np.ones(7)}}, ValueError, "broadcast"),
+        ({"unknown": {"inertia": True, "x0": True}}, ValueError, r"inertia and x0; omit, for instance, \w+\[\d\]$"),
+        ({"t_span": (0.0, 0.0)}, ValueError, "shape"),
+    ],
+)
+def test_refused_arguments(changed, error, why):
+    """Momentum and inertia have a common scale, which attitudes do not determine."""
+    arguments = {
+        "ready": body(), "x0": X0, "t_span": SPAN, "measured": GOOD, "unknown": {"x0": True}, "save_every": EVERY,
+        "sigma": {"attitude": SIGMA},
+    }  # fmt: skip
+    with pytest.raises(error, match=why):
+        co.fit(**(arguments | changed))
+
+
+def test_fewer_measurements_than_unknowns_are_refused():
+    ready = co.prepare(co.systems.heavy_top(), SCHEME, step=0.1)
+    measured, sigma = {"x": np.zeros((1, 6))}, {"x": 1.0}
+    with refused(ValueError, "6 numbers were measured for 12 unknowns"):
+        unknown = {"x0": True, "lever": True, "inertia": True}
+        co.fit(ready, np.ones(6), (0, 1), measured, unknown, t_eval=[1.0], sigma=sigma)
+    end = ready.run(np.ones(6), (0, 1)).x[-1:]
+    found = co.fit(ready, 1.01 * np.ones(6), (0, 1), {"x": end}, {"x0": True}, t_eval=[1.0], sigma=sigma)
+    np.testing.assert_allclose(found.values["x0"], np.ones(6), rtol=1e-10)
+
+
+def test_more_numbers_than_entries_are_refused_before_they_are_listed():
+    body = co.systems.rigid_body((1.0, 2.0, 3.0))
+    ready, x0 = co.prepare(body, co.Splitting(order=2), 0.1), (1.0, 0.2, 0.1)
+    measured = {"x": ready.run(x0, (0, 1)).x}
+    numbers = np.broadcast_to(0, (10**7, 10**6))
+    with pytest.raises(ValueError, match=f"unknown gives {10**13} numbers of entries of x0, which has 3"):
+        co.fit(ready, x0, (0, 1), measured, {"x0": numbers}, sigma={"x": 0.1})
+
+
+@pytest.mark.filterwarnings("ignore:inertia:UserWarning")
+def test_trial_steps_outside_of_the_parameters_are_shortened():
+    """The first step of Gauss and Newton leads to a negative moment of inertia, which the system refuses."""
+    ready = body(INERTIA * [1.0, 2.0, 1.0])
+    measured = {"x": body().run(X0, (0.0, 4.0), 4).x}
+    found = co.fit(ready, X0, (0.0, 4.0), measured, {"inertia": (1, 2)}, 4, sigma={"x": SIGMA})
+    np.testing.assert_allclose(found.values["inertia"], INERTIA, rtol=1e-8)

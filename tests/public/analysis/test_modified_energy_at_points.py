@@ -1,0 +1,103 @@
+"""Modified Hamiltonians of Hamiltonians with functions of Python, point by point."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from refusals import refused
+
+WAVE = (np.cos, lambda y: -np.sin(y), lambda y: -np.cos(y))
+WELL = (lambda y: 0.5 * y * y + 0.1 * y**4, lambda y: y + 0.4 * y**3, lambda y: 1 + 1.2 * y * y)
+SIX = [1.0, 0.5, -0.4, 0.7, -1.0, 0.3]
+
+
+def real_wave(y):
+    return math.cos(y)
+
+
+def real_slope(y):
+    return -math.sin(y)
+
+
+def real_curvature(y):
+    return -math.cos(y)
+
+
+@pytest.mark.thinned(3)
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("order", [2, 3, 4, 5, 6])
+def test_a_polynomial_as_functions_is_the_polynomial(order, sign):
+    """Two ways to one number: brackets of polynomials, and of Taylor polynomials at the point."""
+    units = np.eye(3, dtype=int)
+    quartic = {tuple(2 * row): 0.5 for row in units.tolist() for row in [np.array(row)]}
+    quartic |= {tuple(4 * np.array(row)): 0.1 for row in units.tolist()}
+    quartic = {tuple(int(e) for e in key): value for key, value in quartic.items()}
+    algebra = co.algebras.A3_7(1.5)
+    functions = co.LiePoissonSystem(algebra, co.Separable(dict.fromkeys(range(3), WELL)), sign=sign)
+    plain = co.LiePoissonSystem(algebra, co.Polynomial(quartic), sign=sign)
+    x = np.array([[0.3, 0.5, -0.7], [1.0, -0.2, 0.4]])
+    for method in (co.Splitting(order=1, parts="coordinates"), co.Splitting(order=4, parts="coordinates")):
+        of_plain = co.modified_hamiltonian(plain, method, order)
+        of_functions = co.modified_hamiltonian(functions, method, order)
+        for h in (0.5, -0.5):
+            expected = of_plain(x, h)
+            assert of_functions(x, h) == pytest.approx(expected, rel=1e-9)
+            assert order < 3 or method.order > 1 or not np.allclose(expected, plain.energy(x[0]))
+        assert order < 3 or method.order > 1 or not np.allclose(of_plain(x, 0.5), of_plain(x, -0.5), rtol=1e-6)
+
+
+@pytest.mark.parametrize("order", [2, 4])
+def test_kept_on_so4(order):
+    kinds = {i: WELL if i in (0, 3) else WAVE for i in range(6)}
+    system = co.LiePoissonSystem(co.algebras.so(4), co.Separable(kinds), sign=-1)
+    kept = co.modified_hamiltonian(system, co.Splitting(parts="coordinates"), order)
+    defects = []
+    states = np.array([SIX, SIX[::-1]])
+    for h in (0.04, 0.02):
+        step = co.stepper(system, co.Splitting(parts="coordinates"), h)
+        after = np.array([step(x) for x in states])
+        defects.append(np.max(np.abs(kept(after, h) - kept(states, h))))
+    assert defects[0] > 1e-11 and math.log2(defects[0] / defects[1]) > order + 0.4
+
+
+@pytest.mark.long
+def test_coupled_coordinates():
+    def value(y):
+        return y[0] + 0.5 * y[1] * y[2] + np.exp(0.5 * y[2])
+
+    def gradient(y):
+        return np.array([1.0 + 0 * y[0], 0.5 * y[2], 0.5 * y[1] + 0.5 * np.exp(0.5 * y[2])])
+
+    pieces = [((i,), co.Quadratic(m)) for i, m in enumerate((1.0, 0.5, 0.4))]
+    H = co.SplitHamiltonian([*pieces, ((3, 4, 5), co.Hamiltonian(value, gradient))])
+    system = co.LiePoissonSystem(co.algebras.e(3), H, sign=-1)
+    # No Hessian was given, so that circles in the complex plane make up for it.
+    kept, x = co.modified_hamiltonian(system, co.Splitting(), 4), [1.0, -0.5, 1.5, 0.6, 0.0, 0.8]
+    defects = [abs(kept(co.stepper(system, co.Splitting(), h)(x), h) - kept(x, h)) for h in (0.1, 0.05)]
+    assert math.log2(defects[0] / defects[1]) > 4.4
+    run = co.integrate(system, x, (1, 0), 0.25, co.Splitting(), watch=False)
+    assert run.modified_energy(4).shape == run.energy.shape
+    assert np.ptp(run.modified_energy(4)) < 0.2 * np.ptp(run.energy)
+
+
+def test_what_cannot_be_differentiated_is_refused():
+    functions = dict.fromkeys(range(3), (real_wave, real_slope, real_curvature))
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Separable(functions))
+    x = [0.5, 0.4, 0.3]
+    assert isinstance(co.modified_hamiltonian(system, co.Splitting(), 4)(x, 0.1), float)
+    with refused(TypeError, "gradient rejects complex numbers", "take a lower order"):
+        co.modified_hamiltonian(system, co.Splitting(), 6)(x, 0.1)
+    kink = (lambda y: y * abs(y) ** 3 / 4, lambda y: abs(y) ** 3, lambda y: 3 * y * abs(y))
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Separable(dict.fromkeys(range(3), kink)))
+    with refused(ValueError, "not analytic"):
+        co.modified_hamiltonian(system, co.Splitting(), 6)(x, 0.1)
+    with pytest.raises(ValueError, match='use rotation="exact"'):
+        co.modified_hamiltonian(system, co.Splitting(rotation="rational"), 4)
+    with refused(ValueError, "symbols need a polynomial one"):
+        co.modified_hamiltonian(system, co.Splitting(), 4, symbols=True)
+    with refused(ValueError, "must be (..., 3)"):
+        co.modified_hamiltonian(system, co.Splitting(), 4)([1.0, 2.0], 0.1)

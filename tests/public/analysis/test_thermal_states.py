@@ -1,0 +1,201 @@
+"""Monte Carlo states of spins: exact energies of one and two spins, chains and rings; series of the square lattice."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+METHODS = {
+    "heat bath": {},
+    "Metropolis": {"method": "Metropolis"},
+    "over-relaxation": {"over_relaxation": 2},
+}
+
+
+def langevin(k):
+    return 1.0 / np.tanh(k) - 1.0 / k
+
+
+def mean_and_error(values):
+    """Of values (times, members): the members are independent."""
+    means = values.mean(axis=0)
+    return means.mean(), means.std(ddof=1) / np.sqrt(len(means))
+
+
+def check(states, expected, per=1.0, transient=50):
+    mean, error = mean_and_error(states.energy[transient:] / per)
+    assert abs(mean - expected) < 4.5 * error, (mean, error, expected)
+    return error
+
+
+@pytest.mark.parametrize("how", METHODS)
+def test_open_chain_has_the_energy_of_langevin(how):
+    """Fisher (1964): -J L(J/kT) for each bond, ferromagnetic or not."""
+    for J, kT in ((1.0, 0.3), (-0.7, 1.4)):
+        chain = co.systems.spin_lattice("chain", 12, exchange=J)
+        states = co.thermal_states(chain, kT, 200, sweeps=300, seed=3, **METHODS[how])
+        assert check(states, -J * langevin(J / kT), per=11) < 3e-3
+
+
+@pytest.mark.parametrize("how", METHODS)
+@pytest.mark.parametrize("sites", [3, 4, 7])
+def test_ring_has_the_energy_of_its_transfer_operator(sites, how):
+    """Joyce (1967): Z = sum over l of (2 l + 1) i_l(J/kT)^sites; rings of odd length take three sublattices."""
+    from scipy.special import spherical_in
+
+    def log_z(k):
+        degrees = np.arange(30)
+        return np.log(np.sum((2 * degrees + 1) * spherical_in(degrees, k) ** sites))
+
+    expected = -(log_z(2.0 + 1e-5) - log_z(2.0 - 1e-5)) / 2e-5
+    ring = co.systems.spin_lattice("ring", sites)
+    assert check(co.thermal_states(ring, 0.5, 400, sweeps=250, seed=5, **METHODS[how]), expected) < 0.02
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("how", METHODS)
+def test_two_spins_with_every_coupling(how):
+    """By quadrature over the first spin; that of the second, in its local field, is elementary."""
+    tensor, D = np.array([[1.0, 0.2, 0.0], [-0.1, 0.7, 0.3], [0.0, 0.1, 1.4]]), np.array([0.3, -0.5, 0.8])
+    fields, kT = np.array([[0.4, 0.1, -0.2], [-0.3, 0.2, 0.5]]), 0.6
+    on_site = np.zeros((2, 3, 3))
+    on_site[0] = [[0.5, 0.2, 0.0], [0.2, -0.3, 0.1], [0.0, 0.1, 0.4]]
+    pair = co.systems.spin_lattice(exchange=0.9, tensor=tensor, dm=D, field=fields, on_site=on_site)
+    height, weight = np.polynomial.legendre.leggauss(60)
+    turn = 2.0 * np.pi * np.arange(60) / 60
+    radius = np.sqrt(1.0 - height**2)[:, None]
+    S = np.stack(np.broadcast_arrays(radius * np.cos(turn), radius * np.sin(turn), height[:, None]), axis=-1)
+    local = np.linalg.norm(0.9 * S @ tensor - np.cross(D, S) + fields[1], axis=-1)
+    own = S @ fields[0] + np.einsum("...a,ab,...b->...", S, on_site[0], S)
+
+    def log_z(beta):
+        return np.log(np.sum(weight[:, None] * np.exp(beta * own) * np.sinh(beta * local) / (beta * local)))
+
+    expected = -(log_z(1.0 / kT + 1e-5) - log_z(1.0 / kT - 1e-5)) / 2e-5
+    states = co.thermal_states(pair, kT, 500, sweeps=100, seed=2, **METHODS[how])
+    assert check(states, expected, transient=30) < 0.01
+    assert states.acceptance.max() <= 1.0
+    assert np.allclose(states.energy[-1], pair.energy(states.x), rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("how", METHODS)
+@pytest.mark.parametrize("K", [-2.0, 1.5])
+def test_one_spin_of_any_length_with_anisotropy_in_a_field(K, how):
+    length, B, kT = 1.6, 0.7, 0.8
+    spin = co.systems.spin_lattice([], 1, field=(0.0, 0.0, B), on_site=(0.0, 0.0, K))
+    z, weight = np.polynomial.legendre.leggauss(80)
+    boltzmann = weight * np.exp((B * length * z + K * (length * z) ** 2) / kT)
+    states = co.thermal_states(spin, kT, 4000, sweeps=40, seed=9, x0=(0.0, 0.0, -length), **METHODS[how])
+    for power in (1, 2):
+        values = (states.x[:, 2] / length) ** power
+        expected = np.sum(boltzmann * z**power) / np.sum(boltzmann)
+        assert abs(values.mean() - expected) < 4.5 * values.std() / np.sqrt(len(values))
+
+
+@pytest.mark.long
+def test_square_lattice_has_the_energy_of_its_series():
+    """Expansion in loops, up to those of six bonds: ln Z = 2 ln(sinh K / K) + 3 L^4 + 6 L^6 for each site."""
+    K, side = 0.5, 16
+    L, slope = langevin(K), 1.0 / K**2 - 1.0 / np.sinh(K) ** 2
+    expected = -(2 * L + (12 * L**3 + 36 * L**5) * slope)
+    square = co.systems.spin_lattice("square", (side, side), periodic=True)
+    states = co.thermal_states(square, 1.0 / K, 256, sweeps=200, seed=11)
+    assert 4.5 * check(states, expected, per=side**2, transient=20) < 36 * L**5 * slope
+
+
+@pytest.mark.long
+def test_cubic_lattice_has_the_published_cumulant_at_its_critical_point():
+    """C. Holm, W. Janke, Phys. Rev. B 48, 936 (1993): J/kT = 0.6930(1), 1 - <m^4> / (3 <m^2>^2) = 0.6217(8)."""
+    cubic = co.systems.spin_lattice("cubic", (6, 6, 6), periodic=True)
+    states = co.thermal_states(cubic, 1.0 / 0.693, 2000, sweeps=100, seed=1, over_relaxation=2)
+    square = np.sum(states.x.reshape(2000, -1, 3).mean(axis=1) ** 2, axis=1)
+    blocks = square.reshape(20, 100)
+    cumulants = 1.0 - np.mean(blocks**2, axis=1) / (3.0 * np.mean(blocks, axis=1) ** 2)
+    error = cumulants.std(ddof=1) / np.sqrt(20)
+    assert abs(1.0 - np.mean(square**2) / (3.0 * np.mean(square) ** 2) - 0.6217) < 4.0 * error < 0.01
+
+
+def test_recorded_energies_are_those_of_the_system_with_its_constants():
+    pair = co.systems.spin_lattice(field=(0.1, 0.2, 0.3), on_site=(0.0, 0.4, 0.5))
+    parts = [pair.hamiltonian, co.Quadratic(np.zeros(6), constant=1.5), co.Quadratic(np.zeros(6), constant=-0.25)]
+    raised = co.LiePoissonSystem(pair.algebra, sum(parts[1:], start=parts[0]), sign=pair.sign)
+    states = co.thermal_states(raised, 0.5, 3, seed=1, sweeps=4)
+    assert np.allclose(states.energy[-1], [raised.energy(x) for x in states.x], rtol=1e-13)
+    assert np.allclose(states.energy, co.thermal_states(pair, 0.5, 3, seed=1, sweeps=4).energy + 1.25, rtol=1e-13)
+
+
+@pytest.mark.parametrize("how", METHODS)
+def test_lengths_of_spins_are_constant(how):
+    lengths = np.array([0.0, 1e-3, 0.4, 1.0, 2.0, 30.0])
+    x0 = np.concatenate([length * np.array([0.36, 0.48, 0.8]) for length in lengths])
+    chain = co.systems.spin_lattice("chain", 6, on_site=(0.0, 0.0, 0.1))
+    states = co.thermal_states(chain, 0.7, sweeps=1000, seed=1, x0=x0, **METHODS[how])
+    found = np.linalg.norm(states.x.reshape(6, 3), axis=1)
+    assert np.allclose(found, lengths, rtol=4e-16, atol=0) and not np.allclose(states.x[0], x0)
+
+
+def test_every_sweep_of_over_relaxation_is_a_half_turn():
+    """Of spins without couplings, about the field: two of them are none, and three of them one."""
+    free = co.systems.spin_lattice("chain", 5, exchange=0.0, field=(0.3, -0.2, 0.5))
+    found = [co.thermal_states(free, 0.7, 3, sweeps=4, seed=2, over_relaxation=k).x for k in range(4)]
+    along = np.reshape([0.3, -0.2, 0.5], (1, 3)) / np.linalg.norm([0.3, -0.2, 0.5])
+    drawn = found[0].reshape(-1, 3)
+    turned = 2.0 * (drawn @ along.T) * along - drawn
+    for k, spins in enumerate(found):
+        np.testing.assert_allclose(spins.reshape(-1, 3), turned if k % 2 else drawn, rtol=0, atol=1e-14)
+
+
+def test_the_heat_bath_of_a_run_keeps_the_distribution():
+    """Its equilibrium is the same, for exchange with anisotropy on the bonds and on site."""
+    ring = co.systems.spin_lattice("ring", 6, tensor=(1.0, 1.0, 1.5), on_site=(0.0, 0.0, 0.3))
+    states = co.thermal_states(ring, 0.5, 700, sweeps=60, seed=4)
+    bath = co.forces.HeatBath(0.4, temperature=0.5, seed=4)
+    sol = co.integrate(ring.with_forces(bath), states.x, (0, 5), 0.05)
+    before, after = (ring.energy(x) for x in (states.x, sol.x[-1]))
+    assert abs(before.mean() - after.mean()) < 4 * np.hypot(before.std(), after.std()) / np.sqrt(700)
+
+
+def test_systems_without_thermal_states_are_refused_by_name():
+    pair = co.systems.spin_lattice()
+    cubic = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(0, 0, 4): 1.0}))
+    wrong = {
+        "copies of so": co.systems.heavy_top(inertia=(1, 1, 2)),
+        "not given as a quadratic form": cubic,
+        "forces": pair.with_forces(co.forces.HeatBath(0.1, temperature=1.0, seed=1)),
+        "depends on time": co.systems.spin_lattice(field=lambda t: np.array([0.0, 0.0, np.cos(t)])),
+        "batch": co.batch([pair, pair]),
+        "not made of spins": co.systems.torus_euler(3),
+    }
+    for words, system in wrong.items():
+        with pytest.raises(TypeError, match=words):
+            co.thermal_states(system, 1.0, seed=1)
+    for words, options in {
+        "temperature is 0.0; it must be positive": {"temperature": 0.0},
+        r"temperature has shape \(2, 1\)": {"temperature": [[1.0], [2.0]]},
+        r"temperature has shape \(0,\)": {"temperature": []},
+        "numbers of members differ": {"temperature": [1.0, 2.0], "members": 3},
+        "x0 has shape": {"x0": np.ones(5)},
+        "method": {"method": "metropolis hastings"},
+        "sweeps must be": {"sweeps": 0},
+        "needs about": {"members": 2**40},
+        "leave the range": {"x0": np.full(6, 1e200)},
+    }.items():
+        with pytest.raises(ValueError, match=words):
+            co.thermal_states(pair, **{"temperature": 1.0, "seed": 1, **options})
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    assert repr(co.thermal_states(body, 1.0, 3, seed=2, sweeps=4)).startswith("<3 states of 1 spins at kT = 1 after 4")
+
+
+def test_a_member_has_the_same_bits_alone_and_continues_from_its_own_state():
+    lattice = co.systems.spin_lattice("triangular", (3, 4), dm=(0, 0, 0.3), on_site=(0, 0, 0.5), field=(0.1, 0, 0))
+    kT = np.linspace(0.3, 2.0, 7)
+    options = {"sweeps": 6, "seed": 8, "over_relaxation": 1}
+    for method in ("heat bath", "Metropolis"):
+        states = co.thermal_states(lattice, kT, method=method, **options)
+        alone = co.thermal_states(lattice, kT[0], method=method, **options)
+        assert states.x.shape == (7, 36) and states.temperature.tolist() == kT.tolist()
+        assert np.array_equal(states.x[:1], alone.x) and np.array_equal(states.energy[:, :1], alone.energy)
+        other = co.thermal_states(lattice, kT, method=method, **{**options, "seed": 9})
+        assert np.all(np.any(other.x != states.x, axis=1)) and len(np.unique(states.x[:, 0])) == 7
+        later = co.thermal_states(lattice, kT, method=method, x0=states.x, **options)
+        assert np.allclose(later.energy[0], states.energy[-1], rtol=1e-12, atol=1e-12)
