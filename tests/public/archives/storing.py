@@ -136,7 +136,7 @@ PAIRS = [
     (store, name)
     for store in STORES
     for name in RUNS
-    if not (name == "start left out" and store in NO_OUTPUT_TIMES or name in SINGLE and store in MEMBERS_ONLY)
+    if not ((name == "start left out" and store in NO_OUTPUT_TIMES) or (name in SINGLE and store in MEMBERS_ONLY))
 ]
 PARTS = (
     "t", "x", "x0", "energy", "casimirs", "attitude", "attitude0", "observed", "work", "initial", "failed", "t_span",
@@ -196,19 +196,28 @@ def whole(system: Any = BODY, x0: Any = X, steps: int = 16, **options: Any) -> c
 
 
 @contextmanager
-def at_write(wanted: Callable[[str], bool], count: int, act: Callable[[], Any]) -> Iterator[list[str]]:
-    """Do something before the write of a file that is wanted, the `count`-th one; yield the names of those written."""
-    replace, numbers, written = os.replace, itertools.count(1), list[str]()
+def at_write(
+    wanted: Callable[[str], bool], count: int, act: Callable[[], Any], *, after: bool = False
+) -> Iterator[list[str]]:
+    """Do something before or after the `count`-th write of a wanted file; yield the names of all that were written."""
+    numbers, written = itertools.count(1), list[str]()
 
-    def replaced(source: Any, target: Any, **folders: Any) -> None:
-        name = os.path.basename(target)
-        if wanted(name) and next(numbers) == count:
-            act()
-        replace(source, target, **folders)
-        written.append(name)
+    def watched(move: Callable[..., None]) -> Callable[..., None]:
+        def moved(source: Any, target: Any, **folders: Any) -> None:
+            name = os.path.basename(target)
+            now = wanted(name) and next(numbers) == count
+            if now and not after:
+                act()
+            move(source, target, **folders)
+            written.append(name)
+            if now and after:
+                act()
+
+        return moved
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(os, "replace", replaced)
+        for function in ("replace", "rename"):
+            patched.setattr(os, function, watched(getattr(os, function)))
         yield written
 
 

@@ -3,7 +3,6 @@
 import errno
 import json
 import os
-import shutil
 import stat
 from functools import partial
 from types import SimpleNamespace
@@ -112,40 +111,8 @@ def test_resuming_overwrites_uncommitted_chunks(store):
     again.close()
 
 
-def test_second_writer_is_refused(store):
-    with pytest.raises(ArchiveError, match="another process is writing"):
-        ArchiveStore.open_existing(store.path)
-    store.close()
-    ArchiveStore.open_existing(store.path).close()
-
-
 def contents(folder):
     return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-
-
-@pytest.mark.parametrize("other", [False, True])
-def test_moved_folder_is_noticed_and_complete(store, tmp_path, other):
-    """The computed part is in the moved folder; another archive at its path stays unchanged."""
-    written(store, 0, 10)
-    store.path.rename(tmp_path / "aside")
-    if other:
-        ArchiveStore.create_archive(store.path, arrays()).close()
-    before = contents(store.path)
-    stored = written(store, 10, 20)
-    with pytest.raises(ArchiveReplaced, match="its folder was moved or replaced"):
-        store.commit({}, {"time": 20}, [stored])
-    assert store.path.exists() == other and contents(store.path) == before
-    known, _ = read_root(tmp_path / "aside")
-    assert np.array_equal(read_array(tmp_path / "aside", "x", known["x"]), X[:20])
-    assert np.array_equal(read_state(tmp_path / "aside", stored)["momenta"], X[:20])
-
-
-def test_removed_folder_is_not_created_again(store):
-    shutil.rmtree(store.path)
-    for write in (lambda: written(store, 0, 10), lambda: store.commit({}, {"time": 0})):
-        with pytest.raises(FileNotFoundError):
-            write()
-    assert not store.path.exists()
 
 
 def test_replaced_lock_is_noticed(store):
@@ -223,39 +190,6 @@ def test_other_root_files_are_refused(tmp_path, content, message):
     (tmp_path / ROOT_FILE).write_bytes(content)
     with pytest.raises(ArchiveError, match=message):
         read_root(tmp_path)
-
-
-def test_damaged_files_are_noticed(store):
-    stored = written(store, 0, 20)
-    store.commit({}, {"time": 20}, [stored])
-    for file, read in (
-        (store.path / "x" / "c.0.1", lambda: read_array(store.path, "x", store.arrays["x"])),
-        (store.path / ".coadjoint" / stored.file, lambda: read_state(store.path, stored)),
-    ):
-        content = bytearray(file.read_bytes())
-        content[len(content) // 2] ^= 1
-        file.write_bytes(content)
-        with pytest.raises(ArchiveError, match="its checksum does not match"):
-            read()
-
-
-def test_regions_of_members_are_written_separately(tmp_path):
-    """Several processes write chunks of their own, and one commits."""
-    grid = {"x": StoredArray(("time", "member"), "float64", (0, 7), (4, 3), {})}
-    store, values = ArchiveStore.create_archive(tmp_path / "run.zarr", grid), np.arange(42.0).reshape(6, 7)
-    for first in (6, 0, 3):
-        store.write("x", values[:, first : first + 3], (0, first))
-    store.commit({}, {"time": 6})
-    store.close()
-    with xarray.open_zarr(store.path, chunks=None) as found:
-        assert np.array_equal(found["x"], values)
-    assert json.loads((store.path / ROOT_FILE).read_text())["consolidated_metadata"]["metadata"]["x"]["shape"] == [6, 7]
-
-
-def test_attributes_are_merged_and_removed(store):
-    store.commit({"steps": 3, "seconds": 0.5}, {"time": 0})
-    store.commit({"steps": 4, "mood": None}, {"time": 0})
-    assert read_root(store.path)[1] == {"archive_format": FORMAT, "steps": 4, "seconds": 0.5} == store.attributes
 
 
 def test_only_committed_states_remain(store):
