@@ -211,8 +211,9 @@ def test_state_of_another_shape_is_refused(run):
     content = (path / HIDDEN / file).read_bytes()
     with np.load(io.BytesIO(content)) as held:
         numbers = dict(held)
-    for name, values in numbers.items():
-        for other in () if name == "block" else (values[..., None], np.stack([values, values])):
+    checked = [name for name in numbers if name != "block" and not name.startswith("undefined")]
+    for name, values in ((name, numbers[name]) for name in checked):
+        for other in (values[..., None], np.stack([values, values])):
             written = io.BytesIO()
             np.savez(written, **{**numbers, name: other})
             (path / HIDDEN / file).write_bytes(written.getvalue())

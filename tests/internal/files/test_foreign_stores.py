@@ -1,12 +1,10 @@
 """Zarr stores written by xarray and Zarr: runs are read, chunks of wrong lengths are refused."""
 
-import json
 import random
 
 import numcodecs
 import numpy as np
 import pytest
-import xarray
 import zarr
 from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
 
@@ -20,43 +18,6 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:Consolidated metadata"),
     pytest.mark.filterwarnings("ignore:Failed to open Zarr store with consolidated metadata"),
 ]
-
-
-@pytest.fixture(scope="module")
-def sol():
-    fluid = co.systems.torus_euler(N=3)
-    return co.integrate(fluid, fluid.random(1, degrees=(1, 1)), (7.5, 8.5), 0.125)
-
-
-@pytest.mark.thinned(9)
-@pytest.mark.parametrize("names", ["fixed", "variable"])
-@pytest.mark.parametrize(("version", "index"), [(2, "whole"), (2, "absent"), (3, "whole"), (3, "absent"), (3, "null")])
-def test_runs_are_read_with_any_index_and_text_type(tmp_path, sol, version, index, names):
-    """The index of format 3 is part of its root and may be null."""
-    path, dataset = tmp_path / "run.zarr", sol.to_xarray()
-    texts = [name for name, values in dataset.variables.items() if values.dtype.kind in "UO"]
-    assert texts
-    kinds = {name: dataset[name].astype({"fixed": "U", "variable": object}[names]) for name in texts}
-    dataset.assign_coords(kinds).to_zarr(path, zarr_format=version, consolidated=index == "whole")
-    if index == "null":
-        root = json.loads((path / "zarr.json").read_text())
-        (path / "zarr.json").write_text(json.dumps({**root, "consolidated_metadata": None}))
-    found = co.load(path)
-    for name, values in sol.to_xarray().variables.items():
-        np.testing.assert_array_equal(found.dataset[name].values, values.values, err_msg=str(name))
-    assert found.attributes == sol.to_xarray().attrs
-
-
-@pytest.mark.parametrize("consolidated", [True, False])
-def test_archive_copied_by_xarray_is_read(tmp_path, consolidated):
-    """The copy has the codecs of the archive, with a checksum after each chunk."""
-    system = co.systems.paper_a37()
-    sol = co.integrate(system, [(0.3, 1.0, 0.7), (0.1, 0.5, 0.2)], (7.5, 8.5), 0.125, archive=tmp_path / "archive.zarr")
-    with xarray.open_zarr(tmp_path / "archive.zarr", chunks=None) as opened:
-        opened.to_zarr(tmp_path / "copy.zarr", consolidated=consolidated)
-    codecs = json.loads((tmp_path / "copy.zarr" / "component" / "zarr.json").read_text())["codecs"]
-    assert [codec["name"] for codec in codecs] == ["vlen-utf8", "crc32c"]
-    np.testing.assert_array_equal(co.load(tmp_path / "copy.zarr").x, sol.x)
 
 
 PACKERS = {
