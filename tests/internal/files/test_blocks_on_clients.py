@@ -1,21 +1,28 @@
 """Blocks of an ensemble as tasks of a client: members, resubmission and errors.
 
-The client here runs tasks immediately in this process; `test_clusters.py` has real workers.
+The client here runs tasks immediately in this process; `test_workers.py` has real workers.
 """
 
 import os
+import platform
+import re
+import warnings
+from concurrent.futures import CancelledError
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from distributed import Client
 
 import coadjoint as co
 from coadjoint.files.archives import dask_blocks as on_workers
-from coadjoint.files.archives.block_run import BUSY
+from coadjoint.files.archives.block_run import BUSY, run_block
+from coadjoint.files.archives.blocks import Block, blocks_of, size_of_blocks
 from coadjoint.files.archives.reading import ArchiveError
-from coadjoint.files.archives.run_in_blocks import WorkerPool, run_in_blocks
+from coadjoint.files.archives.run_in_blocks import WorkerPool, read_worker_pool, run_in_blocks
 from coadjoint.files.archives.store import ArchiveUnwritten
 from coadjoint.runs.prepared_run import PreparedRun
+from guards import open_descriptors
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 BATCH = co.batch([co.systems.rigid_body(inertia=(1, 2, 2 + 0.0625 * k)) for k in range(7)])
@@ -128,3 +135,91 @@ def test_archive_errors_of_workers_are_raised(tmp_path, error):
 def test_step_has_the_sign_of_the_span(span, step):
     store = SimpleNamespace(attributes={"t_span": span})
     assert on_workers._signed_step(store, SimpleNamespace(step=0.5)) == step
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_lost_result_is_computed_again(monkeypatch, there):
+    class Task:
+        status = "finished"
+
+        def result(self):
+            raise CancelledError("already forgotten")
+
+    monkeypatch.setattr(on_workers, "_scheduler_responds", lambda client: there)
+    if there:
+        ended, reason = on_workers._task_result(None, Task())
+        assert ended is None and isinstance(reason, CancelledError), "the block is computed again"
+    else:
+        with pytest.raises(CancelledError):
+            on_workers._task_result(None, Task())
+
+
+@pytest.mark.parametrize(
+    ("address", "warned"),
+    [
+        ("tcp://192.0.2.7:8786", True),
+        ("tcp://[2001:db8::7]:8786", True),
+        ("ucx://192.0.2.7:8786", True),
+        ("tcp://somewhere:8786", True),
+        ("tcp://localhost.somewhere:8786", True),
+        ("tcp://127.0.0.1.somewhere:8786", True),
+        ("tls://192.0.2.7:8786", False),
+        ("tcp://127.0.0.1:8786", False),
+        ("tcp://127.1.2.3:8786", False),
+        ("tcp://[::1]:8786", False),
+        ("tcp://localhost:8786", False),
+        ("inproc://192.0.2.7/1/1", False),
+    ],
+)
+def test_unencrypted_remote_client_warns(address, warned):
+    client = object.__new__(Client)
+    client.scheduler, client.status = SimpleNamespace(address=address), "closed"
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("default")
+        for _ in range(3):
+            assert read_worker_pool(client, None, None).client is client
+    assert [warning.category for warning in found] == [RuntimeWarning] * warned
+    assert all(address in str(warning.message) for warning in found)
+
+
+def run_one_block(path, number=1):
+    ready = PreparedRun(BODY, None, 0.125)
+    return run_block(str(path), Block(number, 3 * number, min(3 * number + 3, 7)), ready, True, 1)
+
+
+@pytest.mark.parametrize("case", ["no folder", "no archive", "file", "damaged"])
+def test_archive_that_a_worker_cannot_read(tmp_path, case):
+    """The error names the machine, since another one sees the folder."""
+    path, before = tmp_path / "many.zarr", open_descriptors()
+    if case == "file":
+        path.touch()
+    elif case != "no folder":
+        path.mkdir()
+    if case == "damaged":
+        (path / "zarr.json").write_text("{")
+    message = {"file": "is a file", "damaged": "is damaged"}.get(case, "there is no archive of a run")
+    end = f" on the machine {platform.node()}; every worker must reach the folder by the same path"
+    with pytest.raises(ArchiveError, match=rf"^{re.escape(str(path))}: .*{message}.*{re.escape(end)}$"):
+        run_one_block(path)
+    assert open_descriptors() == before and not (path / ".coadjoint").exists()
+
+
+def test_block_sizes():
+    sizes = {(1, 3, 1): 1, (7, 3, 4): 1, (10**6, 3, 2): 125024, (10**6, 9, 100): 2528}
+    assert {arguments: size_of_blocks(*arguments) for arguments in sizes} == sizes
+    assert size_of_blocks(10**6, 100, 1) == 2**22 // 800
+    blocks = blocks_of(11, 4)
+    assert [member for block in blocks for member in range(block.first, block.last)] == list(range(11))
+
+
+def test_worker_count():
+    class Cluster:
+        def __init__(self, count):
+            self.scheduler_info = lambda n_workers: {"workers": dict.fromkeys(range(count))}
+
+    assert [
+        WorkerPool().worker_count,
+        WorkerPool(None, 3).worker_count,
+        WorkerPool(Cluster(4)).worker_count,
+        WorkerPool(Cluster(0)).worker_count,
+    ] == [1, 3, 4, 1]

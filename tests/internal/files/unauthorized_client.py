@@ -1,4 +1,4 @@
-"""Connections of another user to ports of a cluster: `python files/unauthorized_client.py SECONDS PORT...`.
+"""Connections of another user to ports of a cluster: `python internal/files/unauthorized_client.py SECONDS PORT...`.
 
 Prints, as JSON, what each kind of connection has reached within some seconds.
 """
