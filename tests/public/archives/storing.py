@@ -115,7 +115,7 @@ def by_workers(name: str, folder: Path) -> co.Solution:
     """On workers in threads of this process."""
     from distributed import Client
 
-    with Client(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None) as client:
+    with Client(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=":0") as client:
         return co.integrate_ensemble(**RUNS[name], archive=folder / "run.zarr", members_per_block=1, client=client)
 
 

@@ -46,7 +46,7 @@ def killed(seed: int, folder: Path) -> int:
     x0 = np.random.default_rng(seed).standard_normal((MEMBERS, 3))
     run = body, x0, (0.0, STEPS * STEP), STEP, co.Splitting(order=2)
     stop, pids = threading.Event(), list[int]()
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster:
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50) as cluster:
         with Client(cluster) as client:
             killer = threading.Thread(target=kill_some, args=(client, seed, stop, pids))
             killer.start()

@@ -24,7 +24,7 @@ X = np.random.default_rng(3).standard_normal((11, 3))
 
 @pytest.fixture(scope="module")
 def client():
-    plain = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
+    plain = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": ":0", "silence_logs": 50}
     with LocalCluster(**plain) as cluster, Client(cluster) as found:
         yield found
 
