@@ -9,7 +9,6 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 import coadjoint as co
-from coadjoint.systems.coordinates import coordinate_names
 from drawn_matrices import constants_of
 
 ALGEBRAS = {
@@ -27,6 +26,14 @@ ALGEBRAS = {
         co.algebras.so(3), np.array([[1, 0, 0], [1, 1, 0], [0, -1, 1]])
     ),
 }
+
+
+def coordinate_names(system):
+    """Return the names in descriptions, whose parts keep the order in which they are given."""
+    parts = co.Splitting(order=1, parts=[[i] for i in range(system.dim)]).describe(system).parts
+    return [part.generators[0] for part in parts]
+
+
 WORK = {"SCALE": 1, "ROTATE": 4, "PLANE": 6, "SHEAR": 2}
 """Multiplications of one block: a factor; a 2 x 2 rotation; two numbers and a 2 x 2 matrix; an angle and a constant."""
 
@@ -169,3 +176,50 @@ def test_a_part_of_many_generators_is_shown_by_the_first_six_and_their_number(si
         number = 1 + [part.generators for part in found.parts].index(names)
         shown = names if len(names) <= 6 else (*names[:6], f"... ({len(names)})")
         assert lines[number].startswith(f"  part {number}: {', '.join(shown)}: ")
+
+
+def described():
+    e3, so3 = co.algebras.e(3), co.algebras.so(3)
+    full = co.Quadratic([[2.0, 0.3, 0.1], [0.3, 1.0, 0.2], [0.1, 0.2, 0.5]])
+    top = co.Quadratic([1.0, 2.0, 3.0, 0, 0, 0], linear=[0, 0, 0, 0.5, 0, 0.25])
+    bond = co.Quadratic(np.kron([[0, 0.75], [0.75, 0]], np.eye(3)))
+    spiral, third = co.algebras.get("A3,7", a=0.5), {(2, 0, 0): 0.5, (0, 3, 0): 0.25, (1, 2, 0): 0.5, (0, 0, 2): 1.0}
+    return {
+        "free body": (so3, full, "free_body"),
+        "free body and gravity": (e3, top, "free_body"),
+        "bond": (co.algebras.copies(so3, 2), bond, "bonds"),
+        "coordinates": (so3, co.Quadratic([1.0, 2.0, 2.75]), "auto"),
+        "polynomial": (spiral, co.Polynomial(third), [[0, 1], [2]]),
+    }
+
+
+@pytest.mark.parametrize("name", described())
+def test_two_copies_of_a_system_have_twice_the_operations_in_as_many_flows(name):
+    algebra, H, parts = described()[name]
+    n, doubled, none = algebra.dim, parts, (0,) * algebra.dim
+    if isinstance(H, co.Quadratic):
+        constant = H.gradient(np.zeros(n))
+        M = np.array([H.gradient(e) - constant for e in np.eye(n)])
+        twice = co.Quadratic(np.kron(np.eye(2), M), linear=np.tile(constant, 2))
+    else:
+        twice = co.Polynomial({whole: c for e, c in H.monomials.items() for whole in ((*e, *none), (*none, *e))})
+        doubled = [[*some, *(i + n for i in some)] for some in parts]
+    one = co.Splitting(order=4, parts=parts).describe(co.LiePoissonSystem(algebra, H))
+    two = co.Splitting(order=4, parts=doubled).describe(co.LiePoissonSystem(co.algebras.copies(algebra, 2), twice))
+    assert (two.flows, two.multiplications) == (one.flows, 2 * one.multiplications)
+    assert one.multiplications > 0 and one.functions > 0
+    for single, both in zip(one.parts, two.parts, strict=True):
+        assert both.multiplications == 2 * single.multiplications
+        # Rotations about one angle are one sine; shears have none.
+        assert both.functions == 2 * single.functions
+        assert both.blocks == {kind: 2 * count for kind, count in single.blocks.items()}
+        assert len(both.generators) == 2 * len(single.generators)
+    for said in (one, two):
+        assert f"{said.multiplications} multiplications" in str(said) and f"{said.functions} sines" in str(said)
+
+
+def test_number_of_parts_does_not_grow_with_a_lattice():
+    """Three parts of equal components, and two of different ones, in which the sites of each sublattice are alike."""
+    for side in (4, 10):
+        lattice = co.systems.spin_lattice("square", (side, side), periodic=True, dm=(0, 0, 0.3))
+        assert len(co.Splitting(order=2).describe(lattice).parts) == 5
