@@ -14,6 +14,8 @@ from coadjoint.program.modified_energy.sweep_logarithm import Commutators
 from coadjoint.program.parts import decompose
 from coadjoint.program.parts.quadratic_atoms import quadratic_atoms
 from coadjoint.program.parts.split import split
+from coadjoint.program.provenance import Provenance, in_parts, monomials_of
+from coadjoint.systems.parameters import parameters_of
 from long import long_where
 
 ALGEBRAS = {
@@ -284,3 +286,45 @@ def test_bracket_is_that_of_the_ring(name, sign):
     assert found == sign * ring.bracket(G, F)
     assert found != 0
     assert Commutators(ring, sign)(F, ring.zero) == 0
+
+
+SQUARE = {"lattice": "square", "shape": (4, 4), "periodic": True}
+SYSTEMS = {
+    "lattice": co.systems.spin_lattice(**SQUARE, tensor=(1.0, 1.0, 0.5), field=(0.0, 0.1, 0.2)),
+    "bonds": co.systems.spin_lattice(**SQUARE, exchange=np.linspace(1.0, 2.0, 32), on_site=(0.0, 0.0, 0.5)),
+    # A Casimir is subtracted.
+    "rigid body": co.systems.rigid_body((1.0, 2.0, 3.0)),
+    "heavy top": co.systems.heavy_top((1.0, 2.0, 2.5), lever=(0.1, 0.2, 0.3)),
+    "polynomial": co.LiePoissonSystem(
+        co.algebras.so(3), co.Polynomial({(2, 0, 0): 1.0, (1, 0, 0): 0.5, (3, 0, 0): 0.25, (0, 1, 0): 2.0})
+    ),
+}
+
+
+def triplets(found):
+    return sorted(zip(*(column.tolist() for column in found), strict=True))
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_monomials_are_found_at_once_as_each_alone(name):
+    system, compared = SYSTEMS[name], 0
+    for parts in ("auto", "coordinates"):
+        program = co.Splitting(order=2, parts=parts).program(system)
+        provenance = Provenance(program)
+        for parameter in parameters_of(system).values():
+            G = parameter.energy()
+            alone = [(one, provenance.changes(one.coordinates)) for one in monomials_of(G)]
+            assert Provenance(program).changes_of([one.coordinates for one, _ in alone]) == [c for _, c in alone]
+            found = in_parts(program, G)
+            assert (found is None) == any(changes is None for _, changes in alone)
+            if found is None:
+                continue
+            for kind, of_parts in zip(("coefficients", "shifts"), found, strict=True):
+                expected = [
+                    (number, one.entry, by * one.factor)
+                    for one, changes in alone
+                    for number, by in getattr(changes, kind)
+                ]
+                assert triplets(of_parts) == sorted(expected)
+                compared += len(expected)
+    assert compared
