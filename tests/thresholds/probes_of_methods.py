@@ -1,13 +1,10 @@
-"""Thresholds of `program/`, `methods/`, `kernels/` and `runs/`."""
+"""Thresholds of `methods/`, `kernels/` and `runs/`."""
 
 import warnings
 
 import numpy as np
 
 import coadjoint as co
-from coadjoint.program.parts.bonds import bonds
-from coadjoint.program.parts.split import NotSplittable
-from coadjoint.program.shifts.group_correction import _cholesky
 from coadjoint.runs.tangent_stretching import make_orthonormal
 from coadjoint.runs.times import times_between
 from thresholds.probing import U, accepted, limit, probe, sides
@@ -100,39 +97,6 @@ def three_coordinates_are_those_of_a_spin(off):
     return accepted(lambda: co.integrate(system, (1, 2, 3), (0, 0.1), 0.1, co.SphericalMidpoint()), "spins")
 
 
-def bonded(system):
-    try:
-        bonds(system)
-    except NotSplittable:
-        return False
-    return True
-
-
-@sides(("program/parts/bonds.py", "8 * UNIT_ROUNDOFF"), below=0.0, above=2.0 * U)
-def a_coupling_of_spins_is_isotropic(off):
-    """Coordinates of spins have the scale 1, and are compared to the last bit."""
-    return bonded(co.systems.spin_lattice("chain", 2, tensor=(1.0, 1.0, 1.0 + off)))
-
-
-@probe(("program/parts/bonds.py", "8 * UNIT_ROUNDOFF"), at=8 * U)
-def a_coupling_of_scaled_spins_is_isotropic(off):
-    """[e1, e2] = 4 e3, [e2, e3] = e1, [e3, e1] = e2: an isotropic energy has the form (1, 1, 1/4) or the like."""
-    brackets = {}
-    for k in (0, 3):
-        brackets |= {(k, k + 1): {k + 2: 4.0}, (k + 1, k + 2): {k: 1.0}, (k + 2, k): {k + 1: 1.0}}
-    algebra = co.LieAlgebra.from_brackets(6, brackets)
-    for form in ((1.0, 1.0, 0.25), (1.0, 1.0, 4.0), (4.0, 4.0, 1.0), (0.25, 0.25, 1.0)):
-        for place in (0, 2):
-            own = list(form)
-            M = np.zeros((6, 6))
-            M[range(3), range(3, 6)] = M[range(3, 6), range(3)] = own
-            if bonded(co.LiePoissonSystem(algebra, co.Quadratic(M))):
-                own[place] *= 1.0 + off
-                M[range(3), range(3, 6)] = M[range(3, 6), range(3)] = own
-                return bonded(co.LiePoissonSystem(algebra, co.Quadratic(M)))
-    raise AssertionError("no form is isotropic")
-
-
 @probe((TIMES, "TIME_ROUNDING"), at=256 * U)
 def a_step_divides_the_span(off):
     """Sixteen steps, with the rounding of sixteen times of this size."""
@@ -180,8 +144,3 @@ def a_time_is_that_of_a_step(places):
 @probe(("runs/tangent_stretching.py", "NEARLY_DEPENDENT"), at=2.0**-26)
 def vectors_are_nearly_dependent(angle):
     return make_orthonormal(np.array([[1.0, np.cos(angle)], [0.0, np.sin(angle)]])) is None
-
-
-@sides(("program/shifts/group_correction.py", "MIN_CHOLESKY_PIVOT"), below=2.0**-19, above=2.0**-21)
-def a_form_is_definite(pivot):
-    return _cholesky(np.diag([1.0, pivot])) is not None

@@ -1,6 +1,7 @@
 """Files of an archive: commits, concurrent readers, refusals, and the order of writes."""
 
 import errno
+import io
 import json
 import os
 import stat
@@ -23,7 +24,7 @@ from coadjoint.files.archives.reading import (
     read_state,
 )
 from coadjoint.files.archives.store import ArchiveReplaced, ArchiveStore
-from coadjoint.files.archives.stored_arrays import StoredArray
+from coadjoint.files.archives.stored_arrays import StoredArray, deserialize_numbers
 from guards import open_descriptors
 
 ROWS = 16
@@ -426,7 +427,7 @@ GOOD = StoredArray(("time", "component"), "float64", (7, 3), (8, 3), {})
         ({"chunk": (8, 0)}, "the chunk is"),
         ({"chunk": (8, 4)}, "too large"),
         ({"chunk": (2**16 + 1, 1)}, "too large"),
-        ({"shape": (7, 2**10), "chunk": (2**10, 2**10)}, "too large"),
+        ({"shape": (7, 2**10), "chunk": (2**9 + 1, 2**10)}, "too large"),
         ({"dims": ("row", "component"), "chunk": (8, 3)}, "too large"),
     ],
 )
@@ -443,7 +444,10 @@ def test_other_array_shapes_are_refused(changed, message):
         {"shape": (7, 0), "chunk": (8, 1)},
         {"chunk": (2**16, 3)},
         {"shape": (7, 2**20), "chunk": (1, 2**20)},
-        {"dims": ("row",), "shape": (2**20,), "chunk": (2**20,)},
+        {"dims": ("row",), "shape": (2**19,), "chunk": (2**19,)},
+        {"shape": (7, 2**10), "chunk": (2**9, 2**10)},
+        {"shape": (2**62, 3)},
+        {"dims": tuple("abcdefgh"), "shape": (1,) * 8, "chunk": (1,) * 8},
     ],
 )
 def test_written_array_shapes_are_accepted(changed):
@@ -486,3 +490,14 @@ def test_locks_that_cannot_be_opened_are_not_those_of_another_process(tmp_path, 
     assert open_descriptors() == before and (tmp_path / "kept").read_text() == "precious"
     assert sorted(os.listdir(tmp_path)) == ["kept", "run.zarr"]
     ArchiveStore.open_existing(store.path).close()
+
+
+@pytest.mark.parametrize(("axes", "accepted"), [(8, True), (9, False)])
+def test_stored_numbers_have_not_too_many_axes(axes, accepted):
+    content = io.BytesIO()
+    np.savez(content, x=np.zeros((1,) * axes))
+    if accepted:
+        assert deserialize_numbers(content.getvalue())["x"].ndim == axes
+    else:
+        with pytest.raises(ValueError, match="numbers"):
+            deserialize_numbers(content.getvalue())

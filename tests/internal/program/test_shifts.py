@@ -17,7 +17,7 @@ from coadjoint.program.parts.chosen_parts import ChosenParts
 from coadjoint.program.parts.decompose import best_decomposition, best_decompositions, decompose
 from coadjoint.program.parts.order_of_parts import best_order
 from coadjoint.program.parts.split import split
-from coadjoint.program.shifts.group_correction import Turn, unshift_tables
+from coadjoint.program.shifts.group_correction import Turn, _cholesky, unshift_tables
 from coadjoint.program.shifts.pencil import singular_factors
 from coadjoint.program.shifts.shift import candidate_shifts, count_parts, quadratic_casimirs, shifted_terms
 
@@ -531,3 +531,8 @@ def test_a_shift_that_is_nilpotent_or_nearly_so(power):
         found = elements(algebra, None, ((near, 1.0),), Q @ x, 1 / (64 * eps), exactly=False)[0]
         # The second power is a 64th of the first, the third one 4096th of it, over 3; rounding is far below.
         assert np.abs(found - Q @ plain @ Q.T).max() <= np.abs(plain).max() / 1024
+
+
+@pytest.mark.parametrize(("pivot", "definite"), [(2.0**-19, True), (2.0**-21, False), (0.0, False), (-1.0, False)])
+def test_a_nearly_singular_form_is_not_definite(pivot, definite):
+    assert (_cholesky(np.diag([1.0, pivot])) is not None) is definite

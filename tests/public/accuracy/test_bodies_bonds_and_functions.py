@@ -401,3 +401,31 @@ def test_a_large_lattice_goes_without_its_attitude():
     assert total <= 2.0**6 * U * np.sqrt(700)
     with refused(ValueError, "too many terms", "attitude"):
         method.program(chain, group=np.zeros((2100, 2, 2)))
+
+
+def is_bond(system):
+    try:
+        co.Splitting(parts="bonds").program(system)
+    except ValueError as error:
+        assert "no isotropic coupling" in str(error)
+        return False
+    return True
+
+
+@pytest.mark.parametrize(("off", "isotropic"), [(0.0, True), (2.0 * U, False)])
+def test_couplings_of_spins_are_compared_to_the_last_bit(off, isotropic):
+    assert is_bond(co.systems.spin_lattice("chain", 2, tensor=(1.0, 1.0, 1.0 + off))) is isotropic
+
+
+@pytest.mark.parametrize(("off", "isotropic"), [(0.0, True), (6 * U, True), (12 * U, False)])
+@pytest.mark.parametrize("place", [0, 2])
+def test_couplings_of_scaled_momenta_are_compared_up_to_rounding(off, isotropic, place):
+    """[e1, e2] = 4 e3, [e2, e3] = e1, [e3, e1] = e2: an isotropic energy has the form (1, 1, 4) or the like."""
+    algebra = co.algebras.copies(scaled(4.0, 1.0, 1.0), 2)
+
+    def coupled(form):
+        return co.LiePoissonSystem(algebra, co.Quadratic(np.kron([[0.0, 1.0], [1.0, 0.0]], np.diag(form))))
+
+    (form,) = [form for form in ((1.0, 1.0, 0.25), (1.0, 1.0, 4.0)) if is_bond(coupled(form))]
+    changed = [value * (1.0 + off * (k == place)) for k, value in enumerate(form)]
+    assert is_bond(coupled(changed)) is isotropic
