@@ -5,7 +5,6 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from plain_building import plain_action, plain_first_fit
 from scipy.sparse import block_diag, diags_array, random_array
 
 import coadjoint as co
@@ -13,7 +12,6 @@ from coadjoint.program import actions, repeated_blocks
 from coadjoint.program.generators import BasisMatrices
 from coadjoint.program.parts import quadratic_atoms
 from coadjoint.program.parts.decompose import decompose
-from coadjoint.program.parts.few_parts import count_groups, first_fit
 from coadjoint.program.parts.sparse_squares import sparse_squares
 from coadjoint.program.parts.split import split
 from coadjoint.program.parts.squares import complete_squares
@@ -49,61 +47,6 @@ def nilpotent(n, seed=0):
     first, second = np.sort(random.integers(0, half, (2 * n, 2)), axis=1).T
     rows = np.unique(np.stack([first, second, random.integers(half, n, 2 * n)], axis=1)[first < second], axis=0)
     return co.LieAlgebra(np.column_stack([rows, random.standard_normal(len(rows))]), dim=n)
-
-
-def filiform(n):
-    """[e_0, e_i] = e_(i+1): generators with long nilpotent chains."""
-    return co.LieAlgebra([(0, i, i + 1, 1.0) for i in range(1, n - 1)], dim=n)
-
-
-SYSTEMS = {
-    "chain": lambda: spins(40),
-    "Heisenberg": lambda: spins(30, site=(0.0, 0.0, 0.0), coupling=(1.0, 1.0, 1.0)),
-    "twisted chain": lambda: twisted(12),
-    "full sites": lambda: co.LiePoissonSystem(
-        co.algebras.copies(SO3, 9), co.Quadratic(block_diag([full(3, k % 2) for k in range(9)]).tocsr())
-    ),
-    "so(9) diagonal": lambda: co.LiePoissonSystem(co.algebras.so(9), co.Quadratic(np.arange(1.0, 37.0))),
-    "so(5) full": lambda: co.LiePoissonSystem(co.algebras.so(5), co.Quadratic(full(10, 1))),
-    "e(3) full": lambda: co.LiePoissonSystem(co.algebras.get("e(3)"), co.Quadratic(full(6, 2))),
-    "sl(3)": lambda: co.LiePoissonSystem(co.algebras.sl(3), co.Quadratic(np.arange(1.0, 9.0))),
-    "A5,13": lambda: co.LiePoissonSystem(
-        co.algebras.get("A5,13", a=0.5, p=0.25, s=2.0), co.Quadratic(np.arange(1.0, 6.0))
-    ),
-    "nilpotent": lambda: co.LiePoissonSystem(nilpotent(60), co.Quadratic(np.arange(1.0, 61.0))),
-    "nilpotent, M sparse": lambda: co.LiePoissonSystem(
-        nilpotent(60),
-        co.Quadratic((lambda A: A + A.T)(random_array((60, 60), density=0.02, rng=np.random.default_rng(3)))),
-    ),
-    "filiform": lambda: co.LiePoissonSystem(filiform(12), co.Quadratic(full(12, 4))),
-    "sum": lambda: co.LiePoissonSystem(
-        co.algebras.direct_sum(SO3, co.algebras.get("e(3)"), co.algebras.so(4)), co.Quadratic(np.arange(1.0, 16.0))
-    ),
-}
-
-
-@pytest.mark.thinned(12)
-@pytest.mark.parametrize("choice", ["auto", "coordinates"])
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_the_action_is_that_of_a_plain_construction(name, choice):
-    system = SYSTEMS[name]()
-    program = build_program(system, co.Splitting(parts=choice))
-    for column, expected in plain_action(system.algebra, program.parts).items():
-        assert getattr(program.state, column).tolist() == expected, column
-
-
-@pytest.mark.long
-def test_first_fit_is_greedy_whatever_the_number_of_groups():
-    random = np.random.default_rng(7)
-    for count, pairs in ((30, 40), (90, 3000), (150, 10_500)):
-        first, second = np.unique(np.sort(random.integers(0, count, (pairs, 2)), axis=1), axis=0).T
-        first, second = first[first < second], second[first < second]
-        assert first_fit(count, first, second).tolist() == plain_first_fit(count, first, second)
-        present = random.uniform(size=(count, 5)) < 0.8
-        expected = [max(plain_first_fit(count, first, second, case)) + 1 for case in present.T]
-        assert count_groups(count, first, second, present).tolist() == expected
-    every = np.array([(i, j) for j in range(140) for i in range(j)]).T
-    assert first_fit(140, *every).tolist() == list(range(140))
 
 
 def test_layers_are_longest_paths():

@@ -247,25 +247,6 @@ def test_products_of_the_lowest_brackets_are_counted_exactly(name, density, driv
     assert estimated_products(system.algebra, parts, 2) == enumerated(system.algebra, parts, 2)
 
 
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("choice", ["auto", "coordinates"])
-@pytest.mark.parametrize("driven", [False, True])
-@pytest.mark.parametrize("density", [0.0, 0.3, 1.0])
-@pytest.mark.parametrize("name", ["so(3)", "sl(2)", "A3,7", "Heisenberg", "e(3)", "so(4)"])
-def test_products_of_cubic_brackets_are_counted_within_a_factor_of_two(name, density, driven, choice):
-    """The slope of w.x Q(x) has two terms, whose common monomials are counted twice, and half of the squares in Q are
-    left out. With one coordinate per part there are neither.
-    """
-    system = drawn(ALGEBRAS_BRACKET[name], density, driven, len(name))
-    parts = split(system, choice)
-    counted, expected = estimated_products(system.algebra, parts, 3), enumerated(system.algebra, parts, 3)
-    if density == 0.0 and choice == "coordinates":
-        assert counted == expected > 0
-    assert expected / 2 <= counted <= 2 * expected
-    # Brackets of higher orders have more products, which are not all counted.
-    assert estimated_products(system.algebra, parts, 4) == counted
-
-
 pytest.importorskip("flint")
 
 

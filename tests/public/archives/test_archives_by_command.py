@@ -142,9 +142,9 @@ def replace(source, target, **folders):
         raise OSError(28, "No space left on device")
     original(source, target, **folders)
 os.replace = replace
-from coadjoint.cli import run
+import runpy
 sys.argv = ["coadjoint", *{arguments!r}]
-run()
+runpy.run_module("coadjoint", run_name="__main__")
 """
 REASONS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}
 FIRST = ["run", "top.toml", "--archive", "run.zarr"]
@@ -238,8 +238,8 @@ MANY = (
 @pytest.mark.long
 def test_interrupted_ensemble_with_workers(folder, capsys):
     Path("many.toml").write_text(MANY + 'workers = 1\n[output]\narchive = "run.zarr"\n')
-    code = "from coadjoint.cli import run; import sys; sys.argv = ['coadjoint', 'run', 'many.toml']; run()"
-    process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
+    run = [sys.executable, "-m", "coadjoint", "run", "many.toml"]
+    process = subprocess.Popen(run, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
     end = time.monotonic() + 300
     while not list(Path("run.zarr/.coadjoint").glob("block-*.lock")):
         assert time.monotonic() < end, "timeout"
