@@ -1,11 +1,7 @@
 """Thresholds of `files/` and of the readers of arguments."""
 
-import io
 import time
 
-import numpy as np
-
-from coadjoint.files.archives.stored_arrays import StoredArray, deserialize_numbers
 from coadjoint.files.configuration.parsing import parse_toml
 from coadjoint.files.configuration.sweep_models import SweepTable
 from coadjoint.files.records.entries import Entry
@@ -13,7 +9,7 @@ from coadjoint.methods.compiled_steps.preprocessed_source import stamps_are_fina
 from coadjoint.validation import check_power, read_title
 from thresholds.probing import accepted, limit, probe, sides
 
-ARRAYS, ENTRIES = "files/archives/stored_arrays.py", "files/records/entries.py"
+ENTRIES = "files/records/entries.py"
 
 
 @limit(("files/configuration/parsing.py", "MAX_NESTING"), at=64)
@@ -60,40 +56,8 @@ def a_power_is_in_range(bits):
     return accepted(lambda: check_power(2.0 ** (bits / 4), 4, "step"), "range")
 
 
-def stored(dims, shape, chunk):
-    return accepted(lambda: StoredArray(dims, "float64", shape, chunk, {}).check())
-
-
-@limit((ARRAYS, "MAX_AXES"), at=8)
-def an_array_has_not_too_many_axes(axes):
-    return stored(tuple("abcdefghijk"[:axes]), (1,) * axes, (1,) * axes)
-
-
-@limit((ARRAYS, "MAX_AXIS_LENGTH"), at=2**62)
-def an_axis_is_not_too_long(length):
-    return stored(("x",), (length,), (1,))
-
-
-@limit((ARRAYS, "MAX_READ_ROWS"), at=2**16)
-def a_chunk_has_not_too_many_rows(rows):
-    return stored(("time",), (1,), (rows,))
-
-
-@limit((ARRAYS, "CHUNK_BYTES"), at=512)
-def a_chunk_has_not_too_many_bytes(rows):
-    """Rows of 2^10 numbers of eight bytes."""
-    return stored(("time", "x"), (1, 2**10), (rows, 2**10))
-
-
 @sides(("methods/compiled_steps/preprocessed_source.py", "TIMESTAMP_GRANULARITY"), below=4.0, above=1.0)
 def files_are_settled(seconds):
     """Compared with the clock, of which a second is left for the call."""
     when = time.time_ns() - int(seconds * 1e9)
     return stamps_are_final({b"source": (0, 0, 0, when, when)})
-
-
-@limit(("files/archives/stored_arrays.py", "MAX_NPY_AXES"), at=8)
-def stored_numbers_have_not_too_many_axes(axes):
-    content = io.BytesIO()
-    np.savez(content, x=np.zeros((1,) * axes))
-    return accepted(lambda: deserialize_numbers(content.getvalue()), "numbers")

@@ -77,6 +77,7 @@ def larger_block(size: int, local: tuple[tuple[int, int, Any], ...], u: Any) -> 
     power, bound = matrix, abs(matrix)
     for depth in range(2, 4):
         power, bound = power @ matrix, bound @ abs(matrix)
+        # A product of k matrices has an error of k n roundings of what is added up.
         if _vanishes(power, 8 * size * depth * u * bound):
             return Block(Kind.SERIES, coordinates, (0 * local[0][2],), local, depth - 1)
     lam = _cubic_factor(matrix, power)

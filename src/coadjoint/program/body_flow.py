@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 Vectors = NDArray[Any]
 PIECE = 0.25  # largest norm of tau times the generator in one series
-MAX_TERMS = 4096
+MAX_TERMS = 4096  # of a series, which converges after some hundred in thousands of digits
 
 
 class FlowState(NamedTuple):

@@ -237,6 +237,7 @@ def surely_noncommuting(
         left, right = c[entries] * forms[:, i[entries]], forms[:, j[entries]]
         half, half_bound = left @ right.T, np.abs(left) @ np.abs(right).T
         bracket, bound = half - half.T, half_bound + half_bound.T
+        # Beyond the rounding of the forms, and of the sums of products.
         sure = np.abs(bracket) > (BRACKET_ROUNDOFF + 8 * count[component] * UNIT_ROUNDOFF) * bound
         decided = sure[first[undecided], second[undecided]]
         noncommuting[undecided[decided]] = True

@@ -19,7 +19,7 @@ from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.hamiltonians.terms import Term
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
-MAX_SHOWN = 6
+MAX_SHOWN = 6  # generators of a part in a line
 # Multiplications (with additions) per block.
 MULTIPLICATIONS_PER_KIND = {Kind.SCALE: 1, Kind.ROTATE: 4, Kind.PLANE: 6, Kind.SHEAR: 2}
 # Multiplications in the flow of a free body over a short time.

@@ -18,9 +18,9 @@ from coadjoint.program.sparse_rows import SparseRows, layers, order_by, run_star
 
 # Generators with at most this many products are not counted: lattices may have millions of them.
 MIN_COUNTED_PRODUCTS = 1 << 12
-MAX_PRODUCTS = 1 << 24
-BYTES_PER_PRODUCT = 150
-SECONDS_PER_PRODUCT = 2e-6
+MAX_PRODUCTS = 1 << 24  # of all generators: above, building takes half a minute and 2.5 GB
+BYTES_PER_PRODUCT = 150  # peak memory of building, measured
+SECONDS_PER_PRODUCT = 2e-6  # of building, measured
 # Per product, for one step of order two: two sweeps, with a series of twenty products per entry.
 SECONDS_PER_STEP = 4e-8
 
@@ -100,6 +100,7 @@ class BasisMatrices:
             angle, row, column, term = angle[order], row[order], column[order], term[order]
             begins = run_starts(angle, row, column)
             total, bound = run_sums(term, begins), run_sums(abs(term), begins)
+            # Each product and each sum is rounded once: less than this is what cancels.
             nonzero = np.asarray(abs(total) > 4 * roundoff(number) * bound, dtype=bool)
             first_index = np.flatnonzero(begins)[nonzero]
             yield Generators(angle[first_index], row[first_index], column[first_index], total[nonzero])

@@ -265,7 +265,7 @@ class Interpreter:
     def _entire_pair(self, z: Any) -> tuple[Any, Any]:
         """Return sinh(w)/w and cosh(w) - 1 with w^2 = z of either sign."""
         f = self.functions
-        if abs(z) < 0.25:
+        if abs(z) < 0.25:  # where cosh(w) - 1 would lose three bits or more
             s, c, term, k = 1 + 0 * z, z / 2, 1 + 0 * z, 1
             while abs(term) > self._u / 4:
                 term = term * z / (2 * k * (2 * k + 1))

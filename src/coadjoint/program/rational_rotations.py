@@ -34,6 +34,7 @@ def rational_frequencies(system: LiePoissonSystem, parts: Parts, state: Action, 
     array([1., 1., 1.])
     """
     least, largest, known, _ = _frequencies(state, parts, number, squared=is_exact(number))
+    # Frequencies are roots of sums of some products, rounded alike.
     known = known & np.asarray(largest - least <= 64 * roundoff(number) * largest, dtype=bool)
     turning = known & np.asarray(largest != 0, dtype=bool)
     wrong = np.flatnonzero(~known | (turning & _coupled(parts)))
@@ -106,6 +107,7 @@ def _is_along_form(forms: SparseRows, weights: Rows) -> NDArray[np.bool_]:
     form, weight = forms.take(same), weights.take(same)
     first = form.start[:-1][form.owner]
     left, right = weight.value * form.value[first], weight.value[first] * form.value
+    # Weights and forms are rounded twice each.
     agree = np.asarray(abs(left - right) <= 8 * UNIT_ROUNDOFF * abs(left), dtype=bool)
     agree &= form.coordinate == weight.coordinate
     is_along[same[form.owner[~agree]]] = False

@@ -15,6 +15,7 @@ from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, values_at
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, RepeatedTerm, Term
 
 LINEAR, POLYNOMIAL, FUNCTION = 0, 1, 2
+"""Kinds of terms, as in `boundary/codes.hpp`."""
 
 
 class Terms(NamedTuple):

@@ -42,6 +42,7 @@ SAVE_EVERY: str = "archive_save_every"
 BLOCKS, MIN_STATE_BYTES = 64, 2**24
 """A run has about 64 blocks, if their states take at most a quarter of the archive, or 16 MB."""
 ADVANCE_SECONDS, FIRST_ADVANCE = 0.25, 64
+"""The clock is read about every 0.25 s, at first after 64 steps."""
 COMMIT_INTERVAL, COMMIT_RATIO = 10.0, 20
 """A piece is committed after 10 s, or after 20 times the duration of the last commit."""
 

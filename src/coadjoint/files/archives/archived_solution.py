@@ -21,7 +21,7 @@ from coadjoint.runs.results.solution import Solution
 
 REPORTED_ARRAYS = (f"{STATE_PREFIX}worst", "earlier", "initial")
 """Arrays of the run's state that a solution needs."""
-ATTEMPTS = 20
+ATTEMPTS = 20  # to read a root and its state between two commits of another process
 
 
 def archived_solution(path: Path, system: Any = None) -> Solution:

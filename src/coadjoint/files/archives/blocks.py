@@ -34,7 +34,7 @@ START_ARRAYS = ("x0", "attitude0")
 STATUS = "status"
 BLOCK_ARRAYS = ("drift", "change", "balance", "failed", STATUS)
 """Arrays over the members, and not over time, that a block writes."""
-PENDING, DONE, FAILED = 0, 1, 2
+PENDING, DONE, FAILED = 0, 1, 2  # states of a member, stored in archives
 STATUS_ATTRIBUTES = {
     "long_name": "whether the member has been computed to its end",
     "flag_values": [PENDING, DONE, FAILED],
@@ -44,7 +44,7 @@ MAX_STATE_BYTES = 2**22
 """Limit on the state of a block at one time, for the default block size."""
 MEMBERS_PER_BATCH = 32
 """Members that the kernels advance side by side."""
-BLOCKS_PER_WORKER = 4
+BLOCKS_PER_WORKER = 4  # so that workers of different speed end at about the same time
 HEAD_TYPES: dict[str, Any] = {
     name: int for name in ("archive_steps", "archive_finished", "evaluations", "iterations", "failed", "rows")
 } | {"seconds": int | float}

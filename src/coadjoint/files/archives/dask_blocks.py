@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
 RETRIES = 3
 """Attempts without progress, after losses of workers or of their data, before giving up."""
-POLL_SECONDS = 0.5
-SCHEDULER_TIMEOUT = 10.0
-RETRY_SECONDS = 2.0
+POLL_SECONDS = 0.5  # between two looks at the tasks
+SCHEDULER_TIMEOUT = 10.0  # s, for an answer of a scheduler that may be lost
+RETRY_SECONDS = 2.0  # before a block is tried again, whose lock may be that of a lost worker
 
 
 def on_processes(

@@ -30,10 +30,10 @@ ROOT_FILE = "zarr.json"
 HIDDEN_FOLDER = ".coadjoint"
 VERSION_ATTRIBUTE = "archive_format"
 STATE_PREFIX = "state-"
-MAX_NAME_LENGTH = 255
+MAX_NAME_LENGTH = 255  # bytes, of file systems
 JSON_MEMORY_FACTOR = 32
 """Memory needed to parse JSON, per byte."""
-MAX_ARRAYS = 10**5
+MAX_ARRAYS = 10**5  # of an archive, which has some ten and one for each observed name
 
 
 class ArchiveError(OneLineError):

@@ -22,7 +22,7 @@ from coadjoint.short_repr import short
 
 GROWING_DIMENSIONS = ("time", "crossing")
 """Dimensions along which arrays grow."""
-MIN_CHUNK_ROWS, MAX_CHUNK_ROWS = 2**10, 2**16
+MIN_CHUNK_ROWS, MAX_CHUNK_ROWS = 2**10, 2**16  # points: short runs may be continued, and parts of long ones read
 CHUNK_BYTES = 2**22
 """Size of a chunk before compression, unless a single row is longer."""
 TYPES = {"f": "float64", "i": "int64", "b": "bool"}

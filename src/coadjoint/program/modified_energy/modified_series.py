@@ -34,7 +34,7 @@ from coadjoint.program.sweeps import Sweep, Swept
 from coadjoint.program.table import Program, build_program
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
-MIN_BITS = 60
+MIN_BITS = 60  # of a coefficient, relative to the largest product: seven more than those of a float
 
 
 class ModifiedSeries:

@@ -24,9 +24,9 @@ MAX_PRODUCTS = 10**8
 WARN_PRODUCTS = MAX_PRODUCTS // 100
 """Number of products above which the remaining ones are estimated."""
 
-SECONDS_PER_PRODUCT = 2e-7
+SECONDS_PER_PRODUCT = 2e-7  # measured
 
-BYTES_PER_MONOMIAL = 40
+BYTES_PER_MONOMIAL = 40  # exponents and a short fraction
 
 Flow = Mapping[int, Exact]
 """Flow of sum_j h^j W_j with commuting W_j: j -> W_j. An exact flow has j = 1 alone."""

@@ -22,7 +22,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
-MAX_BONDS = 100_000
+MAX_BONDS = 100_000  # whose tables take about 1 GB
 BYTES_PER_BOND = 8000  # peak memory of building the tables
 
 

@@ -34,16 +34,16 @@ from coadjoint.systems.hamiltonians.linear_term import linear_of, with_placehold
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.protocol import has_structure_constants
 
-SEED = 1993
-SAMPLES = 16
+SEED = 1993  # of the points at which orders are compared, the same on every machine
+SAMPLES = 16  # of these points: the mean of h^2 terms is known to a quarter
 # Larger dimensions keep the natural order: comparing orders costs n^3 operations.
 MAX_COMPARED_DIMENSION = 24
 # Number of systems compared at once, limited by the processor cache.
 COMPARISON_BATCH = 256
 # Multiplications allowed for trying shifts; above about 100 fully coupled coordinates, only the first are tried.
 MAX_WORK = 1 << 26
-MIN_SHIFTS = 8
-WORK_PER_CONSTANT = 16
+MIN_SHIFTS = 8  # tried whatever they cost
+WORK_PER_CONSTANT = 16  # multiplications per structure constant of a trial, measured
 BODY_FLOW_CHOICES = ("free_body", "bonds")
 """Choices whose first parts rotate momenta by an attitude, not about fixed axes."""
 

@@ -16,7 +16,7 @@ from coadjoint.program.sparse_rows import layers, order_by, starts_of
 
 # Above this number parts are joined in the given order only; lattices have thousands, in a good order.
 MAX_REORDERED = 64
-WORD_BITS = 64
+WORD_BITS = 64  # of a mask, one for each group
 # Number of masks held in memory at once.
 MAX_BATCH_ITEMS = 1 << 22
 

@@ -14,7 +14,7 @@ from coadjoint.program.parts.split import separated_functions
 from coadjoint.systems.hamiltonians.terms import Term
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
-MAX_PERMUTED = 5
+MAX_PERMUTED = 5  # parts of which all 120 orders are compared; of more, exchanges of neighbours
 # Above this number parts keep their order: comparing orders could take longer than a run.
 MAX_ORDERED = 8
 # Differences by rounding must not matter, so that the choice is the same on every machine.

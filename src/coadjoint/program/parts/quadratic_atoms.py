@@ -218,6 +218,7 @@ def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tu
 
 def _without_rounding(squares: SparseSquares, entries: NDArray[np.float64]) -> SparseSquares:
     """Drop squares below the rounding of the entries, which vanish after a Casimir shift."""
+    # The entries are differences, rounded twice, and each pivot twice again.
     floor = 8 * UNIT_ROUNDOFF * np.max(np.abs(entries))
     largest = np.maximum.reduceat(np.abs(squares.forms.value), squares.forms.start[:-1])
     significant = np.flatnonzero((squares.linear != 0) | (np.abs(squares.weights) * largest**2 > floor))

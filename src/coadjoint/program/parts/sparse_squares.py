@@ -57,6 +57,7 @@ class _Reduction:
         self.entries = [(-abs(v), i, j) for i, row in enumerate(self.rows) for j, v in row.items() if i <= j]
         heapify(self.diagonal)
         heapify(self.entries)
+        # Each of n pivots rounds an entry three times.
         self.floor = 4.0 * len(linear) * UNIT_ROUNDOFF * float(np.max(np.abs(matrix.value), initial=0.0))
 
     def squares(self) -> SparseSquares:

@@ -40,6 +40,7 @@ def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
     exact = matrix.dtype == np.float64 and size <= MAX_RATIONAL_SIZE
     lift = np.vectorize(Fraction, otypes=[object]) if exact else np.copy
     residual, b = lift(matrix), lift(linear)
+    # Each of n pivots rounds an entry three times.
     floor = 0 if exact or matrix.dtype == object else 4.0 * size * UNIT_ROUNDOFF * np.max(np.abs(matrix), initial=0.0)
     forms: list[NDArray[Any]] = []
     weights: list[Any] = []

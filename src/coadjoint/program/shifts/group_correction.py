@@ -26,8 +26,8 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 SubtractedCasimir = tuple[Polynomial, float]
 Entries = tuple[Integers, Integers, NDArray[np.float64]]
 
-SEED = 1993
-SAMPLES = 3
+SEED = 1993  # of the momenta at which the form of X is seen, the same on every machine
+SAMPLES = 3  # of these; an identity of polynomials that holds at random points holds everywhere
 # Smallest ratio of pivots for which an invariant form counts as definite.
 MIN_CHOLESKY_PIVOT = 2.0**-20
 # Largest representation (number of entries) for which tables are cached.

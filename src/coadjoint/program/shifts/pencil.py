@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.program.parts.squares import complete_squares
 
-BISECTIONS = 64
+BISECTIONS = 64  # of an interval of floats: to the last bit
 
 
 def singular_factors(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) -> tuple[float, ...]:

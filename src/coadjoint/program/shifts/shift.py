@@ -25,7 +25,7 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 Shift = tuple[tuple[str, float], ...]
 Entries = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
 
-MAX_SINGULAR_DIMENSION = 8
+MAX_SINGULAR_DIMENSION = 8  # coordinates; above, singular factors, of n^3 for each bisection, are not sought
 MAX_DENSE_DIMENSION = 32  # coordinates; up to this size adding all n^2 entries is faster than sorting the nonzero ones
 # An entry after a shift counts as zero below this multiple of the sum of its absolute terms.
 ROUNDING = 4 * UNIT_ROUNDOFF

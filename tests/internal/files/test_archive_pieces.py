@@ -1,0 +1,137 @@
+"""Archives with small chunks, commits between two reads, and large arrays."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.files.archives import archived_solution, stored_arrays
+from coadjoint.files.archives.reading import ArchiveMoved
+from coadjoint.runs.piecewise_run import PiecewiseRun
+from refusals import refused
+
+BODY, X = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, -1.0, 0.7)
+STEP, SPAN = 0.125, (0.0, 2.0)
+SEVERAL = np.multiply.outer([1.0, 0.5, -0.25], X)
+pytestmark = pytest.mark.usefixtures("no_fsync")
+
+
+@pytest.fixture
+def rows(monkeypatch):
+    """Set the number of points of a chunk."""
+
+    def set_rows(count):
+        for name in ("MIN_CHUNK_ROWS", "MAX_CHUNK_ROWS"):
+            monkeypatch.setattr(stored_arrays, name, count)
+
+    return set_rows
+
+
+def check_same(found, expected):
+    actual = found.to_xarray().load()
+    for name, values in expected.to_xarray().variables.items():
+        np.testing.assert_array_equal(actual[name].values, values.values, err_msg=name)
+    for name, drift in expected.change().items():
+        np.testing.assert_array_equal(found.change()[name].tenths, drift.tenths)
+
+
+@pytest.mark.parametrize("count", [2, 5])
+def test_extra_last_point_after_full_chunks(tmp_path, rows, count):
+    """It follows sooner than save_every steps after a point that may have filled a chunk."""
+    rows(count)
+    for steps in range(4 * count - 5, 4 * count + 5):
+        run, path = (BODY, X, (0, steps * STEP), STEP, co.GaussLegendre(2)), tmp_path / f"{steps}.zarr"
+        expected = co.integrate(*run, save_every=4)
+        found = co.integrate(*run, save_every=4, archive=path)
+        for name in ("t", "x", "energy"):
+            assert np.array_equal(getattr(found, name), getattr(expected, name))
+
+
+@pytest.mark.parametrize(("every", "x0"), [(2, X), (1, SEVERAL)], ids=["one", "members"])
+def test_states_as_large_as_a_chunk(tmp_path, monkeypatch, every, x0):
+    """Every saved point of many members or large matrices has chunks of its own."""
+    advance, calls, path = PiecewiseRun.advance, [], tmp_path / "run.zarr"
+
+    def bounded(self, until):
+        calls.append(until)
+        assert len(calls) < 200, "no step is taken"
+        advance(self, until)
+
+    monkeypatch.setattr(PiecewiseRun, "advance", bounded)
+    monkeypatch.setattr(stored_arrays, "CHUNK_BYTES", 8)
+    expected = co.integrate(BODY, x0, SPAN, STEP, save_every=every)
+    co.integrate(BODY, x0, (0.0, 2 * STEP), STEP, save_every=every, archive=path)
+    for end, until in ((2.0, 6), (None, None)):
+        found = co.resume(path, end, until=until)
+    check_same(found, expected)
+    if x0 is SEVERAL:
+        options = {"save_every": every, "archive": tmp_path / "many", "members_per_block": 1}
+        check_same(co.integrate_ensemble(BODY, x0, SPAN, STEP, **options), expected)
+
+
+@pytest.mark.parametrize("commits", [1, 3, 100])
+def test_opening_during_commits(tmp_path, monkeypatch, commits):
+    """The state named by the root may be removed before it is read; the root is then read again, a few times."""
+    co.integrate(BODY, X, SPAN, STEP, archive=tmp_path / "run.zarr")
+    read, moved = archived_solution.read_state, []
+
+    def gone(path, stored):
+        moved.append(stored)
+        if len(moved) <= commits:
+            raise ArchiveMoved(f"{path}: the state {stored.file} is missing")
+        return read(path, stored)
+
+    monkeypatch.setattr(archived_solution, "read_state", gone)
+    if commits < archived_solution.ATTEMPTS:
+        assert co.open_archive(tmp_path / "run.zarr").reached == 16 and len(moved) == commits + 1
+    else:
+        with refused(ValueError, "state", "missing"):
+            co.open_archive(tmp_path / "run.zarr")
+        assert len(moved) == archived_solution.ATTEMPTS
+
+
+@pytest.mark.parametrize("name", ["x", "casimir_x_2"])
+def test_resuming_checks_all_committed_chunks(tmp_path, rows, name):
+    """Any chunk may be missing; the last ones, to which the run appends, may be damaged as well."""
+    rows(2)
+    for path, until in ((tmp_path / "run.zarr", 9), (tmp_path / "odd.zarr", 8)):
+        co.integrate(BODY, X, (0.0, 2 * STEP), STEP, archive=path)
+        co.resume(path, 2.0, until=until)
+        chunks = sorted((path / name).glob("c.*"))
+        assert len(chunks) == 5
+        for chunk in chunks[::2]:
+            content = chunk.read_bytes()
+            chunk.unlink()
+            with refused(ValueError, f"{name}/{chunk.name} is missing"):
+                co.resume(path)
+            chunk.write_bytes(content)
+    content = chunk.read_bytes()
+    chunk.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    with refused(ValueError, f"{name}/{chunk.name} cannot be read", "checksum"):
+        co.resume(path)
+    chunk.write_bytes(content)
+    for path in (tmp_path / "run.zarr", tmp_path / "odd.zarr"):
+        check_same(co.resume(path), co.integrate(BODY, X, SPAN, STEP))
+
+
+def test_large_array_is_refused_before_allocation(tmp_path, monkeypatch):
+    found = co.integrate(BODY, X, (0, 4000), STEP, archive=tmp_path / "run.zarr")
+    monkeypatch.setattr("coadjoint.memory.UNCHECKED_BYTES", 0)
+    monkeypatch.setattr("coadjoint.memory.available", lambda: 10**6)
+    with refused(ValueError, "x of the archive", "2 MB", "to_xarray"):
+        _ = found.x
+    assert found.to_xarray()["x"][-1].shape == (3,)
+
+
+@pytest.mark.parametrize("options", [{}, {"attitude": True, "save_every": 3}])
+@pytest.mark.parametrize("span", [(0, 4), (7.5, 3.5)])
+def test_blocks_of_several_chunks(tmp_path, rows, span, options):
+    """A missing chunk of any row is computed again with its block."""
+    rows(8)
+    path, x0 = tmp_path / "many.zarr", np.random.default_rng(3).standard_normal((11, 3))
+    found = co.integrate_ensemble(BODY, x0, span, STEP, archive=path, members_per_block=4, **options)
+    expected = co.integrate(BODY, x0, span, STEP, **options)
+    assert len(list((path / "x").glob("c.*.0.0"))) == -(-len(found.t) // 8)
+    check_same(found, expected)
+    for row in range(-(-len(found.t) // 8)):
+        (path / "x" / f"c.{row}.1.0").unlink()
+        check_same(co.resume(path), expected)

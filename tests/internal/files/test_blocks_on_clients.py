@@ -1,0 +1,225 @@
+"""Blocks of an ensemble as tasks of a client: members, resubmission and errors.
+
+The client here runs tasks immediately in this process; `test_workers.py` has real workers.
+"""
+
+import os
+import platform
+import re
+import warnings
+from concurrent.futures import CancelledError
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from distributed import Client
+
+import coadjoint as co
+from coadjoint.files.archives import dask_blocks as on_workers
+from coadjoint.files.archives.block_run import BUSY, run_block
+from coadjoint.files.archives.blocks import Block, blocks_of, size_of_blocks
+from coadjoint.files.archives.reading import ArchiveError
+from coadjoint.files.archives.run_in_blocks import WorkerPool, read_worker_pool, run_in_blocks
+from coadjoint.files.archives.store import ArchiveUnwritten
+from coadjoint.runs.prepared_run import PreparedRun
+from guards import open_descriptors
+
+BODY = co.systems.rigid_body(inertia=(1, 2, 3))
+BATCH = co.batch([co.systems.rigid_body(inertia=(1, 2, 2 + 0.0625 * k)) for k in range(7)])
+X = np.random.default_rng(3).standard_normal((7, 3))
+
+
+class Task:
+    def __init__(self, work, arguments):
+        self.status = "finished"
+        try:
+            self._result = work(*arguments)
+        except Exception as error:
+            self.status, self._error = "error", error
+
+    def result(self):
+        return self._result
+
+    def exception(self):
+        return self._error
+
+
+class Inline:
+    """A client that runs tasks when they are submitted; `before` may replace their results."""
+
+    status = "running"
+
+    def __init__(self, before=lambda block, tries: None):
+        self.keys, self.threads, self.tries, self.before = [], [], [], before
+
+    def scheduler_info(self, n_workers):
+        return {"workers": {"first": None}}
+
+    def scatter(self, ready, broadcast, hash):
+        return ready
+
+    def submit(self, work, *args, key, pure):
+        self.keys.append(key)
+        self.threads.append(args[-1])
+        self.tries.append(args[1].number)
+
+        def task(archive, block, *more):
+            ended = self.before(block, self.tries.count(block.number))
+            return work(archive, block, *more) if ended is None else ended
+
+        return Task(task, args)
+
+
+@pytest.fixture(autouse=True)
+def immediate_tasks(monkeypatch):
+    monkeypatch.setattr(on_workers, "_wait_for_tasks", lambda client, tasks: list(tasks))
+    monkeypatch.setattr(on_workers, "_scheduler_responds", lambda client: True)
+    monkeypatch.setattr(on_workers, "RETRY_SECONDS", 0.0)
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+def ensemble(client, path, system=BODY, span=(0.0, 2.0), threads=None):
+    ready = PreparedRun(system, co.Splitting(), 0.125)
+    return run_in_blocks(ready, X, span, 1, path, WorkerPool(client, None, threads), size=3)
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize("system", [BODY, BATCH], ids=["one system", "batch"])
+@pytest.mark.parametrize("span", [(0.0, 2.0), (7.5, 5.5)])
+def test_blocks_have_their_own_members(tmp_path, system, span):
+    client = Inline()
+    found = ensemble(client, tmp_path / "many.zarr", system, span, threads=2)
+    assert client.tries == [0, 1, 2] and len(set(client.keys)) == 3 and client.threads == [2, 2, 2]
+    expected = co.integrate(system, X, span, 0.125, co.Splitting())
+    np.testing.assert_array_equal(found.x, expected.x)
+    np.testing.assert_array_equal(found.energy, expected.energy)
+
+
+def test_busy_block_is_submitted_again(tmp_path):
+    client = Inline(lambda block, tries: BUSY if block.number == 1 and tries < 3 else None)
+    found = ensemble(client, tmp_path / "many.zarr")
+    assert client.tries == [0, 1, 2, 1, 1] and len(set(client.keys)) == 5 and set(client.threads) == {1}
+    assert found.finished and np.isfinite(found.x).all()
+
+
+def lost(block, tries):
+    raise RuntimeError(f"a worker is lost with block {block.number}")
+
+
+def test_blocks_of_lost_workers_are_submitted_again(tmp_path):
+    """Always after progress, and a limited number of times without."""
+    client = Inline(lambda block, tries: None if tries > block.number else lost(block, tries))
+    found = ensemble(client, tmp_path / "many.zarr")
+    assert client.tries == [0, 1, 2, 1, 2, 2] and found.finished
+    client = Inline(lambda block, tries: lost(block, tries) if block.number else None)
+    with pytest.raises(ArchiveUnwritten, match=r"4 members .*workers were lost .*with block 1"):
+        ensemble(client, tmp_path / "other.zarr")
+    assert client.tries == [0] + [1, 2] * (1 + on_workers.RETRIES)
+    client = Inline()
+    assert ensemble(client, tmp_path / "other.zarr").finished and client.tries == [1, 2]
+
+
+@pytest.mark.parametrize("error", [ArchiveError, ArchiveUnwritten])
+def test_archive_errors_of_workers_are_raised(tmp_path, error):
+    def refused(block, tries):
+        if block.number == 1:
+            raise error("of the worker")
+
+    client = Inline(refused)
+    with pytest.raises(error, match="of the worker"):
+        ensemble(client, tmp_path / "many.zarr")
+    assert client.tries == [0, 1, 2]
+
+
+@pytest.mark.parametrize(("span", "step"), [("[0.0, 2.0]", 0.5), ("[2.0, 0.5]", -0.5), ("[-1.0, -3.0]", -0.5)])
+def test_step_has_the_sign_of_the_span(span, step):
+    store = SimpleNamespace(attributes={"t_span": span})
+    assert on_workers._signed_step(store, SimpleNamespace(step=0.5)) == step
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_lost_result_is_computed_again(monkeypatch, there):
+    class Task:
+        status = "finished"
+
+        def result(self):
+            raise CancelledError("already forgotten")
+
+    monkeypatch.setattr(on_workers, "_scheduler_responds", lambda client: there)
+    if there:
+        ended, reason = on_workers._task_result(None, Task())
+        assert ended is None and isinstance(reason, CancelledError), "the block is computed again"
+    else:
+        with pytest.raises(CancelledError):
+            on_workers._task_result(None, Task())
+
+
+@pytest.mark.parametrize(
+    ("address", "warned"),
+    [
+        ("tcp://192.0.2.7:8786", True),
+        ("tcp://[2001:db8::7]:8786", True),
+        ("ucx://192.0.2.7:8786", True),
+        ("tcp://somewhere:8786", True),
+        ("tcp://localhost.somewhere:8786", True),
+        ("tcp://127.0.0.1.somewhere:8786", True),
+        ("tls://192.0.2.7:8786", False),
+        ("tcp://127.0.0.1:8786", False),
+        ("tcp://127.1.2.3:8786", False),
+        ("tcp://[::1]:8786", False),
+        ("tcp://localhost:8786", False),
+        ("inproc://192.0.2.7/1/1", False),
+    ],
+)
+def test_unencrypted_remote_client_warns(address, warned):
+    client = object.__new__(Client)
+    client.scheduler, client.status = SimpleNamespace(address=address), "closed"
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("default")
+        for _ in range(3):
+            assert read_worker_pool(client, None, None).client is client
+    assert [warning.category for warning in found] == [RuntimeWarning] * warned
+    assert all(address in str(warning.message) for warning in found)
+
+
+def run_one_block(path, number=1):
+    ready = PreparedRun(BODY, None, 0.125)
+    return run_block(str(path), Block(number, 3 * number, min(3 * number + 3, 7)), ready, True, 1)
+
+
+@pytest.mark.parametrize("case", ["no folder", "no archive", "file", "damaged"])
+def test_archive_that_a_worker_cannot_read(tmp_path, case):
+    """The error names the machine, since another one sees the folder."""
+    path, before = tmp_path / "many.zarr", open_descriptors()
+    if case == "file":
+        path.touch()
+    elif case != "no folder":
+        path.mkdir()
+    if case == "damaged":
+        (path / "zarr.json").write_text("{")
+    message = {"file": "is a file", "damaged": "is damaged"}.get(case, "there is no archive of a run")
+    end = f" on the machine {platform.node()}; every worker must reach the folder by the same path"
+    with pytest.raises(ArchiveError, match=rf"^{re.escape(str(path))}: .*{message}.*{re.escape(end)}$"):
+        run_one_block(path)
+    assert open_descriptors() == before and not (path / ".coadjoint").exists()
+
+
+def test_block_sizes():
+    sizes = {(1, 3, 1): 1, (7, 3, 4): 1, (10**6, 3, 2): 125024, (10**6, 9, 100): 2528}
+    assert {arguments: size_of_blocks(*arguments) for arguments in sizes} == sizes
+    assert size_of_blocks(10**6, 100, 1) == 2**22 // 800
+    blocks = blocks_of(11, 4)
+    assert [member for block in blocks for member in range(block.first, block.last)] == list(range(11))
+
+
+def test_worker_count():
+    class Cluster:
+        def __init__(self, count):
+            self.scheduler_info = lambda n_workers: {"workers": dict.fromkeys(range(count))}
+
+    assert [
+        WorkerPool().worker_count,
+        WorkerPool(None, 3).worker_count,
+        WorkerPool(Cluster(4)).worker_count,
+        WorkerPool(Cluster(0)).worker_count,
+    ] == [1, 3, 4, 1]

@@ -1,0 +1,225 @@
+"""Descriptions of splittings: blocks, generators and work of each part, counted in matrices of structure constants."""
+
+import re
+from collections import Counter
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+import coadjoint as co
+from drawn_matrices import constants_of
+
+ALGEBRAS = {
+    "so(3)": lambda: co.algebras.so(3),
+    "e(3)": lambda: co.algebras.e(3),
+    "so(4)": lambda: co.algebras.so(4),
+    "so(5)": lambda: co.algebras.so(5),
+    "sl(2)": lambda: co.algebras.sl(2),
+    "gl(3)": lambda: co.algebras.get("gl(n)", n=3),
+    "heisenberg(2)": lambda: co.algebras.heisenberg(2),
+    "A3,7": lambda: co.algebras.get("A3,7", a=1.75),
+    "so(2,2)": lambda: co.algebras.get("so(p,q)", p=2, q=2),
+    "copies of e(3)": lambda: co.algebras.copies(co.algebras.e(3), 2),
+    "so(3) in another basis": lambda: co.algebras.change_of_basis(
+        co.algebras.so(3), np.array([[1, 0, 0], [1, 1, 0], [0, -1, 1]])
+    ),
+}
+
+
+def coordinate_names(system):
+    """Return the names in descriptions, whose parts keep the order in which they are given."""
+    parts = co.Splitting(order=1, parts=[[i] for i in range(system.dim)]).describe(system).parts
+    return [part.generators[0] for part in parts]
+
+
+WORK = {"SCALE": 1, "ROTATE": 4, "PLANE": 6, "SHEAR": 2}
+"""Multiplications of one block: a factor; a 2 x 2 rotation; two numbers and a 2 x 2 matrix; an angle and a constant."""
+
+
+def connected(D):
+    """Restrictions of a matrix to connected sets of coordinates, without those that are zero."""
+    row, column = np.nonzero(D)
+    count, labels = connected_components(coo_array((np.ones(len(row)), (row, column)), shape=D.shape), directed=False)
+    each = (D[np.ix_(*2 * (np.flatnonzero(labels == label),))] for label in range(count))
+    return [block for block in each if np.any(block)]
+
+
+def kind_of(block):
+    targets, sources = (set(axis.tolist()) for axis in np.nonzero(block))
+    if not targets & sources:
+        return "SHEAR"
+    if len(block) == 1:
+        return "SCALE"
+    if len(block) == 2:
+        return "ROTATE" if np.array_equal(block, -block.T) else "PLANE"
+    cube = block @ block @ block
+    lam = np.sum(cube * block) / np.sum(block * block)
+    return "CUBIC" if lam != 0 and np.allclose(cube, lam * block, rtol=0, atol=1e-12) else "SERIES"
+
+
+def blocks_by_hand(D):
+    """Numbers of blocks of each kind; each entry of a shear is a block."""
+    found = Counter()
+    for block in connected(D):
+        found[kind_of(block)] += np.count_nonzero(block) if kind_of(block) == "SHEAR" else 1
+    return found
+
+
+def functions_by_hand(D):
+    """Calls of elementary functions: blocks that are equal, but for the sense of a rotation, have them in common."""
+    blocks = [(kind_of(block), block) for block in connected(D)]
+    shared = {
+        (kind, np.abs(block).tobytes() if kind == "ROTATE" else block.tobytes())
+        for kind, block in blocks
+        if kind in ("SCALE", "ROTATE", "PLANE")
+    }
+    return len(shared) + sum(kind == "CUBIC" for kind, _ in blocks)
+
+
+def commuting_groups(rng, algebra):
+    """All coordinates, in a random order, in groups that commute."""
+    actions, groups = constants_of(algebra), []
+    for i in rng.permutation(algebra.dim).tolist():
+        fitting = [own for own in groups if not any(np.any(actions[i, j]) for j in own)]
+        if fitting and rng.random() < 0.75:
+            fitting[rng.integers(len(fitting))].append(i)
+        else:
+            groups.append([i])
+    return [sorted(own) for own in groups]
+
+
+@pytest.mark.thinned(3)
+@pytest.mark.parametrize("name", ALGEBRAS)
+@pytest.mark.parametrize("seed", range(3))
+def test_blocks_and_work_of_each_part(name, seed):
+    """Of H = sum(c x^2) / 2, so that an angle is one product: one angle may move several blocks."""
+    algebra, rng = ALGEBRAS[name](), np.random.default_rng(seed)
+    actions, groups = constants_of(algebra), commuting_groups(np.random.default_rng(seed), algebra)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(rng.uniform(0.5, 2.0, algebra.dim)), casimirs={})
+    order = (1, 2)[seed % 2]
+    found, names = co.Splitting(order=order, parts=groups).describe(system), coordinate_names(system)
+    lines = str(found).split("\n")
+    assert sorted(part.generators for part in found.parts) == sorted(tuple(names[i] for i in own) for own in groups)
+    for number, part in enumerate(found.parts, start=1):
+        own = [names.index(generator) for generator in part.generators]
+        blocks = sum((blocks_by_hand(actions[i]) for i in own), Counter())
+        assert Counter(part.blocks) == blocks
+        assert part.functions == sum(functions_by_hand(actions[i]) for i in own)
+        if set(blocks) <= set(WORK):
+            assert part.multiplications == len(own) + sum(WORK[kind] * count for kind, count in blocks.items())
+        head, _, said = lines[number].rpartition(": ")
+        assert head.startswith(f"  part {number}: {', '.join(part.generators[:6])}")
+        assert said == ", ".join(f"{count} {kind}" for kind, count in part.blocks.items()) or said == "nothing moves"
+        assert (said == "nothing moves") == (not blocks)
+    # A step of order 2 goes forth and back: the first part and the last one are flows of two half steps in one.
+    count = len(found.parts)
+    weights = [1] * count if order == 1 or count == 1 else [1, *[2] * (count - 2), 1]
+    assert found.flows == sum(weights)
+    for what in ("multiplications", "functions"):
+        each = [getattr(part, what) for part in found.parts]
+        assert getattr(found, what) == sum(w * value for w, value in zip(weights, each, strict=True))
+    assert lines[0].endswith(f"H in {count} parts") and len(lines) == count + 2
+    assert lines[-1].startswith(f"  a step: {found.flows} flows, {found.multiplications} multiplications, ")
+    assert found.shift == {}
+
+
+@pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "so(2,2)"])
+@pytest.mark.parametrize("seed", range(3))
+def test_multiples_of_casimirs_that_are_subtracted(name, seed):
+    """H minus them is a function of the generators alone: coordinates that are no generators are not in it."""
+    algebra, rng = ALGEBRAS[name](), np.random.default_rng(seed)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(rng.permutation(np.arange(1.0, algebra.dim + 1.0))))
+    found = co.Splitting().describe(system)
+    moved = {generator for part in found.parts for generator in part.generators}
+    names = coordinate_names(system)
+    assert moved <= set(names) and found.shift and len(moved) < algebra.dim
+    x, step = rng.standard_normal(algebra.dim), 2.0**-10
+    for i in (i for i in range(algebra.dim) if names[i] not in moved):
+        energies = [
+            system.energy(y) - sum(factor * system.casimirs[own](y) for own, factor in found.shift.items())
+            for y in (x + way * np.eye(algebra.dim)[i] for way in (step, -step))
+        ]
+        # Differences of numbers of size 10^2.
+        assert abs(energies[0] - energies[1]) < 1e-11
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "so(2,2)", "sl(2)"])
+def test_the_subtracted_casimirs_as_a_formula(name, sign):
+    """As written, with the values of the Casimirs, or of the coordinates where a name is a polynomial."""
+    algebra, rng = ALGEBRAS[name](), np.random.default_rng(5)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(sign * np.arange(1.0, algebra.dim + 1.0)))
+    found = co.Splitting().describe(system)
+    x = rng.standard_normal(algebra.dim)
+    text = re.fullmatch(r".*: H(.+) in \d+ parts", str(found).split("\n")[0])[1]
+    assert " - -" not in text and " + -" not in text and found.shift
+    for own, casimir in system.casimirs.items():
+        text = text if "x1" in own else text.replace(own, f"({casimir(x)!r})")
+    values = {f"x{i + 1}": value for i, value in enumerate(x.tolist())}
+    formula = re.sub(r"(\d) \(", r"\1 * (", text.replace("np.float64", "")).replace("^", "**")
+    wanted = -sum(factor * system.casimirs[own](x) for own, factor in found.shift.items())
+    # Six digits are shown.
+    assert eval(formula, {"__builtins__": {}}, values) == pytest.approx(wanted, rel=1e-5)
+
+
+@pytest.mark.parametrize("size", [1, 5, 6, 7, 9])
+def test_a_part_of_many_generators_is_shown_by_the_first_six_and_their_number(size):
+    algebra = co.algebras.heisenberg(9)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(np.ones(19)), casimirs={})
+    groups = [[*range(size)], [*range(size, 9), 18], [*range(9, 18)]]
+    found = co.Splitting(parts=groups).describe(system)
+    lines = str(found).split("\n")
+    for own in groups:
+        names = tuple(algebra.basis[i] for i in own)
+        number = 1 + [part.generators for part in found.parts].index(names)
+        shown = names if len(names) <= 6 else (*names[:6], f"... ({len(names)})")
+        assert lines[number].startswith(f"  part {number}: {', '.join(shown)}: ")
+
+
+def described():
+    e3, so3 = co.algebras.e(3), co.algebras.so(3)
+    full = co.Quadratic([[2.0, 0.3, 0.1], [0.3, 1.0, 0.2], [0.1, 0.2, 0.5]])
+    top = co.Quadratic([1.0, 2.0, 3.0, 0, 0, 0], linear=[0, 0, 0, 0.5, 0, 0.25])
+    bond = co.Quadratic(np.kron([[0, 0.75], [0.75, 0]], np.eye(3)))
+    spiral, third = co.algebras.get("A3,7", a=0.5), {(2, 0, 0): 0.5, (0, 3, 0): 0.25, (1, 2, 0): 0.5, (0, 0, 2): 1.0}
+    return {
+        "free body": (so3, full, "free_body"),
+        "free body and gravity": (e3, top, "free_body"),
+        "bond": (co.algebras.copies(so3, 2), bond, "bonds"),
+        "coordinates": (so3, co.Quadratic([1.0, 2.0, 2.75]), "auto"),
+        "polynomial": (spiral, co.Polynomial(third), [[0, 1], [2]]),
+    }
+
+
+@pytest.mark.parametrize("name", described())
+def test_two_copies_of_a_system_have_twice_the_operations_in_as_many_flows(name):
+    algebra, H, parts = described()[name]
+    n, doubled, none = algebra.dim, parts, (0,) * algebra.dim
+    if isinstance(H, co.Quadratic):
+        constant = H.gradient(np.zeros(n))
+        M = np.array([H.gradient(e) - constant for e in np.eye(n)])
+        twice = co.Quadratic(np.kron(np.eye(2), M), linear=np.tile(constant, 2))
+    else:
+        twice = co.Polynomial({whole: c for e, c in H.monomials.items() for whole in ((*e, *none), (*none, *e))})
+        doubled = [[*some, *(i + n for i in some)] for some in parts]
+    one = co.Splitting(order=4, parts=parts).describe(co.LiePoissonSystem(algebra, H))
+    two = co.Splitting(order=4, parts=doubled).describe(co.LiePoissonSystem(co.algebras.copies(algebra, 2), twice))
+    assert (two.flows, two.multiplications) == (one.flows, 2 * one.multiplications)
+    assert one.multiplications > 0 and one.functions > 0
+    for single, both in zip(one.parts, two.parts, strict=True):
+        assert both.multiplications == 2 * single.multiplications
+        # Rotations about one angle are one sine; shears have none.
+        assert both.functions == 2 * single.functions
+        assert both.blocks == {kind: 2 * count for kind, count in single.blocks.items()}
+        assert len(both.generators) == 2 * len(single.generators)
+    for said in (one, two):
+        assert f"{said.multiplications} multiplications" in str(said) and f"{said.functions} sines" in str(said)
+
+
+def test_number_of_parts_does_not_grow_with_a_lattice():
+    """Three parts of equal components, and two of different ones, in which the sites of each sublattice are alike."""
+    for side in (4, 10):
+        lattice = co.systems.spin_lattice("square", (side, side), periodic=True, dm=(0, 0, 0.3))
+        assert len(co.Splitting(order=2).describe(lattice).parts) == 5
