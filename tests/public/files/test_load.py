@@ -4,20 +4,21 @@ import json
 import os
 import pickle
 import shutil
-from pathlib import Path
 
 import h5py
 import numcodecs
 import numpy as np
 import pytest
 import xarray
-from configuration_files import READY_MADE
+from compared_runs import assert_same_run, same_bits
 
 import coadjoint as co
-from coadjoint import cli
-from coadjoint.files.output.output_files import write_dataset
+from refusals import refused
 
-pytestmark = pytest.mark.thinned(3)
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::zarr.errors.UnstableSpecificationWarning"),
+    pytest.mark.filterwarnings("ignore:Consolidated metadata"),
+]
 
 X = (1.0, 0.1, 0.5)
 BODY = co.systems.rigid_body()
@@ -46,45 +47,10 @@ WAYS = {
     "to_netcdf": lambda sol, path: sol.to_xarray().to_netcdf(path, engine="h5netcdf"),
     "to_netcdf alone": lambda sol, path: sol.to_xarray().to_netcdf(path),
     "to_zarr": lambda sol, path: sol.to_xarray().to_zarr(path),
-    "run.nc": lambda sol, path: write_dataset(sol.to_xarray(), path.with_suffix(".nc")),
-    "run.zarr": lambda sol, path: write_dataset(sol.to_xarray(), path.with_suffix(".zarr")),
 }
 
 
-def same_bits(one, other):
-    if one is None or other is None:
-        return one is other
-    one, other = np.asarray(one), np.asarray(other)
-    return one.shape == other.shape and one.dtype == other.dtype and one.tobytes() == other.tobytes()
-
-
-def check_same(found, sol):
-    for name in ("t", "x", "energy", "attitude", "x0", "attitude0", "failed", "t_eval"):
-        assert same_bits(getattr(found, name), getattr(sol, name)), name
-    for name in ("casimirs", "observed", "initial"):
-        one, other = getattr(found, name), getattr(sol, name)
-        assert list(one) == list(other) and all(same_bits(one[key], other[key]) for key in other), name
-    for name in ("change", "balance"):
-        one, other = getattr(found, name)(), getattr(sol, name)()
-        assert list(one) == list(other), name
-        for key in other:
-            assert same_bits(one[key].tenths, other[key].tenths) and same_bits(one[key].initial, other[key].initial)
-    assert {f: {k: v.tolist() for k, v in w.items()} for f, w in found.work.items()} == {
-        f: {k: v.tolist() for k, v in w.items()} for f, w in sol.work.items()
-    }
-    assert (found.t_span, found.step, found.save_every) == (sol.t_span, sol.step, sol.save_every)
-    assert (found.method, found.watched, found.carried) == (sol.method, sol.watched, sol.carried)
-    assert found.stats == sol.stats
-    assert (found.events is None) == (sol.events is None)
-    if sol.events is not None:
-        assert (found.events.names, found.events.coordinates) == (sol.events.names, sol.events.coordinates)
-        for name in ("t", "x", "which", "member", "direction", "attitude"):
-            assert same_bits(getattr(found.events, name), getattr(sol.events, name)), name
-
-
-@pytest.mark.thinned(44)
-@pytest.mark.filterwarnings("ignore::zarr.errors.UnstableSpecificationWarning")
-@pytest.mark.filterwarnings("ignore:Consolidated metadata")
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("name", [*RUNS, *ONLY_IN_FILES])
 def test_loaded_parts_have_the_same_bits(tmp_path, name, way):
@@ -92,9 +58,9 @@ def test_loaded_parts_have_the_same_bits(tmp_path, name, way):
     WAYS[way](sol, path)
     found = co.load(next(tmp_path.iterdir()))
     assert isinstance(found, co.Solution) and repr(found) == repr(sol)
-    check_same(found, sol)
+    assert_same_run(found, sol)
     xarray.testing.assert_identical(found.to_xarray(), sol.to_xarray())
-    check_same(pickle.loads(pickle.dumps(found)), sol)
+    assert_same_run(pickle.loads(pickle.dumps(found)), sol)
 
 
 @pytest.mark.parametrize("name", RUNS)
@@ -105,8 +71,6 @@ def test_archives_are_loaded(tmp_path, name):
     assert same_bits(found.x, sol.x)
 
 
-@pytest.mark.filterwarnings("ignore::zarr.errors.UnstableSpecificationWarning")
-@pytest.mark.filterwarnings("ignore:Consolidated metadata")
 def test_casimirs_and_observed_quantities_are_loaded_in_the_order_of_the_run(tmp_path):
     """Files list arrays by their labels, of which the tenth comes before the second."""
     free, names = co.LieAlgebra([], dim=3), ["z", "b 1", "a", "C", *(f"{k} y" for k in range(12, 0, -1))]
@@ -130,42 +94,6 @@ def test_casimirs_and_observed_quantities_are_loaded_in_the_order_of_the_run(tmp
             path.unlink() if path.is_file() else shutil.rmtree(path)
 
 
-def test_swept_output_of_the_command_is_loaded(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    text = READY_MADE + '[sweep.over]\n"system.parameters.inertia[2]" = [2.25, 2.5, 2.75]\n'
-    (tmp_path / "run.toml").write_text(text, encoding="utf-8")
-    assert cli.main(["run", "run.toml", "--out", "run.nc", "--quiet"]) == 0
-    found = co.load("run.nc")
-    assert found.dataset["swept_inertia_2"].values.tolist() == [2.25, 2.5, 2.75]
-    assert [body.parameters["inertia"][2] for body in found.system] == [2.25, 2.5, 2.75]
-
-
-@pytest.mark.long
-def test_system_with_functions_must_be_given(tmp_path):
-    H = co.Hamiltonian(lambda x: float(x @ x), lambda x: 2 * x)
-    system = co.LiePoissonSystem(co.algebras.so(3), H)
-    sol = co.integrate(system, X, (0, 1), 0.125, co.GaussLegendre(2))
-    sol.to_xarray().to_netcdf(tmp_path / "run.nc", engine="h5netcdf")
-    found = co.load(tmp_path / "run.nc")
-    assert same_bits(found.x, sol.x) and found.drift() == sol.drift()
-    with pytest.raises(ValueError, match="not stored"):
-        _ = found.system
-    assert co.load(tmp_path / "run.nc", system=system).system is system
-
-
-def test_failed_run_is_loaded_up_to_the_failure(tmp_path):
-    grows = co.LiePoissonSystem(co.algebras.get("A2_1"), co.Quadratic(0.0, linear=[1.0, 0.0]), sign=-1)
-    with pytest.raises(co.IntegrationError) as failed:
-        co.integrate(grows, (1.0, 1.0), (0, 1000), 1.0, save_every=100)
-    from coadjoint.files.datasets.export import mark_failed
-
-    partial = failed.value.partial
-    mark_failed(partial.to_xarray(), failed.value).to_netcdf(tmp_path / "run.nc", engine="h5netcdf")
-    found = co.load(tmp_path / "run.nc")
-    assert same_bits(found.x, partial.x) and found.stats == partial.stats
-
-
-@pytest.mark.filterwarnings("ignore:Consolidated metadata")
 def test_other_files_are_refused(tmp_path):
     (tmp_path / "a.txt").write_text("nothing", encoding="utf-8")
     (tmp_path / "empty.nc").touch()
@@ -177,25 +105,19 @@ def test_other_files_are_refused(tmp_path):
     xarray.Dataset({"x": ("time", np.ones(3))}).to_zarr(tmp_path / "other.zarr")
     sol = RUNS["one member"]()
     sol.to_xarray().drop_vars("x0").to_netcdf(tmp_path / "less.nc", engine="h5netcdf")
-    messages = {
-        "none.nc": "cannot be read (No such file or directory)",
-        "a.txt": "is no NetCDF file",
-        "empty.nc": "is no NetCDF file",
+    said = {
+        "none.nc": "No such file",
         "folder": "holds no run",
-        "cut.nc": "cannot be read as a dataset (",
-        "cdf.nc": "cannot be read as a dataset (",
-        "other.nc": "",
-        "other.zarr": "holds no run; it was not written by this library",
-        "less.nc": "holds no run; it was not written by this library",
-        "x" * 3000: "",
+        "other.zarr": "holds no run",
+        "less.nc": "holds no run",
     }
-    for name, message in messages.items():
-        with pytest.raises(ValueError, match=r".") as raised:
+    names = ("a.txt", "empty.nc", "cut.nc", "cdf.nc", "other.nc", "x" * 3000, *said)
+    for name in names:
+        with refused(ValueError, said.get(name, "")) as caught:
             co.load(tmp_path / name)
-        text = str(raised.value)
-        assert message in text and "\n" not in text and len(text) < 1000, name
+        assert "\n" not in str(caught.value) and len(str(caught.value)) < 1000, name
     for wrong in (None, 3, b"a.nc", ["a.nc"]):
-        with pytest.raises(TypeError, match="path is"):
+        with refused(TypeError, "path"):
             co.load(wrong)
 
 
@@ -262,7 +184,7 @@ def test_initial_energy_uses_the_initial_time(tmp_path, x0, span):
     """Also if the first saved time is later, with a system given to `load`."""
     times = 7.5 + np.sign(span[1] - 7.5) * np.array([0.4, 1.3])
     sol = co.integrate(BODY, x0, span, 0.125, t_eval=times)
-    write_dataset(sol.to_xarray(), tmp_path / "run.nc")
+    sol.to_xarray().to_netcdf(tmp_path / "run.nc")
     found, states = co.load(tmp_path / "run.nc", driven()), np.asarray(x0)
     wanted = 0.5 * states**2 @ [1.0, 2.0, 3.0] + 7.5 * states[..., 0]
     # Sums of a few terms below 10, in any order.
@@ -275,7 +197,7 @@ def test_initial_energy_uses_the_initial_time(tmp_path, x0, span):
 def test_initial_invariants_of_a_batch(tmp_path):
     batch = co.batch([co.systems.rigid_body((1, 2, c)) for c in (2.25, 2.5, 3.0)])
     sol = co.integrate(batch, [X, X[::-1], (0.5, -0.5, 0.25)], (7.5, 9.5), 0.125, t_eval=[8.1, 9.0])
-    write_dataset(sol.to_xarray(), tmp_path / "run.nc")
+    sol.to_xarray().to_netcdf(tmp_path / "run.nc")
     found = co.load(tmp_path / "run.nc")
     for name, values in sol.initial.items():
         np.testing.assert_allclose(found.initial[name], values, rtol=0, atol=1e-15)
@@ -283,7 +205,7 @@ def test_initial_invariants_of_a_batch(tmp_path):
 
 def test_changing_the_dataset_leaves_the_solution(tmp_path):
     sol = RUNS["observed"]()
-    write_dataset(sol.to_xarray(), tmp_path / "run.nc")
+    sol.to_xarray().to_netcdf(tmp_path / "run.nc")
     found = co.load(tmp_path / "run.nc")
     assert found.observed["a b"] is found.observed["a b"] and found.casimirs["|x|^2"] is found.casimirs["|x|^2"]
     dataset = found.to_xarray()
@@ -300,10 +222,8 @@ def test_changing_the_dataset_leaves_the_solution(tmp_path):
 @pytest.mark.parametrize("attitude", [False, "coadjoint"])
 def test_run_ended_by_an_event_is_loaded(tmp_path, attitude):
     sol = co.integrate(BODY, X, (7.0, 27.0), 0.1, attitude=attitude, save_every=3, events=co.Event(2, terminal=True))
-    write_dataset(sol.to_xarray(), tmp_path / "run.nc")
+    sol.to_xarray().to_netcdf(tmp_path / "run.nc")
     found = co.load(tmp_path / "run.nc")
-    assert found.record.ending is not None
-    np.testing.assert_equal(found.record.ending._asdict(), sol.record.ending._asdict())
     between = 0.5 * (7.0 + sol.t[-1])
     for t in (7.0, between, sol.t[-1]):
         np.testing.assert_array_equal(found.at(t).x, sol.at(t).x)
@@ -312,22 +232,17 @@ def test_run_ended_by_an_event_is_loaded(tmp_path, attitude):
             read.at(sol.t[-1] + 0.05)
 
 
-def test_run_beyond_memory_is_refused(tmp_path, monkeypatch):
-    sol = RUNS["one member"]()
-    write_dataset(sol.to_xarray(), tmp_path / "run.zarr")
-    size = sol.to_xarray().nbytes
-    monkeypatch.setattr("coadjoint.memory.UNCHECKED_BYTES", 0)
-    monkeypatch.setattr("coadjoint.memory.available", lambda: size)
-    with pytest.raises(ValueError, match=r"run\.zarr: .*needs about .*xarray"):
-        co.load(tmp_path / "run.zarr")
+def test_a_run_beyond_memory_is_refused(tmp_path):
+    """By the size that its arrays declare, of which no byte is stored."""
+    RUNS["one member"]().to_xarray().to_netcdf(tmp_path / "run.nc", engine="h5netcdf")
+    with h5py.File(tmp_path / "run.nc", "a") as file:
+        file.create_dataset("more", (10**15,), "f8", chunks=(10**6,))
+    with refused(ValueError, "run.nc", "needs about"):
+        co.load(tmp_path / "run.nc")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes")
-def test_pipes_are_refused_without_waiting(tmp_path, monkeypatch):
-    """Also if the pipe replaces a file after the check."""
+def test_pipes_are_refused_without_waiting(tmp_path):
     os.mkfifo(tmp_path / "run.nc")
     with pytest.raises(ValueError, match="is no file and no folder"):
-        co.load(tmp_path / "run.nc")
-    monkeypatch.setattr(Path, "is_file", lambda self: True)
-    with pytest.raises(ValueError, match=r"is no NetCDF file|cannot be read"):
         co.load(tmp_path / "run.nc")

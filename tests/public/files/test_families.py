@@ -5,8 +5,7 @@ import pytest
 import xarray
 
 import coadjoint as co
-from coadjoint.files.datasets.export import rebuild
-from coadjoint.files.datasets.named_axes import stacked, unstacked
+from refusals import refused
 
 SPAN, STEP = (0.0, 1.0), 0.125
 THIRDS, ENERGIES = [2.5, 2.75, 3.0], [0.5, 1.0]
@@ -60,12 +59,6 @@ RUNS = {
 @pytest.mark.parametrize("run", RUNS)
 def test_every_system_runs_from_every_state(run, tmp_path):
     check_against_single_runs(RUNS[run](tmp_path / "run.zarr").to_xarray())
-
-
-def test_workers_write_the_same_family(tmp_path):
-    sol = co.integrate_ensemble(family(), X0, SPAN, STEP, workers=2, members_per_block=7, archive=tmp_path / "run.zarr")
-    check_against_single_runs(sol.to_xarray())
-    assert sol.stats.elapsed > sol.stats.seconds > 0.0
 
 
 def test_plain_arrays_of_states():
@@ -128,7 +121,7 @@ def test_families_are_read_back_and_repeated(suffix, tmp_path):
     np.testing.assert_array_equal(loaded.x, sol.x)
     assert loaded.drift() == sol.drift() and len(loaded.system) == 30
     check_against_single_runs(loaded.to_xarray())
-    again = rebuild(loaded.to_xarray())
+    again = co.results.rebuild(loaded.to_xarray())
     np.testing.assert_array_equal(again.x, sol.x)
     check_against_single_runs(again.to_xarray())
 
@@ -139,7 +132,7 @@ def test_an_archive_of_a_family_is_resumed(tmp_path):
     longer = co.resume(path, t_end=2.0)
     whole = co.integrate(family(), X0, (0.0, 2.0), STEP)
     np.testing.assert_array_equal(longer.to_xarray()["x"], whole.to_xarray()["x"])
-    np.testing.assert_array_equal(rebuild(xarray.open_zarr(path).load()).x, whole.x)
+    np.testing.assert_array_equal(co.results.rebuild(xarray.open_zarr(path).load()).x, whole.x)
 
 
 SELECTIONS = {
@@ -159,15 +152,6 @@ def test_parts_of_an_archived_family_are_read(selection, tmp_path):
     np.testing.assert_array_equal(lazy[SELECTIONS[selection]].values, expected)
 
 
-def test_stacking_inverts_unstacking():
-    dataset = co.integrate(family(), X0, SPAN, STEP).to_xarray()
-    flat = stacked(dataset)
-    assert flat["x"].dims == ("time", "member", "component") and flat["swept_inertia_2"].dims == ("member",)
-    again = unstacked(flat.assign_attrs(axes=dataset.attrs["axes"]))
-    xarray.testing.assert_equal(again, dataset)
-    assert stacked(flat) is flat
-
-
 def test_forces_are_parameters_too():
     damped = co.batch(
         lambda rate: co.systems.rigid_body((1, 2, 3)).with_forces(co.forces.LinearDamping(rate)), rate=[0.125, 0.5]
@@ -185,48 +169,36 @@ class FakeArray:
         self.values, self.dims, self.coords = values, dims, {}
 
 
+def run(x0):
+    return lambda: co.integrate(family(), x0, SPAN, STEP)
+
+
 REFUSED = {
-    "no function": (lambda: co.batch([body(2.5)], third=THIRDS), TypeError, "axes third .* function"),
-    "no axes": (lambda: co.batch(body), TypeError, "function; give the values of its axes"),
-    "name": (lambda: co.batch(lambda **axes: body(2.5), **{"two words": [1]}), ValueError, "'two words' is no name"),
-    "empty axis": (lambda: co.batch(body, third=[]), ValueError, "axis third is empty"),
-    "dimension": (lambda: co.batch(lambda time: body(time), time=THIRDS), ValueError, "'time' has the name of another"),
+    "no function": (lambda: co.batch([body(2.5)], third=THIRDS), TypeError, "third"),
+    "no axes": (lambda: co.batch(body), TypeError, "axes"),
+    "name": (lambda: co.batch(lambda **axes: body(2.5), **{"two words": [1]}), ValueError, "'two words'"),
+    "empty axis": (lambda: co.batch(body, third=[]), ValueError, "third"),
+    "dimension": (lambda: co.batch(lambda time: body(time), time=THIRDS), ValueError, "'time'"),
     "text": (lambda: co.batch(body, third="abc"), TypeError, "third is 'abc'"),
-    "suffix": (lambda: co.batch(lambda a_values: body(a_values), a_values=[2.5]), ValueError, "a_values.* is no name"),
-    "shape": (lambda: co.integrate(family(), states(2, 4), SPAN, STEP), ValueError, "shape .2, 4, 3.*DataArray"),
-    "size": (
-        lambda: co.integrate(family(), np.ones((4, 2)), SPAN, STEP),
-        ValueError,
-        "each state must be of shape .3,",
-    ),
-    "taken": (
-        lambda: co.integrate(family(), xarray.DataArray(states(2), dims=("time", "component")), SPAN, STEP),
-        ValueError,
-        "'time' has the name of another",
-    ),
-    "twice": (
-        lambda: co.integrate(family(), FakeArray(states(2, 2), ("start", "start", "component")), SPAN, STEP),
-        ValueError,
-        "'start' has the name of another",
-    ),
-    "no states": (lambda: co.integrate(family(), np.ones((0, 3)), SPAN, STEP), ValueError, "at least one member"),
-    "other values": (
-        lambda: co.integrate(family(), labelled("third", "component", third=[2.5, 3.0, 2.75]), SPAN, STEP),
-        ValueError,
-        "other values of third",
-    ),
+    "suffix": (lambda: co.batch(lambda a_values: body(a_values), a_values=[2.5]), ValueError, "a_values"),
+    "shape": (run(states(2, 4)), ValueError, "(2, 4, 3)"),
+    "size": (run(np.ones((4, 2))), ValueError, "(3,"),
+    "taken": (run(xarray.DataArray(states(2), dims=("time", "component"))), ValueError, "'time'"),
+    "twice": (run(FakeArray(states(2, 2), ("start", "start", "component"))), ValueError, "'start'"),
+    "no states": (run(np.ones((0, 3))), ValueError, "at least one member"),
+    "other values": (run(labelled("third", "component", third=[2.5, 3.0, 2.75])), ValueError, "third"),
 }
 
 
 @pytest.mark.thinned(1)
 @pytest.mark.parametrize("case", REFUSED)
 def test_families_that_are_refused(case):
-    make, kind, message = REFUSED[case]
-    with pytest.raises(kind, match=message):
+    make, kind, said = REFUSED[case]
+    with refused(kind, said):
         make()
 
 
-@pytest.mark.parametrize("count", [1, 7, 31, 32, 33, 70])
+@pytest.mark.parametrize("count", [1, 31, 32, 70])
 def test_repeated_systems_in_any_order_are_the_runs_alone(count):
     """Systems with many members share tables, those with few have columns; both have the bits of single runs."""
     bodies = [body(third) for third in (2.5, 2.75, 2.875, 3.0)]
@@ -239,18 +211,8 @@ def test_repeated_systems_in_any_order_are_the_runs_alone(count):
         np.testing.assert_array_equal(sol.x[:, order == k], run.x)
         np.testing.assert_array_equal(sol.attitude[:, order == k], run.attitude)
         np.testing.assert_array_equal(sol.drift()["energy"].members[order == k], run.drift()["energy"].members)
-    again = rebuild(sol.to_xarray())
+    again = co.results.rebuild(sol.to_xarray())
     np.testing.assert_array_equal(again.x, sol.x)
-    assert len(again.system.distinct) == 4
-
-
-def test_a_repeated_system_is_prepared_once(monkeypatch):
-    calls = []
-    loop = co.GaussLegendre.loop
-    monkeypatch.setattr(co.GaussLegendre, "loop", lambda self, *args: calls.append(1) or loop(self, *args))
-    bodies = [body(third) for third in THIRDS]
-    co.prepare(co.batch([one for one in bodies for _ in range(100)]), co.GaussLegendre(2), 0.125)
-    assert len(calls) == 3
 
 
 def test_noise_of_repeated_systems_differs_by_member():
