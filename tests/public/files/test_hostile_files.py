@@ -9,15 +9,12 @@ import zlib
 import h5py
 import numpy as np
 import pytest
-import xarray
 from numcodecs import Blosc, Pickle, Zstd
 
 import coadjoint as co
-from coadjoint.files.datasets.content_checksum import CHECKSUM, checksum_of
-from coadjoint.files.datasets.loaded_solution import LoadError
-from coadjoint.files.output.file_validation import _decompressed_length, check_hdf5, check_zarr
-from coadjoint.files.output.output_files import write_dataset
+from refusals import refused
 
+CHECKSUM = "content_sha256"
 BODY = co.systems.rigid_body(inertia=(1, 2, 2.5))
 pytestmark = pytest.mark.filterwarnings(
     "ignore::zarr.errors.UnstableSpecificationWarning", "ignore:Consolidated metadata"
@@ -36,8 +33,6 @@ WRITERS = {
     "plain.nc": lambda ds, path: ds.to_netcdf(path, engine="h5netcdf"),
     "packed.nc": lambda ds, path: ds.to_netcdf(path, engine="h5netcdf", encoding=PACKED),
     "classic.nc": lambda ds, path: ds.to_netcdf(path, engine="scipy", format="NETCDF3_64BIT"),
-    "own.nc": write_dataset,
-    "own.zarr": write_dataset,
     "second.zarr": lambda ds, path: ds.to_zarr(path, zarr_format=2),
     "third.zarr": lambda ds, path: ds.to_zarr(path, zarr_format=3),
 }
@@ -48,14 +43,14 @@ WRITERS = {
 def test_checksum_is_independent_of_the_format(tmp_path, sol, name):
     WRITERS[name](sol.to_xarray(), tmp_path / name)
     found = co.load(tmp_path / name)
-    assert found.attributes[CHECKSUM] == sol.to_xarray().attrs[CHECKSUM] == checksum_of(found.dataset)
+    assert found.attributes[CHECKSUM] == sol.to_xarray().attrs[CHECKSUM]
     assert np.array_equal(found.x, sol.x)
 
 
 @pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", ["plain.nc", "classic.nc", "second.zarr", "third.zarr"])
 def test_changed_content_is_refused(tmp_path, sol, name):
-    """Without the checksum attribute the content is read, as in files of earlier versions."""
+    """Without the checksum attribute the content is read."""
     changes = (
         lambda ds: ds.assign(x=ds["x"].where(ds["time"] != 2.0, np.nextafter(ds["x"], 9.0))),
         lambda ds: ds.assign_attrs(step=0.25),
@@ -68,9 +63,7 @@ def test_changed_content_is_refused(tmp_path, sol, name):
     for k, change in enumerate(changes):
         dataset = change(sol.to_xarray())
         WRITERS[name](dataset, tmp_path / f"{k}{name}")
-        with pytest.raises(
-            LoadError, match=f"its content does not match its checksum.*remove its attribute {CHECKSUM}"
-        ):
+        with refused(ValueError, "checksum", CHECKSUM):
             co.load(tmp_path / f"{k}{name}")
         del dataset.attrs[CHECKSUM]
         WRITERS[name](dataset, tmp_path / f"without{k}{name}")
@@ -124,7 +117,7 @@ def test_hostile_hdf5_is_refused(tmp_path, sol, kind):
         sol.to_xarray().to_netcdf(tmp_path / name, engine="h5netcdf")
     with h5py.File(tmp_path / "run.nc", "a") as file:
         change(file, str(tmp_path / "other.nc"))
-    with pytest.raises(LoadError, match=message):
+    with refused(ValueError, message):
         co.load(tmp_path / "run.nc")
 
 
@@ -189,19 +182,19 @@ STORES = {
 @pytest.mark.parametrize("kind", STORES)
 def test_hostile_zarr_store_is_refused(tmp_path, sol, kind):
     change, message = STORES[kind]
-    write_dataset(sol.to_xarray(), tmp_path / "run.zarr")
+    sol.to_xarray().to_zarr(tmp_path / "run.zarr", zarr_format=2)
     change(tmp_path / "run.zarr")
-    with pytest.raises(LoadError, match=message):
+    with refused(ValueError, message):
         co.load(tmp_path / "run.zarr")
     assert not Sentinel.unpickled
 
 
 @pytest.mark.thinned(2)
-@pytest.mark.parametrize("name", ["plain.nc", "packed.nc", "classic.nc", "own.zarr", "third.zarr"])
+@pytest.mark.parametrize("name", ["plain.nc", "packed.nc", "classic.nc", "second.zarr", "third.zarr"])
 def test_random_damage_is_refused(tmp_path, sol, name):
     """Bytes are changed, cut or inserted: the run is read unchanged, or refused in one sentence."""
     WRITERS[name](sol.to_xarray(), tmp_path / name)
-    for seed in range(15):
+    for seed in range(12):
         rng, path = random.Random(f"{name} {seed}"), tmp_path / f"try{seed}{name}"
         (shutil.copytree if (tmp_path / name).is_dir() else shutil.copy)(tmp_path / name, path)
         file = rng.choice(sorted(one for one in path.rglob("*") if one.is_file())) if path.is_dir() else path
@@ -219,114 +212,6 @@ def test_random_damage_is_refused(tmp_path, sol, name):
             assert np.array_equal(co.load(path).x, sol.x)
         except ValueError as refused:
             assert 10 < len(str(refused)) < 1000 and str(refused).isprintable(), seed
-
-
-def test_file_of_an_archive_has_a_checksum(tmp_path):
-    found = co.integrate(BODY, (0.3, -1.0, 0.7), (0, 4), 0.125, archive=tmp_path / "archive.zarr")
-    write_dataset(found.to_xarray(), tmp_path / "run.nc")
-    with xarray.open_dataset(tmp_path / "run.nc", engine="h5netcdf") as dataset:
-        assert dataset.attrs[CHECKSUM] == checksum_of(dataset)
-    assert np.array_equal(co.load(tmp_path / "run.nc").x, found.x)
-
-
-BOUNDARIES = (1, 2, 100, 254, 255, 256, 257, 300, 2**16 - 1, 2**16, 2**16 + 255, 2**16 + 256, 2**16 + 257, 2**17)
-
-
-@pytest.mark.parametrize("length", BOUNDARIES)
-def test_chunk_length_is_read_from_the_header(length):
-    """For every width of the length in the header."""
-    content = np.random.default_rng(1).integers(0, 4, length, dtype=np.uint8).tobytes()
-    for codec, name in ((Blosc("zstd", 1), "blosc"), (Blosc("lz4", 0), "blosc"), (Zstd(1), "zstd")):
-        packed = bytes(codec.encode(content))
-        assert len(bytes(codec.decode(packed))) == _decompressed_length(packed[:32], name) == length
-    assert _decompressed_length(content[:32], "") is None
-
-
-@pytest.mark.parametrize("single", [0, 1])
-@pytest.mark.parametrize("width", range(4))
-@pytest.mark.parametrize("dictionary", range(4))
-def test_zstd_frame_headers(single, width, dictionary):
-    """RFC 8878: descriptor, window unless the frame is a single segment, dictionary, and the length less 256 in two
-    bytes; without a length the content is unbounded.
-    """
-    size = (single, 2, 4, 8)[width]
-    length = 100 if size == 1 else 0x0201 if size == 2 else 0x04030201
-    head = b"\x28\xb5\x2f\xfd" + bytes([width << 6 | single << 5 | dictionary])
-    head += b"\x77" * (1 - single) + b"\x66" * (0, 1, 2, 4)[dictionary]
-    head += (length - (256 if size == 2 else 0)).to_bytes(size, "little") if size else b""
-    assert _decompressed_length((head + b"\x55" * 32)[:32], "zstd") == (length if size else -1)
-    assert _decompressed_length(b"\x29" + head[1:], "zstd") == -1 and _decompressed_length(head[:4], "zstd") == -1
-
-
-def hdf5_with(path, filters, chunk=None, mask=0):
-    """Write a variable of three numbers whose chunk has these filters in order."""
-    plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    plist.set_chunk((3,))
-    for each in filters:
-        getattr(plist, f"set_{each}")(*([1] if each == "deflate" else []))
-    with h5py.File(path, "w") as file:
-        made = h5py.h5d.create(file.id, b"x", h5py.h5t.NATIVE_DOUBLE, h5py.h5s.create_simple((3,)), plist)
-        made.write(h5py.h5s.ALL, h5py.h5s.ALL, np.arange(3.0))
-        if chunk is not None:
-            made.write_direct_chunk((0,), chunk, mask)
-    return path
-
-
-@pytest.mark.parametrize(
-    "filters",
-    [
-        (), ("shuffle",), ("deflate",), ("fletcher32",), ("shuffle", "deflate"), ("deflate", "fletcher32"),
-        ("fletcher32", "deflate"), ("shuffle", "fletcher32", "deflate"), ("shuffle", "deflate", "fletcher32"),
-    ],
-)  # fmt: skip
-def test_filters_are_accepted_in_any_order(tmp_path, filters):
-    check_hdf5(hdf5_with(tmp_path / "x.nc", filters))
-
-
-def sums(content):
-    """Append four bytes as a checksum."""
-    return content + bytes(4)
-
-
-PACKED_CHUNKS = {
-    "longer": (("deflate",), zlib.compress(bytes(25)), 0, "another length"),
-    "shorter": (("deflate",), zlib.compress(bytes(23)), 0, "another length"),
-    "far longer": (("deflate",), zlib.compress(bytes(2**20)), 0, "another length"),
-    "longer, with a sum behind": (("deflate", "fletcher32"), sums(zlib.compress(bytes(28))), 0, "another length"),
-    "without the sum inside": (("fletcher32", "deflate"), zlib.compress(bytes(24)), 0, "another length"),
-    "filter left out": (("deflate",), bytes(24), 1, "without all of its filters"),
-    "second filter left out": (("shuffle", "deflate"), bytes(24), 2, "without all of its filters"),
-    "first filter left out": (("shuffle", "deflate"), zlib.compress(bytes(24)), 1, "without all of its filters"),
-    "packed twice": (("deflate", "deflate"), zlib.compress(zlib.compress(bytes(24))), 0, "has the filters"),
-    "not packed": (("deflate",), bytes(24), 0, "."),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("kind", PACKED_CHUNKS)
-def test_wrong_hdf5_chunks_are_refused(tmp_path, kind):
-    filters, chunk, mask, message = PACKED_CHUNKS[kind]
-    path = hdf5_with(tmp_path / "x.nc", filters, chunk, mask)
-    with pytest.raises((ValueError, zlib.error), match=message):
-        check_hdf5(path)
-    with pytest.raises(LoadError):
-        co.load(path)
-
-
-def test_sizes_and_texts_of_hdf5_are_limited(tmp_path, monkeypatch):
-    path = tmp_path / "x.nc"
-    with h5py.File(path, "w") as file:
-        file.create_dataset("names", data=np.array(["a", "b"], dtype=object), dtype=h5py.string_dtype())
-        file.create_dataset("x", (10**6,), "f8")  # no byte of it is stored
-    check_hdf5(path)
-    with monkeypatch.context() as patched:
-        patched.setattr("coadjoint.memory.UNCHECKED_BYTES", 0)
-        patched.setattr("coadjoint.memory.available", lambda: 10**7)
-        with pytest.raises(ValueError, match="the content needs about 16 MB"):
-            check_hdf5(path)
-    with h5py.File(path, "w") as file:
-        file.create_dataset("names", (2, 2), dtype=h5py.string_dtype())
-    with pytest.raises(ValueError, match="has texts over 2 dimensions"):
-        check_hdf5(path)
 
 
 def change_array(change):
@@ -364,11 +249,10 @@ CONTRADICTIONS = {
 @pytest.mark.parametrize("kind", CONTRADICTIONS)
 def test_contradictory_zarr_metadata_is_refused(tmp_path, sol, kind):
     change, message = CONTRADICTIONS[kind]
-    write_dataset(sol.to_xarray(), tmp_path / "run.zarr")
-    check_zarr(tmp_path / "run.zarr")
+    sol.to_xarray().to_zarr(tmp_path / "run.zarr", zarr_format=2)
     change(tmp_path / "run.zarr")
-    with pytest.raises(ValueError, match=message):
-        check_zarr(tmp_path / "run.zarr")
+    with refused(ValueError, message):
+        co.load(tmp_path / "run.zarr")
 
 
 def test_number_of_zarr_texts_is_checked(tmp_path, sol):
@@ -378,7 +262,7 @@ def test_number_of_zarr_texts_is_checked(tmp_path, sol):
         dataset = sol.to_xarray()
         dataset = dataset.assign_coords(component=dataset["component"].astype(object))
         dataset.to_zarr(path, zarr_format=number)
-        check_zarr(path)
+        co.load(path)
         (chunk,) = (file for file in (path / "component").rglob("*") if file.name in ("0", "0.0"))
         about = json.loads((path / "component" / {2: ".zarray", 3: "zarr.json"}[number]).read_text())
         codecs = [each.get("id", each.get("name")) for each in about.get("codecs", [about.get("compressor")])]
@@ -387,5 +271,5 @@ def test_number_of_zarr_texts_is_checked(tmp_path, sol):
         texts = bytes(codec.decode(chunk.read_bytes()))
         for other in (texts + b"\0", texts[:-1], (4).to_bytes(4, "little") + texts[4:], b""):
             chunk.write_bytes(codec.encode(other) if other else b"")
-            with pytest.raises((ValueError, RuntimeError)):
-                check_zarr(path)
+            with pytest.raises(ValueError):
+                co.load(path)

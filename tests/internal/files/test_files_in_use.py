@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
-from test_unfinished import leftover
 
 import coadjoint as co
 from coadjoint.files.archives import folder as archive_folder
@@ -108,7 +107,9 @@ def test_archives_are_written_and_resumed(tmp_path, windows):
 def test_datasets_are_replaced(tmp_path, windows, name):
     for value in (1.0, 2.0):
         write_dataset(xarray.Dataset({"x": ("time", [value])}), tmp_path / name)
-    leftover(tmp_path / name)
+    left = tmp_path / f"{atomic_output._prefix(tmp_path / name)}0123abcd"
+    left.mkdir()
+    (left / LOCK_FILE).touch()
     remove_leftovers(tmp_path / name)
     with xarray.open_dataset(tmp_path / name, engine={".nc": "h5netcdf", ".zarr": "zarr"}[Path(name).suffix]) as found:
         assert found["x"].values == [2.0]

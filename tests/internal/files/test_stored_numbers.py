@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from coadjoint.files.archives.stored_arrays import deserialize_numbers, serialize_numbers
+from coadjoint.files.archives.stored_arrays import StoredArray, deserialize_numbers, serialize_numbers
 
 GRID = np.arange(24.0).reshape(2, 3, 4)
 ARRAYS = {
@@ -111,3 +111,34 @@ def test_flipped_bit_is_refused():
     content[content.index(GRID[1, 1].tobytes()) + 3] ^= 1
     with pytest.raises(ValueError, match="BadZipFile"):
         deserialize_numbers(bytes(content))
+
+
+def stored(axes, length=1):
+    return StoredArray(tuple("abcdefghijk"[:axes]), "float64", (length,) * axes, (1,) * axes, {})
+
+
+@pytest.mark.parametrize(
+    ("within", "beyond"),
+    [
+        (stored(8), stored(9)),
+        (stored(1, 2**62), stored(1, 2**62 + 1)),
+        (
+            StoredArray(("time",), "float64", (1,), (2**16,), {}),
+            StoredArray(("time",), "float64", (1,), (2**16 + 1,), {}),
+        ),
+        (
+            StoredArray(("time", "x"), "float64", (1, 2**10), (512, 2**10), {}),
+            StoredArray(("time", "x"), "float64", (1, 2**10), (513, 2**10), {}),
+        ),
+    ],
+    ids=["axes", "length", "rows", "bytes"],
+)
+def test_sizes_of_arrays_are_limited(within, beyond):
+    within.check()
+    with pytest.raises(ValueError):
+        beyond.check()
+
+
+def test_stored_numbers_have_eight_axes_at_most():
+    """Nine are among the invalid entries."""
+    assert deserialize_numbers(serialize_numbers({"x": np.zeros((1,) * 8)}))["x"].ndim == 8
