@@ -12,9 +12,17 @@ import xarray
 from coadjoint import cli
 from coadjoint.files.output.output_files import check_target, write_dataset
 from core_only import ENVIRONMENT, run_python
-from test_cli import BODY
 
 pytestmark = pytest.mark.thinned(3)
+BODY = """
+[system]
+name = "rigid_body"
+[initial]
+x = [1.0, 0.1, 0.5]
+[run]
+t_span = [0.0, 1.0]
+step = 0.1
+"""
 
 # Acts after a given piece was written, in any thread.
 AT_PIECE = """

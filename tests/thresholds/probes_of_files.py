@@ -1,53 +1,12 @@
 """Thresholds of `files/` and of the readers of arguments."""
 
-import io
 import time
 
-import numpy as np
-
-from coadjoint.files.archives.stored_arrays import StoredArray, deserialize_numbers
-from coadjoint.files.configuration.parsing import parse_toml
-from coadjoint.files.configuration.sweep_models import SweepTable
-from coadjoint.files.records.entries import Entry
 from coadjoint.methods.compiled_steps.preprocessed_source import stamps_are_final
 from coadjoint.validation import check_power, read_title
 from thresholds.probing import accepted, limit, probe, sides
 
 ARRAYS, ENTRIES = "files/archives/stored_arrays.py", "files/records/entries.py"
-
-
-@limit(("files/configuration/parsing.py", "MAX_NESTING"), at=64)
-def a_key_has_not_too_many_parts(parts):
-    return accepted(lambda: parse_toml("run.toml", ".".join(["a"] * parts) + " = 1"), "64")
-
-
-@limit((ENTRIES, "MAX_DEPTH"), at=32)
-def an_entry_lies_not_too_deep(depth):
-    def read():
-        entry = Entry(value, "x0")
-        for _ in range(depth):
-            (entry,) = entry.entries()
-
-    value = 1
-    for _ in range(depth):
-        value = [value]
-    return accepted(read, "deeper")
-
-
-@limit((ENTRIES, "MAX_CHARACTERS"), at=2000)
-def a_text_is_not_too_long(letters):
-    return accepted(lambda: Entry("x" * letters, "name").text(), "2000")
-
-
-@limit((ENTRIES, "MAX_INTEGER"), at=2**62)
-def a_whole_number_is_in_range(number):
-    return accepted(lambda: Entry(number, "steps").integer(), "whole")
-
-
-@limit(("files/configuration/sweep_models.py", "MAX_SEED"), at=2**63 - 1)
-def a_seed_of_a_sweep_is_in_range(seed):
-    given = {"samples": 2, "seed": seed, "over": {"x": {"uniform": [0.0, 1.0]}}}
-    return accepted(lambda: SweepTable.model_validate(given))
 
 
 @limit(("validation.py", "MAX_TITLE_LENGTH"), at=200)
@@ -60,40 +19,8 @@ def a_power_is_in_range(bits):
     return accepted(lambda: check_power(2.0 ** (bits / 4), 4, "step"), "range")
 
 
-def stored(dims, shape, chunk):
-    return accepted(lambda: StoredArray(dims, "float64", shape, chunk, {}).check())
-
-
-@limit((ARRAYS, "MAX_AXES"), at=8)
-def an_array_has_not_too_many_axes(axes):
-    return stored(tuple("abcdefghijk"[:axes]), (1,) * axes, (1,) * axes)
-
-
-@limit((ARRAYS, "MAX_AXIS_LENGTH"), at=2**62)
-def an_axis_is_not_too_long(length):
-    return stored(("x",), (length,), (1,))
-
-
-@limit((ARRAYS, "MAX_READ_ROWS"), at=2**16)
-def a_chunk_has_not_too_many_rows(rows):
-    return stored(("time",), (1,), (rows,))
-
-
-@limit((ARRAYS, "CHUNK_BYTES"), at=512)
-def a_chunk_has_not_too_many_bytes(rows):
-    """Rows of 2^10 numbers of eight bytes."""
-    return stored(("time", "x"), (1, 2**10), (rows, 2**10))
-
-
 @sides(("methods/compiled_steps/preprocessed_source.py", "TIMESTAMP_GRANULARITY"), below=4.0, above=1.0)
 def files_are_settled(seconds):
     """Compared with the clock, of which a second is left for the call."""
     when = time.time_ns() - int(seconds * 1e9)
     return stamps_are_final({b"source": (0, 0, 0, when, when)})
-
-
-@limit(("files/archives/stored_arrays.py", "MAX_NPY_AXES"), at=8)
-def stored_numbers_have_not_too_many_axes(axes):
-    content = io.BytesIO()
-    np.savez(content, x=np.zeros((1,) * axes))
-    return accepted(lambda: deserialize_numbers(content.getvalue()), "numbers")

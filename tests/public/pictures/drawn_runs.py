@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,8 @@ def made(x: Any, system: Any = BODY, t: Any = None, **series: Any) -> co.Solutio
     t = T0 + 0.01 * np.arange(len(x)) if t is None else t
     members = x.ndim - len(getattr(system, "shape", (1,))) - 1
     empty = dict.fromkeys(("events", "carried", "attitude", "incomplete", "t_eval", "choice"))
-    fields = {**empty, "energy": np.zeros(x.shape[: 1 + members]), "casimirs": {}, "work": {}, "observed": {}, **series}
+    fields = {**empty, "energy": np.zeros(x.shape[: 1 + members]), "casimirs": {}, "work": {}, "observed": {}}
+    fields |= {"stats": SimpleNamespace(seconds=0.0, steps=1), **series}
     fields.setdefault("failed", np.zeros(x.shape[1], dtype=bool) if members else None)
     invariants = {"energy": fields["energy"], **fields["casimirs"]}
     start = {"x0": x[0], "t_span": (t[0], t[-1]), "initial": {name: values[0] for name, values in invariants.items()}}
@@ -35,6 +37,11 @@ def made(x: Any, system: Any = BODY, t: Any = None, **series: Any) -> co.Solutio
 
     methods = {"__init__": lambda self: None, "at": at}
     return type("Made", (co.Solution,), {"t": t, "x": x, "system": system, **start, **fields, **methods})()
+
+
+def made_at(t: Any, x: Any, system: Any = BODY, **series: Any) -> co.Solution:
+    """Return a solution of given times and states."""
+    return made(x, system, t, **series)
 
 
 def shown(run: Any, picture: Any, members: Any = None, **options: Any) -> Any:
@@ -115,11 +122,3 @@ def partial(*args: Any, **options: Any) -> co.Solution:
     except co.IntegrationError as error:
         return error.partial
     raise AssertionError("the run did not fail")
-
-
-def example(name: str) -> co.Solution:
-    """Return the run that the gallery shows of a ready-made system, from the entry of its figure."""
-    return EXAMPLES[name]
-
-
-EXAMPLES: dict[str, co.Solution] = {}

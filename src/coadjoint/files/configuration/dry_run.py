@@ -29,7 +29,7 @@ TRIAL_SECONDS = 0.2
 """Approximate duration of the last trial run, in seconds."""
 TRIAL_POINTS = 2, 12
 """Saved points of two short runs, from which the size of the whole dataset is extrapolated."""
-LABEL_WIDTH = 14
+LABEL_WIDTH = 14  # characters of the column of labels
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ CHECKSUM = "content_sha256"
 """Attribute with the checksum."""
 EXCLUDED_ATTRIBUTES = (CHECKSUM, "coordinates", "_FillValue")
 """Attributes that are not content, since readers remove them."""
-BUFFER_BYTES = 2**20
+BUFFER_BYTES = 2**20  # entries that are hashed at once; the copy stays in the cache
 
 
 def with_checksum(dataset: xarray.Dataset) -> xarray.Dataset:

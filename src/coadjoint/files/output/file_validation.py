@@ -26,7 +26,7 @@ DEFLATE, SHUFFLE, FLETCHER = 1, 2, 3
 """Built-in filters of HDF5, as opposed to plugins."""
 CHECKSUM_BYTES = 4
 """Bytes that a checksum adds to a chunk."""
-MAX_FILES = 10**6
+MAX_FILES = 10**6  # entries of a store; far more than a dataset has, and examined in seconds
 METADATA_FILES = (".zgroup", ".zattrs", ".zarray", ".zmetadata", "zarr.json")
 NUMERIC_TYPE = re.compile(r"[<>|]?(?:[fiu][1248]|b1|U\d{1,6}|S\d{1,6})|float(?:32|64)|u?int(?:8|16|32|64)|bool")
 COMPRESSORS, UNCOMPRESSED_CODECS = ("blosc", "zstd"), ("bytes", "crc32c", "vlen-utf8")

@@ -1,17 +1,14 @@
 """Pictures of fluids show the field that the matrix stands for, at the right place, with the right sign."""
 
+from __future__ import annotations
+
+import functools
+
 import numpy as np
 import pytest
-from drawn_runs import shown
+from drawn_runs import SENSES, T0, Picture, axes_of, colour, data, made, partial, shown
 
 import coadjoint as co
-from coadjoint.pictures.fluids import part_on_grid
-from coadjoint.pictures.gallery import SCENES, Scene, decaying_turbulence, piece
-from coadjoint.pictures.plot_data import PlottedRun
-from coadjoint.pictures.projections import PROJECTIONS, unit_vectors
-from coadjoint.pictures.register import CannotShow, kinds
-from coadjoint.systems.gallery_entry import Picture
-from coadjoint.systems.matrices.fluid_system import large_scales
 from long import long_beyond
 
 
@@ -26,71 +23,6 @@ def square():
     s = co.systems.torus_euler(N=15)
     W = s.from_modes({(1, 2): 0.5, (2, 0): 0.3j, (0, 1): -0.2})
     return co.integrate(s, W, (0.0, 1.0), 0.05, co.IsospectralGauss())
-
-
-@pytest.mark.parametrize("name", PROJECTIONS)
-def test_maps_are_inverted_and_keep_areas(name):
-    rng = np.random.default_rng(1)
-    map_ = PROJECTIONS[name]
-    longitude = rng.uniform(-3.0, 3.0, 400) / (1 if map_.half_width == 2.0 else 2)
-    latitude = rng.uniform(-1.4, 1.4, 400)
-    x, y = map_.project(longitude, latitude)
-    assert ((x / map_.half_width) ** 2 + y**2).max() < 1.0
-    east, north = map_.unproject(x, y)
-    # the table of Mollweide's angle is linear between 4001 points: (pi / 4000)^2 / 8 times second derivatives below 20
-    np.testing.assert_allclose([east, north], [longitude, latitude], atol=2e-6)
-    if name == "outside":
-        np.testing.assert_allclose([x, y], [np.cos(latitude) * np.sin(longitude), np.sin(latitude)], atol=1e-15)
-        return
-    h = 1e-5
-    along, up = (
-        (np.array(map_.unproject(x + a, y + b)) - np.array(map_.unproject(x - a, y - b))) / (2 * h)
-        for a, b in ((h, 0), (0, h))
-    )
-    # 4 pi of the sphere over 2 pi of the ellipse; central differences err by h^2 times third derivatives
-    area = (along[0] * up[1] - along[1] * up[0]) * np.cos(north)
-    np.testing.assert_allclose(area, 2.0, atol=1e-4)
-
-
-@pytest.mark.parametrize("name", PROJECTIONS)
-@pytest.mark.parametrize("centre", [(0.0, 0.0), (70.0, 0.0), (-110.0, 50.0)])
-def test_the_middle_of_a_map_is_its_centre_with_north_up_and_east_to_the_right(name, centre):
-    map_ = PROJECTIONS[name]
-    towards = map_.directions(400, centre)
-    rows, columns = towards.shape[:2]
-    assert columns == 400 and rows == 400 / map_.half_width
-    middle = unit_vectors(*np.radians(centre))
-    around = towards[rows // 2 - 1 : rows // 2 + 1, columns // 2 - 1 : columns // 2 + 1].mean(axis=(0, 1))
-    assert np.linalg.norm(around - middle) < 0.01
-    east = np.cross([0.0, 0.0, 1.0], middle)
-    east /= np.linalg.norm(east)
-    step_right = towards[rows // 2, columns // 2 + 9] - towards[rows // 2, columns // 2 - 9]
-    step_up = towards[rows // 2 + 9, columns // 2] - towards[rows // 2 - 9, columns // 2]
-    assert step_right @ east > 0.99 * np.linalg.norm(step_right) > 0.0
-    assert step_up @ np.cross(middle, east) > 0.99 * np.linalg.norm(step_up) > 0.0
-    assert np.isnan(towards[0, 0]).all()
-
-
-@pytest.mark.parametrize(
-    ("name", "centre"), [("mollweide", (0.0, 0.0)), ("hammer", (40.0, 20.0)), ("outside", (9, 80))]
-)
-def test_a_map_shows_the_field_of_the_matrix(name, centre):
-    s = co.systems.sphere_euler(N=16)
-    # of coordinates of the sphere: x y + 2 z, real harmonics of the degrees 2 and 1
-    f = lambda n: n[..., 0] * n[..., 1] + 2.0 * n[..., 2]  # noqa: E731
-    latitude, longitude = s.grid()
-    W = s.from_grid(f(unit_vectors(*np.meshgrid(longitude, latitude))))
-    run = co.integrate(s, W, (0.0, 0.02), 0.01, co.IsospectralGauss())
-    axes = shown(run, Picture("vorticity", at=0.0, projection=name, centre=centre))
-    (image,) = axes.get_images()
-    pixels = np.ma.filled(image.get_array(), np.nan)
-    towards = PROJECTIONS[name].directions(pixels.shape[1], centre)
-    # bilinear on cells of 180/128 degrees: an eighth of the squares of the sides, times second derivatives below 4
-    error = 2 * np.radians(180 / 128) ** 2 / 8 * 4
-    np.testing.assert_allclose(pixels, f(towards), atol=error)
-    assert image.origin == "lower" and axes.get_aspect() == 1.0
-    low, high = image.get_clim()
-    assert low == -high and high == pytest.approx(np.nanmax(np.abs(f(towards))), rel=0.05)
 
 
 def test_the_torus_is_shown_with_x_to_the_right_and_y_up(square):
@@ -123,16 +55,14 @@ def test_parts_add_up_and_the_large_one_is_steady(ball):
         (image,) = shown(ball, Picture("vorticity", part=part)).get_images()
         arrays[part] = image.get_array()
     np.testing.assert_allclose(arrays["large"] + arrays["small"], arrays["all"], atol=1e-13)
+    # Of the matrix that the large part stands for: steady, orthogonal to the rest, and with the whole energy.
     s, W = ball.system, ball.x[-1]
-    P = s.stream_of(W)
-    large = large_scales(P, W)
-    size = np.linalg.norm(P) * np.linalg.norm(W)
-    assert np.linalg.norm(P @ large - large @ P) < 1e-13 * size < np.linalg.norm(P @ W - W @ P)
-    np.testing.assert_allclose(large_scales(P, large), large, atol=1e-12 * np.abs(W).max())
-    # an orthogonal projection, to matrices of the algebra
-    assert abs(np.vdot(large, W - large)) < 1e-12 * np.vdot(W, W).real
-    s.algebra.read(large)
-    # energy sees the large scales alone: <P, W> = <P, large>
+    P, (values, V) = s.stream_of(W), np.linalg.eigh(1j * s.stream_of(W))
+    large = sum(np.outer(v, v.conj()) @ W @ np.outer(v, v.conj()) for v in V.T)
+    assert np.diff(values).min() > 1e-6 * np.abs(values).max(), "projections on single vectors"
+    longitudes = arrays["large"].shape[1]
+    shown_part = np.abs(np.ma.filled(arrays["large"], 0.0)).max()
+    assert shown_part == pytest.approx(np.abs(s.to_grid(large, (longitudes // 2 + 1, longitudes))).max(), rel=0.02)
     assert np.vdot(P, large).real == pytest.approx(np.vdot(P, W).real, rel=1e-12)
 
 
@@ -156,30 +86,6 @@ def test_on_a_planet_the_relative_vorticity_is_shown(rotation):
     seen = co.integrate(still, still.random(2, degrees=(2, 4)), (0.0, 0.1), 0.05, co.IsospectralGauss())
     (other,) = shown(seen, Picture("vorticity", at=0.0)).get_images()
     np.testing.assert_allclose(image.get_array(), other.get_array(), atol=1e-13)
-
-
-@pytest.mark.parametrize("kind", ["ball", "planet", "square", "two fields"])
-def test_large_scales_are_the_relative_vorticity_along_the_projections_of_its_stream_matrix(kind):
-    if kind in ("ball", "planet"):
-        still = co.systems.sphere_euler(N=8)
-        fluid = co.systems.sphere_euler(N=8, rotation=2.0) if kind == "planet" else still
-        seen, state = still.random(5, degrees=(1, 4)), fluid.random(5, degrees=(1, 4))
-    else:
-        still = fluid = co.systems.torus_euler(N=7)
-        seen = state = fluid.random(5, degrees=(1, 3))
-        state = state if kind == "square" else np.stack([fluid.random(6, degrees=(1, 2)), state])
-    shape = (17, 32) if kind in ("ball", "planet") else (16, 16)
-    P = still.stream_of(seen)
-    values, V = np.linalg.eigh(1j * P)
-    assert np.diff(values).min() > 1e-3 * np.abs(values).max(), "projections on single vectors"
-    large = sum(np.outer(v, v.conj()) @ seen @ np.outer(v, v.conj()) for v in V.T)
-    wanted = {"all": seen, "large": large, "small": seen - large, "stream": P}
-    for part, matrix in wanted.items():
-        found = part_on_grid(fluid, state, part, shape)
-        np.testing.assert_allclose(found, still.to_grid(matrix, shape), atol=1e-11 * np.abs(found).max())
-    if kind == "two fields":
-        carried = part_on_grid(fluid, state, "carried", shape)
-        np.testing.assert_allclose(carried, still.to_grid(state[0], shape), atol=1e-13)
 
 
 def test_eigenvalues_and_relative_drift(ball):
@@ -219,7 +125,7 @@ def test_matrices_of_ones_own_show_their_eigenvalues():
     run = co.integrate(body, W, (0.0, 1.0), 0.05, co.IsospectralGauss())
     titles = [axes.get_title() for axes in run.plot().axes]
     assert titles[-1].startswith("spectrum of $W$") and "components" in titles[1]
-    with pytest.raises(CannotShow, match="body of mine has no vorticity"):
+    with pytest.raises(co.plotting.CannotShow, match="body of mine has no vorticity"):
         run.plot("vorticity")
 
 
@@ -263,9 +169,9 @@ def test_complex_spectra_are_drawn_in_the_plane():
 def test_what_is_no_fluid_is_refused_by_name(ball):
     body = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.1, 1.0, 0.2), (0.0, 1.0), 0.1)
     for kind in ("vorticity", "field spectra", "energy by scale"):
-        with pytest.raises(CannotShow, match="rigid_body has no vorticity"):
+        with pytest.raises(co.plotting.CannotShow, match="rigid_body has no vorticity"):
             body.plot(kind)
-    with pytest.raises(CannotShow, match="rigid_body is not a matrix"):
+    with pytest.raises(co.plotting.CannotShow, match="rigid_body is not a matrix"):
         body.plot("eigenvalues")
     for options, said in [
         ({"part": "lage"}, "did you mean 'large'"),
@@ -290,25 +196,120 @@ def test_small_matrices_rest_and_backward_spans_are_drawn(size):
         ]
 
 
-def test_large_ensembles_of_matrices_are_not_copied(ball):
-    drawn = PlottedRun(ball)
-    assert np.shares_memory(drawn.x, ball.x)
-    assert drawn.state(3).shape == (16, 16) and np.array_equal(drawn.state(3), ball.x[3])
+def test_spectra_of_matrices_over_the_part_of_the_eigenvalues_below():
+    fluid = co.systems.torus_euler(5)
+    W = np.stack([fluid.random(seed, degrees=(1, 2)) for seed in (1, 2, 3)])
+    axes = axes_of(made(W, fluid), "eigenvalues", at=0.5)
+    size = np.abs(fluid.spectrum(W[0])).max()
+    for line, k in zip(axes.lines, (0, 1), strict=True):
+        np.testing.assert_allclose(data(line), [(np.arange(5) + 0.5) / 5, fluid.spectrum(W[k]) / size], atol=1e-14)
+    moved = np.abs(fluid.spectrum(W[1]) - fluid.spectrum(W[0])).max() / size
+    assert axes.get_title() == f"spectrum of $W$: moved by {moved:.1e} of the largest"
+    again = axes_of(made(W[:, None] * [[[[1.0]], [[2.0]]]], fluid), "eigenvalues", [1], at=0.5)
+    np.testing.assert_allclose(data(again.lines[1]), data(axes.lines[1]), atol=1e-14)
 
 
-def test_decaying_turbulence_is_drawn_when_it_is_named(monkeypatch):
-    scene = SCENES["decaying_turbulence"]
-    short = Scene(lambda: decaying_turbulence(N=12, end=2.0, step=0.1), scene.pictures, scene.summary, scene.caption)
-    monkeypatch.setitem(SCENES, "decaying_turbulence", short)
-    made = piece("decaying_turbulence")
-    panels = [axes for axes in made.figure.axes if axes.get_label() != "<colorbar>"]
-    assert [axes.get_title() for axes in panels] == [
-        f"vorticity{part} at $t$ = {t}" for t in (0, 0, 2) for part in ("", ", large scales")
-    ]
-    assert made.run.startswith("sphere_euler(N=12") and made.run.endswith(" s")
-    assert all(kinds()[picture.kind].low for picture in scene.pictures)
-    # the field is that of the picture in the documentation for every N: one seed, the degrees 3 to 8, mean square 1
-    run = decaying_turbulence(N=12, end=0.1, step=0.1)
-    l, enstrophy = run.system.enstrophy_spectrum(run.x[0])
-    assert l[enstrophy > 1e-20].tolist() == list(range(3, 9))
-    assert enstrophy.sum() == pytest.approx(2 * np.pi, rel=1e-12)
+def test_the_six_scales_with_the_largest_share_at_any_time_are_drawn():
+    fluid = co.systems.sphere_euler(12)
+    # Two scales have a share at all times, six others a larger one at one time, of another size each.
+    always = fluid.random(4, degrees=(2, 3))
+    parts = [fluid.random(1, degrees=(k, k + 1)) for k in (9, 4, 6)]
+    W = np.stack(
+        [
+            c * (part / fluid.energy(part) ** 0.5 + 0.6 * always / fluid.energy(always) ** 0.5)
+            for c, part in zip((0.1, 1.0, 3.0), parts, strict=True)
+        ]
+    )
+    axes = axes_of(made(W, fluid, np.array([T0, T0 - 1.0, T0 - 5.0])), "energy by scale")
+    energies = np.array([fluid.energy_spectrum(w)[1] for w in W])
+    shares = energies / energies.sum(axis=1)[:, None]
+    largest, means, sizes = (
+        np.sort(np.argsort(-values)[:6]) for values in (shares.max(axis=0), shares.mean(axis=0), energies.max(axis=0))
+    )
+    assert largest.tolist() != means.tolist() and largest.tolist() != sizes.tolist()
+    assert [line.get_label() for line in axes.lines] == [f"$l = {i + 1}$" for i in largest]
+    for line, i in zip(axes.lines, largest, strict=True):
+        np.testing.assert_allclose(data(line), [[T0, T0 - 1.0, T0 - 5.0], shares[:, i]], rtol=1e-12, atol=1e-15)
+    assert axes.get_ylim()[0] == 0.0
+
+
+def test_circles_of_latitude_and_meridians_of_a_map():
+    fluid = co.systems.sphere_euler(5)
+    W = fluid.random(1, degrees=(1, 2))
+    axes = axes_of(made(np.stack([W, W]), fluid), "vorticity", projection="outside", centre=(30.0, 0.0))
+    edge, *lines = axes.lines
+    np.testing.assert_allclose(np.hypot(*edge.get_data()), 1.0, atol=1e-12)
+    for line, latitude in zip(lines[:5], (-60, -30, 0, 30, 60), strict=True):
+        x, y = data(line)
+        np.testing.assert_allclose(y[np.isfinite(y)], np.sin(np.radians(latitude)), atol=1e-12)
+        assert np.nanmax(np.abs(x)) == pytest.approx(np.cos(np.radians(latitude)), rel=1e-3)
+    for line, longitude in zip(lines[5:], (-180, -120, -60, 0, 60, 120), strict=True):
+        x, y = data(line)
+        known = np.isfinite(x)
+        away = np.radians(longitude - 30.0)
+        assert known.any() == bool(np.cos(away) > 1e-9) or abs(np.cos(away)) < 1e-9
+        np.testing.assert_allclose(x[known], np.sin(away) * np.sqrt(1.0 - y[known] ** 2), atol=1e-7)
+    wide = axes_of(made(np.stack([W, W]), fluid), "vorticity").lines[0]
+    np.testing.assert_allclose(np.max(wide.get_data(), axis=1), [2.0, 1.0])
+
+
+@pytest.mark.parametrize("bad", [0, 1])
+def test_fluids_whose_first_member_fails_have_no_spectrum_at_the_end(bad):
+    fluid = co.systems.torus_euler(5)
+    W = [fluid.random(1, degrees=(1, 2)), fluid.random(2, degrees=(1, 2))]
+    W[bad] = 1e5 * W[bad]
+    run = partial(fluid, np.stack(W), (T0, T0 + 1.0), 0.1)
+    assert run.failed[bad]
+    titles = [axes.get_title() for axes in run.plot(["energy by scale", Picture("vorticity", at=1.0)]).axes]
+    assert "energy by scale of member 0" in titles and f"vorticity of member 0 at $t$ = {run.t[-1]:.4g}" in titles
+    known = np.isfinite(run.x[:, 0]).all(axis=(1, 2))
+    for line in axes_of(run, "energy by scale").lines:
+        np.testing.assert_array_equal(np.isfinite(line.get_ydata()), known)
+    (image,) = axes_of(run, "vorticity", at=1.0).images
+    assert np.isfinite(np.ma.filled(image.get_array(), np.nan)).all() == (bad == 1)
+    assert np.isfinite(image.get_clim()).all() and image.get_clim()[1] > 0.0
+    assert len(axes_of(run, "eigenvalues", at=0.0).lines) == 2
+    if bad == 0:
+        with pytest.raises(co.plotting.CannotShow, match=r"failed before t = 8\.3"):
+            axes_of(run, "eigenvalues")
+    else:
+        assert len(axes_of(run, "eigenvalues").lines) == 2
+
+
+@functools.cache
+def fluid(surface: str, sense: float = 1.0) -> co.Solution:
+    system = co.systems.sphere_euler(7) if surface == "sphere" else co.systems.torus_euler(7)
+    rng = np.random.default_rng(5)
+    W = system.algebra.projected(rng.normal(size=(7, 7)) + 1j * rng.normal(size=(7, 7)))
+    return co.integrate(system, 2.0 * W, (T0, T0 + sense * 2.0), 0.0625, save_every=3)
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("sense", SENSES)
+@pytest.mark.parametrize("surface", ["sphere", "torus"])
+def test_spectra_and_shares_are_those_of_their_times(surface, sense):
+    run = fluid(surface, sense)
+    system, k = run.system, int(np.argmin(np.abs(run.t - run.t[[0, -1]].mean())))
+    axes = shown(run, Picture("field spectra", at=0.5))
+    for place, spectrum in enumerate((system.energy_spectrum, system.enstrophy_spectrum)):
+        lines = {line.get_linestyle(): line for line in axes.lines if line.get_color() == colour(place)}
+        for style, j in (("--", 0), ("-", k)):
+            scales, values = (np.asarray(part, dtype=np.float64) for part in spectrum(run.x[j]))
+            np.testing.assert_array_equal(data(lines[style]), [scales, np.where(values > 0.0, values, np.nan)])
+            assert lines[style].get_label().endswith(f"$t$ = {run.t[j]:.4g}")
+    drawn = np.concatenate([line.get_ydata() for line in axes.lines])
+    drawn = drawn[drawn > 1e-8 * np.nanmax(drawn)]
+    np.testing.assert_allclose(axes.get_ylim(), [drawn.min() / 2, 3 * drawn.max()], rtol=1e-12)
+    shares = shown(run, "energy by scale")
+    scales = np.asarray(system.energy_spectrum(run.x[0])[0])
+    energies = np.array([system.energy_spectrum(x)[1] for x in run.x])
+    for line in shares.lines:
+        assert line.get_label().startswith("$l" if surface == "sphere" else "$|n|")
+        scale = float(line.get_label().strip("$").split("=")[1])
+        own = energies[:, np.flatnonzero(np.isclose(scales, scale))[0]] / energies.sum(axis=1)
+        np.testing.assert_allclose(data(line), [run.t, own], rtol=1e-12)
+    spectrum = shown(run, Picture("eigenvalues", at=0.5))
+    size = np.abs(system.spectrum(run.x[0])).max()
+    for line, j in zip(spectrum.lines, (0, k), strict=True):
+        assert line.get_label() == f"$t$ = {run.t[j]:.4g}"
+        np.testing.assert_allclose(line.get_ydata(), system.spectrum(run.x[j]) / size, rtol=1e-12)
