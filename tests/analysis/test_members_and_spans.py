@@ -357,8 +357,8 @@ OTHERS = {
     "to_pandas": "tests/runs/test_conversions.py",
     "spectrum": "test_spectra_of_members_are_theirs",
     "to_xarray": "tests/files/test_members_read_back.py",
-    "plot": "tests/pictures/test_read_back.py",
-    "movie": "tests/pictures/test_read_back.py",
+    "plot": "tests/public/pictures/test_pictures_over_time.py",
+    "movie": "tests/public/pictures/test_pictures_over_time.py",
 }
 
 

@@ -232,17 +232,18 @@ def test_certificates_of_states_at_rest_and_of_false_schemes_have_status_1(call)
     code = """
 import dataclasses, json, sys
 import coadjoint as co
-from coadjoint.__main__ import main
+from importlib.metadata import entry_points
+main = next(iter(entry_points(group='console_scripts', name='coadjoint'))).load()
 @co.methods.register
 @dataclasses.dataclass(frozen=True)
 class DeclaredSymmetric(co.ModifiedGaussLegendre):
     '''A scheme of a test.'''
     symmetric = True
-sys.exit(main(sys.argv[1:]))
+sys.exit(main())
 """
-    found = python("-c", code.replace("coadjoint.__main__", "coadjoint.cli"), "certify", "false.toml", "--steps", "10")
+    found = python("-c", code, "certify", "false.toml", "--steps", "10")
     assert found.returncode == 1 and "a step back undoes a step (fails)" in found.stdout
-    schema = json.loads(python("-c", code.replace("coadjoint.__main__", "coadjoint.cli"), "schema").stdout)
+    schema = json.loads(python("-c", code, "schema").stdout)
     tables = {table["description"]: table for table in schema["$defs"]["MethodTable"]["anyOf"]}
     assert tables["A scheme of a test."]["properties"]["freeze"]
 
@@ -296,11 +297,20 @@ def test_help_and_version(call):
 
 
 def test_light_commands_load_no_heavy_packages_and_the_module_is_the_command():
-    code = (
-        "import sys; from coadjoint.cli import main; status = main(['--help']) or main(['systems']); "
-        "heavy = [m for m in ('numba', 'matplotlib', 'xarray', 'pydantic') if m in sys.modules]; "
-        "sys.exit(status or ' '.join(heavy) or None)"
-    )
+    code = """
+import sys
+from importlib.metadata import entry_points
+main = next(iter(entry_points(group="console_scripts", name="coadjoint"))).load()
+statuses = []
+for argument in ("--help", "systems"):
+    sys.argv = ["coadjoint", argument]
+    try:
+        statuses.append(main())
+    except SystemExit as ended:
+        statuses.append(ended.code)
+heavy = [name for name in ("numba", "matplotlib", "xarray", "pydantic") if name in sys.modules]
+sys.exit(" ".join(heavy) or any(statuses))
+"""
     done = python("-c", code)
     assert (done.returncode, done.stderr) == (0, "")
     done = python("-m", "coadjoint", "run", "none.toml")

@@ -293,7 +293,7 @@ def sizes(figure):
     ticks = {label.get_fontsize() for axis in (axes.xaxis, axes.yaxis) for label in axis.get_ticklabels()}
     texts = {text.get_fontsize() for text in axes.get_legend().get_texts()}
     labels = {axes.xaxis.label.get_fontsize(), axes.yaxis.label.get_fontsize()}
-    return figure._suptitle.get_fontsize(), axes.title.get_fontsize(), *labels, *ticks, *texts
+    return figure.texts[0].get_fontsize(), axes.title.get_fontsize(), *labels, *ticks, *texts
 
 
 OWN = (10.5, 9.5, 9.0, 8.0, 8.0)

@@ -117,10 +117,8 @@ def test_a_run_is_drawn_in_pairs_of_low_pictures(ball):
 
 
 def test_matrices_of_ones_own_show_their_eigenvalues():
-    from coadjoint.systems.matrices.streams import Weights
-
     a = np.array([1.0, 2.0, 3.0, 4.0])
-    body = co.MatrixSystem(co.MatrixAlgebra("so", 4), Weights(1 / np.add.outer(a, a)), name="body of mine")
+    body = co.MatrixSystem(co.MatrixAlgebra("so", 4), co.systems.Weights(1 / np.add.outer(a, a)), name="body of mine")
     W = body.algebra.projected(np.arange(16.0).reshape(4, 4))
     run = co.integrate(body, W, (0.0, 1.0), 0.05, co.IsospectralGauss())
     titles = [axes.get_title() for axes in run.plot().axes]
@@ -154,9 +152,7 @@ def test_a_second_field_is_shown_beside_the_vorticity(name):
 
 
 def test_complex_spectra_are_drawn_in_the_plane():
-    from coadjoint.systems.matrices.streams import Weights
-
-    s = co.MatrixSystem(co.MatrixAlgebra("gl", 3), Weights(np.full((3, 3), 0.5) + np.eye(3)), name="of gl")
+    s = co.MatrixSystem(co.MatrixAlgebra("gl", 3), co.systems.Weights(np.full((3, 3), 0.5) + np.eye(3)), name="of gl")
     W = np.array([[0.0, 1.0, 0.2], [-1.0, 0.1, 0.0], [0.3, 0.0, 0.5]])
     run = co.integrate(s, W, (0.0, 0.5), 0.05, co.IsospectralGauss())
     axes = shown(run, "eigenvalues")
