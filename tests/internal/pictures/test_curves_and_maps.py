@@ -19,7 +19,6 @@ import coadjoint as co
 from coadjoint.pictures.globe import Globe
 from coadjoint.pictures.hidden_lines import FAR_ALPHA, FadingLine, towards_viewer
 from coadjoint.pictures.kinds.body_axis import _rotation_to_vertical
-from coadjoint.pictures.kinds.coadjoint_orbit import surface_casimir
 from coadjoint.pictures.kinds.components import flip_times
 from coadjoint.pictures.layout import PanelLayout
 from coadjoint.pictures.phase_drift import with_error
@@ -27,7 +26,6 @@ from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.projections import PROJECTIONS, unit_vectors
 from coadjoint.pictures.refinement_times import REFINED_TOLERANCE, REFINED_TURN, _chord_duration
 from coadjoint.pictures.series import COLUMNS, draw_series, envelope, turning_points
-from coadjoint.pictures.style import symbol
 
 T0 = 7.3
 SENSES = [1.0, -1.0]
@@ -43,24 +41,6 @@ def drawn_with(t, values, joined):
     axes = Figure().add_subplot()
     draw_series(axes, t, values, joined, color="C0", linewidth=1.0)
     return axes
-
-
-def test_points_far_apart_are_dots():
-    t = np.linspace(0.0, 10.0, 11)
-    (line,) = drawn_with(t, np.sin(t), False).lines
-    assert line.get_linestyle() == "None" and line.get_marker() == "o"
-
-
-def test_more_oscillations_than_columns_are_an_envelope_of_all_points():
-    t = np.linspace(0.0, 1000.0, 30_001)
-    values = np.sin(5.0 * t)
-    values[12_345] = 7.0  # one point of the run alone
-    axes = drawn_with(t, values, True)
-    assert not axes.lines
-    (band,) = axes.collections
-    corners = band.get_paths()[0].vertices
-    assert corners[:, 1].max() == 7.0 and corners[:, 1].min() == pytest.approx(-1.0, abs=1e-3)
-    assert corners[:, 0].min() == 0.0 and corners[:, 0].max() == 1000.0
 
 
 def test_the_envelope_holds_every_value_and_gaps():
@@ -407,19 +387,6 @@ def test_the_flip_comes_after_half_the_period_of_the_elliptic_functions(inertia,
     # The other components have the period, or half of it; both are whole numbers of flips.
     flipped = co.analysis.period(body.vector_field, x0).time / wanted
     assert flipped == pytest.approx(2.0, abs=1e-9)
-
-
-def test_the_surface_is_that_of_a_polynomial_if_there_is_one() -> None:
-    def value(x: Any) -> Any:
-        return x[0] * x[1]
-
-    other = co.Invariant(value, lambda x: np.array([x[1], x[0], 0.0 * x[2]]))
-    square, plane = co.Polynomial({(2, 0, 0): 1}), co.Polynomial({(0, 0, 1): 1})
-    assert surface_casimir({"f": other, "x1^2": square, "x3": plane}) == "x1^2"
-    assert surface_casimir({"x3": plane, "f": other, "x1^2": square}) == "x3"
-    assert surface_casimir({"f": other, "g": other}) == "f"
-    assert surface_casimir({}) is None
-    assert symbol("100$") == r"100\$"
 
 
 def read_back(text: str) -> tuple[float, float, float]:

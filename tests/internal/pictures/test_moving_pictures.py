@@ -120,19 +120,6 @@ def test_the_box_turns_with_the_body_in_every_frame(view):
         np.testing.assert_allclose(shaft, [[0.0, 0.0], tip], atol=1e-12)
 
 
-@pytest.mark.parametrize("span", [(0.0, 4.0), (3.0, -1.0)])
-def test_paths_grow_from_the_start_in_the_direction_of_the_run(span):
-    run = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.3, 1.0, 0.2), span, 0.1)
-    kind, picture = read_picture(Picture("phase portrait", across=0, up=1))
-    axes = Figure().add_subplot()
-    update = kind.prepare(PlottedRun(run), **picture.options)(axes)
-    for k in (0, 7, 40, 20):
-        update(k)
-        x, y = axes.lines[0].get_data()
-        np.testing.assert_array_equal([x[0], y[0]], run.x[0, :2])
-        np.testing.assert_array_equal([x[-1], y[-1]], run.x[k, :2])
-
-
 @pytest.mark.parametrize("span", [(7.0, 11.0), (3.0, -1.0)])
 def test_pictures_over_time_have_a_line_at_the_time_of_the_frame(span):
     run = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.3, 1.0, 0.2), span, 0.1)

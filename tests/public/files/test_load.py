@@ -194,15 +194,6 @@ def test_initial_energy_uses_the_initial_time(tmp_path, x0, span):
     assert list(found.initial) == list(sol.initial)
 
 
-def test_initial_invariants_of_a_batch(tmp_path):
-    batch = co.batch([co.systems.rigid_body((1, 2, c)) for c in (2.25, 2.5, 3.0)])
-    sol = co.integrate(batch, [X, X[::-1], (0.5, -0.5, 0.25)], (7.5, 9.5), 0.125, t_eval=[8.1, 9.0])
-    sol.to_xarray().to_netcdf(tmp_path / "run.nc")
-    found = co.load(tmp_path / "run.nc")
-    for name, values in sol.initial.items():
-        np.testing.assert_allclose(found.initial[name], values, rtol=0, atol=1e-15)
-
-
 def test_changing_the_dataset_leaves_the_solution(tmp_path):
     sol = RUNS["observed"]()
     sol.to_xarray().to_netcdf(tmp_path / "run.nc")
