@@ -120,14 +120,18 @@ def described(system):
         return described(system.system), system.forces
     x = start(system)
     found = [type(system), system.dim, system.name, system.parameters, system.energy(x)]
-    found += [system.vector_field(x).tolist(), list(system.casimirs), list(system.integrals)]
+    found += [system.vector_field(x).tolist(), list(system.casimirs), list(getattr(system, "integrals", {}))]
     if is_matrix(system):
         return [*found, system.algebra, system.energy_sign, system.powers]
-    for invariant in (system.hamiltonian, *system.casimirs.values(), *system.integrals.values()):
+    for invariant in (system.hamiltonian, *system.casimirs.values(), *getattr(system, "integrals", {}).values()):
         value = getattr(invariant, "value", invariant)
         found += [type(invariant), repr(invariant), value(x), invariant.gradient(x).tolist()]
         if isinstance(invariant, co.Quadratic | co.Polynomial) and system.dim == 3:
             found += [numbers(value(y)) for y in EXACT_POINTS]
-    rho = None if system.representation is None else system.representation.tolist()
-    algebra = (None,) if system.algebra is None else (system.algebra, system.algebra.basis, system.algebra.name)
-    return [*found, system.sign, system.layout, rho, *algebra, system.structure_matrix(x).tolist()]
+    rho = None if getattr(system, "representation", None) is None else system.representation.tolist()
+    algebra = (
+        (None,)
+        if getattr(system, "algebra", None) is None
+        else (system.algebra, system.algebra.basis, system.algebra.name)
+    )
+    return [*found, system.sign, getattr(system, "layout", None), rho, *algebra, system.structure_matrix(x).tolist()]

@@ -59,6 +59,7 @@ HYPERBOLIC = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, 0.5, 0.7]
 @pytest.mark.parametrize("lost", [np.nan, 1e80, -1e80, np.inf])
 @pytest.mark.parametrize("bad", [0, 1, 2])
 @pytest.mark.parametrize("system", [BODY, BARE, HYPERBOLIC], ids=["sphere", "no surface", "surface without bounds"])
+@pytest.mark.filterwarnings("ignore:overflow")
 def test_orbits_are_framed_with_every_point_that_is_left(system, bad, lost):
     """The states of the member that fails are lost from its fourth point on, all of them or one component."""
     rng = np.random.default_rng(bad)
