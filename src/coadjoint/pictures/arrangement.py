@@ -20,12 +20,12 @@ TIME_WIDTH, PICTURE_WIDTH = 6.0, 5.4
 """Widths of a column of panels over time, and of the others (inches)."""
 MIN_WIDTH = 3.2
 """Smallest width of one of several columns (inches)."""
-MAX_COLUMNS = 3
+MAX_COLUMNS = 3  # panels beside each other
 TIME_HEIGHT, LOW_HEIGHT, FULL_HEIGHT = 0.46, 0.5, 0.96
 """Heights of panels relative to their widths."""
 TIME_INCHES, MOST_TIME_INCHES = 1.9, 2.8
 """Smallest height of panels over time, for legends of eight lines, and the largest of those without other pictures."""
-HEADLINE_HEIGHT = 0.3
+HEADLINE_HEIGHT = 0.3  # inches of a line of text
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ Floats = npt.NDArray[np.float64]
 Hides = Callable[[Floats, Floats], npt.NDArray[np.bool_]]
 """Function of points (k, 3) and of the direction to the viewer that returns whether the points are hidden, (k,)."""
 
-TESTED_POINTS = 400
+TESTED_POINTS = 400  # of a line; each needs values along a ray
 RAY_SAMPLES = 32
 """Samples along the ray from a point to the viewer, within the box of the picture."""
 

@@ -15,7 +15,7 @@ from coadjoint.runs.results.summary import extent_text
 from coadjoint.systems.gallery_entry import Picture
 from coadjoint.validation import read_integer, read_list
 
-MAX_FRAMES = 5000
+MAX_FRAMES = 5000  # some minutes at the usual speed
 PIXELS = (64, 4096)
 """Smallest and largest number of pixels along a side."""
 MIN_WIDTH, MIN_HEIGHT = 8.0, 4.5

@@ -29,16 +29,16 @@ from coadjoint.validation import read_choice, read_integer, read_list, read_numb
 
 Floats = npt.NDArray[np.float64]
 
-MAX_MEMBERS = 20
+MAX_MEMBERS = 20  # more curves cannot be told apart
 MAX_CURVE_POINTS = 20_000  # more than printed lines resolve
 SAMPLED = 64  # intervals examined
 NUMBERS_SAMPLED = 2**19  # entries of the states examined; at least MIN_SAMPLED intervals
-MIN_SAMPLED = 4
+MIN_SAMPLED = 4  # intervals; fewer would be chance
 REFINEMENTS = 4  # passes, while the refined motion is faster than estimated before
 # Largest distance of a motion from the chord, relative to its range: for curves over time (11 points per circle), and
 # for closed curves, whose repeated chords would form a ribbon (24 points per circle).
 CHORD_TOLERANCE = 0.015
-SPACE_CHORD_TOLERANCE = 0.003
+SPACE_CHORD_TOLERANCE = 0.003  # for closed curves
 MAX_AXIS_TURN = 0.26  # radians between points of the path of an axis: 24 points per circle
 
 

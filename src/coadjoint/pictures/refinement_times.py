@@ -27,7 +27,7 @@ MAX_SECONDS = 1.5
 """Largest estimated time (s) for computing states between the saved ones."""
 COST_SECONDS = {"interval": 4e-4, "point": 2e-5, "state": 4e-6}
 """Cost model of intermediate states (s), besides the steps: per saved interval, time, and state of a member."""
-SAMPLED = 64
+SAMPLED = 64  # intervals in which the turning of the path is examined
 SUFFICIENT_POINTS = 16
 """Number of saved points that suffice to measure a motion."""
 DIFFERENCE_STEP = 1e-5

@@ -19,7 +19,7 @@ BRIGHTEST = 10.0
 """Largest intensity shown, in units of the median of the maxima of the wave vectors."""
 MARGIN = 1.15
 """Highest frequency shown, in units of the highest visible one."""
-LARGEST_DENOMINATOR = 64
+LARGEST_DENOMINATOR = 64  # of wave vectors written as fractions
 
 
 @with_figure_settings

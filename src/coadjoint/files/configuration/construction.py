@@ -71,8 +71,8 @@ def parse_polynomial(source: Any, dim: int, names: Sequence[str] | None = None) 
     return Polynomial(total, dim=dim)
 
 
-MAX_LENGTH = 300
-BYTES_PER_COORDINATE = 400
+MAX_LENGTH = 300  # characters of a problem in an error, some lines of a terminal
+BYTES_PER_COORDINATE = 400  # memory of an algebra of named coordinates; measured, with a margin
 
 if TYPE_CHECKING:
     from coadjoint.files.configuration.models import AlgebraTable, File, HamiltonianTable
@@ -271,8 +271,8 @@ def _hamiltonian(name: str, table: HamiltonianTable, algebra: LieAlgebra) -> Any
         )
 
 
-MAX_REPORTED = 4
-MAX_LINES = 20
+MAX_REPORTED = 4  # errors joined in one message
+MAX_LINES = 20  # lines of errors that the command prints: one screen
 MAX_LINE_LENGTH = 360  # of a joined message, without file name and separators
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from coadjoint.files.configuration.models import File
 
-MAX_BYTES = 2**28
+MAX_BYTES = 2**28  # of a file; longer ensembles are given in Python
 MAX_NESTING = 64
 _STRING = r"""\"{3}(?:[^\\]|\\.)*?\"{3}|'{3}.*?'{3}|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'"""
 _NESTING = re.compile(rf"{_STRING}|\#[^\n]*|[\[{{\]}}]", re.DOTALL)

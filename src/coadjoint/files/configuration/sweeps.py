@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 KeyPath = tuple[str | int, ...]
 
-BYTES_PER_MEMBER = 200
+BYTES_PER_MEMBER = 200  # settings and state of a member; measured, with a margin
 STATE_KEY: KeyPath = ("initial", "x")
 _PART = re.compile(r"([A-Za-z_][\w-]*)((?:\[\d{1,9}\])*)")
 SWEPT_TABLES = ("system.parameters", "algebra.parameters", "hamiltonian", "forces", "initial")
@@ -215,7 +215,7 @@ def _check_key_exists(table: Any, key: str | int) -> None:
         raise ValueError(f"the list in the file has no entry {key}; write all entries, and sweep over some")
 
 
-BYTES_PER_SYSTEM = 4000
+BYTES_PER_SYSTEM = 4000  # a system of its own for a member; measured, with a margin
 
 
 def swept_system(sweep: Sweep, file: File, check_tables: Callable[[dict[str, Any]], File]) -> Any:

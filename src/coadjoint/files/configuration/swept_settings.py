@@ -19,7 +19,7 @@ from coadjoint.validation import is_real, read_finite, read_number
 if TYPE_CHECKING:
     from coadjoint.files.configuration.sweep_models import SettingsTable, SweepTable
 
-BYTES_PER_SETTING = 64
+BYTES_PER_SETTING = 64  # a number as a Python object in lists; measured, with a margin
 SAMPLES = "samples"
 MAX_TERMS = 400
 """Limit on the terms of the series of a group element; each factor converges long before."""

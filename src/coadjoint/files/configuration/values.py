@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, WithJsonSchema
 from coadjoint.algebra.exact.numbers import fits
 from coadjoint.short_repr import short
 
-MAX_SHOWN_LENGTH = 60
+MAX_SHOWN_LENGTH = 60  # characters of a value in an error, most of a line
 SHAPES = {0: "a number", 1: "a list of numbers", 2: "a list of equally long lists of numbers"}
 
 

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from zarr.core.buffer import Buffer
     from zarr.storage import LocalStore
 
-PAGE_BYTES = 2**16
-MAX_CACHED_BYTES = 2**20
+PAGE_BYTES = 2**16  # unit of that cache
+MAX_CACHED_BYTES = 2**20  # kept of a file that cannot be written; enough for the metadata that HDF5 reads back
 
 
 class DeferredErrorFile:

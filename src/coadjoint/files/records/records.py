@@ -32,7 +32,7 @@ from coadjoint.systems.system_checks import System
 
 __all__ = ["record_of", "safe_name", "system_of"]
 
-MAX_NAME_LENGTH = 64
+MAX_NAME_LENGTH = 64  # characters of a name in a variable; short of the length of file names
 STORABLE_TYPES = (Polynomial, Quadratic)
 
 

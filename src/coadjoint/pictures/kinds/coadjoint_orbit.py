@@ -19,7 +19,7 @@ from coadjoint.pictures.style import colour, dots, ink, set_title, setting, symb
 
 SURFACE_COLOUR = "#B8CCE0"
 MAX_COORDINATE = 1e75  # larger coordinates, of members that fail, overflow in the normals of a surface
-LABEL_PAD = -2.0
+LABEL_PAD = -2.0  # points; labels closer to the axes than Matplotlib places them
 LIGHT_DIRECTION = np.array([0.3, -0.5, 0.81])  # a direction from above and the left
 
 

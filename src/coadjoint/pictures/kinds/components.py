@@ -14,8 +14,8 @@ from coadjoint.pictures.register import Paint, Update, kind
 from coadjoint.pictures.series import draw_members, draw_series, from_start
 from coadjoint.pictures.style import colour, coordinate, ink, legend, plain_axes, setting, thickness
 
-MAX_COMPONENTS = 8
-BISECTIONS = 52
+MAX_COMPONENTS = 8  # as many as there are colours
+BISECTIONS = 52  # halvings of an interval, to the last bit of its length
 
 Floats = npt.NDArray[np.float64]
 Function = Callable[[Any], Any]

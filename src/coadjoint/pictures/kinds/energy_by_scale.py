@@ -11,8 +11,8 @@ from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.style import colour, legend, plain_axes, thickness
 
-MAX_TIMES = 200
-MAX_SCALES = 6
+MAX_TIMES = 200  # points of a curve; a spectrum each, which takes time
+MAX_SCALES = 6  # curves that can be told apart
 LETTER = {"sphere": "l", "torus": "|n|"}
 
 

@@ -12,7 +12,7 @@ from coadjoint.pictures.series import draw_members
 from coadjoint.pictures.style import colour, plain_axes
 from coadjoint.systems.protocol import is_batch
 
-MAX_TIMES = 400
+MAX_TIMES = 400  # points of a curve; a closed form each, which takes time
 
 
 @kind("error", over_time=True)

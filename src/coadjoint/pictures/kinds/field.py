@@ -12,8 +12,8 @@ from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import colour_bar, plain_axes, set_title
 from coadjoint.validation import read_positive
 
-CELLS = 160
-LEVELS = 21
+CELLS = 160  # along an edge; smaller than a line is wide
+LEVELS = 21  # odd, so that one band is about zero
 
 
 @kind("field", moves=True)

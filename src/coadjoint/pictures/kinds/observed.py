@@ -11,7 +11,7 @@ from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.series import draw_members, from_start
 from coadjoint.pictures.style import colour, legend, plain_axes, symbol
 
-MAX_OBSERVED = 8
+MAX_OBSERVED = 8  # as many as there are colours
 
 
 @kind("observed", over_time=True)

@@ -11,7 +11,7 @@ from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import colour_bar, plain_axes
 
-MAX_ROWS = 400
+MAX_ROWS = 400  # times; as many as pixels of the picture
 
 
 @kind("space-time")

@@ -15,7 +15,7 @@ from coadjoint.pictures.style import colour_bar, set_title
 
 Floats = npt.NDArray[np.float64]
 
-PIXELS = 301
+PIXELS = 301  # of the diameter; odd, so that one is the centre
 
 
 @kind("sphere field", moves=True)

@@ -35,7 +35,7 @@ PIXELS = 720
 """Pixels along the longer side of an image of spins."""
 SITE_RADIUS = 0.85
 """Largest distance of a pixel from the spin that colours it."""
-SATURATION = 0.8
+SATURATION = 0.8  # of colours of directions; full colours are too loud beside lines
 
 
 @kind("spins", moves=True)

@@ -1,0 +1,432 @@
+"""Arithmetic of pictures: envelopes, times between saved points, changes of sign, spheres, maps and hidden lines."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
+
+import mpmath
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import RendererAgg
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Line3D
+from mpl_toolkits.mplot3d.proj3d import proj_transform
+
+import coadjoint as co
+from coadjoint.pictures.globe import Globe
+from coadjoint.pictures.hidden_lines import FAR_ALPHA, FadingLine, towards_viewer
+from coadjoint.pictures.kinds.body_axis import _rotation_to_vertical
+from coadjoint.pictures.kinds.components import flip_times
+from coadjoint.pictures.layout import PanelLayout
+from coadjoint.pictures.phase_drift import with_error
+from coadjoint.pictures.plot_data import PlottedRun
+from coadjoint.pictures.projections import PROJECTIONS, unit_vectors
+from coadjoint.pictures.refinement_times import REFINED_TOLERANCE, REFINED_TURN, _chord_duration
+from coadjoint.pictures.series import COLUMNS, draw_series, envelope, turning_points
+
+T0 = 7.3
+SENSES = [1.0, -1.0]
+BODY = co.systems.rigid_body((1.0, 2.0, 3.0))
+SPIN = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, 1.0]))
+
+
+def data(line: Any) -> np.ndarray:
+    return np.asarray(line.get_data(), dtype=np.float64)
+
+
+def drawn_with(t, values, joined):
+    axes = Figure().add_subplot()
+    draw_series(axes, t, values, joined, color="C0", linewidth=1.0)
+    return axes
+
+
+def test_the_envelope_holds_every_value_and_gaps():
+    rng = np.random.default_rng(11)
+    t, values = np.linspace(-3.0, 4.0, 5000), rng.normal(size=5000)
+    values[1000:1100] = np.nan
+    middle, low, high = envelope(t, values, 50)
+    assert len(middle) == 50 and np.isnan(low[10]) and np.isnan(high[10])
+    for part in range(50):
+        if part != 10:
+            own = values[100 * part : 100 * (part + 1)]
+            assert (low[part], high[part]) == (own.min(), own.max())
+    assert turning_points(np.array([0.0, 1.0, 0.0, 1.0])) == 2
+    assert turning_points(np.ones(5)) == 0
+
+
+@pytest.mark.parametrize("turns", [3, 290, 310])
+@pytest.mark.parametrize("joined", [True, False])
+@pytest.mark.parametrize("points", [4000, 5000])
+def test_long_series_are_lines_where_they_are_smooth_and_envelopes_where_they_are_dense(points, joined, turns):
+    """A column resolves eight dots; half a column resolves a turning point."""
+    t = np.linspace(2.0, 9.0, points)
+    axes = drawn_with(t, np.sin(np.pi * turns * (t - 2.0) / 7.0), joined)
+    if turns > 300 or (points > 4800 and not joined):
+        assert not axes.lines and len(axes.collections) == 1
+        return
+    (line,) = axes.lines
+    assert (line.get_linestyle() == "-") == joined and len(line.get_xdata()) == points
+
+
+def test_runs_for_an_accuracy_have_smooth_paths_of_their_axes():
+    top = co.systems.heavy_top()
+    run = co.integrate(top, (0.3, 0.2, 3.0, 0.6, 0.0, 0.8), (0.0, 20.0), accuracy=1e-8, attitude=True)
+    filled = PlottedRun(run).refined
+    path = filled.rotation[0] @ np.array([0.0, 0.0, 1.0])
+    turned = np.arccos(np.clip(np.sum(path[1:] * path[:-1], axis=1), -1.0, 1.0))
+    assert turned.max() <= 1.05 * REFINED_TURN
+    assert np.isin(run.t, filled.t).all()
+    at_saved = filled.rotation[0][np.isin(filled.t, run.t)]
+    np.testing.assert_array_equal(at_saved, run.attitude[:, :3, :3])
+
+
+def test_an_attitude_turns_where_the_momentum_rests():
+    """A body that spins about its axis has a momentum that never moves, and an attitude that always does."""
+    run = co.integrate(BODY, (0.0, 0.0, 3.0), (0.0, 20.0), 0.1, save_every=20, attitude=True)
+    filled = PlottedRun(run).refined
+    first = filled.rotation[0][:, :, 0]
+    turned = np.arccos(np.clip(np.sum(first[1:] * first[:-1], axis=1), -1.0, 1.0))
+    # It turns by one radian in a unit of time.
+    assert 0.9 * REFINED_TURN < turned.max() <= REFINED_TURN * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("points", [601, 3000, 6001, 7777])
+def test_envelopes_hold_every_point_in_its_own_stretch(points):
+    rng = np.random.default_rng(points)
+    t, values = T0 + np.sort(rng.random(points)), rng.normal(size=points)
+    values[-1], values[0] = 9.0, -9.0
+    middle, low, high = envelope(t, values, COLUMNS)
+    # The stretches, one after the other: their ends are the points of a new column.
+    edges = np.linspace(0, points, COLUMNS + 1).astype(int)
+    for k, (first, last) in enumerate(pairwise(edges)):
+        own = values[first:last]
+        assert (low[k], high[k]) == (own.min(), own.max())
+        inside = (t[0], t[-1])[k > 0] if k in (0, COLUMNS - 1) else 0.5 * (t[first] + t[last - 1])
+        assert middle[k] == inside
+    assert high[-1] == 9.0 and low[0] == -9.0
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", sorted(PROJECTIONS))
+@pytest.mark.parametrize("seed", range(4))
+def test_no_line_of_a_map_crosses_its_edge(name, seed):
+    """A meridian is at most as long as the map is high; every visible point stays."""
+    rng = np.random.default_rng(seed)
+    across, centre = PROJECTIONS[name], (rng.uniform(-180, 180), rng.uniform(-80, 80))
+    turn = np.radians(np.linspace(-180.0, 180.0, 361))
+    for latitude in np.radians(np.arange(-75.0, 76.0, 15.0)):
+        x, y = across.line(turn, np.full_like(turn, latitude), centre)
+        steps = np.hypot(np.diff(x), np.diff(y))
+        # A degree of a great circle, stretched at most sixfold near the edge of an equal-area map.
+        assert np.nanmax(steps, initial=0.0) < 6.0 * np.radians(1.0) * across.half_width
+        known = np.isfinite(x)
+        if known.any():
+            assert np.all((x[known] / across.half_width) ** 2 + y[known] ** 2 <= 1.0 + 1e-6)
+            assert known.sum() >= (355 if name != "outside" else 1)
+    # What a point of the map shows is the point of the sphere that is drawn there.
+    directions = across.directions(120, centre)
+    project = np.isfinite(directions[..., 0])
+    rows, columns = project.shape
+    longitude = np.arctan2(directions[..., 1], directions[..., 0])[project]
+    latitude = np.arcsin(np.clip(directions[..., 2], -1.0, 1.0))[project]
+    np.testing.assert_allclose(unit_vectors(longitude, latitude), directions[project], atol=1e-12)
+    for p in rng.integers(0, len(longitude), 30):
+        x, y = across.line(np.full(2, longitude[p]), np.full(2, latitude[p]), centre)
+        row, column = np.argwhere(project)[p]
+        wanted = across.half_width * ((2 * column + 1) / columns - 1), (2 * row + 1) / rows - 1
+        np.testing.assert_allclose((x[0], y[0]), wanted, atol=2e-3)
+
+
+def uneven(count: int, sense: float, span: float = 4.0) -> np.ndarray:
+    """Return times of a span, three quarters of them in its first quarter."""
+    steps = np.where(np.arange(count - 1) < 0.75 * (count - 1), 1.0, 9.0)
+    steps *= np.random.default_rng(count).uniform(0.5, 1.5, count - 1)
+    return T0 + sense * span * np.append(0.0, np.cumsum(steps)) / steps.sum()
+
+
+@pytest.mark.parametrize("sense", SENSES)
+def test_changes_of_sign_between_unequal_times_at_saved_points_and_at_gaps(sense):
+    t = uneven(200, sense, 10.0)
+    x = np.stack([np.cos(t - T0), -np.sin(t - T0), 0.0 * t + 0.5], axis=-1)
+    if np.sign(SPIN.vector_field(x[0])[1]) > 0:
+        x[:, 1] *= -1.0
+    field, wanted = SPIN.vector_field, T0 + sense * np.pi * (0.5 + np.arange(3))
+    error = np.abs(np.diff(t)).max() ** 4 / 384.0
+    np.testing.assert_allclose(flip_times(field, t, x, 0), wanted, rtol=0, atol=error)
+    np.testing.assert_allclose(flip_times(field, t, x, 0, max_count=2), wanted[:2], rtol=0, atol=error)
+    # A saved point exactly at the second one, and a start and an end at which the coordinate is zero.
+    k = int(np.argmin(np.abs(t - wanted[1])))
+    t[k], x[k] = wanted[1], [0.0, x[k, 1], 0.5]
+    found = flip_times(field, t, x, 0)
+    assert len(found) == 3 and found[1] == pytest.approx(wanted[1], abs=1e-12)
+    np.testing.assert_allclose(flip_times(field, t, x, 1), T0 + sense * np.pi * np.arange(1, 4), rtol=0, atol=error)
+    x[k] = np.nan
+    assert len(flip_times(field, t, x, 0)) == 2
+
+
+@pytest.mark.parametrize(
+    ("alone", "style"),
+    [(slice(1, None, 2), "None"), (slice(2, None, 3), "-"), (slice(30, 31), "-"), (slice(0, 0), "-")],
+)
+def test_points_between_gaps_are_dots_since_lines_do_not_show_them(alone, style):
+    t, values = uneven(100, 1.0), np.linspace(1.0, 2.0, 100)
+    values[alone] = np.nan
+    axes = Figure().add_subplot()
+    draw_series(axes, t, values, True, color="C0", linewidth=1.0)
+    (line,) = axes.lines
+    assert line.get_linestyle() == style
+    np.testing.assert_array_equal(line.get_data(), [t, values])
+
+
+@pytest.mark.parametrize("sense", SENSES)
+def test_the_longest_chord_is_that_of_the_member_and_time_that_turn_most(sense):
+    """x' = a (cos(w t^2), sin(w t^2)) has the acceleration 2 a w |t|, at fixed times none."""
+    t = T0 + sense * np.linspace(0.0, 3.0, 33)
+    rates, sizes = (1.0, 5.0, 2.0), np.array([3.0, 1.0, 0.5])
+    x = sizes[:, None, None] * np.stack([0.0 * t, np.linspace(0.0, 4.0, 33)], axis=-1)
+
+    def slope(x, t, m):
+        return 0.7 * np.array([np.cos(rates[m] * t**2), np.sin(rates[m] * t**2)])
+
+    for members in ([0, 1, 2], [1, 0], [2], [0]):
+        run = SimpleNamespace(t=t, x=x[members], slope=lambda x, t, m, members=members: slope(x, t, members[m]))
+        turning = [2.0 * 0.7 * rates[m] * np.abs(t).max() / (4.0 * sizes[m]) for m in members]
+        wanted = (8.0 * REFINED_TOLERANCE / max(turning)) ** 0.5
+        # The difference over 1e-5 of the path leaves the third derivative, of relative size w t dt.
+        assert _chord_duration(run) == pytest.approx(wanted, rel=2e-2)
+
+
+@pytest.mark.parametrize("radius", [1.0, 2.5])
+def test_the_axes_of_a_sphere_stand_out_of_it_with_their_names(radius):
+    axes = Figure().add_subplot()
+    globe = Globe(axes, ("a", "b", "c"), (200.0, -30.0), radius)
+    arrows = [text for text in axes.texts if not text.get_text()]
+    names = [text for text in axes.texts if text.get_text()]
+    assert [text.get_text() for text in names] == ["a", "b", "c"]
+    for direction, arrow, name in zip(np.eye(3), arrows, names, strict=True):
+        foot, depth = globe.project(radius * direction)
+        np.testing.assert_allclose(arrow.xyann, foot, atol=1e-12)
+        np.testing.assert_allclose(arrow.xy, 1.22 * foot, atol=1e-12)
+        beyond = 0.1 * radius * foot / np.linalg.norm(foot)
+        np.testing.assert_allclose(name.get_position(), 1.22 * foot + beyond, atol=1e-12)
+        assert (arrow.get_zorder() > 0) == (name.get_zorder() > 0) == bool(depth > 0.0)
+    # East is to the right of the direction of view, north is up, and the near side has positive depth.
+    towards = globe.frame[2]
+    assert np.degrees(np.arcsin(towards[2])) == pytest.approx(-30.0)
+    assert np.degrees(np.arctan2(towards[1], towards[0])) % 360.0 == pytest.approx(200.0)
+    np.testing.assert_allclose(np.cross(globe.frame[0], globe.frame[1]), towards, atol=1e-15)
+    assert globe.frame[1][2] > 0.0 and axes.get_xlim() == axes.get_ylim() == (-1.42 * radius, 1.42 * radius)
+
+
+def test_points_of_a_sphere_that_are_not_joined_are_strong_in_front_and_faint_behind():
+    axes = Figure().add_subplot()
+    globe = Globe(axes, ("a", "b", "c"), (0.0, 0.0))
+    points = np.random.default_rng(2).normal(size=(50, 3))
+    points /= np.linalg.norm(points, axis=1)[:, None]
+    before = len(axes.lines)
+    globe.path(points, "C0", joined=False)
+    near, far = axes.lines[before:]
+    for line, own, strength in ((near, points[:, 0] >= 0.0, 1.0), (far, points[:, 0] < 0.0, 0.28)):
+        assert len(line.get_xdata()) == 50, "each point has its place, for movies"
+        np.testing.assert_allclose(data(line).T[own], points[own][:, 1:], atol=1e-15)
+        assert np.isnan(data(line).T[~own]).all()
+        assert line.get_linestyle() == "None" and line.get_alpha() == pytest.approx(strength)
+
+
+@pytest.mark.parametrize(
+    "v", [*np.random.default_rng(3).normal(size=(5, 3)), [0, 0, 2.0], [0, 0, -3.0], [1e-9, 0, -1.0]]
+)
+def test_a_vector_is_raised_by_the_shortest_rotation(v):
+    v = np.array(v, dtype=np.float64)
+    R, size = _rotation_to_vertical(v), np.linalg.norm(v)
+    # The divisor 1 + u3 is at least 1e-12, if u3 is not taken for -1.
+    np.testing.assert_allclose(R @ v / size, [0.0, 0.0, 1.0], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(R @ R.T, np.eye(3), rtol=0, atol=1e-12)
+    assert np.linalg.det(R) == pytest.approx(1.0)
+    assert np.trace(R) == pytest.approx(1.0 + 2.0 * v[2] / size, abs=1e-8), "the angle is that between both"
+    np.testing.assert_array_equal(_rotation_to_vertical(0.0 * v), np.eye(3))
+
+
+@pytest.mark.parametrize("name", PROJECTIONS)
+def test_maps_are_inverted_and_keep_areas(name):
+    rng = np.random.default_rng(1)
+    map_ = PROJECTIONS[name]
+    longitude = rng.uniform(-3.0, 3.0, 400) / (1 if map_.half_width == 2.0 else 2)
+    latitude = rng.uniform(-1.4, 1.4, 400)
+    x, y = map_.project(longitude, latitude)
+    assert ((x / map_.half_width) ** 2 + y**2).max() < 1.0
+    east, north = map_.unproject(x, y)
+    # the table of Mollweide's angle is linear between 4001 points: (pi / 4000)^2 / 8 times second derivatives below 20
+    np.testing.assert_allclose([east, north], [longitude, latitude], atol=2e-6)
+    if name == "outside":
+        np.testing.assert_allclose([x, y], [np.cos(latitude) * np.sin(longitude), np.sin(latitude)], atol=1e-15)
+        return
+    h = 1e-5
+    along, up = (
+        (np.array(map_.unproject(x + a, y + b)) - np.array(map_.unproject(x - a, y - b))) / (2 * h)
+        for a, b in ((h, 0), (0, h))
+    )
+    # 4 pi of the sphere over 2 pi of the ellipse; central differences err by h^2 times third derivatives
+    area = (along[0] * up[1] - along[1] * up[0]) * np.cos(north)
+    np.testing.assert_allclose(area, 2.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", PROJECTIONS)
+@pytest.mark.parametrize("centre", [(0.0, 0.0), (70.0, 0.0), (-110.0, 50.0)])
+def test_the_middle_of_a_map_is_its_centre_with_north_up_and_east_to_the_right(name, centre):
+    map_ = PROJECTIONS[name]
+    towards = map_.directions(400, centre)
+    rows, columns = towards.shape[:2]
+    assert columns == 400 and rows == 400 / map_.half_width
+    middle = unit_vectors(*np.radians(centre))
+    around = towards[rows // 2 - 1 : rows // 2 + 1, columns // 2 - 1 : columns // 2 + 1].mean(axis=(0, 1))
+    assert np.linalg.norm(around - middle) < 0.01
+    east = np.cross([0.0, 0.0, 1.0], middle)
+    east /= np.linalg.norm(east)
+    step_right = towards[rows // 2, columns // 2 + 9] - towards[rows // 2, columns // 2 - 9]
+    step_up = towards[rows // 2 + 9, columns // 2] - towards[rows // 2 - 9, columns // 2]
+    assert step_right @ east > 0.99 * np.linalg.norm(step_right) > 0.0
+    assert step_up @ np.cross(middle, east) > 0.99 * np.linalg.norm(step_up) > 0.0
+    assert np.isnan(towards[0, 0]).all()
+
+
+def space(elevation, around):
+    """Return orthographic axes with unequal limits and sides."""
+    axes = Figure().add_subplot(projection="3d")
+    axes.set_proj_type("ortho")
+    axes.view_init(elevation, around)
+    axes.set(xlim=(-1.0, 3.0), ylim=(0.0, 1.5), zlim=(5.0, 6.0))
+    axes.set_box_aspect((2.0, 1.0, 3.0))
+    return axes
+
+
+@pytest.mark.parametrize("elevation, around", [(20.0, 35.0), (-50.0, 200.0), (0.0, -90.0)])
+def test_points_along_the_line_of_sight_are_drawn_at_one_place(elevation, around):
+    axes = space(elevation, around)
+    towards, start = towards_viewer(axes), np.array([0.7, 0.4, 5.3])
+    places = np.array([proj_transform(*(start + s * towards), axes.get_proj()) for s in (0.0, 0.1, 0.7)])
+    np.testing.assert_allclose(places[1:, :2], [places[0, :2]] * 2, rtol=0, atol=1e-12)
+    assert places[0, 2] > places[1, 2] > places[2, 2], "towards the viewer the depth decreases"
+
+
+@pytest.mark.parametrize("joined", [True, False])
+@pytest.mark.parametrize("alpha", [None, 0.5])
+def test_hidden_points_are_faint_and_gaps_between_the_parts_are_closed(joined, alpha, monkeypatch):
+    points = np.random.default_rng(1).normal(size=(8, 3))
+    hidden = np.array([False, False, True, True, True, False, False, True])
+    seen = []
+
+    def recorded(self, renderer):
+        seen.append((np.array(self.get_data_3d()).T, self.get_alpha(), self.get_markerfacecolor()))
+
+    monkeypatch.setattr(Line3D, "draw", recorded)
+    axes = space(20.0, 35.0)
+    style = {} if joined else {"linestyle": "none", "marker": "o"}
+    line = FadingLine(points, lambda points, towards: hidden[: len(points)], alpha=alpha, color="red", **style)
+    axes.add_line(line)
+    line.draw(RendererAgg(10, 10, 72))
+    assert [opacity for _, opacity, _ in seen] == [FAR_ALPHA * (alpha or 1.0), alpha or 1.0]
+    for (drawn, _, _), part in zip(seen, (hidden, ~hidden), strict=True):
+        # A part of a line begins at the last point of the other one.
+        shown = part | np.append(part[1:], False) if joined else part
+        np.testing.assert_array_equal(drawn, np.where(shown[:, None], points, np.nan))
+    np.testing.assert_array_equal(np.array(line.get_data_3d()).T, points)
+    assert line.get_alpha() == alpha
+
+
+@pytest.mark.parametrize("behind", [True, False])
+def test_a_hidden_mark_is_hollow_and_not_faint(behind, monkeypatch):
+    seen = []
+    monkeypatch.setattr(Line3D, "draw", lambda self, _: seen.append((self.get_alpha(), self.get_markerfacecolor())))
+    axes = space(20.0, 35.0)
+    mark = FadingLine(np.ones((1, 3)), lambda points, _: np.array([behind]), marker="o", linestyle="none", color="red")
+    axes.add_line(mark)
+    mark.draw(RendererAgg(10, 10, 72))
+    ((alpha, face),) = seen
+    assert alpha == 1.0 and (face == "red") == (not behind) and mark.get_markerfacecolor() == "red"
+
+
+def half_period(inertia, x0):
+    """Return 2 K(k) / lambda, after which the middle component has changed its sign, to 30 digits.
+
+    By the axes sorted: with a, b, c such that b is the middle one and the motion goes around c.
+    """
+    with mpmath.workdps(30):
+        m = sorted((1 / mpmath.mpf(moment) for moment in inertia), reverse=True)
+        order = np.argsort(inertia)
+        x = [mpmath.mpf(float(x0[i])) for i in order]
+        energy2, size2 = sum(k * v * v for k, v in zip(m, x, strict=True)), sum(v * v for v in x)
+        a, b, c = (m[2], m[1], m[0]) if energy2 > m[1] * size2 else (m[0], m[1], m[2])
+        rate2 = (b - c) * (a * size2 - energy2)
+        k2 = (a - b) * (energy2 - c * size2) / rate2
+        return float(2 * mpmath.ellipk(k2) / mpmath.sqrt(rate2))
+
+
+@pytest.mark.thinned(4)
+@pytest.mark.parametrize(
+    ("inertia", "x0"),
+    [
+        ((1, 2, 3), (0.01, 1.0, 0.01)),
+        ((1, 2, 3), (0.03, 1.0, 0.01)),
+        ((1, 2, 3), (0.01, -1.0, 0.05)),
+        ((3.0, 1.0, 2.2), (0.02, -0.01, 1.3)),
+    ],
+)
+def test_the_flip_comes_after_half_the_period_of_the_elliptic_functions(inertia, x0):
+    body = co.systems.rigid_body(inertia)
+    middle = int(np.argsort(inertia)[1])
+    wanted = half_period(inertia, x0)
+    run = co.integrate(body, x0, (0.0, 128.0), 2.0**-5, co.GaussLegendre(4))
+    times = flip_times(body.vector_field, run.t, run.x, middle)
+    assert len(times) >= 3
+    # The cubic between two points misses by h^4 x'''' / 384 over the slope at the flip; all rates are below one.
+    np.testing.assert_allclose(np.diff(times), wanted, rtol=0, atol=2.0**-20 / 16)
+    # The other components have the period, or half of it; both are whole numbers of flips.
+    flipped = co.analysis.period(body.vector_field, x0).time / wanted
+    assert flipped == pytest.approx(2.0, abs=1e-9)
+
+
+def read_back(text: str) -> tuple[float, float, float]:
+    """Return the value, the error, and the unit of the last digit, which both share."""
+    value, error, power = re.fullmatch(r"\$\((-?[\d.]+) \\pm ([\d.]+)\) \\times 10\^\{(-?\d+)\}\$", text).groups()
+    digits = [len(number.partition(".")[2]) for number in (value, error)]
+    assert digits[0] == digits[1] and 1.0 <= max(abs(float(value)), float(error)) <= 10.0
+    return float(value) * 10.0 ** int(power), float(error) * 10.0 ** int(power), 10.0 ** (int(power) - digits[0])
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+@pytest.mark.parametrize("part", [1e-9, 1.3e-3, 0.0996, 0.97, 1.0, 4.1, 750.0, 1e12])
+@pytest.mark.parametrize("size", [3.7e-14, 0.5, 2.2e9])
+def test_a_value_has_two_digits_of_its_error_whichever_is_larger(size, part, sense) -> None:
+    value, error, unit = read_back(with_error(sense * size, part * size))
+    # The error has two digits before the unit: from 10 to 99 of it, or 100 if it is rounded up.
+    assert 9.5 <= part * size / unit < 100.0
+    assert abs(value - sense * size) <= 0.501 * unit and abs(error - part * size) <= 0.501 * unit
+
+
+def test_values_and_errors_of_zero() -> None:
+    assert read_back(with_error(0.0, 2.5e-7))[:2] == (0.0, pytest.approx(2.5e-7))
+    assert read_back(with_error(-1.25e4, 0.0)) == (-1.25e4, 0.0, pytest.approx(1e-2))
+    assert with_error(0.0, 0.0) == "$0$" and with_error(np.inf, 1.0) == "$inf$"
+
+
+@pytest.mark.parametrize("name", ["title", "xlabel", "ylabel"])
+def test_titles_and_labels_are_wrapped_to_their_panels(name):
+    """Anew where a figure is resized; texts that fit are not broken."""
+    words = " ".join(f"word{k}" for k in range(20))
+    figure = Figure(layout=PanelLayout())
+    axes = figure.add_subplot()
+    axes.set(**{"title": "one title", "xlabel": "one label", "ylabel": "one label", name: words})
+    texts = {"title": axes.title, "xlabel": axes.xaxis.label, "ylabel": axes.yaxis.label}
+    side, lines = "height" if name == "ylabel" else "width", []
+    for size in ((9.0, 9.0), (5.0, 3.5), (9.0, 9.0), (20.0, 20.0)):
+        figure.set_size_inches(size)
+        figure.draw_without_rendering()
+        length, available = (getattr(part.get_window_extent(), side) for part in (texts[name], axes))
+        lines.append(texts[name].get_text().split("\n"))
+        assert " ".join(lines[-1]) == words and length < 1.05 * available
+        assert all(text.get_text() in ("one title", "one label") for other, text in texts.items() if other != name)
+    assert lines[0] == lines[2] and len(lines[1]) > len(lines[0]) > len(lines[3]) == 1

@@ -1,0 +1,144 @@
+"""Variables, attributes and coordinates of datasets of solutions."""
+
+import json
+
+import numpy as np
+import pytest
+from stored_systems import MATRICES, SPHERE
+
+import coadjoint as co
+from served import state_of
+
+X = (1.0, 0.1, 0.5)
+
+
+def test_variables_and_attributes():
+    sol = co.integrate(
+        co.systems.rigid_body(), X, (0.0, 2.0), 0.1, observe={"x1 x2": co.Polynomial({(1, 1, 0): 1})}, attitude=True
+    )
+    dataset = sol.to_xarray()
+    assert dict(dataset.sizes) == {"time": 21, "component": 3, "invariant": 2, "tenth": 10, "row": 3, "column": 3}
+    assert dataset["component"].values.tolist() == ["x1", "x2", "x3"]
+    assert dataset["x"].dims == ("time", "component")
+    assert dataset["attitude"].dims == ("time", "row", "column")
+    assert dataset["casimir_x_2"].attrs["long_name"] == "|x|^2"
+    np.testing.assert_array_equal(dataset["casimir_x_2"], sol.casimirs["|x|^2"])
+    np.testing.assert_array_equal(dataset["observed_x1_x2"], sol.x[:, 0] * sol.x[:, 1])
+    np.testing.assert_array_equal(dataset["drift"].sel(invariant="energy"), sol.drift(relative=False)["energy"].tenths)
+    assert json.loads(dataset.attrs["system"]) == {"name": "rigid_body", "parameters": {"inertia": [1.0, 2.0, 3.0]}}
+    assert json.loads(dataset.attrs["method"])["name"] == "Splitting"
+    assert dataset.attrs["coadjoint_version"] == co.__version__
+    assert json.loads(dataset.attrs["t_span"]) == [0.0, 2.0]
+    assert dataset.attrs["not_stored"] == "functions are not stored: observed: x1 x2"
+
+
+def test_ensembles_have_members():
+    dataset = co.integrate(co.systems.rigid_body(), [X, X[::-1]], (0.0, 2.0), 0.1).to_xarray()
+    assert dataset["x"].dims == ("time", "member", "component")
+    assert dataset["drift"].dims == ("member", "invariant", "tenth")
+    assert dataset["failed"].values.tolist() == [False, False]
+
+
+def test_names_differing_in_symbols_are_distinct():
+    algebra = co.LieAlgebra([(0, 1, 2, 1.0)], dim=3)
+    z = co.Polynomial({(0, 0, 1): 1})
+    system = co.LiePoissonSystem(algebra, co.Quadratic(1.0), casimirs={"z+": z, "z-": 2 * z, "*": 3 * z})
+    dataset = co.integrate(system, X, (0.0, 1.0), 0.1).to_xarray()
+    names = {name: dataset[name].attrs["long_name"] for name in dataset if name.startswith("casimir")}
+    assert names == {"casimir_z": "z+", "casimir_z_2": "z-", "casimir_unnamed": "*"}
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize("seed", range(4))
+def test_many_similar_names_keep_their_values(seed, tmp_path):
+    """Random names of few letters, in a dataset and in an archive."""
+    rng = np.random.default_rng(seed)
+    drawn = {"".join(rng.choice(["z", "_2", "+", " ", "_3"], rng.integers(1, 4))) for _ in range(40)}
+    names = ["z", "z+", "z_2", "z*", "z ", *sorted(drawn - {"z", "z+", "z_2", "z*", "z "})]
+    rng.shuffle(names)
+    observe = {name: co.Polynomial({(1, 0, 0): k + 1}) for k, name in enumerate(names)}
+    casimirs = {name: co.Polynomial({(0, 0, 1): k + 1}) for k, name in enumerate(names)}
+    system = co.LiePoissonSystem(co.LieAlgebra([(0, 1, 2, 1.0)], dim=3), co.Quadratic(1.0), casimirs=casimirs)
+    sol = co.integrate(system, X, (0.0, 0.5), 0.1, observe=observe, archive=tmp_path / "run.zarr")
+    for dataset in (sol.to_xarray(), co.open_archive(tmp_path / "run.zarr").to_xarray()):
+        for kind, coordinate in (("observed", 0), ("casimir", 2)):
+            found = {values.attrs["long_name"]: values for key, values in dataset.items() if key.startswith(kind + "_")}
+            assert list(found) == names
+            for k, name in enumerate(names):
+                np.testing.assert_allclose(found[name], (k + 1) * sol.x[:, coordinate], rtol=1e-15)
+
+
+# Parameters in which the systems of a batch differ.
+
+CONSTANTS = np.array([2.5, 3.0, 4.0])
+BODIES = co.batch([co.systems.rigid_body(inertia=(2, 3, c)) for c in CONSTANTS])
+STATES = np.array([(1.0, 0.2, 0.1), (0.3, 1.0, 0.1), (0.1, 0.2, 1.0)])
+
+
+@pytest.mark.parametrize(("run", "options"), [(co.integrate, {}), (co.ensemble, {"members_per_block": 2})])
+def test_swept_parameters_of_archives(tmp_path, run, options):
+    run(BODIES, STATES, (0, 1), 0.1, archive=tmp_path / "run.zarr", **options)
+    found = co.open_archive(tmp_path / "run.zarr").to_xarray()
+    assert "swept_inertia_2" in found.coords and np.array_equal(found["swept_inertia_2"], CONSTANTS)
+
+
+def test_equal_and_unknown_parameters_are_omitted():
+    alike = co.batch([co.systems.rigid_body(inertia=(2, 3, 4))] * 3)
+    plain = co.batch([co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 2, c])) for c in CONSTANTS])
+    for system in (alike, plain, BODIES[0]):
+        dataset = co.integrate(system, STATES, (0, 1), 0.1).to_xarray()
+        assert not any(str(name).startswith("swept") for name in dataset.coords)
+
+
+def test_swept_parameters_of_forced_bodies():
+    forced = co.batch([body.with_forces(co.forces.LinearDamping(0.1)) for body in BODIES])
+    found = co.integrate(forced, STATES, (0, 1), 0.1).to_xarray()["swept_inertia_2"]
+    assert np.array_equal(found, CONSTANTS) and found.attrs["long_name"] == "system.parameters.inertia[2]"
+
+
+@pytest.mark.parametrize("name", ["sphere", "body", "two layers"])
+@pytest.mark.parametrize("members", [1, 3])
+def test_matrices_have_rows_columns_layers_and_parts(name, members):
+    system = MATRICES[name]
+    x0 = state_of(system) if members == 1 else np.array([state_of(system, m) for m in range(members)])
+    sol = co.integrate(system, x0, (0.25, 1.0), 0.125, co.IsospectralGauss(2), save_every=2)
+    dataset = sol.to_xarray()
+    parts = ("part",) if np.iscomplexobj(x0) else ()
+    member = ("member",) if members > 1 else ()
+    layers = ("layer",) if len(system.shape) == 3 else ()
+    assert dataset["x"].dims == ("time", *member, *layers, "row", "column", *parts)
+    assert dataset["x0"].dims == dataset["x"].dims[1:] and "component" not in dataset.coords
+    x = dataset["x"].sel(part="real") + 1j * dataset["x"].sel(part="imaginary") if parts else dataset["x"]
+    assert np.array_equal(x, sol.x) and dataset.attrs["watch"] == 0
+    vectors = co.integrate(SPHERE.in_numbers, SPHERE.to_vector(state_of(SPHERE)), (0.0, 1.0), 0.25)
+    assert vectors.x.shape == (5, 32) and vectors.to_xarray()["x"].dims == ("time", "component")
+    assert np.array_equal(co.results.rebuild(vectors.to_xarray()).x, vectors.x)
+
+
+def test_forces_have_changes_balances_and_accounts():
+    forced = co.systems.rigid_body().with_forces(
+        co.forces.LinearDamping((0.1, 0.2, 0.3)),
+        co.forces.Torque((0.0, 0.0, 0.05)),
+        co.forces.DoubleBracketDamping(0.1),
+    )
+    sol = co.integrate(forced, [X, X], (0, 2), 0.125)
+    dataset = sol.to_xarray()
+    assert "drift" not in dataset and dataset["change"].shape == dataset["balance"].shape == (2, 2, 10)
+    accounts = [f"{name}: {which}" for name in ("LinearDamping", "Torque") for which in ("energy", "|x|^2")]
+    assert dataset["account"].values.tolist() == [*accounts, "DoubleBracketDamping: energy"]
+    assert np.array_equal(dataset["work"].values[..., 3], sol.work["Torque"]["|x|^2"])
+    assert np.array_equal(dataset["balance"].values[0, 0], sol.balance(relative=False)["energy"].tenths[0])
+
+
+@pytest.mark.parametrize("attitude", [False, True])
+def test_events_and_times_of_output_are_variables(attitude):
+    events = [co.Event("x2"), co.Event(co.Polynomial({(2, 0, 0): 1, (0, 0, 0): -0.125}), count=2, terminal=True)]
+    sol = co.integrate(co.systems.rigid_body(), X, (0, 40), 0.125, attitude=attitude, events=events)
+    dataset = sol.to_xarray()
+    assert np.array_equal(dataset["event_time"], sol.events.t) and np.array_equal(dataset["event_x"], sol.events.x)
+    assert ("event_attitude" in dataset) == attitude
+    times = np.array([0.33, 0.5, 1.77])
+    sol = co.integrate(co.systems.rigid_body(), [X, X[::-1]], (0, 2), 0.1, attitude=True, t_eval=times)
+    dataset = sol.to_xarray()
+    assert np.array_equal(dataset["time"], times) and np.array_equal(dataset["x0"], sol.x0)
+    assert np.array_equal(dataset["attitude0"], sol.attitude0)

@@ -1,0 +1,239 @@
+"""Loading runs from NetCDF, Zarr and archives: every part has its original bits."""
+
+import json
+import os
+import pickle
+import shutil
+
+import h5py
+import numcodecs
+import numpy as np
+import pytest
+import xarray
+from compared_runs import assert_same_run, same_bits
+
+import coadjoint as co
+from refusals import refused
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::zarr.errors.UnstableSpecificationWarning"),
+    pytest.mark.filterwarnings("ignore:Consolidated metadata"),
+]
+
+X = (1.0, 0.1, 0.5)
+BODY = co.systems.rigid_body()
+P = co.Polynomial({(1, 1, 0): 1})
+MATRICES = co.systems.torus_euler(N=5)
+RUNS = {
+    "one member": lambda **more: co.integrate(BODY, X, (0.0, 2.0), 0.1, co.Splitting(order=4), save_every=3, **more),
+    "an ensemble": lambda **more: co.integrate(BODY, [X, X[::-1]], (0.0, 2.0), 0.1, co.GaussLegendre(2), **more),
+    "backward": lambda **more: co.integrate(co.systems.paper_a37(), X, (1.0, -1.0), 0.1, watch=False, **more),
+    "attitude": lambda **more: co.integrate(BODY, X, (0.0, 2.0), 0.1, attitude=True, **more),
+    "observed": lambda **more: co.integrate(BODY, X, (0.0, 2.0), 0.1, observe={"a b": P}, **more),
+    "matrices": lambda **more: co.integrate(MATRICES, MATRICES.random(1, degrees=(1, 2)), (0, 0.5), 0.125, **more),
+    "a batch": lambda **more: co.integrate(
+        co.batch([BODY, co.systems.rigid_body((1, 2, 2.5))]), [X, X], (0.0, 2.0), 0.1, **more
+    ),
+    "forces": lambda **more: co.integrate(
+        BODY.with_forces(co.forces.LinearDamping(0.1), co.forces.DoubleBracketDamping(0.1)), [X], (0, 2), 0.125, **more
+    ),
+}
+ONLY_IN_FILES = {
+    "events": lambda: co.integrate(BODY, [X, X], (0, 20), 0.1, events=[co.Event("x2"), co.Event(P, direction=1)]),
+    "ended by an event": lambda: co.integrate(BODY, X, (0, 20), 0.1, attitude=True, events=co.Event(2, terminal=True)),
+    "between steps": lambda: co.integrate(BODY, X, (0, 2), 0.1, t_eval=[0.33, 0.7, 1.99]),
+}
+WAYS = {
+    "to_netcdf": lambda sol, path: sol.to_xarray().to_netcdf(path, engine="h5netcdf"),
+    "to_netcdf alone": lambda sol, path: sol.to_xarray().to_netcdf(path),
+    "to_zarr": lambda sol, path: sol.to_xarray().to_zarr(path),
+}
+
+
+@pytest.mark.thinned(3)
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("name", [*RUNS, *ONLY_IN_FILES])
+def test_loaded_parts_have_the_same_bits(tmp_path, name, way):
+    sol, path = (RUNS | ONLY_IN_FILES)[name](), tmp_path / "kept"
+    WAYS[way](sol, path)
+    found = co.load(next(tmp_path.iterdir()))
+    assert isinstance(found, co.Solution) and repr(found) == repr(sol)
+    assert_same_run(found, sol)
+    xarray.testing.assert_identical(found.to_xarray(), sol.to_xarray())
+    assert_same_run(pickle.loads(pickle.dumps(found)), sol)
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_archives_are_loaded(tmp_path, name):
+    sol = RUNS[name](archive=tmp_path / "run.zarr")
+    found = co.load(tmp_path / "run.zarr")
+    assert isinstance(found, co.Solution) and found.finished
+    assert same_bits(found.x, sol.x)
+
+
+def test_casimirs_and_observed_quantities_are_loaded_in_the_order_of_the_run(tmp_path):
+    """Files list arrays by their labels, of which the tenth comes before the second."""
+    free, names = co.LieAlgebra([], dim=3), ["z", "b 1", "a", "C", *(f"{k} y" for k in range(12, 0, -1))]
+    values = {name: co.Polynomial({(1, 0, 0): k + 1, (0, 1, 1): 1}) for k, name in enumerate(names)}
+    system = co.LiePoissonSystem(free, co.Quadratic([1.0, 2.0, 3.0]), casimirs=values)
+    sol = co.integrate(system, X, (0, 1), 0.25, observe=values, archive=tmp_path / "archive")
+    for name, way in {**WAYS, "archive": None}.items():
+        path = tmp_path / name
+        if way is not None:
+            way(sol, path)
+            path = next(each for each in tmp_path.iterdir() if each.stem == path.stem and each != tmp_path / "archive")
+        found = co.load(path)
+        assert list(found.casimirs) == list(found.observed) == names, name
+        assert list(found.initial) == list(found.drift()) == ["energy", *names], name
+        casimirs, observed, initial = found.casimirs, found.observed, found.initial
+        for k, label in enumerate(names):
+            expected = (k + 1) * X[0] + X[1] * X[2]
+            for number in (casimirs[label][0], observed[label][0], initial[label]):
+                assert number == pytest.approx(expected, rel=1e-14), (name, label)
+        if path.name != "archive":
+            path.unlink() if path.is_file() else shutil.rmtree(path)
+
+
+def test_other_files_are_refused(tmp_path):
+    (tmp_path / "a.txt").write_text("nothing", encoding="utf-8")
+    (tmp_path / "empty.nc").touch()
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "cut.nc").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
+    (tmp_path / "cdf.nc").write_bytes(b"CDF\x01" + bytes(3))
+    with h5py.File(tmp_path / "other.nc", "w") as file:
+        file["x"] = np.ones(3)
+    xarray.Dataset({"x": ("time", np.ones(3))}).to_zarr(tmp_path / "other.zarr")
+    sol = RUNS["one member"]()
+    sol.to_xarray().drop_vars("x0").to_netcdf(tmp_path / "less.nc", engine="h5netcdf")
+    said = {
+        "none.nc": "No such file",
+        "folder": "holds no run",
+        "other.zarr": "holds no run",
+        "less.nc": "holds no run",
+    }
+    names = ("a.txt", "empty.nc", "cut.nc", "cdf.nc", "other.nc", "x" * 3000, *said)
+    for name in names:
+        with refused(ValueError, said.get(name, "")) as caught:
+            co.load(tmp_path / name)
+        assert "\n" not in str(caught.value) and len(str(caught.value)) < 1000, name
+    for wrong in (None, 3, b"a.nc", ["a.nc"]):
+        with refused(TypeError, "path"):
+            co.load(wrong)
+
+
+class CreatingFolder:
+    """An object that creates a folder when it is unpickled."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.folder),)
+
+
+@pytest.mark.thinned(12)
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(
+    "codecs",
+    [
+        {"filters": [{"id": "pickle"}], "compressor": None},
+        {"filters": [{"id": "vlen-utf8"}, {"id": "pickle"}], "compressor": None, "dtype": "|O", "fill_value": ""},
+        {"filters": [{"id": "vlen-utf8"}], "compressor": {"id": "pickle"}, "dtype": "|O", "fill_value": ""},
+    ],
+)
+@pytest.mark.parametrize("consolidated", [True, False])
+@pytest.mark.parametrize("name", ["x", "time"])
+def test_pickled_codecs_are_not_executed(tmp_path, monkeypatch, codecs, consolidated, name):
+    """Whatever numcodecs allows; xarray reads coordinates when it opens a dataset."""
+    monkeypatch.setattr("numcodecs.pickles.ALLOW_UNSAFE_PICKLE_DECODE", True, raising=False)
+    assert pickle.loads(numcodecs.Pickle().encode([1])) == [1]
+    path, run = tmp_path / "run.zarr", tmp_path / "run"
+    RUNS["one member"]().to_xarray().to_zarr(path, zarr_format=2, consolidated=consolidated)
+    metadata = json.loads((path / name / ".zarray").read_text()) | codecs
+    (path / name / ".zarray").write_text(json.dumps(metadata))
+    if consolidated:
+        expected = json.loads((path / ".zmetadata").read_text())
+        expected["metadata"][f"{name}/.zarray"] = metadata
+        (path / ".zmetadata").write_text(json.dumps(expected))
+    for chunk in (path / name).glob("[0-9]*"):
+        chunk.write_bytes(pickle.dumps(CreatingFolder(run)))
+    with pytest.raises(ValueError, match=r"is stored by pickle|cannot be read as a dataset"):
+        co.load(path)
+    assert not run.exists()
+
+
+class Energy:
+    """An energy that depends on the time."""
+
+    def __call__(self, x, t):
+        return 0.5 * (x[0] ** 2 + 2 * x[1] ** 2 + 3 * x[2] ** 2) + t * x[0]
+
+
+class Slope:
+    def __call__(self, x, t):
+        return np.array([x[0] + t, 2 * x[1], 3 * x[2]])
+
+
+def driven():
+    return co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(Energy(), Slope()))
+
+
+@pytest.mark.parametrize("x0", [X, [X, X[::-1], (0.5, -0.5, 0.25)]], ids=["one member", "three members"])
+@pytest.mark.parametrize("span", [(7.5, 9.5), (7.5, 5.5)])
+def test_initial_energy_uses_the_initial_time(tmp_path, x0, span):
+    """Also if the first saved time is later, with a system given to `load`."""
+    times = 7.5 + np.sign(span[1] - 7.5) * np.array([0.4, 1.3])
+    sol = co.integrate(BODY, x0, span, 0.125, t_eval=times)
+    sol.to_xarray().to_netcdf(tmp_path / "run.nc")
+    found, states = co.load(tmp_path / "run.nc", driven()), np.asarray(x0)
+    wanted = 0.5 * states**2 @ [1.0, 2.0, 3.0] + 7.5 * states[..., 0]
+    # Sums of a few terms below 10, in any order.
+    np.testing.assert_allclose(found.initial["energy"], wanted, rtol=0, atol=1e-14)
+    assert np.shape(found.initial["energy"]) == np.shape(sol.initial["energy"])
+    np.testing.assert_allclose(found.initial["|x|^2"], np.sum(states**2, axis=-1), rtol=0, atol=1e-14)
+    assert list(found.initial) == list(sol.initial)
+
+
+def test_changing_the_dataset_leaves_the_solution(tmp_path):
+    sol = RUNS["observed"]()
+    sol.to_xarray().to_netcdf(tmp_path / "run.nc")
+    found = co.load(tmp_path / "run.nc")
+    assert found.observed["a b"] is found.observed["a b"] and found.casimirs["|x|^2"] is found.casimirs["|x|^2"]
+    dataset = found.to_xarray()
+    dataset["more"] = ("time", np.zeros(len(sol.t)))
+    dataset.attrs["watch"] = 0
+    del dataset["energy"]
+    assert (
+        same_bits(found.energy, sol.energy)
+        and "more" not in found.to_xarray()
+        and found.to_xarray().attrs["watch"] == 1
+    )
+
+
+@pytest.mark.parametrize("attitude", [False, "coadjoint"])
+def test_run_ended_by_an_event_is_loaded(tmp_path, attitude):
+    sol = co.integrate(BODY, X, (7.0, 27.0), 0.1, attitude=attitude, save_every=3, events=co.Event(2, terminal=True))
+    sol.to_xarray().to_netcdf(tmp_path / "run.nc")
+    found = co.load(tmp_path / "run.nc")
+    between = 0.5 * (7.0 + sol.t[-1])
+    for t in (7.0, between, sol.t[-1]):
+        np.testing.assert_array_equal(found.at(t).x, sol.at(t).x)
+    for read in (found, sol):
+        with pytest.raises(ValueError, match="t"):
+            read.at(sol.t[-1] + 0.05)
+
+
+def test_a_run_beyond_memory_is_refused(tmp_path):
+    """By the size that its arrays declare, of which no byte is stored."""
+    RUNS["one member"]().to_xarray().to_netcdf(tmp_path / "run.nc", engine="h5netcdf")
+    with h5py.File(tmp_path / "run.nc", "a") as file:
+        file.create_dataset("more", (10**15,), "f8", chunks=(10**6,))
+    with refused(ValueError, "run.nc", "needs about"):
+        co.load(tmp_path / "run.nc")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes")
+def test_pipes_are_refused_without_waiting(tmp_path):
+    os.mkfifo(tmp_path / "run.nc")
+    with pytest.raises(ValueError, match="is no file and no folder"):
+        co.load(tmp_path / "run.nc")

@@ -1,0 +1,301 @@
+"""Bodies and spheres, read back from their artists: axes in space, directions, nutations, paths and boxes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from drawn_runs import (
+    BARE,
+    SENSES,
+    T0,
+    TURN,
+    VIEW,
+    Globe,
+    MemberColours,
+    Picture,
+    axes_of,
+    colour,
+    data,
+    made,
+    partial,
+    rotations,
+    shown,
+    spinning,
+)
+from matplotlib.collections import PolyCollection
+from test_pictures_over_time import bodies, curves
+
+import coadjoint as co
+from group_elements import random_element
+
+
+def shown_on_globe(axes: Any, shade: Any, view: tuple[float, float], path: np.ndarray) -> None:
+    """Check a path on a sphere: each point on its side, near or far, and none left out."""
+    around, above = np.radians(view)
+    towards = np.array([np.cos(above) * np.cos(around), np.cos(above) * np.sin(around), np.sin(above)])
+    right = np.array([-np.sin(around), np.cos(around), 0.0])
+    flat = np.stack([path @ right, path @ np.cross(towards, right)])
+    lines = sorted(curves(axes, shade), key=lambda line: -(line.get_alpha() or 1.0))
+    front = path @ towards >= 0.0
+    sides = [front, ~front] if front.any() and not front.all() else [front if front.any() else ~front]
+    assert len(lines) == len(sides)
+    for line, side in zip(lines, sides, strict=True):
+        found = data(line)
+        np.testing.assert_allclose(found[:, side], flat[:, side], rtol=0, atol=1e-12)
+        project = np.isfinite(found[0])
+        # A side begins one point before the points that lie on it, where the path comes from the other one.
+        np.testing.assert_array_equal(project, side | np.append(side[1:], False))
+
+
+@pytest.mark.parametrize("sense", SENSES)
+def test_axes_and_directions_of_each_member_are_where_they_point(sense):
+    run, view = bodies(sense), (35.0, 22.0)
+    axes = shown(run, Picture("body axis", axis=0, up=[0, 1, 2], view=view))
+    direction = shown(run, Picture("directions", vectors={"x": [0, 1, 2]}, view=view))
+    marks = {line.get_label(): line for line in axes.lines if line.get_label() in ("start", "end")}
+    globe, shades = Globe(view), MemberColours(run)
+    for m in range(3):
+        momentum = run.attitude[0, m] @ run.x[0, m]
+        k = momentum / np.linalg.norm(momentum)
+        # The shortest rotation of the momentum to the third axis, by the formula of Rodrigues.
+        axis, angle = np.cross(k, [0.0, 0.0, 1.0]), np.arccos(k[2])
+        axis /= np.linalg.norm(axis)
+        p = run.attitude[:, m, :, 0]
+        path = p * np.cos(angle) + np.cross(axis, p) * np.sin(angle)
+        path += np.outer(p @ axis, axis) * (1.0 - np.cos(angle))
+        shown_on_globe(axes, shades[m], view, path)
+        unit = run.x[:, m] / np.linalg.norm(run.x[:, m], axis=1)[:, None]
+        shown_on_globe(direction, shades[m], view, unit)
+        dot = [line for line in direction.lines if len(line.get_xdata()) == 1 and line.get_color() == shades[m]]
+        np.testing.assert_allclose(data(dot[0])[:, 0], globe.project(unit[0])[0], atol=1e-12)
+        if m == 0:
+            for label, k in (("start", 0), ("end", -1)):
+                np.testing.assert_allclose(data(marks[label])[:, 0], globe.project(path[k])[0], atol=1e-9)
+
+
+def test_vectors_have_colours_labels_and_gaps_of_their_own():
+    run = spinning(TURN, T0 + TURN)
+    run.x[60], x = 0.0, run.x
+    forms = np.array([[0.0, 2.0, 0.0], [0.0, 0.0, -1.0], [3.0, 0.0, 0.0]])
+    view = (35.0, 22.0)
+    axes = axes_of(run, "directions", vectors={"first": (0, "x2", 2), "second": forms}, view=view, title="both")
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["first", "start", "second"]
+    globe = Globe(view)
+    known = np.arange(200) != 60
+    for i, v in enumerate((x, x @ forms.T)):
+        unit = v[known] / np.linalg.norm(v[known], axis=1)[:, None]
+        flat, depth = globe.project(unit)
+        lines = [line for line in axes.lines if len(line.get_xdata()) == 200 and line.get_color() == colour(i)]
+        assert len(lines) in (1, 2)
+        project = np.isfinite([line.get_xdata() for line in lines])
+        assert not project[:, 60].any() and project[:, known].any(axis=0).all()
+        for line, own in zip(lines, project, strict=True):
+            np.testing.assert_allclose(data(line)[:, own & known].T, flat[own[known]], rtol=0, atol=1e-12)
+        (dot,) = (line for line in axes.lines if len(line.get_xdata()) == 1 and line.get_color() == colour(i))
+        np.testing.assert_allclose(data(dot)[:, 0], flat[0], rtol=0, atol=1e-12)
+        assert dot.get_markerfacecolor() == (colour(i) if depth[0] >= 0.0 else "white")
+    assert axes.get_title() == "both"
+    with pytest.raises(co.plotting.CannotShow, match="made of 4 coordinates, and the state has 3"):
+        axes_of(made(x), "directions", vectors={"v": np.ones((3, 4))})
+    with pytest.raises(co.plotting.CannotShow, match="the state has 3"):
+        axes_of(made(x), "directions", vectors={"v": (1, 2, 3)})
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("around", [-170.0, -80.0, 10.0, 100.0])
+def test_a_path_on_one_side_of_a_sphere_is_seen_from_there(around):
+    angles = np.radians(around + np.array([-30.0, -10.0, 10.0, 30.0]))
+    points = np.stack([np.cos(angles), np.sin(angles), 0.2 + 0 * angles], axis=-1)
+    axes = axes_of(made(points * 2.0), "directions", vectors={"v": (0, 1, 2)})
+    globe = Globe((around + 25.0, VIEW[1]))  # beside the middle, where the label of an axis may stand
+    dot = next(line for line in axes.lines if line.get_label() == "start")
+    np.testing.assert_allclose(data(dot)[:, 0], globe.project(points[0] / np.linalg.norm(points[0]))[0], atol=1e-12)
+
+
+def test_axes_in_space_of_members_that_hang_down():
+    """The vertical of each member is its own, and is up in the picture, whatever its direction in the attitude."""
+    A = np.stack([rotations((1, 2, 2), 0.7 + TURN), rotations((0, 1, 0), 0.4 - TURN)], axis=1)
+    down = np.array([0.0, 0.0, -2.0]), np.array([1.0, 1.0, 0.5])
+    x = np.stack([np.einsum("kji,j->ki", A[:, m], down[m]) for m in range(2)], axis=1)
+    run = made(x, attitude=A, carried="representation")
+    given = np.array([0.0, 3.0, 4.0])
+    axes = axes_of(run, "nutation", axis=given, up=(0, 1, 2), turns=1000.0)
+    for m in range(2):
+        pointing = A[:, m] @ given / 5.0
+        wanted = np.degrees(np.arccos(pointing @ down[m] / np.linalg.norm(down[m])))
+        np.testing.assert_allclose(axes.lines[2 * m].get_ydata(), wanted, rtol=0, atol=1e-6)
+    assert given.tolist() == [0.0, 3.0, 4.0] and axes.get_title() == "nutation of the axis of the body (dot: start)"
+    for wrong in ((0.0, 0.0, 0.0), (1.0, 2.0)):
+        with pytest.raises(ValueError, match="the number of an axis, or a direction"):
+            axes_of(run, "nutation", axis=wrong)
+
+
+def test_a_nutation_ends_for_each_member_where_it_has_turned_enough():
+    fast, slow = rotations((0, 0, 1), -2.0 * TURN), rotations((0, 0, 1), 0.2 * TURN)
+    tilt = rotations((0, 1, 0), np.full(200, 0.3))
+    A = np.stack([fast @ tilt, slow @ tilt], axis=1)
+    run = made(np.ones((200, 2, 3)), attitude=A, system=BARE, carried="representation")
+    axes = axes_of(run, "nutation", turns=0.5)
+    ends = [np.degrees(-2.0 * TURN), np.degrees(0.2 * TURN)]
+    for m, azimuth in enumerate(ends):
+        kept = azimuth[np.abs(azimuth) <= 180.0 + 1e-9]
+        np.testing.assert_allclose(axes.lines[2 * m].get_xdata()[: len(kept) - 1], kept[:-1], rtol=0, atol=1e-9)
+        assert len(axes.lines[2 * m].get_xdata()) in (len(kept), len(kept) - 1)
+        np.testing.assert_allclose(axes.lines[2 * m + 1].get_data(), [[0.0], [np.degrees(0.3)]], atol=1e-9)
+    assert axes.get_title() == "nutation of body axis 3, for the first 180 degrees (dot: start)"
+    assert axes_of(run, "nutation", [1]).get_title() == "nutation of body axis 3 (dot: start)"
+
+
+def test_group_elements_that_are_no_rotations_have_no_axes():
+    """The first group element is the unit, also of groups of other matrices."""
+    A = np.repeat(np.eye(3)[None], 200, axis=0)
+    A[:, 0, 2] = TURN
+    for wrong in (A, np.repeat(np.eye(2)[None], 200, axis=0), 1.5 * rotations((1, 0, 0), TURN)):
+        with pytest.raises(co.plotting.CannotShow, match="no attitude that is a rotation"):
+            axes_of(made(np.ones((200, 3)), attitude=wrong, carried="representation"), "body axis")
+
+
+def test_a_path_in_space_is_framed_with_its_strokes():
+    g = np.zeros((200, 2, 4, 4))
+    for m in range(2):
+        g[:, m, :3, :3] = rotations((1, m, 0), TURN)
+        g[:, m, :3, 3] = np.stack([3.0 * m + np.cos(TURN), 2.0 * np.sin(TURN), 0.1 * TURN - 5.0 * m], axis=-1)
+    g[..., 3, 3] = 1.0
+    run = made(np.ones((200, 2, 6)), co.systems.kirchhoff_body(), attitude=g, carried="representation")
+    axes = axes_of(run, "path in space", axis=1)
+    place = g[..., :3, 3]
+    widest = np.max(np.ptp(place, axis=(0, 1)))
+    strokes = [np.array(axes.lines[3 * m + 1].get_data_3d()).T.reshape(-1, 3, 3) for m in range(2)]
+    for m, own in enumerate(strokes):
+        at = np.linspace(0, 199, 40).round().astype(int)
+        np.testing.assert_array_equal(own[:, 0], place[at, m])
+        np.testing.assert_allclose(own[:, 1] - own[:, 0], 0.09 * widest * g[at, m, :3, 1], rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(np.ravel(axes.lines[3 * m + 2].get_data_3d()), place[0, m])
+        assert axes.lines[3 * m].get_color() == colour(0)
+    ends = np.concatenate([own[:, 1] for own in strokes])
+    for i, (low, high) in enumerate((axes.get_xlim(), axes.get_ylim(), axes.get_zlim())):
+        assert low < min(place[..., i].min(), ends[:, i].min()) and high > max(place[..., i].max(), ends[:, i].max())
+        assert 0.5 * (low + high) == pytest.approx(0.5 * (place[..., i].min() + place[..., i].max()))
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["body axis 2", "start"]
+
+
+def test_a_path_in_space_has_the_limits_of_the_members_that_go_on():
+    body = co.systems.kirchhoff_body()
+    starts = [(0.5, 1.5, 1.0, 0.8, 0.1, 0.1), (100.0, -100.0, 100.0, 100.0, 0.1, 0.1)]
+    run = partial(body, starts, (T0, T0 + 2.0), 0.1, co.ExplicitRungeKutta("rk4"), attitude=True)
+    axes = axes_of(run, "path in space")
+    np.testing.assert_array_equal(np.array(axes.lines[0].get_data_3d()).T, run.attitude[:, 0, :3, 3])
+    for i, (low, high) in enumerate((axes.get_xlim(), axes.get_ylim(), axes.get_zlim())):
+        assert low < np.nanmin(run.attitude[..., i, 3]) and np.nanmax(run.attitude[..., i, 3]) < high
+
+
+def test_the_path_in_space_is_the_integral_of_the_velocity():
+    body = co.systems.kirchhoff_body()
+    run = co.integrate(body, (0.5, 1.5, 1.0, 0.8, 0.1, 0.1), (0.0, 4.0), 0.01, co.Splitting(order=4), attitude=True)
+    axes = shown(run, Picture("path in space", axis=1))
+    path = np.array(axes.lines[0].get_data_3d()).T
+    v = run.x[:, 3:] / np.array(body.parameters["mass"])
+    speed = np.einsum("kij,kj->ki", run.attitude[:, :3, :3], v)
+    # Simpson's rule: h^4 / 180 times the span and a fourth derivative, here below 100
+    end = 0.01 / 3.0 * (speed[0] + speed[-1] + 4.0 * speed[1:-1:2].sum(axis=0) + 2.0 * speed[2:-1:2].sum(axis=0))
+    np.testing.assert_allclose(path[-1] - path[0], end, atol=0.01**4 / 180.0 * 4.0 * 100.0 + 1e-8)
+    np.testing.assert_array_equal(path, run.attitude[:, :3, 3])
+    strokes = np.array(axes.lines[1].get_data_3d()).T.reshape(-1, 3, 3)
+    along = strokes[:, 1] - strokes[:, 0]
+    np.testing.assert_allclose(along[0] / np.linalg.norm(along[0]), run.attitude[0, :3, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize("sides", [(1.0, 2.0, 3.0), (3.0, 1.0, 2.0)])
+def test_the_box_of_a_body_has_its_moments_of_inertia(sides):
+    """A box with half sides a, b, c has the moments b^2 + c^2, ... over its mass / 3; seen along an axis."""
+    squares = np.square(sides)
+    box = co.systems.rigid_body(squares.sum() - squares)
+    run = co.integrate(box, (0.3, 1.0, 0.2), (0.0, 1.0), 0.1, attitude=True)
+    for view, across, up in (((0.0, 0.0), 1, 2), ((90.0, 0.0), 0, 2), ((-90.0, 90.0), 0, 1)):
+        axes = shown(run, Picture("body", at=0.0, view=view))
+        faces = next(part for part in axes.collections if isinstance(part, PolyCollection)).get_paths()
+        extent = np.ptp(np.concatenate([face.vertices for face in faces]), axis=0)
+        assert extent[0] / extent[1] == pytest.approx(sides[across] / sides[up])
+
+
+def test_ellipses_have_the_moments():
+    beam = co.systems.vlasov_moments(2, "1/2*x20 + 0.1*x20^2")
+    run = co.integrate(beam, (1.0, 0.3, 0.5), (0.0, 3.0), 0.05)
+    axes = shown(run, Picture("phase ellipse", moments=("x20", "x11", "x02"), times=4, until=0.5))
+    curves = [np.array(line.get_data()).T for line in axes.lines[1:]]
+    assert len(curves) == 4
+    for curve, k in zip(curves, (0, 10, 20, 30), strict=True):
+        qq, qp, pp = run.x[k]
+        level = np.einsum("ki,ij,kj->k", curve, np.linalg.inv([[qq, qp], [qp, pp]]), curve)
+        np.testing.assert_allclose(level, 1.0, rtol=1e-12)
+    with pytest.raises(TypeError, match="moments, or a function"):
+        shown(run, Picture("phase ellipse"))
+    with pytest.raises(co.plotting.CannotShow, match="the state has 3"):
+        shown(run, Picture("phase ellipse", moments=(0, 1, 7)))
+
+
+def test_lumps_are_drawn_where_they_are():
+    lumps = co.systems.decorated_particles(weights=(1.0, 2.0), pair=(0.0,))
+    x0 = (-1.0, 0.5, 0.4, 1.0, 1.0, 0.02, 0.0, 0.04, 0.06, 0.0, 0.02)
+    run = co.integrate(lumps, x0, (0.0, 2.0), 0.05)
+    axes = run.plot().axes[2]
+    # a thin line of the centre and 7 ellipses for each of both
+    assert len(axes.lines) == 2 * 8
+    centre, first = axes.lines[8], np.array(axes.lines[9].get_data())
+    np.testing.assert_allclose(centre.get_data(), [run.x[:, 1], run.x[:, 3] / 2.0])
+    np.testing.assert_allclose(first[:, :-1].mean(axis=1), [0.5, 0.5], atol=1e-14)
+    assert np.ptp(first[0]) == pytest.approx(2.0 * np.sqrt(0.06 / 2.0), rel=1e-12)
+
+
+def test_a_run_of_no_step_and_functions_that_are_not_finite():
+    moments = co.systems.vlasov_moments(2, "1/2*x20")
+    axes = shown(co.integrate(moments, (1.0, 0.3, 0.5), (0.0, 0.0), 0.1), Picture("phase ellipse", moments=(0, 1, 2)))
+    assert len(axes.lines) == 2
+    lattice = co.systems.toda(3)
+    run = co.integrate(lattice, (0.1, 0.2, 0.3, 0.0, 0.5), (0.0, 1.0), 0.1)  # a_1 = 0: the first two are far apart
+    assert len(run.plot().axes[2].lines) == 3
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_an_axis_in_space_is_seen_with_its_constant_vector_upward(sign):
+    inertia = np.array([[2.0, 0.3, 0.1], [0.3, 3.0, -0.2], [0.1, -0.2, 4.0]])
+    M = np.linalg.inv(inertia)
+    body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0.5 * (M + M.T)), sign=sign)
+    first = random_element(body.representation, 2)
+    run = co.integrate(body, (0.3, -1.0, 0.4), (0.0, 9.0), 0.1, attitude=first)
+    picture = Picture("body axis", axis=run.x[0] / np.linalg.norm(run.x[0]), up=(0, 1, 2))
+    (axes,) = run.plot([picture]).axes
+    start = next(line for line in axes.lines if line.get_label() == "start")
+    # the momentum itself, drawn as an axis of the body, starts at the pole, which appears at (0, cos of the view)
+    np.testing.assert_allclose(np.ravel(start.get_data()), [0.0, np.cos(np.radians(22.0))], atol=1e-9)
+
+
+TOPS = {
+    "heavy_top": co.systems.heavy_top(),
+    "kovalevskaya_top": co.systems.kovalevskaya_top(),
+    "lagrange_top": co.systems.lagrange_top(),
+}
+
+
+X = np.array([0.0, 0.2, 3.0, 0.5, 0.0, 0.75**0.5])
+
+
+@pytest.mark.parametrize("name", TOPS)
+def test_inclinations_are_to_the_vertical_of_the_top(name):
+    sol = co.integrate(TOPS[name], X, (0, 2), 0.01, co.Splitting(order=4), attitude=True)
+    (axes,) = sol.plot(["nutation"]).axes
+    assert axes.get_ylabel() == "inclination to the vertical [degrees]"
+    inclination = axes.lines[0].get_ydata()
+    exact = np.degrees(np.arccos(sol.x[:, 5]))
+    assert abs(inclination[0] - exact[0]) < 1e-9
+    assert exact.min() - 0.1 < inclination.min() < exact.min() + 2 and inclination.max() < exact.max() + 0.1
+
+
+def test_inclinations_of_other_systems_are_to_the_third_axis():
+    own = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.4]), sign=-1)
+    sol = co.integrate(own, (0.1, 0.5, 1.0), (0, 5), 0.05, attitude=True)
+    (axes,) = sol.plot(["nutation"]).axes
+    assert axes.get_ylabel() == "inclination to the third axis of space [degrees]"
+    np.testing.assert_allclose(axes.lines[0].get_ydata()[0], 0.0, atol=1e-6)

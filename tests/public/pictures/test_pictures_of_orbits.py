@@ -1,0 +1,228 @@
+"""Orbits on the level surfaces of Casimirs, and the surfaces themselves."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from drawn_runs import BARE, BODY, SPIN, T0, TURN, axes_of, colour, limits_of, made, made_at, spinning
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.proj3d import proj_transform
+
+import coadjoint as co
+
+level_surface = co.plotting.level_surface
+
+
+@pytest.mark.parametrize("members", [[1], [2, 0]])
+def test_the_surface_is_that_of_the_first_member_drawn(members):
+    sizes = np.array([1.0, 2.0, 3.0])
+    one = spinning(TURN, T0 + TURN)
+    x = sizes[:, None] * one.x[:, None]
+    axes = axes_of(made(x, SPIN, one.t), "coadjoint orbit", members, view=(20.0, 70.0))
+    assert (axes.azim, axes.elev) == (20.0, 70.0)
+    assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_zlabel()) == ("$x_{1}$", "$x_{2}$", "$x_{3}$")
+    radius = np.linalg.norm(x[0, members[0]])
+    # The sphere, seen without perspective, has the extent of points on it in the picture.
+    axes.figure.draw_without_rendering()
+    n = np.random.default_rng(1).normal(size=(4000, 3))
+    points = radius * n / np.linalg.norm(n, axis=1)[:, None]
+    wanted = np.ptp(np.array(proj_transform(*points.T, axes.get_proj()))[:2], axis=1)
+    corners = np.concatenate([path.vertices for path in axes.collections[0].get_paths()])
+    np.testing.assert_allclose(np.ptp(corners, axis=0), wanted, rtol=0.02)
+    for place, m in enumerate(members):
+        path, dot = axes.lines[2 * place : 2 * place + 2]
+        np.testing.assert_array_equal(np.array(path.get_data_3d()).T, x[:, m])
+        np.testing.assert_array_equal(np.ravel(dot.get_data_3d()), x[0, m])
+        shade = colour(0)
+        assert path.get_color() == shade and dot.get_color() == (shade if len(members) > 1 else colour(1))
+    several = "orbits, and the level surface of $|x|^2$ of the first"
+    assert axes.get_title().startswith(several if len(members) > 1 else "orbit on the level surface of $|x|^2$")
+
+
+def test_surfaces_in_a_box_with_unequal_edges():
+    box = np.array([(0.0, 1.0), (-2.0, 1.0), (1.0, 4.0)])
+    triangles = level_surface(co.Polynomial({(1, 0, 0): 1.0, (0, 1, 0): 2.0}), 0.5, box, cells=6)
+    points = triangles.reshape(-1, 3)
+    np.testing.assert_allclose(points[:, 0] + 2.0 * points[:, 1], 0.5, rtol=0, atol=8 * 2.0**-53)
+    np.testing.assert_allclose(points.min(axis=0), [0.0, -0.25, 1.0], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(points.max(axis=0), [1.0, 0.25, 4.0], rtol=0, atol=1e-15)
+    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    assert 0.5 * np.linalg.norm(normal, axis=1).sum() == pytest.approx(3.0 * np.hypot(1.0, 0.5), rel=1e-13)
+
+
+HYPERBOLIC = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, 0.5, 0.7]))
+
+
+@pytest.mark.thinned(36)
+@pytest.mark.parametrize("lost", [np.nan, 1e80, -1e80, np.inf])
+@pytest.mark.parametrize("bad", [0, 1, 2])
+@pytest.mark.parametrize("system", [BODY, BARE, HYPERBOLIC], ids=["sphere", "no surface", "surface without bounds"])
+@pytest.mark.filterwarnings("ignore:overflow")
+def test_orbits_are_framed_with_every_point_that_is_left(system, bad, lost):
+    """The states of the member that fails are lost from its fourth point on, all of them or one component."""
+    rng = np.random.default_rng(bad)
+    x = rng.normal(size=(20, 3, 3)) * [1.0, 5.0, 2.0] + [3.0, 0.0, -4.0]
+    x[4:, bad, 1] = lost
+    if np.isnan(lost):
+        x[5:, bad] = lost
+    axes = axes_of(made_at(T0 + 0.1 * np.arange(20), x, system), "coadjoint orbit")
+    left = np.where(np.abs(x) < 1e75, x, np.nan)
+    limits = limits_of(axes)
+    if system is BODY:  # a cube about the whole sphere
+        size = np.sqrt(np.nanmax(np.sum(left**2, axis=-1)))
+        np.testing.assert_allclose(limits, 1.1 * size * np.array([[-1.0, 1.0]] * 3), rtol=1e-12)
+    else:
+        low, high = np.nanmin(left, axis=(0, 1)), np.nanmax(left, axis=(0, 1))
+        np.testing.assert_allclose(limits.mean(axis=1), (low + high) / 2, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(np.diff(limits)[:, 0], 1.4 * (high - low), rtol=1e-12)
+    assert len(axes.collections) == (system is not BARE)
+    for m, line in enumerate(axes.lines[::2]):
+        np.testing.assert_array_equal(np.array(line.get_data_3d()).T, left[:, m])
+
+
+@pytest.mark.parametrize("x", [(0.0, 0.0, 0.0), (2.0, -3.0, 1.0)])
+def test_a_motion_that_stays_in_a_plane_or_at_a_point_has_a_box(x):
+    """A twentieth of the widest extent is left on both sides, or of 1 around a point."""
+    still = np.tile(x, (10, 1))
+    axes = axes_of(made_at(0.1 * np.arange(10), still, BARE), "coadjoint orbit")
+    np.testing.assert_allclose(limits_of(axes), np.transpose([still[0] - 0.05, still[0] + 0.05]), atol=1e-15)
+    flat = still + np.outer(np.linspace(-1.0, 1.0, 10), [4.0, 0.0, -1.0])
+    limits = limits_of(axes_of(made_at(0.1 * np.arange(10), flat, BARE), "coadjoint orbit"))
+    np.testing.assert_allclose(limits, np.add.outer(x, [-1.0, 1.0]) * 1.0 + np.outer([4.6, -0.6, 0.4], [-1, 1]))
+
+
+def _three_dimensional(figure: Figure) -> list:
+    return [axes for axes in figure.axes if axes.name == "3d"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("system", "x0", "name", "shown_as"),
+    [
+        (
+            co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, 0.5, 0.7])),
+            (1.0, 0.3, 0.5),
+            "x1*x3 + x2^2",
+            "$x_{1}\\,x_{3} + x_{2}^2$",
+        ),
+        (co.systems.paper_a37(), (1.0, 1.0, 1.0), "log C", "$\\log C$"),
+    ],
+)
+def test_surfaces_that_are_not_compact(
+    system: co.LiePoissonSystem, x0: tuple[float, ...], name: str, shown_as: str
+) -> None:
+    run = co.integrate(system, x0, (0.0, 10.0), 0.02)
+    orbit = _three_dimensional(run.plot())[0]
+    assert shown_as in orbit.get_title()
+    for i, limits in enumerate((orbit.get_xlim(), orbit.get_ylim(), orbit.get_zlim())):
+        assert limits[0] < run.x[:, i].min() and run.x[:, i].max() < limits[1]
+
+
+def test_long_runs_are_thinned_to_what_can_be_seen() -> None:
+    run = co.integrate(BODY, (0.1, 1.0, 0.1), (0.0, 18000.0), 0.1)
+    _, components, orbit = run.plot().axes
+    (path,) = (line for line in orbit.lines if len(line.get_data_3d()[0]) > 1)
+    assert len(path.get_data_3d()[0]) <= 20_001
+    # 180 001 points and more than 600 turning points of each component: three envelopes that reach as far as they do
+    assert [band.get_label() for band in components.collections] == ["$x_{1}$", "$x_{2}$", "$x_{3}$"]
+    for i, band in enumerate(components.collections):
+        corners = band.get_paths()[0].vertices
+        assert corners[:, 0].max() == run.t[-1]
+        assert (corners[:, 1].min(), corners[:, 1].max()) == (run.x[:, i].min(), run.x[:, i].max())
+
+
+BOX = [(-1.3, 1.2)] * 3
+
+
+CELLS = 24
+
+
+def _area(triangles: np.ndarray) -> float:
+    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    return float(0.5 * np.linalg.norm(normal, axis=1).sum())
+
+
+def test_sphere_has_its_radius_and_its_area() -> None:
+    sphere = co.algebras.so(3).casimirs_known["|x|^2"]
+    triangles = level_surface(sphere, 1.0, BOX, cells=CELLS)
+    cell = 2.5 / CELLS
+    # Linear interpolation on edges of length d is off by d^2/8 times the curvature; the longest edge is a diagonal.
+    assert np.max(np.abs(np.linalg.norm(triangles, axis=2) - 1.0)) < 3 * cell**2 / 8 * 1.2
+    assert _area(triangles) == pytest.approx(4 * np.pi, rel=2 * cell**2)
+
+
+def test_surface_is_closed() -> None:
+    sphere = co.algebras.so(3).casimirs_known["|x|^2"]
+    triangles = np.round(level_surface(sphere, 1.0, BOX, cells=8), 9)
+    # Divergence theorem: the vector areas of a closed surface cancel, whichever way each triangle is turned outward.
+    normal = 0.5 * np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    outward = np.sign(np.einsum("ij,ij->i", normal, triangles.mean(axis=1)))
+    assert np.linalg.norm((normal * outward[:, None]).sum(axis=0)) < 1e-7 * np.abs(normal).sum()
+
+
+@pytest.mark.long
+def test_multivalued_casimir_is_followed_across_its_cut() -> None:
+    a = 0.2
+    casimir = co.algebras.A3_7(a).casimirs_known["log C"]
+    triangles = level_surface(casimir, 0.0, [(-3.0, 3.0), (-3.0, 3.0), (0.0, 1.0)], cells=40, period=casimir.period)
+    points = triangles.reshape(-1, 3)
+    angle = np.arctan2(points[:, 1], points[:, 0])
+    # r = exp(a theta) on every turn: log r - a theta is a multiple of 2 pi a.
+    turns = (0.5 * np.log(points[:, 0] ** 2 + points[:, 1] ** 2) - a * angle) / (2 * np.pi * a)
+    far = np.hypot(points[:, 0], points[:, 1]) > 0.8
+    assert np.max(np.abs(turns - np.rint(turns))[far]) < 0.02
+    # Both sides of the cut of the arctangent, theta = pi, on the turn through r = exp(a pi).
+    for side in (-1.0, 1.0):
+        near = (
+            (np.abs(points[:, 0] + np.exp(a * np.pi)) < 0.2) & (side * points[:, 1] > 0) & (np.abs(points[:, 1]) < 0.3)
+        )
+        assert np.any(near)
+
+
+def test_level_that_is_not_met_gives_nothing() -> None:
+    assert level_surface(co.algebras.so(3).casimirs_known["|x|^2"], 100.0, BOX, cells=5).shape == (0, 3, 3)
+
+
+def test_wrong_box_is_refused() -> None:
+    with pytest.raises(ValueError, match="three pairs"):
+        level_surface(lambda x: x[0], 0.0, [(0.0, 0.0)] * 3)
+
+
+@pytest.mark.parametrize(
+    ("function", "level"),
+    [
+        (lambda x: math.log(x[0]), math.log(0.7)),  # a ValueError below zero
+        (lambda x: 1.0 / max(0.0, float(x[0])), 1.0 / 0.7),  # a ZeroDivisionError there
+        (lambda x: np.log(x[0]), math.log(0.7)),  # NaN and a warning there
+    ],
+)
+def test_surfaces_of_functions_that_are_not_defined_everywhere_are_complete(function, level) -> None:
+    box = [(-1.0, 1.4), (-0.5, 0.7), (0.0, 0.6)]
+    points = level_surface(function, level, box, cells=12).reshape(-1, 3)
+    # Linear interpolation over cells of 0.2: an eighth of the square times the second derivative, over the slope.
+    assert np.max(np.abs(points[:, 0] - 0.7)) <= 0.2**2 / 8 * (2.0 / 0.5**3) / (1.0 / 0.9**2)
+    np.testing.assert_allclose(points[:, 1:].min(axis=0), [-0.5, 0.0], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(points[:, 1:].max(axis=0), [0.7, 0.6], rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("turns", [0.0, 3.0])
+@pytest.mark.parametrize("turn", [0.3, np.pi - 0.1, np.pi, -2.0])
+def test_half_planes_of_an_angle_also_along_its_cut(turn: float, turns: float) -> None:
+    """The level of an angle with the period 2 pi is a half plane, of which the box holds a known area."""
+
+    def angle(x: np.ndarray) -> float:
+        return float(np.arctan2(x[1], x[0]))
+
+    direction = np.array([np.cos(turn), np.sin(turn)])
+    middle = 2.0 * direction
+    box = [(middle[0] - 0.5, middle[0] + 0.5), (middle[1] - 0.5, middle[1] + 0.5), (0.0, 0.7)]
+    level, period = turn + 2 * np.pi * turns, 2 * np.pi
+    triangles = level_surface(angle, level, box, cells=10, period=period)
+    points = triangles.reshape(-1, 3)
+    across = points[:, :2] @ (-direction[1], direction[0])
+    # Linear interpolation: an eighth of the square of a diagonal of 0.17 times the second derivative, over the slope.
+    assert np.max(np.abs(across)) < 0.17**2 / 8 / 1.3
+    length = 1.0 / np.max(np.abs(direction))
+    assert _area(triangles) == pytest.approx(0.7 * length, rel=0.01)
