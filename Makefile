@@ -52,7 +52,7 @@ core:
 	rm -rf build/core
 	$(PYTHON) -m venv build/core
 	build/core/bin/python -m pip install --quiet --disable-pip-version-check . pytest
-	cd tests && "$(CURDIR)/build/core/bin/python" -m pytest test_core_alone.py
+	cd tests && "$(CURDIR)/build/core/bin/python" -m pytest internal/project/test_core_alone.py
 
 # The functions of PyTorch, which `make test` does not install, in a virtual environment of their own.
 torch:
@@ -63,10 +63,9 @@ torch:
 
 # What depends most on other packages, with the lowest versions that pyproject.toml permits, and with the newest, also
 # those that are not yet released.
-DEPENDENT := public/command/test_typical_session.py test_core_alone.py test_cli.py files/test_archives.py files/test_load.py \
-	files/test_output.py files/test_export.py files/test_hostile_files.py \
-	pictures/test_solution_picture.py pictures/test_movies.py pictures/test_kinds.py runs/test_integrate.py \
-	runs/test_functions_in_python.py algebra public/derivatives/test_jax.py public/derivatives/test_xla.py
+DEPENDENT := internal/project/test_core_alone.py public/command/test_typical_session.py public/command/test_command.py \
+	public/archives public/files public/pictures public/algebras public/runs/test_integrate.py \
+	public/runs/test_functions_in_python.py public/derivatives/test_jax.py public/derivatives/test_xla.py
 EXTRAS := functions,io,plot,cli,precision,algebra,fluids,cluster,jax
 
 minimum: VERSIONS := --constraint tests/minimum_versions.txt
@@ -97,9 +96,9 @@ mutants: kernels
 # Random systems, schemes and ensembles: the same bits in any company, and an end to every run. Then runs with archives
 # are killed at random moments, 100 times or COUNT / 10 times, whichever is more, and workers 12 or COUNT / 100 times.
 soak: kernels
-	cd tests && "$(CURDIR)/$(BIN)/python" -m random_runs.soak $(FIRST) $(COUNT) --jobs 2
-	cd tests && "$(CURDIR)/$(BIN)/python" files/killed_runs.py $(FIRST) $$(( $(COUNT) > 1000 ? $(COUNT) / 10 : 100 ))
-	cd tests && "$(CURDIR)/$(BIN)/python" files/killed_workers.py $(FIRST) $$(( $(COUNT) > 1200 ? $(COUNT) / 100 : 12 ))
+	cd tests && "$(CURDIR)/$(BIN)/python" -m matrix.soak $(FIRST) $(COUNT) --jobs 2
+	cd tests && "$(CURDIR)/$(BIN)/python" public/archives/killed_runs.py $(FIRST) $$(( $(COUNT) > 1000 ? $(COUNT) / 10 : 100 ))
+	cd tests && "$(CURDIR)/$(BIN)/python" public/ensembles/killed_workers.py $(FIRST) $$(( $(COUNT) > 1200 ? $(COUNT) / 100 : 12 ))
 
 # Configurations and calls with wild values: a result or one sentence for each, however many.
 fuzz: kernels

@@ -13,7 +13,7 @@ TESTS = ROOT / "tests"
 SPACES = {
     name.removeprefix("co.") for name in re.findall(r"^co\.[a-z]+$", (ROOT / "docs/public_names.txt").read_text(), re.M)
 }
-NAMED_TUPLE = {"_replace", "_asdict", "_fields", "_exit"}
+DOCUMENTED = {"_replace", "_asdict", "_fields", "_exit", "_repr_html_", "_idlist"}
 IN_TEXT = re.compile(r"\b(?:from|import) coadjoint\.(\w+)(\.\w+)?|^coadjoint\.(\w+)(\.\w+\.)?")
 
 
@@ -47,7 +47,7 @@ def inside(text):
             yield from (".".join(parts) for parts in names if parts[0] == "coadjoint" and set(parts[1:]) - SPACES)
         elif isinstance(node, ast.Attribute):
             of_package = isinstance(node.value, ast.Name) and node.value.id in ("co", "coadjoint")
-            private = node.attr.startswith("_") and not node.attr.startswith("__") and node.attr not in NAMED_TUPLE
+            private = node.attr.startswith("_") and not node.attr.startswith("__") and node.attr not in DOCUMENTED
             own = isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")
             if (of_package and node.attr not in {*dir(co), "__file__", "__doc__", "__path__"}) or (private and not own):
                 yield ast.unparse(node)
