@@ -84,7 +84,7 @@ mutants: kernels
 # Random systems, schemes and ensembles: the same bits in any company, and an end to every run. Then runs with archives
 # are killed at random moments, 100 times or COUNT / 10 times, whichever is more, and workers 12 or COUNT / 100 times.
 soak: kernels
-	cd tests && "$(CURDIR)/$(BIN)/python" -m random_runs.soak $(FIRST) $(COUNT) --jobs 2
+	cd tests && "$(CURDIR)/$(BIN)/python" -m matrix.soak $(FIRST) $(COUNT) --jobs 2
 	cd tests && "$(CURDIR)/$(BIN)/python" files/killed_runs.py $(FIRST) $$(( $(COUNT) > 1000 ? $(COUNT) / 10 : 100 ))
 	cd tests && "$(CURDIR)/$(BIN)/python" files/killed_workers.py $(FIRST) $$(( $(COUNT) > 1200 ? $(COUNT) / 100 : 12 ))
 

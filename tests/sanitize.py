@@ -40,11 +40,11 @@ OMITTED = ["--ignore=tests/kernels/test_build.py", "--ignore=tests/kernels/test_
 COMMANDS = {
     "address": [
         [*PYTEST, *OMITTED, "-n", "2", "tests/kernels", "tests/methods", "tests/runs", "tests/choosing"],
-        ["-m", "random_runs.soak", "1000000", "300", "--limit", "1200", "--jobs", "2"],
+        ["-m", "matrix.soak", "1000000", "300", "--limit", "1200", "--jobs", "2"],
     ],
     "threads": [
         [*PYTEST, "tests/runs/test_threads_inside.py"],
-        ["-m", "random_runs.on_threads", "2000000", "200"],
+        ["-m", "matrix.soak", "2000000", "200", "--threads"],
     ],
 }
 

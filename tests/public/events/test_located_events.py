@@ -7,9 +7,6 @@ import pytest
 from scipy.special import ellipk
 
 import coadjoint as co
-from coadjoint.kernels.tables import events as kernel_events
-from coadjoint.runs.crossings import event_run
-from failing_parts import failing_parts
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -71,58 +68,6 @@ def test_event_times_have_the_order_of_the_scheme(method):
         errors.append(abs(t[1] - t[0] - T))
     slopes = np.log2(np.array(errors[:-1]) / errors[1:])
     assert slopes[-1] > method.order - 0.5
-
-
-@pytest.mark.parametrize("method", METHODS, ids=NAMES)
-def test_events_do_not_change_the_run(method):
-    events = [co.Event("x2"), co.Event(lambda x: x[0] - x[2]), co.Event(co.Polynomial({(1, 1, 0): 1}))]
-    x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 11)[:, None]
-    for start in (x0, x0[3]):
-        plain = co.integrate(BODY, start, (0, 20), 0.125, method, save_every=3)
-        seen = co.integrate(BODY, start, (0, 20), 0.125, method, save_every=3, events=events)
-        assert np.array_equal(plain.x, seen.x) and np.array_equal(plain.energy, seen.energy)
-        assert np.array_equal(plain.drift()["energy"].tenths, seen.drift()["energy"].tenths)
-        assert len(seen.events) > 1
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize("method", METHODS, ids=NAMES)
-def test_ensemble_events_equal_those_of_members(method):
-    x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 37)[:, None]
-    events = [co.Event("x2"), co.Event("x1", direction=-1)]
-    options = {"t_span": (0, 20), "step": 0.125, "method": method, "events": events}
-    several = co.integrate(BODY, x0, **options)
-    for threads, every, watch in ((1, 1, True), (2, 7, False)):
-        again = co.integrate(BODY, x0, threads=threads, save_every=every, watch=watch, **options)
-        for name in ("t", "x", "which", "member", "direction"):
-            assert np.array_equal(getattr(again.events, name), getattr(several.events, name)), name
-    for m in (0, 1, 17, 36):
-        alone, own = co.integrate(BODY, x0[m], **options).events, several.events.of(m)
-        assert np.array_equal(alone.t, own.t) and np.array_equal(alone.x, own.x)
-        assert np.array_equal(alone.which, own.which)
-
-
-@pytest.mark.thinned(5)
-@pytest.mark.parametrize("method", METHODS, ids=NAMES)
-def test_events_do_not_depend_on_chunk_size(method, monkeypatch):
-    x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 5)[:, None]
-    # Near its maximum between two flips, x1 crosses a level twice within a step.
-    top = co.integrate(BODY, x0[1], (0, 50), 1 / 64, method).x[:, 0].max()
-    near = co.Polynomial({(1, 0, 0): 1.0, (0, 0, 0): -float(top) * (1 - 1e-5)})
-    events = [co.Event("x2", count=2, terminal=True), co.Event("x2"), co.Event(near, name="near")]
-    for start, only in ((x0, None), (x0[1], 1)):
-        options = {"t_span": (0, 50), "step": 0.5, "method": method, "events": events}
-        whole = co.integrate(BODY, start, **options)
-        assert only is None or method.order < 4 or len(whole.events["near"]) >= 2
-        for most in (1, 2, 3):
-            with monkeypatch.context() as patched:
-                patched.setattr(event_run, "FIRST_CHUNK", most)
-                patched.setattr(event_run, "MAX_STEPS", most)
-                again = co.integrate(BODY, start, **options)
-            for name in ("t", "x", "which", "member", "direction"):
-                assert np.array_equal(getattr(again.events, name), getattr(whole.events, name)), name
-            assert np.array_equal(again.x, whole.x, equal_nan=True) and np.array_equal(again.t, whole.t)
-            assert np.array_equal(again.drift()["energy"].tenths, whole.drift()["energy"].tenths)
 
 
 def test_casimirs_are_preserved_at_events():
@@ -358,25 +303,6 @@ def test_selections_of_crossings_are_complete():
         iter(found)
 
 
-def test_prepared_runs_take_events_per_run():
-    ready, span = co.prepare(BODY, co.Splitting(order=4), 0.125, attitude=True), (1, 21)
-    listed = [
-        co.Event("x2"),
-        [co.Event("x2", direction=1)],
-        co.Event("x1"),
-        [co.Event("x3"), co.Event("x2", terminal=True)],
-    ]
-    expected = [
-        co.integrate(BODY, FLIPPING, span, 0.125, co.Splitting(order=4), attitude=True, events=e) for e in listed
-    ]
-    for k in (0, 1, 2, 3, 2, 1, 0, 3, 3):
-        found = ready.run(FLIPPING, span, events=listed[k])
-        for name in ("t", "x", "which", "direction", "attitude"):
-            assert np.array_equal(getattr(found.events, name), getattr(expected[k].events, name)), (k, name)
-        assert np.array_equal(found.x, expected[k].x) and found.events.names == expected[k].events.names
-    assert ready.run(FLIPPING, span).events is None
-
-
 @pytest.mark.parametrize("way", [1.0, -1.0])
 @pytest.mark.parametrize("between", [False, True])
 def test_end_is_on_the_branch_of_the_run(way, between):
@@ -391,17 +317,6 @@ def test_end_is_on_the_branch_of_the_run(way, between):
     assert abs(sol.casimirs["log C"][-1] - principal) > 2.5 * period
     # Each of at most 160 steps has some ten flows, which round the state by some units.
     assert np.ptp(sol.casimirs["log C"]) < 160 * 10 * 8 * U * (1.0 + 4.0 * period) < 1e-3 * period
-
-
-def test_events_of_batches_and_of_driven_systems():
-    bodies = co.batch([co.systems.rigid_body(inertia=(1, 2, third)) for third in (2.5, 2.75, 2.875)])
-    sol = co.integrate(bodies, FLIPPING, (0, 20), 0.125, events=co.Event("x2"))
-    for m in range(3):
-        alone = co.integrate(bodies[m], FLIPPING, (0, 20), 0.125, events=co.Event("x2"))
-        assert np.array_equal(sol.events.of(m).t, alone.events.t)
-    damped = BODY.with_forces(co.forces.LinearDamping(0.1))
-    sol = co.integrate(damped, FLIPPING, (0, 20), 0.125, events=co.Event(lambda x, t: x[1] - 0.01 * t))
-    assert len(sol.events) and abs(sol.events.x[:, 1] - 0.01 * sol.events.t).max() < 16 * U
 
 
 RATES = np.add.outer(np.arange(4.0), np.arange(4.0))
@@ -434,86 +349,13 @@ def test_wrong_events_are_refused():
         co.integrate(BODY, FLIPPING, (0, 20), 0.125, events=co.Event(lambda x: np.sqrt(x[1])))
 
 
-@pytest.mark.parametrize(
-    "system", [co.systems.vlasov_moments(), co.systems.heavy_top()], ids=lambda system: system.name
-)
-def test_group_elements_do_not_change_crossings(system):
-    x0 = np.cos(1.0 + np.arange(system.dim))
-    event, method = co.Event(int(np.argmin(abs(x0)))), co.methods.get("CommutatorFree")
-    alone = co.integrate(system, x0, (0, 6), 1 / 16, method, events=event)
-    beside = co.integrate(system, x0, (0, 6), 1 / 16, method, events=event, attitude="coadjoint")
-    assert len(alone.events.t) > 0
-    np.testing.assert_array_equal(beside.events.x, alone.events.x)
-
-
-@pytest.mark.thinned(6)
-@pytest.mark.parametrize("why", ["a part of a step fails", "a function is undefined"])
-@pytest.mark.parametrize("until", [None, 9])
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_failed_member_does_not_affect_the_others(monkeypatch, why, until, way):
-    """Its states and crossings before the failure remain."""
-    ensemble = np.array([[0.3, -1.0, 0.7], FLIPPING, [1.5, 0.25, 0.75]])
-    terminal = {} if until is None else {"terminal": True, "count": until}
-
-    def coordinate(x):
-        return x[1]
-
-    given = BODY, ensemble, (0, 40 * way), 0.125
-    whole = co.integrate(*given, events=co.Event(coordinate, name="g", **terminal))
-    own = whole.events.t[whole.events.member == 1]
-    step = int(np.floor(abs(own[1]) / 0.125))  # in which it crosses for the second time
-    if why == "a part of a step fails":
-        failing_parts(monkeypatch, 1, way * 0.125 * step)
-        event, words = co.Event(coordinate, name="g", **terminal), "converge"
-    else:
-        bad = whole.x[step + 1, 1, 0]
-        event = co.Event(lambda x: np.where(abs(x[0] - bad) < 1e-12, np.nan, x[1]).item(), name="g", **terminal)
-        words = "event g is not a number"
-    with pytest.raises(co.IntegrationError, match=rf"{words}.* for 1 of 3 members \(first: member 1\)") as caught:
-        co.integrate(*given, events=event)
-    found = caught.value.partial
-    assert caught.value.step == step + 1 and found.failed.tolist() == [False, True, False]
-    assert np.array_equal(found.x[:, [0, 2]], whole.x[:, [0, 2]], equal_nan=True)
-    assert np.array_equal(found.x[: step + 1, 1], whole.x[: step + 1, 1]) and np.isnan(found.x[step + 1 :, 1]).all()
-    for m in (0, 2):
-        assert np.array_equal(found.events.x[found.events.member == m], whole.events.x[whole.events.member == m])
-    assert np.array_equal(found.events.t[found.events.member == 1], own[:1])
-    for name, drift in found.drift().items():
-        assert np.array_equal(drift.tenths[[0, 2]], whole.drift()[name].tenths[[0, 2]])
-    with pytest.raises(co.IntegrationError, match=words) as alone:
-        failing_parts(monkeypatch, 0, way * 0.125 * step) if words == "converge" else None
-        co.integrate(BODY, FLIPPING, given[2], 0.125, events=event)
-    assert np.array_equal(alone.value.partial.x, found.x[: step + 1, 1])
-    assert np.array_equal(alone.value.partial.events.t, own[:1])
-
-
-@pytest.mark.parametrize("spare", [0, 1, 2, 3])
-def test_too_many_crossings_are_refused(monkeypatch, spare):
-    """The buffer holds `spare` crossings; one more is an error."""
-    steps = 240
-    monkeypatch.setattr(kernel_events, "SPARE_ROWS", spare - kernel_events.ROWS_PER_STEP * (steps + 1))
-    given = BODY, FLIPPING, (0, steps * 0.125), 0.125, co.Splitting(order=4)
-    event = co.Event("x2")
-    count = int(np.count_nonzero(np.diff(np.sign(co.integrate(*given).x[:, 1]))))
-    assert 0 < count <= 3
-    if spare < count:
-        with pytest.raises(ValueError, match=r"crossings .* smaller step"):
-            co.integrate(*given, events=event)
-    else:
-        assert len(co.integrate(*given, events=event).events) == count
-
-
-def test_progress_of_a_run_with_events(capfd):
-    event = co.Event("x2", count=1, terminal=True)
-    whole = co.integrate(BODY, FLIPPING, (0, 100), 0.125, events=co.Event("x2"), progress=True)
-    assert len(whole.events) > 1 and "800 of 800 steps (100 %)" in capfd.readouterr().err
-    ended = co.integrate(BODY, FLIPPING, (0, 100), 0.125, events=event, progress=True)
-    # The first call of the loop takes 256 steps, in which the event is.
-    assert ended.stats.steps < 256 and "256 of 800 steps (32 %)" in capfd.readouterr().err
-
-
-def test_memory_for_events_is_estimated(monkeypatch):
-    monkeypatch.setattr("coadjoint.memory.available", lambda: 10**8)
-    ensemble = np.tile(FLIPPING, (200_000, 1))
-    with pytest.raises(ValueError, match="events of 200000 members"):
-        co.integrate(BODY, ensemble, (0, 0.125), 0.125, events=co.Event("x2"), save_every=1, watch=False)
+@pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(3), co.Taylor(order=12)], ids=str)
+@pytest.mark.parametrize("direction", [-1, 0, 1])
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_zero_at_a_step_is_one_crossing(method, direction, sense):
+    """x1 moves by exactly 1/4 in a step: it is zero after four of eight steps."""
+    line = co.LieAlgebra.from_brackets(3, {(0, 1): {2: 1.0}})
+    system = co.LiePoissonSystem(line, co.Quadratic(0.0, linear=[0.0, sense, 0.0]))
+    run = co.integrate(system, (-sense, 0.0, 1.0), (0.0, 2.0), 0.25, method, events=[co.Event(0, direction=direction)])
+    wanted = [] if direction == -sense else [1.0]
+    assert run.events.t.tolist() == wanted and run.events.direction.tolist() == [int(sense)] * len(wanted)

@@ -8,10 +8,6 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.runs import output_times
-from coadjoint.runs.partial_steps import PartialSteps
-from coadjoint.runs.results import state_at
-from failing_parts import failing_parts
 from group_elements import random_element
 
 U = 2.0**-53
@@ -26,35 +22,10 @@ def kind_of(method):
     return {"none": False, "coadjoint": "coadjoint"}.get(kind, True)
 
 
-def agree(one, other):
-    return one is None and other is None if one is None or other is None else np.array_equal(one, other)
-
-
 def random_times(start, end, count=40, seed=7):
     inside = start + (end - start) * np.random.default_rng(seed).uniform(size=count)
     found = np.sort(np.concatenate([inside, [start, end, 0.5 * (start + end)]]))
     return found if end > start else found[::-1]
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize("span", [(0.0, 4.0), (1.0, -3.0), (1e3, 1e3 + 4.0)])
-@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8), None], ids=str)
-@pytest.mark.parametrize("watch", [True, False])
-def test_states_at_steps_are_those_of_the_run(span, method, watch):
-    kind = kind_of(method)
-    every = co.integrate(BODY, X, span, STEP, method, watch=watch, attitude=kind)
-    # Times as one writes them, a rounding away from those of the steps.
-    times = np.linspace(*span, 33)[::3]
-    found = co.integrate(BODY, X, span, STEP, method, watch=watch, attitude=kind, t_eval=times)
-    assert np.array_equal(found.t, times)
-    assert np.array_equal(found.x, every.x[::3]) and np.array_equal(found.energy, every.energy[::3])
-    assert agree(found.attitude, every.attitude if every.attitude is None else every.attitude[::3])
-    both = random_times(*span)
-    mixed = co.integrate(BODY, X, span, STEP, method, watch=watch, attitude=kind, t_eval=np.append(both, both[-1]))
-    assert np.array_equal(mixed.x[[0, -2, -1]], every.x[[0, -1, -1]])
-    if watch:
-        assert mixed.drift() == every.drift()
-    assert mixed.stats.steps == every.stats.steps
 
 
 @pytest.mark.parametrize("end", [3.0, -3.0])
@@ -90,33 +61,6 @@ def test_invariants_are_preserved_between_steps(method):
     assert np.abs(unit - np.eye(4)).max() < 30 * 161 * U * 4
 
 
-def test_members_and_threads_do_not_change_bits():
-    rng = np.random.default_rng(4)
-    x, times = rng.standard_normal((37, 3)), random_times(0.0, 2.0)
-    for method in (co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8)):
-        kind = kind_of(method)
-        ensemble = co.integrate(BODY, x, (0, 2), STEP, method, t_eval=times, attitude=kind, threads=1)
-        assert ensemble.x.shape == (len(times), 37, 3)
-        assert not kind or ensemble.attitude.shape == (len(times), 37, 3, 3)
-        several = co.integrate(BODY, x, (0, 2), STEP, method, t_eval=times, attitude=kind, threads=3)
-        assert np.array_equal(ensemble.x, several.x) and agree(ensemble.attitude, several.attitude)
-        for m in (0, 31, 36):
-            alone = co.integrate(BODY, x[m], (0, 2), STEP, method, t_eval=times, attitude=kind)
-            for name in ("x", "energy", "attitude") if kind else ("x", "energy"):
-                assert np.array_equal(getattr(alone, name), getattr(ensemble, name)[:, m])
-            assert np.array_equal(alone.casimirs["|x|^2"], ensemble.casimirs["|x|^2"][:, m])
-        bodies = [co.systems.rigid_body((1, 2, 2 + 0.125 * m)) for m in range(5)]
-        batch = co.integrate(co.batch(bodies), x[:5], (0, 2), STEP, method, t_eval=times, attitude=kind)
-        for m, body in enumerate(bodies):
-            alone = co.integrate(body, x[m], (0, 2), STEP, method, t_eval=times, attitude=kind)
-            for name in ("x", "energy", "attitude") if kind else ("x", "energy"):
-                assert np.array_equal(getattr(alone, name), getattr(batch, name)[:, m])
-        # A state does not depend on the other times.
-        some = co.integrate(BODY, x, (0, 2), STEP, method, t_eval=times[5:9], attitude=kind)
-        assert np.array_equal(some.x, ensemble.x[5:9])
-        assert agree(some.attitude, ensemble.attitude[5:9] if kind else None)
-
-
 def test_inputs_observables_and_time_dependent_energies():
     times = random_times(0.0, 2.0)
     ready = co.prepare(BODY, co.Splitting(order=4), STEP, inputs=True, observe={"first": lambda x, t: x[0] + t})
@@ -135,14 +79,6 @@ def test_inputs_observables_and_time_dependent_energies():
     ensemble = co.integrate(driven, np.tile(X, (40, 1)), (0, 2), STEP, co.Splitting(order=4), t_eval=times)
     by_hand = [driven.energy(x, t) for x, t in zip(ensemble.x[:, 7], times, strict=True)]
     assert np.abs(ensemble.energy[:, 7] - by_hand).max() < 8 * U
-
-
-def test_output_times_do_not_change_events():
-    times = random_times(0.0, 40.0)
-    seen = co.integrate(BODY, X, (0, 40), STEP, t_eval=times, events=co.Event(1))
-    alone = co.integrate(BODY, X, (0, 40), STEP, events=co.Event(1))
-    assert np.array_equal(seen.events.t, alone.events.t) and len(seen.events.t)
-    assert np.array_equal(seen.x, co.integrate(BODY, X, (0, 40), STEP, t_eval=times).x)
 
 
 @pytest.mark.thinned(4)
@@ -178,25 +114,6 @@ def test_terminal_event_between_output_times(method, end):
     assert np.array_equal(copied.x, sol.x) and copied.t_span == sol.t_span
 
 
-def test_members_end_at_their_own_events():
-    x0 = np.random.default_rng(4).standard_normal((17, 3))
-    x0[3] = 0.0, 0.0, 1.0  # at rest
-    event, times = co.Event(1, terminal=True, count=2), random_times(0.0, 12.0)
-    sol = co.integrate(BODY, x0, (0, 12), STEP, t_eval=times, events=[co.Event(0), event])
-    whole = co.integrate(BODY, x0, (0, 12), STEP, t_eval=times)
-    ends = sol.events.ends(17)
-    assert np.isnan(ends[3]) and np.isfinite(ends).sum() > 8 and not sol.failed.any()
-    for m in range(17):
-        there = ~(times > ends[m])
-        assert np.array_equal(sol.x[there, m], whole.x[there, m]) and np.isnan(sol.x[~there, m]).all()
-        alone = co.integrate(BODY, x0[m], (0, 12), STEP, t_eval=times, events=[co.Event(0), event])
-        assert np.array_equal(alone.x[: there.sum()], sol.x[there, m])
-        assert alone.t[-1] == (ends[m] if np.isfinite(ends[m]) else times[-1])
-    # Its second crossing is not an end where a third is asked for, nor one of another event.
-    later = co.integrate(BODY, x0, (0, 12), STEP, events=[co.Event(0), co.Event(1, terminal=True, count=10**6)])
-    assert np.isnan(later.events.ends(17)).all()
-
-
 def test_forces_and_noise_at_output_times():
     times = random_times(0.0, 2.0)
     damped = BODY.with_forces(co.forces.LinearDamping(0.3))
@@ -223,98 +140,6 @@ def test_matrices_at_output_times():
     coarse = co.integrate(fluid, W, (0, 0.5), 1 / 32, t_eval=times)
     error, larger = (np.abs(one.x - fine.x).max() for one in (found, coarse))
     assert 3.0 < larger / error < 5.0  # of order two: 4 + O(h)
-
-
-def test_shifted_attitude_uses_the_length_of_the_steps():
-    # At t = 0.1 + 7 h the time since the start, as a difference, is a rounding off 7 h.
-    span, step = (0.1, 0.1 + 70 * 0.03), 0.03
-    every = co.integrate(BODY, 3 * X, span, step, co.Splitting(order=4), attitude=True)
-    found = co.integrate(BODY, 3 * X, span, step, co.Splitting(order=4), attitude=True, t_eval=every.t)
-    assert np.array_equal(found.attitude, every.attitude) and np.array_equal(found.x, every.x)
-    assert not np.array_equal(every.t - every.t[0], np.arange(71) * step)
-
-
-@pytest.mark.parametrize("span", [(0.1, 2.2), (-0.7, -2.8)])
-def test_rounded_times_of_steps_are_the_steps(span):
-    every = co.integrate(BODY, X, span, 0.03, co.GaussLegendre(2))
-    times = np.linspace(*span, 71)
-    assert not np.array_equal(times, every.t)
-    found = co.integrate(BODY, X, span, 0.03, co.GaussLegendre(2), t_eval=np.clip(times, *sorted(span)))
-    assert np.array_equal(found.x, every.x)
-
-
-def test_failed_partial_step_keeps_earlier_states(monkeypatch):
-    failing_parts(monkeypatch, 0, 0.5)
-    with pytest.raises(co.IntegrationError, match=r"step 5, at t = 0.5, .* did not conv") as caught:
-        co.integrate(BODY, X, (0, 1), STEP, t_eval=[0.0, 0.25, 0.5, 0.55, 1.0])
-    assert caught.value.partial.t.tolist() == [0.0, 0.25, 0.5] and np.isfinite(caught.value.partial.x).all()
-    assert (caught.value.step, caught.value.residual) == (5, 0.25)
-
-
-@pytest.mark.parametrize("way", [1.0, -1.0])
-@pytest.mark.parametrize("threads", [1, 2])
-def test_failed_partial_step_affects_one_member(monkeypatch, way, threads):
-    times = way * np.array([0.0, 0.25, 0.5, 0.55, 0.625, 0.7, 1.0])
-    ensemble = np.array([X, [0.5, 1.0, -0.25], [1.5, 0.25, 0.75]])
-    given = BODY, ensemble, (0, way), STEP
-    whole = co.integrate(*given, t_eval=times)
-    failing_parts(monkeypatch, 1, 0.5 * way)
-    with pytest.raises(co.IntegrationError, match=r"did not converge .* 1 of 3 members .*member 1") as caught:
-        co.integrate(*given, t_eval=times, threads=threads)
-    found = caught.value.partial
-    assert np.array_equal(found.x[:, [0, 2]], whole.x[:, [0, 2]])
-    assert np.array_equal(found.energy[:, [0, 2]], whole.energy[:, [0, 2]])
-    assert np.array_equal(found.x[:3, 1], whole.x[:3, 1]) and np.isnan(found.x[3:, 1]).all()
-    assert np.isnan(found.energy[3:, 1]).all() and found.failed.tolist() == [False, True, False]
-
-
-@pytest.mark.parametrize("x", [X, np.array([X, [0.5, 1.0, -0.25], [1.5, 0.25, 0.75]])], ids=["one", "three"])
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_output_does_not_depend_on_chunk_size(monkeypatch, x, way):
-    times = way * np.array([0.0, 0.01, 0.02, 0.25, 0.26, 0.3, 0.31, 0.5, 0.8, 0.99, 1.0])
-    given = {"attitude": True, "t_eval": times}
-    whole = co.integrate(BODY, x, (0, way), STEP, co.Splitting(order=4), **given)
-    for rows in (1, 4, 7):
-        monkeypatch.setattr(output_times, "ROWS_PER_CALL", rows)
-        found = co.integrate(BODY, x, (0, way), STEP, co.Splitting(order=4), **given)
-        for name in ("t", "x", "energy", "attitude"):
-            assert np.array_equal(getattr(found, name), getattr(whole, name)), name
-        assert np.array_equal(found.casimirs["|x|^2"], whole.casimirs["|x|^2"])
-
-
-def test_noise_has_no_states_between_steps():
-    spin = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(0, 0, 1): -1.0}))
-    baths = [spin.with_forces(co.forces.HeatBath(0.1, 0.5, seed=m)) for m in range(2)]
-    batch, x = co.batch(baths), np.array([X, 2 * X])
-    every = co.integrate(batch, x, (0, 1), STEP)
-    refused = pytest.raises(ValueError, match=r"HeatBath .* noise")
-    with refused:
-        co.integrate(batch, x, (0, 1), STEP, t_eval=[0.5, 0.55])
-    with refused:
-        co.integrate(batch, x, (0, 1), STEP, events=co.Event("x1"))
-    with refused:
-        every.at([0.55])
-    found = co.integrate(batch, x, (0, 1), STEP, t_eval=every.t[2:5])
-    assert np.array_equal(found.x, every.x[2:5])
-
-
-def test_arguments_are_copied():
-    times, x, g = np.array([0.0, 0.3, 0.7]), X.copy(), random_element(BODY.representation, 2)
-    sol = co.integrate(BODY, x, (0, 1), STEP, co.Splitting(order=4), attitude=g, t_eval=times)
-    same = co.integrate(BODY, X, (0, 1), STEP, co.Splitting(order=4), attitude=g.copy(), t_eval=times.copy())
-    times[:], x[:], g[:] = 0.5, 7.0, 2.0 * np.eye(3)
-    for name in ("t", "t_eval", "x", "x0", "attitude", "attitude0", "energy"):
-        assert np.array_equal(getattr(sol, name), getattr(same, name)), name
-    assert np.array_equal(sol.at(0.6).x, same.at(0.6).x)
-
-
-@pytest.mark.parametrize("step", [STEP, 2.0**-13])
-def test_memory_of_output_times_is_estimated(monkeypatch, step):
-    monkeypatch.setattr("coadjoint.runs.memory_estimate.UNCHECKED_BYTES", 0)
-    monkeypatch.setattr("coadjoint.memory.available", lambda: 2 * 10**5)
-    monkeypatch.setattr("coadjoint.runs.output_times.PartialSteps", None)  # nothing is computed
-    with pytest.raises(ValueError, match=r"^\d+ saved points .* fewer times in t_eval$"):
-        co.integrate(BODY, X, (0, 1), step, t_eval=np.linspace(0.0, 1.0, 2**13 + 1))
 
 
 @pytest.mark.parametrize("end", [80.0, -80.0])
@@ -421,7 +246,7 @@ class TestAt:
                 assert np.abs(found.energy - direct.energy[mixed]).max() < 32 * 50 * U * 4
                 at_saved = sol.at(float(sol.t[2]))
                 assert np.array_equal(at_saved.x, sol.x[2])
-                assert agree(at_saved.attitude, sol.attitude[2] if kind else None)
+                assert not kind or np.array_equal(at_saved.attitude, sol.attitude[2])
                 assert np.array_equal(at_saved.energy, sol.energy[2]) and isinstance(at_saved.t, float)
             again = direct.at([times[4], span[1], span[0]])
             assert np.array_equal(again.x[0], direct.x[4]) and np.array_equal(again.x[2], x)
@@ -482,43 +307,10 @@ class TestAt:
         other = co.integrate(bounded, np.eye(3) + 0.1, (0, 2), STEP, events=co.Event(0))
         assert np.array_equal(other.at(1.0).x, other.x[8])
 
-    def test_wrong_times_of_at_are_refused(self, monkeypatch):
-        sol = co.integrate(BODY, X, (0, 4), STEP)
-        for wrong, words in (
-            (4.5, "t is 4.5; it must lie within the run"),
-            (-1e-9, "t is -1e-09; it must lie within the run"),
-            ([[1.0]], "t has the shape (1, 1)"),
-            ([], "t has the shape (0,)"),
-            (np.nan, "every time must be finite"),
-        ):
-            with pytest.raises(ValueError, match=re.escape(words)):
-                sol.at(wrong)
-        monkeypatch.setattr(state_at, "MAX_STEPS", 10)
-        coarse = co.integrate(BODY, X, (0, 4), STEP, save_every=12)
-        assert coarse.at(1.1).x.shape == (3,)
-        with pytest.raises(ValueError, match=r"12 steps after saved points.* 10"):
-            coarse.at(1.45)
-
     def test_error_estimate_without_the_end_in_t_eval(self):
         sol = co.integrate(BODY, X, (0, 20), accuracy=1e-6, t_eval=[3.3, 7.7])
         error = np.linalg.norm(sol.x[-1] - BODY.exact(X, 7.7)) / np.linalg.norm(X)
         assert error / 10 < sol.error_estimate() < 10 * error
-
-
-@pytest.mark.parametrize("sense", [1.0, -1.0])
-def test_a_part_of_a_step_that_fails_is_named(sense):
-    """The other rows do not matter; without owners, rows are members."""
-    method = co.GaussLegendre(1)
-    parts = PartialSteps(BODY, method, co.prepare(BODY, method, STEP).loops(STEP))
-    states, none = np.array([X, X, 1e200 * X]), np.zeros((3, 0))
-    times, lengths = 3.0 + np.arange(3.0), sense * np.full(3, 0.05)
-    fine = parts.take(states[:2], none[:2], times[:2], lengths[:2])[0]
-    np.testing.assert_allclose(fine[0], co.integrate(BODY, X, (0, lengths[0]), 0.05, method).x[-1], rtol=0, atol=1e-14)
-    for owners, member in ((None, 2), (np.array([4, 7, 9]), 9)):
-        message = rf"in a part of a step, of length {lengths[2]:g} from t = 5, .* for member {member}; take a smaller"
-        with pytest.raises(co.IntegrationError, match=message) as raised:
-            parts.take(states, none, times, lengths, owners)
-        assert raised.value.time == 5.0
 
 
 SIZES = [1e-15, 1.0, 1e10 / 3]
@@ -586,13 +378,6 @@ def test_how_far_beyond_the_end_times_may_be(size, span, times, steps):
             assert len(set(shown)) == 3 and (shown[0] - shown[1]) * (shown[0] - shown[2]) > 0.0
 
 
-def test_single_precision_times_beyond_the_end_are_refused_with_their_digits():
-    times = np.cumsum(np.full(300, 0.1, dtype=np.float32))
-    assert times[-1] > 30.0
-    with pytest.raises(ValueError, match=r"^t_eval\[299\] is 30\.00\d+; it must lie within t_span, from 0 to 30$"):
-        co.integrate(BODY, X, (0, 30), 0.1, t_eval=times)
-
-
 @pytest.mark.parametrize("digits", range(6, 18))
 def test_times_from_a_file_of_few_digits(digits):
     """Those that are written as the end are the end; those that are rounded up beyond it are refused."""
@@ -620,16 +405,3 @@ def test_noise_at_times_that_were_summed():
         some = co.integrate(noisy, x0, (0, 30), 0.1, save_every=7)
         assert np.array_equal(some.at(times[::11]).x, every.x[::11])
         assert np.array_equal(some.at(every.t[16]).x, every.x[16])
-
-
-@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(tolerance=1e-12)], ids=str)
-def test_derivatives_at_times_that_were_summed(method):
-    times = np.append(0.0, np.cumsum(np.full(3000, 0.01)))[::10]
-    assert times[-1] > 30.0
-    ready = co.prepare(BODY, method, 0.1)
-    plain = ready.run(X, (0, 30), t_eval=times)
-    sol, tangents = ready.jvp(X, (0, 30), {"x0": X}, t_eval=times)
-    assert np.array_equal(sol.x, plain.x)
-    # Twice as fast a start moves twice as fast: x(t; s x0) = s x(s t; x0), so the derivative by s is x + t x'.
-    expected = plain.x + times[:, None] * BODY.vector_field(plain.x)
-    assert np.abs(tangents.x - expected).max() < (1e-9 if method.own_steps else 5e-3)
