@@ -75,7 +75,8 @@ def supported(method: str, system: str) -> bool:
     """Return whether a scheme can be run on a system."""
     try:
         value_of(method).properties(value_of(system))
-        co.prepare(value_of(system), value_of(method), 0.125)
+        if method not in SLOW:
+            co.prepare(value_of(system), value_of(method), 0.125)
     except REFUSALS:
         return False
     return True
@@ -258,3 +259,13 @@ def drawn(method: str, seed: int, each: int, catalogue: int = 1) -> Iterator[tup
     options = option_sets(seed)
     for k, system in enumerate([*names, *(name for name in new if supported(method, name))]):
         yield method, system, options[((each + catalogue) * place + k) % len(options)], int(rng.integers(2**31))
+
+
+def drawn_on(system: str, seed: int, each: int) -> Iterator[tuple[str, str, Options, int]]:
+    """Yield a registered system with some schemes that support it, and options."""
+    place = systems().index(system)
+    rng = np.random.default_rng([seed, place, 1])
+    names = (name for name in map(str, rng.permutation(schemes())) if name not in SLOW and supported(name, system))
+    options = option_sets(seed)
+    for k, method in enumerate(itertools.islice(names, each)):
+        yield method, system, options[-1 - (each * place + k) % len(options)], int(rng.integers(2**31))

@@ -21,21 +21,20 @@ def exact_end(system: Any, states: np.ndarray, start: float, end: float) -> np.n
         return LAST["ends"]
 
     def slope(t: float, flat: np.ndarray) -> np.ndarray:
-        return np.ravel(field(system, flat.reshape(states[0].shape), t))
+        return np.ravel(field(system, flat.reshape(states.shape), t))
 
-    ends = [
-        solve_ivp(slope, (start, end), np.ravel(x), "DOP853", rtol=1e-13, atol=1e-14).y[:, -1].reshape(x.shape)
-        for x in states
-    ]
-    LAST.update(system=system, key=key, ends=np.stack(ends))
+    ends = solve_ivp(slope, (start, end), np.ravel(states), "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    LAST.update(system=system, key=key, ends=ends.reshape(states.shape))
     return LAST["ends"]
 
 
 def field(system: Any, x: np.ndarray, t: float) -> np.ndarray:
     """Return x'; states of matrices, which rounding may move out of their algebra, are projected on it."""
     plain = getattr(system, "system", system)
-    x = plain.algebra.projected(x) if hasattr(plain, "in_numbers") else x
-    return system.vector_field(x) if hasattr(system, "in_numbers") else system.vector_field(x, t)
+    if not hasattr(plain, "in_numbers"):
+        return system.vector_field(x, t)
+    given = () if plain is system else (t,)
+    return np.stack([system.vector_field(W, *given) for W in plain.algebra.projected(x)])
 
 
 def errors_of(system: Any, method: Any, states: np.ndarray, start: float, end: float, counts: Any) -> list[float]:

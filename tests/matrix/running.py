@@ -7,8 +7,9 @@ from typing import Any
 
 import coadjoint as co
 
-from .cases import IMPORTS, REFUSALS, Case, Refused, accepted, drawn, execute
+from .cases import IMPORTS, REFUSALS, Case, Refused, accepted, execute
 from .checks import CHECKS, Check
+from .options import Options
 
 AGAIN = 3
 AGREE = "assert_agree(found, expected, allowed)\n"
@@ -44,11 +45,10 @@ def check_refusal(refused: Refused, method: str, system: str) -> None:
         raise Disagreement(f"refused without a name: {text!r}\n\n{refused.args[0].lines}") from refused.__cause__
 
 
-def check_scheme(method: str, seed: int, each: int, catalogue: int = 1) -> list[Case]:
-    """Check a scheme on drawn systems with drawn options; return the cases."""
+def check_drawn(cases: Iterable[tuple[str, str, Options, int]]) -> list[Case]:
+    """Check drawn cases; return those that could be run."""
     found = []
-    for arguments in drawn(method, seed, each, catalogue):
-        method, system, options, first = arguments
+    for method, system, options, first in cases:
         for again in range(AGAIN + 1):
             try:
                 case, space, refusals = accepted(method, system, options, first + 1000 * again)

@@ -23,10 +23,10 @@ import numpy as np
 
 import coadjoint as co
 
-from .cases import IMPORTS, REFUSALS, execute
+from .cases import IMPORTS, REFUSALS, drawn, execute
 from .checks import same
 from .results import difference
-from .running import AGREE, Disagreement, check_scheme
+from .running import AGREE, Disagreement, check_drawn
 from .schemes import schemes
 
 SECONDS = 120.0  # for all runs of a seed
@@ -113,7 +113,7 @@ def tried(seeds: range, limit: float, threads: bool) -> int:
         try:
             check_wild(seed, threads)
             if not threads:
-                check_scheme(schemes()[seed % len(schemes())], seed, each=1)
+                check_drawn(drawn(schemes()[seed % len(schemes())], seed, each=1))
         except Disagreement as found:
             wrong += 1
             print(f"seed {seed}: {found}", flush=True)

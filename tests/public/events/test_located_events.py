@@ -70,14 +70,6 @@ def test_event_times_have_the_order_of_the_scheme(method):
     assert slopes[-1] > method.order - 0.5
 
 
-def test_casimirs_are_preserved_at_events():
-    sol = co.integrate(BODY, FLIPPING, (0, 200), 0.25, co.Splitting(order=2), events=co.Event("x2"))
-    radius = (sol.events.x**2).sum(axis=1)
-    # A step turns a few times, and each turn rounds; a run of 800 steps wanders.
-    assert abs(radius - radius[0]).max() < 800 * 4 * U
-    assert abs(sol.events.x[:, 1]).max() < 16 * U
-
-
 def test_close_pairs_and_near_misses():
     """x1 = cos(t) crosses c twice about its maximum, closer together than a step."""
     system, x0 = harmonic(), np.array([1.0, 0.0, 0.0])
@@ -147,63 +139,6 @@ def test_backward_runs_find_the_same_events(method):
             assert len(some) and np.array_equal(some.t, whole.events.t[whole.events.direction == direction])
 
 
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize("method", METHODS, ids=NAMES)
-@pytest.mark.parametrize("save_every", [1, 7, 1000])
-def test_terminal_event_ends_the_run(method, save_every):
-    options = {"step": 0.125, "method": method, "save_every": save_every}
-    whole = co.integrate(BODY, FLIPPING, (0, 40), events=co.Event("x2"), **options)
-    ended = co.integrate(BODY, FLIPPING, (0, 40), events=co.Event("x2", count=2, terminal=True), **options)
-    assert np.array_equal(ended.events.t, whole.events.t[:2])
-    assert ended.t[-1] == ended.t_span[1] == whole.events.t[1]
-    assert np.array_equal(ended.x[-1], whole.events.x[1])
-    before = whole.t < ended.t[-1]
-    assert np.array_equal(ended.t[:-1], whole.t[before]) and np.array_equal(ended.x[:-1], whole.x[before])
-    assert abs(ended.energy[-1] - BODY.energy(ended.x[-1])) < 8 * U
-    steps = int(ended.t[-1] // 0.125)
-    assert ended.stats.steps == steps + 1
-    same = co.integrate(BODY, FLIPPING, (0, steps * 0.125), 0.125, method)
-    assert ended.drift()["energy"] == same.drift()["energy"]
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize("method", METHODS, ids=NAMES)
-def test_terminal_event_in_an_ensemble(method):
-    x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 37)[:, None]
-    options = {"t_span": (0, 40), "step": 0.125, "method": method}
-    sol = co.integrate(BODY, x0, events=co.Event("x2", terminal=True), **options)
-    assert not sol.failed.any() and np.array_equal(sol.events.member, np.arange(37))
-    plain = co.integrate(BODY, x0, **options)
-    for m in (0, 20, 36):
-        alone = co.integrate(BODY, x0[m], events=co.Event("x2", terminal=True), **options)
-        assert sol.events.t[m] == alone.t[-1] and np.array_equal(sol.events.x[m], alone.x[-1])
-        going = sol.t < alone.t[-1]
-        assert np.array_equal(sol.x[going, m], plain.x[going, m]) and np.isnan(sol.x[~going, m]).all()
-        assert sol.drift()["energy"].members[m] == alone.drift()["energy"]
-
-
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_first_of_several_terminal_events_ends_a_member(way):
-    """Members without an end have NaN."""
-    x0 = np.array([FLIPPING, (1.0, 0.1, 0.2), (0.2, -0.1, 1.0), (0.0, 0.0, 1.0), (0.2, 0.1, 1.0)])
-    ends = [
-        co.Event("x1", terminal=True, count=3),
-        co.Event("x3"),
-        co.Event("x2", terminal=True, count=3),
-        co.Event("x2", count=1, name="once"),
-    ]
-    span = (0.5, 0.5 + 60 * way)
-    together = co.integrate(BODY, x0, span, 0.125, events=ends)
-    found, by = together.events.ends(len(x0)), set()
-    for m, x in enumerate(x0):
-        alone = co.integrate(BODY, x, span, 0.125, events=ends)
-        ended = alone.t_span[1] != span[1]
-        assert found[m] == alone.t_span[1] if ended else np.isnan(found[m])
-        assert np.array_equal(alone.events.t, together.events.of(m).t)
-        by.add(alone.events.names[alone.events.which[-1]] if ended else None)
-    assert {"x1", "x2", None} <= by
-
-
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_error_names_the_first_undefined_event(way):
     """The later one is given first."""
@@ -244,26 +179,6 @@ def test_second_crossing_within_a_step_ends_the_run():
     assert np.array_equal(several.events.of(2).t, sol.events.t)
 
 
-def test_attitude_at_event_times():
-    precise = co.integrate(BODY, FLIPPING, (0, 20), 1 / 16, co.GaussLegendre(6), attitude=True, events=co.Event("x2"))
-    for method in (co.Splitting(order=6), co.GaussLegendre(4)):
-        sol = co.integrate(BODY, FLIPPING, (0, 20), 1 / 16, method, attitude=True, events=co.Event("x2"))
-        # The error of the scheme over 20: some 320 steps of (1/16)^6, and less.
-        assert abs(sol.events.attitude - precise.events.attitude).max() < 320 / 16.0**6
-    for method in (co.Splitting(order=4), co.GaussLegendre(3), co.Taylor(24), co.Taylor(tolerance=1e-16)):
-        for attitude in (True, "coadjoint"):
-            sol = co.integrate(
-                BODY, FLIPPING, (0, 20), 0.125, method, attitude=attitude, events=[co.Event("x2"), co.Event("x3")]
-            )
-            spatial = np.einsum("kij,kj->ki", sol.events.attitude, sol.events.x)
-            assert abs(spatial - FLIPPING).max() < 2000 * U
-            ended = co.integrate(
-                BODY, FLIPPING, (0, 20), 0.125, method, attitude=attitude, events=co.Event("x2", terminal=True)
-            )
-            k = int(np.flatnonzero(sol.events.which == 0)[0])
-            assert np.array_equal(ended.attitude[-1], sol.events.attitude[k])
-
-
 def test_count_limits_crossings_to_the_first():
     whole = co.integrate(BODY, FLIPPING, (0, 40), 0.125, events=[co.Event("x2"), co.Event("x1")]).events
     some = co.integrate(BODY, FLIPPING, (0, 40), 0.125, events=[co.Event("x2", count=2), co.Event("x1")]).events
@@ -301,22 +216,6 @@ def test_selections_of_crossings_are_complete():
             found[wrong]
     with pytest.raises(TypeError, match="take one event by its name"):
         iter(found)
-
-
-@pytest.mark.parametrize("way", [1.0, -1.0])
-@pytest.mark.parametrize("between", [False, True])
-def test_end_is_on_the_branch_of_the_run(way, between):
-    """The angle of the Casimir has turned several times when an event ends the run."""
-    system = co.LiePoissonSystem(co.algebras.get("A3,7", a=0.05), co.Quadratic([0.01, 0.02, 1.0]))
-    given = {"t_eval": np.linspace(2.0, 2.0 + 10.0 * way, 24)} if between else {"save_every": 3}
-    event = co.Event("x1", terminal=True, count=7)
-    sol = co.integrate(system, (1.0, 0.0, 3.0), (2, 2 + 10 * way), 0.0625, co.Splitting(order=2), events=event, **given)
-    assert len(sol.events) == 7 and sol.t[-1] == sol.events.t[-1]
-    period = system.casimirs["log C"].period
-    principal = system.casimirs["log C"](sol.x[-1])
-    assert abs(sol.casimirs["log C"][-1] - principal) > 2.5 * period
-    # Each of at most 160 steps has some ten flows, which round the state by some units.
-    assert np.ptp(sol.casimirs["log C"]) < 160 * 10 * 8 * U * (1.0 + 4.0 * period) < 1e-3 * period
 
 
 RATES = np.add.outer(np.arange(4.0), np.arange(4.0))

@@ -75,16 +75,6 @@ def test_named_inputs_take_coordinates_in_any_shape():
     assert np.array_equal(several.x[:, 1], ready.run(x, SPANS[0], ends=2 * ends, middle=[-0.3]).x)
 
 
-def test_states_preserve_their_shape():
-    class Column(co.LiePoissonSystem):
-        shape = (3, 1)
-
-    column = Column(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]), -1)
-    x, ready = np.array([[0.3], [0.4], [0.5]]), co.prepare(column, None, STEP, inputs=True)
-    assert np.array_equal(ready.run(x, SPANS[0]).x, co.integrate(column, x, SPANS[0], STEP, ready.method).x)
-    assert ready.run(x, SPANS[0], linear=np.ones((2, 3))).x.shape == (9, 2, 3, 1)
-
-
 def test_stepper_with_inputs():
     x, before, linear = numbers("e(3)", 4)
     s = system("e(3)", before)
@@ -101,22 +91,6 @@ def test_stepper_with_inputs():
         assert step.tangent_by(x, linear=linear[3:]) == "formula"
     with pytest.raises(ValueError, match="at one state"):
         step.tangent(x, linear=np.zeros((2, 3)))
-
-
-def test_both_returns_state_and_group_element():
-    body, x = co.systems.rigid_body((1, 2, 3)), np.array([0.3, 1.0, -0.4])
-    step = co.stepper(body, co.Splitting(order=2), -0.125)
-    g0 = co.integrate(body, x, (0, 1), 0.125, attitude=True).attitude[-1]
-    after, g = step.both(x, g0)
-    assert np.array_equal(after, step(x)) and np.array_equal(g, step.group(x, attitude=g0))
-    many, elements = step.both(np.stack([x, 2 * x]), np.stack([g0, np.eye(3)]))
-    assert np.array_equal(many[0], after) and np.array_equal(elements[0], g)
-    assert np.array_equal(elements[1], step.group(2 * x))
-    assert np.array_equal(step.both(x)[1], step.group(x))
-    with pytest.raises(TypeError, match="give the initial group element as g"):
-        step.both(x, attitude=np.eye(3))
-    with pytest.raises(ValueError, match="attitude is False"):
-        step.both(x, attitude=False)
 
 
 def test_wrong_inputs_are_refused():

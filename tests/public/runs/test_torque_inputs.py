@@ -48,22 +48,6 @@ def test_changing_thruster_matches_the_closed_form(parts):
     assert np.array_equal(ready.run(x, (0, 1)).x, co.integrate(body, x, (0, 1), 0.125, ready.method).x)
 
 
-@pytest.mark.parametrize("h", [0.125, -0.125])
-def test_stepper_with_torques(h):
-    x, before, after = numbers("e(3)")
-    for method in (co.Splitting(order=2), co.GaussLegendre(2)):
-        step = co.stepper(forced("e(3)", before["jets"], before["fins"]), method, h, inputs=INPUTS)
-        y = step(x, **after)
-        moved, K = step.both(x, attitude="coadjoint", **after)
-        assert np.array_equal(moved, y) and np.array_equal(K, step.group(x, attitude="coadjoint", **after))
-        near = [(step(x + d, **after) - step(x - d, **after)) / 2e-5 for d in 1e-5 * np.eye(6)]
-        assert np.abs(step.tangent(x, **after) - np.transpose(near)).max() < 1e-8
-        # The half flows of the jets are the first and the last of a step, y = F(x + h/2 N) + h/2 N.
-        jets = after["jets"] + np.eye(6)[4] * 2.0**-20
-        last = step(x, **{**after, "jets": jets}) - y
-        assert np.abs(last - 0.5 * h * 2.0**-20 * (step.tangent(x, **after)[:, 4] + np.eye(6)[4])).max() < 1e-10
-
-
 def test_torque_inputs_beside_functions():
     whole = co.Hamiltonian(lambda x: x[0] ** 2 + x[1] ** 4, lambda x: np.array([2 * x[0], 4 * x[1] ** 3, 0.0]))
     drag = co.forces.OwnForce(lambda x, t, tau: x * np.exp(-0.1 * tau), name="drag")
