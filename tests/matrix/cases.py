@@ -59,7 +59,7 @@ def execute(lines: str, space: dict[str, Any] | None = None) -> dict[str, Any]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", co.LargeStepWarning)
         warnings.simplefilter("ignore", co.RoundingWarning)
-        warnings.filterwarnings("ignore", "the steps of Heun")
+        warnings.filterwarnings("ignore", "the steps of Heun|.*no body has")
         exec(compile(lines, "<lines of a case>", "exec"), space)
     return space
 

@@ -81,22 +81,17 @@ def bits_of_prepared_runs(case: Case, space: dict[str, Any]) -> Iterator[str]:
     if matrices(value_of(case.system)):
         given = f"0.1 * system.algebra.projected({given} * (0.5 + 0.5j))"
     lines = f"own = ready.run(x0, span{passed}, {name}={given})\n"
-    yield same("numbers(own)", "numbers(co.integrate(own.system, x0, span, h, own.method, **options))", lines)
-    yield same(
-        "numbers(own)",
-        "numbers(co.integrate(own.system, x0, span, h, own.method, **options))",
-        lines_without(lines, name),
-    )
-
-
-def lines_without(lines: str, name: str) -> str:
-    """Return the call with the inputs that the system has."""
-    return f"{lines.rpartition(f', {name}=')[0]})\n"
+    every = [lines]
+    if "'coordinates'" not in case.method:  # there, a part is left out where a coefficient of the system is zero
+        every.append(f"own = ready.run(x0, span{passed})\n")
+    for each in every:
+        yield same("numbers(own)", "numbers(co.integrate(own.system, x0, span, h, own.method, **options))", each)
 
 
 def bits_of_archives(case: Case, space: dict[str, Any]) -> Iterator[str]:
     """An archived run that is ended early, continued, stopped and continued again."""
-    if case.chosen["saved"] == "times" or len(str(case)) % 3:
+    # A scheme that is not registered cannot be found again; times between the steps are not archived.
+    if case.chosen["saved"] == "times" or "user." in case.method or len(str(case)) % 3:
         return
     cut = 2 + len(str(case)) % (STEPS - 3)
     yield (
@@ -277,6 +272,8 @@ def derivatives(case: Case, space: dict[str, Any]) -> Iterator[str]:
         "allowed = (1e-6 if 'differences' in tangents.rule.values() else 1e-12) * size\n"
     )
     yield lines + duality
+    if space["method"].own_steps:
+        return  # the derivatives are those of steps of fixed lengths
     yield lines + (
         "e = 2.0**-9\n"
         f"moved = [ready.run(x + k * e * move, few{times}) for k in (-2, -1, 1, 2)]\n"
@@ -286,7 +283,7 @@ def derivatives(case: Case, space: dict[str, Any]) -> Iterator[str]:
         "    a, b, c, d = (getattr(one, name) for one in moved)\n"
         "    return (8.0 * (c - b) - (d - a)) / (12.0 * e)\n"
         "found, expected = {n: getattr(tangents, n) for n in names}, {n: by_differences(n) for n in names}\n"
-        "allowed = {n: 1e-7 * np.abs(expected[n]).max() + 1e-11 for n in names}\n"
+        "allowed = {n: 1e-7 * np.abs(expected[n]).max() + 1e-9 for n in names}\n"
     )
     yield from by_parameters(case, space, lines, times)
 
