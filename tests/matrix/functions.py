@@ -30,7 +30,7 @@ def driven_curvature(y, t):
 
 
 def damped(x, t, tau):
-    return x * np.exp(-0.1 * tau)
+    return x * np.exp(-0.1 * (2.0 * tau + np.sin(t + tau) - np.sin(t)))
 
 
 def product(x):
