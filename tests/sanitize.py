@@ -41,11 +41,11 @@ OMITTED += ["--ignore=tests/public/runs/test_memory_limits.py"]  # sanitizers re
 COMMANDS = {
     "address": [
         [*PYTEST, *OMITTED, "-n", "2", "tests/internal", "tests/public/runs", "tests/public/accuracy"],
-        ["-m", "random_runs.soak", "1000000", "300", "--limit", "1200", "--jobs", "2"],
+        ["-m", "matrix.soak", "1000000", "300", "--limit", "1200", "--jobs", "2"],
     ],
     "threads": [
         [*PYTEST, "tests/public/ensembles/test_threads_inside.py"],
-        ["-m", "random_runs.on_threads", "2000000", "200"],
+        ["-m", "matrix.soak", "2000000", "200", "--threads"],
     ],
 }
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from functools import cache
+
 import numpy as np
 
 import coadjoint as co
@@ -16,6 +19,21 @@ FAMILIES = {
     "u(n)": (1, 4),
     "heisenberg(n)": (1, 5),
 }
+
+
+@cache
+def parameters_of(name: str) -> list[str]:
+    """Return the names of the parameters of an algebra, from the messages that ask for them."""
+    given: dict[str, float] = {}
+    while True:
+        try:
+            co.algebras.get(name, **given)
+        except ValueError as refusal:
+            missing = re.search(r"needs the parameter '(\w+)'", str(refusal))
+            if missing:
+                given[missing[1]] = 0.5
+                continue
+        return list(given)
 
 
 def low_dimensional(rng: np.random.Generator) -> co.LieAlgebra:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from catalogue_cases import EXAMPLES, NAMES
 from long import long_beyond
 from refusals import refused
 

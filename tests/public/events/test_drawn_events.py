@@ -158,35 +158,3 @@ def test_series_resolve_close_pairs(width, h):
     assert abs(a - want).max() < 256 * U * 8 / np.sin(width)
     missed = co.Event(co.Polynomial({(1, 0, 0): 1.0, (0, 0, 0): -1.0 - 1e-12}))
     assert len(angles(h, missed, 8.0)[0]) == 0
-
-
-def test_schemes_without_series_miss_crossings():
-    assert len(angles(3.0, co.Event(QUARTIC), 9.0, co.GaussLegendre(12))[0]) < 11
-
-
-def test_terminal_crossing_among_several_in_a_step():
-    every, _ = angles(3.0, co.Event(QUARTIC), 9.0)
-    for count in (1, 2, 3, 5):
-        sol = co.integrate(TURNING, START, (0, 9), 3.0, SERIES, events=co.Event(QUARTIC, count=count, terminal=True))
-        assert sol.t[-1] - 0.7 == every[count - 1] and len(sol.events) == count
-        several = co.integrate(
-            TURNING, [START, -START], (0, 9), 3.0, SERIES, events=co.Event(QUARTIC, count=count, terminal=True)
-        )
-        assert np.array_equal(several.events.of(0).t, sol.events.t)
-
-
-def test_long_and_short_steps_find_the_same_crossings():
-    for seed in range(4):
-        rng = np.random.default_rng(seed)
-        g = (co.algebras.so(3), co.algebras.se(3), co.algebras.so(4), co.algebras.get("A4,8"))[seed]
-        M = rng.standard_normal((g.dim, g.dim))
-        system = co.LiePoissonSystem(g, co.Quadratic(0.2 * (M @ M.T) + np.eye(g.dim)), sign=1)
-        x0 = 0.5 * rng.standard_normal(g.dim)
-        A = rng.standard_normal((g.dim, g.dim))
-        event = co.Event(co.Quadratic(A + A.T, linear=rng.standard_normal(g.dim)))
-        long, short = (
-            co.integrate(system, x0, (0, 4), h, co.Taylor(order=order), events=event).events
-            for h, order in ((0.25, 40), (1 / 256, 16))
-        )
-        assert len(long) == len(short)
-        assert abs(long.t - short.t).max(initial=0.0) < 1e-9

@@ -4,10 +4,6 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.datasets.export import rebuild
-from coadjoint.files.output.output_files import write_dataset
-from coadjoint.runs.results.solution import Drift
-from long import long_beyond
 
 X = (0.1, 1.0, 0.2)
 
@@ -168,47 +164,11 @@ def test_failed_member_leaves_the_others_unchanged():
         assert np.array_equal(partial.x[:, m], co.integrate(systems[m], x0[m], (0, 20), 0.5).x)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("suffix", long_beyond(1, [".nc", ".zarr"]))
-def test_dataset_of_a_batch_is_rebuilt_bitwise(suffix, tmp_path):
-    import xarray
-
-    batch = co.batch([body(1, 2, 1.75 + m / 500) for m in range(600)])  # a record above the 64 kB of some attributes
-    first = co.integrate(batch, X, (0, 1), 0.1, attitude=True)
-    dataset = first.to_xarray()
-    assert dict(dataset.sizes)["member"] == 600
-    path = tmp_path / f"run{suffix}"
-    write_dataset(dataset, path)
-    with xarray.open_dataset(path, engine={".nc": "h5netcdf", ".zarr": "zarr"}[suffix]) as read:
-        again = rebuild(read.load())
-    assert np.array_equal(again.x, first.x) and np.array_equal(again.attitude, first.attitude)
-    assert again.system.name == first.system.name
-
-
-def test_member_functions_are_named_as_not_stored():
-    H = co.Separable({0: (lambda y: y * y, lambda y: 2 * y)})
-    batch = co.batch([co.LiePoissonSystem(co.algebras.so(3), h) for h in (co.Quadratic(1.0), H)])
-    dataset = co.integrate(batch, X, (0, 1), 0.1).to_xarray()
-    assert "(member 1)" in dataset.attrs["not_stored"]
-    with pytest.raises(ValueError, match="functions are not stored"):
-        rebuild(dataset)
-
-
 def test_batch_is_a_sequence():
     systems = [spiral(a) for a in (1.0, 1.5, 2.0)]
     batch = co.batch(iter(systems))
     assert len(batch) == 3 and list(batch) == systems and batch[1] is systems[1] and batch.dim == 3
     assert repr(batch) == "<batch of 3 (spiral 1, spiral 1.5, ...)>"
-
-
-def test_casimirs_of_equal_algebras_are_computed_once(monkeypatch):
-    searched = []
-    real = co.LieAlgebra.casimirs
-    monkeypatch.setattr(co.LieAlgebra, "casimirs", lambda g, degree: searched.append(g) or real(g, degree))
-    brackets = {(0, 1): {2: 3.0}, (1, 2): {0: 5.0}, (2, 0): {1: 7.0}}
-    systems = [co.LiePoissonSystem(co.LieAlgebra.from_brackets(3, brackets), co.Quadratic(float(m))) for m in (1, 2, 3)]
-    names = [list(system.casimirs) for system in co.batch(systems)]
-    assert names == [["C2"]] * 3 and len(searched) == 1
 
 
 def test_angles_are_unwrapped_by_the_period_of_the_member():
@@ -230,47 +190,8 @@ def test_angles_are_unwrapped_by_the_period_of_the_member():
             assert np.ptp(alone.casimirs[name]) < 2.0**12 * 2.0**-53 * 128
 
 
-@pytest.mark.parametrize("members", [None, 3])
-def test_drift_is_computed_from_its_tenths(members):
-    tenths = np.random.default_rng(4).uniform(0.1, 1.0, (10,) if members is None else (members, 10))
-    drift = Drift(tenths, 2.5)
-    assert drift == tenths.max() and drift.initial == 2.5
-    assert members is None or np.array_equal(drift.members, tenths.max(axis=1))
-    assert np.array_equal(drift.growth, (tenths.T[9] / tenths.T[0]).T)
-    assert Drift(np.append(0.0, np.ones(9)), 0.0).growth == np.inf
-
-
-def test_subset_of_members_has_its_initial_attitudes():
-    """One initial attitude for each member, or one for all."""
-    body, x = co.systems.rigid_body((1, 2, 3)), np.random.default_rng(6).standard_normal((5, 3))
-    turned = np.linalg.qr(np.random.default_rng(7).standard_normal((5, 3, 3)))[0]
-    turned *= np.linalg.det(turned)[:, None, None]
-    for systems in (body, co.batch([co.systems.rigid_body((1, 2, third)) for third in (2.2, 2.4, 2.6, 2.8, 3.0)])):
-        for attitude in (turned, turned[3]):
-            ready = co.prepare(systems, co.Splitting(), 0.125, attitude=attitude)
-            whole, some = ready.run(x, (0.5, 1.5)), ready.among(1, 4).run(x[1:4], (0.5, 1.5))
-            assert np.array_equal(some.attitude, whole.attitude[:, 1:4]) and np.array_equal(some.x, whole.x[:, 1:4])
-            assert np.array_equal(some.attitude0, attitude[1:4] if attitude.ndim == 3 else np.tile(attitude, (3, 1, 1)))
-
-
 def test_names_of_batches_are_those_of_the_first_two_systems():
     named = [co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(1.0), name=name) for name in "abc"]
     assert co.batch(named[:1] * 3).name == "batch of 3 (a)"
     assert co.batch(named[:2]).name == "batch of 2 (a, b)"
     assert co.batch([*named, named[0]]).name == "batch of 4 (a, b, ...)"
-
-
-def test_parts_of_a_batch_have_the_noise_of_their_members():
-    """Also of systems that occur more than once."""
-    field = co.Polynomial({(0, 0, 1): -1.0})
-    spins = [
-        co.LiePoissonSystem(co.algebras.so(3), field).with_forces(co.forces.HeatBath(a, temperature=0.5, seed=7))
-        for a in (0.3, 0.4, 0.5)
-    ]
-    batch = co.batch([spins[k] for k in (0, 1, 0, 2, 1, 1)])
-    x0 = np.tile([0.0, 0.6, 0.8], (6, 1))
-    whole = co.integrate(batch, x0, (0, 1), 0.25).x
-    assert len(np.unique(whole[-1, :, 0])) == 6
-    for first, last in ((0, 2), (2, 5), (4, 6)):
-        part = co.integrate(batch.among(first, last), x0[first:last], (0, 1), 0.25).x
-        np.testing.assert_array_equal(part, whole[:, first:last])

@@ -1,0 +1,120 @@
+"""Schemes as a user writes them, one or two of each base class."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+import coadjoint as co
+
+NOTHING = co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+
+
+def only_of_vectors(system):
+    """Refuse matrices, whose states are no vectors."""
+    if isinstance(system, co.MatrixSystem):
+        raise ValueError(f"{system.name} has matrix states; use IsospectralGauss")
+    return NOTHING
+
+
+@dataclasses.dataclass(frozen=True)
+class Heun(co.methods.StepMethod):
+    """Two slopes; the import, which Numba does not compile, saves the time of compiling."""
+
+    order, explicit, symmetric = 2, True, False
+
+    def properties(self, system):
+        return only_of_vectors(system)
+
+    def step(self, system, x, t, h):
+        import math  # noqa: F401
+
+        first = h * system.vector_field(x, t)
+        return x + 0.5 * (first + h * system.vector_field(x + first, t + h))
+
+
+@dataclasses.dataclass(frozen=True)
+class RungeKutta(co.methods.StepMethod):
+    """The classical method, compiled by Numba."""
+
+    order, explicit, symmetric = 4, True, False
+
+    def properties(self, system):
+        return only_of_vectors(system)
+
+    def step(self, system, x, t, h):
+        k1 = system.vector_field(x, t)
+        k2 = system.vector_field(x + h / 2 * k1, t + h / 2)
+        k3 = system.vector_field(x + h / 2 * k2, t + h / 2)
+        k4 = system.vector_field(x + h * k3, t + h)
+        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+@dataclasses.dataclass(frozen=True)
+class Kutta(co.methods.RungeKuttaMethod):
+    """Kutta's explicit method of order 3."""
+
+    order, explicit, symmetric = 3, True, False
+    solver = "explicit"
+
+    def properties(self, system):
+        only_of_vectors(system)
+        attitude = "none" if system.algebra is None else "integrated"
+        return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude=attitude)
+
+    def coefficients(self, number=float):
+        one, zero = number(1), number(0)
+        return co.methods.Coefficients(
+            node=np.array([zero, one / 2, one]),
+            scale=np.array([one, one, one]),
+            mix=np.array([[zero, zero, zero], [one / 2, zero, zero], [-one, 2 * one, zero]]),
+            out=np.array([one / 6, 2 * one / 3, one / 6]),
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Flows(co.methods.FlowMethod):
+    """McLachlan's symmetric splitting of order 2 with the smallest error."""
+
+    parts: str = "auto"
+
+    order, explicit, symmetric = 2, True, True
+
+    def properties(self, system):
+        return co.Splitting().properties(system)
+
+    def sweeps(self, number=float):
+        a, half, there, end = number("0.1931833275037836"), number(1) / 2, number(0), number(1)
+        return [
+            co.methods.Sweep(True, a, there),
+            co.methods.Sweep(False, half - a, half),
+            co.methods.Sweep(True, half - a, half),
+            co.methods.Sweep(False, a, end),
+        ]
+
+
+@dataclasses.dataclass(frozen=True)
+class Compiled(co.methods.CompiledStepMethod):
+    """Heun's method in C++; the second slope after `share` of the step."""
+
+    share: float = 0.75
+
+    order, explicit, symmetric = 2, True, False
+
+    @property
+    def compiled_step(self):
+        return co.methods.compile_step(Path(__file__).with_name("user_step.cpp"))
+
+    def properties(self, system):
+        return only_of_vectors(system)
+
+    def constants(self):
+        return [], [self.share]
+
+    def step(self, system, x, t, h):
+        first = h * system.vector_field(x, t)
+        second = h * system.vector_field(x + self.share * first, t + self.share * h)
+        late = 0.5 / self.share
+        return x + (1 - late) * first + late * second

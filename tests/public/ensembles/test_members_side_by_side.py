@@ -1,0 +1,87 @@
+"""Members are computed several at a time: each has the bits that it has alone, whatever their number and size."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from matrix.results import assert_agree, attempted, numbers
+
+pytestmark = pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
+TOP = co.systems.heavy_top()
+X = np.array([1.0, -0.5, 1.5, 0.6, 0.0, 0.8])
+MAGNITUDES = np.array(
+    [1.0, 1e-300, 30.0, 1e3, 1e-8, 3.0, 1e4, 0.0, 1e6, 100.0, 1e-3, 10.0, 1e5, 300.0, 3e3, 1e-160, 0.3]
+)
+METHODS = [
+    co.Splitting(order=2),
+    co.Splitting(order=4, compensated=True),
+    co.Splitting(order=2, rotation="rational"),
+    co.Splitting(scheme="blanes_casas_murua6"),
+    co.GaussLegendre(2),
+    co.ModifiedGaussLegendre(2, freeze="gradient"),
+    co.RadauEnergy(2),
+    co.Taylor(6),
+    co.Taylor(tolerance=1e-9),
+    co.ReversibleSteps(co.GaussLegendre(2)),
+]
+
+
+@pytest.mark.parametrize("members", [2, 3, 4, 31, 32, 33, 67])
+@pytest.mark.parametrize("method", METHODS[:6], ids=str)
+def test_ensembles_of_any_number_of_members(method, members):
+    states = X * (1.0 - 0.9 * np.arange(members)[:, None] / members)
+    attitude = method.properties(TOP).attitude != "none" and "coadjoint"
+    given = (0.0, 1.0), 0.0625, method
+    together = co.integrate(TOP, states, *given, save_every=8, attitude=attitude)
+    for m in {0, members // 2, members - 1}:
+        assert_agree(
+            numbers(together, m), numbers(co.integrate(TOP, states[m], *given, save_every=8, attitude=attitude))
+        )
+
+
+@pytest.mark.parametrize("method", METHODS, ids=str)
+@pytest.mark.parametrize("g", [co.algebras.so(3), co.algebras.e(3), co.algebras.so(4)], ids=lambda g: g.name)
+def test_members_of_every_magnitude(method, g):
+    """Iterations end at round-off, by Newton's method, at their limit or fail, whatever the neighbours do."""
+    rng = np.random.default_rng(5)
+    B = rng.standard_normal((g.dim, g.dim))
+    system = co.LiePoissonSystem(g, co.Quadratic(np.eye(g.dim) + (B + B.T) / (2 * np.sqrt(g.dim))))
+    try:
+        method.properties(system)
+    except ValueError:
+        return
+    x0 = MAGNITUDES[:, None] * rng.standard_normal((len(MAGNITUDES), g.dim))
+    x0 = x0[: 8 if method.own_steps else None]
+    x0 = x0[np.abs(x0).max(axis=1) < (10 if method.own_steps else np.inf)]
+    whole = attempted(system, x0, (0.0, 1.8), 0.3, method, threads=1)
+    assert np.isfinite(whole.x[-1]).any()
+    for part in (slice(None, None, -1), slice(0, 3), slice(0, 4)):
+        other = attempted(system, x0[part], (0.0, 1.8), 0.3, method, threads=1)
+        np.testing.assert_array_equal(other.x, whole.x[:, part])
+    for m in range(len(x0)):
+        assert_agree(
+            numbers(attempted(system, x0[m], (0.0, 1.8), 0.3, method), followed=False),
+            numbers(whole, m, followed=False),
+        )
+
+
+@pytest.mark.parametrize("compensated", [False, True])
+def test_batches_of_many_members(compensated):
+    bodies = [co.systems.rigid_body((1.5, 2.0 + 0.01 * k, 3.5)) for k in range(70)]
+    states = np.array([0.3, 1.0, -0.4]) * (1.0 - 0.01 * np.arange(70)[:, None])
+    given = (0.0, 1.0), 0.0625, co.Splitting(order=2, compensated=compensated)
+    together = co.integrate(co.batch(bodies), states, *given, attitude=True)
+    for m in (0, 15, 16, 31, 32, 33, 63, 64, 69):
+        assert_agree(numbers(together, m), numbers(co.integrate(bodies[m], states[m], *given, attitude=True)))
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(1), co.Taylor(2)], ids=str)
+def test_multivalued_casimirs_stay_on_their_branch(method):
+    """The angle in a Casimir winds, however rarely it is saved."""
+    system = co.LiePoissonSystem(co.algebras.get("A4,6", a=1.0, b=0.0), co.Quadratic((0.0,) * 4, linear=(0, 0, 0, 1.0)))
+    name, casimir = next((n, c) for n, c in system.casimirs.items() if getattr(c, "period", 0.0))
+    x0 = np.random.default_rng(9).uniform(0.2, 0.8, (3, 4))
+    often = co.integrate(system, x0, (0.0, 160.0), 0.25, method)
+    seldom = co.integrate(system, x0, (0.0, 160.0), 0.25, method, save_every=16)
+    np.testing.assert_array_equal(seldom.casimirs[name], often.casimirs[name][::16])
+    assert np.abs(np.diff(often.casimirs[name], axis=0)).max() < casimir.period / 8

@@ -1,0 +1,260 @@
+"""Events: location, counts, terminal events, failures, and no effect on the run."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import ellipk
+
+import coadjoint as co
+
+pytestmark = pytest.mark.thinned(3)
+
+U = 2.0**-53
+BODY = co.systems.rigid_body(inertia=(1, 2, 3))
+FLIPPING = (0.1, 1.0, 0.1)
+METHODS = [
+    co.Splitting(order=2),
+    co.Splitting(order=4, compensated=True),
+    co.GaussLegendre(stages=2),
+    co.ExplicitRungeKutta("rk4"),
+    co.Taylor(order=12),
+]
+NAMES = [str(method) for method in METHODS]
+
+
+def period(x0, inertia):
+    """Period of a free body by a complete elliptic integral (Landau and Lifshitz, Mechanics, section 37)."""
+    one, two, three = inertia
+    twice_energy, square = sum(x * x / i for x, i in zip(x0, inertia, strict=True)), float(np.dot(x0, x0))
+    if square < twice_energy * two:
+        one, three = three, one
+    rate = np.sqrt((three - two) * (square - twice_energy * one) / (one * two * three))
+    m = (two - one) * (twice_energy * three - square) / ((three - two) * (square - twice_energy * one))
+    return 4.0 * ellipk(m) / rate
+
+
+def harmonic(frequency=1.0, sign=1):
+    """(x1, x2) turns at a constant rate: the solvable algebra of the plane's motions, closed form."""
+    g = co.LieAlgebra.from_brackets(3, {(2, 0): {1: 1.0}, (2, 1): {0: -1.0}})
+    return co.LiePoissonSystem(g, co.Quadratic(0.0, linear=[0.0, 0.0, frequency]), sign=sign)
+
+
+def angle_of(system, x0):
+    """Return the angular velocity of (x1, x2)."""
+    x1, x2, _ = system.vector_field(np.asarray(x0, dtype=float))
+    return (x0[0] * x2 - x0[1] * x1) / (x0[0] ** 2 + x0[1] ** 2)
+
+
+@pytest.mark.parametrize("x0", [FLIPPING, (1.0, 0.2, 0.1), (0.1, 0.2, 1.0)])
+def test_period_of_a_free_body(x0):
+    T = period(x0, (1, 2, 3))
+    h, steps = 0.1, int(1001.0 * T / 0.1)
+    sol = co.integrate(
+        BODY, x0, (0, steps * h), h, co.Taylor(order=24), save_every=steps, events=co.Event("x2", direction=1)
+    )
+    t = sol.events.t
+    assert len(t) >= 1000
+    # A relative error of some u a step makes times that wander; the mean period is a thousandth of that.
+    assert abs((t[-1] - t[0]) / (len(t) - 1) - T) < 1e-12
+
+
+@pytest.mark.parametrize("method", METHODS[:4], ids=NAMES[:4])
+def test_event_times_have_the_order_of_the_scheme(method):
+    x0, T = FLIPPING, period(FLIPPING, (1, 2, 3))
+    errors = []
+    for h in (1 / 4, 1 / 8, 1 / 16):
+        t = co.integrate(BODY, x0, (0, 96), h, method, events=co.Event(1, direction=1)).events.t
+        errors.append(abs(t[1] - t[0] - T))
+    slopes = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert slopes[-1] > method.order - 0.5
+
+
+def test_close_pairs_and_near_misses():
+    """x1 = cos(t) crosses c twice about its maximum, closer together than a step."""
+    system, x0 = harmonic(), np.array([1.0, 0.0, 0.0])
+    rate = abs(angle_of(system, x0))
+    assert rate == 1.0
+    h = 0.5
+    for width in (0.2, 1e-2, 1e-4, 1e-6):
+        c = np.cos(width)
+        event = co.Event(co.Polynomial({(1, 0, 0): 1.0, (0, 0, 0): -c}))
+        start = np.array([np.cos(2.3), -np.sin(2.3), 0.0])
+        sol = co.integrate(system, start, (0, 10), h, events=event)
+        turn = np.sign(angle_of(system, start))
+        # The angle is -2.3 + turn * t; the crossings are where it is +-width modulo 2 pi.
+        times = [(2 * np.pi * k + side + 2.3) * turn for k in range(-3, 4) for side in (-width, width)]
+        want = np.sort([t for t in times if 0 < t <= 10])
+        assert len(sol.events) == len(want), width
+        # Near a maximum g is flat: its error of some u moves a crossing by u / width.
+        assert abs(sol.events.t - want).max() < 64 * U / np.sin(width) + 64 * U * 10
+        assert sol.events.direction.tolist() == [1, -1] * (len(want) // 2)
+    event = co.Event(co.Polynomial({(1, 0, 0): 1.0, (0, 0, 0): -1.0 - 1e-9}))
+    assert len(co.integrate(system, start, (0, 10), h, events=event).events) == 0
+
+
+@pytest.mark.parametrize(
+    "algebra", [co.algebras.so(3), co.algebras.e(3), co.algebras.copies(co.algebras.so(3), 3)], ids=repr
+)
+@pytest.mark.parametrize("span", [(1.0, 25.0), (25.0, 1.0)])
+def test_series_with_further_products_find_all_crossings_of_a_step(algebra, span):
+    """H = x3^4 / 4 turns x1 and x2 by x3^3 = 1: x1 = cos(t - t0) has more than one zero in a step of length 4."""
+    n = algebra.dim
+    H = co.Polynomial({tuple(4 * (k == 2) for k in range(n)): 0.25})
+    x0 = np.array([1.0, 0.0, 1.0, *np.linspace(0.5, 1.0, n - 3)])
+    first = co.Event(co.Polynomial({tuple(int(k == 0) for k in range(n)): 1.0}))
+    sol = co.integrate(co.LiePoissonSystem(algebra, H), x0, span, 4.0, co.Taylor(24), events=first)
+    zeros = np.pi * (np.arange(8) + 0.5)
+    want = span[0] + np.sign(span[1] - span[0]) * zeros[zeros < 24.0]
+    # The first term left out, in each of six steps.
+    np.testing.assert_allclose(sol.events.t, want, rtol=0, atol=6 * 4.0**25 / math.factorial(25))
+
+
+def test_events_at_both_ends_of_the_span():
+    system = harmonic()
+    sol = co.integrate(system, (0.0, 1.0, 0.0), (0, 6), 0.5, events=co.Event("x1"))
+    assert abs(sol.events.t - np.pi).max() < 32 * U and len(sol.events) == 1
+    # g(t) = t - 2: the grid point belongs to the step that ends there.
+    for end in (2.0, 3.0):
+        sol = co.integrate(system, (1.0, 0.0, 0.0), (0, end), 0.5, events=co.Event(lambda x, t: t - 2.0))
+        assert sol.events.t.tolist() == [2.0]
+    assert len(co.integrate(system, (1.0, 0.0, 0.0), (2, 3), 0.5, events=co.Event(lambda x, t: t - 2.0)).events) == 0
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("method", [co.GaussLegendre(3), co.Splitting(order=4), co.Taylor(12)], ids=str)
+def test_backward_runs_find_the_same_events(method):
+    there = co.integrate(BODY, FLIPPING, (0, 48), 0.125, method, events=co.Event("x2"))
+    back = co.integrate(BODY, there.x[-1], (48, 0), 0.125, method, events=co.Event("x2"))
+    assert len(there.events) == len(back.events) > 1
+    assert np.all(np.diff(back.events.t) < 0)
+    # Parts of a step are not reversible: their error is that of their order.
+    allowed = 1e-12 if method == co.GaussLegendre(3) else 0.125 ** min(method.order, 6)
+    assert abs(back.events.t[::-1] - there.events.t).max() < allowed
+    # A direction is that in which the run goes.
+    assert (back.events.direction[::-1] == -there.events.direction).all()
+    for whole, x0, span in ((there, FLIPPING, (0, 48)), (back, there.x[-1], (48, 0))):
+        for direction in (1, -1):
+            some = co.integrate(BODY, x0, span, 0.125, method, events=co.Event("x2", direction)).events
+            assert len(some) and np.array_equal(some.t, whole.events.t[whole.events.direction == direction])
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_error_names_the_first_undefined_event(way):
+    """The later one is given first."""
+
+    def later(x, t):
+        return np.sqrt(9.0 - t * t) - 10.0
+
+    def first(x, t):
+        return np.sqrt(4.0 - t * t) - 10.0
+
+    events = [co.Event("x2"), co.Event(later, name="later"), co.Event(first, name="first")]
+    for x0, who in ((FLIPPING, ""), (np.tile(FLIPPING, (3, 1)), r" for 3 of 3 members \(first: member 0\)")):
+        words = rf"step 17, .*event first .* t = {2.125 * way:g}.*{who}$"
+        with pytest.raises(co.IntegrationError, match=words) as failure:
+            co.integrate(BODY, x0, (0, 8 * way), 0.125, events=events)
+        assert failure.value.step == 17 and failure.value.time == 2.0 * way
+
+
+def test_no_event_is_found_after_the_end():
+    """Of other events in the last step of a member, those before its end alone."""
+    level = [co.Event(co.Polynomial({(0, 1, 0): 1.0, (0, 0, 0): c}), name=f"{c}") for c in (-1e-3, 1e-3)]
+    x0 = np.array(FLIPPING) * [[1, 1, 1], [1, -1, 1]]
+    found = co.integrate(BODY, x0, (0, 40), 0.125, events=[*level, co.Event("x2", terminal=True)]).events
+    for m, which in ((0, [0, 2]), (1, [1, 2])):
+        assert found.of(m).which.tolist() == which and np.all(np.diff(found.of(m).t) > 0)
+
+
+def test_second_crossing_within_a_step_ends_the_run():
+    system, start, h = harmonic(), np.array([np.cos(2.3), -np.sin(2.3), 0.0]), 0.5
+    c = np.cos(1e-3)
+    event = co.Event(co.Polynomial({(1, 0, 0): 1.0, (0, 0, 0): -c}), terminal=True, count=2)
+    sol = co.integrate(system, start, (0, 30), h, events=event)
+    turn = np.sign(angle_of(system, start))
+    first = (2.3 if turn > 0 else 2 * np.pi - 2.3) + 1e-3
+    assert abs(sol.t[-1] - first) < 1e-9 and len(sol.events) == 2
+    assert np.isfinite(sol.x).all() and sol.t[-2] < first <= sol.t[-2] + h
+    several = co.integrate(system, np.array([start, -start, start]), (0, 30), h, events=event)
+    assert np.array_equal(several.events.of(2).t, sol.events.t)
+
+
+def test_count_limits_crossings_to_the_first():
+    whole = co.integrate(BODY, FLIPPING, (0, 40), 0.125, events=[co.Event("x2"), co.Event("x1")]).events
+    some = co.integrate(BODY, FLIPPING, (0, 40), 0.125, events=[co.Event("x2", count=2), co.Event("x1")]).events
+    assert np.array_equal(some["x2"].t, whole["x2"].t[:2]) and np.array_equal(some["x1"].t, whole["x1"].t)
+
+
+def test_selections_of_crossings_are_complete():
+    x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 5)[:, None]
+    events = [
+        co.Event("x3"),
+        co.Event("x2", count=2, terminal=True, name="flip"),
+        co.Event(lambda x, t: x[0] - 0.01 * t),
+    ]
+    found = co.integrate(BODY, x0, (0, 40), 0.125, events=events, attitude=True).events
+    assert found.names == ("x3", "flip", "event 2") and found.asked == tuple(events)
+    ends = found.ends(5)
+    assert np.isfinite(ends).all() and repr(found).startswith(
+        f"<crossings of x3: {len(found['x3'])}, flip: 10, event 2: "
+    )
+    for k, name in enumerate(found.names):
+        for some in (found[name], found[k]):
+            assert some.which.tolist() == [k] * len(some) and len(some) == np.count_nonzero(found.which == k) > 0
+    picked = [found.of(3), found["flip"], found.chosen(found.member > 2), found.chosen(np.arange(len(found)))]
+    for some in picked:
+        assert (some.names, some.coordinates, some.asked) == (found.names, ("x1", "x2", "x3"), found.asked)
+        rows = [
+            np.flatnonzero((found.t == t) & (found.member == m))[0] for t, m in zip(some.t, some.member, strict=True)
+        ]
+        for name in ("x", "which", "direction", "attitude"):
+            assert np.array_equal(getattr(some, name), getattr(found, name)[rows]), name
+    assert np.array_equal(picked[-1].ends(5), ends) and np.array_equal(found.of(3).ends(5)[3:4], ends[3:4])
+    assert np.array_equal(found["flip"].ends(5), ends)
+    for wrong in (3, -1, "x1"):
+        with pytest.raises(ValueError, match="event"):
+            found[wrong]
+    with pytest.raises(TypeError, match="take one event by its name"):
+        iter(found)
+
+
+RATES = np.add.outer(np.arange(4.0), np.arange(4.0))
+
+
+def test_event_functions_of_matrices():
+    s = co.MatrixSystem(co.MatrixAlgebra("so", 4), lambda W: W * RATES)
+    rng = np.random.default_rng(3)
+    A = rng.standard_normal((4, 4))
+    event = co.Event(lambda W: W[0, 1])
+    sol = co.integrate(s, A - A.T, (0, 10), 0.0625, events=event)
+    plain = co.integrate(s, A - A.T, (0, 10), 0.0625)
+    assert np.array_equal(sol.x, plain.x)
+    signs = np.sign(plain.x[:, 0, 1])
+    assert len(sol.events) >= np.count_nonzero(signs[1:] != signs[:-1]) > 0
+    assert abs(sol.events.x[:, 0, 1]).max() < 64 * U * abs(A).max()
+
+
+def test_wrong_events_are_refused():
+    for wrong, error in (("y9", ValueError), (3, ValueError), (None, TypeError), (True, TypeError)):
+        with pytest.raises(error):
+            co.integrate(BODY, FLIPPING, (0, 1), 0.125, events=co.Event(wrong))
+    with pytest.raises(ValueError, match="direction"):
+        co.Event("x1", direction=2)
+    with pytest.raises(ValueError, match="two events have the name"):
+        co.integrate(BODY, FLIPPING, (0, 1), 0.125, events=[co.Event(0, name="a"), co.Event(1, name="a")])
+    with pytest.raises(TypeError, match="give an Event"):
+        co.integrate(BODY, FLIPPING, (0, 1), 0.125, events="x1")
+    with pytest.raises(co.IntegrationError, match="not a number at t = "):
+        co.integrate(BODY, FLIPPING, (0, 20), 0.125, events=co.Event(lambda x: np.sqrt(x[1])))
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(3), co.Taylor(order=12)], ids=str)
+@pytest.mark.parametrize("direction", [-1, 0, 1])
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_zero_at_a_step_is_one_crossing(method, direction, sense):
+    """x1 moves by exactly 1/4 in a step: it is zero after four of eight steps."""
+    line = co.LieAlgebra.from_brackets(3, {(0, 1): {2: 1.0}})
+    system = co.LiePoissonSystem(line, co.Quadratic(0.0, linear=[0.0, sense, 0.0]))
+    run = co.integrate(system, (-sense, 0.0, 1.0), (0.0, 2.0), 0.25, method, events=[co.Event(0, direction=direction)])
+    wanted = [] if direction == -sense else [1.0]
+    assert run.events.t.tolist() == wanted and run.events.direction.tolist() == [int(sense)] * len(wanted)

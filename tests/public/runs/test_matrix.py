@@ -1,0 +1,89 @@
+"""Every registered scheme on registered and drawn systems, with drawn options.
+
+Compared are: the bits of members alone, of any number of threads, of saved, watched, archived and prepared runs; the
+order of the error; what is declared to be preserved; and tangents, gradients and differences. `tests/matrix/` draws
+the cases and writes the lines that are executed, and a failure shows them.
+"""
+
+import os
+
+import pytest
+
+import coadjoint as co
+from long import long_beyond
+from matrix.cases import accepted, drawn, drawn_on, option_sets
+from matrix.forces import force_text
+from matrix.options import NEUTRAL, every_pair, pairs_in
+from matrix.running import Disagreement, check_case, check_drawn, is_refused
+from matrix.schemes import SLOW, schemes
+from matrix.soak import check_wild
+from matrix.systems import systems
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning"),
+    pytest.mark.filterwarnings("ignore:the steps of Heun"),
+]
+
+
+@pytest.fixture(autouse=True)
+def without_waiting_for_the_disk(monkeypatch):
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("method", schemes())
+def test_schemes_on_drawn_systems(method):
+    assert check_drawn(drawn(method, seed=1, each=1))
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("system", systems())
+def test_systems_by_drawn_schemes(system):
+    assert len(check_drawn(drawn_on(system, seed=1, each=2))) == 2
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(2, 6))
+@pytest.mark.parametrize("method", schemes())
+def test_schemes_on_other_systems(method, seed):
+    assert check_drawn(drawn(method, seed, each=6, catalogue=3))
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("first", long_beyond(1, range(0, 300, 12)))
+def test_wild_cases_have_the_same_bits(first):
+    """Random algebras, members that are far away, at rest or failing, and events."""
+    for seed in range(first, first + 12):
+        check_wild(seed, threads=seed % 5 == 0)
+
+
+@pytest.mark.parametrize("method", [text for text in schemes() if text not in SLOW])
+def test_unsupported_systems_are_refused_by_name(method):
+    """The declaration and the run agree: what is refused is refused before a step, with a line that says why."""
+    assert not all(is_refused(method, system) for system in systems())
+
+
+def test_every_pair_of_options_is_drawn():
+    assert set().union(*map(pairs_in, option_sets(1))) == every_pair()
+
+
+def test_every_registered_force_can_be_written():
+    body, fluid = co.systems.rigid_body(), co.systems.sphere_euler(N=5)
+    for name in co.forces.names():
+        texts = [force_text(name, system) for system in (body, fluid)]
+        assert all(text.startswith(f"co.forces.{name}(") for text in texts)
+
+
+def test_failures_show_lines_that_repeat_them():
+    case, space, _ = accepted("co.GaussLegendre(2)", "co.systems.rigid_body()", NEUTRAL | {"members": "many"}, 5)
+
+    def false_check(case, space):
+        yield "found, expected, allowed = sol.x[-1, 0], 1.001 * sol.x[-1, 0], 1e-12\n"
+
+    with pytest.raises(Disagreement, match="false_check of co") as failure:
+        check_case(case, space, [false_check])
+    text = str(failure.value)
+    lines = text[text.index("import numpy") :]
+    assert "co.integrate(" in lines and len(lines.splitlines()) < 25
+    with pytest.raises(AssertionError, match=r"they differ by 0\.000\d+, allowed 1e-12"):
+        exec(lines, {})

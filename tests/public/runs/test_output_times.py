@@ -1,0 +1,276 @@
+"""States at given times (`t_eval`, `Solution.at`), between the unchanged steps of a run."""
+
+import pickle
+import re
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from group_elements import random_element
+
+U = 2.0**-53
+BODY = co.systems.rigid_body((1, 2, 3))
+X = np.array([0.3, -0.2, 0.5])
+STEP = 0.125
+
+
+def kind_of(method):
+    """Return the kind of group element that a scheme computes."""
+    kind = (method or co.Splitting()).properties(BODY).attitude
+    return {"none": False, "coadjoint": "coadjoint"}.get(kind, True)
+
+
+def random_times(start, end, count=40, seed=7):
+    inside = start + (end - start) * np.random.default_rng(seed).uniform(size=count)
+    found = np.sort(np.concatenate([inside, [start, end, 0.5 * (start + end)]]))
+    return found if end > start else found[::-1]
+
+
+@pytest.mark.parametrize("end", [3.0, -3.0])
+def test_free_body_matches_its_closed_form(end):
+    times = random_times(0.0, end)
+    method = co.Splitting(order=2, parts="free_body")
+    exact, g = BODY.exact(X, times, attitude=True)
+    found = co.integrate(BODY, X, (0.0, end), 0.25, method, attitude=True, t_eval=times)
+    # The flow is exact: what is left is the rounding of twelve steps, each of some hundred operations.
+    assert np.abs(found.x - exact).max() < 12 * 100 * U and np.abs(found.attitude - g).max() < 12 * 100 * U
+    start = random_element(BODY.representation, 1)
+    turned = co.integrate(BODY, X, (0.0, end), 0.25, method, attitude=start, t_eval=times)
+    assert np.abs(turned.attitude - start @ g).max() < 12 * 100 * U
+
+
+@pytest.mark.thinned(4)
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.Taylor(12), co.Taylor(tolerance=1e-9)], ids=str)
+@pytest.mark.parametrize("end", [80.0, -80.0])
+def test_terminal_event_between_output_times(method, end):
+    """Earlier states are unchanged, and the state of the event comes last."""
+    times, kind = random_times(0.0, end), kind_of(method)
+    options = {"step": STEP, "method": method, "attitude": kind, "t_eval": times}
+    whole = co.integrate(BODY, X, (0, end), **options)
+    for count in (1, 2):
+        event = co.Event(1, terminal=True, count=count)
+        there = co.integrate(BODY, X, (0, end), STEP, method, attitude=kind, events=co.Event(1)).events
+        sol = co.integrate(BODY, X, (0, end), events=event, **options)
+        k = int(np.count_nonzero(np.abs(times) < abs(there.t[count - 1])))
+        assert 0 < k < len(times) and len(sol.t) == k + 1
+        for name in ("t", "x", "energy"):
+            assert np.array_equal(getattr(sol, name)[:k], getattr(whole, name)[:k])
+        assert sol.t[-1] == there.t[count - 1] == sol.t_span[1] and np.array_equal(sol.x[-1], there.x[count - 1])
+        assert abs(sol.energy[-1] - BODY.energy(sol.x[-1])) < 4 * U
+        if kind:
+            assert np.array_equal(sol.attitude[:k], whole.attitude[:k])
+            assert np.array_equal(sol.attitude[-1], there.attitude[count - 1])
+        # With the times of the solution, which end with that of the event.
+        again = co.integrate(BODY, X, (0, end), events=event, **options | {"t_eval": sol.t})
+        assert np.array_equal(again.x, sol.x) and np.array_equal(again.t, sol.t)
+        # No time before it, or all of them.
+        early = co.integrate(BODY, X, (0, end), events=event, **options | {"t_eval": times[k:]})
+        assert np.array_equal(early.t, sol.t[-1:]) and np.array_equal(early.x, sol.x[-1:])
+        late = co.integrate(BODY, X, (0, end), events=event, **options | {"t_eval": times[:k]})
+        assert np.array_equal(late.x, sol.x) and late.stats.steps == sol.stats.steps
+    copied = pickle.loads(pickle.dumps(sol))
+    assert np.array_equal(copied.x, sol.x) and copied.t_span == sol.t_span
+
+
+@pytest.mark.parametrize("end", [80.0, -80.0])
+def test_multivalued_casimirs_are_unwrapped(end):
+    # The Casimir of A3,7 has an angle, which winds up along the run.
+    M = np.array([[1.0, 0.2, 0.1], [0.2, 1.5, 0.0], [0.1, 0.0, 0.7]])
+    system = co.LiePoissonSystem(co.algebras.get("A3,7", a=2.0), co.Quadratic(M))
+    x0, times = np.array([0.5, -0.25, 1.5]), random_times(0.0, end, 200)
+    found = co.integrate(system, x0, (0, end), 1 / 16, co.Splitting(order=2), t_eval=times)
+    every = co.integrate(system, x0, (0, end), 1 / 16, co.Splitting(order=2))
+    name = next(iter(found.casimirs))
+    principal = np.array([system.casimirs[name](x) for x in found.x])
+    assert np.ptp(principal) > 1.0, "the angle does not wind up"
+    values, back = found.casimirs[name], every.at(times[::-1]).casimirs[name]
+    # A step and a part of one, of some ten flows each, beside what is rounded on the way.
+    assert np.abs(values - values[0]).max() <= every.drift()[name] + 20 * 8 * U * np.abs(principal).max()
+    assert np.abs(back[::-1] - values).max() <= every.drift()[name] + 20 * 8 * U * np.abs(principal).max()
+
+
+@pytest.mark.parametrize("size", [1e160, 5e20])
+def test_states_of_failed_steps_are_erased(size):
+    """Also where parts of the failed step could be computed, as from 5e20."""
+    x = np.array([X, [size, size, -size]])
+    times = np.linspace(0.0, 1.0, 21)
+    with pytest.raises(co.IntegrationError) as caught:
+        co.integrate(BODY, x, (0, 1), 0.25, co.ExplicitRungeKutta("rk4"), t_eval=times)
+    partial = caught.value.partial
+    assert partial.failed.tolist() == [False, True] and np.isfinite(partial.x[:, 0]).all()
+    assert np.isnan(partial.x[times > 0.0, 1]).all() and np.isfinite(partial.x[0, 1]).all()
+    with pytest.raises(co.IntegrationError) as caught:
+        co.integrate(BODY, x[1], (0, 1), 0.25, co.ExplicitRungeKutta("rk4"), t_eval=times)
+    assert caught.value.partial.t.tolist() == [0.0]
+
+
+@pytest.mark.parametrize(
+    ("times", "words"),
+    [
+        ([], "t_eval has the shape (0,)"),
+        (0.5, "t_eval has the shape ()"),
+        ([[0.5]], "t_eval has the shape (1, 1)"),
+        ([0.5, np.nan], "t_eval contains NaN or infinity"),
+        ([0.5, 0.25], "t_eval[1] is 0.25 and comes after 0.5"),
+        ([-0.1, 0.25], "t_eval[0] is -0.1"),
+        ([0.25, 1.001], "t_eval[1] is 1.001"),
+    ],
+)
+def test_wrong_output_times_are_refused(times, words):
+    with pytest.raises(ValueError, match=re.escape(words)):
+        co.integrate(BODY, X, (0, 1), STEP, t_eval=times)
+
+
+def test_conflicting_arguments_and_empty_spans():
+    with pytest.raises(ValueError, match="save_every and t_eval; give only one"):
+        co.integrate(BODY, X, (0, 1), STEP, save_every=2, t_eval=[0.5])
+    with pytest.raises(TypeError, match="t_eval"):
+        co.integrate(BODY, X, (0, 1), STEP, t_eval="now")
+    assert np.array_equal(co.integrate(BODY, X, (1, 1), STEP, t_eval=[1.0, 1.0]).x, [X, X])
+    with pytest.raises(ValueError, match=r"t_eval\[0\] is 0.6.* from 0.5 to 0"):
+        co.integrate(BODY, X, (0.5, 0), 0.25, t_eval=[0.6])
+
+
+@pytest.mark.parametrize("span", [(0.0, 20.0), (3.0, -17.0)])
+def test_variable_steps_reach_output_times(span):
+    times, method = random_times(*span, 300), co.Taylor(tolerance=1e-10)
+    exact, g = BODY.exact(X, times - span[0], attitude=True)
+    for step in (0.1, 10.0):
+        coarse = co.integrate(BODY, X, span, step, method, attitude=True)
+        found = co.integrate(BODY, X, span, step, method, attitude=True, t_eval=times)
+        # The error of a run grows with time: some 1e-10 in each unit of it.
+        assert np.abs(found.x - exact).max() < 20 * 1e-10 and np.abs(found.attitude - g).max() < 20 * 1e-10
+        assert np.array_equal(found.x[-1], coarse.x[-1]) and np.array_equal(found.attitude[-1], coarse.attitude[-1])
+        assert np.abs(coarse.at(times).x - exact).max() < 20 * 1e-10
+    # Not from the start each time: there is a saved point before each.
+    assert len(times) <= found.stats.steps < 2 * len(times)
+
+
+def test_accuracy_holds_between_steps():
+    times = random_times(0.0, 20.0, 1000)
+    ready = co.prepare(BODY, accuracy=1e-9, x0=X[None], t_span=(0, 20))
+    for found in (co.integrate(BODY, X, (0, 20), accuracy=1e-9, t_eval=times), ready.run(X, (0, 20), t_eval=times)):
+        assert np.abs(found.x - BODY.exact(X, times)).max() < 1e-9 * np.abs(X).max()
+
+
+class TestAt:
+    """`Solution.at`."""
+
+    @pytest.mark.thinned(3)
+    @pytest.mark.parametrize("span", [(0.0, 4.0), (1.0, -3.0)])
+    @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8)], ids=str)
+    def test_at_equals_t_eval(self, span, method):
+        times, kind = random_times(*span), kind_of(method)
+        x0 = np.random.default_rng(0).standard_normal((3, 3))
+        for x in (x0, x0[1]):
+            direct = co.integrate(BODY, x, span, STEP, method, attitude=kind, t_eval=times)
+            for every in (1, 5):
+                sol = co.integrate(BODY, x, span, STEP, method, attitude=kind, save_every=every)
+                mixed = np.random.default_rng(3).permutation(len(times))
+                found = sol.at(times[mixed])
+                assert np.array_equal(found.t, times[mixed])
+                # From a saved point on, five steps of a hundred operations at most: what compensated sums owed is lost.
+                assert np.abs(found.x - direct.x[mixed]).max() < 32 * 50 * U * np.abs(x).max()
+                if kind:
+                    assert np.abs(found.attitude - direct.attitude[mixed]).max() < 32 * 50 * U
+                assert np.abs(found.energy - direct.energy[mixed]).max() < 32 * 50 * U * 4
+                at_saved = sol.at(float(sol.t[2]))
+                assert np.array_equal(at_saved.x, sol.x[2])
+                assert not kind or np.array_equal(at_saved.attitude, sol.attitude[2])
+                assert np.array_equal(at_saved.energy, sol.energy[2]) and isinstance(at_saved.t, float)
+            again = direct.at([times[4], span[1], span[0]])
+            assert np.array_equal(again.x[0], direct.x[4]) and np.array_equal(again.x[2], x)
+            assert np.abs(again.x[1] - direct.x[-1]).max() == 0.0
+
+    @pytest.mark.parametrize("end", [12.0, -12.0])
+    def test_members_ended_by_events(self, end):
+        """They have states before their ends, and NaN after."""
+        event, kind = co.Event(1, terminal=True), "coadjoint"
+        x0, times = np.random.default_rng(5).standard_normal((9, 3)), random_times(0.0, end)
+        direct = co.integrate(BODY, x0, (0, end), STEP, attitude=kind, t_eval=times, events=event)
+        sol = co.integrate(BODY, x0, (0, end), STEP, attitude=kind, save_every=7, events=event)
+        ends = sol.events.ends(9)
+        way = np.sign(end)
+        assert np.isfinite(ends).all() and len(set(ends)) == 9
+        some = times[way * times < np.max(way * ends)]
+        found = sol.at(some)
+        for name in ("x", "energy", "attitude"):
+            one, other = getattr(found, name), getattr(direct, name)[: len(some)]
+            assert np.array_equal(np.isnan(one), np.isnan(other))
+            assert np.nanmax(np.abs(one - other)) < 32 * 70 * U * np.abs(x0).max() ** 2
+        gone = way * some[:, None] > way * ends
+        assert gone.any() and np.array_equal(np.isnan(found.casimirs["|x|^2"]), gone)
+        # At its end a member is where its event is.
+        first = int(np.argmin(way * ends))
+        there = sol.at(ends[first])
+        assert np.abs(there.x[first] - sol.events.of(first).x[-1]).max() < 32 * 70 * U * np.abs(x0).max()
+        last = float(way * np.max(way * ends))
+        assert np.isfinite(sol.at(last).x).sum() == 3
+        with pytest.raises(ValueError, match=f"after events ended .* {last:g}"):
+            sol.at([0.0, end])
+
+
+SIZES = [1e-15, 1.0, 1e10 / 3]
+
+
+def sums(span, count):
+    """Return times of equal steps, each added to the one before; and the step, and the end beyond the span."""
+    step = abs(span[1] - span[0]) / count
+    return span[0] + np.sign(span[1] - span[0]) * np.append(0.0, np.cumsum(np.full(count, step))), step
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("span", [(0.0, 30.0), (0.0, -30.0), (-7.0, 23.0), (40.0, 10.0)])
+@pytest.mark.parametrize("members", [1, 3])
+def test_times_that_were_summed_end_at_the_end(size, span, members):
+    """Of 30 000 terms and every hundredth of them; the states of the end are those of the last step."""
+    x0 = X if members == 1 else np.array([X, 2 * X, -X])
+    body = BODY if size == 1.0 else co.systems.rigid_body(tuple(size * moment for moment in (1, 2, 3)))
+    ends = size * span[0], size * span[1]
+    times, step = sums(ends, 30_000)
+    times, step = times[::100], 100 * step
+    assert times[-1] != ends[1]
+    if np.sign(ends[1] - ends[0]) * (times[-1] - ends[1]) < 0.0:
+        times[-1] = ends[1] + (ends[1] - times[-1])  # as far beyond the end
+    whole = co.integrate(body, x0, ends, step)
+    sol = co.integrate(body, x0, ends, step, t_eval=times)
+    assert np.array_equal(sol.t, times) and sol.t_span == whole.t_span
+    assert np.array_equal(sol.x[-1], whole.x[-1]) and np.array_equal(sol.x[0], whole.x[0])
+    assert np.array_equal(co.prepare(body, None, step).run(x0, ends, t_eval=times).x, sol.x)
+    # So is a span that ends there.
+    assert np.array_equal(co.integrate(body, x0, (ends[0], times[-1]), step).x, whole.x)
+    assert np.array_equal(co.prepare(body, None, step).end(x0, (ends[0], times[-1])), whole.x[-1])
+    for found in (sol, whole):
+        assert np.array_equal(found.at(times).x[-1], whole.x[-1]) and np.array_equal(found.at(times).t, times)
+        assert np.array_equal(found.at(times[-1]).x, whole.x[-1])
+
+
+@pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("span", [(0.0, 30.0), (0.0, -30.0), (-7.0, 23.0)])
+@pytest.mark.parametrize(("times", "steps"), [(301, 300), (7, 3000), (2000, 30), (1, 1)])
+def test_how_far_beyond_the_end_times_may_be(size, span, times, steps):
+    """Eight units in the last place of the largest time for each time or step."""
+    t0, end = size * span[0], size * span[1]
+    body = co.systems.rigid_body(tuple(size * moment for moment in (1, 2, 3)))
+    step, largest = abs(end - t0) / steps, size * max(*map(abs, span), abs(span[1] - span[0]))
+    allowed = max(16 * U * largest, min(16 * U * largest * max(times, steps + 1), step / 100))
+    ready = co.prepare(body, co.Splitting(), step)
+    sol = ready.run(X, (t0, end))
+    way = np.sign(end - t0)
+    inside = np.linspace(t0, end, times + 1)[1:-1]
+    for beyond in (end + way * 0.9 * allowed, t0 - way * 0.9 * allowed):
+        at_end = abs(beyond - end) < step / 2
+        row = np.append(inside, beyond) if at_end else np.append(beyond, inside)
+        expected = sol.x[-1] if at_end else sol.x[0]
+        assert np.array_equal(ready.run(X, (t0, end), t_eval=row).x[-1 if at_end else 0], expected)
+        assert np.array_equal(sol.at(row).x[-1 if at_end else 0], expected)
+    for beyond in (end + way * 1.2 * allowed, t0 - way * 1.2 * allowed):
+        row = np.append(inside, beyond) if abs(beyond - end) < step / 2 else np.append(beyond, inside)
+        for call in (lambda row=row: ready.run(X, (t0, end), t_eval=row), lambda row=row: sol.at(row)):
+            with pytest.raises(ValueError, match="must lie within") as refused:
+                call()
+            # The numbers in the message differ as those that were given.
+            shown = [float(text) for text in re.findall(r"-?\d+(?:\.\d+)?(?:e[+-]\d+)?", str(refused.value))[-3:]]
+            assert len(set(shown)) == 3 and (shown[0] - shown[1]) * (shown[0] - shown[2]) > 0.0

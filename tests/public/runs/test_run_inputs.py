@@ -1,0 +1,174 @@
+"""Inputs of prepared runs: names, shapes, limits, steppers, and refusals."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+pytestmark = pytest.mark.thinned(3)
+
+U, STEP, SPANS = 2.0**-53, 0.0625, ((0.0, 0.5), (0.5, 0.0))
+
+
+def full_matrix(seed, n):
+    """Return a symmetric positive definite matrix."""
+    B = np.random.default_rng(seed).uniform(-0.1, 0.1, (n, n))
+    return np.round(np.diag(np.linspace(0.6, 1.6, n)) + B + B.T, 3)
+
+
+def spins(count):
+    """A chain of spins with exchange and anisotropy, a field on each."""
+    M = np.diag(np.tile([1.2, 1.4, 1.7], count))
+    for s in range(count - 1):
+        for k in range(3):
+            M[3 * s + k, 3 * s + 3 + k] = M[3 * s + 3 + k, 3 * s + k] = -0.5
+    return co.algebras.copies(co.algebras.so(3), count), M
+
+
+ALGEBRAS = {
+    "so(3)": (co.algebras.so(3), np.diag([1.0, 0.5, 1 / 3]), -1),
+    "so(3), full": (co.algebras.so(3), full_matrix(3, 3), +1),
+    "e(3)": (co.algebras.e(3), full_matrix(4, 6), -1),
+    "A3,7": (co.algebras.get("A3,7", a=1.75), full_matrix(5, 3), -1),
+    "spins": (*spins(3), +1),
+}
+
+
+def system(name, linear):
+    algebra, M, sign = ALGEBRAS[name]
+    return co.LiePoissonSystem(algebra, co.Quadratic(M, linear=linear), sign)
+
+
+def numbers(name, seed=0, *members):
+    """Return a state, a linear term, and another one, or one for each member."""
+    n, rng = ALGEBRAS[name][0].dim, np.random.default_rng(seed)
+    return rng.uniform(0.3, 0.9, n), rng.uniform(-0.15, 0.15, n), rng.uniform(-0.15, 0.15, (*members, n))
+
+
+@pytest.mark.parametrize(
+    "method", [co.Splitting(order=4), co.Splitting(order=2, parts="coordinates"), co.GaussLegendre(3)], ids=str
+)
+@pytest.mark.parametrize("name", ["so(3)", "so(3), full", "e(3)", "A3,7"])
+def test_zero_input_converges_to_no_input(name, method):
+    """In the limit of small steps, since the parts for the inputs may change the order of the splitting."""
+    x, _, _ = numbers(name)
+    ready = co.prepare(system(name, None), method, STEP / 4, inputs=True)
+    exact = co.integrate(system(name, None), x, SPANS[0], STEP / 4, co.GaussLegendre(6)).x[-1]
+    tolerance = 5 * (STEP / 4) ** method.order + 1e-13
+    assert np.abs(ready.run(x, SPANS[0], linear=np.zeros(len(x))).x[-1] - exact).max() < tolerance
+    assert np.array_equal(ready.run(x, SPANS[0]).x, ready.run(x, SPANS[0], linear=np.zeros(len(x))).x)
+
+
+def test_named_inputs_take_coordinates_in_any_shape():
+    algebra, M, _ = ALGEBRAS["spins"]
+    chain, x = co.LiePoissonSystem(algebra, co.Quadratic(M, linear=np.full(9, 0.1))), numbers("spins")[0]
+    ready = co.prepare(chain, co.Splitting(order=2), STEP, inputs={"ends": [[0, 1, 2], [8, 7, 6]], "middle": (4,)})
+    ends = np.arange(6.0).reshape(2, 3) / 7
+    linear = np.full(9, 0.1)
+    linear[[0, 1, 2, 8, 7, 6]], linear[4] = ends.ravel(), -0.3
+    sol = ready.run(x, SPANS[0], ends=ends, middle=[-0.3])
+    changed = co.LiePoissonSystem(algebra, co.Quadratic(M, linear=linear))
+    assert np.array_equal(sol.x, co.integrate(changed, x, SPANS[0], STEP, ready.method).x)
+    assert sol.energy[-1] == pytest.approx(sol.system.energy(sol.x[-1]), rel=1e-13)
+    several = ready.run(x, SPANS[0], ends=np.stack([ends, 2 * ends]), middle=[-0.3])
+    assert np.array_equal(several.x[:, 0], sol.x)
+    assert np.array_equal(several.x[:, 1], ready.run(x, SPANS[0], ends=2 * ends, middle=[-0.3]).x)
+
+
+def test_stepper_with_inputs():
+    x, before, linear = numbers("e(3)", 4)
+    s = system("e(3)", before)
+    for method in (co.Splitting(order=2), co.GaussLegendre(2)):
+        step = co.stepper(s, method, 0.125, inputs=(3, 4, 5))
+        for gravity in (linear[3:], np.zeros(3)):
+            after = step(x, linear=gravity)
+            moved, K = step.both(x, attitude="coadjoint", linear=gravity)
+            assert np.array_equal(moved, after)
+            assert np.array_equal(K, step.group(x, attitude="coadjoint", linear=gravity))
+            assert np.abs(K @ after - x).max() < 64 * U
+            near = [(step(x + d, linear=gravity) - step(x - d, linear=gravity)) / 2e-5 for d in 1e-5 * np.eye(6)]
+            assert np.abs(step.tangent(x, linear=gravity) - np.transpose(near)).max() < 1e-8
+        assert step.tangent_by(x, linear=linear[3:]) == "formula"
+    with pytest.raises(ValueError, match="at one state"):
+        step.tangent(x, linear=np.zeros((2, 3)))
+
+
+def test_wrong_inputs_are_refused():
+    body = co.systems.rigid_body((1, 2, 3))
+    x = (0.1, 1.0, 0.2)
+    ready = co.prepare(body, None, 0.1, inputs={"rotors": (0, 1, 2)})
+    cases = [
+        (ValueError, "no input of this run 'rotor'|rotors", {"rotor": np.zeros(3)}),
+        (
+            ValueError,
+            r"rotors has the shape \(2,\).*\(3,\), or \(members, 3\)",
+            {"rotors": (1, 2)},
+        ),
+        (ValueError, "rotors contains NaN", {"rotors": (1, 2, np.nan)}),
+        (TypeError, "rotors is 'fast'", {"rotors": "fast"}),
+    ]
+    for kind, words, given in cases:
+        with pytest.raises(kind, match=words):
+            ready.run(x, (0, 1), **given)
+    steep = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([[1.0, 0.7, 0.0], [0.7, 0.9, 0.3], [0.0, 0.3, 1.0]]))
+    apart = co.Splitting(order=2, parts="coordinates")
+    with pytest.raises(ValueError, match="the linear term is too large"):
+        co.prepare(steep, apart, 0.1, inputs=True).run(x, (0, 1), linear=(1.7e308, -1.7e308, 1.7e308))
+    with pytest.raises(ValueError, match=r"x0 has 3 members.*inputs.* 2"):
+        ready.run(np.tile(x, (3, 1)), (0, 1), rotors=np.zeros((2, 3)))
+    with pytest.raises(TypeError, match="prepared without inputs"):
+        co.prepare(body, None, 0.1).run(x, (0, 1), linear=np.zeros(3))
+    two = co.prepare(body, None, 0.1, inputs={"a": (0,), "b": (1, 2)})
+    with pytest.raises(ValueError, match=r"b has the shape \(3, 2\)"):
+        two.run(x, (0, 1), a=np.zeros((2, 1)), b=np.zeros((3, 2)))
+    given = [
+        (ValueError, "coordinate 1 more than once", {"a": (0, 1), "b": (1,)}),
+        (ValueError, "run from 0 to 2", (0, 3)),
+        (TypeError, "whole numbers from 0 to 2", (0.5,)),
+        (TypeError, "whole numbers from 0 to 2", ()),
+        (ValueError, "inputs is empty", {}),
+        (ValueError, "'attitude', which is reserved", {"attitude": (0,)}),
+        (TypeError, "valid Python identifier", {"two words": (0,)}),
+    ]
+    for kind, words, inputs in given:
+        with pytest.raises(kind, match=words):
+            co.prepare(body, None, 0.1, inputs=inputs)
+    with pytest.raises(TypeError, match="inputs are for one system"):
+        co.prepare(co.batch([body, body]), None, 0.1, inputs=True)
+    whole = co.Hamiltonian(lambda x: x[0] ** 2, lambda x: np.array([2 * x[0], 0.0, 0.0]))
+    with pytest.raises(TypeError, match="Hamiltonian, which has no linear term"):
+        co.prepare(co.LiePoissonSystem(co.algebras.so(3), whole), co.GaussLegendre(2), 0.1, inputs=True)
+    split_up = co.SplitHamiltonian([((0,), co.Quadratic(2.0)), ((0,), co.Quadratic(1.0))])
+    with pytest.raises(ValueError, match=r"pieces 0 and 1 .* coordinate 0"):
+        co.prepare(co.LiePoissonSystem(co.algebras.so(3), split_up), None, 0.1, inputs=True)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_states_at_any_time_use_the_inputs_of_the_run(way):
+    """Also if the array of inputs is changed afterwards."""
+    x, before, linear = numbers("e(3)", 6, 3)
+    ready = co.prepare(system("e(3)", before), co.GaussLegendre(2), STEP, inputs=(3, 4, 5))
+    times, given = 0.25 + way * np.array([0.0, 0.1, 0.55, 1.0]), linear[:, 3:].copy()
+    together = ready.run(x, (0.25, 0.25 + way), 4, linear=given)
+    given[:] = 7.0
+    found = together.at(times)
+    for m in range(3):
+        alone = ready.run(x, (0.25, 0.25 + way), 4, linear=linear[m, 3:])
+        own, asked = alone.at(times), ready.run(x, (0.25, 0.25 + way), t_eval=times, linear=linear[m, 3:])
+        assert np.array_equal(found.x[:, m], own.x) and np.array_equal(found.energy[:, m], own.energy)
+        # From a saved point four steps at most, whose iterations begin from another guess: some roundings each.
+        assert np.abs(own.x - asked.x).max() < 16 * 50 * U and np.abs(own.energy - asked.energy).max() < 16 * 50 * U
+        assert abs(own.energy[-1] - own.energy[0]) < 0.1 * STEP**2 < np.abs(own.energy[0] - found.energy[0, m - 1])
+
+
+def test_names_of_parameters_are_no_names_of_the_linear_term():
+    satellite = co.systems.gyrostat(inertia=(1, 2, 3), rotors=(0, 0, 0.5))
+    with pytest.raises(ValueError, match=r"'rotors', a parameter of gyrostat, .*coefficients of the linear term"):
+        co.prepare(satellite, None, 0.1, inputs={"rotors": (0, 1, 2)})
+    with pytest.raises(ValueError, match="'field', a parameter of spin_lattice"):
+        co.prepare(co.systems.spin_lattice(shape=2), co.Splitting(order=2), 0.1, inputs={"field": (0, 1, 2)})
+    own = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 2, 3], linear=[0, 0, 1]), sign=-1)
+    assert co.prepare(own, None, 0.1, inputs={"linear": (0, 2), "field": (1,)}).takes_inputs
+    pushed = satellite.with_forces(co.forces.Torque((0, 0, 0)))
+    ready = co.prepare(pushed, co.Splitting(order=2), 0.1, inputs={"rotors": "Torque"})  # a torque is no coefficient
+    assert ready.run((1, 0, 0), (0, 0.1), rotors=(0, 0, 1)).x.shape == (2, 3)
