@@ -89,7 +89,7 @@ def test_what_a_corrector_leaves_is_measured_along_all_motions(sign, order):
     term = co.modified_hamiltonian(system, method, order).error_term.term
     found = []
     for places in ([0, 1, 2], [2, 0, 1], [1, 2, 0]):
-        better = co.corrector(system, method, starts[places])
+        better = co.make_corrector(system, method, starts[places])
         degree = term.degree - 2 + 1
         monomials = sum((d + 1) * (d + 2) // 2 for d in range(1, degree + 1))
         count = max(4 * monomials // 3, 64)

@@ -98,7 +98,7 @@ def test_archives_are_written_and_resumed(tmp_path, windows):
     co.integrate(BODY, X0, (0, 10), 0.125, archive=path)
     np.testing.assert_array_equal(co.resume(path, 20.0).x, whole.x)
     members = np.outer(np.linspace(1.0, 2.0, 7), X0)
-    found = co.ensemble(BODY, members, (0, 2), 0.125, archive=tmp_path / "ensemble.zarr", members_per_block=3)
+    found = co.integrate_ensemble(BODY, members, (0, 2), 0.125, archive=tmp_path / "ensemble.zarr", members_per_block=3)
     np.testing.assert_array_equal(found.x, co.integrate(BODY, members, (0, 2), 0.125).x)
     assert sorted(os.listdir(tmp_path)) == ["ensemble.zarr", "run.zarr"] and not windows
 

@@ -210,7 +210,7 @@ def test_workers_require_a_private_folder(folders, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(folders[-1]))
     folders[1].chmod(0o777)
     with pytest.raises(RuntimeError, match="set TMPDIR to a folder of your own"):
-        co.ensemble(co.systems.rigid_body((1, 2, 3)), [[1.0, 0.2, 0.5]], (0, 1), 0.1, workers=1)
+        co.integrate_ensemble(co.systems.rigid_body((1, 2, 3)), [[1.0, 0.2, 0.5]], (0, 1), 0.1, workers=1)
 
 
 @AS_ROOT

@@ -75,7 +75,7 @@ BODIES = co.batch([co.systems.rigid_body(inertia=(2, 3, c)) for c in CONSTANTS])
 STATES = np.array([(1.0, 0.2, 0.1), (0.3, 1.0, 0.1), (0.1, 0.2, 1.0)])
 
 
-@pytest.mark.parametrize(("run", "options"), [(co.integrate, {}), (co.ensemble, {"members_per_block": 2})])
+@pytest.mark.parametrize(("run", "options"), [(co.integrate, {}), (co.integrate_ensemble, {"members_per_block": 2})])
 def test_swept_parameters_of_archives(tmp_path, run, options):
     run(BODIES, STATES, (0, 1), 0.1, archive=tmp_path / "run.zarr", **options)
     found = co.open_archive(tmp_path / "run.zarr").to_xarray()
