@@ -10,12 +10,11 @@ import scipy.sparse
 import coadjoint as co
 from coadjoint.systems import parameters
 from coadjoint.systems.coefficient_derivatives import derivatives_by_entries
-from coadjoint.systems.coefficients import Coefficients, coefficients_of
+from coadjoint.systems.coefficients import Coefficients
 from coadjoint.systems.parameters import parameter_of, parameters_at, parameters_of, with_parameters
 from refusals import refused
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*principal moment")
-
 
 TENSOR = ((2.0, 0.3, 0.1), (0.3, 3.0, -0.2), (0.1, -0.2, 4.0))
 OTHER = ((0.5, 0.25, 0.125), (0.0, 0.5, 0.25), (0.75, -0.25, 1.0))
@@ -165,19 +164,6 @@ def test_arguments_that_do_not_give_the_system_are_no_parameters():
     assert set(parameters_of(wrong)) == {"M", "linear"}
 
 
-def test_values_that_a_system_refuses_are_avoided():
-    """A tensor that is almost singular, of which few neighbours are positive definite."""
-    inertia = np.diag([1.0, 1.0, 1.0]) + 0.4999 * (np.ones((3, 3)) - np.eye(3)) * np.array([-1.0, 1.0, 1.0])
-    inertia = (inertia + inertia.T) / 2
-    body = co.systems.rigid_body(inertia.tolist())
-    x = np.array([1.0, -0.5, 0.25])
-    omega = np.linalg.solve(inertia, x)
-    expected = -np.outer(omega, omega) / 2
-    found = parameter_of(body, "inertia").energy().at(x).reshape(3, 3)
-    # Inverses have the condition number as relative error, in units of rounding, and differences more.
-    assert np.abs(found - expected).max() <= 1e-9 * np.abs(expected).max()
-
-
 @pytest.mark.parametrize("entry", [0.0, 1e-15, 1e-9, 1e-6, 1e-3, 0.2])
 def test_small_entries_of_a_tensor_have_exact_derivatives(entry):
     """Changes relative to such an entry would change the coefficients by little more than their rounding."""
@@ -313,14 +299,6 @@ def test_matrix_and_linear_part_are_replaced(M):
     assert np.array_equal(only.hamiltonian.gradient(x), co.Quadratic(M, values["linear"]).gradient(x))
 
 
-def test_symmetric_part_of_a_matrix_counts():
-    system = system_on_so3(co.Quadratic(FULL))
-    changed = with_parameters(system, {"M": FULL + np.array([[0.0, 0.5, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])})
-    assert np.array_equal(
-        changed.hamiltonian.hessian(np.zeros(3))[0], [FULL[0, 0], 0.5 * (2 * FULL[0, 1] + 0.5), FULL[0, 2]]
-    )
-
-
 def test_stored_entries_of_a_large_matrix_are_replaced():
     n, M = 129, band(129)
     system = co.LiePoissonSystem(co.algebras.copies(ALGEBRA, n // 3), co.Quadratic(M), casimirs={})
@@ -378,33 +356,8 @@ def test_refused_values_are_named(system, values, message):
         with_parameters(system, values)
 
 
-def test_coefficients_of_a_quadratic_are_half_its_squares_and_its_products():
-    M = np.array([[1.0, 2.0, 0.0], [2.0, 3.0, 4.0], [0.0, 4.0, 0.0]])
-    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M, linear=[0.0, 5.0, 0.0], constant=6.0))
-    expected = {(): 6.0, (1,): 5.0, (0, 0): 0.5, (0, 1): 2.0, (1, 1): 1.5, (1, 2): 4.0}
-    assert coefficients_of(system).by_key() == expected
-
-
 def of(codes, values, others=None):
     return Coefficients.summed(np.asarray(codes, dtype=np.int64), np.asarray(values, dtype=float), others or {})
-
-
-@pytest.mark.parametrize("count", [2, 5, 16, 17, 1000])
-def test_entries_of_their_own_take_a_logarithm_of_calls(count):
-    """With four blocks for each digit of the number of an entry, at most, and five nodes."""
-    calls = []
-    value = np.linspace(1.0, 2.0, count)
-
-    def squares(shifts):
-        calls.append(shifts)
-        return of(np.arange(1, count + 1), (value + shifts) ** 2, {(0, 0, 0): 1.0})
-
-    energy, radii = derivatives_by_entries(squares, value)
-    digits = int(np.ceil(np.log(count) / np.log(4) - 1e-9))
-    assert len(calls) <= 5 + 4 * digits
-    assert energy.linear.tolist() == energy.linear_entry.tolist() == list(range(count))
-    np.testing.assert_allclose(energy.linear_factor, 2.0 * value, rtol=2.0**-45)
-    assert np.array_equal(radii, 0.25 * value) and energy.others == ()
 
 
 @pytest.mark.parametrize("pair", [(0, 1), (0, 16), (3, 19), (5, 18)])

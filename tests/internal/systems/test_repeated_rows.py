@@ -104,15 +104,6 @@ def test_runs_have_the_bits_of_explicit_rows(name, options, monkeypatch):
         assert runs[0].step_error() == runs[1].step_error()
 
 
-def test_members_and_partial_steps_have_the_bits_of_explicit_rows(monkeypatch):
-    systems = lattice("open"), explicit("open", monkeypatch)
-    members = np.random.default_rng(4).standard_normal((3, systems[0].dim))
-    for options in ({}, {"t_eval": [0.08, 0.13]}):
-        runs = [co.integrate(system, members, (0.0, 0.2), 0.05, co.Splitting(), **options) for system in systems]
-        assert np.array_equal(runs[0].x, runs[1].x)
-        assert np.array_equal(runs[0].energy, runs[1].energy)
-
-
 @pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (1.0, 0.0, 1.0)])
 def test_actions_of_copies_are_those_of_all_blocks(axes):
     system = co.systems.spin_lattice("ring", 2100, tensor=axes)

@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from brackets import U, assert_integrals, bracket, exact, rational_points
-from scipy.integrate import quad
-from scipy.special import ellipj, ellipk
 
 import coadjoint as co
 from refusals import refused
@@ -137,68 +135,6 @@ def test_steady_precession_of_lagranges_top(order, up):
         assert named.integrals == top.integrals and list(named.integrals) == ["m3"]
 
 
-@pytest.mark.parametrize("height", [1.5, -1.5])
-@pytest.mark.parametrize("spin", [0.5, 3.0])
-def test_nutation_of_lagranges_top(height, spin):
-    """u = gamma3 nutates by (u')^2 = f(u), f of third degree, between two of its roots: by an elliptic sine.
-
-    With c = m3 and b = m . gamma, (I1 u')^2 = 2 I1 (1 - u^2)(E - c^2 / 2 I3 - w u) - (b - c u)^2. The run starts where
-    u' = 0. Then gamma' = gamma x Omega also gives how fast gamma turns about the third axis, by an integral over time.
-    """
-    one, three, tilt, across = 1.5, 0.6, 0.8, 0.4
-    top = S.lagrange_top(one, three, height)
-    x0 = np.array([across, 0.0, spin, np.sin(tilt), 0.0, np.cos(tilt)])
-    b, left = x0[:3] @ x0[3:], across**2 / (2 * one) + height * np.cos(tilt)
-    cubic = np.polynomial.Polynomial([1, 0, -1]) * np.polynomial.Polynomial([2 * one * left, -2 * one * height])
-    cubic -= np.polynomial.Polynomial([b, -spin]) ** 2
-    low, middle, high = np.sort(np.real(cubic.roots()))
-    # the motion goes on between the roots within [-1, 1]; the third lies beyond, on the side of the sign of the height
-    near, far, third = (low, middle, high) if height > 0 else (high, middle, low)
-    k2, rate = (far - near) / (third - near), np.sqrt(abs(height) * abs(third - near) / (2 * one))
-    from_far = abs(x0[5] - far) < 1e-9
-    assert from_far or abs(x0[5] - near) < 1e-9, "the start is a turning point"
-
-    def height_of_axis(t):
-        return near + (far - near) * ellipj(rate * t + (ellipk(k2) if from_far else 0.0), k2)[0] ** 2
-
-    def slope(t):  # of the angle of (gamma1, gamma2): -Omega3 + (m1 gamma1 + m2 gamma2) gamma3 / I1 (1 - gamma3^2)
-        u = height_of_axis(t)
-        return -spin / three + (b - spin * u) * u / one / (1 - u**2)
-
-    T = 7.0
-    psi = quad(slope, 0.0, T, epsabs=1e-13, epsrel=1e-13, limit=200)[0]
-    u, radius = height_of_axis(T), np.sqrt(1 - height_of_axis(T) ** 2)
-    for scheme in (co.Taylor(order=20), co.GaussLegendre(6)):
-        end = end_of(top, x0, T, method=scheme)
-        np.testing.assert_allclose(end[3:], [radius * np.cos(psi), radius * np.sin(psi), u], rtol=0, atol=1e-11)
-        assert end[:3] @ end[3:] == pytest.approx(b, abs=1e-13) and end[2] == pytest.approx(spin, abs=1e-13)
-
-
-@pytest.mark.parametrize(
-    ("make", "velocity"),
-    [
-        (lambda: S.heavy_top(FULL, (0.3, -0.4, 0.8)), lambda x: np.broadcast_to([0.3, -0.4, 0.8], (len(x), 3))),
-        (
-            lambda: S.kirchhoff_body(FULL, MASS, MIXED),
-            lambda x: np.linalg.solve(np.block([[FULL, MIXED], [MIXED.T, MASS]]), x.T).T[:, 3:],
-        ),
-    ],
-    ids=["heavy top", "body in a fluid"],
-)
-def test_the_blocks_of_the_group_element(make, velocity):
-    """A turns gamma into space, and r' = A velocity: of a body in a fluid, r is its position."""
-    h = 1e-3
-    sol = co.integrate(make(), X, (0.0, 1.0), h, co.Splitting(order=4), attitude=True)
-    A, r = sol.attitude[:, :3, :3], sol.attitude[:, :3, 3]
-    m, gamma = (np.einsum("kij,kj->ki", A, part) for part in (sol.x[:, :3], sol.x[:, 3:]))
-    rounding = 256 * U * len(sol.t)
-    assert np.abs(gamma - gamma[0]).max() < rounding
-    assert np.abs(m + np.cross(r, gamma) - m[0]).max() < rounding
-    moving = np.einsum("kij,kj->ki", A, velocity(sol.x))
-    assert np.abs((r[2:] - r[:-2]) / (2 * h) - moving[1:-1]).max() < h**2  # a sixth of the third derivative is below 1
-    assert np.abs(r[-1]).max() > 0.1
-
-
 @pytest.mark.parametrize("order", ORDERS)
 def test_integrals_in_any_order_of_the_axes(order):
     """Kovalevskaya's, that of bodies of revolution, and Clebsch's, with all of their independent companions."""
@@ -261,15 +197,6 @@ def test_named_tops_are_heavy_tops(size, lever):
     for point in rational_points(6):
         found, wanted = bracket(top, chaplygin, top.hamiltonian, point), exact(rate)(point)
         assert min(abs(found - wanted), abs(found + wanted)) < 64 * U and wanted != 0
-
-
-def test_a_spherical_top_keeps_the_momentum_along_its_lever():
-    top = S.heavy_top((2, 2, 2), (0.0, 1.5, 2.0))
-    ((name, F),) = top.integrals.items()
-    assert name == "m along the axis"
-    np.testing.assert_allclose(F.gradient(np.zeros(6)), [0, 0.6, 0.8, 0, 0, 0], rtol=4 * U)
-    assert list(S.heavy_top((2, 2, 2), (1, 0, 0)).integrals) == ["m1"]
-    assert list(S.heavy_top(np.diag([2.0, 2.0, 3.0]), (0, 0, 1)).integrals) == ["m3"]
 
 
 PATTERNS = list(itertools.product((1.0, 2.0), repeat=3))

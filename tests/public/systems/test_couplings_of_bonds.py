@@ -11,7 +11,6 @@ from rounding import UNIT_ROUNDOFF
 
 spin_lattice = co.systems.spin_lattice
 
-
 LATTICES = {
     "chain": ("chain", 4, False),
     "ring": ("ring", 5, False),
@@ -20,9 +19,7 @@ LATTICES = {
     "complete": ("complete", 4, False),
 }
 
-
 bonds_of = functools.cache(bonds)
-
 
 PATTERNS = {
     "none": np.zeros((3, 3)),

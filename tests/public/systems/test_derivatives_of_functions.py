@@ -14,12 +14,9 @@ from refusals import refused
 
 SO3, SE3 = co.algebras.so(3), co.algebras.se(3)
 
-
 WEIGHTS = np.array([1.0, 0.5, 0.4, 0.3, 0.2, 0.1])
 
-
 X0 = np.array([1.0, 0.2, 0.5, 0.3, -0.4, 0.2])
-
 
 MPMATH = {"arcsin": "asin", "arccos": "acos", "arctan": "atan", "arctan2": "atan2"} | {
     f"arc{name}": f"a{name}" for name in ("sinh", "cosh", "tanh")

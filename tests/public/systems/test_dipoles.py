@@ -18,7 +18,6 @@ PLACES = {
     "cubic": (np.eye(3), [(0, 0, 0)]),
 }
 
-
 SHAPES = {"chain": 7, "square": (4, 5), "triangular": (3, 4), "honeycomb": (3, 2), "kagome": (2, 4), "cubic": (2, 3, 4)}
 
 
@@ -90,14 +89,6 @@ def test_runs_conserve_energy_and_lengths():
     assert 3.0 < drifts[0] / drifts[1] < 5.0
     reference = co.integrate(lattice, x0[1], (0, 0.2), 0.05, method=co.GaussLegendre(3))
     assert 0.0 < np.abs(reference.x[4] - sol.x[4, 1]).max() < 0.01  # a wrong field would move spins by 0.1
-
-
-def test_a_chain_of_dipoles_lies_along_itself():
-    chain = co.systems.spin_lattice("chain", 6, exchange=0.0, dipolar=1.0)
-    x0 = np.random.default_rng(4).normal(scale=0.2, size=(6, 3)) + [1.0, 0.0, 0.0]
-    found = co.equilibrium(chain, (x0 / np.linalg.norm(x0, axis=1, keepdims=True)).ravel())
-    assert found.stability == "stable" and np.allclose(found.x.reshape(6, 3), [1.0, 0.0, 0.0], rtol=0, atol=1e-12)
-    assert np.isclose(found.energy, -2.0 * sum((6 - r) / r**3 for r in range(1, 6)), rtol=1e-14)
 
 
 @pytest.mark.parametrize("method", ["heat bath", "Metropolis"])

@@ -145,16 +145,6 @@ def test_one_seed_is_one_field_for_every_size(small, large):
         assert np.abs(few - many).max() < 1e-11 * np.abs(many).max()
 
 
-def test_random_directions_are_even():
-    """Over many seeds each of the 2 l + 1 real parts of a degree has the same share of it."""
-    s = co.systems.sphere_euler(N=4)
-    c = np.array([s.mode_array(s.random(seed, degrees=(3, 3)))[3] for seed in range(600)])
-    parts = np.concatenate([np.abs(c[:, :1]) ** 2, 2 * c[:, 1:].real ** 2, 2 * c[:, 1:].imag ** 2], axis=1)
-    shares = parts.mean(axis=0) / parts.sum(axis=1).mean()
-    # the standard deviation of a share is about 1/7 sqrt(2/600), and five of them are allowed
-    assert np.abs(shares - 1 / 7).max() < 5 / 7 * np.sqrt(2 / 600)
-
-
 def gaussian(s, place, width, points):
     first, second = points
     if s is TORUS:

@@ -11,7 +11,6 @@ from refusals import refused
 
 U = 2.0**-53
 
-
 ALGEBRAS = {
     "so(3)": co.algebras.so(3),
     "A3,7": co.algebras.get("A3,7", a=1.75),
@@ -60,38 +59,6 @@ def test_vector_field_is_the_dense_formula(name, sign):
         assert np.all(np.abs(system.vector_field(x) - expected) <= 64 * n * n * U * size.max())
         np.testing.assert_allclose(sign * system.structure_matrix(x) @ u, expected, atol=64 * n * n * U * size.max())
         assert system.energy(x) == pytest.approx(x @ M @ x / 2 + b @ x, rel=1e-13)
-
-
-HAMILTONIANS = {
-    "quadratic": lambda n: (
-        random_system(ALGEBRAS["so(3)"], 1)[0].hamiltonian if n == 3 else co.Quadratic(np.arange(1.0, n + 1))
-    ),
-    "polynomial": lambda n: co.Polynomial(
-        {tuple(2 * (j == 0) + (j == 1) for j in range(n)): 1.5, tuple(4 * (j == 2) for j in range(n)): -0.25}
-    ),
-    "separable": lambda n: co.Separable({0: (np.sin, np.cos, lambda y: -np.sin(y)), 2: (np.cosh, np.sinh, np.cosh)}),
-    "general": lambda n: co.Hamiltonian(
-        lambda x: np.exp(x[0] * x[1]),
-        lambda x: np.exp(x[0] * x[1]) * np.array([x[1], x[0]] + [0.0] * (n - 2)),
-        lambda x: (
-            np.exp(x[0] * x[1])
-            * np.pad(np.array([[x[1] ** 2, 1 + x[0] * x[1]], [1 + x[0] * x[1], x[0] ** 2]]), (0, n - 2))
-        ),
-    ),
-}
-
-
-@pytest.mark.parametrize("kind", HAMILTONIANS)
-@pytest.mark.parametrize("name", ALGEBRAS)
-def test_jacobian_by_complex_steps(name, kind):
-    algebra = ALGEBRAS[name]
-    n = algebra.dim
-    system = co.LiePoissonSystem(algebra, HAMILTONIANS[kind](n), sign=-1)
-    x = np.random.default_rng(3).uniform(-1, 1, n)
-    jacobian = system.jacobian(x)
-    for i in range(n):
-        column = np.imag(system.vector_field(x + 1e-30j * np.eye(n)[i])) / 1e-30
-        np.testing.assert_allclose(jacobian[:, i], column, rtol=0, atol=64 * n * U * max(1.0, np.abs(jacobian).max()))
 
 
 def test_exact_and_multiprecision_numbers():

@@ -7,8 +7,7 @@ from pathlib import Path
 import mpmath as mp
 import numpy as np
 import pytest
-from bonds_and_spins import bonds, by_hand, energy_by_hand, has_closed_form
-from brackets import bracket, rational_points
+from bonds_and_spins import bonds, by_hand
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
@@ -20,30 +19,11 @@ spin_lattice = co.systems.spin_lattice
 (FILE,) = Path(refusals.__file__).parent.rglob("lie_poisson_systems.json")
 BY_NAME = {s["name"]: s for s in json.loads(FILE.read_text())["systems"]}
 
-
 TOTALS = ["total S1", "total S2", "total S3"]
 
 
 def spins_of(seed, count):
     return np.random.default_rng(seed).standard_normal(3 * count)
-
-
-def disordered(seed):
-    rng = np.random.default_rng(seed)
-    count = 5
-    edges = np.array([(0, 1), (3, 1), (2, 4), (4, 0), (1, 2)])
-    J, T, D = rng.standard_normal(5), rng.standard_normal((5, 3, 3)), rng.standard_normal((5, 3))
-    K, B = rng.standard_normal((count, 3, 3)), rng.standard_normal((count, 3))
-    return edges, J, T, D, K + K.transpose(0, 2, 1), B
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_every_coupling_by_hand(seed):
-    edges, J, T, D, K, B = disordered(seed)
-    system, x = spin_lattice(edges, 5, exchange=J, tensor=T, dm=D, on_site=K, field=B), spins_of(seed, 5)
-    np.testing.assert_allclose(system.vector_field(x), by_hand(x, edges, J, T, D, K, B), rtol=0, atol=1e-13)
-    assert system.energy(x) == pytest.approx(energy_by_hand(x, edges, J, T, D, K, B), rel=1e-13)
-    assert system.integrals == {}
 
 
 def test_one_for_all_is_each_the_same():
@@ -56,17 +36,6 @@ def test_one_for_all_is_each_the_same():
     )
     x = spins_of(1, 9)
     np.testing.assert_array_equal(short.vector_field(x), long.vector_field(x))
-
-
-def test_one_spin_precesses_backwards_about_its_field():
-    system = spin_lattice(shape=1, field=(0.0, 0.0, 2.0))
-    assert system.sign == 1
-    # S' = S x B: S_1' = 2 S_2, S_2' = -2 S_1
-    t = 0.6
-    np.testing.assert_allclose(system.exact([1.0, 0.0, 0.5], t), [np.cos(2 * t), -np.sin(2 * t), 0.5], atol=1e-15)
-    run = co.integrate(system, (1.0, 0.0, 0.5), (0.0, t), 0.1, co.Splitting())
-    np.testing.assert_allclose(run.x[-1], [np.cos(2 * t), -np.sin(2 * t), 0.5], rtol=0, atol=1e-15)
-    assert list(system.integrals) == ["total S3", "|total S|^2"]
 
 
 @pytest.mark.parametrize(("name", "lattice", "count"), [("heisenberg_2", "chain", 2), ("heisenberg_ring_3", "ring", 3)])
@@ -139,14 +108,6 @@ def test_integrals_are_found(given, names):
             assert abs(F.gradient(x) @ field) < 1e-13
 
 
-def test_integrals_by_polynomial_identity():
-    system = spin_lattice("ring", 4, tensor=(1, 1, 0.5), dm=(0, 0, 0.25), field=(0, 0, 2), on_site=(0, 0, 1))
-    first = co.Quadratic(0.0, linear=np.eye(12)[0::3].sum(axis=0))
-    for point in rational_points(12):
-        assert bracket(system, system.integrals["total S3"], system.hamiltonian, point) == 0
-        assert bracket(system, first, system.hamiltonian, point) != 0
-
-
 @pytest.mark.parametrize("uniform", long_beyond(1, [True, False]))
 def test_field_in_time(uniform):
     """The field of each spin by hand, the gradient by differences, and the order against a code of SciPy."""
@@ -179,15 +140,6 @@ def test_field_in_time(uniform):
     np.testing.assert_allclose(found, exact, rtol=0, atol=1e-6)
     assert system.parameters is None
     assert "H in 3 parts" in str(co.Splitting().describe(system))
-
-
-def test_resonance():
-    """Rabi's formula: a field that turns with the spin tips it over after half of 2 pi / b, exactly."""
-    b = 0.25
-    system = spin_lattice(shape=1, field=lambda t: (0.25 * np.cos(3.0 * t), -0.25 * np.sin(3.0 * t), 3.0))
-    run = co.integrate(system, (0.0, 0.0, 1.0), (0.0, np.pi / b), np.pi / b / 400, co.Splitting(order=6))
-    # S' = S x B turns by -w about the third axis, as the field does: in its frame only b is left
-    np.testing.assert_allclose(run.x[:, 2], np.cos(b * run.t), rtol=0, atol=1e-8)
 
 
 PLACES = {  # axes of the cells and places of their sites; bonds have the length of the shortest distance
@@ -248,24 +200,6 @@ def test_layouts_and_graphs_of_one_site():
     for lattice in ("complete", np.zeros((0, 2), dtype=int)):
         single = spin_lattice(lattice, 1, field=(0.0, 0.0, 2.0))
         np.testing.assert_array_equal(single.vector_field([1.0, 0.5, 0.25]), [1.0, -2.0, 0.0])
-
-
-def test_where_a_closed_form_is_known():
-    fields = np.arange(12.0).reshape(4, 3)
-    assert has_closed_form(spin_lattice("complete", 4, tensor=2 * np.eye(3), on_site=(0.5, 0.5, 0.5)))
-    assert has_closed_form(spin_lattice("square", (2, 2), exchange=0.0, field=fields))
-    for couplings in (
-        {"field": fields},
-        {"tensor": (1, 1, 2)},
-        {"exchange": np.arange(6.0)},
-        {"on_site": (0, 0, 1)},
-        {"on_site": np.diag([0.0, 0.0, 1.0]) * np.arange(4.0)[:, None, None]},
-        {"tensor": np.eye(3) * np.arange(1.0, 7.0)[:, None, None]},
-        {"dm": (0, 0, 1)},
-    ):
-        assert not has_closed_form(spin_lattice("complete", 4, **couplings))
-    assert not has_closed_form(spin_lattice("ring", 4))
-    assert not has_closed_form(spin_lattice(field=lambda t: (0.0, 0.0, np.cos(t))))
 
 
 def test_numbers_of_bonds():

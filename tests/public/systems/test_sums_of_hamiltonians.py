@@ -159,13 +159,6 @@ def test_multiples_run_as_what_is_written_at_once(first, second):
             assert np.abs(half - expected).max() < np.abs(split - expected).max() / 8 < 64.0**-4
 
 
-def test_a_polynomial_less_another_kind():
-    P, H = co.Polynomial("x1^3 + x2", dim=3), KINDS["separable"]()
-    x = POINTS[0]
-    assert np.isclose((P - H).value(x), P(x) - H.value(x), rtol=1e-14)
-    assert np.isclose((1 - H).value(x), 1 - H.value(x), rtol=1e-14)
-
-
 def test_many_entries_stay_sparse():
     n = 20_000
     chain = sparse.diags_array([np.ones(n - 1), np.ones(n - 1)], offsets=[-1, 1])
@@ -185,44 +178,56 @@ def test_sums_are_saved_and_read_back(tmp_path):
     assert resumed.system.energy(x) == system.energy(x)
 
 
-def force(t):
-    return 0.0, np.sin(t), 2.0
-
-
-def driven():
-    return co.systems.spin_lattice("chain", 1, on_site=(-0.5, -1.0, -1.5), field=force).hamiltonian
-
-
-PARTS = {0: (np.cosh, np.sinh), 2: (np.cosh, np.sinh)}
-USED = {
-    "quadratic": lambda: co.Quadratic([1.0, 2.0, 3.0], linear=[0.1, 0.2, 0.3]),
-    "polynomial": lambda: co.Polynomial("x1*x2*x3 + x1^2", dim=3),
-    "separable": lambda: co.Separable(PARTS),
-    "function": lambda: co.Hamiltonian(
-        lambda x: x[0] ** 2 * x[1], lambda x: np.array([2 * x[0] * x[1], x[0] ** 2, 0.0])
-    ),
-    "driven": driven,
-    "sum": lambda: co.Quadratic([1.0, 2.0, 3.0]) + co.Separable(PARTS),
-}
-
-
 @pytest.mark.thinned(7)
-@pytest.mark.parametrize("kind", USED)
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("change", [lambda H: 2 * H, lambda H: -H, lambda H: H / 4, lambda H: H + H])
 def test_what_is_made_of_one_that_has_run_is_made_of_a_new_one(kind, change):
     """To the bit: nothing that a run has prepared is left in it."""
-    used = USED[kind]()
+    used = KINDS[kind]()
 
     def run(H):
         system = co.LiePoissonSystem(co.algebras.so(3), H)
         return co.integrate(system, POINTS[0], (0.5, 1.0), 0.125, co.GaussLegendre(2)).x
 
     run(used)
-    changed, new = change(used), change(USED[kind]())
+    changed, new = change(used), change(KINDS[kind]())
     np.testing.assert_array_equal(run(changed), run(new))
-    np.testing.assert_array_equal(changed.gradient(POINTS[0], 0.7), new.gradient(POINTS[0], 0.7))
-    once = USED[kind]().gradient(POINTS[0], 0.7)
-    np.testing.assert_allclose(changed.gradient(POINTS[0], 0.7), change(once), rtol=1e-15)
+    np.testing.assert_array_equal(bound(changed).gradient(POINTS[0], 0.7), bound(new).gradient(POINTS[0], 0.7))
+
+
+LINES = {  # Hamiltonians of four coordinates, even but for their linear terms
+    "quadratic": lambda: co.Quadratic(np.diag([1.0, 2.0, -1.0, 0.5]), linear=[0.5, 0.0, -1.5, 2.0], constant=0.75),
+    "polynomial": lambda: co.Polynomial("1.5*x1^2*x3^2 - 0.5*x1 + 3*x4 + x2^2", dim=4),
+    "separable": lambda: co.Separable({1: (np.cosh, np.sinh, np.cosh), 3: (np.cosh, np.sinh, np.cosh)}),
+    "split": lambda: co.SplitHamiltonian(
+        [((3, 1), co.Quadratic([1.0, 2.0], linear=[2.0, -0.5])), ((0,), cosh()), ((2,), co.Quadratic(1.0, [0.5]))]
+    ),
+    "split in a split": lambda: co.SplitHamiltonian(
+        [((3, 1), co.SplitHamiltonian([((1, 0), co.Quadratic([0.5, 1.0], linear=[1.0, -3.0]))]))]
+    ),
+    "split, separable and polynomial": lambda: LINES["split"]() + LINES["separable"]() + LINES["polynomial"](),
+}
+
+
+@pytest.mark.parametrize("kind", LINES)
+def test_inputs_replace_the_linear_term_whatever_holds_it(kind):
+    H, x = LINES[kind](), np.array([0.3, -0.7, 1.1, 0.4])
+    algebra = co.algebras.direct_sum(co.algebras.so(3), co.LieAlgebra([], dim=1))
+    system = co.LiePoissonSystem(algebra, H)
+    old = system.hamiltonian.gradient(np.zeros(4))
+    ready = co.prepare(system, co.GaussLegendre(2), 0.125, inputs=True)
+    for new in ([0.5, 0.0, -2.0, 1.0], np.zeros(4), old):
+        changed = co.LiePoissonSystem(algebra, H + co.Quadratic(np.zeros(4), linear=new - old))
+        found = ready.run(x, (0.0, 1.0), linear=np.asarray(new))
+        expected = co.integrate(changed, x, (0.0, 1.0), 0.125, co.GaussLegendre(2))
+        np.testing.assert_allclose(found.x, expected.x, rtol=0, atol=2.0**-44)
+    np.testing.assert_array_equal(system.hamiltonian.gradient(np.zeros(4)), old)
+
+
+def test_linear_terms_that_inputs_cannot_replace():
+    squares = co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(lambda y: y @ y, lambda y: 2 * y), name="squares")
+    with refused(TypeError, "'squares'", "inputs"):
+        co.prepare(squares, co.GaussLegendre(2), 0.1, inputs=True)
 
 
 @pytest.mark.parametrize("kind", KINDS)

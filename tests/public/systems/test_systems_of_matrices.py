@@ -91,21 +91,6 @@ def test_it_moves_as_by_structure_constants(name, of):
     assert np.abs(back - by_constants).max() < 1e-13 < 1e-3 < np.abs(back - mu).max()
 
 
-def test_the_body_of_matrices_is_that_of_constants():
-    inertia = (1.0, 1.5, 2.5, 4.0)
-    body, other = co.systems.matrix_body(inertia), co.systems.so_n_body(inertia)
-    x = np.array([0.3, -0.2, 0.5, 0.4, 0.1, -0.6])
-    X = np.einsum("i,iab->ab", x, np.asarray(other.representation))
-    moved = np.einsum("i,iab->ab", other.vector_field(x), np.asarray(other.representation))
-    assert np.abs(body.vector_field(X) - moved).max() < 1e-15
-    assert abs(body.energy(X) - 2 * other.energy(x)) < 1e-15
-    ends = [
-        co.integrate(one, start, (0.0, 5.0), 1 / 32, method, save_every=160).x[-1]
-        for one, start, method in ((body, X, co.IsospectralGauss(5)), (other, x, co.GaussLegendre(5)))
-    ]
-    assert np.abs(ends[0] - np.einsum("i,iab->ab", ends[1], np.asarray(other.representation))).max() < 1e-13
-
-
 @pytest.mark.parametrize("kind", ["so", "u", "gl", "sp", "sl(C)"])
 def test_the_gradient_is_that_of_the_energy(kind):
     g = G(kind, 4)
