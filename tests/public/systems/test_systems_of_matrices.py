@@ -110,19 +110,6 @@ def test_the_gradient_is_that_of_the_energy(kind):
         assert np.abs(s.structure_matrix(x) @ trace.gradient(x)).max() < 1e-14
 
 
-def test_stacks_are_taken_one_by_one():
-    s = co.MatrixSystem(G("su", 3), lambda W: 0.5 * W, 0.1 * state_of(co.systems.sphere_euler(3)))
-    W = np.stack([[state_of(s, seed) for seed in (1, 2, 3)], [state_of(s, seed) for seed in (4, 5, 6)]])
-    for look in (s.energy, s.spectrum, s.vector_field, lambda V: s.casimirs_at(V)["tr W^3"]):
-        assert np.array_equal(look(W), np.array([[look(one) for one in row] for row in W]))
-    assert s.energy(s.to_vector(W)).shape == (2, 3) and np.array_equal(s.from_vector(s.to_vector(W)), W)
-    for name, trace in s.casimirs.items():
-        assert np.allclose(trace(W), s.casimirs_at(W)[name], rtol=0, atol=1e-15)
-        assert np.isrealobj(trace(W))
-    eigenvalues = s.spectrum(W)
-    assert np.abs(np.sum(eigenvalues**3, axis=-1) - s.casimirs_at(W)["tr W^3"]).max() < 1e-14
-
-
 @pytest.mark.filterwarnings("ignore:the stream stream is called in Python")
 def test_sums_couple_their_blocks():
     """Two bodies that feel each other: the energy has a term of both, and each keeps its own spectrum."""
