@@ -301,26 +301,17 @@ def test_coefficients_are_replaced_in_the_order_of_the_monomials():
     assert changed.energy(x) == co.Polynomial(monomials, dim=3)(x)
 
 
-@pytest.mark.parametrize(
-    ("H", "values"),
-    [
-        (co.Quadratic(FULL, linear=[0.1, 0.0, 0.2]), {"M": np.diag([1.0, 0.5, 0.4]), "linear": np.zeros(3)}),
-        (QUARTIC, {"coefficients": np.zeros(4)}),
-    ],
-    ids=["quadratic", "polynomial"],
-)
-def test_derivatives_by_coefficients_that_are_zero_remain(H, values):
-    """The energy is linear in these parameters: its difference for a unit of an entry is the derivative."""
-    system, x = system_on_so3(H), np.array([1.0, 2.0, 0.5])
-    found = parameters_at(system, values)
-    energy = with_parameters(system, values).energy(x)
-    for name, value in values.items():
-        assert found[name].value.shape == value.shape
-        for k, derivative in zip(np.ndindex(value.shape), found[name].energy().at(x), strict=True):
-            unit = np.zeros_like(value)
-            unit[k] = 1.0
-            moved = with_parameters(system, values | {name: value + unit}).energy(x)
-            assert abs(moved - energy - derivative) < 8 * 2.0**-53 * (abs(moved) + abs(energy))
+def test_derivatives_by_coefficients_that_are_zero_remain():
+    x = np.array([1.0, 2.0, 0.5])
+    for H, zeros, expected in (
+        (co.Quadratic(FULL, linear=[0.1, 0.0, 0.2]), {"M": np.zeros((3, 3))}, np.outer(x, x).ravel() / 2),
+        (co.Quadratic(FULL, linear=[0.1, 0.0, 0.2]), {"linear": np.zeros(3)}, x),
+        (QUARTIC, {"coefficients": np.zeros(4)}, [np.prod(x**exponents) for exponents in QUARTIC.monomials]),
+    ):
+        ((name, value),) = zeros.items()
+        found = parameters_at(system_on_so3(H), zeros)[name]
+        assert found.value.shape == value.shape
+        np.testing.assert_allclose(found.energy().at(x), expected, rtol=8 * 2.0**-53)
 
 
 def test_refused_values_are_named():

@@ -1,7 +1,6 @@
 """Inertias that no body has, tensors that are symmetric or definite up to rounding, and units beyond float64."""
 
 import itertools
-import warnings
 
 import numpy as np
 import pytest
@@ -59,14 +58,6 @@ def test_the_warning_names_what_has_no_such_limit():
     S.lagrange_top(equatorial=1.0, axial=2.0)
     with pytest.warns(UserWarning, match="axial: .* no body has"):
         S.lagrange_top(equatorial=1.0, axial=2.25)
-
-
-def test_a_line_that_makes_many_warns_once():
-    with warnings.catch_warnings(record=True) as noticed:
-        warnings.simplefilter("default")
-        for third in range(1, 100):
-            S.rigid_body((1, 2, third))
-    assert len(noticed) == 1
 
 
 @pytest.mark.parametrize("make", [S.so_n_body, S.matrix_body])

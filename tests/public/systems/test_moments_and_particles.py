@@ -212,17 +212,15 @@ def test_potentials_of_pairs_as_functions_are_even_relative_to_their_size(size):
         lambda r: 0.1 * ((r + 1.0) ** 2 - 2.0 * r), lambda r: 0.2 * r, lambda r: 0.2 + 0.0 * r, lambda r: 0.0 * r
     )
     assert decorated_particles((1.0, 2.0), (0.0,), even).dim == 11
-    odd = scaled(lambda r: r, lambda r: 1.0 + 0.0 * r, lambda r: 0.0 * r, lambda r: 0.0 * r)
-    with refused(ValueError, "pair", "0.375", "-0.375", "even"):
-        decorated_particles((1.0, 2.0), (0.0,), odd)
 
-    def beyond(power):  # (r^2 - 9/64)^2 r: even to rounding at 0.375 alone
-        p = np.polynomial.Polynomial([0, 81 / 4096, 0, -18 / 64, 0, 1]).deriv(power)
-        return lambda r: sum(c * r**k for k, c in enumerate(p.coef))
+    def chain(*coefficients):
+        p = np.polynomial.Polynomial(coefficients)
+        return scaled(p, p.deriv(1), p.deriv(2), p.deriv(3))
 
-    flat = scaled(*(beyond(power) if power else (lambda r: (r * r - 9 / 64) ** 2 * r) for power in range(4)))
-    with refused(ValueError, "pair", "1.5", "-1.5", "even"):
-        decorated_particles((1.0, 2.0), (0.0,), flat)
+    # the second one, (r^2 - 9/64)^2 r, is even to rounding at 0.375 alone
+    for odd, place in ((chain(0, 1), "0.375"), (chain(0, 81 / 4096, 0, -18 / 64, 0, 1), "1.5")):
+        with refused(ValueError, "pair", place, f"-{place}", "even"):
+            decorated_particles((1.0, 2.0), (0.0,), odd)
 
 
 @pytest.mark.parametrize("what", ["external", "pair"])

@@ -117,11 +117,6 @@ def test_matrices_without_structure_constants():
         assert np.max(np.abs(before - after)) < 1e-12
     assert sol.drift(relative=False)["|X|^2"] < 1e-11 and 1e-8 < sol.drift(relative=False)["energy"] < 1e-1
     assert abs(sol.energy[0, 0] - system.energy(X[0])) < 1e-12
-    drift, components = sol.plot().axes
-    assert len(drift.lines) == 2 * 2 and "8 of 49" in components.get_title()
-    assert components.lines[0].get_label() == "$x_{00}$"
-    shown = components.lines[2]  # with the states between the three that were saved
-    assert np.array_equal(shown.get_ydata()[np.isin(shown.get_xdata(), sol.t)], sol.x[:, 0, 1, 0])
 
 
 class Springs:

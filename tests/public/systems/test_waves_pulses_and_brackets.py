@@ -138,13 +138,6 @@ def test_on_the_separatrix_and_at_rest():
     np.testing.assert_allclose(system.exact([0.0, 1e-9, 2.0], 1.0)[1], 1e-9 * np.cosh(2.0), rtol=0, atol=1e-15)
 
 
-def test_the_state_at_time_zero_is_the_given_one():
-    system = S.maxwell_bloch(1.7)
-    for x0 in np.random.default_rng(2).uniform(-2.0, 2.0, (10, 3)):
-        np.testing.assert_array_equal(system.exact(x0, [0.3, 0.0, -0.0, -2.0])[1:3], [x0, x0])
-        np.testing.assert_array_equal(system.exact(x0, 0.0), x0)
-
-
 CASES = [(1.0, 0.0, 1.0), (1.0, 0.0, -1.0), (0.3, -0.7, 0.4), (-0.5, 0.25, 0.75), (0.25, 1.0, 1.0), (0.5, 0.3, 0.0)]
 
 
