@@ -254,15 +254,8 @@ PARAMETERS = {"a": 1.5, "b": Fraction(1, 3)}
 
 
 def written(x):
-    return (
-        1.5 * x[0] ** 2 / 2
-        + np.cos(x[1]) / 3
-        - np.sqrt(1 + x[2] ** 2) / 4.5
-        + np.tanh(x[0])
-        - np.exp(-x[1])
-        + np.log(2 + x[2])
-        + np.arctan(x[0])
-    )
+    names = vars(np) | {"atan": np.arctan} | PARAMETERS | {f"x{k + 1}": x[k] for k in range(3)}
+    return eval(TEXT.replace("^", "**"), names)
 
 
 def test_values_and_derivatives_are_those_of_the_function():
