@@ -12,6 +12,7 @@ from coadjoint.kernels.tables.invariants import invariants_table
 from coadjoint.kernels.tables.recording import values_along
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.hamiltonians.jax_function import JaxFunction
+from coadjoint.systems.hamiltonians.linear_term import linear_of, with_linear
 from coadjoint.systems.hamiltonians.polynomial_form import polynomial_of
 from coadjoint.systems.user_functions import takes_time
 
@@ -57,6 +58,35 @@ KINDS = {
 
 def quadratic_of_two():
     return co.Quadratic([[0.5, 0.25], [0.25, 1.0]], linear=[1.0, -3.0])
+
+
+LINES = {  # Hamiltonians of four coordinates, even but for their linear terms
+    "quadratic": lambda: co.Quadratic(np.diag([1.0, 2.0, -1.0, 0.5]), linear=[0.5, 0.0, -1.5, 2.0], constant=0.75),
+    "polynomial": lambda: co.Polynomial("1.5*x1^2*x3^2 - 0.5*x1 + 3*x4 + x2^2", dim=4),
+    "separable": lambda: co.Separable({1: (np.cosh, np.sinh, np.cosh), 3: (np.cosh, np.sinh, np.cosh)}),
+    "split": lambda: co.SplitHamiltonian(
+        [((3, 1), co.Quadratic([1.0, 2.0], linear=[2.0, -0.5])), ((0,), cosh()), ((2,), co.Quadratic(1.0, [0.5]))]
+    ),
+    "split in a split": lambda: co.SplitHamiltonian(
+        [((3, 1), co.SplitHamiltonian([((1, 0), co.Quadratic([0.5, 1.0], linear=[1.0, -3.0]))]))]
+    ),
+    "split, separable and polynomial": lambda: LINES["split"]() + LINES["separable"]() + LINES["polynomial"](),
+}
+
+
+@pytest.mark.parametrize("kind", LINES)
+def test_another_linear_term_changes_nothing_else(kind):
+    system = co.LiePoissonSystem(co.LieAlgebra.from_brackets(4, {}), LINES[kind](), casimirs={})
+    H, x = system.hamiltonian, np.array([0.3, -0.7, 1.1, 0.4])
+    old = H.gradient(np.zeros(4))
+    np.testing.assert_array_equal(linear_of(H, 4), old)
+    for new in (np.array([0.5, 0.0, -2.0, 1.0]), np.zeros(4), old + [0.0, 0.0, 0.0, 1.0], old):
+        changed = with_linear(system, new).hamiltonian
+        np.testing.assert_allclose(changed.gradient(np.zeros(4)), new, rtol=0, atol=2.0**-50)
+        np.testing.assert_allclose(changed.gradient(x) - H.gradient(x), new - old, rtol=0, atol=2.0**-49)
+        np.testing.assert_allclose(changed.value(x) - H.value(x), (new - old) @ x, rtol=0, atol=2.0**-48)
+        np.testing.assert_array_equal(changed.hessian(x), H.hessian(x))
+    np.testing.assert_array_equal(H.gradient(np.zeros(4)), old)
 
 
 def test_the_polynomial_of_a_hamiltonian_has_all_of_its_parts():
