@@ -1,4 +1,4 @@
-"""Fluids on the torus: modes, random states, and a reference to 40 digits."""
+"""Fluids on the torus: random states, and a reference to 40 digits."""
 
 import json
 from pathlib import Path
@@ -36,13 +36,3 @@ def smooth(system, seed, width=2.0):
     w = w + np.conj(w[back][:, back])
     field = co.systems.torus_euler(N=N).from_modes(w / np.linalg.norm(w))
     return system.algebra.projected(field)
-
-
-def mode(N, n):
-    """Return T_n, of two real fields."""
-    n1, n2 = ((int(k) + N // 2) % N - N // 2 for k in n)
-    if (n1, n2) == (0, 0):
-        return np.eye(N, dtype=complex)
-    system = co.systems.torus_euler(N=N)
-    real, imaginary = (system.from_modes({(n1, n2): c}) for c in (1.0, 1j))
-    return (real - 1j * imaginary) / (-1j * N / (2 * np.pi))

@@ -62,20 +62,6 @@ def test_of_algebras_with_and_without_rotations():
         assert list(groups(co.LiePoissonSystem(algebra, free)).values()) == sizes
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("name", ["so(4)", "e(3)", "heisenberg"])
-def test_in_a_random_basis_all_are_one_group(name, seed):
-    algebra = {"so(4)": co.algebras.so(4), "e(3)": co.algebras.e(3), "heisenberg": co.algebras.heisenberg(2)}[name]
-    n = algebra.dim
-    basis = np.random.default_rng(seed).integers(-3, 4, (n, n)) + 7 * np.eye(n, dtype=int)
-    c = np.zeros((n, n, n))
-    i, j, k, values = algebra.triples
-    c[i, j, k], c[j, i, k] = values, -values
-    mixed = np.einsum("ai,bj,ijk,kc->abc", basis, basis, c, np.linalg.inv(basis))
-    mixed[np.abs(mixed) < 1e-9] = 0.0
-    assert list(groups(co.LiePoissonSystem(co.LieAlgebra(mixed), co.Quadratic(np.ones(n))))) == ["x"]
-
-
 @pytest.mark.parametrize("name", co.systems.names())
 def test_names_are_unique_and_norms_those_of_the_coordinates(name):
     system = co.systems.get(name)
@@ -88,7 +74,6 @@ def test_names_are_unique_and_norms_those_of_the_coordinates(name):
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 DAMPED = BODY.with_forces(co.forces.LinearDamping(0.1), co.forces.Torque((0, 0, 0.2)))
-FLUID = co.systems.sphere_euler(N=3)
 
 
 class OwnBody:
@@ -103,21 +88,6 @@ class OwnBody:
 
     def energy(self, x, t=0.0):
         return BODY.energy(x, t)
-
-
-def test_states():
-    rows = np.arange(36.0).reshape(2, 18)
-    assert np.array_equal(protocol.states_of(FLUID, rows), FLUID.from_vector(rows))
-    assert np.array_equal(protocol.states_of(FLUID.in_numbers, rows), rows)
-    assert np.array_equal(protocol.states_of(co.batch([DAMPED, DAMPED]), rows.reshape(2, 6, 3)), rows.reshape(2, 6, 3))
-    own = OwnBody()
-    own.dim, own.shape = 9, (3, 3)
-    assert np.array_equal(protocol.states_of(own, rows.reshape(4, 9)), rows.reshape(4, 3, 3))
-    assert protocol.coordinates_of(own) == tuple(f"x{i}" for i in range(1, 10)) and protocol.coordinates_of(FLUID) == ()
-    assert not protocol.is_matrix_system(own) and protocol.is_matrix_system(FLUID.in_numbers)
-    drag = FLUID.with_forces(co.forces.LinearDamping(0.1))
-    assert protocol.unforced_matrix_system(drag) is protocol.unforced_matrix_system(FLUID) is FLUID
-    assert protocol.unforced_matrix_system(own) is None and protocol.coordinates_of(drag) == ()
 
 
 def test_attributes_of_own_systems_are_not_those_of_forces_and_batches():

@@ -12,20 +12,12 @@ from coadjoint.kernels.tables.invariants import invariants_table
 from coadjoint.kernels.tables.recording import values_along
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.hamiltonians.jax_function import JaxFunction
-from coadjoint.systems.hamiltonians.linear_term import (
-    PLACEHOLDER_COEFFICIENT,
-    check_linear,
-    linear_of,
-    with_linear,
-    with_placeholders,
-)
+from coadjoint.systems.hamiltonians.linear_term import linear_of, with_linear
 from coadjoint.systems.hamiltonians.polynomial_form import polynomial_of
 from coadjoint.systems.user_functions import takes_time
-from refusals import refused
 
 M = np.array([[1.0, 0.5, 0.0, -0.25], [0.5, 2.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.75], [-0.25, 0.0, 0.75, 0.5]])
 X = np.array([0.3, -0.7, 1.1, 0.4])
-ABELIAN = co.LieAlgebra.from_brackets(4, {})
 
 
 def cosh():
@@ -68,76 +60,33 @@ def quadratic_of_two():
     return co.Quadratic([[0.5, 0.25], [0.25, 1.0]], linear=[1.0, -3.0])
 
 
-@pytest.mark.parametrize("kind", [*KINDS, "overlapping"])
-def test_it_is_the_gradient_at_zero(kind):
-    """All functions here are even."""
-    H = as_hamiltonian(overlapping() if kind == "overlapping" else KINDS[kind](), 4)
-    np.testing.assert_array_equal(linear_of(H, 4), H.gradient(np.zeros(4)))
+LINES = {  # Hamiltonians of four coordinates, even but for their linear terms
+    "quadratic": lambda: co.Quadratic(np.diag([1.0, 2.0, -1.0, 0.5]), linear=[0.5, 0.0, -1.5, 2.0], constant=0.75),
+    "polynomial": lambda: co.Polynomial("1.5*x1^2*x3^2 - 0.5*x1 + 3*x4 + x2^2", dim=4),
+    "separable": lambda: co.Separable({1: (np.cosh, np.sinh, np.cosh), 3: (np.cosh, np.sinh, np.cosh)}),
+    "split": lambda: co.SplitHamiltonian(
+        [((3, 1), co.Quadratic([1.0, 2.0], linear=[2.0, -0.5])), ((0,), cosh()), ((2,), co.Quadratic(1.0, [0.5]))]
+    ),
+    "split in a split": lambda: co.SplitHamiltonian(
+        [((3, 1), co.SplitHamiltonian([((1, 0), co.Quadratic([0.5, 1.0], linear=[1.0, -3.0]))]))]
+    ),
+    "split, separable and polynomial": lambda: LINES["split"]() + LINES["separable"]() + LINES["polynomial"](),
+}
 
 
-def linear_of_terms(H):
-    """The sum of the linear parts of quadratic and polynomial terms."""
-    found = np.zeros(4)
-    for term in H.terms():
-        if term.form is not None:
-            found += term.form.linear
-        elif not term.called:
-            found += term.polynomial.gradient(np.zeros(4))
-    return found
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_another_one_changes_nothing_else(kind):
-    system = co.LiePoissonSystem(ABELIAN, KINDS[kind](), casimirs={})
-    old = linear_of(system.hamiltonian, 4)
+@pytest.mark.parametrize("kind", LINES)
+def test_another_linear_term_changes_nothing_else(kind):
+    system = co.LiePoissonSystem(co.LieAlgebra.from_brackets(4, {}), LINES[kind](), casimirs={})
+    H, x = system.hamiltonian, np.array([0.3, -0.7, 1.1, 0.4])
+    old = H.gradient(np.zeros(4))
+    np.testing.assert_array_equal(linear_of(H, 4), old)
     for new in (np.array([0.5, 0.0, -2.0, 1.0]), np.zeros(4), old + [0.0, 0.0, 0.0, 1.0], old):
         changed = with_linear(system, new).hamiltonian
-        np.testing.assert_allclose(linear_of(changed, 4), new, rtol=0, atol=2.0**-50)
-        np.testing.assert_allclose(changed.gradient(X) - system.hamiltonian.gradient(X), new - old, atol=2.0**-49)
-        np.testing.assert_allclose(changed.value(X) - system.hamiltonian.value(X), (new - old) @ X, atol=2.0**-48)
-        np.testing.assert_array_equal(changed.hessian(X), system.hamiltonian.hessian(X))
-        # The terms, which compiled loops use; those of the former Hamiltonian are kept.
-        slopes = [linear_of_terms(H) for H in (changed, system.hamiltonian)]
-        np.testing.assert_allclose(slopes[0] - slopes[1], new - old, rtol=0, atol=2.0**-50)
-    np.testing.assert_array_equal(linear_of(system.hamiltonian, 4), old)
-
-
-def test_a_coordinate_of_two_polynomials_is_refused_and_the_others_are_not():
-    system = co.LiePoissonSystem(ABELIAN, overlapping(), casimirs={})
-    old = linear_of(system.hamiltonian, 4)
-    for k, pieces in ((0, "0 and 1"), (2, "0 and 2"), (3, "1 and 2")):
-        with refused(ValueError, f"pieces {pieces}", f"coordinate {k}"):
-            with_linear(system, old + np.eye(4)[k])
-    changed = with_linear(system, old + [0.0, 0.5, 0.0, 0.0]).hamiltonian
-    np.testing.assert_array_equal(linear_of(changed, 4), old + [0.0, 0.5, 0.0, 0.0])
-
-
-def test_a_replacement_drops_what_holds_for_the_former_one_alone():
-    system = co.systems.gyrostat((2.0, 2.0, 1.0), (0.0, 0.0, 0.5))
-    changed = with_linear(system, np.array([0.25, 0.0, 0.0]))
-    assert changed.closed_form is None and changed.parameters is None and changed.integrals == {}
-    assert system.closed_form is not None and system.parameters and list(system.integrals) == ["x3"]
-    assert changed.casimirs == system.casimirs and changed.sign == system.sign == -1
-    x = np.array([0.3, -0.5, 0.8])
-    slope = x / [2.0, 2.0, 1.0] + [0.25, 0.0, 0.0]
-    np.testing.assert_allclose(changed.vector_field(x), np.cross(x, slope), rtol=0, atol=2.0**-52)
-
-
-def test_placeholders_only_where_a_chosen_coefficient_is_zero():
-    system = co.LiePoissonSystem(ABELIAN, co.Quadratic(M, linear=[0.5, 0.0, 0.0, 2.0]), casimirs={})
-    np.testing.assert_array_equal(
-        linear_of(with_placeholders(system, (0, 2)).hamiltonian, 4), [0.5, 0.0, PLACEHOLDER_COEFFICIENT, 2.0]
-    )
-    assert with_placeholders(system, (0, 3)) is system and with_placeholders(system, ()) is system
-    np.testing.assert_array_equal(linear_of(system.hamiltonian, 4), [0.5, 0.0, 0.0, 2.0])
-
-
-def test_functions_of_all_coordinates_have_none():
-    system = co.LiePoissonSystem(ABELIAN, squares(), casimirs={}, name="squares")
-    with refused(TypeError, "'squares'", "inputs"):
-        check_linear(system)
-    with refused(TypeError, "linear term"):
-        with_linear(system, np.zeros(4))
+        np.testing.assert_allclose(changed.gradient(np.zeros(4)), new, rtol=0, atol=2.0**-50)
+        np.testing.assert_allclose(changed.gradient(x) - H.gradient(x), new - old, rtol=0, atol=2.0**-49)
+        np.testing.assert_allclose(changed.value(x) - H.value(x), (new - old) @ x, rtol=0, atol=2.0**-48)
+        np.testing.assert_array_equal(changed.hessian(x), H.hessian(x))
+    np.testing.assert_array_equal(H.gradient(np.zeros(4)), old)
 
 
 def test_the_polynomial_of_a_hamiltonian_has_all_of_its_parts():

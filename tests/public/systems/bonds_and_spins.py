@@ -41,3 +41,20 @@ def has_closed_form(system):
     except TypeError:
         return False
     return True
+
+
+# Axes of the cells and places of their sites, as in the documentation: bonds have length one.
+PLACES = {
+    "chain": (np.eye(1), [(0,)]),
+    "square": (np.eye(2), [(0, 0)]),
+    "triangular": (np.array([[1, 0], [0.5, np.sqrt(0.75)]]), [(0, 0)]),
+    "honeycomb": (np.array([[np.sqrt(3), 0], [np.sqrt(0.75), 1.5]]), [(0, 0), (np.sqrt(0.75), 0.5)]),
+    "kagome": (np.array([[2, 0], [1, np.sqrt(3)]]), [(0, 0), (1, 0), (0.5, np.sqrt(0.75))]),
+    "cubic": (np.eye(3), [(0, 0, 0)]),
+}
+
+
+def positions_of(name, shape):
+    axes, sites = PLACES[name]
+    cells = np.indices(np.atleast_1d(shape)).reshape(len(axes), -1).T @ axes
+    return (cells[:, None] + np.array(sites, dtype=float)).reshape(-1, len(axes))

@@ -1,4 +1,4 @@
-"""Rigid bodies, gyrostats, tops and bodies in fluids: by hand, in 40 digits, in known motions, and their integrals."""
+"""Rigid bodies, gyrostats, tops, bodies in fluids and of n dimensions: by hand, in 40 digits, and their integrals."""
 
 import itertools
 import json
@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from brackets import U, assert_integrals, bracket, exact, rational_points
-from scipy.integrate import quad
-from scipy.special import ellipj, ellipk
+from scipy.linalg import expm, solve_sylvester
 
 import coadjoint as co
 from refusals import refused
@@ -113,90 +112,20 @@ def test_tops_in_40_digits(name):
         assert min(abs(abs(factor) - known) for known in (0.5, 1, 2)) < 1e-13
 
 
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("up", [1.0, -1.0])
-def test_steady_precession_of_lagranges_top(order, up):
+def test_steady_precession_of_lagranges_top(up):
     """Omega = p gamma + s e3, gamma turns about e3 by -s t, and I1 p^2 cos - I3 (p cos + s) p + w = 0."""
     one, three, w, p, tilt = 1.5, 0.75, up * 0.8, 0.9, 0.6
     spin = (one * p**2 * np.cos(tilt) + w) / (three * p) - p * np.cos(tilt)
-    turn = -1.0 if order in ORDERS[3:] else 1.0  # an odd order of the axes is a reflection, and m is no vector there
 
-    def ordered(t):
+    def state(t):
         gamma = np.array([np.sin(tilt) * np.sin(spin * t), np.sin(tilt) * np.cos(spin * t), np.cos(tilt)])
-        m = np.array([one, one, three]) * (p * gamma + [0, 0, spin])
-        return np.concatenate([turn * m[list(order)], gamma[list(order)]])
+        return np.concatenate([np.array([one, one, three]) * (p * gamma + [0, 0, spin]), gamma])
 
-    inertia, lever = turned(order, np.array([one, one, three]), np.array([0, 0, w]))
-    top = S.heavy_top(inertia, lever)
-    np.testing.assert_allclose(end_of(top, ordered(0.0), 4.0), ordered(4.0), rtol=0, atol=1e-12)
-    assert assert_integrals(top, [f"m{order.index(2) + 1}"]) == 4
-    if order == (0, 1, 2):
-        named = S.lagrange_top(one, three, w)
-        np.testing.assert_array_equal(named.vector_field(ordered(1.0)), top.vector_field(ordered(1.0)))
-        assert named.integrals == top.integrals and list(named.integrals) == ["m3"]
-
-
-@pytest.mark.parametrize("height", [1.5, -1.5])
-@pytest.mark.parametrize("spin", [0.5, 3.0])
-def test_nutation_of_lagranges_top(height, spin):
-    """u = gamma3 nutates by (u')^2 = f(u), f of third degree, between two of its roots: by an elliptic sine.
-
-    With c = m3 and b = m . gamma, (I1 u')^2 = 2 I1 (1 - u^2)(E - c^2 / 2 I3 - w u) - (b - c u)^2. The run starts where
-    u' = 0. Then gamma' = gamma x Omega also gives how fast gamma turns about the third axis, by an integral over time.
-    """
-    one, three, tilt, across = 1.5, 0.6, 0.8, 0.4
-    top = S.lagrange_top(one, three, height)
-    x0 = np.array([across, 0.0, spin, np.sin(tilt), 0.0, np.cos(tilt)])
-    b, left = x0[:3] @ x0[3:], across**2 / (2 * one) + height * np.cos(tilt)
-    cubic = np.polynomial.Polynomial([1, 0, -1]) * np.polynomial.Polynomial([2 * one * left, -2 * one * height])
-    cubic -= np.polynomial.Polynomial([b, -spin]) ** 2
-    low, middle, high = np.sort(np.real(cubic.roots()))
-    # the motion goes on between the roots within [-1, 1]; the third lies beyond, on the side of the sign of the height
-    near, far, third = (low, middle, high) if height > 0 else (high, middle, low)
-    k2, rate = (far - near) / (third - near), np.sqrt(abs(height) * abs(third - near) / (2 * one))
-    from_far = abs(x0[5] - far) < 1e-9
-    assert from_far or abs(x0[5] - near) < 1e-9, "the start is a turning point"
-
-    def height_of_axis(t):
-        return near + (far - near) * ellipj(rate * t + (ellipk(k2) if from_far else 0.0), k2)[0] ** 2
-
-    def slope(t):  # of the angle of (gamma1, gamma2): -Omega3 + (m1 gamma1 + m2 gamma2) gamma3 / I1 (1 - gamma3^2)
-        u = height_of_axis(t)
-        return -spin / three + (b - spin * u) * u / one / (1 - u**2)
-
-    T = 7.0
-    psi = quad(slope, 0.0, T, epsabs=1e-13, epsrel=1e-13, limit=200)[0]
-    u, radius = height_of_axis(T), np.sqrt(1 - height_of_axis(T) ** 2)
-    for scheme in (co.Taylor(order=20), co.GaussLegendre(6)):
-        end = end_of(top, x0, T, method=scheme)
-        np.testing.assert_allclose(end[3:], [radius * np.cos(psi), radius * np.sin(psi), u], rtol=0, atol=1e-11)
-        assert end[:3] @ end[3:] == pytest.approx(b, abs=1e-13) and end[2] == pytest.approx(spin, abs=1e-13)
-
-
-@pytest.mark.parametrize(
-    ("make", "velocity"),
-    [
-        (lambda: S.heavy_top(FULL, (0.3, -0.4, 0.8)), lambda x: np.broadcast_to([0.3, -0.4, 0.8], (len(x), 3))),
-        (
-            lambda: S.kirchhoff_body(FULL, MASS, MIXED),
-            lambda x: np.linalg.solve(np.block([[FULL, MIXED], [MIXED.T, MASS]]), x.T).T[:, 3:],
-        ),
-    ],
-    ids=["heavy top", "body in a fluid"],
-)
-def test_the_blocks_of_the_group_element(make, velocity):
-    """A turns gamma into space, and r' = A velocity: of a body in a fluid, r is its position."""
-    h = 1e-3
-    sol = co.integrate(make(), X, (0.0, 1.0), h, co.Splitting(order=4), attitude=True)
-    A, r = sol.attitude[:, :3, :3], sol.attitude[:, :3, 3]
-    m, gamma = (np.einsum("kij,kj->ki", A, part) for part in (sol.x[:, :3], sol.x[:, 3:]))
-    rounding = 256 * U * len(sol.t)
-    assert np.abs(gamma - gamma[0]).max() < rounding
-    assert np.abs(m + np.cross(r, gamma) - m[0]).max() < rounding
-    moving = np.einsum("kij,kj->ki", A, velocity(sol.x))
-    assert np.abs((r[2:] - r[:-2]) / (2 * h) - moving[1:-1]).max() < h**2  # a sixth of the third derivative is below 1
-    assert np.abs(r[-1]).max() > 0.1
+    top, named = S.heavy_top((one, one, three), (0, 0, w)), S.lagrange_top(one, three, w)
+    np.testing.assert_allclose(end_of(top, state(0.0), 4.0), state(4.0), rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(named.vector_field(state(1.0)), top.vector_field(state(1.0)))
+    assert named.integrals == top.integrals and list(named.integrals) == ["m3"]
 
 
 @pytest.mark.parametrize("order", ORDERS)
@@ -204,8 +133,9 @@ def test_integrals_in_any_order_of_the_axes(order):
     """Kovalevskaya's, that of bodies of revolution, and Clebsch's, with all of their independent companions."""
     for lever in ((1.0, 0.0, 0.0), (0.5, -0.75, 0.0)):
         assert assert_integrals(S.heavy_top(*turned(order, (2.0, 2.0, 1.0), lever)), ["K"]) == 4
-    body = S.kirchhoff_body(*turned(order, (2.0, 2.0, 4.0), (1.0, 1.0, 0.5)))
-    assert assert_integrals(body, [f"m{order.index(2) + 1}"]) == 4
+    for make, vector in ((S.kirchhoff_body, (1.0, 1.0, 0.5)), (S.heavy_top, (0.0, 0.0, 0.8))):
+        body = make(*turned(order, (2.0, 2.0, 4.0), vector))
+        assert assert_integrals(body, [f"m{order.index(2) + 1}"]) == 4
     for inertia, c in (
         ((1, 1, 1), (1.0, 1.5, 3.0)),
         ((2, 2, 2), (-1, 0.5, 4)),
@@ -263,15 +193,6 @@ def test_named_tops_are_heavy_tops(size, lever):
         assert min(abs(found - wanted), abs(found + wanted)) < 64 * U and wanted != 0
 
 
-def test_a_spherical_top_keeps_the_momentum_along_its_lever():
-    top = S.heavy_top((2, 2, 2), (0.0, 1.5, 2.0))
-    ((name, F),) = top.integrals.items()
-    assert name == "m along the axis"
-    np.testing.assert_allclose(F.gradient(np.zeros(6)), [0, 0.6, 0.8, 0, 0, 0], rtol=4 * U)
-    assert list(S.heavy_top((2, 2, 2), (1, 0, 0)).integrals) == ["m1"]
-    assert list(S.heavy_top(np.diag([2.0, 2.0, 3.0]), (0, 0, 1)).integrals) == ["m3"]
-
-
 PATTERNS = list(itertools.product((1.0, 2.0), repeat=3))
 VECTORS = list(itertools.product((0.0, 0.5, -0.5), repeat=3))
 
@@ -323,3 +244,105 @@ def test_integrals_and_closed_forms_of_equal_moments(moments):
     tilted = np.diag(moments)
     tilted[0, 1] = tilted[1, 0] = 0.25
     assert S.kirchhoff_body(tilted, (1.0, 1.0, 1.0)).integrals == {}
+
+
+def matrix_of(system, x):
+    return np.einsum("k,kij->ij", x, system.representation)
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(("n", "full"), [(3, False), (4, True), (5, False), (5, True), (6, False)])
+def test_so_n_body_by_hand(n, full):
+    rng = np.random.default_rng(n)
+    root = rng.uniform(-1.0, 1.0, (n, n))
+    Lambda = root @ root.T + np.eye(n) if full else np.diag(rng.uniform(0.5, 2.0, n))
+    body = co.systems.so_n_body(Lambda if full else np.diag(Lambda))
+    x0 = rng.uniform(-1.0, 1.0, body.dim)
+    X = matrix_of(body, x0)
+    Omega = solve_sylvester(Lambda, Lambda, X)
+    np.testing.assert_allclose(matrix_of(body, body.vector_field(x0)), X @ Omega - Omega @ X, rtol=0, atol=1e3 * U)
+    assert body.energy(x0) == pytest.approx(0.25 * np.sum(X * Omega), rel=1e3 * U)
+    assert body.sign == -1
+    sol = co.integrate(body, x0, (0.0, 2.0), 0.05, co.Splitting(order=2), attitude=True)
+    spatial = [g @ matrix_of(body, x) @ g.T for g, x in zip(sol.attitude, sol.x, strict=True)]
+    np.testing.assert_allclose(spatial[-1], spatial[0], rtol=0, atol=1e4 * U)
+
+
+@pytest.mark.parametrize("n", [3, 4, 5, 6])
+def test_integrals_of_manakov_are_in_involution_and_complete(n):
+    a = np.array([1.0, -2.0, 0.5, 3.0, 4.0, -1.5])[:n]
+    top = co.systems.manakov_top(a, a**3 - 2 * a**2)  # all coefficients are short binary fractions
+    dim, rank = n * (n - 1) // 2, n // 2
+    expected = [name for name in ("X^2 a", "X^2 a^2", "X^2 a^3", "X^2 a^4")[: n - 2]] + {
+        5: ["X^4 a"],
+        6: ["X^4 a", "X^4 a^2"],
+    }.get(n, [])
+    assert list(top.integrals) == expected
+    found = list(top.integrals.values())
+    for F in [*found, top.hamiltonian]:
+        for G in found:
+            if n < 6 or F is top.hamiltonian or not isinstance(F, co.Polynomial):
+                (point,) = rational_points(dim, 1)
+                assert bracket(top, F, G, point) == 0
+    x = np.cos(1.0 + np.arange(dim) ** 2)
+    X, mu = matrix_of(top, x), 0.37
+    # (-1)^j / m times the coefficient of mu^(m - 2j), from values at many mu by interpolation
+    for m in range(3, n + 1):
+        nodes = np.linspace(-1.0, 1.0, m + 1) + mu
+        values = [np.trace(np.linalg.matrix_power(X + v * np.diag(a), m)) for v in nodes]
+        coefficients = np.linalg.solve(np.vander(nodes, increasing=True), values)
+        for j in range(1, (m + 1) // 2):
+            power = m - 2 * j
+            F = top.integrals[f"X^{2 * j} a" + (f"^{power}" if power > 1 else "")]
+            assert exact(F)(x) == pytest.approx((-1) ** j / m * coefficients[power], rel=1e-8)
+    gradients = [F.gradient(x) for F in found]
+    for j in range(1, rank + 1):  # those of the Casimirs tr X^2j
+        power = np.linalg.matrix_power(X, 2 * j - 1)
+        gradients.append([np.sum(power * E.T) for E in top.representation])
+    assert np.linalg.matrix_rank(gradients) == (dim - rank) // 2 + rank  # complete: half of the orbit, and the Casimirs
+
+
+def test_manakovs_top_by_hand():
+    rng = np.random.default_rng(8)
+    for n in (3, 4, 5):
+        a, b, weights = rng.uniform(-2, 2, n), rng.uniform(-2, 2, n), np.zeros((n, n))
+        top, off = co.systems.manakov_top(a, b), ~np.eye(n, dtype=bool)
+        weights[off] = (np.subtract.outer(b, b)[off]) / (np.subtract.outer(a, a)[off])
+        x = rng.uniform(-1, 1, top.dim)
+        X = matrix_of(top, x)
+        np.testing.assert_allclose(
+            matrix_of(top, top.vector_field(x)),
+            X @ (weights * X) - (weights * X) @ X,
+            rtol=0,
+            atol=1e3 * U * np.abs(weights).max(),
+        )
+
+
+def test_the_body_of_three_dimensions_is_the_rigid_body_and_manakovs_top():
+    moments, x = np.array([1.0, 2.0, 4.0]), np.array([0.3, -0.5, 0.9])
+    body = co.systems.so_n_body(moments)
+    rigid = co.systems.rigid_body(moments.sum() - moments)
+    top = co.systems.manakov_top(moments**2, moments)
+    for other in (rigid, top):
+        np.testing.assert_allclose(body.vector_field(x), other.vector_field(x), rtol=0, atol=4 * U)
+    np.testing.assert_allclose(end_of(body, x, 8.0), rigid.exact(x, 8.0), rtol=0, atol=1e-12)
+    tensor = co.systems.so_n_body(FULL)
+    np.testing.assert_allclose(
+        tensor.vector_field(x),
+        co.systems.rigid_body(np.trace(FULL) * np.eye(3) - FULL).vector_field(x),
+        rtol=0,
+        atol=8 * U,
+    )
+
+
+def test_a_symmetric_body_of_four_dimensions_in_closed_form():
+    """For (a, a, a, b) the block of the first three axes is constant, and the last column turns by it."""
+    a, b, t = 1.25, 0.5, 6.0
+    body = co.systems.so_n_body((a, a, a, b))
+    x0 = np.array([0.5, -0.75, 0.25, 1.0, 0.5, -0.5])
+    X = matrix_of(body, x0)
+    exact = X.copy()
+    exact[:3, 3] = expm((1 / (a + b) - 1 / (2 * a)) * t * X[:3, :3]) @ X[:3, 3]
+    exact[3, :3] = -exact[:3, 3]
+    states = np.linalg.lstsq(body.representation.reshape(6, 16).T, exact.ravel(), rcond=None)[0]
+    np.testing.assert_allclose(end_of(body, x0, t), states, rtol=0, atol=1e-12)

@@ -1,10 +1,5 @@
 """Small coordinates beside large ones: products that cancel leave no rounding errors, nor do steps, in 50 digits."""
 
-from __future__ import annotations
-
-import itertools
-from typing import Any
-
 import numpy as np
 import pytest
 from mpmath import mp
@@ -18,25 +13,23 @@ RELEASE = np.radians(10.0)
 # Mass, in kg, and moments of inertia, in kg m^2.
 BODIES = {
     "3U CubeSat": (4.0, (0.0067, 0.0333, 0.0350)),
-    "12U CubeSat": (24.0, (0.2, 0.35, 0.4)),
-    "micro-satellite": (100.0, (8.0, 10.0, 11.0)),
     "Envisat": (7827.0, (17023.3, 124825.7, 129112.2)),
     "space station": (4.2e5, (1.0e8, 1.5e8, 2.0e8)),
 }
 SCHEMES = (co.Splitting(order=4), co.GaussLegendre(2), co.GaussLegendre(3), co.RadauEnergy(3))
 
 
-def released(mass: float, inertia: Any) -> Any:
+def released(mass, inertia):
     """Return a state on a circular orbit, the body rotated from the radius in the plane of the orbit."""
     c, s = np.cos(RELEASE), np.sin(RELEASE)
     return np.r_[0, 0, inertia[2] * RATE, mass * RADIUS * RATE * np.array([-s, c, 0]), RADIUS * np.array([c, s, 0]), 1]
 
 
-def potential_of(inertia: Any, mass: float, gravity: float) -> Any:
+def potential_of(inertia, mass, gravity):
     """Return the potential of `satellite` as one function of the position, as a user writes it."""
     a, b, c = inertia
 
-    def V(r: Any) -> Any:
+    def V(r):
         distance = np.sqrt(r[0] ** 2 + r[1] ** 2 + r[2] ** 2)
         u, v, w = r[0] / distance, r[1] / distance, r[2] / distance
         return -gravity * (mass / distance + (a + b + c - 3 * (a * u**2 + b * v**2 + c * w**2)) / (2 * distance**3))
@@ -44,7 +37,7 @@ def potential_of(inertia: Any, mass: float, gravity: float) -> Any:
     return V
 
 
-def as_users_write_it(inertia: Any, mass: float, gravity: float) -> Any:
+def as_users_write_it(inertia, mass, gravity):
     """Return the satellite as a system of one's own, from the public algebra of the ready-made one."""
     rotations = [((i,), co.Quadratic(1 / inertia[i])) for i in range(3)]
     kick = (6, 7, 8), co.Hamiltonian(potential_of(inertia, mass, gravity))
@@ -52,10 +45,10 @@ def as_users_write_it(inertia: Any, mass: float, gravity: float) -> Any:
     return co.LiePoissonSystem(co.systems.satellite().algebra, H, sign=-1)
 
 
-def pitch_by_euler(inertia: Any, times: Any) -> Any:
+def pitch_by_euler(inertia, times):
     """Return the angle of the radius from the first axis by Euler's equations with the gravity-gradient torque."""
 
-    def derivative(t: float, y: Any) -> Any:
+    def derivative(t, y):
         angle = RATE * t + RELEASE - y[0]
         return [y[1], 3 * RATE**2 * (inertia[1] - inertia[0]) / inertia[2] * np.sin(angle) * np.cos(angle)]
 
@@ -65,7 +58,7 @@ def pitch_by_euler(inertia: Any, times: Any) -> Any:
 
 @pytest.mark.parametrize("scheme", SCHEMES, ids=str)
 @pytest.mark.parametrize("name", BODIES)
-def test_the_pitch_of_a_satellite_of_real_size(name: str, scheme: Any) -> None:
+def test_the_pitch_of_a_satellite_of_real_size(name, scheme):
     # The step has an error of the order of 1e-6 degrees (order four) and less, or 1e-5 at order two times three; by
     # rounding errors of r cross dV/dr it was 15 degrees.
     mass, inertia = BODIES[name]
@@ -78,7 +71,7 @@ def test_the_pitch_of_a_satellite_of_real_size(name: str, scheme: Any) -> None:
 
 @pytest.mark.parametrize("make", [co.systems.satellite, as_users_write_it])
 @pytest.mark.parametrize("ratio", [1.0, 1e4, 1e8, 1e12])
-def test_the_field_is_right_to_rounding_of_each_vector(make: Any, ratio: float) -> None:
+def test_the_field_is_right_to_rounding_of_each_vector(make, ratio):
     # The torque of the moments is a few products of numbers of its own size; each is rounded a few times.
     rng = np.random.default_rng(7)
     inertia = (1.0, 1.5, 2.0)
@@ -96,37 +89,6 @@ def test_the_field_is_right_to_rounding_of_each_vector(make: Any, ratio: float) 
             assert np.abs(error[group]).max() <= 64 * 2.0**-53 * size[group].max()
 
 
-@pytest.mark.parametrize("scheme", [co.Splitting(order=2), co.Splitting(order=4), co.GaussLegendre(2)], ids=str)
-def test_one_function_of_the_user_is_the_ready_made_system(scheme: Any) -> None:
-    mass, inertia = BODIES["3U CubeSat"]
-    ready, own = (make(inertia, mass, GRAVITY) for make in (co.systems.satellite, as_users_write_it))
-    x0 = released(mass, inertia)
-    first, second = (co.integrate(system, x0, (0, 2000), 10.0, scheme).x for system in (ready, own))
-    # The rounding error of a step relative to each vector, times the steps, amplified by the libration at most tenfold.
-    for group in (slice(3), slice(3, 6), slice(6, 9)):
-        size = np.abs(first[:, group]).max()
-        assert np.abs(first[:, group] - second[:, group]).max() < 10 * 200 * 16 * 2.0**-53 * size
-
-
-def isotropic(scale: float) -> Any:
-    """Return a body in a fluid whose kinetic energy of translation has no direction, with a spring for the rest."""
-    M = np.diag([1.0, 0.5, 0.4, scale, scale, scale])
-    return co.LiePoissonSystem(co.algebras.e(3), co.Quadratic(M), sign=-1)
-
-
-@pytest.mark.parametrize("ratio", [1.0, 1e4, 1e8, 1e12])
-@pytest.mark.parametrize("scheme", [co.Splitting(order=4), co.GaussLegendre(2), co.GaussLegendre(4)], ids=str)
-def test_momentum_cross_velocity_moves_nothing(scheme: Any, ratio: float) -> None:
-    # p x p / m = 0: the angular momentum is that of a free body, however large p is.
-    x0 = np.array([0.3, -1.0, 0.4, 0.7 * ratio, -0.2 * ratio, 1.1 * ratio])
-    found = co.integrate(isotropic(2.0 / ratio), x0, (0, 10), 0.05, scheme).x
-    free = co.systems.rigid_body(inertia=(1.0, 2.0, 2.5))
-    assert np.abs(found[:, :3] - free.exact(x0[:3], 0.05 * np.arange(201))).max() < 2e-5
-    alone = co.integrate(free, x0[:3], (0, 10), 0.05, scheme).x
-    if not isinstance(scheme, co.Splitting):  # whose parts are not those of the body alone
-        assert np.abs(found[:, :3] - alone).max() < 200 * 16 * 2.0**-53
-
-
 @pytest.mark.parametrize(
     "function",
     [
@@ -136,7 +98,7 @@ def test_momentum_cross_velocity_moves_nothing(scheme: Any, ratio: float) -> Non
         lambda r: (r[0] ** 2 + r[1] ** 2 + r[2] ** 2) ** -0.5 * np.cos(r @ r),
     ],
 )
-def test_central_forces_have_no_torque(function: Any) -> None:
+def test_central_forces_have_no_torque(function):
     H = co.SplitHamiltonian([((6, 7, 8), co.Hamiltonian(function)), ((3, 4, 5), co.Quadratic(0.5))])
     system = co.LiePoissonSystem(co.systems.satellite().algebra, H, sign=-1)
     x = np.random.default_rng(3).standard_normal(10) * np.repeat([1e-12, 1e6, 1.0, 1.0], [3, 3, 3, 1])
@@ -147,9 +109,9 @@ def test_central_forces_have_no_torque(function: Any) -> None:
         assert np.all(moved[:, :3] == x[:3])
 
 
-def test_a_force_that_is_not_central_keeps_its_torque() -> None:
+def test_a_force_that_is_not_central_keeps_its_torque():
     # A tenth of a millionth of a millionth beside the central part: found by no difference of numbers.
-    def V(r: Any) -> Any:
+    def V(r):
         return -1.0 / np.sqrt(r @ r) + 1e-13 * r[0] * r[1]
 
     system = co.LiePoissonSystem(co.systems.satellite().algebra, co.SplitHamiltonian([((6, 7, 8), co.Hamiltonian(V))]))
@@ -161,12 +123,12 @@ def test_a_force_that_is_not_central_keeps_its_torque() -> None:
 
 
 @pytest.mark.parametrize("scheme", [co.Splitting(order=4), co.GaussLegendre(2)], ids=str)
-def test_derivatives_by_coefficients_whose_products_cancel(scheme: Any) -> None:
+def test_derivatives_by_coefficients_whose_products_cancel(scheme):
     # p x M p vanishes for equal coefficients, but not its derivative by one of them.
     diagonal = np.array([1.0, 0.5, 0.4, 0.01, 0.01, 0.01, 1.0, 1.0, 2.0, 0.0])
     x0 = np.r_[0.1, 0.2, 0.3, 1.0, 2.0, 3.0, 0.4, 0.5, 0.6, 1.0]
 
-    def system(values: Any) -> Any:
+    def system(values):
         return co.LiePoissonSystem(co.systems.satellite().algebra, co.Quadratic(values), sign=-1)
 
     ready = co.prepare(system(diagonal), scheme, step=0.05)
@@ -181,15 +143,12 @@ def test_derivatives_by_coefficients_whose_products_cancel(scheme: Any) -> None:
         weights = np.random.default_rng(k).standard_normal(sol.x.shape)
         expected = np.sum(weights * tangents.x)
         assert abs(pullback(weights)["M"] @ unit - expected) < 1e-12 * np.sum(np.abs(weights * tangents.x))
-    table = co.Splitting(order=2).program(system(diagonal)).to_mapping()
-    monomials = [table["energy"]["monomials"][k] for k in table["fixed"]]
-    assert [[k, k] for k in range(9) if [k, k] in monomials] == [[3, 3], [4, 4], [5, 5], [6, 6], [7, 7]]
 
 
-def beside_a_central_force(*pieces: Any) -> Any:
+def beside_a_central_force(*pieces):
     """Return a body on the algebra of the satellite, with a function of r that is central and not, and other terms."""
 
-    def V(x: Any) -> Any:
+    def V(x):
         distance = np.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
         return -1.0 / distance + 0.1 * np.cos(x[0]) / distance
 
@@ -208,7 +167,7 @@ TERMS = {
 
 
 @pytest.mark.parametrize("name", TERMS)
-def test_other_terms_beside_a_central_force(name: Any) -> None:
+def test_other_terms_beside_a_central_force(name):
     system = beside_a_central_force(TERMS[name])
     x = np.r_[0.1, -0.2, 0.3, 0.5, 0.9, -0.1, 1.2, -0.4, 0.3, 1.0]
     expected = system.sign * system.structure_matrix(x) @ system.hamiltonian.gradient(x)
@@ -219,12 +178,12 @@ def test_other_terms_beside_a_central_force(name: Any) -> None:
     assert np.abs(compiled - co.integrate(system, x, (0, 0.05), 0.05 / 64, co.Splitting(order=4)).x[-1]).max() < 1e-9
 
 
-def test_derivatives_by_a_coefficient_of_an_isotropic_quartic() -> None:
+def test_derivatives_by_a_coefficient_of_an_isotropic_quartic():
     low = {tuple((2 * np.eye(10, dtype=int)[k]).tolist()): c for k, c in enumerate([0.5, 0.25, 0.2, 0.5, 0.5, 0.5])}
     quartic = co.Polynomial("0.1*(x1^2 + x2^2 + x3^2)^2", 3)
     high = {(0,) * 6 + e + (0,): c for e, c in quartic.monomials.items()}
 
-    def system(change: float, which: Any) -> Any:
+    def system(change, which):
         terms = {**low, **high}
         terms[which] += change
         return co.LiePoissonSystem(co.systems.satellite().algebra, co.Polynomial(terms), sign=-1)
@@ -241,81 +200,70 @@ def test_derivatives_by_a_coefficient_of_an_isotropic_quartic() -> None:
 
 
 STEPS, DIGITS = 3, 50
-RATIOS = (1.0, 1e4, 1e8, 1e12)
+VECTOR, OTHER = np.array([0.2, 0.5, -0.9]), np.array([0.4, -0.3, 1.1])
+M = np.diag([1.0, 0.5, 0.3, 0.7, 0.2, 0.9])
+M[:3, 3:] = [[0.1, 0.2, 0.3], [0.2, 0.4, 0.1], [0.3, 0.1, 0.5]]
+M[3:, :3] = M[:3, 3:].T
+Q = np.array([[0.6, 0.0, -0.8], [0.0, 0.28, 0.96]])
+S = co.systems
+CASES = {  # system, state and step for a ratio of sizes, and the sizes of the groups of coordinates
+    "spins": lambda r: (
+        co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 2), co.Quadratic(M)),
+        (np.r_[np.array([0.3, -0.8, 0.5]) / r, 0.9, 0.2, -0.7], 0.1, (3, 3)),
+    ),
+    "heavy top": lambda r: (S.heavy_top((1, 2, 2.5)), (np.r_[OTHER, VECTOR * r], 0.05 / np.sqrt(r), (3, 3))),
+    "pendulum": lambda r: (
+        S.double_spherical_pendulum(masses=(1.0, 1 / r)),
+        (
+            np.r_[Q.ravel(), (np.cross(Q, [[0.3, 1.0, -0.2], [1.1, -0.4, 0.5]]) / [[1.0], [r]]).ravel(), 1.0],
+            *(0.02, (3, 3, 3, 3, 1)),
+        ),
+    ),
+    "particles": lambda r: (
+        S.decorated_particles(weights=(1.0, 1 / r)),
+        (
+            S.canonical_state([1.0, -0.5], [0.3, 0.1 / r], [0.5, 0.1, 0.3, 0.2 / r, 0.05 / r, 0.1 / r]),
+            0.05,
+            (2, 1, 1, 1, 3, 3),
+        ),
+    ),
+    "gyrostat": lambda r: (
+        S.gyrostat((1, 2, 2.5), rotors=np.array([0.3, 0.2, -0.5]) * r),
+        (np.array([0.7, -0.4, 0.9]) * r, 0.1 / r, (3,)),
+    ),
+    "body in a fluid": lambda r: (
+        S.kirchhoff_body((1, 2, 2.5), mass=(r, 1.5 * r, 2 * r)),
+        (np.r_[OTHER, VECTOR * np.sqrt(r)], 0.05, (3, 3)),
+    ),
+    "satellite": lambda r: (
+        S.satellite((1.0, 2.0, 2.5), mass=r),
+        (np.r_[0.1, -0.2, 0.3, np.array([0.2, 0.9, -0.1]) * r, 1.5, -0.4, 0.3, 1.0], 0.05, (3, 3, 3, 1)),
+    ),
+}
 
 
-def two_stages(f: Any, x0: Any, h: float) -> Any:
+def two_stages(f, x, step):
     """Take steps of the Gauss-Legendre method of two stages in 50 digits, from its textbook tableau."""
     with mp.workdps(DIGITS):
-        root, step = mp.sqrt(3) / 6, mp.mpf(h)
-        quarter = mp.mpf(1) / 4
-        x = np.array([mp.mpf(float(value)) for value in x0], dtype=object)
+        a = np.array([[mp.mpf(1) / 4, mp.mpf(1) / 4 - mp.sqrt(3) / 6], [mp.mpf(1) / 4 + mp.sqrt(3) / 6, mp.mpf(1) / 4]])
+        x, step = np.array([mp.mpf(float(value)) for value in x], dtype=object), mp.mpf(step)
         for _ in range(STEPS):
-            first = second = f(x)
+            k = np.array([f(x), f(x)])
             for _ in range(300):
-                before = first, second
-                first, second = (
-                    f(x + step * (quarter * first + (quarter - root) * second)),
-                    f(x + step * ((quarter + root) * first + quarter * second)),
-                )
-                moved = itertools.chain(*(zip(a, b, strict=True) for a, b in zip((first, second), before, strict=True)))
-                if all(abs(a - b) <= mp.mpf(10) ** -38 * abs(b) for a, b in moved):
+                before, k = k, np.array([f(x + step * (row @ k)) for row in a])
+                if np.all(np.abs(k - before) <= mp.mpf(10) ** -38 * np.abs(before)):
                     break
-            x = x + step * (first + second) / 2
+            x = x + step * (k[0] + k[1]) / 2
         return x
 
 
-def spins(ratio: float) -> Any:
-    M = np.diag([1.0, 0.5, 0.3, 0.7, 0.2, 0.9])
-    M[:3, 3:] = [[0.1, 0.2, 0.3], [0.2, 0.4, 0.1], [0.3, 0.1, 0.5]]
-    M[3:, :3] = M[:3, 3:].T
-    system = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 2), co.Quadratic(M))
-    return system, np.r_[np.array([0.3, -0.8, 0.5]) / ratio, 0.9, 0.2, -0.7], 0.1, ((0, 1, 2), (3, 4, 5))
-
-
-def heavy_top(ratio: float) -> Any:
-    x0 = np.r_[0.4, -0.3, 1.1, np.array([0.2, 0.5, -0.9]) * ratio]
-    return co.systems.heavy_top(inertia=(1, 2, 2.5)), x0, 0.05 / np.sqrt(ratio), ((0, 1, 2), (3, 4, 5))
-
-
-def pendulum(ratio: float) -> Any:
-    q = np.array([[0.6, 0.0, -0.8], [0.0, 0.28, 0.96]])
-    p = np.cross(q, [[0.3, 1.0, -0.2], [1.1, -0.4, 0.5]]) / [[1.0], [ratio]]
-    system = co.systems.double_spherical_pendulum(masses=(1.0, 1 / ratio))
-    return system, np.r_[q.ravel(), p.ravel(), 1.0], 0.02, tuple(tuple(range(k, k + 3)) for k in (0, 3, 6, 9))
-
-
-def particles(ratio: float) -> Any:
-    moments = [0.5, 0.1, 0.3, 0.2 / ratio, 0.05 / ratio, 0.1 / ratio]
-    x0 = co.systems.canonical_state([1.0, -0.5], [0.3, 0.1 / ratio], moments)
-    system = co.systems.decorated_particles(weights=(1.0, 1 / ratio))
-    return system, x0, 0.05, ((0, 1), (2,), (3,), (5, 6, 7), (8, 9, 10))
-
-
-def gyrostat(ratio: float) -> Any:
-    system = co.systems.gyrostat(inertia=(1, 2, 2.5), rotors=(0.3 * ratio, 0.2 * ratio, -0.5 * ratio))
-    return system, np.array([0.7, -0.4, 0.9]) * ratio, 0.1 / ratio, ((0, 1, 2),)
-
-
-def body_in_fluid(ratio: float) -> Any:
-    system = co.systems.kirchhoff_body(inertia=(1, 2, 2.5), mass=(ratio, 1.5 * ratio, 2 * ratio))
-    x0 = np.r_[0.4, -0.3, 1.1, np.array([0.2, 0.5, -0.9]) * np.sqrt(ratio)]
-    return system, x0, 0.05, ((0, 1, 2), (3, 4, 5))
-
-
-def satellite_of(ratio: float) -> Any:
-    system = co.systems.satellite(inertia=(1.0, 2.0, 2.5), mass=ratio)
-    x0 = np.r_[0.1, -0.2, 0.3, np.array([0.2, 0.9, -0.1]) * ratio, 1.5, -0.4, 0.3, 1.0]
-    return system, x0, 0.05, ((0, 1, 2), (3, 4, 5), (6, 7, 8))
-
-
-@pytest.mark.parametrize("ratio", RATIOS)
-@pytest.mark.parametrize("make", [spins, heavy_top, pendulum, particles, gyrostat, body_in_fluid, satellite_of])
-def test_each_group_has_the_rounding_errors_of_its_own_size(make: Any, ratio: float) -> None:
+@pytest.mark.parametrize("ratio", [1.0, 1e4, 1e8, 1e12])
+@pytest.mark.parametrize("name", CASES)
+def test_each_group_has_the_rounding_errors_of_its_own_size(name, ratio):
     # A step is some ten products and sums of each component, each rounded once.
-    system, x0, h, groups = make(ratio)
+    system, (x0, h, groups) = CASES[name](ratio)
     end = co.integrate(system, x0, (0, STEPS * h), h, co.GaussLegendre(2)).x[-1]
     exact = two_stages(system.vector_field, x0, h)
     error = np.array([float(mp.mpf(a) - b) for a, b in zip(end.tolist(), exact, strict=True)])
-    for group in map(list, groups):
-        assert np.abs(error[group]).max() <= 8 * STEPS * 2.0**-53 * np.abs(end[group]).max()
+    for off, group in zip(*(np.split(v, np.cumsum(groups)[:-1]) for v in (error, end)), strict=True):
+        assert np.abs(off).max() <= 8 * STEPS * 2.0**-53 * np.abs(group).max()

@@ -1,7 +1,6 @@
 """Fields and flows of forces in Python against formulas and another solver; metrics of damping and heat baths."""
 
 import itertools
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -177,27 +176,6 @@ def test_what_a_force_is_made_of_stays_as_it_is():
     assert co.forces.Torque(complex_state).torque == ((2j, 1 + 3j), (-1 + 3j, -2j))
 
 
-def test_forces_may_define_the_former_name_of_describe_to():
-    """A subclass that defines `given_to` alone is complete; its own `describe_to` has precedence."""
-
-    class Former(co.forces.Force):
-        def check(self, system): ...
-        def field(self, system, x, t): ...
-        def flow(self, system, x, t, tau): ...
-        def given_to(self, reader, system):
-            return reader.constant(system)
-
-    class Both(Former):
-        def given_to(self, reader, system):
-            return None
-
-        def describe_to(self, reader, system):
-            return reader.constant(2 * system)
-
-    reader = SimpleNamespace(constant=lambda torque: torque)
-    assert (Former().describe_to(reader, 1), Both().describe_to(reader, 1)) == (1, 2)
-
-
 ORDERS = list(itertools.permutations(range(3)))
 
 
@@ -235,23 +213,6 @@ def test_damping_by_the_dense_formula(name, sign):
     np.testing.assert_allclose(found, alpha * J @ P @ J @ slope, rtol=0, atol=2.0**-48)
     f = J @ slope
     assert damped.power(x)["DoubleBracketDamping"] == pytest.approx(-alpha * f @ P @ f, rel=1e-13, abs=1e-15)
-
-
-@pytest.mark.parametrize("pattern", [(0, 1, 0, 1), (2, 2, 1, 0, 2)])
-def test_members_of_batches_have_the_noise_of_their_numbers_in_any_order(pattern):
-    kinds = [co.systems.rigid_body(inertia) for inertia in ((1.0, 2.0, 2.0), (1.0, 2.0, 2.25), (1.0, 1.5, 2.25))]
-
-    def bath(stream):
-        return co.forces.HeatBath(0.3, temperature=0.5, seed=4, stream=stream)
-
-    batch = co.batch([kinds[k].with_forces(bath(3)) for k in pattern])
-    x0 = np.random.default_rng(8).standard_normal((len(pattern), 3))
-    together = co.integrate(batch, x0, (0.0, 1.0), 0.125).x
-    apart = co.integrate_ensemble(batch, x0, (0.0, 1.0), 0.125, members_per_block=2).x
-    for m, k in enumerate(pattern):
-        alone = co.integrate(kinds[k].with_forces(bath(3 + m)), x0[m], (0.0, 1.0), 0.125).x
-        np.testing.assert_array_equal(together[:, m], alone)
-        np.testing.assert_array_equal(apart[:, m], alone)
 
 
 @pytest.mark.thinned(3)

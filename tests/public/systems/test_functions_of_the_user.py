@@ -8,7 +8,6 @@ from refusals import refused
 
 FunctionTerm = co.systems.FunctionTerm
 
-
 W = np.array([0.7, -1.3, 0.4, 2.1, -0.6])
 
 

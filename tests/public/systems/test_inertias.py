@@ -1,7 +1,6 @@
 """Inertias that no body has, tensors that are symmetric or definite up to rounding, and units beyond float64."""
 
 import itertools
-import warnings
 
 import numpy as np
 import pytest
@@ -46,15 +45,6 @@ def test_a_tensor_is_checked_in_its_principal_axes(scale):
         S.rigid_body(scale * turned((1, 2, 4)))
 
 
-def test_points_in_a_plane_are_a_body_whatever_its_axes():
-    random = np.random.default_rng(8)
-    for _ in range(50):
-        turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
-        points = np.column_stack([random.normal(size=(20, 2)), np.zeros(20)]) @ turn.T
-        tensor = (points**2).sum() * np.eye(3) - points.T @ points
-        S.rigid_body((tensor + tensor.T) / 2)
-
-
 def test_the_warning_names_what_has_no_such_limit():
     with pytest.warns(UserWarning, match=r"co.LiePoissonSystem\(co.algebras.so\(3\), co.Quadratic\(...\), sign=-1\)"):
         body = S.rigid_body((1, 1, 5))
@@ -68,14 +58,6 @@ def test_the_warning_names_what_has_no_such_limit():
     S.lagrange_top(equatorial=1.0, axial=2.0)
     with pytest.warns(UserWarning, match="axial: .* no body has"):
         S.lagrange_top(equatorial=1.0, axial=2.25)
-
-
-def test_a_line_that_makes_many_warns_once():
-    with warnings.catch_warnings(record=True) as noticed:
-        warnings.simplefilter("default")
-        for third in range(1, 100):
-            S.rigid_body((1, 2, third))
-    assert len(noticed) == 1
 
 
 @pytest.mark.parametrize("make", [S.so_n_body, S.matrix_body])
@@ -106,17 +88,6 @@ def test_a_flat_mass_has_a_second_moment_of_zero_up_to_rounding(n, scale, draws)
     with pytest.warns(UserWarning, match=rf"negative.*no body has; .*co.algebras.so\({n}\)") as noticed:
         S.so_n_body(scale * (below + below.T) / 2)
     assert len(noticed) == 1
-
-
-@pytest.mark.parametrize("n", [3, 4])
-def test_two_principal_values_whose_sum_vanishes_up_to_rounding_are_refused(n):
-    signs = set()
-    for seed in range(12):
-        tensor = turned([-1.0, 1.0, 2.0, 3.0][:n], seed)
-        signs.add(np.sign(np.linalg.eigvalsh(tensor)[:2].sum()))
-        with refused(ValueError, "inertia", "sum", "positive"):
-            S.so_n_body(tensor)
-    assert 1.0 in signs
 
 
 @pytest.mark.parametrize("n", [3, 4])
@@ -173,8 +144,6 @@ def test_moments_whose_inverse_overflows(place):
         (S.sklyanin, {"anisotropy": (1e308, 0.0, 0.0), "masses": (1e10, 1.0, 1.0, 1.0)}, ("range of float64",)),
         (S.toda, {"sites": 10**13}, ("GB",)),
         (S.matrix_body, {"inertia": (1e-320, 1e-320)}, ("float64",)),
-        (S.satellite, {"gravity": 1e60}, ("gravity", "1e+60")),
-        (S.satellite, {"mass": 1e-60}, ("mass", "1e-60")),
         (S.sphere_euler, {"N": 6, "rotation": np.nan}, ("rotation", "nan")),
         (S.reduced_mhd, {"N": 5, "surface": "plane"}, ("surface", "plane")),
     ],

@@ -2,7 +2,6 @@
 
 from fractions import Fraction
 
-import mpmath
 import numpy as np
 import pytest
 
@@ -10,7 +9,6 @@ import coadjoint as co
 from refusals import refused
 
 U = 2.0**-53
-
 
 ALGEBRAS = {
     "so(3)": co.algebras.so(3),
@@ -62,38 +60,6 @@ def test_vector_field_is_the_dense_formula(name, sign):
         assert system.energy(x) == pytest.approx(x @ M @ x / 2 + b @ x, rel=1e-13)
 
 
-HAMILTONIANS = {
-    "quadratic": lambda n: (
-        random_system(ALGEBRAS["so(3)"], 1)[0].hamiltonian if n == 3 else co.Quadratic(np.arange(1.0, n + 1))
-    ),
-    "polynomial": lambda n: co.Polynomial(
-        {tuple(2 * (j == 0) + (j == 1) for j in range(n)): 1.5, tuple(4 * (j == 2) for j in range(n)): -0.25}
-    ),
-    "separable": lambda n: co.Separable({0: (np.sin, np.cos, lambda y: -np.sin(y)), 2: (np.cosh, np.sinh, np.cosh)}),
-    "general": lambda n: co.Hamiltonian(
-        lambda x: np.exp(x[0] * x[1]),
-        lambda x: np.exp(x[0] * x[1]) * np.array([x[1], x[0]] + [0.0] * (n - 2)),
-        lambda x: (
-            np.exp(x[0] * x[1])
-            * np.pad(np.array([[x[1] ** 2, 1 + x[0] * x[1]], [1 + x[0] * x[1], x[0] ** 2]]), (0, n - 2))
-        ),
-    ),
-}
-
-
-@pytest.mark.parametrize("kind", HAMILTONIANS)
-@pytest.mark.parametrize("name", ALGEBRAS)
-def test_jacobian_by_complex_steps(name, kind):
-    algebra = ALGEBRAS[name]
-    n = algebra.dim
-    system = co.LiePoissonSystem(algebra, HAMILTONIANS[kind](n), sign=-1)
-    x = np.random.default_rng(3).uniform(-1, 1, n)
-    jacobian = system.jacobian(x)
-    for i in range(n):
-        column = np.imag(system.vector_field(x + 1e-30j * np.eye(n)[i])) / 1e-30
-        np.testing.assert_allclose(jacobian[:, i], column, rtol=0, atol=64 * n * U * max(1.0, np.abs(jacobian).max()))
-
-
 def test_exact_and_multiprecision_numbers():
     algebra = co.algebras.get("A3,7", a=0.1)
     system = co.LiePoissonSystem(algebra, co.Quadratic([1.0, 2.0, 0.25]))
@@ -106,12 +72,6 @@ def test_exact_and_multiprecision_numbers():
         -(a * x[0] - x[1]) * u[0] - (x[0] + a * x[1]) * u[1],
     ]
     assert system.vector_field(x).tolist() == expected
-    with mpmath.workdps(40):
-        multi = system.vector_field(np.array([mpmath.mpf(v.numerator) / v.denominator for v in x], dtype=object))
-        assert all(
-            abs(p - mpmath.mpf(q.numerator) / q.denominator) < mpmath.mpf(10) ** -38
-            for p, q in zip(multi, expected, strict=True)
-        )
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -215,47 +175,32 @@ def test_everything_given_is_found_again(sign):
         assert system.with_forces(*forces).forces == forces
 
 
-def test_systems_are_immutable():
-    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(1.0))
-    with refused(AttributeError, "sign"):
-        system.sign = -1
-    system.casimirs.clear()
-    assert system.casimirs
-    with refused(ValueError, "(3,)"):
-        system.vector_field([1.0, 2.0])
-
-
 def test_what_is_given_and_returned_is_copied():
-    so3, third = co.algebras.so(3), co.Polynomial({(0, 0, 1): 1})
+    so3, square = co.algebras.so(3), co.Polynomial({(2, 0, 0): 1, (0, 2, 0): 1, (0, 0, 2): 1})
     given = {
-        "casimirs": {"C": co.Polynomial({(2, 0, 0): 1, (0, 2, 0): 1, (0, 0, 2): 1})},
-        "integrals": {"x3": third},
+        "casimirs": {"C": square},
+        "integrals": {"x3": co.Polynomial({(0, 0, 1): 1})},
         "parameters": {"size": 2.0},
-        "layout": {"lattice": "ring", "shape": 5},
+        "layout": {"lattice": "square", "shape": [2, 3]},
     }
-    wanted = {**given, "layout": {"lattice": "ring", "shape": (5,)}}
-    wanted = {key: dict(value) for key, value in wanted.items()}
+    wanted = {key: dict(value) for key, value in given.items()} | {"layout": {"lattice": "square", "shape": (2, 3)}}
     system = co.LiePoissonSystem(so3, co.Quadratic([1.0, 1.0, 2.0]), **given)
-    some = {key: given[key] for key in ("casimirs", "parameters")}
-    J = co.PoissonSystem(so3.structure_matrix, co.Quadratic(1.0), dim=3, **some)
+    J = co.PoissonSystem(so3.structure_matrix, co.Quadratic(1.0), dim=3, casimirs=given["casimirs"])
     for mapping in given.values():
         mapping.clear()
-    for one in (system, J):
-        for key in wanted:
-            if hasattr(one, key):
-                assert getattr(one, key) == wanted[key]
-                getattr(one, key).clear()
-                assert getattr(one, key) == wanted[key]
-    forced = system.with_forces(co.forces.LinearDamping(0.1))
-    forced.casimirs.clear()
-    assert forced.casimirs == wanted["casimirs"]
+    for one, keys in (
+        (system, wanted),
+        (J, ["casimirs"]),
+        (system.with_forces(co.forces.LinearDamping(0.1)), ["casimirs"]),
+    ):
+        for key in keys:
+            getattr(one, key).clear()
+            assert getattr(one, key) == wanted[key]
+    with refused(AttributeError, "sign"):
+        system.sign = -1
     x = np.array([1.0, 2.0, 3.0])
-    system.structure_matrix(x)[0, 1] = 9.0
-    system.hamiltonian.hessian(x)[0, 0] = 9.0
-    system.hamiltonian.gradient(x)[0] = 9.0
+    system.structure_matrix(x)[0, 1] = system.hamiltonian.hessian(x)[0, 0] = system.hamiltonian.gradient(x)[0] = 9.0
     np.testing.assert_array_equal(system.vector_field(x), np.cross([1.0, 2.0, 6.0], x))
-    grid = co.LiePoissonSystem(so3, co.Quadratic(1.0), layout={"lattice": "square", "shape": [2, 3]})
-    assert grid.layout == {"lattice": "square", "shape": (2, 3)}
 
 
 @pytest.mark.parametrize(
@@ -351,11 +296,3 @@ def test_states_and_times_that_do_not_fit():
         body.vector_field(np.ones((4, 2)))
     with refused(ValueError, "t has shape (3,)", "4 states"):
         body.energy(np.ones((4, 3)), np.zeros(3))
-
-
-def test_a_quadratic_is_called_as_other_invariants_are():
-    square = co.Quadratic([2.0, 2.0, 2.0])
-    body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 2, 3]), casimirs={"C": square})
-    x = np.random.default_rng(5).normal(size=(4, 3))
-    np.testing.assert_allclose(body.casimirs["C"](x), np.sum(x * x, axis=1), rtol=1e-15)
-    assert body.casimirs["C"](x[0]) == square.value(x[0])

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import scipy.special
 from fluids_by_modes import generators
-from scipy.linalg import expm
 
 import coadjoint as co
 from refusals import refused
@@ -172,28 +171,6 @@ def test_there_and_back_of_coefficients(size):
     assert np.linalg.norm(W[0]) ** 2 / s.scale**2 == pytest.approx(square, rel=rounded(size))
 
 
-def test_the_stream_divides_by_the_eigenvalues():
-    s = co.systems.sphere_euler(N=12)
-    W = s.random(4, degrees=(1, 11))
-    c, psi = s.mode_array(W), s.mode_array(s.stream(W))
-    assert isinstance(s.stream, co.systems.DiagonalSolve)
-    assert np.abs(psi + c / np.maximum(s.eigenvalues, 1)).max() < rounded(12)
-
-
-def test_a_turn_of_the_matrix_is_a_turn_of_the_field():
-    """exp(b n . S) turns the field about n by b, as the right hand does: a blob goes where its place goes."""
-    size, n, b = 24, np.array([0.6, -0.48, 0.64]), 1.1
-    s, S = co.systems.sphere_euler(N=size), np.stack(generators(size))
-    place = np.array([0.4, 2.0])
-    x = np.array([np.cos(place[0]) * np.cos(place[1]), np.cos(place[0]) * np.sin(place[1]), np.sin(place[0])])
-    x = x * np.cos(b) + np.cross(n, x) * np.sin(b) + n * (n @ x) * (1 - np.cos(b))
-    U = expm(b * np.einsum("a,aij->ij", n, S))
-    there = s.blobs([(np.arcsin(x[2]), np.arctan2(x[1], x[0]))], 1.0, 0.3)
-    turned = U @ s.blobs([place], 1.0, 0.3) @ U.conj().T
-    # the places of blobs are good to 3e-13
-    assert np.abs(turned - there).max() < 1e-12 * np.abs(there).max() * size
-
-
 def test_modes_of_a_mapping():
     s = co.systems.sphere_euler(N=5)
     given = {(2, -1): 1 + 2j, (4, 0): 3.0, (3, 3): 1j}
@@ -221,28 +198,20 @@ SMALL = co.systems.sphere_euler(N=5)
         (SMALL, {2: 1.0}, TypeError, ("modes",)),
         (SMALL, np.ones((4, 4)), ValueError, ("(4, 4)",)),
         (SMALL, np.ones((5, 5)), ValueError, ("zero",)),
-        (SMALL, np.triu(np.ones((5, 5)), 1), ValueError, ("zero",)),
-        (SMALL, np.outer(np.eye(5)[0], np.eye(5)[0]), ValueError, ("zero",)),
-        (SMALL, 1j * np.outer(np.eye(5)[3], np.eye(5)[0]), ValueError, ("zero",)),
         (SMALL, np.full((5, 5), np.inf), ValueError, ("finite",)),
         (SMALL, "(2, 1)", TypeError, ("modes",)),
         (SMALL, {(2, 1): 10**400}, ValueError, ("float64",)),
-        (SMALL, {(2, 1): 1.0, (2, -1): 10**400}, ValueError, ("float64",)),
         (SMALL, {(10**400, 0): 1.0}, ValueError, ("degree l",)),
         (SMALL, {(2, 10**5000): 1.0}, ValueError, ("order m",)),
         (SMALL, [[10**400] * 5] * 5, ValueError, ("float64",)),
         (TORUS, np.ones((3, 3)), ValueError, ("(3, 3)",)),
-        (TORUS, np.eye(N), ValueError, ("conjugate",)),
         (TORUS, np.full((N, N), np.nan), ValueError, ("finite",)),
         (TORUS, "(1, 0)", TypeError, ("modes",)),
         (TORUS, {(1, 0): 10**400}, ValueError, ("float64",)),
         (TORUS, [[10**400] * N] * N, ValueError, ("float64",)),
         (TORUS, {(1, 2): 1j, (-1, -2): 1j}, ValueError, ("(1, 2)", "(-1, -2)", "conjugate")),
-        (TORUS, {(-1, 2): 0.5, (1, -2): -0.5}, ValueError, ("conjugate",)),
         (TORUS, {(0, 2): 0.5, (0, -2): 0.25}, ValueError, ("conjugate",)),
         (TORUS, {(0, 0): 1.0}, ValueError, ("not both 0",)),
-        (TORUS, {(0, N // 2 + 1): 1.0}, ValueError, ("-4 to 4",)),
-        (TORUS, {(-N // 2, 1): 1.0}, ValueError, ("-4 to 4",)),
         (TORUS, {(1, 1): np.inf}, ValueError, ("finite",)),
         *(
             (s, {mode: 0.5}, TypeError, ("modes",))

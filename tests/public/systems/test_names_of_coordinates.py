@@ -10,7 +10,6 @@ from refusals import refused
 
 TOP = ("m1", "m2", "m3", "gamma1", "gamma2", "gamma3")
 
-
 X0 = (0.1, 0.2, 0.3, 0.5, 0.1, 1.0)
 
 

@@ -15,10 +15,8 @@ def lotka_volterra(x):
 
 SUM = co.Separable({i: (lambda y: y - np.log(y), lambda y: 1 - 1 / y, lambda y: 1 / y**2) for i in range(3)})
 
-
 # J(x) grad C = x_i sum_j A_ij v_j = 0 with A v = 0.
 KERNEL = np.array([0.5, 2.0, 1.0])
-
 
 LOG = co.Invariant(lambda x: KERNEL @ np.log(x), lambda x: KERNEL / x)
 
@@ -71,9 +69,7 @@ def test_missing_dimension_and_time_are_refused():
 
 SO3, E3 = co.algebras.so(3), co.algebras.e(3)
 
-
 THIRD = co.Polynomial({(0, 0, 1): 1})
-
 
 SYMMETRIC = co.Quadratic([0.3, 0.3, 0.7])
 
@@ -121,18 +117,6 @@ def test_what_is_no_integral_is_refused(given, kind, named):
         body(integrals=given)
 
 
-@pytest.mark.parametrize("H", [SYMMETRIC, co.Polynomial("0.15*x1^2 + 0.15*x2^2 + 0.5*x3^3", dim=3)], ids=str)
-@pytest.mark.parametrize("off", [1e-10, 1e-12])
-def test_one_that_changes_by_more_than_rounding_is_refused(H, off):
-    """For polynomials the tolerance is some hundred round-offs."""
-    nearly = {"linear": co.Polynomial({(0, 0, 1): 1, (1, 0, 0): off}), "square": co.Quadratic([1.0, 1.0 + off, 1.0])}
-    for name, F in nearly.items():
-        with refused(ValueError, f"'{name}'", "integral"):
-            co.LiePoissonSystem(SO3, H, sign=-1, integrals={name: F})
-    exact = {"linear": THIRD, "square": co.Quadratic([1.0, 1.0, 1.0])}
-    assert list(co.LiePoissonSystem(SO3, H, sign=-1, integrals=exact).integrals) == list(exact)
-
-
 def test_energies_that_are_functions():
     value, slope = (
         (lambda x: np.cosh(x[2]) + x[0] ** 2 + x[1] ** 2),
@@ -150,11 +134,3 @@ def test_a_field_that_rests_at_time_zero_is_looked_at_later():
     with refused(ValueError, "'x3'", "integral"):
         co.LiePoissonSystem(SO3, turning, integrals={"x3": THIRD})
     assert co.LiePoissonSystem(SO3, turning, integrals={"x1": co.Polynomial({(1, 0, 0): 1})}).integrals
-
-
-def test_a_top_on_e3_with_a_rounded_mass():
-    H = co.Quadratic([1 / 3, 1 / 3, 1 / 7, 0, 0, 0], linear=[0, 0, 0, 0, 0, 0.3])
-    system = co.LiePoissonSystem(E3, H, sign=-1, integrals={"m3": co.Polynomial({(0, 0, 1, 0, 0, 0): 1})})
-    assert list(system.integrals) == ["m3"]
-    with refused(ValueError, "'p3'", "integral"):
-        co.LiePoissonSystem(E3, H, sign=-1, integrals={"p3": co.Polynomial({(0, 0, 0, 0, 0, 1): 1})})

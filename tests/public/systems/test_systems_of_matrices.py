@@ -91,21 +91,6 @@ def test_it_moves_as_by_structure_constants(name, of):
     assert np.abs(back - by_constants).max() < 1e-13 < 1e-3 < np.abs(back - mu).max()
 
 
-def test_the_body_of_matrices_is_that_of_constants():
-    inertia = (1.0, 1.5, 2.5, 4.0)
-    body, other = co.systems.matrix_body(inertia), co.systems.so_n_body(inertia)
-    x = np.array([0.3, -0.2, 0.5, 0.4, 0.1, -0.6])
-    X = np.einsum("i,iab->ab", x, np.asarray(other.representation))
-    moved = np.einsum("i,iab->ab", other.vector_field(x), np.asarray(other.representation))
-    assert np.abs(body.vector_field(X) - moved).max() < 1e-15
-    assert abs(body.energy(X) - 2 * other.energy(x)) < 1e-15
-    ends = [
-        co.integrate(one, start, (0.0, 5.0), 1 / 32, method, save_every=160).x[-1]
-        for one, start, method in ((body, X, co.IsospectralGauss(5)), (other, x, co.GaussLegendre(5)))
-    ]
-    assert np.abs(ends[0] - np.einsum("i,iab->ab", ends[1], np.asarray(other.representation))).max() < 1e-13
-
-
 @pytest.mark.parametrize("kind", ["so", "u", "gl", "sp", "sl(C)"])
 def test_the_gradient_is_that_of_the_energy(kind):
     g = G(kind, 4)
@@ -123,19 +108,6 @@ def test_the_gradient_is_that_of_the_energy(kind):
         seen = (trace(x + d * direction) - trace(x - d * direction)) / (2 * d)
         assert abs(seen - trace.gradient(x) @ direction) < 10 * d * d
         assert np.abs(s.structure_matrix(x) @ trace.gradient(x)).max() < 1e-14
-
-
-def test_stacks_are_taken_one_by_one():
-    s = co.MatrixSystem(G("su", 3), lambda W: 0.5 * W, 0.1 * state_of(co.systems.sphere_euler(3)))
-    W = np.stack([[state_of(s, seed) for seed in (1, 2, 3)], [state_of(s, seed) for seed in (4, 5, 6)]])
-    for look in (s.energy, s.spectrum, s.vector_field, lambda V: s.casimirs_at(V)["tr W^3"]):
-        assert np.array_equal(look(W), np.array([[look(one) for one in row] for row in W]))
-    assert s.energy(s.to_vector(W)).shape == (2, 3) and np.array_equal(s.from_vector(s.to_vector(W)), W)
-    for name, trace in s.casimirs.items():
-        assert np.allclose(trace(W), s.casimirs_at(W)[name], rtol=0, atol=1e-15)
-        assert np.isrealobj(trace(W))
-    eigenvalues = s.spectrum(W)
-    assert np.abs(np.sum(eigenvalues**3, axis=-1) - s.casimirs_at(W)["tr W^3"]).max() < 1e-14
 
 
 @pytest.mark.filterwarnings("ignore:the stream stream is called in Python")
@@ -190,11 +162,10 @@ def test_everything_is_a_function_of_the_time_too(kind):
             np.testing.assert_allclose(s.vector_field(W, t), P @ W - W @ P, rtol=0, atol=1e-13)
             energies = -(factor * pairing(W, W) / 2 + pairing(A, W))
             np.testing.assert_allclose(s.energy(W, t), energies, rtol=0, atol=1e-13)
-            x = s.to_vector(W[1, 0])
+            x, direction = s.to_vector(W[1, 0]), s.to_vector(W[0, 1])
             np.testing.assert_allclose(s.vector_field(x, t), s.to_vector(s.vector_field(W[1, 0], t)), atol=1e-13)
             assert s.hamiltonian.value(x, t) == pytest.approx(energies[1, 0], abs=1e-13)
             slope = s.hamiltonian.gradient(x, t)
-            direction = s.to_vector(W[0, 1])
             assert slope @ direction == pytest.approx(-pairing(factor * W[1, 0] + A, W[0, 1]), abs=1e-13)
             if s.linear_stream:
                 moved = s.hamiltonian.gradient(x + direction, t) - slope
@@ -371,11 +342,9 @@ def body():
     [
         (lambda: co.MatrixSystem(G("so", 3), Weights), "Stream"),
         (lambda: co.MatrixSystem(G("so", 3), lambda W: W @ W), "leaves so"),
-        (lambda: co.MatrixSystem(G("sl", 3), lambda W: W @ W), "leaves sl"),
         (lambda: co.MatrixSystem(G("gl", 3), lambda W: W @ W), "not linear"),
         (lambda: co.MatrixSystem(G("gl", 3), lambda W: np.triu(W)), "not symmetric"),
         (lambda: co.MatrixSystem(G("u", 3), lambda W: W.real + 1j * W.imag**3), "not linear"),
-        (lambda: co.MatrixSystem(G("u", 3), lambda W: W.real**3 + 1j * W.imag), "not linear"),
         (lambda: co.MatrixSystem(G("gl(C)", 3), lambda W: W.real + 1j * np.triu(W.imag)), "not symmetric"),
         (lambda: co.MatrixSystem(G("gl", 3), square_root, energy=lambda W: 2 * quartic(W)), "gradient"),
         (lambda: co.MatrixSystem(G("gl", 3), square_root, energy=quartic, energy_sign=-1), "gradient"),

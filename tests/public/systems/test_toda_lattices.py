@@ -50,30 +50,6 @@ def by_qr(n, x, t, digits=200):
         return np.array([float(late[i, i]) for i in range(n)] + [float(late[i, i + 1]) for i in range(n - 1)])
 
 
-def particles(kind, mass, strength, reach, q, p, time):
-    """Positions and momenta in 20 digits, from Newton's equations of exponential forces; a ring has the length 3."""
-    n = len(q)
-    with mp.workdps(20):
-
-        def forces(t, y):
-            gaps = [y[i + 1] - y[i] for i in range(n - 1)]
-            if kind == "ring":
-                gaps.append(y[0] + 3 - y[n - 1])
-            push = [strength * mp.exp(-reach * gap) for gap in gaps]  # on the right one of the pair
-            after = push if kind == "ring" else [*push, 0]
-            before = [push[-1], *push[:-1]] if kind == "ring" else [0, *push]
-            return [y[n + i] / mass for i in range(n)] + [before[i] - after[i] for i in range(n)]
-
-        y = mp.odefun(forces, 0, [mp.mpf(v) for v in (*q, *p)])(time)
-        return np.array([float(v) for v in y])
-
-
-def flaschka(kind, mass, strength, reach, q, p):
-    gaps = [*np.diff(q), *([q[0] + 3 - q[-1]] if kind == "ring" else [])]
-    a = np.sqrt(strength * reach / mass) * np.exp(-reach * np.array(gaps) / 2) / 2
-    return np.concatenate([-reach * np.asarray(p) / (2 * mass), a])
-
-
 @pytest.mark.parametrize("kind", MADE)
 @pytest.mark.parametrize("n", [*LENGTHS, 200])
 def test_field_energy_and_sign(kind, n):
@@ -82,19 +58,6 @@ def test_field_energy_and_sign(kind, n):
     if n > 2 or kind == "open":
         assert system.energy(x) == pytest.approx(np.trace(matrix(n, x) @ matrix(n, x)) / 2, rel=1e-13)
     assert system.sign == 1 and system.dim == len(x) and system.parameters == {"sites": n}
-
-
-@pytest.mark.parametrize("kind", MADE)
-def test_it_is_the_lattice_of_particles(kind):
-    mass, strength, reach = 1.5, 0.7, 1.25
-    q, p = [0.0, 0.8, 2.1], [0.6, -0.3, 0.2]
-    late = particles(kind, mass, strength, reach, q, p, 1)
-    system, x0 = MADE[kind](3), flaschka(kind, mass, strength, reach, q, p)
-    wanted = flaschka(kind, mass, strength, reach, late[:3], late[3:])
-    if kind == "open":
-        np.testing.assert_allclose(system.exact(x0, 1.0), wanted, rtol=0, atol=4e-16)
-    found = co.integrate(system, x0, (0.0, 1.0), 0.05, co.GaussLegendre(stages=6)).x[-1]
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize(("n", "t"), [(2, 3.0), (3, -4.0), (4, 40.0), (6, 1.5)])
@@ -153,18 +116,6 @@ def test_rings_with_a_of_either_sign(n):
     name = next(name for name, one in system.casimirs.items() if one is casimir)
     # Ten steps with n products each.
     assert np.abs(run.casimirs[name] - value).max() < 20 * n * 2.0**-53 * max(1.0, abs(value))
-
-
-def test_how_many_traces():
-    def names(system):
-        return list(system.integrals)
-
-    assert names(co.systems.toda(8)) == [f"tr L^{k}" for k in range(3, 9)]
-    assert names(co.systems.toda_ring(9)) == ["tr L^3", "tr L^4"] == names(co.systems.toda(64))
-    assert names(co.systems.toda_ring(65)) == []
-    x, ring = state(20, "ring"), co.systems.toda_ring(20)
-    assert ring.integrals["tr L^4"](x) == pytest.approx(np.trace(np.linalg.matrix_power(matrix(20, x), 4)), rel=1e-13)
-    assert list(co.systems.toda_ring(1000).casimirs) == ["tr L", "log of the product of a"]
 
 
 def test_closed_forms_that_are_refused():
