@@ -17,16 +17,12 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from domains.of_algebras import ALGEBRAS, CATALOGUE
-from domains.of_parts import EVENTS, FORCES, HAMILTONIANS, OWN_SYSTEMS, SCHEMES, STATES
-from domains.of_systems import SYSTEMS
-from fuzz.calls import BODY, ENTRIES, LONG, READY, TURNING, X, call
+from domains.of_algebras import CATALOGUE
+from fuzz.calls import BODY, CASES, ENTRIES, LONG, READY, TURNING, X, call
 from fuzz.judging import TooLong, wrong_error
 from fuzz.values import HOSTILE
 from refusals import refused
 
-PARTS = {**HAMILTONIANS, **OWN_SYSTEMS, **FORCES, **SCHEMES, **EVENTS}
-CASES = {**SYSTEMS, **STATES, **ALGEBRAS, **CATALOGUE, **PARTS}
 TIME_LIMIT = 30  # seconds of the processor until a call counts as endless
 ADDRESS_SPACE = 4 * 10**8  # bytes beyond those in use, which estimates of memory read
 
