@@ -282,3 +282,5 @@ def test_steps_of_the_user_are_ranked_by_their_time():
     for method in (co.Splitting(), co.GaussLegendre(2), co.Taylor(8), co.Kahan(), Declared(), InPython(factor=np.nan)):
         assert not cost_of(method)[1], method
     assert cost_of(Declared())[0] == 1234.0
+    choice = co.choose(BODY, X0, (0.0, 10.0), 1e-3, methods=[InPython(), co.GaussLegendre(1)])
+    assert choice.method == co.GaussLegendre(1) and all(other.cost > 5 * choice.cost for other in choice.others)

@@ -203,33 +203,27 @@ def test_errors_of_the_functions_themselves_pass_through():
         co.methods.Method()
 
 
-DURATIONS = {
-    "timedelta": (datetime.timedelta(seconds=2), "total_seconds"),
-    "timedelta64": (np.timedelta64(2, "s"), "np.timedelta64(1, 's')"),
-    "datetime": (datetime.datetime(2026, 1, 2), "seconds"),
-    "quantity": (HOSTILE["a quantity"], "magnitude"),
-    "quantity of NumPy": (HOSTILE["a number with a unit"], "magnitude"),
-}
+DURATIONS = [
+    (datetime.timedelta(seconds=2), "total_seconds"),
+    (np.timedelta64(2, "s"), "np.timedelta64(1, 's')"),
+    (datetime.datetime(2026, 1, 2), "seconds"),
+    (HOSTILE["a quantity"], "magnitude"),
+    (HOSTILE["a number with a unit"], "magnitude"),
+]
 
 
-@pytest.mark.parametrize("name", DURATIONS)
-def test_durations_and_quantities_are_refused_with_what_to_give(name):
-    value, instead = DURATIONS[name]
-    calls = {
-        "step": lambda: co.integrate(BODY, X, (0, 1), value),
-        "t_span": lambda: co.integrate(BODY, X, (0, value), 0.1),
-        "t_eval": lambda: READY.run(X, (0, 1), t_eval=[value, value]),
-        "t is": lambda: LONG.at(value),
-        "x0": lambda: co.integrate(BODY, [1.0, value, 0.2], (0, 1), 0.1),
-        "inertia": lambda: co.systems.rigid_body((1, 2, value)),
-    }
-    for parameter, wrong in calls.items():
-        with refused(TypeError, parameter, "units of the system"):
+@pytest.mark.parametrize(("value", "instead"), DURATIONS)
+def test_durations_and_quantities_are_refused_with_what_to_give(value, instead):
+    for wrong, *named in (
+        (lambda: co.integrate(BODY, X, (0, 1), value), "step", instead),
+        (lambda: co.integrate(BODY, X, (0, value), 0.1), "t_span"),
+        (lambda: READY.run(X, (0, 1), t_eval=[value, value]), "t_eval"),
+        (lambda: LONG.at(value), "t is"),
+        (lambda: co.integrate(BODY, [1.0, value, 0.2], (0, 1), 0.1), "x0"),
+        (lambda: co.systems.rigid_body((1, 2, value)), "inertia"),
+    ):
+        with refused(TypeError, *named, "units of the system"):
             wrong()
-    with refused(TypeError, instead):
-        calls["step"]()
-    # Numbers made of them are accepted.
-    assert co.integrate(BODY, X, (0, 1), datetime.timedelta(seconds=0.5).total_seconds()).stats.steps == 2
 
 
 HUGE = 10**400
@@ -273,7 +267,7 @@ def test_masked_arrays_labels_and_foreign_objects_are_refused():
             co.Quadratic(value)
 
 
-@pytest.mark.parametrize("size", [1, 2, 63, 64, 65, 200])
+@pytest.mark.parametrize("size", [1, 63, 64, 65])
 def test_numbers_that_are_not_finite_are_named(size):
     """Below and above the size up to which plain Python sums; finite numbers with an overflowing sum are finite."""
     for index in {0, size // 2, size - 1}:
@@ -290,23 +284,17 @@ def test_numbers_that_are_not_finite_are_named(size):
             co.Composition(co.Splitting(), (value, -value, 1))
 
 
-NAMED = {
-    "an algebra": lambda name: co.LieAlgebra([], dim=1, name=name),
-    "a basis": lambda name: co.LieAlgebra([], dim=1, basis=[name]),
-    "a system": lambda name: co.LiePoissonSystem(BODY.algebra, co.Quadratic(1.0), name=name),
-}
-
-
-@pytest.mark.parametrize("make", NAMED.values(), ids=NAMED)
-def test_names_are_one_short_line(make):
-    make("x" * 200)
-    for name in ("x" * 201, "x" * 10**6, "a\nb", "a\tb", "a\u2028b", "a\0", "\x1b[31m"):
-        with refused(ValueError, "one line", "200") as caught:
-            make(name)
-        assert len(str(caught.value)) < 1000
-
-
-def test_composed_names_stay_short():
+def test_names_are_one_short_line():
+    for make in (
+        lambda name: co.LieAlgebra([], dim=1, name=name),
+        lambda name: co.LieAlgebra([], dim=1, basis=[name]),
+        lambda name: co.LiePoissonSystem(BODY.algebra, co.Quadratic(1.0), name=name),
+    ):
+        make("x" * 200)
+        for name in ("x" * 201, "x" * 10**6, "a\nb", "a\tb", "a\u2028b", "a\0", "\x1b[31m"):
+            with refused(ValueError, "one line", "200") as caught:
+                make(name)
+            assert len(str(caught.value)) < 1000
     g = co.algebras.direct_sum(*[co.algebras.so(3)] * 100)
     for _ in range(10):
         g = co.algebras.subalgebra(g, np.eye(g.dim, dtype=int)[:3].tolist())
@@ -375,8 +363,7 @@ def test_choices_near_a_blow_up_are_refused_without_warnings(x0):
         co.choose(system, x0, (0, 1), 1e-6)
 
 
-@pytest.mark.parametrize("size", [1e3, 1e155, 1e300])
-@pytest.mark.parametrize("name", ["so(3)", "sl(2)", "so(4)"])
+@pytest.mark.parametrize(("name", "size"), [("so(3)", 1e300), ("sl(2)", 1e155), ("so(4)", 1e3)])
 def test_attitudes_near_a_blow_up_do_not_warn(name, size):
     """The exponential of a shift may overflow where the momentum does not."""
     g = co.algebras.get(name)
