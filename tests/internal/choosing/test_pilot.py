@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -172,6 +173,25 @@ def test_rounding_bound_of_plain_and_compensated_sums(order, compensated):
     one, many = (model(compensated, steps, 1.0) for steps in (10**6, 10**8))
     assert many <= one if compensated else many > 5.0 * one
     assert model(compensated, 10**6, 1000.0) > 90.0 * model(compensated, 10**6, 10.0)
+
+
+@pytest.mark.parametrize("windows", [1.0, 10.0])
+def test_rounded_coefficients_accumulate_like_a_random_walk(windows):
+    """As many flows in all, in longer compositions: three roundings along the path, times the root of their number."""
+    pilot = SimpleNamespace(noise=0.0, speed=2.0, window=5.0, sensitivity=Growth(1.0, 1.0, 1.0))
+
+    def units(flows, compensated, steps=36_000):
+        return roundoff(pilot, steps // max(flows, 1), flows, compensated, windows) * 2.0**53
+
+    path, walk = 2.0 * 5.0 * windows, math.sqrt(36_000) * windows
+    for compensated in (False, True):
+        one, four, nine = (units(flows, compensated) for flows in (1, 4, 9))
+        assert (four - one, nine - one) == pytest.approx((3.0 * path, 6.0 * path))
+        assert units(0, compensated) == pytest.approx(1.0 + path + 0.1 * walk)
+    # Each flow rounds by half a unit of its increment, and the sum, if plain, with a bias.
+    share = 4.0 * path / 36_000
+    assert units(1, True) == pytest.approx(1.0 + 3.0 * path + 0.5 * walk * share)
+    assert units(1, False) == pytest.approx(1.0 + 3.0 * path + 0.5 * walk + 7e-4 * 36_000 * windows)
 
 
 @pytest.mark.parametrize(("span", "step"), [(100.0, 0.01), (400.0, 0.02)])
