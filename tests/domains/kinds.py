@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 NOT_FINITE = (math.nan, math.inf, -math.inf, 10**400)
 NO_NUMBER = (None, True, "1", "", 1j, [], {}, [1.0, 2.0])
+NO_OBJECT = (None, "", 1.0, True, 1j, [], {})
 TINY = 5e-324
 LARGE = 2**63
 
@@ -30,14 +32,14 @@ class Domain:
         """Add values; `without` are those no longer outside."""
         dropped = {repr(value) for value in without}
         kept = tuple(value for value in self.outside if repr(value) not in dropped)
-        return Domain((*self.inside, *inside), (*kept, *outside), self.called)
+        return replace(self, inside=(*self.inside, *inside), outside=(*kept, *outside))
 
     def but_called(self, called: str) -> Domain:
-        return Domain(self.inside, self.outside, called)
+        return replace(self, called=called)
 
     def first(self, *inside: Any) -> Domain:
         """Take other values inside."""
-        return Domain(inside, self.outside, self.called)
+        return replace(self, inside=inside)
 
 
 @dataclass(frozen=True)
@@ -61,13 +63,18 @@ class Case:
         return made if self.then is None else self.then(made)
 
 
-JUNK = (None, "", 1.0, True, 1j, [], {})
+def case_of(function: Callable[..., Any], known: Mapping[str, Domain], /, **own: Any) -> Case:
+    """Return the case of a function: each parameter of its signature has a domain of its own, or a known one."""
+    named = inspect.signature(function).parameters.items()
+    names = [name for name, one in named if one.kind is not one.VAR_KEYWORD]
+    more = {key: own.pop(key) for key in ("then", "usual") if key in own}
+    assert set(own) <= set(names), f"{function} has no parameter {set(own) - set(names)}"
+    return Case(function, {name: own[name] if name in own else known[name] for name in names}, **more)
 
 
 def structured(inside: tuple[Any, ...], outside: tuple[Any, ...], called: str | None = None, keep: Any = ()) -> Domain:
-    """Values with a structure of their own; `keep` are those of `JUNK` that are inside."""
-    kept = {repr(value) for value in keep}
-    return Domain(inside, (*outside, *(value for value in JUNK if repr(value) not in kept)), called)
+    """Values with a structure of their own; `keep` are those of `NO_OBJECT` that are inside, or mean another thing."""
+    return Domain(inside, NO_OBJECT, called).plus(outside=outside, without=keep)
 
 
 def real(usual: float = 0.5) -> Domain:
@@ -76,8 +83,7 @@ def real(usual: float = 0.5) -> Domain:
 
 def positive(usual: float = 0.5, least: float = TINY, most: float | None = None) -> Domain:
     """Numbers above zero; `least` and `most` are the limits that are stated and belong to the domain."""
-    smallest = 1e-6 if least == TINY else least
-    inside = (usual, smallest, 3 if most is None else most)
+    inside = (usual, 1e-6 if least == TINY else least, 3 if most is None else most)
     below = () if least == TINY else (0.9 * least,)
     above = () if most is None else (math.nextafter(most, math.inf),)
     return Domain(inside, (0, 0.0, -TINY, -1, *below, *above, *NOT_FINITE, *NO_NUMBER))
@@ -92,10 +98,9 @@ def whole(least: int, most: int | None = None, usual: int | None = None, tried: 
     upper = tried if tried is not None else least + 1 if most is None else most
     above = () if most is None else (most + 1, LARGE, 2**64)
     usual = least if usual is None else usual
-    inside = (usual, least, upper, np.int64(usual))
     # without a limit, 10^400 of a size is a question of memory
-    wrong = (*NOT_FINITE[:3], *NO_NUMBER)
-    return Domain(inside, (least - 1, -LARGE, least + 0.5, *above, *wrong))
+    wrong = (least - 1, -LARGE, least + 0.5, *above, *NOT_FINITE[:3], *NO_NUMBER)
+    return Domain((usual, least, upper, np.int64(usual)), wrong)
 
 
 def one_of(*values: int) -> Domain:
@@ -117,35 +122,23 @@ def title(usual: str) -> Domain:
     return Domain((usual, "x" * 200), ("", "x" * 201, "two\nlines", None, 3, True, b"x", [], ["x"], math.nan))
 
 
-def function(usual: Any, *others: Any) -> Domain:
-    return Domain((usual, *others), (None, 1.0, True, "sin", "", math.nan, 1j, [], {}))
-
-
-def instance(usual: Any, *others: Any) -> Domain:
-    """Objects of a class of the library."""
-    return Domain((usual, *others), (None, 1.0, True, "x", "", math.nan, 1j, [], {}, LARGE))
+def instance(*objects: Any) -> Domain:
+    """Objects of a class of the library, or functions."""
+    return Domain(objects, (*NO_OBJECT, "sin", math.nan, LARGE))
 
 
 def optional(domain: Domain) -> Domain:
-    return Domain((*domain.inside, None), tuple(value for value in domain.outside if value is not None), domain.called)
+    return domain.plus(None, without=(None,))
 
 
 def vector(usual: Any, entry: Domain, *others: Any, any_length: bool = False, number: bool = False) -> Domain:
     """Numbers of a fixed shape, each of them from a domain; `number` allows one in place of all."""
-    array = np.array(usual, dtype=float)
-    places = list(np.ndindex(array.shape))
-    wrong: list[Any] = [with_entry(usual, place, value) for place in places for value in scalars(entry)]
+    array, scalars = np.array(usual, dtype=float), [one for one in entry.outside if not isinstance(one, list | dict)]
+    wrong: list[Any] = [with_entry(usual, place, value) for place in np.ndindex(array.shape) for value in scalars]
     wrong += [array.astype(complex) + 1j, array > 0, array.astype(str), [], None, "", "1", {}, True, 1j, math.nan]
-    wrong += [array[None, None], np.zeros((0, 3))]
-    if not number:
-        wrong += [1.0]
-    if not any_length:
-        wrong += [array[:-1], np.concatenate([array, array[-1:]])]
+    wrong += [array[None, None], np.zeros((0, 3))] + ([] if number else [1.0])
+    wrong += [] if any_length else [array[:-1], np.concatenate([array, array[-1:]])]
     return Domain((usual, array.tolist(), array, *others), tuple(wrong))
-
-
-def scalars(domain: Domain) -> list[Any]:
-    return [value for value in domain.outside if not isinstance(value, list | dict)]
 
 
 def with_entry(values: Any, place: tuple[int, ...], value: Any) -> list[Any]:

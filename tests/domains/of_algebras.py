@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 
 import coadjoint as co
-from domains.kinds import Case, Domain, choice, instance, optional, real, structured, title, whole
+from domains.kinds import Case, Domain, case_of, choice, instance, optional, real, structured, title, whole
 
 SO3, SL2, UNIT = co.algebras.so(3), co.algebras.sl(2), np.eye(3)
 ROTATIONS, E3 = SO3.representation, co.algebras.e(3)
@@ -61,55 +61,46 @@ MATRICES = structured(
     r"\bmatri(x|ces)\b", keep=({},),
 )  # fmt: skip
 A_LIE_ALGEBRA = instance(SO3, SL2).but_called(r"\bLieAlgebras?\b")
-TITLE = optional(title("g"))
-DIM = whole(2, tried=3).but_called(r"\bdim\b|\bindex j = 1\b")
-
+SHARED = {
+    "g": A_LIE_ALGEBRA,
+    "constants": CONSTANTS,
+    "dim": whole(2, tried=3).but_called(r"\bdim\b|\bindex j = 1\b"),
+    "brackets": BRACKETS,
+    "matrices": MATRICES,
+    "basis": TWO_NAMES,
+    "name": optional(title("g")),
+    "casimirs": CASIMIRS,
+    "representation": structured(
+        (None, co.algebras.get("A2_1").representation), (np.ones((2, 2, 2)), np.ones((2, 2))), keep=(None, {})
+    ),
+    "q": whole(0),
+    "count": whole(1, usual=2),
+}
+LEAST = {"e": 2, "gl": 1, "heisenberg": 1, "se": 2, "sl": 2, "so": 2, "su": 2, "u": 1}
 ALGEBRAS = {
-    "A3_7": Case(co.algebras.A3_7, {"a": real(2.0).plus(Fraction(1, 3))}),
-    "change_of_basis": Case(co.algebras.change_of_basis, {"g": A_LIE_ALGEBRA, "matrix": MATRIX, "basis": NAMES}),
-    "copies": Case(co.algebras.copies, {"g": A_LIE_ALGEBRA, "count": whole(1, usual=2)}),
+    **{name: case_of(getattr(co.algebras, name), SHARED, n=whole(least)) for name, least in LEAST.items()},
+    "A3_7": case_of(co.algebras.A3_7, SHARED, a=real(2.0).plus(Fraction(1, 3))),
+    "change_of_basis": case_of(co.algebras.change_of_basis, SHARED, matrix=MATRIX, basis=NAMES),
+    "copies": case_of(co.algebras.copies, SHARED),
     "direct_sum": Case(lambda algebras: co.algebras.direct_sum(SL2, algebras), {"algebras": A_LIE_ALGEBRA}),
-    **{name: Case(getattr(co.algebras, name), {"n": whole(least)}) for name, least in {"e": 2, "gl": 1, "heisenberg":
-        1, "se": 2, "sl": 2, "su": 2, "u": 1}.items()},
     "quotient": Case(co.algebras.quotient, {"g": A_LIE_ALGEBRA.first(E3), "ideal": IDEAL}),
     "semidirect": Case(co.algebras.semidirect, {
         "g": A_LIE_ALGEBRA.first(SO3),
         "representation": REPRESENTATION,
         "ideal": optional(instance(SO3).but_called("LieAlgebra|ideal|Jacobi")).plus(outside=(SL2, co.algebras.so(4))),
     }),
-    "so": Case(co.algebras.so, {"n": whole(2), "q": whole(0)}),
     "sp": Case(co.algebras.sp, {"size": whole(2, tried=4).plus(outside=(0, 3, 5))}),
     "subalgebra": Case(co.algebras.subalgebra, {
-        "g": A_LIE_ALGEBRA.first(SO3),
-        "vectors": VECTORS,
-        "basis": NAMES,
+        "g": A_LIE_ALGEBRA.first(SO3), "vectors": VECTORS, "basis": NAMES,
     }, usual={"vectors": UNIT}),
-    "LieAlgebra": Case(co.LieAlgebra, {
-        "constants": CONSTANTS,
-        "dim": DIM,
-        "basis": TWO_NAMES,
-        "name": TITLE,
-        "casimirs": CASIMIRS,
-        "representation": structured((None, co.algebras.get("A2_1").representation), (np.ones((2, 2, 2)), np.ones((2,
-            2))), keep=(None, {})),
-    }),
-    "LieAlgebra.from_brackets": Case(co.LieAlgebra.from_brackets, {
-        "dim": DIM.plus(outside=(["[a, b]"], ["a"])),
-        "brackets": BRACKETS,
-        "basis": TWO_NAMES,
-        "name": TITLE,
-        "casimirs": CASIMIRS,
-    }),
-    "LieAlgebra.from_matrices": Case(co.LieAlgebra.from_matrices, {
-        "matrices": MATRICES,
-        "basis": TWO_NAMES,
-        "name": TITLE,
-        "casimirs": CASIMIRS,
-    }),
-    "LieAlgebra.closure": Case(co.LieAlgebra.closure, {"matrices": MATRICES, "basis": TWO_NAMES, "name": TITLE}),
+    "LieAlgebra": case_of(co.LieAlgebra, SHARED),
+    "LieAlgebra.from_brackets": case_of(
+        co.LieAlgebra.from_brackets, SHARED, dim=SHARED["dim"].plus(outside=(["[a, b]"], ["a"]))),
+    "LieAlgebra.from_matrices": case_of(co.LieAlgebra.from_matrices, SHARED),
+    "LieAlgebra.closure": Case(co.LieAlgebra.closure, {key: SHARED[key] for key in ("matrices", "basis", "name")}),
     "MatrixAlgebra": Case(co.MatrixAlgebra, {
-        "kind": choice("u", "su", "so", "gl", "sl", "sp", "gl(C)", "sl(C)", "so(C)", "sp(C)").plus(outside=("U", "SO",
-            "sum")).but_called("kind|sum|blocks"),
+        "kind": choice("u", "su", "so", "gl", "sl", "sp", "gl(C)", "sl(C)", "so(C)", "sp(C)").plus(
+            outside=("U", "SO", "sum")).but_called("kind|sum|blocks"),
         "N": whole(2, 4096, usual=4, tried=6),
         "q": whole(0, 4, tried=4),
     }, usual={"kind": "so", "q": 0}),
@@ -161,16 +152,7 @@ def in_range(parameter, limits):
     return Domain((anything.inside[0], *right), (*wrong, *anything.outside))
 
 
-CATALOGUE = {
-    name: Case(functools.partial(co.algebras.get, name), {key: in_range(key, limits) for key, limits in ranges.items()})
-    for name, ranges in RANGES.items()
-}
-FAMILIES = {"e(n)": (2,), "gl(n)": (1,), "heisenberg(n)": (1,), "se(n)": (2,), "sl(n)": (2,), "so(n)": (2,),
-    "sp(2n)": (1,),
-            "su(n)": (2,), "u(n)": (1,)}  # fmt: skip
-CATALOGUE |= {
-    name: Case(functools.partial(co.algebras.get, name), {"n": whole(least[0])}) for name, least in FAMILIES.items()
-}
-CATALOGUE["so(p,q)"] = Case(
-    functools.partial(co.algebras.get, "so(p,q)"), {"p": whole(0, usual=2), "q": whole(0, usual=2)}
-)
+DOMAINS = {name: {key: in_range(key, limits) for key, limits in ranges.items()} for name, ranges in RANGES.items()}
+DOMAINS |= {f"{name}(n)": {"n": whole(least)} for name, least in LEAST.items()} | {"sp(2n)": {"n": whole(1)}}
+DOMAINS["so(p,q)"] = dict.fromkeys(("p", "q"), whole(0, usual=2))
+CATALOGUE = {name: Case(functools.partial(co.algebras.get, name), domains) for name, domains in DOMAINS.items()}

@@ -1,4 +1,4 @@
-"""Domains of the parameters of Hamiltonians, of systems made of them, and of forces, as documented."""
+"""Domains of the parameters of Hamiltonians, own systems, forces, schemes, events and initial states, as documented."""
 
 from __future__ import annotations
 
@@ -10,14 +10,16 @@ import coadjoint as co
 from domains.kinds import (
     Case,
     Domain,
+    case_of,
     choice,
     flag,
-    function,
     instance,
     not_negative,
     one_of,
     optional,
+    positive,
     real,
+    structured,
     title,
     vector,
     whole,
@@ -25,12 +27,12 @@ from domains.kinds import (
 from domains.of_systems import FULL, INDEFINITE, SKEWED
 
 SO3, BODY = co.algebras.so(3), co.systems.rigid_body((1.0, 2.0, 2.5))
-FLUID = co.systems.sphere_euler(N=6)
-SCALAR = co.systems.passive_scalar(N=6)
-MATRICES = co.MatrixAlgebra("so", 3)
+FLUID, SCALAR = co.systems.sphere_euler(N=6), co.systems.passive_scalar(N=6)
+MATRICES, SU3 = co.MatrixAlgebra("so", 3), co.MatrixAlgebra("su", 3)
 WEIGHTS, LARGE = (co.systems.Weights(np.ones((n, n))) for n in (3, 4))
 SQUARE = co.Polynomial({(2, 0, 0): 0.5, (0, 1, 1): 1.0})
 CUBIC = co.Polynomial({(3, 0, 0): 1.0})
+SPHERICAL = co.Polynomial({(2, 0, 0): 1.0, (0, 2, 0): 1.0, (0, 0, 2): 1.0})
 
 
 def value(x):
@@ -57,76 +59,51 @@ def structure(x):
     return np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 
 
-def constant(x):
-    return np.zeros((3, 3, 3))
-
-
-def symmetric(x):
-    return np.eye(3)
-
-
 def third(x):
     return x[2]
-
-
-def twice(W):
-    return 2.0 * W
-
-
-def half(W):
-    return -np.trace(W @ W)
 
 
 def flow(x, t, tau):
     return x + tau
 
 
-def torque(t):
-    return np.array([0.0, 0.0, t])
-
-
-def rate_of(l):
-    return l * 0.5
-
-
-def exact(x0, t, attitude=False):
-    return x0
-
-
+SIN, COS = (math.sin, math.cos), (math.cos, lambda y: -math.sin(y))
+ONE = co.Quadratic(1.0)
 NOT_ONE_MATRIX = (np.ones((2, 2, 2)), np.eye(2), np.eye(4))
-SIGN = one_of(1, -1)
-RATES = vector((0.5, -1.0, 0.0), real(), 0.5, 0, np.eye(3), SKEWED, number=True).plus(outside=NOT_ONE_MATRIX)
 METRIC = vector((0.5, 1.0, 0.0), not_negative(), 0, 2.0, FULL, np.zeros((3, 3)), number=True).plus(
     outside=(*NOT_ONE_MATRIX, SKEWED, INDEFINITE, -1.0, -5e-324, math.inf)
 )
-LAYER = choice("vorticity", "carried")
-SEED = whole(0, 2**62, usual=1)
-OF_H = r"\bHamiltonian\b|^M has|^the polynomial"
-INVARIANTS = Domain(
-    (None, {}, {"C": co.Polynomial({(2, 0, 0): 1.0, (0, 2, 0): 1.0, (0, 0, 2): 1.0})}, {"C": co.Quadratic(2.0)}),
-    (
-        {"C": SQUARE},
-        {"C": co.Polynomial({(2,): 1.0})},
-        {"C": 1.0},
-        {"C": None},
-        [],
-        "C",
-        1.0,
-        True,
-        1j,
-    ),
-    "[cC]asimir|[iI]ntegral",
-)
 DIM = whole(1).first(3, np.int64(3)).plus(outside=(2, 4)).but_called(r"\bdim\b|\bdimension [24]\b|\([24], [24]\)")
-PARAMETERS = Domain((None, {}, {"a": 1.0}), ([], "a", 1.0, True, 1j))
-EXACT = optional(function(exact)).but_called("exact")
-NAME = optional(title("mine"))
-POWERS = whole(0, usual=2)
+NUMBERS = Domain((None,), ({"a": 1.0}, 1.0, True, ""))
+# By the name of the parameter, where classes share it.
+SHARED = {
+    "sign": one_of(1, -1),
+    "energy_sign": one_of(1, -1),
+    "name": optional(title("mine")),
+    "parameters": structured((None, {}, {"a": 1.0}), ("a",), keep=(None, "", {})),
+    "exact": optional(instance(lambda x0, t, attitude=False: x0)).but_called("exact"),
+    "powers": whole(0, usual=2),
+    "alpha": not_negative(),
+    "metric": METRIC,
+    "layer": choice("vorticity", "carried"),
+    "seed": whole(0, 2**62, usual=1),
+    "stream": whole(0, 2**62, usual=1),
+    "keeps_casimirs": flag(),
+    "backward": flag(),
+}
+KEPT = (None, {}, {"C": SPHERICAL}, {"C": co.Quadratic(2.0)})
+NOT_KEPT = ({"C": SQUARE}, {"C": co.Polynomial({(2,): 1.0})}, {"C": 1.0}, {"C": None}, [], "C", 1.0, True, 1j)
+INVARIANTS = Domain(KEPT, NOT_KEPT, "[cC]asimir|[iI]ntegral")
+ENERGY = (
+    instance(ONE, SQUARE)
+    .but_called(r"\bHamiltonian\b|^M has|^the polynomial")
+    .plus(outside=(co.Quadratic((1.0, 2.0)),))
+)
 
 HAMILTONIANS = {
     "Quadratic": Case(co.Quadratic, {
-        "M": vector((1.0, -0.5, 0.0), real(), 0.5, 0, FULL, INDEFINITE, number=True).plus(outside=(SKEWED,
-            np.eye(3)[:2], np.ones((2, 2, 2)))),
+        "M": vector((1.0, -0.5, 0.0), real(), 0.5, 0, FULL, INDEFINITE, number=True).plus(
+            outside=(SKEWED, np.eye(3)[:2], np.ones((2, 2, 2)))),
         "linear": optional(vector((1.0, -0.5, 0.0), real())).plus(outside=(np.eye(3),)),
         "constant": real(),
     }, then=lambda H: H.bind(3)),
@@ -134,156 +111,240 @@ HAMILTONIANS = {
         "polynomial": instance(SQUARE).plus(outside=(CUBIC,)),
     }),
     "Polynomial": Case(co.Polynomial, {
-        "monomials": Domain(({(2, 0, 0): 0.5, (0, 1, 1): -1}, {}, "0.5*x1^2 - x2*x3", {(0, 0, 0): 0.001}), ({(1, 2):
-            1.0}, {(1, 0, 0): 1.0, (1, 0): 1.0}, {(-1, 0, 0): 1.0}, {(0.5, 0, 0): 1.0}, {(True, 0, 0): 1.0}, {(1, 0,
-            0): math.nan}, {(1, 0, 0): math.inf}, {(1, 0, 0): 1j}, {(1, 0, 0): True}, {(1, 0, 0): "1"}, {"x1": 1.0},
-            {1: 1.0}, "", "x4", "x1^-1", "x1 +", None, 1.0, True, [], 1j),
-            "exponents|coefficient|coordinate|monomials|cannot be parsed|power"),
+        "monomials": structured(
+            ({(2, 0, 0): 0.5, (0, 1, 1): -1}, {}, "0.5*x1^2 - x2*x3", {(0, 0, 0): 0.001}),
+            ({(1, 2): 1.0}, {(1, 0, 0): 1.0, (1, 0): 1.0}, {(-1, 0, 0): 1.0}, {(0.5, 0, 0): 1.0}, {(True, 0, 0): 1.0},
+             {(1, 0, 0): math.nan}, {(1, 0, 0): math.inf}, {(1, 0, 0): 1j}, {(1, 0, 0): True}, {(1, 0, 0): "1"},
+             {"x1": 1.0}, {1: 1.0}, "x4", "x1^-1", "x1 +"),
+            "exponents|coefficient|coordinate|monomials|cannot be parsed|power", keep=({},)),
         "dim": optional(DIM),
         "basis": Domain((None,), (("a", "b", "c"), ["x"], "", 1.0, True, ("a", "a", "b"))),
-        "parameters": Domain((None,), ({"a": 1.0}, 1.0, True, "")),
+        "parameters": NUMBERS,
     }),
     "Polynomial.variable": Case(co.Polynomial.variable, {
-        "i": whole(0, 2).but_called("index of a coordinate"),
-        "dim": whole(1, usual=3),
+        "i": whole(0, 2).but_called("index of a coordinate"), "dim": whole(1, usual=3),
     }),
     "Invariant": Case(co.Invariant, {
-        "value": function(value, third),
-        "gradient": optional(function(gradient)),
-        "period": not_negative(),
+        "value": instance(value, third), "gradient": optional(instance(gradient)), "period": not_negative(),
     }),
     "Separable": Case(co.Separable, {
-        "functions": Domain(({0: (math.sin, math.cos)}, {2: (np.sin, np.cos)}, {0: (math.sin, math.cos), 1: (math.cos,
-            lambda y: -math.sin(y))}), ({-1: (math.sin, math.cos)}, {3: (math.sin, math.cos)}, {0.5: (math.sin,
-            math.cos)}, {True: (math.sin, math.cos)}, {0: math.sin}, {0: (math.sin,)}, {0: (math.sin, math.sin)}, {0:
-            (math.sin, 1.0)}, {"0": (math.sin, math.cos)}, None, [], "", 1.0, True, 1j, {}),
+        "functions": structured(
+            ({0: SIN}, {2: (np.sin, np.cos)}, {0: SIN, 1: COS}),
+            ({-1: SIN}, {3: SIN}, {0.5: SIN}, {True: SIN}, {0: math.sin}, {0: (math.sin,)}, {0: (math.sin, math.sin)},
+             {0: (math.sin, 1.0)}, {"0": SIN}),
             "Separable|[cC]oordinate|H_0"),
     }, then=lambda H: H.bind(3)),
     "SplitHamiltonian": Case(co.SplitHamiltonian, {
-        "pieces": Domain(([((0,), co.Quadratic(1.0))], (((0, 2), co.Quadratic(1.0)), ((2,), co.Quadratic(0.5)))),
-            ([((-1,), co.Quadratic(1.0))], [((3,), co.Quadratic(1.0))], [((0, 0), co.Quadratic(1.0))], [((0.5,),
-            co.Quadratic(1.0))], [((0, 1), co.Quadratic((1.0, 2.0, 3.0)))], [((0,), 1.0)], [((0,),)], [((True,),
-            co.Quadratic(1.0))], [(("0",), co.Quadratic(1.0))], [], None, "", 1.0, True, 1j, {}, [()]),
-            "\\bpieces?\\b|SplitHamiltonian"),
+        "pieces": structured(
+            ([((0,), ONE)], (((0, 2), ONE), ((2,), co.Quadratic(0.5)))),
+            ([((-1,), ONE)], [((3,), ONE)], [((0, 0), ONE)], [((0.5,), ONE)], [((True,), ONE)], [(("0",), ONE)],
+             [((0, 1), co.Quadratic((1.0, 2.0, 3.0)))], [((0,), 1.0)], [((0,),)], [()]),
+            r"\bpieces?\b|SplitHamiltonian"),
     }, then=lambda H: H.bind(3)),
     "Hamiltonian": Case(co.Hamiltonian, {
-        "value": function(value).plus(outside=(of_time, of_nothing, third)),
-        "gradient": function(gradient).plus(outside=(of_time, of_nothing, value)),
-        "hessian": optional(function(hessian)).plus(outside=(of_time, gradient, structure)),
+        "value": instance(value).plus(outside=(of_time, of_nothing, third)),
+        "gradient": instance(gradient).plus(outside=(of_time, of_nothing, value)),
+        "hessian": optional(instance(hessian)).plus(outside=(of_time, gradient, structure)),
     }, then=lambda H: H.bind(3)),
     "formula": Case(co.formula, {
-        "text": Domain(("x1^2/2 - (x2 + 1)*x3", "cos(x1)", "a*x1", "1"), ("", "x4", "x1 +", "x1/0", "f(x1)",
-            "sqrt(-1)", None, 1.0, True, [], 1j), "formula|coordinate|cannot be parsed|divides|function|finite"),
-        "dim": DIM.plus(without=(2, 4), outside=(2,)).but_called("\\bdim\\b|coordinate x3"),
+        "text": structured(
+            ("x1^2/2 - (x2 + 1)*x3", "cos(x1)", "a*x1", "1"), ("x4", "x1 +", "x1/0", "f(x1)", "sqrt(-1)"),
+            "formula|coordinate|cannot be parsed|divides|function|finite", keep=({},)),
+        "dim": DIM.plus(without=(4,)).but_called(r"\bdim\b|coordinate x3"),
         "basis": Domain((None, ("x1", "x2", "x3")), (["x"], "", 1.0, True, ("a", "a", "b"))),
-        "parameters": Domain(({"a": 2.0}, None, {}, {"a": 1, "omega": 0.5}), ([], "a", 1.0, True, {"x1": 1.0}, {1:
-            1.0}, {"a": math.nan}, {"a": "1"}, {"a b": 1.0}), "parameter"),
+        "parameters": Domain(({"a": 2.0}, None, {}, {"a": 1, "omega": 0.5}),
+            ([], "a", 1.0, True, {"x1": 1.0}, {1: 1.0}, {"a": math.nan}, {"a": "1"}, {"a b": 1.0}), "parameter"),
     }),
 }  # fmt: skip
 
 OWN_SYSTEMS = {
-    "LiePoissonSystem": Case(co.LiePoissonSystem, {
-        "algebra": instance(SO3, co.algebras.sl(2)),
-        "hamiltonian": instance(co.Quadratic(1.0), SQUARE, co.Quadratic((1.0, 2.0, 3.0))).plus(value,
-            "x1^2/2 + cos(x2)", outside=(co.Quadratic((1.0, 2.0)), co.Polynomial({(1,): 1.0}),
-            "x4")).but_called(OF_H),
-        "sign": SIGN,
-        "casimirs": INVARIANTS,
-        "representation": Domain((None, SO3.representation), (2 * SO3.representation, np.ones((3, 3)),
-            SO3.representation[:2], np.full((3, 3, 3), math.nan), SO3.representation * 1j, "", 1.0, True, [])),
-        "name": NAME,
-        "parameters": PARAMETERS,
-        "exact": EXACT,
-        "integrals": INVARIANTS,
-        "layout": Domain((None, {"lattice": "chain", "shape": 1}), ([], "chain", 1.0, True, 1j)),
-    }, usual={"hamiltonian": co.Quadratic((1.0, 2.0, 3.0))}),
-    "PoissonSystem": Case(co.PoissonSystem, {
-        "structure_matrix": function(structure).plus(outside=(symmetric, value, gradient, of_nothing)),
-        "hamiltonian": instance(co.Quadratic(1.0), SQUARE).plus(outside=(co.Quadratic((1.0, 2.0)),)).but_called(OF_H),
-        "sign": SIGN,
-        "dim": DIM,
-        "derivative": optional(function(constant)).plus(outside=(structure, of_nothing)),
-        "casimirs": Domain((None, {}, {"C": co.Polynomial({(0, 0, 1): 1.0})}), ({"C": SQUARE}, {"C":
-            co.Polynomial({(2,): 1.0})}, {"C": 1.0}, [], "C", 1.0, True), "[cC]asimir"),
-        "name": NAME,
-        "parameters": PARAMETERS,
-        "exact": EXACT,
-    }),
-    "MatrixSystem": Case(co.MatrixSystem, {
-        "algebra": instance(MATRICES, co.MatrixAlgebra("su", 3)),
-        "stream": function(twice, WEIGHTS).plus(outside=(of_nothing, np.trace, np.abs)),
-        "linear": Domain((None, np.zeros((3, 3)), [[0, 1, 0], [-1, 0, 2], [0, -2, 0]]), (np.eye(3), np.zeros((2, 2)),
-            np.zeros(3), np.full((3, 3), math.nan), np.eye(3) * 1j, "", 1.0, True, [])),
-        "energy": optional(function(half)).plus(outside=(of_nothing, np.linalg.norm)),
-        "energy_sign": SIGN,
-        "name": title("mine"),
-        "parameters": PARAMETERS,
-        "exact": EXACT,
-        "powers": POWERS,
-    }, usual={"energy": None, "exact": None}),
-    "TwoLayerSystem": Case(co.TwoLayerSystem, {
-        "algebra": instance(MATRICES, co.MatrixAlgebra("su", 3)).plus(outside=(co.MatrixAlgebra("gl", 3),)),
-        "stream": instance(WEIGHTS).plus(outside=(LARGE,)),
-        "second_stream": optional(instance(WEIGHTS)).plus(outside=(LARGE,)).but_called("\\b(second_)?stream\\b"),
-        "energy_sign": SIGN,
-        "name": title("mine"),
-        "parameters": PARAMETERS,
-        "powers": POWERS,
-    }),
+    "LiePoissonSystem": case_of(co.LiePoissonSystem, SHARED,
+        algebra=instance(SO3, co.algebras.sl(2)),
+        hamiltonian=ENERGY.plus(value, "x1^2/2 + cos(x2)", outside=(co.Polynomial({(1,): 1.0}), "x4")),
+        casimirs=INVARIANTS,
+        integrals=INVARIANTS,
+        representation=structured((None, SO3.representation), (2 * SO3.representation, np.ones((3, 3)),
+            SO3.representation[:2], np.full((3, 3, 3), math.nan), SO3.representation * 1j), keep=(None, {})),
+        layout=structured((None, {"lattice": "chain", "shape": 1}), ("chain",), keep=(None, "", {})),
+        usual={"hamiltonian": co.Quadratic((1.0, 2.0, 3.0))},
+    ),
+    "PoissonSystem": case_of(co.PoissonSystem, SHARED,
+        structure_matrix=instance(structure).plus(outside=(lambda x: np.eye(3), value, gradient, of_nothing)),
+        hamiltonian=ENERGY,
+        dim=DIM,
+        derivative=optional(instance(lambda x: np.zeros((3, 3, 3)))).plus(outside=(structure, of_nothing)),
+        casimirs=INVARIANTS.first(None, {}, {"C": co.Polynomial({(0, 0, 1): 1.0})}),
+    ),
+    "MatrixSystem": case_of(co.MatrixSystem, SHARED,
+        algebra=instance(MATRICES, SU3),
+        stream=instance(lambda W: 2.0 * W, WEIGHTS).plus(outside=(of_nothing, np.trace, np.abs)),
+        linear=structured((None, np.zeros((3, 3)), [[0, 1, 0], [-1, 0, 2], [0, -2, 0]]),
+            (np.eye(3), np.zeros((2, 2)), np.zeros(3), np.full((3, 3), math.nan), np.eye(3) * 1j), keep=(None, {})),
+        energy=optional(instance(lambda W: -np.trace(W @ W))).plus(outside=(of_nothing, np.linalg.norm)),
+        name=title("mine"),
+        usual={"energy": None, "exact": None},
+    ),
+    "TwoLayerSystem": case_of(co.TwoLayerSystem, SHARED,
+        algebra=instance(MATRICES, SU3).plus(outside=(co.MatrixAlgebra("gl", 3),)),
+        stream=instance(WEIGHTS).plus(outside=(LARGE,)),
+        second_stream=optional(instance(WEIGHTS)).plus(outside=(LARGE,)).but_called(r"\b(second_)?stream\b"),
+        name=title("mine"),
+    ),
     "ForcedSystem": Case(co.ForcedSystem, {
         "system": instance(BODY, FLUID),
-        "forces": Domain(((co.forces.LinearDamping(0.5),), [co.forces.LinearDamping(0.5)] * 2), ((), [], None, 1.0,
-            "", True, 1j, (1.0,), (co.forces.LinearDamping((0.5, 1.0)),), co.forces.BetaPlane(1.0)),
-            "\\bforces?\\b|^rate of LinearDamping"),
+        "forces": structured(((co.forces.LinearDamping(0.5),), [co.forces.LinearDamping(0.5)] * 2),
+            ((), (1.0,), (co.forces.LinearDamping((0.5, 1.0)),), co.forces.BetaPlane(1.0)),
+            r"\bforces?\b|^rate of LinearDamping"),
     }),
     "batch": Case(co.batch, {
-        "systems": Domain(((BODY, BODY), [BODY], iter([BODY, co.systems.rigid_body()])), ((), [], None, 1.0, "", True,
-            1j, (BODY, 1.0), (BODY, co.systems.heavy_top()), (BODY, co.systems.paper_a37())),
-            "\\bsystems\\b|\\bthe batch\\b"),
+        "systems": structured(((BODY, BODY), [BODY], iter([BODY, co.systems.rigid_body()])),
+            ((), (BODY, 1.0), (BODY, co.systems.heavy_top()), (BODY, co.systems.paper_a37())),
+            r"\bsystems\b|\bthe batch\b"),
     }),
 }  # fmt: skip
 
-FORCES = {
-    "BetaPlane": Case(co.forces.BetaPlane, {"beta": real()}),
-    "DoubleBracketDamping": Case(co.forces.DoubleBracketDamping, {
-        "alpha": not_negative(),
-        "metric": METRIC,
-    }, then=BODY.with_forces),
-    "Friction": Case(co.forces.Friction, {
-        "rate": real().plus(rate_of, outside=(of_nothing, lambda l: math.nan, lambda l: "1")),
-        "layer": LAYER,
-    }, then=SCALAR.with_forces),
-    "HeatBath": Case(co.forces.HeatBath, {
-        "alpha": not_negative(),
-        "metric": METRIC,
-        "temperature": not_negative(),
-        "seed": SEED,
-        "stream": SEED,
-    }, then=BODY.with_forces),
-    "LinearDamping": Case(co.forces.LinearDamping, {
-        "rate": RATES,
+OF_FORCES = {
+    "BetaPlane": {"beta": real()},
+    "Friction": {"rate": real().plus(lambda l: l * 0.5, outside=(of_nothing, lambda l: math.nan, lambda l: "1"))},
+    "HeatBath": {"temperature": not_negative()},
+    "LinearDamping": {
+        "rate": vector((0.5, -1.0, 0.0), real(), 0.5, 0, np.eye(3), SKEWED, number=True).plus(outside=NOT_ONE_MATRIX),
         "toward": vector((0.5, -1.0, 0.0), real(), 0.5, number=True),
-    }, then=BODY.with_forces),
-    "OwnForce": Case(co.forces.OwnForce, {
-        "function": function(flow).plus(outside=(of_nothing, of_time)),
-        "name": title("wind"),
-        "keeps_casimirs": flag(),
-        "backward": flag(),
-    }, then=BODY.with_forces),
-    "RandomForcing": Case(co.forces.RandomForcing, {
+    },
+    "OwnForce": {"function": instance(flow).plus(outside=(of_nothing, of_time)), "name": title("wind")},
+    "RandomForcing": {
         "energy_rate": not_negative(),
         "band": vector((2.0, 3.0), real(), (2, 2), [1, 4.5]).plus(outside=((3, 2), (0, 2), (-1, 2))),
-        "seed": SEED,
-        "stream": SEED,
-        "layer": LAYER,
+    },
+    "Torque": {
+        "torque": vector((0.5, -1.0, 0.0), real(), lambda t: np.array([0.0, 0.0, t])).plus(
+            outside=(of_nothing, flow, np.eye(3), lambda t: t)
+        )
+    },
+    "Viscosity": {"nu": not_negative(), "power": whole(1, 32), "rotation": flag()},
+}
+ON_FLUIDS = {"BetaPlane", "RandomForcing", "Viscosity"}
+FORCES = {
+    name: case_of(getattr(co.forces, name), SHARED, **OF_FORCES.get(name, {}),
+        then=None if name in ON_FLUIDS else SCALAR.with_forces if name == "Friction" else BODY.with_forces)
+    for name in co.forces.names()
+}  # fmt: skip
+
+BASE = instance(co.Splitting(), co.GaussLegendre(1)).plus(outside=(co.Splitting,))
+SYMMETRIC = BASE.plus(outside=(co.Splitting(order=1), co.ExplicitRungeKutta()))
+ORDERS = one_of(2, 4, 6, 8, 10).but_called(r"\borders?\b")
+OF_SCHEMES = {
+    "CommutatorFree": {"order": one_of(2, 3, 4)},
+    "Composition": {
+        "base": SYMMETRIC,
+        "coefficients": vector((0.25, 0.5, 0.25), real(), (1.0,), any_length=True).plus(
+            outside=((0.5, 0.25), (1.0, 1.0))),
+    },
+    "ExplicitRungeKutta": {"name": choice("runge2", "rk4").but_called(r"\bname\b|Runge-Kutta method")},
+    "IsospectralGauss": {"stages": whole(1, 8)},
+    "LineSplitting": {"order": ORDERS},
+    "ModifiedGaussLegendre": {"freeze": choice("structure", "gradient")},
+    "Projected": {"base": BASE.plus(co.ExplicitRungeKutta())},
+    "ReversibleSteps": {
+        "base": SYMMETRIC,
+        "stride": positive(),
+        "speed": structured((None, ONE, SQUARE, [[1.0, [2, 0, 0]]]), ("fast", math.nan, value, [[1.0, [-1, 0, 0]]],
+            [[math.nan, [2, 0, 0]]], [[1.0]], [1.0]), keep=(None, [])),
+    },
+    "Splitting": {
+        "order": ORDERS.plus(1, without=(1,)),
+        "parts": structured(("auto", "coordinates", "free_body", "bonds", ((0,), (1,), (2,)), [[0, 1], [2]]),
+            ("autox", "Auto", [[-1], [0]], [[0, 0]], [[0.5]], [["a"]], [[True]], [0, 1]), keep=([],)),
+        "compensated": optional(flag()),
+        "rotation": choice("exact", "rational"),
+        "scheme": optional(choice("strang", "yoshida4", "suzuki4")),
+        "adjoint": flag().first(False),
+        "usual": {"scheme": None},
+    },
+    "Taylor": {
+        "order": optional(whole(1, 64)),
+        "projected": flag(),
+        "tolerance": optional(positive(1e-6, least=1e-18, most=0.1)),
+    },
+}  # fmt: skip
+STAGES = {"stages": whole(1, usual=2), "iterations": optional(whole(1))}
+SCHEMES = {
+    **{name: case_of(getattr(co, name), STAGES, **OF_SCHEMES.get(name, {})) for name in co.methods.names()},
+    "Splitting.tuned": Case(co.Splitting.tuned, {
+        "system": instance(BODY).plus(outside=(co.batch([BODY]), co.systems.toda_ring(3).with_forces)),
+        "x0": vector((0.5, 1.0, -0.25), real()).first((0.5, 1.0, -0.25), np.ones((2, 3))),
+        "order": ORDERS.first(2, 1).plus(without=(1,)),
     }),
-    "Torque": Case(co.forces.Torque, {
-        "torque": vector((0.5, -1.0, 0.0), real(), torque).plus(outside=(of_nothing, flow, np.eye(3), lambda t: t)),
-    }, then=BODY.with_forces),
-    "Viscosity": Case(co.forces.Viscosity, {
-        "nu": not_negative(),
-        "power": whole(1, 32),
-        "rotation": flag(),
-        "layer": LAYER,
+    "Forced": Case(co.methods.Forced, {"base": BASE}),
+    "even_order": Case(co.methods.even_order, {
+        "base": BASE.first(co.Splitting(order=1), co.Splitting()),
+        "order": one_of(2, 4, 6, 8, 10, 12),
+        "jump": choice("triple", "suzuki"),
+    }),
+    "Properties": case_of(co.methods.Properties, dict.fromkeys(("poisson", "energy", "reversible"), flag()),
+        casimirs=choice("all", "polynomial", "quadratic", "none").but_called("Casimirs"),
+        attitude=choice("every representation", "coadjoint", "group", "integrated", "none"),
+        broken_by=Domain(((), ("energy: LinearDamping",)), (None, "energy", 1.0, True, (1.0,), 1j)),
+    ),
+}  # fmt: skip
+EVENTS = {
+    "Event": Case(co.Event, {
+        "g": Domain((0, 2, "m1", SQUARE, ONE, value, np.int64(1)),
+            (-1, 0.5, True, None, 1j, math.nan, [], {}, (0, 1), of_nothing), r"\bg\b|coordinate of an event"),
+        "direction": one_of(0, 1, -1),
+        "count": optional(whole(1)),
+        "terminal": flag(),
+        "name": optional(title("turn")),
     }),
 }  # fmt: skip
+
+SPHERE, TORUS = co.systems.sphere_euler(N=8), co.systems.torus_euler(N=9)
+HALF = math.pi / 2
+
+
+def each(domain, *per_place):
+    """A number for all places, or one for each of two."""
+    wrong = ([1.0], [1.0, 1.0, 1.0], [[1.0, 1.0]], [1.0, math.nan], [1.0, 1j], [1.0, True])
+    return domain.plus(*per_place, without=([1.0, 2.0],), outside=wrong)
+
+
+PLACES = vector([[0.5, 1.0], [-0.25, 4.0]], real(), any_length=True).plus(outside=([0.5, 1.0], [[0.5, 1.0, 0.0]]))
+LATITUDES = PLACES.plus(
+    [[HALF, 0.0], [-HALF, 0.0]], outside=([[np.nextafter(HALF, 2.0), 0.0], [0.0, 0.0]], [[-2, 0]] * 2)
+)
+POSITIVES = each(positive(), [1.0, 0.5], (1, 2)).plus(outside=([1.0, 0.0], [-1.0, 1.0]))
+OF_STATES = {
+    "seed": whole(0, usual=1, tried=2**63),
+    "degrees": Domain(
+        ((2, 4), (1, 1), [3, 4], None),
+        ((0, 2), (-1, 2), (3, 2), (2, 99), (2.5, 3), (2,), (2, 3, 4), (True, 2), ("1", 2), 3, "", "2", 1j, math.nan,
+         (2, 2**63)),
+    ),
+    "spectrum": Domain(
+        (None, lambda degrees: degrees**-3.0, [0.0, 0.0, 1.0, 0.5, 0.25], np.array([0.0, 1.0, 0.0, 0.0, 2.0])),
+        ([0.0, 0.0, -1.0, 1.0, 1.0], [0.0] * 5, [0.0, 0.0, math.nan, 1.0, 1.0], [0.0, 1j, 1.0, 1.0, 1.0],
+         np.ones((2, 5)), "", "flat", 1j, True, {}, math.cos, lambda l: -l, lambda l: l[1:], lambda l: l * math.nan),
+    ),
+    "energy": optional(positive()),
+    "enstrophy": optional(positive()),
+    "strengths": each(real(), [1.0, -2.0], (0, 1)),
+    "widths": POSITIVES,
+    "radii": POSITIVES.plus(3.1, outside=(math.pi, 4.0)).but_called(r"\bradii\b|^a radius\b"),
+    "vorticities": each(real(), [1.0, -2.0], (0, 1)),
+    "edge": optional(not_negative()),
+    "speed": positive(1.0),
+    "perturbation": real(0.01),
+    "band": vector((0.5, 1.0), real(), (-1.5, 1.5)).plus(outside=((1.0, 0.5), (0.5, 0.5), (-1.6, 0.0), (0.0, 1.6))),
+    "width": positive(0.3, most=0.5),
+    "waves": whole(1, 4, usual=2),
+    "degree": whole(2, 7, usual=5),
+    "order": whole(0, 5, usual=4),
+    **dict.fromkeys(("zonal", "wave", "longitude"), real(1.0)),
+}  # fmt: skip
+USUAL = {"random": {"degrees": (2, 4), "energy": None, "enstrophy": None}, "rossby_haurwitz": {"order": 2}}
+STATES = {
+    f"{surface}, {name}": case_of(getattr(system, name), OF_STATES | {"places": places}, usual=USUAL.get(name))
+    for surface, system, places in (("sphere", SPHERE, LATITUDES), ("torus", TORUS, PLACES))
+    for name in ("random", "blobs", "patches", "zonal_jet", "rossby_haurwitz")
+    if hasattr(system, name)
+}

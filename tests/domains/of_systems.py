@@ -1,4 +1,4 @@
-"""Domains of the parameters of ready-made systems and of the initial states of fluids, as documented."""
+"""Domains of the parameters of ready-made systems, as documented."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import coadjoint as co
 from domains.kinds import (
     Case,
     Domain,
+    case_of,
     choice,
     flag,
     not_negative,
@@ -27,10 +28,7 @@ FULL = [[2.0, 0.25, -0.125], [0.25, 3.0, 0.5], [-0.125, 0.5, 4.0]]
 TENSORS = (SKEWED, INDEFINITE, np.diag([1.0, 2.0, 0.0]), np.eye(2), np.eye(4), [[1.0, 2.0], [3.0]])
 NOT_A_TENSOR = (*TENSORS, with_entry(FULL, (1, 1), math.nan), with_entry(FULL, (1, 1), 1j), np.eye(3, dtype=bool))
 INERTIA = vector((1.0, 2.0, 2.5), positive()).plus(FULL, (1, 1, 1), outside=NOT_A_TENSOR)
-LEVER = vector((0.75, -0.5), real())
-SIZE = whole(2, 4096, usual=5, tried=6)
-PARALLEL = ((1.0, 3.0), (-0.5, -1.5), (0.0, 0.0))
-ANY_NUMBERS = real().plus(-2.5)
+PARALLEL = (0.0, 0.0)
 MOMENTS = vector((1.0, 2.0, 3.0, 4.0), real(), any_length=True)  # the sum of any two is positive
 
 
@@ -50,17 +48,12 @@ def sine(x):
     return math.sin(x)
 
 
-def uniform(t):
-    return np.array([0.0, 0.0, t])
-
-
 EVEN = (cosine, minus_sine, minus_cosine, sine)
 ODD = (sine, cosine, minus_sine, minus_cosine)
 POTENTIAL = vector((0.0, 0.0, 0.5), real(), EVEN, any_length=True).plus(
     outside=(cosine, EVEN[:3], (*EVEN[:3], cosine), (1.0, cosine, 1.0, 1.0), [0.0] * 22)
 )
 LATTICES = choice("chain", "ring", "square", "triangular", "honeycomb", "kagome", "cubic", "complete")
-EDGES = ([[0, 1]], ((1, 0),))
 NO_EDGES = ([[0, 0]], [[0, 1], [1, 0]], [[0, 3]], [[-1, 0]], [[0.5, 1]], [0, 1], [[0, 1, 1]], [[0, True]], [[0, 1j]])
 MATRIX_OF_BOND = vector((1.0, 1.0, 0.5), real(), FULL, SKEWED, [FULL] * 2).plus(outside=(np.eye(2), np.ones((3, 3, 3))))
 
@@ -71,7 +64,21 @@ def on_a_lattice(lattice, shape, **others):
     return co.systems.spin_lattice(lattice, (2,) * axes if axes > 1 and shape == 3 else shape, **others)
 
 
-DOMAINS = {
+# By the name of the parameter, where systems share it.
+SHARED = {
+    "N": whole(2, 4096, usual=5, tried=6),
+    "surface": choice("sphere", "torus"),
+    "inertia": INERTIA,
+    "lever": vector((0.75, -0.5), real()),
+    "equatorial": positive(1.0),
+    "sites": whole(2, usual=3),
+    **dict.fromkeys(("constant", "linear", "quadratic", "rotation", "a"), real(2.0)),
+    "masses": vector((1.0, -0.5, 0.25), real(), (0, 0, 1)),
+    "gravity": positive(1.0),
+    "axial": positive(),
+    "stiffness": positive(1.0),
+}
+OWN = {
     "clebsch_body": {
         "inertia": vector((1.0, 1.0, 1.0), positive(), (3, 3, 3), (0.001,) * 3),
         "inverse_mass": vector((1.0, 1.5, 3.0), real(), (-1, 0, 2)),
@@ -82,52 +89,48 @@ DOMAINS = {
         "pair": POTENTIAL.plus((2.0, 0, 1, 0, 0.25), outside=(ODD, (0.0, 1.0), (0.0, 0.0, 0.5, 0.25))),
     },
     "double_spherical_pendulum": {
-        "masses": vector((1.0, 0.5), positive(least=1e-30, most=1e+30), (1e-30, 1), (1, 1e+30)),
-        "lengths": vector((1.0, 0.5), positive(least=1e-30, most=1e+30), (0.001, 1), (1, 1000.0)),
-        "gravity": not_negative().plus(1e-30, 1e+30, outside=(1.1e+30, -0.5)),
+        "masses": vector((1.0, 0.5), positive(least=1e-30, most=1e30), (1e-30, 1), (1, 1e30)),
+        "lengths": vector((1.0, 0.5), positive(least=1e-30, most=1e30), (0.001, 1), (1, 1000.0)),
+        "gravity": not_negative().plus(1e-30, 1e30, outside=(1.1e30, -0.5)),
     },
     "fluid_triad": {
-        "first": vector((1.0, 0.0), real(), (-1, 3)).plus(outside=(*PARALLEL[2:], (0.5, 1.5), (1e+200, 0.0))),
-        "second": vector((0.5, 1.5), real(), (0.001, 1)).plus(outside=(*PARALLEL[2:], (2.0, 0.0), (0.0, 1e+200))),
+        "first": vector((1.0, 0.0), real(), (-1, 3)).plus(outside=(PARALLEL, (0.5, 1.5), (1e200, 0.0))),
+        "second": vector((0.5, 1.5), real(), (0.001, 1)).plus(outside=(PARALLEL, (2.0, 0.0), (0.0, 1e200))),
     },
-    "goryachev_chaplygin_top": {"equatorial": positive(), "lever": LEVER},
-    "gyrostat": {"inertia": INERTIA, "rotors": vector((0.25, -0.5, 0.0), real())},
-    "heavy_top": {"inertia": INERTIA, "lever": vector((0.75, -0.5, 0.0), real())},
+    "gyrostat": {"rotors": vector((0.25, -0.5, 0.0), real())},
+    "heavy_top": {"lever": vector((0.75, -0.5, 0.0), real())},
     "kirchhoff_body": {
         "inertia": vector((1.0, 2.0, 5.0), positive(), FULL).plus(outside=NOT_A_TENSOR),
         "mass": vector((1.5, 2.5, 2.0), positive(), FULL).plus(outside=NOT_A_TENSOR),
-        "coupling": vector(np.zeros((3, 3)).tolist(), real(), np.eye(3) / 4, (np.array(SKEWED) /
-            8).tolist()).plus(outside=(9 * np.eye(3), np.zeros((2, 2)), np.zeros(3))),
+        "coupling": vector(np.zeros((3, 3)).tolist(), real(), np.eye(3) / 4, (np.array(SKEWED) / 8).tolist()).plus(
+            outside=(9 * np.eye(3), np.zeros((2, 2)), np.zeros(3))
+        ),
     },
-    "kovalevskaya_top": {"equatorial": positive(), "lever": LEVER},
-    "lagrange_top": {"equatorial": positive(1.0), "axial": positive(), "lever": real()},
-    "lorenz_1960": {"k": positive(2.0).plus(outside=(1e+200, 1e-200)), "l": positive(1.0).plus(outside=(1e+200,))},
+    "lagrange_top": {"lever": real()},
+    "lorenz_1960": {"k": positive(2.0).plus(outside=(1e200, 1e-200)), "l": positive(1.0).plus(outside=(1e200,))},
     "manakov_top": {
-        "a": vector((1.0, 2.0, 4.0, -7.0), real(), (0, 1, 2, 3)).plus(outside=((1, 2, 4, 1), (1, 2), (1,), (1, 1, 1,
-            2))).but_called("\\b[ab]\\b"),
+        "a": vector((1.0, 2.0, 4.0, -7.0), real(), (0, 1, 2, 3)).but_called(r"\b[ab]\b").plus(
+            outside=((1, 2, 4, 1), (1, 2), (1,), (1, 1, 1, 2))
+        ),
         "b": vector((1.0, 3.0, -2.0, 5.0), real(), (0, 0, 0, 1)).plus(outside=((1, 2), (1,))),
     },
     "matrix_body": {
-        "inertia": MOMENTS.plus((1, 2), (-0.5, 1, 2), (0.0, 0.001), outside=((1,), (-1, 1), (-1, 0.5, 3), (0, 0, 1),
-            np.eye(3))),
+        "inertia": MOMENTS.plus(
+            (1, 2), (-0.5, 1, 2), (0.0, 0.001), outside=((1,), (-1, 1), (-1, 0.5, 3), (0, 0, 1), np.eye(3))
+        ),
     },
     "maxwell_bloch": {"coupling": positive()},
-    "paper_a37": {"a": real(2.0), "masses": vector((1.0, -2.0, 0.01), real(), (0, 0, 1))},
-    "paper_rigid_body": {"masses": vector((1.0, -0.5, 0.25), real(), (0, 0, 1))},
-    "passive_scalar": {"N": SIZE, "surface": choice("sphere", "torus")},
-    "reduced_mhd": {"N": SIZE, "surface": choice("sphere", "torus")},
-    "riccati": {"constant": real(1.0), "linear": real(), "quadratic": real(1.0)},
-    "rigid_body": {"inertia": INERTIA},
     "satellite": {
         "inertia": vector((1.0, 2.0, 2.5), positive(), (0.001,) * 3, (1, 1, 1)).plus(outside=(np.eye(3),)),
         "mass": positive(100.0),
-        "gravity": positive(1.0),
     },
     "separable_cosh": {
-        "algebra": Domain(("so(3)", "sl(2)", "A3,1"), ("", "so(2)", "so(4)", "xo(3)", "A3,7", None, 3, True,
-            ["so(3)"], 1j), "\\balgebra\\b|^masses"),
-        "masses": vector((1.0, -0.5, 0.25), real(), (0, 0, 1)).plus(outside=((0, 0, 0),)),
-        "stiffness": positive(1.0),
+        "algebra": Domain(
+            ("so(3)", "sl(2)", "A3,1"),
+            ("", "so(2)", "so(4)", "xo(3)", "A3,7", None, 3, True, ["so(3)"], 1j),
+            r"\balgebra\b|^masses",
+        ),
+        "masses": SHARED["masses"].plus(outside=((0, 0, 0),)),
         "constants": Domain((None, {}), ({"a": 1.0}, [], "a", 1.0, True, ("a", 1)), "constants|no parameter 'a'"),
     },
     "sklyanin": {
@@ -135,36 +138,39 @@ DOMAINS = {
         "masses": vector((1.0, -0.5, 2.0, 1.5), real(), (0, 0, 0, 1)),
     },
     "so_n_body": {
-        "inertia": MOMENTS.plus(FULL, (-0.5, 1, 2), (1, 2, 3), outside=((1, 2), (1,), (-1, 1, 2), (-1, 0.5, 3),
-            SKEWED, [[1.0, 2.0], [2.0, 1.0]])),
+        "inertia": MOMENTS.plus(FULL, (-0.5, 1, 2), (1, 2, 3)).plus(
+            outside=((1, 2), (1,), (-1, 1, 2), (-1, 0.5, 3), SKEWED, [[1.0, 2.0], [2.0, 1.0]])
+        ),
     },
-    "sphere_euler": {"N": SIZE, "rotation": real()},
     "spin_lattice": {
-        "lattice": LATTICES.plus(*EDGES, [], outside=NO_EDGES,
-            without=([],)).but_called("\\blattice\\b|\\bedge 0\\b"),
+        "lattice": LATTICES.plus([[0, 1]], ((1, 0),), [], outside=NO_EDGES, without=([],)).but_called(
+            r"\blattice\b|\bedge 0\b"
+        ),
         "shape": whole(1).first(3, 1, 2, (2,), np.int64(2)).plus(outside=((2, 2), (0,), (2.5,), (True,), ("2",))),
         "periodic": flag().plus((True,), [False], without=([True],), outside=((1,), (True, True), ("True",))),
-        "exchange": real(1.0).plus([0.5, 1.0], without=([1.0, 2.0],), outside=([0.5, 1.0, 2.0], [0.5], [math.nan],
-            [1j], [True], np.ones((1, 1)))),
+        "exchange": real(1.0).plus(
+            [0.5, 1.0], without=([1.0, 2.0],), outside=([0.5, 1.0, 2.0], [0.5], [math.nan], [1j], [True])
+        ),
         "tensor": MATRIX_OF_BOND,
         "dm": vector((0.0, 0.25, -1.0), real(), [[0, 0, 1]] * 2),
-        "field": vector((0.0, 0.25, -1.0), real(), np.ones((3, 3)), uniform).plus(outside=(np.ones((4, 3)), len)),
-        "on_site": vector((0.0, 0.25, -1.0), real(), FULL, [FULL] * 3).plus(outside=(SKEWED, [FULL], [FULL, FULL,
-            SKEWED], np.eye(2))),
+        "field": vector((0.0, 0.25, -1.0), real(), np.ones((3, 3)), lambda t: np.array([0.0, 0.0, t])).plus(
+            outside=(np.ones((4, 3)), len)
+        ),
+        "on_site": vector((0.0, 0.25, -1.0), real(), FULL, [FULL] * 3).plus(
+            outside=(SKEWED, [FULL], [FULL, FULL, SKEWED], np.eye(2))
+        ),
         "dipolar": real(0.0),
     },
-    "toda": {"sites": whole(2, usual=3)},
-    "toda_ring": {"sites": whole(2, usual=3)},
-    "torus_euler": {"N": one_of(5, 3).plus(7, outside=(0, 1, 1002, 1003, -3), without=()).first(5, 3, np.int64(7))},
+    "torus_euler": {"N": one_of(5, 3).plus(outside=(0, 1, 1002, 1003, -3)).first(5, 3, 7, np.int64(7))},
     "vlasov_moments": {
         "degree": whole(2, 100, usual=4, tried=6).plus(8, outside=(3, 5, 99, 102)),
-        "potential": Domain(("1/2*x20 + 0.1*x20^2", "x20", "x40", co.Polynomial({(1, 0): 1.0}), co.Quadratic(1.0,
-            linear=[1.0, 0.0])), ("", "x11", "x21", "x60", "x20^-1", "y", "1/0*x20", None, 1.0, True, [], cosine,
-            co.Polynomial({(1,): 1.0}), co.Quadratic((1.0, 2.0, 3.0)), 1j, math.nan), "\\bpotential\\b|^piece 1\\b"),
+        "potential": Domain(
+            ("1/2*x20 + 0.1*x20^2", "x40", co.Polynomial({(1, 0): 1.0}), co.Quadratic(1.0, linear=[1.0, 0.0])),
+            ("", "x11", "x21", "x60", "x20^-1", "y", "1/0*x20", None, 1.0, True, [], cosine, 1j, math.nan,
+             co.Polynomial({(1,): 1.0}), co.Quadratic((1.0, 2.0, 3.0))),
+            r"\bpotential\b|^piece 1\b",
+        ),
     },
 }  # fmt: skip
-
-SYSTEMS = {
-    name: Case(on_a_lattice if name == "spin_lattice" else getattr(co.systems, name), domains)
-    for name, domains in DOMAINS.items()
-}
+SYSTEMS = {name: case_of(getattr(co.systems, name), SHARED, **OWN.get(name, {})) for name in co.systems.names()}
+SYSTEMS["spin_lattice"] = Case(on_a_lattice, SYSTEMS["spin_lattice"].domains)

@@ -17,6 +17,9 @@ import numpy as np
 import scipy.sparse
 
 import coadjoint as co
+from domains.of_algebras import ALGEBRAS, CATALOGUE
+from domains.of_parts import EVENTS, FORCES, HAMILTONIANS, OWN_SYSTEMS, SCHEMES, STATES
+from domains.of_systems import SYSTEMS
 
 from .folder import make
 from .judging import TooLong, wrong_error, wrong_warning
@@ -84,72 +87,50 @@ FURTHER = {
     "parts": lambda parts: co.Splitting(parts=parts).describe(BODY),
     "a run of matrices": lambda W, t_span: co.integrate(TURNING, W, t_span, 0.5),
 }
-# Valid values of parameters by name; others are those of defaults.
+# Constructors with the domain of each parameter.
+CASES = {**SYSTEMS, **STATES, **ALGEBRAS, **CATALOGUE, **HAMILTONIANS, **OWN_SYSTEMS, **FORCES, **SCHEMES, **EVENTS}
+# Valid values of parameters of all other functions by name; others are those of defaults.
 VALID = {
     "system": BODY, "algebra": SO3, "method": co.Splitting(), "base": co.GaussLegendre(1), "x": X, "x0": X, "x0s": [X],
-    "t": 0.25, "t_span": (0, 1), "step": 0.125, "h": 0.1, "tau": 0.1, "n": 3, "u": X, "v": X, "i": 0, "dim": 3,
-    "order": 4, "accuracy": 1e-3, "event": co.Event(0), "polynomial": P, "a": 1.0, "value": X, "solution": LONG,
-    "hamiltonian": P, "W": np.zeros((3, 3)), "A": EYE, "B": EYE, "size": 3, "g": SO3, "given": LONG, "count": 2,
-    "degree": 2, "seed": 1, "forces": co.forces.LinearDamping(0.1), "systems": [BODY, BODY], "path": ARCHIVE,
-    "invariant": "energy", "ready": READY, "measured": {"x": LONG.x[::8]}, "unknown": {"x0": True}, "sigma": {"x": 0.1},
-    "temperature": 0.5, "energy": 1e-3, "constants": [(0, 1, 1, 1.0)], "matrices": [EYE], "parts": ((0,), (1,), (2,)),
-    "directions": {"x0": X}, "basis": None, "kind": "so", "N": 3, "stream": WEIGHTS, "coefficients": (0.5, 0.5),
-    "M": X, "monomials": {(2, 0, 0): 0.5}, "functions": {0: (np.sin, np.cos)}, "pieces": [((0,), co.Quadratic(1.0))],
-    "structure_matrix": lambda x: np.zeros((3, 3)), "text": "x1^2", "steps": [0.4, 0.2, 0.1], "inertia": (1, 2, 3),
-    "errors": [0.16, 0.04, 0.01], "floors": [1e-16] * 3, "axis": X, "P": EYE, "before": np.zeros((3, 3)),
-    "after": np.zeros((3, 3)), "operations": 1, "lead": TIMES, "deviations": np.ones((3, 4)), "early": 1,
-    "function": P, "level": 1.0, "box": [(-1, 1)] * 3, "cells": 4, "rate": 0.1, "alpha": 0.1, "torque": X, "beta": 0.1,
-    "nu": 0.1, "energy_rate": 0.1, "band": (1, 2), "matrix": EYE, "algebras": SO3, "ideal": EYE, "vectors": [[1, 0, 0]],
-    "poisson": False, "casimirs": None, "attitude": False, "window": 5.0, "frequency": 1.0, "field": lambda x: -x,
-    "dataset": LONG.to_xarray(), "error": ValueError("no"), "scheme": co.Splitting, "weights": np.ones((3, 3)),
+    "t": 0.25, "t_span": (0, 1), "step": 0.125, "h": 0.1, "n": 3, "u": X, "v": X, "i": 0, "dim": 3, "order": 4,
+    "accuracy": 1e-3, "event": co.Event(0), "polynomial": P, "a": 1.0, "value": X, "solution": LONG, "hamiltonian": P,
+    "W": np.zeros((3, 3)), "A": EYE, "B": EYE, "size": 3, "g": SO3, "given": LONG, "count": 2, "degree": 2, "seed": 1,
+    "forces": co.forces.LinearDamping(0.1), "path": ARCHIVE, "invariant": "energy", "ready": READY,
+    "measured": {"x": LONG.x[::8]}, "unknown": {"x0": True}, "sigma": {"x": 0.1}, "temperature": 0.5, "energy": 1e-3,
+    "matrices": [EYE], "parts": ((0,), (1,), (2,)), "directions": {"x0": X}, "basis": None, "N": 3, "stream": WEIGHTS,
+    "M": X, "monomials": {(2, 0, 0): 0.5}, "text": "x1^2", "steps": [0.4, 0.2, 0.1], "errors": [0.16, 0.04, 0.01],
+    "floors": [1e-16] * 3, "axis": X, "P": EYE, "before": np.zeros((3, 3)), "after": np.zeros((3, 3)), "early": 1,
+    "operations": 1, "lead": TIMES, "deviations": np.ones((3, 4)), "function": P, "level": 1.0, "box": [(-1, 1)] * 3,
+    "cells": 4, "matrix": EYE, "window": 5.0, "frequency": 1.0, "field": lambda x: -x, "dataset": LONG.to_xarray(),
+    "error": ValueError("no"), "scheme": co.Splitting, "weights": np.ones((3, 3)), "q": X, "p": X,
 }  # fmt: skip
+RUN, BRACKETS, ZERO = {"attitude": None}, {"brackets": {(0, 1): {2: 1.0}}, "dim": 3}, np.zeros((3, 3))
 OWN = {
     "co.identify": {"t": LONG.t, "x": LONG.x},
     "co.fit": {"t_span": (0, 2)},
     "co.thermal_states": {"system": co.systems.spin_lattice(), "members": 2, "sweeps": 2},
     "co.spectra.structure_factor": {"solution": WAVES},
     "co.certify": {"steps": 4},
-    "co.algebras.quotient": {"g": co.algebras.e(3), "ideal": ["e4", "e5", "e6"]},
-    "co.algebras.sp": {"size": 4},
-    "co.TwoLayerSystem": {"algebra": MATRICES},
-    "co.MatrixSystem": {"algebra": MATRICES, "energy": None},
-    "co.ForcedSystem": {"forces": [co.forces.LinearDamping(0.1)]},
     "co.analysis.phase_error": {"t": [1.0], "x": [X]},
-    "co.systems.matrix_body": {"inertia": (1.0, 2.0, 3.0)},
     "co.resume": {"t_end": 2.0},
     "co.integrate_ensemble": {"x0": ENSEMBLE.x0, "threads": 1},
-    "co.LieAlgebra.from_brackets": {"brackets": {(0, 1): {2: 1.0}}},
-    "co.even_order": {"base": co.Splitting(), "order": 4},
-    "PreparedRun.vjp": {"attitude": None},
-    "PreparedRun.jvp": {"attitude": None},
-    "PreparedRun.run": {"attitude": None},
-    "LieAlgebra.from_brackets": {"brackets": {(0, 1): {2: 1.0}}},
-    "MatrixSystem.spectrum": {"x": np.zeros((3, 3))},
-    "co.Event": {"g": 0},
-    "co.Hamiltonian": {"value": lambda x: 0.5 * x[0] ** 2, "gradient": lambda x: np.array([x[0], 0.0, 0.0])},
-    "co.Invariant": {"value": lambda x: x[0]},
-    "co.LieAlgebra": {"dim": 2},
+    "co.LieAlgebra.from_brackets": BRACKETS,
+    "LieAlgebra.from_brackets": BRACKETS,
+    "PreparedRun.vjp": RUN,
+    "PreparedRun.jvp": RUN,
+    "PreparedRun.run": RUN,
+    "MatrixSystem.spectrum": {"x": ZERO},
     "co.algebras.get": {"name": "so(3)"},
     "co.algebras.low_dimensional": {"name": "A3_1"},
     "co.analysis.drift_of_series": {"t": TIMES},
-    "co.analysis.orthogonality": {"solution": ENSEMBLE},
-    "co.analysis.round_off": {"solution": ENSEMBLE},
-    "co.analysis.spatial_momentum": {"solution": ENSEMBLE},
+    **{f"co.analysis.{name}": {"solution": ENSEMBLE} for name in ("orthogonality", "round_off", "spatial_momentum")},
     "co.analysis.poisson_defect": {"step": OBJECTS["Stepper"]},
-    "co.forces.HeatBath": {"seed": 1},
-    "co.forces.OwnForce": {"function": lambda x, t, tau: x},
-    "co.formula": {"dim": 3},
     "co.frequencies": {"count": 1},
-    "co.integrate": {"step": 0.1},
+    **{f"co.{name}": {"step": 0.1} for name in ("integrate", "poincare_section", "prepare")},
     "co.methods.get": {"name": "Taylor"},
-    "co.poincare_section": {"step": 0.1},
     "co.predicted_drift": {"modified": KEPT, "step": 0.1},
-    "co.prepare": {"step": 0.1},
-    "co.methods.Properties": {"energy": False, "casimirs": "none", "attitude": "none"},
-    "co.systems.canonical_state": {"q": X, "p": X},
     "co.systems.get": {"name": "rigid_body"},
-    "what J returns": {"value": np.zeros((3, 3))},
-    "what a stream returns": {"value": np.zeros((3, 3))},
+    **{f"what {name} returns": {"value": ZERO} for name in ("J", "a stream")},
     "a flow": {"value": 1.0},
     "a bracket": {"value": 1.0},
     "an observable": {"value": P},
@@ -177,13 +158,20 @@ def resolved(name):
 
 def entries():
     """Return functions with valid arguments by name."""
-    found = {}
-    for line in NAMES.read_text(encoding="utf-8").splitlines():
-        name, bracket, _ = line.partition("(")
-        if bracket and "'" not in name and not LEFT_OUT.search(line) and callable(value := resolved(name)):
-            found[name] = (value, arguments_of(value) | OWN.get(name, {}))
-    found |= {name: (value, arguments_of(value) | OWN.get(name, {})) for name, value in FURTHER.items()}
-    return found
+    lines = NAMES.read_text(encoding="utf-8").splitlines()
+    found = {line.partition("(")[0]: line for line in lines if "(" in line and not LEFT_OUT.search(line)}
+    known = {name: resolved(name) for name in found if "'" not in name} | FURTHER
+    return {
+        name: (value, arguments_of(value) | domains_of(name) | OWN.get(name, {}))
+        for name, value in known.items()
+        if callable(value)
+    }
+
+
+def domains_of(name):
+    """Return the usual arguments of a constructor."""
+    case = CASES.get(re.sub(r"^co\.(algebras\.|systems\.|forces\.|methods\.)?", "", name))
+    return case.arguments() if case else {}
 
 
 def arguments_of(function):

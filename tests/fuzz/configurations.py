@@ -50,15 +50,10 @@ def bases():
 
 def _quick(table):
     """Return a configuration with few steps, and of small matrices for fluids."""
-    table["system"] = {**table.get("system", {})}
-    table["system"]["parameters"] = {
-        key: min(value, 7) if key == "N" else value for key, value in table["system"].get("parameters", {}).items()
-    }
-    if not table["system"].get("name"):
-        del table["system"]
-    step, start, end = table["run"]["step"], *table["run"]["t_span"]
-    table["run"]["t_span"] = [start, start + math.copysign(min(abs(end - start), 8 * step), end - start)]
-    return table
+    if system := table.get("system"):
+        given = system.get("parameters", {})
+        system["parameters"] = {key: min(value, 7) if key == "N" else value for key, value in given.items()}
+    return _short(table, 8)
 
 
 def draw(seed):
@@ -67,29 +62,25 @@ def draw(seed):
     kind = chosen.random()
     table = plausible(chosen) if kind < 0.5 else copy.deepcopy(chosen.choice(_BASES))
     for _ in range(chosen.choice((0, 1, 1, 2) if kind < 0.5 else (1, 1, 1, 2, 3, 5))):
-        chosen.choice(_GENTLE if kind < 0.6 else _CHANGES)(chosen, table)
+        _change(chosen, table, chosen.choice(GENTLE if kind < 0.6 else CHANGES))
     text = toml(_short(table)).encode("utf-8", "surrogatepass")
-    if kind > 0.9:
-        for _ in range(chosen.choice((1, 1, 2, 5, 30))):
-            text = _other_bytes(chosen, text)
+    for _ in range(chosen.choice((1, 1, 2, 5, 30)) if kind > 0.9 else 0):
+        text = _other_bytes(chosen, text)
     return text
 
 
-def _short(table):
+def _short(table, most=MAX_STEPS):
     """Cut a run of many steps, whatever the table contains otherwise."""
     run = table.get("run")
     span, step = (run.get("t_span"), run.get("step")) if isinstance(run, dict) else (None, None)
-    if (
-        isinstance(span, list)
-        and len(span) == 2
-        and all(type(v) in (int, float) and abs(v) < 1e300 for v in (*span, step))
-    ):
-        if step and abs(span[1] - span[0]) > MAX_STEPS * abs(step):
-            run["t_span"] = [span[0], span[0] + math.copysign(MAX_STEPS * abs(step), span[1] - span[0])]
+    if isinstance(span, list) and len(span) == 2:
+        if all(type(v) in (int, float) and abs(v) < 1e300 for v in (*span, step)):
+            if step and abs(span[1] - span[0]) > most * abs(step):
+                run["t_span"] = [span[0], span[0] + math.copysign(most * abs(step), span[1] - span[0])]
     return table
 
 
-def _slots(table, inside=()):
+def _slots(table):
     """Yield container and key or index of each value."""
     for key, value in list(table.items() if isinstance(table, dict) else enumerate(table)):
         yield table, key
@@ -97,136 +88,74 @@ def _slots(table, inside=()):
             yield from _slots(value)
 
 
-def _slot(chosen, table):
+def _slot(chosen, table, kinds=(object,)):
     """Return a random slot, mostly of a table, so that long lists do not dominate."""
-    found = list(_slots(table))
-    if not found:
-        return table, "run"
+    found = [slot for slot in _slots(table) if kinds == (object,) or type(slot[0][slot[1]]) in kinds]
     named = [slot for slot in found if isinstance(slot[0], dict)]
-    return chosen.choice(named if named and chosen.random() < 0.6 else found)
+    return chosen.choice(named if named and chosen.random() < 0.6 else found) if found else (table, "run")
 
 
-def _replaced(chosen, table):
-    container, key = _slot(chosen, table)
-    container[key] = wild(chosen)
+KINDS = {"number": (int, float), "text": (str,)}
+CHANGES = ("replace", "replace", "number", "number", "text", "remove", "rename", "add", "move", "other", "wrap", "name",
+    "name", "output")  # fmt: skip
+GENTLE = (*4 * ("similar",), "number", "replace", "remove", "name", "move")
 
 
-def _number_changed(chosen, table):
-    found = [slot for slot in _slots(table) if type(slot[0][slot[1]]) in (int, float)]
-    if found:
-        container, key = chosen.choice(found)
-        container[key] = chosen.choice(NUMBERS)
-
-
-def _text_changed(chosen, table):
-    found = [slot for slot in _slots(table) if isinstance(slot[0][slot[1]], str)]
-    if found:
-        container, key = chosen.choice(found)
-        kinds = (TEXTS, FORMULAS, EXECUTED, [place + suffix for place in PLACES for suffix in SUFFIXES])
-        container[key] = any_name(chosen) if chosen.random() < 0.4 else chosen.choice(chosen.choice(kinds))
-
-
-def _gently_changed(chosen, table):
-    container, key = _slot(chosen, table)
-    if not (isinstance(container, dict) and key not in container):
-        container[key] = gently(chosen, container[key])
-
-
-def _taken_out(chosen, table):
-    container, key = _slot(chosen, table)
-    del container[key]
-
-
-def _renamed(chosen, table):
-    container, key = _slot(chosen, table)
-    if isinstance(container, dict):
-        other = chosen.choice((*KEYS, key + "s", key[:-1], key.upper()))
-        container[other] = container.pop(key, 1)
-
-
-def _added(chosen, table):
-    container, _ = _slot(chosen, table)
-    if isinstance(container, dict):
-        container[chosen.choice(KEYS)] = wild(chosen)
+def _change(chosen, table, kind):
+    """Change one place of a table."""
+    if kind == "other":
+        other = chosen.choice(_BASES)
+        key = chosen.choice(list(other))
+        table[key] = copy.deepcopy(other[key])
+    elif kind == "output":
+        table["output"] = {chosen.choice(("file", "figure", "movie")): chosen.choice(PLACES) + chosen.choice(SUFFIXES)}
+    elif kind == "name":
+        _other_name(chosen, table)
     else:
-        container.insert(chosen.randrange(len(container) + 1), wild(chosen))
+        container, key = _slot(chosen, table, KINDS.get(kind, (object,)))
+        old = container.get(key) if isinstance(container, dict) else container[key]
+        if kind == "remove":
+            container.pop(key, None) if isinstance(container, dict) else container.pop(key)
+        elif kind in ("rename", "add") and isinstance(container, dict):
+            new = chosen.choice((*KEYS, key + "s", key[:-1], key.upper()))
+            container[new] = container.pop(key, 1) if kind == "rename" else wild(chosen)
+        elif kind == "add":
+            container.insert(chosen.randrange(len(container) + 1), wild(chosen))
+        elif kind == "move":
+            other, place = _slot(chosen, table)
+            container[key] = copy.deepcopy(other.get(place) if isinstance(other, dict) else other[place])
+        else:
+            new = {"number": lambda: chosen.choice(NUMBERS), "text": lambda: _text(chosen), "wrap": lambda: [old],
+                "similar": lambda: gently(chosen, old)}  # fmt: skip
+            container[key] = new.get(kind, lambda: wild(chosen))()
 
 
-def _moved(chosen, table):
-    (one, first), (other, second) = _slot(chosen, table), _slot(chosen, table)
-    one[first] = copy.deepcopy(other.get(second) if isinstance(other, dict) else other[second])
+def _text(chosen):
+    kinds = (TEXTS, FORMULAS, EXECUTED, [place + suffix for place in PLACES for suffix in SUFFIXES])
+    return any_name(chosen) if chosen.random() < 0.4 else chosen.choice(chosen.choice(kinds))
 
 
-def _of_another(chosen, table):
-    other = chosen.choice(_BASES)
-    key = chosen.choice(list(other))
-    table[key] = copy.deepcopy(other[key])
-
-
-def _wrapped(chosen, table):
-    container, key = _slot(chosen, table)
-    container[key] = [container.get(key) if isinstance(container, dict) else container[key]]
-
-
-def _of_one_name(chosen, table):
+def _other_name(chosen, table):
     """Replace a system, scheme, algebra, force or state by name, with the parameters of the old one."""
     kind = chosen.choice(("system", "method", "algebra", "forces", "initial", "method", "system"))
-    if kind == "system":
-        table["system"] = {**_table(table.get("system")), "name": chosen.choice(co.systems.names())}
-    elif kind == "method":
-        table["method"] = {**_table(table.get("method")), "name": chosen.choice(co.methods.names())}
-    elif kind == "algebra":
-        table["algebra"] = {**_table(table.get("algebra")), "name": any_name(chosen)}
-    elif kind == "forces":
+    old = table[kind] if isinstance(table.get(kind), dict) else {}
+    if kind == "forces":
         table["forces"] = [{"name": chosen.choice(co.forces.names()), chosen.choice(("rate", "alpha", "nu")): 0.1}]
+    elif kind == "initial":
+        table["initial"] = {**old, "kind": chosen.choice(("random", "zonal_jet", "from_file"))}
     else:
-        table["initial"] = {**_table(table.get("initial")), "kind": chosen.choice(("random", "zonal_jet", "from_file"))}
+        names = {"system": co.systems.names, "method": co.methods.names, "algebra": lambda: [any_name(chosen)]}
+        table[kind] = {**old, "name": chosen.choice(names[kind]())}
 
 
-def _table(arguments):
-    return arguments if isinstance(arguments, dict) else {}
-
-
-def _written(chosen, table):
-    table["output"] = {chosen.choice(("file", "figure", "movie")): chosen.choice(PLACES) + chosen.choice(SUFFIXES)}
-
-
-_CHANGES = (_replaced, _replaced, _number_changed, _number_changed, _text_changed, _taken_out, _renamed, _added, _moved)
-_CHANGES = (*_CHANGES, _of_another, _wrapped, _of_one_name, _of_one_name, _written)
-
-
-_GENTLE = (*4 * (_gently_changed,), _number_changed, _replaced, _taken_out, _of_one_name, _moved)
+EXTRA = (b"[", b"]", b'"', b"'", b"\x00", b"\xff", b"\xef\xbb\xbf", b"\r", b"\n", b"=", b".", b"#", b'"""', b"[[" * 200)
 
 
 def _other_bytes(chosen, text):
     at = chosen.randrange(len(text) + 1)
     end = min(len(text), at + chosen.choice((1, 1, 4, 40)))
-    kind = chosen.randrange(5)
-    if kind == 0:
-        return text[:at] + bytes([chosen.randrange(256)]) + text[at + 1 :]
-    if kind == 1:
-        return text[:at] + text[end:]
-    if kind == 2:
-        return text[:end] + text[at:]
-    if kind == 3:
-        return text[:at]
-    extra = (
-        b"[",
-        b"]",
-        b'"',
-        b"'",
-        b"\x00",
-        b"\xff",
-        b"\xef\xbb\xbf",
-        b"\r",
-        b"\n",
-        b"=",
-        b".",
-        b"#",
-        b'"""',
-        b"[[" * 200,
-    )
-    return text[:at] + chosen.choice(extra) + text[at:]
+    more = {0: bytes([chosen.randrange(256)]) + text[at + 1 :], 1: text[end:], 2: text[at:end] + text[at:], 3: b""}
+    return text[:at] + more.get(chosen.randrange(5), chosen.choice(EXTRA) + text[at:])
 
 
 SMALL = {"sphere_euler": {"N": 5}, "torus_euler": {"N": 5}, "reduced_mhd": {"N": 3}, "passive_scalar": {"N": 3}}
@@ -239,18 +168,25 @@ FORCES = (
     {"name": "Friction", "rate": 0.1},
     {"name": "RandomForcing", "energy_rate": 0.1, "band": [1, 2], "seed": 1},
 )
-LEAST = {
-    "Composition": {"base": co.Splitting(), "coefficients": (1.0,)},
-    "Projected": {"base": co.GaussLegendre(1)},
-    "ReversibleSteps": {"base": co.Splitting()},
-    "Forced": {"base": co.Splitting()},
-}
+BASE = {"base": co.Splitting()}
+LEAST = {"Composition": {**BASE, "coefficients": (1.0,)}, "Projected": {"base": co.GaussLegendre(1)}}
+LEAST |= {"ReversibleSteps": BASE, "Forced": BASE}
 FACTORS = (-1, 0, 0.5, 2, 3, 10, 1e3, 1e-3, 1e8, 1e-8, 1e150, 1e-150, 1e300)
-
-
-@cache
-def system_of(name):
-    return co.systems.get(name, **SMALL.get(name, {}))
+# Further settings, by the table that contains them; those of the last line are drawn less often.
+FURTHER_SETTINGS = {
+    "save_every": ("run", (1, 3, 100)),
+    "t_eval": ("run", ([0.03, 0.25], [0.25, 0.03])),
+    "watch": ("run", (False,)),
+    "threads": ("run", (1, 2, 100)),
+    "attitude": ("initial", (True, "coadjoint", [[1, 0], [0, 1]])),
+    "forces": ("", tuple([dict(one)] for one in FORCES) + tuple([dict(one), dict(FORCES[0])] for one in FORCES)),
+    "observe": ("", ({"a": "x1^2", "b": "x2 - 1"},)),
+    "events": ("", tuple({"a": {"g": g, "count": 3}} for g in (0, "x1", "x1*x2 - 0.1"))),
+    "output": ("", tuple({kind: name} for kind in ("file", "archive") for name in ("run.nc", "run.zarr"))),
+}
+OVER = ("initial.x[0]", "initial.x", "initial.x[0][0]", "system.parameters.N", "forces[0].rate")
+SETTINGS = ([0.5, 0.25], {"linear": [0.5, 1.0], "count": 3}, {"uniform": [0.0, 1.0]}, {"sphere": 1.0}, {"orbit": 0.1},
+    {"file": "states.npy"}, {"normal": [0.0, 1.0]})  # fmt: skip
 
 
 @cache
@@ -272,42 +208,6 @@ def described(method):
     return {"name": type(method).__name__, **without_none(parameters)}
 
 
-def plausible(chosen):
-    """Return a configuration as tables."""
-    name = chosen.choice(co.systems.names())
-    system = system_of(name)
-    table = {
-        "system": {"name": name, "parameters": dict(SMALL.get(name, {}))},
-        "initial": {"x": _states(chosen, system)},
-        "method": chosen.choice(schemes()),
-        "run": {"t_span": chosen.choice(([0, 1], [1.0, -1.0], [0, 0.0625])), "step": 0.0625},
-    }
-    if isinstance(system, co.MatrixSystem) and "random" in getattr(system, "states_by_name", ()):
-        table["initial"] = {"kind": "random", "seed": 1, "degrees": [1, 2]}
-    if isinstance(system, co.MatrixSystem):
-        table["method"] = {"name": chosen.choice(("IsospectralGauss", "ExplicitRungeKutta", "LineSplitting"))}
-    further = {
-        "save_every": lambda: table["run"].update(save_every=chosen.choice((1, 3, 100))),
-        "t_eval": lambda: table["run"].update(t_eval=chosen.choice(([0.03, 0.25], [0.25, 0.03]))),
-        "watch": lambda: table["run"].update(watch=False),
-        "threads": lambda: table["run"].update(threads=chosen.choice((1, 2, 100))),
-        "attitude": lambda: table["initial"].update(attitude=chosen.choice((True, "coadjoint", [[1, 0], [0, 1]]))),
-        "forces": lambda: table.update(forces=[dict(chosen.choice(FORCES)) for _ in range(chosen.choice((1, 1, 2)))]),
-        "observe": lambda: table.update(observe={"a": "x1^2", "b": "x2 - 1"}),
-        "events": lambda: table.update(events={"a": {"g": chosen.choice((0, "x1", "x1*x2 - 0.1")), "count": 3}}),
-        "output": lambda: table.update(
-            output={chosen.choice(("file", "archive")): chosen.choice(("run.nc", "run.zarr"))}
-        ),
-        "figure": lambda: table.update(output={"figure": "run.png"}),
-        "sweep": lambda: table.update(sweep=_sweep(chosen, table)),
-    }
-    likely = (*list(further)[:-3], *list(further)[:-3], *list(further)[-3:])
-    for key in {chosen.choice(likely) for _ in range(chosen.choice((0, 1, 2, 3)))}:
-        if key != "figure" or chosen.random() < 0.1:  # figures take a second
-            further[key]()
-    return table
-
-
 def without_none(value):
     """Return a description without None, which TOML does not have."""
     if isinstance(value, dict):
@@ -317,38 +217,45 @@ def without_none(value):
     return value
 
 
+def plausible(chosen):
+    """Return a configuration as tables."""
+    name = chosen.choice(co.systems.names())
+    system = co.systems.get(name, **SMALL.get(name, {}))
+    matrices = isinstance(system, co.MatrixSystem)
+    table = {
+        "system": {"name": name, "parameters": dict(SMALL.get(name, {}))},
+        "initial": {"x": _states(chosen, system)},
+        "method": copy.deepcopy(chosen.choice(schemes())),
+        "run": {"t_span": chosen.choice(([0, 1], [1.0, -1.0], [0, 0.0625])), "step": 0.0625},
+    }
+    if matrices:
+        table["method"] = {"name": chosen.choice(("IsospectralGauss", "ExplicitRungeKutta", "LineSplitting"))}
+        if "random" in getattr(system, "states_by_name", ()):
+            table["initial"] = {"kind": "random", "seed": 1, "degrees": [1, 2]}
+    for key in {chosen.choice([*FURTHER_SETTINGS]) for _ in range(chosen.choice((0, 1, 2, 3)))}:
+        place, values = FURTHER_SETTINGS[key]
+        (table[place] if place else table)[key] = copy.deepcopy(chosen.choice(values))
+    if chosen.random() < 0.02:  # figures take a second
+        table["output"] = {"figure": "run.png"}
+    if chosen.random() < 0.1:
+        drawn = {"samples": 2, "seed": 1} if chosen.random() < 0.6 else {}
+        table["sweep"] = {"over": {chosen.choice(OVER): copy.deepcopy(chosen.choice(SETTINGS))}, **drawn}
+    return table
+
+
 def _states(chosen, system):
-    shape = getattr(system, "shape", None) or (system.dim,)
     if isinstance(system, co.MatrixSystem):
-        return [[0.0 if i == j else (i - j) / 10 for j in range(shape[-1])] for i in range(shape[-2])]
+        *_, rows, columns = getattr(system, "shape", None) or (system.dim,) * 2
+        return [[0.0 if i == j else (i - j) / 10 for j in range(columns)] for i in range(rows)]
     one = [round(chosen.uniform(-1, 1), 3) for _ in range(system.dim)]
     return [one, one[::-1]] if chosen.random() < 0.3 else one
 
 
-def _sweep(chosen, table):
-    place = chosen.choice(("initial.x[0]", "initial.x", "initial.x[0][0]", "system.parameters.N", "forces[0].rate"))
-    settings = (
-        [0.5, 0.25],
-        {"linear": [0.5, 1.0], "count": 3},
-        {"uniform": [0.0, 1.0]},
-        {"sphere": 1.0},
-        {"orbit": 0.1},
-        {"file": "states.npy"},
-        {"normal": [0.0, 1.0]},
-    )
-    over = {place: chosen.choice(settings)}
-    drawn = {"samples": 2, "seed": 1} if chosen.random() < 0.6 else {}
-    return {"over": over, **drawn}
-
-
 def gently(chosen, value):
     """Return a similar number, a list of another length, or the value itself."""
-    if isinstance(value, bool) or value is None:
-        return value
-    if isinstance(value, int):
-        return chosen.choice(
-            (value + 1, value - 1, 2 * value, -value, 0, 10 * value, max(-(10**9), min(value, 10**9)) + 0.0)
-        )
+    if isinstance(value, int) and not isinstance(value, bool):
+        near = max(-(10**9), min(value, 10**9)) + 0.0
+        return chosen.choice((value + 1, value - 1, 2 * value, -value, 0, 10 * value, near))
     if isinstance(value, float):
         return value * chosen.choice(FACTORS)
     if isinstance(value, list) and value:

@@ -74,16 +74,13 @@ class Runs:
 
     def of_the_folder(self, before):
         now, targets = snapshot(self.outside), [*self.targets()]
-        for name, state in now.items():
+        changed = [name for name, state in now.items() if name != "work/run.toml" and state != before.get(name, "new")]
+        for name in changed:
             path = self.outside / name
-            if name == "work/run.toml" or state == before.get(name, "new"):
-                continue
             if not any(path == target or target in path.parents for target in targets):
                 yield f"written beside what was named: {name}"
                 break
-        lost = [name for name in before if name not in now]
-        if lost:
-            yield f"removed: {lost[0]}"
+        yield from [f"removed: {name}" for name in before if name not in now][:1]
         # Each seed finds the same folder.
         for name in sorted(now, reverse=True):
             path = self.outside / name

@@ -62,36 +62,33 @@ def in_processes(kind, seeds):
     """Try seeds in other processes, a new one after each crash; yield seeds and descriptions of failures."""
     first = seeds.start
     while first < seeds.stop:
-        numbers = str(first), str(seeds.stop - first)
-        command = [sys.executable, "-m", "fuzz.run", kind, *numbers, "--here"]
+        command = [sys.executable, "-m", "fuzz.run", kind, str(first), str(seeds.stop - first), "--here"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=TESTS) as process:
-            last = first - 1
+            last = None
             for line in process.stdout:
                 last, *found = json.loads(line)
-                for sentence in found:
-                    yield last, sentence
+                yield from ((last, sentence) for sentence in found)
             message = process.stderr.read()
         if process.returncode == 0:
             return
         lines = [line.strip() for line in message.splitlines() if "coadjoint" in line and "File" in line]
         yield last, f"ended by {process.returncode}: {lines[0] if lines else message[-300:]}"
-        if last < first:
+        if last is None:
             return
         first = last + 1
 
 
 def fuzz(kind, first, count, jobs):
     """Try seeds in several processes; print failures and return their number for each seed."""
-    blocks = [range(start, min(start + BLOCK, first + count)) for start in range(first, first + count, BLOCK)]
     wrong = Counter()
 
-    def one(block):
-        for seed, sentence in in_processes(kind, block):
+    def one(start):
+        for seed, sentence in in_processes(kind, range(start, min(start + BLOCK, first + count))):
             wrong[seed] += 1
             print(f"{kind} {seed}: {sentence}", flush=True)
 
     with ThreadPoolExecutor(jobs) as pool:
-        list(pool.map(one, blocks))
+        list(pool.map(one, range(first, first + count, BLOCK)))
     print(f"{count} {kind}, {len(wrong)} wrong", flush=True)
     return wrong
 

@@ -19,8 +19,7 @@ class NoRepresentation:
 class Quantity:
     """A number with a unit, as pint has them."""
 
-    magnitude = property(lambda self: 0.5)
-    units = property(lambda self: "second")
+    magnitude, units = 0.5, "second"
 
     def __repr__(self):
         return "0.5 second"
@@ -38,11 +37,10 @@ class QuantityArray(np.ndarray):
     unit = "s"
 
 
-def deep(levels):
-    nested = []
+def nested(value, levels, lists=True):
     for _ in range(levels):
-        nested = [nested]
-    return nested
+        value = [value] if lists else {"a": value}
+    return value
 
 
 HOSTILE = {
@@ -71,7 +69,6 @@ HOSTILE = {
     "a fraction": Fraction(10**400, 3),
     "a ragged list": [1.0, [2.0, 3.0]],
     "complex numbers": [1j, 2.0, 3.0],
-    "a complex array": np.array([1j, 2.0, 3.0]),
     "masked": np.ma.masked_array([1.0, 2.0, 3.0], [False, True, False]),
     "a masked matrix": np.ma.masked_array(np.eye(3), np.eye(3) > 0),
     "the masked constant": np.ma.masked,
@@ -81,7 +78,6 @@ HOSTILE = {
     "a NumPy duration": np.timedelta64(1, "s"),
     "an array of durations": np.array([0, 1, 2], dtype="timedelta64[s]"),
     "a date": date(2026, 1, 2),
-    "times of day": (datetime(2026, 1, 2), datetime(2026, 1, 3)),
     "a NumPy date": np.datetime64("2026-01-02"),
     "a quantity": Quantity(),
     "an array with a unit": np.ones(3).view(QuantityArray),
@@ -95,7 +91,6 @@ HOSTILE = {
     "no representation": NoRepresentation(),
     "many without one": [NoRepresentation()] * 3,
     "uint8": np.uint8(200),
-    "int8": np.int8(-128),
     "float16": np.float16(3),
     "uint8 numbers": np.array([200, 100, 200], dtype=np.uint8),
     "a number in an array": np.array(3.0),
@@ -105,7 +100,7 @@ HOSTILE = {
     "many dimensions": np.ones((2,) * 20),
     "records": np.zeros(3, dtype=[("a", float)]),
     "times": np.array(["2020-01-01"] * 3, dtype="datetime64[D]"),
-    "a deep list": deep(100_000),
+    "a deep list": nested([], 100_000),
     "a type": int,
     "a function": lambda: None,
     "a dict of anything": {NoRepresentation(): [None]},
@@ -156,43 +151,26 @@ KEYS = (
 
 def wild(chosen, depth=0):
     """Return an unexpected value."""
-    kind = chosen.random()
-    if kind < 0.4:
-        return chosen.choice(NUMBERS)
-    if kind < 0.5:
-        return chosen.choice(TEXTS)
-    if kind < 0.55:
-        return chosen.choice(FORMULAS)
-    if kind < 0.6:
-        return chosen.choice(EXECUTED)
-    if kind < 0.65:
-        return chosen.choice(PLACES) + chosen.choice(SUFFIXES)
-    if kind < 0.7:
-        return any_name(chosen)
-    if kind < 0.75:
-        return chosen.choice((True, False))
-    if kind < 0.77:
-        return chosen.choice(DATES)
-    if depth > 3:
-        return []
-    if kind < 0.8:
-        return _nested(chosen.choice(([], {}, 1.0, "a")), chosen.choice((1, 2, 5, 40, 70, 120)), chosen.random() < 0.7)
-    if kind < 0.9:
-        return [wild(chosen, depth + 1) for _ in range(chosen.choice((0, 1, 2, 3, 3, 3, 6, 9)))]
-    if kind < 0.96:
-        return [chosen.choice(NUMBERS[:20])] * chosen.choice((1, 2, 3, 4, 6, 9, 100, 3000))
+    kind, nothing = chosen.random(), depth > 3
+    for limit, draw in (
+        (0.4, lambda: chosen.choice(NUMBERS)),
+        (0.5, lambda: chosen.choice(TEXTS)),
+        (0.55, lambda: chosen.choice(FORMULAS)),
+        (0.6, lambda: chosen.choice(EXECUTED)),
+        (0.65, lambda: chosen.choice(PLACES) + chosen.choice(SUFFIXES)),
+        (0.7, lambda: any_name(chosen)),
+        (0.77, lambda: chosen.choice((True, True, True, False, False, False, *DATES))),
+        (1.0 if nothing else 0.77, lambda: []),
+        (0.8, lambda: nested(chosen.choice(([], {}, 1.0, "a")), chosen.choice((1, 2, 5, 40, 70, 120)), kind < 0.79)),
+        (0.9, lambda: [wild(chosen, depth + 1) for _ in range(chosen.choice((0, 1, 2, 3, 3, 3, 6, 9)))]),
+        (0.96, lambda: [chosen.choice(NUMBERS[:20])] * chosen.choice((1, 2, 3, 4, 6, 9, 100, 3000))),
+    ):
+        if kind < limit:
+            return draw()
     return {chosen.choice(KEYS): wild(chosen, depth + 1) for _ in range(chosen.choice((0, 1, 2, 3)))}
 
 
-def _nested(value, levels, lists):
-    for _ in range(levels):
-        value = [value] if lists else {"a": value}
-    return value
-
-
 def any_name(chosen):
-    kind = chosen.choice(
-        (co.systems.names, co.methods.names, co.algebras.names, co.forces.names, lambda: ("random", "blobs"))
-    )
-    name = chosen.choice(kind())
+    modules = (co.systems, co.methods, co.algebras, co.forces)
+    name = chosen.choice((*chosen.choice(modules).names(), *(("random", "blobs") if chosen.random() < 0.2 else ())))
     return name.replace("n)", f"{chosen.choice((0, 1, 2, 3, 4, 30, 10**6))})") if chosen.random() < 0.7 else name

@@ -32,40 +32,27 @@ def test_gradients_do_not_depend_on_stretches(method, members, monkeypatch):
 
 
 def test_number_of_checkpoints_is_bounded(monkeypatch):
-    """Of 48 bytes each, for the momentum and what its sums have lost."""
-    ready, counts = co.prepare(BODY, co.Splitting(), H), []
-    monkeypatch.setattr(differentiable_run, "STEPS_OF_STRETCH", 1)
-    monkeypatch.setattr(differentiable_run, "NUMBERS_OF_STRETCH", 3)
-    for size in (2**25, 4800):
-        monkeypatch.setattr(differentiable_run, "BYTES_OF_CHECKPOINTS", size)
-        _, pullback = ready.vjp([0.3, 1.0, 0.2], (0.0, 1000 * H), 1000)
-        counts.append(len(pullback._trajectory.stretches))
-    assert counts == [1000, 100]
-
-
-def test_stretches_of_large_systems_have_several_steps(monkeypatch):
-    system = co.systems.spin_lattice("chain", 100)
-    ready, steps = co.prepare(system, co.Splitting(order=2), 0.01), 40
-    x0, gradients = np.random.default_rng(0).standard_normal(system.dim), {}
+    """Of 48 bytes each, for the momentum and what its sums have lost; of large systems each has several steps."""
+    ready, x0 = co.prepare(BODY, co.Splitting(), H), [0.3, 1.0, 0.2]
+    lattice = co.systems.spin_lattice("chain", 100)
+    large, steps, x1 = co.prepare(lattice, co.Splitting(), 0.01), 40, np.random.default_rng(0).standard_normal(300)
+    gradients = {}
     for numbers in (2**15, 1):
         monkeypatch.setattr(differentiable_run, "NUMBERS_OF_STRETCH", numbers)
-        sol, pullback = ready.vjp(x0, (0.0, 0.01 * steps), save_every=steps)
+        sol, pullback = large.vjp(x1, (0.0, 0.01 * steps), save_every=steps)
         lengths = [one.k1 - one.k0 for one in pullback._trajectory.stretches]
         assert lengths == ([40] if numbers > 1 else [16, 16, 8])
-        gradients[numbers] = pullback(np.ones(sol.x.shape))
-    assert np.array_equal(gradients[1]["x0"], gradients[2**15]["x0"])
-    # Five steps of states fit.
-    monkeypatch.setattr(differentiable_run, "BYTES_OF_CHECKPOINTS", 5 * 8 * system.dim)
-    _, pullback = ready.vjp(x0, (0.0, 0.01), save_every=1)
-    assert pullback._trajectory._stretch_length() == 5
-
-
-def test_a_thousand_steps_of_own_lengths_take_little_memory(monkeypatch):
-    """They store about a kilobyte each."""
+        gradients[numbers] = pullback(np.ones(sol.x.shape))["x0"]
+    assert np.array_equal(gradients[1], gradients[2**15])
+    monkeypatch.setattr(differentiable_run, "STEPS_OF_STRETCH", 1)
+    monkeypatch.setattr(differentiable_run, "NUMBERS_OF_STRETCH", 3)
+    for size, count in ((2**25, 1000), (4800, 100)):
+        monkeypatch.setattr(differentiable_run, "BYTES_OF_CHECKPOINTS", size)
+        assert len(ready.vjp(x0, (0.0, 1000 * H), 1000)[1]._trajectory.stretches) == count
+    # A thousand steps of their own lengths store about a kilobyte each.
     monkeypatch.setattr("coadjoint.memory.available", lambda: 10**8)
     ready = co.prepare(BODY, co.ReversibleSteps(co.Splitting(), 0.1), 300.0, attitude=True)
-    pullback = ready.vjp([0.3, 1.0, 0.2], (0.0, 300.0))[1]
-    assert len(pullback._trajectory.stretches) > 1024
+    assert len(ready.vjp(x0, (0.0, 300.0))[1]._trajectory.stretches) > 1024
 
 
 def test_matrices_that_exceed_the_memory_are_refused_before_they_are_allocated(monkeypatch):

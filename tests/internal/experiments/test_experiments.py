@@ -121,22 +121,14 @@ H = 0.1
 
 @pytest.mark.parametrize("stages", [1, 2, 3])
 @pytest.mark.parametrize("freeze", ["structure", "gradient"])
-def test_step_matrix_reproduces_the_modified_step(stages, freeze):
+def test_step_matrix_reproduces_the_modified_step_and_its_limit(stages, freeze):
     body = co.systems.paper_rigid_body()
-    m = 2 * stages
-    frozen = stage_iterates(body, stages, H, X, m - 1)[-1]
-    B = step_matrix(body, frozen, H, freeze)
-    step = co.stepper(body, co.ModifiedGaussLegendre(stages, m, freeze=freeze), H)(X)
-    # 3 s unknowns by elimination.
-    assert np.linalg.norm(B @ X - step) <= 64 * 2.0**-53 * 3 * stages * np.linalg.norm(X)
-
-
-def test_converged_stages_reproduce_the_gauss_step():
-    body = co.systems.paper_rigid_body()
-    frozen = stage_iterates(body, 2, H, X, 50)[-1]
-    step = co.stepper(body, co.GaussLegendre(2), H)(X)
-    for freeze in ("structure", "gradient"):
-        assert np.linalg.norm(step_matrix(body, frozen, H, freeze) @ X - step) <= 64 * 2.0**-53 * 6 * np.linalg.norm(X)
+    modified = co.ModifiedGaussLegendre(stages, 2 * stages, freeze=freeze)
+    for m, method in ((2 * stages, modified), (51, co.GaussLegendre(stages))):
+        B = step_matrix(body, stage_iterates(body, stages, H, X, m - 1)[-1], H, freeze)
+        step = co.stepper(body, method, H)(X)
+        # 3 s unknowns by elimination.
+        assert np.linalg.norm(B @ X - step) <= 64 * 2.0**-53 * 3 * stages * np.linalg.norm(X)
 
 
 @pytest.mark.parametrize(
@@ -189,45 +181,42 @@ class Runge(co.methods.StepMethod):
 
 
 @pytest.mark.long
-def test_wrong_order_is_detected(monkeypatch):
-    monkeypatch.setattr(checks, "more_schemes", lambda: [Runge(order=3)])
+@pytest.mark.parametrize(
+    ("schemes", "method", "check", "begin"),
+    [
+        ("more_schemes", Runge(order=3), "orders", "order of Runge("),
+        ("schemes", Runge(casimirs="all"), "certificates", "of 1 certificates fail"),
+    ],
+)
+def test_wrong_orders_and_false_properties_are_detected(monkeypatch, schemes, method, check, begin):
+    monkeypatch.setattr(checks, schemes, lambda: [method])
     monkeypatch.setattr(checks, "supported_systems", lambda method: {"so(3)": subjects.systems()["so(3)"]})
-    (found,) = failing(checks.orders)
-    assert found.startswith("order of Runge(")
+    assert any(found.startswith(begin) for found in failing(getattr(checks, check)))
 
 
-@pytest.mark.long
-def test_false_property_is_detected(monkeypatch):
-    monkeypatch.setattr(checks, "schemes", lambda: [Runge(casimirs="all")])
-    monkeypatch.setattr(checks, "supported_systems", lambda method: {"so(3)": subjects.systems()["so(3)"]})
-    found = {one.what: one for one in checks.certificates() if not one.passed}
-    assert "Casimirs, 1 times" in found and "Casimir |x|^2" in found["of 1 certificates fail"].where
+def step_off(x):
+    return np.nextafter(x, 9.0)
 
 
-@pytest.mark.parametrize("what", ["threads", "watch"])
-def test_different_bits_are_detected(monkeypatch, what):
+@pytest.mark.parametrize(
+    ("changed", "by", "methods", "check", "begin"),
+    [
+        ("threads", step_off, [co.Splitting()], "same_bits", ["bits alone"]),
+        ("watch", step_off, [co.Splitting()], "same_bits", ["bits saved and watched or not"]),
+        (None, lambda x: x * (1 + 1e-12), [co.Splitting(), co.GaussLegendre(2)], "interpreted_steps",
+         ["compiled steps beside Python"]),
+    ],
+)  # fmt: skip
+def test_different_bits_are_detected(monkeypatch, changed, by, methods, check, begin):
     def other(*given, **named):
         found = co.integrate(*given, **named)
-        if named.get(what) in (2, False):
-            found.x[-1] = np.nextafter(found.x[-1], 9.0)
+        if changed is None or named.get(changed) in (2, False):
+            found.x[-1] = by(found.x[-1])
         return found
 
     monkeypatch.setattr(checks, "integrate", other)
-    monkeypatch.setattr(checks, "more_schemes", lambda: [co.Splitting()])
-    assert [one.split(",")[0].split(":")[0] for one in failing(checks.same_bits)] == [
-        "bits alone" if what == "threads" else "bits saved and watched or not"
-    ]
-
-
-def test_kernels_that_differ_from_python_are_detected(monkeypatch):
-    def other(*given, **named):
-        found = co.integrate(*given, **named)
-        found.x[-1] *= 1 + 1e-12
-        return found
-
-    monkeypatch.setattr(checks, "integrate", other)
-    monkeypatch.setattr(checks, "more_schemes", lambda: [co.Splitting(), co.GaussLegendre(2)])
-    assert failing(checks.interpreted_steps) == ["compiled steps beside Python: 10"]
+    monkeypatch.setattr(checks, "more_schemes", lambda: methods)
+    assert [one.split(",")[0].split(":")[0] for one in failing(getattr(checks, check))] == begin
 
 
 def test_differently_resumed_run_is_detected(monkeypatch):
@@ -256,21 +245,15 @@ def test_references_agree_with_power_series(key):
     )
     terms = [(int(k), int(i), int(j), mpmath.mpf(float(J[k, i, j]))) for k, i, j in np.argwhere(J)]
     with mpmath.workdps(30):
-        x = [mpmath.mpf(float(value)) for value in subjects.state_of(system)]
+        M, x = mpmath.matrix(M.tolist()), mpmath.matrix(subjects.state_of(system).tolist())
         for _ in range(16):
-            series = [x]
+            series, slopes = [x], []
             for p in range(24):
-                u = [
-                    [
-                        mpmath.fsum(mpmath.mpf(float(M[i, j])) * series[q][j] for j in range(n) if M[i, j])
-                        + (mpmath.mpf(float(linear[i])) if q == 0 else 0)
-                        for i in range(n)
-                    ]
-                    for q in range(p + 1)
-                ]
-                following = [mpmath.mpf(0)] * n
+                slopes.append(M * series[p] + (mpmath.matrix(linear.tolist()) if p == 0 else mpmath.matrix(n, 1)))
+                following = mpmath.matrix(n, 1)
                 for k, i, j, c in terms:
-                    following[i] += c * mpmath.fsum(series[q][k] * u[p - q][j] for q in range(p + 1))
-                series.append([value / (p + 1) for value in following])
-            x = [mpmath.fsum(series[p][i] / mpmath.mpf(16) ** p for p in range(25)) for i in range(n)]
+                    following[i] += c * mpmath.fsum(series[q][k] * slopes[p - q][j] for q in range(p + 1))
+                series.append(following / (p + 1))
+            x = mpmath.matrix([mpmath.fsum(one[i] / mpmath.mpf(16) ** p for p, one in enumerate(series))
+                               for i in range(n)])  # fmt: skip
         assert [float(value) for value in x] == list(subjects.references()[key])

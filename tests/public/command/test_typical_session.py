@@ -44,29 +44,30 @@ print("done")
 """
 
 
+def strictly(folder, *arguments):
+    """Run Python with warnings as errors; return what it printed."""
+    command = [sys.executable, "-W", "error", *map(str, arguments)]
+    environment = ENVIRONMENT | {"MPLBACKEND": "agg"}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=folder, env=environment)
+    assert (done.returncode, done.stderr) == (0, ""), arguments
+    return done.stdout
+
+
 def test_session_without_warnings(tmp_path):
     """A run, its archive, files, a picture, an ensemble, a chosen scheme, a Python function and a certificate."""
-    command = [sys.executable, "-W", "error", "-c", SESSION]
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=300, cwd=tmp_path, env=ENVIRONMENT | {"MPLBACKEND": "agg"}
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
+    assert strictly(tmp_path, "-c", SESSION) == "done\n"
     assert {"run.zarr", "run.nc", "copy.zarr", "run.png"} <= set(os.listdir(tmp_path))
 
 
 @pytest.mark.skipif(not EXAMPLE.is_file(), reason="not a checkout")
 def test_readme_without_warnings(tmp_path):
-    command = [sys.executable, "-W", "error", "-c", README, str(ROOT / "README.md")]
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=300, cwd=tmp_path, env=ENVIRONMENT | {"MPLBACKEND": "agg"}
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (0, "0\n", "")
+    assert strictly(tmp_path, "-c", README, ROOT / "README.md") == "0\n"
 
 
 @pytest.mark.skipif(not EXAMPLE.is_file(), reason="not a checkout")
 def test_commands_without_warnings(tmp_path):
     """A configuration file that is checked, run with a dataset, an archive and a picture, and certified."""
-    commands = (
+    for arguments in (
         ("check", EXAMPLE),
         ("run", EXAMPLE, "--out", "run.nc", "--figure", "run.png"),
         ("run", EXAMPLE, "--archive", "run.zarr", "--quiet"),
@@ -74,15 +75,6 @@ def test_commands_without_warnings(tmp_path):
         ("certify", EXAMPLE),
         ("systems",),
         ("schema",),
-    )
-    for arguments in commands:
-        done = subprocess.run(
-            [sys.executable, "-W", "error", "-m", "coadjoint", *map(str, arguments)],
-            capture_output=True,
-            text=True,
-            timeout=300,
-            cwd=tmp_path,
-            env=ENVIRONMENT | {"MPLBACKEND": "agg"},
-        )
-        assert (done.returncode, done.stderr) == (0, ""), arguments
+    ):
+        strictly(tmp_path, "-m", "coadjoint", *arguments)
     assert {"run.nc", "run.png", "run.zarr"} <= set(os.listdir(tmp_path))

@@ -59,26 +59,17 @@ def cubic(changed):
 
 BODY, TOP = named("rigid_body", inertia=(1.0, 2.0, 2.5)), named("heavy_top", inertia=(1.0, 2.0, 2.5))
 FULL = own(co.algebras.so(3), [[1.0, 0.1, 0.2], [0.1, 0.7, 0.0], [0.2, 0.0, 0.4]], [0.1, 0.0, 0.2])
-SL2 = own(co.algebras.sl(2), [0.3, 0.6, 1.0], [0.1, 0.2, 0.3], sign=1)
 # Its matrices turn by half the angle of the momentum.
 SPINORS = own(co.algebras.get("su(2)"), [0.3, 0.6, 1.0], np.zeros(3))
-SPINS = named("spin_lattice", shape=3, field=(0.1, 0.2, 0.3), dm=(0.1, 0.1, 0.2))
 TIMES = {"t_eval": [0.5, 0.52, 0.75, 0.97]}
-RUNS = {
-    "top": (TOP, "order 4", X6, (0.5, 1.5), {"attitude": True, "save_every": 7}),
-    "body backward": (BODY, "rational", X3, (1.0, 0.5), {"attitude": True, "save_every": 3}),
+RUNS = {  # beside those of ready-made systems, which are drawn with all schemes and options
     "spinors": (SPINORS, "order 4", X3, (0.5, 1.0), {"attitude": True, **TIMES}),
     "full": (FULL, "compensated", X3, (0.5, 1.0), {"attitude": "coadjoint", **TIMES}),
-    "sl(2)": (SL2, "processed", X3, (0.0, -0.5), {"attitude": "coadjoint"}),
     "cubic": (cubic, "order 4", X3, (0.5, 1.0), {}),
     "cubic by stages": (cubic, "Gauss", X3, (0.5, 0.25), {}),
     "in time": (timed, "order 4", X3, (0.5, 1.0), TIMES),
     "in time by stages": (timed, "Gauss", X3, (0.5, 1.0), {"attitude": "coadjoint"}),
     "in time, step by step": (timed, "commutator-free", X3, (0.5, 0.3), {"attitude": "coadjoint"}),
-    "attitudes by stages": (BODY, "Gauss", X3, (1.2, 0.2), {"attitude": True}),
-    "attitudes of rk4": (TOP, "rk4", X6, (0.2, 0.7), {"attitude": "coadjoint"}),
-    "series": (TOP, "Taylor", X6, (0.5, 0.7), {"attitude": "coadjoint"}),
-    "lattice": (SPINS, "order 4", UNIT_SPINS, (0.5, 1.0), {"attitude": True}),
 }
 GIVEN = {"fields": [[3, 4], [5, 1]], "rotor": (0,)}
 FOUR = {"fields": np.array([[0.3, 0.1], [0.2, 0.4]]), "rotor": np.array([-0.2])}
@@ -97,18 +88,12 @@ STEERED = {
 
 
 @pytest.mark.thinned(1)
-@pytest.mark.parametrize("name", RUNS)
-def test_derivatives_of_runs(name):
-    build, scheme, x0, span, options = RUNS[name]
-    assert_derivatives(build, SCHEMES[scheme], x0, span, **options)
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize("name", STEERED)
-def test_derivatives_by_inputs(name):
-    build, scheme, x0, span, options = STEERED[name]
-    rule = assert_derivatives(build, SCHEMES[scheme], x0, span, **options).rule["inputs"]
-    assert rule == ("differences" if "step by step" in name else "exact")
+@pytest.mark.parametrize(("build", "scheme", "x0", "span", "options"), [*RUNS.values(), *STEERED.values()],
+    ids=[*RUNS, *(f"{name} by inputs" for name in STEERED)])  # fmt: skip
+def test_derivatives_of_runs(build, scheme, x0, span, options):
+    rule = assert_derivatives(build, SCHEMES[scheme], x0, span, **options).rule
+    by_steps = scheme in ("Taylor", "commutator-free")
+    assert rule.get("inputs") == (None if "inputs" not in options else "differences" if by_steps else "exact")
 
 
 def forced(base, *forces):
@@ -199,14 +184,6 @@ def test_derivatives_with_forces(kind, scheme, name):
     assert {"M", "linear"} <= set(gradient)
 
 
-def test_a_shifted_energy_turns_the_attitude_of_each_step():
-    """A Casimir is subtracted from the energy of this body; its factor of the attitude begins anew in each step."""
-    toward, torque = (0.1, 0.2, 0.3), (0.1, 0.2, 0.3)
-    build = forced(BODY, (F.LinearDamping, {"rate": 0.3, "toward": toward}), (F.Torque, {"torque": torque}))
-    for x0, span in ((X3, (0.5, 1.0)), (np.array([X3, X3[::-1]]), (0.5, 0.25))):
-        assert_derivatives(build, co.Splitting(order=4), x0, span, H, attitude=True)
-
-
 @pytest.mark.parametrize("scheme", ["order 4", "Gauss", "Kahan"])
 def test_derivatives_by_torques_that_are_inputs(scheme):
     """A field changes the damping on the orbit too; a parameter changes at fixed inputs."""
@@ -248,18 +225,11 @@ def matrices(kind, stream, size=3, **terms):
     return lambda changed: co.MatrixSystem(co.MatrixAlgebra(kind, size), stream, **terms)
 
 
-MATRICES = {
-    "sphere": (named("sphere_euler", N=4, rotation=0.3), co.IsospectralGauss(3), 7),
-    "sphere, composed": (named("sphere_euler", N=3, rotation=0.3), co.Composition(co.IsospectralGauss(1), (0.75, -0.5,
-        0.75)), -4),
-    "sphere, commutator-free": (named("sphere_euler", N=3, rotation=0.3), co.CommutatorFree(), 3),
-    "torus": (named("torus_euler", N=5), co.IsospectralGauss(2), -4),
-    "torus by lines": (named("torus_euler", N=5), co.LineSplitting(4), 4),
-    "body": (named("matrix_body", inertia=(1.0, 2.0, 3.0, 4.0)), co.IsospectralGauss(2), -4),
-    "two layers": (named("reduced_mhd", N=4), co.IsospectralGauss(2), 4),
-    "passive layer": (named("passive_scalar", N=3, surface="torus"), co.IsospectralGauss(1), 4),
+MATRICES = {  # of the user, and with forces
+    "composed": (named("sphere_euler", N=3, rotation=0.3), co.Composition(co.IsospectralGauss(1), (0.75, -0.5, 0.75)),
+        -4),
     "gl": (matrices("gl", co.systems.Weights(SYMMETRIC)), co.IsospectralGauss(2), 4),
-    "function on sp": (matrices("sp", lambda W: W - W.T, 2), co.IsospectralGauss(2), 4),
+    "function on sp": (matrices("sp", lambda W: W - W.T, 2), co.IsospectralGauss(2), -4),
     "function of time": (matrices("so", lambda W, t: (1.0 + 0.5 * t) * OFF_DIAGONAL * W), co.IsospectralGauss(2), 4),
     "nonlinear": (matrices("gl", lambda W: W.T @ W @ W.T / 8, energy=lambda W: np.sum((W @ W.T) ** 2) / 32),
         co.IsospectralGauss(2), 4),
@@ -345,30 +315,28 @@ BATCH = [co.systems.rigid_body(inertia=(1.0, 2.0, third)) for third in (2.25, 2.
 NOISE = [BATCH[0].with_forces(F.LinearDamping(rate), F.HeatBath(0.3, temperature=0.2, seed=5)) for rate in (0.1, 0.3)]
 
 
-@pytest.mark.parametrize("systems", [BATCH, NOISE], ids=["bodies", "noise"])
-@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2)], ids=str)
+@pytest.mark.parametrize(
+    ("systems", "method"),
+    [(BATCH, co.Splitting(order=4)), (BATCH, co.GaussLegendre(2)), (NOISE, co.Splitting(order=4))],
+)
 def test_members_of_a_batch_have_the_bits_of_single_runs(systems, method):
     """A bath of member m is that of the stream m."""
     rng, count, span = np.random.default_rng(3), len(systems), (1.0, 1.5)
-    x0 = rng.uniform(0.2, 0.9, (count, 3))
+    x0, options = rng.uniform(0.2, 0.9, (count, 3)), {"save_every": 2}
     ready = co.prepare(co.batch(systems), method, 0.125, attitude="coadjoint")
     assert ready.parameters["inertia"][:, 2].tolist() == [2.25, 2.5, 2.75] if systems is BATCH else count * [2.25]
-    directions = {name: rng.standard_normal((*value.shape, 2)) for name, value in ready.parameters.items()}
-    directions["x0"] = rng.standard_normal((count, 3, 2))
-    sol, tangents = ready.jvp(x0, span, directions, save_every=2)
-    _, pullback = ready.vjp(x0, span, save_every=2)
+    directions = {name: rng.standard_normal((*v.shape, 2)) for name, v in [("x0", x0), *ready.parameters.items()]}
+    sol, tangents = ready.jvp(x0, span, directions, **options)
     weights = {name: rng.standard_normal(value.shape) for name, value in outputs(sol).items()}
-    gradient = pullback(**weights)
+    gradient = ready.vjp(x0, span, **options)[1](**weights)
     for m, system in enumerate(systems):
         if systems is NOISE:
-            bath = F.HeatBath(0.3, temperature=0.2, seed=5, stream=m)
-            system = BATCH[0].with_forces(system.forces[0], bath)
+            system = BATCH[0].with_forces(system.forces[0], F.HeatBath(0.3, temperature=0.2, seed=5, stream=m))
         single = co.prepare(system, method, 0.125, attitude="coadjoint")
-        alone, one = single.jvp(x0[m], span, {name: value[m] for name, value in directions.items()}, save_every=2)
-        together = outputs(tangents)
-        assert all(np.array_equal(value, together[name][:, m]) for name, value in outputs(one).items())
+        alone, one = single.jvp(x0[m], span, {name: value[m] for name, value in directions.items()}, **options)
+        assert all(np.array_equal(value, outputs(tangents)[name][:, m]) for name, value in outputs(one).items())
         assert np.array_equal(sol.x[:, m], alone.x)
-        found = single.vjp(x0[m], span, save_every=2)[1](**{name: value[:, m] for name, value in weights.items()})
+        found = single.vjp(x0[m], span, **options)[1](**{name: value[:, m] for name, value in weights.items()})
         assert all(np.array_equal(gradient[name][m], value) for name, value in found.items() if name != "attitude0")
 
 
@@ -407,11 +375,18 @@ def test_derivatives_of_long_steps(method, step):
     assert abs(gradient @ direction - tangents.x[-1].sum()) <= 2.0**12 * UNIT_ROUNDOFF * size
 
 
-@pytest.mark.parametrize("span", [(0.3, 1.3), (1.3, 0.3)], ids=["forward", "backward"])
-def test_substeps_of_driven_runs_are_differentiated_at_their_times(span):
-    """A field that turns once in each step is another one in every substep."""
+def test_substeps_of_driven_runs_and_shifted_energies_of_forced_ones():
+    """A field that turns once in each step is another one in every substep.
+
+    A Casimir is subtracted from the energy of the forced body; its factor of the attitude begins anew in each step.
+    """
     driven = co.systems.spin_lattice("chain", 2, field=lambda t: [np.cos(60.0 * t), np.sin(60.0 * t), 0.3 * t])
-    assert_derivatives(lambda changed: driven, co.Composition(co.GaussLegendre(2), (0.4, 0.2, 0.4)), X6, span, 0.1)
+    composed = co.Composition(co.GaussLegendre(2), (0.4, 0.2, 0.4))
+    assert_derivatives(lambda changed: driven, composed, X6, (1.3, 0.3), 0.1)
+    u = (0.1, 0.2, 0.3)
+    build = forced(BODY, (F.LinearDamping, {"rate": 0.3, "toward": u}), (F.Torque, {"torque": u}))
+    for x0, span in ((X3, (0.5, 1.0)), (np.array([X3, X3[::-1]]), (0.5, 0.25))):
+        assert_derivatives(build, co.Splitting(order=4), x0, span, H, attitude=True)
 
 
 def test_differences_by_an_entry_far_below_the_others_do_not_show_rounding():
@@ -476,9 +451,10 @@ def test_parameters_do_not_move_coefficients_that_are_inputs(method):
     assert "field" in gradient and np.any(gradient["field"])
 
 
-@pytest.mark.parametrize("order", [2, 4])
-@pytest.mark.parametrize("parameter", ["M", "linear"])
-@pytest.mark.parametrize("name", ["so(3)", "A3,7", "so(4)"])
+@pytest.mark.parametrize(
+    ("name", "parameter", "order"),
+    [("so(3)", "M", 4), ("so(3)", "linear", 2), ("A3,7", "linear", 4), ("so(4)", "M", 2), ("so(4)", "linear", 4)],
+)
 def test_derivatives_by_added_parts_have_the_order_of_the_scheme(name, parameter, order):
     """Of energies with full matrices; the reference has another scheme and a step that is eight times smaller."""
     algebra = plain(name)[0]({}).algebra

@@ -308,30 +308,15 @@ OWN_STEPS = {
 
 @pytest.mark.parametrize("name", OWN_STEPS)
 def test_runs_with_steps_of_their_own_have_the_derivatives_of_the_motion(name):
-    """Of steps with their lengths fixed: gradients are transposed tangents, which approach those of fixed steps."""
+    """Of steps with their lengths fixed, which approach those of fixed steps."""
     system, method, x0, span, options = OWN_STEPS[name]
     rng, ready = np.random.default_rng(2), co.prepare(system, method, 1.0)
-    sol, pullback = ready.vjp(x0, span, **options)
+    along = {k: rng.standard_normal(v.shape) for k, v in [("x0", x0), *ready.parameters.items()]}
+    sol, tangents = ready.jvp(x0, span, along, **options)
     assert np.array_equal(sol.x, ready.run(x0, span, **options).x)
-    weights, along = rng.standard_normal(sol.x.shape), {"x0": rng.standard_normal(x0.shape)}
-    along |= {k: rng.standard_normal(v.shape) for k, v in ready.parameters.items()}
-    gradient, (_, tangents) = pullback(weights), ready.jvp(x0, span, along, **options)
-    products = np.concatenate([gradient[k] * direction for k, direction in along.items()])
-    bound = 2.0**11 * UNIT_ROUNDOFF * np.abs(products).sum()
-    assert abs(products.sum() - np.sum(weights * tangents.x)) <= bound
     fine = co.prepare(system, co.GaussLegendre(4), 1 / 64).jvp(x0, span, along, t_eval=sol.t)[1].x
     error = {"times": 2e-2, "series": 1e-8}.get(name, 1e-3)
     np.testing.assert_allclose(tangents.x, fine, rtol=0, atol=error * np.abs(fine).max())
-
-
-def test_attitudes_of_own_steps_are_adjoint():
-    ready = co.prepare(TOP, co.ReversibleSteps(co.Splitting(), 0.1), 1.0, attitude=True)
-    rng, (sol, pullback) = np.random.default_rng(2), ready.vjp(X6, (0.5, 2.5))
-    weights, direction = rng.standard_normal(sol.attitude.shape), rng.standard_normal(6)
-    _, tangents = ready.jvp(X6, (0.5, 2.5), {"x0": direction})
-    products = pullback(attitude=weights)["x0"] * direction
-    difference = products.sum() - np.sum(weights * tangents.attitude)
-    assert abs(difference) <= 2.0**10 * UNIT_ROUNDOFF * np.abs(products).sum()
 
 
 MEASURED = """

@@ -53,6 +53,7 @@ def test_values_have_the_bits_of_the_run(ready, f, wrapped):
     other = prepared(INERTIA)
     assert np.array_equal(wrapped(f)(X0), ready.run(X0, SPAN, EVERY).x)
     assert np.array_equal(wrapped(f)(MANY, inertia=INERTIA), other.run(MANY, SPAN, EVERY).x)
+    assert np.array_equal(wrapped(f)((1, 0, 1)), f(np.array([1.0, 0.0, 1.0])))  # whole numbers
     backward = co.jax.solution(ready, (10, 0), t_eval=[10.0, 3.123, 0.0])
     assert np.array_equal(wrapped(backward)(X0), ready.run(X0, (10, 0), t_eval=[10.0, 3.123, 0.0]).x)
 
@@ -70,12 +71,12 @@ def test_gradient_is_that_of_the_pullback(number, wrapped, inertia):
 
 
 def test_jvp_is_that_of_the_prepared_run(f):
-    _, wanted = prepared(INERTIA).jvp(X0, SPAN, {"x0": ALONG, "inertia": X0}, EVERY)
+    other = prepared(INERTIA)
+    _, wanted = other.jvp(X0, SPAN, {"x0": ALONG, "inertia": X0}, EVERY)
     x, along = jax.jvp(lambda x0, inertia: f(x0, inertia=inertia), (X0, INERTIA), (ALONG, X0))
     assert np.array_equal(x, f(X0, inertia=INERTIA)) and np.array_equal(along, wanted.x)
     _, linear = jax.linearize(lambda x0: f(x0, inertia=INERTIA), X0)
-    of_x0 = prepared(INERTIA).jvp(X0, SPAN, {"x0": ALONG}, EVERY)[1].x
-    assert np.array_equal(linear(ALONG), of_x0)
+    assert np.array_equal(linear(ALONG), other.jvp(X0, SPAN, {"x0": ALONG}, EVERY)[1].x)
 
 
 @pytest.mark.parametrize("name", ["x0", "inertia"])
@@ -91,58 +92,55 @@ def test_forward_and_reverse_mode_agree(f, name, x0):
     assert np.array_equal(forward, jax.jacfwd(x)(value))
 
 
+SEVERAL = np.array([MANY, 1.5 * MANY])
+INERTIAS = INERTIA + 0.1 * np.arange(4.0)[:, None]
+
+
+def along_x0(f, v, x0):
+    return jax.jvp(lambda x: f(x, inertia=INERTIA), (x0,), (v,))[1]
+
+
+def along_inertia(f, x0, i):
+    return jax.jvp(lambda i: f(x0, inertia=i), (i,), (X0,))[1]
+
+
+def of_sum(f, x0, i):
+    """The value and the gradients of a sum over all members."""
+    return jax.value_and_grad(lambda x, i: (f(x, inertia=i) ** 2 * jnp.cos(x)).sum(), (0, 1))(x0, i)
+
+
+# A function of the run, its arguments, their axes, and that of the result.
+MAPPED = {
+    "states": (lambda f, x0: f(x0), (MANY,), 0, 0),
+    "ensembles": (lambda f, x0: f(x0), (SEVERAL,), 0, 0),
+    "parameters": (lambda f, i: f(X0, inertia=i), (INERTIAS,), 0, 0),
+    "gradients": (of_sum, (MANY, INERTIA), (0, None), 0),
+    "gradients of ensembles": (of_sum, (SEVERAL, INERTIA), (0, None), 0),
+    "gradients by both": (of_sum, (MANY, INERTIAS), 0, 0),
+    "last axes": (of_sum, (MANY.T, INERTIAS.T), 1, 0),
+    "a last axis": (of_sum, (MANY.T, INERTIA), (1, None), 0),
+    "tangents": (along_x0, (MANY.T, X0), (1, None), 2),
+    "tangents by parameters": (along_inertia, (MANY, INERTIAS), 0, 0),
+    "tangents of ensembles": (along_inertia, (SEVERAL, INERTIA), (0, None), 0),
+    "twice": (lambda f, x0: jax.vmap(lambda x: of_sum(f, x, INERTIA))(x0), (SEVERAL,), 0, 0),
+}
+
+
 @pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit], ids=["at once", "jit"])
-def test_vmap_over_initial_states_agrees_with_a_loop(f, number, wrapped):
-    assert np.array_equal(wrapped(jax.vmap(f))(MANY), np.stack([f(x0) for x0 in MANY]))
-    rows = wrapped(jax.vmap(jax.grad(number, (0, 1)), (0, None)))(MANY, INERTIA)
-    for m, x0 in enumerate(MANY):
-        for row, alone in zip(rows, jax.grad(number, (0, 1))(x0, INERTIA), strict=True):
-            np.testing.assert_allclose(row[m], alone, rtol=0, atol=ROUNDING)
-
-
-def test_vmap_over_ensembles_agrees_with_a_loop(f):
-    several = np.array([MANY, 1.5 * MANY])
-
-    def square(x0, inertia):
-        return (f(x0, inertia=inertia) ** 2 * WEIGHTS[:, None]).sum()
-
-    assert np.array_equal(jax.vmap(f)(several), np.stack([f(x0) for x0 in several]))
-    rows = jax.vmap(jax.grad(square, (0, 1)), (0, None))(several, INERTIA)
-    twice = jax.vmap(jax.vmap(jax.grad(lambda x0: (f(x0) ** 2 * WEIGHTS).sum())))(several)
-    _, along = jax.vmap(lambda x0: jax.jvp(lambda i: f(x0, inertia=i), (INERTIA,), (X0,)))(several)
-    for m, x0 in enumerate(several):
-        for row, alone in zip(rows, jax.grad(square, (0, 1))(x0, INERTIA), strict=True):
-            np.testing.assert_allclose(row[m], alone, rtol=0, atol=16 * ROUNDING)
-        np.testing.assert_allclose(twice[m][1], jax.grad(lambda x: (f(x) ** 2 * WEIGHTS).sum())(x0[1]), atol=ROUNDING)
-        alone = jax.jvp(lambda i, x0=x0: f(x0, inertia=i), (INERTIA,), (X0,))[1]
-        np.testing.assert_allclose(along[m], alone, rtol=0, atol=ROUNDING)
-
-
-def test_axes_of_vmap_may_be_any(f, number):
-    """The number of members is that along their axis, which is not the first one."""
-    value_and_gradient = jax.value_and_grad(number, (0, 1))
-    for axes, of_x0, of_inertia in (((1, None), MANY.T, INERTIA), ((1, 1), MANY.T, np.tile(INERTIA[:, None], 4))):
-        value, gradients = jax.vmap(value_and_gradient, axes)(of_x0, of_inertia)
-        wanted, expected = jax.vmap(value_and_gradient, (0, None))(MANY, INERTIA)
-        for one, other in zip((value, *gradients), (wanted, *expected), strict=True):
-            np.testing.assert_allclose(one, other, rtol=0, atol=ROUNDING)
-    along = jax.vmap(lambda v: jax.jvp(lambda x: f(x, inertia=INERTIA), (X0,), (v,))[1], 1, 2)(MANY.T)
-    each = [jax.jvp(lambda x: f(x, inertia=INERTIA), (X0,), (v,))[1] for v in MANY]
-    np.testing.assert_allclose(along, np.stack(each, axis=2), rtol=0, atol=ROUNDING)
-
-
-def test_vmap_over_parameters_agrees_with_a_loop(f, number):
-    several = np.array([INERTIA, INERTIA + 0.1])
-    values = jax.vmap(lambda inertia: f(X0, inertia=inertia))(several)
-    both = jax.jit(jax.vmap(jax.value_and_grad(number, (0, 1))))(MANY[:2], several)
-    along = jax.vmap(lambda i, v: jax.jvp(lambda i: f(X0, inertia=i), (i,), (v,))[1])(several, MANY[:2])
-    for k, inertia in enumerate(several):
-        assert np.array_equal(values[k], f(X0, inertia=inertia))
-        alone = jax.value_and_grad(number, (0, 1))(MANY[k], inertia)
-        for row, one in zip(jax.tree.leaves(both), jax.tree.leaves(alone), strict=True):
-            np.testing.assert_allclose(row[k], one, rtol=0, atol=ROUNDING)
-        one = jax.jvp(lambda i: f(X0, inertia=i), (inertia,), (MANY[k],))[1]
-        np.testing.assert_allclose(along[k], one, rtol=0, atol=ROUNDING)
+@pytest.mark.parametrize("name", MAPPED)
+def test_vmap_agrees_with_a_loop(f, name, wrapped):
+    """Runs are those of one ensemble with as many members as the mapped axis has, and have the bits of single runs."""
+    function, arguments, axes, out = MAPPED[name]
+    found = wrapped(jax.vmap(lambda *given: function(f, *given), axes, out))(*arguments)
+    places = axes if isinstance(axes, tuple) else (axes,) * len(arguments)
+    count = arguments[0].shape[places[0]]
+    rows = [
+        function(f, *(a if axis is None else np.take(a, k, axis) for a, axis in zip(arguments, places, strict=True)))
+        for k in range(count)
+    ]
+    for one, *each in zip(*map(jax.tree.leaves, (found, *rows)), strict=True):
+        exact = name in ("states", "ensembles", "parameters")
+        np.testing.assert_allclose(one, np.stack(each, axis=out), rtol=0, atol=0 if exact else 256 * ROUNDING)
 
 
 def test_ensembles_share_parameters(f):
@@ -159,23 +157,20 @@ def test_attitude_is_returned_and_differentiated(attitude):
     turned = co.integrate(co.systems.rigid_body(inertia=INERTIA), X0, (0, 1), 0.1, attitude=True).attitude[-1]
     weights = np.sin(np.arange(45.0)).reshape(5, 3, 3)
     sol, pullback = ready.vjp(X0, SPAN, EVERY, attitude=turned)
-    x, A = g(X0, attitude0=turned)
-    assert np.array_equal(x, sol.x) and np.array_equal(A, sol.attitude)
+    assert all(map(np.array_equal, g(X0, attitude0=turned), (sol.x, sol.attitude)))
     assert np.array_equal(g(X0)[1], ready.run(X0, SPAN, EVERY).attitude)
 
     def number(x0, attitude0):
         x, A = g(x0, attitude0=attitude0)
         return (WEIGHTS * x).sum() + (weights * A).sum()
 
-    wanted = pullback(WEIGHTS, attitude=weights)
-    of_x0, of_A0 = jax.grad(number, (0, 1))(X0, turned)
-    assert np.array_equal(of_x0, wanted["x0"]) and np.array_equal(of_A0, wanted["attitude0"])
+    wanted, found = pullback(WEIGHTS, attitude=weights), jax.grad(number, (0, 1))(X0, turned)
+    assert all(map(np.array_equal, found, (wanted["x0"], wanted["attitude0"])))
     # Members share an attitude of shape (d, d), and its derivative is the sum of theirs.
     of_A0 = jax.grad(lambda A0: (g(MANY, attitude0=A0)[1] * weights[:, None]).sum())(turned)
     each = jax.vmap(jax.grad(lambda A0, x0: (g(x0, attitude0=A0)[1] * weights).sum()), (None, 0))(turned, MANY)
     np.testing.assert_allclose(of_A0, each.sum(axis=0), rtol=0, atol=3 * ROUNDING)
-    forward = jax.jacfwd(lambda x0: g(x0, attitude0=turned)[1])(X0)
-    reverse = jax.jacrev(lambda x0: g(x0, attitude0=turned)[1])(X0)
+    forward, reverse = (by(lambda x0: g(x0, attitude0=turned)[1])(X0) for by in (jax.jacfwd, jax.jacrev))
     np.testing.assert_allclose(forward, reverse, rtol=0, atol=ROUNDING)
 
 
@@ -279,14 +274,6 @@ def test_forces_may_be_given_values_at_which_they_have_no_derivative(force, limi
 def test_wrong_arguments_are_refused(f, wrapped, x0, values, error, named):
     with refused(error, *named):
         wrapped(lambda x0: f(x0, **values))(x0)
-
-
-def test_whole_numbers_are_taken(f):
-    assert np.array_equal(f((1, 0, 1)), f(np.array([1.0, 0.0, 1.0])))
-
-
-@pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit], ids=["at once", "jit"])
-def test_single_precision_is_refused(f, wrapped):
     jax.config.update("jax_enable_x64", False)
     with refused(TypeError, "jax_enable_x64"):
         wrapped(f)(X0)

@@ -36,6 +36,7 @@ def test_values_have_the_bits_of_the_run(g):
     assert np.array_equal(g(X0), prepared().run(X0, SPAN, EVERY).x)
     other = prepared(INERTIA).run(MANY, SPAN, EVERY).x
     assert np.array_equal(g(torch.tensor(MANY), inertia=torch.tensor(INERTIA)), other)
+    assert np.array_equal(g((1, 0, 1)), g(torch.tensor([1, 0, 1])))  # whole numbers
     x = g(X0)
     x.zero_()
     assert np.array_equal(g(X0), prepared().run(X0, SPAN, EVERY).x)
@@ -94,10 +95,6 @@ def test_attitude_is_returned_and_differentiated():
 def test_wrong_arguments_are_refused(g, x0, values, error, named):
     with refused(error, *named):
         g(x0, **values)
-
-
-def test_whole_numbers_are_taken(g):
-    assert np.array_equal(g((1, 0, 1)), g(torch.tensor([1, 0, 1])))
 
 
 def test_second_derivatives_are_refused(g):

@@ -17,18 +17,12 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from domains.of_algebras import ALGEBRAS, CATALOGUE, FAMILIES
-from domains.of_parts import FORCES, HAMILTONIANS, OWN_SYSTEMS
-from domains.of_schemes import EVENTS, SCHEMES
-from domains.of_states import SPHERE, STATES, TORUS
-from domains.of_systems import SYSTEMS
-from fuzz.calls import BODY, ENTRIES, LONG, READY, TURNING, X, call
+from domains.of_algebras import CATALOGUE
+from fuzz.calls import BODY, CASES, ENTRIES, LONG, READY, TURNING, X, call
 from fuzz.judging import TooLong, wrong_error
 from fuzz.values import HOSTILE
 from refusals import refused
 
-PARTS = {**HAMILTONIANS, **OWN_SYSTEMS, **FORCES, **SCHEMES, **EVENTS}
-CASES = {**SYSTEMS, **STATES, **ALGEBRAS, **CATALOGUE, **PARTS}
 TIME_LIMIT = 30  # seconds of the processor until a call counts as endless
 ADDRESS_SPACE = 4 * 10**8  # bytes beyond those in use, which estimates of memory read
 
@@ -118,26 +112,10 @@ def test_domains_have_their_documented_ends(name):
     assert not wrong, "\n".join(wrong)
 
 
-def parameters_of(function):
-    named = inspect.signature(function).parameters.items()
-    return {key for key, parameter in named if parameter.kind is not parameter.VAR_KEYWORD}
-
-
-def test_domains_of_systems_forces_schemes_and_states_are_listed():
-    """A new one needs its domains."""
-    for space, listed in ((co.systems, SYSTEMS), (co.forces, FORCES)):
-        assert {name: parameters_of(getattr(space, name)) for name in space.names()} == {
-            name: set(case.domains) for name, case in listed.items()
-        }
-    for name in co.methods.names():
-        assert parameters_of(getattr(co, name)) == set(SCHEMES[name].domains)
-    for surface, system in (("sphere", SPHERE), ("torus", TORUS)):
-        for name in ("random", "blobs", "patches", "zonal_jet"):
-            assert parameters_of(getattr(system, name)) == set(STATES[f"{surface}, {name}"].domains)
-    assert {name for name in co.algebras.names() if re.search(r"[a-z]\)", name)} == {*FAMILIES, "so(p,q)"}
-    for name in co.algebras.names():
-        if name not in {*CATALOGUE}:
-            assert co.algebras.get(name).dim >= 1, "without parameters"
+def test_every_algebra_with_parameters_has_domains():
+    """Those of systems, forces and schemes are read from the registries and the signatures."""
+    for name in {*co.algebras.names()} - {*CATALOGUE}:
+        assert co.algebras.get(name).dim >= 1, "without parameters"
 
 
 def wrong_call(function, /, *arguments, **keywords):
@@ -225,33 +203,27 @@ def test_errors_of_the_functions_themselves_pass_through():
         co.methods.Method()
 
 
-DURATIONS = {
-    "timedelta": (datetime.timedelta(seconds=2), "total_seconds"),
-    "timedelta64": (np.timedelta64(2, "s"), "np.timedelta64(1, 's')"),
-    "datetime": (datetime.datetime(2026, 1, 2), "seconds"),
-    "quantity": (HOSTILE["a quantity"], "magnitude"),
-    "quantity of NumPy": (HOSTILE["a number with a unit"], "magnitude"),
-}
+DURATIONS = [
+    (datetime.timedelta(seconds=2), "total_seconds"),
+    (np.timedelta64(2, "s"), "np.timedelta64(1, 's')"),
+    (datetime.datetime(2026, 1, 2), "seconds"),
+    (HOSTILE["a quantity"], "magnitude"),
+    (HOSTILE["a number with a unit"], "magnitude"),
+]
 
 
-@pytest.mark.parametrize("name", DURATIONS)
-def test_durations_and_quantities_are_refused_with_what_to_give(name):
-    value, instead = DURATIONS[name]
-    calls = {
-        "step": lambda: co.integrate(BODY, X, (0, 1), value),
-        "t_span": lambda: co.integrate(BODY, X, (0, value), 0.1),
-        "t_eval": lambda: READY.run(X, (0, 1), t_eval=[value, value]),
-        "t is": lambda: LONG.at(value),
-        "x0": lambda: co.integrate(BODY, [1.0, value, 0.2], (0, 1), 0.1),
-        "inertia": lambda: co.systems.rigid_body((1, 2, value)),
-    }
-    for parameter, wrong in calls.items():
-        with refused(TypeError, parameter, "units of the system"):
+@pytest.mark.parametrize(("value", "instead"), DURATIONS)
+def test_durations_and_quantities_are_refused_with_what_to_give(value, instead):
+    for wrong, *named in (
+        (lambda: co.integrate(BODY, X, (0, 1), value), "step", instead),
+        (lambda: co.integrate(BODY, X, (0, value), 0.1), "t_span"),
+        (lambda: READY.run(X, (0, 1), t_eval=[value, value]), "t_eval"),
+        (lambda: LONG.at(value), "t is"),
+        (lambda: co.integrate(BODY, [1.0, value, 0.2], (0, 1), 0.1), "x0"),
+        (lambda: co.systems.rigid_body((1, 2, value)), "inertia"),
+    ):
+        with refused(TypeError, *named, "units of the system"):
             wrong()
-    with refused(TypeError, instead):
-        calls["step"]()
-    # Numbers made of them are accepted.
-    assert co.integrate(BODY, X, (0, 1), datetime.timedelta(seconds=0.5).total_seconds()).stats.steps == 2
 
 
 HUGE = 10**400
@@ -295,7 +267,7 @@ def test_masked_arrays_labels_and_foreign_objects_are_refused():
             co.Quadratic(value)
 
 
-@pytest.mark.parametrize("size", [1, 2, 63, 64, 65, 200])
+@pytest.mark.parametrize("size", [1, 63, 64, 65])
 def test_numbers_that_are_not_finite_are_named(size):
     """Below and above the size up to which plain Python sums; finite numbers with an overflowing sum are finite."""
     for index in {0, size // 2, size - 1}:
@@ -312,23 +284,17 @@ def test_numbers_that_are_not_finite_are_named(size):
             co.Composition(co.Splitting(), (value, -value, 1))
 
 
-NAMED = {
-    "an algebra": lambda name: co.LieAlgebra([], dim=1, name=name),
-    "a basis": lambda name: co.LieAlgebra([], dim=1, basis=[name]),
-    "a system": lambda name: co.LiePoissonSystem(BODY.algebra, co.Quadratic(1.0), name=name),
-}
-
-
-@pytest.mark.parametrize("make", NAMED.values(), ids=NAMED)
-def test_names_are_one_short_line(make):
-    make("x" * 200)
-    for name in ("x" * 201, "x" * 10**6, "a\nb", "a\tb", "a\u2028b", "a\0", "\x1b[31m"):
-        with refused(ValueError, "one line", "200") as caught:
-            make(name)
-        assert len(str(caught.value)) < 1000
-
-
-def test_composed_names_stay_short():
+def test_names_are_one_short_line():
+    for make in (
+        lambda name: co.LieAlgebra([], dim=1, name=name),
+        lambda name: co.LieAlgebra([], dim=1, basis=[name]),
+        lambda name: co.LiePoissonSystem(BODY.algebra, co.Quadratic(1.0), name=name),
+    ):
+        make("x" * 200)
+        for name in ("x" * 201, "x" * 10**6, "a\nb", "a\tb", "a\u2028b", "a\0", "\x1b[31m"):
+            with refused(ValueError, "one line", "200") as caught:
+                make(name)
+            assert len(str(caught.value)) < 1000
     g = co.algebras.direct_sum(*[co.algebras.so(3)] * 100)
     for _ in range(10):
         g = co.algebras.subalgebra(g, np.eye(g.dim, dtype=int)[:3].tolist())
@@ -397,8 +363,7 @@ def test_choices_near_a_blow_up_are_refused_without_warnings(x0):
         co.choose(system, x0, (0, 1), 1e-6)
 
 
-@pytest.mark.parametrize("size", [1e3, 1e155, 1e300])
-@pytest.mark.parametrize("name", ["so(3)", "sl(2)", "so(4)"])
+@pytest.mark.parametrize(("name", "size"), [("so(3)", 1e300), ("sl(2)", 1e155), ("so(4)", 1e3)])
 def test_attitudes_near_a_blow_up_do_not_warn(name, size):
     """The exponential of a shift may overflow where the momentum does not."""
     g = co.algebras.get(name)
