@@ -11,9 +11,7 @@ import pytest
 import coadjoint as co
 from rounding import UNIT_ROUNDOFF
 
-CASE = json.loads(
-    (Path(__file__).parents[2] / "verification" / "references" / "tumbling_brick.json").read_text(encoding="utf-8")
-)
+CASE = json.loads((Path(__file__).with_name("references") / "tumbling_brick.json").read_text(encoding="utf-8"))
 INERTIA = np.array([float(value) for value in CASE["inertia"]])
 START = INERTIA * np.radians([float(value) for value in CASE["body_rates"]])
 END = 30.0
