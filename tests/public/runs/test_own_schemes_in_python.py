@@ -242,16 +242,6 @@ def test_a_step_that_reads_what_matrices_do_not_have_is_refused():
         co.integrate(system, system.random(1, degrees=(1, 1)), (0, 1), 0.1, OwnKahan())
 
 
-def test_a_member_that_overflows_fails_alone():
-    system = SYSTEMS["so(4), cubic"]
-    x0 = np.stack([start_of(system), 1e150 * start_of(system), 0.5 * start_of(system)])
-    with refused(co.IntegrationError, "step 1", "1 of 3") as failure:
-        co.integrate(system, x0, (0, 1), 0.1, Classical())
-    partial = failure.value.partial
-    assert partial.failed.tolist() == [False, True, False]
-    assert np.array_equal(partial.x[:, 2], co.integrate(system, x0[2], (0, 1), 0.1, Classical()).x)
-
-
 @dataclasses.dataclass(frozen=True)
 class RunningAnother(Plain):
     """A step that is the end of another run: loops inside of loops."""
