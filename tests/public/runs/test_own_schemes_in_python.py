@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from methods.own_schemes import Classical, Failing, Interpreted, OwnKahan, Plain
+from methods.own_schemes import Failing, Interpreted, OwnKahan, Plain
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
@@ -88,9 +88,7 @@ def test_a_component_that_is_not_analytic_is_found_among_others():
             assert by == "differences" and error <= 2.0**-31, (place, others.index(other))
 
 
-def test_choose_takes_it():
-    found = co.choose(SYSTEMS["so(3)"], (1, 0.2, 0.5), (0, 10), 1e-4, methods=[OwnKahan(), Classical()])
-    assert isinstance(found.method, OwnKahan | Classical)
+def test_an_accuracy_chooses_its_step():
     sol = co.integrate(SYSTEMS["so(3)"], (1, 0.2, 0.5), (0, 10), method=OwnKahan(), accuracy=1e-4)
     assert np.max(np.abs(sol.x[-1] - SYSTEMS["so(3)"].exact((1, 0.2, 0.5), 10.0))) < 1e-4
 
