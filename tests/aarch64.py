@@ -117,7 +117,7 @@ def main() -> int:
     wheels = unpacked_wheels(folder, version)
     tree = tree_of_kernels(folder)
     print(f"built for aarch64, Python {version}", flush=True)
-    digests = ["-m", "verification.digests_of_runs"]
+    digests = ["-m", "digests.digests_of_runs"]
     here = os.environ | {"PYTHONPATH": str(ROOT / "src")}
     expected = json.loads(called([sys.executable, *digests], cwd=ROOT / "tests", env=here))
     there = os.environ | {"PYTHONPATH": f"{tree / 'src'}{os.pathsep}{wheels}"}

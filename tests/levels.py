@@ -69,7 +69,7 @@ def main() -> int:
         print(f"{processor}: v{found[0]}{', chosen' if found[1:] == found[:1] else ''}", flush=True)
         if set(found) != {str(level)}:
             wrong.append(f"{processor} has the level v{level}, and the package found {found}")
-    digests = ["-m", "verification.digests_of_runs"]
+    digests = ["-m", "digests.digests_of_runs"]
     expected = json.loads(output(digests))
     print(f"{len(expected)} runs by v{level_in_use()} on this machine", flush=True)
     for processor in COMPARED:

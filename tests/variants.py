@@ -107,7 +107,7 @@ def passed(variant: Variant) -> bool:
 
 
 def digests(setting: dict[str, str]) -> dict[str, str]:
-    command = [sys.executable, "-m", "verification.digests_of_runs"]
+    command = [sys.executable, "-m", "digests.digests_of_runs"]
     done = subprocess.run(command, cwd=ROOT / "tests", env=os.environ | setting, stdout=subprocess.PIPE, check=True)
     found: dict[str, str] = json.loads(done.stdout)
     return found

@@ -26,7 +26,7 @@ OTHER_PATHS = {
 def digests(every: int, **environment: str) -> dict[str, str]:
     """Return the digests of a process with these variables."""
     own = {"PYTHONPATH": str(Path(coadjoint.__file__).parents[1]), **environment}
-    command = [sys.executable, "-W", "ignore", "-m", "verification.digests_of_systems", str(every)]
+    command = [sys.executable, "-W", "ignore", "-m", "digests.digests_of_systems", str(every)]
     done = subprocess.run(
         command, cwd=HERE.parents[1], env=os.environ | own, capture_output=True, text=True, check=False, timeout=300
     )

@@ -34,7 +34,7 @@ def digests(level: str | None) -> dict[str, str]:
     environment["PYTHONPATH"] = str(Path(coadjoint.__file__).parents[1])
     if level is not None:
         environment["COADJOINT_LEVEL"] = level
-    command = [sys.executable, "-m", "verification.digests_of_runs"]
+    command = [sys.executable, "-m", "digests.digests_of_runs"]
     folder = ROOT / "tests"
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=True)
     found: dict[str, str] = json.loads(done.stdout)
@@ -67,7 +67,7 @@ def digests_of_build(tree: Path, compiler: list[str], level: int, tuning: list[s
         shutil.copytree(ROOT / folder, tree / folder, ignore=shutil.ignore_patterns("__pycache__"))
     assert Kernels(tree, compiler, level=level, tuning=tuning).build() == ""
     environment = os.environ | {"PYTHONPATH": str(tree / "src"), "COADJOINT_LEVEL": f"v{level}"}
-    command = [sys.executable, "-m", "verification.digests_of_runs"]
+    command = [sys.executable, "-m", "digests.digests_of_runs"]
     done = subprocess.run(
         command, cwd=tree / "tests", env=environment, capture_output=True, text=True, check=False, timeout=600
     )

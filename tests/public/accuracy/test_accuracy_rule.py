@@ -9,9 +9,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
+from digests.explicit_systems import many_digits, written_out
 from random_runs.algebras import some_algebra
 from refusals import refused
-from verification.explicit_systems import many_digits, written_out
 
 pytestmark = pytest.mark.thinned(3)
 

@@ -5,9 +5,9 @@ import pytest
 from scipy.linalg import expm
 
 import coadjoint as co
-from verification.measures import group_bound, order_of
-from verification.schemes_under_test import schemes, serves
-from verification.systems_under_test import cases, full_matrix
+from digests.measures import group_bound, order_of
+from digests.schemes_under_test import schemes, serves
+from digests.systems_under_test import cases, full_matrix
 
 pytestmark = pytest.mark.thinned(6)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from digests.systems_under_test import cases
 from long import long_where
-from verification.systems_under_test import cases
 
 pytestmark = pytest.mark.thinned(6)
 

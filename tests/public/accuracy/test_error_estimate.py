@@ -8,10 +8,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
-from verification.explicit_systems import LONG, many_digits, written_out
-from verification.random_systems import ALGEBRAS, drawn
-from verification.schemes_under_test import schemes, serves
-from verification.systems_under_test import matrices
+from digests.explicit_systems import LONG, many_digits, written_out
+from digests.schemes_under_test import schemes, serves
+from digests.systems_under_test import matrices
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -55,6 +54,28 @@ def plain_field(system: co.LiePoissonSystem):
         return system.sign * np.array(out)
 
     return field
+
+
+# With representations that the algebra has itself, unimodular and not; none is symmetric under an exchange of axes.
+ALGEBRAS = {
+    "so(3)": co.algebras.so(3),
+    "sl(2)": co.algebras.sl(2),
+    "A3,7": co.algebras.A3_7(0.75),
+    "A4,7": co.algebras.get("A4,7"),
+    "so(4)": co.algebras.so(4),
+    "so(2,2)": co.algebras.so(2, 2),
+    "e(3)": co.algebras.e(3),
+    "A5,40": co.algebras.get("A5,40"),
+}
+
+
+def drawn(name, seed, sign):
+    """Return a system with a full M and a linear term, and a state of size one."""
+    rng, n = np.random.default_rng(seed), ALGEBRAS[name].dim
+    B = rng.uniform(-0.25, 0.25, (n, n))
+    H = co.Quadratic(np.diag(rng.uniform(0.5, 1.5, n)) + B + B.T, linear=rng.uniform(-0.25, 0.25, n))
+    x0 = rng.uniform(0.4, 1.0, n) * rng.choice([-1.0, 1.0], n)
+    return co.LiePoissonSystem(ALGEBRAS[name], H, sign=sign, casimirs={}), x0 / np.linalg.norm(x0)
 
 
 @pytest.mark.thinned(16)

@@ -1,43 +1,10 @@
 """Negative controls: wrong systems, schemes and steps fail the measures that correct ones pass."""
 
-import numpy as np
 import pytest
 
 import coadjoint as co
-from verification.measures import drift_bounds, final_states, order_of, poisson_defect, reference_states
-from verification.systems_under_test import Case, cases, full_matrix
-
-
-class QuarterSpeed(co.GaussLegendre):
-    """A scheme whose coefficients run the motion at a quarter of its speed."""
-
-    def coefficients(self, number=float):
-        node, scale, mix, out = super().coefficients(number)
-        return co.methods.Coefficients(node, scale / 4, mix, out)
-
-
-def slope_of(method, case, exact):
-    """Return the order that five runs seem to have."""
-    counts = (48, 34, 24, 17, 12)
-    errors = [np.linalg.norm(final_states(method, case, n) - exact) for n in counts]
-    return order_of([case.time / n for n in counts], errors, 2)
-
-
-@pytest.mark.parametrize("name", ["so(4), diagonal", "e(3), heavy top"])
-def test_a_wrong_speed_keeps_invariants_and_has_no_order(name):
-    case, slow = cases()[name], QuarterSpeed(2)
-    run = co.integrate(case.system, case.x0, (0.0, 100.0), 0.1, slow, save_every=20)
-    bounds = drift_bounds(run)
-    assert all(run.drift()[key] <= bounds[key] for key in bounds)
-    exact = reference_states(name)
-    assert slope_of(co.GaussLegendre(2), case, exact).agrees_with(4)
-    assert not slope_of(slow, case, exact).agrees_with(4)
-
-
-def test_a_wrong_energy_has_no_order():
-    right, exact = cases()["e(3), full, axes permuted"], reference_states("e(3), full, axes permuted")
-    other = co.LiePoissonSystem(right.system.algebra, co.Quadratic(full_matrix(5, 6) * 1.01))
-    assert not slope_of(co.GaussLegendre(2), Case(other, right.x0), exact).agrees_with(4)
+from digests.measures import order_of, poisson_defect
+from digests.systems_under_test import cases
 
 
 class DefectiveStep:
@@ -54,7 +21,7 @@ class DefectiveStep:
         return self.wrong_tangent(self.right.tangent(x))
 
 
-@pytest.mark.parametrize("name", ["A3,7, full", "so(4), full, another basis", "e(3), split"])
+@pytest.mark.parametrize("name", ["A3,7, full", "so(4), full, another basis", "e(3), heavy top"])
 def test_poisson_defect_detects_small_errors(name):
     system, x0, _ = cases()[name]
     step = co.stepper(system, co.Splitting(order=2), 0.1)
@@ -67,15 +34,6 @@ def test_poisson_defect_detects_small_errors(name):
     ):
         found = poisson_defect(wrong, x0)
         assert found.value > found.bound
-
-
-def test_drift_bound_detects_small_damping():
-    case = cases()["so(4), full, another basis"]
-    run = co.integrate(case.system, case.x0, (0.0, 100.0), 0.1, co.Splitting(order=2), save_every=10)
-    bounds = drift_bounds(run)
-    # |x| smaller by 1e-10 in each of a thousand steps moves a quadratic Casimir by 2e-7 of itself.
-    for name, casimir in case.system.casimirs.items():
-        assert 2e-7 * abs(casimir(case.x0)) > bounds[name]
 
 
 def test_slope_fit_separates_neighbouring_orders():

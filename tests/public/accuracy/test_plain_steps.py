@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from digests.schemes_under_test import schemes, witnesses
 from rounding import UNIT_ROUNDOFF
-from verification.schemes_under_test import schemes, witnesses
 
 
 @pytest.mark.thinned(4)

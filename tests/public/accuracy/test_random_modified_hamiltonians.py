@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from digests.explicit_systems import extrapolated
 from long import long_beyond
 from random_runs.algebras import some_algebra
 from random_runs.hamiltonians import matrix, polynomial
-from verification.explicit_systems import extrapolated
 
 LARGEST = 6
 MAX_MONOMIALS = 200

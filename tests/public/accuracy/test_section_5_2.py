@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from digests.measures import order_of
 from rounding import UNIT_ROUNDOFF as U
-from verification.measures import order_of
 
 MASSES = (1.0, 0.5, 1 / 3)
 X0, H = np.array([1.0, 10.0, 1.0]), 0.1

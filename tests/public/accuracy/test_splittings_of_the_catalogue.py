@@ -8,8 +8,8 @@ import pytest
 
 import coadjoint as co
 from catalogue_cases import EXAMPLES, NAMES
-from verification.measures import drift_bounds, poisson_defect
-from verification.systems_under_test import Case, full_matrix
+from digests.measures import drift_bounds, poisson_defect
+from digests.systems_under_test import Case, full_matrix
 
 pytestmark = pytest.mark.thinned(3)
 

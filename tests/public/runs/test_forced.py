@@ -288,12 +288,6 @@ def test_what_forces_exclude_is_refused(call, error, named):
         call()
 
 
-def test_forces_without_an_algebra():
-    forced = PLANE.with_forces(co.forces.LinearDamping(1.0))
-    sol = co.integrate(forced, (1.0, 2.0), (0, 1), 2**-4, co.GaussLegendre(2))
-    assert sol.balance(relative=False)["energy"] < 1e-14
-
-
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize(
     ("make", "error", "named"),

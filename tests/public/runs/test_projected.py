@@ -173,16 +173,6 @@ def test_values_are_those_of_the_start_of_the_run():
         assert drift < bound < alone.drift(relative=False)[name] / 10
 
 
-@pytest.mark.long
-def test_an_energy_alone_where_there_is_no_algebra():
-    def J(x):
-        return (1 + x[1] ** 2) * np.array([[0.0, 1.0], [-1.0, 0.0]])
-
-    plane = co.PoissonSystem(J, co.Quadratic([1.0, 2.0]), dim=2)
-    sol = co.integrate(plane, (1, 0.5), (0, 50), 0.1, co.Projected(co.ExplicitRungeKutta("runge2")))
-    assert sol.drift(relative=False)["energy"] < 1e-14 and np.ptp(sol.x[:, 0]) > 1
-
-
 def test_a_projection_that_fails_knows_the_time():
     system = LARGE["cubic alone"]
     for scheme in (co.Projected(co.ExplicitRungeKutta("runge2")), co.Taylor(2)):

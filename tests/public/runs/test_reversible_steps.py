@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from command import command
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
@@ -226,17 +225,9 @@ def test_refusals(make, named):
         make()
 
 
-def test_a_configuration_file_gives_base_stride_and_speed(tmp_path, capsys):
-    path, out = tmp_path / "body.toml", tmp_path / "out.nc"
-    path.write_text(
-        '[system]\nname = "rigid_body"\nparameters = {inertia = [1, 2, 3]}\n[initial]\nx = [0.3, 0.5, 0.9]\n'
-        '[method]\nname = "ReversibleSteps"\nstride = 0.2\nspeed = [[0.5, [0, 0, 0]], [1.0, [2, 0, 0]]]\n'
-        'base = {name = "Splitting", order = 4}\n[run]\nt_span = [0, 4]\nstep = 0.5\n'
-    )
-    assert command(capsys, "run", path, "--out", out, "--quiet").status == 0
+def test_base_stride_and_speed_are_given_by_name():
+    """As in a configuration file."""
+    given = {"stride": 0.2, "speed": [[0.5, [0, 0, 0]], [1.0, [2, 0, 0]]], "base": {"name": "Splitting", "order": 4}}
     speed = co.Polynomial({(0, 0, 0): 0.5, (2, 0, 0): 1.0})
-    method = co.ReversibleSteps(co.Splitting(order=4), 0.2, speed)
-    found = co.load(out)
-    assert found.method == method
-    assert np.array_equal(found.x, co.integrate(BODY, (0.3, 0.5, 0.9), (0, 4), 0.5, method).x)
+    assert co.methods.get("ReversibleSteps", **given) == co.ReversibleSteps(co.Splitting(order=4), 0.2, speed)
     assert co.methods.get("ReversibleSteps", base={"name": "Kahan"}) == co.ReversibleSteps(co.Kahan())

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from torus_flows import first_modes, last_modes, smooth, translation
+from torus_flows import first_modes, last_modes, smooth
 
 import coadjoint as co
 from refusals import refused
@@ -183,16 +183,6 @@ def test_tangents_along_a_nonlinear_stream_that_depends_on_time(scheme, size, h)
     assert step.tangent_by(W) == "differences"
 
 
-def test_a_commutator_free_step_is_a_product_of_exponentials():
-    """The second stage of order 2 is V W V* with V = exp(h/2 P)."""
-    system = SPHERE(N=6)
-    W, h = start(system, 3), 0.8 * np.pi
-    V = expm(h / 2 * system.stream(W))
-    V = expm(h * system.stream(V @ W @ np.conj(V.T)))
-    found = last(system, W, h, 1, co.CommutatorFree(2))
-    assert np.abs(found - V @ W @ np.conj(V.T)).max() < 64 * U
-
-
 @pytest.mark.parametrize("h", [1.0, -3.0])
 def test_commutator_free_steps_for_streams_of_any_shape(h):
     """In one exponential, in several substeps; sums of rows and columns of the stream may differ."""
@@ -245,17 +235,6 @@ def test_rounding_of_lines_has_no_preferred_sign():
     spectrum = system.spectrum(sol.x)
     assert np.abs(spectrum - spectrum[0]).max() < 32 * U * np.abs(spectrum[0]).max()
     assert np.array_equal(sol.x[-1], -np.conj(sol.x[-1].T))
-
-
-def test_a_translated_fluid_moves_as_before():
-    """T W T* is W, translated: every mode turns by a phase."""
-    system = TORUS(N=7)
-    T, W = translation(7, (2, -3)), smooth(system, 11)
-    translated = system.algebra.projected(T @ W @ np.conj(T.T))
-    assert np.abs(np.abs(system.mode_array(translated)) - np.abs(system.mode_array(W))).max() < 1e-14
-    moved, again = (last(system, state, 3.0, 30, co.LineSplitting()) for state in (W, translated))
-    assert np.abs(again - T @ moved @ np.conj(T.T)).max() < 1e-13 * np.abs(W).max()
-    assert np.abs(translated - W).max() > 0.1 * np.abs(W).max()
 
 
 @pytest.mark.thinned(1)

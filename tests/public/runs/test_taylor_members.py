@@ -35,29 +35,6 @@ def followed(*given, **options):
         return error.partial
 
 
-@pytest.mark.parametrize("name", ["so(3)", "e(3)", "su(3)", "A5,3"])
-@pytest.mark.parametrize("degree", [2, 3])
-@pytest.mark.parametrize("projected", [True, False])
-def test_members_that_fail_leave_the_others_alone(name, degree, projected):
-    """One that overflows at once and two that fail on the way; the others have their bits, and each says its step."""
-    system = system_on(name, degree)
-    x = 0.5 * states(system)
-    sound = followed(system, x, (0, 10), 0.25, co.Taylor(10, projected))
-    wild = x.copy()
-    wild[3] *= 1e200
-    wild[8], wild[13] = x[4] * 80.0, x[5] * 180.0
-    run = followed(system, wild, (0, 10), 0.25, co.Taylor(10, projected))
-    assert run.failed[3]
-    for m in range(MEMBERS):
-        if m not in (3, 8, 13):
-            assert run.failed[m] == sound.failed[m]
-            assert np.array_equal(run.x[:, m], sound.x[:, m], equal_nan=True)
-            continue
-        alone = followed(system, wild[m], (0, 10), 0.25, co.Taylor(10, projected)).x
-        assert run.failed[m] == (len(alone) < len(run.x))
-        assert np.array_equal(run.x[: len(alone), m], alone)
-
-
 @pytest.mark.parametrize("name", ["so(3)", "A5,3", "so(5)"])
 @pytest.mark.parametrize("degree", [2, 3])
 def test_nothing_is_left_of_members_that_overflow(name, degree):

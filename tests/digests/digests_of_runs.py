@@ -1,4 +1,4 @@
-"""Digests of the bits of many runs: `python -m verification.digests_of_runs`, in the folder of the tests."""
+"""Digests of the bits of many runs: `python -m digests.digests_of_runs`, in the folder of the tests."""
 
 from __future__ import annotations
 
@@ -10,11 +10,15 @@ import numpy as np
 
 import coadjoint as co
 from coadjoint.analysis.lyapunov import frame_of
+from coadjoint.kernels.tables.tangents import Frame
+from coadjoint.methods.protocol.tangents import tangent_loop
+from coadjoint.runs.start import start_of
+from coadjoint.runs.tangent_stretching import energy_loops
 from coadjoint.runs.times import Times
+from started_runs import started
 
 from .schemes_under_test import schemes, serves
 from .systems_under_test import all_cases, full_matrix
-from .tangent_products import run_with
 
 CASES = (
     "so(3), diagonal",
@@ -114,12 +118,15 @@ def states_with_tangents() -> Iterator[tuple[str, list[np.ndarray]]]:
     systems, methods, times = all_cases(), schemes(), Times(0.0, STEP, 24, 24).with_saved_steps([24])
     for scheme in WITH_TANGENTS:
         for case in CASES:
-            system, x0, _ = systems[case]
-            if not serves(methods[scheme], system):
+            (system, x0, _), method = systems[case], methods[scheme]
+            if not serves(method, system):
                 continue
             ensemble = x0 * (1.0 - 0.02 * np.arange(MEMBERS)[:, None])
-            for start, how in ((x0, "alone"), (ensemble, "an ensemble")):
-                run = run_with(system, methods[scheme], start, times, frame_of(system.dim, system.dim), 7)
+            for x, how in ((x0, "alone"), (ensemble, "an ensemble")):
+                vectors = Frame(frame_of(system.dim, system.dim), 7)
+                loops = energy_loops([system], method, times.h, [tangent_loop(method, system, times.h, vectors)])
+                run = started(system, method, loops, times, start_of(system, method, x, False), False)
+                run.advance()
                 yield f"tangents of {scheme} on {case}, {how}", [run.saved["x"], run.state["memory"]]
 
 

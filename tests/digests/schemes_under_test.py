@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from functools import cache
 
 import coadjoint as co
@@ -48,11 +47,6 @@ def schemes() -> dict[str, co.methods.Method]:
     return found
 
 
-def large_step(method: co.methods.Method) -> float:
-    """Return a large step, at which high orders visibly lose invariants; stable on systems of size one."""
-    return 0.1 if method.order <= 2 or isinstance(method, co.Composition) else 0.5
-
-
 def serves(method: co.methods.Method, system: object) -> bool:
     """Return whether the scheme supports the system; a refusal must be one sentence."""
     try:
@@ -68,24 +62,3 @@ def witnesses(method: co.methods.Method, *names: str) -> list[Case]:
     named = [cases()[name] for name in names]
     others = [case for case in all_cases().values() if serves(method, case.system)]
     return [case for case in named if serves(method, case.system)] or others[:1]
-
-
-def pairs(systems: dict) -> list[tuple[str, str]]:
-    """Return the names of all pairs of a scheme and a supported system."""
-    return [(s, c) for s, method in schemes().items() for c, case in systems.items() if serves(method, case.system)]
-
-
-def schemes_in_steps() -> set[str]:
-    """Return the names of the registered schemes of constant steps."""
-    names = co.methods.names()
-    return {name for name in names if not getattr(co, name).examples()[0].own_steps}
-
-
-def concrete_schemes() -> set[str]:
-    """Return the names of the schemes that the library offers."""
-    offered = (getattr(co, name) for name in dir(co))
-    return {
-        value.__name__
-        for value in offered
-        if inspect.isclass(value) and issubclass(value, co.methods.Method) and not inspect.isabstract(value)
-    }

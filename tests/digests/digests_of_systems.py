@@ -1,6 +1,6 @@
 """Digests of runs of all ready-made systems of vectors and of random runs, as JSON.
 
-`python -m verification.digests_of_systems [K]`, in the folder of the tests, takes every K-th system and random run.
+`python -m digests.digests_of_systems [K]`, in the folder of the tests, takes every K-th system and random run.
 Runs that call user functions of the C library are left out.
 """
 
@@ -36,7 +36,7 @@ def digest(*arrays: Any) -> str:
 
 
 def ready_made(every: int) -> Iterator[tuple[str, co.Solution]]:
-    """Run the ready-factory systems of vectors from their own starts, rounded, since NumPy computed these."""
+    """Run the ready-made systems of vectors from their own starts, rounded, since NumPy computed these."""
     for name, factory in [*ready_made_systems().items()][::every]:
         gallery_entry = gallery_entry_of(name)
         assert gallery_entry is not None, name
