@@ -61,7 +61,6 @@ REFUSED = {
     # Ready-made systems.
     "a misspelled key": (ready("step", "stpe"), "run.stpe", ("'step'",), True),
     "a misspelled table": (ready("[initial]", "[intial]"), "intial", ("'initial'",), True),
-    "an unknown table": (ready("[initial]", "[nmae]\n[initial]"), "nmae", ("known here: algebra",), True),
     "an unknown key": (ready(STEP, f"{STEP}\nqqq = 1"), "run.qqq", ("known here: accuracy, save_every",), True),
     "no step": (ready(STEP), "run", ("step is missing", "accuracy"), True),
     "a step and an accuracy": (ready(STEP, f"{STEP}\naccuracy = 1e-8"), "run", ("step and accuracy",), None),
@@ -86,10 +85,6 @@ REFUSED = {
     "three times": (ready("[0, 1]", "[0, 1, 2]"), "run", ("t_span", "[0, 1, 2]"), True),
     "a time that is no number": (ready("[0, 1]", "[0, nan]"), "run.t_span", ("nan",), None),
     "a time of output outside": (ready(STEP, f"{STEP}\nt_eval = [11]"), "run", ("t_eval[0]", "11"), None),
-    "a time of output beyond rounding": (
-        ready("t_span = [0, 1]\nstep = 0.1", "t_span = [0, 30]\nstep = 0.01\nt_eval = [1, 30.0000000003]"), "run",
-        ("t_eval[1]", "30.0000000003"), None,
-    ),
     "times of output backward": (ready(STEP, f"{STEP}\nt_eval = [0.5, 0.25]"), "run", ("t_eval[1]", "0.25"), None),
     "times and a stride": (
         ready(STEP, f"{STEP}\nt_eval = [0.5]\nsave_every = 2"), "run", ("save_every", "t_eval"), None,
@@ -98,15 +93,12 @@ REFUSED = {
     "no times of output": (ready(STEP, f"{STEP}\nt_eval = []"), "run.t_eval", ("[]",), None),
     "a short state": (ready(X, "x = [1.0, 0.1]"), "initial.x", ("(2,)",), None),
     "ragged states": (ready(X, "x = [[1.0, 0.1, 0.5], [1.0]]"), "initial.x", ("list of numbers",), None),
-    "columns among rows": (ready(X, "x = [[1.0, 0.1, 0.5], [[1.0], [0.1], [0.5]]]"), "initial.x", (), None),
-    "deep ragged states": (ready(X, "x = [[[1.0, 0.1], [0.5, 1.0]], [[1.0, 0.1]]]"), "initial.x", (), None),
     "a flag in a state": (ready(X, "x = [1.0, true, 0.5]"), "initial.x", ("list of numbers",), True),
     "no state": (ready(X, "attitude = true"), "initial", ("x is missing",), True),
     "a state and its kind": (ready(X, f"{X}\nkind = 'random'"), "initial.kind", ("rigid_body",), True),
     "parameters of a state": (ready(X, f"{X}\nparameters = {{seed = 1}}"), "initial", ("parameters", "kind"), None),
     "an unknown attitude": (ready(X, f'{X}\nattitude = "rotation"'), "initial.attitude", ("'coadjoint'",), True),
     "a small attitude": (ready(X, f"{X}\nattitude = [[1.0]]"), "initial.attitude", ("(1, 1)",), None),
-    "a vector as attitude": (ready(X, f"{X}\nattitude = [1.0]"), "initial.attitude", (), True),
     "an unknown system": (ready('"rigid_body"', '"rigidbody"'), "system", ("'rigidbody'", "'rigid_body'"), True),
     "a parameter of no system": (
         ready("inertia =", "inertias ="), "system.parameters.inertias", ("[system.parameters] inertia",), True,
@@ -115,17 +107,8 @@ REFUSED = {
     "the type of a parameter": (ready("[1.0, 2.0, 2.5]", "'heavy'"), "system", ("heavy",), True),
     "a sign of a ready-made system": (ready("[system]", "sign = -1\n[system]"), "sign", ("'rigid_body'",), True),
     "a name of a ready-made system": (ready("[system]", 'name = "a"\n[system]'), "name", ("[algebra]",), True),
-    "an energy of a ready-made system": (
-        ready("[initial]", "[hamiltonian]\nM = 1.0\n[initial]"), "hamiltonian", ("[algebra]",), True,
-    ),
-    "Casimirs of a ready-made system": (
-        ready("[initial]", '[casimirs]\na = "x1"\n[initial]'), "casimirs", ("[algebra]",), True,
-    ),
     "an unknown scheme": (ready('"Splitting"', '"Spliting"'), "method", ("'Spliting'", "'Splitting'"), True),
     "a parameter of no scheme": (ready("order", "oder"), "method.oder", ("'order'",), True),
-    "another parameter of no scheme": (
-        ready("order = 4", "zzzzz = 4"), "method.zzzzz", ("adjoint, compensated",), True,
-    ),
     "an order": (ready("order = 4", "order = 3"), "method", ("1, 2, 4, 6, 8 and 10", "not 3"), True),
     "parts that do not commute": (ready("order = 4", "parts = [[0, 1], [2]]"), "method", (), None),
     "a scheme without a name": (ready('name = "Splitting"'), "method", ("'order': 4",), True),
@@ -135,7 +118,6 @@ REFUSED = {
         ready(SCHEME, 'name = "Projected"\nbase = {name = "Splitting", s = 1}'), "method", ("'s'",), True,
     ),
     "a broken line": (ready(STEP, "step ="), "line 13, column 7", (), None),
-    "a list without an end": (ready(STEP, "step = ["), "line 14, column 1", (), None),
     "a key given twice": (ready(STEP, f"{STEP}\n{STEP}"), "line 14, column 11", (), None),
     "the format of a file": (READY_MADE + "[output]\nfile = 'run.csv'\n", "output.file", ("run.csv", ".nc"), True),
     # Workers, archives, forces and events.
@@ -175,32 +157,17 @@ REFUSED = {
     "a product": (own("[e3, e1] = e2", "[e3, e1] = e2 e1"), "algebra.brackets", ("[e3, e1] = e2 e1", "'e1'"), None),
     "names and a number": (own("dim = 3", 'dim = 2\nbasis = ["a", "b", "c"]'), "algebra.basis", ("3", "2"), None),
     "no dimension": (own("dim = 3\n"), "algebra.dim", ("missing",), True),
-    "a key of no algebra": (own("brackets", "bracket"), "algebra.bracket", ("'brackets'",), True),
     "parameters of brackets": (own("dim = 3", "dim = 3\nparameters = {a = 1}"), "algebra.parameters", (), True),
     "a name and brackets": (own("dim = 3", 'name = "so(3)"\ndim = 3'), "algebra.name", ("catalogue",), True),
     "no brackets": (own(BRACKETS, "parameters = {}"), "algebra.brackets", ("missing", "dim"), True),
-    "names without brackets": (
-        changed(OWN, ("dim = 3", 'basis = ["a", "b", "c"]'), (BRACKETS, "")), "algebra.brackets", ("basis",), True,
-    ),
     "an unknown algebra": (changed(OWN, (f"dim = 3\n{BRACKETS}", "name = 'so(x)'")), "algebra", ("so(x)",), True),
     "what an algebra needs": (changed(OWN, (f"dim = 3\n{BRACKETS}", "name = 'A3,7'")), "algebra", ("'a'",), True),
     "a sign of two": (own("sign = -1", "sign = 2"), "sign", ("2",), True),
     "a flag as a sign": (own("sign = -1", "sign = true"), "sign", ("True",), True),
     "another dimension": (own("dim = 3", "dim = 4"), "initial.x", ("(3,)", "(4,)"), None),
-    "another dimension of members": (
-        changed(OWN, ("dim = 3", "dim = 4"), (X, "x = [[1.0, 0.1, 0.5]]")), "initial.x", ("(1, 3)",), None,
-    ),
-    "no energy": (own(f"[hamiltonian]\n{M}"), "hamiltonian", ("missing",), True),
     "an empty energy": (own(M), "hamiltonian.M", ("linear", "formula"), None),
     "a matrix and a polynomial": (hamiltonian(f'{M}\npolynomial = "x1"'), "hamiltonian.M", ("polynomial",), None),
-    "a linear part and a polynomial": (
-        hamiltonian('linear = [0, 0, 1]\npolynomial = "x1"'), "hamiltonian.linear", ("polynomial",), None,
-    ),
-    "a constant and a polynomial": (
-        hamiltonian('constant = 1.0\npolynomial = "x1"'), "hamiltonian.constant", ("polynomial",), None,
-    ),
     "a short matrix": (hamiltonian("M = [1.0, 0.5]"), "hamiltonian", ("2", "3"), None),
-    "a ragged matrix": (hamiltonian("M = [[[1.0]]]"), "hamiltonian.M", (), True),
     "a matrix that is not symmetric": (
         hamiltonian("M = [[1, 2, 0], [0, 1, 0], [0, 0, 1]]"), "hamiltonian", ("symmetric",), None,
     ),
@@ -218,9 +185,6 @@ REFUSED = {
     "a formula over zero": (hamiltonian('formula = "x1/0"'), "hamiltonian.formula", ("'x1/0'", "zero"), None),
     "code": (hamiltonian('formula = "__import__(1)*x1"'), "hamiltonian.formula", ("'__import__'",), None),
     "a formula and a matrix": (hamiltonian('formula = "x1"\nM = 1.0'), "hamiltonian.M", ("formula",), None),
-    "a formula and a polynomial": (
-        hamiltonian('formula = "x1"\npolynomial = "x1"'), "hamiltonian.polynomial", ("formula",), None,
-    ),
     "parameters of a matrix": (
         hamiltonian("M = 1.0\nparameters = {a = 1}"), "hamiltonian.parameters", ("formula",), None,
     ),
@@ -236,7 +200,6 @@ REFUSED = {
     "matrices that do not close": (
         BY_MATRICES.replace("[0, 1, 0]]", "[0, 1, 1]]", 1), "algebra.matrices", ("[a, b]", "3"), None,
     ),
-    "ragged matrices": (BY_MATRICES.replace("[0, 1, 0]]", "[0, 1]]", 1), "algebra.matrices", (), None),
     "text in a matrix": (
         BY_MATRICES.replace("[0, 1, 0]]", '[0, 1, "x"]]', 1), "algebra.matrices[0][2][2]", ("'x'",), None,
     ),
@@ -253,7 +216,6 @@ REFUSED = {
     "an unknown kind": (fluid('{kind = "radnom", seed = 1}'), "initial.kind", ("'radnom'", "'random'"), True),
     "a method that is no state": (fluid('{kind = "spectrum"}'), "initial.kind", ("'spectrum'",), True),
     "a parameter of no state": (fluid('{kind = "random", sed = 1}'), "initial.sed", ("'seed'",), None),
-    "a system of a state": (fluid(f"{{{RANDOM}, system = 2}}"), "initial.system", (), None),
     "no seed": (fluid('{kind = "random"}'), "initial", ("'seed'",), None),
     "a negative seed": (fluid('{kind = "random", seed = -1}'), "initial", ("seed",), None),
     "degrees beyond": (fluid(f"{{{RANDOM}, degrees = [2, 90]}}"), "initial", ("degrees[1]",), None),
@@ -271,7 +233,6 @@ REFUSED = {
     "no matrix of the algebra": (fluid('{x = "ones.npy"}'), "initial.x", ("su(4)",), None),
     "a matrix of another size": (fluid("{x = [[1.0, 0.0], [0.0, 1.0]]}"), "initial.x", ("shape",), None),
     "an observable of matrices": (fluid(f"{{{RANDOM}}}", 'observe = {a = "x1"}'), "observe.a", (), None),
-    "an event of matrices": (fluid(f"{{{RANDOM}}}", 'events = {a = {g = "x1"}}'), "events.a", (), None),
     "a scheme for vectors": (
         fluid(f"{{{RANDOM}}}").replace("IsospectralGauss", "Splitting"), "method", ("sphere_euler",), None,
     ),
@@ -307,7 +268,6 @@ REFUSED = {
         ("1000000000000",), None,
     ),
     "a setting of text": (swept('"initial.x[0]" = ["a"]'), "initial.x", ("list of numbers",), None),
-    "settings of two shapes": (swept('"initial.x[0]" = [1.0, "a"]'), "sweep.over.initial.x[0]", ("()",), None),
     "ragged settings": (swept('"initial.x" = [[1.0, 2.0, 3.0], [1.0, 2.0]]'), "sweep.over.initial.x", (), None),
     "an infinite setting": (
         swept('"initial.x" = [[1.0, 2.0, 3.0], [1.0, inf, 1.0]]'), "initial.x", ("infinity",), None,
@@ -315,20 +275,11 @@ REFUSED = {
     "members of members": (swept('"initial.x" = [[[1.0, 2.0, 3.0], [1.0, 0.0, 0.0]]]'), "initial.x", ("(2, 3)",), None),
     "an unknown swept key": (swept('"initial.y" = [1.0]'), "initial.y", ("known here",), None),
     "a swept attitude": (swept('"initial.attitude" = [true]'), "sweep.over.initial.attitude", ("same",), None),
-    "an entry of an attitude": (
-        swept('"initial.attitude[0][1]" = [1.0]'), "sweep.over.initial.attitude[0][1]", ("same",), None,
-    ),
     "a swept kind": (swept('"initial.kind" = ["random"]'), "sweep.over.initial.kind", ("same",), None),
     "a swept step": (swept('"run.step" = [0.1]'), "sweep.over.run.step", ("system.parameters",), None),
-    "a swept order": (swept('"method.order" = [2, 4]'), "sweep.over.method.order", ("system.parameters",), None),
-    "a swept name": (swept('"system.name" = ["a"]'), "sweep.over.system.name", ("system.parameters",), None),
-    "a swept table": (swept('"forces_of" = [1.0]'), "sweep.over.forces_of", ("system.parameters",), None),
     "no key": (swept('"initial.x[0" = [1]'), "sweep.over.initial.x[0", ("no key",), None),
     "a state and its entry": (
         swept('"initial.x" = [[1.0, 0, 0]]\n"initial.x[0]" = [2.0]'), "sweep.over.initial.x[0]", ("initial.x",), None,
-    ),
-    "an entry and its state": (
-        swept('"initial.x[1]" = [1.0]\n"initial.x" = [[1.0, 0, 0]]'), "sweep.over.initial.x", ("initial.x[1]",), None,
     ),
     "an entry of a number": (swept('"initial.x[0][1]" = [1.0]'), "sweep.over.initial.x[0][1]", ("entry 1",), None),
     "a wrong parameter of a member": (
@@ -339,9 +290,6 @@ REFUSED = {
         swept('"system.parameters.inertai" = [3.0]'), "system.parameters.inertai", ("'inertia'",), None,
     ),
     "no force to sweep": (swept('"forces[0].rate" = [0.1]'), "sweep.over.forces[0].rate", ("entry 0",), None),
-    "a missing file of settings": (
-        swept('"initial.x" = { file = "no.npy" }'), "sweep.over.initial.x", ("no.npy",), None,
-    ),
     "a file of settings": (swept('"initial.x" = { file = "run.toml" }'), "sweep.over.initial.x", ("run.toml",), None),
     "a column beyond": (
         swept('"initial.x[0]" = { file = "table.npy", column = 3 }'), "sweep.over.initial.x[0]", ("(2, 3)",), None,
@@ -378,9 +326,6 @@ REFUSED = {
     ),
     "ends of another shape": (
         swept('"initial.x" = { uniform = [[0, 1], 2] }', "samples = 2\nseed = 1"), "sweep.over.initial.x", (), None,
-    ),
-    "deviations of another shape": (
-        swept('"initial.x" = { normal = [0, [1, 2]] }', "samples = 2\nseed = 1"), "sweep.over.initial.x", (), None,
     ),
     "samples beyond memory": (
         swept('"initial.x" = { sphere = 1.0 }', "samples = 1000000000000\nseed = 1"), "sweep.over.initial.x",
@@ -461,11 +406,8 @@ HOSTILE = {
     "a key of 64 parts": (OWN + ".".join("a" * 64) + " = 1", "run.a"),
     "brackets in text": ('a = "' + "[" * 500 + '"\nb = ' + "[" * 2000 + "\n" + "]" * 2000, "line 2, column 69: b: "),
     "digits": (own(STEP, f"step = {NINES}"), "line 15, column 8: step: "),
-    "digits of dim": (own("dim = 3", f"dim = {NINES}"), "line 5, column 7: dim: "),
     "hexadecimal dim": (own("dim = 3", f"dim = {HEXADECIMAL}"), "algebra.dim: "),
     "hexadecimal step": (own(STEP, f"step = {HEXADECIMAL}"), "run.step: "),
-    "hexadecimal x": (own("x = [1.0", f"x = [{HEXADECIMAL}"), "initial.x: <int of about 6021 digits>"),
-    "hexadecimal sign": (own("sign = -1", f"sign = {HEXADECIMAL}"), "sign: "),
     "hexadecimal order": (ready("order = 4", f"order = {HEXADECIMAL}"), "method: "),
     "hexadecimal parameter": (parameter(HEXADECIMAL), "algebra: "),
     "large parameter": (parameter("1e308"), "algebra: "),
@@ -483,33 +425,25 @@ HOSTILE = {
     ),
     "degree in a list": (polynomial("[[1, [1000, 25, 0]]]"), "hamiltonian.polynomial: the term [1, [1000"),
     "degree of a Casimir": (own("x1^2 + x2^2", "x1^5000000 + x2^2"), "casimirs.|x|^2: "),
-    "degree of what is observed": (OWN + '[observe]\na = "x1^5000000"', "observe.a: "),
     "coordinate": (polynomial(f'"x{NINES}"'), "hamiltonian.polynomial: 'x999"),
     "coefficient": (polynomial(f'"{NINES}*x1"'), "hamiltonian.polynomial: a number of 5000 digits"),
     "coefficient in a list": (polynomial(f"[[{HEXADECIMAL}, [1, 0, 0]]]"), "hamiltonian.polynomial: a coefficient "),
     "product of coefficients": (polynomial(f'"{"*".join(["9" * 300] * 800)}"'), "hamiltonian.polynomial: a number is"),
     "denominators": (polynomial(f'"{"*".join(["1/" + "9" * 300] * 450)}"'), "hamiltonian.polynomial: a number is"),
     "quotient": (polynomial('"1e300/1e-300*x1"'), "hamiltonian.polynomial: a number is too large"),
-    "sum": (polynomial('"1e308*x1 + 1e308*x1"'), "hamiltonian.polynomial: a number is too large"),
     "many terms": (polynomial(f'"{"x1 + " * 20000}y"'), "hamiltonian.polynomial: 'x1 + x1"),
-    "long blank": (polynomial(f'"{" " * 10**5}"'), "hamiltonian.polynomial: "),
-    "long term": (polynomial(f"[[1, [{'0,' * 10**4}]]]"), "hamiltonian.polynomial: the term [1, [0, 0, 0"),
     "nested exponents": (polynomial("[[1, [[2], 0, 0]]]"), "hamiltonian.polynomial: the term [1, [[2]"),
     "constant": (own("= e3", f"= {NINES} e3"), "algebra.brackets: a number of 5000 digits"),
     "sum of constants": (own("= e3", "= 1e308 e3 + 1e308 e3"), "algebra.brackets: '[e1, e2] = 1e308 e3 + 1e308 e3'"),
-    "infinite constant": (own("= e3", "= 1e999 e3"), "algebra.brackets: a number is too large"),
     "long bracket": (own("= e3", "= " + "e3 " * 50000), "algebra.brackets: '[e1, e2] = e3 e3"),
-    "no bracket": (own("[e1, e2]", "[" * 50000), "algebra.brackets: '[[["),
     "long key": (OWN + "a" * 10**5 + " = 1", "run.aaaaa"),
     "long names": (OWN + f'[observe]\n"{"a" * 10**5}" = "x9"', "observe.aaaaa"),
     "long value": (own(X, f'x = "{"a" * 10**5}"'), "initial.x: must be a list of numbers"),
     "key in two lines": (OWN + '"a\\nb\\u001b[31m" = 1', "run.a b?[31m: unknown key"),
     "name with NUL": (own('"mine"', '"a\\u0000"'), "name: must be printable characters in one line, not 'a\\x00'"),
     "Casimir with NUL": (own('"|x|^2"', '"a\\u0000"'), "casimirs.a?: must be printable characters"),
-    "basis with NUL": (own("dim = 3", 'basis = ["a\\u0000", "b", "c"]'), "algebra.basis[0]: must be printable"),
     "a long name": (own('"mine"', f'"{"a" * 201}"'), "hamiltonian: name of a system is "),
     "schemes in schemes": (nested("[0.5, 0.25, 0.25]", 60), "method: "),
-    "compositions of compositions": (nested("[0.25, 0.5, 0.25]", 40), "method: "),
     "coordinate of a part": (ready("order = 4", "parts = [[0, 100000000000000000000], [1], [2]]"), "method: "),
     "saved states": (own(STEP, "step = 1e-14"), "run.save_every: the saved states do not fit into memory: "),
     "long file name": (OWN + f'[output]\nfile = "{"a" * 300}.nc"', "output.file: aaaaa"),

@@ -63,14 +63,6 @@ def test_loaded_parts_have_the_same_bits(tmp_path, name, way):
     assert_same_run(pickle.loads(pickle.dumps(found)), sol)
 
 
-@pytest.mark.parametrize("name", RUNS)
-def test_archives_are_loaded(tmp_path, name):
-    sol = RUNS[name](archive=tmp_path / "run.zarr")
-    found = co.load(tmp_path / "run.zarr")
-    assert isinstance(found, co.Solution) and found.finished
-    assert same_bits(found.x, sol.x)
-
-
 def test_casimirs_and_observed_quantities_are_loaded_in_the_order_of_the_run(tmp_path):
     """Files list arrays by their labels, of which the tenth comes before the second."""
     free, names = co.LieAlgebra([], dim=3), ["z", "b 1", "a", "C", *(f"{k} y" for k in range(12, 0, -1))]

@@ -152,15 +152,6 @@ def test_pictures_that_need_an_attitude_are_left_out_without_one():
         carried.plot("body axis")
 
 
-def test_systems_of_another_dimension_fall_back():
-    body = co.systems.so_n_body((1.0, 2.0, 3.0, 4.0, 5.0))
-    figure = co.integrate(body, np.linspace(-1.0, 1.0, 10), (0.0, 1.0), 0.05).plot()
-    assert len(figure.axes) == 2
-    assert "8 of 10" in figure.axes[1].get_title()
-    flat = co.integrate(co.systems.so_n_body((1.0, 2.0, 3.0)), (0.1, 1.0, 0.2), (0.0, 5.0), 0.05).plot()
-    assert [axes.name for axes in flat.axes] == ["rectilinear", "rectilinear", "3d"]
-
-
 @pytest.mark.thinned(6)
 @pytest.mark.parametrize(
     "system",
@@ -264,22 +255,6 @@ def test_one_axes_for_a_kind_that_is_declared_twice_has_the_first_picture():
     axes, last = Figure().subplots(1, 2)
     run.plot(["spins", "drift"], axes=[axes, last])
     assert len(both) == 2 and axes.get_title() == both[0] != both[1]
-
-
-@pytest.mark.long
-def test_no_legend_reaches_out_of_the_figure():
-    lattice = co.systems.spin_lattice("chain", 101)
-    x0 = np.random.default_rng(1).normal(size=303)
-    figure = co.integrate(lattice, x0, (0.0, 2.0), 0.1).plot()
-    figure.draw_without_rendering()
-    drift = figure.axes[0]
-    # The energy, the worst four of 101, and a band of all.
-    assert drift.get_legend().get_texts()[0].get_text() == "all 101 Casimirs"
-    assert len(drift.lines) == 5 and len(drift.collections) == 1
-    for axes in figure.axes:
-        if axes.get_legend() is not None:
-            box = axes.get_legend().get_window_extent()
-            assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= figure.bbox.width and box.y1 <= figure.bbox.height
 
 
 @pytest.fixture(scope="module")
