@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -27,34 +26,21 @@ from coadjoint.systems.registry import gallery_entry_of
 T0 = 7.3
 
 
-INERTIAS = ((1.0, 2.0, 3.0), (1.0, 2.0, 2.5), (1.5, 2.0, 3.2))
-
-
-STARTS = np.array([[1.0, 0.2, 0.5], [0.4, 0.1, 1.1], [1.3, -0.3, 0.2]])
-
-
-@cache
-def fluid(surface: str, sense: float = 1.0) -> co.Solution:
-    system = co.systems.sphere_euler(7) if surface == "sphere" else co.systems.torus_euler(7)
-    rng = np.random.default_rng(5)
-    W = system.algebra.projected(rng.normal(size=(7, 7)) + 1j * rng.normal(size=(7, 7)))
-    return co.integrate(system, 2.0 * W, (T0, T0 + sense * 2.0), 0.0625, save_every=3)
-
-
 MOVING = ("field", "sphere field", "spins", "vorticity")
 
 
 def moving(name: str) -> tuple[co.Solution, Picture, Any]:
     """Return a run, a picture that moves, and the values that it shows at a saved point."""
     if name == "vorticity":
-        run = fluid("torus")
+        system = co.systems.torus_euler(7)
+        run = co.integrate(system, system.random(5, degrees=(1, 3)), (T0, T0 + 2.0), 0.0625, save_every=3)
         return run, Picture("vorticity"), lambda k: run.system.to_grid(run.system.relative(run.x[k]), (128, 128)).T
     if name == "spins":
         lattice = co.systems.spin_lattice("square", (3, 4), tensor=(1.0, 1.0, 0.5))
         run = co.integrate(lattice, np.random.default_rng(4).normal(size=36), (T0, T0 + 2.0), 0.1)
         size = np.linalg.norm(run.x[0].reshape(-1, 3), axis=1).max()
         return run, Picture("spins", at=0.0), lambda k: run.x[k].reshape(-1, 3) / size
-    run = co.integrate(co.systems.rigid_body(INERTIAS[0]), STARTS[0], (T0, T0 + 2.0), 0.1)
+    run = co.integrate(co.systems.rigid_body((1.0, 2.0, 3.0)), (1.0, 0.2, 0.5), (T0, T0 + 2.0), 0.1)
     grid = np.add.outer(np.arange(5.0), 10.0 * np.arange(6.0)) - 20.0
     if name == "field":
         options = {"values": lambda body, x: x[0] * grid, "width": lambda body: 1.0}
