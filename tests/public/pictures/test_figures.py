@@ -38,19 +38,17 @@ def test_panels_of_a_body(body_run: co.Solution) -> None:
 TITLES = {"drift": "drift", "components": "components", "body axis": "in space", "coadjoint orbit": "level surface"}
 
 
-@pytest.mark.parametrize("width", [None, 6.8, 3.4])
+@pytest.mark.parametrize("width", [None, 3.4])
 @pytest.mark.parametrize(
     "panels",
     [
-        ("body axis", "drift", "components"),
         ("components", "coadjoint orbit", "drift"),
         ("drift", "body axis", "components", "coadjoint orbit"),
         ("body axis", "coadjoint orbit", "drift", "body axis", "components"),
     ],
 )
 def test_panels_have_the_order_in_which_they_are_requested(panels: tuple[str, ...], width: float | None) -> None:
-    body = co.systems.rigid_body(inertia=(1, 2, 3))
-    run = co.integrate(body, (0.01, 1.0, 0.01), (0, 40), 0.05, attitude=True)
+    run = co.integrate(BODY, (0.1, 1.0, 0.1), (0, 10), 0.1, attitude=True)
     figure = run.plot(list(panels), width=width)
     figure.draw_without_rendering()
     titles = [" ".join(axes.get_title().split()) for axes in figure.axes]
