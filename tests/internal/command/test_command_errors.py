@@ -86,9 +86,6 @@ def test_selftest_counts_and_prints(monkeypatch, capsys):
     ("error", "status", "message"),
     [
         (ValueError("a is\nwrong"), 2, "coadjoint: ValueError: a is wrong"),
-        (TypeError("a"), 2, "coadjoint: TypeError: a"),
-        (ZeroDivisionError("a"), 2, "coadjoint: ZeroDivisionError: a"),
-        (OverflowError("a"), 2, "coadjoint: OverflowError: a"),
         (RecursionError("a"), 2, "coadjoint: RecursionError: a"),
         (MemoryError("a"), 2, "coadjoint: MemoryError: a"),
         (ImportError("a"), 2, "coadjoint: a"),
@@ -150,30 +147,20 @@ def test_exit_status_of_interrupts_and_missing_packages(monkeypatch, capsys):
         assert capsys.readouterr() == ("", message)
 
 
-def test_missing_balance_is_printed_as_nan(capsys):
-    stats = SimpleNamespace(steps=1, seconds=0.5, elapsed=0.75)
+@pytest.mark.parametrize("driven", [True, False])
+def test_summaries_have_every_balance_and_mark_driven_energies(capsys, driven):
+    H = co.Hamiltonian(lambda x, t: np.cos(t) * x[2], lambda x, t: np.array([0.0, 0.0, np.cos(t)]))
+    system = co.LiePoissonSystem(co.algebras.so(3), H, name="a" * 199) if driven else co.systems.rigid_body()
     sol = SimpleNamespace(
-        system=co.systems.rigid_body(), method="Splitting", stats=stats, step=0.1, watched=True, work={"a": {}},
-        change=lambda: {"energy": 0.25, "own": 0.5}, balance=lambda: {"energy": 0.125},
+        system=system, method="Splitting", step=0.1, watched=True, work=None if driven else {"a": {}},
+        stats=SimpleNamespace(steps=1, seconds=0.5, elapsed=0.75),
+        change=lambda: {"energy": 0.25, "C" * 500: 0.5}, balance=lambda: {"energy": 0.125},
     )  # fmt: skip
     run_commands._summarize(sol, [])
-    assert [line.split() for line in capsys.readouterr().out.splitlines()[2:]] == [
-        ["energy", "0.25", "0.125"], ["own", "0.5", "nan"]
-    ]  # fmt: skip
-
-
-def test_driven_energy_is_marked(capsys):
-    H = co.Hamiltonian(lambda x, t: np.cos(t) * x[2], lambda x, t: np.array([0.0, 0.0, np.cos(t)]))
-    driven = co.LiePoissonSystem(co.algebras.so(3), H, name="a" * 199)
-    stats = SimpleNamespace(steps=1, seconds=0.5, elapsed=0.75)
-    for system, shown in ((driven, "energy (driven, so that it changes)"), (co.systems.rigid_body(), "energy")):
-        sol = SimpleNamespace(
-            system=system, method="Splitting", stats=stats, step=0.1, watched=False, work=None,
-            change=lambda: {"energy": 0.25, "C" * 500: 0.5},
-        )  # fmt: skip
-        run_commands._summarize(sol, [])
-        lines = capsys.readouterr().out.splitlines()
-        assert lines[2].split("  ")[1].strip() == shown and max(map(len, lines[2:])) < 80
+    first, second = capsys.readouterr().out.splitlines()[2:]
+    assert max(len(first), len(second)) < 80 and ("energy (driven, so that it changes)" in first) == driven
+    if not driven:
+        assert first.split() == ["energy", "0.25", "0.125"] and second.split()[-2:] == ["0.5", "nan"]
 
 
 def test_reproduce_prints_the_table_and_the_figures(folder, capsys, monkeypatch):

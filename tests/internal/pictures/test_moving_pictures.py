@@ -1,8 +1,8 @@
-"""Pictures that are updated to another time show that time: fields, spins, boxes and paths."""
+"""Pictures that are updated to another time show that time; files of movies have the colours of their frames."""
 
 from __future__ import annotations
 
-from functools import cache
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,29 +11,19 @@ import pytest
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
+from PIL import Image
 
 import coadjoint as co
+from coadjoint.files.output.movie_file import check_speed, write_movie
 from coadjoint.pictures.globe import Globe
 from coadjoint.pictures.kinds import body as module
+from coadjoint.pictures.movie import default_picture, frames_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import kinds, read_picture
 from coadjoint.systems.gallery_entry import Picture
+from coadjoint.systems.registry import gallery_entry_of
 
 T0 = 7.3
-
-
-INERTIAS = ((1.0, 2.0, 3.0), (1.0, 2.0, 2.5), (1.5, 2.0, 3.2))
-
-
-STARTS = np.array([[1.0, 0.2, 0.5], [0.4, 0.1, 1.1], [1.3, -0.3, 0.2]])
-
-
-@cache
-def fluid(surface: str, sense: float = 1.0) -> co.Solution:
-    system = co.systems.sphere_euler(7) if surface == "sphere" else co.systems.torus_euler(7)
-    rng = np.random.default_rng(5)
-    W = system.algebra.projected(rng.normal(size=(7, 7)) + 1j * rng.normal(size=(7, 7)))
-    return co.integrate(system, 2.0 * W, (T0, T0 + sense * 2.0), 0.0625, save_every=3)
 
 
 MOVING = ("field", "sphere field", "spins", "vorticity")
@@ -42,14 +32,15 @@ MOVING = ("field", "sphere field", "spins", "vorticity")
 def moving(name: str) -> tuple[co.Solution, Picture, Any]:
     """Return a run, a picture that moves, and the values that it shows at a saved point."""
     if name == "vorticity":
-        run = fluid("torus")
+        system = co.systems.torus_euler(7)
+        run = co.integrate(system, system.random(5, degrees=(1, 3)), (T0, T0 + 2.0), 0.0625, save_every=3)
         return run, Picture("vorticity"), lambda k: run.system.to_grid(run.system.relative(run.x[k]), (128, 128)).T
     if name == "spins":
         lattice = co.systems.spin_lattice("square", (3, 4), tensor=(1.0, 1.0, 0.5))
         run = co.integrate(lattice, np.random.default_rng(4).normal(size=36), (T0, T0 + 2.0), 0.1)
         size = np.linalg.norm(run.x[0].reshape(-1, 3), axis=1).max()
         return run, Picture("spins", at=0.0), lambda k: run.x[k].reshape(-1, 3) / size
-    run = co.integrate(co.systems.rigid_body(INERTIAS[0]), STARTS[0], (T0, T0 + 2.0), 0.1)
+    run = co.integrate(co.systems.rigid_body((1.0, 2.0, 3.0)), (1.0, 0.2, 0.5), (T0, T0 + 2.0), 0.1)
     grid = np.add.outer(np.arange(5.0), 10.0 * np.arange(6.0)) - 20.0
     if name == "field":
         options = {"values": lambda body, x: x[0] * grid, "width": lambda body: 1.0}
@@ -222,3 +213,73 @@ def test_each_frame_of_a_field_covers_the_square(given, sizes):
                 assert [corners[:, 1].min(), corners[:, 1].max()] == pytest.approx([0.0, WIDE], rel=1e-12)
             else:
                 assert sum(map(area, band)) < 1e-12 * WIDE**2
+
+
+# Movies, written from frames of one colour each.
+
+
+class Solid:
+    """Frames of one colour each, below a bar with all colours, (height, width) = (20, 30)."""
+
+    def __init__(self, shades):
+        self.shades = np.array(shades, dtype=np.uint8)
+        self.count, self.size = len(shades), (30, 20)
+
+    def samples(self):
+        yield next(iter(self))
+
+    def __iter__(self):
+        for shade in self.shades:
+            frame = np.full((20, 30, 4), 255, dtype=np.uint8)
+            frame[:10, :, :3] = shade
+            frame[10:, : len(self.shades), :3] = self.shades
+            yield memoryview(frame)
+
+
+SHADES = [(200, 30, 40), (255, 120, 0), (20, 120, 210), (0, 0, 0), (90, 200, 10), (247, 247, 247), (252, 252, 252)]
+
+
+def test_a_gif_has_the_colours_of_its_frames_and_repeats(tmp_path):
+    path = tmp_path / "run.gif"
+    write_movie(Solid(SHADES), path, 12.5)
+    with Image.open(path) as movie:
+        assert (movie.n_frames, movie.size, movie.info["loop"]) == (7, (30, 20), 0)
+        for k, shade in enumerate(SHADES):
+            movie.seek(k)
+            assert movie.info["duration"] == 80
+            seen = np.asarray(movie.convert("RGB"))
+            wanted = (255, 255, 255) if min(shade) >= 248 else shade
+            np.testing.assert_array_equal(seen[:10], np.broadcast_to(wanted, (10, 30, 3)))
+            assert (seen[10:, 7:] == 255).all()
+
+
+def test_speeds_and_sizes_of_movies(tmp_path):
+    assert check_speed(50, Path("run.gif")) == 50.0 and check_speed(120, Path("run.mp4")) == 120.0
+    for rate in (0.0, -1.0, np.nan, np.inf, 50.5):
+        with pytest.raises(ValueError, match="fps"):
+            check_speed(rate, Path("run.gif"))
+    huge = Solid(SHADES)
+    huge.count, huge.size = 10**6, (4096, 4096)
+    with pytest.raises(ValueError, match="a GIF of so many frames needs about"):
+        write_movie(huge, tmp_path / "run.gif", 10.0)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["heavy_top", "rigid_body", "kirchhoff_body"])
+def test_the_movie_of_a_body_has_the_axis_and_the_vertical_of_its_picture(name):
+    entry = gallery_entry_of(name)
+    declared = next(picture for picture in entry.pictures if picture.kind == "body axis")
+    run = co.integrate(co.systems.get(name), entry.start(), (0.0, 1.0), 0.1, attitude=True)
+    found = default_picture(PlottedRun(run))
+    assert found.kind == "body" and found.options == declared.options and set(found.options) >= {"axis", "up"}
+
+
+@pytest.mark.parametrize("name", ["gyrostat", "spin_lattice"])
+def test_components_by_name_are_those_that_the_system_declares(name):
+    system, entry = co.systems.get(name), gallery_entry_of(name)
+    run = co.integrate(system, np.reshape(entry.start(), (-1, system.dim))[0], (0.0, 1.0), 0.1)
+    by_name, declared, every = (
+        [bytes(frame) for frame in frames_of(run, picture, frames=2, size=(320, 180))]
+        for picture in ("components", entry.components, Picture("components"))
+    )
+    assert by_name == declared and by_name != every

@@ -112,7 +112,7 @@ def test_named_files_exist(page):
     folders += [
         ROOT / "src/coadjoint/methods/protocol",
         ROOT / "tests",
-        ROOT / "tests/verification",
+        ROOT / "tests/digests",
         *(ROOT / "src/coadjoint/kernels/source").glob("*/"),
     ]
     for name in re.findall(r"`([\w/]+\.(?:py|hpp|cpp|md|json|toml))`", text):

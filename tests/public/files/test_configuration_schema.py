@@ -55,23 +55,8 @@ def test_configurations_of_every_key_are_valid(schema):
 
 
 VALUES = (
-    0,
-    1,
-    -1,
-    2,
-    0.5,
-    1e-3,
-    "x1",
-    "random",
-    "coadjoint",
-    "Taylor",
-    True,
-    [],
-    [0, 1],
-    [1.0, 0.5, 0.25],
-    {},
-    {"a": 1},
-)
+    0, 1, -1, 2, 0.5, 1e-3, "x1", "random", "coadjoint", "Taylor", True, [], [0, 1], [1.0, 0.5, 0.25], {}, {"a": 1},
+)  # fmt: skip
 
 
 def leaves(table, path=()):

@@ -4,7 +4,6 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-import xarray
 from compared_runs import assert_same_run, same_bits
 from configuration_files import BRACKETS, OWN, READY_MADE
 
@@ -127,15 +126,6 @@ def test_line_ends_are_normalized(files, end):
             (files.folder / "run.nc").unlink()
         else:
             assert files.refused(joined).startswith(f"line {len(lines)}, column 6: ")
-
-
-def test_the_dataset_is_that_of_the_run_with_the_text(files):
-    sol = files.run(READY_MADE)
-    with xarray.open_dataset("run.nc", engine="h5netcdf") as stored:
-        attributes = dict(stored.attrs)
-    assert attributes.pop("configuration") == READY_MADE
-    wanted = run()().to_xarray().attrs
-    assert attributes.keys() == wanted.keys() and co.results.rebuild(sol.dataset).x.tobytes() == sol.x.tobytes()
 
 
 # Accuracy.

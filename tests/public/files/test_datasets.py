@@ -32,13 +32,6 @@ def test_variables_and_attributes():
     assert dataset.attrs["not_stored"] == "functions are not stored: observed: x1 x2"
 
 
-def test_ensembles_have_members():
-    dataset = co.integrate(co.systems.rigid_body(), [X, X[::-1]], (0.0, 2.0), 0.1).to_xarray()
-    assert dataset["x"].dims == ("time", "member", "component")
-    assert dataset["drift"].dims == ("member", "invariant", "tenth")
-    assert dataset["failed"].values.tolist() == [False, False]
-
-
 def test_names_differing_in_symbols_are_distinct():
     algebra = co.LieAlgebra([(0, 1, 2, 1.0)], dim=3)
     z = co.Polynomial({(0, 0, 1): 1})
@@ -73,13 +66,6 @@ def test_many_similar_names_keep_their_values(seed, tmp_path):
 CONSTANTS = np.array([2.5, 3.0, 4.0])
 BODIES = co.batch([co.systems.rigid_body(inertia=(2, 3, c)) for c in CONSTANTS])
 STATES = np.array([(1.0, 0.2, 0.1), (0.3, 1.0, 0.1), (0.1, 0.2, 1.0)])
-
-
-@pytest.mark.parametrize(("run", "options"), [(co.integrate, {}), (co.integrate_ensemble, {"members_per_block": 2})])
-def test_swept_parameters_of_archives(tmp_path, run, options):
-    run(BODIES, STATES, (0, 1), 0.1, archive=tmp_path / "run.zarr", **options)
-    found = co.open_archive(tmp_path / "run.zarr").to_xarray()
-    assert "swept_inertia_2" in found.coords and np.array_equal(found["swept_inertia_2"], CONSTANTS)
 
 
 def test_equal_and_unknown_parameters_are_omitted():

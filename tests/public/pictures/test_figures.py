@@ -38,19 +38,17 @@ def test_panels_of_a_body(body_run: co.Solution) -> None:
 TITLES = {"drift": "drift", "components": "components", "body axis": "in space", "coadjoint orbit": "level surface"}
 
 
-@pytest.mark.parametrize("width", [None, 6.8, 3.4])
+@pytest.mark.parametrize("width", [None, 3.4])
 @pytest.mark.parametrize(
     "panels",
     [
-        ("body axis", "drift", "components"),
         ("components", "coadjoint orbit", "drift"),
         ("drift", "body axis", "components", "coadjoint orbit"),
         ("body axis", "coadjoint orbit", "drift", "body axis", "components"),
     ],
 )
 def test_panels_have_the_order_in_which_they_are_requested(panels: tuple[str, ...], width: float | None) -> None:
-    body = co.systems.rigid_body(inertia=(1, 2, 3))
-    run = co.integrate(body, (0.01, 1.0, 0.01), (0, 40), 0.05, attitude=True)
+    run = co.integrate(BODY, (0.1, 1.0, 0.1), (0, 10), 0.1, attitude=True)
     figure = run.plot(list(panels), width=width)
     figure.draw_without_rendering()
     titles = [" ".join(axes.get_title().split()) for axes in figure.axes]
@@ -150,15 +148,6 @@ def test_pictures_that_need_an_attitude_are_left_out_without_one():
     carried = co.integrate(top, x0, span, 0.05, attitude="coadjoint")
     with pytest.raises(co.plotting.CannotShow, match="attitude=True"):
         carried.plot("body axis")
-
-
-def test_systems_of_another_dimension_fall_back():
-    body = co.systems.so_n_body((1.0, 2.0, 3.0, 4.0, 5.0))
-    figure = co.integrate(body, np.linspace(-1.0, 1.0, 10), (0.0, 1.0), 0.05).plot()
-    assert len(figure.axes) == 2
-    assert "8 of 10" in figure.axes[1].get_title()
-    flat = co.integrate(co.systems.so_n_body((1.0, 2.0, 3.0)), (0.1, 1.0, 0.2), (0.0, 5.0), 0.05).plot()
-    assert [axes.name for axes in flat.axes] == ["rectilinear", "rectilinear", "3d"]
 
 
 @pytest.mark.thinned(6)
@@ -264,22 +253,6 @@ def test_one_axes_for_a_kind_that_is_declared_twice_has_the_first_picture():
     axes, last = Figure().subplots(1, 2)
     run.plot(["spins", "drift"], axes=[axes, last])
     assert len(both) == 2 and axes.get_title() == both[0] != both[1]
-
-
-@pytest.mark.long
-def test_no_legend_reaches_out_of_the_figure():
-    lattice = co.systems.spin_lattice("chain", 101)
-    x0 = np.random.default_rng(1).normal(size=303)
-    figure = co.integrate(lattice, x0, (0.0, 2.0), 0.1).plot()
-    figure.draw_without_rendering()
-    drift = figure.axes[0]
-    # The energy, the worst four of 101, and a band of all.
-    assert drift.get_legend().get_texts()[0].get_text() == "all 101 Casimirs"
-    assert len(drift.lines) == 5 and len(drift.collections) == 1
-    for axes in figure.axes:
-        if axes.get_legend() is not None:
-            box = axes.get_legend().get_window_extent()
-            assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= figure.bbox.width and box.y1 <= figure.bbox.height
 
 
 @pytest.fixture(scope="module")

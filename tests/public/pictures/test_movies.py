@@ -23,23 +23,16 @@ SMALL = {"size": (96, 64)}
 KEEPER = """#!{python}
 import sys
 came = sys.stdin.buffer.read()
-open(sys.argv[-1], "w").write(" ".join(sys.argv[1:-1]) + "|" + str(len(came)))
+open(sys.argv[-1], "w").write(" ".join(sys.argv[1:]) + "|" + str(len(came)))
 """
 
 
-# Keeps its arguments.
-NAMER = """#!{python}
-import sys
-sys.stdin.buffer.read()
-open(sys.argv[-1], "w").write(" ".join(sys.argv[1:]))
-"""
-
-
-FAILING = """#!{python}
-import sys
-print("no such encoder", file=sys.stderr)
-sys.exit(3)
-"""
+# Programs that fail, at once or after every frame, and what is said of them.
+FAILING = {
+    'print("no such encoder", file=sys.stderr); sys.exit(3)': "no such encoder",
+    "sys.stdin.buffer.read(); sys.exit(3)": "it ended with status 3",
+    'print("first\\nthe reason is last", file=sys.stderr); sys.stdin.buffer.read(); sys.exit(1)': "the reason is last",
+}
 
 
 @pytest.fixture(scope="module")
@@ -89,12 +82,12 @@ def test_ffmpeg_is_given_every_frame(fluid, tmp_path, ffmpeg):
 
 def test_names_are_no_options_and_no_protocols_of_ffmpeg(fluid, tmp_path, ffmpeg, monkeypatch):
     """ffmpeg reads "-y/run.mp4" as an option, and "http:run.mp4" as an address; a name does not decide the format."""
-    ffmpeg(NAMER)
+    ffmpeg(KEEPER)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "-y").mkdir()
     for target in (Path("-y", "run.mp4"), Path("http:run.mp4"), Path("...mp4")):
         fluid.movie(target, frames=2, **SMALL)
-        options, _, path = target.read_text().rpartition(" ")
+        options, _, path = target.read_text().partition("|")[0].rpartition(" ")
         assert options.endswith("-f mp4") and Path(path).is_absolute() and Path(path).name == target.name
     for name in ("...gif", ".a.gif", "-y.gif"):
         fluid.movie(tmp_path / name, frames=2, **SMALL)
@@ -102,17 +95,33 @@ def test_names_are_no_options_and_no_protocols_of_ffmpeg(fluid, tmp_path, ffmpeg
             assert movie.format == "GIF" and movie.n_frames == 2
 
 
-def test_no_ffmpeg_and_one_that_fails(fluid, tmp_path, monkeypatch, ffmpeg):
+@pytest.mark.parametrize("script", [None, *FAILING])
+def test_no_ffmpeg_and_one_that_fails_leave_the_old_movie(fluid, tmp_path, monkeypatch, ffmpeg, script):
     (tmp_path / "old.mp4").write_text("kept")
-    with monkeypatch.context() as alone:
-        alone.setenv("PATH", str(tmp_path))
-        with refused((ValueError, OSError), "ffmpeg", ".gif"):
-            fluid.movie(tmp_path / "old.mp4")
-    ffmpeg(FAILING)
-    with refused((ValueError, OSError), "no such encoder"):
+    if script:
+        ffmpeg(f"#!{{python}}\nimport sys; {script}")
+    else:
+        monkeypatch.setenv("PATH", str(tmp_path))
+    with refused((ValueError, OSError), *(["old.mp4", FAILING[script]] if script else ["ffmpeg", ".gif"])):
         fluid.movie(tmp_path / "old.mp4", frames=3, **SMALL)
     assert (tmp_path / "old.mp4").read_text() == "kept"
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["old.mp4", "programs"]
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["old.mp4", *(["programs"] if script else [])]
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
+def test_a_frame_that_cannot_be_drawn_leaves_the_old_movie(tmp_path, ffmpeg, suffix):
+    ffmpeg(COPYING)
+    run, path = moving("field"), tmp_path / f"run{suffix}"
+    path.write_text("kept")
+
+    def values(body, x):
+        if (x == run.x[len(run.t) // 2]).all():
+            raise ArithmeticError("not drawn")
+        return x[0] * np.eye(5)
+
+    with pytest.raises(ArithmeticError, match="not drawn"):
+        run.movie(path, picture=Picture("field", values=values, width=lambda body: 1.0), frames=3, **SMALL)
+    assert path.read_text() == "kept" and sorted(file.name for file in tmp_path.iterdir()) == ["programs", path.name]
 
 
 def test_what_is_wrong_is_refused_and_nothing_is_left(fluid, tmp_path):
@@ -224,35 +233,6 @@ def test_frames_are_the_pictures_of_their_times(name, tmp_path, ffmpeg):
         late = Picture(name, **MOVING[name], at=1.0)
         begun = frames_of(run, tmp_path / "late.mp4", picture=late, frames=2, size=(192, 128))
         np.testing.assert_array_equal(begun[0], frames[0], "movies begin at the start whatever time a picture has")
-
-
-SILENT = """#!{python}
-import sys
-sys.stdin.buffer.read()
-sys.exit(3)
-"""
-
-
-WORDY = """#!{python}
-import sys
-print("first of all\\nthe reason is the last line", file=sys.stderr)
-sys.stdin.buffer.read()
-sys.exit(1)
-"""
-
-
-@pytest.mark.parametrize(
-    ("script", "said"),
-    [
-        (SILENT, r"run\.mp4: .*\(it ended with status 3\)"),
-        (WORDY, r"could not write it \(the reason is the last line\)"),
-    ],
-)
-def test_a_program_that_reads_every_frame_and_fails_is_reported(tmp_path, ffmpeg, script, said):
-    ffmpeg(script)
-    with pytest.raises((ValueError, OSError), match=said):
-        moving("body").movie(tmp_path / "run.mp4", frames=3, **SMALL)
-    assert [file.name for file in tmp_path.iterdir()] == ["programs"]
 
 
 def test_the_command_makes_movies_of_forced_systems_too(tmp_path, monkeypatch, capsys):

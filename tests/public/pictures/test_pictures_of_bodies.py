@@ -24,7 +24,6 @@ from drawn_runs import (
     shown,
     spinning,
 )
-from matplotlib.collections import PolyCollection
 from test_pictures_over_time import bodies, curves
 
 import coadjoint as co
@@ -205,19 +204,6 @@ def test_the_path_in_space_is_the_integral_of_the_velocity():
     strokes = np.array(axes.lines[1].get_data_3d()).T.reshape(-1, 3, 3)
     along = strokes[:, 1] - strokes[:, 0]
     np.testing.assert_allclose(along[0] / np.linalg.norm(along[0]), run.attitude[0, :3, 1], atol=1e-12)
-
-
-@pytest.mark.parametrize("sides", [(1.0, 2.0, 3.0), (3.0, 1.0, 2.0)])
-def test_the_box_of_a_body_has_its_moments_of_inertia(sides):
-    """A box with half sides a, b, c has the moments b^2 + c^2, ... over its mass / 3; seen along an axis."""
-    squares = np.square(sides)
-    box = co.systems.rigid_body(squares.sum() - squares)
-    run = co.integrate(box, (0.3, 1.0, 0.2), (0.0, 1.0), 0.1, attitude=True)
-    for view, across, up in (((0.0, 0.0), 1, 2), ((90.0, 0.0), 0, 2), ((-90.0, 90.0), 0, 1)):
-        axes = shown(run, Picture("body", at=0.0, view=view))
-        faces = next(part for part in axes.collections if isinstance(part, PolyCollection)).get_paths()
-        extent = np.ptp(np.concatenate([face.vertices for face in faces]), axis=0)
-        assert extent[0] / extent[1] == pytest.approx(sides[across] / sides[up])
 
 
 def test_ellipses_have_the_moments():
