@@ -52,19 +52,6 @@ def systems():
     }
 
 
-@pytest.mark.thinned(4)
-@pytest.mark.parametrize("stages", [1, 2, 3])
-@pytest.mark.parametrize("name", list(systems()))
-def test_steps_of_the_loop_and_of_the_method(name, stages):
-    """The multipliers carry u T / (x . grad H): some ten times the round-off of a state."""
-    system, x = systems()[name]
-    method = co.RadauEnergy(stages)
-    for h in (0.0625, -0.0625) if stages == 2 else (0.0625,):
-        found = co.stepper(system, method, h)(x)
-        assert np.max(np.abs(found - method.step(system, x, 0.0, h))) < 64 * len(x) * U * np.max(np.abs(x))
-        assert np.max(np.abs(found - x)) > 1e-3
-
-
 @pytest.mark.thinned(1)
 @pytest.mark.parametrize("name", list(systems()))
 def test_energy_is_kept_and_casimirs_are_not(name):

@@ -96,16 +96,6 @@ def test_unwatched_drift_is_over_saved_points():
     assert sol.drift()["energy"] < co.integrate(s, x0, (0, 8), 0.0625, save_every=10).drift()["energy"]
 
 
-def test_drift_of_an_ensemble_per_member():
-    s, x0 = e3_and_start()
-    ensemble = np.stack([x0, 2 * x0, -x0])
-    drift = co.integrate(s, ensemble, (0, 2), 0.125, save_every=5).drift(relative=False)["energy"]
-    alone = [co.integrate(s, x, (0, 2), 0.125).drift(relative=False)["energy"] for x in ensemble]
-    assert drift.members.tolist() == alone and drift == max(alone)
-    assert drift.tenths.shape == (3, 10) and drift.initial.shape == (3,)
-    assert drift.growth.tolist() == [each.tenths[9] / each.tenths[0] for each in alone]
-
-
 @pytest.mark.parametrize(
     "method", [co.ExplicitRungeKutta("runge2"), co.RadauEnergy(stages=2), co.Taylor(order=3, projected=False)], ids=repr
 )

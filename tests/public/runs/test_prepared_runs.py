@@ -17,21 +17,6 @@ X = np.array([0.1, 1.0, 0.2])
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
-def test_prepared_run_equals_integrate():
-    options = {"attitude": True, "watch": False, "observe": {"x1": lambda x: x[0]}, "threads": 2}
-    method = co.Splitting(order=4)
-    many = X * np.linspace(1, 2, 5)[:, None]
-    ready = co.prepare(BODY, method, 0.1, **options)
-    for _ in range(2):
-        sol = ready.run(many, (1, 3), 4)
-        once = co.integrate(BODY, many, (1, 3), 0.1, method, save_every=4, **options)
-        for name in ("t", "x", "energy", "attitude", "failed"):
-            assert np.array_equal(getattr(sol, name), getattr(once, name))
-        assert np.array_equal(sol.observed["x1"], once.observed["x1"])
-        assert (sol.t_span, sol.step, sol.save_every, sol.watched) == ((1.0, 3.0), 0.1, 4, False)
-    assert ready.run(X, (0, 1)).x.shape == (11, 3)
-
-
 CHAIN = co.systems.toda(4)
 CHAIN_X = np.array([0.3, -0.2, 0.1, -0.2, 0.5, 0.6, 0.4])
 LATER_CALLS = [
@@ -60,17 +45,7 @@ def test_later_calls_have_every_attribute_of_the_first(system, method, x0, save_
         for name in ("casimirs", "initial"):
             ours, theirs = getattr(sol, name), getattr(first, name)
             assert list(ours) == list(theirs) and all(np.array_equal(ours[key], theirs[key]) for key in theirs), name
-        for name in (
-            "watched",
-            "step",
-            "save_every",
-            "t_span",
-            "asked_span",
-            "attitude",
-            "carried",
-            "failed",
-            "events",
-        ):
+        for name in "watched step save_every t_span asked_span attitude carried failed events".split():
             assert getattr(sol, name) == getattr(first, name), name
         assert sol.system is system or sol.system.name == system.name
         assert sol.stats.steps == 12 and sol.stats.evaluations == first.stats.evaluations
@@ -111,11 +86,9 @@ def test_later_calls_fail_as_the_first():
 @pytest.mark.parametrize(
     ("system", "method"),
     [
-        (BODY, co.Splitting(order=4)),
         (BODY, co.Splitting(order=4, compensated=True)),
         (BODY, co.Splitting(order=2, rotation="rational")),
         (BODY, co.Splitting(order=2, parts="free_body")),
-        (co.systems.heavy_top(), co.Splitting(order=4)),
         (co.systems.spin_lattice("chain", 4, field=lambda t: [0.0, t, 0.1]), co.Splitting(order=2)),
         (co.systems.spin_lattice("chain", 4), co.Splitting(order=2, parts="bonds")),
     ],
@@ -192,16 +165,6 @@ def assert_same(one, other):
         assert np.array_equal(one, other) if isinstance(one, np.ndarray) else one == other
 
 
-def test_solution_is_pickled_completely():
-    sol = co.integrate(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25])), X, (0, 1), 0.1)
-    there = pickle.loads(pickle.dumps(sol))
-    assert np.array_equal(there.x, sol.x) and there.stats == sol.stats and there.drift() == sol.drift()
-    with refused(AttributeError, "momentum", "x"):
-        _ = sol.momentum
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        sol.x = X
-
-
 def test_solutions_of_many_members():
     """So many that what belongs to single members is not kept."""
     sol, one = co.integrate(BODY, np.tile(X, (2**13, 1)), (0, 1), 0.1), co.integrate(BODY, X, (0, 1), 0.1)
@@ -256,3 +219,11 @@ def test_group_elements_are_copied():
     given[:] = np.eye(3)
     for start in (X, 9.0 * X):
         assert np.array_equal(ready.run(start, (0, 2)).attitude[0], elements[1])
+
+
+def test_solutions_are_frozen_and_name_missing_attributes():
+    sol = co.integrate(BODY, X, (0, 1), 0.1)
+    with refused(AttributeError, "momentum", "x"):
+        _ = sol.momentum
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        sol.x = X
