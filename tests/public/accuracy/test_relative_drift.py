@@ -63,12 +63,6 @@ def test_members_have_their_own_sizes():
     assert drift == drift.members.max() and drift.absolute == sol.drift(relative=False)["m.p"]
 
 
-def test_batches_by_their_own_energies():
-    bodies = [co.systems.rigid_body(inertia=(1.0, 2.0, third)) for third in (1.5, 2.0, 2.5)]
-    scale = co.integrate(co.batch(bodies), (1.0, 0.2, 0.5), (0, 1), 0.1).drift()["energy"].scale
-    assert scale.tolist() == [body.energy((1.0, 0.2, 0.5)) for body in bodies]
-
-
 @pytest.mark.parametrize("algebra", [co.algebras.so(4), co.algebras.get("A5,40")], ids=["so(4)", "A5,40"])
 def test_energies_of_batches_that_cancel_are_compared_with_their_own_terms(algebra):
     """Systems of different sizes, some with several members in any order: each member as in a run of it alone."""

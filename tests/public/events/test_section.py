@@ -33,12 +33,6 @@ def test_members_end_after_the_given_crossings(method):
     assert np.all(np.diff(found.t, axis=1)[there[:, 1:]] > 0) and np.isnan(found.x[~there]).all()
 
 
-def test_missing_crossings_come_last():
-    found = co.section(co.systems.kovalevskaya_top(), starts(40), co.Event(1, direction=1), (0, 30), 0.125)
-    assert len(set(found.counts.tolist())) > 2
-    assert np.array_equal(np.isfinite(found.t), np.arange(found.counts.max()) < found.counts[:, None])
-
-
 def test_casimirs_are_preserved_on_the_section():
     top = co.systems.kovalevskaya_top()
     found = co.section(top, starts(12), co.Event(1, direction=1), (0, 200), 0.0625, co.Splitting(order=4))
