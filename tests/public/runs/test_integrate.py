@@ -174,7 +174,7 @@ def test_schemes_may_be_given_by_name_everywhere(written):
         lambda given: co.prepare(body, given, 0.125).end(X, (0, 1)),
         lambda given: co.stepper(body, given, 0.125)(X),
         lambda given: co.ensemble(body, [X, X], (0, 1), 0.125, given).x,
-        lambda given: co.section(body, [X], co.Event(1), (0, 20), 0.125, given).x,
+        lambda given: co.poincare_section(body, [X], co.Event(1), (0, 20), 0.125, given).x,
         lambda given: co.lyapunov(body, X, (0, 5), 0.125, given).exponents,
         lambda given: co.choose(body, X, (0, 1), 1e-3, methods=given).step,
         lambda given: co.choose(body, X, (0, 1), 1e-3, methods=[given, co.GaussLegendre(3)]).step,
