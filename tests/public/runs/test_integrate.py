@@ -173,7 +173,7 @@ def test_schemes_may_be_given_by_name_everywhere(written):
         lambda given: co.integrate(body, X, (0, 1), 0.125, given).x,
         lambda given: co.prepare(body, given, 0.125).end(X, (0, 1)),
         lambda given: co.stepper(body, given, 0.125)(X),
-        lambda given: co.ensemble(body, [X, X], (0, 1), 0.125, given).x,
+        lambda given: co.integrate_ensemble(body, [X, X], (0, 1), 0.125, given).x,
         lambda given: co.poincare_section(body, [X], co.Event(1), (0, 20), 0.125, given).x,
         lambda given: co.lyapunov(body, X, (0, 5), 0.125, given).exponents,
         lambda given: co.choose(body, X, (0, 1), 1e-3, methods=given).step,
@@ -182,7 +182,7 @@ def test_schemes_may_be_given_by_name_everywhere(written):
         lambda given: co.modified_hamiltonian(body, given, 4)(X, 0.125),
         lambda given: co.modified_field(body, given, 4)(X, 0.125),
         lambda given: co.suggest_step(body, given, X, energy=1e-5),
-        lambda given: co.corrector(body, given, X)(X, 0.125),
+        lambda given: co.make_corrector(body, given, X)(X, 0.125),
     )
     for call in calls:
         np.testing.assert_array_equal(np.asarray(call(written), float), np.asarray(call(method), float))
