@@ -85,53 +85,6 @@ def test_wheels_run_on_every_processor(tmp_path, state, names):
 
 
 @needs_tools
-@needs_levels
-def test_32_bits_are_refused(tmp_path):
-    status, said = configured(
-        copied(tmp_path), "-DCMAKE_CXX_FLAGS=-m32", "-DCMAKE_TRY_COMPILE_TARGET_TYPE=STATIC_LIBRARY"
-    )
-    assert status != 0
-    assert "build with a 64-bit compiler, for a 64-bit Python" in said
-
-
-@needs_tools
-def test_gcc_of_windows_is_refused(tmp_path):
-    """It does not align the stack for vectors, and programs crash at the first."""
-    windows = "-DCMAKE_SYSTEM_NAME=Windows", "-DCMAKE_TRY_COMPILE_TARGET_TYPE=STATIC_LIBRARY"
-    status, said = configured(copied(tmp_path), *windows)
-    if "compiler identification is GNU" not in said:
-        pytest.skip("the compiler is not GCC")
-    assert status != 0
-    assert "GCC does not align the stack of Windows for the vectors of the kernels: set CXX=clang++" in said
-
-
-@needs_tools
-def test_two_processors_of_macos_are_refused(tmp_path):
-    """Their kernels have different names: one library cannot hold both."""
-    status, said = configured(copied(tmp_path), "-DCMAKE_OSX_ARCHITECTURES=x86_64;arm64")
-    assert status != 0
-    assert "The kernels of two processors are not the same files: build for each of x86_64;arm64 alone" in said
-
-
-@pytest.mark.thinned(4)
-@needs_tools
-@needs_levels
-@pytest.mark.parametrize(("levels", "wrong"), [("v2", "v2"), ("v1;fast", "fast"), ("v3;all", "all"), ("4", "4")])
-def test_unknown_levels_are_refused_by_name(tmp_path, levels, wrong):
-    status, said = configured(copied(tmp_path), f"-DCOADJOINT_LEVELS={levels}")
-    assert status != 0
-    assert f"COADJOINT_LEVELS has {wrong}, which is none of v1;v3;v4" in said
-
-
-@needs_tools
-@pytest.mark.parametrize("option", ["-ffast-math", "-Ofast"])
-def test_options_that_change_bits_are_refused(tmp_path, option):
-    status, said = configured(copied(tmp_path), f"-DCMAKE_CXX_FLAGS=-g {option}")
-    assert status != 0
-    assert f"CXXFLAGS has {option}, which changes the bits of a run" in said
-
-
-@needs_tools
 def test_another_compiler_is_not_left_out_in_silence(tmp_path, monkeypatch):
     tree = copied(tmp_path)
     assert configured(tree)[0] == 0
@@ -188,3 +141,31 @@ def test_options_of_the_build_are_those_of_the_tests(tmp_path):
         assert sorted(kept) == sorted(expected)
         # In the same order but for the last three, which add nothing to what others say.
         assert [option for option in kept if option in expected[:-3]] == expected[:-3]
+
+
+STATIC = "-DCMAKE_TRY_COMPILE_TARGET_TYPE=STATIC_LIBRARY"
+BOTH = "-DCMAKE_OSX_ARCHITECTURES=x86_64;arm64"
+REFUSED = {
+    # GCC does not align the stack of Windows for vectors, and programs crash at the first.
+    "windows": (["-DCMAKE_SYSTEM_NAME=Windows", STATIC], "set CXX=clang++"),
+    # Kernels of two processors have different names: one library cannot hold both.
+    "macos": ([BOTH], "are not the same files: build for each of x86_64;arm64 alone"),
+    "fast": (["-DCMAKE_CXX_FLAGS=-g -ffast-math"], "CXXFLAGS has -ffast-math, which changes the bits of a run"),
+    "Ofast": (["-DCMAKE_CXX_FLAGS=-g -Ofast"], "CXXFLAGS has -Ofast, which changes the bits of a run"),
+}
+OF_LEVELS = {"32 bits": (["-DCMAKE_CXX_FLAGS=-m32", STATIC], "build with a 64-bit compiler, for a 64-bit Python")}
+OF_LEVELS |= {
+    levels: ([f"-DCOADJOINT_LEVELS={levels}"], f"COADJOINT_LEVELS has {wrong}, which is none of v1;v3;v4")
+    for levels, wrong in [("v2", "v2"), ("v1;fast", "fast"), ("v3;all", "all"), ("4", "4")]
+}
+
+
+@pytest.mark.thinned(4)
+@needs_tools
+@pytest.mark.parametrize("name", [*REFUSED, *(pytest.param(name, marks=needs_levels) for name in OF_LEVELS)])
+def test_builds_are_refused(tmp_path, name):
+    options, expected = (REFUSED | OF_LEVELS)[name]
+    status, said = configured(copied(tmp_path), *options)
+    if name == "windows" and "compiler identification is GNU" not in said:
+        pytest.skip("the compiler is not GCC")
+    assert status != 0 and expected in said

@@ -5,7 +5,6 @@ import ctypes
 import decimal
 import functools
 import math
-import random
 import subprocess
 import sys
 import types
@@ -296,31 +295,6 @@ def test_every_edit_is_noticed(decorator):
     prints = [fingerprint_of({"value": made(k, decorator).value}) for k in (None, *range(len(PLACES)))]
     assert same_fingerprint(prints[0], fingerprint_of({"value": made(None, decorator).value}))
     assert not any(same_fingerprint(prints[0], one) for one in prints[1:])
-
-
-def test_several_random_edits_in_place():
-    draw, module = random.Random(5), made()
-    edits = [
-        lambda: module.ARRAY.__setitem__(0, draw.random()),
-        lambda: module.SETTINGS["a"].append(draw.random()),
-        lambda: module.SETTINGS["b"].add(draw.random()),
-        lambda: setattr(module.machine, "own", draw.random()),
-        lambda: setattr(module.Base, "factor", draw.random()),
-        lambda: setattr(module.module, "constant", draw.random()),
-        lambda: setattr(module.deepest, "__defaults__", (draw.random(),)),
-        lambda: module.value.__kwdefaults__.__setitem__("offset", draw.random()),
-        lambda: setattr(module, "partial", functools.partial(module.bound, draw.random())),
-        lambda: setattr(module, "lifted", module.given(slope=draw.random())),
-        lambda: setattr(module, "len", functools.partial(pow, draw.random())),
-        lambda: setattr(module, "TABLE", (0.0, (draw.random(),), "text")),
-    ]
-    known = [contents_of(module.value).digest]
-    for _ in range(2):
-        draw.shuffle(edits)
-        for edit in edits:
-            edit()
-            known.append(contents_of(module.value).digest)
-    assert len(set(known)) == len(known)
 
 
 def test_edits_without_a_meaning_are_not_noticed():

@@ -78,35 +78,6 @@ def test_the_highest_level_that_is_built_and_usable(monkeypatch, tmp_path, proce
     assert library.level_in_use() == taken
 
 
-@pytest.mark.parametrize("level", ["v5", "4", "", "v4"])
-def test_level_that_the_processor_has_not(monkeypatch, tmp_path, level):
-    installed(monkeypatch, tmp_path, 3, (4, 3, 1), level)
-    message = refusal_of(library.kernels.__wrapped__)
-    can = "this processor can use v3, v1, and of the kernels v4, v3, v1 are built"
-    assert message == f"COADJOINT_LEVEL is {level!r}, but {can}"
-
-
-def test_level_that_is_asked_for_and_was_not_built(monkeypatch, tmp_path):
-    installed(monkeypatch, tmp_path, 4, (4,), "v3")
-    message = refusal_of(library.kernels.__wrapped__)
-    assert message.startswith(
-        "COADJOINT_LEVEL is 'v3', but this processor can use v4, v3, v1, and of the kernels v4 is built: "
-    )
-    assert "COADJOINT_LEVELS=v3 pip install" in message
-
-
-@pytest.mark.parametrize("level", [1, 3, 4])
-def test_nothing_was_built(monkeypatch, tmp_path, level):
-    installed(monkeypatch, tmp_path, level, ())
-    assert f"(_kernels_v{level}) are missing" in refusal_of(library.kernels.__wrapped__)
-
-
-def test_only_higher_levels_were_built(monkeypatch, tmp_path):
-    installed(monkeypatch, tmp_path, 3, (4,))
-    message = refusal_of(library.kernels.__wrapped__)
-    assert "are built for v4, but this processor can use v3, v1: build it by `COADJOINT_LEVELS=v3 pip" in message
-
-
 @pytest.mark.parametrize(
     ("machine", "level"), [("x86_64", 3), ("AMD64", 3), ("aarch64", None), ("arm64", None), ("ARM64", None)]
 )
@@ -249,3 +220,21 @@ def test_the_order_and_shapes_of_arrays_are_those_of_the_kernels(monkeypatch):
     assert before.saved.size == after.saved.size == 2 * 3 * (4 + 9 + 2)
     assert before.state.shapes["worst"] == (3, description.limit("TENTHS"), 2)
     assert NamedArrays(before.state)["status"].dtype == np.int64
+
+
+@pytest.mark.parametrize(
+    ("processor", "built", "asked", "named"),
+    [
+        *(
+            (3, (4, 3, 1), level, [f"is {level!r}", "use v3, v1,", "v4, v3, v1 are built"])
+            for level in ("v5", "4", "", "v4")
+        ),
+        (4, (4,), "v3", ["is 'v3'", "use v4, v3, v1,", "v4 is built", "COADJOINT_LEVELS=v3 pip install"]),
+        *((level, (), None, [f"(_kernels_v{level}) are missing"]) for level in (1, 3, 4)),
+        (3, (4,), None, ["are built for v4", "use v3, v1:", "`COADJOINT_LEVELS=v3 pip"]),
+    ],
+)
+def test_levels_that_are_not_usable_or_not_built(monkeypatch, tmp_path, processor, built, asked, named):
+    installed(monkeypatch, tmp_path, processor, built, asked)
+    message = refusal_of(library.kernels.__wrapped__)
+    assert all(words in message for words in named)

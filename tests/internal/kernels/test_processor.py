@@ -71,28 +71,23 @@ def level_with(tmp_path_factory):
     return level
 
 
-@pytest.mark.parametrize("missing", sorted(LEVEL_3 | LEVEL_4))
-def test_a_level_needs_each_of_its_features(level_with, missing):
-    every = LEVEL_3 | LEVEL_4
-    least = 1 if missing in LEVEL_3 else 3
-    assert level_with({name: place for name, place in every.items() if name != missing}) == least
-    assert level_with(LEVEL_3) == 3
-    assert level_with({}) == 1
-    assert level_with(every) == 4
-
-
-@pytest.mark.parametrize("missing", sorted(SAVED_3 | SAVED_4))
-def test_a_level_needs_registers_that_the_system_saves(level_with, missing):
-    """Else the first instruction with such a register ends the process."""
-    every = LEVEL_3 | LEVEL_4
-    assert level_with(every, (SAVED_3 | SAVED_4) - {missing}) == (1 if missing in SAVED_3 else 3)
-    assert level_with(every, SAVED_3) == 3
-    assert level_with(every, set()) == 1
-
-
 @pytest.mark.skipif(platform.system() != "Linux", reason="/proc is of Linux")
 def test_it_is_what_the_system_says_of_this_machine():
     line = next(line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("flags"))
     flags = {*line.split()} | {"osxsave"}  # not among the flags; AVX is, if the system saves its registers
     expected = 1 if not flags >= set(LEVEL_3) else 4 if flags >= set(LEVEL_4) else 3
     assert processor_level() == expected
+
+
+EVERY, SAVED = LEVEL_3 | LEVEL_4, SAVED_3 | SAVED_4
+
+
+@pytest.mark.parametrize(
+    ("features", "saved", "level"),
+    [(EVERY, SAVED, 4), (LEVEL_3, SAVED, 3), ({}, SAVED, 1), (EVERY, SAVED_3, 3), (EVERY, set(), 1)]
+    + [({k: v for k, v in EVERY.items() if k != name}, SAVED, 1 if name in LEVEL_3 else 3) for name in sorted(EVERY)]
+    + [(EVERY, SAVED - {bit}, 1 if bit in SAVED_3 else 3) for bit in sorted(SAVED)],
+)
+def test_a_level_needs_its_features_and_registers_that_the_system_saves(level_with, features, saved, level):
+    """Without such a register, the first instruction that uses it ends the process."""
+    assert level_with(features, saved) == level

@@ -18,7 +18,6 @@ from coadjoint.kernels.tables.invariants import invariants_table, watch_tables
 from coadjoint.kernels.tables.recording import values_along
 from drawn_matrices import full
 from refusals import refused
-from rounding import UNIT_ROUNDOFF as U
 
 # Every kind of term, several terms of a kind, products of coordinates and powers.
 KNOWN = [
@@ -117,37 +116,3 @@ COUPLED = {
 def coupled(name, linear):
     algebra, M, sign = COUPLED[name]
     return co.LiePoissonSystem(algebra, co.Quadratic(M, linear=linear), sign=sign)
-
-
-def forms_of(parts, n):
-    """Return the forms l_r of the angles as rows."""
-    rows = np.zeros((len(parts.offset), n))
-    owner = np.repeat(np.arange(len(rows)), np.diff(parts.forms.start))
-    rows[owner, parts.forms.coordinate] = [float(value) for value in parts.forms.value]
-    return rows
-
-
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("members", [1, 5, 33])
-@pytest.mark.parametrize("name", list(COUPLED))
-def test_the_squares_of_each_member_add_up_to_its_own_linear_term(name, members):
-    """sum_r beta_r l_r = b for each member, and for one b of all members."""
-    n, rng = COUPLED[name][0].dim, np.random.default_rng([21, members])
-    drawn, linear = rng.uniform(0.1, 0.9, (2, n)), rng.uniform(-1.0, 1.0, (members, n))
-    systems = [coupled(name, own) for own in drawn]
-    loops = tuple(co.Splitting(order=2, parts="coordinates").loop(system, 0.1) for system in systems)
-    tables = InputTables(loops, tuple(watch_tables(system, {}).tables for system in systems), tuple(drawn))
-    forms = forms_of(loops[0].parts, n)
-    assert np.any(np.count_nonzero(forms, axis=1) > 1), "the case must have coupled coordinates"
-
-    def offsets(scheme, columns):
-        count = len(forms) * columns
-        return np.array((ctypes.c_double * count).from_address(scheme.terms.offset)).reshape(len(forms), columns)
-
-    scheme, _, columns = tables.each(linear)
-    found = offsets(scheme, columns)
-    last = tables.shared(linear[-1])[0]
-    # Each beta is rounded by the reduction, at most n sums of n products.
-    for beta, b in [*zip(found.T, linear, strict=False), (offsets(last, 1)[:, 0], linear[-1])]:
-        assert np.abs(forms.T @ beta - b).max() <= 2 * n * n * U * (np.abs(forms.T) @ np.abs(beta)).max()
-    assert np.array_equal(found[:, members:], np.repeat(found[:, members - 1 : members], columns - members, axis=1))

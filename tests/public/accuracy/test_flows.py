@@ -32,6 +32,10 @@ def driven():
 
 E3, SO4, SL2, SO3, SO5 = co.algebras.e(3), co.algebras.so(4), co.algebras.sl(2), co.algebras.so(3), co.algebras.so(5)
 A37, HEISENBERG = co.algebras.get("A3,7", a=1.75), co.algebras.heisenberg(2)
+# The first flow of a part moves both coordinates of the form of the second, their difference but for rounding not.
+MOVED = co.LieAlgebra.from_brackets(5, {(0, 1): {4: 1.0}, (0, 2): {4: 1.0}, (1, 2): {4: 1.0}, (1, 3): {4: 1.0}})
+DIFFERENCE = np.diag([1.0, 1.0, 1.0, 1.0, 0.0])
+DIFFERENCE[1, 2] = DIFFERENCE[2, 1] = -1.0
 HOLLOW = np.array([[0.0, 1.0, 0.5], [1.0, 0.0, -2.0], [0.5, -2.0, 0.0]])
 SYSTEMS = {
     "e(3) diagonal": (E3, co.Quadratic([1.0, 0.5, 0.25, 2.0, 3.0, 4.0], linear=[0, 0, 1, 0, 0.5, 0])),
@@ -47,22 +51,7 @@ SYSTEMS = {
     "3 spins": (co.algebras.copies(SO3, 3), co.Quadratic(wide(9, 8))),
     "quartic on so(3)": (SO3, co.Polynomial({(4, 0, 0): 0.25, (0, 3, 0): 0.5, (0, 0, 2): 1.0, (1, 0, 1): 0.5})),
     "driven sl(2)": (SL2, driven()),
-}
-
-
-SO3_DIAGONAL = co.Quadratic([1.0, 0.5, 0.25], linear=[0.0, 0.5, 0.0])
-# The first flow of a part moves both coordinates of the form of the second, their difference but for rounding not.
-MOVED = co.LieAlgebra.from_brackets(5, {(0, 1): {4: 1.0}, (0, 2): {4: 1.0}, (1, 2): {4: 1.0}, (1, 3): {4: 1.0}})
-DIFFERENCE = np.diag([1.0, 1.0, 1.0, 1.0, 0.0])
-DIFFERENCE[1, 2] = DIFFERENCE[2, 1] = -1.0
-# Parts that only rotate and shear.
-ELEMENTARY = {
     "moved form": (MOVED, co.Quadratic(DIFFERENCE)),
-    "so(3) diagonal": (SO3, SO3_DIAGONAL),
-    "so(4) diagonal": (SO4, co.Quadratic(np.linspace(0.5, 1.5, 6))),
-    "so(6) diagonal": (co.algebras.so(6), co.Quadratic(np.linspace(0.5, 1.5, 15))),
-    "su(3) diagonal": (co.algebras.su(3), co.Quadratic(np.linspace(0.5, 1.5, 8))),
-    "10 spins": (co.algebras.copies(SO3, 10), co.Quadratic(np.linspace(0.5, 1.5, 30))),
 }
 
 
@@ -88,32 +77,6 @@ def test_steps_of_the_loop_and_of_the_method(name):
     compare(forward, co.Splitting(order=1, adjoint=True), 0.0625, 10)
     compare(reversed_, co.Splitting(order=4), 0.0625, 10)
     compare(reversed_, co.Splitting(order=2, compensated=True), -0.0625, 10)
-
-
-@pytest.mark.thinned(12)
-@pytest.mark.parametrize("attitude", [False, "coadjoint", True])
-@pytest.mark.parametrize(
-    "method",
-    [co.Splitting(order=2), co.Splitting(order=4, compensated=True), co.Splitting(order=2, parts="coordinates")],
-    ids=repr,
-)
-@pytest.mark.parametrize("name", [*SYSTEMS, *ELEMENTARY])
-def test_one_trajectory_has_the_bits_of_an_ensemble(name, method, attitude):
-    """Alone, rows of parts that only rotate and shear are read ahead; in an ensemble each part from its table."""
-    system = co.LiePoissonSystem(*(SYSTEMS | ELEMENTARY)[name])
-    if attitude is True and system.representation is None:
-        return
-    x0, h = np.linspace(-0.5, 0.7, system.dim), 0.0625
-    alone, ensemble = (
-        co.integrate(system, x, (0.0, 2.0), h, method, attitude=attitude, save_every=4, threads=1)
-        for x in (x0, np.tile(x0, (5, 1)))
-    )
-    for field in ("x", "energy", *(["attitude"] if attitude else [])):
-        assert np.array_equal(getattr(alone, field), getattr(ensemble, field)[:, 4])
-    y = x0
-    for k in range(4):
-        y = method.step(system, y, k * h, h)
-    assert np.abs(alone.x[1] - y).max() <= U * 400 * (system.dim + 12) * np.linalg.norm(y)
 
 
 PLANES = {
@@ -213,6 +176,12 @@ def moved_by(matrix):
     return co.LiePoissonSystem(algebra, co.Quadratic(0.0, linear=[1.0, 0.0, 0.0, 0.0, 0.0]))
 
 
+LINEAR = moved_by(TURNS)
+QUADRATIC = co.LiePoissonSystem(LINEAR.algebra, co.Quadratic([1.0, 0.0, 0.0, 0.0, 0.0]))
+GENERATOR = np.array([LINEAR.structure_matrix(e) @ [1.0, 0, 0, 0, 0] for e in np.eye(5)]).T
+SCALE = np.linalg.norm(BASIS, 1) * np.linalg.norm(np.linalg.inv(BASIS), 1)
+
+
 def norm_of(system):
     """The time in which the series goes one substep far is its inverse."""
     table = co.Splitting(order=1).program(system).to_mapping()
@@ -224,18 +193,16 @@ def norm_of(system):
 @pytest.mark.parametrize("members", [1, 7])
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_up_to_the_limit_a_flow_is_exact_and_beyond_it_is_refused(members, direction):
-    system = moved_by(TURNS)
+    system = LINEAR
     limit = MOST_SUBSTEPS / norm_of(system)
     x0 = X0 * (1.0 + 0.1 * np.arange(members)[:, None])
     step = co.Splitting(order=1).step
 
     near = limit * (1.0 - 2.0**-30)
     found = co.integrate(system, x0, (0.0, direction * near), near, co.Splitting(order=1)).x[-1]
-    generator = np.array([system.structure_matrix(e) @ [1.0, 0, 0, 0, 0] for e in np.eye(5)]).T
     # A multiple of the period is left out: 20 roundings in each substep are what the series loses.
-    exact = x0 @ scipy.linalg.expm(np.fmod(direction * near, 2.0 * np.pi) * generator).T
-    scale = np.linalg.norm(BASIS, 1) * np.linalg.norm(np.linalg.inv(BASIS), 1)
-    tolerance = 20 * MOST_SUBSTEPS * 2.0**-53 * scale**2 * np.abs(x0).max()
+    exact = x0 @ scipy.linalg.expm(np.fmod(direction * near, 2.0 * np.pi) * GENERATOR).T
+    tolerance = 20 * MOST_SUBSTEPS * 2.0**-53 * SCALE**2 * np.abs(x0).max()
     assert np.abs(found - exact).max() < tolerance
     assert np.abs(step(system, x0[0], 0.0, direction * near) - exact[0]).max() < tolerance
 
@@ -254,18 +221,15 @@ LENGTHS = np.array([0.5, 7.9, 8.1, 63.9, 64.1, 300.0, 4095.0, 4097.0, 1e9, 1e300
 @pytest.mark.parametrize("compensated", [False, True])
 def test_flows_of_every_length_alone_and_in_lanes(attitude, compensated):
     """With H = x1^2 / 2, x1 is constant, and the rate at which the others turn."""
-    linear = moved_by(TURNS)
-    system = co.LiePoissonSystem(linear.algebra, co.Quadratic([1.0, 0.0, 0.0, 0.0, 0.0]))
+    system = QUADRATIC
     x0 = np.tile(X0, (len(LENGTHS), 1))
-    x0[:, 0] = LENGTHS / norm_of(linear)
+    x0[:, 0] = LENGTHS / norm_of(LINEAR)
     method = co.Splitting(order=2, compensated=compensated)
     given = (0.0, 2.0), 1.0, method
     with refused(co.IntegrationError, "longer than 4096", "3 of 13 members", "member 7") as raised:
         co.integrate(system, x0, *given, attitude=attitude)
     found = raised.value.partial
     assert np.flatnonzero(found.failed).tolist() == [7, 8, 9]
-    generator = np.array([linear.structure_matrix(e) @ [1.0, 0, 0, 0, 0] for e in np.eye(5)]).T
-    scale = np.linalg.norm(BASIS, 1) * np.linalg.norm(np.linalg.inv(BASIS), 1)
     for m, length in enumerate(LENGTHS):
         try:
             alone = co.integrate(system, x0[m], *given, attitude=attitude)
@@ -274,29 +238,26 @@ def test_flows_of_every_length_alone_and_in_lanes(attitude, compensated):
             assert np.isnan(found.x[1:, m]).all()
             continue
         np.testing.assert_array_equal(alone.x, found.x[:, m])
-        turn = scipy.linalg.expm(np.fmod(2.0 * x0[m, 0], 2.0 * np.pi) * generator)
+        turn = scipy.linalg.expm(np.fmod(2.0 * x0[m, 0], 2.0 * np.pi) * GENERATOR)
         # Two steps, each with 20 roundings in a substep, or with as much error in the squares.
-        tolerance = 2 * 20 * max(length, 1.0) * 2.0**-53 * scale**2
+        tolerance = 2 * 20 * max(length, 1.0) * 2.0**-53 * SCALE**2
         assert np.abs(alone.x[-1, 1:] - (turn @ x0[m])[1:]).max() < tolerance
         if attitude:
             np.testing.assert_array_equal(alone.attitude, found.attitude[:, m])
             # The group element takes the momentum back to the start.
-            assert np.abs(alone.attitude[-1] @ turn - np.eye(5)).max() < scale * tolerance
+            assert np.abs(alone.attitude[-1] @ turn - np.eye(5)).max() < SCALE * tolerance
 
 
 @pytest.mark.parametrize("length", [20.0, 100.0, 3000.0])
 def test_derivatives_of_long_flows(length):
     """x(t) = exp(t x1 D) x(0): the derivative by x1 is t D x(t); forward, and backward by the transpose."""
-    linear = moved_by(TURNS)
-    system = co.LiePoissonSystem(linear.algebra, co.Quadratic([1.0, 0.0, 0.0, 0.0, 0.0]))
-    x0 = np.array([length / norm_of(linear), *X0[1:]])
+    system = QUADRATIC
+    x0 = np.array([length / norm_of(LINEAR), *X0[1:]])
     ready = co.prepare(system, co.Splitting(order=2), 1.0)
-    generator = np.array([linear.structure_matrix(e) @ [1.0, 0, 0, 0, 0] for e in np.eye(5)]).T
-    turn = scipy.linalg.expm(np.fmod(2.0 * x0[0], 2.0 * np.pi) * generator)
+    turn = scipy.linalg.expm(np.fmod(2.0 * x0[0], 2.0 * np.pi) * GENERATOR)
     exact = turn.copy()
-    exact[:, 0] += 2.0 * generator @ turn @ x0
-    scale = np.linalg.norm(BASIS, 1) * np.linalg.norm(np.linalg.inv(BASIS), 1)
-    tolerance = 2 * 2 * 20 * length * 2.0**-53 * scale**3
+    exact[:, 0] += 2.0 * GENERATOR @ turn @ x0
+    tolerance = 2 * 2 * 20 * length * 2.0**-53 * SCALE**3
     for k in range(5):
         unit = np.eye(5)[k]
         assert np.abs(ready.jvp(x0, (0.0, 2.0), {"x0": unit}, 2)[1].x[-1] - exact[:, k]).max() < tolerance

@@ -97,20 +97,6 @@ def test_the_jacobian_is_that_of_the_time_of_the_step(algebra, h, span):
     np.testing.assert_allclose(later.x, now.x, rtol=0, atol=100 * LATE * U * np.linalg.norm(X0))
 
 
-def test_large_systems_take_newton():
-    """120 spins, 360 coordinates and 720 unknowns: h f' is about 6."""
-    system, x0 = spin_chain(120)
-    method, h = co.GaussLegendre(2), 2.0
-    run = co.integrate(system, x0, (0.0, 10 * h), h, method)
-    expected = x0
-    X, L = stages_by_newton(system, method, expected, h)
-    expected = expected + L.sum(axis=0)
-    assert X.shape == (2, 360)
-    assert np.max(np.abs(run.x[1] - expected)) < 1e-11
-    assert run.drift()["energy"] < 6 * 4 * 360 * U * np.sqrt(10)
-    assert run.drift()["S"] < 6 * 4 * 360 * U * np.sqrt(10)
-
-
 def stages_by_newton(system, method, x, h, number=float):
     """Newton iterations in NumPy, their defects in any number type."""
     _, scale, mix, _ = method.coefficients(number)

@@ -1,15 +1,11 @@
-"""The turn of a satellite in docs/control.md, against Pontryagin's equations."""
+"""The turn of a satellite in docs/control.md: its least effort in closed form."""
 
 import numpy as np
-import pytest
-from scipy.integrate import solve_bvp
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
 
 I, T = np.array([1.0, 2.0, 3.0]), 5.0
-TARGET = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-ACCURACY = 1e-8
 
 
 def effort(x0, steps):
@@ -31,42 +27,6 @@ def effort(x0, steps):
         u = np.linalg.lstsq(J, J @ u.ravel() - missed)[0].reshape(steps, 3)
     assert np.abs(missed).max() < 1e-7
     return h * (u**2).sum()
-
-
-def pontryagin(x0):
-    """Return the least effort in continuous time: quaternion, rotor momentum, and the costates of both."""
-
-    def rates(t, y):
-        q, k, mu, p = y[:4], y[4:7], y[7:10], y[10:13]
-        x = np.einsum("mji,j->im", Rotation.from_quat(q.T).as_matrix(), x0)
-        Omega, of_rate = (x - k) / I[:, None], mu / I[:, None]
-        vector = 0.5 * (q[3] * Omega + np.cross(q[:3].T, Omega.T).T)
-        of_turn = np.cross(mu.T, Omega.T).T - np.cross(of_rate.T, x.T).T
-        return np.vstack([vector, -0.5 * (q[:3] * Omega).sum(axis=0), p / 2, of_turn, of_rate])
-
-    def ends(a, b):
-        missed = TARGET.T @ Rotation.from_quat(b[:4]).as_matrix()
-        skew = [missed[2, 1] - missed[1, 2], missed[0, 2] - missed[2, 0], missed[1, 0] - missed[0, 1]]
-        return np.r_[a[:4] - [0, 0, 0, 1], a[4:7] - x0, b[4:7] - TARGET.T @ x0, skew]
-
-    t = np.linspace(0.0, T, 41)
-    angle, rate = np.pi / 2 * (3 - 2 * t / T) * (t / T) ** 2, 3 * np.pi / T * (t / T) * (1 - t / T)
-    q = np.array([0 * t, 0 * t, np.sin(angle / 2), np.cos(angle / 2)])
-    k = np.einsum("mji,j->im", Rotation.from_quat(q.T).as_matrix(), x0) - np.array([0 * t, 0 * t, I[2] * rate])
-    found = solve_bvp(rates, ends, t, np.vstack([q, k, np.zeros((6, len(t)))]), tol=ACCURACY, max_nodes=20000)
-    assert found.status == 0
-    nodes, weights = np.polynomial.legendre.leggauss(100)
-    costate = found.sol(T / 2 * (1 + nodes))[10:13]
-    return T / 2 * weights @ ((costate / 2) ** 2).sum(axis=0)
-
-
-@pytest.mark.parametrize("x0", [(0.0, 0.5, 0.0), (0.3, 0.5, 0.2)])
-def test_the_effort_converges_to_that_of_pontryagin(x0):
-    """The errors of N steps are those of 1/N^2, and of 1/N^4 after extrapolation: below (3/N)^4."""
-    start = np.array(x0)
-    few, many, exact = effort(start, 20), effort(start, 40), pontryagin(start)
-    assert 3.8 < (few - exact) / (many - exact) < 4.2
-    assert abs((4 * many - few) / 3 - exact) < exact * (3 / 40) ** 4
 
 
 def test_the_effort_without_bias_is_that_of_a_double_integrator():

@@ -66,23 +66,6 @@ def test_events_end_members_at_their_own_times(way):
             assert whole.drift(relative=False)["energy"].members[m] == alone.drift(relative=False)["energy"]
 
 
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("method", METHODS, ids=str)
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_resumed_archives_keep_the_member_order(method, way, tmp_path):
-    """Also between saved points."""
-    ready, path = prepared(BATCH, method), tmp_path / "members.zarr"
-    whole = ready.run(X, (T0, T0 + 2.5 * way), save_every=3)
-    co.integrate(BATCH, X, (T0, T0 + way), STEP, method, save_every=3, attitude=True, archive=path)
-    for end in (1.5, 2.5):
-        found = co.resume(path, T0 + end * way)
-    for name in ("t", "x", "energy", "attitude"):
-        assert np.array_equal(getattr(found, name), getattr(whole, name)), name
-    for name, drift in whole.drift(relative=False).items():
-        assert np.array_equal(found.drift(relative=False)[name].members, drift.members)
-        assert np.array_equal(found.drift(relative=False)[name].initial, drift.initial)
-
-
 @pytest.mark.parametrize("method", METHODS, ids=str)
 def test_members_at_any_time_and_in_subsets(method):
     times = T0 + np.array([0.0, 0.1, 0.375, 0.6, 0.61, 1.0])

@@ -84,6 +84,7 @@ def test_members_that_need_newton_or_fail_have_the_bits_that_they_have_alone(met
 @pytest.mark.parametrize(
     "method",
     [
+        co.Splitting(order=4),
         co.GaussLegendre(3),
         co.ModifiedGaussLegendre(2),
         co.ModifiedGaussLegendre(2, freeze="gradient"),
@@ -94,10 +95,14 @@ def test_members_that_need_newton_or_fail_have_the_bits_that_they_have_alone(met
     ],
     ids=repr,
 )
-@pytest.mark.parametrize("h", [0.1, 0.5])
-def test_members_with_constants_of_their_own(method, h):
-    inertias = np.random.default_rng(4).uniform(0.5, 2.0, (MEMBERS, 3))
-    bodies = [co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(1 / inertia)) for inertia in inertias]
+@pytest.mark.parametrize(("kind", "h"), [("bodies", 0.1), ("bodies", 0.5), ("spirals", 0.05)])
+def test_members_with_constants_of_their_own(method, kind, h):
+    """Moments of inertia; or parameters of the bracket and the Casimir."""
+    numbers = np.random.default_rng(4).uniform(0.5, 2.0, (MEMBERS, 3))
+    bodies = [co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(1 / inertia)) for inertia in numbers]
+    if kind == "spirals":
+        spirals = [(co.algebras.get("A3,7", a=a), co.Quadratic([1.0, 2.0, 0.01 * a])) for a in numbers[:, 0]]
+        bodies = [co.LiePoissonSystem(*spiral) for spiral in spirals]
     attitude = "coadjoint" if method.properties(bodies[0]).attitude != "none" else False
     states = np.array([1.0, 2.0, 0.5]) * (1 + 0.3 * np.random.default_rng(0).standard_normal((MEMBERS, 3)))
     whole = co.integrate(co.batch(bodies), states, (0.0, 10 * h), h, method, attitude=attitude)
@@ -105,31 +110,7 @@ def test_members_with_constants_of_their_own(method, h):
         alone = co.integrate(bodies[m], states[m], (0.0, 10 * h), h, method, attitude=attitude)
         assert np.array_equal(alone.x, whole.x[:, m]) and np.array_equal(alone.energy, whole.energy[:, m])
         assert attitude is False or np.array_equal(alone.attitude, whole.attitude[:, m])
-
-
-@pytest.mark.parametrize(
-    "method",
-    [
-        co.Splitting(order=4),
-        co.GaussLegendre(2),
-        co.ModifiedGaussLegendre(1, freeze="structure"),
-        co.RadauEnergy(2),
-        co.Taylor(6),
-    ],
-    ids=str,
-)
-def test_members_with_structure_constants_and_casimirs_of_their_own(method):
-    """In a batch each member has another parameter in its bracket and Casimir, and the values that it has alone."""
-    systems = [
-        co.LiePoissonSystem(co.algebras.get("A3,7", a=a), co.Quadratic([1.0, 2.0, 0.01 * a])) for a in (0.5, 2.0, 3.0)
-    ]
-    x0 = np.random.default_rng(7).uniform(0.5, 1.5, (3, 3))
-    together = co.integrate(co.batch(systems), x0, (0.0, 2.0), 0.05, method)
-    for member, system in enumerate(systems):
-        alone = co.integrate(system, x0[member], (0.0, 2.0), 0.05, method)
-        assert np.array_equal(together.x[:, member], alone.x)
-        assert np.array_equal(together.casimirs["log C"][:, member], alone.casimirs["log C"])
-        assert not isinstance(method, co.Splitting) or alone.drift()["log C"] < 1e-12
+        assert all(np.array_equal(values, whole.casimirs[name][:, m]) for name, values in alone.casimirs.items())
 
 
 @pytest.mark.parametrize("n", [3, 4, 5])

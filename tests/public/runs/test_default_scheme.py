@@ -41,22 +41,16 @@ def state_of(system):
     return np.linspace(0.2, 0.5, system.dim)
 
 
-@pytest.mark.parametrize("name", SPLIT)
-def test_a_splitting_that_serves_is_taken_with_the_same_bits(name):
-    system = SPLIT[name]
+@pytest.mark.parametrize(
+    ("system", "scheme"),
+    [(system, co.Splitting()) for system in SPLIT.values()]
+    + [(system, co.GaussLegendre(3)) for system in NOT_SPLIT.values()],
+    ids=[*SPLIT, *(f"{name}, not split" for name in NOT_SPLIT)],
+)
+def test_the_scheme_that_serves_is_taken_with_the_same_bits(system, scheme):
     run = co.integrate(system, state_of(system), (0, 0.5), 0.05)
-    assert run.method == co.Splitting()
-    given = co.integrate(system, state_of(system), (0, 0.5), 0.05, co.Splitting())
-    np.testing.assert_array_equal(run.x, given.x)
-
-
-@pytest.mark.parametrize("name", NOT_SPLIT)
-def test_otherwise_it_is_the_next_one(name):
-    system = NOT_SPLIT[name]
-    run = co.integrate(system, state_of(system), (0, 0.5), 0.05)
-    assert run.method == co.GaussLegendre(3)
-    given = co.integrate(system, state_of(system), (0, 0.5), 0.05, co.GaussLegendre(3))
-    np.testing.assert_array_equal(run.x, given.x)
+    assert run.method == scheme
+    np.testing.assert_array_equal(run.x, co.integrate(system, state_of(system), (0, 0.5), 0.05, scheme).x)
 
 
 @pytest.mark.parametrize("systems", [SPLIT, NOT_SPLIT], ids=["split", "not split"])

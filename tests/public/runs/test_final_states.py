@@ -24,21 +24,6 @@ def test_calls_are_independent(method):
     assert len({each.ctypes.data for each in found}) == len(calls)
 
 
-MATRICES = {
-    "so(5)": (co.systems.so_n_body((1.0, 2.0, 3.0, 4.0, 5.0)), co.CommutatorFree(4)),
-    "gl(3)": (co.LiePoissonSystem(co.algebras.gl(3), co.Quadratic(np.linspace(1.0, 2.0, 9))), co.CommutatorFree(4)),
-}
-
-
-@pytest.mark.parametrize("name", MATRICES)
-def test_a_state_outside_the_algebra_of_matrices_is_projected_as_in_runs(name):
-    system, method = MATRICES[name]
-    prepared, step = co.prepare(system, method, 0.1), co.stepper(system, method, -0.1)
-    for x in np.random.default_rng(1).uniform(-0.5, 0.5, (4, system.dim)):
-        assert np.array_equal(prepared.end(x, (0.0, 0.3)), prepared.run(x, (0.0, 0.3)).x[-1])
-        assert np.array_equal(step(x), prepared.run(x, (0.0, -0.1)).x[-1])
-
-
 def test_states_in_any_form():
     ready = co.prepare(BODY, None, 0.1)
     expected = ready.end(X, (0, 1))
@@ -79,25 +64,6 @@ def test_refusals_equal_those_of_a_run():
                 ready.end(*call)
             assert str(found.value) == str(expected.value)
         assert np.array_equal(ready.end(X, (0, 1)), ready.run(X, (0, 1)).x[-1])
-
-
-def test_other_prepared_runs_have_ends():
-    fluid = co.systems.sphere_euler(5)
-    W = fluid.from_modes({(1, 0): 1.0, (2, 1): 0.5 + 0.1j})
-    pushed = BODY.with_forces(co.forces.LinearDamping(0.1))
-    steered = co.prepare(BODY, None, 0.1, inputs=True)
-    for ready, x0 in [
-        (co.prepare(fluid, None, 0.1), W),
-        (co.prepare(pushed, co.Splitting(), 0.1), X),
-        (co.prepare(BODY, None, 0.1, attitude=True), X),
-        (co.prepare(co.batch([BODY, co.systems.rigid_body((1, 2, 2.5))]), None, 0.1), X),
-        (steered, X),
-    ]:
-        for span in ((0, 1), (1, 0)):
-            if ready.system is pushed and span == (1, 0):
-                continue
-            for _ in range(2):
-                assert np.array_equal(ready.end(x0, span), ready.run(x0, span).x[-1])
 
 
 def test_exceptions_of_user_functions_propagate():

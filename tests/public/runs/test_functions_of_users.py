@@ -55,20 +55,6 @@ def test_many_functions_are_warned_of_before_they_are_compiled(pairs, warns):
             co.prepare(system, co.Splitting(), 0.1)
 
 
-def test_a_module_that_has_changed_is_compiled_again():
-    module = types.ModuleType("changing")
-    exec("import numpy as np\nSLOPE = 2.0\ndef value(y): return SLOPE * y\ndef slope(y): return SLOPE", vars(module))
-
-    def end():
-        system = spins([(module.value, module.slope)])
-        return co.integrate(system, [0.0, 1.0, 0.0], (0.0, 0.5), 0.5, co.Splitting()).x[-1, 2]
-
-    first = end()
-    module.SLOPE = 1.0
-    assert abs(first) == pytest.approx(np.sin(1.0), abs=1e-15)
-    assert abs(end()) == pytest.approx(np.sin(0.5), abs=1e-15)
-
-
 STALE = """
 import numpy as np, numba
 K, A = 2.0, np.ones(20_000)
@@ -81,7 +67,6 @@ def slope(y): return helper(y)
 """
 
 
-@pytest.mark.long
 def test_machine_code_follows_every_edit_also_of_the_same_system():
     module = types.ModuleType("user_functions_of_a_test")
     exec(STALE, vars(module))
@@ -107,25 +92,6 @@ def test_machine_code_follows_every_edit_also_of_the_same_system():
         expected = rate() * (0.5 if module.deepest.py_func(1.0) != module.K else 1.0)
         assert angle() == pytest.approx(expected, rel=1e-14)
     np.testing.assert_array_equal(ready.run([0.3, 1.0, 0.0], (0.0, 0.5)).x[-1], first)
-
-
-@pytest.mark.long
-def test_a_step_follows_what_it_reads():
-    names = {"co": co}
-    exec(
-        "K = 1.0\n"
-        "class Euler(co.methods.StepMethod):\n"
-        "    order, explicit, symmetric = 1, True, False\n"
-        "    def properties(self, system):\n"
-        "        return co.methods.Properties(poisson=False, energy=False, casimirs='none', attitude='none')\n"
-        "    def step(self, system, x, t, h):\n"
-        "        return x + K * h * system.vector_field(x, t)\n",
-        names,
-    )
-    body, x = co.systems.rigid_body(inertia=(1, 2, 3)), np.array([1.0, 0.5, 0.25])
-    for names["K"] in (1.0, 0.5):
-        end = co.integrate(body, x, (0.0, 0.125), 0.125, names["Euler"]()).x[-1]
-        np.testing.assert_allclose(end, x + names["K"] * 0.125 * body.vector_field(x), rtol=0, atol=1e-15)
 
 
 def test_what_cannot_be_followed_is_compiled_again_with_a_warning():

@@ -96,16 +96,6 @@ def test_unwatched_drift_is_over_saved_points():
     assert sol.drift()["energy"] < co.integrate(s, x0, (0, 8), 0.0625, save_every=10).drift()["energy"]
 
 
-def test_drift_of_an_ensemble_per_member():
-    s, x0 = e3_and_start()
-    ensemble = np.stack([x0, 2 * x0, -x0])
-    drift = co.integrate(s, ensemble, (0, 2), 0.125, save_every=5).drift(relative=False)["energy"]
-    alone = [co.integrate(s, x, (0, 2), 0.125).drift(relative=False)["energy"] for x in ensemble]
-    assert drift.members.tolist() == alone and drift == max(alone)
-    assert drift.tenths.shape == (3, 10) and drift.initial.shape == (3,)
-    assert drift.growth.tolist() == [each.tenths[9] / each.tenths[0] for each in alone]
-
-
 @pytest.mark.parametrize(
     "method", [co.ExplicitRungeKutta("runge2"), co.RadauEnergy(stages=2), co.Taylor(order=3, projected=False)], ids=repr
 )
@@ -158,7 +148,6 @@ def test_overflow_returns_the_partial_solution(order, every):
     assert "\n" not in str(error) and f"in step {error.step}" in str(error)
 
 
-BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
 ESCAPE = co.LiePoissonSystem(  # x2' = x2^2 from 1 escapes at t = 1
     co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1}}), co.Polynomial("x1*x2", basis=("x1", "x2")), sign=-1
 )
@@ -170,13 +159,10 @@ def test_failure_of_a_growing_motion_names_both_reasons(method, start):
     with refused(co.IntegrationError, "smaller step", "the motion itself") as failure:
         co.integrate(ESCAPE, start, (0, 2), 0.01, method)
     assert abs(failure.value.time - 1.0) < 0.05
-
-
-@pytest.mark.parametrize(("method", "failed_in"), [(co.GaussLegendre(2), 2), (co.Taylor(order=8), 1)])
-def test_failure_of_a_bounded_motion_is_that_of_the_step(method, failed_in):
-    with refused(co.IntegrationError, "smaller step than 5") as failure:
-        co.integrate(BODY, (1.0, 5.0, 2.0), (0, 100), 5.0, method)
-    assert failure.value.step == failed_in and "motion itself" not in str(failure.value)
+    if not isinstance(method, co.Splitting):  # a bounded motion
+        with refused(co.IntegrationError, "smaller step than 5") as failure:
+            co.integrate(co.systems.rigid_body((1.0, 2.0, 2.5)), (1.0, 5.0, 2.0), (0, 100), 5.0, method)
+        assert "motion itself" not in str(failure.value)
 
 
 @pytest.mark.parametrize("written", ["Splitting", {"name": "Splitting", "order": 4}])

@@ -53,11 +53,3 @@ def test_long_calls_warn_once_by_their_name(name, clock):
 def test_short_calls_do_not_warn(name, clock):
     clock[0] = 1e-4
     assert warnings_of(CALLS[name]) == []
-
-
-def test_calls_after_a_failure_begin_anew(clock):
-    with pytest.raises((ValueError, TypeError)):
-        co.certify(BODY, co.Splitting(), (1.0, 2.0), 0.1)
-    clock[0] = 9.0
-    (found,) = warnings_of(CALLS["prepare"])
-    assert str(found.message).startswith("prepare has taken ")

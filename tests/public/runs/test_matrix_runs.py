@@ -30,36 +30,6 @@ def states(system, count):
     return np.array([state_of(system, seed) for seed in range(count)])
 
 
-@pytest.mark.parametrize("name", ["sphere", "general"])
-def test_shapes_spectra_and_observed_matrices(name):
-    system, method = SYSTEMS[name], co.IsospectralGauss(2)
-    W = states(system, 3)
-    ensemble = co.integrate(system, W, (0.0, 1.0), 0.0625, method, save_every=3)
-    assert ensemble.x.shape == (7, 3, *system.shape) and ensemble.x.dtype == W.dtype
-    assert ensemble.failed.tolist() == [False] * 3 and ensemble.energy.shape == (7, 3)
-    ready = co.prepare(system, method, 0.0625, observe={"size": lambda V: float(np.abs(V).max())})
-    for m in range(3):
-        alone = ready.run(W[m], (0.0, 1.0), save_every=3)
-        assert np.array_equal(alone.x, ensemble.x[:, m])
-        assert np.array_equal(alone.observed["size"], np.abs(alone.x).max(axis=(1, 2)))
-        assert np.array_equal(alone.spectrum(), ensemble.spectrum()[:, m])
-    assert np.array_equal(ensemble.x[0], W)
-
-
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_drifts_are_over_the_saved_points(name):
-    system, W = SYSTEMS[name], state_of(SYSTEMS[name])
-    every = co.integrate(system, W, (0.0, 1.0), 0.125, co.IsospectralGauss(2))
-    few = co.integrate(system, W, (0.0, 1.0), 0.125, co.IsospectralGauss(2), save_every=8)
-    assert np.array_equal(every.x[[0, -1]], few.x) and not every.watched
-    # Invariants are taken at the saved points.
-    assert every.drift(relative=False)["energy"] == np.abs(every.energy - every.energy[0]).max() > 0.0
-    # Step k of 8 is in the tenth 10 (k - 1) / 8, rounded down.
-    off, tenths = np.abs(every.energy - every.energy[0])[1:], every.drift(relative=False)["energy"].tenths
-    assert np.array_equal(tenths[[0, 1, 2, 3, 5, 6, 7, 8]], off) and tenths[4] == tenths[9] == 0.0
-    assert few.drift(relative=False)["energy"] == abs(few.energy[1] - few.energy[0])
-
-
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_stepper_of_matrices(name):
     system, W, method = SYSTEMS[name], state_of(SYSTEMS[name]), co.IsospectralGauss(2)

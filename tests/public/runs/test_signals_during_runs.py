@@ -44,7 +44,6 @@ print(after.x.tobytes().hex())
 """
 SHORT = "co.integrate(body, y, (0, 1e8), 0.001, {}, save_every=10**9, watch={})"
 RUNS = {
-    "splitting": (SHORT.format("co.Splitting(order=2)", False), "co.Splitting(order=2)"),
     "Gauss-Legendre": (SHORT.format("co.GaussLegendre(2)", False), "co.GaussLegendre(2)"),
     "Taylor": (SHORT.format("co.Taylor(8)", True), "co.Taylor(8)"),
     "substeps of a series": (
@@ -56,18 +55,10 @@ RUNS = {
         "co.integrate(large, np.tile(y, 20000), (0, 1e6), 0.1, co.GaussLegendre(8), save_every=10**9)",
         "co.GaussLegendre(8)",
     ),
-    "threads": (
-        "co.integrate(body, wide, (0, 1e6), 0.01, co.Splitting(order=2), save_every=10**9, threads=2)",
-        "co.Splitting(order=2)",
-    ),
     "a batch": (
         "co.integrate(co.batch([co.systems.rigid_body((1, 2, 2.5 + 0.01 * k)) for k in range(40)]), y, (0, 1e7), 0.01,"
         " co.GaussLegendre(2), save_every=10**9)",
         "co.GaussLegendre(2)",
-    ),
-    "tangent vectors": (
-        "co.lyapunov(body, y, (0, 1e8), 0.001, co.Splitting(order=2), save_every=10**10)",
-        "co.Splitting(order=2)",
     ),
     "tangent vectors of an ensemble": (
         "co.lyapunov(body, wide, (0, 1e6), 0.01, co.Splitting(order=2), save_every=10**10, threads=2)",

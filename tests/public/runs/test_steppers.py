@@ -67,14 +67,11 @@ def test_blow_up_is_an_error():
     assert failure.value.step == 1
 
 
-@pytest.mark.parametrize("h", [0.0, math.nan, math.inf])
-def test_zero_or_infinite_steps_are_refused(h):
-    with pytest.raises(ValueError, match=r"h is .*; it must (be finite|not be zero)"):
-        co.stepper(setup("e(3)")[0], co.Splitting(), h)
-
-
 def test_wrong_arguments_of_steppers_are_refused():
     s, x = setup("e(3)")
+    for h in (0.0, math.nan, math.inf):
+        with refused(ValueError, "h", h):
+            co.stepper(s, co.Splitting(), h)
     with refused(ValueError, "method", "'strang'"):
         co.stepper(s, "strang", 0.1)
     step = co.stepper(s, co.Splitting(), 0.1)
@@ -86,12 +83,9 @@ def test_wrong_arguments_of_steppers_are_refused():
     blunt = co.stepper(co.LiePoissonSystem(co.algebras.sl(2), H), co.Splitting(), 0.1)
     with refused(TypeError, "hessian"):
         blunt.tangent(np.ones(3))
+    plane = co.PoissonSystem(lambda x: np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 2.0]))
     with refused(ValueError, "Splitting", "Lie algebra"):
-        co.stepper(
-            co.PoissonSystem(lambda x: np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 2.0])),
-            co.Splitting(),
-            0.1,
-        )
+        co.stepper(plane, co.Splitting(), 0.1)
 
 
 STEERED = co.systems.rigid_body(inertia=(1, 2, 2.5)), {"rotors": (2, 0)}
