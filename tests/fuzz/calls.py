@@ -43,7 +43,7 @@ co.integrate(BODY, X, (0, 1), 0.1, archive=ARCHIVE)
 
 OBJECTS = {
     "Certificate": co.certify(BODY, co.Splitting(), X, 0.1, steps=4),
-    "Corrector": co.corrector(BODY, co.Splitting(), X),
+    "Corrector": co.make_corrector(BODY, co.Splitting(), X),
     "Force": co.forces.LinearDamping(0.1),
     "ForcedSystem": FORCED,
     "Frequencies": co.frequencies(TIMES, np.cos(TIMES), 1),

@@ -128,16 +128,6 @@ def test_every_matrix_counts_however_many_are_looked_at_together(monkeypatch, g,
         assert intertwiner(rho, wrong) is None and intertwiner(wrong, rho) is None
 
 
-def test_a_form_of_a_large_representation():
-    """45 matrices of 10 x 10: more equations than are looked at together."""
-    metric = np.diag([1.0] * 5 + [-1.0] * 5)
-    rho = catalogue.so(10).representation @ metric
-    assert len(rho) * 100 > module.REDUCED_ROWS
-    form = invariant_form(rho)
-    assert residual(rho, form) < 1e-13
-    np.testing.assert_allclose(np.abs(form), np.eye(10), rtol=0, atol=1e-12)
-
-
 def test_forms_of_reducible_representations_have_full_rank():
     """Of two copies each carries a form of its own; beside an element that scales one copy, none is left."""
     rho = catalogue.so(3).representation @ np.diag([1.0, 2.0, 3.0])

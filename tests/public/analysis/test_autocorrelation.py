@@ -80,15 +80,6 @@ def test_free_spin_in_a_heat_bath():
     assert np.all(np.abs(found.mean) < 4 * found.mean_error)
 
 
-def test_linear_damping_with_noise_of_a_chain_of_sweeps():
-    """The energy of two spins by the heat bath forgets everything in a sweep: each spin is drawn anew."""
-    states = co.thermal_states(co.systems.spin_lattice(), 0.5, 50, sweeps=400, seed=2)
-    found = autocorrelation(np.arange(401), states.energy)
-    assert np.all(np.abs(found.time - 0.5) < 5 * found.error)
-    slow = co.thermal_states(co.systems.spin_lattice(), 0.05, 50, sweeps=400, seed=2, method="Metropolis")
-    assert np.median(autocorrelation(np.arange(401), slow.energy).time) > 0.8
-
-
 def test_series_without_an_integrated_time():
     t = np.arange(64.0)
     constant = autocorrelation(t, np.full(64, 3.0))

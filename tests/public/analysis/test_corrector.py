@@ -24,7 +24,7 @@ def systems():
 
 
 def spreads(system, scheme, x0, h, count):
-    better = co.corrector(system, scheme, x0)
+    better = co.make_corrector(system, scheme, x0)
     run = co.integrate(system, better.inverse(x0, h), (0, count * h), h, scheme)
     output = np.array([system.energy(x) for x in better(run.x, h)])
     return better, np.ptp(run.energy), np.ptp(output)
@@ -48,7 +48,7 @@ def test_where_the_term_can_be_undone_the_order_is_two_higher(order, expected):
     system, x0 = systems()["field"], np.array([0.3, -1.0, 0.8])
     found = [spreads(system, co.Splitting(order=order), x0, h, 400)[2] for h in (0.1, 0.05)]
     assert np.log2(found[0] / found[1]) == pytest.approx(expected, abs=0.1)
-    assert co.corrector(system, co.Splitting(order=order), x0).remaining < 1e-13
+    assert co.make_corrector(system, co.Splitting(order=order), x0).remaining < 1e-13
 
 
 @pytest.mark.thinned(3)
@@ -57,7 +57,7 @@ def test_where_the_term_can_be_undone_the_order_is_two_higher(order, expected):
 def test_a_corrector_is_undone_by_its_inverse_and_keeps_casimirs(name, h):
     system = systems()[name]
     x0 = np.random.default_rng(8).standard_normal(system.dim)
-    better = co.corrector(system, co.Splitting(), x0)
+    better = co.make_corrector(system, co.Splitting(), x0)
     moved = better(x0, h)
     # The flow of G over h^2 by one step of order four: what it leaves is of the order (h^2)^5.
     assert np.max(np.abs(better.inverse(moved, h) - x0)) < 1e-13 * np.linalg.norm(x0)
@@ -68,21 +68,11 @@ def test_a_corrector_is_undone_by_its_inverse_and_keeps_casimirs(name, h):
         assert abs(float(value(moved)) - float(value(x0))) <= bound
 
 
-def test_backward_and_forward_runs_are_corrected_alike():
-    system, x0 = systems()["body"], np.array([1.0, 0.2, 0.5])
-    forward = spreads(system, co.Splitting(), x0, 0.02, 1000)
-    better = co.corrector(system, co.Splitting(), x0)
-    run = co.integrate(system, better.inverse(x0, -0.02), (0, -20), 0.02, co.Splitting())
-    backward = np.ptp([system.energy(x) for x in better(run.x, -0.02)])
-    assert backward == pytest.approx(forward[2], rel=0.5)
-    assert backward < 0.01 * np.ptp(run.energy)
-
-
 @pytest.mark.parametrize("order", [1, 2, 4])
 def test_a_step_back_moves_the_output_by_the_power_of_the_step(order):
     """The flow of G takes h^p: of odd order that of -h is the inverse of that of h, of even order it is the same."""
     system, x0 = systems()["body"], np.array([[1.0, 0.2, 0.5], [0.3, -0.4, 0.8]])
-    better = co.corrector(system, co.Splitting(order=order), x0)
+    better = co.make_corrector(system, co.Splitting(order=order), x0)
     forward, back = better(x0, 0.2), better(x0, -0.2)
     assert np.max(np.abs(forward - x0)) > 1e-9
     np.testing.assert_array_equal(back, better.inverse(x0, 0.2) if order % 2 else forward)
@@ -90,7 +80,7 @@ def test_a_step_back_moves_the_output_by_the_power_of_the_step(order):
 
 def test_shapes_and_refusals():
     body, x0 = systems()["body"], (1.0, 0.2, 0.5)
-    better = co.corrector(body, co.Splitting(), [x0, (0.5, 0.5, 1.0)])
+    better = co.make_corrector(body, co.Splitting(), [x0, (0.5, 0.5, 1.0)])
     states = np.random.default_rng(0).standard_normal((4, 5, 3))
     assert better(states, 0.1).shape == (4, 5, 3)
     assert np.array_equal(better(states, 0.1)[2, 3], better(states[2, 3], 0.1))
@@ -98,9 +88,9 @@ def test_shapes_and_refusals():
     with refused(ValueError, "last axis"):
         better([1.0, 2.0], 0.1)
     with refused(TypeError, "flows"):
-        co.corrector(body, co.GaussLegendre(2), x0)
+        co.make_corrector(body, co.GaussLegendre(2), x0)
     large = co.LiePoissonSystem(co.algebras.so(8), co.Quadratic(np.arange(1.0, 29.0)))
     with refused(ValueError, "monomials"):
-        co.corrector(large, co.Splitting(), np.ones(28))
+        co.make_corrector(large, co.Splitting(), np.ones(28))
     alone = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic((1.0, 0.0, 0.0)))
-    assert co.corrector(alone, co.Splitting(), x0).generator.monomials == {}
+    assert co.make_corrector(alone, co.Splitting(), x0).generator.monomials == {}

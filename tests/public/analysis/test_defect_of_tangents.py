@@ -46,12 +46,6 @@ def test_transpose_on_the_other_side_is_another_condition():
     assert not co.analysis.defect_of_tangent(P.T, before, after, operations=60).poisson
 
 
-def test_defect_of_steps():
-    spiral, x = co.systems.paper_a37(), (1.0, 1.0, 1.0)
-    assert co.analysis.poisson_defect(co.stepper(spiral, co.Splitting(order=4), 0.1), x).poisson
-    assert not co.analysis.poisson_defect(co.stepper(spiral, co.GaussLegendre(1), 0.1), x).poisson
-
-
 def test_defect_of_the_midpoint_rule_is_of_third_order_in_the_step():
     body, x = co.systems.paper_rigid_body(), (1.0, 2.0, 0.5)
     steps = [0.1 / 2**k for k in range(5)]

@@ -7,7 +7,6 @@ import pytest
 
 import coadjoint as co
 from refusals import refused
-from rounding import UNIT_ROUNDOFF as U
 
 pytestmark = pytest.mark.thinned(1)
 
@@ -69,18 +68,6 @@ def test_only_the_last_time_may_be_off_the_grid(start, step):
         with refused(ValueError, "at least 64"):
             co.frequencies(np.append(t[:-1], last), t, count=1)
     assert np.isfinite(co.frequencies(t, np.cos(t), count=1).frequency).all()
-
-
-@pytest.mark.parametrize(("share", "accepted"), [(0.5, True), (2.0, False)])
-def test_times_are_even_up_to_their_rounding(share, accepted):
-    """The rounding of 129 times."""
-    t = np.arange(129.0) / 128.0
-    t[64] += share * 129 * 16 * U
-    if accepted:
-        co.frequencies(t, np.cos(40.0 * t), count=1)
-    else:
-        with refused(ValueError, "equidistant"):
-            co.frequencies(t, np.cos(40.0 * t), count=1)
 
 
 def test_what_is_no_signal_is_refused():

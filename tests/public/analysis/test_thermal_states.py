@@ -37,21 +37,6 @@ def test_open_chain_has_the_energy_of_langevin(how):
         assert check(states, -J * langevin(J / kT), per=11) < 3e-3
 
 
-@pytest.mark.parametrize("how", METHODS)
-@pytest.mark.parametrize("sites", [3, 4, 7])
-def test_ring_has_the_energy_of_its_transfer_operator(sites, how):
-    """Joyce (1967): Z = sum over l of (2 l + 1) i_l(J/kT)^sites; rings of odd length take three sublattices."""
-    from scipy.special import spherical_in
-
-    def log_z(k):
-        degrees = np.arange(30)
-        return np.log(np.sum((2 * degrees + 1) * spherical_in(degrees, k) ** sites))
-
-    expected = -(log_z(2.0 + 1e-5) - log_z(2.0 - 1e-5)) / 2e-5
-    ring = co.systems.spin_lattice("ring", sites)
-    assert check(co.thermal_states(ring, 0.5, 400, sweeps=250, seed=5, **METHODS[how]), expected) < 0.02
-
-
 @pytest.mark.thinned(1)
 @pytest.mark.parametrize("how", METHODS)
 def test_two_spins_with_every_coupling(how):
@@ -90,17 +75,6 @@ def test_one_spin_of_any_length_with_anisotropy_in_a_field(K, how):
         values = (states.x[:, 2] / length) ** power
         expected = np.sum(boltzmann * z**power) / np.sum(boltzmann)
         assert abs(values.mean() - expected) < 4.5 * values.std() / np.sqrt(len(values))
-
-
-@pytest.mark.long
-def test_square_lattice_has_the_energy_of_its_series():
-    """Expansion in loops, up to those of six bonds: ln Z = 2 ln(sinh K / K) + 3 L^4 + 6 L^6 for each site."""
-    K, side = 0.5, 16
-    L, slope = langevin(K), 1.0 / K**2 - 1.0 / np.sinh(K) ** 2
-    expected = -(2 * L + (12 * L**3 + 36 * L**5) * slope)
-    square = co.systems.spin_lattice("square", (side, side), periodic=True)
-    states = co.thermal_states(square, 1.0 / K, 256, sweeps=200, seed=11)
-    assert 4.5 * check(states, expected, per=side**2, transient=20) < 36 * L**5 * slope
 
 
 @pytest.mark.long
@@ -143,16 +117,6 @@ def test_every_sweep_of_over_relaxation_is_a_half_turn():
     turned = 2.0 * (drawn @ along.T) * along - drawn
     for k, spins in enumerate(found):
         np.testing.assert_allclose(spins.reshape(-1, 3), turned if k % 2 else drawn, rtol=0, atol=1e-14)
-
-
-def test_the_heat_bath_of_a_run_keeps_the_distribution():
-    """Its equilibrium is the same, for exchange with anisotropy on the bonds and on site."""
-    ring = co.systems.spin_lattice("ring", 6, tensor=(1.0, 1.0, 1.5), on_site=(0.0, 0.0, 0.3))
-    states = co.thermal_states(ring, 0.5, 700, sweeps=60, seed=4)
-    bath = co.forces.HeatBath(0.4, temperature=0.5, seed=4)
-    sol = co.integrate(ring.with_forces(bath), states.x, (0, 5), 0.05)
-    before, after = (ring.energy(x) for x in (states.x, sol.x[-1]))
-    assert abs(before.mean() - after.mean()) < 4 * np.hypot(before.std(), after.std()) / np.sqrt(700)
 
 
 def test_systems_without_thermal_states_are_refused_by_name():

@@ -196,7 +196,7 @@ def test_schemes_may_be_given_by_name_everywhere(written):
         lambda given: co.modified_hamiltonian(body, given, 4)(X, 0.125),
         lambda given: co.modified_field(body, given, 4)(X, 0.125),
         lambda given: co.suggest_step(body, given, X, energy=1e-5),
-        lambda given: co.corrector(body, given, X)(X, 0.125),
+        lambda given: co.make_corrector(body, given, X)(X, 0.125),
     )
     for call in calls:
         np.testing.assert_array_equal(np.asarray(call(written), float), np.asarray(call(method), float))

@@ -132,7 +132,7 @@ def results():
     yield from (co.methods.gauss_tableau(3), co.modified_hamiltonian(body, method, order=2))
     yield from (co.prepare(body, method, 0.1).jvp(x0, (0, 1), {"x0": x0})[1], co.choose(body, x0, (0, 10), 1e-6))
     yield from (co.lyapunov(body, x0, (0, 10), 0.1), co.section(body, x0, co.Event(1), (0, 50), 0.1))
-    yield from (co.phase_drift(sol), co.certify(body, method, x0, 0.1, steps=10), co.corrector(body, method, x0))
+    yield from (co.phase_drift(sol), co.certify(body, method, x0, 0.1, steps=10), co.make_corrector(body, method, x0))
 
 
 def test_results_are_one_line():
