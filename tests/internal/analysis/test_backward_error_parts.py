@@ -9,7 +9,6 @@ import coadjoint as co
 from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
 from coadjoint.analysis.backward_error.polynomial_fields import bracket_change, hamiltonian_of, skew_factor
 from coadjoint.analysis.backward_error.scheme_terms import names_of
-from coadjoint.analysis.short_motion import short_motion
 from coadjoint.systems.user_functions import sample_points
 from refusals import refused
 
@@ -60,50 +59,6 @@ def test_names_of_coefficients():
     assert names_of(H) == expected
     small = co.Polynomial({(1, 0, 2): 1.0, (0, 2, 0): 1.0, (1, 1, 0): 1.0, (0, 0, 1): 1.0, (0, 0, 0): 2.0})
     assert names_of(small) == {(1, 0, 2): "c133", (0, 2, 0): "m2", (1, 1, 0): "m12", (0, 0, 1): "b3"}
-
-
-def remaining_of(system, generator, term, starts, count):
-    """Changes of H_p + sign {G, H} against those of H_p, each motion about its own mean."""
-    before, after = [], []
-    for x in starts:
-        points = short_motion(system, np.asarray(x, dtype=float), count)[0]
-        bracket = [
-            np.dot(g, system.structure_matrix(y) @ system.hamiltonian.gradient(y))
-            for y, g in zip(points, generator.gradient(points), strict=True)
-        ]
-        values = term(points)
-        before.append(values - values.mean())
-        rest = values + system.sign * np.array(bracket)
-        after.append(rest - rest.mean())
-    return np.max(np.abs(np.concatenate(after))) / np.max(np.abs(np.concatenate(before)))
-
-
-@pytest.mark.thinned(4)
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("order", [2, 4])
-def test_what_a_corrector_leaves_is_measured_along_all_motions(sign, order):
-    """Among motions of which one is twenty times as fast; in any order they make one corrector."""
-    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.3], linear=[0.1, 0.0, 0.2]), sign=sign)
-    method = co.Splitting(order=order)
-    starts = np.array([[1.0, 0.2, 0.5], [0.1, -0.3, 0.2], [2.0, 4.0, -3.0]])
-    term = co.modified_hamiltonian(system, method, order).error_term.term
-    found = []
-    for places in ([0, 1, 2], [2, 0, 1], [1, 2, 0]):
-        better = co.make_corrector(system, method, starts[places])
-        degree = term.degree - 2 + 1
-        monomials = sum((d + 1) * (d + 2) // 2 for d in range(1, degree + 1))
-        count = max(4 * monomials // 3, 64)
-        expected = remaining_of(system, better.generator, term, starts[places], count)
-        # Sums of products of a thousand terms, in another order.
-        assert better.remaining == pytest.approx(expected, rel=1e-6) and better.order == order
-        found.append(better)
-    x = starts[1]
-    moved = [better(x, 0.1) - x for better in found]
-    size = np.max(np.abs(moved[0]))
-    assert size > 1e-11
-    # Directions of the fit that hardly change the energy are found to some digits only.
-    assert np.max(np.abs(np.array(moved) - moved[0])) < 1e-3 * size
-    assert found[1].remaining == pytest.approx(found[0].remaining, rel=1e-3)
 
 
 def heisenberg():

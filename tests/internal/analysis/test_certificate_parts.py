@@ -12,7 +12,6 @@ from coadjoint.analysis.checks.convergence import allowed_error
 from coadjoint.analysis.checks.invariants import size_of
 from coadjoint.analysis.checks.reference import motion, natural_time
 from coadjoint.analysis.checks.subject import Subject
-from coadjoint.analysis.fits import slope_of_defects
 from rounding import UNIT_ROUNDOFF as U
 
 Properties = co.methods.Properties
@@ -67,22 +66,6 @@ def test_the_element_of_a_growing_motion_is_seen_over_fewer_steps():
     assert condition == pytest.approx(np.max(values[..., 0] / values[..., -1]))
     longer = subject.run(subject.states, 0.25, 2 * run.stats.steps, attitude="coadjoint").attitude
     assert np.max(np.linalg.cond(longer)) > attitude.MAX_CONDITION
-
-
-@pytest.mark.parametrize("largest", [0.4, -0.4])
-def test_the_slope_of_defects_is_over_steps_of_one_sign(largest):
-    asked = []
-
-    def look(h):
-        asked.append(h)
-        if len(asked) == 2:
-            raise ValueError("no step of this length")
-        return abs(h) ** 3 * 2.0, 1e-16
-
-    found = slope_of_defects(largest, 6, look)
-    np.testing.assert_allclose(asked, largest / 2.0 ** (np.arange(6) / 2), rtol=1e-14)
-    np.testing.assert_allclose(found.steps, np.abs(np.delete(asked, 1)), rtol=1e-14)
-    assert found.value == pytest.approx(3.0, abs=1e-9) and np.all(found.errors == 2.0 * found.steps**3)
 
 
 def test_the_size_of_an_invariant_is_before_cancellation():

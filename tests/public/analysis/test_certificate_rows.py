@@ -97,14 +97,6 @@ def test_of_a_function_nothing_is_said():
     assert found["attitude"].verdict == "not applicable"
 
 
-def test_a_function_with_true_and_false_claims():
-    assert certified(euler, order=1, symmetric=False, properties=NOTHING).passed
-    assert [row.key for row in certified(euler, order=2).failures] == ["order"]
-    assert "order" in [row.key for row in certified(euler, order=256).failures]
-    assert [row.key for row in certified(euler, order=1, symmetric=True).failures] == ["symmetry"]
-    assert [row.key for row in certified(euler, order=1, properties=SPLIT).failures] == ["poisson", "casimir |x|^2"]
-
-
 @pytest.mark.long
 def test_hamiltonians_that_depend_on_time_have_no_energy_row():
     timed = co.Hamiltonian(

@@ -80,7 +80,8 @@ def test_a_step_back_moves_the_output_by_the_power_of_the_step(order):
 
 def test_shapes_and_refusals():
     body, x0 = systems()["body"], (1.0, 0.2, 0.5)
-    better = co.make_corrector(body, co.Splitting(), [x0, (0.5, 0.5, 1.0)])
+    better, other = (co.make_corrector(body, co.Splitting(), starts) for starts in ([x0, (5, 5, 9)], [(5, 5, 9), x0]))
+    assert other.remaining == pytest.approx(better.remaining, rel=1e-3) and better.order == 2
     states = np.random.default_rng(0).standard_normal((4, 5, 3))
     assert better(states, 0.1).shape == (4, 5, 3)
     assert np.array_equal(better(states, 0.1)[2, 3], better(states[2, 3], 0.1))

@@ -26,17 +26,6 @@ def test_coadjoint_action_is_poisson(name: str):
     assert found.bound < 1e-10
 
 
-def test_scaling_is_not_poisson():
-    algebra = co.algebras.so(3)
-    x = np.array([1.0, 2.0, 0.5])
-    found = co.analysis.defect_of_tangent(
-        2.0 * np.eye(3), algebra.structure_matrix(x), algebra.structure_matrix(2.0 * x), operations=1
-    )
-    # P J P^T = 4 J(x), J(2 x) = 2 J(x).
-    assert found.defect == pytest.approx(2.0 * np.linalg.norm(algebra.structure_matrix(x)), rel=1e-15)
-    assert not found.poisson
-
-
 def test_transpose_on_the_other_side_is_another_condition():
     algebra = co.algebras.get("A3,7", a=2.0)
     x, u = np.array([1.0, 1.0, 1.0]), np.array([0.1, 0.2, 0.3])

@@ -204,22 +204,6 @@ def test_symmetric_matrices_are_fitted_by_their_upper_triangles(algebra, casimir
     assert len(found.standard_deviation("M")) == len(chosen)
 
 
-def test_a_full_inertia_is_fitted_to_attitudes():
-    """Six unknowns with a known momentum, of a matrix that must be symmetric; a common factor needs the momentum."""
-    turned = Rotation.from_rotvec([0.1, 0.3, -0.2]).as_matrix()
-    true = turned @ np.diag(INERTIA) @ turned.T
-    true = (true + true.T) / 2
-    ready = [
-        co.prepare(co.systems.rigid_body(inertia=one), SCHEME, step=0.05, attitude=True) for one in (true, true * 1.02)
-    ]
-    measured = {"attitude": ready[0].run(X0, (0, 5), 5, attitude=A0).attitude}
-    found = co.fit(ready[1], X0, (0, 5), measured, {"inertia": True}, 5, sigma={"attitude": SIGMA}, attitude=A0)
-    assert found.unknowns == tuple(("inertia", k) for k in (0, 1, 2, 4, 5, 8))
-    np.testing.assert_allclose(found.values["inertia"], true, rtol=1e-8)
-    with refused(ValueError, "entries of inertia and x0; omit"):
-        co.fit(ready[1], X0, (0, 5), measured, {"inertia": True, "x0": True}, 5, sigma={"attitude": SIGMA}, attitude=A0)
-
-
 GOOD = {"attitude": np.zeros((41, 3, 3))}
 
 

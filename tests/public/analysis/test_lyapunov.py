@@ -67,23 +67,6 @@ def test_linear_hamiltonians(name, parameters, sign):
         assert abs(backward.sum + wanted.sum()) <= 1e-8
 
 
-@pytest.fixture(scope="module")
-def chaos():
-    return co.lyapunov(heavy_top(), UPRIGHT, (0, 4000), 0.05, co.Splitting(order=4), transient=100)
-
-
-@pytest.mark.long
-def test_pairs_and_zeros_of_a_chaotic_top(chaos):
-    """On e(3): +L, -L, and zeros for two Casimirs, the energy and the flow, as far as log(t)/t lets them be."""
-    assert chaos.exponents[0] > 0.08 and chaos.by == "compiled"
-    assert np.all(np.abs(chaos.exponents[1:5]) < 2 * math.log(3900) / 3900)
-    assert chaos.pairing < 2 * math.log(3900) / 3900
-    assert abs(chaos.sum) < 1e-12
-    other = co.lyapunov(heavy_top(), UPRIGHT, (0, 8000), 0.05, co.Splitting(order=4), transient=4000, exponents=1)
-    assert abs(other.exponents[0] - chaos.exponents[0]) < 4 * (other.uncertainty[0] + chaos.uncertainty[0])
-    assert 0.0 < chaos.uncertainty[0] < 0.05 and np.isnan(other.pairing)
-
-
 def test_the_sum_is_the_mean_divergence():
     """A3,7 is not unimodular: volumes grow by the trace of the derivative of the field, averaged along the way."""
     system = co.systems.paper_a37(2.0, (1.0, 1.5, 0.3))

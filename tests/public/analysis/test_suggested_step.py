@@ -60,13 +60,6 @@ def test_a_sample_takes_its_smallest_step():
         assert co.suggest_step(body, co.Splitting(), np.roll(states, first, axis=0), energy=1e-6) == min(alone)
 
 
-def test_a_tenth_of_a_thousandth_of_the_energy_is_a_tenth_of_the_step():
-    """Of order 2: the energy goes like h^2."""
-    top, x0 = systems()["top"], np.random.default_rng(4).standard_normal(6)
-    steps = [co.suggest_step(top, co.Splitting(), x0, energy=wanted) for wanted in (1e-6, 1e-8)]
-    assert steps[0] / steps[1] == pytest.approx(10.0, rel=1e-2)
-
-
 def test_energies_that_grow_are_refused():
     body = systems()["body"]
     for method in (co.ExplicitRungeKutta(), co.Kahan(), co.Projected(co.Splitting())):
