@@ -5,6 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from lie_algebras import constants_of, known_casimirs
+from scipy.linalg import block_diag
 
 import coadjoint as co
 from refusals import refused
@@ -34,31 +35,21 @@ def assert_casimirs(g):
 
 def test_direct_sum():
     parts = [so(3), get("A4,6", a=2, b=0.5), heisenberg(1)]
-    g = direct_sum(*parts)
+    g, x = direct_sum(*parts), rational(np.random.default_rng(7), 10)
     assert (g.dim, g.name) == (10, "so(3) + A4_6(a=2, b=0.5) + heisenberg(1)")
     assert g.basis[:4] == ("e1[1]", "e2[1]", "e3[1]", "e1[2]") and g.basis[-1] == "z[3]"
     assert direct_sum(so(3), heisenberg(1)).basis == ("e1", "e2", "e3", "q1", "p1", "z")
-    x = rational(np.random.default_rng(7), 10)
-    structure = np.zeros((10, 10), dtype=object)
-    representation = np.zeros((10, 10, 10))
-    begin = place = 0
-    for part in parts:
-        end, stop = begin + part.dim, place + part.representation.shape[1]
-        structure[begin:end, begin:end] = part.structure_matrix(x[begin:end])
-        representation[begin:end, place:stop, place:stop] = part.representation
-        begin, place = end, stop
-    assert np.array_equal(g.structure_matrix(x), structure)
-    assert np.array_equal(g.representation, representation)
-    assert list(known_casimirs(g)) == [
-        "|x|^2 [1]",
-        "log|x2^2 + x3^2| - 2*b*atan2(x3, x2) [2]",
-        "log|x1| - a*atan2(x3, x2) [2]",
-        "z [3]",
-    ]
+    pieces = np.split(x, [3, 7])
+    J = block_diag(*(part.structure_matrix(piece) for part, piece in zip(parts, pieces, strict=True)))
+    assert np.array_equal(g.structure_matrix(x), J)
+    actions = [part.representation for part in parts]
+    for k, (m, i) in enumerate((m, i) for m, part in enumerate(parts) for i in range(part.dim)):
+        wanted = block_diag(*(rho[i] if n == m else 0.0 * rho[0] for n, rho in enumerate(actions)))
+        assert np.array_equal(g.representation[k], wanted)
+    names = [f"{name} [{m + 1}]" for m, part in enumerate(parts) for name in known_casimirs(part)]
+    assert list(known_casimirs(g)) == names and len(names) == 4
     assert_casimirs(g)
-    angle, alone = (
-        known_casimirs(a)[key] for a, key in ((g, list(known_casimirs(g))[2]), (parts[1], "log|x1| - a*atan2(x3, x2)"))
-    )
+    angle, alone = known_casimirs(g)[names[2]], known_casimirs(parts[1])["log|x1| - a*atan2(x3, x2)"]
     point = np.linspace(0.5, 1.5, 10)
     assert angle(point) == alone(point[3:7]) and angle.period == alone.period
     assert direct_sum(so(3)) == so(3)
@@ -150,11 +141,12 @@ def test_a_quotient_is_what_remains(place, mixed):
     owner = np.array([k // 3 for k in order])
     acting = np.array(whole.representation)
     acting[3 * place : 3 * place + 3] = 0.0
+    moved = change_of_basis(whole, np.eye(9)[order])
     g = co.LieAlgebra(
-        constants_of(change_of_basis(whole, np.eye(9)[order])),
+        constants_of(moved),
         basis=[f"{'abc'[k // 3]}{k % 3}" for k in order],
         representation=acting[order],
-        casimirs=known_casimirs(change_of_basis(whole, np.eye(9)[order])),
+        casimirs=known_casimirs(moved),
     )
     kept, gone = np.flatnonzero(owner != place), np.flatnonzero(owner == place)
     ideal = [g.basis[k] for k in gone]

@@ -209,14 +209,14 @@ GOOD = {"attitude": np.zeros((41, 3, 3))}
 
 @pytest.mark.thinned(1)
 @pytest.mark.parametrize(
-    "changed, error, why",
+    "changed, error, named",
     [
         ({"unknown": {"mass": True}}, ValueError, "mass"),
         ({"unknown": {"inertia": (3,)}}, ValueError, "inertia"),
         ({"unknown": {}}, TypeError, "unknown"),
-        ({"x0": np.ones((2, 4))}, ValueError, r"it must be \(3,\) or \(members, 3\)"),
-        ({"x0": np.ones((2, 3))}, ValueError, r"it must be \(41, 2, 3, 3\)"),
-        ({"x0": np.ones((2, 3)), "attitude": np.ones((3, 3, 3))}, ValueError, r"attitude has the shape \(3, 3, 3\)"),
+        ({"x0": np.ones((2, 4))}, ValueError, "it must be (3,) or (members, 3)"),
+        ({"x0": np.ones((2, 3))}, ValueError, "(41, 2, 3, 3)"),
+        ({"x0": np.ones((2, 3)), "attitude": np.ones((3, 3, 3))}, ValueError, "attitude has the shape (3, 3, 3)"),
         ({"measured": {"energy": np.zeros(41)}}, ValueError, "energy"),
         ({"measured": {"attitude": np.zeros((40, 3, 3))}}, ValueError, "shape"),
         ({"measured": {"attitude": np.full((41, 3, 3), np.nan)}}, ValueError, "finite"),
@@ -224,17 +224,18 @@ GOOD = {"attitude": np.zeros((41, 3, 3))}
         ({"sigma": {"x": 1.0}}, ValueError, "sigma"),
         ({"sigma": {"attitude": 0.0}}, ValueError, "positive"),
         ({"sigma": {"attitude": np.ones(7)}}, ValueError, "broadcast"),
-        ({"unknown": {"inertia": True, "x0": True}}, ValueError, r"inertia and x0; omit, for instance, \w+\[\d\]$"),
+        ({"unknown": {"inertia": True, "x0": True}}, ValueError, "inertia and x0; omit"),
         ({"t_span": (0.0, 0.0)}, ValueError, "shape"),
+        ({"unknown": {"x0": np.broadcast_to(0, (10**7, 10**6))}}, ValueError, f"{10**13} numbers of entries of x0"),
     ],
 )
-def test_refused_arguments(changed, error, why):
+def test_refused_arguments(changed, error, named):
     """Momentum and inertia have a common scale, which attitudes do not determine."""
     arguments = {
         "ready": body(), "x0": X0, "t_span": SPAN, "measured": GOOD, "unknown": {"x0": True}, "save_every": EVERY,
         "sigma": {"attitude": SIGMA},
     }  # fmt: skip
-    with pytest.raises(error, match=why):
+    with refused(error, named):
         co.fit(**(arguments | changed))
 
 
@@ -247,20 +248,6 @@ def test_fewer_measurements_than_unknowns_are_refused():
     end = ready.run(np.ones(6), (0, 1)).x[-1:]
     found = co.fit(ready, 1.01 * np.ones(6), (0, 1), {"x": end}, {"x0": True}, t_eval=[1.0], sigma=sigma)
     np.testing.assert_allclose(found.values["x0"], np.ones(6), rtol=1e-10)
-
-
-def test_more_numbers_than_entries_are_refused_before_they_are_listed():
-    with refused(ValueError, 10**13, "x0", "3"):
-        co.fit(
-            body(),
-            X0,
-            SPAN,
-            GOOD,
-            {"x0": np.broadcast_to(0, (10**7, 10**6))},
-            EVERY,
-            sigma={"attitude": 1.0},
-            attitude=A0,
-        )
 
 
 @pytest.mark.filterwarnings("ignore:inertia:UserWarning")

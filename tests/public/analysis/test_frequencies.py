@@ -159,17 +159,21 @@ def test_attitude_has_two_frequencies():
     assert free.basis.shape == (2,) and np.all(free.found)
 
 
+def lines_at(w, uncertainty, real=True):
+    """Return lines of amplitude one."""
+    w = np.asarray(w)
+    return co.Frequencies(w, np.ones(len(w), complex), np.asarray(uncertainty), 0.0 * w, 0.0, 0.0, real)
+
+
 def test_combinations_stay_within_the_largest_integer():
-    found = co.Frequencies(np.array([5.0]), np.ones(1, complex), np.array([1e-9]), np.zeros(1), 0.0, 0.0, True)
+    found = lines_at([5.0], [1e-9])
     assert found.combinations([1.0], largest=5).integers.tolist() == [[5]]
     near = found.combinations([1.0], largest=4)
     assert (near.integers.tolist(), near.misfit.tolist(), near.found.tolist()) == ([[4]], [1.0], [False])
     # 5 is 5 + 0 and 1 + 2 * 2: the sum of the integers decides.
     assert found.combinations([1.0, 2.0], largest=5).integers.tolist() == [[1, 2]]
     # The uncertainty of a line that is chosen as basis counts as often as it occurs: 5 - 5 * 0.99 is 0.05.
-    pair = co.Frequencies(
-        np.array([0.99, 5.0]), np.ones(2, complex), np.array([3e-3, 0.0]), np.zeros(2), 0.0, 0.0, True
-    )
+    pair = lines_at([0.99, 5.0], [3e-3, 0.0])
     assert pair.combinations(largest=5).integers.tolist() == [[1], [5]]
     assert pair.combinations([0.99], largest=5).found.tolist() == [True, False]
 
@@ -194,7 +198,7 @@ def test_the_uncertainties_of_all_lines_of_a_combination_add_up(seed: int):
         w = np.concatenate([basis, integers @ basis + factor * side * slack])
         # A line of which nothing is known stands among the others, and is left out.
         w, uncertainty = (np.insert(row, len(basis), np.nan) for row in (w, np.concatenate([known, own])))
-        lines = co.Frequencies(w, np.ones(len(w), complex), uncertainty, 0.0 * w, 0.0, 0.0, True)
+        lines = lines_at(w, uncertainty)
         combined = lines.combinations(basis=None if found else basis, largest=3)
         assert np.array_equal(combined.basis, basis)
         # 343 combinations of numbers up to 20 are farther apart than 1e-7, except by a coincidence.
@@ -205,14 +209,14 @@ def test_the_uncertainties_of_all_lines_of_a_combination_add_up(seed: int):
     # Without a combination within the uncertainty, a line is a basic frequency of its own.
     extra = integers[:1] @ basis + 1.1 * side[:1] * slack[:1]
     w, uncertainty = np.concatenate([basis, extra]), np.concatenate([known, own[:1]])
-    lines = co.Frequencies(w, np.ones(len(w), complex), uncertainty, 0.0 * w, 0.0, 0.0, True)
+    lines = lines_at(w, uncertainty)
     assert np.array_equal(lines.combinations(largest=3).basis, w)
 
 
 def test_round_off_of_a_line_is_within_its_uncertainty():
     w = 4.5 + np.array([0, 2, -2, 3, -3]) * 8.0 * U  # neighbours; the uncertainty of 4 u w is 18 u
     for sign in (1, -1):
-        lines = co.Frequencies(sign * w, np.ones(5, complex), np.zeros(5), np.zeros(5), 0.0, 0.0, False)
+        lines = lines_at(sign * w, np.zeros(5), False)
         combined = lines.combinations([1.5])
         assert combined.integers.tolist() == [[3 * sign]] * 5 and combined.found.tolist() == [True] * 3 + [False] * 2
     t = np.arange(2000) * 0.3
@@ -222,7 +226,7 @@ def test_round_off_of_a_line_is_within_its_uncertainty():
 def test_basic_frequencies_are_chosen_wherever_they_stand():
     """3 is 3 times 1 within its large uncertainty, 5.25 is not within integers up to 4; the last is 2 * 5.25 - 1."""
     w, known = np.array([1.0, 3.01, 5.25, 9.5 + 3e-5]), np.array([1e-6, 3e-3, 4e-6, 0.0])
-    lines = co.Frequencies(w, np.ones(4, complex), known, 0.0 * w, 0.0, 0.0, True)
+    lines = lines_at(w, known)
     combined = lines.combinations(largest=4)
     assert combined.basis.tolist() == [1.0, 5.25] and combined.found.all()
     assert combined.integers.tolist() == [[1, 0], [3, 0], [0, 1], [-1, 2]]
