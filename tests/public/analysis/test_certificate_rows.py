@@ -261,7 +261,7 @@ def test_a_defect_in_one_state_of_a_sample_fails_every_row(place, h):
     assert np.argmax(deviations) == place and np.delete(deviations, place).max() < 1e-12
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("h", [0.1, -0.1])
 @pytest.mark.parametrize("at_the_given", [True, False])
 def test_a_defect_at_the_given_step_or_at_larger_ones_alone_fails(at_the_given, h):
