@@ -1,5 +1,6 @@
 """Elimination, ranks modulo primes, fractions for floats, kernels, and checks that are cut into runs."""
 
+from contextlib import nullcontext
 from fractions import Fraction
 from itertools import pairwise
 
@@ -108,10 +109,7 @@ def test_a_rank_needs_a_gap():
     assert rank_from_gap(np.zeros(3), 1e-15, "A") == 0
     for ratio, rank in ((0.5, 1), (2.0, None), (2.0**9, None), (2.0**11, 2)):
         values = np.array([1.0, ratio * 1e-15])
-        if rank is None:
-            with refused(ValueError, "rank of A", "singular value"):
-                rank_from_gap(values, 1e-15, "A")
-        else:
+        with nullcontext() if rank else refused(ValueError, "rank of A", "singular value"):
             assert rank_from_gap(values, 1e-15, "A") == rank
 
 
@@ -127,11 +125,8 @@ def test_large_blocks_of_equations_are_refused():
 @pytest.mark.parametrize(("size", "clear"), [(2.0**-21, False), (2.0**-19, True)])
 def test_a_leading_coefficient_is_clear_above_its_threshold(size, clear):
     vector = np.array([[size, np.sqrt(1.0 - size**2)]])
-    if clear:
+    with nullcontext() if clear else refused(ValueError, "leading"):
         assert numerical_kernel._row_echelon_form(vector, 1e-14)[0] == [0]
-    else:
-        with refused(ValueError, "leading"):
-            numerical_kernel._row_echelon_form(vector, 1e-14)
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 100])

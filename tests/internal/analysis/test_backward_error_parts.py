@@ -62,48 +62,23 @@ def test_names_of_coefficients():
     assert names_of(small) == {(1, 0, 2): "c133", (0, 2, 0): "m2", (1, 1, 0): "m12", (0, 0, 1): "b3"}
 
 
-def remaining_of(system, generator, term, starts, count):
-    """Changes of H_p + sign {G, H} against those of H_p, each motion about its own mean."""
+@pytest.mark.parametrize("sign", [1, -1])
+def test_what_a_corrector_leaves_is_measured_along_all_motions(sign):
+    """Changes of H_p + sign {G, H} against those of H_p, each motion about its own mean; one is much faster."""
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.3], linear=[0.1, 0.0, 0.2]), sign=sign)
+    starts = np.array([[1.0, 0.2, 0.5], [0.1, -0.3, 0.2], [2.0, 4.0, -3.0]])
+    term = co.modified_hamiltonian(system, co.Splitting(), 2).error_term.term
+    better = co.make_corrector(system, co.Splitting(), starts)
+    degree = term.degree - 1
+    count = max(4 * sum((d + 1) * (d + 2) // 2 for d in range(1, degree + 1)) // 3, 64)
     before, after = [], []
     for x in starts:
-        points = short_motion(system, np.asarray(x, dtype=float), count)[0]
-        bracket = [
-            np.dot(g, system.structure_matrix(y) @ system.hamiltonian.gradient(y))
-            for y, g in zip(points, generator.gradient(points), strict=True)
-        ]
-        values = term(points)
-        before.append(values - values.mean())
-        rest = values + system.sign * np.array(bracket)
+        points = short_motion(system, x, count)[0]
+        flow = [system.structure_matrix(y) @ system.hamiltonian.gradient(y) for y in points]
+        rest = term(points) + sign * np.sum(better.generator.gradient(points) * flow, axis=1)
+        before.append(term(points) - term(points).mean())
         after.append(rest - rest.mean())
-    return np.max(np.abs(np.concatenate(after))) / np.max(np.abs(np.concatenate(before)))
-
-
-@pytest.mark.thinned(4)
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("order", [2, 4])
-def test_what_a_corrector_leaves_is_measured_along_all_motions(sign, order):
-    """Among motions of which one is twenty times as fast; in any order they make one corrector."""
-    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.3], linear=[0.1, 0.0, 0.2]), sign=sign)
-    method = co.Splitting(order=order)
-    starts = np.array([[1.0, 0.2, 0.5], [0.1, -0.3, 0.2], [2.0, 4.0, -3.0]])
-    term = co.modified_hamiltonian(system, method, order).error_term.term
-    found = []
-    for places in ([0, 1, 2], [2, 0, 1], [1, 2, 0]):
-        better = co.make_corrector(system, method, starts[places])
-        degree = term.degree - 2 + 1
-        monomials = sum((d + 1) * (d + 2) // 2 for d in range(1, degree + 1))
-        count = max(4 * monomials // 3, 64)
-        expected = remaining_of(system, better.generator, term, starts[places], count)
-        # Sums of products of a thousand terms, in another order.
-        assert better.remaining == pytest.approx(expected, rel=1e-6) and better.order == order
-        found.append(better)
-    x = starts[1]
-    moved = [better(x, 0.1) - x for better in found]
-    size = np.max(np.abs(moved[0]))
-    assert size > 1e-11
-    # Directions of the fit that hardly change the energy are found to some digits only.
-    assert np.max(np.abs(np.array(moved) - moved[0])) < 1e-3 * size
-    assert found[1].remaining == pytest.approx(found[0].remaining, rel=1e-3)
+    assert better.remaining == pytest.approx(np.max(np.abs(after)) / np.max(np.abs(before)), rel=1e-6)
 
 
 def heisenberg():
@@ -111,16 +86,6 @@ def heisenberg():
     x1, x2, x3 = ring.coordinates
     J = [[ring.bracket(a, b) for b in ring.coordinates] for a in ring.coordinates]
     return ring, J, (x1, x2, x3)
-
-
-def test_a_derivation_is_poisson_without_a_hamiltonian():
-    ring, J, (x1, x2, x3) = heisenberg()
-    scaling = [2 * x1, x2, x3]  # [e2, e3] = e1 scales with it, and so does the Casimir x1
-    assert bracket_change(ring, J, scaling) == 0.0
-    assert hamiltonian_of(ring, J, scaling) is None
-    assert bracket_change(ring, J, [x1, x2, x3]) == 1.0
-    turned = [0 * x1, x3, x2]
-    assert bracket_change(ring, J, turned) == 0.0 and hamiltonian_of(ring, J, turned) is None
 
 
 def test_a_hamiltonian_of_several_degrees_is_found():

@@ -11,19 +11,13 @@ from coadjoint.analysis.checks import attitude, invariants, poisson, subject, sy
 from coadjoint.analysis.checks.convergence import allowed_error
 from coadjoint.analysis.checks.invariants import size_of
 from coadjoint.analysis.checks.reference import motion, natural_time
-from coadjoint.analysis.checks.study import LARGE_ERROR, study
 from coadjoint.analysis.checks.subject import Subject
-from coadjoint.analysis.fits import slope_of_defects
 from rounding import UNIT_ROUNDOFF as U
 
 Properties = co.methods.Properties
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 X0 = np.array([0.3, 1.0, 0.2])
 RNG = np.random.default_rng(7)
-
-
-def euler(x, h):
-    return x + h * BODY.vector_field(x)
 
 
 @pytest.mark.parametrize(("speed", "rests"), [(32 * U, True), (128 * U, False)])
@@ -72,22 +66,6 @@ def test_the_element_of_a_growing_motion_is_seen_over_fewer_steps():
     assert condition == pytest.approx(np.max(values[..., 0] / values[..., -1]))
     longer = subject.run(subject.states, 0.25, 2 * run.stats.steps, attitude="coadjoint").attitude
     assert np.max(np.linalg.cond(longer)) > attitude.MAX_CONDITION
-
-
-@pytest.mark.parametrize("largest", [0.4, -0.4])
-def test_the_slope_of_defects_is_over_steps_of_one_sign(largest):
-    asked = []
-
-    def look(h):
-        asked.append(h)
-        if len(asked) == 2:
-            raise ValueError("no step of this length")
-        return abs(h) ** 3 * 2.0, 1e-16
-
-    found = slope_of_defects(largest, 6, look)
-    np.testing.assert_allclose(asked, largest / 2.0 ** (np.arange(6) / 2), rtol=1e-14)
-    np.testing.assert_allclose(found.steps, np.abs(np.delete(asked, 1)), rtol=1e-14)
-    assert found.value == pytest.approx(3.0, abs=1e-9) and np.all(found.errors == 2.0 * found.steps**3)
 
 
 def test_the_size_of_an_invariant_is_before_cancellation():
@@ -149,53 +127,6 @@ def test_the_natural_time_is_that_of_the_fastest_change():
     # Close to the axis the speed is small, the turn is not.
     for x in ([1.0, 0.0, 0.0], [1e-3, 0.0, 1.0]):
         assert natural_time(spinning, np.array(x)) == pytest.approx(0.25, rel=1e-3)
-
-
-@pytest.mark.thinned(12)
-@pytest.mark.parametrize("h", [0.1, -0.1, 1e-6, 5.0])
-@pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(2), co.Splitting(order=6)], ids=repr)
-def test_a_study_has_the_errors_of_its_runs(method, h):
-    sample = np.array([[0.3, 1.0, 0.2], [0.5, -0.4, 1.0], [-0.2, 0.1, 0.9], [1.0, 0.3, 0.2]])
-    found = study(subject_of(BODY, method, sample, h))
-    assert math.copysign(1.0, found.span) == math.copysign(1.0, h)
-    exact = np.array([BODY.exact(x, found.span) for x in sample])
-    size = np.linalg.norm(exact)
-    assert found.counts == sorted(set(found.counts)) and len(found.counts) >= 3
-    for count, step, end, error in zip(found.counts, found.steps, found.ends, found.errors, strict=True):
-        assert step == pytest.approx(abs(found.span) / count)
-        run = co.integrate(BODY, sample, (0.0, found.span), step, method, save_every=10**6, watch=False).x[-1]
-        np.testing.assert_allclose(end, run, rtol=0.0, atol=1e-13)
-        # Both references are accurate to some roundings.
-        assert error == pytest.approx(np.linalg.norm(run - exact) / size, rel=1e-3, abs=1e-14)
-    if found.given:
-        assert found.span == pytest.approx(found.given * h) and found.given in found.counts
-    else:
-        assert h == 1e-6
-    assert found.slope.value == pytest.approx(method.order, abs=0.3)
-    coarse_step = found.coarse_step(h)
-    assert coarse_step * h > 0.0 and abs(coarse_step) >= abs(h)
-    if coarse_step != h:
-        place = found.counts.index(round(found.span / coarse_step))
-        assert found.errors[place] < LARGE_ERROR / 5 and all(error >= LARGE_ERROR / 5 for error in found.errors[:place])
-
-
-@pytest.mark.parametrize("digits", [6, 9, None])
-@pytest.mark.parametrize("rough", [0, 1])
-def test_the_noise_of_a_step_is_that_of_the_rougher_state(digits, rough):
-    """Rounding to a multiple of 10^-d is uniform, with a deviation of 10^-d / sqrt(12) in each coordinate."""
-    states = np.array([[0.3, 1.0, 0.2], [0.5, -0.4, 3.0], [0.1, 0.2, 0.3], [0.7, 0.1, 0.2]])
-    marked = np.linalg.norm(states[rough])
-
-    def step(x, h):
-        after = x + h * BODY.vector_field(x)
-        return np.round(after, digits) if digits and abs(np.linalg.norm(x) - marked) < 1e-6 else after
-
-    noise = subject_of(BODY, step, states, 0.1).noise
-    if digits is None:
-        assert noise < 8 * 2.0**-53 * np.linalg.norm(states[1])
-    else:
-        # Neighbours are 1e-12 apart: all of them may be rounded to one number, or some up and some down.
-        assert noise <= 4.0 * math.sqrt(3.0) * 10.0**-digits
 
 
 @pytest.mark.parametrize("rough", [0, 1])
@@ -320,19 +251,6 @@ def test_the_long_run_has_as_many_steps_as_take_seconds(monkeypatch):
     with pytest.warns(co.LongWait, match="the long run of 5000 steps from 2 states takes about"):
         asked = co.certify(system, co.Splitting(), x0, 0.05, steps=5000)
     assert asked.subject["steps"] == 5000 and asked["run"].reason == ""
-
-
-def test_the_norm_of_a_tangent_by_directions():
-    """To a factor of 1.5: the norms of 4 columns of a matrix near the unit matrix, of 24 rows, are near each other."""
-    system = coupled(co.algebras.su(5))
-    x = RNG.normal(size=system.dim)
-    given = subject_of(system, co.Splitting(), x, 0.05, 1)
-    P = co.stepper(system, co.Splitting(), 0.05).tangent(x)
-    size = np.linalg.norm(P)
-    assert size / 1.5 < given.tangent_norm(x, 0.05) < 1.5 * size
-    exact = size * np.linalg.norm(np.linalg.inv(P))
-    assert exact / 2.25 < given._estimated_condition(x, 0.05) < 2.25 * exact
-    assert given.condition(x, 0.05) == given._condition(x, 0.05)
 
 
 @pytest.mark.long

@@ -15,39 +15,8 @@ from coadjoint.systems.lattices.neighbours import graph
 WINDOWS = ["hann", "boxcar", None, "blackmanharris", ("kaiser", 6.0)]
 
 
-def nearly_up(sites, members=2, size=1e-3, seed=1):
-    tilt = np.random.default_rng(seed).normal(scale=size, size=(members, sites, 2))
-    up = np.sqrt(1.0 - np.sum(tilt**2, axis=2, keepdims=True))
-    return np.concatenate([tilt, up], axis=2).reshape(members, -1)
-
-
 def run(lattice, x0, span=60.0, step=0.025, every=8):
     return co.integrate(lattice, x0, (0, span), step, method=co.SphericalMidpoint(), save_every=every)
-
-
-def waves(name, shape, **options):
-    """Return the structure factor of small deviations of all spins from the third axis."""
-    lattice = co.systems.spin_lattice(name, shape, periodic=True, **options)
-    return co.spectra.structure_factor(run(lattice, nearly_up(lattice.dim // 3)))
-
-
-def peaks(S):
-    """Transverse components; every frequency, positive and negative."""
-    return S.omega[np.argmax(S.components[:2].sum(axis=0), axis=1)]
-
-
-def test_two_bands_of_a_honeycomb():
-    """omega = J (3 +- |f|), f = sum over neighbours of exp(i q . r), at positions in space."""
-    S = waves("honeycomb", (6, 6), field=(0.0, 0.0, 0.2))
-    positions = lattice_positions("honeycomb", (6, 6))
-    _, edges = graph("honeycomb", (6, 6), False)
-    bonds = (positions[edges[:, 1]] - positions[edges[:, 0]]) * np.where(edges[:, :1] % 2, -1.0, 1.0)
-    bonds = np.unique(bonds.round(9), axis=0)
-    assert len(bonds) == 3 and np.allclose(np.linalg.norm(bonds, axis=1), 1.0)
-    f = np.exp(1j * S.q @ reciprocal_edges("honeycomb") @ bonds.T).sum(axis=1)
-    bands = 0.2 + 3.0 + np.multiply.outer(np.abs(f), (-1.0, 1.0))
-    distance = np.abs(np.abs(peaks(S))[:, None] - bands).min(axis=1)
-    assert np.all(distance < 0.6 * (S.omega[1] - S.omega[0]))
 
 
 @pytest.mark.parametrize("name", CELL_GEOMETRY)

@@ -37,15 +37,6 @@ def rank(polynomials):
     return matrix.rank()
 
 
-def assert_same_span(found, known, max_degree=4):
-    """In each degree both lists generate the same space; and no member of `found` is a combination of the others."""
-    for degree in range(1, max_degree + 1):
-        here, there = generated(list(found), degree), generated(list(known), degree)
-        assert rank(here) == rank(there) == rank(here + there), f"degree {degree}"
-        lower = generated([p for p in found if p.degree < degree], degree)
-        assert rank(here) == rank(lower) + sum(p.degree == degree for p in found)
-
-
 def assert_annihilated(g, polynomial):
     """J(x) grad C(x) = 0 exactly, as polynomials, every derivation written out."""
     total = [{} for _ in range(g.dim)]
@@ -106,17 +97,3 @@ def _at(polynomial, x):
             term = term * pow(value, power, PRIME) % PRIME if power else term
         total += term
     return total % PRIME
-
-
-def substituted(polynomial, q):
-    """C(q x')."""
-    n = polynomial.dim
-    x, zero = [co.Polynomial.variable(j, n) for j in range(n)], co.Polynomial({}, dim=n)
-    lines = [sum((x[j] * q[i, j] for j in range(n) if q[i, j]), start=zero) for i in range(n)]
-    total = zero
-    for exponents, value in polynomial.monomials.items():
-        term = co.Polynomial({(0,) * n: value})
-        for line, power in zip(lines, exponents, strict=True):
-            term = term * line**power
-        total = total + term
-    return total

@@ -4,9 +4,8 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from lie_algebras import constants_of, known_casimirs
+from scipy.linalg import block_diag
 
 import coadjoint as co
 from refusals import refused
@@ -36,31 +35,21 @@ def assert_casimirs(g):
 
 def test_direct_sum():
     parts = [so(3), get("A4,6", a=2, b=0.5), heisenberg(1)]
-    g = direct_sum(*parts)
+    g, x = direct_sum(*parts), rational(np.random.default_rng(7), 10)
     assert (g.dim, g.name) == (10, "so(3) + A4_6(a=2, b=0.5) + heisenberg(1)")
     assert g.basis[:4] == ("e1[1]", "e2[1]", "e3[1]", "e1[2]") and g.basis[-1] == "z[3]"
     assert direct_sum(so(3), heisenberg(1)).basis == ("e1", "e2", "e3", "q1", "p1", "z")
-    x = rational(np.random.default_rng(7), 10)
-    structure = np.zeros((10, 10), dtype=object)
-    representation = np.zeros((10, 10, 10))
-    begin = place = 0
-    for part in parts:
-        end, stop = begin + part.dim, place + part.representation.shape[1]
-        structure[begin:end, begin:end] = part.structure_matrix(x[begin:end])
-        representation[begin:end, place:stop, place:stop] = part.representation
-        begin, place = end, stop
-    assert np.array_equal(g.structure_matrix(x), structure)
-    assert np.array_equal(g.representation, representation)
-    assert list(known_casimirs(g)) == [
-        "|x|^2 [1]",
-        "log|x2^2 + x3^2| - 2*b*atan2(x3, x2) [2]",
-        "log|x1| - a*atan2(x3, x2) [2]",
-        "z [3]",
-    ]
+    pieces = np.split(x, [3, 7])
+    J = block_diag(*(part.structure_matrix(piece) for part, piece in zip(parts, pieces, strict=True)))
+    assert np.array_equal(g.structure_matrix(x), J)
+    actions = [part.representation for part in parts]
+    for k, (m, i) in enumerate((m, i) for m, part in enumerate(parts) for i in range(part.dim)):
+        wanted = block_diag(*(rho[i] if n == m else 0.0 * rho[0] for n, rho in enumerate(actions)))
+        assert np.array_equal(g.representation[k], wanted)
+    names = [f"{name} [{m + 1}]" for m, part in enumerate(parts) for name in known_casimirs(part)]
+    assert list(known_casimirs(g)) == names and len(names) == 4
     assert_casimirs(g)
-    angle, alone = (
-        known_casimirs(a)[key] for a, key in ((g, list(known_casimirs(g))[2]), (parts[1], "log|x1| - a*atan2(x3, x2)"))
-    )
+    angle, alone = known_casimirs(g)[names[2]], known_casimirs(parts[1])["log|x1| - a*atan2(x3, x2)"]
     point = np.linspace(0.5, 1.5, 10)
     assert angle(point) == alone(point[3:7]) and angle.period == alone.period
     assert direct_sum(so(3)) == so(3)
@@ -97,32 +86,6 @@ def test_semidirect():
     assert renamed == get("A4,10")
     nested = semidirect(so(3), np.zeros((3, 3, 3)), ideal=so(3))
     assert nested.basis[0] == "e1[1]" and nested == direct_sum(so(3), so(3))
-
-
-@pytest.mark.long
-@settings(deadline=None, max_examples=40)
-@given(st.lists(st.fractions(-3, 3, max_denominator=4), min_size=36, max_size=36), st.data())
-def test_change_of_basis(entries, data):
-    T = np.array(entries, dtype=object).reshape(6, 6) + 7 * np.eye(6, dtype=int)
-    g = data.draw(st.sampled_from([e(3), so(4), direct_sum(get("A3,5", a=0.5), so(3)), co.algebras.so(3, 1)]))
-    if any(float(abs(row).sum() - abs(row[i])) >= abs(row[i]) for i, row in enumerate(T)):
-        T = np.triu(T)  # invertible
-    new = change_of_basis(g, T)
-    u, v = rational(np.random.default_rng(9), 6), rational(np.random.default_rng(10), 6)
-    # (T^T u) are the old components of the element u
-    there, here = T.T @ new.bracket(u, v), g.bracket(T.T @ u, T.T @ v)
-    size = (np.abs(T).T @ (np.abs(u)[:, None] * np.abs(v) @ np.ones(6))).max() * max(1, np.abs(constants_of(new)).max())
-    assert np.abs(there - here).max() <= 64 * U * float(size)  # each constant is rounded once
-    x = rational(np.random.default_rng(11), 6)
-    for name, casimir in known_casimirs(g).items():
-        exact = isinstance(casimir, co.Polynomial)
-        y = x if exact else x.astype(float)
-        old = casimir.gradient(y)
-        moved = known_casimirs(new)[name].gradient(T @ y if exact else (T @ x).astype(float))
-        assert np.abs((T.T @ moved - old).astype(float)).max() <= 2**12 * U * (1 + float(np.abs(old).max())) * 7
-    mixed = np.tensordot(T.astype(float), g.representation, axes=1)
-    bound = 8 * U * np.tensordot(np.abs(T.astype(float)), np.abs(g.representation), axes=1)
-    assert (np.abs(new.representation - mixed) <= bound).all()
 
 
 def test_change_of_basis_is_exact_where_it_can_be():
@@ -178,11 +141,12 @@ def test_a_quotient_is_what_remains(place, mixed):
     owner = np.array([k // 3 for k in order])
     acting = np.array(whole.representation)
     acting[3 * place : 3 * place + 3] = 0.0
+    moved = change_of_basis(whole, np.eye(9)[order])
     g = co.LieAlgebra(
-        constants_of(change_of_basis(whole, np.eye(9)[order])),
+        constants_of(moved),
         basis=[f"{'abc'[k // 3]}{k % 3}" for k in order],
         representation=acting[order],
-        casimirs=known_casimirs(change_of_basis(whole, np.eye(9)[order])),
+        casimirs=known_casimirs(moved),
     )
     kept, gone = np.flatnonzero(owner != place), np.flatnonzero(owner == place)
     ideal = [g.basis[k] for k in gone]

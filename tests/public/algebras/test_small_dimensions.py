@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from classification import FORMS, rows
 from flint import fmpq, fmpq_mat
-from lie_algebras import constants_of, fractions, known_casimirs
+from lie_algebras import constants_of, known_casimirs
 
 import coadjoint as co
 from refusals import refused
@@ -199,9 +199,3 @@ def test_names_have_the_numbers_that_make_the_algebra(value):
         head, _, numbers = g.name.rstrip(")").partition("(")
         read = {key: float(text) for key, _, text in (part.partition("=") for part in numbers.split(", "))}
         assert head == name and list(read) == list(parameters) and co.algebras.get(head, **read) == g
-
-
-def test_fractions_stay_exact_in_casimirs():
-    x = fractions(np.random.default_rng(0), 4)
-    casimir = next(c for c in known_casimirs(co.algebras.get("A4,8")).values() if c.degree == 2)
-    assert casimir(x) == x[1] * x[2] - x[0] * x[3]

@@ -1,6 +1,7 @@
 """Structure constants: what is read, and what is refused."""
 
 import itertools
+from contextlib import nullcontext
 from fractions import Fraction
 
 import numpy as np
@@ -119,11 +120,8 @@ def test_the_jacobi_identity_holds_to_64_units_of_round_off(share, accepted):
     """Two matrices that act on a plane commute up to a difference of two products of one size."""
     first = np.array([[0.0, np.pi], [np.pi, 0.0]])
     second = first * [[1.0], [1.0 + 2.0 * share * 64 * U]]
-    if accepted:
+    with nullcontext() if accepted else refused(ValueError, "Jacobi"):
         assert acting(first, second).dim == 4
-    else:
-        with refused(ValueError, "Jacobi"):
-            acting(first, second)
 
 
 @pytest.mark.parametrize("place", range(0, 12, 3))
@@ -133,11 +131,8 @@ def test_every_constant_counts(place):
     right = spoiled(co.algebras.so(4), 2.0**-60)
     for part, accepted in ((right, True), (small, False)):
         rows = large + [(i + 6, j + 6, k + 6, c) for i, j, k, c in part]
-        if accepted:
+        with nullcontext() if accepted else refused(ValueError, "Jacobi", "e"):
             assert LieAlgebra(rows, dim=12).generic_rank() == 8
-        else:
-            with refused(ValueError, "Jacobi", "e"):
-                LieAlgebra(rows, dim=12)
 
 
 def test_many_copies_and_large_rotations_are_checked_sparsely():
@@ -233,10 +228,8 @@ def test_representations_are_checked(name):
         wrong.flat[flat] += 1e-3 * (1 + abs(wrong.flat[flat]))
         commutators = np.einsum("iab,jbc->ijac", wrong, wrong)
         defect = commutators - commutators.transpose(1, 0, 2, 3) - np.einsum("ijk,kab->ijab", c, wrong)
-        if np.abs(defect).max() > 1e-6:
-            with refused(ValueError, "representation", "commutator"):
-                LieAlgebra(c, representation=wrong)
-        else:
+        found = np.abs(defect).max() > 1e-6
+        with refused(ValueError, "representation", "commutator") if found else nullcontext():
             LieAlgebra(c, representation=wrong)
     twice = co.algebras.so(3).representation * [[[1.0]], [[1.0]], [[2.0]]]
     with refused(ValueError, "(e1, e2)", "(0, 1)", "1"):
@@ -293,19 +286,18 @@ def test_written_brackets_are_the_sums_of_their_terms(seed):
 def test_lines_of_brackets_with_a_basis_and_without():
     """The names are in order of appearance, or as they are given, with elements that no bracket has."""
     lines = ["[h, e] = 2 e", "[f, h] = 2 f", "[e, f] = h"]
+    pairs = {("h", "e"): {"e": 2.0}, ("h", "f"): {"f": -2.0}, ("e", "f"): {"h": 1.0}}
     assert LieAlgebra.from_brackets(lines).basis == ("h", "e", "f")
     for basis in (("h", "e", "f"), ("e", "f", "h"), ("z", "f", "h", "y", "e")):
         g = LieAlgebra.from_brackets(lines, basis=basis)
-        assert g == LieAlgebra.from_brackets(len(basis), lines, basis=basis) and g.basis == basis
         h, e, f = (np.eye(g.dim)[basis.index(name)] for name in "hef")
         for one, other, expected in ((h, e, 2 * e), (h, f, -2 * f), (e, f, h)):
             assert np.array_equal(g.bracket(one, other), expected)
-        pairs = {("h", "e"): {"e": 2.0}, ("h", "f"): {"f": -2.0}, ("e", "f"): {"h": 1.0}}
-        assert LieAlgebra.from_brackets(len(basis), pairs, basis=basis) == g
+        for form in (lines, pairs):
+            assert g == LieAlgebra.from_brackets(len(basis), form, basis=basis) and g.basis == basis
     for again in ("[h, e] = 2 e", "[e, h] = -2 e", "[e, h] = 0"):
-        for one, other in (([lines[0], again], again), ([again, lines[0]], lines[0])):
-            i, j = other.split("]")[0].strip("[").split(", ")
-            with refused(ValueError, f"{i} and {j}", "twice"):
+        for one in ([lines[0], again], [again, lines[0]]):
+            with refused(ValueError, "h", " and ", "e", "twice"):
                 LieAlgebra.from_brackets(one)
     with refused(ValueError, "h, e", "[f, h]"):
         LieAlgebra.from_brackets(lines, basis=("h", "e"))

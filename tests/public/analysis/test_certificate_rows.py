@@ -3,6 +3,7 @@
 import functools
 import json
 import math
+from contextlib import nullcontext
 
 import mpmath
 import numpy as np
@@ -62,8 +63,7 @@ def test_it_is_written_for_readers_and_for_machines():
     found = certified()
     text = str(found)
     assert max(map(len, text.splitlines())) <= 130
-    assert "passed: every declared property holds" in text and "64 u |P|^2 |J|" in text
-    assert "passed" in repr(found)
+    assert "passed: every declared property holds" in text and "64 u |P|^2 |J|" in text and "passed" in repr(found)
     read = json.loads(found.to_json())
     assert read == json.loads(json.dumps(found.to_mapping()))
     assert read["passed"] is True and read["schema"] == 1
@@ -73,6 +73,21 @@ def test_it_is_written_for_readers_and_for_machines():
     assert poisson["claimed"] and poisson["value"] <= poisson["bound"] and poisson["verdict"] == "holds"
 
 
+@pytest.mark.parametrize("h", [0.1, -0.1])
+def test_a_record_has_what_was_given_and_no_number_that_is_not_finite(h):
+    """Of a state at rest, of which nothing can be told."""
+    rest = co.certify(BODY, co.Splitting(), (1.0, 0.0, 0.0), h, steps=8)
+    assert rest["order"].verdict == rest["reference"].verdict == "not decidable here" and not rest.passed
+    assert "rests" in rest["order"].reason and "not decidable here" in str(rest).splitlines()[-1]
+    read = json.loads(rest.to_json(), parse_constant=lambda name: pytest.fail(name))
+    subject = read["subject"]
+    assert subject["given"] == [[1.0, 0.0, 0.0]] == subject["states"][:1]
+    assert subject["system"]["sign"] == BODY.sign and subject["system"]["dim"] == 3
+    assert (rest.subject["step"], rest.subject["steps"], read["passed"]) == (h, 8, False)
+    assert [(row["key"], row["verdict"]) for row in read["rows"]] == [(row.key, row.verdict) for row in rest.rows]
+    assert co.certify(BODY, co.Splitting(), (1.0, 0.0, 0.0), h, steps=8).to_json() == rest.to_json()
+
+
 def test_of_a_function_nothing_is_said():
     found = certified(euler)
     assert found.passed and not found.declares
@@ -80,14 +95,6 @@ def test_of_a_function_nothing_is_said():
     assert abs(found["order"].value - 1.0) < 0.05 and found["order"].declared == "nothing"
     assert found["energy"].verdict == "not kept, not declared"
     assert found["attitude"].verdict == "not applicable"
-
-
-def test_a_function_with_true_and_false_claims():
-    assert certified(euler, order=1, symmetric=False, properties=NOTHING).passed
-    assert [row.key for row in certified(euler, order=2).failures] == ["order"]
-    assert "order" in [row.key for row in certified(euler, order=256).failures]
-    assert [row.key for row in certified(euler, order=1, symmetric=True).failures] == ["symmetry"]
-    assert [row.key for row in certified(euler, order=1, properties=SPLIT).failures] == ["poisson", "casimir |x|^2"]
 
 
 @pytest.mark.long
@@ -102,22 +109,19 @@ def test_hamiltonians_that_depend_on_time_have_no_energy_row():
     assert found.passed, str(found)
     assert found["energy"].verdict == found["reversibility"].verdict == "not applicable"
 
-    def midpoint(x, t, h):
-        y = x
-        for _ in range(50):
-            y = x + h * system.vector_field((x + y) / 2, t + h / 2)
-        return y
+    def midpoint(place):
+        def step(x, t, h):
+            y = x
+            for _ in range(50):
+                y = x + h * system.vector_field((x + y) / 2, t + place * h)
+            return y
 
-    def at_the_start(x, t, h):
-        y = x
-        for _ in range(50):
-            y = x + h * system.vector_field((x + y) / 2, t)
-        return y
+        return step
 
-    quadratic = Properties(poisson=False, energy=False, casimirs="quadratic", attitude="none")
-    right = co.certify(system, midpoint, X0, 0.1, steps=20, order=2, symmetric=True, properties=quadratic)
+    said = {"order": 2, "symmetric": True}
+    said["properties"] = Properties(poisson=False, energy=False, casimirs="quadratic", attitude="none")
+    right, wrong = (co.certify(system, midpoint(place), X0, 0.1, steps=20, **said) for place in (0.5, 0.0))
     assert right.passed, str(right)
-    wrong = co.certify(system, at_the_start, X0, 0.1, steps=20, order=2, symmetric=True, properties=quadratic)
     assert {"order", "symmetry"} <= {row.key for row in wrong.failures}
 
 
@@ -131,28 +135,31 @@ def test_without_second_derivatives_the_step_itself_is_differentiated():
     assert found["poisson"].verdict == "not kept, not declared"
 
 
-def shear(x, h):
-    """The exact flow of x1^2/2 on so(3), the axis turned about: a Poisson map."""
-    c, s = np.cos(h * x[0]), np.sin(h * x[0])
-    return np.array([x[0], c * x[1] - s * x[2], s * x[1] + c * x[2]])
+TURN = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.0, 0.0]))
 
 
-def in_many_digits(x, h):
-    cosine, sine = (mpmath.cos, mpmath.sin) if isinstance(x[0], mpmath.mpf) else (math.cos, math.sin)
-    c, s = cosine(h * x[0]), sine(h * x[0])
-    return np.array([x[0], c * x[1] - s * x[2], s * x[1] + c * x[2]])
+def turning(broken=False):
+    """The exact flow of x1^2/2 on so(3), times 1 + h^4/10 where |x| > 1.2 if it is to be broken there."""
+
+    def step(x, h):
+        cosine, sine = (mpmath.cos, mpmath.sin) if isinstance(x[0], mpmath.mpf) else (np.cos, np.sin)
+        c, s = cosine(h * x[0]), sine(h * x[0])
+        factor = 1.0 + 0.1 * h**4 if broken and np.linalg.norm(np.real(x)) > 1.2 else 1.0
+        return np.array([x[0], c * x[1] - s * x[2], s * x[1] + c * x[2]]) * factor
+
+    return step
 
 
-def in_floats(x, h):
-    return shear(np.array([float(v) for v in x]), float(h))
+STEPS = {
+    "complex step": turning(),
+    "multiprecision": lambda x, h: turning()([v if isinstance(v, mpmath.mpf) else float(v) for v in x], h),
+    "differences": lambda x, h: turning()(np.array([float(v) for v in x]), float(h)),
+}
 
 
-@pytest.mark.parametrize(
-    ("step", "by"), [(shear, "complex step"), (in_many_digits, "multiprecision"), (in_floats, "differences")]
-)
-def test_the_tangent_of_a_function_is_as_exact_as_it_allows(step, by):
-    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.0, 0.0]))
-    found = co.certify(system, step, X0, 0.1, steps=20, order=8, symmetric=True, properties=SPLIT)
+@pytest.mark.parametrize("by", STEPS)
+def test_the_tangent_of_a_function_is_as_exact_as_it_allows(by):
+    found = co.certify(TURN, STEPS[by], X0, 0.1, steps=20, order=8, symmetric=True, properties=SPLIT)
     assert found.passed, str(found)
     assert f"tangent by {by}" in found["poisson"].measured
     exact = by != "differences"
@@ -177,16 +184,8 @@ def test_a_motion_that_leaves_float64_is_no_fault_of_the_scheme():
     assert "leave" in found["run"].reason or "independent code" in found["run"].reason
 
 
-def test_what_rests_cannot_be_told():
-    found = co.certify(BODY, co.Splitting(), (1.0, 0.0, 0.0), 0.1, steps=40)
-    assert found["order"].verdict == found["reference"].verdict == "not decidable here"
-    assert "rests" in found["order"].reason
-    assert not found.passed and "not decidable here" in str(found).splitlines()[-1]
-
-
 def test_an_exact_scheme_has_every_order():
-    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.0, 0.0]))
-    found = co.certify(system, co.Splitting(order=2), X0, 0.1, steps=40)
+    found = co.certify(TURN, co.Splitting(order=2), X0, 0.1, steps=40)
     assert found.passed, str(found)
     assert "no error above round-off" in found["order"].measured
 
@@ -241,29 +240,17 @@ def test_schemes_of_a_driven_system_are_symmetric(method, step):
     assert found["symmetry"].verdict == "holds"
 
 
-def turning(broken):
-    """The exact flow of x1^2/2 on so(3), times 1 + h^4/10 where |x| > 1.2 if it is to be broken there."""
-
-    def step(x, h):
-        c, s = np.cos(h * x[0]), np.sin(h * x[0])
-        factor = 1.0 + 0.1 * h**4 if broken and np.linalg.norm(np.real(x)) > 1.2 else 1.0
-        return np.array([x[0], c * x[1] - s * x[2], s * x[1] + c * x[2]]) * factor
-
-    return step
-
-
 @pytest.mark.thinned(6)
 @pytest.mark.parametrize("place", [0, 2, 4])
 @pytest.mark.parametrize("h", [0.1, -0.1])
 def test_a_defect_in_one_state_of_a_sample_fails_every_row(place, h):
-    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.0, 0.0]))
     sample = np.tile([0.6, 0.5, -0.4], (5, 1)) * np.linspace(0.5, 1.0, 5)[:, None]
     sample[place] = [0.9, -0.8, 0.7]
     options = {"steps": 16, "order": 2, "symmetric": True, "properties": EVERYTHING}
     rows = ["symmetry", "poisson", "energy", "casimir |x|^2"]
-    right = co.certify(system, turning(False), sample, h, **options)
+    right = co.certify(TURN, turning(), sample, h, **options)
     assert right.passed, str(right)
-    wrong = co.certify(system, turning(True), sample, h, **options)
+    wrong = co.certify(TURN, turning(True), sample, h, **options)
     assert set(rows) <= {row.key for row in wrong.failures}, str(wrong)
     # Its size is that of the one state: 2 h^4/10 |x| there and back.
     row = wrong["symmetry"]
@@ -274,21 +261,20 @@ def test_a_defect_in_one_state_of_a_sample_fails_every_row(place, h):
     assert np.argmax(deviations) == place and np.delete(deviations, place).max() < 1e-12
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("h", [0.1, -0.1])
 @pytest.mark.parametrize("at_the_given", [True, False])
 def test_a_defect_at_the_given_step_or_at_larger_ones_alone_fails(at_the_given, h):
     """An exact step still follows the motion at larger steps than the given one, where rows look as well."""
-    exact = turning(False)
+    exact = turning()
 
     def step(x, length):
         given = abs(abs(float(length)) - abs(h)) < 1e-9
         wrong = given if at_the_given else abs(float(length)) > 2.0 * abs(h)
         return exact(x, length) * (1.0 + 1e-7 if wrong else 1.0)
 
-    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.0, 0.0]))
     sample = np.outer([0.5, 1.0, 0.8, 0.7], [0.6, 0.5, -0.4])
-    found = co.certify(system, step, sample, h, steps=16, order=2, symmetric=True, properties=EVERYTHING)
+    found = co.certify(TURN, step, sample, h, steps=16, order=2, symmetric=True, properties=EVERYTHING)
     wanted = {"symmetry", "poisson", "energy", "casimir |x|^2"}
     assert wanted <= {row.key for row in found.failures}, str(found)
     lengths = [float(found[key].measured.split("at the step ")[1].split(",")[0]) for key in ("symmetry", "poisson")]
@@ -325,78 +311,36 @@ def test_growth_depends_on_the_time_since_the_start(t0, direction):
     assert growth(t0 + direction * since[:3], deviations[:3]).kind == "undetermined"
 
 
-@pytest.mark.parametrize("size", [1e-80, 1e80])
-def test_states_of_sizes_whose_products_leave_float64_are_refused(size):
-    with refused(ValueError, "choose units"):
-        co.certify(BODY, co.Splitting(), [X0, -size * X0], 0.1) if size > 1 else co.certify(
-            BODY, co.Splitting(), size * X0, 0.1
-        )
-    assert co.certify(BODY, co.Splitting(), [X0, 0.0 * X0], 0.1, steps=4)["poisson"].verdict == "holds"
-
-
-ALGEBRAS = {
-    "so(3)": co.algebras.so(3),
-    "sl(2)": co.algebras.sl(2),
-    "e(2)": co.algebras.e(2),
-    "so(4)": co.algebras.so(4),
-    "Heisenberg": co.algebras.heisenberg(1),
-}
 UNITS = [(2.0**30, 2.0**-10), (2.0**-30, 2.0**10)]
 """Units of momentum and time; powers of two round nothing."""
 
 
 @functools.cache
-def drawn(name):
-    """Return M, linear and four states."""
-    rng, n = np.random.default_rng(len(name)), ALGEBRAS[name].dim
-    M = rng.normal(size=(n, n))
-    return M @ M.T / n, rng.normal(size=n) / 4, rng.normal(size=(4, n)) / 2
-
-
-def in_units(name, momentum, time):
-    """Return the system of the energy (momentum/time) H(x/momentum)."""
-    M, linear, _ = drawn(name)
-    return co.LiePoissonSystem(ALGEBRAS[name], co.Quadratic(M / (momentum * time), linear=linear / time))
-
-
-def noisy(system):
-    """Return the midpoint rule with relative errors of 1e-8 by the last bits of each coordinate."""
-
-    def step(x, h):
-        after = x + h * system.vector_field(x + h / 2 * system.vector_field(x))
-        return after * (1.0 + 1e-8 * (np.frexp(after)[0] * 2.0**45 % 1.0))
-
-    return step
-
-
-METHODS = {
-    "Splitting": lambda system: co.Splitting(parts="coordinates"),
-    "GaussLegendre": lambda system: co.GaussLegendre(2),
-    "noisy": noisy,
-}
-
-
 def rows_of(name, method, momentum, time):
-    system = in_units(name, momentum, time)
+    """Rows of the energy (momentum/time) H(x/momentum), of a midpoint rule with relative errors of 1e-8 as well."""
+    algebra = co.algebras.get(name)
+    rng, n = np.random.default_rng(len(name)), algebra.dim
+    M, linear, states = rng.normal(size=(n, n)), rng.normal(size=n) / 4, rng.normal(size=(4, n)) / 2
+    system = co.LiePoissonSystem(algebra, co.Quadratic(M @ M.T / (n * momentum * time), linear=linear / time))
+
+    def noisy(x, h):
+        after = x + h * system.vector_field(x + h / 2 * system.vector_field(x))
+        return after * (1.0 + 1e-8 * (np.frexp(after)[0] * 2.0**45 % 1.0))  # by the last bits of each coordinate
+
     said = {"order": 2, "properties": EVERYTHING, "symmetric": False} if method == "noisy" else {}
-    found = co.certify(system, METHODS[method](system), momentum * drawn(name)[2], time / 8, steps=4, **said)
+    scheme = {"Splitting": co.Splitting(parts="coordinates"), "Gauss": co.GaussLegendre(2), "noisy": noisy}[method]
+    found = co.certify(system, scheme, momentum * states, time / 8, steps=4, **said)
     return {row.key: row for row in found.rows}
 
 
-@functools.cache
-def plain_rows(name, method):
-    return rows_of(name, method, 1.0, 1.0)
-
-
-@pytest.mark.thinned(45)
+@pytest.mark.thinned(30)
 @pytest.mark.parametrize("units", UNITS, ids=["large", "small"])
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("name", ALGEBRAS)
+@pytest.mark.parametrize("method", ["Splitting", "Gauss", "noisy"])
+@pytest.mark.parametrize("name", ["so(3)", "sl(2)", "e(2)", "so(4)", "heisenberg(1)"])
 def test_units_change_no_verdict_and_scale_every_bound(name, method, units):
     """Elements and relative errors have no unit, invariants neither."""
-    momentum = units[0]
-    scaled, plain = rows_of(name, method, *units), plain_rows(name, method)
-    unit = dict.fromkeys(("symmetry", "reversibility", "poisson", "spatial momentum"), momentum)
+    scaled, plain = rows_of(name, method, *units), rows_of(name, method, 1.0, 1.0)
+    unit = dict.fromkeys(("symmetry", "reversibility", "poisson", "spatial momentum"), units[0])
     assert scaled.keys() == plain.keys() and {*unit} - {"spatial momentum"} <= plain.keys()
     for key, row in plain.items():
         assert scaled[key].verdict == row.verdict, f"{row}\n{scaled[key]}"
@@ -434,11 +378,6 @@ def test_wrong_input_is_refused(options, named):
         co.certify(given.pop("system"), given.pop("method"), given.pop("x0"), given.pop("step"), **given)
 
 
-class Stepping:
-    def __call__(self, x, h):
-        return x + h * BODY.vector_field(x)
-
-
 @pytest.mark.parametrize(
     "function",
     [
@@ -447,7 +386,6 @@ class Stepping:
         lambda x, h, tolerance=1e-9: x + h * BODY.vector_field(x),
         lambda x, t, h, tolerance=1e-9: x + h * BODY.vector_field(x),
         functools.partial(lambda rate, x, h: x + rate * h * BODY.vector_field(x), 1.0),
-        Stepping(),
     ],
 )
 def test_a_function_of_three_needed_arguments_takes_the_time(function):
@@ -458,21 +396,6 @@ def test_a_function_of_three_needed_arguments_takes_the_time(function):
 def test_schemes_with_steps_of_their_own_declare_no_order_of_the_step():
     assert co.certify(BODY, co.Taylor(tolerance=1e-9), X0, 0.5, steps=8)["order"].declared != "12"
     assert "12" in co.certify(BODY, co.Taylor(12), X0, 0.5, steps=8)["order"].declared
-
-
-@pytest.mark.parametrize("h", [0.1, -0.1])
-def test_a_record_has_what_was_given_and_no_number_that_is_not_finite(h):
-    rest = co.certify(BODY, co.Splitting(), (1.0, 0.0, 0.0), h, steps=8)
-    read = json.loads(rest.to_json(), parse_constant=lambda name: pytest.fail(name))
-    subject = read["subject"]
-    assert subject["given"] == [[1.0, 0.0, 0.0]] == subject["states"][:1]
-    assert subject["system"]["sign"] == BODY.sign and subject["system"]["dim"] == 3
-    assert read["passed"] == rest.passed is False
-    assert [row["key"] for row in read["rows"]] == [row.key for row in rest.rows]
-    assert all(row["verdict"] == rest[row["key"]].verdict for row in read["rows"])
-    assert (rest.subject["step"], rest.subject["steps"]) == (h, 8)
-    twice = co.certify(BODY, co.Splitting(), (1.0, 0.0, 0.0), h, steps=8)
-    assert twice.to_json() == rest.to_json()
 
 
 # Thresholds
@@ -536,8 +459,7 @@ def test_a_closed_form_agrees_with_the_field_to_its_threshold(off, agrees):
 
 @pytest.mark.parametrize(("size", "accepted"), [(2e-75, True), (0.5e75, True), (0.5e-75, False), (2e75, False)])
 def test_states_have_sizes_whose_products_fit(size, accepted):
-    if accepted:
-        co.certify(TURNING, co.GaussLegendre(1), (size, 0, 0), 0.1, steps=1)
-    else:
-        with refused(ValueError, "units"):
-            co.certify(TURNING, co.GaussLegendre(1), (size, 0, 0), 0.1, steps=1)
+    """The largest one counts."""
+    for states in ((size, 0, 0), [(0, 0, 0), (size, 0, 0)]):
+        with nullcontext() if accepted else refused(ValueError, "choose units"):
+            co.certify(TURNING, co.GaussLegendre(1), states, 0.1, steps=1)

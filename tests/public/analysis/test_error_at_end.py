@@ -68,7 +68,7 @@ def test_truncation_is_told_to_a_few_percent(accuracy, method, span):
     sol = co.integrate(BODY, X0, span, accuracy=accuracy, method=method, save_every=7)
     error = np.linalg.norm(sol.x[-1] - BODY.exact(X0, span[1] - span[0])) / np.linalg.norm(X0)
     assert sol.error_estimate() == pytest.approx(error, rel=0.1)
-    assert sol.error_estimate() <= accuracy
+    assert sol.error_estimate() <= accuracy and 0.25 * error < sol.choice.error < 4.0 * error
 
 
 @pytest.mark.parametrize("time", [20.0, -20.0])
@@ -82,17 +82,6 @@ def test_relative_to_the_largest_momentum_on_the_way(time):
     error = abs(sol.x[-1, 1] - np.exp(-time)) / max(1.0, np.exp(-time))
     assert sol.error_estimate() == pytest.approx(max(error, UNIT_ROUNDOFF), rel=0.1)
     assert np.ptp(sol.x) > 0.99
-
-
-def test_members_are_told_apart_and_do_not_feel_each_other():
-    states = np.random.default_rng(3).normal(size=(6, 3))
-    sol = co.integrate(BODY, states, (0, 60), accuracy=1e-7, threads=2)
-    errors = np.array(
-        [np.linalg.norm(sol.x[-1, k] - BODY.exact(x, 60.0)) / np.linalg.norm(x) for k, x in enumerate(states)]
-    )
-    assert sol.error_estimate().shape == (6,)
-    level = np.maximum(errors, sol.choice.roundoff)
-    assert np.all(errors / 10 <= sol.error_estimate()) and np.all(sol.error_estimate() <= 10 * level)
 
 
 def test_of_driven_systems_at_their_own_times():

@@ -107,17 +107,6 @@ def test_states_of_a_heavy_top():
     np.testing.assert_allclose(found.values["x0"], x0, atol=1e-10)
     np.testing.assert_array_equal(found.solution.t, times)
     np.testing.assert_allclose(found.solution.x, exact, atol=1e-9)
-    step, columns = 1e-5, []
-    for e in np.eye(6):
-        ends = []
-        for sign in (1, -1):
-            system = co.systems.heavy_top(lever=lever + sign * step * e[:3])
-            start = x0 + sign * step * np.concatenate([e[3:], np.zeros(3)])
-            ends.append(co.integrate(system, start, span, 0.05, co.GaussLegendre(2), t_eval=times).x / deviations)
-        columns.append((ends[0] - ends[1]).ravel() / (2 * step))
-    J = np.transpose(columns)
-    expected = np.linalg.inv(J.T @ J)
-    np.testing.assert_allclose(found.covariance, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("algebra", [co.algebras.so(4), co.algebras.get("A5,40")], ids=["so(4)", "A5,40"])
@@ -215,35 +204,19 @@ def test_symmetric_matrices_are_fitted_by_their_upper_triangles(algebra, casimir
     assert len(found.standard_deviation("M")) == len(chosen)
 
 
-def test_a_full_inertia_is_fitted_to_attitudes():
-    """Six unknowns with a known momentum, of a matrix that must be symmetric; a common factor needs the momentum."""
-    turned = Rotation.from_rotvec([0.1, 0.3, -0.2]).as_matrix()
-    true = turned @ np.diag(INERTIA) @ turned.T
-    true = (true + true.T) / 2
-    ready = [
-        co.prepare(co.systems.rigid_body(inertia=one), SCHEME, step=0.05, attitude=True) for one in (true, true * 1.02)
-    ]
-    measured = {"attitude": ready[0].run(X0, (0, 5), 5, attitude=A0).attitude}
-    found = co.fit(ready[1], X0, (0, 5), measured, {"inertia": True}, 5, sigma={"attitude": SIGMA}, attitude=A0)
-    assert found.unknowns == tuple(("inertia", k) for k in (0, 1, 2, 4, 5, 8))
-    np.testing.assert_allclose(found.values["inertia"], true, rtol=1e-8)
-    with refused(ValueError, "entries of inertia and x0; omit"):
-        co.fit(ready[1], X0, (0, 5), measured, {"inertia": True, "x0": True}, 5, sigma={"attitude": SIGMA}, attitude=A0)
-
-
 GOOD = {"attitude": np.zeros((41, 3, 3))}
 
 
 @pytest.mark.thinned(1)
 @pytest.mark.parametrize(
-    "changed, error, why",
+    "changed, error, named",
     [
         ({"unknown": {"mass": True}}, ValueError, "mass"),
         ({"unknown": {"inertia": (3,)}}, ValueError, "inertia"),
         ({"unknown": {}}, TypeError, "unknown"),
-        ({"x0": np.ones((2, 4))}, ValueError, r"it must be \(3,\) or \(members, 3\)"),
-        ({"x0": np.ones((2, 3))}, ValueError, r"it must be \(41, 2, 3, 3\)"),
-        ({"x0": np.ones((2, 3)), "attitude": np.ones((3, 3, 3))}, ValueError, r"attitude has the shape \(3, 3, 3\)"),
+        ({"x0": np.ones((2, 4))}, ValueError, "it must be (3,) or (members, 3)"),
+        ({"x0": np.ones((2, 3))}, ValueError, "(41, 2, 3, 3)"),
+        ({"x0": np.ones((2, 3)), "attitude": np.ones((3, 3, 3))}, ValueError, "attitude has the shape (3, 3, 3)"),
         ({"measured": {"energy": np.zeros(41)}}, ValueError, "energy"),
         ({"measured": {"attitude": np.zeros((40, 3, 3))}}, ValueError, "shape"),
         ({"measured": {"attitude": np.full((41, 3, 3), np.nan)}}, ValueError, "finite"),
@@ -251,17 +224,18 @@ GOOD = {"attitude": np.zeros((41, 3, 3))}
         ({"sigma": {"x": 1.0}}, ValueError, "sigma"),
         ({"sigma": {"attitude": 0.0}}, ValueError, "positive"),
         ({"sigma": {"attitude": np.ones(7)}}, ValueError, "broadcast"),
-        ({"unknown": {"inertia": True, "x0": True}}, ValueError, r"inertia and x0; omit, for instance, \w+\[\d\]$"),
+        ({"unknown": {"inertia": True, "x0": True}}, ValueError, "inertia and x0; omit"),
         ({"t_span": (0.0, 0.0)}, ValueError, "shape"),
+        ({"unknown": {"x0": np.broadcast_to(0, (10**7, 10**6))}}, ValueError, f"{10**13} numbers of entries of x0"),
     ],
 )
-def test_refused_arguments(changed, error, why):
+def test_refused_arguments(changed, error, named):
     """Momentum and inertia have a common scale, which attitudes do not determine."""
     arguments = {
         "ready": body(), "x0": X0, "t_span": SPAN, "measured": GOOD, "unknown": {"x0": True}, "save_every": EVERY,
         "sigma": {"attitude": SIGMA},
     }  # fmt: skip
-    with pytest.raises(error, match=why):
+    with refused(error, named):
         co.fit(**(arguments | changed))
 
 
@@ -274,15 +248,6 @@ def test_fewer_measurements_than_unknowns_are_refused():
     end = ready.run(np.ones(6), (0, 1)).x[-1:]
     found = co.fit(ready, 1.01 * np.ones(6), (0, 1), {"x": end}, {"x0": True}, t_eval=[1.0], sigma=sigma)
     np.testing.assert_allclose(found.values["x0"], np.ones(6), rtol=1e-10)
-
-
-def test_more_numbers_than_entries_are_refused_before_they_are_listed():
-    body = co.systems.rigid_body((1.0, 2.0, 3.0))
-    ready, x0 = co.prepare(body, co.Splitting(order=2), 0.1), (1.0, 0.2, 0.1)
-    measured = {"x": ready.run(x0, (0, 1)).x}
-    numbers = np.broadcast_to(0, (10**7, 10**6))
-    with pytest.raises(ValueError, match=f"unknown gives {10**13} numbers of entries of x0, which has 3"):
-        co.fit(ready, x0, (0, 1), measured, {"x0": numbers}, sigma={"x": 0.1})
 
 
 @pytest.mark.filterwarnings("ignore:inertia:UserWarning")

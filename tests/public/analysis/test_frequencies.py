@@ -148,27 +148,6 @@ def body_period(m: np.ndarray, x0: np.ndarray):
     return float(4.0 * ellipk(k2) / rate)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_bodies_against_elliptic_integrals(seed: int):
-    rng = np.random.default_rng(seed)
-    inertia = np.sort(rng.uniform(1.0, 1.9, 3))
-    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    M = turn @ np.diag(1.0 / inertia) @ turn.T
-    body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M), sign=-1 if seed % 2 else 1)
-    x0 = rng.normal(size=3)
-    w = 2 * np.pi / body_period(1.0 / inertia, turn.T @ x0)
-    t = np.linspace(0.0, 60.3 * 2 * np.pi / w, 4000)
-    known = co.systems.rigid_body(inertia=tuple(inertia)).exact(turn.T @ x0, -body.sign * t) @ turn.T
-    found = co.frequencies(t, known, count=3)
-    multiple = np.round(found.frequency / w)
-    # Ten digits are asked for; the closed form itself is right to some u w t.
-    assert np.all(np.abs(found.frequency / (multiple * w) - 1.0) < 1e-13)
-    run = co.integrate(
-        body, x0, (0.0, 60 * 2 * np.pi / w), 60 * 2 * np.pi / w / 6000, co.GaussLegendre(6), save_every=2
-    )
-    assert co.frequencies(run, count=1).frequency[0] / w == pytest.approx(multiple[0], abs=1e-12)
-
-
 def test_attitude_has_two_frequencies():
     body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), np.array([1.0, 0.2, 0.5])
     run = co.integrate(body, x0, (0.0, 800.0), 0.1, co.GaussLegendre(6), attitude=True)
@@ -180,31 +159,21 @@ def test_attitude_has_two_frequencies():
     assert free.basis.shape == (2,) and np.all(free.found)
 
 
-def test_frequencies_of_a_chaotic_top_diffuse():
-    """A heavy top without symmetry, between hanging and standing, beside its calm motion near the hanging rest."""
-    masses = {(2, 0, 0, 0, 0, 0): 0.5, (0, 2, 0, 0, 0, 0): 0.35, (0, 0, 2, 0, 0, 0): 0.2}
-    weight = {(0, 0, 0, 1, 0, 0): 0.8, (0, 0, 0, 0, 1, 0): 0.3, (0, 0, 0, 0, 0, 1): 0.6}
-    top = co.LiePoissonSystem(co.algebras.e(3), co.Polynomial({**masses, **weight}), sign=-1)
-    down = -np.array([0.8, 0.3, 0.6]) / np.linalg.norm([0.8, 0.3, 0.6])
-    calm = np.concatenate([[1e-3, 2e-3, -1e-3], down])
-    wild = np.concatenate([[0.9, 1.1, 0.7], -down])
-    run = co.integrate(top, np.array([calm, wild]), (0.0, 2000.0), 0.05, co.Splitting(order=6), save_every=5)
-    found = co.frequencies(run, lambda x: x[..., :3], count=2)
-    relative = np.abs(found.diffusion / found.frequency)
-    assert relative[0, 0] < 1e-9 and relative[1, 0] > 1e-4
+def lines_at(w, uncertainty, real=True):
+    """Return lines of amplitude one."""
+    w = np.asarray(w)
+    return co.Frequencies(w, np.ones(len(w), complex), np.asarray(uncertainty), 0.0 * w, 0.0, 0.0, real)
 
 
 def test_combinations_stay_within_the_largest_integer():
-    found = co.Frequencies(np.array([5.0]), np.ones(1, complex), np.array([1e-9]), np.zeros(1), 0.0, 0.0, True)
+    found = lines_at([5.0], [1e-9])
     assert found.combinations([1.0], largest=5).integers.tolist() == [[5]]
     near = found.combinations([1.0], largest=4)
     assert (near.integers.tolist(), near.misfit.tolist(), near.found.tolist()) == ([[4]], [1.0], [False])
     # 5 is 5 + 0 and 1 + 2 * 2: the sum of the integers decides.
     assert found.combinations([1.0, 2.0], largest=5).integers.tolist() == [[1, 2]]
     # The uncertainty of a line that is chosen as basis counts as often as it occurs: 5 - 5 * 0.99 is 0.05.
-    pair = co.Frequencies(
-        np.array([0.99, 5.0]), np.ones(2, complex), np.array([3e-3, 0.0]), np.zeros(2), 0.0, 0.0, True
-    )
+    pair = lines_at([0.99, 5.0], [3e-3, 0.0])
     assert pair.combinations(largest=5).integers.tolist() == [[1], [5]]
     assert pair.combinations([0.99], largest=5).found.tolist() == [True, False]
 
@@ -229,7 +198,7 @@ def test_the_uncertainties_of_all_lines_of_a_combination_add_up(seed: int):
         w = np.concatenate([basis, integers @ basis + factor * side * slack])
         # A line of which nothing is known stands among the others, and is left out.
         w, uncertainty = (np.insert(row, len(basis), np.nan) for row in (w, np.concatenate([known, own])))
-        lines = co.Frequencies(w, np.ones(len(w), complex), uncertainty, 0.0 * w, 0.0, 0.0, True)
+        lines = lines_at(w, uncertainty)
         combined = lines.combinations(basis=None if found else basis, largest=3)
         assert np.array_equal(combined.basis, basis)
         # 343 combinations of numbers up to 20 are farther apart than 1e-7, except by a coincidence.
@@ -240,14 +209,14 @@ def test_the_uncertainties_of_all_lines_of_a_combination_add_up(seed: int):
     # Without a combination within the uncertainty, a line is a basic frequency of its own.
     extra = integers[:1] @ basis + 1.1 * side[:1] * slack[:1]
     w, uncertainty = np.concatenate([basis, extra]), np.concatenate([known, own[:1]])
-    lines = co.Frequencies(w, np.ones(len(w), complex), uncertainty, 0.0 * w, 0.0, 0.0, True)
+    lines = lines_at(w, uncertainty)
     assert np.array_equal(lines.combinations(largest=3).basis, w)
 
 
 def test_round_off_of_a_line_is_within_its_uncertainty():
     w = 4.5 + np.array([0, 2, -2, 3, -3]) * 8.0 * U  # neighbours; the uncertainty of 4 u w is 18 u
     for sign in (1, -1):
-        lines = co.Frequencies(sign * w, np.ones(5, complex), np.zeros(5), np.zeros(5), 0.0, 0.0, False)
+        lines = lines_at(sign * w, np.zeros(5), False)
         combined = lines.combinations([1.5])
         assert combined.integers.tolist() == [[3 * sign]] * 5 and combined.found.tolist() == [True] * 3 + [False] * 2
     t = np.arange(2000) * 0.3
@@ -257,7 +226,7 @@ def test_round_off_of_a_line_is_within_its_uncertainty():
 def test_basic_frequencies_are_chosen_wherever_they_stand():
     """3 is 3 times 1 within its large uncertainty, 5.25 is not within integers up to 4; the last is 2 * 5.25 - 1."""
     w, known = np.array([1.0, 3.01, 5.25, 9.5 + 3e-5]), np.array([1e-6, 3e-3, 4e-6, 0.0])
-    lines = co.Frequencies(w, np.ones(4, complex), known, 0.0 * w, 0.0, 0.0, True)
+    lines = lines_at(w, known)
     combined = lines.combinations(largest=4)
     assert combined.basis.tolist() == [1.0, 5.25] and combined.found.all()
     assert combined.integers.tolist() == [[1, 0], [3, 0], [0, 1], [-1, 2]]
@@ -274,26 +243,20 @@ def test_basic_frequencies_are_chosen_wherever_they_stand():
 
 def test_what_is_refused():
     t = np.arange(200) * 0.1
-    with refused(ValueError, "equidistant times"):
-        co.frequencies(t**2, t)
-    with refused(ValueError, "at least 64"):
-        co.frequencies(t[:20], t[:20])
-    with refused(ValueError, "signal[3] is nan"):
-        co.frequencies(t, np.where(np.arange(200) == 3, np.nan, 1.0))
-    with refused(ValueError, "at most 4 lines"):
-        co.frequencies(t, np.sin(t), count=20)
-    with refused(ValueError, "it must be"):
-        co.frequencies(t, np.sin(t[:50]))
-    with refused(TypeError, "samples as an array"):
-        co.frequencies(t)
-    body = co.systems.rigid_body(inertia=(1, 2, 3))
-    run = co.integrate(body, (1.0, 0.2, 0.5), (0.0, 30.0), 0.1)
-    with refused(ValueError, "attitude=True"):
-        co.frequencies(run, "attitude")
-    with refused(ValueError, "'energy'"):
-        co.frequencies(run, "enegy")
-    with refused(ValueError, "from 0 to 2"):
-        co.frequencies(run, 3)
+    run = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.5), (0.0, 30.0), 0.1)
+    for error, named, given in (
+        (ValueError, "equidistant", (t**2, t)),
+        (ValueError, "at least 64", (t[:20], t[:20])),
+        (ValueError, "signal[3] is nan", (t, np.where(np.arange(200) == 3, np.nan, 1.0))),
+        (ValueError, "at most 4 lines", (t, np.sin(t), 20)),
+        (ValueError, "it must be", (t, np.sin(t[:50]))),
+        (TypeError, "samples", (t,)),
+        (ValueError, "attitude=True", (run, "attitude")),
+        (ValueError, "'energy'", (run, "enegy")),
+        (ValueError, "from 0 to 2", (run, 3)),
+    ):
+        with refused(error, named):
+            co.frequencies(*given)
 
 
 @pytest.mark.parametrize("size", [1e-15, 1.0, 1e10 / 3])

@@ -67,34 +67,6 @@ def test_linear_hamiltonians(name, parameters, sign):
         assert abs(backward.sum + wanted.sum()) <= 1e-8
 
 
-def test_regular_motion_has_no_exponents():
-    """Neighbours of an integrable motion part linearly: four times the time, and log(4) more."""
-    found = co.lyapunov(BODY, (0.4, 1.0, 0.3), (0, 16384), 0.1, co.Splitting(order=4), save_every=128)
-    first, third = found.stretches[:, 0], found.stretches[:, 2]
-    late, early = (slice(len(first) // (4 * k) * 3, None if k == 1 else len(first) // k) for k in (1, 4))
-    assert abs(first[late].mean() - first[early].mean() - math.log(4)) < 0.1
-    assert abs(third[late].mean() - third[early].mean() + math.log(4)) < 0.1
-    assert np.max(np.abs(found.exponents)) < 2 * math.log(16384) / 16384
-    assert np.all(np.abs(found.exponents) <= 1e-12 + 3 * found.uncertainty)
-
-
-@pytest.fixture(scope="module")
-def chaos():
-    return co.lyapunov(heavy_top(), UPRIGHT, (0, 4000), 0.05, co.Splitting(order=4), transient=100)
-
-
-@pytest.mark.long
-def test_pairs_and_zeros_of_a_chaotic_top(chaos):
-    """On e(3): +L, -L, and zeros for two Casimirs, the energy and the flow, as far as log(t)/t lets them be."""
-    assert chaos.exponents[0] > 0.08 and chaos.by == "compiled"
-    assert np.all(np.abs(chaos.exponents[1:5]) < 2 * math.log(3900) / 3900)
-    assert chaos.pairing < 2 * math.log(3900) / 3900
-    assert abs(chaos.sum) < 1e-12
-    other = co.lyapunov(heavy_top(), UPRIGHT, (0, 8000), 0.05, co.Splitting(order=4), transient=4000, exponents=1)
-    assert abs(other.exponents[0] - chaos.exponents[0]) < 4 * (other.uncertainty[0] + chaos.uncertainty[0])
-    assert 0.0 < chaos.uncertainty[0] < 0.05 and np.isnan(other.pairing)
-
-
 def test_the_sum_is_the_mean_divergence():
     """A3,7 is not unimodular: volumes grow by the trace of the derivative of the field, averaged along the way."""
     system = co.systems.paper_a37(2.0, (1.0, 1.5, 0.3))
@@ -130,15 +102,6 @@ def test_same_bits_alone_in_an_ensemble_on_threads_and_in_pieces(method):
         np.testing.assert_array_equal(whole.history[:, member], alone.history)
     some = co.lyapunov(system, ensemble[:3], **given, save_every=20, exponents=2)
     assert some.stretches.tobytes() == np.ascontiguousarray(whole.stretches[:, :3, :2]).tobytes()
-
-
-def test_a_batch_has_the_bits_of_its_members():
-    bodies = co.batch([heavy_top(centre=(0.5, 0.25, c)) for c in np.linspace(0.5, 1.0, 5)])
-    for method in (co.Splitting(order=2), co.GaussLegendre(1)):
-        whole = co.lyapunov(bodies, UPRIGHT, (0, 10), 0.1, method, threads=2, transient=2.0)
-        for m, system in enumerate(bodies):
-            alone = co.lyapunov(system, UPRIGHT, (0, 10), 0.1, method, transient=2.0)
-            assert alone.stretches.tobytes() == bits(whole, m)
 
 
 def test_the_transient_is_taken_off():

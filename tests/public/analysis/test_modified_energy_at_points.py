@@ -10,9 +10,7 @@ import pytest
 import coadjoint as co
 from refusals import refused
 
-WAVE = (np.cos, lambda y: -np.sin(y), lambda y: -np.cos(y))
 WELL = (lambda y: 0.5 * y * y + 0.1 * y**4, lambda y: y + 0.4 * y**3, lambda y: 1 + 1.2 * y * y)
-SIX = [1.0, 0.5, -0.4, 0.7, -1.0, 0.3]
 
 
 def real_wave(y):
@@ -48,20 +46,6 @@ def test_a_polynomial_as_functions_is_the_polynomial(order, sign):
             assert of_functions(x, h) == pytest.approx(expected, rel=1e-9)
             assert order < 3 or method.order > 1 or not np.allclose(expected, plain.energy(x[0]))
         assert order < 3 or method.order > 1 or not np.allclose(of_plain(x, 0.5), of_plain(x, -0.5), rtol=1e-6)
-
-
-@pytest.mark.parametrize("order", [2, 4])
-def test_kept_on_so4(order):
-    kinds = {i: WELL if i in (0, 3) else WAVE for i in range(6)}
-    system = co.LiePoissonSystem(co.algebras.so(4), co.Separable(kinds), sign=-1)
-    kept = co.modified_hamiltonian(system, co.Splitting(parts="coordinates"), order)
-    defects = []
-    states = np.array([SIX, SIX[::-1]])
-    for h in (0.04, 0.02):
-        step = co.stepper(system, co.Splitting(parts="coordinates"), h)
-        after = np.array([step(x) for x in states])
-        defects.append(np.max(np.abs(kept(after, h) - kept(states, h))))
-    assert defects[0] > 1e-11 and math.log2(defects[0] / defects[1]) > order + 0.4
 
 
 @pytest.mark.long

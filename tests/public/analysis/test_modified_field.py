@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from fractions import Fraction
 
 import mpmath
@@ -16,37 +15,7 @@ from refusals import refused
 
 pytestmark = pytest.mark.thinned(3)
 
-NOTHING = co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
 C1 = 1 / (2 - 2 ** (1 / 3))
-
-
-@dataclasses.dataclass(frozen=True)
-class Tableau(co.methods.RungeKuttaMethod):
-    """Any tableau with scale = 1."""
-
-    a: tuple
-    b: tuple
-    order: int = 1
-    symmetric: bool = False
-
-    @property
-    def solver(self):
-        return "implicit" if np.any(np.triu(np.array(self.a, dtype=float))) else "explicit"
-
-    @property
-    def explicit(self):
-        return self.solver == "explicit"
-
-    def properties(self, system):
-        return NOTHING
-
-    def coefficients(self, number=float):
-        mix = np.array([[number(v) for v in row] for row in self.a])
-        return co.methods.Coefficients(mix.sum(axis=1), 0 * mix[0] + number(1), mix, np.array([*map(number, self.b)]))
-
-
-EULER = Tableau(((0,),), (1,))
-TRAPEZOID = Tableau(((0, 0), (0.5, 0.5)), (0.5, 0.5), order=2, symmetric=True)
 
 
 @pytest.mark.thinned(12)
@@ -65,18 +34,6 @@ def test_midpoint_rule_has_its_known_series(name: str, sign: int):
     ]
     for k in (1, 3):
         assert all(F.degree == 0 and not F.monomials for F in found.terms[k])
-
-
-@pytest.mark.parametrize("name", ["e(3)", "A3,7"])
-def test_tableaux_have_their_known_series(name: str):
-    """Explicit Euler: -f'f/2 and (f''(f, f) + 4 f'f'f)/12; trapezoidal rule: (f''(f, f) + f'f'f)/12."""
-    system = whole(name, -1, linear=True)
-    first, inner, bent = elementary(field_of(system))
-    euler, trapezoid = (co.modified_field(system, scheme, 3) for scheme in (EULER, TRAPEZOID))
-    assert list(euler.terms[1]) == [F * Fraction(-1, 2) for F in first]
-    assert list(euler.terms[2]) == [(b + a * 4) * Fraction(1, 12) for a, b in zip(inner, bent, strict=True)]
-    assert list(trapezoid.terms[2]) == [(b + a) * Fraction(1, 12) for a, b in zip(inner, bent, strict=True)]
-    assert (euler.first_error, trapezoid.first_error) == (1, 2)
 
 
 @pytest.mark.parametrize("freeze", ["structure", "gradient"])
@@ -122,14 +79,12 @@ def test_what_is_frozen_is_what_is_kept(name: str):
 
 
 def skew_systems():
-    """M full, with a linear term, singular, singular with a linear term along its kernel (a heavy top), and J(x)."""
+    """M full, with a linear term, singular with a linear term in and out of its range (a heavy top), and J(x)."""
     e3 = co.algebras.e(3)
     inertia = np.diag([1.0, 0.5, 0.25, 0.0, 0.0, 0.0])
     flat = inertia.copy()
     flat[0, 1] = flat[1, 0] = 0.25
-    turn = np.zeros((3, 3, 3))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        turn[i, j, k], turn[j, i, k] = 1.0, -1.0
+    turn = np.cross(np.eye(3)[:, None], np.eye(3))
     bent = np.array([[1.0, 0.25, 0.0], [0.25, 0.5, 0.125], [0.0, 0.125, 2.0]])  # J(x) v = v x grad(x.A x/2)
     spun = co.PoissonSystem(
         lambda x: turn @ (bent @ x), co.Quadratic([1.0, 0.5, 0.25]), -1, derivative=lambda x: turn @ bent
@@ -137,7 +92,6 @@ def skew_systems():
     return {
         **{f"{name} {sign:+d}": whole(name, sign) for name in ALGEBRAS if name != "moments" for sign in (1, -1)},
         "linear": whole("so(4)", -1, linear=True),
-        "singular": co.LiePoissonSystem(e3, co.Quadratic(flat), sign=-1),
         "heavy top": co.LiePoissonSystem(e3, co.Quadratic(inertia, linear=[0, 0, 0, 0.5, 0, 1]), sign=-1),
         "linear in range": co.LiePoissonSystem(e3, co.Quadratic(flat, linear=[0.5, 0.25, 1, 0, 0, 0])),
         "J(x)": spun,
@@ -204,8 +158,6 @@ SCHEMES = [
     co.Composition(co.Splitting(order=2), (C1, 1 - 2 * C1, C1)),
     co.Composition(co.GaussLegendre(1), (C1, 1 - 2 * C1, C1)),
     co.Taylor(2, projected=False),
-    EULER,
-    TRAPEZOID,
     co.Kahan(),
 ]
 
@@ -267,23 +219,6 @@ def test_a_step_is_the_flow_of_its_field(scheme, which: int):
     assert errors[2] < 10 * errors[0]
 
 
-SHORT = [s for s in SCHEMES if not isinstance(s, co.Composition) and s != co.Splitting(order=4)][::2]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("scheme", long_beyond(1, SHORT), ids=str)
-def test_the_two_ways_agree(scheme):
-    system = whole("e(3)", -1, seed=11, linear=True)
-    exact = co.modified_field(system, scheme, 4, way="exact")
-    points = co.modified_field(system, scheme, 4, way="numerical")
-    x = np.random.default_rng(4).normal(size=(2, 6))
-    a, b = exact.values(x), points.values(x)
-    # Polynomials in floats: some thousand products of size |x|^5.
-    np.testing.assert_allclose(a, b, rtol=0, atol=1e-11 * max(1.0, np.abs(a).max()))
-    assert points.first_error == exact.first_error
-    assert points.keeps("energy") == exact.keeps("energy")
-
-
 @pytest.mark.long
 def test_radau_on_the_energy_surface():
     system = whole("so(3)", -1)
@@ -332,23 +267,16 @@ def test_a_function_is_a_scheme():
 def test_a_step_that_branches_is_not_read_in_series():
     system = whole("so(3)")
 
-    def step(x, h):
+    def step(x, h, small=lambda change: all(abs(v) < 1e-300 for v in change)):
         end = x
         for _ in range(60):
-            new = x + h * system.vector_field((x + end) / 2)
-            if all(abs(v) < 1e-300 for v in (new - end)):
+            end, last = x + h * system.vector_field((x + end) / 2), end
+            if small(end - last):
                 break
-            end = new
         return end
 
     def stopped(x, h):  # the constant terms of corrections are zero from the first on
-        end = x
-        for _ in range(60):
-            new = x + h * system.vector_field((x + end) / 2)
-            if getattr(new[0] - end[0], "coefficients", [1])[0] == 0:
-                return new
-            end = new
-        return end
+        return step(x, h, lambda change: getattr(change[0], "coefficients", [1])[0] == 0)
 
     with refused(TypeError, "contradicts the step at a sample point", "a step that branches"):
         co.modified_field(system, stopped, 4, way="exact")
@@ -410,21 +338,14 @@ def test_what_cannot_be_served_is_refused(what):
         call()
 
 
-RATES = {
-    "so(3) +": lambda: whole("so(3)", 1, linear=True),
-    "so(3) -": lambda: whole("so(3)", -1, linear=True),
-    "A3,7 -": lambda: whole("A3,7", -1),
-}
-
-
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize(
-    ("name", "scheme"),
-    [("so(3) +", RUNGE), ("so(3) -", FROZEN), ("A3,7 -", RUNGE), ("A3,7 -", FROZEN)],
+    ("name", "sign", "scheme"),
+    [("so(3)", 1, RUNGE), ("so(3)", -1, FROZEN), ("A3,7", -1, RUNGE), ("A3,7", -1, FROZEN)],
 )
-def test_rates_of_change_are_those_of_steps(name, scheme):
+def test_rates_of_change_are_those_of_steps(name, sign, scheme):
     """A step changes F by h^(k + 1) r_k first; the mean over h and -h leaves out the next term."""
-    system = RATES[name]()
+    system = whole(name, sign, linear=name == "so(3)")
     found = co.modified_field(system, scheme, 4)
     x = np.array([0.5, -0.75, 0.625])
     own = co.Polynomial({(1, 1, 0): 1, (0, 0, 3): Fraction(-1, 2), (1, 0, 0): Fraction(1, 4)})

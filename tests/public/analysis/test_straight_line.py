@@ -60,12 +60,6 @@ def test_a_line_is_found_to_rounding():
     assert 0.0 < line.uncertainty < 1e-14
 
 
-def test_powers_have_their_exponents():
-    for power in (2.0, 3.0):
-        assert drift_of_series(T, T**power).exponent > 1.7
-    assert drift_of_series(T, T**2 + 50 * np.cos(3 * T)).exponent > 1.2, "an oscillation does not hide a parabola"
-
-
 def test_few_blocks_have_a_wider_spread():
     """Of 16 samples there are four blocks and no more: two degrees of freedom are lost to the line."""
     t = np.arange(16.0)

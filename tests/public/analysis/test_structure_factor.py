@@ -45,14 +45,6 @@ def test_spin_waves_of_a_chain(options, gap, bond):
     assert len(S.q) == 25 and S.q[-1, 0] == 1.0 and np.allclose(S.distance, 2 * np.pi * S.q[:, 0])
 
 
-def test_spin_waves_of_a_square_lattice_in_a_field():
-    S = waves("square", (8, 8), field=(0.0, 0.0, 0.5))
-    q = 2.0 * np.pi * S.q
-    omega = 0.5 + 2.0 * np.sum(1.0 - np.cos(q), axis=1)
-    assert np.all(np.abs(np.abs(peaks(S)) - omega) < 0.6 * (S.omega[1] - S.omega[0]))
-    assert S.corners.tolist() == [0, 4, 8, 12] and np.max(omega) == 8.5
-
-
 def test_waves_travel_along_q():
     """Dzyaloshinskii-Moriya coupling D along the spins: omega = B + 2 J (1 - cos q) + 2 D sin q, not even in q."""
     ring = co.systems.spin_lattice("chain", 16, periodic=True, dm=(0.0, 0.0, 0.3), field=(0.0, 0.0, 1.0))

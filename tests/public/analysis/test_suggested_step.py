@@ -60,32 +60,20 @@ def test_a_sample_takes_its_smallest_step():
         assert co.suggest_step(body, co.Splitting(), np.roll(states, first, axis=0), energy=1e-6) == min(alone)
 
 
-def test_a_tenth_of_a_thousandth_of_the_energy_is_a_tenth_of_the_step():
-    """Of order 2: the energy goes like h^2."""
-    top, x0 = systems()["top"], np.random.default_rng(4).standard_normal(6)
-    steps = [co.suggest_step(top, co.Splitting(), x0, energy=wanted) for wanted in (1e-6, 1e-8)]
-    assert steps[0] / steps[1] == pytest.approx(10.0, rel=1e-2)
-
-
 def test_energies_that_grow_are_refused():
-    body = systems()["body"]
-    for method in (co.ExplicitRungeKutta(), co.Kahan(), co.Projected(co.Splitting())):
-        if method.properties(body).energy:
-            assert co.suggest_step(body, method, (1, 2, 3), energy=1e-6) == pytest.approx(
-                time_of_a_radian(body, (1, 2, 3))
-            )
-            continue
-        with refused(ValueError, "preserves neither the bracket nor the energy"):
-            co.suggest_step(body, method, (1, 2, 3), energy=1e-6)
+    body, x0 = systems()["body"], (1, 2, 3)
     driven = co.systems.spin_lattice("chain", 3, field=lambda t: [0, 0, t])
-    with refused(ValueError, "depends on time"):
-        co.suggest_step(driven, co.Splitting(), np.ones(9), energy=1e-6)
-    with refused(TypeError, "one LiePoissonSystem"):
-        co.suggest_step(co.batch([body, body]), co.Splitting(), (1, 2, 3), energy=1e-6)
-    with refused(ValueError, "shape"):
-        co.suggest_step(body, co.Splitting(), (1, 2), energy=1e-6)
-    with refused(ValueError, "energy"):
-        co.suggest_step(body, co.Splitting(), (1, 2, 3), energy=0.0)
+    for error, named, given in (
+        (ValueError, "neither the bracket nor the energy", (body, co.ExplicitRungeKutta(), x0, 1e-6)),
+        (ValueError, "time", (driven, co.Splitting(), np.ones(9), 1e-6)),
+        (TypeError, "one LiePoissonSystem", (co.batch([body, body]), co.Splitting(), x0, 1e-6)),
+        (ValueError, "shape", (body, co.Splitting(), (1, 2), 1e-6)),
+        (ValueError, "energy", (body, co.Splitting(), x0, 0.0)),
+    ):
+        with refused(error, named):
+            co.suggest_step(*given)
+    radian = pytest.approx(time_of_a_radian(body, x0))
+    assert co.suggest_step(body, co.Projected(co.Splitting()), x0, energy=1e-6) == radian
 
 
 @pytest.mark.parametrize("order", [1, 2])

@@ -1,16 +1,110 @@
-"""Polynomials as text and LaTeX with rounded coefficients, with names and with symbols."""
+"""Formulas in exact numbers, and polynomials as text and LaTeX with rounded numbers, names and symbols."""
 
+import math
 from fractions import Fraction
 
+import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.algebra.exact.numbers import fits
+from coadjoint.algebra.invariants.logarithmic import LogarithmicSum
+from coadjoint.algebra.polynomials.formulas import condition_holds, parse_formula
 from coadjoint.algebra.polynomials.polynomial_format import latex, plain, readable, readable_latex, rounded_if_long
+from coadjoint.algebra.polynomials.quadratic_forms import embedded, linear, quadratic, substituted
 from coadjoint.algebra.polynomials.symbolic_polynomial import SymbolicPolynomial
 
 pytestmark = pytest.mark.thinned(1)
 
 Polynomial = co.Polynomial
+X = {f"x{i + 1}": Polynomial.variable(i, 3) for i in range(3)}
+PARAMETERS = {"a": Fraction(1, 2)}
+NAMES = PARAMETERS, 3
+
+
+def test_formulas():
+    assert parse_formula("-(2 + a)*3/5", *NAMES) == Fraction(-3, 2)
+    assert parse_formula("x1**2 - 2*x1*x3/4", *NAMES) == Polynomial({(2, 0, 0): 1, (1, 0, 1): Fraction(-1, 2)})
+    summed = parse_formula("1 - log(x1)/2 + a*atan2(x2, x1 + 1) - x3/x1 + 2", *NAMES)
+    x = np.array([2.0, 3.0, 5.0])
+    assert summed.invariant()(x) == pytest.approx(3 - math.log(2) / 2 + math.atan2(3, 3) / 2 - 2.5, rel=2.0**-50)
+    assert summed.period == math.pi
+    assert parse_formula("0*log(x1)", *NAMES).terms == ()
+    assert parse_formula("+".join(["1"] * 4000), *NAMES) == 4000
+    assert parse_formula("-2**2 + 2**3**2 - (-x1)**2*(x1 - 2)/-4", *NAMES) == Polynomial(
+        {(0, 0, 0): 508, (3, 0, 0): Fraction(1, 4), (2, 0, 0): Fraction(-1, 2)}
+    )
+
+
+TEXTS = (
+    "x4; x1**-1; x1**a; log(2); log(x1, x2); sin(x1); log(x1)*x2; log(x1)*log(x2); 2/x1; log(x1)/x1; 1.5*x1; 'a'; True;"
+    " x1 if a else x2; __import__('os'); x1.dim; x1[0]; x1 +; log(p=x1); 1 < 2; 2**log(x1)"
+).split("; ")
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_anything_else_is_refused(text):
+    with pytest.raises(ValueError):
+        parse_formula(text, *NAMES)
+
+
+def test_conditions():
+    assert condition_holds("a != 0 and -1 < a <= 1/2", PARAMETERS) and not condition_holds(
+        "a == 0 or a > 1/2", PARAMETERS
+    )
+    assert condition_holds("a == 0 and a > 1 or a*4 >= 2 and a != -1/2", PARAMETERS)
+    assert condition_holds("a == 0 or a < 1", PARAMETERS) and not condition_holds("0 < a < 1/4", PARAMETERS)
+    for text in ("a", "not a", "a in (1, 2)", "a is 1"):
+        with pytest.raises(ValueError, match="comparisons"):
+            condition_holds(text, PARAMETERS)
+
+
+def test_periods():
+    one, two = LogarithmicSum.angle(X["x1"], X["x2"]), LogarithmicSum.angle(X["x2"], X["x3"])
+    assert (one * 3).period == 6 * math.pi
+    assert (one + two * Fraction(2, 3)).period == 2 * math.pi * (1 / 3)
+    assert (one * 4 + two * 6).period == 4 * math.pi
+    assert (one * -1.5 + two * 0.0).period == 3 * math.pi
+    irrational = one + two * math.sqrt(2)
+    assert irrational.period is None
+    with pytest.raises(ValueError, match="no common period"):
+        irrational.invariant()
+
+
+def test_gradients_take_any_number():
+    formula = parse_formula("log(x1*x2) - a*atan2(x1, x3) + x2/x3", *NAMES)
+    x = np.array([Fraction(1), Fraction(2), Fraction(3)])
+    slope = formula.gradient(x)
+    assert slope.tolist() == [1 - Fraction(3, 20), Fraction(1, 2) + Fraction(1, 3), Fraction(1, 20) - Fraction(2, 9)]
+    assert formula.gradient(x.astype(float)).dtype == np.float64
+    assert np.abs(formula.gradient(x.astype(float)) - slope.astype(float)).max() < 2.0**-48
+    with pytest.raises(ZeroDivisionError):
+        formula.gradient(x * 0)
+
+
+def test_polynomials_in_other_coordinates():
+    p = quadratic([(0, 1, 1), (1, 0, 2), (2, 2, Fraction(1, 2))], 3) + 5 * linear({1: 1}, 3) + 7
+    rows = [{0: 1, 1: 2}, {1: Fraction(1, 3)}, {}]
+    x = np.array([Fraction(2), Fraction(5)])
+    assert substituted(p, rows, 2)(x) == p(np.array([x[0] + 2 * x[1], x[1] / 3, Fraction(0)]))
+    y = np.array([Fraction(k) for k in range(5)])
+    assert embedded(p, 1, 5)(y) == p(y[1:4])
+
+
+def test_conditions_are_bounded_too():
+    for text in ("2**4000000000 > a", "-" * 5000 + "1 > a", "1/(a - a) > 1"):
+        with pytest.raises(ValueError, match=r"too large|nested|divides"):
+            condition_holds(text, PARAMETERS)
+
+
+def test_what_is_subtracted_is_written_with_a_minus():
+    formula = parse_formula("-log(x1)/2 - x2/x3 - a*atan2(x2, x1)", *NAMES)
+    assert str(formula).startswith("-1/2 log|x1| - (x2)/(x3) - ")
+    assert "+ -" not in str(formula)
+
+
+def test_long_fractions_do_not_fit():
+    assert fits(Fraction(1, 2**4095)) and not fits(Fraction(1, 2**4096))
 
 
 def test_symbols_are_grouped():

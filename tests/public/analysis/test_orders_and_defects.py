@@ -1,4 +1,4 @@
-"""Poisson maps are recognised, and others are not."""
+"""Orders from slopes, and tangents that are Poisson maps or not."""
 
 import numpy as np
 import pytest
@@ -6,6 +6,86 @@ from scipy.linalg import expm
 
 import coadjoint as co
 from refusals import refused
+
+pytestmark = pytest.mark.thinned(1)
+
+STEPS = 0.4 / 2.0 ** np.arange(8)
+
+
+@pytest.mark.parametrize("order", [1, 2, 4, 6])
+def test_exact_power_has_its_exponent(order):
+    fit = co.analysis.fit_order(STEPS, 3.0 * STEPS**order)
+    # Logarithms are rounded to u times their size, at most 40; the least squares of 8 points lose a few bits.
+    assert fit.order == pytest.approx(order, abs=64 * 2.0**-53 * 40)
+    assert fit.dropped == 0
+
+
+def test_next_term_moves_the_slope_by_its_share():
+    fit = co.analysis.fit_order(STEPS[3:], STEPS[3:] ** 2 * (1.0 + STEPS[3:]))
+    # The local slope is 2 + h / (1 + h), between 2 and 2 + the largest step.
+    assert 2.0 < fit.order < 2.0 + STEPS[3]
+
+
+def test_plateau_is_dropped_without_a_stated_floor():
+    noise = np.array([1.0, 1.3, 0.8, 1.1])
+    errors = np.concatenate([STEPS[:4] ** 4, 1e-4 * noise])
+    fit = co.analysis.fit_order(STEPS, errors)
+    assert fit.order == pytest.approx(4.0, abs=0.4)
+    assert 3 <= len(fit.steps) <= 5
+    without = float(np.polyfit(np.log(STEPS), np.log(errors), 1)[0])
+    assert abs(without - 4.0) > 1.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_each_point_keeps_its_own_floor_in_any_order_and_unit(seed):
+    rng = np.random.default_rng(seed)
+    steps = 0.5 * np.cumprod(rng.uniform(0.5, 0.8, 9))
+    errors = steps**3 * rng.uniform(0.95, 1.05, 9)
+    floor = np.where(np.arange(9) == 6, errors, 0.1 * errors)  # the seventh is at its floor, and no other one
+    fit = co.analysis.fit_order(steps, errors, floor)
+    assert fit.order == pytest.approx(np.polyfit(np.log(steps[:6]), np.log(errors[:6]), 1)[0], rel=1e-12)
+    assert fit.dropped == 3 and np.array_equal(fit.steps, steps[:6]) and np.array_equal(fit.errors, errors[:6])
+    mixed = rng.permutation(9)
+    again = co.analysis.fit_order(1e3 * steps[mixed], 1e-5 * errors[mixed], 1e-5 * floor[mixed])
+    assert again.order == pytest.approx(fit.order, rel=1e-12) and again.dropped == 3
+    assert again.steps == pytest.approx(1e3 * fit.steps) and again.errors == pytest.approx(1e-5 * fit.errors)
+
+
+@pytest.mark.parametrize("ratio", [1.1, 2.0, 9.0])
+def test_a_plateau_is_what_falls_more_slowly_than_the_root_of_the_step(ratio):
+    steps = ratio ** -np.arange(6.0)
+    assert co.analysis.fit_order(steps, steps**0.51).dropped == 0
+    with refused(ValueError, "only 1 of 6"):
+        co.analysis.fit_order(steps, steps**0.49)
+
+
+def test_fewer_than_three_points_are_refused():
+    with refused(ValueError, "only 2 of 8 errors are above the round-off floor"):
+        co.analysis.fit_order(STEPS, np.maximum(STEPS**6, 1e-5), floor=1e-5)
+    with refused(ValueError, "an order needs 3"):
+        co.analysis.fit_order(STEPS[:2], STEPS[:2])
+    with refused(ValueError, "only 0 of 3"):
+        co.analysis.fit_order(STEPS[:3], np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("steps", "errors", "what"),
+    [
+        ([0.1, 0.2], [1.0], "shapes"),
+        ([0.1, 0.1, 0.2], [1.0, 1.0, 1.0], "distinct"),
+        ([0.1, -0.1, 0.2], [1.0, 1.0, 1.0], "positive"),
+        ([0.1, 0.2, 0.4], [1.0, np.nan, 1.0], "finite"),
+        ([0.1, 0.2, 0.4], [1.0, -1.0, 1.0], "not negative"),
+    ],
+)
+def test_wrong_input_is_refused(steps: list[float], errors: list[float], what: str):
+    with pytest.raises(ValueError, match=what):
+        co.analysis.fit_order(steps, errors)
+
+
+def test_a_floor_of_another_shape_is_refused():
+    with refused(ValueError, "floor has the shape"):
+        co.analysis.fit_order(STEPS, STEPS, floor=[1e-9] * 7)
 
 
 def _coadjoint_map(algebra: co.LieAlgebra, u: np.ndarray) -> np.ndarray:
@@ -26,17 +106,6 @@ def test_coadjoint_action_is_poisson(name: str):
     assert found.bound < 1e-10
 
 
-def test_scaling_is_not_poisson():
-    algebra = co.algebras.so(3)
-    x = np.array([1.0, 2.0, 0.5])
-    found = co.analysis.defect_of_tangent(
-        2.0 * np.eye(3), algebra.structure_matrix(x), algebra.structure_matrix(2.0 * x), operations=1
-    )
-    # P J P^T = 4 J(x), J(2 x) = 2 J(x).
-    assert found.defect == pytest.approx(2.0 * np.linalg.norm(algebra.structure_matrix(x)), rel=1e-15)
-    assert not found.poisson
-
-
 def test_transpose_on_the_other_side_is_another_condition():
     algebra = co.algebras.get("A3,7", a=2.0)
     x, u = np.array([1.0, 1.0, 1.0]), np.array([0.1, 0.2, 0.3])
@@ -44,12 +113,6 @@ def test_transpose_on_the_other_side_is_another_condition():
     before, after = algebra.structure_matrix(x), algebra.structure_matrix(P @ x)
     assert co.analysis.defect_of_tangent(P, before, after, operations=60).poisson
     assert not co.analysis.defect_of_tangent(P.T, before, after, operations=60).poisson
-
-
-def test_defect_of_steps():
-    spiral, x = co.systems.paper_a37(), (1.0, 1.0, 1.0)
-    assert co.analysis.poisson_defect(co.stepper(spiral, co.Splitting(order=4), 0.1), x).poisson
-    assert not co.analysis.poisson_defect(co.stepper(spiral, co.GaussLegendre(1), 0.1), x).poisson
 
 
 def test_defect_of_the_midpoint_rule_is_of_third_order_in_the_step():
