@@ -2,15 +2,13 @@
 
 from fractions import Fraction
 from itertools import product
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program.parts import taylor_shares
 from coadjoint.program.parts.offsets_of_squares import ExactSums, ReductionSteps
-from coadjoint.program.parts.part import FunctionShare, PolynomialShare
+from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
 from coadjoint.program.parts.sparse_squares import _Reduction, sparse_squares
 from coadjoint.program.parts.squares import MAX_RATIONAL_SIZE, complete_squares
 from coadjoint.program.parts.taylor_shares import parts_at, taylor_polynomial
@@ -135,13 +133,6 @@ def test_reconstruction_in_floats(kind):
     assert np.all(abs(linear - b) <= 4 * n * U * (linear_size + abs(b)))
 
 
-def test_other_exact_numbers_stay_exact():
-    M = fractions(np.array([[0.0, 3.0, 1.0], [3.0, 0.0, 0.0], [1.0, 0.0, 7.0]])) / 3
-    squares = complete_squares(M, np.array([Fraction(1, 3)] * 3))
-    matrix, _, linear = total(squares)
-    assert np.all(matrix == M) and np.all(linear == Fraction(1, 3))
-
-
 def test_the_matrix_given_is_not_changed():
     M, b = symmetric(16, 4), np.ones(4)
     kept = M.copy()
@@ -163,9 +154,6 @@ def test_offsets_beyond_float64_are_refused(offsets):
     for size in (2.0**600, -(2.0**600)):
         with pytest.raises(OverflowError, match="too large for"):
             offsets.at(np.array([1.0, size]))
-
-
-U_THRESHOLDS = 2.0**-53
 
 
 def triangular_product(last):
@@ -190,7 +178,7 @@ def squares_by_rows(matrix, linear):
 def test_squares_of_many_coordinates_leave_out_what_is_rounding_and_nothing_else(complete):
     """Above 16 coordinates squares are completed in floats: n u times the largest entry is rounding."""
     singular = triangular_product(0.0)
-    floor = 4 * 20 * U_THRESHOLDS * np.abs(singular).max()
+    floor = 4 * 20 * U * np.abs(singular).max()
     forms, weights = complete(singular, np.zeros(20))
     assert len(weights) == 19
     for small in (16 * floor, 256 * floor):
@@ -201,14 +189,22 @@ def test_squares_of_many_coordinates_leave_out_what_is_rounding_and_nothing_else
         assert np.abs(np.einsum("r,ri,rj->ij", weights, forms, forms) - matrix).max() <= floor
 
 
-def fractions_thresholds(values):
-    return np.array([Fraction(v) for v in np.ravel(values).tolist()]).reshape(np.shape(values))
+def test_other_exact_numbers_stay_exact():
+    M = fractions(np.array([[0.0, 3.0, 1.0], [3.0, 0.0, 0.0], [1.0, 0.0, 7.0]])) / 3
+    matrix, _, linear = total(complete_squares(M, np.array([Fraction(1, 3)] * 3)))
+    assert np.all(matrix == M) and np.all(linear == Fraction(1, 3))
 
 
 def drawn_polynomial(rng, m, degree):
     """Return {exponents: coefficient} with every monomial up to a degree."""
     exponents = [e for e in product(range(degree + 1), repeat=m) if sum(e) <= degree]
     return {e: float(rng.integers(1, 9)) * float(rng.choice([-0.25, 0.25])) for e in exponents}
+
+
+def altered(term, **functions):
+    return FunctionTerm(
+        term.coordinates, term.value, *(functions.get(n, getattr(term, n)) for n in ("gradient", "hessian"))
+    )
 
 
 def term_of(monomials, coordinates, hessian=True, scalar=False):
@@ -280,40 +276,6 @@ def test_the_coefficients_of_a_polynomial(m, highest, size, hessian):
             assert abs(found[e] - known.get(e, 0.0)) * far ** sum(e) <= allowed * scale, (e, degree)
 
 
-@pytest.mark.parametrize("coordinates", [(0,), (4,), (3, 1), (0, 2, 4)])
-def test_parts_have_polynomials_in_all_coordinates_with_the_derivatives_of_their_functions(coordinates):
-    """Functions are replaced, in whatever order they have their coordinates; the other columns are kept."""
-    rng = np.random.default_rng(len(coordinates))
-    m, x = len(coordinates), rng.uniform(-2.0, 2.0, 5)
-    monomials = drawn_polynomial(rng, m, 2)
-    plain = PolynomialShare((1,), co.Polynomial({(0, 1, 0, 0, 0): 1}))
-    columns = {name: object() for name in ("forms", "offset", "weights", "row", "share", "timed")}
-    term = term_of(monomials, coordinates)
-    made = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(taylor_shares, "Parts", lambda *given: made.append(given) or given)
-        parts_at(SimpleNamespace(nonlinear_shares={7: FunctionShare(term), 2: plain}, **columns), x, 2)
-    ((forms, offset, weights, row, nonlinear_shares, share, timed),) = made
-    kept = {"forms": forms, "offset": offset, "weights": weights, "row": row, "share": share, "timed": timed}
-    assert kept == columns and set(nonlinear_shares) == {7, 2} and nonlinear_shares[2] is plain
-    assert nonlinear_shares[7].coordinates == tuple(coordinates)
-    polynomial = nonlinear_shares[7].polynomial
-    where = list(coordinates)
-    for _ in range(3):
-        other = rng.uniform(-2.0, 2.0, 5)
-        change = float(polynomial(other)) - float(polynomial(x))
-        assert change == pytest.approx(term.value(other[where]) - term.value(x[where]), abs=1e-12)
-        gradient = np.zeros(5)
-        gradient[where] = term.gradient(other[where])
-        np.testing.assert_allclose(polynomial.gradient(other), gradient, rtol=0, atol=1e-12)
-
-
-def altered(term, **functions):
-    return FunctionTerm(
-        term.coordinates, term.value, *(functions.get(n, getattr(term, n)) for n in ("gradient", "hessian"))
-    )
-
-
 @pytest.mark.parametrize("y", [(0.5, 0.25), (3.0, -7.0)])
 def test_derivatives_that_contradict_each_other_are_refused(y):
     """The values on the circles are compared with the slope and the second derivatives, each of them."""
@@ -339,3 +301,22 @@ def test_functions_of_many_coordinates_are_refused_before_they_are_evaluated():
     with pytest.raises(ValueError, match=r"a function of 6 coordinates would be evaluated at 262144 points .* order 3"):
         taylor_polynomial(term, np.ones(6), 3)
     assert len(calls) == 1
+
+
+@pytest.mark.parametrize("coordinates", [(0,), (4,), (3, 1), (0, 2, 4)])
+def test_functions_of_parts_become_polynomials_in_their_coordinates(coordinates):
+    """In whatever order they have their coordinates; the other shares and columns are kept."""
+    rng = np.random.default_rng(len(coordinates))
+    term, x = term_of(drawn_polynomial(rng, len(coordinates), 2), coordinates), rng.uniform(-2.0, 2.0, 5)
+    plain = PolynomialShare((1,), co.Polynomial({(0, 1, 0, 0, 0): 1}))
+    given = Parts(*range(4), {7: FunctionShare(term), 2: plain}, *range(4, 6))
+    made, where = parts_at(given, x, 2), list(coordinates)
+    assert [made.forms, made.offset, made.weights, made.row, made.share, made.timed] == list(range(6))
+    assert made.nonlinear_shares.keys() == {7, 2} and made.nonlinear_shares[2] is plain
+    assert made.nonlinear_shares[7].coordinates == coordinates
+    polynomial, other = made.nonlinear_shares[7].polynomial, rng.uniform(-2.0, 2.0, 5)
+    change = float(polynomial(other)) - float(polynomial(x))
+    assert change == pytest.approx(term.value(other[where]) - term.value(x[where]), abs=1e-12)
+    gradient = np.zeros(5)
+    gradient[where] = term.gradient(other[where])
+    np.testing.assert_allclose(polynomial.gradient(other), gradient, rtol=0, atol=1e-12)

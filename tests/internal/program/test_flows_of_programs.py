@@ -15,7 +15,6 @@ from coadjoint.program.modified_energy.second_order import part_derivatives
 from coadjoint.program.numbers import array_of, convert, roundoff
 from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.table import build_program
-from drawn_matrices import wide
 
 
 def sections(program):
@@ -45,10 +44,13 @@ def test_second_order_merges_the_outer_halves_of_consecutive_steps():
 
 
 @pytest.mark.parametrize("adjoint", [False, True])
-def test_first_order_is_one_sweep(adjoint):
-    start, step, finish = sections(build_program(top(), co.Splitting(order=1, adjoint=adjoint)))
-    assert start == step and finish == []
-    assert [row[0] for row in start] == ([2, 1, 0] if adjoint else [0, 1, 2])
+def test_first_order_is_one_sweep_at_one_time(adjoint):
+    """The time of its start; the adjoint takes that of its end."""
+    for system, timed in ((top(), False), (driven(), True)):
+        start, step, finish = sections(build_program(system, co.Splitting(order=1, adjoint=adjoint)))
+        parts = [row[0] for row in start]
+        assert start == step and finish == [] and parts == sorted(set(parts), reverse=adjoint)
+        assert not timed or {row[2] for row in start} == {float(adjoint)}
 
 
 def test_the_sign_is_in_the_coefficients():
@@ -82,11 +84,8 @@ def test_flows_at_different_times_are_not_merged():
     assert start == step
     assert [p for p, _, _ in step].count(0) == 10  # timed: two in each of five substeps
     assert [p for p, _, _ in step].count(2) == 5
-
-
-def test_only_timed_parts_are_kept_apart():
     _, step, finish = sections(build_program(driven(), co.Splitting(order=2, parts=[[2], [1], [0]])))
-    assert len(finish) == 1 and [row[0] for row in step] == [0, 1, 2, 1]
+    assert len(finish) == 1 and [row[0] for row in step] == [0, 1, 2, 1]  # only timed parts are kept apart
 
 
 @pytest.mark.thinned(2)
@@ -110,72 +109,6 @@ def test_a_part_is_timed_if_any_of_its_functions_is(timed):
     assert np.abs(whole - x).max() <= 64 * 2.0**-53
 
 
-def test_first_order_takes_time_at_its_start_and_the_adjoint_at_its_end():
-    for adjoint, moment in ((False, 0.0), (True, 1.0)):
-        start, _, _ = sections(build_program(driven(), co.Splitting(order=1, adjoint=adjoint)))
-        assert {row[2] for row in start} == {moment}
-
-
-DIGITS = 40
-SKEWED = np.array([[1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, -1.0, 1.0]])
-
-
-def driven_reading():
-    """Polynomials in the coordinates, explicit in the time; pure arithmetic, so that any number type serves."""
-    a = (lambda y, t: y * y * (1 + t * t) / 2, lambda y, t: y * (1 + t * t), lambda y, t: 1 + t * t)
-    b = (lambda y: y**4 / 4 + y, lambda y: y**3 + 1, lambda y: 3 * y * y)
-    return co.Separable({0: a, 1: b, 2: (lambda y: y * y / 4, lambda y: y / 2, lambda y: 0.5 + 0 * y)})
-
-
-SYSTEMS = {
-    "e(3) diagonal": (co.algebras.e(3), co.Quadratic([1.0, 0.5, 0.25, 0.5, 1.5, 0.75], linear=[0, 0, 0, 0.5, 0, 1.0])),
-    "so(4) full": (co.algebras.so(4), co.Quadratic(wide(6, 1))),
-    "sl(2) full": (co.algebras.sl(2), co.Quadratic(wide(3, 2), linear=[0.25, 0, -0.5])),
-    "A3,7": (co.algebras.get("A3,7", a=1.75), co.Quadratic([1.0, 2.0, 0.25])),
-    "Heisenberg": (co.algebras.heisenberg(2), co.Quadratic(wide(5, 3))),
-    "so(3) other basis": (co.algebras.change_of_basis(co.algebras.so(3), SKEWED), co.Quadratic(wide(3, 4))),
-    "quartic on so(3)": (
-        co.algebras.so(3),
-        co.Polynomial({(4, 0, 0): 0.25, (0, 3, 0): 0.5, (0, 0, 2): 1.0, (1, 0, 0): 1.0}),
-    ),
-    "driven sl(2)": (co.algebras.sl(2), driven_reading()),
-}
-
-
-def setup(name, method):
-    s = co.LiePoissonSystem(*SYSTEMS[name], sign=-1 if name == "so(4) full" else 1)
-    x = np.array([mpmath.mpf(v) for v in np.linspace(-0.5, 0.75, s.dim)])
-    return s, Interpreter(build_program(s, method, number=mpmath.mpf)), x
-
-
-def size(values):
-    return max(abs(v) for v in np.ravel(values))
-
-
-@pytest.mark.thinned(5)
-@pytest.mark.parametrize("carried", ["coadjoint", "own"])
-@pytest.mark.parametrize("name", ["e(3) diagonal", "so(4) full", "sl(2) full", "A3,7", "driven sl(2)"])
-def test_group_element_carries_the_momentum(name, carried):
-    """K x constant; with another representation rho(Ad) intertwines: g rho(K^T v) g^-1 = rho(v)."""
-    with mpmath.workdps(DIGITS):
-        s, _, x = setup(name, co.Splitting())
-        h = mpmath.mpf("0.25")
-
-        def run(representation, size_of):
-            read = Interpreter(build_program(s, co.Splitting(order=2), group=representation, number=mpmath.mpf))
-            unit = np.array([[mpmath.mpf(int(i == j)) for j in range(size_of)] for i in range(size_of)])
-            return read.steps(x, h, 3, group=unit)
-
-        y, K = run("coadjoint", s.dim)
-        assert size(K @ y - x) <= mpmath.mpf(10) ** -35 * (1 + size(K)) * (1 + size(y))
-        if carried == "own":
-            rho = s.representation
-            _, g = run(rho, rho.shape[1])
-            for i in range(s.dim):
-                moved = sum(K[i, k] * rho[k] for k in range(s.dim))
-                assert size(g @ moved - rho[i] @ g) <= mpmath.mpf(10) ** -35 * (1 + size(K)) * (1 + size(g))
-
-
 def test_a_tangent_needs_second_derivatives():
     s = co.LiePoissonSystem(co.algebras.sl(2), co.Separable({0: (math.cosh, math.sinh), 2: (math.cosh, math.sinh)}))
     read = Interpreter(build_program(s, co.Splitting()))
@@ -184,9 +117,7 @@ def test_a_tangent_needs_second_derivatives():
 
 
 def test_number_types_without_elementary_functions_are_refused():
-    from fractions import Fraction
-
-    s = co.LiePoissonSystem(*SYSTEMS["e(3) diagonal"])
+    s = top()
     with pytest.raises(TypeError, match="the number type Fraction is not supported"):
         Interpreter(build_program(s, co.Splitting(), number=Fraction))
 
@@ -215,7 +146,7 @@ class SweepAndAdjoint(co.methods.FlowMethod):
 @pytest.mark.parametrize("scheme", [co.Splitting(scheme="suzuki4"), SweepAndAdjoint()], ids=str)
 def test_steps_in_more_digits_do_not_use_the_numbers_of_fewer(scheme):
     """Coefficients of 50 digits, and sums of coefficients, against the sweeps one after the other."""
-    s, sweep = co.LiePoissonSystem(*SYSTEMS["e(3) diagonal"]), {k: co.Splitting(order=1, adjoint=not k) for k in (0, 1)}
+    s, sweep = top(), {k: co.Splitting(order=1, adjoint=not k) for k in (0, 1)}
 
     def step_of(method, h):
         return method.step(s, x, mpmath.mpf(0), h)

@@ -8,23 +8,18 @@ import pytest
 from scipy.sparse import block_diag, diags_array, random_array
 
 import coadjoint as co
+from coadjoint.algebra.exact import sparse_sums
 from coadjoint.program import actions, repeated_blocks
 from coadjoint.program.generators import BasisMatrices
-from coadjoint.program.parts import quadratic_atoms
 from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.parts.sparse_squares import sparse_squares
 from coadjoint.program.parts.split import split
 from coadjoint.program.parts.squares import complete_squares
-from coadjoint.program.shifts.shift import candidate_shifts, count_parts, quadratic_casimirs, shifted_terms
+from coadjoint.program.shifts.shift import candidate_shifts, quadratic_casimirs
 from coadjoint.program.sparse_rows import SparseRows, layers
 from coadjoint.program.table import build_program
 
 SO3 = co.algebras.so(3)
-
-
-def full(n, seed):
-    draw = np.random.default_rng(seed).standard_normal((n, n))
-    return draw + draw.T
 
 
 def chain(count, site=(1.0, 0.5, 0.25), coupling=(0.1, 0.1, 0.2)):
@@ -78,22 +73,6 @@ def test_sparse_squares_are_bit_for_bit_the_dense_ones(hollow):
         assert np.count_nonzero(given) < 16 * len(given)  # else both were dense
         assert np.array_equal(forms, expected.forms)
         assert np.array_equal(found.weights, expected.weights) and np.array_equal(found.linear, expected.linear)
-
-
-@pytest.mark.parametrize("driven", [0, 3, 40])
-def test_shifts_are_counted_as_they_are_made(driven):
-    """A coordinate with a linear term stays when a shift cancels its square."""
-    rng = np.random.default_rng(1)
-    M = np.round(rng.uniform(0.0, 2.0, 78) * 4) / 4
-    linear = np.zeros(78)
-    linear[rng.permutation(78)[:driven]] = -0.5
-    system = co.LiePoissonSystem(co.algebras.so(13), co.Quadratic(M, linear=linear))
-    terms, casimirs, plain = system.hamiltonian.terms(), quadratic_casimirs(system), split(system)
-    shifts = list(candidate_shifts(system, plain, casimirs))
-    counts = count_parts(system, casimirs, shifts).tolist()
-    made = [split(system, "auto", shifted_terms(terms, casimirs, shift)) for shift in shifts]
-    assert len(set(counts) - {0}) > 1
-    assert all(count in (0, len(parts)) for count, parts in zip(counts, made, strict=True))
 
 
 @pytest.mark.parametrize("M", [(1.0, 1.0, 2.0), (1.0, 1.0, 1.0), (3.0, 2.0, 1.0)])
@@ -162,15 +141,6 @@ def test_tables_are_lean():
     assert sum(column.nbytes for column in whole) <= (2 * 4 + 8 + 4 + 8 + 4 + 3 * (4 + 8)) * n + 1000
 
 
-def test_equal_sites_are_solved_once(monkeypatch):
-    solved = []
-    monkeypatch.setattr(quadratic_atoms, "sparse_squares", lambda *given: solved.append(1) or sparse_squares(*given))
-    sites = block_diag([full(3, k % 2) for k in range(50)]).tocsr()
-    system = co.LiePoissonSystem(co.algebras.copies(SO3, 50), co.Quadratic(sites))
-    assert len(split(system, "coordinates")) == 150
-    assert len(solved) == 2
-
-
 LEAST = repeated_blocks.MIN_REPEATED
 CELLS = {
     "so(3)": co.algebras.so(3),
@@ -183,77 +153,51 @@ CELLS = {
 }
 
 
-def columns_of(action):
-    return {name: np.asarray(column).tolist() for name, column in action._asdict().items()}
-
-
-def actions_of(system, choice, monkeypatch):
-    """Return the action by shapes and the one of every element, and whether shapes were used."""
-    parts = decompose(system, choice).parts
-    matrices = BasisMatrices.coadjoint(system.algebra)
-    by_shape = actions.build_action(matrices, parts)
-    used = repeated_blocks.repeated_block_table(matrices, parts.forms) is not None
-    monkeypatch.setattr(actions, "repeated_block_table", lambda *_: None)
-    return by_shape, actions.build_action(matrices, parts), used
-
-
-@pytest.mark.parametrize("choice", ["coordinates", "auto"])
-@pytest.mark.parametrize("name", CELLS)
-def test_shapes_of_copies_give_the_blocks_of_all_elements(name, choice, monkeypatch):
-    cell = CELLS[name]
-    algebra = co.algebras.copies(cell, LEAST // cell.dim + 1)
-    diagonal = np.random.default_rng(1).uniform(0.5, 2.0, algebra.dim)
-    system = co.LiePoissonSystem(algebra, co.Quadratic(diagonal), casimirs={})
-    by_shape, of_all, used = actions_of(system, choice, monkeypatch)
-    assert used
-    assert columns_of(by_shape) == columns_of(of_all)
-
-
-@pytest.mark.parametrize("changed", ["constant", "target"])
-def test_elements_that_are_no_translates_have_shapes_of_their_own(changed, monkeypatch):
-    count = LEAST // 3 + 2
-    i, j, k, c = (np.array(column) for column in co.algebras.copies(co.algebras.so(3), count).triples)
-    middle = 3 * (count // 2)
-    if changed == "constant":
-        c[(i >= middle) & (i < middle + 3)] *= 1.25
-        algebra = co.LieAlgebra(np.stack([i, j, k, c], axis=1), dim=3 * count)
-    else:
-        here = (i >= middle) & (i < middle + 3)
+def diagonal_system(cell, copies, changed=None):
+    """Copies of an algebra; the middle one with another constant, or of another algebra, so(3) becoming solvable."""
+    algebra = co.algebras.copies(cell, copies)
+    if changed:
+        rows, middle = np.stack(algebra.triples, axis=1), cell.dim * (copies // 2)
+        here = (rows[:, 0] >= middle) & (rows[:, 0] < middle + cell.dim)
         other = [(middle, middle + 1, middle + 1, 1.0), (middle, middle + 2, middle + 2, -1.0)]
-        algebra = co.LieAlgebra([*np.stack([i, j, k, c], axis=1)[~here].tolist(), *other], dim=3 * count)
-    diagonal = np.random.default_rng(2).uniform(0.5, 2.0, algebra.dim)
-    system = co.LiePoissonSystem(algebra, co.Quadratic(diagonal), casimirs={})
-    by_shape, of_all, used = actions_of(system, "coordinates", monkeypatch)
-    assert used
-    assert columns_of(by_shape) == columns_of(of_all)
+        own = rows[here] * [1, 1, 1, 1.25] if changed == "constant" else other
+        algebra = co.LieAlgebra(np.concatenate([rows[~here], own]), dim=algebra.dim)
+    diagonal = np.random.default_rng(1).uniform(0.5, 2.0, algebra.dim)
+    return co.LiePoissonSystem(algebra, co.Quadratic(diagonal), casimirs={})
 
 
-def test_shapes_in_several_chunks_give_the_blocks_of_all_elements(monkeypatch):
-    from coadjoint.algebra.exact import sparse_sums
-
-    monkeypatch.setattr(sparse_sums, "CHUNK", 8)
-    algebra = co.algebras.copies(CELLS["su(3)"], LEAST // 8 + 1)
-    diagonal = np.random.default_rng(3).uniform(0.5, 2.0, algebra.dim)
-    system = co.LiePoissonSystem(algebra, co.Quadratic(diagonal), casimirs={})
-    by_shape, of_all, used = actions_of(system, "coordinates", monkeypatch)
-    assert used
-    assert columns_of(by_shape) == columns_of(of_all)
+def repeated_blocks_of(system, choice):
+    parts, matrices = decompose(system, choice).parts, BasisMatrices.coadjoint(system.algebra)
+    return parts, matrices, repeated_blocks.repeated_block_table(matrices, parts.forms)
 
 
-def test_forms_that_are_no_basis_elements_are_taken_one_by_one():
-    count = LEAST
-    algebra = co.algebras.copies(co.algebras.so(3), count)
-    full = np.array([[2.0, 0.3, 0.1], [0.3, 1.5, 0.2], [0.1, 0.2, 1.0]])
-    sparse = pytest.importorskip("scipy.sparse")
-    H = co.Quadratic(sparse.kron(sparse.eye_array(count), full).tocsr())
-    parts = decompose(co.LiePoissonSystem(algebra, H, casimirs={}), "auto").parts
-    assert repeated_blocks.repeated_block_table(BasisMatrices.coadjoint(algebra), parts.forms) is None
+@pytest.mark.parametrize(
+    ("name", "choice", "changed", "chunk"),
+    [
+        *((name, choice, None, None) for name in CELLS for choice in ("coordinates", "auto")),
+        ("so(3)", "coordinates", "constant", None),
+        ("so(3)", "coordinates", "target", None),
+        ("su(3)", "coordinates", None, 8),
+    ],
+)
+def test_shapes_of_copies_give_the_blocks_of_all_elements(name, choice, changed, chunk, monkeypatch):
+    if chunk:
+        monkeypatch.setattr(sparse_sums, "CHUNK", chunk)
+    system = diagonal_system(CELLS[name], LEAST // CELLS[name].dim + 2, changed)
+    parts, matrices, used = repeated_blocks_of(system, choice)
+    by_shape = actions.build_action(matrices, parts)
+    monkeypatch.setattr(actions, "repeated_block_table", lambda *_: None)
+    of_all = actions.build_action(matrices, parts)
+    assert used is not None
+    for column, other in zip(by_shape, of_all, strict=True):
+        np.testing.assert_array_equal(column, other)
 
 
-def test_equal_hashes_of_different_shapes_are_noticed(monkeypatch):
-    monkeypatch.setattr(repeated_blocks, "HASH_FACTOR", np.uint64(0))
-    algebra = co.algebras.copies(CELLS["e(3)"], LEAST)
-    parts = decompose(
-        co.LiePoissonSystem(algebra, co.Quadratic(np.ones(algebra.dim)), casimirs={}), "coordinates"
-    ).parts
-    assert repeated_blocks.repeated_block_table(BasisMatrices.coadjoint(algebra), parts.forms) is None
+def test_forms_or_hashes_that_do_not_serve_are_taken_one_by_one(monkeypatch):
+    tensor = np.array([[2.0, 0.3, 0.1], [0.3, 1.5, 0.2], [0.1, 0.2, 1.0]])
+    bodies = co.LiePoissonSystem(
+        co.algebras.copies(SO3, LEAST), co.Quadratic(block_diag([tensor] * LEAST).tocsr()), casimirs={}
+    )
+    assert repeated_blocks_of(bodies, "auto")[-1] is None  # the forms are no basis elements
+    monkeypatch.setattr(repeated_blocks, "HASH_FACTOR", np.uint64(0))  # different shapes have equal hashes
+    assert repeated_blocks_of(diagonal_system(CELLS["e(3)"], LEAST), "coordinates")[-1] is None

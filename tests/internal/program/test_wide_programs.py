@@ -6,7 +6,7 @@ import pytest
 import coadjoint as co
 from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
 from coadjoint.long_operations import LongWait
-from coadjoint.program import blocks, commutation, table
+from coadjoint.program import blocks, commutation
 from coadjoint.program.commutation import Commutation
 from coadjoint.program.generators import SplittingTooExpensive, check_products
 from coadjoint.program.modified_energy.bracket_cost import estimated_products
@@ -98,17 +98,6 @@ def test_shifts_take_no_more_than_a_bounded_work(monkeypatch):
     assert len(calls) == 6 < every
 
 
-@pytest.mark.long
-def test_diagonal_forms_of_large_algebras_try_few_shifts(monkeypatch):
-    """The Casimir of su(N) is not diagonal, so that only making the parts tells how many there are."""
-    g = co.algebras.su(24)
-    system = co.LiePoissonSystem(g, co.Quadratic(np.sqrt(np.arange(1.0, g.dim + 1))))
-    calls = []
-    monkeypatch.setattr(decompose, "split", lambda *given, split=decompose.split: (calls.append(1), split(*given))[1])
-    decompose.candidates(system, comparing=False)
-    assert decompose.MIN_SHIFTS < len(calls) < g.dim / 3
-
-
 def test_lattices_are_not_too_wide():
     check_products(np.full(10**7, 30), "a lattice")
     with pytest.raises(
@@ -164,19 +153,6 @@ def test_products_of_brackets_are_counted_before_they_are_made(name, coupled, mo
     assert (0.5 if coupled else 0.0) * spent[-1] < counted[0] <= spent[-1]
 
 
-@pytest.mark.long
-def test_the_action_of_a_large_splitting_is_made_once(monkeypatch):
-    """For all schemes and steps of a system, and for no other one."""
-    made = []
-    plain = table.build_action
-    monkeypatch.setattr(table, "build_action", lambda *given: (made.append(1), plain(*given))[1])
-    g = co.algebras.su(9)
-    one, other = (co.LiePoissonSystem(g, co.Quadratic(np.linspace(1.0, last, g.dim))) for last in (2.0, 3.0))
-    shown = co.Splitting(order=2).program(one).state
-    assert co.Splitting(order=4).program(one).state is shown and len(made) == 1
-    assert co.Splitting(order=2).program(other).state is not shown and len(made) == 2
-
-
 ALGEBRAS_BRACKET = {
     "so(3)": co.algebras.so(3),
     "sl(2)": co.algebras.sl(2),
@@ -193,58 +169,6 @@ def drawn(algebra, density, driven, seed):
     M = rng.normal(size=(n, n)) * (rng.random((n, n)) < density)
     linear = rng.normal(size=n) if driven else np.zeros(n)
     return co.LiePoissonSystem(algebra, co.Quadratic(M + M.T + np.diag(rng.normal(size=n)), linear=linear))
-
-
-def support(rows, row):
-    return rows.coordinate[rows.start[row] : rows.start[row + 1]].tolist()
-
-
-def slope(monomials, i):
-    """Return the monomials of the derivative by x_i; each is the sorted tuple of its factors."""
-    return {(*e[: e.index(i)], *e[e.index(i) + 1 :]) for e in monomials if i in e}
-
-
-def products(first, second):
-    return {tuple(sorted(a + b)) for a in first for b in second}
-
-
-def enumerated(algebra, parts, highest):
-    """Count the products in the brackets of each angle with the series of the later parts, up to h^2 or h^3.
-
-    No monomials cancel, as for random coefficients. Linear terms of the series and of {p, R} are left out.
-    """
-    total, energy, second = 0, set(), set()
-    i, j, k, _ = algebra.triples
-    structure = set(zip(i.tolist(), j.tolist(), k.tolist(), strict=True))
-    structure |= {(j, i, k) for i, j, k in structure}
-    for p in reversed(range(len(parts))):
-        own, brackets = set(), set()
-        for angle in np.flatnonzero(parts.part_of_angle == p):
-            form, weights = support(parts.forms, angle), support(parts.weights, angle)
-            own |= {tuple(sorted((a, b))) for a in form for b in weights}
-            turned = {i: {(k,) for a, j, k in structure if a == i and j in form} for i in range(algebra.dim)}
-            quadratic = {i: products(linear, {(b,) for b in weights}) for i, linear in turned.items()}
-            shifted = parts.offset[angle] != 0
-            bracket = {e for i, component in quadratic.items() for e in products(component, slope(energy, i))}
-            for series in [energy, second, bracket] if highest > 2 else [energy]:
-                lengths = (len(quadratic[i]) + shifted * len(turned[i]) for i in turned)
-                total += sum(length * len(slope(series, i)) for i, length in enumerate(lengths))
-            brackets |= bracket
-        energy |= own
-        second |= brackets
-    return total
-
-
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("choice", ["auto", "coordinates"])
-@pytest.mark.parametrize("driven", [False, True])
-@pytest.mark.parametrize("density", [0.0, 0.3, 1.0])
-@pytest.mark.parametrize("name", ALGEBRAS_BRACKET)
-def test_products_of_the_lowest_brackets_are_counted_exactly(name, density, driven, choice):
-    """A product x_k x_l of the two factors of a field is one monomial, in whichever factor x_k is."""
-    system = drawn(ALGEBRAS_BRACKET[name], density, driven, len(name))
-    parts = split(system, choice)
-    assert estimated_products(system.algebra, parts, 2) == enumerated(system.algebra, parts, 2)
 
 
 pytest.importorskip("flint")
@@ -309,3 +233,43 @@ def test_monomials_are_found_at_once_as_each_alone(name):
                 assert triplets(of_parts) == sorted(expected)
                 compared += len(expected)
     assert compared
+
+
+def slopes(monomials, i):
+    """Count the monomials of the derivative by x_i; each is the sorted tuple of its factors."""
+    return len({(*e[: e.index(i)], *e[e.index(i) + 1 :]) for e in monomials if i in e})
+
+
+def enumerated(algebra, parts):
+    """Count the products in the brackets of each angle with the energy of the later parts.
+
+    No monomials cancel, as for random coefficients. Linear terms of the energy are left out.
+    """
+    total, energy = 0, set()
+    structure = {(a, j, k) for i, b, k, _ in zip(*algebra.triples, strict=True) for a, j in ((i, b), (b, i))}
+    for p in reversed(range(len(parts))):
+        own = set()
+        for angle in np.flatnonzero(parts.part_of_angle == p):
+            form, weights = (
+                rows.coordinate[rows.start[angle] : rows.start[angle + 1]].tolist()
+                for rows in (parts.forms, parts.weights)
+            )
+            own |= {tuple(sorted((a, b))) for a in form for b in weights}
+            for i in range(algebra.dim):
+                turned = {k for a, j, k in structure if a == i and j in form}
+                quadratic = {tuple(sorted((k, b))) for k in turned for b in weights}
+                total += (len(quadratic) + (parts.offset[angle] != 0) * len(turned)) * slopes(energy, i)
+        energy |= own
+    return total
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize("choice", ["auto", "coordinates"])
+@pytest.mark.parametrize("driven", [False, True])
+@pytest.mark.parametrize("density", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("name", ALGEBRAS_BRACKET)
+def test_products_of_the_lowest_brackets_are_counted_exactly(name, density, driven, choice):
+    """A product x_k x_l of the two factors of a field is one monomial, in whichever factor x_k is."""
+    system = drawn(ALGEBRAS_BRACKET[name], density, driven, len(name))
+    parts = split(system, choice)
+    assert estimated_products(system.algebra, parts, 2) == enumerated(system.algebra, parts)
