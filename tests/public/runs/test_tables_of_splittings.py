@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from catalogue_cases import EXAMPLES, NAMES
 from long import long_beyond
 from refusals import refused
 
@@ -69,6 +70,13 @@ METHODS = {
 }
 
 
+def agrees(reader, system, scheme, x0, h, steps=4):
+    sol = co.integrate(system, x0, (0.5, 0.5 + steps * h), abs(h), scheme, save_every=steps, watch=False)
+    found = reader(scheme.program(system).to_mapping(), x0, h, steps)
+    # expm has a few units of rounding in each of the flows, some hundred of them at most.
+    return np.max(np.abs(found - sol.x[-1])) < 4000 * system.dim * 2.0**-53 * max(1.0, np.max(np.abs(sol.x)))
+
+
 @pytest.mark.thinned(13)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("algebra", ALGEBRAS)
@@ -78,44 +86,13 @@ def test_the_reader_of_the_page_agrees_with_the_library(reader, algebra, method,
     energies = [full(g.dim), commuting(g)] if "coordinates" not in method else [commuting(g)]
     for number, H in enumerate(energies):
         system = co.LiePoissonSystem(g, H, sign=1 - 2 * number)
-        x0 = 0.4 * RNG.standard_normal(g.dim)
-        sol = co.integrate(system, x0, (0, 4 * h), abs(h), scheme, save_every=4, watch=False)
-        found = reader(scheme.program(system).to_mapping(), x0, h, 4)
-        # expm has a few units of rounding in each of the flows, some hundred of them at most.
-        assert np.max(np.abs(found - sol.x[-1])) < 2000 * g.dim * 2.0**-53 * max(1.0, np.max(np.abs(sol.x)))
-
-
-def agrees(reader, system, scheme, x0, h, steps=3):
-    sol = co.integrate(system, x0, (0.5, 0.5 + steps * h), abs(h), scheme, save_every=steps, watch=False)
-    found = reader(scheme.program(system).to_mapping(), x0, h, steps)
-    # As above; the fifth powers of the entries of x0 are below one.
-    return np.max(np.abs(found - sol.x[-1])) < 4000 * system.dim * 2.0**-53 * max(1.0, np.max(np.abs(sol.x)))
-
-
-def catalogue():
-    """Return the algebras of the catalogue that have no parameters, and some that have."""
-    found = {
-        "A3,7": {"a": 1.5},
-        "A4,6": {"a": 1.0, "b": 0.5},
-        "A5,13": {"a": 0.5, "p": 0.25, "s": 2.0},
-        "su(n)": {"n": 3},
-    }
-    for name in co.algebras.names():
-        try:
-            co.algebras.get(name)
-        except (TypeError, ValueError):
-            continue
-        found[name] = {}
-    return found
-
-
-CATALOGUE = catalogue()
+        assert agrees(reader, system, scheme, 0.4 * RNG.standard_normal(g.dim), h)
 
 
 @pytest.mark.thinned(6)
-@pytest.mark.parametrize("name", CATALOGUE)
+@pytest.mark.parametrize("name", NAMES)
 def test_the_reader_reads_a_full_matrix_on_every_algebra_of_the_catalogue(reader, name):
-    algebra = co.algebras.get(name, **CATALOGUE[name])
+    algebra = co.algebras.get(name, **EXAMPLES.get(name, {}))
     system = co.LiePoissonSystem(algebra, full(algebra.dim))
     assert agrees(reader, system, co.Splitting(order=4), 0.4 * RNG.standard_normal(algebra.dim), 0.1)
 
@@ -189,14 +166,12 @@ def system_with(name):
     of_commuting = {(0, 0, 0, 2, 1, 0): 0.3, (0, 0, 0, 0, 1, 1): -0.2, (0, 0, 0, 0, 0, 4): 0.1}
     polynomial = co.Polynomial(of_commuting | {(1, 0, 0, 0, 0, 0): 0.4, (0, 2, 0, 0, 0, 0): 0.5})
     coefficients = np.array(list(polynomial.monomials.values()))
-    return {
-        "M": (lambda v: co.LiePoissonSystem(e3, co.Quadratic(v, linear=linear)), M),
-        "linear": (lambda v: co.LiePoissonSystem(e3, co.Quadratic(M, linear=v)), linear),
-        "coefficients": (
-            lambda v: co.LiePoissonSystem(e3, co.Polynomial(dict(zip(polynomial.monomials, v, strict=True)))),
-            coefficients,
-        ),
+    energy, value = {
+        "M": (lambda v: co.Quadratic(v, linear=linear), M),
+        "linear": (lambda v: co.Quadratic(M, linear=v), linear),
+        "coefficients": (lambda v: co.Polynomial(dict(zip(polynomial.monomials, v, strict=True))), coefficients),
     }[name]
+    return lambda v: co.LiePoissonSystem(e3, energy(v)), value
 
 
 @pytest.mark.parametrize("name", ["M", "linear", "coefficients"])
