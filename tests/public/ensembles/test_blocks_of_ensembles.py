@@ -185,8 +185,8 @@ GROWING = co.LiePoissonSystem(
 
 @pytest.mark.thinned(4)
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-@pytest.mark.parametrize("failing", [{2, 3}, {1}, {0, 4}, {1, 2, 4}, {0, 1, 2, 3, 4}], ids=str)
-@pytest.mark.parametrize("members_per_block", [1, 2, 3, 5])
+@pytest.mark.parametrize("failing", [{2, 3}, {0, 4}, {0, 1, 2, 3, 4}], ids=str)
+@pytest.mark.parametrize("members_per_block", [1, 3, 5])
 def test_failed_members_leave_the_others(tmp_path, failing, members_per_block):
     x0 = np.array([[1.0, 1e290 * (1 + m) if m in failing else 1.0 + m] for m in range(5)])
     run, given = (GROWING, x0, (0, 100), 0.5), {"archive": tmp_path / "many", "members_per_block": members_per_block}
