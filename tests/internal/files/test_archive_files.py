@@ -18,12 +18,11 @@ from coadjoint.files.archives.reading import (
     ROOT_FILE,
     ArchiveError,
     ArchiveMoved,
-    StoredState,
     read_array,
     read_root,
     read_state,
 )
-from coadjoint.files.archives.store import ArchiveReplaced, ArchiveStore
+from coadjoint.files.archives.store import ArchiveStore
 from coadjoint.files.archives.stored_arrays import StoredArray, deserialize_numbers
 from guards import open_descriptors
 
@@ -95,102 +94,25 @@ def test_readers_see_the_commit_of_their_root(store):
     assert np.array_equal(read_array(store.path, "x", known["x"], part), X[3:15:4, 1:3])
 
 
-def test_resuming_overwrites_uncommitted_chunks(store):
-    written(store, 0, 10)
-    store.commit({}, {"time": 10})
-    store.write("x", -X[10:30], (10,))
-    (store.path / "x" / ".c.5.0.writing").write_bytes(b"half of a chunk")
-    (store.path / ".coadjoint" / "state-lost.npz").write_bytes(b"unknown")
-    store.close()
-    again = ArchiveStore.open_existing(store.path)
-    written(again, 10, 40)
-    again.commit({}, {"time": 40})
-    with xarray.open_zarr(store.path, chunks=None) as found:
-        assert np.array_equal(found["x"], X[:40])
-    assert sorted(os.listdir(store.path / ".coadjoint")) == ["lock", ROOT_FILE]
-    assert [name for name in os.listdir(store.path / "x") if name.endswith(".writing")] == []
-    again.close()
-
-
-def contents(folder):
-    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-
-
-def test_replaced_lock_is_noticed(store):
-    """Another process removed the lock file and writes with a lock of its own."""
-    written(store, 0, 10)
-    (store.path / ".coadjoint" / "lock").unlink()
-    second = ArchiveStore.open_existing(store.path)
-    before = contents(store.path)
-    for write in (lambda: written(store, 10, 20), lambda: store.commit({}, {"time": 10})):
-        with pytest.raises(ArchiveReplaced, match="its lock file was replaced"):
-            write()
-    assert contents(store.path) == before
-    second.close()
-
-
-@pytest.mark.parametrize("broken", ["write", "fsync", "replace"])
-def test_full_disk_leaves_the_last_commit(store, monkeypatch, broken):
-    stored = written(store, 0, 20)
+def test_full_disk_leaves_the_last_commit(store, monkeypatch):
+    """Public tests let the names and the syncs fail; here the files cannot be opened for writing."""
+    stored, original = written(store, 0, 20), open
     store.commit({}, {"time": 20}, [stored])
-
-    open_existing = open
 
     def full(*args, **options):
         if args[1:] == ("rb",):
-            return open_existing(*args, **options)
+            return original(*args, **options)
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:
-        if broken == "write":
-            patched.setattr("builtins.open", full)
-        else:
-            patched.setattr(os, broken, full)
-        with pytest.raises(OSError, match="No space left"):
-            written(store, 20, 30)
-        with pytest.raises(OSError, match="No space left"):
-            store.commit({}, {"time": 30})
-    with xarray.open_zarr(store.path, chunks=None) as found:
-        assert np.array_equal(found["x"], X[:20])
+        patched.setattr("builtins.open", full)
+        for write in (lambda: written(store, 20, 30), lambda: store.commit({}, {"time": 30})):
+            with pytest.raises(OSError, match="No space left"):
+                write()
+    known, _ = read_root(store.path)
+    assert np.array_equal(read_array(store.path, "x", known["x"]), X[:20])
     assert np.array_equal(read_state(store.path, stored)["momenta"], X[:20])
     assert not list(store.path.rglob("*.writing"))
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"{", "is no archive of a run"),
-        (b"[1]", "is no archive of a run"),
-        (b'{"attributes": {}, "consolidated_metadata": {"metadata": {}}}', "is no archive of a run"),
-        (
-            b'{"attributes": {"archive_format": 2}, "consolidated_metadata": {"metadata": {}}}',
-            "format 2, .*up to 1; install a later version",
-        ),
-        (
-            b'{"attributes": {"archive_format": "1"}, "consolidated_metadata": {"metadata": {}}}',
-            "archive_format is '1'",
-        ),
-        *(
-            (
-                b'{"attributes": {"archive_format": %b}, "consolidated_metadata": {"metadata": {}}}' % version,
-                "archive_format is ",
-            )
-            for version in (b"true", b"0", b"-1", b"1.0", b"null")
-        ),
-        (
-            b'{"attributes": {}, "attributes": {"archive_format": 1}, "consolidated_metadata": {"metadata": {}}}',
-            "is no archive of a run",
-        ),
-        (
-            b'{"attributes": {"archive_format": 1}, "consolidated_metadata": {"metadata": {"x": {}}}}',
-            "the arrays in zarr.json are damaged",
-        ),
-    ],
-)
-def test_other_root_files_are_refused(tmp_path, content, message):
-    (tmp_path / ROOT_FILE).write_bytes(content)
-    with pytest.raises(ArchiveError, match=message):
-        read_root(tmp_path)
 
 
 def test_only_committed_states_remain(store):
@@ -202,15 +124,6 @@ def test_only_committed_states_remain(store):
     for one in (stored[0], stored[2]):
         with pytest.raises(ArchiveMoved, match=f"the state {one.file} is missing"):
             read_state(store.path, one)
-
-
-@pytest.mark.parametrize(
-    "file",
-    ["lock", "../x/c.0.0", "state-/../lock", "/etc/hostname", "state-\0", "state-a/b", "", "x/state-a"],
-)
-def test_paths_as_state_names_are_refused(store, file):
-    with pytest.raises(ArchiveError, match="no plain name"):
-        read_state(store.path, StoredState(file, "0", {}))
 
 
 def test_length_of_chunks_is_limited(store):
@@ -314,6 +227,8 @@ def test_leftovers_of_killed_processes_are_removed(store):
     """Temporary files of every folder go, others stay; lengths of arrays follow the root again."""
     written(store, 0, 10)
     store.commit({}, {"time": 10})
+    store.write("x", -X[10:30], (10,))
+    (store.path / ".coadjoint" / "state-lost.npz").write_bytes(b"unknown")
     store.close()
     folders = ("", ".coadjoint", "x", "component")
     for folder in folders:
@@ -321,11 +236,17 @@ def test_leftovers_of_killed_processes_are_removed(store):
             (store.path / folder / name).write_bytes(b"half")
     metadata = store.path / "x" / ROOT_FILE
     metadata.write_text(metadata.read_text().replace("[10, 3]", "[0, 3]"))
-    ArchiveStore.open_existing(store.path).close()
+    again = ArchiveStore.open_existing(store.path)
+    assert json.loads(metadata.read_text())["shape"] == [10, 3]
+    written(again, 10, 40)
+    again.commit({}, {"time": 40})
+    again.close()
+    known, _ = read_root(store.path)
+    assert np.array_equal(read_array(store.path, "x", known["x"]), X[:40]), "chunks that were not committed"
+    assert not (store.path / ".coadjoint" / "state-lost.npz").exists()
     for folder in folders:
         left = {name for name in os.listdir(store.path / folder) if "writing" in name}
         assert left == {"own.writing", ".writing.txt"}, folder
-    assert json.loads(metadata.read_text())["shape"] == [10, 3]
 
 
 def test_commit_before_the_lock_is_seen(store, monkeypatch):
@@ -413,18 +334,10 @@ GOOD = StoredArray(("time", "component"), "float64", (7, 3), (8, 3), {})
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"dims": ("time", "a b")}, "the dimensions are"),
-        ({"dims": ("time", 3)}, "the dimensions are"),
         ({"dims": (), "shape": (), "chunk": ()}, "the dimensions are"),
         ({"dims": ("row",) * 9, "shape": (1,) * 9, "chunk": (1,) * 9}, "the dimensions are"),
         ({"shape": (7,)}, "the shape is"),
-        ({"shape": (7, -1)}, "the shape is"),
-        ({"shape": (7, True)}, "the shape is"),
-        ({"shape": (7, 3.0)}, "the shape is"),
         ({"shape": (7, 2**62 + 1)}, "the shape is"),
-        ({"chunk": (8,)}, "the chunk is"),
-        ({"chunk": (0, 3)}, "the chunk is"),
-        ({"chunk": (8, 0)}, "the chunk is"),
         ({"chunk": (8, 4)}, "too large"),
         ({"chunk": (2**16 + 1, 1)}, "too large"),
         ({"shape": (7, 2**10), "chunk": (2**9 + 1, 2**10)}, "too large"),

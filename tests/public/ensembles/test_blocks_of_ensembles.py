@@ -185,8 +185,8 @@ GROWING = co.LiePoissonSystem(
 
 @pytest.mark.thinned(4)
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-@pytest.mark.parametrize("failing", [{2, 3}, {1}, {0, 4}, {1, 2, 4}, {0, 1, 2, 3, 4}], ids=str)
-@pytest.mark.parametrize("members_per_block", [1, 2, 3, 5])
+@pytest.mark.parametrize("failing", [{2, 3}, {0, 4}, {0, 1, 2, 3, 4}], ids=str)
+@pytest.mark.parametrize("members_per_block", [1, 3, 5])
 def test_failed_members_leave_the_others(tmp_path, failing, members_per_block):
     x0 = np.array([[1.0, 1e290 * (1 + m) if m in failing else 1.0 + m] for m in range(5)])
     run, given = (GROWING, x0, (0, 100), 0.5), {"archive": tmp_path / "many", "members_per_block": members_per_block}
@@ -332,34 +332,28 @@ def test_ensemble_that_cannot_be_marked_as_finished(tmp_path, monkeypatch):
     assert co.open_archive(path).attributes["archive_finished"] == 1
 
 
-@pytest.mark.parametrize("how", ["missing", "damaged", "folder"])
-def test_unreadable_initial_states_are_named(tmp_path, monkeypatch, how):
+@pytest.mark.parametrize("how", ["missing", "damaged", "folder", "lock"])
+def test_obstacles_to_a_block_are_named(tmp_path, monkeypatch, how):
+    """Initial states that cannot be read, and a lock that is a link, which is not followed."""
     path = tmp_path / "many.zarr"
     begun(path, monkeypatch, 1)
-    file = path / "x0" / "c.1.0"
-    content = file.read_bytes()
-    file.unlink()
+    file, error, named = path / "x0" / "c.1.0", ValueError, ("x0/c.1.0",)
+    if how == "lock":
+        file, error, named = path / HIDDEN / f"{marker(1)}.lock", OSError, (path, "members 4 to 7", "symbolic link")
+    content = None if how == "lock" else file.read_bytes()
+    file.unlink(missing_ok=True)
     if how == "damaged":
         file.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
     elif how == "folder":
         file.mkdir()
-    with refused(ValueError, "x0/c.1.0"):
-        co.resume(path)
-    shutil.rmtree(file) if how == "folder" else file.unlink(missing_ok=True)
-    file.write_bytes(content)
-    check_same(co.resume(path), co.integrate(BODY, X, SPAN, STEP))
-
-
-def test_lock_that_is_a_link_is_not_followed(tmp_path, monkeypatch):
-    path = tmp_path / "many.zarr"
-    begun(path, monkeypatch, 1)
-    lock = path / HIDDEN / f"{marker(1)}.lock"
-    lock.unlink(missing_ok=True)
-    lock.symlink_to(tmp_path / "elsewhere")
-    with refused(OSError, path, "members 4 to 7", "symbolic link"):
+    elif how == "lock":
+        file.symlink_to(tmp_path / "elsewhere")
+    with refused(error, *named):
         co.resume(path)
     assert os.listdir(tmp_path) == ["many.zarr"]
-    lock.unlink()
+    file.rmdir() if how == "folder" else file.unlink(missing_ok=True)
+    if content:
+        file.write_bytes(content)
     check_same(co.resume(path), co.integrate(BODY, X, SPAN, STEP))
 
 
