@@ -21,7 +21,7 @@ def reference_pages(written: set[str]) -> tuple[dict[str, str], dict[str, str]]:
     known: dict[int, str] = {}
     for space in SPACES:
         module = eval(f"co.{space}".removesuffix("."), {"co": co})
-        for name in sorted(set(dir(module)) - set(write_api.aliases(module))):
+        for name in sorted(dir(module)):
             value = getattr(module, name)
             if isinstance(value, str | types.ModuleType):
                 continue

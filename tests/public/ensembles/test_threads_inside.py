@@ -329,6 +329,7 @@ def test_threads_wait_between_calls():
     assert count() <= before + 3 + 3
 
 
+@pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes of this system are not forked")
 def test_a_forked_process_has_threads_of_its_own():
     system, x0 = isotropic(), spins(15)

@@ -7,11 +7,11 @@ namespace {
 
 struct OwnLengths final : OwnSteps {
     const StepTables& tables;
-    const Own constants;
-    FieldRoom<double> room;
+    const MemberConstants constants;
+    FieldWorkspace<double> room;
     std::vector<double> u, f;
 
-    OwnLengths(const StepTables& tables, const Own& constants)
+    OwnLengths(const StepTables& tables, const MemberConstants& constants)
         : OwnSteps(tables.field.size, 0, 0), tables(tables), constants(constants), room(tables.field),
           u(tables.field.size), f(tables.field.size) {
         work = work_of(tables.field);
