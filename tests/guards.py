@@ -1,8 +1,13 @@
-"""Guards of resources: processor time, independent of other processes and disks, and open file descriptors."""
+"""Guards of resources: processor time, independent of other processes and disks, open file descriptors, and forks."""
 
 import os
 import time
 from contextlib import contextmanager
+
+import pytest
+
+FORKS = pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
+"""Of tests that fork this process: JAX warns if another test has loaded it; its threads are not used in the child."""
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from killed_runs import check_archive_prefix, killed
 from storing import BODY, STEP, X, at_write, check_same, contents, raising
 
 import coadjoint as co
+from guards import FORKS
 from long import long_between, long_beyond
 from refusals import refused
 
@@ -35,6 +36,7 @@ def go_on(path, **options):
     return co.resume(path, RUN[2][1], **options)
 
 
+@FORKS
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked")
 @pytest.mark.parametrize("seed", long_beyond(1, range(3)))
 def test_killed_runs_resume(tmp_path, seed):

@@ -9,6 +9,7 @@ import pytest
 import scipy.sparse as sparse
 
 import coadjoint as co
+from guards import FORKS
 
 SPINS = 2500  # more angles of a part than one thread takes alone
 
@@ -329,7 +330,7 @@ def test_threads_wait_between_calls():
     assert count() <= before + 3 + 3
 
 
-@pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+@FORKS
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes of this system are not forked")
 def test_a_forked_process_has_threads_of_its_own():
     system, x0 = isotropic(), spins(15)
