@@ -17,7 +17,19 @@ ENTRY = "coadjoint.runs.integrate"
 INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 
 # A change may lower a maximum. One that raises it says in a comment beside the number what users gain for it.
-MAXIMA: dict[str, int] = {}
+MAXIMA: dict[str, int] = {
+    "Python files": 599,
+    "Python lines": 90861,
+    "longest file": 850,
+    "classes": 582,
+    "isinstance": 945,
+    "files in cycles, with imports inside functions and for types": 78,
+    "modules behind integrate": 213,
+    "C++ lines": 19171,
+    "test lines": 64321,
+    "test files that import internals": 75,
+    "public names": 328,
+}
 
 
 class Import(NamedTuple):

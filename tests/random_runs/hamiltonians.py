@@ -7,18 +7,7 @@ import math
 import numpy as np
 
 import coadjoint as co
-
-
-def well(y):
-    return 0.5 * y * y + 0.1 * y**4
-
-
-def well_slope(y):
-    return y + 0.4 * y**3
-
-
-def well_curvature(y):
-    return 1.0 + 1.2 * y * y
+from matrix.functions import well, well_curvature, well_slope
 
 
 def driven(y, t):

@@ -29,7 +29,7 @@ from coadjoint.validation import read_choice, read_integer, read_list, read_numb
 
 Floats = npt.NDArray[np.float64]
 
-MAX_MEMBERS = 20  # more curves cannot be told apart
+MAX_MEMBERS = 20  # more curves cannot be distinguished
 MAX_CURVE_POINTS = 20_000  # more than printed lines resolve
 SAMPLED = 64  # intervals examined
 NUMBERS_SAMPLED = 2**19  # entries of the states examined; at least MIN_SAMPLED intervals

@@ -11,16 +11,8 @@ import coadjoint as co
 from coadjoint import cli, commands, library_commands, run_commands
 from coadjoint.experiments.statement import judge
 from coadjoint.files.output import output_files as output
+from configuration_files import BODY
 
-BODY = """
-[system]
-name = "rigid_body"
-[initial]
-x = [1.0, 0.1, 0.5]
-[run]
-t_span = [0.0, 1.0]
-step = 0.1
-"""
 FLUID = """
 system = {name = "torus_euler", parameters = {N = 3}}
 initial = {kind = "random", seed = 1}

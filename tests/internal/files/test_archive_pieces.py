@@ -8,6 +8,7 @@ from coadjoint.files.archives import archived_solution, stored_arrays
 from coadjoint.files.archives.reading import ArchiveMoved
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from refusals import refused
+from same_runs import check_same
 
 BODY, X = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, -1.0, 0.7)
 STEP, SPAN = 0.125, (0.0, 2.0)
@@ -24,14 +25,6 @@ def rows(monkeypatch):
             monkeypatch.setattr(stored_arrays, name, count)
 
     return set_rows
-
-
-def check_same(found, expected):
-    actual = found.to_xarray().load()
-    for name, values in expected.to_xarray().variables.items():
-        np.testing.assert_array_equal(actual[name].values, values.values, err_msg=name)
-    for name, drift in expected.change().items():
-        np.testing.assert_array_equal(found.change()[name].tenths, drift.tenths)
 
 
 @pytest.mark.parametrize("count", [2, 5])

@@ -8,7 +8,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.methods import registry
-from methods.own_schemes import OwnKahan
+from own_schemes import OwnKahan
 from refusals import refused
 from served import served
 

@@ -11,6 +11,7 @@ from coadjoint.program.blocks import Kind
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
 from commuting_actions import acting
+from cubic_blocks import cubic_bound
 from drawn_matrices import constants_of, whole_matrix
 
 pytestmark = pytest.mark.thinned(3)
@@ -234,17 +235,6 @@ def test_exponential_of_basis_elements(name):
             assert error_of(read, D, x, theta) <= 4 * (algebra.dim + 2) * exponential_bound(D, theta) * np.linalg.norm(
                 x
             )
-
-
-def cubic_bound(D, theta):
-    """1 + S D + C D^2: the rounding of each term, and of lam = (D^3)_ij / D_ij, whose relative error is kappa u."""
-    i, j = np.unravel_index(np.argmax(abs(D)), D.shape)
-    lam = np.trace(D @ D) / 2
-    kappa = 8 * np.linalg.matrix_power(abs(D), 3)[i, j] / abs(lam * D[i, j])
-    root = np.sqrt(abs(lam))
-    grown = np.exp(root * abs(theta)) if lam > 0 else 1.0
-    terms = np.linalg.norm(D) / root + np.linalg.norm(abs(D) @ abs(D)) / abs(lam)
-    return U * (16 + (2 + abs(theta) * root) * kappa) * (1.0 + grown * terms)
 
 
 @pytest.mark.thinned(9)

@@ -14,6 +14,7 @@ from coadjoint.systems.forces.base import normal_deviates
 from coadjoint.systems.forces.double_bracket import exponential
 from coadjoint.systems.forces.rates import apply_metric, metric_root
 from coadjoint.systems.product_sums import MAX_BITS, ProductSums
+from metrics import SEMIDEFINITE
 
 U, N = 2.0**-53, 5
 
@@ -50,19 +51,6 @@ def test_normal_deviates():
     for power, mean, variance in ((1, 0, 1), (2, 1, 2), (3, 0, 15), (4, 3, 96)):
         assert abs(np.mean(many**power) - mean) < 5 * np.sqrt(variance / len(many))
     assert abs(np.mean(many[1:] * many[:-1])) < 5 / np.sqrt(len(many))
-
-
-def block(*rows):
-    return np.array(rows, dtype=float)
-
-
-SEMIDEFINITE = {
-    "zero": np.zeros((3, 3)),
-    "one direction": np.outer([1.0, -2.0, 0.5], [1.0, -2.0, 0.5]),
-    "a coordinate left out": block([0, 0, 0], [0, 2, 1], [0, 1, 1]),
-    "two equal rows": block([1, 1, 0], [1, 1, 0], [0, 0, 3]),
-    "definite": block([2, -1, 0.5], [-1, 3, 0.25], [0.5, 0.25, 1]),
-}
 
 
 @pytest.mark.parametrize("name", SEMIDEFINITE)

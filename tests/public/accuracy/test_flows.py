@@ -8,6 +8,7 @@ import scipy.linalg
 from scipy.linalg import expm
 
 import coadjoint as co
+from cubic_blocks import cubic_bound
 from drawn_matrices import whole_matrix, wide
 from refusals import refused
 from rounding import UNIT_ROUNDOFF as U
@@ -103,17 +104,6 @@ MATRICES = {
 
 
 CUBIC = ("so(3)", "sl(2), elliptic", "sl(2), hyperbolic")
-
-
-def cubic_bound(D, theta):
-    """1 + S D + C D^2: the rounding of each term, and of lam = (D^3)_ij / D_ij, whose relative error is kappa u."""
-    i, j = np.unravel_index(np.argmax(abs(D)), D.shape)
-    lam = np.trace(D @ D) / 2
-    kappa = 8 * np.linalg.matrix_power(abs(D), 3)[i, j] / abs(lam * D[i, j])
-    root = np.sqrt(abs(lam))
-    grown = np.exp(root * abs(theta)) if lam > 0 else 1.0
-    terms = np.linalg.norm(D) / root + np.linalg.norm(abs(D) @ abs(D)) / abs(lam)
-    return U * (16 + (2 + abs(theta) * root) * kappa) * (1.0 + grown * terms)
 
 
 @pytest.mark.thinned(8)

@@ -9,35 +9,9 @@ import pytest
 
 import coadjoint as co
 from command import command
+from configuration_files import OWN, READY_MADE
 
 EXAMPLES = sorted((Path(__file__).parents[3] / "examples").glob("*.toml"))
-READY_MADE = """
-[system]
-name = "rigid_body"
-[system.parameters]
-inertia = [1.0, 2.0, 2.5]
-[initial]
-x = [1.0, 0.1, 0.5]
-[method]
-name = "Splitting"
-order = 4
-[run]
-t_span = [0, 1]
-step = 0.1
-"""
-OWN = """
-sign = -1
-[algebra]
-dim = 3
-brackets = ["[e1, e2] = e3", "[e2, e3] = e1", "[e3, e1] = e2"]
-[hamiltonian]
-M = [1.0, 0.5, 0.25]
-[initial]
-x = [1.0, 0.1, 0.5]
-[run]
-t_span = [0.0, 1.0]
-step = 0.1
-"""
 SWEEP = '[sweep]\nsamples = 3\nseed = 7\n[sweep.over]\n"initial.x" = { sphere = 1.0 }\n'
 TWO = "x = [[1.0, 0.1, 0.5], [0.0, 1.0, 0.5]]"
 BYTES = {"bytes": 1.0, "B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9}

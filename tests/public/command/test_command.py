@@ -14,33 +14,10 @@ import xarray
 
 import coadjoint as co
 from command import command
+from configuration_files import BODY, GROWING
 
 ROOT = Path(co.__file__).parents[1]
 EXAMPLES = sorted((Path(__file__).parents[3] / "examples").glob("*.toml"))
-BODY = """
-[system]
-name = "rigid_body"
-[initial]
-x = [1.0, 0.1, 0.5]
-[run]
-t_span = [0.0, 1.0]
-step = 0.1
-"""
-# [e1, e2] = e2 with H = x1 gives x2' = x2, which overflows at t = 709.78, in step 710.
-GROWING = """
-sign = -1
-[algebra]
-dim = 2
-brackets = ["[e1, e2] = e2"]
-[hamiltonian]
-linear = [1.0, 0.0]
-[initial]
-x = [1.0, 1.0]
-[run]
-t_span = [0.0, 1000.0]
-step = 1.0
-save_every = 100
-"""
 
 
 @pytest.fixture

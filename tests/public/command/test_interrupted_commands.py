@@ -12,18 +12,11 @@ import xarray
 
 import coadjoint as co
 from command import command
+from configuration_files import BODY, changed
 from core_only import ENVIRONMENT, run_python
 from long import long_beyond
 
-BODY = """
-[system]
-name = "rigid_body"
-[initial]
-x = [1.0, 0.1, 0.5]
-[run]
-t_span = [0.0, 10.0]
-step = 0.125
-"""
+RUN = changed(BODY, ("[0.0, 1.0]", "[0.0, 10.0]"), ("step = 0.1", "step = 0.125"))
 SIGNALS = [("SIGTERM", 143, "terminated"), ("SIGINT", 130, "interrupted"), ("SIGHUP", 129, "hung up")]
 COMMAND = """
 import os, signal, sys
@@ -93,12 +86,12 @@ def run_to(target):
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "body.toml").write_text(BODY)
+    (tmp_path / "body.toml").write_text(RUN)
     return tmp_path
 
 
 def signalling(name, at=5.0):
-    return BODY + f'[method]\nname = "Signalling"\nnumber = {int(getattr(signal, name))}\nat = {at}\n'
+    return RUN + f'[method]\nname = "Signalling"\nnumber = {int(getattr(signal, name))}\nat = {at}\n'
 
 
 def states(count):
@@ -143,7 +136,7 @@ def test_interrupted_archive_is_resumed(folder, name, status, message):
 
 def old_result(capsys, target):
     """Write the result of an earlier run, with 41 points."""
-    Path("old.toml").write_text(BODY.replace("10.0]", "5.0]"))
+    Path("old.toml").write_text(RUN.replace("10.0]", "5.0]"))
     assert command(capsys, "run", "old.toml", "--quiet", "--out", target).status == 0
     os.remove("old.toml")
 

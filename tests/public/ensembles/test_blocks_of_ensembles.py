@@ -14,6 +14,7 @@ import xarray
 
 import coadjoint as co
 from refusals import refused
+from same_runs import check_same
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 X = np.random.default_rng(3).standard_normal((11, 3))
@@ -24,16 +25,6 @@ pytestmark = pytest.mark.usefixtures("no_fsync")
 
 def ensemble(path, x0=X, span=SPAN, size=4, **options):
     return co.integrate_ensemble(BODY, x0, span, STEP, archive=path, members_per_block=size, **options)
-
-
-def check_same(found, expected):
-    actual = found.to_xarray().load()
-    for name, values in expected.to_xarray().variables.items():
-        np.testing.assert_array_equal(actual[name].values, values.values, err_msg=name)
-    for name, drift in expected.change().items():
-        np.testing.assert_array_equal(found.change()[name].tenths, drift.tenths)
-        np.testing.assert_array_equal(found.initial[name], expected.initial[name])
-    assert (found.stats.steps, found.stats.evaluations) == (expected.stats.steps, expected.stats.evaluations)
 
 
 class Stop:

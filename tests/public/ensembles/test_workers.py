@@ -17,6 +17,7 @@ from distributed import Client, LocalCluster
 import coadjoint as co
 from long import long_between, long_beyond
 from refusals import refused
+from same_runs import check_same
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 X = np.random.default_rng(3).standard_normal((11, 3))
@@ -27,12 +28,6 @@ def client():
     plain = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": ":0", "silence_logs": 50}
     with LocalCluster(**plain) as cluster, Client(cluster) as found:
         yield found
-
-
-def check_same(found, expected):
-    actual = found.to_xarray().load()
-    for name, values in expected.to_xarray().variables.items():
-        np.testing.assert_array_equal(actual[name].values, values.values, err_msg=name)
 
 
 TOP, FLUID = co.systems.heavy_top(), co.systems.sphere_euler(4)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from methods.own_schemes import NOTHING
+from own_schemes import NOTHING
 from refusals import refused
 
 SOURCE = Path(__file__).with_name("own_step.cpp")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from methods.own_schemes import Failing, Interpreted, OwnKahan, Plain
+from own_schemes import Failing, Interpreted, OwnKahan, Plain
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from methods.own_schemes import Classical
+from own_schemes import Classical
 from refusals import refused
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))

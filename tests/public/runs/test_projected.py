@@ -7,7 +7,7 @@ import pytest
 
 import coadjoint as co
 from drawn_matrices import full
-from methods.own_schemes import Classical
+from own_schemes import Classical
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
 

@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import coadjoint as co
+from metrics import SEMIDEFINITE, block
 from refusals import refused
 
 BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
@@ -179,17 +180,6 @@ def test_what_a_force_is_made_of_stays_as_it_is():
 ORDERS = list(itertools.permutations(range(3)))
 
 
-def block(*rows):
-    return np.array(rows, dtype=float)
-
-
-SEMIDEFINITE = {
-    "zero": np.zeros((3, 3)),
-    "one direction": np.outer([1.0, -2.0, 0.5], [1.0, -2.0, 0.5]),
-    "a coordinate left out": block([0, 0, 0], [0, 2, 1], [0, 1, 1]),
-    "two equal rows": block([1, 1, 0], [1, 1, 0], [0, 0, 3]),
-    "definite": block([2, -1, 0.5], [-1, 3, 0.25], [0.5, 0.25, 1]),
-}
 INDEFINITE = {
     "zeros on the diagonal": block([0, 1, 0], [1, 0, 0], [0, 0, 1]),
     "a zero on the diagonal": block([0, 1, 0], [1, 5, 0], [0, 0, 1]),

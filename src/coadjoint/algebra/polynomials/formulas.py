@@ -38,7 +38,7 @@ MAX_TERMS = 10_000
 """Terms of one product that is multiplied out."""
 MAX_WORK = 1 << 24
 """Products of two terms in a whole formula, each times the number of coordinates and 8."""
-MEMORY_CHECK_INTERVAL = 1024  # terms between two looks at the memory
+MEMORY_CHECK_INTERVAL = 1024  # terms between two memory checks
 BYTES_PER_TERM = 300  # key, coefficient and entry of a mapping
 BYTES_PER_EXPONENT = 8  # a reference in the key
 BITS_OF_CONSTANTS = 1400  # in which functions of numbers are computed, the range of float64 and 300 more

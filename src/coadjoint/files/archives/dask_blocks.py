@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 RETRIES = 3
 """Attempts without progress, after losses of workers or of their data, before giving up."""
-POLL_SECONDS = 0.5  # between two looks at the tasks
+POLL_SECONDS = 0.5  # between two checks of the tasks
 SCHEDULER_TIMEOUT = 10.0  # s, for an answer of a scheduler that may be lost
 RETRY_SECONDS = 2.0  # before a block is tried again, whose lock may be that of a lost worker
 

@@ -12,7 +12,7 @@ from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.style import colour, legend, plain_axes, thickness
 
 MAX_TIMES = 200  # points of a curve; a spectrum each, which takes time
-MAX_SCALES = 6  # curves that can be told apart
+MAX_SCALES = 6  # curves that can be distinguished
 LETTER = {"sphere": "l", "torus": "|n|"}
 
 

@@ -1,7 +1,17 @@
-"""Configuration files of a ready-made system, of an algebra of its own, and of a motion that overflows."""
+"""Configuration files of ready-made systems, of an algebra of its own, and of a motion that overflows."""
 
 import coadjoint as co
 from command import command
+
+BODY = """
+[system]
+name = "rigid_body"
+[initial]
+x = [1.0, 0.1, 0.5]
+[run]
+t_span = [0.0, 1.0]
+step = 0.1
+"""
 
 READY_MADE = """
 [system]
@@ -35,7 +45,7 @@ t_span = [0.0, 1.0]
 step = 0.1
 """
 
-# [e1, e2] = e2 with H = x1 gives x2' = x2, which overflows at t = 709.78.
+# [e1, e2] = e2 with H = x1 gives x2' = x2, which overflows at t = 709.78, in step 710.
 GROWING = """
 sign = -1
 [algebra]
