@@ -33,7 +33,7 @@ demo: kernels
 
 # Hypothesis draws the same cases on every machine; in `make long` others each time.
 test: kernels
-	$(BIN)/ruff check .
+	$(BIN)/ruff check --no-cache .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy > $(VENV)/types.txt & types=$$!; \
 	$(ONE_THREAD) $(BIN)/pytest -n 2 -m "not long" --hypothesis-profile=ci; tests=$$?; \

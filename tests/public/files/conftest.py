@@ -1,6 +1,7 @@
 """Fixtures of the tests of files."""
 
 import pytest
+
 from configuration_files import ConfigurationFiles
 
 

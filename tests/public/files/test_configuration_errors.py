@@ -10,9 +10,9 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
-from configuration_files import BRACKETS, OWN, READY_MADE, changed
 
 from command import command
+from configuration_files import BRACKETS, OWN, READY_MADE, changed
 from guards import bounded_work
 
 CASIMIRS = '[casimirs]\n"|x|^2" = "x1^2 + x2^2 + x3^2"\n'

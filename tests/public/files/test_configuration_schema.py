@@ -9,11 +9,11 @@ from pathlib import Path
 
 import jsonschema
 import pytest
-from configuration_files import OWN, READY_MADE
 from test_configured_runs import CONFIGURED, FLUID
 
 import coadjoint as co
 from command import command
+from configuration_files import OWN, READY_MADE
 
 ROOT = Path(__file__).parents[3]
 SCHEMA = ROOT / "docs" / "configuration.schema.json"

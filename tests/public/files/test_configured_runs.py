@@ -5,10 +5,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from compared_runs import assert_same_run, same_bits
-from configuration_files import BRACKETS, OWN, READY_MADE
 
 import coadjoint as co
 from command import command
+from configuration_files import BRACKETS, OWN, READY_MADE
 
 X = (1.0, 0.1, 0.5)
 BODY = co.systems.rigid_body((1.0, 2.0, 2.5))

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import xarray
 from compared_runs import same_bits
-from configuration_files import READY_MADE
 from scipy.linalg import expm
 
 import coadjoint as co
+from configuration_files import READY_MADE
 from rounding import UNIT_ROUNDOFF
 
 BODY = READY_MADE.replace("t_span = [0, 1]\nstep = 0.1", "t_span = [0, 0.25]\nstep = 0.125")

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 import xarray
-from configuration_files import READY_MADE
 
 import coadjoint as co
 from command import command
+from configuration_files import READY_MADE
 from guards import bounded_work
 
 ENGINE = {".nc": "h5netcdf", ".zarr": "zarr"}

@@ -5,9 +5,9 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from configuration_files import OWN, changed
 
 import coadjoint as co
+from configuration_files import OWN, changed
 from guards import bounded_work
 from refusals import refused
 

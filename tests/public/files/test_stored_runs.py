@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import scipy.linalg
 from compared_runs import assert_same_run, same_bits
-from configuration_files import READY_MADE
 from stored_systems import (
     BODY,
     FREE,
@@ -28,6 +27,7 @@ from stored_systems import (
 )
 
 import coadjoint as co
+from configuration_files import READY_MADE
 from served import FLUID, serves, state_of
 
 X = (0.3, -0.2, 0.5)
