@@ -5,20 +5,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from core_only import ENVIRONMENT
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT / "examples" / "rigid_body.toml"
-README = """
-import doctest, sys, warnings
-import coadjoint as co
-warnings.filterwarnings("ignore", category=co.LongWait)  # of a busy machine
-flags = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
-print(doctest.testfile(sys.argv[1], module_relative=False, optionflags=flags).failed)
-"""
-
 SESSION = """
 import warnings
 import numpy as np
@@ -40,41 +30,44 @@ co.integrate(body, x0, (0, 10), accuracy=1e-9)
 co.integrate(co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(lambda x: x[0] ** 4 + x[1] ** 2)), x0, (0, 1), 0.1,
     co.GaussLegendre(2))
 assert co.certify(body, co.GaussLegendre(2), (0.3, 1.0, 0.2), step=0.1).passed
-print("done")
+"""
+CHECKOUT = """
+import doctest, sys
+from importlib.metadata import entry_points
+(script,) = entry_points(group="console_scripts", name="coadjoint")
+readme, example = {files}
+flags = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
+assert not doctest.testfile(readme, module_relative=False, optionflags=flags).failed
+for arguments in (
+    ["check", example],
+    ["run", example, "--out", "body.nc", "--figure", "body.png"],
+    ["run", example, "--archive", "body.zarr", "--quiet"],
+    ["resume", "body.zarr", "--t-end", "1001"],
+    ["certify", example],
+    ["systems"],
+    ["schema"],
+):
+    sys.argv = ["coadjoint", *arguments]
+    try:
+        status = script.load()()
+    except SystemExit as ended:
+        status = ended.code
+    assert not status, arguments
 """
 
 
-def strictly(folder, *arguments):
-    """Run Python with warnings as errors; return what it printed."""
-    command = [sys.executable, "-W", "error", *map(str, arguments)]
-    environment = ENVIRONMENT | {"MPLBACKEND": "agg"}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=folder, env=environment)
-    assert (done.returncode, done.stderr) == (0, ""), arguments
-    return done.stdout
-
-
 def test_session_without_warnings(tmp_path):
-    """A run, its archive, files, a picture, an ensemble, a chosen scheme, a Python function and a certificate."""
-    assert strictly(tmp_path, "-c", SESSION) == "done\n"
-    assert {"run.zarr", "run.nc", "copy.zarr", "run.png"} <= set(os.listdir(tmp_path))
+    """A run, its archive, files, a picture, an ensemble, a chosen scheme, a Python function and a certificate.
 
-
-@pytest.mark.skipif(not EXAMPLE.is_file(), reason="not a checkout")
-def test_readme_without_warnings(tmp_path):
-    assert strictly(tmp_path, "-c", README, ROOT / "README.md") == "0\n"
-
-
-@pytest.mark.skipif(not EXAMPLE.is_file(), reason="not a checkout")
-def test_commands_without_warnings(tmp_path):
-    """A configuration file that is checked, run with a dataset, an archive and a picture, and certified."""
-    for arguments in (
-        ("check", EXAMPLE),
-        ("run", EXAMPLE, "--out", "run.nc", "--figure", "run.png"),
-        ("run", EXAMPLE, "--archive", "run.zarr", "--quiet"),
-        ("resume", "run.zarr", "--t-end", "1001"),
-        ("certify", EXAMPLE),
-        ("systems",),
-        ("schema",),
-    ):
-        strictly(tmp_path, "-m", "coadjoint", *arguments)
-    assert {"run.nc", "run.png", "run.zarr"} <= set(os.listdir(tmp_path))
+    In a checkout also the README, and a configuration file that is checked, run with a dataset, an archive and a
+    picture, and certified.
+    """
+    checkout = CHECKOUT.format(files=(str(ROOT / "README.md"), str(EXAMPLE))) if EXAMPLE.is_file() else ""
+    process = [sys.executable, "-W", "error", "-c", SESSION + checkout]
+    environment = ENVIRONMENT | {"MPLBACKEND": "agg"}
+    done = subprocess.run(process, capture_output=True, text=True, timeout=300, cwd=tmp_path, env=environment)
+    assert (done.returncode, done.stderr) == (0, "")
+    written = {"run.zarr", "run.nc", "copy.zarr", "run.png"} | (
+        {"body.nc", "body.png", "body.zarr"} if checkout else set()
+    )
+    assert written <= set(os.listdir(tmp_path))
