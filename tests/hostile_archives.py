@@ -103,10 +103,8 @@ def changed(tree, rng, strange):
     within = tree
     for key in path:
         within = within[key]
-    held, kind = (
-        within[last],
-        rng.choice(["delete", "strange", "strange", "strange", "rename", "swap", "inner", "inner"]),
-    )
+    held = within[last]
+    kind = rng.choice(["delete", "strange", "strange", "strange", "rename", "swap", "inner", "inner"])
     if kind == "inner" and isinstance(held, str) and held[:1] in "[{":
         try:
             inner = [json.loads(held)]
@@ -285,15 +283,8 @@ def use(archive, name):
     """Yield the operations of a user on an archive."""
     found = co.open_archive(archive)
     yield from (
-        lambda: [
-            found.x,
-            found.t,
-            found.energy,
-            dict(found.casimirs),
-            dict(found.observed),
-            found.work,
-            found.attitude,
-        ],
+        lambda: [found.x, found.t, found.energy, dict(found.casimirs), dict(found.observed), found.work],
+        lambda: found.attitude,
         lambda: [repr(found), found.stats, found.change(), found.initial, found.finished, found.reached, found.failed],
         lambda: [found.system, found.method, found.x0],
         lambda: found.to_xarray().load(),
@@ -310,24 +301,18 @@ def use(archive, name):
 def outcomes(archive, name):
     """Return the refusals of all operations; other exceptions are raised."""
     refused = []
-    uses = use(archive, name)
-    while True:
+
+    def tried(operation):
         try:
-            each = next(uses)
-        except StopIteration:
-            return refused
-        except REFUSALS as reason:
-            refused.append(reason)  # it cannot be opened, so that the other uses cannot be named
-            for last in (lambda: co.load(archive), lambda: co.resume(archive, until=20)):
-                try:
-                    last()
-                except REFUSALS as another:
-                    refused.append(another)
-            return refused
-        try:
-            each()
+            return operation()
         except REFUSALS as reason:
             refused.append(reason)
+
+    uses = tried(lambda: list(use(archive, name)))
+    # If it cannot be opened, the other uses cannot be named.
+    for each in uses or (lambda: co.load(archive), lambda: co.resume(archive, until=20)):
+        tried(each)
+    return refused
 
 
 def attacked(base, folder, name, kind, seed):
@@ -346,11 +331,8 @@ def attacked(base, folder, name, kind, seed):
         refused = outcomes(folder / "in" / "run", name)
     except Exception as wrong:
         return f"{type(wrong).__name__}: {wrong}"
-    if (
-        snapshot(outside) != before
-        or os.listdir(folder / "in") != ["run"]
-        or set(os.listdir(folder)) != {"in", "outside"}
-    ):
+    names = os.listdir(folder / "in"), set(os.listdir(folder))
+    if snapshot(outside) != before or names != (["run"], {"in", "outside"}):
         return "something outside of the archive has changed"
     if Sentinel.unpickled:
         return "an object was unpickled"

@@ -154,31 +154,21 @@ def test_lost_result_is_computed_again(monkeypatch, there):
             on_workers._task_result(None, Task())
 
 
-@pytest.mark.parametrize(
-    ("address", "warned"),
-    [
-        ("tcp://192.0.2.7:8786", True),
-        ("tcp://[2001:db8::7]:8786", True),
-        ("ucx://192.0.2.7:8786", True),
-        ("tcp://somewhere:8786", True),
-        ("tcp://localhost.somewhere:8786", True),
-        ("tcp://127.0.0.1.somewhere:8786", True),
-        ("tls://192.0.2.7:8786", False),
-        ("tcp://127.0.0.1:8786", False),
-        ("tcp://127.1.2.3:8786", False),
-        ("tcp://[::1]:8786", False),
-        ("tcp://localhost:8786", False),
-        ("inproc://192.0.2.7/1/1", False),
-    ],
-)
-def test_unencrypted_remote_client_warns(address, warned):
+ENCRYPTED_OR_NEAR = ("tls://192.0.2.7:8786", "tcp://127.1.2.3:8786", "tcp://[::1]:8786", "tcp://localhost:8786",
+    "inproc://192.0.2.7/1/1")  # fmt: skip
+REMOTE = ("tcp://192.0.2.7:8786", "tcp://[2001:db8::7]:8786", "ucx://192.0.2.7:8786", "tcp://somewhere:8786",
+    "tcp://localhost.somewhere:8786", "tcp://127.0.0.1.somewhere:8786")  # fmt: skip
+
+
+@pytest.mark.parametrize("address", [*REMOTE, *ENCRYPTED_OR_NEAR])
+def test_unencrypted_remote_client_warns(address):
     client = object.__new__(Client)
     client.scheduler, client.status = SimpleNamespace(address=address), "closed"
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("default")
         for _ in range(3):
             assert read_worker_pool(client, None, None).client is client
-    assert [warning.category for warning in found] == [RuntimeWarning] * warned
+    assert [warning.category for warning in found] == [RuntimeWarning] * (address in REMOTE)
     assert all(address in str(warning.message) for warning in found)
 
 
@@ -217,9 +207,5 @@ def test_worker_count():
         def __init__(self, count):
             self.scheduler_info = lambda n_workers: {"workers": dict.fromkeys(range(count))}
 
-    assert [
-        WorkerPool().worker_count,
-        WorkerPool(None, 3).worker_count,
-        WorkerPool(Cluster(4)).worker_count,
-        WorkerPool(Cluster(0)).worker_count,
-    ] == [1, 3, 4, 1]
+    pools = (WorkerPool(), WorkerPool(None, 3), WorkerPool(Cluster(4)), WorkerPool(Cluster(0)))
+    assert [pool.worker_count for pool in pools] == [1, 3, 4, 1]

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from storing import BODY, STEP, X, at_write, check_same, contents, cut, raising, whole
+from storing import BODY, STEP, X, at_write, contents, cut, raising, whole
 
 import coadjoint as co
 from refusals import refused
+from same_runs import check_same
 
 SPAN = (0.0, 16 * STEP)
 pytestmark = pytest.mark.usefixtures("no_fsync")

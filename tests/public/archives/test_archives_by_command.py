@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
-from storing import check_same
 
 import coadjoint as co
 from command import command
 from core_only import ENVIRONMENT, run_python
 from long import long_beyond
+from same_runs import check_same
 
 RUN = """
 [system]

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from storing import BODY, RUNS, STEP, T0, check_same
+from storing import BODY, RUNS, STEP, T0
 
 import coadjoint as co
 from refusals import refused
+from same_runs import check_same
 
 X0 = [(1.0, 0.2, 0.5), (0.1, 1.0, 0.1)]
 pytestmark = pytest.mark.usefixtures("no_fsync")

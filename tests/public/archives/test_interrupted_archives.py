@@ -11,12 +11,13 @@ import sys
 import numpy as np
 import pytest
 from killed_runs import check_archive_prefix, killed
-from storing import BODY, STEP, X, at_write, check_same, contents, raising
+from storing import BODY, STEP, X, at_write, contents, raising
 
 import coadjoint as co
 from guards import FORKS
 from long import long_between, long_beyond
 from refusals import refused
+from same_runs import check_same
 
 FULL = "No space left on device"
 RUN = (BODY, X, (0.0, 3200 * STEP), STEP, co.Splitting(order=2))

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from storing import check_same
 
 import coadjoint as co
 from rounding import UNIT_ROUNDOFF
+from same_runs import check_same
 
 ARCHIVES = Path(__file__).parent / "reference_archives" / "format_1.zip"
 SPAN, STEP, CUT, EVERY = (0.0, 4.0), 0.125, 13, 2

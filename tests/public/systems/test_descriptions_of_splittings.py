@@ -70,12 +70,8 @@ def blocks_by_hand(D):
 def functions_by_hand(D):
     """Calls of elementary functions: blocks that are equal, but for the sense of a rotation, have them in common."""
     blocks = [(kind_of(block), block) for block in connected(D)]
-    shared = {
-        (kind, np.abs(block).tobytes() if kind == "ROTATE" else block.tobytes())
-        for kind, block in blocks
-        if kind in ("SCALE", "ROTATE", "PLANE")
-    }
-    return len(shared) + sum(kind == "CUBIC" for kind, _ in blocks)
+    shared = {(kind, (abs(block) if kind == "ROTATE" else block).tobytes()) for kind, block in blocks}
+    return sum(kind in ("SCALE", "ROTATE", "PLANE") for kind, _ in shared) + sum(kind == "CUBIC" for kind, _ in blocks)
 
 
 def commuting_groups(rng, algebra):
