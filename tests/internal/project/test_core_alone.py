@@ -120,11 +120,6 @@ def test_exact_algebra():
             r'the gradient of the Hamiltonian, a Python function, needs the package numba, .*coadjoint\[functions\]"',
         ),
         (
-            "H = co.Separable({0: (lambda y: y ** 4, lambda y: 4 * y ** 3)})\n"
-            "co.stepper(co.LiePoissonSystem(co.algebras.so(3), H), co.Splitting(), 0.1)(x0)",
-            r'the gradient of the Hamiltonian, a Python function, needs the package numba, .*coadjoint\[functions\]"',
-        ),
-        (
             "J = lambda x: np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])\n"
             "s = co.PoissonSystem(J, co.Quadratic([1.0, 2.0, 3.0]))\n"
             "co.prepare(s, co.GaussLegendre(1), 0.1).run(x0, (0.0, 1.0))",
@@ -151,26 +146,6 @@ def test_exact_algebra():
             "accuracy.choose = None\n"
             "co.integrate(body, x0, (0.0, 1.0), accuracy=1e-9, progress=True)",
             r'progress=True needs the package tqdm, .*coadjoint\[cli\]"',
-        ),
-        (
-            "from coadjoint.files.output.output_files import check_target\ncheck_target('run.nc')",
-            r'run.nc: NetCDF needs the packages xarray, h5netcdf and h5py, .*coadjoint\[io\]"',
-        ),
-        (
-            "from coadjoint.files.output.output_files import check_target\ncheck_target('run.zarr')",
-            r'run.zarr: Zarr needs the packages xarray and zarr, .*coadjoint\[io\]"',
-        ),
-        (
-            "from coadjoint.files.output.output_files import FIGURES, check_target\ncheck_target('run.png', FIGURES)",
-            r'run.png: a figure needs the package matplotlib, .*coadjoint\[plot\]"',
-        ),
-        (
-            "from coadjoint.files.configuration.loading import load\nload('body.toml')",
-            r'reading a configuration file needs the package pydantic, .*coadjoint\[io\]"',
-        ),
-        (
-            "from coadjoint.experiments.reich1993 import reproduce\nreproduce('figures')",
-            r'repeating the experiments needs the packages numba and matplotlib, .*coadjoint\[functions,plot\]"',
         ),
     ],
     ids=lambda value: value.partition(" needs")[0] if "needs" in value else "",

@@ -36,10 +36,11 @@ run = {t_span = [0, 1], step = 0.1}
         ),
         (["run", "body.toml", "--progress"], "tqdm", 'progress=True needs the package tqdm, .*"coadjoint.cli."'),
         (["run", "body.toml", "--out", "x.nc"], "h5py", 'x.nc: NetCDF needs the package h5py, .*"coadjoint.io."'),
+        (["run", "body.toml", "--out", "x.zarr"], "zarr", 'x.zarr: Zarr needs the package zarr, .*"coadjoint.io."'),
         (["run", "body.toml", "--figure", "x.png"], "matplotlib", 'x.png: a figure needs .*"coadjoint.plot."'),
         (["reproduce"], "numba", 'repeating the experiments needs the package numba, .*"coadjoint.functions."'),
     ],
-    ids=["configuration", "progress", "NetCDF", "figure", "reproduce"],
+    ids=["configuration", "progress", "NetCDF", "Zarr", "figure", "reproduce"],
 )
 def test_command_names_missing_packages(tmp_path, monkeypatch, capsys, arguments, missing, message):
     """One line before the run; nothing is left behind."""

@@ -57,18 +57,31 @@ def inside(text):
                     yield node.value[:80]
 
 
+@cache
+def inside_file(path):
+    return sorted(set(inside(path.read_text("utf-8"))))
+
+
+@cache
+def imported(path):
+    """Return the names of modules, and of what may be one, that a file imports."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        names = [node.module] if isinstance(node, ast.ImportFrom) else []
+        names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        for name in filter(None, names):
+            found += [name, *(f"{name}.{alias.name}" for alias in node.names)]
+    return found
+
+
 def helpers_of(path, modules):
     """Return the helper modules of the tests that a file imports, directly or not."""
     found, pending = {}, [path]
     while pending:
-        for node in ast.walk(ast.parse(pending.pop().read_text("utf-8"))):
-            names = [node.module] if isinstance(node, ast.ImportFrom) else []
-            names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            for name in filter(None, names):
-                for one in (name, *(f"{name}.{alias.name}" for alias in node.names)):
-                    if one in modules and one not in found:
-                        found[one] = modules[one]
-                        pending.append(modules[one])
+        for one in imported(pending.pop()):
+            if one in modules and one not in found:
+                found[one] = modules[one]
+                pending.append(modules[one])
     return found.values()
 
 
@@ -88,7 +101,7 @@ def test_public_tests_use_public_names_alone():
     for path in tracked():
         if path.is_relative_to(TESTS / "public") and path.suffix == ".py":
             for one in (path, *helpers_of(path, helper_modules())):
-                if found := sorted(set(inside(one.read_text("utf-8")))):
+                if found := inside_file(one):
                     wrong[str(one.relative_to(TESTS))] = found
     assert wrong == {}
 

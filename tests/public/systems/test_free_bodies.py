@@ -144,6 +144,8 @@ def test_the_papers_convention_runs_backwards():
     # A11(10) of section 5.2, the solution in the paper's convention
     A = S.paper_rigid_body().exact(x0, 10.0, attitude=True)[1]
     assert A[0, 0] == pytest.approx(0.0720212720707, abs=1e-12)
+    B = S.rigid_body((1.0, 2.0, 3.0)).exact(x0, 10.0, attitude=True)[1]
+    assert B[0, 0] == pytest.approx(-0.404281810695, abs=1e-12)
     for system in (S.rigid_body((1.0, 2.0, 3.0)), S.paper_rigid_body()):
         for late in (1e200, [0.0, 1e200], [-1e200, 0.0, 1.0]):
             with refused(ValueError, "overflows", "x0", "t ="):
