@@ -75,7 +75,8 @@ def imports_of(tree: ast.AST, own: str, modules: Iterable[str]) -> Iterator[Impo
             deeper = [f"{node.module}.{alias.name}" for alias in node.names]
             names = [name if name in known else str(node.module) for name in deeper]
         yield from (Import(name, inside, typing) for name in dict.fromkeys(names) if name in known and name != own)
-        pending += [(child, inside, typing) for child in ast.iter_child_nodes(node)]
+        for block in ("body", "orelse", "finalbody", "handlers", "cases"):  # imports are statements
+            pending += [(child, inside, typing) for child in getattr(node, block, [])]
 
 
 def reached(start: str, graph: dict[str, set[str]]) -> set[str]:

@@ -52,7 +52,7 @@ def truth(system):
 
 @cache
 def identified(name, backward=False):
-    system, degree, t, x = data(name, backward=backward)
+    system, degree, t, x = data(name, 4, backward)
     return system, degree, t, co.identify(system.algebra, t, x, degree, sign=system.sign)
 
 
@@ -133,7 +133,7 @@ def test_noise_is_not_underestimated_by_few_equations():
 
 
 def test_noise_of_each_component_is_found():
-    system, degree, t, x = data("e(3)")
+    system, degree, t, x = data("e(3)", 4)
     sizes = np.array([1e-3, 1e-3, 1e-3, 5e-3, 5e-3, 5e-3])
     noisy = x + sizes * np.random.default_rng(3).standard_normal(x.shape)
     found = co.identify(system.algebra, t, noisy, degree, sign=system.sign)
@@ -177,7 +177,7 @@ def test_a_single_orbit_leaves_directions_undetermined():
 
 
 def test_a_wrong_degree_shows_in_the_run():
-    system, _, t, x = data("degree 3")
+    system, _, t, x = data("degree 3", 4)
     low, high = (co.identify(system.algebra, t, x, degree) for degree in (2, 3))
     assert low.run_error > 0.01 > 1e-6 > high.run_error
     assert low.standard_deviation.max() > 1e4 * high.standard_deviation.max()

@@ -55,7 +55,6 @@ def test_members_have_the_bits_of_single_files(files, swept):
         assert same_bits(files.run(alone, out="alone.nc", name="alone.toml").x, sol.x[:, member])
 
 
-@pytest.mark.thinned(1)
 @pytest.mark.parametrize("count", [2, 7])
 @pytest.mark.parametrize("ends", [[0, 1], [6, -6], [-3, 3.5], [0.1, 0.7], [-0.3, -2.9], [7.1, 1e-3]])
 def test_grids_have_both_ends_and_equal_parts(swept, ends, count):
@@ -91,7 +90,7 @@ def test_rows_of_files_are_combined(files, swept):
     assert swept('"initial.x" = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.5]]', "", text).x0[1].tolist() == [0.0, 1.0, 0.5]
 
 
-def draws(swept, key, kind, samples=4000, seed=1, text=BODY):
+def draws(swept, key, kind, samples=1000, seed=1, text=BODY):
     return swept(f'"{key}" = {kind}', f"samples = {samples}\nseed = {seed}", text).x0
 
 
@@ -106,16 +105,16 @@ def test_samples_depend_on_seed_key_and_number(swept):
 
 
 def test_distributions_have_their_moments(swept):
-    """Means of 4000 numbers are within five standard errors."""
+    """Means of 1000 numbers are within five standard errors."""
     flat = draws(swept, "initial.x", "{ uniform = [[1.0, -2.0, 5.0], [3.0, 0.0, 6.0]] }")
     assert np.all((flat >= [1.0, -2.0, 5.0]) & (flat < [3.0, 0.0, 6.0]))
-    assert np.all(abs(flat.mean(axis=0) - [2.0, -1.0, 5.5]) < 5 * 2 / math.sqrt(12 * 4000))
+    assert np.all(abs(flat.mean(axis=0) - [2.0, -1.0, 5.5]) < 5 * 2 / math.sqrt(12 * 1000))
     bell = draws(swept, "initial.x", "{ normal = [[1.0, 0.0, -1.0], 0.5] }")
-    assert np.all(abs(bell.mean(axis=0) - [1.0, 0.0, -1.0]) < 5 * 0.5 / math.sqrt(4000))
-    assert np.all(abs(bell.var(axis=0) - 0.25) < 5 * 0.25 * math.sqrt(2 / 4000))
+    assert np.all(abs(bell.mean(axis=0) - [1.0, 0.0, -1.0]) < 5 * 0.5 / math.sqrt(1000))
+    assert np.all(abs(bell.var(axis=0) - 0.25) < 5 * 0.25 * math.sqrt(2 / 1000))
     ball = draws(swept, "initial.x", "{ sphere = 2.0 }")
     np.testing.assert_allclose(np.linalg.norm(ball, axis=1), 2.0, rtol=1e-15)
-    assert np.all(abs(ball.mean(axis=0)) < 5 * 2 / math.sqrt(3 * 4000))
+    assert np.all(abs(ball.mean(axis=0)) < 5 * 2 / math.sqrt(3 * 1000))
     # Spheres and orbits use the normal numbers of their key; means and widths may be zero.
     normal = draws(swept, "initial.x", "{ normal = [0.0, 1.0] }", 5)
     np.testing.assert_allclose(ball[:5], 2.0 * normal / np.linalg.norm(normal, axis=1, keepdims=True), rtol=1e-15)

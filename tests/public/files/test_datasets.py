@@ -76,12 +76,6 @@ def test_equal_and_unknown_parameters_are_omitted():
         assert not any(str(name).startswith("swept") for name in dataset.coords)
 
 
-def test_swept_parameters_of_forced_bodies():
-    forced = co.batch([body.with_forces(co.forces.LinearDamping(0.1)) for body in BODIES])
-    found = co.integrate(forced, STATES, (0, 1), 0.1).to_xarray()["swept_inertia_2"]
-    assert np.array_equal(found, CONSTANTS) and found.attrs["long_name"] == "system.parameters.inertia[2]"
-
-
 @pytest.mark.parametrize("name", ["sphere", "body", "two layers"])
 @pytest.mark.parametrize("members", [1, 3])
 def test_matrices_have_rows_columns_layers_and_parts(name, members):
@@ -99,21 +93,6 @@ def test_matrices_have_rows_columns_layers_and_parts(name, members):
     vectors = co.integrate(SPHERE.in_numbers, SPHERE.to_vector(state_of(SPHERE)), (0.0, 1.0), 0.25)
     assert vectors.x.shape == (5, 32) and vectors.to_xarray()["x"].dims == ("time", "component")
     assert np.array_equal(co.results.rebuild(vectors.to_xarray()).x, vectors.x)
-
-
-def test_forces_have_changes_balances_and_accounts():
-    forced = co.systems.rigid_body().with_forces(
-        co.forces.LinearDamping((0.1, 0.2, 0.3)),
-        co.forces.Torque((0.0, 0.0, 0.05)),
-        co.forces.DoubleBracketDamping(0.1),
-    )
-    sol = co.integrate(forced, [X, X], (0, 2), 0.125)
-    dataset = sol.to_xarray()
-    assert "drift" not in dataset and dataset["change"].shape == dataset["balance"].shape == (2, 2, 10)
-    accounts = [f"{name}: {which}" for name in ("LinearDamping", "Torque") for which in ("energy", "|x|^2")]
-    assert dataset["account"].values.tolist() == [*accounts, "DoubleBracketDamping: energy"]
-    assert np.array_equal(dataset["work"].values[..., 3], sol.work["Torque"]["|x|^2"])
-    assert np.array_equal(dataset["balance"].values[0, 0], sol.balance(relative=False)["energy"].tenths[0])
 
 
 @pytest.mark.parametrize("attitude", [False, True])

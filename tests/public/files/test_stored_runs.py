@@ -237,15 +237,6 @@ def test_schemes_are_stored_and_configured_with_every_parameter(name, files):
             assert_same_run(files.run(text), sol)
 
 
-@pytest.mark.long
-def test_tuned_schemes_are_stored():
-    for inner in (co.Splitting.tuned(BODY, X, order=4), co.Composition(co.Splitting.tuned(BODY, X), (0.25, 0.5, 0.25))):
-        sol = co.integrate(BODY, X, (0.0, 0.5), 0.125, inner)
-        again = co.results.rebuild(sol.to_xarray())
-        assert again.method == inner
-        assert_same_run(again, sol)
-
-
 # Forces.
 
 FORCES = {

@@ -84,7 +84,7 @@ def uneven(count: int, sense: float, span: float = 4.0) -> np.ndarray:
     return T0 + sense * span * np.append(0.0, np.cumsum(steps)) / steps.sum()
 
 
-@pytest.mark.thinned(1)
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("count", [30, 1001])
 @pytest.mark.parametrize("sense", SENSES)
 def test_rows_of_sites_and_their_scale(sense, count):
@@ -105,7 +105,7 @@ def test_rows_of_sites_and_their_scale(sense, count):
     assert axes.get_title() == "b over site and time, member 1" and axes.get_xlabel() == "site"
 
 
-@pytest.mark.thinned(1)
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("until", [None, 0.5, 0.2, 0.0])
 @pytest.mark.parametrize("sense", SENSES)
 def test_ellipses_paths_and_colours_up_to_a_time(sense, until):
@@ -167,7 +167,7 @@ def test_of_many_observations_the_first_eight_are_drawn():
     assert [line.get_ydata()[0] for line in axes.lines] == list(range(8)) and axes.get_title() == "observed (8 of 10)"
 
 
-@pytest.mark.thinned(1)
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("sense", SENSES)
 @pytest.mark.parametrize(
     ("side", "first", "last", "span"), [("center", 0.0, 5.0, 5.0), ("left", 0.0, 4.0, 12.0), ("right", 8.0, 12.0, 12.0)]
@@ -363,7 +363,6 @@ SYSTEMS = {
 }
 
 
-@pytest.mark.thinned(1)
 @pytest.mark.parametrize("sense", SENSES)
 @pytest.mark.parametrize("forced", [False, True])
 @pytest.mark.parametrize("name", SYSTEMS)
