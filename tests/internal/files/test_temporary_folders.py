@@ -22,117 +22,126 @@ from coadjoint.files.output.atomic_output import (
 from guards import open_descriptors
 
 OTHER_USER = 65534
-AS_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder to another user")
 
 
-def leftover(target, *, ending="0123abcd", lock=True):
-    """Create a leftover of a killed run."""
+def leftover(target, *, ending="0123abcd", lock=True, replaced=False):
+    """Create a leftover of a killed run, with the store that it was replacing."""
     folder = target.parent / f"{unfinished._prefix(target)}{ending}"
     folder.mkdir()
     (folder / target.name).write_text("half")
     if lock:
         (folder / LOCK_FILE).touch()
+    if replaced:
+        (folder / REPLACED_FOLDER).mkdir()
+        (folder / REPLACED_FOLDER / "old").touch()
     return folder
 
 
+def write_whole(target):
+    with PendingOutput(target) as own:
+        own.path.write_text("whole")
+        own.finish()
+
+
+def raising(number):
+    def fail(*args, **options):
+        raise OSError(number, os.strerror(number))
+
+    return fail
+
+
+@pytest.fixture
+def target(tmp_path):
+    """The path of a result; descriptors and cleanups are released at the end."""
+    before, registered = open_descriptors(), list(interruption._cleanups)
+    yield tmp_path / "run.nc"
+    assert open_descriptors() == before and interruption._cleanups == registered
+
+
 @pytest.mark.parametrize("mask", [0, 0o022])
-def test_temporary_folder_is_private(tmp_path, mask):
+def test_temporary_folder_is_private(target, mask):
     old = os.umask(mask)
     try:
-        with PendingOutput(tmp_path / "run.nc") as own:
+        with PendingOutput(target) as own:
             assert stat.S_IMODE(own.path.parent.stat().st_mode) == 0o700
             assert stat.S_IMODE((own.path.parent / LOCK_FILE).stat().st_mode) == 0o600
     finally:
         os.umask(old)
 
 
-@pytest.mark.parametrize("how", ["finished", "abandoned", "failed", "not created", "leftovers"])
-def test_descriptors_and_cleanups_are_released(tmp_path, how):
-    target, before, registered = tmp_path / "run.nc", open_descriptors(), list(interruption._cleanups)
-    if how == "leftovers":
-        leftover(target)
-        remove_leftovers(target)
-    elif how == "not created":
-        with pytest.raises(FileNotFoundError), PendingOutput(tmp_path / "none" / "run.nc"):
-            pass
-    elif how == "failed":
-        with pytest.raises(KeyError), PendingOutput(target) as own:
-            own.path.write_text("half")
-            raise KeyError
-    else:
-        with PendingOutput(target) as own:
+@pytest.mark.parametrize("how", ["finished", "abandoned", "failed", "not created"])
+def test_only_a_finished_result_is_left(tmp_path, target, how):
+    registered = list(interruption._cleanups)
+    with contextlib.suppress(KeyError, FileNotFoundError):
+        with PendingOutput(target if how != "not created" else tmp_path / "none" / "run.nc") as own:
             assert interruption._cleanups == [*registered, own.abandon]
             own.path.write_text("whole")
+            if how == "failed":
+                raise KeyError
             own.finish() if how == "finished" else own.abandon()
-    assert open_descriptors() == before and interruption._cleanups == registered
-    assert [path.name for path in tmp_path.iterdir()] == ["run.nc"] * (how == "finished")
+    assert os.listdir(tmp_path) == ["run.nc"] * (how == "finished")
 
 
-def test_only_unlocked_leftovers_are_removed(tmp_path):
+def test_only_unlocked_leftovers_of_the_name_are_removed(tmp_path, target):
     """The folder name contains the beginning of a long name, and its checksum."""
-    target, similar = (tmp_path / f"{'a' * 40}{k}.nc" for k in range(2))
+    alike = [tmp_path / f"{'a' * 40}{k}.nc" for k in range(2)]
     with PendingOutput(target) as own:
         left, begun = leftover(target), leftover(target, ending="1")
-        others = [leftover(similar), leftover(target.with_suffix(".zarr"))]
+        others = [leftover(path) for path in (tmp_path / "run.zarr", alike[1])]
         (begun / LOCK_FILE).unlink()
-        (begun / target.name).unlink()  # killed before it was locked
-        remove_leftovers(target)
-        assert not left.exists() and not begun.exists()
-        assert own.path.parent.is_dir() and all(other.is_dir() for other in others)
+        (begun / "run.nc").unlink()  # killed before it was locked
+        beside = leftover(alike[0])
+        for path in (target, alike[0]):
+            remove_leftovers(path)
+        assert not any(path.exists() for path in (left, begun, beside))
+        assert own.path.parent.is_dir() and all(path.is_dir() for path in others)
 
 
-def test_folder_without_a_lock_remains_if_not_empty(tmp_path):
-    """Its process may be about to lock it."""
-    folder = leftover(tmp_path / "run.nc", lock=False)
-    remove_leftovers(tmp_path / "run.nc")
-    assert (folder / "run.nc").read_text() == "half"
-
-
-@AS_ROOT
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder to another user")
 @pytest.mark.parametrize("what", ["folder", "lock alone"])
-def test_leftovers_of_other_users_remain(tmp_path, what):
-    folder = leftover(tmp_path / "run.nc")
+def test_leftovers_of_other_users_remain(target, what):
+    folder = leftover(target)
     os.chown(folder if what == "folder" else folder / LOCK_FILE, OTHER_USER, OTHER_USER)
-    remove_leftovers(tmp_path / "run.nc")
+    remove_leftovers(target)
     assert folder.exists() == (what == "folder")
 
 
-def test_links_in_leftovers_are_not_followed(tmp_path):
-    target, precious = tmp_path / "run.zarr", tmp_path / "precious"
+def test_links_in_leftovers_are_not_followed(tmp_path, target):
+    precious = tmp_path / "precious"
     precious.mkdir()
     (precious / "kept").write_text("precious")
     folder = leftover(target)
-    for name, to in (("to folder", precious), ("to file", precious / "kept"), ("to nothing", tmp_path / "none")):
-        (folder / name).symlink_to(to)
     (folder / "inside").mkdir()
-    (folder / "inside" / "link").symlink_to(precious)
+    places = {"folder": precious, "file": precious / "kept", "nothing": tmp_path / "none", "inside/link": precious}
+    for name, to in places.items():
+        (folder / name).symlink_to(to)
     remove_leftovers(target)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["precious"]
-    assert (precious / "kept").read_text() == "precious"
+    assert os.listdir(tmp_path) == ["precious"] and (precious / "kept").read_text() == "precious"
 
 
-@pytest.mark.parametrize("kind", ["link", "fifo", "folder"])
-def test_lock_must_be_a_regular_file(tmp_path, kind):
-    """Links are not followed and pipes not awaited; a folder with such a lock remains."""
-    folder, before = leftover(tmp_path / "run.nc", lock=False), open_descriptors()
+def make_lock(lock, kind):
+    """Make a lock that is no regular file."""
+    lock.unlink(missing_ok=True)
     if kind == "link":
-        (tmp_path / "kept").write_text("precious")
-        (folder / LOCK_FILE).symlink_to(tmp_path / "kept")
-    elif kind == "fifo":
-        os.mkfifo(folder / LOCK_FILE)
+        (lock.parent / "kept").write_text("precious")
+        lock.symlink_to(lock.parent / "kept")
     else:
-        (folder / LOCK_FILE).mkdir()
-    for create in (0, os.O_CREAT):
-        with pytest.raises(OSError) as refused:
-            open_locked(folder / LOCK_FILE, create)
-        assert refused.value.errno in {"link": (errno.ELOOP,), "fifo": (errno.EINVAL,), "folder": (errno.EISDIR,)}[kind]
-    remove_leftovers(tmp_path / "run.nc")
-    assert (folder / "run.nc").exists() and open_descriptors() == before
+        {"pipe": os.mkfifo, "folder": os.mkdir}[kind](lock)
 
 
-def test_removed_lock_is_not_held(tmp_path, monkeypatch):
+@pytest.mark.parametrize("kind", ["link", "pipe", "folder"])
+@pytest.mark.parametrize("create", [0, os.O_CREAT])
+def test_lock_must_be_a_regular_file(tmp_path, target, kind, create):
+    """Links are not followed and pipes not awaited."""
+    make_lock(tmp_path / LOCK_FILE, kind)
+    with pytest.raises(OSError) as refused:
+        open_locked(tmp_path / LOCK_FILE, create)
+    assert refused.value.errno == {"link": errno.ELOOP, "pipe": errno.EINVAL, "folder": errno.EISDIR}[kind]
+
+
+def test_removed_lock_is_not_held(target, monkeypatch):
     """Otherwise two processes would hold locks of one name."""
-    path, flock, before = tmp_path / LOCK_FILE, fcntl.flock, open_descriptors()
+    path, flock = target.with_name(LOCK_FILE), fcntl.flock
 
     def removed(descriptor, how):
         flock(descriptor, how)
@@ -144,51 +153,33 @@ def test_removed_lock_is_not_held(tmp_path, monkeypatch):
     held = open_locked(path, os.O_CREAT)
     assert held is not None and open_locked(path, os.O_CREAT) is None
     os.close(held)
-    assert open_descriptors() == before
 
 
-def test_file_system_without_locks(tmp_path, monkeypatch):
+def test_file_system_without_locks(target, monkeypatch):
     """Results are written there, and nothing counts as a leftover."""
-    before = open_descriptors()
-
-    def unknown(descriptor, how):
-        raise OSError(errno.ENOLCK, "No locks available")
-
-    monkeypatch.setattr(fcntl, "flock", unknown)
-    target = tmp_path / "run.nc"
+    monkeypatch.setattr(fcntl, "flock", raising(errno.ENOLCK))
     folder = leftover(target)
-    with PendingOutput(target) as own:
-        own.path.write_text("whole")
-        own.finish()
+    write_whole(target)
     remove_leftovers(target)
-    assert target.read_text() == "whole" and (folder / "run.nc").exists() and open_descriptors() == before
+    assert target.read_text() == "whole" and (folder / "run.nc").exists()
 
 
-def test_replaced_store_is_restored_to_a_free_path(tmp_path):
-    target = tmp_path / "run.zarr"
-    for there in ("folder", "link to nothing", None):
-        folder = leftover(target)
-        (folder / REPLACED_FOLDER).mkdir()
-        (folder / REPLACED_FOLDER / "old").touch()
-        if there == "folder":
-            target.mkdir()
-        elif there:
-            target.symlink_to(tmp_path / "none")
-        remove_leftovers(target)
-        assert os.listdir(tmp_path) == ["run.zarr"] and target.is_symlink() == (there == "link to nothing")
-        if there == "folder":
-            target.rmdir()
-        elif there:
-            target.unlink()
-    assert os.listdir(target) == ["old"]
+@pytest.mark.parametrize("there", ["folder", "link to nothing", None])
+def test_replaced_store_is_restored_to_a_free_path(tmp_path, target, there):
+    leftover(target, replaced=True)
+    if there == "folder":
+        target.mkdir()
+    elif there:
+        target.symlink_to(tmp_path / "none")
+    remove_leftovers(target)
+    assert os.listdir(tmp_path) == ["run.nc"] and target.is_symlink() == (there == "link to nothing")
+    assert there == "link to nothing" or os.listdir(target) == ["old"] * (there is None)
 
 
 @pytest.mark.parametrize("by", ["the run", "the next one"])
-def test_unrestorable_store_is_restored_later(tmp_path, monkeypatch, by):
+def test_unrestorable_store_is_restored_later(tmp_path, target, monkeypatch, by):
     """Neither old nor new content is at the target then; the old one is found and restored later."""
-    target, replace = tmp_path / "run.zarr", os.replace
-    target.mkdir()
-    (target / "old").write_text("precious")
+    replace = os.replace
 
     def full(source, place):
         if Path(place) == target:
@@ -198,57 +189,48 @@ def test_unrestorable_store_is_restored_later(tmp_path, monkeypatch, by):
     with monkeypatch.context() as patched:
         patched.setattr(os, "replace", full)
         if by == "the run":
+            target.mkdir()
+            (target / "old").touch()
             with pytest.raises(OSError, match="No space left"), PendingOutput(target) as own:
                 own.path.mkdir()
                 own.finish()
         else:
-            (leftover(target) / REPLACED_FOLDER).mkdir()
-            target.rename(next(tmp_path.glob(".*")) / REPLACED_FOLDER)
+            leftover(target, replaced=True)
         remove_leftovers(target)
         assert not target.exists()
     remove_leftovers(target)
-    assert os.listdir(tmp_path) == ["run.zarr"] and (target / "old").read_text() == "precious"
+    assert os.listdir(tmp_path) == ["run.nc"] and os.listdir(target) == ["old"]
 
 
 def obstruct(folder, kind, monkeypatch):
     """Change a leftover so that it is not removed."""
+    unlink, rmtree = Path.unlink, shutil.rmtree
     if kind in ("pipe", "link", "folder"):
-        (folder / LOCK_FILE).unlink()
-        {"pipe": os.mkfifo, "link": lambda lock: lock.symlink_to(folder / "run.zarr"), "folder": os.mkdir}[kind](
-            folder / LOCK_FILE
-        )
+        make_lock(folder / LOCK_FILE, kind)
     elif kind == "without a lock":
         (folder / LOCK_FILE).unlink()
     elif kind == "file":
-        shutil.rmtree(folder)
+        rmtree(folder)
         folder.write_text("precious")
     elif kind == "file in use":
-        unlink = Path.unlink
-
-        def busy(path, **kwargs):
-            if path.parent == folder:
-                raise OSError(errno.EBUSY, "Device or resource busy")
-            unlink(path, **kwargs)
-
-        monkeypatch.setattr(Path, "unlink", busy)
+        busy = raising(errno.EBUSY)
+        monkeypatch.setattr(
+            Path, "unlink", lambda path, **how: busy() if path.parent == folder else unlink(path, **how)
+        )
     elif kind == "folder in use":
-        rmtree = shutil.rmtree
         (folder / "inside").mkdir()
-        monkeypatch.setattr(shutil, "rmtree", lambda path, **kwargs: None if path.parent == folder else rmtree(path))
+        monkeypatch.setattr(shutil, "rmtree", lambda path, **how: None if path.parent == folder else rmtree(path))
 
 
-OBSTACLES = ["pipe", "link", "folder", "without a lock", "file", "file in use", "folder in use", "gone", "running"]
-
-
-@pytest.mark.parametrize("kind", OBSTACLES)
+@pytest.mark.parametrize(
+    "kind", ["pipe", "link", "folder", "without a lock", "file", "file in use", "folder in use", "gone", "running"]
+)
 @pytest.mark.parametrize("at", [0, 2, 4])
-def test_undeletable_leftover_does_not_block_the_others(tmp_path, monkeypatch, kind, at):
+def test_undeletable_leftover_does_not_block_the_others(tmp_path, target, monkeypatch, kind, at):
     """In any order of the listing; a replaced store is restored from any of them."""
-    target, scandir, before = tmp_path / "run.zarr", os.scandir, open_descriptors()
-    folders = [leftover(target, ending=str(k)) for k in range(5)]
-    one, last = folders[at], folders[-1 if at < 4 else 0]
-    (last / REPLACED_FOLDER).mkdir()
-    (last / REPLACED_FOLDER / "old").touch()
+    scandir = os.scandir
+    folders = [leftover(target, ending=str(k), replaced=k == (4 if at < 4 else 0)) for k in range(5)]
+    one = folders[at]
     held = open_locked(one / LOCK_FILE) if kind == "running" else None
 
     def in_order(place):
@@ -266,17 +248,18 @@ def test_undeletable_leftover_does_not_block_the_others(tmp_path, monkeypatch, k
             listed.setattr("coadjoint.files.output.atomic_output.os.scandir", in_order)
             remove_leftovers(target)
     left = [] if kind == "gone" else [one.name]
-    assert sorted(os.listdir(tmp_path)) == [*left, "run.zarr"] and os.listdir(target) == ["old"]
+    assert sorted(os.listdir(tmp_path)) == [*left, "run.nc"] and os.listdir(target) == ["old"]
+    if kind in ("pipe", "link", "folder", "without a lock"):
+        assert (one / "run.nc").read_text() == "half"
     if held is not None:
         os.close(held)
-    assert open_descriptors() == before
     remove_leftovers(target)
     removable = kind in ("file in use", "folder in use", "gone", "running")
     assert one.exists() == (not removable), "recognized again without the obstacle"
 
 
 @pytest.mark.parametrize("times", [1, 2])
-def test_folder_taken_by_another_process_is_not_used(tmp_path, monkeypatch, times):
+def test_folder_taken_by_another_process_is_not_used(tmp_path, target, monkeypatch, times):
     """Another process saw it before it was locked; the next folder is used."""
     taken = []
 
@@ -288,55 +271,43 @@ def test_folder_taken_by_another_process_is_not_used(tmp_path, monkeypatch, time
         return open_locked(path, *args)
 
     monkeypatch.setattr(unfinished, "open_locked", lost)
-    with PendingOutput(tmp_path / "run.nc") as own:
+    with PendingOutput(target) as own:
         folder = own.path.parent
         assert folder not in taken and os.listdir(tmp_path) == [folder.name] and open_locked(folder / LOCK_FILE) is None
     assert not os.listdir(tmp_path)
 
 
-def test_failed_lock_leaves_nothing(tmp_path, monkeypatch):
-    def many(path, *args):
-        raise OSError(errno.EMFILE, "Too many open files")
-
-    registered = list(interruption._cleanups)
-    monkeypatch.setattr(unfinished, "open_locked", many)
-    with pytest.raises(OSError, match="Too many open files"), PendingOutput(tmp_path / "run.nc"):
+def test_failed_lock_leaves_nothing(tmp_path, target, monkeypatch):
+    monkeypatch.setattr(unfinished, "open_locked", raising(errno.EMFILE))
+    with pytest.raises(OSError, match="Too many open files"), PendingOutput(target):
         pass
-    assert not os.listdir(tmp_path) and interruption._cleanups == registered
+    assert not os.listdir(tmp_path)
 
 
-def test_lock_is_removed_last(tmp_path, monkeypatch):
+def test_lock_is_removed_last(target, monkeypatch):
     """An interrupted removal leaves a recognizable leftover."""
-    folder, removed = leftover(tmp_path / "run.nc"), []
+    folder, removed, unlink = leftover(target), [], Path.unlink
     for name in ("a", "z"):
         (folder / name).touch()
-    unlink = Path.unlink
     monkeypatch.setattr(Path, "unlink", lambda self, **kwargs: (removed.append(self.name), unlink(self, **kwargs))[1])
-    remove_leftovers(tmp_path / "run.nc")
+    remove_leftovers(target)
     assert sorted(removed) == ["a", LOCK_FILE, "run.nc", "z"] and removed[-1] == LOCK_FILE
 
 
 @pytest.mark.parametrize("name", [b"\xff\xfe.nc", "é".encode() * 120 + b".nc", b"a b\n.nc"])
 def test_unusual_file_names(tmp_path, name):
     target = tmp_path / os.fsdecode(name)
-    with PendingOutput(target) as own:
-        own.path.write_text("whole")
-        own.finish()
+    write_whole(target)
     leftover(target)
     remove_leftovers(target)
     assert os.listdir(os.fsencode(tmp_path)) == [name] and target.read_text() == "whole"
 
 
-def test_failed_cleanup_does_not_hide_an_error(tmp_path, monkeypatch):
+def test_failed_cleanup_does_not_hide_an_error(tmp_path, target, monkeypatch):
     """The folder becomes a leftover, which a later run removes."""
-    target = tmp_path / "run.nc"
-
-    def busy(path, **kwargs):
-        raise OSError(errno.EBUSY, "Device or resource busy")
-
     with monkeypatch.context() as patched, pytest.raises(KeyError, match="first"), PendingOutput(target) as own:
         own.path.write_text("half")
-        patched.setattr(Path, "unlink", busy)
+        patched.setattr(Path, "unlink", raising(errno.EBUSY))
         raise KeyError("first")
     assert len(os.listdir(tmp_path)) == 1
     remove_leftovers(target)

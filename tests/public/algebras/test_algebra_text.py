@@ -68,22 +68,6 @@ def test_each_line_is_that_of_the_algebra(capsys, name, parameters):
     assert list(rows) == ["dimension", "basis", "brackets", "casimirs", "matrices"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (["A4,9"], "'b'"),
-        (["A4,9", "b=2"], "b = 2"),
-        (["A4,9", "b"], "'b'"),
-        (["A4,9", "b=x"], "'b=x'"),
-        (["so4"], "'so(4)'"),
-        (["A4,9", "b=" + "1" * 5000], "not a parameter"),
-    ],
-)
-def test_wrong_arguments_are_refused(capsys, arguments, named):
-    outcome = command(capsys, "algebras", *arguments)
-    assert outcome.status == 2 and named in outcome.err and outcome.out == ""
-
-
 def test_names_of_the_basis_are_read():
     with refused(ValueError, "basis"):
         co.LieAlgebra([], dim=2, basis=("a", "a"))

@@ -157,22 +157,6 @@ def test_a_long_run_is_not_computed(folder, capsys):
     assert "from a trial of " in lines["time"] and "all its" not in lines["time"]
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        (READY_MADE.replace("step", "stpe"), ("run.stpe", "unknown key", "'step'")),
-        (READY_MADE + '[output]\nfile = "none/a.nc"\n', ("output.file", "none/a.nc")),
-        (READY_MADE.replace("[0, 1]", "[0, 1e13]"), ("run.save_every",)),
-        (READY_MADE.replace('"Splitting"\norder = 4', '"SphericalMidpoint"').replace("rigid_body", "heavy_top"), ()),
-    ],
-)
-def test_errors_are_one_line_each(folder, capsys, text, said):
-    (folder / "run.toml").write_text(text, encoding="utf-8")
-    done = command(capsys, "check", "run.toml")
-    assert (done.status, done.out) == (2, "") and all(word in done.err for word in said)
-    assert all(line.startswith("run.toml: ") for line in done.err.splitlines()) and done.err.endswith("\n")
-
-
 def test_failed_trial_is_reported(folder, capsys):
     """[e1, e2] = e2 with H = x1 gives x2' = x2, which overflows at t = 709.78."""
     (folder / "run.toml").write_text(

@@ -133,12 +133,14 @@ REFUSED = {
     "no name of a system": (["systems", ""], ("''",)),
     "a family": (["algebras", "so(n)"], ("so(n) is a family", "so(3)")),
     "no parameter": (["algebras", "A5,23"], ("'b'",)),
+    "a parameter out of range": (["algebras", "A4,9", "b=2"], ("b = 2",)),
+    "a family without brackets": (["algebras", "so4"], ("'so(4)'",)),
     "a parameter of zero": (["algebras", "A5,23", "b=0"], ("b",)),
 }
 REFUSED |= {
     f"the parameter {text[:20]}": (["algebras", "A5,23", text], (f"'{text[:20]}", "name and number"))
     for text in ("b", "b=", "b=x", "b=1/0", "b=1e400", "b=-1E+400", "b=1e1/2", "b=nan", "b=0x10", "b=1e-x",
-                 "b=1e999999999", f"b={'1' * 60}")
+                 "b=1e999999999", f"b={'1' * 60}", "b=" + "1" * 5000)
 }  # fmt: skip
 
 
