@@ -16,7 +16,6 @@ from coadjoint.program.parts.quadratic_atoms import quadratic_atoms
 from coadjoint.program.parts.split import split
 from coadjoint.program.provenance import Provenance, in_parts, monomials_of
 from coadjoint.systems.parameters import parameters_of
-from long import long_where
 
 ALGEBRAS = {
     "so(6)": co.algebras.so(6),
@@ -129,28 +128,6 @@ def test_brackets_that_are_too_many_are_refused_ahead(monkeypatch):
     with pytest.raises(ValueError, match="the brackets of a modified Hamiltonian take"):
         co.modified_hamiltonian(system, co.Splitting(order=2), order=4)
     assert sum(made) < 5 * 10**5
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "name, coupled", long_where([("su(4)", True)], [("su(4)", True), ("so(4)", True), ("su(5)", False)])
-)
-def test_products_of_brackets_are_counted_before_they_are_made(name, coupled, monkeypatch):
-    """Never more than are made; where all coordinates are coupled more than half of them."""
-    from coadjoint.program.modified_energy import modified_series, sweep_logarithm
-
-    g = co.algebras.get(name)
-    M = symmetric(np.random.default_rng(1), g.dim, 1.0) if coupled else np.linspace(1.0, 2.0, g.dim)
-    counted, spent = [], []
-    monkeypatch.setattr(modified_series, "check_products", counted.append)
-    plain = sweep_logarithm.Commutators.check_available_memory
-    monkeypatch.setattr(
-        sweep_logarithm.Commutators,
-        "check_available_memory",
-        lambda self, count: (plain(self, count), spent.append(self.spent)),
-    )
-    co.modified_hamiltonian(co.LiePoissonSystem(g, co.Quadratic(M)), co.Splitting(order=2), order=4)
-    assert (0.5 if coupled else 0.0) * spent[-1] < counted[0] <= spent[-1]
 
 
 ALGEBRAS_BRACKET = {

@@ -48,26 +48,6 @@ def test_a_polynomial_as_functions_is_the_polynomial(order, sign):
         assert order < 3 or method.order > 1 or not np.allclose(of_plain(x, 0.5), of_plain(x, -0.5), rtol=1e-6)
 
 
-@pytest.mark.long
-def test_coupled_coordinates():
-    def value(y):
-        return y[0] + 0.5 * y[1] * y[2] + np.exp(0.5 * y[2])
-
-    def gradient(y):
-        return np.array([1.0 + 0 * y[0], 0.5 * y[2], 0.5 * y[1] + 0.5 * np.exp(0.5 * y[2])])
-
-    pieces = [((i,), co.Quadratic(m)) for i, m in enumerate((1.0, 0.5, 0.4))]
-    H = co.SplitHamiltonian([*pieces, ((3, 4, 5), co.Hamiltonian(value, gradient))])
-    system = co.LiePoissonSystem(co.algebras.e(3), H, sign=-1)
-    # No Hessian was given, so that circles in the complex plane make up for it.
-    kept, x = co.modified_hamiltonian(system, co.Splitting(), 4), [1.0, -0.5, 1.5, 0.6, 0.0, 0.8]
-    defects = [abs(kept(co.stepper(system, co.Splitting(), h)(x), h) - kept(x, h)) for h in (0.1, 0.05)]
-    assert math.log2(defects[0] / defects[1]) > 4.4
-    run = co.integrate(system, x, (1, 0), 0.25, co.Splitting(), watch=False)
-    assert run.modified_energy(4).shape == run.energy.shape
-    assert np.ptp(run.modified_energy(4)) < 0.2 * np.ptp(run.energy)
-
-
 def test_what_cannot_be_differentiated_is_refused():
     functions = dict.fromkeys(range(3), (real_wave, real_slope, real_curvature))
     system = co.LiePoissonSystem(co.algebras.so(3), co.Separable(functions))

@@ -219,23 +219,6 @@ def test_a_step_is_the_flow_of_its_field(scheme, which: int):
     assert errors[2] < 10 * errors[0]
 
 
-@pytest.mark.long
-def test_radau_on_the_energy_surface():
-    system = whole("so(3)", -1)
-    found = co.modified_field(system, co.RadauEnergy(2), 4)
-    assert not found.exact and "irrational" in found.reason
-    assert found.first_error == 3 and found.keeps("energy") is None
-    assert found.keeps(next(iter(system.casimirs))) == 3
-    x = np.array([0.5, -0.75, 1.0])
-    values, errors = found.at(x)
-    assert np.all(errors < 1e-12)
-    np.testing.assert_allclose(values[0], system.vector_field(x), atol=1e-15)
-    K = found.skew_matrix(x, 0.125)
-    assert np.array_equal(K, -K.T)
-    np.testing.assert_allclose(system.sign * K @ system.hamiltonian.gradient(x), found(x, 0.125), atol=1e-14)
-    np.testing.assert_allclose(found.terms[3](x), values[3], atol=0)
-
-
 def test_projected_series_keep_what_they_restore():
     system = whole("so(3)", 1)
     found = co.modified_field(system, co.Taylor(2), 4)

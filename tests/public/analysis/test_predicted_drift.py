@@ -48,21 +48,6 @@ def test_measured_minus_predicted_is_of_fourth_order(name, x0):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", ["field of the midpoint rule", "field of a splitting"])
-@pytest.mark.parametrize("direction", [1, -1])
-def test_measured_minus_that_of_a_modified_field_is_of_fourth_order(direction, kind):
-    system, x0 = BODIES["1, 2, 3"], STATES[0]
-    method = co.GaussLegendre(1) if "midpoint" in kind else co.Splitting(order=2, parts="coordinates")
-    modified, differences = co.modified_field(system, method, order=4), []
-    for h in STEPS:
-        drift = co.phase_drift(co.integrate(system, x0, (0.0, direction * 1200.0), h, method, save_every=5))
-        found = co.predicted_drift(system, x0, modified=modified, step=direction * h)
-        differences.append(abs(drift.slope - found.slope))
-        assert differences[-1] > 3 * drift.uncertainty
-    assert np.polyfit(np.log(STEPS), np.log(differences), 1)[0] == pytest.approx(4.0, abs=0.1)
-
-
-@pytest.mark.long
 def test_a_scheme_that_is_not_symmetric_goes_backward_by_another_field():
     """Lie and Trotter's splitting of order one; backward its H~ has -h."""
     system, x0, h = BODIES["1, 2, 3"], STATES[1], 0.02

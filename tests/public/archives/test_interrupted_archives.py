@@ -5,8 +5,6 @@ import itertools
 import os
 import shutil
 import stat
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -105,50 +103,6 @@ def test_full_disk_before_a_run_is_extended(tmp_path):
             go_on(path)
     check_same(co.open_archive(path), before)
     assert go_on(path).finished
-
-
-SMALL_DISK = """
-import os, sys
-import numpy as np
-import coadjoint as co
-
-folder = sys.argv[1]
-path, run = folder + "/run.zarr", (co.systems.rigid_body(), (0.3, -1.0, 0.7), (0.0, 6250.0), 0.125, co.GaussLegendre(2))
-co.integrate(*run[:2], (0.0, 1.0), *run[3:], archive=path)
-try:
-    co.resume(path, 6250.0)
-except OSError as unwritten:
-    print(unwritten)
-whole, found = co.integrate(*run), co.open_archive(path)
-count = len(found.t)
-assert 0 < found.reached < 50000 and np.array_equal(found.x[:-1], whole.x[:count - 1])
-for end in (None, 12500.0):
-    try:
-        co.resume(path, end)
-    except ValueError as refused:
-        print(refused)
-assert os.system(f"mount -o remount,size=64m {folder}") == 0
-assert np.array_equal(co.resume(path).x, whole.x)
-print("whole")
-"""
-MOUNT = 'mount -t tmpfs -o size=1m none "$0"'
-
-
-def can_mount(folder):
-    return shutil.which("unshare") and not subprocess.run(["unshare", "-rm", "sh", "-c", MOUNT, folder]).returncode
-
-
-@pytest.mark.long
-def test_run_on_a_small_disk(tmp_path):
-    """A file system of 1 MB: the run ends with one sentence, and resumes after more space is added."""
-    if not can_mount(tmp_path):
-        pytest.skip("file systems cannot be mounted here")
-    command = ["unshare", "-rm", "sh", "-c", f'{MOUNT} && "$1" -c "$2" "$0"', tmp_path, sys.executable, SMALL_DISK]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    message, *others, last = done.stdout.splitlines()
-    assert "could not be written" in message and FULL in message and last == "whole"
-    assert len(others) == 2 and all("cannot be written" in other and FULL in other for other in others)
 
 
 def move(path):

@@ -2,8 +2,6 @@
 
 import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +11,7 @@ import xarray
 import coadjoint as co
 from command import command
 from configuration_files import BODY, changed
-from core_only import ENVIRONMENT, run_python
+from core_only import run_python
 from long import long_beyond
 
 RUN = changed(BODY, ("[0.0, 1.0]", "[0.0, 10.0]"), ("step = 0.1", "step = 0.125"))
@@ -176,34 +174,6 @@ def test_late_interrupt_is_ignored(folder):
     found = child("import atexit\natexit.register(lambda: " + KILL.format(name="SIGINT") + ")", *run_to("run.nc"))
     assert (found[0], found[2]) == (0, "")
     assert sorted(os.listdir(folder)) == ["body.toml", "run.nc"]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("target", ["run.nc", "run.zarr"])
-def test_next_run_removes_leftovers_of_its_target(folder, target):
-    assert child(AT_EVENT.format(event=EVENT, act=KILL.format(name="SIGKILL")), *run_to(target))[0] == -signal.SIGKILL
-    (left,) = (name for name in os.listdir(folder) if name != "body.toml")
-    assert left.startswith(f".{target}-")
-    other = {"run.nc": "run.zarr", "run.zarr": "run.nc"}[target]
-    assert child("", *run_to(other))[0] == 0
-    assert sorted(os.listdir(folder)) == sorted([left, "body.toml", other])
-    assert child("", *run_to(target))[0] == 0
-    assert sorted(os.listdir(folder)) == ["body.toml", "run.nc", "run.zarr"]
-
-
-@pytest.mark.long
-def test_files_of_a_running_command_are_not_removed(folder):
-    act = "print('waiting', flush=True) or sys.stdin.readline()"
-    code = COMMAND.format(before=AT_EVENT.format(event=WRITING, act=act), arguments=run_to("run.zarr"))
-    with subprocess.Popen(
-        [sys.executable, "-c", code], stdin=-1, stdout=-1, stderr=-1, text=True, env=ENVIRONMENT
-    ) as other:
-        assert other.stdout.readline() == "waiting\n"
-        assert child("", *run_to("run.zarr"))[0] == 0
-        assert len(os.listdir(folder)) == 3
-        _, complaint = other.communicate("go on\n", timeout=120)
-    assert (other.returncode, complaint) == (0, "")
-    assert sorted(os.listdir(folder)) == ["body.toml", "run.zarr"]
 
 
 @pytest.mark.long

@@ -1,9 +1,6 @@
 """Output of the command: complete or absent, and never in the place of what it did not write."""
 
 import os
-import subprocess
-import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -144,24 +141,3 @@ def test_targets_of_a_file_are_refused_by_run_and_check(files, key, target):
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="nobody can create files in /proc")
 def test_a_folder_that_cannot_be_written_is_refused(output):
     assert output("/proc/run.zarr").startswith("/proc/run.zarr: cannot be written (")
-
-
-@pytest.mark.long
-@pytest.mark.skipif(find_spec("resource") is None, reason="there are no limits of resources")
-@pytest.mark.parametrize("suffix", ENGINE)
-def test_a_full_disk_preserves_the_old_output(files, output, suffix):
-    """A limit of file sizes: writes beyond it fail as on a full disk."""
-    output(f"run{suffix}", refused=False)
-    before = co.load(f"run{suffix}")
-    files.write(READY_MADE, ("[0, 1]", "[0, 10000]"))
-    code = (
-        "import resource, sys; limit = int(sys.argv.pop(1)); "
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY)); "
-        "import runpy; runpy.run_module('coadjoint', run_name='__main__')"
-    )
-    for limit in (100, 100_000):
-        arguments = [sys.executable, "-c", code, str(limit), "run", "run.toml", "--out", f"run{suffix}", "--quiet"]
-        done = subprocess.run(arguments, capture_output=True, text=True, check=False)
-        assert done.returncode == 1 and "File too large" in done.stderr and "nothing was replaced" in done.stderr
-    assert {path.name for path in Path().iterdir()} == {f"run{suffix}", "run.toml"}
-    assert (co.load(f"run{suffix}").x == before.x).all()

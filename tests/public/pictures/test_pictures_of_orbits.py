@@ -162,25 +162,6 @@ def test_surface_is_closed() -> None:
     assert np.linalg.norm((normal * outward[:, None]).sum(axis=0)) < 1e-7 * np.abs(normal).sum()
 
 
-@pytest.mark.long
-def test_multivalued_casimir_is_followed_across_its_cut() -> None:
-    a = 0.2
-    casimir = co.algebras.A3_7(a).casimirs_known["log C"]
-    triangles = level_surface(casimir, 0.0, [(-3.0, 3.0), (-3.0, 3.0), (0.0, 1.0)], cells=40, period=casimir.period)
-    points = triangles.reshape(-1, 3)
-    angle = np.arctan2(points[:, 1], points[:, 0])
-    # r = exp(a theta) on every turn: log r - a theta is a multiple of 2 pi a.
-    turns = (0.5 * np.log(points[:, 0] ** 2 + points[:, 1] ** 2) - a * angle) / (2 * np.pi * a)
-    far = np.hypot(points[:, 0], points[:, 1]) > 0.8
-    assert np.max(np.abs(turns - np.rint(turns))[far]) < 0.02
-    # Both sides of the cut of the arctangent, theta = pi, on the turn through r = exp(a pi).
-    for side in (-1.0, 1.0):
-        near = (
-            (np.abs(points[:, 0] + np.exp(a * np.pi)) < 0.2) & (side * points[:, 1] > 0) & (np.abs(points[:, 1]) < 0.3)
-        )
-        assert np.any(near)
-
-
 def test_level_that_is_not_met_gives_nothing() -> None:
     assert level_surface(co.algebras.so(3).casimirs_known["|x|^2"], 100.0, BOX, cells=5).shape == (0, 3, 3)
 

@@ -40,12 +40,6 @@ def test_energy_and_gradient_are_those_of_the_sum_over_pairs(name):
     assert np.allclose(derivative, system.hamiltonian.hessian(x) @ e, rtol=0, atol=1e-14)
 
 
-@pytest.mark.parametrize(("direction", "energy"), [((1, 0, 0), -2.0), ((0, 1, 0), 1.0), ((0, 0, 1), 1.0)])
-def test_two_dipoles_in_a_row_and_side_by_side(direction, energy):
-    pair = co.systems.spin_lattice("chain", 2, exchange=0.0, dipolar=1.5)
-    assert np.isclose(pair.energy(np.tile(direction, 2).astype(float)), 1.5 * energy, rtol=1e-15)
-
-
 def test_couplings_add_up():
     options = {"exchange": 0.4, "dm": (0.1, 0.2, 0.3), "on_site": (0.1, 0.0, 0.2), "field": (0.0, 0.3, 0.1)}
     parts = [co.systems.spin_lattice("square", (3, 3), **options)]
