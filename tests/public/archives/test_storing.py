@@ -10,7 +10,6 @@ import xarray
 from storing import (
     BODY,
     PAIRS,
-    PRODUCT,
     RUNS,
     STEP,
     STORES,
@@ -294,9 +293,3 @@ def test_given_system_comes_before_the_stored_one(tmp_path, store):
             np.testing.assert_array_equal(given.system[m].vector_field(X), other[m].vector_field(X))
             wanted = RUNS["batch"]["system"][m].vector_field(X)
             np.testing.assert_array_equal(rebuilt.system[m].vector_field(X), wanted)
-
-
-def test_observed_names_keep_their_order(tmp_path):
-    observe = {"b": co.Polynomial({(2, 0, 0): 1.0}), "a": PRODUCT}
-    cut(tmp_path / "run.zarr", observe=observe)
-    check_same(co.resume(tmp_path / "run.zarr"), whole(observe=observe))

@@ -10,6 +10,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import scipy.linalg
+import xarray
 from compared_runs import assert_same_run, same_bits
 from stored_systems import (
     BODY,
@@ -336,7 +337,11 @@ def test_options_of_runs_are_stored(parameter, tmp_path):
         if sol.carried != "coadjoint":
             assert_same_run(co.integrate(**inputs), sol)
         dataset.to_netcdf(tmp_path / "run.nc")
-        assert_same_run(co.load(tmp_path / "run.nc"), sol)
+        loaded = co.load(tmp_path / "run.nc")
+        assert_same_run(loaded, sol)
+        assert repr(loaded) == repr(sol)
+        assert_same_run(_pickled(loaded), sol)
+        xarray.testing.assert_identical(loaded.to_xarray(), dataset)
 
 
 def element_of(system):
