@@ -6,13 +6,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 import coadjoint as co
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.exact import numerical_kernel, rational_kernel
-from coadjoint.algebra.exact.elimination import Span
 from coadjoint.algebra.exact.free_algebra import (
     expand_bracket,
     exponential,
@@ -29,31 +26,6 @@ from drawn_matrices import constants_of
 from refusals import refused
 
 pytestmark = pytest.mark.thinned(1)
-
-SMALL = st.fractions(-3, 3, max_denominator=3)
-
-
-@pytest.mark.long
-@given(
-    st.lists(st.lists(SMALL, min_size=4, max_size=4), min_size=1, max_size=4),
-    st.lists(SMALL, min_size=4, max_size=4),
-)
-def test_combinations_add_up(rows, weights):
-    vectors = [{i: v for i, v in enumerate(row) if v} for row in rows]
-    try:
-        span = Span(vectors)
-    except ValueError as error:
-        number = int(str(error).split()[1])
-        assert Span(vectors[:number]).combination(vectors[number]) is not None
-        return
-    target = {i: v for i in range(4) if (v := sum(w * row[i] for w, row in zip(weights, rows, strict=False)))}
-    found = span.combination(target)
-    assert found == {i: w for i, w in enumerate(weights[: len(rows)]) if w}
-    assert len(span.pivots) == len(rows) and not span.remainder(target)
-    loose = {i: Fraction(i + 1) for i in range(4)}
-    rest = span.remainder(loose)
-    assert not set(rest) & span.pivots
-    assert (span.combination(loose) is None) == bool(rest)
 
 
 def test_elimination_agrees_with_itself():

@@ -15,6 +15,7 @@ from coadjoint.program.modified_energy.second_order import part_derivatives
 from coadjoint.program.numbers import array_of, convert, roundoff
 from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.table import build_program
+from drawn_matrices import constants_of
 
 
 def sections(program):
@@ -221,13 +222,6 @@ def drawn_system(name, seed):
     return system, 0.5 * rng.uniform(-1, 1, n), float(rng.choice([-0.2, 0.2]))
 
 
-def dense_constants(algebra):
-    c = np.zeros((algebra.dim,) * 3)
-    i, j, k, value = algebra.triples
-    c[i, j, k], c[j, i, k] = value, -value
-    return c
-
-
 def strang(count):
     """Pairs of a part and its fraction of a step of order two."""
     half = [(p, 0.5) for p in range(count)]
@@ -236,7 +230,7 @@ def strang(count):
 
 def dense_step(system, parts, x, g, h):
     """A step on the momentum x and the group element g, in the coadjoint representation, and the amplification."""
-    c, size = dense_constants(system.algebra), 1.0
+    c, size = constants_of(system.algebra), 1.0
     for p, fraction in strang(len(parts)):
         slope = part_derivatives(parts, x[None], 0.0)[0][p, 0]
         D = fraction * h * system.sign * np.einsum("ijk,j->ik", c, slope)  # D x = J(x) grad of the piece

@@ -140,24 +140,6 @@ def test_imported_packages_are_declared():
     assert {"numba", "xarray", "matplotlib", "pydantic", "click", "tqdm", "zarr", "h5netcdf"} <= found
 
 
-@pytest.mark.long
-def test_modules_with_extras_are_imported_lazily():
-    """Otherwise these packages would be requirements of the importing modules."""
-    found = {}
-    for path in sorted(PACKAGE.rglob("*.py")):
-        name = ".".join(("coadjoint", *path.relative_to(PACKAGE).with_suffix("").parts))
-        body = ast.parse(path.read_text(encoding="utf-8")).body
-        found[name] = {node.module for node in body if isinstance(node, ast.ImportFrom) and node.module}
-        found[name] |= {alias.name for node in body if isinstance(node, ast.Import) for alias in node.names}
-    needing = {name for name, used in found.items() if {module.partition(".")[0] for module in used} & set(EXTRAS)}
-    assert {
-        "coadjoint.kernels.functions.callbacks",
-        "coadjoint.commands",
-        "coadjoint.files.configuration.models",
-    } <= needing
-    assert {name: used & needing for name, used in found.items() if used & needing and name not in needing} == {}
-
-
 # Modules of packages that have other names on the index.
 MODULES = {"python-flint": "flint", "pillow": "PIL", "google-crc32c": "google_crc32c"}
 
