@@ -118,7 +118,7 @@ LONG_WORDS = "kinetic energy of the second body in the frame at rest, "
 LONG_WORD = "kinetic_energy_of_the_second_body_in_the_frame_at_rest_"
 
 
-@pytest.mark.thinned(9)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize("words", [LONG_WORDS, LONG_WORD])
 @pytest.mark.parametrize("length", [10, 90, 108, 200])
 @pytest.mark.parametrize("width", [None, 4.0, 8.0])
@@ -221,7 +221,7 @@ SLOW = {"double_spherical_pendulum", "sphere_euler", "satellite", "separable_cos
 NAMES = [pytest.param(name, marks=pytest.mark.long) if name in SLOW else name for name in co.systems.names()]
 
 
-@pytest.mark.thinned(5)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("name", NAMES)
 def test_the_gallery_shows_every_system_and_says_it_in_words(name):
     """Lines, not dots; nothing reaches out of the figure; the energy is kept."""
