@@ -14,7 +14,7 @@ import numpy as np
 import coadjoint as co
 
 from .forces import force_text, is_noise
-from .options import NEUTRAL, Options, covering
+from .options import BESIDE, NEUTRAL, Options, covering
 from .schemes import SLOW, schemes
 from .systems import drawn_system, numbers_of, systems, varied
 
@@ -27,6 +27,7 @@ from matrix.results import assert_agree, attempted, numbers, rows, shared
 """
 MEMBERS = 3
 STEPS = 12
+HERE = {"blocks": "here"}
 TIMES = "span[0] + (span[1] - span[0]) * np.array([0.0, 0.21, 0.25, 0.5, 0.77, 1.0])"
 REFUSALS = (ValueError, TypeError)
 
@@ -71,15 +72,20 @@ def value_of(text: str) -> Any:
 
 
 @cache
+def refusals(method: str, system: str) -> tuple[str, ...]:
+    """Return the messages with which the declaration of a scheme and a run refuse a system."""
+    scheme, on, found = value_of(method), value_of(system), []
+    for call in (lambda: scheme.properties(on), lambda: method in SLOW or co.prepare(on, scheme, 0.125)):
+        try:
+            call()
+        except REFUSALS as error:
+            found.append(str(error))
+    return tuple(found)
+
+
 def supported(method: str, system: str) -> bool:
     """Return whether a scheme can be run on a system."""
-    try:
-        value_of(method).properties(value_of(system))
-        if method not in SLOW:
-            co.prepare(value_of(system), value_of(method), 0.125)
-    except REFUSALS:
-        return False
-    return True
+    return not refusals(method, system)
 
 
 def matrices(system: Any) -> bool:
@@ -113,7 +119,8 @@ def forces_of(system: Any, options: Options, rng: np.random.Generator) -> list[s
     noisy, wanted = options["forces"] == "noise", {"none": 0, "one": 1, "two": 2, "noise": 2}[options["forces"]]
     found = [force_text("Torque", system)] if options["inputs"] == "torque" else []
     names = [str(name) for name in rng.permutation(co.forces.names())]
-    for name in sorted(names, key=lambda name: noisy != is_noise(name)):
+    timed = wanted == 2 or rng.random() < 0.3  # a force of the user depends on time
+    for name in sorted(names, key=lambda name: (noisy != is_noise(name), timed and name != "OwnForce")):
         text = force_text(name, system)
         if len(found) < wanted and text not in found and (not is_noise(name) or (noisy and not found)):
             try:
@@ -132,24 +139,19 @@ def declared(method: str, system: str, forces: list[str]) -> co.methods.Properti
     return co.methods.Forced(value_of(method)).properties(forced)
 
 
-def excluded(options: Options, system: Any, attitude: str) -> Iterator[tuple[str, str]]:
-    """Yield pairs of options that exclude each other, or an option and what excludes it; the first one is dropped."""
-    if options["forces"] == "noise" and options["direction"] == "backward":
-        yield "direction", "forces"
-    if options["forces"] == "noise" and options["saved"] == "times":
-        yield "saved", "forces"
-    if options["forces"] == "noise" and options["events"] != "none":
-        yield "events", "forces"
-    if options["inputs"] != "none" and options["members"] == "batch":
-        yield "members", "inputs"
-    if matrices(system) and options["members"] == "batch":
-        yield "members", "system"
-    if matrices(system) and options["inputs"] == "linear":
-        yield "inputs", "system"
-    if attitude == "none" and options["attitude"] != "none":
-        yield "attitude", "method"
-    if options["attitude"] in ("own", "turned") and getattr(system, "representation", None) is None:
-        yield "attitude", "system"
+def excluded(options: Options, system: Any, attitude: str) -> list[str]:
+    """Return options that are refused with others, in the order in which they are dropped."""
+    noise, batch = options["forces"] == "noise", options["members"] == "batch"
+    own = options["attitude"] == "own" and getattr(system, "representation", None) is None
+    refused = {
+        "direction": noise and options["direction"] == "backward",
+        "saved": noise and options["saved"] == "times",
+        "events": noise and options["events"] != "none",
+        "members": batch and (options["inputs"] != "none" or matrices(system)),
+        "inputs": matrices(system) and options["inputs"] == "linear",
+        "attitude": options["attitude"] != "none" and (attitude == "none" or own),
+    }
+    return [name for name, is_refused in refused.items() if is_refused]
 
 
 def case_of(method: str, system: str, options: Options, seed: int) -> tuple[Case, dict[str, Any]]:
@@ -170,8 +172,7 @@ def case_of(method: str, system: str, options: Options, seed: int) -> tuple[Case
     given = {"watch": str(options["watch"] == "watched"), "threads": "1"}
     given |= {"every": {}, "third": {"save_every": "3"}, "times": {"t_eval": TIMES}}[options["saved"]]
     if options["attitude"] != "none":
-        turned = "expm(0.4 * (systems[0] if batch else system).representation[0])"
-        turned = turned.replace("(systems[0] if batch else system)", f"{value_name(batch, acting)}")
+        turned = f"expm(0.4 * {'systems[0]' if batch else 'system'}{'.system' if acting else ''}.representation[0])"
         given["attitude"] = {"coadjoint": "'coadjoint'", "own": "True", "turned": turned}[options["attitude"]]
         lines = ("from scipy.linalg import expm\n" if options["attitude"] == "turned" else "") + lines
     if options["events"] != "none":
@@ -185,19 +186,23 @@ def case_of(method: str, system: str, options: Options, seed: int) -> tuple[Case
         prefix = "f.corner_" if matrices(plain) else "f."
         given["observe"] = f"{{'product': {prefix}product, 'clock': {prefix}clock}}"
     lines += f"options = dict({', '.join(f'{key}={value}' for key, value in given.items())})\n"
-    lines += "def run(what=system, x=x0, **changes):\n"
-    lines += "    return co.integrate(what, x, span, h, method, **(options | changes))\n"
+    # A prepared run does not estimate the error of a step, which takes longer than the run.
+    lines += "def run(what=system, x=x0, **changes):\n    given = options | changes\n"
+    lines += (
+        "    passed = {key: given.pop(key) for key in ('watch', 'observe', 'threads', 'attitude') if key in given}\n"
+    )
+    lines += "    return co.prepare(what, method, h, **passed).run(x, span, **given)\n"
     lines += prepared_lines(options, given)
-    case = Case(method, system, tuple(options.items()), f"{IMPORTS}{lines}sol = run()\n")
+    case = Case(
+        method,
+        system,
+        tuple(options.items()),
+        f"{IMPORTS}{lines}sol = co.integrate(system, x0, span, h, method, **options)\n",
+    )
     try:
         return case, execute(case.lines)
     except REFUSALS as refusal:
         raise Refused(case) from refusal
-
-
-def value_name(batch: bool, acting: str) -> str:
-    """Return the name of the system whose representation is that of the attitude."""
-    return ("systems[0]" if batch else "system") + (".system" if acting else "")
 
 
 def field_at(system: Any, x: np.ndarray, t: float) -> np.ndarray:
@@ -218,13 +223,18 @@ def accepted(method: str, system: str, options: Options, seed: int) -> tuple[Cas
     """
     refusals: list[Refused] = []
     plain = value_of(system)
-    while True:
-        forces = forces_of(plain, options, np.random.default_rng(seed))
-        found = list(excluded(options, plain, declared(method, system, forces).attitude))
-        if not found:
+    if options["attitude"] == "turned" and getattr(plain, "representation", None) is None:
+        options = options | {"attitude": "own"}
+    forces = forces_of(plain, options, np.random.default_rng(seed))
+    for name in excluded(options, plain, declared(method, system, forces).attitude):
+        try:
+            return *case_of(method, system, options, seed), refusals
+        except Refused as refused:
+            refusals.append(refused)
+            options = options | {name: NEUTRAL[name]}
+        except co.IntegrationError:
             break
-        options = options | {found[0][0]: NEUTRAL[found[0][0]]}
-    changed = [name for name in options if options[name] != NEUTRAL[name]]
+    changed = [name for name in options if options[name] != NEUTRAL[name] and name not in BESIDE]
     order = sorted(changed, key=lambda name: name not in ("attitude", "inputs"))
     for count in range(len(order) + 1):
         for dropped in itertools.combinations(order, count):
@@ -247,8 +257,13 @@ def option_sets(seed: int) -> list[Options]:
     return covering(np.random.default_rng(seed))
 
 
-def drawn(method: str, seed: int, each: int, catalogue: int = 1) -> Iterator[tuple[str, str, Options, int]]:
-    """Yield a scheme with some registered systems that it supports, in turn, and drawn ones, with options."""
+def drawn(
+    method: str, seed: int, each: int, catalogue: int = 1, workers: float = 0.0
+) -> Iterator[tuple[str, str, Options, int]]:
+    """Yield a scheme with some registered systems that it supports, in turn, and drawn ones, with options.
+
+    Worker processes take seconds to start: only this part of the cases with blocks on workers has them.
+    """
     place = schemes().index(method)
     rng = np.random.default_rng([seed, place])
     each, catalogue = (1, 0) if method in SLOW else (each, catalogue)
@@ -258,7 +273,9 @@ def drawn(method: str, seed: int, each: int, catalogue: int = 1) -> Iterator[tup
     new = [drawn_system(rng, timed=rng.random() < 0.3) for _ in range(catalogue)]
     options = option_sets(seed)
     for k, system in enumerate([*names, *(name for name in new if supported(method, name))]):
-        yield method, system, options[((each + catalogue) * place + k) % len(options)], int(rng.integers(2**31))
+        chosen = options[((each + catalogue) * place + k) % len(options)]
+        chosen = chosen | (HERE if rng.random() >= workers and chosen["blocks"] == "workers" else {})
+        yield method, system, chosen, int(rng.integers(2**31))
 
 
 def drawn_on(system: str, seed: int, each: int) -> Iterator[tuple[str, str, Options, int]]:
@@ -268,4 +285,6 @@ def drawn_on(system: str, seed: int, each: int) -> Iterator[tuple[str, str, Opti
     names = (name for name in map(str, rng.permutation(schemes())) if name not in SLOW and supported(name, system))
     options = option_sets(seed)
     for k, method in enumerate(itertools.islice(names, each)):
-        yield method, system, options[-1 - (each * place + k) % len(options)], int(rng.integers(2**31))
+        chosen = options[-1 - (each * place + k) % len(options)]
+        chosen = chosen | (HERE if chosen["blocks"] == "workers" else {})
+        yield method, system, chosen, int(rng.integers(2**31))

@@ -17,7 +17,12 @@ VALUES = {
     "watch": ("watched", "unwatched"),
     "observe": ("none", "functions"),
     "inputs": ("none", "linear", "torque"),
+    "blocks": ("none", "here", "workers"),
+    "step": ("given", "accuracy"),
+    "output": ("plain", "corrected"),
 }
+BESIDE = "blocks", "step", "output"
+"""What is checked by other runs than that of the case."""
 NEUTRAL = {name: values[0] for name, values in VALUES.items()}
 Options = dict[str, str]
 

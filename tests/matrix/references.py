@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
@@ -11,21 +10,21 @@ from scipy.integrate import solve_ivp
 import coadjoint as co
 
 U = 2.0**-53
-LAST: dict[str, Any] = {}
+ENDS: dict[tuple, tuple[Any, np.ndarray]] = {}
 
 
 def exact_end(system: Any, states: np.ndarray, start: float, end: float) -> np.ndarray:
-    """Return the final states of some motions to about 1e-12; the last ones asked for are remembered."""
-    key = (states.tobytes(), start, end)
-    if LAST.get("system") is system and LAST["key"] == key:
-        return LAST["ends"]
+    """Return the final states of some motions to about 1e-12; those asked for are remembered."""
+    key = (id(system), states.tobytes(), start, end)
+    if key in ENDS:
+        return ENDS[key][1]
 
     def slope(t: float, flat: np.ndarray) -> np.ndarray:
         return np.ravel(field(system, flat.reshape(states.shape), t))
 
     ends = solve_ivp(slope, (start, end), np.ravel(states), "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
-    LAST.update(system=system, key=key, ends=ends.reshape(states.shape))
-    return LAST["ends"]
+    ENDS[key] = system, ends.reshape(states.shape)  # with the system, so that its id is not given to another one
+    return ENDS[key][1]
 
 
 def field(system: Any, x: np.ndarray, t: float) -> np.ndarray:
@@ -37,34 +36,78 @@ def field(system: Any, x: np.ndarray, t: float) -> np.ndarray:
     return np.stack([system.vector_field(W, *given) for W in plain.algebra.projected(x)])
 
 
-def errors_of(system: Any, method: Any, states: np.ndarray, start: float, end: float, counts: Any) -> list[float]:
-    """Return the errors at the end with these numbers of steps, of all states together."""
-    exact, found = exact_end(system, states, start, end), []
-    for n in counts:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", co.LargeStepWarning)
-            sol = co.integrate(system, states, (start, end), abs(end - start) / n, method, save_every=n, watch=False)
-        found.append(float(np.linalg.norm(sol.x[-1] - exact)))
-    return found
+def run_of(system: Any, method: Any, states: np.ndarray, start: float, end: float, n: int, **given: Any) -> co.Solution:
+    """Return a run of n steps, without a warning of large steps."""
+    return co.prepare(system, method, abs(end - start) / n, watch=False, **given).run(states, (start, end), n)
 
 
-def slope_of(counts: Any, errors: Any) -> float:
-    """Return the order that errors show at the three largest of the numbers of steps."""
-    return float(-np.polyfit(np.log(np.array(counts[-3:])), np.log(np.array(errors[-3:])), 1)[0])
+def order_and_doubt(counts: Any, errors: Any, power: int, noise: float) -> tuple[float, float]:
+    """Return the order that errors show with numbers of steps in a geometric sequence, and its uncertainty.
+
+    With error = C h^p (1 + a h^q + ...) the slope between two step sizes differs from p by a multiple of h^q, so that
+    the range of the slopes gives the deviation of the last one; terms beyond are taken to be at most as large again.
+    `noise`, the relative error of each error, changes a slope by twice that over the logarithm of the ratio. The same
+    holds for differences of successive solutions: they are C (1 - r^-p) h^p (1 + a' h^q + ...).
+    """
+    ratio, slopes = counts[-1] / counts[-2], -np.diff(np.log(errors)) / np.diff(np.log(counts))
+    shrunk = (counts[-2] / counts[0]) ** power - 1.0
+    return float(slopes[-1]), float(2.0 * np.ptp(slopes) / shrunk + 2.0 * noise / np.log(ratio))
+
+
+def convergence(system: Any, method: Any, states: np.ndarray, span: Any, order: int, power: int) -> tuple:
+    """Return the order that errors against SciPy show, at most the declared one, that one, and the allowance.
+
+    Errors below 1e-10 are small at once, and too small for a slope: the reference has errors of 1e-12. An allowance of
+    half an order or more could not tell two orders apart; then, and if errors are small, it is infinite.
+    """
+    exact, size = exact_end(system, states, *span), float(np.linalg.norm(states))
+    finest, ratio = (256, 2.0) if order <= 2 else (96, 2**0.5) if order < 7 else (48, 2**0.25)
+    counts, errors = [], []
+    for n in sorted({round(finest / ratio**k) for k in range(12) if finest / ratio**k >= 3}, reverse=True):
+        try:
+            error = float(np.linalg.norm(run_of(system, method, states, *span, n).x[-1] - exact))
+        except co.IntegrationError:
+            break  # the step is too large
+        if error > 1e-10 * size:
+            counts, errors = [n, *counts], [error, *errors]
+        if len(counts) == 5:
+            break
+    if len(counts) < 5:
+        return order, order, np.inf
+    shown, doubt = order_and_doubt(counts, errors, power, 1e-12 * size / errors[-1])
+    return min(order, shown), order, doubt if doubt < 0.5 else np.inf
+
+
+def convergence_of_attitude(
+    system: Any, method: Any, x: np.ndarray, span: Any, order: int, power: int, g: Any
+) -> tuple:
+    """Return the same for differences of group elements of successive runs."""
+    counts = np.array([6, 12, 24, 48, 96])
+    ends = [run_of(system, method, x, *span, n, attitude=g).attitude[-1] for n in counts]
+    changes = np.linalg.norm(np.diff(ends, axis=0).reshape(len(ends) - 1, -1), axis=1)
+    noise = 4 * len(ends[-1]) * U * counts[-1] * np.linalg.norm(ends[-1]) / changes[-1] if changes[-1] else np.inf
+    shown, doubt = order_and_doubt(counts[:-1], np.maximum(changes, U), power, noise)
+    return min(order, shown), order, doubt if doubt < 0.5 else np.inf
 
 
 def gradient_of(invariant: Any, x: np.ndarray) -> np.ndarray:
-    """Return the gradient, by differences where it is not known."""
+    """Return the gradient; where it is not known by differences, over about the cube root of u."""
     if hasattr(invariant, "gradient"):
         return np.asarray(invariant.gradient(x), dtype=float)
     d = 1e-5 * max(1.0, float(np.abs(x).max()))
     return np.array([(invariant(x + d * unit) - invariant(x - d * unit)) / (2 * d) for unit in np.eye(len(x))])
 
 
+def measured(sol: co.Solution) -> int:
+    """Return how many states from the start on are at most a thousand times as large as the first."""
+    sizes = np.linalg.norm(sol.x.reshape(len(sol.x), -1), axis=1)
+    return int(np.argmax(np.append(~(sizes <= 1e3 * sizes[0]), True)))
+
+
 def largest_changes(sol: co.Solution) -> dict[str, float]:
     """Return the largest change of each invariant along a run."""
     along = {"energy": sol.energy, **sol.casimirs}
-    return {name: float(np.abs(values - values[0]).max()) for name, values in along.items()}
+    return {name: float(np.abs(values - values[0])[: measured(sol)].max()) for name, values in along.items()}
 
 
 def rounding_of(sol: co.Solution) -> dict[str, float]:
@@ -76,7 +119,8 @@ def rounding_of(sol: co.Solution) -> dict[str, float]:
     """
     plain = getattr(sol.system, "system", sol.system)
     vectors = getattr(plain, "in_numbers", plain)
-    states = sol.x[:: max(1, len(sol.x) // 8)]
+    states = sol.x[: measured(sol)]
+    states = states[:: max(1, len(states) // 8)]
     if vectors is not plain:
         states = np.stack([plain.to_vector(x) for x in states[:: max(1, len(states) // 2)]])
     invariants = {"energy": vectors.energy if vectors is not plain else vectors.hamiltonian, **vectors.casimirs}
@@ -117,3 +161,32 @@ def poisson_defect(step: Any, x: np.ndarray, evaluations: float) -> tuple[float,
     defect = P @ J @ P.T - system.structure_matrix(step(x))
     operations = (evaluations + 4) * len(x)
     return float(np.linalg.norm(defect)), 64 * U * operations * float(np.linalg.norm(P) ** 2 * np.linalg.norm(J))
+
+
+def misplaced(system: Any, events: Any, own: Any, along: co.Solution, end: float) -> dict[str, float]:
+    """Return what is wrong with crossings `own` of one member: values, directions, and changes of sign without one.
+
+    `along` is a run without events, saved at every step; `end` is where the run ends. Times are exact to rounding, so
+    that the value of g is the rounding of a step, relative to the size of the state and to what g changes by in the
+    last digit of the time. Directions are compared with the derivative along the field, where g is not nearly at an
+    extremum: within a step, of about a tenth of the time of the motion, the path of the scheme turns by as much.
+    """
+    way, h = np.sign(along.t[-1] - along.t[0]), abs(along.t[1] - along.t[0])
+    there = [k for k, t in enumerate(along.t) if way * (t - end) <= 0]
+    wrong = {"values": 0.0, "directions": 0.0, "missing": 0.0}
+    for e, event in enumerate(events):
+
+        def g(x: np.ndarray, t: float, event: Any = event) -> float:
+            return float(event.g(x, t) if event.name == "wave" else event.g(x))
+
+        signs = np.sign([g(along.x[k], along.t[k]) for k in there])
+        rising, falling = (int(np.sum((signs[:-1] == -s) & (signs[1:] == s))) for s in (1, -1))
+        wanted = {0: rising + falling, 1: rising, -1: falling}[event.direction]
+        wrong["missing"] += max(0, wanted - np.sum(own.which == e))
+        for t, x, direction in zip(*(part[own.which == e] for part in (own.t, own.x, own.direction)), strict=True):
+            slope, d = system.vector_field(x, t), 1e-6 * h
+            rate = (g(x + d * slope, t + d) - g(x - d * slope, t - d)) / (2 * d)
+            size = np.ptp([g(x + k * h * slope, t + k * h) for k in (-0.5, 0.0, 0.5)])
+            wrong["values"] = max(wrong["values"], abs(g(x, t)) / (1.0 + np.linalg.norm(x) + abs(rate * t)))
+            wrong["directions"] += abs(rate) * h > 0.2 * size and np.sign(rate) * way != direction
+    return wrong

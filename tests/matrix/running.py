@@ -7,7 +7,7 @@ from typing import Any
 
 import coadjoint as co
 
-from .cases import IMPORTS, REFUSALS, Case, Refused, accepted, execute
+from .cases import Case, Refused, accepted, execute, refusals, supported
 from .checks import CHECKS, Check
 from .options import Options
 
@@ -40,7 +40,17 @@ def check_refusal(refused: Refused, method: str, system: str) -> None:
     """Check that a refusal is one line that names the scheme, the system, a force or an option."""
     text = str(refused.__cause__)
     names = [method.replace("(", ".").split(".")[1], system.replace("(", ".").split(".")[2], *co.forces.names()]
-    names += ["attitude", "representation", "inputs", "t_eval", "batch", "event", "own force", "Lie algebra"]
+    names += [
+        "attitude",
+        "group element",
+        "representation",
+        "inputs",
+        "t_eval",
+        "batch",
+        "event",
+        "own force",
+        "Lie algebra",
+    ]
     if "\n" in text or not any(name in text for name in names):
         raise Disagreement(f"refused without a name: {text!r}\n\n{refused.args[0].lines}") from refused.__cause__
 
@@ -51,14 +61,14 @@ def check_drawn(cases: Iterable[tuple[str, str, Options, int]]) -> list[Case]:
     for method, system, options, first in cases:
         for again in range(AGAIN + 1):
             try:
-                case, space, refusals = accepted(method, system, options, first + 1000 * again)
+                case, space, refused_options = accepted(method, system, options, first + 1000 * again)
                 check_case(case, space)
             except co.IntegrationError:
                 # A motion that ends soon, or for which the step is too large: other states are drawn.
                 if again == AGAIN and system.startswith("co.systems."):
                     raise
                 continue
-            for refused in refusals:
+            for refused in refused_options:
                 check_refusal(refused, method, system)
             found.append(case)
             break
@@ -66,16 +76,9 @@ def check_drawn(cases: Iterable[tuple[str, str, Options, int]]) -> list[Case]:
 
 
 def is_refused(method: str, system: str) -> bool:
-    """Return whether a scheme refuses a system in its declaration and in runs alike, with a line that names one."""
-    lines = f"{IMPORTS}system, method = {system}, {method}\n"
-    errors = []
-    for call in ("method.properties(system)", "co.prepare(system, method, 0.125)"):
-        try:
-            execute(lines + call)
-        except REFUSALS as error:
-            errors.append(str(error))
-    for text in errors:
+    """Return whether a scheme refuses a system, in its declaration or in runs, with a line that names one."""
+    for text in refusals(method, system):
         name = method.replace("(", ".").split(".")[1]
         if "\n" in text or not (name in text or "use " in text or "take " in text):
-            raise Disagreement(f"{text!r} names no scheme\n\n{lines}")
-    return bool(errors)
+            raise Disagreement(f"{text!r} of {method} on {system} names no scheme")
+    return not supported(method, system)

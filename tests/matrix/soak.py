@@ -113,7 +113,7 @@ def tried(seeds: range, limit: float, threads: bool) -> int:
         try:
             check_wild(seed, threads)
             if not threads:
-                check_drawn(drawn(schemes()[seed % len(schemes())], seed, each=1))
+                check_drawn(drawn(schemes()[seed % len(schemes())], seed, each=1, workers=0.05))
         except Disagreement as found:
             wrong += 1
             print(f"seed {seed}: {found}", flush=True)
