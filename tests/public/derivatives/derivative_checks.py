@@ -91,7 +91,8 @@ def assert_derivatives(
         return np.concatenate(found)
 
     along = directions | ({"inputs": of_inputs} if of_inputs else {})
-    _, tangents = ready.jvp(x0, span, along, **given)
+    followed, tangents = ready.jvp(x0, span, along, **given)
+    assert all(np.array_equal(one, series[name], equal_nan=True) for name, one in outputs(followed).items())
     assert tangents.rule == gradient.rule and set(gradient) - {"attitude0"} == set(along)
     both = products(directions)
     assert abs(both.sum() - weighted(weights, outputs(tangents))) <= ADJOINT_ERROR * np.abs(both).sum()

@@ -79,19 +79,6 @@ def test_jvp_is_that_of_the_prepared_run(f):
     assert np.array_equal(linear(ALONG), other.jvp(X0, SPAN, {"x0": ALONG}, EVERY)[1].x)
 
 
-@pytest.mark.parametrize("name", ["x0", "inertia"])
-@pytest.mark.parametrize("x0", [X0, MANY], ids=["one", "ensemble"])
-def test_forward_and_reverse_mode_agree(f, name, x0):
-    def x(value):
-        return f(value, inertia=INERTIA) if name == "x0" else f(x0, inertia=value)
-
-    value = x0 if name == "x0" else INERTIA
-    forward, reverse = jax.jit(jax.jacfwd(x))(value), jax.jit(jax.jacrev(x))(value)
-    assert forward.shape == (5, *x0.shape, *value.shape)
-    np.testing.assert_allclose(forward, reverse, rtol=0, atol=ROUNDING)
-    assert np.array_equal(forward, jax.jacfwd(x)(value))
-
-
 SEVERAL = np.array([MANY, 1.5 * MANY])
 INERTIAS = INERTIA + 0.1 * np.arange(4.0)[:, None]
 
