@@ -151,13 +151,13 @@ def test_attitude_is_returned_and_differentiated(attitude):
         x, A = g(x0, attitude0=attitude0)
         return (WEIGHTS * x).sum() + (weights * A).sum()
 
-    wanted, found = pullback(WEIGHTS, attitude=weights), jax.grad(number, (0, 1))(X0, turned)
+    wanted, found = pullback(WEIGHTS, attitude=weights), jax.jit(jax.grad(number, (0, 1)))(X0, turned)
     assert all(map(np.array_equal, found, (wanted["x0"], wanted["attitude0"])))
     # Members share an attitude of shape (d, d), and its derivative is the sum of theirs.
-    of_A0 = jax.grad(lambda A0: (g(MANY, attitude0=A0)[1] * weights[:, None]).sum())(turned)
-    each = jax.vmap(jax.grad(lambda A0, x0: (g(x0, attitude0=A0)[1] * weights).sum()), (None, 0))(turned, MANY)
+    of_A0 = jax.jit(jax.grad(lambda A0: (g(MANY, attitude0=A0)[1] * weights[:, None]).sum()))(turned)
+    each = jax.jit(jax.vmap(jax.grad(lambda A0, x0: (g(x0, attitude0=A0)[1] * weights).sum()), (None, 0)))(turned, MANY)
     np.testing.assert_allclose(of_A0, each.sum(axis=0), rtol=0, atol=3 * ROUNDING)
-    forward, reverse = (by(lambda x0: g(x0, attitude0=turned)[1])(X0) for by in (jax.jacfwd, jax.jacrev))
+    forward, reverse = (jax.jit(by(lambda x0: g(x0, attitude0=turned)[1]))(X0) for by in (jax.jacfwd, jax.jacrev))
     np.testing.assert_allclose(forward, reverse, rtol=0, atol=ROUNDING)
 
 
