@@ -80,7 +80,8 @@ SPANS = {
     "times on steps": ((1.0, 4.0), {"t_eval": [1.0, 1.5, 1.7, 3.0]}),
     "prime": ((0.0, 6.7), {"save_every": 67}),  # one that no segments of equal length have
 }
-CASES = [("body, 1", "prime"), ("body, rational", "times"), ("body, Gauss", "backward times")]
+# A3,7 has blocks by series.
+CASES = [("body, 1", "prime"), ("body, rational", "times"), ("body, Gauss", "backward times"), ("A3,7", "late")]
 REPEATED = [(name, list(SPANS)[k % 3]) for k, name in enumerate(SYSTEMS)]
 REPEATED += [("body, Gauss", "times"), ("top, free body", "times")]
 REPEATED += [("body, rational", "backward times"), ("e(3), cubic", "backward times"), ("body, 1", "times on steps")]
