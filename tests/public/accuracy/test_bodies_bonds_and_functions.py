@@ -1,6 +1,5 @@
 """Splittings whose parts are free bodies, bonds of spins, or functions that are sums: order, exactness, refusals."""
 
-import json
 from fractions import Fraction
 from itertools import permutations, product
 
@@ -382,15 +381,6 @@ def test_modified_energies_of_a_free_body_with_gravity():
     series = [co.modified_hamiltonian(top, method, order=order) for order in (4, 6)]
     drifts = [np.ptp(run.energy), *(np.ptp([found(x, 0.0625) for x in run.x]) for found in series)]
     assert drifts[1] < drifts[0] / 100 and drifts[2] < drifts[1] / 30
-
-
-def test_bonds_are_certified_and_written():
-    system = graph(3, 3, field=(0.1, 0.2, 0.3))
-    x0, method = np.random.default_rng(7).standard_normal(9), co.Splitting(parts="bonds")
-    certificate = co.certify(system, method, x0, 0.05, steps=20)
-    assert certificate.passed, str(certificate)
-    table = method.program(system).to_mapping()
-    assert table["bodies"] and json.dumps([int(k) for k in table["bodies"]])
 
 
 def test_a_large_lattice_goes_without_its_attitude():

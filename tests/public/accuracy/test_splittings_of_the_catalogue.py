@@ -8,7 +8,7 @@ import pytest
 
 import coadjoint as co
 from catalogue_cases import EXAMPLES, NAMES
-from digests.measures import drift_bounds, poisson_defect
+from digests.measures import drift_bounds
 from digests.systems_under_test import Case, full_matrix
 
 pytestmark = pytest.mark.thinned(3)
@@ -30,27 +30,8 @@ def case_of(name: str) -> Case:
     return Case(system, x0, 0.5)
 
 
-@cache
-def quick_case(name: str) -> Case:
-    """Return the case with polynomial invariants only, which need no compilation."""
-    system, x0, time = case_of(name)
-    polynomials = {k: c for k, c in system.casimirs.items() if isinstance(c, co.Polynomial)}
-    return Case(co.LiePoissonSystem(system.algebra, system.hamiltonian, system.sign, casimirs=polynomials), x0, time)
-
-
 def test_all_algebras_are_there():
     assert len(NAMES) == 62 and set(EXAMPLES) <= set(NAMES)
-
-
-@pytest.mark.thinned(20)
-@pytest.mark.parametrize("order", [2, 4])
-@pytest.mark.parametrize("name", NAMES)
-def test_splittings_are_poisson_maps(name, order):
-    system, x0, _ = quick_case(name)
-    step = co.stepper(system, co.Splitting(order=order), 0.1)
-    for x in (x0, -0.7 * x0[::-1]):
-        found = poisson_defect(step, x)
-        assert found.value <= found.bound, found
 
 
 @pytest.mark.thinned(8)

@@ -45,29 +45,16 @@ def test_tuned_is_seldom_worse_than_automatic(order, step):
 def test_several_states_have_the_parts_with_the_least_error(order):
     """Of all orders of the coordinates; for one of the states alone another one is better."""
     body, starts = systems()["body"], np.random.default_rng(100).standard_normal((2, 3))
-    step, every = 0.1, [co.Splitting(order=order, parts=tuple((i,) for i in p)) for p in permutations(range(3))]
-    errors = []
-    for x0 in starts:
-        exact = co.integrate(body, x0, (0, 8), step, co.GaussLegendre(6)).x
-        runs = [co.integrate(body, x0, (0, 8), step, method).x for method in every]
-        errors.append([np.max(np.sum((x - exact) ** 2, axis=1)) for x in runs])
-    together = np.sqrt(np.sum(errors, axis=0))
+    every = [co.Splitting(order=order, parts=tuple((i,) for i in p)) for p in permutations(range(3))]
+    exact = [co.integrate(body, x0, (0, 8), 0.1, co.GaussLegendre(6)).x for x0 in starts]
+
+    def error(method):
+        runs = [co.integrate(body, x0, (0, 8), 0.1, method).x for x0 in starts]
+        return np.sqrt(sum(np.max(np.sum((x - y) ** 2, axis=1)) for x, y in zip(runs, exact, strict=True)))
+
+    least = min(map(error, every))
     for given in (starts, starts[::-1]):
-        tuned = co.Splitting.tuned(body, given, order=order)
-        found = [
-            np.max(
-                np.sum(
-                    (
-                        co.integrate(body, x0, (0, 8), step, tuned).x
-                        - co.integrate(body, x0, (0, 8), step, co.GaussLegendre(6)).x
-                    )
-                    ** 2,
-                    axis=1,
-                )
-            )
-            for x0 in starts
-        ]
-        assert np.sqrt(np.sum(found)) < 1.1 * together.min()
+        assert error(co.Splitting.tuned(body, given, order=order)) < 1.1 * least
 
 
 @pytest.mark.parametrize("name", ["body, full", "A3,7"])

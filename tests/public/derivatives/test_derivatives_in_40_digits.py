@@ -33,7 +33,7 @@ CASES = [
     ("so(3)", "order 4"),
     ("sl(2)", "compensated"),
     ("sl(2)", "processed"),
-    ("A3,7", "processed"),
+    pytest.param("A3,7", "processed", marks=pytest.mark.long),
     ("A3,7", "order 2"),
     ("A4,7", "adjoint"),
     ("A5,40", "order 4"),

@@ -166,7 +166,7 @@ FORCED = [
     ("orbit", "commutator-free", "sl(2)"),
     ("noise", "order 4", "so(3)"),
     ("noise", "Gauss", "A3,7"),
-    ("noise", "Kahan", "sl(2)"),
+    pytest.param("noise", "Kahan", "sl(2)", marks=pytest.mark.long),
 ]
 
 
@@ -179,19 +179,19 @@ def test_derivatives_with_forces(kind, scheme, name):
     attitude = False if scheme == "Kahan" else "coadjoint"
     backward = kind != "noise" and scheme != "order 4"
     t0, h = (-40.0, -H) if backward else (0.5, H)
-    points = {} if kind == "noise" else {"t_eval": t0 + h * np.array([0.0, 0.25, 1.0, 2.75])}
-    gradient = assert_derivatives(build, SCHEMES[scheme], x0, (t0, t0 + 3 * h), H, attitude=attitude, **points)
+    points = {} if kind == "noise" else {"t_eval": t0 + h * np.array([0.0, 0.25, 1.0, 1.75])}
+    gradient = assert_derivatives(build, SCHEMES[scheme], x0, (t0, t0 + 2 * h), H, attitude=attitude, **points)
     assert {"M", "linear"} <= set(gradient)
 
 
-@pytest.mark.parametrize("scheme", ["order 4", "Gauss", "Kahan"])
+@pytest.mark.parametrize("scheme", ["order 4", "Gauss", pytest.param("Kahan", marks=pytest.mark.long)])
 def test_derivatives_by_torques_that_are_inputs(scheme):
     """A field changes the damping on the orbit too; a parameter changes at fixed inputs."""
     base, x0 = plain("so(4)")
     torques = [(F.Torque, {"torque": np.linspace(a, b, 6)}) for a, b in ((0.1, 0.2), (-0.2, 0.1))]
     build = forced(base, torques[0], (F.DoubleBracketDamping, {"alpha": 0.2}), torques[1])
     values = {"jets": np.linspace(-0.3, 0.2, 6), "field": np.array([0.2, -0.1])}
-    assert_derivatives(build, SCHEMES[scheme], x0, (0.5, 0.75), H, inputs={"jets": "Torque 2", "field": (2, 0)},
+    assert_derivatives(build, SCHEMES[scheme], x0, (0.5, 0.625), H, inputs={"jets": "Torque 2", "field": (2, 0)},
                        values=values)  # fmt: skip
 
 
@@ -227,15 +227,15 @@ def matrices(kind, stream, size=3, **terms):
 
 MATRICES = {  # of the user, and with forces
     "composed": (named("sphere_euler", N=3, rotation=0.3), co.Composition(co.IsospectralGauss(1), (0.75, -0.5, 0.75)),
-        -4),
-    "gl": (matrices("gl", co.systems.Weights(SYMMETRIC)), co.IsospectralGauss(2), 4),
-    "function on sp": (matrices("sp", lambda W: W - W.T, 2), co.IsospectralGauss(2), -4),
-    "function of time": (matrices("so", lambda W, t: (1.0 + 0.5 * t) * OFF_DIAGONAL * W), co.IsospectralGauss(2), 4),
+        -2),
+    "gl": (matrices("gl", co.systems.Weights(SYMMETRIC)), co.IsospectralGauss(2), 2),
+    "function on sp": (matrices("sp", lambda W: W - W.T, 2), co.IsospectralGauss(2), -2),
+    "function of time": (matrices("so", lambda W, t: (1.0 + 0.5 * t) * OFF_DIAGONAL * W), co.IsospectralGauss(2), 2),
     "nonlinear": (matrices("gl", lambda W: W.T @ W @ W.T / 8, energy=lambda W: np.sum((W @ W.T) ** 2) / 32),
-        co.IsospectralGauss(2), 4),
+        co.IsospectralGauss(2), 2),
     "forces": (forced(named("sphere_euler", N=4, rotation=0.7), (F.Viscosity, {"nu": 0.05, "rotation": True}),
         (F.Friction, {"rate": 0.1}), (F.RandomForcing, {"energy_rate": 0.3, "band": (2, 3), "seed": 1})),
-        co.IsospectralGauss(1), 4),
+        co.IsospectralGauss(1), 2),
     "forces on the torus": (forced(named("torus_euler", N=3), (F.BetaPlane, {"beta": 0.5}), (F.Friction, {"rate":
         lambda n: 0.1 * n})), co.CommutatorFree(), 2),
 }  # fmt: skip
@@ -321,7 +321,7 @@ NOISE = [BATCH[0].with_forces(F.LinearDamping(rate), F.HeatBath(0.3, temperature
 )
 def test_members_of_a_batch_have_the_bits_of_single_runs(systems, method):
     """A bath of member m is that of the stream m."""
-    rng, count, span = np.random.default_rng(3), len(systems), (1.0, 1.5)
+    rng, count, span = np.random.default_rng(3), len(systems), (1.0, 1.25)
     x0, options = rng.uniform(0.2, 0.9, (count, 3)), {"save_every": 2}
     ready = co.prepare(co.batch(systems), method, 0.125, attitude="coadjoint")
     assert ready.parameters["inertia"][:, 2].tolist() == [2.25, 2.5, 2.75] if systems is BATCH else count * [2.25]
@@ -344,7 +344,7 @@ def test_members_of_an_ensemble_have_the_noise_of_their_numbers():
     """Also beyond the number that a loop takes at a time; gradients by shared parameters are sums over members."""
     base, _ = plain("A3,7")
     x0, last = np.random.default_rng(2).uniform(0.2, 0.6, (17, 3)), 16
-    moving, span = {"HeatBath.temperature": np.array(0.5)}, (0.5, 0.5 + 2 * H)
+    moving, span = {"HeatBath.temperature": np.array(0.5)}, (0.5, 0.5 + H)
 
     def run_from(stream):
         return co.prepare(base({}).with_forces(F.HeatBath(0.3, temperature=0.2, seed=5, stream=stream)), None, H)
@@ -356,7 +356,7 @@ def test_members_of_an_ensemble_have_the_noise_of_their_numbers():
     for m in (1, last):
         single, alone = run_from(m).jvp(x0[m], span, moving)
         assert np.array_equal(single.x, sol.x[:, m]) and np.array_equal(alone.x, tangents.x[:, m])
-        found = run_from(m).vjp(x0[m], span)[1](np.ones((3, 3)))
+        found = run_from(m).vjp(x0[m], span)[1](np.ones((2, 3)))
         np.testing.assert_allclose(gradient["x0"][m], found["x0"], rtol=2.0**6 * UNIT_ROUNDOFF)
         total += found["HeatBath.temperature"]
     assert abs(total - gradient["HeatBath.temperature"]) <= 2.0**10 * UNIT_ROUNDOFF * abs(total)
@@ -382,10 +382,10 @@ def test_substeps_of_driven_runs_and_shifted_energies_of_forced_ones():
     """
     driven = co.systems.spin_lattice("chain", 2, field=lambda t: [np.cos(60.0 * t), np.sin(60.0 * t), 0.3 * t])
     composed = co.Composition(co.GaussLegendre(2), (0.4, 0.2, 0.4))
-    assert_derivatives(lambda changed: driven, composed, X6, (1.3, 0.3), 0.1)
+    assert_derivatives(lambda changed: driven, composed, X6, (1.3, 1.0), 0.1)
     u = (0.1, 0.2, 0.3)
     build = forced(BODY, (F.LinearDamping, {"rate": 0.3, "toward": u}), (F.Torque, {"torque": u}))
-    for x0, span in ((X3, (0.5, 1.0)), (np.array([X3, X3[::-1]]), (0.5, 0.25))):
+    for x0, span in ((X3, (0.5, 0.75)), (np.array([X3, X3[::-1]]), (0.5, 0.375))):
         assert_derivatives(build, co.Splitting(order=4), x0, span, H, attitude=True)
 
 

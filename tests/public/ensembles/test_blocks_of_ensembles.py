@@ -7,6 +7,7 @@ import os
 import pickle
 import shutil
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -114,10 +115,15 @@ LONG = (0.0, 100_000 * STEP)
 """A run of three chunks: 4 MB have so many points of four members."""
 
 
+@cache
+def long_run():
+    return co.integrate(BODY, X, LONG, STEP)
+
+
 @pytest.mark.parametrize(("number", "chunk"), [(0, 1), (1, 2), (2, 1)])
 def test_block_resumes_from_its_marker(tmp_path, monkeypatch, number, chunk):
     """Committed points are read, the others are NaN."""
-    path, expected, done = tmp_path / "many.zarr", co.integrate(BODY, X, LONG, STEP), ROWS * chunk
+    path, expected, done = tmp_path / "many.zarr", long_run(), ROWS * chunk
     partial = begun(path, monkeypatch, number, chunk, span=LONG)
     for found in (partial, co.load(path)):
         assert not found.finished and found.reached == (0 if number < 2 else done - 1)
@@ -142,7 +148,7 @@ def test_chunks_without_a_marker_are_overwritten(tmp_path, monkeypatch):
     begun(path, monkeypatch, 0, 2, span=LONG)
     assert (path / HIDDEN / marker(0)).read_bytes() != held
     (path / HIDDEN / marker(0)).write_bytes(held)
-    check_same(ensemble(path, span=LONG), co.integrate(BODY, X, LONG, STEP))
+    check_same(ensemble(path, span=LONG), long_run())
 
 
 @pytest.mark.parametrize("what", ["marker", "numbers", "no marker", "chunk", "folder"])

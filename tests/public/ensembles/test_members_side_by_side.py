@@ -63,25 +63,3 @@ def test_members_of_every_magnitude(method, g):
             numbers(attempted(system, x0[m], (0.0, 1.8), 0.3, method), followed=False),
             numbers(whole, m, followed=False),
         )
-
-
-@pytest.mark.parametrize("compensated", [False, True])
-def test_batches_of_many_members(compensated):
-    bodies = [co.systems.rigid_body((1.5, 2.0 + 0.01 * k, 3.5)) for k in range(70)]
-    states = np.array([0.3, 1.0, -0.4]) * (1.0 - 0.01 * np.arange(70)[:, None])
-    given = (0.0, 1.0), 0.0625, co.Splitting(order=2, compensated=compensated)
-    together = co.integrate(co.batch(bodies), states, *given, attitude=True)
-    for m in (0, 15, 16, 31, 32, 33, 63, 64, 69):
-        assert_agree(numbers(together, m), numbers(co.integrate(bodies[m], states[m], *given, attitude=True)))
-
-
-@pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(1), co.Taylor(2)], ids=str)
-def test_multivalued_casimirs_stay_on_their_branch(method):
-    """The angle in a Casimir winds, however rarely it is saved."""
-    system = co.LiePoissonSystem(co.algebras.get("A4,6", a=1.0, b=0.0), co.Quadratic((0.0,) * 4, linear=(0, 0, 0, 1.0)))
-    name, casimir = next((n, c) for n, c in system.casimirs.items() if getattr(c, "period", 0.0))
-    x0 = np.random.default_rng(9).uniform(0.2, 0.8, (3, 4))
-    often = co.integrate(system, x0, (0.0, 160.0), 0.25, method)
-    seldom = co.integrate(system, x0, (0.0, 160.0), 0.25, method, save_every=16)
-    np.testing.assert_array_equal(seldom.casimirs[name], often.casimirs[name][::16])
-    assert np.abs(np.diff(often.casimirs[name], axis=0)).max() < casimir.period / 8

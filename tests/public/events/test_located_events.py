@@ -121,24 +121,6 @@ def test_events_at_both_ends_of_the_span():
     assert len(co.integrate(system, (1.0, 0.0, 0.0), (2, 3), 0.5, events=co.Event(lambda x, t: t - 2.0)).events) == 0
 
 
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize("method", [co.GaussLegendre(3), co.Splitting(order=4), co.Taylor(12)], ids=str)
-def test_backward_runs_find_the_same_events(method):
-    there = co.integrate(BODY, FLIPPING, (0, 48), 0.125, method, events=co.Event("x2"))
-    back = co.integrate(BODY, there.x[-1], (48, 0), 0.125, method, events=co.Event("x2"))
-    assert len(there.events) == len(back.events) > 1
-    assert np.all(np.diff(back.events.t) < 0)
-    # Parts of a step are not reversible: their error is that of their order.
-    allowed = 1e-12 if method == co.GaussLegendre(3) else 0.125 ** min(method.order, 6)
-    assert abs(back.events.t[::-1] - there.events.t).max() < allowed
-    # A direction is that in which the run goes.
-    assert (back.events.direction[::-1] == -there.events.direction).all()
-    for whole, x0, span in ((there, FLIPPING, (0, 48)), (back, there.x[-1], (48, 0))):
-        for direction in (1, -1):
-            some = co.integrate(BODY, x0, span, 0.125, method, events=co.Event("x2", direction)).events
-            assert len(some) and np.array_equal(some.t, whole.events.t[whole.events.direction == direction])
-
-
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_error_names_the_first_undefined_event(way):
     """The later one is given first."""
@@ -157,15 +139,6 @@ def test_error_names_the_first_undefined_event(way):
         assert failure.value.step == 17 and failure.value.time == 2.0 * way
 
 
-def test_no_event_is_found_after_the_end():
-    """Of other events in the last step of a member, those before its end alone."""
-    level = [co.Event(co.Polynomial({(0, 1, 0): 1.0, (0, 0, 0): c}), name=f"{c}") for c in (-1e-3, 1e-3)]
-    x0 = np.array(FLIPPING) * [[1, 1, 1], [1, -1, 1]]
-    found = co.integrate(BODY, x0, (0, 40), 0.125, events=[*level, co.Event("x2", terminal=True)]).events
-    for m, which in ((0, [0, 2]), (1, [1, 2])):
-        assert found.of(m).which.tolist() == which and np.all(np.diff(found.of(m).t) > 0)
-
-
 def test_second_crossing_within_a_step_ends_the_run():
     system, start, h = harmonic(), np.array([np.cos(2.3), -np.sin(2.3), 0.0]), 0.5
     c = np.cos(1e-3)
@@ -177,12 +150,6 @@ def test_second_crossing_within_a_step_ends_the_run():
     assert np.isfinite(sol.x).all() and sol.t[-2] < first <= sol.t[-2] + h
     several = co.integrate(system, np.array([start, -start, start]), (0, 30), h, events=event)
     assert np.array_equal(several.events.of(2).t, sol.events.t)
-
-
-def test_count_limits_crossings_to_the_first():
-    whole = co.integrate(BODY, FLIPPING, (0, 40), 0.125, events=[co.Event("x2"), co.Event("x1")]).events
-    some = co.integrate(BODY, FLIPPING, (0, 40), 0.125, events=[co.Event("x2", count=2), co.Event("x1")]).events
-    assert np.array_equal(some["x2"].t, whole["x2"].t[:2]) and np.array_equal(some["x1"].t, whole["x1"].t)
 
 
 def test_selections_of_crossings_are_complete():

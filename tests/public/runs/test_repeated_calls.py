@@ -145,7 +145,7 @@ def test_calls_are_those_of_a_fresh_prepared_run(name):
 
 
 @pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
-@pytest.mark.parametrize("name", ["splitting", "Gauss", "two threads", "inputs"])
+@pytest.mark.parametrize("name", ["splitting", "Gauss", "Taylor", "two threads", "inputs"])
 def test_calls_of_several_threads_are_those_of_a_fresh_prepared_run(name):
     case = CASES[name]
     shared, calls = case.prepared(), list(case.calls(10))

@@ -124,12 +124,6 @@ def test_a_scheme_without_a_tolerance_names_what_has_one(scheme, name):
         scheme(**{name: 1e-6})
 
 
-@pytest.mark.parametrize("name", ("rtol", "atol"))
-def test_a_run_without_a_tolerance_names_the_accuracy(name):
-    with refused(TypeError, "integrate", name, "accuracy="):
-        co.integrate(BODY, X0, (0, 1), 0.1, **{name: 1e-6})
-
-
 def test_other_parameters_are_refused():
     with refused(TypeError, "Splitting", "tol", "order"):
         co.Splitting(tol=1e-6)

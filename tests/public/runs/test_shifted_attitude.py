@@ -47,22 +47,6 @@ def initial_elements(system, attitude, members=None):
     return np.asfortranarray(g), g
 
 
-@pytest.mark.thinned(6)
-@pytest.mark.parametrize("kind", ["representation", "coadjoint"])
-@pytest.mark.parametrize("span", [(0.0, 0.5), (1e6, 1e6 - 0.5)], ids=str)
-@pytest.mark.parametrize("name", list(SHIFTED))
-def test_first_element_is_the_given_one(name, span, kind):
-    system = SHIFTED[name]
-    if kind == "representation" and system.representation is None:
-        pytest.skip("no representation")
-    many = 0.3 * np.random.default_rng(2).standard_normal((3, system.dim))
-    for x0, members in ((many[0], None), (many[:1], 1), (many, 3)):
-        for each in {None, members}:
-            attitude, expected = initial_elements(system, kind, each)
-            sol = co.integrate(system, x0, span, 0.0625, attitude=attitude, save_every=3)
-            assert same_bits(sol.attitude[0], np.array(np.broadcast_to(expected, sol.attitude[0].shape)))
-
-
 @pytest.mark.parametrize("name", list(SHIFTED))
 def test_elements_do_not_depend_on_saving_or_start_time(name):
     system = SHIFTED[name]

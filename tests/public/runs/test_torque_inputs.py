@@ -8,28 +8,6 @@ import coadjoint as co
 pytestmark = pytest.mark.thinned(3)
 
 STEP, SPANS = 0.0625, ((0.0, 0.5), (0.5, 0.0))
-INPUTS = {"fins": "Torque 2", "field": (2, 0), "jets": "Torque"}
-
-
-def unforced(name):
-    algebra, rng = co.algebras.get(name), np.random.default_rng(1)
-    B = rng.uniform(-0.1, 0.1, (algebra.dim, algebra.dim))
-    M = np.diag(np.linspace(0.6, 1.6, algebra.dim)) + B + B.T
-    return co.LiePoissonSystem(algebra, co.Quadratic(M, linear=np.linspace(-0.1, 0.1, algebra.dim)))
-
-
-def forced(name, jets, fins):
-    """Two torques among dampings, one of which needs the gradient of H."""
-    damping, drag = co.forces.LinearDamping(0.1), co.forces.DoubleBracketDamping(0.01)
-    return unforced(name).with_forces(co.forces.Torque(jets), drag, co.forces.Torque(fins), damping)
-
-
-def numbers(name, *members):
-    """Return a state, the initial torques and fields, and others, or those of members."""
-    n, rng = co.algebras.get(name).dim, np.random.default_rng(4)
-    sizes = {"jets": n, "fins": n, "field": 2}
-    before, after = ({key: rng.uniform(-0.4, 0.4, (*k, m)) for key, m in sizes.items()} for k in ((), members))
-    return rng.uniform(0.2, 0.5, n), before, after
 
 
 @pytest.mark.parametrize("parts", ["auto", "free_body"])

@@ -1,4 +1,4 @@
-"""Fluids on the torus: modes of a reference to 40 digits, translations, and random states of long waves."""
+"""Fluids on the torus: modes of a reference to 40 digits, and random states of long waves."""
 
 import json
 from pathlib import Path
@@ -19,13 +19,6 @@ def first_modes(N):
 def last_modes(N):
     """Return the modes of the reference at t = 1."""
     return {(m1, m2): complex(float(re), float(im)) for m1, m2, re, im in REFERENCE[str(N)]}
-
-
-def translation(N, n):
-    """Return the matrix T_n, with the entries exp(2 pi i n1 (n2 + 2 a)/N) at (a, a + n2)."""
-    T, a = np.zeros((N, N), dtype=complex), np.arange(N)
-    T[a, (a + n[1]) % N] = np.exp(2j * np.pi * n[0] * (n[1] + 2 * a) / N)
-    return T
 
 
 def smooth(system, seed, width=2.0):
