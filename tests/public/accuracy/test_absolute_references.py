@@ -111,15 +111,3 @@ def test_attitudes_match_references(name, key, method, steps):
         x, A = numbers(state[f"x{key}"]), np.array([numbers(row) for row in state[f"A{key}"]])
         assert np.max(np.abs(run.x[t] - x)) <= 1e-11 * np.max(np.abs(x)), t
         assert np.max(np.abs(run.attitude[t] - A)) <= 1e-11, t
-
-
-@pytest.mark.parametrize("name", WITH_ATTITUDE)
-def test_closed_form_matches_references(name):
-    case = BODIES[name]
-    system = co.systems.rigid_body(inertia=tuple(1 / numbers(case["inverse_inertia"])))
-    for state in case["states"]:
-        x, A = system.exact(numbers(case["x0"]), float(state["t"]), attitude=True)
-        # The moments are rounded once more, which moves the phase by u times the angle turned.
-        angle = 10.0 * state["t"]
-        assert np.max(np.abs(x - numbers(state["x"]))) <= 1e-13 * (1 + angle)
-        assert np.max(np.abs(A - np.array([numbers(row) for row in state["A"]]))) <= 1e-13 * (1 + angle)

@@ -1,5 +1,7 @@
 """Certificates of correct functions pass; those of defective steps and false declarations fail in their row."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -10,22 +12,15 @@ from long import long_where
 pytestmark = pytest.mark.thinned(6)
 
 STEP = 0.05
-
-
+NOTHING = co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
 SPLIT = co.methods.Properties(poisson=True, energy=False, casimirs="all", attitude="none")
 EVERYTHING = co.methods.Properties(poisson=True, energy=True, casimirs="all", attitude="none")
 GAUSS = co.methods.Properties(poisson=False, energy=True, casimirs="quadratic", attitude="none")
 
 
 def strang(system):
-    steppers: dict[float, co.stepper] = {}
-
-    def step(x, h):
-        if h not in steppers:
-            steppers[h] = co.stepper(system, co.Splitting(order=2), h)
-        return steppers[h](x)
-
-    return step
+    stepper = cache(lambda h: co.stepper(system, co.Splitting(order=2), h))
+    return lambda x, h: stepper(h)(x)
 
 
 def midpoint(system, tolerance=0.0):
@@ -97,17 +92,11 @@ def test_defects_fail_in_their_row(what):
 @pytest.mark.parametrize("case", ["so(3), diagonal", "so(4), diagonal"])
 def test_correct_functions_pass(case):
     system, x0, _ = cases()[case]
-    right = [
+    for step, order, symmetric, properties in (
         (strang(system), 2, True, SPLIT),
-        (
-            runge_kutta(system),
-            4,
-            False,
-            co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none"),
-        ),
+        (runge_kutta(system), 4, False, NOTHING),
         (midpoint(system), 2, True, GAUSS),
-    ]
-    for step, order, symmetric, properties in right:
+    ):
         found = co.certify(system, step, x0, STEP, steps=40, order=order, symmetric=symmetric, properties=properties)
         assert found.passed, str(found)
 

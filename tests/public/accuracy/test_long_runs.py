@@ -65,22 +65,6 @@ def test_quadratic_invariants_of_gauss_follow_brouwer(case, stages):
         assert run.drift()[name] <= walk(run, size, 16 * run.system.dim * stages), name
 
 
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize("method", [co.Splitting(order=2), co.Splitting(order=2, compensated=True)])
-def test_rotations_follow_brouwer(method):
-    """Group elements are always compensated; the rounding of the momentum is added to that of A x."""
-    system, x0, _ = cases()["so(3), diagonal"]
-    run = co.integrate(
-        system, x0, (0.0, STEPS * 0.05), 0.05, method, attitude=True, save_every=STEPS // 10, watch=False
-    )
-    per_step = 4 * 3 * run.stats.evaluations / run.stats.steps
-    orthogonality = max(np.max(np.abs(A.T @ A - np.eye(3))) for A in run.attitude)
-    assert orthogonality <= walk(run, 3.0, per_step)
-    spatial = np.max(np.abs(np.einsum("tij,tj->ti", run.attitude, run.x) - x0))
-    linear = 12 * UNIT_ROUNDOFF * (run.stats.evaluations + run.stats.steps + 1)
-    assert spatial <= np.linalg.norm(x0) * (walk(run, 3.0, per_step) if method.compensated else linear)
-
-
 # Members of ensembles: over 100 times the time a random walk grows by 10, a bias by 100.
 MEMBERS, FEWER, STEP = 64, 100_000, 0.1
 MOST_GROWTH, MOST_BIAS = 20.0, 3.0

@@ -136,29 +136,6 @@ def test_the_warning_of_rounding_states_its_size(ratio, warned):
         assert str(again.message) == str(found[0].message)
 
 
-@pytest.mark.parametrize(
-    ("mass", "moments", "warned"),
-    [
-        (4.0, (0.0067, 0.0333, 0.0350), True),
-        (24.0, (0.2, 0.35, 0.4), True),
-        (7827.0, (17023.3, 124825.7, 129112.2), False),
-        (4.2e5, (1.0e8, 1.5e8, 2.0e8), False),
-    ],
-    ids=["3U", "12U", "Envisat", "ISS"],
-)
-def test_satellites_of_real_size(mass, moments, warned):
-    """On circular orbits in SI units; the pitch of the first two is wrong by 15 and 19 degrees."""
-    gravity, radius, angle = 3.986004418e14, 6.778e6, np.radians(10.0)
-    rate = (gravity / radius**3) ** 0.5
-    c, s = np.cos(angle), np.sin(angle)
-    x0 = [0, 0, moments[2] * rate, *(mass * radius * rate * np.array([-s, c, 0.0])), radius * c, radius * s, 0, 1]
-    span = 6 * np.pi / rate
-    sol, found = told(lambda: co.integrate(body(moments, mass, gravity), x0, (0, span), span / 1080, METHOD))
-    assert [one.category for one in found] == [co.RoundingWarning] * warned
-    errors = sol.error_estimate(by_group=True)
-    assert (max(errors["L"], errors["r"]) > 0.002) == warned
-
-
 @pytest.mark.parametrize("method", [co.ExplicitRungeKutta("rk4"), co.Splitting(order=2), co.Splitting(order=6)])
 def test_the_warning_comes_for_any_scheme_and_shorter_steps_do_not_help(method):
     for steps in (4 * STEPS, 16 * STEPS):

@@ -11,12 +11,6 @@ X0, SPAN, STEP = np.array([1.0, 1.0, 1.0]), (0.0, 20.0), 0.01
 SYSTEM = co.systems.paper_a37(A, MASSES)
 
 
-def test_printed_structure_matrix():
-    x1, x2 = 0.3, -0.7
-    printed = [[0, 0, A * x1 - x2], [0, 0, x1 + A * x2], [-A * x1 + x2, -x1 - A * x2, 0]]
-    assert np.max(np.abs(SYSTEM.structure_matrix([x1, x2, 5.0]) - printed)) <= 4 * U
-
-
 def printed_flow(i, t, x):
     x1, x2, x3 = x
     m11, m22, m33 = MASSES

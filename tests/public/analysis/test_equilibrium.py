@@ -224,12 +224,9 @@ def test_what_has_no_equilibrium_is_refused_by_name():
             co.equilibrium(*given)
 
 
-@pytest.mark.parametrize(
-    ("d", "stability"),
-    [(0.25e-12, "undecided"), (4e-12, "unstable"), (-0.5e-8, "undecided"), (-2e-8, "stable")],
-)
-def test_thresholds_of_growth_and_of_the_second_variation(d, stability):
-    """Growth above 1e-6 of the frequencies is no round-off; definite variations have no eigenvalue below 1e-8.
+@pytest.mark.parametrize(("d", "stability"), [(-0.5e-8, "undecided"), (-2e-8, "stable")])
+def test_the_threshold_of_the_second_variation(d, stability):
+    """Definite variations have no eigenvalue below 1e-8.
 
     A body about an axis of inverse inertia 1, beside 1 + d and 0; and another one with the frequency 1.
     """

@@ -173,7 +173,7 @@ def test_a_member_that_fails_leaves_the_others_theirs():
     cubic = co.LiePoissonSystem(co.algebras.sl(2), co.Polynomial({(3, 0, 0): 1.0, (0, 3, 0): 1.0, (0, 0, 3): 1.0}))
     starts = np.array([[0.1, 0.05, 0.02], [40.0, 30.0, 20.0], [0.05, 0.1, 0.05]])
     for method in (co.Splitting(order=2), co.ExplicitRungeKutta("rk4")):
-        with pytest.raises(co.IntegrationError, match=r"1 of 3 members \(first: member 1\)") as failure:
+        with refused(co.IntegrationError, "1 of 3 members", "member 1") as failure:
             co.lyapunov(cubic, starts, (0, 10), 0.1, method)
         partial = failure.value.partial
         assert np.isfinite(partial.exponents[[0, 2]]).all() and np.isnan(partial.exponents[1]).all()
@@ -185,7 +185,7 @@ def test_vectors_that_become_parallel_are_refused():
     """Between two times that they are made orthonormal they part by e^(2 * 0.29 t): beyond 2^26 nothing is left."""
     given = {"x0": (0.0, 1.0, 0.0), "t_span": (0.0, 200.0), "step": 0.1}
     assert np.isfinite(co.lyapunov(BODY, **given, renormalize_every=100).exponents).all()
-    with pytest.raises(co.IntegrationError, match="smaller renormalize_every") as failure:
+    with refused(co.IntegrationError, "renormalize_every") as failure:
         co.lyapunov(BODY, **given, renormalize_every=1000)
     assert failure.value.step == 1000
     with refused(ValueError, "renormalize_every than 10000"):
@@ -194,27 +194,27 @@ def test_vectors_that_become_parallel_are_refused():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for method in (co.GaussLegendre(2), co.RadauEnergy(1)):
-            with pytest.raises(co.IntegrationError, match="smaller renormalize_every") as failure:
+            with refused(co.IntegrationError, "renormalize_every") as failure:
                 co.lyapunov(BODY, **quick, method=method)
             assert failure.value.step == 50
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("changes", "named"),
     [
-        ({"exponents": 4}, "exponents"),
-        ({"renormalize_every": 0}, "renormalize_every"),
-        ({"transient": -1.0}, "transient is -1.0"),
-        ({"transient": 10.0}, "it must be shorter than the run"),
-        ({"transient": 0.05}, "step 0.1 does not divide"),
-        ({"t_span": (0.0, 0.0)}, "it must be shorter than the run"),
-        ({"x0": (1.0, 2.0)}, "x0 has the shape"),
-        ({"method": "splitting"}, "did you mean 'Splitting'"),
+        ({"exponents": 4}, ["exponents"]),
+        ({"renormalize_every": 0}, ["renormalize_every"]),
+        ({"transient": -1.0}, ["transient", "-1.0"]),
+        ({"transient": 10.0}, ["transient", "10"]),
+        ({"transient": 0.05}, ["step", "0.1", "0.05"]),
+        ({"t_span": (0.0, 0.0)}, ["transient", "0"]),
+        ({"x0": (1.0, 2.0)}, ["x0", "(2,)"]),
+        ({"method": "splitting"}, ["'splitting'", "'Splitting'"]),
     ],
 )
-def test_wrong_input_is_refused_by_name(changes, message):
+def test_wrong_input_is_refused_by_name(changes, named):
     given = {"system": BODY, "x0": (0.4, 1.0, 0.3), "t_span": (0.0, 10.0), "step": 0.1} | changes
-    with pytest.raises((ValueError, TypeError), match=message):
+    with refused((ValueError, TypeError), *named):
         co.lyapunov(**given)
 
 

@@ -73,28 +73,25 @@ def test_static_structure_factor_of_cold_spins_is_that_of_equipartition():
 
 
 def test_what_has_no_structure_factor_is_refused_by_name():
-    ring = co.systems.spin_lattice("ring", 6)
-    sol = co.integrate(ring, nearly_up(6)[0], (0, 1), 0.05)
-    complete = co.systems.spin_lattice("complete", 4)
-    wrong = {
-        "no lattice in space": co.integrate(complete, nearly_up(4)[0], (0, 1), 0.05),
-        "at least 8 equidistant": co.integrate(ring, nearly_up(6)[0], (0, 1), 0.25),
-        "equidistant": co.integrate(ring, nearly_up(6)[0], (0, 1), 0.05, t_eval=np.linspace(0, 1, 9) ** 2),
-        "has 5 sites, and its states 18": co.integrate(
-            co.LiePoissonSystem(ring.algebra, ring.hamiltonian, layout={"lattice": "chain", "shape": 5}),
-            nearly_up(6)[0], (0, 1), 0.05,
-        ),
-    }  # fmt: skip
-    for words, run_of in wrong.items():
-        with pytest.raises(ValueError, match=words):
-            co.spectra.structure_factor(run_of)
-    with refused(ValueError, "window is 'hannn'; give a name of scipy"):
+    ring, complete = co.systems.spin_lattice("ring", 6), co.systems.spin_lattice("complete", 4)
+    of_five = co.LiePoissonSystem(ring.algebra, ring.hamiltonian, layout={"lattice": "chain", "shape": 5})
+    two = co.batch([ring, co.systems.spin_lattice("chain", 6)])
+    x0, times = nearly_up(6), {"t_eval": np.linspace(0, 1, 9) ** 2}
+    for named, system, states, step, options in (
+        (["no lattice"], complete, nearly_up(4)[0], 0.05, {}),
+        (["at least 8"], ring, x0[0], 0.25, {}),
+        (["equidistant"], ring, x0[0], 0.05, times),
+        (["5 sites", "18"], of_five, x0[0], 0.05, {}),
+        (["different lattices"], two, x0, 0.05, {}),
+    ):
+        sol = co.integrate(system, states, (0, 1), step, **options)
+        with refused(ValueError, *named):
+            co.spectra.structure_factor(sol)
+    sol = co.integrate(ring, x0[0], (0, 1), 0.05)
+    with refused(ValueError, "window", "'hannn'"):
         co.spectra.structure_factor(sol, window="hannn")
     with pytest.raises(TypeError):
         co.spectra.structure_factor(sol.x)
-    two = co.batch([ring, co.systems.spin_lattice("chain", 6)])
-    with refused(ValueError, "different lattices"):
-        co.spectra.structure_factor(co.integrate(two, nearly_up(6), (0, 1), 0.05))
 
 
 def test_picture_has_the_corners_of_the_path():
