@@ -72,19 +72,3 @@ def test_step_is_the_flow_of_the_modified_hamiltonian(seed):
         if errors[1] > 2.0**-50 * 2.0**-10:
             slope = float(mpmath.log(errors[0] / errors[1], 2))
             assert slope > modified.order + 0.6, (str(scheme), repr(system), slope, errors)
-
-
-@pytest.mark.parametrize("seed", long_beyond(2, range(SEEDS)))
-def test_modified_field_and_hamiltonian_agree(seed):
-    """Two independent computations: brackets in a free algebra, and the logarithm of the series of a step."""
-    system, scheme, modified, x0 = case_of(seed, largest=4, highest=2)
-    found = co.modified_field(system, scheme, modified.order, way="exact")
-    for k, field in found.terms.items():
-        H = modified.terms.get(k, co.Polynomial({}, dim=system.dim))
-        for x in (x0, 2.0 * x0[::-1]):
-            J, slope = system.structure_matrix(x), np.array(H.gradient(x), dtype=float)
-            size = np.abs(J) @ np.abs(slope) + sum(
-                abs(float(c)) * np.prod(np.abs(x) ** p) for F in field for p, c in F.monomials.items()
-            )
-            off = np.array([float(F(x)) for F in field]) - system.sign * J @ slope
-            assert np.max(np.abs(off) - 1e-12 * size) <= 1e-14, (k, str(scheme), repr(system))

@@ -4,6 +4,7 @@ A symmetric second-order step is exp(h Y1 + h^3 Y3 + ...) with free Y's, a first
 its adjoint the inverse of the step over -h.
 """
 
+import re
 from itertools import pairwise
 
 import mpmath
@@ -15,22 +16,12 @@ from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
 DIGITS = 60
-SCHEMES = {
-    2: ("strang",),
-    4: ("blanes_moan4", "kahan_li4", "mclachlan4", "suzuki4", "yoshida4"),
-    6: (
-        "blanes_casas_murua6",
-        "blanes_moan6",
-        "kahan_li6a",
-        "kahan_li6b",
-        "sofroniou_spaletta6",
-        "sofroniou_spaletta6_s13",
-        "yoshida6",
-    ),
-    8: ("blanes_casas_murua8", "kahan_li8a", "kahan_li8b", "sofroniou_spaletta8", "suzuki_umeno8"),
-    10: ("blanes_casas_murua10", "kahan_li10a", "kahan_li10d", "sofroniou_spaletta10"),
-}
-ORDERS = {name: order for order, names in SCHEMES.items() for name in names}
+NAMES = (
+    "strang blanes_moan4 kahan_li4 mclachlan4 suzuki4 yoshida4 blanes_casas_murua6 blanes_moan6 kahan_li6a kahan_li6b"
+    " sofroniou_spaletta6 sofroniou_spaletta6_s13 yoshida6 blanes_casas_murua8 kahan_li8a kahan_li8b"
+    " sofroniou_spaletta8 suzuki_umeno8 blanes_casas_murua10 kahan_li10a kahan_li10d sofroniou_spaletta10"
+).split()
+ORDERS = {name: 2 if name == "strang" else int(re.search(r"\d+", name)[0]) for name in NAMES}
 DEFAULTS = {2: "strang", 4: "suzuki4", 6: "sofroniou_spaletta6", 8: "sofroniou_spaletta8", 10: "sofroniou_spaletta10"}
 PROCESSED = [name for name in ORDERS if name.startswith("blanes_casas")]
 
