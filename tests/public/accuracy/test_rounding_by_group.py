@@ -139,16 +139,18 @@ def test_the_warning_of_rounding_states_its_size(ratio, warned):
 @pytest.mark.parametrize("method", [co.ExplicitRungeKutta("rk4"), co.Splitting(order=2), co.Splitting(order=6)])
 def test_the_warning_comes_for_any_scheme_and_shorter_steps_do_not_help(method):
     for steps in (4 * STEPS, 16 * STEPS):
-        with pytest.warns(co.RoundingWarning, match="rounding changes . in this motion"):
-            co.integrate(satellite(1e17), start(1e17), (0, STEPS * STEP), STEPS * STEP / steps, method)
+        step = STEPS * STEP / steps
+        _, found = told(lambda step=step: co.integrate(satellite(1e17), start(1e17), (0, STEPS * STEP), step, method))
+        assert co.RoundingWarning in [one.category for one in found]
 
 
 def test_of_ensembles_a_member_is_named_alone_in_a_batch_and_prepared():
     """The small body is also the last of a batch; others keep their digits."""
     states = np.array([start(1e4), start(1e4), start(2e15)])
     systems = [satellite(1e4), satellite(1e4), satellite(2e15)]
-    with pytest.warns(co.RoundingWarning, match="rounding changes L in the motion of member 2 by about"):
-        sol = co.integrate(co.batch(systems), states, (0, STEPS * STEP), STEP, METHOD)
+    sol, found = told(lambda: co.integrate(co.batch(systems), states, (0, STEPS * STEP), STEP, METHOD))
+    (message,) = [str(one.message) for one in found if one.category is co.RoundingWarning]
+    assert " L " in message and "member 2" in message
     alone, found = run(2e15)
     np.testing.assert_array_equal(sol.x[:, 2], alone.x)
     errors = sol.error_estimate(by_group=True)["L"]
@@ -188,7 +190,7 @@ def test_a_small_spin_that_steps_do_not_follow_is_warned_of(ratio):
         co.algebras.direct_sum(co.algebras.so(3), co.algebras.so(3)),
         co.Quadratic([1.0, 2.0, 3.0, *(20.0 * ratio * np.array([1.0, 2.0, 3.0]))]),
     )
-    with pytest.warns(co.LargeStepWarning, match="too large for this motion"):
+    with pytest.warns(co.LargeStepWarning):
         sol = co.integrate(system, x0, (0, 10), 0.1)
     assert sol.step_error() > 0.05
     first, second = sol.step_error(by_group=True).values()

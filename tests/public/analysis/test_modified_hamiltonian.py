@@ -57,6 +57,12 @@ def slope_of(defects):
     return float(mpmath.log(defects[0] / defects[1], 2))
 
 
+def changes_in_a_step(kept, scheme, system, x0):
+    """Return how much a step of 2^-7, and one of 2^-8, change a modified Hamiltonian."""
+    x, steps = exact(x0), [mpmath.mpf(2) ** -k for k in (7, 8)]
+    return [abs(kept(scheme.step(system, x, mpmath.mpf(0), h), h) - kept(x, h)) for h in steps]
+
+
 def test_the_printed_formula_of_so3_to_the_letter():
     """24 H2 of the splitting by coordinates, in symbols."""
     for sign in (1, -1):
@@ -125,10 +131,7 @@ def test_logarithm_of_matrices(algebra, method, sign):
 def test_order_eight_in_many_digits(name):
     system, x0 = SYSTEMS[name]
     for scheme in (co.Splitting(), co.Splitting(order=4)):
-        kept, defects = co.modified_hamiltonian(system, scheme, 8), []
-        for k in (7, 8):
-            h = mpmath.mpf(2) ** -k
-            defects.append(abs(kept(scheme.step(system, exact(x0), mpmath.mpf(0), h), h) - kept(exact(x0), h)))
+        defects = changes_in_a_step(co.modified_hamiltonian(system, scheme, 8), scheme, system, x0)
         assert slope_of(defects) > 8.4 and defects[0] > 1e-25, defects
 
 
@@ -147,13 +150,10 @@ def test_rational_rotations(order, sign):
         scheme = co.Splitting(order=order, **options)
     assert 2 in co.modified_hamiltonian(system, co.Splitting(**options), 4).terms
     for r in (4, 6, 8):
-        kept, defects = co.modified_hamiltonian(system, scheme, r), []
-        for k in (7, 8):
-            h = mpmath.mpf(2) ** -k
-            x = exact([0.3, 0.4, -0.6])
-            defects.append(abs(kept(scheme.step(system, x, mpmath.mpf(0), h), h) - kept(x, h)))
+        kept = co.modified_hamiltonian(system, scheme, r)
+        defects = changes_in_a_step(kept, scheme, system, [0.3, 0.4, -0.6])
         # Of a composition by floats the order conditions hold up to rounding.
-        floor = 10 * kept.neglected * h**3
+        floor = 10 * kept.neglected * 2.0**-24
         assert defects[1] < floor or slope_of(defects) > max(r, scheme.order) + 0.4, (r, slope_of(defects))
 
 
@@ -183,9 +183,15 @@ def test_sizes_of_error_terms_compare_schemes():
         "blanes_moan4": 0.02,
         "mclachlan4": 0.02,
         "blanes_moan6": 0.1,
+        "blanes_casas_murua6": None,  # of which the term is too small to stand out
     }.items():
         scheme = co.Splitting(scheme=name, parts="coordinates")
-        power, term = co.modified_hamiltonian(system, scheme, 2).error_term
+        kept = co.modified_hamiltonian(system, scheme, 2)
+        power, term = kept.error_term
+        assert power == scheme.order and term.degree == power + 2
+        assert kept.neglected < 1e-35  # texts of 40 digits and more
+        if h is None:
+            continue
         run = co.integrate(system, x0, (0, 2), h, scheme)
         predicted = -(h**power) * (term(run.x) - term(run.x[0]))
         measured = run.energy - run.energy[0]
@@ -285,17 +291,6 @@ def test_refusals():
     ):
         with refused(error, *named):
             call()
-
-
-@pytest.mark.parametrize(
-    "name", ["yoshida4", "suzuki4", "blanes_moan4", "mclachlan4", "blanes_moan6", "blanes_casas_murua6"]
-)
-def test_every_scheme_has_its_first_term_at_its_order(name):
-    scheme = co.Splitting(scheme=name, parts="coordinates")
-    kept = co.modified_hamiltonian(SYSTEMS["so(3)"][0], scheme, order=2)
-    power, term = kept.error_term
-    assert power == scheme.order and term.degree == power + 2
-    assert kept.neglected < 1e-35  # texts of 40 digits and more
 
 
 def test_casimirs_that_were_taken_off_are_in_the_first_term():
