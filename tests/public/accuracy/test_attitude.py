@@ -67,17 +67,7 @@ def test_initial_elements_are_kept_bitwise_and_multiply_from_the_left(case, sche
 
 @pytest.mark.thinned(1)
 @pytest.mark.parametrize(
-    "scheme",
-    [
-        "Splitting 2",
-        "Splitting 4",
-        "GaussLegendre 1",
-        "GaussLegendre 2",
-        "Modified 1 gradient",
-        "Modified 2 gradient",
-        "runge2",
-        "rk4",
-    ],
+    "scheme", ["Splitting 2", "Splitting 4", "GaussLegendre 2", "Modified 1 gradient", "Modified 2 gradient", "rk4"]
 )
 @pytest.mark.parametrize("sign", [1, -1])
 def test_attitude_has_the_order_of_the_scheme(scheme, sign):

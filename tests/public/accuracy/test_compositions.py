@@ -136,15 +136,6 @@ def test_a_condition_holds_to_rounding(factor, order):
     assert co.Composition(STRANG, (a, 1.0 - 2.0 * a, a)).order == order
 
 
-def test_compositions_of_compositions_multiply_their_coefficients():
-    outer = co.Composition(co.Composition(STRANG, YOSHIDA), SIX_FROM_FOUR)
-    system, x0 = full(1), np.array([0.5, -0.75, 0.625])
-    x = x0
-    for fraction in np.outer(SIX_FROM_FOUR, YOSHIDA).ravel():
-        x = STRANG.step(system, x, 0.0, 0.25 * fraction)
-    np.testing.assert_allclose(outer.step(system, x0, 0.0, 0.25), x, rtol=0, atol=1e-14)
-
-
 def equal(count, base=STRANG):
     return co.Composition(base, (1.0 / count,) * count)
 

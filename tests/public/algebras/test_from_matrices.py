@@ -5,7 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from lie_algebras import constants_of
+from lie_algebras import coadjoint_matrices, constants_of
 
 import coadjoint as co
 from refusals import refused
@@ -79,17 +79,12 @@ def test_fractions_are_exact():
 def test_random_bases_by_least_squares(name, scale):
     """Against the exact change of basis: round-off of the matrices, times the condition of the basis."""
     known = co.algebras.get(name, **({"b": 0.5} if name == "A4,9" else {}))
-    rho = known.representation if known.representation is not None else adjoint(known)
+    rho = known.representation if known.representation is not None else coadjoint_matrices(known)
     T = RNG.normal(size=(known.dim,) * 2)
     found = constants_of(co.LieAlgebra.from_matrices(scale * np.einsum("ij,jab->iab", T, rho)))
     exact = constants_of(co.algebras.change_of_basis(known, T))
     error = np.abs(found - scale * exact).max() / np.abs(scale * exact).max()
     assert error < 64 * known.dim * U * np.linalg.cond(T) ** 2
-
-
-def adjoint(g):
-    """The matrices of ad, a representation without a centre."""
-    return np.array([[g.bracket(u, v) for v in np.eye(g.dim)] for u in np.eye(g.dim)]).transpose(0, 2, 1)
 
 
 def test_the_attitude_of_a_run_is_that_of_the_given_matrices():
