@@ -93,31 +93,6 @@ def test_every_kind_of_block_at_any_angle(name, theta):
     assert compiled[n] == theta
 
 
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("same", ["everything", "the field", "the couplings", "nothing"])
-def test_many_rotations_of_one_part_by_hand(same):
-    """A ring of spins: all x components turn, then y, z, y, x, in NumPy; numbers that are the same for all, and not."""
-    count, h, steps = 1500, 0.1, 3
-    J = np.full(count, 0.75) if same in ("everything", "the couplings") else 0.5 + np.arange(count) % 7 / 8
-    B = np.tile([0.2, 0.0, -0.3], (count, 1))
-    if same in ("the couplings", "nothing"):
-        B = B + np.sin(np.arange(3.0 * count)).reshape(count, 3)
-    edges = np.stack([np.arange(count), (np.arange(count) + 1) % count], axis=1)
-    system = co.systems.spin_lattice(edges, count, exchange=J, tensor=(1.0, 0.8, 0.6), field=B)
-    x = np.random.default_rng(3).standard_normal((count, 3))
-    method = co.Splitting(order=2, parts=[tuple(range(axis, 3 * count, 3)) for axis in range(3)])
-    found = co.integrate(system, x.ravel(), (0, steps * h), h, method, save_every=steps, watch=False).x[-1]
-    for _ in range(steps):
-        for axis, share in ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5)):
-            i, j, factor = (axis + 1) % 3, (axis + 2) % 3, (1.0, 0.8, 0.6)[axis]
-            near = J * np.roll(x[:, axis], -1) + np.roll(J * x[:, axis], 1)
-            angle = -share * h * (factor * near + B[:, axis])
-            c, s, a, b = np.cos(angle), np.sin(angle), x[:, i].copy(), x[:, j].copy()
-            x[:, i], x[:, j] = c * a - s * b, s * a + c * b
-    # 15 turns, each with some eight roundings of numbers up to 5
-    np.testing.assert_allclose(found, x.ravel(), rtol=0, atol=15 * 8 * 5 * 2.0**-53)
-
-
 TURNS = scipy.linalg.block_diag([[0, 1], [-1, 0]], [[0, 2], [-2, 0]])
 BASIS = np.eye(4, dtype=int) + np.eye(4, k=1, dtype=int) + np.eye(4, k=3, dtype=int)
 X0 = np.array([0.5, 1.0, -0.3, 0.2, 0.7])

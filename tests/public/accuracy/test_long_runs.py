@@ -9,7 +9,6 @@ import coadjoint as co
 from digests.measures import drift_bounds
 from digests.systems_under_test import cases, full_matrix
 from long import long_where
-from rounding import UNIT_ROUNDOFF
 from rounding import UNIT_ROUNDOFF as U
 
 STEPS = 1_000_000
@@ -18,7 +17,7 @@ LONG = {"so(3), full, axes turned": 0.1, "so(4), diagonal": 0.1, "e(3), heavy to
 
 def walk(run, size, per_step):
     """Return six standard deviations of a random walk with `per_step` roundings of u times size in each step."""
-    return 6 * UNIT_ROUNDOFF * size * np.sqrt(per_step * run.stats.steps)
+    return 6 * U * size * np.sqrt(per_step * run.stats.steps)
 
 
 def sizes_of(run):

@@ -9,11 +9,6 @@ from digests.measures import drift_bounds, poisson_defect
 pytestmark = pytest.mark.thinned(6)
 
 
-def affine(*more):
-    """Return [e1, e2] = e2 with further brackets."""
-    return co.LieAlgebra.from_brackets(6, {(0, 1): {1: 1.0}, **dict(more)})
-
-
 def nilpotent_and_other_algebras():
     """Return algebras whose brackets are all central, and others, by name."""
     brackets, named = co.LieAlgebra.from_brackets, co.algebras.get
@@ -21,8 +16,8 @@ def nilpotent_and_other_algebras():
         "abelian": brackets(3, {}),
         "heisenberg": named("heisenberg(n)", n=2),
         "three generators": brackets(6, {(0, 1): {3: 1.0}, (0, 2): {4: 1.0}, (1, 2): {5: 1.0, 3: -0.5}}),
-        "affine": affine(),
-        "affine and heisenberg": affine(((2, 3), {4: 1.0})),
+        "affine": brackets(6, {(0, 1): {1: 1.0}}),
+        "affine and heisenberg": brackets(6, {(0, 1): {1: 1.0}, (2, 3): {4: 1.0}}),
         "three steps": brackets(4, {(0, 1): {2: 1.0}, (0, 2): {3: 1.0}}),
         "oscillator": brackets(4, {(0, 1): {2: 1.0}, (0, 2): {1: -1.0}, (1, 2): {3: 1.0}}),
         "se(2)": named("se(n)", n=2),

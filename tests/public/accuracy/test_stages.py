@@ -106,24 +106,6 @@ def test_large_steps_against_scipy(name, stages):
     assert agreed >= (0 if stages == 8 else 1)
 
 
-def test_a_stiff_system_against_30_digits():
-    """Rates 1 and 100 on so(3) x so(3): h f' is 10, and Newton's method is taken at every step."""
-    moments = [1.0, 0.5, 0.25, 100.0, 50.0, 25.0]
-    system = co.LiePoissonSystem(TWO_SPINS, co.Quadratic(moments))
-    x = np.array([1.0, 0.5, -0.75, 0.5, 1.0, -0.25])
-    method, h, steps = co.GaussLegendre(2), 0.1, 5
-    run = co.integrate(system, x, (0.0, steps * h), h, method)
-    with mpmath.workdps(30):
-        exact = np.array([mpmath.mpf(float(v)) for v in x], dtype=object)
-        for _ in range(steps):
-            exact = exact + stages_by_newton(system, method, exact, h, mpmath.mpf)[1].sum(axis=0)
-        error = max(abs(float(a) - b) for a, b in zip(exact, run.x[-1], strict=True))
-    # each step rounds h f, of size 10, and a later one amplifies that by at most its condition, here below 20
-    assert error < steps * 10 * 20 * 8 * U
-    assert run.stats.iterations < 16 + 50 * steps
-    assert max(run.drift().values()) < 6 * 4 * 6 * U * 100 * np.sqrt(steps)
-
-
 RATES = np.array([4.0, 2.0, 3.0, 1.0, 5.0, 2.5])
 # Rates at time 0 would have the opposite sign.
 LATE = 64.5 * np.pi / 4.0
@@ -151,25 +133,6 @@ def test_the_jacobian_is_that_of_the_time_of_the_step(algebra, h, span):
     assert 16 < later.stats.iterations / round(0.6 / h) < 26
     # Times are rounded by LATE u, the rates by as much, and angles are below 100.
     np.testing.assert_allclose(later.x, now.x, rtol=0, atol=100 * LATE * U * np.linalg.norm(X0))
-
-
-def stages_by_newton(system, method, x, h, number=float):
-    """Newton iterations in NumPy, their defects in any number type."""
-    _, scale, mix, _ = method.coefficients(number)
-    s, n = scale.size, x.size
-    X = np.stack([x] * s)
-    lengths = [number(h) * b for b in scale]
-    for _ in range(50):
-        L = np.stack([length * system.vector_field(y) for y, length in zip(X, lengths, strict=True)])
-        W = [float(length) * system.jacobian(y.astype(float)) for y, length in zip(X, lengths, strict=True)]
-        J = np.eye(s * n) - np.block([[float(mix[i, j]) * W[j] for j in range(s)] for i in range(s)])
-        defect = (x + mix @ L - X).ravel()
-        size = float(np.max(np.abs(defect)))
-        change = np.linalg.solve(J, (defect / (size or 1.0)).astype(float))
-        X = X + change.reshape(s, n) * size
-        if size < (1e-13 if number is float else 1e-25):
-            return X, L
-    raise AssertionError("Newton's method in NumPy did not converge")
 
 
 @pytest.mark.thinned(1)
