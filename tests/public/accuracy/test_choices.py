@@ -25,16 +25,12 @@ SINGLE = {
 }
 
 
-def quickening(x, t):
-    return 0.5 * math.exp(t) * (x[0] ** 2 / 1.0 + x[1] ** 2 / 2.0 + x[2] ** 2 / 3.0)
-
-
-def quickening_gradient(x, t):
-    return math.exp(t) * np.array([x[0], x[1] / 2.0, x[2] / 3.0])
-
-
 # A rigid body with an accelerating clock: x(t) is that of the body after the time e^t - e^t0.
-DRIVEN = co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(quickening, quickening_gradient), sign=-1)
+QUICKENING = co.Hamiltonian(
+    lambda x, t: 0.5 * math.exp(t) * (x[0] ** 2 / 1.0 + x[1] ** 2 / 2.0 + x[2] ** 2 / 3.0),
+    lambda x, t: math.exp(t) * np.array([x[0], x[1] / 2.0, x[2] / 3.0]),
+)
+DRIVEN = co.LiePoissonSystem(co.algebras.so(3), QUICKENING, sign=-1)
 TODA, FAR = co.systems.toda(5), np.concatenate([np.zeros(5), np.full(4, 0.5)])
 MOTIONS = {
     "body": (BODY, X0, (0.0, 40.0), lambda t0, t: BODY.exact(X0, t - t0)),

@@ -29,12 +29,6 @@ def sizes_of(run):
     }
 
 
-def turn_of_a_step(run):
-    """Return |h D_u|, u = grad H: a compensated update rounds only increments, smaller than x by this factor."""
-    system = run.system
-    return max(run.step * np.linalg.norm(system.algebra.coadjoint(system.hamiltonian.gradient(x)), 2) for x in run.x)
-
-
 def long_run(case, method, steps=STEPS):
     system, x0, _ = cases()[case]
     return co.integrate(system, x0, (0.0, steps * LONG[case]), LONG[case], method, save_every=steps // 50)
@@ -48,8 +42,10 @@ def test_casimirs_of_splitting_follow_brouwer_where_sums_are_compensated(case, c
     run = long_run(case, co.Splitting(order=2, compensated=compensated))
     bounds = drift_bounds(run)
     if compensated:
-        # In each flow the sine and the cosine are rounded, and their products with the components.
-        flows, turn = run.stats.evaluations / run.stats.steps, turn_of_a_step(run)
+        # In each flow the sine and the cosine are rounded, and their products with the components; a compensated
+        # update rounds only increments, smaller than x by |h D_u|, u = grad H.
+        flows, slope = run.stats.evaluations / run.stats.steps, run.system.hamiltonian.gradient
+        turn = max(run.step * np.linalg.norm(run.system.algebra.coadjoint(slope(x)), 2) for x in run.x)
         bounds = {name: turn * walk(run, size, 4 * flows) for name, size in sizes_of(run).items()}
     assert all(run.drift()[name] <= bounds[name] for name in run.system.casimirs)
     assert run.drift()["energy"].growth < 2
@@ -154,23 +150,20 @@ def test_large_steps_grow_only_round_off(name, h, sense):
     assert np.array_equal(alone.attitude, K[:, 3]) and np.array_equal(alone.x, x[:, 3])
 
 
-def processed_runs():
-    """Runs at steps that are far too large: outputs of the processor overflow, and the kernel of the scheme goes on."""
-    g, rng = co.algebras.get("A4,8"), np.random.default_rng(0)
-    B = rng.standard_normal((g.dim, g.dim))
-    system = co.LiePoissonSystem(g, co.Quadratic((B + B.T) / 4 + np.eye(g.dim)))
-    x0 = rng.standard_normal((200, g.dim)) * np.geomspace(1.0, 60.0, 200)[:, None]
-    return system, x0, (0.0, 1.2), 0.1, co.Splitting(scheme="blanes_casas_murua10")
-
-
 @pytest.mark.thinned(3)
 @pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
 @pytest.mark.parametrize("attitude", [False, "coadjoint"])
 @pytest.mark.parametrize("members", [200, 13])
 def test_outputs_that_overflow_are_left_out(attitude, members):
-    """Whether a state is saved or watched changes no other one."""
-    system, x0, *given = processed_runs()
-    x0 = x0[:: 200 // members]
+    """Whether a state is saved or watched changes no other one.
+
+    The steps are far too large: outputs of the processor overflow, and the kernel of the scheme goes on.
+    """
+    g, rng = co.algebras.get("A4,8"), np.random.default_rng(0)
+    B = rng.standard_normal((g.dim, g.dim))
+    system = co.LiePoissonSystem(g, co.Quadratic((B + B.T) / 4 + np.eye(g.dim)))
+    x0 = (rng.standard_normal((200, g.dim)) * np.geomspace(1.0, 60.0, 200)[:, None])[:: 200 // members]
+    given = (0.0, 1.2), 0.1, co.Splitting(scheme="blanes_casas_murua10")
 
     def run(start=x0, **options):
         try:

@@ -5,7 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from lie_algebras import coadjoint_matrices, constants_of, known_casimirs
+from lie_algebras import coadjoint_matrices, constants_of, fractions, known_casimirs
 from scipy.linalg import block_diag
 
 import coadjoint as co
@@ -21,12 +21,8 @@ e, get, gl, heisenberg, quotient = algebras.e, algebras.get, algebras.gl, algebr
 semidirect, sl, so, subalgebra = algebras.semidirect, algebras.sl, algebras.so, algebras.subalgebra
 
 
-def rational(rng, n):
-    return np.array([Fraction(int(v), 7) for v in rng.integers(-40, 41, n)], dtype=object)
-
-
 def assert_casimirs(g):
-    x = rational(np.random.default_rng(6), g.dim)
+    x = fractions(np.random.default_rng(6), g.dim)
     for casimir in known_casimirs(g).values():
         if isinstance(casimir, co.Polynomial):
             assert not np.any(g.structure_matrix(x) @ casimir.gradient(x))
@@ -37,7 +33,7 @@ def assert_casimirs(g):
 
 def test_direct_sum():
     parts = [so(3), get("A4,6", a=2, b=0.5), heisenberg(1)]
-    g, x = direct_sum(*parts), rational(np.random.default_rng(7), 10)
+    g, x = direct_sum(*parts), fractions(np.random.default_rng(7), 10)
     assert (g.dim, g.name) == (10, "so(3) + A4_6(a=2, b=0.5) + heisenberg(1)")
     assert g.basis[:4] == ("e1[1]", "e2[1]", "e3[1]", "e1[2]") and g.basis[-1] == "z[3]"
     assert direct_sum(so(3), heisenberg(1)).basis == ("e1", "e2", "e3", "q1", "p1", "z")
@@ -157,7 +153,7 @@ def test_a_quotient_is_what_remains(place, mixed):
     rest = quotient(g, ideal)
     assert rest.basis == tuple(g.basis[k] for k in kept) and rest.name is None
     assert np.array_equal(rest.representation, g.representation[kept])
-    u, v, y = (rational(np.random.default_rng(seed), 6) for seed in range(3))
+    u, v, y = (fractions(np.random.default_rng(seed), 6) for seed in range(3))
     lifted = np.zeros((3, 9), dtype=object)
     lifted[:, kept] = u, v, y
     assert np.array_equal(rest.bracket(u, v), g.bracket(*lifted[:2])[kept])

@@ -23,10 +23,6 @@ def body(inertia=INERTIA):
     return co.prepare(co.systems.rigid_body(inertia=inertia), SCHEME, step=0.05, attitude=True)
 
 
-def rotations(rng, count):
-    return Rotation.from_rotvec(SIGMA * rng.standard_normal((count, 3))).as_matrix()
-
-
 def by_euler(z, t):
     """Attitudes of a free body with changed inertia, momentum and initial attitude, by SciPy."""
     moments = INERTIA + np.array([z[0], 0.0, z[1]])
@@ -73,25 +69,19 @@ def test_covariance_against_differences_of_euler_equations(exact):
     np.testing.assert_array_equal(found.standard_deviation("x0"), np.sqrt(np.diag(found.covariance)[2:5]))
 
 
-def coverage(exact, count):
-    """Squares of errors in units of the covariance, and sums of squares of the residuals, of noisy fits."""
-    rng, squares, sums = np.random.default_rng(11), [], []
+@pytest.mark.parametrize("count", [6, pytest.param(100, marks=pytest.mark.long)])
+def test_coverage_of_the_covariance(exact, count):
+    """The means of chi-squared variables of 8, and of 3 * 41 - 8 degrees of freedom, within 4 standard deviations."""
+    rng, squares, sums, degrees = np.random.default_rng(11), [], [], 3 * len(exact.t) - 8
     for _ in range(count):
-        found = fitted({"attitude": exact.attitude @ rotations(rng, len(exact.t))})
+        noise = Rotation.from_rotvec(SIGMA * rng.standard_normal((len(exact.t), 3))).as_matrix()
+        found = fitted({"attitude": exact.attitude @ noise})
         turned = Rotation.from_matrix(found.values["attitude0"] @ A0.T).as_rotvec()
         error = np.concatenate([(found.values["inertia"] - INERTIA)[[0, 2]], found.values["x0"] - X0, turned])
         squares.append(error @ np.linalg.solve(found.covariance, error))
         sums.append(np.sum(found.residuals**2))
-    return np.array(squares), np.array(sums)
-
-
-@pytest.mark.parametrize("count", [6, pytest.param(100, marks=pytest.mark.long)])
-def test_coverage_of_the_covariance(exact, count):
-    """The means of chi-squared variables of 8, and of 3 * 41 - 8 degrees of freedom, within 4 standard deviations."""
-    squares, sums = coverage(exact, count)
-    degrees = 3 * len(exact.t) - 8
-    assert abs(squares.mean() - 8) < 4 * np.sqrt(2 * 8 / count)
-    assert abs(sums.mean() - degrees) < 4 * np.sqrt(2 * degrees / count)
+    assert abs(np.mean(squares) - 8) < 4 * np.sqrt(2 * 8 / count)
+    assert abs(np.mean(sums) - degrees) < 4 * np.sqrt(2 * degrees / count)
 
 
 def test_states_of_a_heavy_top():
