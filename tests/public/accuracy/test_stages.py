@@ -8,13 +8,72 @@ import mpmath
 import numpy as np
 import pytest
 from scipy.optimize import root
-from stage_systems import spin_chain, systems
 
 import coadjoint as co
+from drawn_matrices import full
 from refusals import refused
 from rounding import UNIT_ROUNDOFF as U
 
 TWO_SPINS = co.algebras.copies(co.algebras.so(3), 2)
+
+
+def nonlinear_structure(x):
+    a, b, c = x[1] * x[2], x[0] * x[2], x[0] * x[1] + 2.0 * x[2]
+    return np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
+
+
+def driven(x, t):
+    return 0.5 * x[0] * x[0] * (1.0 + math.sin(t)) + x[1] * x[2] + math.cos(2.0 * t) * x[1] * x[1]
+
+
+def driven_gradient(x, t):
+    return np.array([x[0] * (1.0 + math.sin(t)), x[2] + 2.0 * math.cos(2.0 * t) * x[1], x[1]])
+
+
+def coupled(n):
+    return co.Quadratic(full(n, 0, 0.4, (0.5, 1.5)))
+
+
+def systems():
+    """Systems with stages of every kind: quadratic, quartic and driven Hamiltonians, and a nonlinear bracket."""
+    so4, e3 = co.algebras.so(4), co.algebras.e(3)
+    gravity = co.Quadratic([1.0, 0.5, 0.4, 0.0, 0.0, 0.0], linear=[0.0, 0.0, 0.0, 0.75, 0.5, 1.0])
+    quartic = co.Polynomial(
+        {(2, 0, 0, 0, 0, 0): 0.5, (0, 1, 0, 0, 1, 0): 0.25, (0, 0, 0, 1, 1, 1): 1.0, (0, 0, 4, 0, 0, 0): 0.5}
+    )
+    six = np.array([1.0, 0.5, -0.25, 0.75, -1.0, 0.375])
+    return {
+        "top": (co.LiePoissonSystem(e3, gravity, sign=-1), np.array([1.0, -0.5, 1.5, 0.6, 0.0, 0.8])),
+        "so(4)": (co.LiePoissonSystem(so4, coupled(6)), six),
+        "A3,7": (
+            co.LiePoissonSystem(co.algebras.A3_7(1.5), co.Quadratic(full(3, 0, 0.4, (0.5, 1.5)))),
+            np.array([0.75, 0.5, 0.625]),
+        ),
+        "sl(2)": (co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, 2.0, 3.0])), np.array([1.0, 0.5, -0.25])),
+        "quartic": (co.LiePoissonSystem(e3, quartic, sign=-1), six),
+        "driven": (
+            co.LiePoissonSystem(co.algebras.sl(2), co.Hamiltonian(driven, driven_gradient)),
+            np.array([1.0, 0.5, -0.25]),
+        ),
+        "nonlinear J": (
+            co.PoissonSystem(nonlinear_structure, co.Quadratic([1.0, 0.5, 0.25]), sign=-1),
+            np.array([0.75, 0.5, -0.625]),
+        ),
+    }
+
+
+def spin_chain(spins):
+    algebra = co.algebras.copies(co.algebras.so(3), spins)
+    M = np.zeros((3 * spins, 3 * spins))
+    for i in range(spins):
+        j = (i + 1) % spins
+        for a, coupling in enumerate((1.0, 0.5, 0.25)):
+            M[3 * i + a, 3 * j + a] += coupling
+            M[3 * j + a, 3 * i + a] += coupling
+    S = co.Polynomial({tuple(2 * (k == i) for k in range(3 * spins)): 1 for i in range(3 * spins)})
+    x0 = np.random.default_rng(5).standard_normal((spins, 3))
+    x0 /= np.linalg.norm(x0, axis=1, keepdims=True)
+    return co.LiePoissonSystem(algebra, co.Quadratic(M), casimirs={"S": S}), x0.ravel()
 
 
 def test_round_off_of_gauss_8_has_no_bias():
@@ -320,9 +379,7 @@ def test_divergence_is_not_taken_for_round_off(method):
 
 def test_a_change_of_sign_of_x_grad_h_is_told_and_not_stepped_over():
     """Beyond it the scheme follows another solution: left to itself its error stays at 4e-3 whatever the step."""
-    quartic = {(2, 0, 0, 0, 0, 0): 0.5, (0, 1, 0, 0, 1, 0): 0.25, (0, 0, 0, 1, 1, 1): 1.0, (0, 0, 4, 0, 0, 0): 0.5}
-    system = co.LiePoissonSystem(co.algebras.e(3), co.Polynomial(quartic), sign=-1)
-    x0 = np.array([1.0, 0.5, -0.25, 0.75, -1.0, 0.375])
+    system, x0 = systems()["quartic"]
     truth = co.integrate(system, x0, (0.0, 1.0), 1 / 128, co.GaussLegendre(4))
     signs = [np.sign(x @ system.hamiltonian.gradient(x)) for x in truth.x]
     crossing = next(k for k in range(128) if signs[k + 1] != signs[0])

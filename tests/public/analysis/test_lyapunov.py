@@ -10,14 +10,8 @@ import pytest
 import coadjoint as co
 from refusals import refused
 
-INERTIA, CENTRE = (1.0, 1.75, 2.5), (0.5, 0.25, 1.0)
 UPRIGHT = np.array([1.0, 0.5, -0.75, 0.6, 0.0, 0.8])  # of the chaotic region: its exponent is some 0.12
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
-
-
-def heavy_top(inertia=INERTIA, centre=CENTRE):
-    H = co.Quadratic([*(1.0 / np.array(inertia)), 0.0, 0.0, 0.0], linear=[0.0, 0.0, 0.0, *centre])
-    return co.LiePoissonSystem(co.algebras.e(3), H, sign=-1)
 
 
 SCHEMES = (
@@ -85,7 +79,7 @@ def bits(result, members=slice(None)):
 
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(2), co.ExplicitRungeKutta("rk4")], ids=str)
 def test_same_bits_alone_in_an_ensemble_on_threads_and_in_pieces(method):
-    system, rng = heavy_top(), np.random.default_rng(2)
+    system, rng = co.systems.heavy_top(inertia=(1.0, 1.75, 2.5), lever=(0.5, 0.25, 1.0)), np.random.default_rng(2)
     ensemble = UPRIGHT + 0.1 * rng.standard_normal((37, 6))
     given = {"t_span": (0.0, 20.0), "step": 0.1, "method": method, "renormalize_every": 7}
     whole = co.lyapunov(system, ensemble, **given, save_every=20, threads=1)

@@ -1,15 +1,16 @@
-"""Group elements: orders against the closed form, agreement of representations, initial elements."""
+"""Geometry of steps: group elements of every scheme, and Gauss methods, Poisson maps where all brackets are central."""
 
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 import coadjoint as co
-from digests.measures import group_bound, order_of
+from digests.measures import drift_bounds, group_bound, order_of, poisson_defect
 from digests.schemes_under_test import schemes, serves
 from digests.systems_under_test import cases, full_matrix
 
 pytestmark = pytest.mark.thinned(6)
+
 
 BODY = cases()["so(3), diagonal"].system
 ATTITUDES = {n: m.properties(BODY).attitude for n, m in schemes().items() if serves(m, BODY)}
@@ -79,3 +80,58 @@ def test_attitude_has_the_order_of_the_scheme(scheme, sign):
     ]
     found = order_of([2.0 / n for n in counts], errors, 2 if method.symmetric else 1)
     assert found.agrees_with(method.order), found
+
+
+def nilpotent_and_other_algebras():
+    """Return algebras whose brackets are all central, and others, by name."""
+    brackets, named = co.LieAlgebra.from_brackets, co.algebras.get
+    return {
+        "abelian": brackets(3, {}),
+        "heisenberg": named("heisenberg(n)", n=2),
+        "three generators": brackets(6, {(0, 1): {3: 1.0}, (0, 2): {4: 1.0}, (1, 2): {5: 1.0, 3: -0.5}}),
+        "affine": brackets(6, {(0, 1): {1: 1.0}}),
+        "affine and heisenberg": brackets(6, {(0, 1): {1: 1.0}, (2, 3): {4: 1.0}}),
+        "three steps": brackets(4, {(0, 1): {2: 1.0}, (0, 2): {3: 1.0}}),
+        "oscillator": brackets(4, {(0, 1): {2: 1.0}, (0, 2): {1: -1.0}, (1, 2): {3: 1.0}}),
+        "se(2)": named("se(n)", n=2),
+        "so(4)": named("so(n)", n=4),
+    }
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", list(nilpotent_and_other_algebras()))
+def test_gauss_is_poisson_where_brackets_are_central(name, seed):
+    """J is constant along all motions if and only if [[a, b], c] = 0."""
+    rng, algebra = np.random.default_rng([11, seed]), nilpotent_and_other_algebras()[name]
+    n = algebra.dim
+    algebra = co.algebras.change_of_basis(algebra, np.eye(n, dtype=int)[rng.permutation(n)])
+    B = rng.uniform(-0.2, 0.2, (n, n))
+    H = co.Quadratic(np.diag(rng.uniform(0.5, 1.0, n)) + B + B.T, linear=rng.uniform(0.2, 0.5, n))
+    system, x = co.LiePoissonSystem(algebra, H, sign=(-1, 1)[seed % 2]), rng.uniform(0.5, 1.0, n)
+    constants = np.array([system.structure_matrix(unit) for unit in np.eye(n)])  # (k, i, j)
+    central = not np.einsum("kij,mkl->ijlm", constants, constants).any()
+    halves = co.Composition(co.GaussLegendre(1), (0.5, 0.5))
+    for method in (co.GaussLegendre(1), co.GaussLegendre(2), halves):
+        found = poisson_defect(co.stepper(system, method, 0.25), x)
+        assert method.properties(system).poisson == central
+        # The defect is h^3 or h^5 times a derivative of size one.
+        assert found.value <= found.bound if central else found.value > 1000 * found.bound, found
+
+
+def quadratic_bracket(x):
+    """Lotka-Volterra, a Poisson bracket that is not linear in x."""
+    a, b, c = x[0] * x[1], x[1] * x[2], x[2] * x[0]
+    return np.array([[0.0, a, -c], [-a, 0.0, b], [c, -b, 0.0]])
+
+
+def test_gauss_on_a_nonlinear_bracket():
+    """A linear H is preserved, the Casimir x1 x2 x3 is not."""
+    casimir = co.Polynomial({(1, 1, 1): 1})
+    system = co.PoissonSystem(
+        quadratic_bracket, co.Polynomial({(1, 0, 0): 1, (0, 1, 0): 1, (0, 0, 1): 1}), casimirs={"x1 x2 x3": casimir}
+    )
+    run = co.integrate(system, (1.0, 0.5, 0.7), (0.0, 50.0), 0.25, co.GaussLegendre(2), save_every=10)
+    bounds = drift_bounds(run)
+    assert run.drift()["energy"] <= bounds["energy"]
+    assert run.drift()["x1 x2 x3"] > 1000 * bounds["x1 x2 x3"]
+    assert run.drift()["x1 x2 x3"] < 1e-3
