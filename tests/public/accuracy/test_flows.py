@@ -6,6 +6,7 @@ import scipy.linalg
 from scipy.linalg import expm
 
 import coadjoint as co
+from commuting_actions import acting
 from cubic_blocks import cubic_bound
 from drawn_matrices import whole_matrix
 from refusals import refused
@@ -13,13 +14,6 @@ from rounding import UNIT_ROUNDOFF as U
 
 MOST_SUBSTEPS, SERIES = 4096, 5
 """Largest number of substeps of a flow, and the kind of its block in the table of docs/table.md."""
-
-
-def acting(D):
-    """The algebra in which the last basis element acts on the others by the matrix D."""
-    m = len(D)
-    brackets = {(j, m): {k: float(D[j, k]) for k in range(m) if D[j, k]} for j in range(m) if np.any(D[j])}
-    return co.LieAlgebra.from_brackets(m + 1, brackets)
 
 
 SL2, SO3 = co.algebras.sl(2), co.algebras.so(3)

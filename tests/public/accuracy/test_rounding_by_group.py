@@ -81,13 +81,6 @@ def run(ratio, method=METHOD):
     return told(lambda: co.integrate(satellite(ratio), start(ratio), (0, STEPS * STEP), STEP, method))
 
 
-def errors_by_rounding(sol, ratio):
-    """The largest errors of the groups at every twelfth step, relative to their sizes."""
-    states, differences = exact(ratio), sol.x[::12] - exact(ratio)
-    norms = {name: np.linalg.norm(differences[:, part], axis=1).max() for name, part in GROUPS.items()}
-    return {name: norms[name] / np.linalg.norm(states[:, part], axis=1).max() for name, part in GROUPS.items()}
-
-
 def following(ratio, times):
     """The motion by DOP853, with the torque 3 r cross I r / |r|^5 in place of r cross dV/dr."""
     moments = np.array([1.0, 2.0, 2.5]) / ratio
@@ -124,8 +117,11 @@ def test_errors_at_the_end_are_those_of_the_groups(ratio):
 def test_the_warning_of_rounding_states_its_size(ratio, warned):
     """Above 2 per cent of a group there is one, and below half a per cent none; the error is that of 50 digits."""
     sol, found = run(ratio)
-    errors = errors_by_rounding(sol, ratio)
-    worst = max(errors.values())
+    off, size = (  # at every twelfth step
+        np.array([np.linalg.norm(states[:, part], axis=1).max() for part in GROUPS.values()])
+        for states in (sol.x[::12] - exact(ratio), exact(ratio))
+    )
+    worst = max(off / size)
     assert worst > 0.02 if warned else worst < 0.006
     assert [one.category for one in found] == [co.RoundingWarning] * warned
     if warned:

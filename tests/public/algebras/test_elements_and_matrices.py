@@ -180,18 +180,9 @@ def test_the_numbers_of_a_matrix_are_named_by_their_places(g):
 
 
 TOLERANCE = 2.0**-26
-ALGEBRAS = {
-    "so(3)": co.algebras.so(3),
-    "so(5)": co.algebras.so(5),
-    "so(2, 1)": co.algebras.so(2, 1),
-    "e(3)": co.algebras.e(3),
-    "sl(2)": co.algebras.sl(2),
-    "sp(4)": co.algebras.sp(4),
-    "su(3)": co.algebras.su(3),
-    "heisenberg": co.algebras.heisenberg(2),
-    "gl(2)": co.algebras.gl(2),
-    "affine": co.algebras.subalgebra(co.algebras.gl(2), ["e1", "e2"]),
-}
+NAMES = ("so(3)", "so(5)", "so(2,1)", "e(3)", "sl(2)", "sp(4)", "su(3)", "heisenberg(2)", "gl(2)")
+ALGEBRAS = {name: co.algebras.get(name) for name in NAMES}
+ALGEBRAS["affine"] = co.algebras.subalgebra(ALGEBRAS["gl(2)"], ["e1", "e2"])
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 

@@ -121,7 +121,7 @@ def test_a_wider_window_suppresses_the_lines_that_are_left_out():
 def test_as_many_lines_as_the_samples_resolve():
     t = np.arange(16 * 8) * 0.5
     assert co.frequencies(t, np.cos(t), count=8, window=1).frequency.shape == (8,)
-    with refused(ValueError, "count is 9; 128 samples resolve at most 8"):
+    with refused(ValueError, "count", "9", "128", "8"):
         co.frequencies(t, np.cos(t), count=9, window=1)
     for window in (0, 13):
         with refused(ValueError, "window"):
@@ -223,10 +223,10 @@ def test_basic_frequencies_are_chosen_wherever_they_stand():
     w[3] = 9.5 + 4e-5
     assert lines.combinations([1.0, 5.25], largest=4).found.tolist() == [True, True, True, False]
     assert lines.combinations(largest=4).basis.tolist() == [1.0, 5.25, w[3]]
-    with refused(ValueError, "too many combinations"):
+    with refused(ValueError, "combinations"):
         lines.combinations([1.0, 1.1, 1.2, 1.3, 1.4], largest=20)
     for basis in ([[1.0, 5.25]], [1e308]):
-        with refused(ValueError, "give a few frequencies,", "whose sums fit float64"):
+        with refused(ValueError, "float64"):
             lines.combinations(basis)
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
@@ -290,8 +291,6 @@ T = np.arange(SAMPLES) * 0.1
 
 def remembering(rng: np.random.Generator, memory: float) -> np.ndarray:
     """Return a stationary series that forgets over so many samples."""
-    from scipy.signal import lfilter
-
     keep = np.exp(-1.0 / memory)
     start = rng.normal() / np.sqrt(1 - keep**2)
     return lfilter([1.0], [1.0, -keep], rng.normal(size=SAMPLES), zi=[keep * start])[0]

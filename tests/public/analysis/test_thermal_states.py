@@ -198,13 +198,7 @@ def ring_energy(K, spins):
 def test_energy_and_specific_heat_of_a_spin_ring():
     """Against transfer functions, within the sampling error."""
     spins, T, members = 6, 0.5, 48
-    M = np.zeros((3 * spins, 3 * spins))
-    for a in range(spins):
-        b = (a + 1) % spins
-        for c in range(3):
-            M[3 * a + c, 3 * b + c] = M[3 * b + c, 3 * a + c] = -1.0
-    algebra = co.algebras.copies(co.algebras.so(3), spins)
-    ring = co.LiePoissonSystem(algebra, co.Quadratic(M)).with_forces(co.forces.HeatBath(0.5, temperature=T, seed=2))
+    ring = co.systems.spin_lattice("ring", spins).with_forces(co.forces.HeatBath(0.5, temperature=T, seed=2))
     sol = co.integrate(ring, starts(members, spins, 1), (0, 40), 2**-4, co.Splitting(), save_every=16, watch=False)
     energies = sol.energy[16:] / spins  # from t = 16 on
     each = energies.mean(axis=0)  # members are independent
