@@ -105,6 +105,10 @@ def test_names_and_get():
         assert f"{family}(n)" in algebras.names()
     assert {"so(p,q)", "sp(2n)"} < set(algebras.names()) and list(algebras.names()) == sorted(algebras.names())
     assert set(algebras.__all__) <= set(dir(algebras))
+    assert get("A3,8") == algebras.sl(2) and get("A3,9") == algebras.so(3) == algebras.su(2)
+    assert np.array_equal(get("A3,9").representation, algebras.so(3).representation)
+    assert get("A3,7", a=0) == get("A3,6") and get("A3,7", a=np.float32(0.5)) == algebras.A3_7(Fraction(1, 2))
+    assert algebras.low_dimensional("A4_9", b=0.5) == get("A4_9", b=0.5)
 
 
 @pytest.mark.parametrize("n", [2, 3, 4, 5])
@@ -160,11 +164,6 @@ def test_invariants():
     ):
         with refused(error, named):
             co.Invariant(*arguments)
-
-
-def test_numbers_of_casimirs_are_exact():
-    x = np.array([Fraction(k, 7) for k in range(1, 7)])
-    assert known_casimirs(co.algebras.e(3))["m.p"](x) == x[:3] @ x[3:]
 
 
 def test_moments():
@@ -317,15 +316,6 @@ def test_two_angles():
     # A common period has a denominator of at most 1000.
     for s, known in ((math.sqrt(2), False), (Fraction(1, 1000), True), (Fraction(1, 1001), False)):
         assert (key in known_casimirs(co.algebras.get("A5,17", p=0, q=0, s=s))) is known
-
-
-def test_known_names_coincide():
-    assert co.algebras.get("A3,8") == co.algebras.sl(2)
-    assert co.algebras.get("A3,9") == co.algebras.so(3) == co.algebras.su(2)
-    assert np.array_equal(co.algebras.get("A3,9").representation, co.algebras.so(3).representation)
-    assert co.algebras.get("A3,7", a=0) == co.algebras.get("A3,6")
-    assert co.algebras.get("A3,7", a=np.float32(0.5)) == co.algebras.A3_7(Fraction(1, 2))
-    assert co.algebras.low_dimensional("A4_9", b=0.5) == co.algebras.get("A4_9", b=0.5)
 
 
 OUTSIDE = {

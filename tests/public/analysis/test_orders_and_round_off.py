@@ -210,7 +210,7 @@ def test_what_is_no_ensemble_is_refused():
     ensemble = co.integrate(body, STARTS, (0, 1.0), 0.1, attitude=True)
     with refused(ValueError, "one trajectory"):
         co.analysis.round_off(alone)
-    with refused(ValueError, "not of an ensemble"):
+    with refused(ValueError, "ensemble"):
         co.analysis.orthogonality(alone)
     with refused(ValueError, "coadjoint"):
         co.analysis.spatial_momentum(ensemble)
