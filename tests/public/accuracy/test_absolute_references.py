@@ -13,7 +13,6 @@ import coadjoint as co
 
 pytestmark = pytest.mark.thinned(3)
 
-
 HERE = Path(__file__).with_name("references")
 SYSTEMS = {s["name"]: s for s in json.loads((HERE / "lie_poisson_systems.json").read_text())["systems"]}
 BODIES = {c["name"]: c for c in json.loads((HERE / "rigid_body.json").read_text())["cases"]}

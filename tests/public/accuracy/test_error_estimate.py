@@ -18,7 +18,6 @@ from rounding import UNIT_ROUNDOFF
 
 pytestmark = pytest.mark.thinned(1)
 
-
 ACCURACIES = (1e-3, 1e-6, 1e-9, 1e-12)
 FACTOR = 10.0
 

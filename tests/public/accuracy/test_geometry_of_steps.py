@@ -11,7 +11,6 @@ from digests.systems_under_test import cases, full_matrix
 
 pytestmark = pytest.mark.thinned(6)
 
-
 BODY = cases()["so(3), diagonal"].system
 ATTITUDES = {n: m.properties(BODY).attitude for n, m in schemes().items() if serves(m, BODY)}
 SPLITTINGS = [n for n, kind in ATTITUDES.items() if kind == "every representation" and "free body" not in n]

@@ -17,7 +17,6 @@ from rounding import UNIT_ROUNDOFF as U
 
 pytestmark = pytest.mark.thinned(1)
 
-
 get = co.algebras.get
 
 # name, dimension, number of Casimirs, semisimple

@@ -14,7 +14,6 @@ from rounding import UNIT_ROUNDOFF as U
 
 pytestmark = pytest.mark.thinned(1)
 
-
 algebras = co.algebras
 change_of_basis, copies, direct_sum = algebras.change_of_basis, algebras.copies, algebras.direct_sum
 e, get, gl, heisenberg, quotient = algebras.e, algebras.get, algebras.gl, algebras.heisenberg, algebras.quotient

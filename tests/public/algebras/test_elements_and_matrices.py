@@ -13,7 +13,6 @@ from rounding import UNIT_ROUNDOFF as U
 
 pytestmark = pytest.mark.thinned(1)
 
-
 G = co.MatrixAlgebra
 KINDS = [
     G("u", 3), G("su", 3), G("so", 2), G("so", 5), G("gl", 3), G("sl", 3), G("sp", 4),

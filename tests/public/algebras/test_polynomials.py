@@ -16,7 +16,6 @@ from refusals import refused
 
 pytestmark = pytest.mark.thinned(1)
 
-
 Polynomial = co.Polynomial
 EXPONENTS = st.tuples(*[st.integers(0, 3)] * 3)
 COEFFICIENTS = st.one_of(st.integers(-9, 9), st.fractions(-3, 3, max_denominator=7))

@@ -12,7 +12,6 @@ from refusals import refused
 
 pytestmark = pytest.mark.thinned(1)
 
-
 STEPS = 0.4 / 2.0 ** np.arange(8)
 
 

@@ -11,7 +11,6 @@ from refusals import refused
 
 pytestmark = pytest.mark.thinned(1)
 
-
 autocorrelation = co.spectra.autocorrelation
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 STARTS = np.array([[1.0, 0.2, 0.5], [0.1, 1.0, 0.2]])
