@@ -1,6 +1,4 @@
-"""Splittings: steps of the loops and of `Method.step`, alone and in ensembles, and flows that are long series."""
-
-import math
+"""Flows of splittings: blocks at any angle, long series, moved forms, and bonds of spins."""
 
 import numpy as np
 import pytest
@@ -8,8 +6,9 @@ import scipy.linalg
 from scipy.linalg import expm
 
 import coadjoint as co
+from commuting_actions import acting
 from cubic_blocks import cubic_bound
-from drawn_matrices import whole_matrix, wide
+from drawn_matrices import whole_matrix
 from refusals import refused
 from rounding import UNIT_ROUNDOFF as U
 
@@ -17,67 +16,27 @@ MOST_SUBSTEPS, SERIES = 4096, 5
 """Largest number of substeps of a flow, and the kind of its block in the table of docs/table.md."""
 
 
-def acting(D):
-    """The algebra in which the last basis element acts on the others by the matrix D."""
-    m = len(D)
-    brackets = {(j, m): {k: float(D[j, k]) for k in range(m) if D[j, k]} for j in range(m) if np.any(D[j])}
-    return co.LieAlgebra.from_brackets(m + 1, brackets)
+SL2, SO3 = co.algebras.sl(2), co.algebras.so(3)
 
 
-def driven():
-    a = (lambda y, t: 0.5 * y * y * (2 + math.sin(t)), lambda y, t: y * (2 + math.sin(t)))
-    return co.Separable(
-        {0: a, 1: (lambda y: math.cosh(y), lambda y: math.sinh(y)), 2: (lambda y: y**4, lambda y: 4 * y**3)}
-    )
+def test_moved_forms_and_matrices_without_a_diagonal():
+    """The first flow of a part moves both coordinates of the form of the second, their difference but for rounding not.
 
-
-E3, SO4, SL2, SO3, SO5 = co.algebras.e(3), co.algebras.so(4), co.algebras.sl(2), co.algebras.so(3), co.algebras.so(5)
-A37, HEISENBERG = co.algebras.get("A3,7", a=1.75), co.algebras.heisenberg(2)
-# The first flow of a part moves both coordinates of the form of the second, their difference but for rounding not.
-MOVED = co.LieAlgebra.from_brackets(5, {(0, 1): {4: 1.0}, (0, 2): {4: 1.0}, (1, 2): {4: 1.0}, (1, 3): {4: 1.0}})
-DIFFERENCE = np.diag([1.0, 1.0, 1.0, 1.0, 0.0])
-DIFFERENCE[1, 2] = DIFFERENCE[2, 1] = -1.0
-HOLLOW = np.array([[0.0, 1.0, 0.5], [1.0, 0.0, -2.0], [0.5, -2.0, 0.0]])
-SYSTEMS = {
-    "e(3) diagonal": (E3, co.Quadratic([1.0, 0.5, 0.25, 2.0, 3.0, 4.0], linear=[0, 0, 1, 0, 0.5, 0])),
-    "e(3) full": (E3, co.Quadratic(wide(6, 1))),
-    "so(4) full": (SO4, co.Quadratic(wide(6, 2))),
-    "sl(2) full": (SL2, co.Quadratic(wide(3, 3), linear=[0.25, 0, -0.5])),
-    "A3,7 full": (A37, co.Quadratic(wide(3, 4))),
-    "Heisenberg full": (HEISENBERG, co.Quadratic(wide(5, 5))),
-    "so(5)": (SO5, co.Quadratic(np.linspace(0.5, 1.5, 10))),
-    "so(3) zero diagonal": (SO3, co.Quadratic(HOLLOW, linear=[1.0, 2.0, 3.0])),
-    "so(3) other basis": (co.algebras.change_of_basis(SO3, whole_matrix(3, 7)), co.Quadratic(wide(3, 6))),
-    "e(3) other basis": (co.algebras.change_of_basis(E3, whole_matrix(6, 8)), co.Quadratic(0.1 * wide(6, 7))),
-    "3 spins": (co.algebras.copies(SO3, 3), co.Quadratic(wide(9, 8))),
-    "quartic on so(3)": (SO3, co.Polynomial({(4, 0, 0): 0.25, (0, 3, 0): 0.5, (0, 0, 2): 1.0, (1, 0, 1): 0.5})),
-    "driven sl(2)": (SL2, driven()),
-    "moved form": (MOVED, co.Quadratic(DIFFERENCE)),
-}
-
-
-def compare(s, method, h, steps):
-    """Rounding of ten steps, of up to 100 flows of n coordinates each; norm(K) bounds the growth of an error."""
-    x0, n = np.linspace(-0.5, 0.7, s.dim), s.dim
-    sol = co.integrate(s, x0, (0.5, 0.5 + steps * h), abs(h), method, attitude="coadjoint", save_every=steps)
-    x, K = x0, sol.attitude[-1]
-    for k in range(steps):
-        x = method.step(s, x, 0.5 + k * h, h)
-    size = max(1.0, np.linalg.norm(K))
-    bound = U * steps * 100 * (n + 12) * size * np.linalg.norm(x)
-    assert np.abs(sol.x[-1] - x).max() <= bound
-    assert np.abs(K @ x - x0).max() <= n * bound * size
-    assert np.abs(x - x0).max() > 1e-3
-
-
-@pytest.mark.thinned(5)
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_steps_of_the_loop_and_of_the_method(name):
-    forward, reversed_ = (co.LiePoissonSystem(*SYSTEMS[name], sign=sign) for sign in (1, -1))
-    compare(forward, co.Splitting(order=2), 0.0625, 10)
-    compare(forward, co.Splitting(order=1, adjoint=True), 0.0625, 10)
-    compare(reversed_, co.Splitting(order=4), 0.0625, 10)
-    compare(reversed_, co.Splitting(order=2, compensated=True), -0.0625, 10)
+    Rounding of ten steps, of up to 100 flows of n coordinates each.
+    """
+    moved = co.LieAlgebra.from_brackets(5, {pair: {4: 1.0} for pair in ((0, 1), (0, 2), (1, 2), (1, 3))})
+    difference = np.diag([1.0, 1.0, 1.0, 1.0, 0.0])
+    difference[1, 2] = difference[2, 1] = -1.0
+    hollow = co.Quadratic([[0.0, 1.0, 0.5], [1.0, 0.0, -2.0], [0.5, -2.0, 0.0]], linear=[1.0, 2.0, 3.0])
+    for algebra, H in ((moved, co.Quadratic(difference)), (SO3, hollow)):
+        system, x0 = co.LiePoissonSystem(algebra, H), np.linspace(-0.5, 0.7, algebra.dim)
+        for method, h in ((co.Splitting(order=4), 0.0625), (co.Splitting(order=2, compensated=True), -0.0625)):
+            x = x0
+            for _ in range(10):
+                x = method.step(system, x, 0.0, h)
+            found = co.integrate(system, x0, (0.0, 10 * h), abs(h), method).x[-1]
+            assert np.abs(found - x).max() <= U * 1000 * (len(x) + 12) * max(1.0, np.linalg.norm(x))
+            assert np.abs(x - x0).max() > 1e-3
 
 
 PLANES = {
@@ -126,31 +85,6 @@ def test_every_kind_of_block_at_any_angle(name, theta):
     bound = 8 * (n + 2) * U * moved * max(spread, 1.0) + (cubic_bound(D, theta) if name in CUBIC else 0.0)
     assert np.abs(compiled - plain).max() <= bound * np.linalg.norm(x[:n])
     assert compiled[n] == theta
-
-
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("same", ["everything", "the field", "the couplings", "nothing"])
-def test_many_rotations_of_one_part_by_hand(same):
-    """A ring of spins: all x components turn, then y, z, y, x, in NumPy; numbers that are the same for all, and not."""
-    count, h, steps = 1500, 0.1, 3
-    J = np.full(count, 0.75) if same in ("everything", "the couplings") else 0.5 + np.arange(count) % 7 / 8
-    B = np.tile([0.2, 0.0, -0.3], (count, 1))
-    if same in ("the couplings", "nothing"):
-        B = B + np.sin(np.arange(3.0 * count)).reshape(count, 3)
-    edges = np.stack([np.arange(count), (np.arange(count) + 1) % count], axis=1)
-    system = co.systems.spin_lattice(edges, count, exchange=J, tensor=(1.0, 0.8, 0.6), field=B)
-    x = np.random.default_rng(3).standard_normal((count, 3))
-    method = co.Splitting(order=2, parts=[tuple(range(axis, 3 * count, 3)) for axis in range(3)])
-    found = co.integrate(system, x.ravel(), (0, steps * h), h, method, save_every=steps, watch=False).x[-1]
-    for _ in range(steps):
-        for axis, share in ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5)):
-            i, j, factor = (axis + 1) % 3, (axis + 2) % 3, (1.0, 0.8, 0.6)[axis]
-            near = J * np.roll(x[:, axis], -1) + np.roll(J * x[:, axis], 1)
-            angle = -share * h * (factor * near + B[:, axis])
-            c, s, a, b = np.cos(angle), np.sin(angle), x[:, i].copy(), x[:, j].copy()
-            x[:, i], x[:, j] = c * a - s * b, s * a + c * b
-    # 15 turns, each with some eight roundings of numbers up to 5
-    np.testing.assert_allclose(found, x.ravel(), rtol=0, atol=15 * 8 * 5 * 2.0**-53)
 
 
 TURNS = scipy.linalg.block_diag([[0, 1], [-1, 0]], [[0, 2], [-2, 0]])
@@ -253,3 +187,100 @@ def test_derivatives_of_long_flows(length):
         assert np.abs(ready.jvp(x0, (0.0, 2.0), {"x0": unit}, 2)[1].x[-1] - exact[:, k]).max() < tolerance
         _, pullback = ready.vjp(x0, (0.0, 2.0), 2)
         assert np.abs(pullback(x=[0.0 * unit, unit])["x0"] - exact[k]).max() < tolerance
+
+
+def by_bonds(**options):
+    return co.Splitting(parts="bonds", **options)
+
+
+def turned(c, x, t):
+    """H = c S.T with S' = sign J grad H: S' = c K cross S for K = S + T, which is constant, and the same for T."""
+    S, T = x.reshape(2, 3)
+    K = S + T
+    k = np.linalg.norm(K)
+    if k == 0.0:
+        return x.copy()
+    n, phi = K / k, c * k * t
+    change = [np.sin(phi) * np.cross(n, v) + 2 * np.sin(phi / 2) ** 2 * np.cross(n, np.cross(n, v)) for v in (S, T)]
+    return x + np.concatenate(change)
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("compensated", [False, True])
+def test_one_bond_is_the_closed_form_at_any_step(sign, compensated):
+    rng = np.random.default_rng(1)
+    x0 = rng.standard_normal((20, 6))
+    x0[0, 3:] = -x0[0, :3]  # no sum: at rest
+    x0[1, 3:] = -x0[1, :3] * (1 + 2.0**-40)
+    x0[2, 3:] = 2.0 * x0[2, :3]
+    x0[3] = 0.0
+    for c, h in ((-0.7, 0.03), (1.3, 2.5), (-2.0, -11.0), (0.4, 1000.0)):
+        M = np.kron([[0.0, c], [c, 0.0]], np.eye(3))
+        pair = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 2), co.Quadratic(M), sign=sign)
+        found = co.integrate(pair, x0, (0.0, 2 * h), abs(h), by_bonds(compensated=compensated)).x[-1]
+        for x, start in zip(found, x0, strict=True):
+            size = np.linalg.norm(start)
+            # Rounding of |K| moves the phase.
+            bound = 2.0**5 * U * size * (1.0 + abs(c * h) * size)
+            # J grad H on so(3) with sign +1 is x cross grad H.
+            assert np.abs(x - turned(sign * c, start, 2 * h)).max() <= bound, (c, h, start)
+
+
+def lattices():
+    rng = np.random.default_rng(3)
+    edges = [(i, j) for i in range(5) for j in range(i + 1, 5) if rng.random() < 0.7]
+    J = rng.standard_normal(len(edges))
+    yield co.systems.spin_lattice(edges, 5, exchange=J)
+    yield co.systems.spin_lattice(edges, 5, exchange=J, field=rng.standard_normal((5, 3)), on_site=(0.0, 0.0, 0.4))
+    yield co.systems.spin_lattice("ring", 19, exchange=rng.standard_normal(19))
+    stretched = co.LieAlgebra.from_brackets(3, {(0, 1): {2: 1.0}, (1, 2): {0: 2.0}, (0, 2): {1: -1.0}})
+    M = np.kron(np.ones((3, 3)) - np.eye(3), np.diag([1.0, 0.5, 0.5]))
+    yield co.LiePoissonSystem(co.algebras.copies(stretched, 3), co.Quadratic(M, linear=np.arange(9.0) / 8), sign=-1)
+
+
+LATTICES = list(lattices())
+
+
+@pytest.mark.parametrize("system", [LATTICES[0], LATTICES[2]], ids=["graph", "ring"])
+@pytest.mark.parametrize("order", [2, 4])
+@pytest.mark.parametrize("compensated", [False, True])
+def test_total_spin_and_lengths_are_kept(system, order, compensated):
+    x0 = np.random.default_rng(2).standard_normal(system.dim)
+    steps = 400
+    run = co.integrate(
+        system, x0, (0.0, -0.25 * steps), 0.25, by_bonds(order=order, compensated=compensated), watch=False
+    )
+    spins, start = run.x.reshape(len(run.x), -1, 3), x0.reshape(-1, 3)
+    size = np.linalg.norm(start, axis=1).max()
+    # A flow of a bond rounds six numbers, which add up like a random walk; 5 steps of order 2 make one of order 4.
+    flows = steps * (6 if order == 2 else 30) * len(start)
+    assert np.abs(spins.sum(axis=1) - start.sum(axis=0)).max() <= 4 * U * size * np.sqrt(flows)
+    lengths = np.linalg.norm(spins, axis=2) / np.linalg.norm(start, axis=1) - 1
+    assert np.abs(lengths).max() <= 8 * U * np.sqrt(flows)
+    assert np.abs(run.x[-1] - x0).max() > 0.1
+
+
+@pytest.mark.parametrize("system", [LATTICES[1], LATTICES[3]], ids=["field", "stretched"])
+def test_the_plain_reading_and_its_tangent_agree_with_the_loops(system):
+    x0, h, n = np.random.default_rng(6).standard_normal(system.dim), 0.25, system.dim
+    method = by_bonds()
+    run = co.integrate(system, x0, (0.0, h), h, method, attitude="coadjoint")
+    x, step = method.step(system, x0, 0.0, h), co.stepper(system, method, h)
+    size = max(1.0, np.abs(x).max())
+    np.testing.assert_allclose(run.x[-1], x, rtol=0, atol=2.0**8 * U * size)
+    P, J = step.tangent(x0), system.algebra.structure_matrix
+    defect = P @ J(x0) @ P.T - J(x)
+    assert np.abs(defect).max() <= 2.0**10 * U * max(1.0, np.abs(P).max()) ** 2 * size
+    d = 2.0**-18
+    differences = [(step(x0 + d * e) - step(x0 - d * e)) / (2 * d) for e in np.eye(n)]
+    assert np.abs(np.transpose(differences) - P).max() < 1e-8 * np.abs(P).max() ** 2 * size
+    np.testing.assert_allclose(np.linalg.solve(run.attitude[-1], x0), run.x[-1], rtol=0, atol=2.0**10 * U * size)
+
+
+@pytest.mark.parametrize("scale", [2.0**-600, 2.0**400])
+def test_any_size_of_spins(scale):
+    x0 = np.random.default_rng(9).standard_normal(15)
+    one = co.integrate(LATTICES[0], x0, (0.0, 1.0), 0.25, by_bonds())
+    other = co.integrate(LATTICES[0], scale * x0, (0.0, 1.0 / scale), 0.25 / scale, by_bonds(), watch=False)
+    np.testing.assert_array_equal(other.x, scale * one.x)

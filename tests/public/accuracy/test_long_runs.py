@@ -1,4 +1,4 @@
-"""Long runs: invariants drift like sqrt(t) with compensated sums (Brouwer's law), else at most linearly."""
+"""Long runs and large steps: invariants drift like sqrt(t) with compensated sums, by Brouwer's law."""
 
 from functools import cache
 
@@ -9,7 +9,7 @@ import coadjoint as co
 from digests.measures import drift_bounds
 from digests.systems_under_test import cases, full_matrix
 from long import long_where
-from rounding import UNIT_ROUNDOFF
+from rounding import UNIT_ROUNDOFF as U
 
 STEPS = 1_000_000
 LONG = {"so(3), full, axes turned": 0.1, "so(4), diagonal": 0.1, "e(3), heavy top": 0.1, "sl(2), diagonal": 0.05}
@@ -17,7 +17,7 @@ LONG = {"so(3), full, axes turned": 0.1, "so(4), diagonal": 0.1, "e(3), heavy to
 
 def walk(run, size, per_step):
     """Return six standard deviations of a random walk with `per_step` roundings of u times size in each step."""
-    return 6 * UNIT_ROUNDOFF * size * np.sqrt(per_step * run.stats.steps)
+    return 6 * U * size * np.sqrt(per_step * run.stats.steps)
 
 
 def sizes_of(run):
@@ -27,12 +27,6 @@ def sizes_of(run):
         name: max(np.linalg.norm(gradient(x)) * np.linalg.norm(x) for x in run.x)
         for name, gradient in gradients.items()
     }
-
-
-def turn_of_a_step(run):
-    """Return |h D_u|, u = grad H: a compensated update rounds only increments, smaller than x by this factor."""
-    system = run.system
-    return max(run.step * np.linalg.norm(system.algebra.coadjoint(system.hamiltonian.gradient(x)), 2) for x in run.x)
 
 
 def long_run(case, method, steps=STEPS):
@@ -48,8 +42,10 @@ def test_casimirs_of_splitting_follow_brouwer_where_sums_are_compensated(case, c
     run = long_run(case, co.Splitting(order=2, compensated=compensated))
     bounds = drift_bounds(run)
     if compensated:
-        # In each flow the sine and the cosine are rounded, and their products with the components.
-        flows, turn = run.stats.evaluations / run.stats.steps, turn_of_a_step(run)
+        # In each flow the sine and the cosine are rounded, and their products with the components; a compensated
+        # update rounds only increments, smaller than x by |h D_u|, u = grad H.
+        flows, slope = run.stats.evaluations / run.stats.steps, run.system.hamiltonian.gradient
+        turn = max(run.step * np.linalg.norm(run.system.algebra.coadjoint(slope(x)), 2) for x in run.x)
         bounds = {name: turn * walk(run, size, 4 * flows) for name, size in sizes_of(run).items()}
     assert all(run.drift()[name] <= bounds[name] for name in run.system.casimirs)
     assert run.drift()["energy"].growth < 2
@@ -63,22 +59,6 @@ def test_quadratic_invariants_of_gauss_follow_brouwer(case, stages):
     for name, size in sizes_of(run).items():
         # Each stage is settled to a few roundings of each component.
         assert run.drift()[name] <= walk(run, size, 16 * run.system.dim * stages), name
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize("method", [co.Splitting(order=2), co.Splitting(order=2, compensated=True)])
-def test_rotations_follow_brouwer(method):
-    """Group elements are always compensated; the rounding of the momentum is added to that of A x."""
-    system, x0, _ = cases()["so(3), diagonal"]
-    run = co.integrate(
-        system, x0, (0.0, STEPS * 0.05), 0.05, method, attitude=True, save_every=STEPS // 10, watch=False
-    )
-    per_step = 4 * 3 * run.stats.evaluations / run.stats.steps
-    orthogonality = max(np.max(np.abs(A.T @ A - np.eye(3))) for A in run.attitude)
-    assert orthogonality <= walk(run, 3.0, per_step)
-    spatial = np.max(np.abs(np.einsum("tij,tj->ti", run.attitude, run.x) - x0))
-    linear = 12 * UNIT_ROUNDOFF * (run.stats.evaluations + run.stats.steps + 1)
-    assert spatial <= np.linalg.norm(x0) * (walk(run, 3.0, per_step) if method.compensated else linear)
 
 
 # Members of ensembles: over 100 times the time a random walk grows by 10, a bias by 100.
@@ -125,3 +105,95 @@ def test_criterion_detects_a_bias():
     steps = np.random.default_rng(2).choice([-1.0, 1.0], (10_000, MEMBERS))
     walks = [co.analysis.random_walk(np.cumsum(steps + bias, axis=0), 100) for bias in (0.0, 0.1)]
     assert [follows_the_law(walk) for walk in walks] == [True, False]
+
+
+LARGE_STEPS = 1000
+ELLIPTIC = (1.0, 0.0, -1.0)
+
+
+def turning_systems():
+    rng = np.random.default_rng(353)
+    so3 = co.algebras.so(3)
+    return {
+        "one axis": co.LiePoissonSystem(so3, co.Quadratic([0.0, 0.0, 1.0])),
+        "a body": co.LiePoissonSystem(so3, co.Quadratic([0.125, 0.0656, 1.2877]), -1),
+        "so(4)": co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(rng.uniform(0.5, 2, 6))),
+        "su(3)": co.LiePoissonSystem(co.algebras.su(3), co.Quadratic(rng.uniform(0.5, 2, 8)), -1),
+        # Two shears, up to a length of 2 a periodic map as well.
+        "shears": co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic(np.zeros(3), linear=ELLIPTIC)),
+    }
+
+
+@pytest.mark.thinned(6)
+@pytest.mark.parametrize("sense", [1, -1])
+@pytest.mark.parametrize("h", [0.3, 0.9, 1.2, 1.7, 3.1])
+@pytest.mark.parametrize("name", list(turning_systems()))
+def test_large_steps_grow_only_round_off(name, h, sense):
+    """Alone and in an ensemble; one rounding for each flow and step."""
+    if name == "shears" and h > 2.0:
+        pytest.skip("two shears are hyperbolic at this step")
+    system = turning_systems()[name]
+    states = np.random.default_rng(4).standard_normal((9, system.dim))
+    span, scheme = (0.0, sense * LARGE_STEPS * h), co.Splitting(parts="coordinates", compensated=True)
+    ensemble = co.integrate(system, states, span, h, scheme, attitude="coadjoint", save_every=LARGE_STEPS)
+    K, x = ensemble.attitude, ensemble.x
+    spatial = np.einsum("kmij,kmj->kmi", K, x)
+    size = np.linalg.norm(K[-1], axis=(1, 2)) * np.linalg.norm(x[-1], axis=1)
+    bound = LARGE_STEPS * (2 * system.dim + 2) * U
+    assert np.max(np.linalg.norm(spatial[-1] - spatial[0], axis=1) / size) < bound
+    for name_of, values in ensemble.casimirs.items():
+        casimir = system.casimirs[name_of]
+        for m in range(len(states)):
+            scale = max(np.linalg.norm(casimir.gradient(state)) * np.linalg.norm(state) for state in x[:, m])
+            assert abs(values[-1, m] - values[0, m]) < bound * scale
+    alone = co.integrate(system, states[3], span, h, scheme, attitude="coadjoint", save_every=LARGE_STEPS)
+    assert np.array_equal(alone.attitude, K[:, 3]) and np.array_equal(alone.x, x[:, 3])
+
+
+@pytest.mark.thinned(3)
+@pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
+@pytest.mark.parametrize("attitude", [False, "coadjoint"])
+@pytest.mark.parametrize("members", [200, 13])
+def test_outputs_that_overflow_are_left_out(attitude, members):
+    """Whether a state is saved or watched changes no other one.
+
+    The steps are far too large: outputs of the processor overflow, and the kernel of the scheme goes on.
+    """
+    g, rng = co.algebras.get("A4,8"), np.random.default_rng(0)
+    B = rng.standard_normal((g.dim, g.dim))
+    system = co.LiePoissonSystem(g, co.Quadratic((B + B.T) / 4 + np.eye(g.dim)))
+    x0 = (rng.standard_normal((200, g.dim)) * np.geomspace(1.0, 60.0, 200)[:, None])[:: 200 // members]
+    given = (0.0, 1.2), 0.1, co.Splitting(scheme="blanes_casas_murua10")
+
+    def run(start=x0, **options):
+        try:
+            return co.integrate(system, start, *given, attitude=attitude, threads=1, **options)
+        except co.IntegrationError as error:
+            return error.partial
+
+    whole = run(watch=False)
+    lost = ~np.isfinite(whole.x).all(axis=2)
+    returns = (lost[:-1] & ~lost[1:]).any(axis=0)
+    assert returns.any() or members < 200, "no output overflows alone"
+    assert (lost == np.isnan(whole.x).any(axis=2)).all() and (lost == np.isnan(whole.energy)).all()
+    assert (whole.failed == lost.any(axis=0)).all()
+    watched = run(watch=True)
+    np.testing.assert_array_equal(watched.x, whole.x)
+    np.testing.assert_array_equal(watched.failed, whole.failed)
+    if attitude:
+        np.testing.assert_array_equal(watched.attitude, whole.attitude)
+        assert (lost == np.isnan(whole.attitude).any(axis=(2, 3))).all()
+    for save_every in (5, 7):
+        for watch in (False, True):
+            sparse = run(save_every=save_every, watch=watch)
+            saved = [*range(0, 12, save_every), 12]
+            np.testing.assert_array_equal(sparse.x, whole.x[saved])
+            assert (sparse.failed == (lost[saved].any(axis=0) | lost[-1])).all()
+    for m in [*np.flatnonzero(returns), 0, len(x0) - 1][:6]:
+        for watch in (False, True):
+            alone = run(x0[m], watch=watch)
+            kept = len(alone.t)
+            assert kept == (np.argmax(lost[:, m]) if lost[:, m].any() else 13)
+            np.testing.assert_array_equal(alone.x, whole.x[:kept, m])
+            sparse = run(x0[m], watch=watch, save_every=5)
+            np.testing.assert_array_equal(sparse.x, whole.x[[0, 5, 10, 12], m][: len(sparse.t)])

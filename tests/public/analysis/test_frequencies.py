@@ -1,8 +1,7 @@
-"""Frequencies of sums of lines that are known, of bodies with elliptic integrals, and of runs."""
+"""Frequencies of sums of lines that are known, and of runs."""
 
 import numpy as np
 import pytest
-from scipy.special import ellipk
 
 import coadjoint as co
 from refusals import refused
@@ -122,7 +121,7 @@ def test_a_wider_window_suppresses_the_lines_that_are_left_out():
 def test_as_many_lines_as_the_samples_resolve():
     t = np.arange(16 * 8) * 0.5
     assert co.frequencies(t, np.cos(t), count=8, window=1).frequency.shape == (8,)
-    with refused(ValueError, "count is 9; 128 samples resolve at most 8"):
+    with refused(ValueError, "count", "9", "128", "8"):
         co.frequencies(t, np.cos(t), count=9, window=1)
     for window in (0, 13):
         with refused(ValueError, "window"):
@@ -138,20 +137,10 @@ def test_what_is_not_there_is_no_line():
     assert np.isnan(constant.frequency).all() and constant.mean == pytest.approx(2.5)
 
 
-def body_period(m: np.ndarray, x0: np.ndarray):
-    """Return the period of the free body with the inverse inertia m, by a complete elliptic integral."""
-    length2, energy2 = x0 @ x0, (m * x0) @ x0
-    low, b, high = np.argsort(m)
-    c, a = (high, low) if energy2 > m[b] * length2 else (low, high)
-    rate = np.sqrt((m[b] - m[c]) * (m[a] * length2 - energy2))
-    k2 = (m[a] - m[b]) * (energy2 - m[c] * length2) / ((m[b] - m[c]) * (m[a] * length2 - energy2))
-    return float(4.0 * ellipk(k2) / rate)
-
-
 def test_attitude_has_two_frequencies():
     body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), np.array([1.0, 0.2, 0.5])
     run = co.integrate(body, x0, (0.0, 800.0), 0.1, co.GaussLegendre(6), attitude=True)
-    nutation = 2 * np.pi / body_period(1 / np.array([1.0, 2.0, 3.0]), x0)
+    nutation = 2 * np.pi / co.analysis.period(body.vector_field, x0).time
     found = co.frequencies(run, "attitude", count=8)
     lines = found.combinations([found.frequency[0], nutation])
     assert np.all(lines.found) and np.max(np.abs(lines.misfit)) < 1e-11
@@ -234,10 +223,10 @@ def test_basic_frequencies_are_chosen_wherever_they_stand():
     w[3] = 9.5 + 4e-5
     assert lines.combinations([1.0, 5.25], largest=4).found.tolist() == [True, True, True, False]
     assert lines.combinations(largest=4).basis.tolist() == [1.0, 5.25, w[3]]
-    with refused(ValueError, "too many combinations"):
+    with refused(ValueError, "combinations"):
         lines.combinations([1.0, 1.1, 1.2, 1.3, 1.4], largest=20)
     for basis in ([[1.0, 5.25]], [1e308]):
-        with refused(ValueError, "give a few frequencies,", "whose sums fit float64"):
+        with refused(ValueError, "float64"):
             lines.combinations(basis)
 
 

@@ -10,14 +10,8 @@ import pytest
 import coadjoint as co
 from refusals import refused
 
-INERTIA, CENTRE = (1.0, 1.75, 2.5), (0.5, 0.25, 1.0)
 UPRIGHT = np.array([1.0, 0.5, -0.75, 0.6, 0.0, 0.8])  # of the chaotic region: its exponent is some 0.12
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
-
-
-def heavy_top(inertia=INERTIA, centre=CENTRE):
-    H = co.Quadratic([*(1.0 / np.array(inertia)), 0.0, 0.0, 0.0], linear=[0.0, 0.0, 0.0, *centre])
-    return co.LiePoissonSystem(co.algebras.e(3), H, sign=-1)
 
 
 SCHEMES = (
@@ -85,7 +79,7 @@ def bits(result, members=slice(None)):
 
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(2), co.ExplicitRungeKutta("rk4")], ids=str)
 def test_same_bits_alone_in_an_ensemble_on_threads_and_in_pieces(method):
-    system, rng = heavy_top(), np.random.default_rng(2)
+    system, rng = co.systems.heavy_top(inertia=(1.0, 1.75, 2.5), lever=(0.5, 0.25, 1.0)), np.random.default_rng(2)
     ensemble = UPRIGHT + 0.1 * rng.standard_normal((37, 6))
     given = {"t_span": (0.0, 20.0), "step": 0.1, "method": method, "renormalize_every": 7}
     whole = co.lyapunov(system, ensemble, **given, save_every=20, threads=1)
@@ -173,7 +167,7 @@ def test_a_member_that_fails_leaves_the_others_theirs():
     cubic = co.LiePoissonSystem(co.algebras.sl(2), co.Polynomial({(3, 0, 0): 1.0, (0, 3, 0): 1.0, (0, 0, 3): 1.0}))
     starts = np.array([[0.1, 0.05, 0.02], [40.0, 30.0, 20.0], [0.05, 0.1, 0.05]])
     for method in (co.Splitting(order=2), co.ExplicitRungeKutta("rk4")):
-        with pytest.raises(co.IntegrationError, match=r"1 of 3 members \(first: member 1\)") as failure:
+        with refused(co.IntegrationError, "1 of 3 members", "member 1") as failure:
             co.lyapunov(cubic, starts, (0, 10), 0.1, method)
         partial = failure.value.partial
         assert np.isfinite(partial.exponents[[0, 2]]).all() and np.isnan(partial.exponents[1]).all()
@@ -185,7 +179,7 @@ def test_vectors_that_become_parallel_are_refused():
     """Between two times that they are made orthonormal they part by e^(2 * 0.29 t): beyond 2^26 nothing is left."""
     given = {"x0": (0.0, 1.0, 0.0), "t_span": (0.0, 200.0), "step": 0.1}
     assert np.isfinite(co.lyapunov(BODY, **given, renormalize_every=100).exponents).all()
-    with pytest.raises(co.IntegrationError, match="smaller renormalize_every") as failure:
+    with refused(co.IntegrationError, "renormalize_every") as failure:
         co.lyapunov(BODY, **given, renormalize_every=1000)
     assert failure.value.step == 1000
     with refused(ValueError, "renormalize_every than 10000"):
@@ -194,27 +188,27 @@ def test_vectors_that_become_parallel_are_refused():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for method in (co.GaussLegendre(2), co.RadauEnergy(1)):
-            with pytest.raises(co.IntegrationError, match="smaller renormalize_every") as failure:
+            with refused(co.IntegrationError, "renormalize_every") as failure:
                 co.lyapunov(BODY, **quick, method=method)
             assert failure.value.step == 50
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("changes", "named"),
     [
-        ({"exponents": 4}, "exponents"),
-        ({"renormalize_every": 0}, "renormalize_every"),
-        ({"transient": -1.0}, "transient is -1.0"),
-        ({"transient": 10.0}, "it must be shorter than the run"),
-        ({"transient": 0.05}, "step 0.1 does not divide"),
-        ({"t_span": (0.0, 0.0)}, "it must be shorter than the run"),
-        ({"x0": (1.0, 2.0)}, "x0 has the shape"),
-        ({"method": "splitting"}, "did you mean 'Splitting'"),
+        ({"exponents": 4}, ["exponents"]),
+        ({"renormalize_every": 0}, ["renormalize_every"]),
+        ({"transient": -1.0}, ["transient", "-1.0"]),
+        ({"transient": 10.0}, ["transient", "10"]),
+        ({"transient": 0.05}, ["step", "0.1", "0.05"]),
+        ({"t_span": (0.0, 0.0)}, ["transient", "0"]),
+        ({"x0": (1.0, 2.0)}, ["x0", "(2,)"]),
+        ({"method": "splitting"}, ["'splitting'", "'Splitting'"]),
     ],
 )
-def test_wrong_input_is_refused_by_name(changes, message):
+def test_wrong_input_is_refused_by_name(changes, named):
     given = {"system": BODY, "x0": (0.4, 1.0, 0.3), "t_span": (0.0, 10.0), "step": 0.1} | changes
-    with pytest.raises((ValueError, TypeError), match=message):
+    with refused((ValueError, TypeError), *named):
         co.lyapunov(**given)
 
 

@@ -1,7 +1,10 @@
-"""Phases: angles between attitudes, leads of motions that are shifted by known amounts, and the verdict on drifts."""
+"""Phases: angles between attitudes, leads of motions shifted by known amounts, lines through series, verdicts."""
+
+from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
@@ -16,6 +19,7 @@ drift_of_series = co.analysis.drift_of_series
 phase_error = co.analysis.phase_error
 
 X0 = (1.0, 0.2, 0.5)
+BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 COORDINATES = co.Splitting(order=2, parts="coordinates")
 
 
@@ -69,10 +73,7 @@ def test_half_turns_about_the_axis_and_across_it(direction: tuple[float, float, 
 
 
 def test_phase_of_a_driven_motion_follows_its_field_at_each_time():
-    def rotating(t):
-        return 0.9 * np.cos(2.0 * t), 0.9 * np.sin(2.0 * t), -1.0
-
-    spin = co.systems.spin_lattice("chain", 1, field=rotating)
+    spin = co.systems.spin_lattice("chain", 1, field=lambda t: (0.9 * np.cos(2.0 * t), 0.9 * np.sin(2.0 * t), -1.0))
     better = co.integrate(spin, (0.6, 0.0, 0.8), (1.0, 9.0), 1 / 64, co.Splitting(order=6))
     t, lead = np.linspace(2.0, 8.0, 9), 0.01
     found = phase_error(spin, better.x[0], t, better.at(t + lead).x, better)
@@ -81,30 +82,21 @@ def test_phase_of_a_driven_motion_follows_its_field_at_each_time():
 
 
 @pytest.fixture(scope="module")
-def body():
-    return co.systems.rigid_body(inertia=(1, 2, 3))
+def run():
+    return co.integrate(BODY, X0, (0.0, 500.0), 0.1, COORDINATES, save_every=7, attitude=True)
 
 
-@pytest.fixture(scope="module")
-def run(body: co.LiePoissonSystem):
-    return co.integrate(body, X0, (0.0, 500.0), 0.1, COORDINATES, save_every=7, attitude=True)
-
-
-@pytest.fixture(scope="module")
-def reference(body: co.LiePoissonSystem):
-    return co.integrate(body, X0, (0.0, 510.0), 0.05, co.GaussLegendre(6), save_every=4)
-
-
-def test_a_lead_of_many_periods_is_followed(body: co.LiePoissonSystem):
+def test_a_lead_of_many_periods_is_followed():
     t = np.linspace(0.0, 2000.0, 600)
     lead = 0.05 * t + 0.1 * np.sin(0.3 * t)  # in the end a hundred, some seven periods
-    assert phase_error(body, X0, t, body.exact(X0, t + lead)) == pytest.approx(lead, abs=1e-9)
-    assert phase_error(body, X0, -t, body.exact(X0, lead - t)) == pytest.approx(lead, abs=1e-9)
+    assert phase_error(BODY, X0, t, BODY.exact(X0, t + lead)) == pytest.approx(lead, abs=1e-9)
+    assert phase_error(BODY, X0, -t, BODY.exact(X0, lead - t)) == pytest.approx(lead, abs=1e-9)
 
 
-def test_references_of_every_kind_agree(body, run, reference):
+def test_references_of_every_kind_agree(run):
+    reference = co.integrate(BODY, X0, (0.0, 510.0), 0.05, co.GaussLegendre(6), save_every=4)
     by_form = co.phase_drift(run)
-    by_function = co.phase_drift(run, lambda t: body.exact(X0, t))
+    by_function = co.phase_drift(run, lambda t: BODY.exact(X0, t))
     by_run = co.phase_drift(run, reference)
     # The reference of order 12 has h^12 of error a unit of time, and less round-off than that.
     assert by_function.lead == pytest.approx(by_form.lead, abs=1e-12)
@@ -112,14 +104,13 @@ def test_references_of_every_kind_agree(body, run, reference):
     assert by_run.slope == pytest.approx(by_form.slope, abs=1e-12)
 
 
-def test_attitudes_ahead_by_a_known_angle(body, run):
+def test_attitudes_ahead_by_a_known_angle(run):
     drift = co.phase_drift(run, of="attitude")
     assert drift.unit == "radians" and drift.growth == "linear"
-    good = co.integrate(body, X0, (0.0, 500.0), 0.1, co.GaussLegendre(6), save_every=7, attitude=True)
+    good = co.integrate(BODY, X0, (0.0, 500.0), 0.1, co.GaussLegendre(6), save_every=7, attitude=True)
     assert co.phase_drift(run, good, of="attitude").slope == pytest.approx(drift.slope, rel=1e-7)
     # A body that also turns about its momentum: H - c |x|^2 / 2 has the same motion of x.
-    c = 0.02
-    m = 1.0 / np.array([1.0, 2.0, 3.0])
+    c, m = 0.02, 1.0 / np.array([1.0, 2.0, 3.0])
     turning = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(m + c), sign=-1)
     ahead = co.integrate(turning, X0, (0.0, 500.0), 0.1, co.GaussLegendre(6), save_every=7, attitude=True)
     found = co.phase_drift(ahead, good, of="attitude")
@@ -155,29 +146,25 @@ def test_verdicts_on_random_walks():
     assert phases.count("faster") > 75 and phases.count("bounded") == 0
 
 
-def test_a_line_of_either_sign_is_as_early_as_its_motion(body: co.LiePoissonSystem):
+def test_a_line_of_either_sign_is_as_early_as_its_motion():
     """The saved states are those of a clock that is ahead by 1e-3 of the time: of each line by 1e-3 w t, w > 0.
 
     The signal is real or complex, with the frequency of either sign; of one run, or of members.
     """
     sense = -1.0
-    run = co.integrate(body, np.array([X0, (1.2, 0.1, 0.4)]), (5.0, 5.0 + sense * 400.0), 0.1, save_every=4)
+    run = co.integrate(BODY, np.array([X0, (1.2, 0.1, 0.4)]), (5.0, 5.0 + sense * 400.0), 0.1, save_every=4)
     ahead = run.t - 5.0 + 1e-3 * sense * np.abs(run.t - 5.0)
-    right = [co.frequencies(run.t, np.asarray(body.exact(x, run.t - 5.0))[:, 1], 1).frequency[0] for x in run.x[0]]
+    right = [co.frequencies(run.t, np.asarray(BODY.exact(x, run.t - 5.0))[:, 1], 1).frequency[0] for x in run.x[0]]
     for m, x in enumerate(run.x[0].copy()):
-        run.x[:, m] = body.exact(x, ahead)
+        run.x[:, m] = BODY.exact(x, ahead)
     for signal in (1, lambda x: x[..., 1], lambda x: x[..., 1] + 0.5j * x[..., 1]):
         for w in (right[0], -right[0]):
             drifts = line_drift(run, w, signal=signal)
             assert drifts[0].slope == pytest.approx(1e-3 * right[0], rel=1e-4)
             assert drifts[0].unit == "radians" and drifts[0].growth == "linear"
     assert line_drift(run, right[1], signal=1)[1].slope == pytest.approx(1e-3 * right[1], rel=1e-4)
-
-    def of_both(t: np.ndarray):
-        return np.asarray(body.exact(X0, t - 5.0))
-
     # A function is asked for the times of the run themselves.
-    given = line_drift(run, right[0], of_both, signal=1)[0]
+    given = line_drift(run, right[0], lambda t: np.asarray(BODY.exact(X0, t - 5.0)), signal=1)[0]
     assert given.slope == pytest.approx(1e-3 * right[0], rel=1e-4)
     assert given.lead == pytest.approx(line_drift(run, right[0], signal=1)[0].lead, abs=1e-9)
     # Middles of the windows: an eighth of the span, from the first to the last.
@@ -185,35 +172,32 @@ def test_a_line_of_either_sign_is_as_early_as_its_motion(body: co.LiePoissonSyst
     assert given.lead == pytest.approx(1e-3 * right[0] * (given.t - 5.0), abs=1e-4)
 
 
-def test_one_reference_serves_all_members(body: co.LiePoissonSystem):
+def test_one_reference_serves_all_members():
     span = (0.0, 200.0)
-    one, ensemble = (co.integrate(body, x0, span, 0.1, COORDINATES, save_every=4) for x0 in (X0, [X0, X0]))
-    better = co.integrate(body, X0, span, 0.1, co.GaussLegendre(4), save_every=4)
+    one, ensemble = (co.integrate(BODY, x0, span, 0.1, COORDINATES, save_every=4) for x0 in (X0, [X0, X0]))
+    better = co.integrate(BODY, X0, span, 0.1, co.GaussLegendre(4), save_every=4)
     w = co.frequencies(better, 1, count=1).frequency[0]
-    alone, both = (
-        line_drift(one, w, better, signal=1),
-        line_drift(ensemble, w, better, signal=1),
-    )
+    alone, both = (line_drift(some, w, better, signal=1) for some in (one, ensemble))
     for drift in both:
         assert drift.slope == pytest.approx(alone.slope, rel=1e-9)
     leads = [co.phase_drift(ensemble, better)[m].lead for m in (0, 1)]
     assert np.array_equal(leads[0], leads[1]) and np.array_equal(leads[0], co.phase_drift(one, better).lead)
     with refused(ValueError, "other members"):
-        line_drift(ensemble, w, co.integrate(body, [X0] * 3, span, 0.1, save_every=4), signal=1)
-    with refused(TypeError, "give a component or a function"):
+        line_drift(ensemble, w, co.integrate(BODY, [X0] * 3, span, 0.1, save_every=4), signal=1)
+    with refused(TypeError, "signal", "energy"):
         line_drift(one, w, signal="energy")
     with refused(ValueError, "takes 501 of 501"):
         line_drift(one, w, width=200.0)
 
 
 @pytest.mark.parametrize("referenced", [False, True])
-def test_the_lead_of_an_attitude_does_not_depend_on_the_frame_in_space(body, referenced: bool):
+def test_the_lead_of_an_attitude_does_not_depend_on_the_frame_in_space(referenced: bool):
     turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     found = []
     for first in (np.eye(3), turn):
         run, good = (
-            co.integrate(body, X0, (4.0, 104.0), 0.1, method, save_every=5, attitude=first)
+            co.integrate(BODY, X0, (4.0, 104.0), 0.1, method, save_every=5, attitude=first)
             for method in (COORDINATES, co.GaussLegendre(6))
         )
         found.append(co.phase_drift(run, good if referenced else None, of="attitude"))
@@ -237,15 +221,15 @@ def test_points_without_a_lead_are_left_out_with_their_times(unit: str):
         drift_of_series(t[kept][:15], lead[kept][:15])
 
 
-def test_what_is_refused(body, run):
-    uneven = co.integrate(body, X0, (0.0, 500.0), 0.1, save_every=5)
-    coarse = co.integrate(body, X0, (0.0, 510.0), 0.1, co.GaussLegendre(4), save_every=25)
-    bare = co.integrate(body, X0, (0.0, 50.0), 0.1)
+def test_what_is_refused(run):
+    uneven = co.integrate(BODY, X0, (0.0, 500.0), 0.1, save_every=5)
+    coarse = co.integrate(BODY, X0, (0.0, 510.0), 0.1, co.GaussLegendre(4), save_every=25)
+    bare = co.integrate(BODY, X0, (0.0, 50.0), 0.1)
     spiral = co.integrate(co.systems.paper_a37(), (1.0, 1.0, 1.0), (0.0, 5.0), 0.1, attitude=True)
     for error, named, call in (
         (ValueError, ["A has the shape (2, 2)"], lambda: attitude_angle(np.eye(2), np.eye(3))),
         (ValueError, ["zero"], lambda: precession_error(np.eye(3), np.eye(3), [0.0, 0.0, 0.0])),
-        (ValueError, ["(2, 3)"], lambda: phase_error(body, (1.0, 2.0, 0.5), [0.0, 1.0], np.zeros((3, 3)))),
+        (ValueError, ["(2, 3)"], lambda: phase_error(BODY, (1.0, 2.0, 0.5), [0.0, 1.0], np.zeros((3, 3)))),
         (ValueError, ["16"], lambda: drift_of_series([0.0, 1.0], [0.0, 1.0])),
         (ValueError, ["in order"], lambda: drift_of_series(np.r_[np.arange(20.0), 0.0], np.zeros(21))),
         (TypeError, ["Solution"], lambda: co.phase_drift(run, 3.0)),
@@ -268,14 +252,14 @@ def test_what_is_refused(body, run):
 @pytest.mark.parametrize("t0, sense", [(0.0, 1), (7.3, -1)])
 def test_members_that_events_have_ended_have_the_drift_up_to_there(t0, sense, of):
     """That of the run alone, which ends there; the member that goes on is not changed."""
-    body, flip = co.systems.rigid_body(inertia=(1, 2, 3)), co.Event(1, terminal=True)
+    flip = co.Event(1, terminal=True)
     x0 = sense * np.array([(0.1, 1.0, 0.1), (0.2, 1.0, 0.3), (1.0, 0.2, 0.5)])
     run = (t0, t0 + sense * 20), 0.05, co.Splitting(order=2, parts="coordinates")
     options = {"save_every": 3, "events": flip, "attitude": True}
-    found = co.phase_drift(co.integrate(body, x0, *run, **options), of=of)
+    found = co.phase_drift(co.integrate(BODY, x0, *run, **options), of=of)
     assert len({len(drift.t) for drift in found}) > 1
     for drift, x in zip(found, x0, strict=True):
-        alone = co.integrate(body, x, *run, **options)
+        alone = co.integrate(BODY, x, *run, **options)
         wanted = co.phase_drift(alone, of=of)
         # The run alone has the end itself as its last point.
         count = len(drift.t)
@@ -288,15 +272,121 @@ def test_members_that_events_have_ended_have_the_drift_up_to_there(t0, sense, of
 @pytest.mark.parametrize("several", [False, True])
 def test_a_reference_run_is_interpolated_between_its_saved_times(several, sense):
     """On an uneven grid, for each member its own; beyond its ends there is no lead."""
-    body = co.systems.rigid_body(inertia=(1, 2, 3))
     starts = np.array([[1.0, 2.0, 0.5], [0.3, -1.0, 0.4]])
     starts, span = starts if several else starts[1], (3.0, 3.0 + sense * 10.0)
     saved = 3.0 + sense * np.sort(np.random.default_rng(4).permutation(200)[:120]) / 20.0
-    run = co.integrate(body, starts, span, 0.05, co.GaussLegendre(4), t_eval=saved)
+    run = co.integrate(BODY, starts, span, 0.05, co.GaussLegendre(4), t_eval=saved)
     t = 3.0 + sense * np.sort(np.random.default_rng(5).uniform(0.0, 10.0, 50))
-    late = co.integrate(body, starts, span, 0.05, co.GaussLegendre(4), t_eval=t)
+    late = co.integrate(BODY, starts, span, 0.05, co.GaussLegendre(4), t_eval=t)
     drifts = co.phase_drift(late, run)
     inside = np.sum((t >= min(saved)) & (t <= max(saved)))
     for drift in drifts if several else [drifts]:
         # The interpolation is right to its own bound, 2^-30 of the largest state, which moves by about its size a time.
         assert np.abs(drift.lead).max() < 2.0**-26 and len(drift.t) == inside
+
+
+SAMPLES, SERIES = 1000, 200
+T = np.arange(SAMPLES) * 0.1
+
+
+def remembering(rng: np.random.Generator, memory: float) -> np.ndarray:
+    """Return a stationary series that forgets over so many samples."""
+    keep = np.exp(-1.0 / memory)
+    start = rng.normal() / np.sqrt(1 - keep**2)
+    return lfilter([1.0], [1.0, -keep], rng.normal(size=SAMPLES), zi=[keep * start])[0]
+
+
+NOISE: dict[str, tuple[Callable[[np.random.Generator], np.ndarray], tuple[float, float]]] = {
+    "white": (lambda rng: rng.normal(size=SAMPLES), (-0.2, 0.2)),
+    "a short memory": (lambda rng: remembering(rng, 10), (-0.1, 0.3)),
+    "a memory of a twentieth": (lambda rng: remembering(rng, 50), (0.0, 0.6)),
+    "a memory of a quarter": (lambda rng: remembering(rng, 250), (0.1, 0.9)),
+    "a random walk": (lambda rng: np.cumsum(rng.normal(size=SAMPLES)), (0.2, 0.95)),
+    "an accumulated walk": (lambda rng: np.cumsum(np.cumsum(rng.normal(size=SAMPLES))), (0.7, 1.9)),
+    "an oscillation": (lambda rng: np.cos(rng.uniform(0.6, 5) * T + rng.uniform(0, 7)), (-0.3, 0.4)),
+    "oscillations": (
+        lambda rng: sum(rng.normal() * np.cos(rng.uniform(0.6, 5) * T + rng.uniform(0, 7)) for _ in range(4)),
+        (-0.3, 0.4),
+    ),
+}
+
+
+@pytest.mark.thinned(16)
+@pytest.mark.parametrize("kind", NOISE)
+@pytest.mark.parametrize("slope", [0.0, -2.5])
+def test_two_uncertainties_hold_the_slope(kind: str, slope: float):
+    series, (low, high) = NOISE[kind]
+    lines = [drift_of_series(T, series(np.random.default_rng(seed)) + slope * T + 3.0) for seed in range(SERIES)]
+    z = np.array([(line.slope - slope) / line.uncertainty for line in lines])
+    # Nine of ten; three standard deviations of a count of 200 is 6.4 of 100.
+    assert np.mean(np.abs(z) < 2.0) > 0.9 - 0.064
+    if kind in ("white", "a short memory"):
+        assert np.sqrt(np.mean(z**2)) > 0.7, "not to the safe side by much, either"
+    exponents = np.array([line.exponent for line in lines])
+    assert np.mean((low < exponents) & (exponents < high)) > 0.97
+
+
+def test_a_line_is_found_to_rounding():
+    line = drift_of_series(T, 0.3 * T - 7.0)
+    assert line.slope == pytest.approx(0.3, abs=1e-14) and line.intercept == pytest.approx(-7.0, abs=1e-12)
+    assert 0.0 < line.uncertainty < 1e-14
+
+
+def test_few_blocks_have_a_wider_spread():
+    """Of 16 samples there are four blocks and no more: two degrees of freedom are lost to the line."""
+    t = np.arange(16.0)
+    values = np.random.default_rng(4).normal(size=16)
+    line = drift_of_series(t, values)
+    d = t - t.mean()
+    rest = values - np.polyval(np.polyfit(t, values, 1), t)
+    sums = (d * rest).reshape(4, 4).sum(axis=1)
+    assert line.uncertainty >= np.sqrt(2.0 * sums @ sums) / (d @ d) * (1 - 1e-12)
+    assert line.exponent > 0.2 or line.uncertainty == pytest.approx(np.sqrt(2.0 * sums @ sums) / (d @ d))
+
+
+def uneven(samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return drawn times and a series about a line, with noise and an oscillation, far from the origin."""
+    rng = np.random.default_rng(samples)
+    t = 1000.0 + np.cumsum(rng.uniform(0.05, 1.0, samples))
+    return t, 40.0 - 0.3 * t + np.cos(0.2 * t) + rng.normal(0.0, 0.3, samples)
+
+
+@pytest.mark.parametrize("samples", [16, 61, 768])
+def test_the_line_is_that_of_least_squares_on_uneven_times(samples: int):
+    t, values = uneven(samples)
+    line = drift_of_series(t, values)
+    slope, intercept = np.polynomial.Polynomial.fit(t, values, 1).convert().coef[::-1]
+    assert line.slope == pytest.approx(slope, rel=1e-10) and line.intercept == pytest.approx(intercept, rel=1e-10)
+    assert line.deviation == pytest.approx(np.sqrt(np.mean((values - slope * t - intercept) ** 2)), rel=1e-10)
+
+
+@pytest.mark.parametrize("kind", ["noise", "walk"])
+def test_scales_and_added_lines_change_only_what_they_must(kind: str):
+    t, values = uneven(768)
+    values = np.cumsum(values - values.mean()) if kind == "walk" else values
+    line = drift_of_series(t, values)
+    assert (line.exponent > 0.2) == (kind == "walk"), "with and without the spread of the pieces"
+    for unit, factor, slope, shift in ((1.0, -3.0, 0.0, 5.0), (-0.01, 1e4, 7.0, 0.0), (50.0, 0.5, -2.0, 1e3)):
+        other = drift_of_series(unit * t + shift, factor * values + slope * t - 8.0)
+        # Sums of 768 products of values up to 1e3 that lose three digits to the mean: some 1e-9 at the most.
+        assert other.slope == pytest.approx((factor * line.slope + slope) / unit, rel=1e-8)
+        assert other.uncertainty == pytest.approx(abs(factor / unit) * line.uncertainty, rel=1e-8)
+        assert other.deviation == pytest.approx(abs(factor) * line.deviation, rel=1e-8)
+        assert other.slow_deviation == pytest.approx(abs(factor) * line.slow_deviation, rel=1e-8)
+        assert other.exponent == pytest.approx(line.exponent, abs=1e-8)
+    # 768 samples are whole blocks of each number: from the end they are the same ones.
+    back = drift_of_series(-t[::-1], values[::-1])
+    assert back.slope == pytest.approx(-line.slope, rel=1e-8)
+    for name in ("uncertainty", "deviation", "slow_deviation", "exponent"):
+        assert getattr(back, name) == pytest.approx(getattr(line, name), rel=1e-8), name
+
+
+def test_slow_deviations_are_those_of_means_over_a_64th_of_the_span():
+    """The last block is as long as the others: a parabola without its line, averaged over 12 samples each."""
+    t = np.arange(768.0)
+    line = drift_of_series(t, t**2)
+    means_t, means = t.reshape(64, 12).mean(axis=1), (t**2).reshape(64, 12).mean(axis=1)
+    rest = means - np.polyval(np.polyfit(means_t, means, 1), means_t)
+    assert line.slow_deviation == pytest.approx(np.sqrt(np.sum(rest**2) / 62), rel=1e-10)
+    jump = drift_of_series(t, np.where(t >= 756, 1.0, 0.0)).slow_deviation
+    assert jump == pytest.approx(drift_of_series(t, np.where(t < 12, 1.0, 0.0)).slow_deviation, rel=1e-10)

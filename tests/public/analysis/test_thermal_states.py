@@ -1,10 +1,12 @@
-"""Monte Carlo states of spins: exact energies of one and two spins, chains and rings; series of the square lattice."""
+"""States and runs at a temperature: exact energies of spins, chains and rings, series of lattices, densities."""
 
 import numpy as np
 import pytest
+from scipy import special, stats
 
 import coadjoint as co
 from refusals import refused
+from rounding import UNIT_ROUNDOFF
 
 METHODS = {
     "heat bath": {},
@@ -17,15 +19,11 @@ def langevin(k):
     return 1.0 / np.tanh(k) - 1.0 / k
 
 
-def mean_and_error(values):
-    """Of values (times, members): the members are independent."""
-    means = values.mean(axis=0)
-    return means.mean(), means.std(ddof=1) / np.sqrt(len(means))
-
-
 def check(states, expected, per=1.0, transient=50):
-    mean, error = mean_and_error(states.energy[transient:] / per)
-    assert abs(mean - expected) < 4.5 * error, (mean, error, expected)
+    """Compare energies (times, members) with the exact one, and return the error; the members are independent."""
+    means = states.energy[transient:].mean(axis=0) / per
+    error = means.std(ddof=1) / np.sqrt(len(means))
+    assert abs(means.mean() - expected) < 4.5 * error, (means.mean(), error, expected)
     return error
 
 
@@ -160,3 +158,57 @@ def test_a_member_has_the_same_bits_alone_and_continues_from_its_own_state():
         assert np.all(np.any(other.x != states.x, axis=1)) and len(np.unique(states.x[:, 0])) == 7
         later = co.thermal_states(lattice, kT, method=method, x0=states.x, **options)
         assert np.allclose(later.energy[0], states.energy[-1], rtol=1e-12, atol=1e-12)
+
+
+def starts(members, spins, seed):
+    S = np.random.default_rng(seed).standard_normal((members, spins, 3))
+    return (S / np.linalg.norm(S, axis=-1, keepdims=True)).reshape(members, 3 * spins)
+
+
+def test_spin_in_a_field_has_boltzmann_density():
+    """cos(theta) has the density exp(b cos(theta)), b = B/kT, for both signs of the bracket."""
+    B, T, members = 1.5, 0.75, 300
+    for sign, seed in ((1, 5), (-1, 6)):
+        spin = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(0, 0, 1): -B}), sign=sign)
+        bath = co.forces.HeatBath(0.5, temperature=T, seed=seed)
+        sol = co.integrate(
+            spin.with_forces(bath), starts(members, 1, seed), (0, 12), 2**-3, co.Splitting(), save_every=96, watch=False
+        )
+        found, b = sol.x[-1, :, 2], B / T
+        exact = stats.kstest(found, lambda c, b=b: (np.exp(b * c) - np.exp(-b)) / (np.exp(b) - np.exp(-b)))
+        assert exact.pvalue > 1e-3
+        wrong = [
+            stats.kstest(found, lambda c, b=w: np.expm1(b * (c + 1)) / np.expm1(2 * b)).pvalue for w in (b / 2, 2 * b)
+        ]
+        assert max(wrong) < 1e-6, "half or twice the noise must be detected"
+        assert np.max(np.abs(np.sum(sol.x[-1] ** 2, axis=1) - 1.0)) < 8 * 192 * UNIT_ROUNDOFF
+        assert abs(np.mean(np.exp(1j * np.arctan2(sol.x[-1, :, 1], sol.x[-1, :, 0])))) < 4 / np.sqrt(members)
+
+
+def ring_energy(K, spins):
+    """- d ln Z/dK of the classical Heisenberg ring, for each bond: Z = sum_l (2 l + 1) i_l(K)^N."""
+    l, e = np.arange(40), 1e-5
+
+    def log_partition(k):
+        return np.log(np.sum((2 * l + 1) * special.spherical_in(l, k) ** spins))
+
+    return -(log_partition(K + e) - log_partition(K - e)) / (2 * e) / spins
+
+
+def test_energy_and_specific_heat_of_a_spin_ring():
+    """Against transfer functions, within the sampling error."""
+    spins, T, members = 6, 0.5, 48
+    ring = co.systems.spin_lattice("ring", spins).with_forces(co.forces.HeatBath(0.5, temperature=T, seed=2))
+    sol = co.integrate(ring, starts(members, spins, 1), (0, 40), 2**-4, co.Splitting(), save_every=16, watch=False)
+    energies = sol.energy[16:] / spins  # from t = 16 on
+    each = energies.mean(axis=0)  # members are independent
+    exact, error = ring_energy(1.0 / T, spins), each.std(ddof=1) / np.sqrt(members)
+    assert error < 0.01
+    assert abs(each.mean() - exact) < 3 * error + (2**-4) ** 2
+    # The variance of the energy is N T^2 times the specific heat, - K^2 du/dK.
+    K, e = 1.0 / T, 1e-3
+    heat = -(K**2) * (ring_energy(K + e, spins) - ring_energy(K - e, spins)) / (2 * e)
+    squares = (energies - exact) ** 2 * spins / T**2
+    spread = squares.mean(axis=0).std(ddof=1) / np.sqrt(members)
+    assert abs(squares.mean() - heat) < 4 * spread
+    assert max(drift for name, drift in sol.balance().items() if name != "energy") < 8 * 640 * UNIT_ROUNDOFF
