@@ -13,6 +13,7 @@ from coadjoint.algebra.polynomials.formulas import condition_holds, parse_formul
 from coadjoint.algebra.polynomials.polynomial_format import latex, plain, readable, readable_latex, rounded_if_long
 from coadjoint.algebra.polynomials.quadratic_forms import embedded, linear, quadratic, substituted
 from coadjoint.algebra.polynomials.symbolic_polynomial import SymbolicPolynomial
+from refusals import refused
 
 pytestmark = pytest.mark.thinned(1)
 
@@ -67,7 +68,7 @@ def test_periods():
     assert (one * -1.5 + two * 0.0).period == 3 * math.pi
     irrational = one + two * math.sqrt(2)
     assert irrational.period is None
-    with pytest.raises(ValueError, match="no common period"):
+    with refused(ValueError, "period"):
         irrational.invariant()
 
 

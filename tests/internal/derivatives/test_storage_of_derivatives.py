@@ -5,6 +5,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.runs.derivatives import attitudes, differentiable_run, forced_steps
+from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
 H, X6 = 0.125, np.array([1.0, -0.5, 1.5, 0.6, 0.0, 0.8])
@@ -61,7 +62,7 @@ def test_matrices_that_exceed_the_memory_are_refused_before_they_are_allocated(m
     monkeypatch.setattr("coadjoint.memory.available", lambda: 2**27)
     monkeypatch.setattr("coadjoint.memory.UNCHECKED_BYTES", 0)
     ready.jvp(x0, (0.0, H), {"x0": np.repeat(x0[..., None], 1000, axis=-1)})
-    with pytest.raises(ValueError, match="50000 directions"):
+    with refused(ValueError, "50000"):
         ready.jvp(x0, (0.0, H), {"x0": np.repeat(x0[..., None], 50000, axis=-1)})
 
 

@@ -87,7 +87,7 @@ def test_readers_see_the_commit_of_their_root(store):
     assert np.array_equal(read_array(store.path, "x", known["x"]), X[:20])
     assert read_array(store.path, "component", known["component"]).tolist() == ["e1", "é2", "e3"]
     (store.path / "x" / "c.1.0").unlink()
-    with pytest.raises(ArchiveError, match=r"x/c\.1\.0 is missing"):
+    with refused(ArchiveError, "x/c.1.0"):
         read_array(store.path, "x", known["x"])
     lost = read_array(store.path, "x", known["x"], may_be_missing=lambda place: place == (1, 0))
     assert np.isnan(lost[16:, :2]).all() and np.array_equal(lost[16:, 2], X[16:20, 2])
@@ -123,7 +123,7 @@ def test_only_committed_states_remain(store):
     assert files == {stored[1].file, stored[3].file}
     assert read_state(store.path, stored[3])["k"] == 3
     for one in (stored[0], stored[2]):
-        with pytest.raises(ArchiveMoved, match=f"the state {one.file} is missing"):
+        with refused(ArchiveMoved, one.file):
             read_state(store.path, one)
 
 
@@ -132,10 +132,10 @@ def test_length_of_chunks_is_limited(store):
     store.commit({}, {"time": 20})
     most = store.arrays["x"].max_encoded_bytes
     (store.path / "x" / "c.0.0").write_bytes(bytes(most + 1))
-    with pytest.raises(ArchiveError, match=rf"it has {most + 1} bytes; the limit is {most}"):
+    with refused(ArchiveError, most + 1, most):
         read_array(store.path, "x", store.arrays["x"])
     (store.path / "x" / "c.0.0").write_bytes(bytes(most))
-    with pytest.raises(ArchiveError, match="its checksum does not match"):
+    with refused(ArchiveError, "checksum"):
         read_array(store.path, "x", store.arrays["x"])
 
 
@@ -151,12 +151,12 @@ def test_archive_folder_reads_regular_files_only(tmp_path, monkeypatch):
         read = [folder.read("in", "file", **more) for more in ({}, {"head": 4}, {"head": 40}, {"max_bytes": 10})]
         assert read == [b"0123456789", b"0123", b"0123456789", b"0123456789"]
         for name, number in (("pipe", errno.EINVAL), ("link", errno.ELOOP), ("nowhere", errno.ELOOP)):
-            with pytest.raises(OSError) as refused:
+            with pytest.raises(OSError) as error:
                 folder.read("in", name)
-            assert refused.value.errno == number
+            assert error.value.errno == number
         with pytest.raises(OSError):
             folder.read("", "in")
-        with pytest.raises(ValueError, match="it has 10 bytes; the limit is 9"):
+        with refused(ValueError, 10, 9):
             folder.read("in", "file", max_bytes=9)
         assert [folder.has("in", name) for name in ("file", "pipe", "link", "none")] == [True, False, False, False]
         with monkeypatch.context() as patched:
@@ -186,13 +186,13 @@ def test_archive_folder_follows_no_links_where_the_system_cannot_refuse_them(tmp
         assert folder.read("in", "file", head=4) == b"0123"
         for place in (("in", "link"), ("linked", "file")):
             for read in (folder.read, partial(folder.read, head=4)):
-                with pytest.raises(OSError) as refused:
+                with pytest.raises(OSError) as error:
                     read(*place)
-                assert refused.value.errno == errno.ELOOP
+                assert error.value.errno == errno.ELOOP
             assert not folder.has(*place)
-            with pytest.raises(OSError) as refused:
+            with pytest.raises(OSError) as error:
                 folder.lock(*place)
-            assert refused.value.errno == errno.ELOOP
+            assert error.value.errno == errno.ELOOP
         (tmp_path / "in" / "new").symlink_to(tmp_path / "outside" / "new")
         with pytest.raises(OSError):
             folder.lock("in", "new")
@@ -217,9 +217,9 @@ def test_archive_folder_follows_no_junctions(tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "stat", tagged)
     with ArchiveFolder(tmp_path) as folder:
-        with pytest.raises(OSError) as refused:
+        with pytest.raises(OSError) as error:
             folder.read("in", "file")
-        assert refused.value.errno == errno.ELOOP
+        assert error.value.errno == errno.ELOOP
         tags.clear()
         assert folder.read("in", "file") == b"0123456789"
 
@@ -273,7 +273,7 @@ def test_descriptors_and_locks_are_released(store, tmp_path, monkeypatch):
     store.commit({}, {"time": 10})
     store.close()
     before = open_descriptors()
-    with monkeypatch.context() as patched, pytest.raises(ArchiveError, match="cannot be written"):
+    with monkeypatch.context() as patched, refused(ArchiveError, "written"):
         patched.setattr(ArchiveStore, "_write_arrays", lambda *args: (_ for _ in ()).throw(OSError(28, "full")))
         ArchiveStore.open_existing(store.path)
     with monkeypatch.context() as patched, pytest.raises(OSError, match="full"):

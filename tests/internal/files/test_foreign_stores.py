@@ -12,6 +12,7 @@ import coadjoint as co
 from coadjoint.files.datasets.loaded_solution import LoadError
 from coadjoint.files.output.file_validation import check_zarr
 from coadjoint.memory import UNCHECKED_BYTES
+from refusals import refused
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::zarr.errors.UnstableSpecificationWarning"),
@@ -90,7 +91,7 @@ def test_wrong_chunk_lengths_are_refused(tmp_path, version, packer):
 @pytest.mark.parametrize("kind", ["<c16", "<M8[s]"])
 def test_complex_and_time_types_are_refused(tmp_path, version, kind):
     zarr.open_group(tmp_path, mode="w", zarr_format=version).create_array("x", shape=(3,), dtype=kind)
-    with pytest.raises(ValueError, match="neither numbers nor text"):
+    with refused(ValueError, "numbers", "text"):
         check_zarr(tmp_path)
 
 
@@ -109,7 +110,7 @@ def test_text_of_undeclared_length_is_not_decompressed(tmp_path, monkeypatch, ve
     assert len(bytes(numcodecs.Zstd().decode(zstd_frame_without_length(3)))) == 3 * 2**17
     file.write_bytes(zstd_frame_without_length(3))
     monkeypatch.setattr(numcodecs.Zstd, "decode", lambda *args: pytest.fail("it is unpacked"))
-    with pytest.raises(ValueError, match="another length"):
+    with refused(ValueError, "length"):
         check_zarr(tmp_path)
 
 
@@ -125,7 +126,7 @@ def test_text_of_excessive_length_is_not_decompressed(tmp_path, monkeypatch, ver
     file.write_bytes(head[packer] + bytes(24))
     monkeypatch.setattr(numcodecs.Zstd, "decode", lambda *args: pytest.fail("it is unpacked"))
     monkeypatch.setattr(numcodecs.Blosc, "decode", lambda *args: pytest.fail("it is unpacked"))
-    with pytest.raises(ValueError, match="another length"):
+    with refused(ValueError, "length"):
         check_zarr(tmp_path)
     with pytest.raises(LoadError):
         co.load(tmp_path)
@@ -138,5 +139,5 @@ def test_large_array_may_be_one_chunk(tmp_path, version):
     group.create_array("x", shape=(count,), chunks=(count,), dtype="f8")
     check_zarr(tmp_path)
     group.create_array("energy", shape=(count - 1,), chunks=(count,), dtype="f8")
-    with pytest.raises(ValueError, match="the chunks of 'energy' are larger than the array"):
+    with refused(ValueError, "'energy'", "chunks"):
         check_zarr(tmp_path)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from coadjoint.files.archives.stored_arrays import StoredArray, deserialize_numbers, serialize_numbers
+from refusals import refused
 
 GRID = np.arange(24.0).reshape(2, 3, 4)
 ARRAYS = {
@@ -83,7 +84,7 @@ def test_invalid_entries_are_refused(name):
 @pytest.mark.parametrize("compression", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_compressed_entries_are_refused(compression):
     """A few bytes could expand to any size."""
-    with pytest.raises(ValueError, match="compressed or encrypted"):
+    with refused(ValueError, "compressed"):
         deserialize_numbers(archive(lambda file: file.writestr("x.npy", raw(np.zeros(6))), compression=compression))
 
 
@@ -96,7 +97,7 @@ def test_overlapping_entries_are_refused():
     tail = bytearray(content[end:])
     for at, number, size in ((8, count, 2), (10, count, 2), (12, count * len(entry), 4), (16, begin, 4)):
         tail[at : at + size] = number.to_bytes(size, "little")
-    with pytest.raises(ValueError, match="longer than the file"):
+    with refused(ValueError, "longer"):
         deserialize_numbers(content[:begin] + entry * count + bytes(tail))
 
 

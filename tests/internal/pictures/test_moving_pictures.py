@@ -22,6 +22,7 @@ from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import kinds, read_picture
 from coadjoint.systems.gallery_entry import Picture
 from coadjoint.systems.registry import gallery_entry_of
+from refusals import refused
 
 T0 = 7.3
 
@@ -260,7 +261,7 @@ def test_speeds_and_sizes_of_movies(tmp_path):
             check_speed(rate, Path("run.gif"))
     huge = Solid(SHADES)
     huge.count, huge.size = 10**6, (4096, 4096)
-    with pytest.raises(ValueError, match="a GIF of so many frames needs about"):
+    with refused(ValueError, "GIF", "frames"):
         write_movie(huge, tmp_path / "run.gif", 10.0)
     assert not list(tmp_path.iterdir())
 

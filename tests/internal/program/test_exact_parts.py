@@ -14,6 +14,7 @@ from coadjoint.program.parts.squares import MAX_RATIONAL_SIZE, complete_squares
 from coadjoint.program.parts.taylor_shares import parts_at, taylor_polynomial
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
+from refusals import refused
 
 U = 2.0**-53
 
@@ -152,7 +153,7 @@ def test_offsets_beyond_float64_are_refused(offsets):
     """Any of them, not the first one alone; large ones that are numbers are given."""
     assert np.all(np.isfinite(offsets.at(np.array([1.0, 2.0**400]))))
     for size in (2.0**600, -(2.0**600)):
-        with pytest.raises(OverflowError, match="too large for"):
+        with refused(OverflowError, "too large"):
             offsets.at(np.array([1.0, size]))
 
 
@@ -286,19 +287,19 @@ def test_derivatives_that_contradict_each_other_are_refused(y):
         change = np.zeros((2, 2))
         change[i, j] = 1.0
         wrong = altered(term, hessian=lambda y, change=change: term.hessian(y) + change)
-        with pytest.raises(ValueError, match=r"derivatives of order 3 .* it is not analytic on circles"):
+        with refused(ValueError, "order 3", "analytic"):
             taylor_polynomial(wrong, y, 3)
     for i in range(2):
         # Different on the real axis and off it, as of abs.
         wrong = altered(term, gradient=lambda y, i=i: term.gradient(y) + (np.arange(2) == i) * np.isrealobj(y))
-        with pytest.raises(ValueError, match="it is not analytic on circles"):
+        with refused(ValueError, "analytic"):
             taylor_polynomial(wrong, y, 3)
 
 
 def test_functions_of_many_coordinates_are_refused_before_they_are_evaluated():
     calls = []
     term = FunctionTerm(np.arange(6), np.sum, lambda y: calls.append(y) or np.ones(6), None)
-    with pytest.raises(ValueError, match=r"a function of 6 coordinates would be evaluated at 262144 points .* order 3"):
+    with refused(ValueError, "6 coordinates", "262144", "order 3"):
         taylor_polynomial(term, np.ones(6), 3)
     assert len(calls) == 1
 

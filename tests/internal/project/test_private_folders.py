@@ -13,6 +13,7 @@ import pytest
 import coadjoint as co
 from coadjoint.optional_packages import installed
 from coadjoint.private_folders import check_private, private_folder
+from refusals import refused
 
 OTHER_USER = 65534
 AS_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder to another user")
@@ -47,7 +48,7 @@ def test_writable_modes_are_refused(folders, place, mode, safe):
     if safe:
         check_private(folders[-1])
     else:
-        with pytest.raises(PermissionError, match=f"{folders[place]} can be changed by other users, mode {mode:o}"):
+        with refused(PermissionError, folders[place], f"{mode:o}"):
             check_private(folders[-1])
 
 
@@ -57,7 +58,7 @@ def test_writable_modes_are_refused(folders, place, mode, safe):
 def test_other_owners_are_refused(folders, place, mode):
     os.chown(folders[place], OTHER_USER, OTHER_USER)
     folders[place].chmod(mode)
-    with pytest.raises(PermissionError, match=f"{folders[place]} belongs to another user"):
+    with refused(PermissionError, folders[place], "user"):
         check_private(folders[-1])
 
 
@@ -66,7 +67,7 @@ def test_links_and_files_are_refused(folders):
     link.symlink_to(folders[1])
     file.touch(mode=0o600)
     for path in (link, link / "c", file):
-        with pytest.raises(PermissionError, match="is not a folder"):
+        with refused(PermissionError, "folder"):
             check_private(path)
     with pytest.raises(FileNotFoundError):
         check_private(folders[0] / "none")
@@ -84,12 +85,12 @@ def test_temporary_folder_is_private(folders, monkeypatch):
     finally:
         os.umask(old)
     folders[-1].chmod(0o777)
-    with pytest.raises(RuntimeError, match=r"can be changed by other users, mode 777\); set TMPDIR"):
+    with refused(RuntimeError, "777", "TMPDIR"):
         with private_folder():
             pass
     assert list(folders[-1].iterdir()) == []
     monkeypatch.setattr(tempfile, "tempdir", str(folders[-1] / "none"))
-    with pytest.raises(RuntimeError, match="set TMPDIR"):
+    with refused(RuntimeError, "TMPDIR"):
         with private_folder():
             pass
 
@@ -120,7 +121,7 @@ def test_temporary_folder_by_any_path(folders, monkeypatch, way, absolute):
         assert own.parent == folders[-1] and own.name.startswith("coadjoint-")
         (own / "file").touch()
     folders[1].chmod(0o777)
-    with pytest.raises(RuntimeError, match=rf"{folders[-1]} are not safe \({folders[1]} can be changed by other users"):
+    with refused(RuntimeError, folders[-1], folders[1]):
         with private_folder():
             pass
     assert not os.listdir(folders[-1])
@@ -199,7 +200,7 @@ def test_removed_temporary_folder_is_refused(folders, monkeypatch):
         raise FileNotFoundError(errno.ENOENT, "No such file or directory", str(path))
 
     monkeypatch.setattr("coadjoint.private_folders.check_private", gone)
-    with pytest.raises(RuntimeError, match=rf"temporary files in {folders[-1]} are not safe \(.*No such file"):
+    with refused(RuntimeError, folders[-1], "No such file"):
         with private_folder():
             pass
 
@@ -209,7 +210,7 @@ def test_workers_require_a_private_folder(folders, monkeypatch):
     """A worker imports from its temporary folder."""
     monkeypatch.setattr(tempfile, "tempdir", str(folders[-1]))
     folders[1].chmod(0o777)
-    with pytest.raises(RuntimeError, match="set TMPDIR to a folder of your own"):
+    with refused(RuntimeError, "TMPDIR"):
         co.integrate_ensemble(co.systems.rigid_body((1, 2, 3)), [[1.0, 0.2, 0.5]], (0, 1), 0.1, workers=1)
 
 
@@ -225,7 +226,7 @@ def test_folders_of_root_are_private_for_all(tmp_path):
         os.chown(own, OTHER_USER, OTHER_USER)
         paths = os.environ | {"PYTHONPATH": str(Path(co.__file__).parents[1])}
         assert subprocess.run([sys.executable, "-c", code, str(own)], env=paths, timeout=60).returncode == 0
-        with pytest.raises(PermissionError, match="belongs to another user"):
+        with refused(PermissionError, "user"):
             check_private(own)
     finally:
         own.rmdir()
@@ -243,11 +244,11 @@ def test_folders_of_the_user_are_private_where_modes_are_not_those_of_posix(tmp_
         windows.delattr(os, "geteuid")
         check_private(home / "temporary")
         for folder in others:
-            with pytest.raises(PermissionError, match=f"{folder.name} is not in the folder of this user"):
+            with refused(PermissionError, folder.name):
                 check_private(folder)
         windows.setattr(tempfile, "tempdir", str(home / "temporary"))
         with private_folder() as folder:
             assert folder.parent == home / "temporary"
         windows.setattr(tempfile, "tempdir", str(tmp_path / "other"))
-        with pytest.raises(RuntimeError, match="set TMPDIR to a folder of your own"), private_folder():
+        with refused(RuntimeError, "TMPDIR"), private_folder():
             pass

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from refusals import refused
 
 X = (0.1, 1.0, 0.2)
 
@@ -94,23 +95,23 @@ def test_forces_preserving_different_casimirs_are_refused():
 
     assert len(co.batch([damped(True, False), damped(True, False)])) == 2
     for other in (damped(True, True), damped(False, True), damped(False, False)):
-        with pytest.raises(ValueError, match=r"member 2 .* forces .* Casimirs"):
+        with refused(ValueError, "member 2", "forces", "Casimirs"):
             co.batch([damped(True, False), damped(True, False), other])
     for fewer in (damped(True), damped(True, False, False)):
-        with pytest.raises(ValueError, match=r"member 1 .* forces drag.* drag, drag 2"):
+        with refused(ValueError, "member 1", "drag, drag 2"):
             co.batch([damped(True, False), fewer])
 
 
 @pytest.mark.parametrize("shape", [(2, 3), (4, 3), (3, 2), (3, 1, 3), (4,), ()])
 def test_wrong_shapes_of_x0_are_refused(shape):
     batch = co.batch([body(1, 2, 3), body(1, 2, 2.5), body(1, 2, 2.75)])
-    with pytest.raises(ValueError, match=r"batch of 3 members .*\(3, 3\).*\(3,\)"):
+    with refused(ValueError, "3 members", "(3, 3)", "(3,)"):
         co.integrate(batch, np.ones(shape), (0, 1), 0.1)
 
 
 def test_stepper_refuses_a_batch():
     batch = co.batch([body(1, 2, 3)])
-    with pytest.raises(TypeError, match="one system"):
+    with refused(TypeError, "one system"):
         co.stepper(batch, co.Splitting(), 0.1)
     assert co.integrate(batch, X, (0, 1), 0.1).x.shape == (11, 1, 3)
 
@@ -118,7 +119,7 @@ def test_stepper_refuses_a_batch():
 def test_unsupported_member_is_named():
     split = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 2.0, 3.0]))
     coupled = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(2, 1, 0): 1.0}))
-    with pytest.raises(ValueError, match=r"member 1 .*Splitting"):
+    with refused(ValueError, "member 1", "Splitting"):
         co.integrate(co.batch([split, coupled]), X, (0, 1), 0.1, co.Splitting())
 
 
@@ -129,7 +130,7 @@ def test_representations_of_different_sizes_are_refused():
     batch = co.batch(
         [co.LiePoissonSystem(so3, co.Quadratic(M), representation=r) for M, r in ((1.0, None), (2.0, larger))]
     )
-    with pytest.raises(ValueError, match=r"member 1 .* representation of shape \(3, 4, 4\)"):
+    with refused(ValueError, "member 1", "representation", "(3, 4, 4)"):
         co.integrate(batch, X, (0, 1), 0.1, attitude=True)
     assert co.integrate(batch, X, (0, 1), 0.1, attitude="coadjoint").attitude.shape == (11, 2, 3, 3)
 

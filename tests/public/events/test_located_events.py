@@ -7,6 +7,7 @@ import pytest
 from scipy.special import ellipk
 
 import coadjoint as co
+from refusals import refused
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -179,9 +180,9 @@ def test_selections_of_crossings_are_complete():
     assert np.array_equal(picked[-1].ends(5), ends) and np.array_equal(found.of(3).ends(5)[3:4], ends[3:4])
     assert np.array_equal(found["flip"].ends(5), ends)
     for wrong in (3, -1, "x1"):
-        with pytest.raises(ValueError, match="event"):
+        with refused(ValueError, "event"):
             found[wrong]
-    with pytest.raises(TypeError, match="take one event by its name"):
+    with refused(TypeError, "event"):
         iter(found)
 
 
@@ -205,13 +206,13 @@ def test_wrong_events_are_refused():
     for wrong, error in (("y9", ValueError), (3, ValueError), (None, TypeError), (True, TypeError)):
         with pytest.raises(error):
             co.integrate(BODY, FLIPPING, (0, 1), 0.125, events=co.Event(wrong))
-    with pytest.raises(ValueError, match="direction"):
+    with refused(ValueError, "direction", "2"):
         co.Event("x1", direction=2)
-    with pytest.raises(ValueError, match="two events have the name"):
+    with refused(ValueError, "name", "a"):
         co.integrate(BODY, FLIPPING, (0, 1), 0.125, events=[co.Event(0, name="a"), co.Event(1, name="a")])
-    with pytest.raises(TypeError, match="give an Event"):
+    with refused(TypeError, "Event"):
         co.integrate(BODY, FLIPPING, (0, 1), 0.125, events="x1")
-    with pytest.raises(co.IntegrationError, match="not a number at t = "):
+    with refused(co.IntegrationError, "not a number", "t = "):
         co.integrate(BODY, FLIPPING, (0, 20), 0.125, events=co.Event(lambda x: np.sqrt(x[1])))
 
 

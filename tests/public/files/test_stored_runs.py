@@ -29,6 +29,7 @@ from stored_systems import (
 
 import coadjoint as co
 from configuration_files import READY_MADE
+from refusals import refused
 from served import FLUID, serves, state_of
 
 X = (0.3, -0.2, 0.5)
@@ -369,7 +370,7 @@ def test_an_initial_coadjoint_matrix_is_stored(name, tmp_path):
     sol = co.prepare(system, method, 0.05, attitude="coadjoint").run(x0, span, attitude=element, **options)
     dataset = sol.to_xarray()
     assert_same_run(co.results.rebuild(dataset), sol)
-    with pytest.raises(ValueError, match=r"coadjoint matrix"):
+    with refused(ValueError, "coadjoint matrix"):
         co.results.solution_inputs(dataset)
     dataset.to_netcdf(tmp_path / "run.nc")
     read = co.load(tmp_path / "run.nc")
@@ -454,12 +455,12 @@ def test_functions_are_named_and_given_again_to_load(name, tmp_path):
     said = dataset.attrs["not_stored"].removeprefix("functions are not stored: ").split(", ")
     assert len(said) == len(lost) and all(map(str.startswith, said, lost)), said
     for repeat in (co.results.rebuild, co.results.solution_inputs):
-        with pytest.raises(ValueError, match="functions are not stored"):
+        with refused(ValueError, "functions"):
             repeat(dataset)
     dataset.to_netcdf(tmp_path / "run.nc")
     loaded = co.load(tmp_path / "run.nc")
     assert same_bits(loaded.x, sol.x)
-    with pytest.raises(ValueError, match="not stored"):
+    with refused(ValueError, "stored"):
         _ = loaded.system
     assert co.load(tmp_path / "run.nc", system=system).system is system
 
@@ -482,13 +483,13 @@ def test_functions_that_do_not_move_a_run_are_named_and_left_out():
         assert each in said
     again = co.results.rebuild(dataset)
     assert same_bits(again.x, sol.x) and list(again.casimirs) == ["C"] and list(again.system.integrals) == ["x3"]
-    with pytest.raises(TypeError, match="own"):
+    with refused(TypeError, "own"):
         again.system.exact(np.array(X), 1.0)
     spiral = co.LiePoissonSystem(co.algebras.A3_7(2.0), co.Quadratic([1.0, 2.0, 0.01]))
     dataset = co.integrate(spiral, X, (0.0, 1.0), 0.1).to_xarray()
     assert dataset.attrs["not_stored"].endswith("casimir: log C") and list(co.results.rebuild(dataset).casimirs) == []
     ended = co.integrate(BODY, X, (0.0, 40.0), 0.125, events=co.Event(lambda x: x[1], name="mine", terminal=True))
-    with pytest.raises(ValueError, match="ended by an event, and mine"):
+    with refused(ValueError, "event", "mine"):
         co.results.rebuild(ended.to_xarray())
 
 
@@ -506,5 +507,5 @@ def test_loaded_crossings_of_functions_have_their_names(tmp_path, first, termina
     assert np.array_equal(loaded.events.ends(2), sol.events.ends(2), equal_nan=True)
     asked = loaded.events.asked[loaded.events.names.index("mine")]
     assert (asked.count, asked.terminal, asked.direction) == (3, terminal, 0)
-    with pytest.raises(ValueError, match="not stored"):
+    with refused(ValueError, "stored"):
         asked.g(np.ones(3), 0.0)

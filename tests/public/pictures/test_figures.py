@@ -144,10 +144,10 @@ def test_pictures_that_need_an_attitude_are_left_out_without_one():
     x0, span = (0.1, 0.0, 2.0, 0.6, 0.0, 0.8), (0.0, 4.0)
     bare = co.integrate(top, x0, span, 0.05)
     assert [axes.get_xlabel() for axes in bare.plot().axes] == ["", "time $t$"]
-    with pytest.raises(co.plotting.CannotShow, match="attitude=True"):
+    with refused(co.plotting.CannotShow, "attitude=True"):
         bare.plot("nutation")
     carried = co.integrate(top, x0, span, 0.05, attitude="coadjoint")
-    with pytest.raises(co.plotting.CannotShow, match="attitude=True"):
+    with refused(co.plotting.CannotShow, "attitude=True"):
         carried.plot("body axis")
 
 
@@ -190,20 +190,20 @@ def test_names_options_and_axes_that_are_wrong_are_refused():
         ("path in space", "SE"),
         ("observed", "observe="),
     ]:
-        with pytest.raises(ValueError, match=said):
+        with refused(ValueError, said):
             run.plot(wrong)
-    with pytest.raises(TypeError, match="panel"):
+    with refused(TypeError, "panel"):
         run.plot([3])
-    with pytest.raises(ValueError, match="did you mean"):
+    with refused(ValueError, "x9"):
         run.plot(components=["x9"])
-    with pytest.raises(ValueError, match="from 0 to 2"):
+    with refused(ValueError, "coordinate", "3"):
         run.plot(components=[3])
     flat = Figure().subplots(1, 2)
-    with pytest.raises(ValueError, match="2 entries, and there are 1 panels"):
+    with refused(ValueError, "axes", "2", "1"):
         run.plot("drift", axes=flat)
-    with pytest.raises(ValueError, match="3d"):
+    with refused(ValueError, "3d"):
         run.plot("coadjoint orbit", axes=flat[0])
-    with pytest.raises(TypeError, match="axes of Matplotlib"):
+    with refused(TypeError, "axes", "here"):
         run.plot("drift", axes=["here"])
     assert run.plot(["drift", "components"], axes=flat) is flat[0].figure
     assert [len(axes.lines) for axes in flat] == [2, 3]
@@ -344,6 +344,6 @@ def test_styles_that_do_not_exist_are_refused(run, style, message):
 def test_settings_end_with_the_figure(run):
     before = dict(matplotlib.rcParams)
     run.plot(["components"], style={"font.size": 14.0}, width=4.0)
-    with pytest.raises(ValueError, match="unknown kind of picture"):
+    with refused(ValueError, "component"):
         run.plot(["component"], style="grayscale")
     assert dict(matplotlib.rcParams) == before

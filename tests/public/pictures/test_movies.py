@@ -141,7 +141,7 @@ def test_what_is_wrong_is_refused_and_nothing_is_left(fluid, tmp_path):
     ]:
         with refused(ValueError, said):
             run.movie(tmp_path / "run.gif", **options)
-    with pytest.raises((ValueError, OSError), match=r"\.mp4 or \.gif"):
+    with refused((ValueError, OSError), ".mp4", ".gif"):
         fluid.movie(tmp_path / "run.avi")
     assert list(tmp_path.iterdir()) == []
 

@@ -28,6 +28,7 @@ from test_pictures_over_time import bodies, curves
 
 import coadjoint as co
 from group_elements import random_element
+from refusals import refused
 
 
 def shown_on_globe(axes: Any, shade: Any, view: tuple[float, float], path: np.ndarray) -> None:
@@ -96,9 +97,9 @@ def test_vectors_have_colours_labels_and_gaps_of_their_own():
         np.testing.assert_allclose(data(dot)[:, 0], flat[0], rtol=0, atol=1e-12)
         assert dot.get_markerfacecolor() == (colour(i) if depth[0] >= 0.0 else "white")
     assert axes.get_title() == "both"
-    with pytest.raises(co.plotting.CannotShow, match="made of 4 coordinates, and the state has 3"):
+    with refused(co.plotting.CannotShow, "4", "3"):
         axes_of(made(x), "directions", vectors={"v": np.ones((3, 4))})
-    with pytest.raises(co.plotting.CannotShow, match="the state has 3"):
+    with refused(co.plotting.CannotShow, "3"):
         axes_of(made(x), "directions", vectors={"v": (1, 2, 3)})
 
 
@@ -127,7 +128,7 @@ def test_axes_in_space_of_members_that_hang_down():
         np.testing.assert_allclose(axes.lines[2 * m].get_ydata(), wanted, rtol=0, atol=1e-6)
     assert given.tolist() == [0.0, 3.0, 4.0] and axes.get_title() == "nutation of the axis of the body (dot: start)"
     for wrong in ((0.0, 0.0, 0.0), (1.0, 2.0)):
-        with pytest.raises(ValueError, match="the number of an axis, or a direction"):
+        with refused(ValueError, "axis"):
             axes_of(run, "nutation", axis=wrong)
 
 
@@ -152,7 +153,7 @@ def test_group_elements_that_are_no_rotations_have_no_axes():
     A = np.repeat(np.eye(3)[None], 200, axis=0)
     A[:, 0, 2] = TURN
     for wrong in (A, np.repeat(np.eye(2)[None], 200, axis=0), 1.5 * rotations((1, 0, 0), TURN)):
-        with pytest.raises(co.plotting.CannotShow, match="no attitude that is a rotation"):
+        with refused(co.plotting.CannotShow, "attitude", "rotation"):
             axes_of(made(np.ones((200, 3)), attitude=wrong, carried="representation"), "body axis")
 
 
@@ -216,9 +217,9 @@ def test_ellipses_have_the_moments():
         qq, qp, pp = run.x[k]
         level = np.einsum("ki,ij,kj->k", curve, np.linalg.inv([[qq, qp], [qp, pp]]), curve)
         np.testing.assert_allclose(level, 1.0, rtol=1e-12)
-    with pytest.raises(TypeError, match="moments, or a function"):
+    with refused(TypeError, "moments"):
         shown(run, Picture("phase ellipse"))
-    with pytest.raises(co.plotting.CannotShow, match="the state has 3"):
+    with refused(co.plotting.CannotShow, "3"):
         shown(run, Picture("phase ellipse", moments=(0, 1, 7)))
 
 

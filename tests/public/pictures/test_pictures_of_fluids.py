@@ -10,6 +10,7 @@ from drawn_runs import SENSES, T0, Picture, axes_of, colour, data, made, partial
 
 import coadjoint as co
 from long import long_beyond
+from refusals import refused
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +150,7 @@ def test_matrices_of_ones_own_show_their_eigenvalues():
     run = co.integrate(body, W, (0.0, 1.0), 0.05, co.IsospectralGauss())
     titles = [axes.get_title() for axes in run.plot().axes]
     assert titles[-1].startswith("spectrum of $W$") and "components" in titles[1]
-    with pytest.raises(co.plotting.CannotShow, match="body of mine has no vorticity"):
+    with refused(co.plotting.CannotShow, "body of mine", "vorticity"):
         run.plot("vorticity")
 
 
@@ -191,9 +192,9 @@ def test_complex_spectra_are_drawn_in_the_plane():
 def test_what_is_no_fluid_is_refused_by_name(ball):
     body = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.1, 1.0, 0.2), (0.0, 1.0), 0.1)
     for kind in ("vorticity", "field spectra", "energy by scale"):
-        with pytest.raises(co.plotting.CannotShow, match="rigid_body has no vorticity"):
+        with refused(co.plotting.CannotShow, "rigid_body", "vorticity"):
             body.plot(kind)
-    with pytest.raises(co.plotting.CannotShow, match="rigid_body is not a matrix"):
+    with refused(co.plotting.CannotShow, "rigid_body", "matrix"):
         body.plot("eigenvalues")
     for options, said in [
         ({"part": "lage"}, "did you mean 'large'"),
@@ -202,7 +203,7 @@ def test_what_is_no_fluid_is_refused_by_name(ball):
         ({"limit": 0.0}, "limit"),
         ({"centre": (0.0, np.nan)}, "latitude of centre"),
     ]:
-        with pytest.raises(ValueError, match=said):
+        with refused(ValueError, said):
             ball.plot([Picture("vorticity", **options)])
 
 
@@ -292,7 +293,7 @@ def test_fluids_whose_first_member_fails_have_no_spectrum_at_the_end(bad):
     assert np.isfinite(image.get_clim()).all() and image.get_clim()[1] > 0.0
     assert len(axes_of(run, "eigenvalues", at=0.0).lines) == 2
     if bad == 0:
-        with pytest.raises(co.plotting.CannotShow, match=r"failed before t = 8\.3"):
+        with refused(co.plotting.CannotShow, "8.3"):
             axes_of(run, "eigenvalues")
     else:
         assert len(axes_of(run, "eigenvalues").lines) == 2

@@ -79,7 +79,7 @@ def test_spins_of_space_and_of_any_graph():
         np.testing.assert_allclose(turn[1:], 2.0 * np.pi * np.arange(1, count) / count, rtol=1e-13)
     body = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.1, 1.0, 0.2), (0.0, 1.0), 0.1)
     assert isinstance(shown(body, "spins").collections[0], Quiver), "one spin of any system"
-    with pytest.raises(co.plotting.CannotShow, match="8 coordinates"):
+    with refused(co.plotting.CannotShow, "8"):
         shown(co.integrate(co.systems.toda_ring(4), np.ones(8), (0.0, 1.0), 0.1), "spins")
 
 
@@ -121,7 +121,7 @@ def test_a_field_by_its_values():
     given = {"width": lambda body: 6.0, "label": "heat"}
     axes = shown(run, Picture("field", values=lambda body, x: x[0] * grid, at=1.0, **given))
     assert axes.get_title() == "heat at $t$ = 2" and axes.get_xlim() == (0.0, 6.0) and axes.get_ylim() == (0.0, 6.0)
-    with pytest.raises(TypeError, match="modes, or a function"):
+    with refused(TypeError, "modes"):
         shown(run, Picture("field", **given))
 
 

@@ -156,7 +156,7 @@ def test_errors_are_those_of_each_member_at_its_times(sense, members):
 
 def test_errors_need_a_closed_form():
     for system in (co.systems.heavy_top(), co.batch([BODY, co.systems.rigid_body((1, 2, 2.5))])):
-        with pytest.raises(co.plotting.CannotShow, match="no closed form is known for"):
+        with refused(co.plotting.CannotShow, "closed form"):
             shown(co.integrate(system, np.ones(system.dim), (0.0, 1.0), 0.1), "error")
 
 
@@ -256,7 +256,7 @@ def test_portraits_have_a_dot_at_each_start_and_the_scales_asked_for():
     assert axes.get_title() == "an orbit (dot: start)"
     free = axes_of(run, "phase portrait")
     assert free.get_aspect() == "auto" and (free.get_xlabel(), free.get_ylabel()) == ("$x_{1}$", "$x_{2}$")
-    with pytest.raises(co.plotting.CannotShow, match="coordinate 3 is drawn, and the state has 3"):
+    with refused(co.plotting.CannotShow, "coordinate 3"):
         axes_of(run, "phase portrait", up=3)
 
 
@@ -267,7 +267,7 @@ def test_components_asked_for_are_those_of_the_figure():
     several = [line for line in axes[1].lines if len(line.get_xdata()) == len(run.t)]
     for line, (m, i) in zip(several, ((0, 2), (1, 2), (0, 0), (1, 0)), strict=True):
         np.testing.assert_array_equal(line.get_ydata(), run.x[:, m, i])
-    with pytest.raises(ValueError, match="components is empty"):
+    with refused(ValueError, "components"):
         run.plot(components=[])
     many = made(np.ones((3, 25, 3)))
     with refused(ValueError, "from 1 to 20"):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from refusals import refused
 
 BODY, X0 = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, 1.0, 0.2)
 TOP = co.systems.heavy_top()
@@ -100,5 +101,5 @@ def test_runs_without_a_rotation_are_named():
             attitude=True,
         ),
     ):
-        with pytest.raises(TypeError, match="has no attitude that is a rotation in three dimensions"):
+        with refused(TypeError, "attitude", "rotation"):
             _ = sol.rotation

@@ -8,6 +8,7 @@ import pytest
 
 import coadjoint as co
 from group_elements import random_element
+from refusals import refused
 
 U = 2.0**-53
 BODY = co.systems.rigid_body((1, 2, 3))
@@ -118,17 +119,17 @@ def test_states_of_failed_steps_are_erased(size):
     ],
 )
 def test_wrong_output_times_are_refused(times, words):
-    with pytest.raises(ValueError, match=re.escape(words)):
+    with refused(ValueError, words):
         co.integrate(BODY, X, (0, 1), STEP, t_eval=times)
 
 
 def test_conflicting_arguments_and_empty_spans():
-    with pytest.raises(ValueError, match="save_every and t_eval; give only one"):
+    with refused(ValueError, "save_every", "t_eval"):
         co.integrate(BODY, X, (0, 1), STEP, save_every=2, t_eval=[0.5])
-    with pytest.raises(TypeError, match="t_eval"):
+    with refused(TypeError, "t_eval", "now"):
         co.integrate(BODY, X, (0, 1), STEP, t_eval="now")
     assert np.array_equal(co.integrate(BODY, X, (1, 1), STEP, t_eval=[1.0, 1.0]).x, [X, X])
-    with pytest.raises(ValueError, match=r"t_eval\[0\] is 0.6.* from 0.5 to 0"):
+    with refused(ValueError, "t_eval[0]", "0.6", "0.5"):
         co.integrate(BODY, X, (0.5, 0), 0.25, t_eval=[0.6])
 
 
@@ -207,7 +208,7 @@ class TestAt:
         assert np.abs(there.x[first] - sol.events.of(first).x[-1]).max() < 32 * 70 * U * np.abs(x0).max()
         last = float(way * np.max(way * ends))
         assert np.isfinite(sol.at(last).x).sum() == 3
-        with pytest.raises(ValueError, match=f"after events ended .* {last:g}"):
+        with refused(ValueError, f"{last:g}"):
             sol.at([0.0, end])
 
 
@@ -269,8 +270,8 @@ def test_how_far_beyond_the_end_times_may_be(size, span, times, steps):
     for beyond in (end + way * 1.2 * allowed, t0 - way * 1.2 * allowed):
         row = np.append(inside, beyond) if abs(beyond - end) < step / 2 else np.append(beyond, inside)
         for call in (lambda row=row: ready.run(X, (t0, end), t_eval=row), lambda row=row: sol.at(row)):
-            with pytest.raises(ValueError, match="must lie within") as refused:
+            with pytest.raises(ValueError, match="must lie within") as error:
                 call()
             # The numbers in the message differ as those that were given.
-            shown = [float(text) for text in re.findall(r"-?\d+(?:\.\d+)?(?:e[+-]\d+)?", str(refused.value))[-3:]]
+            shown = [float(text) for text in re.findall(r"-?\d+(?:\.\d+)?(?:e[+-]\d+)?", str(error.value))[-3:]]
             assert len(set(shown)) == 3 and (shown[0] - shown[1]) * (shown[0] - shown[2]) > 0.0

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from refusals import refused
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -89,7 +90,7 @@ def test_stepper_with_inputs():
             near = [(step(x + d, linear=gravity) - step(x - d, linear=gravity)) / 2e-5 for d in 1e-5 * np.eye(6)]
             assert np.abs(step.tangent(x, linear=gravity) - np.transpose(near)).max() < 1e-8
         assert step.tangent_by(x, linear=linear[3:]) == "formula"
-    with pytest.raises(ValueError, match="at one state"):
+    with refused(ValueError, "one state"):
         step.tangent(x, linear=np.zeros((2, 3)))
 
 
@@ -112,14 +113,14 @@ def test_wrong_inputs_are_refused():
             ready.run(x, (0, 1), **given)
     steep = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([[1.0, 0.7, 0.0], [0.7, 0.9, 0.3], [0.0, 0.3, 1.0]]))
     apart = co.Splitting(order=2, parts="coordinates")
-    with pytest.raises(ValueError, match="the linear term is too large"):
+    with refused(ValueError, "linear"):
         co.prepare(steep, apart, 0.1, inputs=True).run(x, (0, 1), linear=(1.7e308, -1.7e308, 1.7e308))
-    with pytest.raises(ValueError, match=r"x0 has 3 members.*inputs.* 2"):
+    with refused(ValueError, "x0", "3", "inputs", "2"):
         ready.run(np.tile(x, (3, 1)), (0, 1), rotors=np.zeros((2, 3)))
-    with pytest.raises(TypeError, match="prepared without inputs"):
+    with refused(TypeError, "linear", "inputs"):
         co.prepare(body, None, 0.1).run(x, (0, 1), linear=np.zeros(3))
     two = co.prepare(body, None, 0.1, inputs={"a": (0,), "b": (1, 2)})
-    with pytest.raises(ValueError, match=r"b has the shape \(3, 2\)"):
+    with refused(ValueError, "b has", "(3, 2)"):
         two.run(x, (0, 1), a=np.zeros((2, 1)), b=np.zeros((3, 2)))
     given = [
         (ValueError, "coordinate 1 more than once", {"a": (0, 1), "b": (1,)}),
@@ -133,13 +134,13 @@ def test_wrong_inputs_are_refused():
     for kind, words, inputs in given:
         with pytest.raises(kind, match=words):
             co.prepare(body, None, 0.1, inputs=inputs)
-    with pytest.raises(TypeError, match="inputs are for one system"):
+    with refused(TypeError, "inputs", "one system"):
         co.prepare(co.batch([body, body]), None, 0.1, inputs=True)
     whole = co.Hamiltonian(lambda x: x[0] ** 2, lambda x: np.array([2 * x[0], 0.0, 0.0]))
-    with pytest.raises(TypeError, match="Hamiltonian, which has no linear term"):
+    with refused(TypeError, "Hamiltonian", "linear term"):
         co.prepare(co.LiePoissonSystem(co.algebras.so(3), whole), co.GaussLegendre(2), 0.1, inputs=True)
     split_up = co.SplitHamiltonian([((0,), co.Quadratic(2.0)), ((0,), co.Quadratic(1.0))])
-    with pytest.raises(ValueError, match=r"pieces 0 and 1 .* coordinate 0"):
+    with refused(ValueError, "pieces 0 and 1", "coordinate 0"):
         co.prepare(co.LiePoissonSystem(co.algebras.so(3), split_up), None, 0.1, inputs=True)
 
 
@@ -163,9 +164,9 @@ def test_states_at_any_time_use_the_inputs_of_the_run(way):
 
 def test_names_of_parameters_are_no_names_of_the_linear_term():
     satellite = co.systems.gyrostat(inertia=(1, 2, 3), rotors=(0, 0, 0.5))
-    with pytest.raises(ValueError, match=r"'rotors', a parameter of gyrostat, .*coefficients of the linear term"):
+    with refused(ValueError, "'rotors'", "gyrostat", "linear term"):
         co.prepare(satellite, None, 0.1, inputs={"rotors": (0, 1, 2)})
-    with pytest.raises(ValueError, match="'field', a parameter of spin_lattice"):
+    with refused(ValueError, "'field'", "spin_lattice"):
         co.prepare(co.systems.spin_lattice(shape=2), co.Splitting(order=2), 0.1, inputs={"field": (0, 1, 2)})
     own = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 2, 3], linear=[0, 0, 1]), sign=-1)
     assert co.prepare(own, None, 0.1, inputs={"linear": (0, 2), "field": (1,)}).takes_inputs

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from refusals import refused
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -35,10 +36,10 @@ def test_torque_inputs_beside_functions():
     sol = co.prepare(sl, co.GaussLegendre(2), STEP, inputs={"N": "Torque 2"}).run(x, SPANS[0], N=N)
     changed = sl.system.with_forces(wave, co.forces.Torque(N))
     assert np.array_equal(sol.x, co.integrate(changed, x, SPANS[0], STEP, co.GaussLegendre(2)).x)
-    with pytest.raises(TypeError, match="Hamiltonian, which has no linear term"):
+    with refused(TypeError, "Hamiltonian", "linear term"):
         co.prepare(sl, co.GaussLegendre(2), STEP, inputs={"N": "Torque 2", "field": (0,)})
     for label, kind in (("Torque", "Torque"), ("drag", "OwnForce")):
-        with pytest.raises(TypeError, match=rf"inputs has '{label}' for N, which is .{kind}\(.*only a constant Torque"):
+        with refused(TypeError, "inputs", f"'{label}'", f"{kind}(", "constant Torque"):
             co.prepare(sl.with_forces(drag), co.GaussLegendre(2), STEP, inputs={"N": label})
 
 
@@ -64,5 +65,5 @@ def test_wrong_torque_inputs_are_refused():
     ):
         with pytest.raises(kind, match=words):
             ready.run((0.1, 1.0, 0.2), (0, 1), N=torque)
-    with pytest.raises(ValueError, match="tangent is taken at one state"):
+    with refused(ValueError, "one state"):
         co.stepper(pushed, co.Splitting(), 0.1, inputs={"N": "Torque"}).tangent((0.1, 1.0, 0.2), N=np.zeros((2, 3)))
