@@ -180,7 +180,6 @@ class Runge(co.methods.StepMethod):
         return x + h * system.vector_field(x + h / 2 * system.vector_field(x, t), t)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("schemes", "method", "check", "begin"),
     [
