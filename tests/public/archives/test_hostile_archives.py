@@ -367,6 +367,7 @@ CASES = [
 ]  # fmt: skip
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(("name", "change", "named"), CASES, ids=[f"{k} {c[0]}" for k, c in enumerate(CASES)])
 def test_contradiction_is_named(base, tmp_path, name, change, named):
     path = tmp_path / "run.zarr"
