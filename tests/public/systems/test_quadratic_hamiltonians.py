@@ -119,6 +119,8 @@ def test_a_million_coordinates_stay_sparse():
     assert H.value(np.ones(n)) == 1.0
     assert H.terms()[0].values.size == 3 * n - 2
     assert "nonzero" in repr(H)
+    twice = H + co.Quadratic(M) / 2
+    assert twice.value(np.ones(n)) == 1.5 and len((H - H).terms()[0].values) == 0
 
 
 def sparse_symmetric(n, seed, density=0.35):

@@ -4,7 +4,6 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from scipy import sparse
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
@@ -12,33 +11,8 @@ from refusals import refused
 
 pytestmark = pytest.mark.thinned(3)
 rng = np.random.default_rng(11)
-A, B = (M + M.T for M in rng.normal(size=(2, 6, 6)))
-a, b = rng.normal(size=(2, 6))
-
-
-def test_quadratic_ones_add_up_to_a_quadratic_one():
-    H = co.Quadratic(A, linear=a, constant=0.5) + 3.0 * co.Quadratic(B, linear=b, constant=2.0)
-    assert isinstance(H, co.Quadratic)
-    x = rng.normal(size=6)
-    expected = 0.5 * x @ (A + 3 * B) @ x + (a + 3 * b) @ x + 6.5
-    np.testing.assert_allclose(H.value(x), expected, rtol=1e-14)
-    np.testing.assert_array_equal(H.hessian(x), A + 3 * B)
-    np.testing.assert_array_equal((H - H).hessian(x), np.zeros((6, 6)))
-    np.testing.assert_array_equal((-co.Quadratic(A)).hessian(x), -A)
-    np.testing.assert_array_equal((co.Quadratic(2.0) + co.Quadratic(A)).hessian(x), A + 2 * np.eye(6))
-    np.testing.assert_array_equal(sum([co.Quadratic(A), co.Quadratic(B)]).hessian(x), A + B)
-
-
-def test_fractions_stay_exact():
-    third = co.Quadratic([Fraction(1, 3), Fraction(1)])
-    H = third + 2 * third
-    assert H.exact and H.to_polynomial() == co.Polynomial({(2, 0): Fraction(1, 2), (0, 2): Fraction(3, 2)})
-
-
-def test_a_polynomial_and_a_quadratic_one_are_a_polynomial():
-    P = co.Polynomial("x1*x2*x3", dim=3)
-    written = co.Polynomial("x1*x2*x3 + 0.5*x1^2 + x2^2", dim=3)
-    assert P + co.Quadratic([1.0, 2.0, 0.0]) == written == co.Quadratic([1.0, 2.0, 0.0]) + P
+A, a = rng.normal(size=(3, 3)), rng.normal(size=3)
+A = A + A.T
 
 
 def test_scalars_take_the_dimension_of_the_other_summand():
@@ -65,7 +39,7 @@ def test_properties_of_a_sum_are_those_of_what_is_written_out(method):
 
 
 KINDS = {
-    "quadratic": lambda: co.Quadratic(A[:3, :3], linear=a[:3], constant=0.25),
+    "quadratic": lambda: co.Quadratic(A, linear=a, constant=0.25),
     "scalar": lambda: co.Quadratic(1.5),
     "fractions": lambda: co.Quadratic([Fraction(1, 3), 2, Fraction(5, 7)], constant=Fraction(1, 9)),
     "polynomial": lambda: co.Polynomial("x1*x2*x3 + 0.25*x1^4 - x2 + 2", dim=3),
@@ -157,15 +131,6 @@ def test_multiples_run_as_what_is_written_at_once(first, second):
         ]
         # Order eight is far below the tolerance of the reference; order four has h^4 times a constant of brackets.
         assert errors[0] < 1e-11 and (len(errors) == 1 or errors[2] < errors[1] / 8 < 64.0**-4)
-
-
-def test_many_entries_stay_sparse():
-    n = 20_000
-    chain = sparse.diags_array([np.ones(n - 1), np.ones(n - 1)], offsets=[-1, 1])
-    H = co.Quadratic(sparse.eye_array(n)) + co.Quadratic(chain) / 2
-    y = np.ones(n)
-    assert H.value(y) == n / 2 + (n - 1) / 2
-    assert len(H.terms()[0].values) == 3 * n - 2 and len((H - H).terms()[0].values) == 0
 
 
 def test_sums_are_saved_and_read_back(tmp_path):
