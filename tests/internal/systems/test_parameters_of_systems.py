@@ -37,14 +37,12 @@ VARIANTS = [
 ]
 
 
-def cases():
-    """Arguments of ready-made systems, and the names of those by which they are differentiated."""
-    for name, given in [*((name, {}) for name in co.systems.names()), *VARIANTS]:
-        system = co.systems.get(name, **given)
-        yield from ((name, given, parameter) for parameter in parameters_of(system) if parameter in system.parameters)
-
-
-CASES = list(cases())
+CASES = [
+    (name, given, parameter)
+    for name, given in [*((name, {}) for name in co.systems.names()), *VARIANTS]
+    for parameter in parameters_of(co.systems.get(name, **given))
+    if parameter in co.systems.get(name, **given).parameters
+]
 
 
 def moved(value, index, by, symmetric):
@@ -118,12 +116,6 @@ def test_arguments_that_enter_coefficients_alone_are_parameters(name, given, nam
         assert np.array_equal(found[parameter].value, np.asarray(system.parameters[parameter], dtype=float))
 
 
-def form(system):
-    """Return M and the linear term."""
-    zero = np.zeros(system.dim)
-    return system.hamiltonian.hessian(zero), system.hamiltonian.gradient(zero)
-
-
 SO3 = co.algebras.so(3)
 FULL = np.array(TENSOR)
 
@@ -133,10 +125,10 @@ FULL = np.array(TENSOR)
 )
 def test_parameters_of_quadratic_energies_are_m_and_the_linear_term(M, shape):
     system = co.LiePoissonSystem(SO3, co.Quadratic(M, linear=(0.0, 0.5, -1.0)))
-    found, (matrix, linear) = parameters_of(system), form(system)
+    found, matrix = parameters_of(system), system.hamiltonian.hessian(np.zeros(3))
     assert found["M"].value.shape == shape
     assert np.array_equal(found["M"].value, np.diag(matrix) if len(shape) == 1 else matrix)
-    assert np.array_equal(found["linear"].value, linear)
+    assert np.array_equal(found["linear"].value, [0.0, 0.5, -1.0])
     x = np.array([[1.0, 2.0, 3.0], [-1.0, 0.5, 0.25]])
     squares = x**2 / 2 if len(shape) == 1 else x[:, :, None] * x[:, None] / 2
     assert np.array_equal(found["M"].energy().at(x), squares.reshape(2, -1))

@@ -227,10 +227,6 @@ CASES = {  # system, state and step for a ratio of sizes, and the sizes of the g
             (2, 1, 1, 1, 3, 3),
         ),
     ),
-    "gyrostat": lambda r: (
-        S.gyrostat((1, 2, 2.5), rotors=np.array([0.3, 0.2, -0.5]) * r),
-        (np.array([0.7, -0.4, 0.9]) * r, 0.1 / r, (3,)),
-    ),
     "body in a fluid": lambda r: (
         S.kirchhoff_body((1, 2, 2.5), mass=(r, 1.5 * r, 2 * r)),
         (np.r_[OTHER, VECTOR * np.sqrt(r)], 0.05, (3, 3)),
