@@ -271,11 +271,14 @@ def test_matrix_and_linear_part_are_replaced(M):
     assert np.array_equal(only.hamiltonian.gradient(x), co.Quadratic(M, values["linear"]).gradient(x))
 
 
-def test_stored_entries_of_a_large_matrix_are_replaced():
-    n, M = 129, band(129)
-    system = co.LiePoissonSystem(co.algebras.copies(ALGEBRA, n // 3), co.Quadratic(M), casimirs={})
-    value = parameters_of(system)["M"].value
-    assert value.shape == (3 * n - 2,)
+def test_matrices_are_parameters_with_all_entries_up_to_a_dimension_and_then_with_those_stored():
+    for n in (128, 129):
+        M, x = band(n), np.cos(np.arange(n))
+        system = co.LiePoissonSystem(co.LieAlgebra.from_brackets(n, {}), co.Quadratic(M), casimirs={})
+        found, squares, stored = parameters_of(system)["M"], np.outer(x, x) / 2, M.nonzero()
+        value = found.value
+        assert np.array_equal(value, M.toarray() if n == 128 else M.toarray()[stored])
+        assert np.array_equal(found.energy().at(x), squares.ravel() if n == 128 else squares[stored])
     changed = with_parameters(system, {"M": 2.0 * value})
     assert abs(changed.hamiltonian.hessian(np.zeros(n)) - 2.0 * M.toarray()).max() == 0.0
     # An entry alone counts with its symmetric part, as in smaller matrices.
@@ -331,18 +334,6 @@ def test_a_coefficient_of_two_entries_is_differentiated_by_both(pair):
     assert energy.linear_entry[at_shared].tolist() == list(pair)
     np.testing.assert_allclose(energy.linear_factor, 1.0, rtol=2.0**-40)
     assert len(energy.linear) == 22
-
-
-def test_matrices_are_parameters_with_all_entries_up_to_a_dimension():
-    for n in (128, 129):
-        commuting = co.LieAlgebra.from_brackets(n, {})
-        M = parameters_of(co.LiePoissonSystem(commuting, co.Quadratic(band(n)), casimirs={}))["M"]
-        x = np.cos(np.arange(n))
-        expected, (i, j) = np.outer(x, x) / 2, band(n).nonzero()
-        if n == 128:
-            assert np.array_equal(M.value, band(n).toarray()) and np.array_equal(M.energy().at(x), expected.ravel())
-        else:
-            assert M.value.shape == (3 * n - 2,) and np.array_equal(M.energy().at(x), expected[i, j])
 
 
 def test_energies_of_functions_and_of_pieces_have_no_parameters():
