@@ -289,16 +289,6 @@ def test_group_elements_of_closed_forms(name):
         system.exact(x0, 1.0, attitude=np.eye(d + 1))
 
 
-def value_of(formula, names, x):
-    """Evaluate a formula in named coordinates; any other word in it is an error."""
-    longest_first = sorted(range(len(names)), key=lambda k: -len(names[k]))
-    pattern = "|".join(re.escape(names[k]) for k in longest_first)
-    places = {name: k for k, name in enumerate(names)}
-    # A name that ends with a digit must not be followed by another one.
-    code = re.sub(rf"({pattern})(?!\d)", lambda found: f"x[{places[found[1]]}]", formula).replace("^", "**")
-    return eval(code, {"__builtins__": {}}, {"x": x})
-
-
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", NAMES)
 def test_the_description_is_that_of_the_system(name, capsys, tmp_path):
@@ -327,7 +317,7 @@ def test_the_description_is_that_of_the_system(name, capsys, tmp_path):
                 assert len(cut) + len(whole[len(cut) :].split()[0]) >= 119
             else:  # sums of at most some hundred products of numbers below one, with coefficients of six digits
                 wanted = float(getattr(F, "value", F)(x))
-                assert value_of(formula, names, x) == pytest.approx(wanted, rel=1e-4, abs=1e-4), (key, formula)
+                assert co.formula(formula, basis=names)(x) == pytest.approx(wanted, rel=1e-4, abs=1e-4), (key, formula)
     signature = inspect.signature(made).parameters
     assert list(found["parameters"]) == list(signature)
     for key, told in found["parameters"].items():

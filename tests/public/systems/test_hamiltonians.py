@@ -231,9 +231,6 @@ FUNCTIONS_THAT_ARE_REFUSED = [
     (lambda: co.Separable({0: (np.sin, np.cos)}).hessian([1.0]), TypeError, ("coordinate 0",)),
     (lambda: co.Separable({3: (np.cosh, np.sinh)}).value([1.0] * 3), ValueError, ("coordinate 3", "3 entries")),
     (lambda: co.formula("x1/(1 - 1) + cos(x1)", 3), ValueError, ()),
-    (lambda: co.formula("cos(x1)/0", 3), ValueError, ()),
-    (lambda: co.formula("log(x1, x2)", 3), ValueError, ()),
-    (lambda: co.formula("cos(x1) + sqrt(-1)", 3), ValueError, ()),
     (lambda: co.formula("cos(x1) + y", 3), ValueError, ("y",)),
     (lambda: co.formula("+".join(f"cos({k}*x1)" for k in range(1100)), 1), ValueError, ("2000",)),
 ]
@@ -282,10 +279,6 @@ def test_a_polynomial_is_one():
     for text, M in (("(x1 + 2*x2)^2/2", [[1.0, 2.0], [2.0, 4.0]]), ("x1*x2", [[0.0, 1.0], [1.0, 0.0]])):
         plane = co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1}})
         np.testing.assert_array_equal(co.LiePoissonSystem(plane, text).hamiltonian.hessian(np.zeros(2)), M)
-    assert co.formula("a*(x1 - b)^2", 1, parameters={"a": 3, "b": Fraction(1, 3)}) == co.Polynomial(
-        {(2,): 3, (1,): -2, (0,): Fraction(1, 3)}
-    )
-    assert co.Polynomial("w*q^2", basis=("q", "p"), parameters={"w": 2}) == co.Polynomial({(2, 0): 2})
 
 
 def test_every_place_of_a_hamiltonian_takes_a_function():

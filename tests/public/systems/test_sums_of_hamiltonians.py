@@ -224,10 +224,3 @@ def so3(H):
 def test_what_cannot_be_added(wrong, error, named):
     with refused(error, *named):
         wrong()
-
-
-def test_polynomials_divide_exactly_and_have_names():
-    p = co.Polynomial("2*x1^2 - 3*x2 + 0.5", dim=2)
-    assert p / 3 == co.Polynomial({(2, 0): Fraction(2, 3), (0, 1): -1, (0, 0): 0.5 / 3})
-    assert co.Polynomial("0.5*h^2 + 2*e*f", basis=("h", "e", "f")) == co.Polynomial({(2, 0, 0): 0.5, (0, 1, 1): 2})
-    assert co.Polynomial("1/3*x2", dim=2) == co.Polynomial({(0, 1): Fraction(1, 3)})
