@@ -135,14 +135,6 @@ def test_parameters_of_quadratic_energies_are_m_and_the_linear_term(M, shape):
     assert np.array_equal(found["linear"].energy().at(x), x)
 
 
-def test_parameters_of_polynomials_are_their_coefficients():
-    energy = co.Polynomial({(0, 0, 0): 2.0, (0, 0, 3): 0.5, (1, 0, 0): 0.25, (1, 1, 2): -1.0, (0, 2, 0): 1.0})
-    (found,) = parameters_of(co.LiePoissonSystem(SO3, energy)).values()
-    assert found.value.tolist() == list(energy.monomials.values())
-    x = np.array([2.0, 3.0, 5.0])
-    assert found.energy().at(x).tolist() == [np.prod(x**exponents) for exponents in energy.monomials]
-
-
 def test_arguments_that_do_not_give_the_system_are_no_parameters():
     """A system may have the name of a ready-made one, and arguments as a note."""
     body = co.systems.rigid_body((1.0, 2.0, 3.0))

@@ -114,14 +114,7 @@ def test_forces_are_applied_in_their_order_and_labelled_by_it():
     assert system.forces == (first, second, third, bath, other)
     assert system.labels == ("LinearDamping", "Torque", "LinearDamping 2", "HeatBath", "HeatBath 2")
     assert system.name == f"rigid_body with {', '.join(system.labels)}"
-    still = BODY.with_forces(first, second, third)
-    assert still.reversible and not system.reversible
-    np.testing.assert_allclose(
-        still.vector_field(X) - BODY.vector_field(X), -0.4 * X + [0, 0.5, 0], rtol=0, atol=16 * U
-    )
-    slope = X / [1.0, 2.0, 2.5]
-    wanted = {"LinearDamping": -0.1 * slope @ X, "Torque": 0.5 * slope[1], "LinearDamping 2": -0.3 * slope @ X}
-    assert still.power(X) == pytest.approx(wanted, rel=1e-14)
+    assert BODY.with_forces(first, second, third).reversible and not system.reversible
     with refused(ValueError, "seed", "stream"):
         system.with_forces(some.HeatBath(0.7, temperature=0.5, seed=5, stream=4))
 
@@ -149,12 +142,6 @@ def test_power_energy_and_field_of_a_driven_system_are_those_at_the_time(t):
     assert system.energy(X, t) == pytest.approx((1 + t**2) * (X[0] ** 2 + 3 * X[1] ** 2) / 2 + np.sin(t) * X[2])
     whole = np.cross(slope, X) + sum(fields.values())
     np.testing.assert_allclose(system.vector_field(X, t), whole, rtol=0, atol=2.0**-34)
-    both = np.stack([X, 2 * X, X])
-    times = np.array([0.3, 0.5, t])
-    found = system.vector_field(both, times)
-    np.testing.assert_array_equal(found, [system.vector_field(x, float(s)) for x, s in zip(both, times, strict=True)])
-    energies = [system.energy(x, float(s)) for x, s in zip(both, times, strict=True)]
-    np.testing.assert_array_equal(system.energy(both, times), energies)
 
 
 @pytest.mark.parametrize("t", [0.0, 0.7])
@@ -170,9 +157,6 @@ def test_what_a_force_is_made_of_stays_as_it_is():
     rate[:], torque[:] = 9.0, 9.0
     np.testing.assert_array_equal(damping.field(BODY, X, 0.0), [0.1, 0.2, 0.3] * ([1.0, 2.0, 3.0] - X))
     np.testing.assert_array_equal(push.field(BODY, X, 0.0), [1.0, 2.0, 3.0])
-    system = BODY.with_forces(damping)
-    system.casimirs.clear()
-    assert list(system.casimirs) == list(BODY.casimirs) == ["|x|^2"]
     complex_state = {"real": [[0.0, 1.0], [-1.0, 0.0]], "imaginary": [[2.0, 3.0], [3.0, -2.0]]}
     assert co.forces.Torque(complex_state).torque == ((2j, 1 + 3j), (-1 + 3j, -2j))
 

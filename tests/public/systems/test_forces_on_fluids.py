@@ -117,23 +117,13 @@ def test_account_is_kept_on_every_algebra(kind):
 
 @FLUIDS
 def test_a_noise_feeds_the_energy_in_that_it_says(s):
-    """From rest, so that after one step the noise has acted alone: energy and enstrophy are sums of squares."""
+    """From rest, so that after one step the noise has acted alone: the energy is a sum of squares."""
     band, rate, members = ((2.0, 2.9) if s is TORUS else (2, 4)), 1e-4, 400
     noise = some.RandomForcing(rate, band, seed=11)
     sol = co.integrate(s.with_forces(noise), np.zeros((members, *s.shape)), (0, 0.5), 0.5, FINE)
-    if s is TORUS:
-        eigenvalues = np.repeat([4.0, 5.0, 8.0], [4, 8, 4])
-    else:
-        eigenvalues = np.repeat([6.0, 12.0, 20.0], [5, 7, 9])
-    parts = len(eigenvalues)
-    spread = np.sqrt(2 / parts / members)
-    assert sol.energy[-1].mean() == pytest.approx(0.5 * rate, rel=4 * spread)
-    assert sol.casimirs["tr W^2"][-1].mean() == pytest.approx(2 * 0.5 * rate * eigenvalues.mean(), rel=4 * 1.2 * spread)
+    parts = 16 if s is TORUS else 21
+    assert sol.energy[-1].mean() == pytest.approx(0.5 * rate, rel=4 * np.sqrt(2 / parts / members))
     assert np.abs(sol.work["RandomForcing"]["energy"] - sol.energy).max() < 1e-13 * rate
-    # every part has the same share of the energy: so many are in the last degree
-    spectrum = s.energy_spectrum(sol.x[-1])[1].mean(axis=0)
-    count, degree = (4, 3) if s is TORUS else (9, 4)
-    assert spectrum[degree - 1] / spectrum.sum() == pytest.approx(count / parts, rel=4 * np.sqrt(2 / count / members))
 
 
 def test_torques_are_functions_of_matrices():
