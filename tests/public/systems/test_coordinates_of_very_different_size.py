@@ -25,8 +25,8 @@ def released(mass, inertia):
     return np.r_[0, 0, inertia[2] * RATE, mass * RADIUS * RATE * np.array([-s, c, 0]), RADIUS * np.array([c, s, 0]), 1]
 
 
-def potential_of(inertia, mass, gravity):
-    """Return the potential of `satellite` as one function of the position, as a user writes it."""
+def as_users_write_it(inertia, mass, gravity):
+    """Return the satellite as a system of one's own, its potential as one function of the position."""
     a, b, c = inertia
 
     def V(r):
@@ -34,15 +34,9 @@ def potential_of(inertia, mass, gravity):
         u, v, w = r[0] / distance, r[1] / distance, r[2] / distance
         return -gravity * (mass / distance + (a + b + c - 3 * (a * u**2 + b * v**2 + c * w**2)) / (2 * distance**3))
 
-    return V
-
-
-def as_users_write_it(inertia, mass, gravity):
-    """Return the satellite as a system of one's own, from the public algebra of the ready-made one."""
-    rotations = [((i,), co.Quadratic(1 / inertia[i])) for i in range(3)]
-    kick = (6, 7, 8), co.Hamiltonian(potential_of(inertia, mass, gravity))
-    H = co.SplitHamiltonian([*rotations, ((3, 4, 5), co.Quadratic(1 / mass)), kick])
-    return co.LiePoissonSystem(co.systems.satellite().algebra, H, sign=-1)
+    pieces = [((i,), co.Quadratic(1 / inertia[i])) for i in range(3)]
+    pieces += [((3, 4, 5), co.Quadratic(1 / mass)), ((6, 7, 8), co.Hamiltonian(V))]
+    return co.LiePoissonSystem(co.systems.satellite().algebra, co.SplitHamiltonian(pieces), sign=-1)
 
 
 def pitch_by_euler(inertia, times):
