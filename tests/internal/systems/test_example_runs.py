@@ -84,13 +84,11 @@ def test_the_tipping_angle_changes_by_the_field():
 def test_roots_drawn_for_the_riccati_equation(v, w, factor):
     """Both real roots that are below 6 in size, and nothing for others."""
     functions = gallery_entry_of("riccati").components.options["functions"]
+    assert list(functions) == ["v", "w"]
     found = np.array([f(factor * np.array([1.0, (v + w) / 2, -v * w])) for f in functions.values()])
     wanted = sorted(root for root in (v, w) if abs(root) < 6.0)
     np.testing.assert_allclose(np.sort(found[np.isfinite(found)]), wanted, rtol=1e-14)
-    assert (
-        list(functions) == ["v", "w"]
-        and np.isnan(functions["v"](np.array([[1.0, 0.3, -0.34], [1.0, 0.0, -4.0]]))).all()
-    )
+    assert np.isnan(functions["v"](np.array([[1.0, 0.3, -0.34], [1.0, 0.0, -4.0]]))).all()
 
 
 def test_waves_of_an_oblique_triad():

@@ -200,8 +200,6 @@ def test_names_are_sorted_and_listed():
         S.get("rigidbody")
     with refused(ValueError, "inertias", "inertia", "rigid_body"):
         S.get("rigid_body", inertias=(1, 2, 3))
-    with refused(ValueError, "masses"):
-        S.get("paper_rigid_body", masses=(1.0, 2.0))
 
 
 @pytest.mark.thinned(1)

@@ -90,10 +90,7 @@ def test_the_field_of_a_flow_of_ones_own():
 @pytest.mark.parametrize("metric", [0.7, (0.5, 0.0, 2.0), RATE @ RATE.T], ids=["number", "diagonal", "matrix"])
 def test_the_flow_of_a_double_bracket(metric, way):
     """A symmetric step of order two on the orbit, of an energy that depends on the time."""
-    H = co.Hamiltonian(
-        lambda x, t: 0.5 * (x[0] ** 2 + 2 * x[1] ** 2) + np.cos(t) * x[2],
-        lambda x, t: np.array([x[0], 2 * x[1], np.cos(t)]),
-    )
+    H = co.Hamiltonian(lambda x, t: 0.5 * (x[0] ** 2 + 2 * x[1] ** 2) + np.cos(t) * x[2])
     system, force = co.LiePoissonSystem(co.algebras.so(3), H), co.forces.DoubleBracketDamping(0.3, metric)
     errors = []
     for tau in (way / 8, way / 16, way / 32):
@@ -121,10 +118,7 @@ def test_forces_are_applied_in_their_order_and_labelled_by_it():
 
 @pytest.mark.parametrize("t", [0.0, 0.7, -2.0])
 def test_power_energy_and_field_of_a_driven_system_are_those_at_the_time(t):
-    H = co.Hamiltonian(
-        lambda x, t: (1 + t**2) * (x[0] ** 2 + 3 * x[1] ** 2) / 2 + np.sin(t) * x[2],
-        lambda x, t: np.array([(1 + t**2) * x[0], 3 * (1 + t**2) * x[1], np.sin(t)]),
-    )
+    H = co.Hamiltonian(lambda x, t: (1 + t**2) * (x[0] ** 2 + 3 * x[1] ** 2) / 2 + np.sin(t) * x[2])
     driven = co.LiePoissonSystem(co.algebras.so(3), H, name="driven")
     some = co.forces
     push = some.Torque(lambda x, t: np.array([t * x[1], np.cos(t), x[0]]))
@@ -198,12 +192,8 @@ def test_metrics_are_positive_semidefinite(order, scale):
     for P in INDEFINITE.values():
         P = scale * P[np.ix_(order, order)]
         assert np.linalg.eigvalsh(P)[0] < -1e-11 * np.abs(P).max()
-        for make in (
-            co.forces.DoubleBracketDamping,
-            lambda *given: co.forces.HeatBath(*given, temperature=1.0, seed=1),
-        ):
-            with refused(ValueError, "metric", "semidefinite"):
-                make(0.1, P)
+        with refused(ValueError, "metric", "semidefinite"):
+            co.forces.DoubleBracketDamping(0.1, P)
     with refused(ValueError, "metric", "-0.5"):
         co.forces.DoubleBracketDamping(0.1, np.array([1.0, -0.5, 2.0])[list(order)])
     with refused(ValueError, "metric", "-2"):

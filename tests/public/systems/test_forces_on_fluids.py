@@ -94,15 +94,10 @@ KINDS = [("so", 4), ("u", 3), ("su", 3), ("gl", 3), ("sl", 3), ("sp", 4), ("gl(C
 @pytest.mark.parametrize("kind", [*KINDS, ("so", 4, 1), ("su", 3, 1)], ids=str)
 def test_account_is_kept_on_every_algebra(kind):
     """Linear damping multiplies by exp(-rate t): so do energy and trace, twice, but for what the scheme adds."""
-    w = np.random.default_rng(9).uniform(0.5, 2.0, (kind[1], kind[1]))
     algebra = co.MatrixAlgebra(*kind)
-    drawn = np.random.default_rng(2).standard_normal((2, *w.shape))
+    drawn = np.random.default_rng(2).standard_normal((2, *algebra.shape))
     W, A = (algebra.projected(drawn[k] + 1j * drawn[1 - k] if algebra.complex else drawn[k]) for k in range(2))
-    weights = co.systems.Weights(np.ones_like(w) if kind[0] == "sp" else w + w.T)
-    try:
-        body = co.MatrixSystem(algebra, weights, 0.1 * A, name="body", energy_sign=-1)
-    except ValueError:  # weights that leave the algebra
-        body = co.MatrixSystem(algebra, co.systems.Weights(np.ones_like(w)), 0.1 * A, name="body", energy_sign=-1)
+    body = co.MatrixSystem(algebra, co.systems.Weights(np.ones(algebra.shape)), 0.1 * A, name="body", energy_sign=-1)
     sol = co.integrate(body.with_forces(some.LinearDamping(0.1)), 0.3 * W, (0, 1), 1 / 32, co.IsospectralGauss(4))
     assert set(sol.balance(relative=False)) == {"energy", *body.quadratic_casimirs}
     for name, off in sol.balance(relative=False).items():

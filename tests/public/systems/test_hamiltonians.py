@@ -124,18 +124,15 @@ def test_fractions_pass_through():
 @pytest.mark.parametrize("frequency", [1.0, 50.0, 2000.0])
 def test_right_functions_are_not_refused(frequency):
     w = frequency
-    co.Hamiltonian(
-        lambda x: np.sin(w * x[0]) + np.exp(x[1]), lambda x: np.array([w * np.cos(w * x[0]), np.exp(x[1])])
-    ).bind(2)
+    co.Hamiltonian(lambda x: np.sin(w * x[0]), lambda x: np.array([w * np.cos(w * x[0])])).bind(1)
     co.Separable({0: (lambda y: math.sin(w * y), lambda y: w * math.cos(w * y))}).bind(1)
 
 
 def test_functions_with_a_domain():
     assert co.Separable({0: (math.log, lambda y: 1 / y)}).bind(1).value([2.0]) == math.log(2.0)
-    with refused(ValueError, "dH_0", "H_0"):
-        co.Separable({0: (math.log, lambda y: 2 / y)}).bind(1)
-    with refused(ValueError, "dH_0", "H_0"):
-        co.Separable({0: (np.log, lambda y: 2 / y)}).bind(1)
+    for log in (math.log, np.log):
+        with refused(ValueError, "dH_0", "H_0"):
+            co.Separable({0: (log, lambda y: 2 / y)}).bind(1)
 
 
 @pytest.mark.parametrize("known", [False, True], ids=["unbound", "bound"])
@@ -202,14 +199,12 @@ def test_sums_of_split_ones_have_the_dimension_that_is_known():
     def one(k):
         return co.SplitHamiltonian([((k,), co.Quadratic(float(k + 1)))])
 
-    for first, second in ((one(0).bind(4), one(2)), (one(0), one(2).bind(4)), (one(0).bind(4), one(2).bind(4))):
-        for H in (first + second, second + first):
-            assert H.dim == 4
-            np.testing.assert_array_equal(H.gradient(np.ones(4)), [1.0, 0.0, 3.0, 0.0])
+    for H in (one(0).bind(4) + one(2), one(0) + one(2).bind(4), one(0).bind(4) + one(2).bind(4)):
+        assert H.dim == 4
+        np.testing.assert_array_equal(H.gradient(np.ones(4)), [1.0, 0.0, 3.0, 0.0])
     assert (one(0) + one(2)).dim is None
-    for wrong in (lambda: one(0).bind(4) + one(2).bind(5), lambda: one(2).bind(5) + one(0).bind(4)):
-        with refused(ValueError, "4", "5", "coordinates"):
-            wrong()
+    with refused(ValueError, "4", "5", "coordinates"):
+        one(0).bind(4) + one(2).bind(5)
 
 
 FUNCTIONS_THAT_ARE_REFUSED = [

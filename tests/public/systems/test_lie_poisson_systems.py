@@ -68,9 +68,7 @@ def test_time_reaches_the_jacobian(sign):
     def slope(x, t):
         return np.cos(t) * (M @ x) + np.array([t, 0.0, -t * t])
 
-    H = co.Hamiltonian(
-        lambda x, t: np.cos(t) * (x @ (M @ x)) / 2 + t * x[0] - t * t * x[2], slope, lambda x, t: np.cos(t) * M + 0 * t
-    )
+    H = co.Hamiltonian(lambda x, t: np.cos(t) * (x @ (M @ x)) / 2 + t * x[0] - t * t * x[2])
     constants = dense_constants(g)
     linear = co.LiePoissonSystem(g, H, sign=sign)
     curved = co.PoissonSystem(lambda x: constants @ x, H, dim=3, derivative=lambda x: constants, sign=sign)
@@ -203,12 +201,10 @@ def test_a_layout_that_is_none_is_refused(layout, named):
 
 
 def _driven():
-    return co.LiePoissonSystem(
-        co.algebras.so(3),
-        co.Hamiltonian(
-            lambda x, t: np.cosh(x[0]) + np.cos(t) * x[2], lambda x, t: np.array([np.sinh(x[0]), 0.0, np.cos(t)])
-        ),
-    )
+    def slope(x, t):
+        return np.array([np.sinh(x[0]), 0.0, np.cos(t)])
+
+    return co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(lambda x, t: np.cosh(x[0]) + np.cos(t) * x[2], slope))
 
 
 def _curved():
