@@ -123,8 +123,6 @@ def test_declarations_are_validated():
     assert whole.t_span == (0.5, 2.0) and type(whole.t_span[1]) is float
     assert whole.names(2) == ("a", "b") and whole.names(3) == ()
     np.testing.assert_array_equal(whole.start(), [1j, 2.0])
-    named = GalleryEntry(**GIVEN | {"coordinates": lambda dim: [f"y{k}" for k in range(dim)]})
-    assert named.names(2) == ("y0", "y1")
     for wrong, named in (
         ({"t_span": (0.0, "1")}, "t_span is '1'"),
         ({"step": 0.0}, "step is 0.0"),

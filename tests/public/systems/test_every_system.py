@@ -334,8 +334,6 @@ def test_the_description_is_that_of_the_system(name, capsys, tmp_path):
         assert found["attitude"] == "matrices"
     else:
         assert found["attitude"] == ("coadjoint" if system.representation is None else "representation")
-        drawn = np.random.default_rng(2).standard_normal(system.dim)
-        assert found["rank"] == np.linalg.matrix_rank(system.structure_matrix(drawn), tol=1e-9)
         if found["exact"]:
             system.exact(start_of(system), 0.5)
         else:

@@ -320,8 +320,7 @@ def named(x):
     ],
 )
 def test_pickled_and_copied(H, factor):
-    H = co.LiePoissonSystem(co.algebras.so(3), H).hamiltonian
-    system = co.LiePoissonSystem(co.algebras.so(3), factor * H)
+    system = co.LiePoissonSystem(co.algebras.so(3), factor * co.LiePoissonSystem(co.algebras.so(3), H).hamiltonian)
     x = np.array([0.3, -0.7, 1.1])
     for same in (pickle.loads(pickle.dumps(system)), copy.deepcopy(system), copy.copy(system)):
         assert same.energy(x) == system.energy(x)

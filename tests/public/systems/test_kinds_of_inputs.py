@@ -187,10 +187,8 @@ def orders(items, draws=4):
 def test_monomials_and_functions_in_any_order(dim):
     """A mapping from places to numbers, such as {2: 2, 0: 3}, names its places."""
     rng = np.random.default_rng(dim)
-    x = rng.standard_normal(dim)
-    monomials = {
-        tuple(e): float(c) for e, c in zip(rng.integers(0, 3, (12, dim)).tolist(), rng.normal(size=12), strict=True)
-    }
+    x, exponents = rng.standard_normal(dim), rng.integers(0, 3, (12, dim)).tolist()
+    monomials = {tuple(e): float(c) for e, c in zip(exponents, rng.normal(size=12), strict=True)}
     expected = co.Polynomial(monomials)
     for order in orders(monomials.items()):
         found = co.Polynomial(dict(order))
