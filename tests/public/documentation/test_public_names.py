@@ -106,9 +106,8 @@ def loaded_after(statement):
         "import coadjoint",
         "import coadjoint; coadjoint.Splitting(order=4), coadjoint.LieAlgebra, coadjoint.IntegrationError",
         "import coadjoint; coadjoint.LiePoissonSystem(coadjoint.algebras.so(3), coadjoint.Quadratic([1, 2, 3]))",
-        "import coadjoint; coadjoint.systems.rigid_body()",
     ],
-    ids=["package", "names", "system", "ready-made system"],
+    ids=["package", "names", "system"],
 )
 def test_import_loads_no_heavy_packages(statement):
     loaded = loaded_after(statement)

@@ -200,6 +200,8 @@ def test_names_are_sorted_and_listed():
         S.get("rigidbody")
     with refused(ValueError, "inertias", "inertia", "rigid_body"):
         S.get("rigid_body", inertias=(1, 2, 3))
+    with refused(ValueError, "masses"):
+        S.get("paper_rigid_body", masses=(1.0, 2.0))
 
 
 @pytest.mark.thinned(1)
@@ -334,6 +336,8 @@ def test_the_description_is_that_of_the_system(name, capsys, tmp_path):
         assert found["attitude"] == "matrices"
     else:
         assert found["attitude"] == ("coadjoint" if system.representation is None else "representation")
+        drawn = np.random.default_rng(2).standard_normal(system.dim)
+        assert found["rank"] == np.linalg.matrix_rank(system.structure_matrix(drawn), tol=1e-9)
         if found["exact"]:
             system.exact(start_of(system), 0.5)
         else:
