@@ -114,8 +114,9 @@ UP_TO_ONE_NOT_ZERO = ((0, -ABOVE, ABOVE), (-1, 1, 0.5))
 SIGN = ((0, 0.5, 2, -2, BELOW), (1, -1))
 # algebra -> parameter -> numbers outside and numbers inside, each with 0.5, or 1 for a sign, as the others
 RANGES = {
+    **{name: {"a": ANY} for name in ("A3_7", "A5_20", "A5_28", "A5_30", "A5_32", "A5_34")},
+    **{name: {"a": ANY, "b": ANY} for name in ("A5_33", "A5_35")},
     "A3_5": {"a": ((0, -1, 1, 2), (BELOW, -BELOW, 1e-3))},
-    "A3_7": {"a": ANY},
     "A4_2": {"a": NOT_ZERO},
     "A4_5": {"a": UP_TO_ONE_NOT_ZERO, "b": UP_TO_ONE_NOT_ZERO},
     "A4_6": {"a": NOT_ZERO, "b": ((-TINY, -1), (0, 1e-3))},
@@ -132,17 +133,10 @@ RANGES = {
     "A5_17": {"p": ANY, "q": ANY, "s": NOT_ZERO},
     "A5_18": {"p": ((-TINY, -1), (0, 1e-3))},
     "A5_19": {"a": ANY, "b": NOT_ZERO},
-    "A5_20": {"a": ANY},
     "A5_23": {"b": NOT_ZERO},
     "A5_24": {"eps": SIGN},
     "A5_25": {"p": ANY, "b": NOT_ZERO},
     "A5_26": {"p": ANY, "eps": SIGN},
-    "A5_28": {"a": ANY},
-    "A5_30": {"a": ANY},
-    "A5_32": {"a": ANY},
-    "A5_33": {"a": ANY, "b": ANY},
-    "A5_34": {"a": ANY},
-    "A5_35": {"a": ANY, "b": ANY},
 }
 
 

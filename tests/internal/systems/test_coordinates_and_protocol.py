@@ -1,5 +1,7 @@
 """Names and groups of coordinates, and what callers ask of any system: forced, in a batch, of matrices or own."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.sparse import coo_array
@@ -76,22 +78,7 @@ BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 DAMPED = BODY.with_forces(co.forces.LinearDamping(0.1), co.forces.Torque((0, 0, 0.2)))
 
 
-class OwnBody:
-    """A class with the interface of `GeneralSystem` alone."""
-
-    name, sign, representation = "own body", -1, None
-    algebra, hamiltonian, casimirs = BODY.algebra, BODY.hamiltonian, BODY.casimirs
-    dim = 3
-
-    def vector_field(self, x, t=0.0):
-        return BODY.vector_field(x, t)
-
-    def energy(self, x, t=0.0):
-        return BODY.energy(x, t)
-
-
 def test_attributes_of_own_systems_are_not_those_of_forces_and_batches():
-    own = OwnBody()
-    own.system, own.systems = "of units", ("SI", "CGS")
+    own = SimpleNamespace(name="own body", dim=3, algebra=BODY.algebra, system="of units", systems=("SI", "CGS"))
     assert protocol.coordinates_of(own) == coordinate_names(own) == ("x1", "x2", "x3")
     assert coordinate_names(co.batch([DAMPED, DAMPED])) == coordinate_names(BODY)

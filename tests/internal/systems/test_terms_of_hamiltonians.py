@@ -16,48 +16,12 @@ from coadjoint.systems.hamiltonians.linear_term import linear_of, with_linear
 from coadjoint.systems.hamiltonians.polynomial_form import polynomial_of
 from coadjoint.systems.user_functions import takes_time
 
-M = np.array([[1.0, 0.5, 0.0, -0.25], [0.5, 2.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.75], [-0.25, 0.0, 0.75, 0.5]])
 X = np.array([0.3, -0.7, 1.1, 0.4])
 
 
 def cosh():
     """A function without a linear term."""
     return co.Separable({0: (np.cosh, np.sinh, np.cosh)})
-
-
-def squares():
-    return co.Hamiltonian(lambda y: y @ y, lambda y: 2 * y, lambda y: 2 * np.eye(len(y)))
-
-
-def overlapping():
-    """Pieces that share coordinates, in no order, each with a linear term."""
-    return co.SplitHamiltonian(
-        [
-            ((2, 0), co.Quadratic([[1.0, 0.5], [0.5, -2.0]], linear=[0.25, -1.0])),
-            ((0, 3), co.Polynomial({(3, 0): 1.0, (1, 2): -2.0, (0, 1): 0.5, (1, 0): 3.0})),
-            ((3, 2), co.Quadratic(0.5, linear=[-0.125, 2.0])),
-            ((1,), cosh()),
-        ]
-    )
-
-
-KINDS = {
-    "quadratic": lambda: co.Quadratic(M, linear=[0.5, 0.0, -1.5, 2.0], constant=0.75),
-    "polynomial": lambda: co.Polynomial({(2, 0, 1, 0): 1.5, (1, 0, 0, 0): -0.5, (0, 0, 0, 1): 3.0, (0, 2, 0, 0): 1.0}),
-    "separable": lambda: co.Separable({1: (np.cosh, np.sinh, np.cosh), 3: (np.cosh, np.sinh, np.cosh)}),
-    "split": lambda: co.SplitHamiltonian(
-        [((3, 1), co.Quadratic(M[:2, :2], linear=[2.0, -0.5])), ((0,), cosh()), ((2,), co.Quadratic(1.0, linear=[0.5]))]
-    ),
-    "split in a split": lambda: co.SplitHamiltonian([((3, 1), co.SplitHamiltonian([((1, 0), quadratic_of_two())]))]),
-    "quadratic and separable": lambda: co.Quadratic(M, linear=[0.5, 0.0, -1.5, 2.0]) + KINDS["separable"](),
-    "split and separable": lambda: KINDS["split"]() + KINDS["separable"](),
-    "split, functions and polynomial": lambda: KINDS["split"]() + squares() + KINDS["polynomial"](),
-    "overlapping and polynomial": lambda: overlapping() + KINDS["polynomial"](),
-}
-
-
-def quadratic_of_two():
-    return co.Quadratic([[0.5, 0.25], [0.25, 1.0]], linear=[1.0, -3.0])
 
 
 LINES = {  # Hamiltonians of four coordinates, even but for their linear terms

@@ -25,8 +25,8 @@ def released(mass, inertia):
     return np.r_[0, 0, inertia[2] * RATE, mass * RADIUS * RATE * np.array([-s, c, 0]), RADIUS * np.array([c, s, 0]), 1]
 
 
-def potential_of(inertia, mass, gravity):
-    """Return the potential of `satellite` as one function of the position, as a user writes it."""
+def as_users_write_it(inertia, mass, gravity):
+    """Return the satellite as a system of one's own, its potential as one function of the position."""
     a, b, c = inertia
 
     def V(r):
@@ -34,15 +34,9 @@ def potential_of(inertia, mass, gravity):
         u, v, w = r[0] / distance, r[1] / distance, r[2] / distance
         return -gravity * (mass / distance + (a + b + c - 3 * (a * u**2 + b * v**2 + c * w**2)) / (2 * distance**3))
 
-    return V
-
-
-def as_users_write_it(inertia, mass, gravity):
-    """Return the satellite as a system of one's own, from the public algebra of the ready-made one."""
-    rotations = [((i,), co.Quadratic(1 / inertia[i])) for i in range(3)]
-    kick = (6, 7, 8), co.Hamiltonian(potential_of(inertia, mass, gravity))
-    H = co.SplitHamiltonian([*rotations, ((3, 4, 5), co.Quadratic(1 / mass)), kick])
-    return co.LiePoissonSystem(co.systems.satellite().algebra, H, sign=-1)
+    pieces = [((i,), co.Quadratic(1 / inertia[i])) for i in range(3)]
+    pieces += [((3, 4, 5), co.Quadratic(1 / mass)), ((6, 7, 8), co.Hamiltonian(V))]
+    return co.LiePoissonSystem(co.systems.satellite().algebra, co.SplitHamiltonian(pieces), sign=-1)
 
 
 def pitch_by_euler(inertia, times):
@@ -172,9 +166,8 @@ def test_other_terms_beside_a_central_force(name):
     x = np.r_[0.1, -0.2, 0.3, 0.5, 0.9, -0.1, 1.2, -0.4, 0.3, 1.0]
     expected = system.sign * system.structure_matrix(x) @ system.hamiltonian.gradient(x)
     assert np.abs(system.vector_field(x) - expected).max() < 1e-14
-    scheme = co.GaussLegendre(3)
-    compiled = co.integrate(system, x, (0, 0.05), 0.05, scheme).x[-1]
-    assert np.abs(compiled - scheme.step(system, x, 0.0, 0.05)).max() < 1e-14
+    compiled = co.integrate(system, x, (0, 0.05), 0.05, co.GaussLegendre(3)).x[-1]
+    assert np.abs(compiled - co.GaussLegendre(3).step(system, x, 0.0, 0.05)).max() < 1e-14
     assert np.abs(compiled - co.integrate(system, x, (0, 0.05), 0.05 / 64, co.Splitting(order=4)).x[-1]).max() < 1e-9
 
 
@@ -226,10 +219,6 @@ CASES = {  # system, state and step for a ratio of sizes, and the sizes of the g
             0.05,
             (2, 1, 1, 1, 3, 3),
         ),
-    ),
-    "gyrostat": lambda r: (
-        S.gyrostat((1, 2, 2.5), rotors=np.array([0.3, 0.2, -0.5]) * r),
-        (np.array([0.7, -0.4, 0.9]) * r, 0.1 / r, (3,)),
     ),
     "body in a fluid": lambda r: (
         S.kirchhoff_body((1, 2, 2.5), mass=(r, 1.5 * r, 2 * r)),

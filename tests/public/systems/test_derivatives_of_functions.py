@@ -151,8 +151,14 @@ FORMS = {
 }
 
 
+def jax_numpy():
+    jax = pytest.importorskip("jax")
+    jax.config.update("jax_enable_x64", True)
+    return jax.numpy
+
+
 def by_jax(x):
-    jnp = pytest.importorskip("jax.numpy")
+    jnp = jax_numpy()
     return 0.5 * jnp.sum(WEIGHTS * x * x) + 0.1 * jnp.sum(jnp.cosh(x))
 
 
@@ -161,29 +167,15 @@ def given():
     return runs(co.Hamiltonian(value, gradient, hessian))
 
 
-@pytest.fixture(autouse=True)
-def x64():
-    if "jax" in sys.modules:
-        import jax
-
-        jax.config.update("jax_enable_x64", True)
-
-
 @pytest.mark.parametrize("form", FORMS)
 def test_runs_and_their_derivatives_are_those_of_given_functions(form, given):
     """In e(3), backward in time. Round-off of a gradient, 2^-52, is repeated in ten steps."""
-    if form != "recorded":
-        jax = pytest.importorskip("jax")
-        jax.config.update("jax_enable_x64", True)
     for ours, expected in zip(runs(FORMS[form]()), given, strict=True):
         np.testing.assert_allclose(ours, expected, rtol=1e-12, atol=1e-13)
 
 
 def test_functions_of_time():
-    jnp = pytest.importorskip("jax.numpy")
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
+    jnp = jax_numpy()
     expected = co.Hamiltonian(
         driven,
         lambda x, t: np.array([np.cos(t), 2 * x[1] * x[2] * np.sin(2 * t), x[1] ** 2 * np.sin(2 * t)]),
@@ -197,7 +189,7 @@ def test_functions_of_time():
 
 
 def test_functions_that_jax_refuses():
-    jnp = pytest.importorskip("jax.numpy")
+    jnp = jax_numpy()
     with refused(TypeError, "JAX"):
         co.Hamiltonian(lambda x: jnp.sum(x) * np.cosh(float(x[0]))).bind(2)
     with refused(TypeError, "shape"):
@@ -222,7 +214,6 @@ def test_in_a_new_process(code):
 
 
 def test_pickled_functions_of_jax():
-    pytest.importorskip("jax")
     H = co.Hamiltonian(by_jax).bind(6)
     H.gradient(X0)
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(H)).gradient(X0), H.gradient(X0))

@@ -5,73 +5,36 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 import coadjoint as co
 from drawn_matrices import constants_of
 
+# An algebra, the blocks of all of its generators, an entry of a shear each, and the calls of elementary functions:
+# blocks that are equal, but for the sense of a rotation, have them in common.
 ALGEBRAS = {
-    "so(3)": lambda: co.algebras.so(3),
-    "e(3)": lambda: co.algebras.e(3),
-    "so(4)": lambda: co.algebras.so(4),
-    "so(5)": lambda: co.algebras.so(5),
-    "sl(2)": lambda: co.algebras.sl(2),
-    "gl(3)": lambda: co.algebras.get("gl(n)", n=3),
-    "heisenberg(2)": lambda: co.algebras.heisenberg(2),
-    "A3,7": lambda: co.algebras.get("A3,7", a=1.75),
-    "so(2,2)": lambda: co.algebras.get("so(p,q)", p=2, q=2),
-    "copies of e(3)": lambda: co.algebras.copies(co.algebras.e(3), 2),
-    "so(3) in another basis": lambda: co.algebras.change_of_basis(
-        co.algebras.so(3), np.array([[1, 0, 0], [1, 1, 0], [0, -1, 1]])
+    "so(3)": (co.algebras.so(3), {"ROTATE": 3}, 3),
+    "e(3)": (co.algebras.e(3), {"ROTATE": 6, "SHEAR": 6}, 3),
+    "so(4)": (co.algebras.so(4), {"ROTATE": 12}, 6),
+    "so(5)": (co.algebras.so(5), {"ROTATE": 30}, 10),
+    "sl(2)": (co.algebras.sl(2), {"SCALE": 2, "SERIES": 2}, 2),
+    "gl(3)": (co.algebras.gl(3), {"SCALE": 12, "SERIES": 6, "SHEAR": 12}, 6),
+    "heisenberg(2)": (co.algebras.heisenberg(2), {"SHEAR": 4}, 0),
+    "A3,7": (co.algebras.get("A3,7", a=1.75), {"PLANE": 1, "SHEAR": 4}, 1),
+    "so(2,2)": (co.algebras.get("so(p,q)", p=2, q=2), {"ROTATE": 4, "PLANE": 8}, 8),
+    "copies of e(3)": (co.algebras.copies(co.algebras.e(3), 2), {"ROTATE": 12, "SHEAR": 12}, 6),
+    "so(3) in another basis": (
+        co.algebras.change_of_basis(co.algebras.so(3), np.array([[1, 0, 0], [1, 1, 0], [0, -1, 1]])), {"CUBIC": 3}, 3,
     ),
-}
+}  # fmt: skip
 
 
-def coordinate_names(system):
-    """Return the names in descriptions, whose parts keep the order in which they are given."""
-    parts = co.Splitting(order=1, parts=[[i] for i in range(system.dim)]).describe(system).parts
-    return [part.generators[0] for part in parts]
+def generators_of(system):
+    """Return a part for each generator, in their order: parts keep the order in which they are given."""
+    return co.Splitting(order=1, parts=[[i] for i in range(system.dim)]).describe(system).parts
 
 
 WORK = {"SCALE": 1, "ROTATE": 4, "PLANE": 6, "SHEAR": 2}
 """Multiplications of one block: a factor; a 2 x 2 rotation; two numbers and a 2 x 2 matrix; an angle and a constant."""
-
-
-def connected(D):
-    """Restrictions of a matrix to connected sets of coordinates, without those that are zero."""
-    row, column = np.nonzero(D)
-    count, labels = connected_components(coo_array((np.ones(len(row)), (row, column)), shape=D.shape), directed=False)
-    each = (D[np.ix_(*2 * (np.flatnonzero(labels == label),))] for label in range(count))
-    return [block for block in each if np.any(block)]
-
-
-def kind_of(block):
-    targets, sources = (set(axis.tolist()) for axis in np.nonzero(block))
-    if not targets & sources:
-        return "SHEAR"
-    if len(block) == 1:
-        return "SCALE"
-    if len(block) == 2:
-        return "ROTATE" if np.array_equal(block, -block.T) else "PLANE"
-    cube = block @ block @ block
-    lam = np.sum(cube * block) / np.sum(block * block)
-    return "CUBIC" if lam != 0 and np.allclose(cube, lam * block, rtol=0, atol=1e-12) else "SERIES"
-
-
-def blocks_by_hand(D):
-    """Numbers of blocks of each kind; each entry of a shear is a block."""
-    found = Counter()
-    for block in connected(D):
-        found[kind_of(block)] += np.count_nonzero(block) if kind_of(block) == "SHEAR" else 1
-    return found
-
-
-def functions_by_hand(D):
-    """Calls of elementary functions: blocks that are equal, but for the sense of a rotation, have them in common."""
-    blocks = [(kind_of(block), block) for block in connected(D)]
-    shared = {(kind, (abs(block) if kind == "ROTATE" else block).tobytes()) for kind, block in blocks}
-    return sum(kind in ("SCALE", "ROTATE", "PLANE") for kind, _ in shared) + sum(kind == "CUBIC" for kind, _ in blocks)
 
 
 def commuting_groups(rng, algebra):
@@ -91,18 +54,20 @@ def commuting_groups(rng, algebra):
 @pytest.mark.parametrize("seed", range(3))
 def test_blocks_and_work_of_each_part(name, seed):
     """Of H = sum(c x^2) / 2, so that an angle is one product: one angle may move several blocks."""
-    algebra, rng = ALGEBRAS[name](), np.random.default_rng(seed)
-    actions, groups = constants_of(algebra), commuting_groups(np.random.default_rng(seed), algebra)
+    (algebra, wanted, functions), rng = ALGEBRAS[name], np.random.default_rng(seed)
+    groups = commuting_groups(np.random.default_rng(seed), algebra)
     system = co.LiePoissonSystem(algebra, co.Quadratic(rng.uniform(0.5, 2.0, algebra.dim)), casimirs={})
-    order = (1, 2)[seed % 2]
-    found, names = co.Splitting(order=order, parts=groups).describe(system), coordinate_names(system)
+    order, singles = (1, 2)[seed % 2], generators_of(system)
+    assert sum((Counter(part.blocks) for part in singles), Counter()) == wanted
+    assert sum(part.functions for part in singles) == functions
+    found, names = co.Splitting(order=order, parts=groups).describe(system), [part.generators[0] for part in singles]
     lines = str(found).split("\n")
     assert sorted(part.generators for part in found.parts) == sorted(tuple(names[i] for i in own) for own in groups)
     for number, part in enumerate(found.parts, start=1):
-        own = [names.index(generator) for generator in part.generators]
-        blocks = sum((blocks_by_hand(actions[i]) for i in own), Counter())
+        own = [singles[names.index(generator)] for generator in part.generators]
+        blocks = sum((Counter(one.blocks) for one in own), Counter())
         assert Counter(part.blocks) == blocks
-        assert part.functions == sum(functions_by_hand(actions[i]) for i in own)
+        assert part.functions == sum(one.functions for one in own)
         if set(blocks) <= set(WORK):
             assert part.multiplications == len(own) + sum(WORK[kind] * count for kind, count in blocks.items())
         head, _, said = lines[number].rpartition(": ")
@@ -125,9 +90,9 @@ def test_blocks_and_work_of_each_part(name, seed):
 @pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "so(2,2)", "sl(2)"])
 def test_the_subtracted_casimirs_as_a_formula(name, sign):
     """With the values of the Casimirs; H minus them is a function of the generators alone."""
-    algebra, rng = ALGEBRAS[name](), np.random.default_rng(5)
+    (algebra, _, _), rng = ALGEBRAS[name], np.random.default_rng(5)
     system = co.LiePoissonSystem(algebra, co.Quadratic(sign * np.arange(1.0, algebra.dim + 1.0)))
-    found, names = co.Splitting().describe(system), coordinate_names(system)
+    found, names = co.Splitting().describe(system), [part.generators[0] for part in generators_of(system)]
     moved = {generator for part in found.parts for generator in part.generators}
     assert name == "sl(2)" or (moved <= set(names) and len(moved) < algebra.dim)  # forms of several there
     x, step = rng.standard_normal(algebra.dim), 2.0**-10

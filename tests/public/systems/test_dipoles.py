@@ -42,9 +42,8 @@ def test_energy_and_gradient_are_those_of_the_sum_over_pairs(name):
 
 def test_couplings_add_up():
     options = {"exchange": 0.4, "dm": (0.1, 0.2, 0.3), "on_site": (0.1, 0.0, 0.2), "field": (0.0, 0.3, 0.1)}
-    parts = [co.systems.spin_lattice("square", (3, 3), **options)]
-    parts.append(co.systems.spin_lattice("square", (3, 3), exchange=0.0, dipolar=-0.3))
-    both = co.systems.spin_lattice("square", (3, 3), dipolar=-0.3, **options)
+    given = (options, {"exchange": 0.0, "dipolar": -0.3}, {**options, "dipolar": -0.3})
+    *parts, both = (co.systems.spin_lattice("square", (3, 3), **each) for each in given)
     x = np.random.default_rng(2).normal(size=27)
     assert np.isclose(both.energy(x), sum(part.energy(x) for part in parts), rtol=1e-13)
     assert np.allclose(both.vector_field(x), sum(part.vector_field(x) for part in parts), rtol=0, atol=1e-13)

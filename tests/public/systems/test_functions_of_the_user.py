@@ -142,17 +142,3 @@ LINE = co.Quadratic(0.0, linear=[0.0, 1e-9, 0.0]).terms()
 def test_a_class_whose_parts_contradict_each_other_is_refused(changed, error, named):
     with refused(error, *named):
         co.LiePoissonSystem(co.algebras.so(3), Own(**changed))
-
-
-@pytest.mark.parametrize(
-    ("function", "named"),
-    [
-        (lambda: 0.0, ("0 positional",)),
-        (lambda x, y, z: x, ("3 positional",)),
-        (lambda x, *, m: x, ("positional",)),
-        (2.0, ("2.0",)),
-    ],
-)
-def test_functions_of_other_arguments_are_refused(function, named):
-    with refused(TypeError, *named):
-        co.Hamiltonian(function, lambda x: x)

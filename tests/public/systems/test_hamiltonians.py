@@ -124,18 +124,15 @@ def test_fractions_pass_through():
 @pytest.mark.parametrize("frequency", [1.0, 50.0, 2000.0])
 def test_right_functions_are_not_refused(frequency):
     w = frequency
-    co.Hamiltonian(
-        lambda x: np.sin(w * x[0]) + np.exp(x[1]), lambda x: np.array([w * np.cos(w * x[0]), np.exp(x[1])])
-    ).bind(2)
+    co.Hamiltonian(lambda x: np.sin(w * x[0]), lambda x: np.array([w * np.cos(w * x[0])])).bind(1)
     co.Separable({0: (lambda y: math.sin(w * y), lambda y: w * math.cos(w * y))}).bind(1)
 
 
 def test_functions_with_a_domain():
     assert co.Separable({0: (math.log, lambda y: 1 / y)}).bind(1).value([2.0]) == math.log(2.0)
-    with refused(ValueError, "dH_0", "H_0"):
-        co.Separable({0: (math.log, lambda y: 2 / y)}).bind(1)
-    with refused(ValueError, "dH_0", "H_0"):
-        co.Separable({0: (np.log, lambda y: 2 / y)}).bind(1)
+    for log in (math.log, np.log):
+        with refused(ValueError, "dH_0", "H_0"):
+            co.Separable({0: (log, lambda y: 2 / y)}).bind(1)
 
 
 @pytest.mark.parametrize("known", [False, True], ids=["unbound", "bound"])
@@ -202,14 +199,12 @@ def test_sums_of_split_ones_have_the_dimension_that_is_known():
     def one(k):
         return co.SplitHamiltonian([((k,), co.Quadratic(float(k + 1)))])
 
-    for first, second in ((one(0).bind(4), one(2)), (one(0), one(2).bind(4)), (one(0).bind(4), one(2).bind(4))):
-        for H in (first + second, second + first):
-            assert H.dim == 4
-            np.testing.assert_array_equal(H.gradient(np.ones(4)), [1.0, 0.0, 3.0, 0.0])
+    for H in (one(0).bind(4) + one(2), one(0) + one(2).bind(4), one(0).bind(4) + one(2).bind(4)):
+        assert H.dim == 4
+        np.testing.assert_array_equal(H.gradient(np.ones(4)), [1.0, 0.0, 3.0, 0.0])
     assert (one(0) + one(2)).dim is None
-    for wrong in (lambda: one(0).bind(4) + one(2).bind(5), lambda: one(2).bind(5) + one(0).bind(4)):
-        with refused(ValueError, "4", "5", "coordinates"):
-            wrong()
+    with refused(ValueError, "4", "5", "coordinates"):
+        one(0).bind(4) + one(2).bind(5)
 
 
 FUNCTIONS_THAT_ARE_REFUSED = [
@@ -220,9 +215,8 @@ FUNCTIONS_THAT_ARE_REFUSED = [
     (lambda: co.Hamiltonian(lambda x: x[7], lambda x: x).bind(2), ValueError, ("value", "index 7")),
     (lambda: co.Separable({0: (np.sin, np.cos, np.sin)}).bind(3), ValueError, ("d2H_0", "dH_0")),
     (lambda: co.Separable({0: (lambda a, b, c: a, np.cos)}), TypeError, ("takes 3",)),
-    (lambda: co.SplitHamiltonian([((0, 0), co.Quadratic(1.0))]), ValueError, ("different numbers",)),
+    (lambda: co.Hamiltonian(lambda x, *, m: x, lambda x: x), TypeError, ("positional",)),
     (lambda: co.SplitHamiltonian([((0, 1), co.Quadratic([1.0]))]), ValueError, ("piece 0", "2 coordinates")),
-    (lambda: co.SplitHamiltonian([((0, 9), co.Quadratic(1.0))]).bind(4), ValueError, ("coordinate 9",)),
     (lambda: co.SplitHamiltonian([((2,), co.Quadratic(1.0))]).bind(2), ValueError, ("piece 0", "0 to 1")),
     (lambda: bound(3.0, 2), TypeError, ("float",)),
     (lambda: bound(co.Quadratic, 2), TypeError, ("class Quadratic",)),
@@ -231,11 +225,7 @@ FUNCTIONS_THAT_ARE_REFUSED = [
     (lambda: co.Hamiltonian(lambda x: 0.0, lambda x: 0 * x).hessian([1.0]), TypeError, ("hessian=",)),
     (lambda: co.Separable({0: (np.sin, np.cos)}).hessian([1.0]), TypeError, ("coordinate 0",)),
     (lambda: co.Separable({3: (np.cosh, np.sinh)}).value([1.0] * 3), ValueError, ("coordinate 3", "3 entries")),
-    (lambda: co.Separable({3: (np.cosh, np.sinh)}).gradient([1.0] * 3), ValueError, ("coordinate 3", "3 entries")),
     (lambda: co.formula("x1/(1 - 1) + cos(x1)", 3), ValueError, ()),
-    (lambda: co.formula("cos(x1)/0", 3), ValueError, ()),
-    (lambda: co.formula("log(x1, x2)", 3), ValueError, ()),
-    (lambda: co.formula("cos(x1) + sqrt(-1)", 3), ValueError, ()),
     (lambda: co.formula("cos(x1) + y", 3), ValueError, ("y",)),
     (lambda: co.formula("+".join(f"cos({k}*x1)" for k in range(1100)), 1), ValueError, ("2000",)),
 ]
@@ -284,10 +274,6 @@ def test_a_polynomial_is_one():
     for text, M in (("(x1 + 2*x2)^2/2", [[1.0, 2.0], [2.0, 4.0]]), ("x1*x2", [[0.0, 1.0], [1.0, 0.0]])):
         plane = co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1}})
         np.testing.assert_array_equal(co.LiePoissonSystem(plane, text).hamiltonian.hessian(np.zeros(2)), M)
-    assert co.formula("a*(x1 - b)^2", 1, parameters={"a": 3, "b": Fraction(1, 3)}) == co.Polynomial(
-        {(2,): 3, (1,): -2, (0,): Fraction(1, 3)}
-    )
-    assert co.Polynomial("w*q^2", basis=("q", "p"), parameters={"w": 2}) == co.Polynomial({(2, 0): 2})
 
 
 def test_every_place_of_a_hamiltonian_takes_a_function():
@@ -324,10 +310,17 @@ def named(x):
     return np.cosh(x[0]) + np.tanh(x[2]) + x[1] * x[2]
 
 
-@pytest.mark.parametrize(("H", "factor"), [(named, 2.5), ("2*x1^2 + sqrt(1 + x3^2)/3 - exp(-x2)", 1)])
+@pytest.mark.parametrize(
+    ("H", "factor"),
+    [
+        (named, 2.5),
+        ("2*x1^2 + sqrt(1 + x3^2)/3 - exp(-x2)", 1),
+        # In another order than their numbers: without the names, the coordinates would be exchanged in silence.
+        (co.formula("cos(x2) + 2*x1^2 + x3^3", basis=("x2", "x1", "x3")), 1),
+    ],
+)
 def test_pickled_and_copied(H, factor):
-    H = co.LiePoissonSystem(co.algebras.so(3), H).hamiltonian
-    system = co.LiePoissonSystem(co.algebras.so(3), factor * H)
+    system = co.LiePoissonSystem(co.algebras.so(3), factor * co.LiePoissonSystem(co.algebras.so(3), H).hamiltonian)
     x = np.array([0.3, -0.7, 1.1])
     for same in (pickle.loads(pickle.dumps(system)), copy.deepcopy(system), copy.copy(system)):
         assert same.energy(x) == system.energy(x)
@@ -335,18 +328,3 @@ def test_pickled_and_copied(H, factor):
         np.testing.assert_array_equal(same.jacobian(x), system.jacobian(x))
         ends = [co.integrate(s, x, (0, 0.5), 0.1, co.GaussLegendre(2)).x for s in (same, system)]
         np.testing.assert_array_equal(*ends)
-    for method in (co.Splitting(order=4), co.GaussLegendre(2)):
-        prepared = co.prepare(system, method, 0.1)
-        run = prepared.run(x, (0, 0.5)).x
-        np.testing.assert_array_equal(pickle.loads(pickle.dumps(prepared)).run(x, (0, 0.5)).x, run)
-
-
-def test_names_of_coordinates_are_pickled():
-    # In another order than their numbers: without the names, the coordinates would be exchanged in silence.
-    for names in (("m1", "m2", "m3"), ("x2", "x1", "x3")):
-        H = co.formula(f"cos({names[0]}) + 2*{names[1]}^2 + {names[2]}^3", basis=names)
-        x = np.array([0.1, 0.7, 0.4])
-        again = pickle.loads(pickle.dumps(H))
-        assert again.value(x) == H.value(x) == np.cos(0.1) + 2 * 0.7**2 + 0.4**3
-        system = co.LiePoissonSystem(co.algebras.so(3), H)
-        assert np.array_equal(pickle.loads(pickle.dumps(system)).vector_field(x), system.vector_field(x))

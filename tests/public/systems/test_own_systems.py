@@ -109,10 +109,6 @@ def test_matrices_without_structure_constants():
     for m in range(2):
         alone = co.integrate(system, X[m], (0, 2), 0.02, Isospectral(), save_every=50)
         assert alone.x.shape == (3, 7, 7) and np.array_equal(alone.x, sol.x[:, m])
-        exact = solve_ivp(lambda t, x: system.vector_field(x), (0, 2), X[m].ravel(), rtol=1e-11, atol=1e-12).y[:, -1]
-        fine = co.integrate(system, X[m], (0, 2), 0.01, Isospectral(), save_every=200).x[-1]
-        errors = [np.max(np.abs(found.ravel() - exact)) for found in (alone.x[-1], fine)]
-        assert 3.0 < errors[0] / errors[1] < 5.0 and errors[1] < 1e-2
         before, after = (np.sort(np.linalg.eigvals(found).imag) for found in (X[m], alone.x[-1]))
         assert np.max(np.abs(before - after)) < 1e-12
     assert sol.drift(relative=False)["|X|^2"] < 1e-11 and 1e-8 < sol.drift(relative=False)["energy"] < 1e-1
@@ -178,11 +174,8 @@ def test_matrices_with_forces():
     drag = np.abs(skew(4)).ravel()
     forced = co.ForcedSystem(system, (co.forces.LinearDamping(drag), co.forces.Torque(0.1 * skew(4).ravel())))
 
-    def run(h):
-        return co.integrate(forced, X, (0, 1), h, Isospectral())
-
     exact = solve_ivp(lambda t, x: forced.vector_field(x), (0, 1), X.ravel(), rtol=1e-11, atol=1e-12).y[:, -1]
-    coarse, fine = run(2**-6), run(2**-7)
+    coarse, fine = (co.integrate(forced, X, (0, 1), h, Isospectral()) for h in (2**-6, 2**-7))
     errors = [np.max(np.abs(found.x[-1].ravel() - exact)) for found in (coarse, fine)]
     assert coarse.x.shape == (65, 4, 4) and 3.0 < errors[0] / errors[1] < 5.0
     assert fine.balance(relative=False)["|X|^2"] < 1e-12 < 1e-2 < abs(fine.work["LinearDamping"]["|X|^2"][-1])

@@ -67,7 +67,7 @@ def test_missing_dimension_and_time_are_refused():
         co.PoissonSystem(lambda x, t: A, co.Quadratic(1.0), dim=3)
 
 
-SO3, E3 = co.algebras.so(3), co.algebras.e(3)
+SO3 = co.algebras.so(3)
 
 THIRD = co.Polynomial({(0, 0, 1): 1})
 
@@ -106,10 +106,7 @@ def test_a_dataset_keeps_those_that_are_polynomials():
         ({"x2": co.Polynomial({(0, 1, 0): 1})}, ValueError, ("'x2'", "integral", "rate")),
         ({"q": co.Quadratic([1, 2, 0])}, ValueError, ("'q'", "integral")),
         ({"v": co.Invariant(lambda x: x[1], lambda x: np.array([0.0, 1.0, 0.0]))}, ValueError, ("'v'", "integral")),
-        ({"x": co.Polynomial({(0, 1): 1})}, ValueError, ("'x'", "2 variables")),
         ({"energy": THIRD}, ValueError, ("'energy'",)),
-        ({"x": 3}, TypeError, ("'x'", "3")),
-        ([THIRD], TypeError, ("integrals", "list")),
     ],
 )
 def test_what_is_no_integral_is_refused(given, kind, named):
@@ -118,13 +115,10 @@ def test_what_is_no_integral_is_refused(given, kind, named):
 
 
 def test_energies_that_are_functions():
-    value, slope = (
-        (lambda x: np.cosh(x[2]) + x[0] ** 2 + x[1] ** 2),
-        (lambda x: np.array([2 * x[0], 2 * x[1], np.sinh(x[2])])),
-    )
-    assert co.LiePoissonSystem(SO3, co.Hamiltonian(value, slope), integrals={"x3": THIRD}).integrals
+    H = co.Hamiltonian(lambda x: np.cosh(x[2]) + x[0] ** 2 + x[1] ** 2)
+    assert co.LiePoissonSystem(SO3, H, integrals={"x3": THIRD}).integrals
     with refused(ValueError, "'x1'", "integral"):
-        co.LiePoissonSystem(SO3, co.Hamiltonian(value, slope), integrals={"x1": co.Polynomial({(1, 0, 0): 1})})
+        co.LiePoissonSystem(SO3, H, integrals={"x1": co.Polynomial({(1, 0, 0): 1})})
     cubic = co.Polynomial({(2, 0, 1): 1, (0, 2, 1): 1, (0, 0, 3): 0.1})
     assert co.LiePoissonSystem(SO3, cubic, integrals={"x3": THIRD}).integrals
 

@@ -8,7 +8,7 @@ from refusals import refused
 
 satellite, pendulum = co.systems.satellite, co.systems.double_spherical_pendulum
 
-MOMENTS, MASS, GRAVITY = (1.0, 2.0, 2.5), 1.5, 0.8
+MASS, GRAVITY = 1.5, 0.8
 
 X0 = np.array([0.3, -0.4, 0.5, 0.2, 0.9, -0.1, 3.0, 0.4, -0.5, 1.0])
 
@@ -33,12 +33,9 @@ def test_field_by_hand(seed):
     assert system.sign == -1 and system.integrals == {}
 
 
-def test_casimirs_and_symmetry():
+def test_casimir_and_parts_of_a_satellite():
     system = satellite((2.0, 2.0, 1.0), MASS, GRAVITY)
-    assert list(system.integrals) == ["L3"] and list(satellite((1, 1, 1)).integrals) == ["L1", "L2", "L3"]
-    assert list(satellite((1, 2, 1)).integrals) == ["L2"]
-    L, p, r = X0[:3], X0[3:6], X0[6:9]
-    total = L + np.cross(r, p)
+    total = X0[:3] + np.cross(X0[6:9], X0[3:6])
     assert system.casimirs["|total L|^2"](X0) == pytest.approx(total @ total, rel=1e-14)
     assert "H in 5 parts" in str(co.Splitting().describe(system))
 
@@ -46,7 +43,7 @@ def test_casimirs_and_symmetry():
 @pytest.mark.parametrize(("speed", "along"), [(0.9, 0.3), (1.8, -1.2), (np.sqrt(2), 0.0), (2.5, 0.4), (0.6, -0.5)])
 @pytest.mark.parametrize("t", [0.01, 3.0, -7.0, 60.0])
 def test_every_orbit_of_kepler(speed, along, t):
-    """What every orbit keeps, its slope, and the way back: ellipses, a parabola and hyperbolas, inward and outward."""
+    """What every orbit keeps, and the way back: ellipses, a parabola and hyperbolas, inward and outward."""
     system, mass, d = satellite((0.7, 0.7, 0.7), MASS, GRAVITY), MASS, 1.25
     circle = np.sqrt(GRAVITY / d)
     x0 = np.r_[0, 0, 0, mass * circle * np.array([along, np.sqrt(speed**2 - along**2), 0.1]), d, 0, 0, 1]
@@ -59,11 +56,7 @@ def test_every_orbit_of_kepler(speed, along, t):
         return np.r_[v @ v / 2 - GRAVITY / np.linalg.norm(r), h, np.cross(v, h) - GRAVITY * r / np.linalg.norm(r)]
 
     np.testing.assert_allclose(kept(r, v), kept(r0, v0), rtol=0, atol=1e-13)
-    back = system.exact(end, -t)
-    np.testing.assert_allclose(back, x0, rtol=0, atol=1e-11)
-    h = 2.0**-17
-    slope = (system.exact(x0, t + h) - system.exact(x0, t - h)) / (2 * h)
-    np.testing.assert_allclose(slope, system.vector_field(end), rtol=0, atol=1e-7)
+    np.testing.assert_allclose(system.exact(end, -t), x0, rtol=0, atol=1e-11)
 
 
 def test_radial_orbits_and_bodies_that_are_no_balls_are_refused():
@@ -84,9 +77,9 @@ def inertia_of(masses, lengths):
     return (m1 + m2) * l1**2, m2 * l2**2, m2 * l1 * l2
 
 
-def with_rods(masses, lengths, right, u1, u2, along):
-    """Solve M (w1, w2) = right + forces along the rods, with u_a.w_a given: eight linear equations."""
-    a, b, c = inertia_of(masses, lengths)
+def newton(masses, lengths, gravity, u1, u2, v1, v2):
+    """The second derivatives of the directions, with forces along the rods: eight linear equations."""
+    (m1, m2), (l1, l2), (a, b, c) = masses, lengths, inertia_of(masses, lengths)
     E, zero = np.eye(3), np.zeros((1, 3))
     matrix = np.block(
         [
@@ -96,15 +89,8 @@ def with_rods(masses, lengths, right, u1, u2, along):
             [zero, u2[None], np.zeros((1, 2))],
         ]
     )
-    found = np.linalg.solve(matrix, np.concatenate([right, along]))
-    return found[:3], found[3:6]
-
-
-def newton(masses, lengths, gravity, u1, u2, v1, v2):
-    """The second derivatives of the directions."""
-    (m1, m2), (l1, l2) = masses, lengths
     weight = -gravity * np.concatenate([(m1 + m2) * l1 * UP, m2 * l2 * UP])
-    return with_rods(masses, lengths, weight, u1, u2, [-v1 @ v1, -v2 @ v2])
+    return np.linalg.solve(matrix, np.r_[weight, -v1 @ v1, -v2 @ v2])[:6]
 
 
 def state(masses, lengths, u1, u2, v1, v2, along=(0.0, 0.0)):
@@ -131,7 +117,7 @@ def test_velocities_accelerations_and_energy(seed):
     field = system.vector_field(x)
     np.testing.assert_allclose(field[:6], np.r_[v1, v2], rtol=0, atol=1e-12)
     late = system.jacobian(x) @ field
-    np.testing.assert_allclose(late[:6], np.r_[newton(masses, lengths, gravity, u1, u2, v1, v2)], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(late[:6], newton(masses, lengths, gravity, u1, u2, v1, v2), rtol=0, atol=1e-10)
     places = lengths[0] * u1, lengths[0] * u1 + lengths[1] * u2
     speeds = lengths[0] * v1, lengths[0] * v1 + lengths[1] * v2
     energy = sum(m * (v @ v / 2 + gravity * r[2]) for m, r, v in zip(masses, places, speeds, strict=True))

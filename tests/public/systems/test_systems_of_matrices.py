@@ -36,7 +36,7 @@ def in_constants(s, algebra):
     dual = np.linalg.inv(gram)
     # H(W), W = sum over i of (dual mu)_i b_i.
     P = np.array([[s.algebra.pairing(one, s.slope_of(other)) for other in b] for one in b])
-    linear = None if s.linear is None else s.energy_sign * dual @ [s.algebra.pairing(one, s.linear) for one in b]
+    linear = s.energy_sign * dual @ [s.algebra.pairing(one, s.linear) for one in b]
     M = s.energy_sign * dual @ P @ dual
     return b, dual, co.Quadratic((M + M.T) / 2, linear=linear)
 
@@ -65,13 +65,10 @@ def linear_map(g, seed):
 
 @pytest.mark.thinned(3)
 @pytest.mark.filterwarnings("ignore:the stream stream is called in Python")
-@pytest.mark.parametrize(
-    ("name", "of"),
-    [(name, of) for name in CASES for of in ("function", "function and constant")],
-)
-def test_it_moves_as_by_structure_constants(name, of):
+@pytest.mark.parametrize("name", CASES)
+def test_it_moves_as_by_structure_constants(name):
     g, algebra, sign = CASES[name]
-    constant = g.projected(np.random.default_rng(9).normal(size=g.shape)) if "constant" in of else None
+    constant = g.projected(np.random.default_rng(9).normal(size=g.shape))
     s = co.MatrixSystem(g, linear_map(g, 3), constant, energy_sign=sign)
     b, dual, H = in_constants(s, algebra)
     W = state_of(s)
@@ -89,25 +86,6 @@ def test_it_moves_as_by_structure_constants(name, of):
     # Both have errors of order 12 far below round-off: (1/64)^12 is 2e-22.
     back = np.array([g.pairing(one, by_matrices) for one in b])
     assert np.abs(back - by_constants).max() < 1e-13 < 1e-3 < np.abs(back - mu).max()
-
-
-@pytest.mark.parametrize("kind", ["so", "u", "gl", "sp", "sl(C)"])
-def test_the_gradient_is_that_of_the_energy(kind):
-    g = G(kind, 4)
-    s = co.MatrixSystem(g, linear_map(g, 5), g.projected(np.eye(4) + 0.3), energy_sign=-1)
-    x = s.to_vector(state_of(s))
-    direction = s.to_vector(state_of(s, seed=8))
-    d = 2.0**-10
-    slope = (s.energy(x + d * direction) - s.energy(x - d * direction)) / (2 * d)
-    # A quadratic has no error of truncation.
-    assert abs(slope - s.hamiltonian.gradient(x) @ direction) < 64 * U * abs(s.energy(x) / d) + 1e-13
-    assert np.abs(s.structure_matrix(x) @ s.hamiltonian.gradient(x) - s.vector_field(x)).max() < 1e-14
-    columns = [(s.hamiltonian.gradient(x + u) - s.hamiltonian.gradient(x - u)) / 2 for u in np.eye(s.dim)[:5]]
-    assert np.abs(np.array(columns) - s.hamiltonian.hessian(x)[:, :5].T).max() < 1e-14
-    for trace in s.casimirs.values():
-        seen = (trace(x + d * direction) - trace(x - d * direction)) / (2 * d)
-        assert abs(seen - trace.gradient(x) @ direction) < 10 * d * d
-        assert np.abs(s.structure_matrix(x) @ trace.gradient(x)).max() < 1e-14
 
 
 @pytest.mark.filterwarnings("ignore:the stream stream is called in Python")
@@ -174,8 +152,7 @@ def test_everything_is_a_function_of_the_time_too(kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_states_and_constants_that_are_given_stay_as_they_are(kind):
-    A, systems = breathing(kind)
-    s = systems[0]
+    A, (s, _) = breathing(kind)
     given = A.copy()
     again = co.MatrixSystem(s.algebra, lambda W: 2.0 * W, given)
     given += 1.0
@@ -223,11 +200,10 @@ def test_vectors_that_are_not_finite_are_refused_as_states():
     s = co.systems.sphere_euler(3).in_numbers
     x = np.zeros((2, s.dim))
     assert s.read(x).shape == x.shape and s.in_numbers is s
-    for wrong in (np.nan, np.inf):
-        x[1, 4] = wrong
-        for given in (x, x[1]):
-            with refused(ValueError, "x0"):
-                s.read(given)
+    x[1, 4] = np.nan
+    for given in (x, x[1]):
+        with refused(ValueError, "x0"):
+            s.read(given)
 
 
 @pytest.mark.parametrize(
@@ -257,20 +233,18 @@ def test_as_many_traces_as_are_independent(kind, N, names):
         power = int(name.partition("^")[2] or 1)
         whole = np.trace(np.linalg.matrix_power(base, power))
         assert trace(W) == pytest.approx(whole.imag if name.startswith("Im") else whole.real, abs=1e-13)
+        d, x, direction = 2.0**-10, s.to_vector(W), s.to_vector(state_of(s, seed=8))
+        seen = (trace(x + d * direction) - trace(x - d * direction)) / (2 * d)
+        assert abs(seen - trace.gradient(x) @ direction) < 10 * d * d
+        assert np.abs(s.structure_matrix(x) @ trace.gradient(x)).max() < 1e-14
 
 
 SHIFT = 2.5
 
 
-def laplacian(N):
-    """Return the table of minus the Laplacian, from the stream of the sphere."""
-    stream = co.systems.sphere_euler(N).stream
-    return stream.main.copy(), stream.beside
-
-
 def shifted(N, factor):
-    main, beside = laplacian(N)
-    return DiagonalSolve(main + SHIFT * (np.add.outer(np.arange(N), np.arange(N)) < N), beside, factor)
+    stream, places = co.systems.sphere_euler(N).stream, np.add.outer(np.arange(N), np.arange(N))
+    return DiagonalSolve(stream.main + SHIFT * (places < N), stream.beside, factor)
 
 
 STREAMS = {  # a stream, the eigenvalue of it for that of minus the Laplacian
@@ -364,7 +338,6 @@ def body():
         (lambda: co.prepare(body(), None, 0.1, attitude=True), "attitude"),
         (lambda: co.prepare(body(), None, 0.1, attitude="coadjoint"), "group element"),
         (lambda: co.prepare(body(), co.Splitting(), 0.1), "IsospectralGauss"),
-        (lambda: co.stepper(co.systems.rigid_body(), co.IsospectralGauss(), 0.1), "IsospectralGauss"),
     ],
 )
 def test_refused_by_name(make, named):
