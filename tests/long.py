@@ -29,7 +29,8 @@ def long_between(count: int, cases: Iterable[Any]) -> list[Any]:
 def thin(items: Iterable[pytest.Item]) -> None:
     """Mark all but about one of k cases of each test marked `thinned(k)` as long, whatever the number of parameters.
 
-    Of tests without the mark, about `MOST_CASES` cases stay.
+    Of tests without the mark, about `MOST_CASES` cases stay; all of them if the name of the test says that something is
+    refused: each is a claim of its own, and takes milliseconds.
 
     Cases stay as in a Latin square: the ranks of their values among those of each parameter add up to a multiple of k.
     Each value of a parameter that has no more values than cases stay is in at least one of them. The nearest mark
@@ -41,7 +42,8 @@ def thin(items: Iterable[pytest.Item]) -> None:
             tests.setdefault(item.nodeid.partition("[")[0], []).append(item)
     for cases in tests.values():
         mark = cases[0].get_closest_marker("thinned")
-        _thin_one(cases, mark.args[0] if mark else max(1, len(cases) // MOST_CASES))
+        usual = 1 if "refused" in cases[0].originalname else max(1, len(cases) // MOST_CASES)
+        _thin_one(cases, mark.args[0] if mark else usual)
 
 
 def _may_be_thinned(item: pytest.Item) -> bool:

@@ -147,7 +147,7 @@ def test_every_scheme_on_large_states_has_the_same_bits_and_energies(name):
     few = step > 0.5
     options = {"watch": True, "step": step, "steps": 5 if few else 66}
     alone = run(system, x0, 1, method, **options)
-    for threads in (9,) if few else (2, 7):
+    for threads in (3,) if few else (2, 7):
         shared = run(system, x0, threads, method, **options)
         np.testing.assert_array_equal(shared.x, alone.x)
         np.testing.assert_array_equal(shared.energy, alone.energy)
