@@ -4,11 +4,11 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from compared_runs import assert_same_run, same_bits
 
 import coadjoint as co
 from command import command
 from configuration_files import BRACKETS, OWN, READY_MADE
+from same_runs import check_same, same_bits
 
 X = (1.0, 0.1, 0.5)
 BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
@@ -100,7 +100,7 @@ CONFIGURED = {
 @pytest.mark.parametrize("name", CONFIGURED)
 def test_a_file_is_the_run_in_python(files, name):
     text, wanted = CONFIGURED[name]
-    assert_same_run(files.run(text), wanted())
+    check_same(files.run(text), wanted())
 
 
 def test_an_archive_of_a_file_is_its_run(files):

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 import xarray
-from compared_runs import same_bits
 from scipy.linalg import expm
 
 import coadjoint as co
 from configuration_files import READY_MADE
 from rounding import UNIT_ROUNDOFF
+from same_runs import same_bits
 
 BODY = READY_MADE.replace("t_span = [0, 1]\nstep = 0.1", "t_span = [0, 0.25]\nstep = 0.125")
 BODY = BODY.replace("x = [1.0, 0.1, 0.5]", "x = [2, 1, 3]")

@@ -10,10 +10,10 @@ import numcodecs
 import numpy as np
 import pytest
 import xarray
-from compared_runs import same_bits
 
 import coadjoint as co
 from refusals import refused
+from same_runs import same_bits
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::zarr.errors.UnstableSpecificationWarning"),

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import scipy.linalg
 import xarray
-from compared_runs import assert_same_run, same_bits
 from stored_systems import (
     BODY,
     FREE,
@@ -30,6 +29,7 @@ from stored_systems import (
 import coadjoint as co
 from configuration_files import READY_MADE
 from refusals import refused
+from same_runs import check_same, same_bits
 from served import FLUID, serves, state_of
 
 X = (0.3, -0.2, 0.5)
@@ -51,10 +51,10 @@ def test_runs_of_own_systems_are_repeated_and_loaded(name, tmp_path):
     dataset = sol.to_xarray()
     assert "not_stored" not in dataset.attrs
     again = co.results.rebuild(dataset)
-    assert_same_run(again, sol)
+    check_same(again, sol)
     dataset.to_netcdf(tmp_path / "run.nc")
     loaded = co.load(tmp_path / "run.nc")
-    assert_same_run(loaded, sol)
+    check_same(loaded, sol)
     wanted = described(system)
     for found in (again.system, loaded.system, read_back(system), copy.deepcopy(system), _pickled(system)):
         assert described(found) == wanted
@@ -76,7 +76,7 @@ def test_random_systems_are_repeated(seed):
     system = co.LiePoissonSystem(algebra, H, casimirs=casimirs, representation=rho)
     assert described(read_back(system)) == described(system)
     sol = co.integrate(system, np.full(6, 0.25), (0.0, 0.5), 0.125, attitude=True)
-    assert_same_run(co.results.rebuild(sol.to_xarray()), sol)
+    check_same(co.results.rebuild(sol.to_xarray()), sol)
 
 
 # Values of parameters, where a multiple of the default is none.
@@ -146,7 +146,7 @@ def test_ready_made_systems_are_stored_with_every_parameter(name):
         assert np.array_equal(*exact)
     options = {} if is_matrix(system) or system.algebra is None else {"attitude": "coadjoint"}
     sol = co.integrate(system, x, times, 0.125, **options)
-    assert_same_run(co.results.rebuild(sol.to_xarray()), sol)
+    check_same(co.results.rebuild(sol.to_xarray()), sol)
 
 
 def _exact(system, x, t):
@@ -228,7 +228,7 @@ def test_schemes_are_stored_and_configured_with_every_parameter(name, files):
         dataset = sol.to_xarray()
         again = co.results.rebuild(dataset)
         assert again.method == method and repr(again.method) == repr(method)
-        assert_same_run(again, sol)
+        check_same(again, sol)
         varied = {key for key in vars(method) if getattr(method, key) != getattr(examples[0], key)}
         if system is BODY and not varied <= configured:  # each parameter in one configuration
             configured |= varied
@@ -236,7 +236,7 @@ def test_schemes_are_stored_and_configured_with_every_parameter(name, files):
             text = READY_MADE.replace('name = "Splitting"\norder = 4', f'name = "{name}"\nparameters = PARAMETERS')
             text = text.replace("PARAMETERS", toml(table["parameters"]))
             text = text.replace("[1.0, 0.1, 0.5]", str(list(X))).replace("[0, 1]\nstep = 0.1", "[0, 0.5]\nstep = 0.125")
-            assert_same_run(files.run(text), sol)
+            check_same(files.run(text), sol)
 
 
 # Forces.
@@ -264,10 +264,10 @@ def test_forced_runs_are_repeated_with_their_work(name, tmp_path):
     assert "drift" not in dataset and "not_stored" not in dataset.attrs
     again = co.results.rebuild(dataset)
     assert again.system.forces == (force,)
-    assert_same_run(again, sol)
+    check_same(again, sol)
     assert np.array_equal(sol.x[-1, 0], sol.x[-1, 1]) != force.random, "members have independent noise"
     dataset.to_netcdf(tmp_path / "run.nc")
-    assert_same_run(co.load(tmp_path / "run.nc"), sol)
+    check_same(co.load(tmp_path / "run.nc"), sol)
 
 
 def test_accounts_of_work_have_the_names_of_forces_and_invariants(tmp_path):
@@ -330,18 +330,18 @@ def test_options_of_runs_are_stored(parameter, tmp_path):
         sol = co.integrate(BODY, **arguments)
         dataset = sol.to_xarray()
         again = co.results.rebuild(dataset)
-        assert_same_run(again, sol)
+        check_same(again, sol)
         if parameter == "events":
             kinds = [type(one.g) for one in again.events.asked]
             assert kinds == [type(one.g) for one in sol.events.asked] and len(sol.events) >= 1
         inputs = co.results.solution_inputs(dataset)
         if sol.carried != "coadjoint":
-            assert_same_run(co.integrate(**inputs), sol)
+            check_same(co.integrate(**inputs), sol)
         dataset.to_netcdf(tmp_path / "run.nc")
         loaded = co.load(tmp_path / "run.nc")
-        assert_same_run(loaded, sol)
+        check_same(loaded, sol)
         assert repr(loaded) == repr(sol)
-        assert_same_run(_pickled(loaded), sol)
+        check_same(_pickled(loaded), sol)
         xarray.testing.assert_identical(loaded.to_xarray(), dataset)
 
 
@@ -369,7 +369,7 @@ def test_an_initial_coadjoint_matrix_is_stored(name, tmp_path):
     system, method, x0, span, element, options = STARTED[name]
     sol = co.prepare(system, method, 0.05, attitude="coadjoint").run(x0, span, attitude=element, **options)
     dataset = sol.to_xarray()
-    assert_same_run(co.results.rebuild(dataset), sol)
+    check_same(co.results.rebuild(dataset), sol)
     with refused(ValueError, "coadjoint matrix"):
         co.results.solution_inputs(dataset)
     dataset.to_netcdf(tmp_path / "run.nc")
@@ -503,7 +503,7 @@ def test_loaded_crossings_of_functions_have_their_names(tmp_path, first, termina
     sol = co.integrate(co.systems.rigid_body((1, 2, 3)), starts, (0.5, 40.5), 0.125, events=events)
     sol.to_xarray().to_netcdf(tmp_path / "body.nc")
     loaded = co.load(tmp_path / "body.nc")
-    assert_same_run(loaded, sol)
+    check_same(loaded, sol)
     assert np.array_equal(loaded.events.ends(2), sol.events.ends(2), equal_nan=True)
     asked = loaded.events.asked[loaded.events.names.index("mine")]
     assert (asked.count, asked.terminal, asked.direction) == (3, terminal, 0)

@@ -5,11 +5,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from torus_flows import first_modes, last_modes, smooth
 
 import coadjoint as co
 from refusals import refused
 from rounding import UNIT_ROUNDOFF as U
+from torus import first_modes, last_modes, smooth
 
 pytestmark = pytest.mark.thinned(3)
 
