@@ -101,6 +101,8 @@ def test_same_bits_alone_in_an_ensemble_on_threads_and_in_pieces(method):
 def test_the_transient_is_taken_off():
     whole = co.lyapunov(BODY, (0.4, 1.0, 0.3), (0, 30), 0.1, save_every=50)
     later = co.lyapunov(BODY, (0.4, 1.0, 0.3), (0, 30), 0.1, save_every=50, transient=10.0)
+    every = co.lyapunov(BODY, (0.4, 1.0, 0.3), (0, 30), 0.1, save_every=50, renormalize_every=10)
+    assert np.array_equal(every.stretches, whole.stretches)
     assert np.array_equal(later.t, [10.0, 15.0, 20.0, 25.0, 30.0])
     assert np.array_equal(later.stretches, whole.stretches[2:] - whole.stretches[2])
     assert np.array_equal(later.exponents, later.stretches[-1] / 20.0)
