@@ -26,7 +26,7 @@ MAXIMA: dict[str, int] = {
     "files in cycles, with imports inside functions and for types": 78,
     "modules behind integrate": 213,
     "C++ lines": 19171,
-    "test lines": 64321,
+    "test lines": 62000,
     "test files that import internals": 75,
     "public names": 328,
 }
