@@ -16,6 +16,7 @@ from mpl_toolkits.mplot3d.art3d import Line3D
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 import coadjoint as co
+from coadjoint.pictures.gallery import SCENES, Scene, decaying_turbulence, piece
 from coadjoint.pictures.globe import Globe
 from coadjoint.pictures.hidden_lines import FAR_ALPHA, FadingLine, towards_viewer
 from coadjoint.pictures.kinds.body_axis import _rotation_to_vertical
@@ -386,3 +387,18 @@ def test_titles_and_labels_are_wrapped_to_their_panels(name):
         assert " ".join(lines[-1]) == words and length < 1.05 * available
         assert all(text.get_text() in ("one title", "one label") for other, text in texts.items() if other != name)
     assert lines[0] == lines[2] and len(lines[1]) > len(lines[0]) > len(lines[3]) == 1
+
+
+def test_decaying_turbulence_is_drawn_when_it_is_named(monkeypatch):
+    """A shorter run with the pictures of the scene; the field has one seed, the degrees 3 to 8 and mean square 1."""
+    scene = SCENES["decaying_turbulence"]
+    short = Scene(lambda: decaying_turbulence(N=12, end=2.0, step=0.1), scene.pictures, scene.summary, scene.caption)
+    monkeypatch.setitem(SCENES, "decaying_turbulence", short)
+    made = piece("decaying_turbulence")
+    titles = [axes.get_title() for axes in made.figure.axes if axes.get_label() != "<colorbar>"]
+    assert titles == [f"vorticity{part} at $t$ = {t}" for t in (0, 0, 2) for part in ("", ", large scales")]
+    assert made.run.startswith("sphere_euler(N=12") and made.run.endswith(" s")
+    run = decaying_turbulence(N=12, end=0.1, step=0.1)
+    degrees, enstrophy = run.system.enstrophy_spectrum(run.x[0])
+    assert degrees[enstrophy > 1e-20].tolist() == list(range(3, 9))
+    assert enstrophy.sum() == pytest.approx(2 * np.pi, rel=1e-12)

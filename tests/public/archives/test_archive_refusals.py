@@ -220,6 +220,17 @@ def test_failed_run_raises_the_same_error_again(tmp_path):
     assert (stored.value.step, stored.value.time, stored.value.residual) == (3, 7.25, 0.5)
 
 
+def test_a_failed_run_is_not_extended(tmp_path):
+    algebra, path = co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1.0}}), tmp_path / "run.zarr"
+    growing = co.LiePoissonSystem(algebra, co.Quadratic([[0.0, 1.0], [1.0, 0.0]]))
+    with refused(co.IntegrationError) as failure:
+        co.integrate(growing, (3.0, -3.0), (0, 4), 0.01, co.ExplicitRungeKutta("rk4"), archive=path)
+    for _ in range(2):
+        with refused(co.IntegrationError, failure.value) as again:
+            co.resume(path, t_end=8.0)
+        assert again.value.step == failure.value.step and co.open_archive(path).t_span == (0.0, 4.0)
+
+
 def test_failed_members_leave_the_others(tmp_path):
     """[e1, e2] = e2 with H = x1 gives x2' = x2, which overflows where it begins large."""
     algebra, path = co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1.0}}), tmp_path / "run.zarr"

@@ -140,6 +140,16 @@ def test_error_names_the_first_undefined_event(way):
         assert failure.value.step == 17 and failure.value.time == 2.0 * way
 
 
+@pytest.mark.parametrize("members", [None, 2])
+def test_crossings_of_the_failed_step_are_dropped(members):
+    """x2 falls through zero in the step after which the root is undefined."""
+    x0 = np.array([0.01, 1.0, 0.01]) if members is None else np.array([[0.01, 1.0, 0.01], [0.0, 0.0, 1.0]])
+    events = [co.Event("x2"), co.Event(lambda x: np.sqrt(x[1]) + 1.0, name="root")]
+    with refused(co.IntegrationError, "event root") as caught:
+        co.integrate(co.systems.rigid_body((1, 2, 3)), x0, (0, 30), 0.05, co.Splitting(order=4), events=events)
+    assert len(caught.value.partial.events) == 0
+
+
 def test_second_crossing_within_a_step_ends_the_run():
     system, start, h = harmonic(), np.array([np.cos(2.3), -np.sin(2.3), 0.0]), 0.5
     c = np.cos(1e-3)

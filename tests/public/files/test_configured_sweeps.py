@@ -56,7 +56,7 @@ def test_members_have_the_bits_of_single_files(files, swept):
 
 
 @pytest.mark.parametrize("count", [2, 7])
-@pytest.mark.parametrize("ends", [[0, 1], [6, -6], [-3, 3.5], [0.1, 0.7], [-0.3, -2.9], [7.1, 1e-3]])
+@pytest.mark.parametrize("ends", [[0, 1], [6, -6], [-3, 3.5], [0.1, 0.7], [-0.3, -2.9], [7.1, 1e-3], [2, 128]])
 def test_grids_have_both_ends_and_equal_parts(swept, ends, count):
     found = swept(f'"initial.x[1]" = {{ linear = {ends}, count = {count} }}').x0[:, 1]
     assert (found[0], found[-1]) == tuple(ends), "exactly"
