@@ -12,10 +12,11 @@ import coadjoint as co
 from coadjoint.analysis.lyapunov import frame_of
 from coadjoint.kernels.tables.tangents import Frame
 from coadjoint.methods.protocol.tangents import tangent_loop
+from coadjoint.runs.run import Run
+from coadjoint.runs.run_setup import RunSetup
 from coadjoint.runs.start import start_of
 from coadjoint.runs.tangent_stretching import energy_loops
 from coadjoint.runs.times import Times
-from started_runs import started
 
 from .schemes_under_test import schemes, serves
 from .systems_under_test import all_cases, full_matrix
@@ -125,7 +126,8 @@ def states_with_tangents() -> Iterator[tuple[str, list[np.ndarray]]]:
             for x, how in ((x0, "alone"), (ensemble, "an ensemble")):
                 vectors = Frame(frame_of(system.dim, system.dim), 7)
                 loops = energy_loops([system], method, times.h, [tangent_loop(method, system, times.h, vectors)])
-                run = started(system, method, loops, times, start_of(system, method, x, False), False)
+                start = start_of(system, method, x, False)
+                run = Run(system, method, RunSetup(loops, times, start.groups.shape, False, 1), start, None)
                 run.advance()
                 yield f"tangents of {scheme} on {case}, {how}", [run.saved["x"], run.state["memory"]]
 

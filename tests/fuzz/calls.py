@@ -39,7 +39,6 @@ TIMES = np.arange(128) * 0.1
 FIELD = co.modified_field(BODY, co.GaussLegendre(1), 3)
 KEPT = co.modified_hamiltonian(BODY, co.Splitting())
 LONG = co.integrate(BODY, X, (0, 20), 0.125, attitude=True)
-WITH_EVENTS = co.integrate(BODY, X, (0, 5), 0.125, events=[co.Event("x1"), co.Event(P - 0.5)], observe={"a": P})
 ENSEMBLE = co.integrate(BODY, [X, X], (0, 1), 0.5, attitude="coadjoint")
 WAVES = co.integrate(co.systems.spin_lattice("ring", 4), np.tile([0.6, 0.0, 0.8, 0.0, 0.6, 0.8], 2), (0, 1), 0.1)
 co.integrate(BODY, X, (0, 1), 0.1, archive=ARCHIVE)

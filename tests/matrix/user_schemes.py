@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import coadjoint as co
-
-NOTHING = co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+from own_schemes import NOTHING, Classical
 
 
 def only_of_vectors(system):
@@ -35,20 +34,11 @@ class Heun(co.methods.StepMethod):
 
 
 @dataclasses.dataclass(frozen=True)
-class RungeKutta(co.methods.StepMethod):
+class RungeKutta(Classical):
     """The classical method, compiled by Numba."""
-
-    order, explicit, symmetric = 4, True, False
 
     def properties(self, system):
         return only_of_vectors(system)
-
-    def step(self, system, x, t, h):
-        k1 = system.vector_field(x, t)
-        k2 = system.vector_field(x + h / 2 * k1, t + h / 2)
-        k3 = system.vector_field(x + h / 2 * k2, t + h / 2)
-        k4 = system.vector_field(x + h * k3, t + h)
-        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -37,8 +37,13 @@ from structure import tracked
 
 ROOT = Path(__file__).parents[2]
 KERNEL_TESTS = (
-    *("tests/internal/kernels", "tests/public/runs/test_matrix.py", "tests/internal/program", "tests/public/accuracy"),
-    *("tests/public/systems", "tests/public/ensembles", "tests/public/derivatives"),
+    "tests/internal/kernels",
+    "tests/public/runs/test_matrix.py",
+    "tests/internal/program",
+    "tests/public/accuracy",
+    "tests/public/systems",
+    "tests/public/ensembles",
+    "tests/public/derivatives",
 )
 CHUNKS = (20, 200, 2000)
 """Numbers of tests of one process: most defects are noticed by the first ones."""

@@ -322,7 +322,6 @@ def test_units_change_no_verdict_and_scale_every_bound(name, method, units):
             assert 2.0**-5 < scaled[key].bound / (unit.get(key, 1.0) * row.bound) < 2.0**5, key
 
 
-@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("options", "named"),
     [

@@ -188,7 +188,6 @@ def test_symmetric_matrices_are_fitted_by_their_upper_triangles(algebra, casimir
 GOOD = {"attitude": np.zeros((41, 3, 3))}
 
 
-@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     "changed, error, named",
     [

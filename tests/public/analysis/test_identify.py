@@ -214,7 +214,6 @@ REFUSED = {
 }
 
 
-@pytest.mark.thinned(1)
 @pytest.mark.parametrize("case", REFUSED)
 def test_data_that_are_refused(case):
     make, kind, message = REFUSED[case]

@@ -144,7 +144,6 @@ REFUSED |= {
 }  # fmt: skip
 
 
-@pytest.mark.thinned(1)
 @pytest.mark.parametrize("name", REFUSED)
 def test_wrong_arguments_are_refused_in_one_line(call, name):
     arguments, said = REFUSED[name]

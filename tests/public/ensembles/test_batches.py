@@ -77,7 +77,6 @@ REFUSED = {
 }
 
 
-@pytest.mark.thinned(1)
 @pytest.mark.parametrize("case", REFUSED)
 def test_invalid_batches_are_refused(case):
     systems, kind, message = REFUSED[case]

@@ -402,7 +402,6 @@ HOSTILE = {
 }  # fmt: skip
 
 
-@pytest.mark.thinned(1)
 @pytest.mark.parametrize("name", HOSTILE)
 def test_hostile_files_are_refused_in_bounded_time(files, name):
     text, message = HOSTILE[name]

@@ -190,7 +190,6 @@ REFUSED = {
 }
 
 
-@pytest.mark.thinned(1)
 @pytest.mark.parametrize("case", REFUSED)
 def test_families_that_are_refused(case):
     make, kind, said = REFUSED[case]

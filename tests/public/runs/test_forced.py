@@ -251,7 +251,6 @@ FORCED = "rigid_body with LinearDamping"
 ENSEMBLE = ([X0, X0], (0, 2), 0.125)
 
 
-@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("call", "error", "named"),
     [

@@ -79,7 +79,6 @@ REFUSED = {
 }
 
 
-@pytest.mark.thinned(1)
 @pytest.mark.parametrize("what", REFUSED)
 def test_what_is_not_quadratic_is_refused(what):
     system = REFUSED[what]

@@ -18,7 +18,6 @@ BARE = co.LiePoissonSystem(
 PLANE = co.PoissonSystem(lambda x: np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 2.0]), name="plane")
 
 
-@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("change", "error", "named"),
     [
@@ -78,7 +77,6 @@ def test_wrong_arguments_are_refused(change, error, named):
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("error", "named", "call"),
     [

@@ -152,7 +152,6 @@ ELLIPSOID = co.LieAlgebra([(0, 1, 2, 1.0), (1, 2, 0, 2.0), (0, 2, 1, -1.0)], dim
 REFUSED = [co.algebras.so(4), co.algebras.e(3), co.algebras.sl(2), co.algebras.get("A3,7", a=1.0), ELLIPSOID]
 
 
-@pytest.mark.thinned(1)
 @pytest.mark.parametrize("algebra", REFUSED, ids=str)
 def test_other_algebras_are_refused(algebra):
     system = co.LiePoissonSystem(algebra, co.Quadratic(np.ones(algebra.dim)))
