@@ -10,6 +10,7 @@ import inspect
 import json
 import re
 from collections.abc import Iterable, Iterator
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -214,8 +215,10 @@ def _member(kind: type, name: str) -> Any:
 
 
 def _attributes(kind: type) -> set[str]:
-    """Return the public names that a class and those it derives from annotate, except properties."""
-    named = {name for base in kind.__mro__ for name in inspect.get_annotations(base) if not name.startswith("_")}
+    """Return the public names that a class and those it derives from annotate or compute once, except properties."""
+    named = {name for base in kind.__mro__ for name in inspect.get_annotations(base)}
+    named |= {name for base in kind.__mro__ for name, value in vars(base).items() if isinstance(value, cached_property)}
+    named = {name for name in named if not name.startswith("_")}
     return {name for name in named if not isinstance(inspect.getattr_static(kind, name, None), property)}
 
 

@@ -35,7 +35,7 @@ def result_of(solution: co.Solution, failure: tuple[Any, ...] | None) -> Result:
     arrays = {name: values[:, None] if single else values for name, values in along.items()}
     for name, drift in solution.drift().items():
         arrays[f"*{name}"] = np.atleast_2d(drift.tenths)
-    state = solution.record.state
+    state = solution._state
     failed = np.column_stack([state["status"], np.where(state["status"] != 0, state["step"], 0)])
     return Result(arrays, failure, crossings_of(solution.events, 1 if single else solution.x.shape[1]), failed)
 

@@ -51,7 +51,7 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
             f"{system.name} has random forces, whose noise belongs to the step; compare averages of ensembles with two "
             "steps"
         )
-    starts = solution.record.starts
+    starts = solution._starts
     if starts is None:
         starts, _ = momenta_of(system, solution.x0)
     last = np.asarray(solution.x[-1])

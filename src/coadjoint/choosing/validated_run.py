@@ -17,6 +17,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.final_state import ENDS_ONLY
 from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.results.memory_solution import most_evaluations
 from coadjoint.runs.results.solution import Solution, with_choice
 from coadjoint.runs.start import momenta_of, read_attitude
 from coadjoint.runs.times import accumulated_rounding, span_of
@@ -138,7 +139,7 @@ class SampledRun(PreparedRun):
         options |= inputs
         if self._variable_steps or self.serves(x0, t0):
             solution = super().run(x0, t_span, save_every, **options)
-            if _max_evaluations(solution) <= self.most_evaluations:
+            if most_evaluations(solution) <= self.most_evaluations:
                 return with_choice(solution, self.choice)
         own_run, choice = self._run_with_own_choice(x0, t_span)
         return with_choice(own_run.run(x0, t_span, save_every, **options), choice)
@@ -193,7 +194,7 @@ class SampledRun(PreparedRun):
 
     def _evaluations(self, x0: Any, t0: float) -> float:
         """Return the largest number of evaluations among runs from states over the prepared time."""
-        return _max_evaluations(self._full_step_run.run(x0, (t0, t0 + self._time), ENDS_ONLY))
+        return most_evaluations(self._full_step_run.run(x0, (t0, t0 + self._time), ENDS_ONLY))
 
     def _worst_along(self, sample: NDArray[np.float64], t0: float) -> float:
         """Return the largest difference along the motions from a sample, relative to the state."""
@@ -234,10 +235,6 @@ class SampledRun(PreparedRun):
         options: Any = {"attitude": self._attitude_option, "methods": self._methods}
         choice = choose(self.system, x0, t_span, self.choice.accuracy, **options)
         return PreparedRun(self.system, choice.method, choice.step, **cast(Any, self._options)), choice
-
-
-def _max_evaluations(solution: Solution) -> float:
-    return float(np.max(solution.record.state["evaluations"]))
 
 
 def _squared_distance_and_size(

@@ -82,6 +82,6 @@ def draw_deviations(axes: Any, solution: Solution, orders: Sequence[int]) -> Non
 
 def _energies_at_start(solution: Solution, orders: Sequence[int]) -> list[Any]:
     """Return the energy and the modified energies of the initial state of the first member."""
-    start = Solution(solution.record)
-    start.__dict__["x"] = np.asarray(solution.x0)[None]  # as if it were the only saved point
+    # As if it were the only saved point.
+    start = type(solution)({**vars(solution), "x": np.asarray(solution.x0)[None]})
     return [np.ravel(solution.initial["energy"])[0], *(np.ravel(start.modified_energy(order))[0] for order in orders)]

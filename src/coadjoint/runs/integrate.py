@@ -12,7 +12,7 @@ from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.method import NO_ERROR_CONTROL, Method
 from coadjoint.methods.registry import read_method
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.results.solution import Solution, with_choice
+from coadjoint.runs.results.solution import Solution, set_elapsed, with_choice
 from coadjoint.runs.run import read_progress
 from coadjoint.runs.start import combined
 from coadjoint.runs.step_error import warn_of_large_step
@@ -169,7 +169,7 @@ def integrate(
     if choice is None:
         warn_of_large_step(sol, prepared)
     if archive is None:
-        sol.record.elapsed = time.perf_counter() - began
+        set_elapsed(sol, time.perf_counter() - began)
     return with_choice(sol, choice)
 
 

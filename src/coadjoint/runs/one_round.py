@@ -1,4 +1,4 @@
-"""Short ways of runs that are one round of calls of a loop: their records are made of the arrays, without a `Run`."""
+"""Short ways of runs that are one round of calls of a loop: their solutions are made of the arrays, without a `Run`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from coadjoint.kernels.arrays import NamedArrays, as_c_double
 from coadjoint.kernels.loop import raise_outcome
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.execution import run_in_threads
-from coadjoint.runs.results.memory_record import record_of_arrays, record_of_short_run
+from coadjoint.runs.results.memory_solution import solution_of_arrays, solution_of_numbers
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run
 from coadjoint.runs.run_setup import RunSetup
@@ -53,7 +53,7 @@ def solution_of_short_run(
         run = _run_of(system, method, setup, momenta, numbers, setup.times.steps)
         run.failed_count, run.seconds = failed_count, now - start_time
         return run.solution(None)
-    return Solution(record_of_short_run(setup, method, system, momenta, numbers, now - start_time, now - began))
+    return solution_of_numbers(setup, method, system, momenta, numbers, now - start_time, now - began)
 
 
 def _run_of(
@@ -88,4 +88,4 @@ def solution_of_one_round(system: Any, method: Method, setup: RunSetup, start: S
         run = Run.of_arrays(system, method, setup, start, saved, RunState(state, setup.times.steps))
         run.failed_count, run.seconds = failed_count, seconds
         return run.solution(None)
-    return Solution(record_of_arrays(setup, method, system, start, saved, state, seconds))
+    return solution_of_arrays(setup, method, system, start, saved, state, seconds)

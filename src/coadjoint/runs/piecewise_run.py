@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import codes
-from coadjoint.runs.results.memory_record import REPORTED_ARRAYS, record_of_run
+from coadjoint.runs.results.memory_solution import REPORTED_ARRAYS, solution_of_run
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import first_point_not_finite
 from coadjoint.runs.start import Start
@@ -106,11 +106,9 @@ class PiecewiseRun:
         run, order = self.run, self.run.loops.order
         if order is not None and self.number < run.times.steps:
             run.saved = run.saved.take(np.argsort(order), 1)
-        record = record_of_run(run, self.points_held, self._observed)
         reported = run.state.arrays.subset(REPORTED_ARRAYS)
         reported["worst"][:] = self.worst
-        record.state = reported
-        solution = Solution(record)
+        solution = solution_of_run(run, self.points_held, self._observed, _state=reported)
         self._record_undefined(solution)
         return solution
 

@@ -39,7 +39,7 @@ from coadjoint.runs.one_round import solution_of_one_round, solution_of_short_ru
 from coadjoint.runs.output_times import OutputTimes, check_partial_steps, output_times_of, resample
 from coadjoint.runs.partial_steps import PartialSteps, noises_of
 from coadjoint.runs.results.observables import Observed, check_observe
-from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.results.solution import Solution, set_elapsed
 from coadjoint.runs.run import Run, read_progress
 from coadjoint.runs.run_setup import RunSetup
 from coadjoint.runs.start import (
@@ -305,7 +305,7 @@ class PreparedRun:
         values = self.values_of(inputs) if inputs or self._inputs is not None else None
         event_list = () if events is None else read_events(events)
         solution = self.follow(times, self.start(x0, attitude, values), progress, values, event_list, moments)
-        solution.record.elapsed = time.perf_counter() - began
+        set_elapsed(solution, time.perf_counter() - began)
         if self._checks_step:
             self._check_step(solution)
         return solution

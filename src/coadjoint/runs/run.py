@@ -21,7 +21,7 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.loops.execution import failure_text, run_in_threads, status_name
 from coadjoint.runs.progress import progress_bar
-from coadjoint.runs.results.memory_record import record_of_run
+from coadjoint.runs.results.memory_solution import solution_of_run
 from coadjoint.runs.results.observables import Observed
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run_setup import RunSetup
@@ -201,15 +201,14 @@ class Run:
         """Return the solution, or raise the failure with the partial solution."""
         saved_points = self.saved.offsets.shapes["x"][0] if self.ending is None else self.ending.points
         if not self.failed_count:
-            solution = Solution(record_of_run(self, saved_points, observed))
+            solution = solution_of_run(self, saved_points, observed)
             if self.start.representation is not None and self.loops.attitude_may_overflow(self.start, self.times):
                 self._check_attitude(solution)
             return solution
         if self.start.single and self.state["status"][0]:
             saved_points = int(np.searchsorted(self.times.saved, self.state["step"][0]))
-        solution = Solution(record_of_run(self, saved_points, observed))
-        solution.record.incomplete = "failed" if self.start.single else None
-        raise self.failure(solution)
+        incomplete = "failed" if self.start.single else None
+        raise self.failure(solution_of_run(self, saved_points, observed, incomplete=incomplete))
 
     def interrupted(self, observed: Observed | None) -> Solution:
         """Return the points saved before an interrupt, after which the run cannot be resumed.
@@ -238,9 +237,7 @@ class Run:
                 deviations = np.abs(values[:saved_points][tenths == tenth] - values[0])
                 worst[:, tenth] = np.fmax.reduce(deviations, axis=0, initial=0.0)
         worst[~np.isfinite(x[:saved_points]).any(axis=(0, 2))] = np.nan
-        solution = Solution(record_of_run(self, saved_points, observed))
-        solution.record.incomplete = "interrupted"
-        return solution
+        return solution_of_run(self, saved_points, observed, incomplete="interrupted")
 
     def describe_interrupt(self, stopped: KeyboardInterrupt, observed: Observed | None) -> None:
         """Attach the points saved before an interrupt to it."""
@@ -252,7 +249,7 @@ class Run:
         failed = self.state["status"].nonzero()[0]
         if len(failed):
             return self._error(int(failed[0]), len(failed), partial)
-        solution = Solution(record_of_run(self, self.times.points, None))
+        solution = solution_of_run(self, self.times.points, None)
         first = first_point_not_finite(solution.energy)
         assert first is not None
         return self.energy_error(int(self.times.saved[first]), float(solution.t[first]), partial)

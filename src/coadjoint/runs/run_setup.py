@@ -8,7 +8,7 @@ from typing import Any
 from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.memory_estimate import check_run_memory
-from coadjoint.runs.results.memory_record import MAX_STATE_NUMBERS, RECORDED
+from coadjoint.runs.results.memory_solution import MAX_STATE_NUMBERS, SHARED
 from coadjoint.runs.times import Times
 
 
@@ -22,8 +22,8 @@ class RunSetup:
     ----------
     schedule : bytes
         The schedule for the loops.
-    recorded : dict
-        Fields of records that are the same for all runs.
+    shared : dict
+        Fields of solutions that are the same for all runs.
     is_one_round : bool
         Whether a run is one round of calls of a loop in the calling thread, from the momenta alone, with a small state.
     """
@@ -43,8 +43,8 @@ class RunSetup:
         self.plan = loops.plan(*self._extent, workers)
         check_run_memory(self.plan.layout, times, groups[0])
         self.schedule = schedule_of(*times[:4], watching, *times[4:6], threads=inside)
-        recorded = watching, times, times.points, loops.names, loops.accounts, loops.corrected_groups, None, None, None
-        self.recorded: dict[str, Any] = dict(zip(RECORDED, recorded, strict=True))
+        shared = watching, times, times.points, loops.names, loops.accounts, loops.corrected_groups, None, None, None
+        self.shared: dict[str, Any] = dict(zip(SHARED, shared, strict=True))
         special = loops.rows or loops.measures or loops.order is not None or loops.accounts or groups[1]
         small = self.plan.layout.state.size <= MAX_STATE_NUMBERS
         self.is_one_round = small and workers == 1 and not special and len(self.plan.rounds) == 1
@@ -67,7 +67,7 @@ class RunSetup:
         if times.marks is not None or self.times.marks is not None or times[1:] != self.times[1:]:
             return None
         setup = self._copy()
-        setup.times, setup.recorded = times, {**self.recorded, "times": times}
+        setup.times, setup.shared = times, {**self.shared, "_times": times}
         setup.schedule = schedule_of(*times[:4], self.watching, times.passed, threads=self.inside)
         return setup
 

@@ -391,7 +391,7 @@ def _members_of(solution: Solution) -> int:
 
 def states_in_memory(solution: Solution) -> bool:
     """Test whether the states are those of a run or a file; those of archives are not read to check steps."""
-    return "saved" in solution.record or "dataset" in solution.record
+    return solution._in_memory
 
 
 def _members(solution: Solution, system: Any) -> NDArray[np.int64]:

@@ -69,7 +69,7 @@ def test_stored_run_equals_the_run(store, name, tmp_path):
 def test_every_part_is_covered():
     derived = {
         "system", "stats", "events", "choice", "error_estimate", "step_error", "rotation", "to_pandas", "t_eval",
-        "drift", "balance", "change", "modified_energy", "spectrum", "at", "to_xarray", "plot", "movie", "record",
+        "drift", "balance", "change", "modified_energy", "spectrum", "at", "to_xarray", "plot", "movie",
     }  # fmt: skip
     public = {name for name in dir(run("one body")) if not name.startswith("_")}
     assert public == {*PARTS} | derived

@@ -162,13 +162,15 @@ def growing_variables(piece: Solution) -> Variables:
     return {**time_variables(piece), **time_coordinate(piece.t)}
 
 
-def new_arrays(piece: Solution, more: Variables) -> tuple[dict[str, StoredArray], Variables, Variables]:
-    """Return the arrays of a new archive, the first values of growing arrays, and the values of the fixed ones."""
+def new_arrays(
+    piece: Solution, total_points: int, more: Variables
+) -> tuple[dict[str, StoredArray], Variables, Variables]:
+    """Return the arrays of a new archive, first values of those that grow, and values of the fixed ones."""
     growing = growing_variables(piece)
     fixed: Variables = {**start_variables(piece), **summary_variables(piece), **more}
     fixed |= {name: entry for name, entry in coordinates_of(piece).items() if name not in growing}
     row_size = max(prod(np.shape(values)[1:]) for _, values, _ in growing.values())
-    rows = rows_of_chunk(row_size, piece.record.times.total_points)
+    rows = rows_of_chunk(row_size, total_points)
     arrays = {}
     for name, (dims, values, attributes) in (growing | fixed).items():
         kind = TYPES.get(np.asarray(values).dtype.kind, "string")

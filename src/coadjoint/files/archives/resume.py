@@ -85,7 +85,7 @@ def create_archive(
     run.advance(0)
     piece = run.piece()
     metadata = metadata.with_batch_parameters(piece.system)
-    arrays, growing, fixed = new_arrays(piece, metadata.coordinates)
+    arrays, growing, fixed = new_arrays(piece, times.total_points, metadata.coordinates)
     store = ArchiveStore.create_archive(folder, arrays)
     try:
         for name, (_, values, _) in (growing | fixed).items():

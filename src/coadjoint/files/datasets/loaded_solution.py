@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -17,14 +18,14 @@ from coadjoint.files.archives.reading import HIDDEN_FOLDER
 from coadjoint.files.datasets.content_checksum import CHECKSUM, checksum_of
 from coadjoint.files.datasets.export import ENDED_ATTRIBUTE, REQUIRED_ATTRIBUTES, events_of_dataset, stored_inputs
 from coadjoint.files.datasets.named_axes import stacked
-from coadjoint.files.datasets.stored_record import initial_values, stored_record
+from coadjoint.files.datasets.stored_solution import StoredSolution
 from coadjoint.files.output.file_validation import check_hdf5, check_zarr
-from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.keyword_hints import NamedValues, suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
-from coadjoint.runs.results.run_record import RunRecord, Statistics
 from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.results.solution_attributes import Statistics
 from coadjoint.systems.batch import SUFFIX
 from coadjoint.systems.protocol import coordinates_of, member_of
 from coadjoint.validation import read_path
@@ -43,77 +44,87 @@ class LoadError(OneLineError):
     """A file or folder contains no readable run."""
 
 
+class LoadedSolution(StoredSolution):
+    """The solution in a dataset that was read from a file into memory; a given system replaces the stored one."""
+
+    _stacked: xarray.Dataset
+    """The dataset with one axis of members."""
+    _given_system: Any
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return solution_of_dataset, (self.path, self.dataset, self._given_system)
+
+    def to_xarray(self) -> xarray.Dataset:
+        return self.dataset.copy()
+
+    def inputs(self, events: Any = ()) -> dict[str, Any]:
+        return stored_inputs(self._stacked, self._given_system, events)
+
+    def _read_entire(self, name: str) -> NDArray[Any]:
+        return np.asarray(self._stacked[name].values)
+
+    @cached_property
+    def _accounts(self) -> tuple[tuple[str, str], ...]:
+        accounts = list(map(str, self._read("account"))) if "account" in self._arrays else []
+        return tuple(_split_account(label, self._names) for label in accounts)
+
+    @cached_property
+    def initial(self) -> Mapping[str, Any]:
+        t0 = self._times.t0
+        if self.t[0] == t0:
+            return super().initial
+        # The start is not among the saved times.
+        if self.failed is None:
+            return NamedValues(_invariants_at(self.system, self.x0, t0))
+        invariants = [_invariants_at(member_of(self.system, m), x, t0) for m, x in enumerate(self.x0)]
+        return NamedValues({name: np.array([values[name] for values in invariants]) for name in self._names})
+
+    @cached_property
+    def _ending(self) -> TerminalEvent | None:
+        if ENDED_ATTRIBUTE not in self.attributes:
+            return None
+        values = np.array([self.energy[-1], *(series[-1] for series in self.casimirs.values())])
+        attitude = None if self.attitude is None else self.attitude[-1]
+        steps = int(self.attributes[ENDED_ATTRIBUTE])
+        return TerminalEvent(len(self.t), steps, float(self.t[-1]), self.x[-1], values, attitude)
+
+    @cached_property
+    def stats(self) -> Statistics:
+        attributes = self.attributes
+        steps = int(attributes[ENDED_ATTRIBUTE if ENDED_ATTRIBUTE in attributes else "steps"])
+        work = int(attributes["evaluations"]), int(attributes["iterations"])
+        return Statistics(steps, *work, float(attributes["seconds"]), float(attributes.get("elapsed", np.nan)))
+
+    @cached_property
+    def events(self) -> RecordedEvents | None:
+        if "event_time" not in self._arrays:
+            return None
+        events = events_of_dataset(self.dataset, self.system)
+        t, x, event_index, member, direction = (
+            self._read(f"event_{name}") for name in ("time", "x", "which", "member", "direction")
+        )
+        names = tuple(str(event.name) for event in events)
+        coordinates, attitude = coordinates_of(self.system), self._read_if_stored("event_attitude")
+        return RecordedEvents(names, t, x, event_index, member, direction, attitude, coordinates, events)
+
+
 def solution_of_dataset(path: Path, dataset: xarray.Dataset, system: Any = None) -> Solution:
-    """Return the solution in a dataset that was read from a file into memory; `system` replaces the stored one."""
-    content, dataset = dataset, stacked(dataset)
+    """Return the solution in a dataset in memory."""
+    content = stacked(dataset)
     arrays = {
         str(name): SimpleNamespace(dims=values.dims, attributes=values.attrs)
-        for name, values in dataset.variables.items()
+        for name, values in content.variables.items()
     }
-    accounts = list(map(str, dataset["account"].values)) if "account" in arrays else []
-    names = list(map(str, dataset["invariant"].values)) if accounts else []
-
-    def inputs(events: Any = ()) -> dict[str, Any]:
-        return stored_inputs(dataset, system, events)
-
-    record = stored_record(
-        arrays,
-        dict(dataset.attrs),
-        lambda name: np.asarray(dataset[name].values),
-        {"initial": _initial, "ending": _ending, "stats": _stats, "worst": _worst, "events": _events},
-        path=path,
-        dataset=content,
-        accounts=tuple(_split_account(label, names) for label in accounts),
-        inputs=inputs,
-        to_xarray=content.copy,
-        reopen=(solution_of_dataset, (path, content, system)),
+    return LoadedSolution(
+        {
+            "path": path,
+            "dataset": dataset,
+            "attributes": dict(content.attrs),
+            "_stacked": content,
+            "_arrays": arrays,
+            "_given_system": system,
+        }
     )
-    return Solution(record)
-
-
-def _initial(record: RunRecord) -> Mapping[str, Any]:
-    t0 = record.times.t0
-    if record.t[0] == t0:
-        return initial_values(record)
-    # The start is not among the saved times.
-    if record.failed is None:
-        return _invariants_at(record.system, record.x0, t0)
-    member_invariants = [_invariants_at(member_of(record.system, m), x, t0) for m, x in enumerate(record.x0)]
-    return {name: np.array([invariants[name] for invariants in member_invariants]) for name in record.names}
-
-
-def _ending(record: RunRecord) -> TerminalEvent | None:
-    if ENDED_ATTRIBUTE not in record.attributes:
-        return None
-    values = np.array([record.energy[-1], *(series[-1] for series in record.casimirs.values())])
-    attitude = None if record.attitude is None else record.attitude[-1]
-    steps = int(record.attributes[ENDED_ATTRIBUTE])
-    return TerminalEvent(len(record.t), steps, float(record.t[-1]), record.x[-1], values, attitude)
-
-
-def _stats(record: RunRecord) -> Statistics:
-    attributes = record.attributes
-    steps = int(attributes[ENDED_ATTRIBUTE if ENDED_ATTRIBUTE in attributes else "steps"])
-    work = int(attributes["evaluations"]), int(attributes["iterations"])
-    return Statistics(steps, *work, float(attributes["seconds"]), float(attributes.get("elapsed", np.nan)))
-
-
-def _worst(record: RunRecord) -> NDArray[np.float64]:
-    names = ("change", "balance") if "change" in record.arrays else ("drift",)
-    return np.concatenate([np.moveaxis(record.read(name), -2, -1) for name in names], axis=-1)
-
-
-def _events(record: RunRecord) -> RecordedEvents | None:
-    if "event_time" not in record.arrays:
-        return None
-    system: Any = record.system
-    events = events_of_dataset(record.dataset, system)
-    t, x, event_index, member, direction = (
-        record.read(f"event_{name}") for name in ("time", "x", "which", "member", "direction")
-    )
-    attitude = record.read("event_attitude") if "event_attitude" in record.arrays else None
-    names = tuple(str(event.name) for event in events)
-    return RecordedEvents(names, t, x, event_index, member, direction, attitude, coordinates_of(system), events)
 
 
 def _split_account(text: str, invariants: list[str]) -> tuple[str, str]:

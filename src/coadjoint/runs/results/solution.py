@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import FrozenInstanceError
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import NamedValues, suggest_keywords
 from coadjoint.runs.results.drift import Drift, scales_of_invariants
-from coadjoint.runs.results.run_record import SOLUTION_FIELDS, RunRecord
+from coadjoint.runs.results.solution_attributes import SolutionAttributes
 from coadjoint.runs.results.solution_output import SolutionOutput
 from coadjoint.runs.results.summary import extent_text, table_of_run
 from coadjoint.runs.results.unfinished_members import unfinished_members
@@ -21,7 +22,15 @@ from coadjoint.systems.protocol import is_batch, unforced_matrix_system
 from coadjoint.validation import read_bool
 
 if TYPE_CHECKING:
+    from coadjoint.runs.events import TerminalEvent
     from coadjoint.runs.results.state_at import StateAt
+    from coadjoint.runs.start import Start
+    from coadjoint.runs.times import Times
+
+
+COPIED = (*(name for name in vars(SolutionAttributes) if name[0] != "_"), "_accounts", "_worst", "_starts")
+"""Fields of copies; those of `ESTIMATES` if they are known."""
+ESTIMATES = ("_errors_at_end", "_step_error")
 
 
 class Solution(SolutionOutput):
@@ -29,35 +38,6 @@ class Solution(SolutionOutput):
 
     Attributes
     ----------
-    t : ndarray, shape (k,)
-        The saved times: t0, every save_every-th step, and the last; or `t_eval`.
-    x, x0 : ndarray, shape (k, n) or (k, members, n)
-        The states (momenta), and the initial one, without the axis of times, whether it was saved or not.
-    energy : ndarray, shape (k,) or (k, members)
-        The Hamiltonian.
-    casimirs, observed : mapping
-        Name -> array of the same shape: the Casimirs, and the quantities of `observe`.
-    initial : mapping
-        Initial energy and Casimirs: "energy" or name -> number, or (members,).
-    work : mapping
-        Work of each force since the start: its label -> "energy", or a Casimir that it changes -> values.
-    attitude, attitude0 : ndarray, shape (k, d, d) or (k, members, d, d), or None
-        Group elements (attitudes), if they were computed, and the initial one, without the axis of times.
-    carried : {"representation", "coadjoint"} or None
-        Matrices in which the group element is stored.
-    events : RecordedEvents or None
-        Crossings of the events given to the run.
-    stats : Statistics
-        Steps, evaluations, iterations, seconds.
-    failed : ndarray of bool, shape (members,), or None
-        For an ensemble, which members failed.
-    incomplete : str or None
-        Why a run has not reached its end: "failed", "unfinished" (an archive), or what interrupted it.
-    system, method, step, save_every, t_eval, watched, t_span, asked_span
-        System (with the inputs of the run), scheme and arguments of the run; `t_span` ends before the requested
-        `asked_span` if an event ended the run.
-    choice : Choice or None
-        For runs with `accuracy`: the result of `choose`.
     path, attributes, inputs
         Only of stored runs, as what follows: the source, the attributes of the dataset, and a function that returns the
         arguments of `integrate` that repeat the run.
@@ -69,8 +49,6 @@ class Solution(SolutionOutput):
     status, blocks, progress_text
         Of `ensemble`: 0 for members that are not computed yet, 1 for those that are, 2 for those that have failed;
         blocks of members that are run together; and the number of computed members as text.
-    record : RunRecord
-        The arrays and numbers from which the attributes are made.
 
     Notes
     -----
@@ -85,10 +63,48 @@ class Solution(SolutionOutput):
     ((11, 3), ['energy', '|x|^2'])
     """
 
-    record: RunRecord
+    choice = None
+    _in_memory = True
+    _starts: NDArray[np.float64] | None = None
+    """Initial momenta of a run with `accuracy`, (members, n)."""
+    if TYPE_CHECKING:
+        # Force and invariant of each column of recorded work.
+        @cached_property
+        def _accounts(self) -> tuple[tuple[str, str], ...]: ...
 
-    def __init__(self, record: RunRecord) -> None:
-        self.__dict__["record"] = record
+        # Largest deviation of each invariant in each tenth of the run, then, with forces, those of the balances,
+        # (tenths, k) or (members, tenths, k).
+        @cached_property
+        def _worst(self) -> NDArray[np.float64]: ...
+
+        # Of all but copies.
+        @cached_property
+        def _times(self) -> Times: ...
+
+        @cached_property
+        def _ending(self) -> TerminalEvent | None: ...
+
+        @cached_property
+        def _start(self) -> Start: ...
+
+    def __init__(self, fields: dict[str, Any]) -> None:
+        object.__setattr__(self, "__dict__", fields)
+
+    @cached_property
+    def t_span(self) -> tuple[float, float]:
+        return self._times.t0, self._times.end if self._ending is None else self._ending.t
+
+    @cached_property
+    def asked_span(self) -> tuple[float, float]:
+        return self._times.t0, self._times.end
+
+    @cached_property
+    def step(self) -> float:
+        return abs(self._times.h)
+
+    @cached_property
+    def save_every(self) -> int:
+        return self._times.save_every
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise FrozenInstanceError(f"cannot assign to field {name!r}: a Solution cannot be changed")
@@ -96,12 +112,6 @@ class Solution(SolutionOutput):
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            if name in SOLUTION_FIELDS and name in self.record:
-                value = getattr(self.record, name)
-                if type(value) is dict and name in ("casimirs", "observed", "initial", "work"):
-                    value = NamedValues(value)
-                self.__dict__[name] = value
-                return value
             # If the computation of an attribute failed, raise that error.
             if hasattr(type(self), name):
                 return object.__getattribute__(self, name)
@@ -109,16 +119,10 @@ class Solution(SolutionOutput):
 
             raise unknown_solution_attribute(name, dir(self))
 
-    def __dir__(self) -> list[str]:
-        record = self.__dict__.get("record", ())
-        return [*super().__dir__(), *(name for name in SOLUTION_FIELDS if name in record and name not in self.__dict__)]
-
     def __delattr__(self, name: str) -> None:
         raise FrozenInstanceError(f"cannot delete field {name!r}: a Solution cannot be changed")
 
     def __repr__(self) -> str:
-        if "text" in self.record:
-            return self.record.text
         members = "" if self.failed is None else f", {len(self.failed)} members"
         return f"<solution of {self.system.name} by {self.method}: {extent_text(self)}, step {self.step:g}{members}>"
 
@@ -126,8 +130,9 @@ class Solution(SolutionOutput):
         return table_of_run(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copy and pickle a stored run by reopening it, and a run in memory with all its attributes."""
-        return self.record.reopen if "reopen" in self.record else (Solution, (self.record,))
+        """Copy and pickle the values of all attributes, without the arrays from which they are made."""
+        found = {name: value for name, value in vars(self).items() if name in ESTIMATES}
+        return Solution, ({name: getattr(self, name) for name in COPIED if hasattr(self, name)} | found,)
 
     @suggest_keywords
     def drift(self, relative: bool = True) -> dict[str, Drift]:
@@ -195,7 +200,7 @@ class Solution(SolutionOutput):
         """
         if not self.work:
             return self._deviations(0, relative)
-        accounted = {invariant for _, invariant in self.record.accounts}
+        accounted = {invariant for _, invariant in self._accounts}
         conserves_casimirs = accounted == {"energy"}  # the forces preserve all Casimirs
         deviations = self._deviations(1 + len(self.casimirs), relative)
         balances = {name: drift for name, drift in deviations.items() if conserves_casimirs or name in accounted}
@@ -264,9 +269,7 @@ class Solution(SolutionOutput):
         >>> sorted(sol.error_estimate(by_group=True))
         ['gamma', 'm']
         """
-        errors = self.record.error
-        if errors is None:
-            errors = self.record.error = shortcut("error_at_end")(self)
+        errors = self._errors_at_end
         if self.failed is None:
             errors = errors[:, 0].tolist()
         if not read_bool(by_group, "by_group"):
@@ -308,18 +311,26 @@ class Solution(SolutionOutput):
         >>> co.integrate(top, x0, (0, 10), step=0.05, method=co.Splitting(order=4)).step_error() < 1e-3
         True
         """
-        from coadjoint.runs.step_error import step_error, step_errors_of_groups
-
         if read_bool(by_group, "by_group"):
+            from coadjoint.runs.step_error import step_errors_of_groups
+
             return NamedValues(step_errors_of_groups(self))
-        error: Any = self.__dict__.get("_step_error")
-        if error is None:
-            error = self.__dict__["_step_error"] = step_error(self)
-        return error
+        return self._step_error
+
+    @cached_property
+    def _errors_at_end(self) -> NDArray[np.float64]:
+        """Estimated errors at the end of the state and of its groups of coordinates, (1 + groups, members)."""
+        return shortcut("error_at_end")(self)
+
+    @cached_property
+    def _step_error(self) -> float:
+        from coadjoint.runs.step_error import step_error
+
+        return step_error(self)
 
     def _deviations(self, first: int, relative: bool) -> dict[str, Drift]:
         # Balances have the initial values of the invariants.
-        worst, scales = self.record.worst, self._scales if read_bool(relative, "relative") else {}
+        worst, scales = self._worst, self._scales if read_bool(relative, "relative") else {}
         waiting = False if self.failed is None else unfinished_members(self)
         return NamedValues(
             {
@@ -328,17 +339,19 @@ class Solution(SolutionOutput):
             }
         )
 
-    @property
+    @cached_property
+    def _pending_members(self) -> NDArray[np.bool_] | None:
+        """Members of an archive that are not computed yet, (members,); None where other states show them."""
+        return None
+
+    @cached_property
     def _scales(self) -> dict[str, Any]:
         """Sizes of the invariants, to which deviations are relative."""
-        scales: dict[str, Any] | None = self.__dict__.get("_scales_found")
-        if scales is None:
-            try:
-                system = self.system
-            except ValueError:  # a run that was read, with functions that are not stored
-                system = None
-            scales = self.__dict__["_scales_found"] = scales_of_invariants(system, self.x0, self.initial)
-        return scales
+        try:
+            system = self.system
+        except ValueError:  # a run that was read, with functions that are not stored
+            system = None
+        return scales_of_invariants(system, self.x0, self.initial)
 
     @suggest_keywords
     def spectrum(self) -> NDArray[Any]:
@@ -458,9 +471,13 @@ class Solution(SolutionOutput):
 def with_choice(solution: Solution, choice: Any) -> Solution:
     """Attach the `Choice` of scheme and step to a new solution; None if they were given."""
     if choice is not None:
-        record = solution.record
-        record.choice, record.starts = choice, record.start.momenta
+        vars(solution).update(choice=choice, _starts=solution._start.momenta)
     return solution
+
+
+def set_elapsed(solution: Solution, seconds: float) -> None:
+    """Set the time of the call that has returned a new solution."""
+    vars(solution)["_elapsed"] = seconds
 
 
 def check_solution(solution: Any) -> None:

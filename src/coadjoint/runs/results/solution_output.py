@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.runs.results.run_record import RunAttributes, RunRecord
+from coadjoint.runs.results.solution_attributes import SolutionAttributes
 from coadjoint.runs.results.unfinished_members import members_text
 from coadjoint.shortcuts import shortcut
 
@@ -23,10 +23,8 @@ ORTHOGONALITY = 1e-6
 """Largest deviation from orthogonality of attitudes that are taken for rotations."""
 
 
-class SolutionOutput(RunAttributes):
+class SolutionOutput(SolutionAttributes):
     """Base class of `Solution` with its conversions, figures and movies."""
-
-    record: RunRecord
 
     @property
     def rotation(self) -> Rotation:
@@ -78,8 +76,6 @@ class SolutionOutput(RunAttributes):
         xarray.Dataset
             Variables over ``time`` (and ``member``), to be written as NetCDF or Zarr.
         """
-        if "to_xarray" in self.record:
-            return self.record.to_xarray()
         return shortcut("dataset_of")(self)
 
     @suggest_keywords

@@ -9,8 +9,8 @@ from coadjoint.short_repr import distinct, html_table
 from coadjoint.systems.protocol import member_of
 
 if TYPE_CHECKING:
-    from coadjoint.runs.results.run_record import Statistics
     from coadjoint.runs.results.solution import Solution
+    from coadjoint.runs.results.solution_attributes import Statistics
 
 MAX_CASIMIRS_SHOWN = 4
 """Number of Casimirs shown, largest drift first."""

@@ -21,8 +21,8 @@ def unfinished_members(solution: Solution) -> NDArray[np.bool_]:
     members = 1 if solution.failed is None else len(solution.failed)
     if solution.failed is None or not solution.incomplete or not len(solution.t):
         return np.zeros(members, dtype=bool)
-    if "status" in solution.record:
-        return np.asarray(solution.status == 0)
+    if (pending := solution._pending_members) is not None:
+        return pending
     waiting = ~np.isfinite(solution.x[-1]).reshape(members, -1).all(axis=1) & ~solution.failed
     return waiting if solution.events is None else waiting & np.isnan(solution.events.ends(members))
 

@@ -1,0 +1,180 @@
+"""Solutions of runs in datasets and archives, whose arrays are read by name on first use."""
+
+from __future__ import annotations
+
+import json
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.files.datasets.variables import OBSERVED_NAMES
+from coadjoint.files.records.entries import parsed
+from coadjoint.keyword_hints import NamedValues
+from coadjoint.methods.forced import effective_scheme
+from coadjoint.methods.protocol.method import Method
+from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.start import Start, start_of
+from coadjoint.runs.times import Times, times_of
+
+Floats = NDArray[np.float64]
+
+
+class LazyArrays(Mapping[str, NDArray[Any]]):
+    """Arrays by name, read lazily and cached."""
+
+    def __init__(self, labels: Mapping[str, str], read: Callable[[str], NDArray[Any]]) -> None:
+        self.labels, self._read, self._cache = dict(labels), read, dict[str, NDArray[Any]]()
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        if name not in self._cache:
+            self._cache[name] = self._read(self.labels[name])
+        return self._cache[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.labels)
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+
+class StoredSolution(Solution):
+    """The solution of a stored run, from its `path`, its attributes, and its arrays by name."""
+
+    _arrays: Mapping[str, Any]
+
+    @abstractmethod
+    def _read_entire(self, name: str) -> NDArray[Any]:
+        """Read an array as it is stored."""
+
+    @abstractmethod
+    def inputs(self, events: Any = ()) -> dict[str, Any]:
+        """Return the arguments of `integrate` that repeat the run, or `events` in place of those of the run."""
+
+    def _read(self, name: str) -> NDArray[Any]:
+        """Read an entire array; combine real and imaginary parts."""
+        entries = self._read_entire(name)
+        return entries[..., 0] + 1j * entries[..., 1] if self._arrays[name].dims[-1] == "part" else entries
+
+    def _read_if_stored(self, name: str) -> NDArray[Any] | None:
+        return self._read(name) if name in self._arrays else None
+
+    def _series(self, prefix: str, names: Sequence[str]) -> LazyArrays:
+        """Return the arrays whose labels begin with `prefix`, in the order of `names`: Zarr lists them by alphabet."""
+        labels = {
+            str(array.attributes["long_name"]): label
+            for label, array in self._arrays.items()
+            if label.startswith(prefix)
+        }
+        ordered = {name: labels[name] for name in names if name in labels}
+        return LazyArrays({**ordered, **labels}, self._read)
+
+    @cached_property
+    def _arguments(self) -> dict[str, Any]:
+        return self.inputs()
+
+    @cached_property
+    def system(self) -> Any:
+        return self._arguments["system"]
+
+    @cached_property
+    def method(self) -> Method:
+        method: Method = self._arguments["method"]
+        return method
+
+    @cached_property
+    def watched(self) -> bool:
+        return bool(self.attributes["watch"])
+
+    @cached_property
+    def _times(self) -> Times:
+        attributes = self.attributes
+        return times_of(json.loads(attributes["t_span"]), float(attributes["step"]), int(attributes["save_every"]))
+
+    @cached_property
+    def _start(self) -> Start:
+        arguments, system = self._arguments, self.system
+        return start_of(system, effective_scheme(system, self.method), arguments["x0"], arguments["attitude"])
+
+    @cached_property
+    def t(self) -> Floats:
+        return self._read("time")
+
+    @cached_property
+    def x(self) -> NDArray[Any]:
+        return self._read("x")
+
+    @cached_property
+    def x0(self) -> NDArray[Any]:
+        return self._read("x0")
+
+    @cached_property
+    def t_eval(self) -> Floats | None:
+        return self.t if self.attributes["between_steps"] else None
+
+    @cached_property
+    def _names(self) -> list[str]:
+        """Names of the invariants, the energy first."""
+        return [str(name) for name in self._read("invariant")]
+
+    @cached_property
+    def energy(self) -> Floats:
+        return self._read("energy")
+
+    @cached_property
+    def casimirs(self) -> Mapping[str, Floats]:
+        return self._series("casimir_", self._names[1:])
+
+    @cached_property
+    def initial(self) -> Mapping[str, Any]:
+        """Invariants at the first saved time."""
+        values = [self.energy, *self.casimirs.values()]
+        return NamedValues({name: series[0] for name, series in zip(self._names, values, strict=True)})
+
+    @cached_property
+    def observed(self) -> Mapping[str, Floats]:
+        names = parsed(self.attributes.get(OBSERVED_NAMES, "[]"), OBSERVED_NAMES)
+        return self._series("observed_", [name.text() for name in names.entries()])
+
+    @cached_property
+    def work(self) -> Mapping[str, Mapping[str, Floats]]:
+        by_force: dict[str, dict[str, Floats]] = {}
+        columns = self._read("work") if self._accounts else np.zeros(0)
+        for index, (force, invariant) in enumerate(self._accounts):
+            by_force.setdefault(force, {})[invariant] = columns[..., index]
+        return NamedValues(by_force)
+
+    @cached_property
+    def _worst(self) -> Floats:
+        names = ("change", "balance") if self._accounts else ("drift",)
+        return np.concatenate([np.moveaxis(self._read(name), -2, -1) for name in names], axis=-1)
+
+    @cached_property
+    def attitude(self) -> Floats | None:
+        return self._read_if_stored("attitude")
+
+    @cached_property
+    def attitude0(self) -> Floats | None:
+        return self._read_if_stored("attitude0")
+
+    @cached_property
+    def carried(self) -> str | None:
+        name = str(self.attributes["attitude_carried"])
+        return None if name == "none" else name
+
+    @cached_property
+    def failed(self) -> NDArray[np.bool_] | None:
+        return self._read_if_stored("failed")
+
+    @cached_property
+    def incomplete(self) -> str | None:
+        """Why the run has not reached its end; members that failed do not cut the others."""
+        attributes = self.attributes
+        if attributes.get("run_incomplete"):
+            return str(attributes.get("incomplete_reason", "interrupted"))
+        if attributes.get("run_failed") and self.failed is None:
+            return "failed"
+        return None

@@ -1,0 +1,277 @@
+"""Solutions of runs in memory; attributes are computed from the arrays of the loops on first use."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.keyword_hints import NamedValues
+from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.results.solution_attributes import Statistics
+from coadjoint.runs.start import Start, start_of_vector
+from coadjoint.systems.protocol import states_of
+
+if TYPE_CHECKING:
+    from coadjoint.kernels.arrays import Layout, NamedArrays
+    from coadjoint.methods.protocol.method import Method
+    from coadjoint.runs.loops.loops import GroupCorrection
+    from coadjoint.runs.results.observables import Observed
+    from coadjoint.runs.run import Run
+    from coadjoint.runs.run_setup import RunSetup
+    from coadjoint.systems.batch import Batch
+    from coadjoint.systems.system_checks import System
+
+Floats = NDArray[np.float64]
+
+# Arrays that a solution copies from a large state of a run; a small state is shared, since copying takes a step's time.
+REPORTED_ARRAYS = ("worst", "status", "evaluations", "iterations")
+# Numbers (8 MB) beyond which a state is large.
+MAX_STATE_NUMBERS = 2**20
+# Fields that are the same for all runs of a setup.
+SHARED = (
+    "watched",
+    "_times",
+    "_saved_points",
+    "_names",
+    "_accounts",
+    "_corrected_groups",
+    "events",
+    "_ending",
+    "_initial_values",
+)
+
+
+class MemorySolution(Solution):
+    """The solution of a run in memory; it does not keep the tables of the run alive.
+
+    Its fields are what all runs of a setup share (`SHARED`), the scheme, the system or a function that builds it, the
+    start, the arrays of the loops, and the seconds in the loops and in the call.
+    """
+
+    _given_system: System | Batch | partial[System | Batch]
+    _saved_points: int
+    _names: list[str]
+    _seconds: float
+    _elapsed: float
+    _corrected_groups: GroupCorrection
+    _initial_values: Floats | None
+    incomplete = None
+    if TYPE_CHECKING:
+
+        @cached_property
+        def _saved(self) -> NamedArrays: ...
+
+        @cached_property
+        def _state(self) -> NamedArrays: ...
+
+    @cached_property
+    def system(self) -> System | Batch:
+        given = self._given_system
+        return given() if isinstance(given, partial) else given
+
+    @cached_property
+    def t(self) -> Floats:
+        times = self._times.saved_times[: self._saved_points]
+        if self._ending is not None:
+            times[-1] = self._ending.t
+        return times
+
+    @cached_property
+    def x(self) -> NDArray[Any]:
+        rows = self._without_member_axis(self._points("x"))
+        # Accounts of forces may follow the coordinates.
+        return self._states(rows[..., : self._start.momenta.shape[1]] if self._accounts else rows)
+
+    @cached_property
+    def x0(self) -> NDArray[Any]:
+        momenta = self._start.momenta
+        return self._states(momenta[0] if self._start.single else momenta)
+
+    @cached_property
+    def t_eval(self) -> Floats | None:
+        return None if self._times.between is None else self.t
+
+    @cached_property
+    def energy(self) -> Floats:
+        return self._without_member_axis(self._points("values")[..., 0])
+
+    @cached_property
+    def casimirs(self) -> Mapping[str, Floats]:
+        values = self._points("values")
+        return NamedValues(
+            {name: self._without_member_axis(values[..., i + 1]) for i, name in enumerate(self._names[1:])}
+        )
+
+    @cached_property
+    def initial(self) -> Mapping[str, Any]:
+        values = self._saved["values"][0] if self._initial_values is None else self._initial_values
+        single = self._start.single
+        return NamedValues({name: values[0, i] if single else values[:, i] for i, name in enumerate(self._names)})
+
+    @cached_property
+    def work(self) -> Mapping[str, Mapping[str, Floats]]:
+        states, dim = self._points("x"), self._start.momenta.shape[1]
+        by_force: dict[str, dict[str, Floats]] = {}
+        for column, (force, invariant) in enumerate(self._accounts):
+            by_force.setdefault(force, {})[invariant] = self._without_member_axis(states[..., dim + column])
+        return NamedValues(by_force)
+
+    @cached_property
+    def observed(self) -> Mapping[str, Floats]:
+        return NamedValues()
+
+    @cached_property
+    def attitude(self) -> Floats | None:
+        start = self._start
+        if start.representation is None:
+            return None
+        groups = self._corrected_groups(start, self._times, self._saved, self._saved_points)
+        if self._ending is not None:
+            groups[-1] = self._ending.attitude
+        return groups[:, 0] if start.single else groups
+
+    @cached_property
+    def attitude0(self) -> Floats | None:
+        start = self._start
+        if start.representation is None:
+            return None
+        return start.groups[0] if start.single else start.groups
+
+    @cached_property
+    def carried(self) -> str | None:
+        return self._start.carried
+
+    @cached_property
+    def failed(self) -> NDArray[np.bool_] | None:
+        return None if self._start.single else self._state["status"] != 0
+
+    @cached_property
+    def stats(self) -> Statistics:
+        return Statistics(
+            steps=int(self._times.steps if self._ending is None else self._ending.steps),
+            evaluations=int(self._state["evaluations"].sum()),
+            iterations=int(self._state["iterations"].sum()),
+            seconds=self._seconds,
+            elapsed=self._elapsed,
+        )
+
+    @cached_property
+    def _worst(self) -> Floats:
+        return self._state["worst"][0] if self._start.single else self._state["worst"]
+
+    def _points(self, name: str) -> NDArray[Any]:
+        """Return an array of the loops at the saved points."""
+        points = self._saved[name]
+        return points if len(points) == self._saved_points else points[: self._saved_points]
+
+    def _without_member_axis(self, series: NDArray[Any]) -> NDArray[Any]:
+        """Drop the axis of members for a single run."""
+        return series[:, 0] if self._start.single else series
+
+    def _states(self, rows: Floats) -> NDArray[Any]:
+        return np.asarray(states_of(self._start.system, rows))
+
+
+class ShortRunSolution(MemorySolution):
+    """The solution of a run of one vector without a group element, whose arrays are in one allocation.
+
+    What others are given is made on first use.
+    """
+
+    _layout: Layout
+    _momenta: Floats
+    _numbers: Floats
+
+    @cached_property
+    def x(self) -> Floats:
+        saved = self._layout.saved
+        return self._numbers[saved.slices["x"]].reshape(saved.shapes["x"])[:, 0]
+
+    @cached_property
+    def _start(self) -> Start:
+        return start_of_vector(self._given_system, self._momenta)
+
+    @cached_property
+    def _saved(self) -> NamedArrays:
+        return self._layout.saved_in(self._numbers)
+
+    @cached_property
+    def _state(self) -> NamedArrays:
+        return self._layout.state_in(self._numbers)
+
+
+def most_evaluations(solution: Solution) -> float:
+    """Return the largest number of evaluations of a member of a run in memory."""
+    assert isinstance(solution, MemorySolution)
+    return float(np.max(solution._state["evaluations"]))
+
+
+def solution_of_run(run: Run, saved_points: int, observed: Observed | None, **fields: Any) -> Solution:
+    """Return the solution of the first saved points of a run in memory, with further fields."""
+    state = run.state.arrays
+    if state.numbers.size > MAX_STATE_NUMBERS:
+        state = state.subset(REPORTED_ARRAYS)
+    own = {
+        "watched": run.watching,
+        "_times": run.times,
+        "_saved_points": saved_points,
+        "events": run.events,
+        "_ending": run.ending,
+        "_initial_values": run.initial,
+        **fields,
+    }
+    solution = solution_of_arrays(run.setup, run.method, run.system, run.start, run.saved, state, run.seconds, own)
+    if observed is not None:
+        # Observed quantities do not use the accounts that may follow the coordinates.
+        series = observed.along(solution.t, solution._points("x"))
+        named = {name: solution._without_member_axis(values) for name, values in series.items()}
+        vars(solution)["observed"] = NamedValues(named)
+    return solution
+
+
+def solution_of_arrays(
+    setup: RunSetup,
+    method: Method,
+    system: Any,
+    start: Start,
+    saved: NamedArrays,
+    state: NamedArrays,
+    seconds: float,
+    fields: Mapping[str, Any] | None = None,
+) -> MemorySolution:
+    """Return the solution of a run from its setup and its arrays, with further fields; see `solution_of_run`."""
+    return MemorySolution(
+        {
+            **setup.shared,
+            "method": method,
+            "_given_system": system,
+            "_start": start,
+            "_saved": saved,
+            "_state": state,
+            "_seconds": seconds,
+            "_elapsed": seconds,
+            **(fields or {}),
+        }
+    )
+
+
+def solution_of_numbers(
+    setup: RunSetup, method: Method, system: Any, momenta: Floats, numbers: Floats, seconds: float, elapsed: float
+) -> Solution:
+    """Return the solution of a run of one vector without a group element, whose arrays are in one allocation."""
+    return ShortRunSolution(
+        {
+            **setup.shared,
+            "_layout": setup.plan.layout,
+            "method": method,
+            "_given_system": system,
+            "_momenta": momenta,
+            "_numbers": numbers,
+            "_seconds": seconds,
+            "_elapsed": elapsed,
+        }
+    )

@@ -1,0 +1,185 @@
+"""The attributes of solutions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import xarray
+
+    from coadjoint.methods.protocol.method import Method
+    from coadjoint.runs.events import RecordedEvents
+    from coadjoint.systems.batch import Batch
+    from coadjoint.systems.system_checks import System
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Work of a run.
+
+    Parameters
+    ----------
+    steps : int
+        Steps of each member.
+    evaluations : int
+        Elementary flows (splitting) or evaluations of the vector field, summed over members.
+    iterations : int
+        Iterations of implicit schemes, summed over members.
+    seconds : float
+        Wall-clock time in the loop over the steps, including compilation at the first call; in an ensemble in blocks
+        summed over the workers.
+    elapsed : float
+        Wall-clock time of the call: validation, preparation, steps, and writing of an archive. NaN if it is not known.
+    """
+
+    steps: int
+    evaluations: int
+    iterations: int
+    seconds: float
+    elapsed: float = math.nan
+
+
+class SolutionAttributes:
+    """Attributes of a `Solution`; its classes have them as fields, or compute or read them on first use."""
+
+    @cached_property
+    def system(self) -> System | Batch:
+        """The system, with the inputs of the run."""
+        raise NotImplementedError
+
+    @cached_property
+    def method(self) -> Method:
+        """The scheme."""
+        raise NotImplementedError
+
+    @cached_property
+    def watched(self) -> bool:
+        """Whether invariants were computed after every step."""
+        raise NotImplementedError
+
+    @cached_property
+    def t(self) -> Floats:
+        """The saved times, (k,): t0, every save_every-th step, and the last; or `t_eval`."""
+        raise NotImplementedError
+
+    @cached_property
+    def x(self) -> NDArray[Any]:
+        """The states (momenta), (k, n) or (k, members, n)."""
+        raise NotImplementedError
+
+    @cached_property
+    def x0(self) -> NDArray[Any]:
+        """The initial state, without the axis of times, whether it was saved or not."""
+        raise NotImplementedError
+
+    @cached_property
+    def t_eval(self) -> Floats | None:
+        """The argument of the run."""
+        raise NotImplementedError
+
+    @cached_property
+    def energy(self) -> Floats:
+        """The Hamiltonian, (k,) or (k, members)."""
+        raise NotImplementedError
+
+    @cached_property
+    def casimirs(self) -> Mapping[str, Floats]:
+        """Name -> Casimir, (k,) or (k, members)."""
+        raise NotImplementedError
+
+    @cached_property
+    def initial(self) -> Mapping[str, Any]:
+        """Initial energy and Casimirs: "energy" or name -> number, or (members,)."""
+        raise NotImplementedError
+
+    @cached_property
+    def work(self) -> Mapping[str, Mapping[str, Floats]]:
+        """Work of each force since the start: its label -> "energy", or a Casimir that it changes -> values."""
+        raise NotImplementedError
+
+    @cached_property
+    def observed(self) -> Mapping[str, Floats]:
+        """Name -> quantity of `observe`, over the saved times."""
+        raise NotImplementedError
+
+    @cached_property
+    def attitude(self) -> Floats | None:
+        """Group elements (attitudes), (k, d, d) or (k, members, d, d); None if they were not computed."""
+        raise NotImplementedError
+
+    @cached_property
+    def attitude0(self) -> Floats | None:
+        """The initial group element, without the axis of times; None if none was computed."""
+        raise NotImplementedError
+
+    @cached_property
+    def carried(self) -> str | None:
+        """Matrices in which the group element is stored: "representation", "coadjoint", or None."""
+        raise NotImplementedError
+
+    @cached_property
+    def failed(self) -> NDArray[np.bool_] | None:
+        """Which members of an ensemble failed, (members,); None for a single run."""
+        raise NotImplementedError
+
+    @cached_property
+    def events(self) -> RecordedEvents | None:
+        """Crossings of the events given to the run."""
+        raise NotImplementedError
+
+    @cached_property
+    def stats(self) -> Statistics:
+        """Steps, evaluations, iterations, seconds."""
+        raise NotImplementedError
+
+    @cached_property
+    def incomplete(self) -> str | None:
+        """Why the run has not reached its end: "failed", "unfinished" (an archive), or what interrupted it; or None."""
+        raise NotImplementedError
+
+    @cached_property
+    def t_span(self) -> tuple[float, float]:
+        """Start and end; the end is before that of `asked_span` if an event ended the run."""
+        raise NotImplementedError
+
+    @cached_property
+    def asked_span(self) -> tuple[float, float]:
+        """The argument `t_span` of the run."""
+        raise NotImplementedError
+
+    @cached_property
+    def step(self) -> float:
+        """The argument of the run."""
+        raise NotImplementedError
+
+    @cached_property
+    def save_every(self) -> int:
+        """The argument of the run."""
+        raise NotImplementedError
+
+    @cached_property
+    def choice(self) -> Any:
+        """For runs with `accuracy`: the result of `choose`; or None."""
+        raise NotImplementedError
+
+    # Of stored runs only.
+    path: Path
+    attributes: dict[str, Any]
+    dataset: xarray.Dataset
+    inputs: Callable[..., dict[str, Any]]
+    check_complete: Callable[[], None]
+    finished: bool
+    reached: int
+    status: NDArray[np.int64]
+    blocks: Sequence[Any]
+    progress_text: str
