@@ -20,7 +20,7 @@ from explorer_systems import SHOWN, Shown, Values, evaluate
 
 import coadjoint as co
 from coadjoint.kernels.interface import interface_text
-from coadjoint.runs.loops.loops import SystemLoops
+from coadjoint.runs.loops.loops import loops_of_system
 
 VERSION = 1
 # Name in the page, code of the scheme, and its title.
@@ -48,9 +48,9 @@ def flat(table: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 def tables_of(shown: Shown, scheme: str, values: Values, h: float) -> tuple[dict[str, Any], Any]:
     """Return the loop of a scheme, its tables and the watched invariants, by path, and the loops."""
     system = shown.build(values)
-    loops = SystemLoops(system, eval(scheme, {"co": co}), h, shown.attitude or None)
-    found = {f"tables.{path}": value for path, value in flat(loops.prepared.tables)}
-    found |= {f"watch.{path}": value for path, value in flat(loops.watch)}
+    loops = loops_of_system(system, eval(scheme, {"co": co}), h, shown.attitude or None)
+    found = {f"tables.{path}": value for path, value in flat(loops.compiled[0].tables)}
+    found |= {f"watch.{path}": value for path, value in flat(loops.watches[0].tables)}
     if "tables.step" in found and isinstance(found["tables.step"], np.ndarray):
         found["tables.step"] = np.zeros(1, dtype=np.int64)  # an address of this process
     return found, loops
@@ -160,7 +160,7 @@ def entry(shown: Shown, random: np.random.Generator) -> dict[str, Any]:
         for k in range(CHECKED):
             check(shown, scheme, base, moves, on_grid(shown, random) if k % 2 else trial(shown, random))
         fields = {path: written(value) for path, value in base.items()}
-        schemes[name] = {"code": scheme, "loop": loops.prepared.name}
+        schemes[name] = {"code": scheme, "loop": loops.compiled[0].name}
         schemes[name] |= {"fields": fields, "moves": moves}
         invariants = loops.names
     return {
@@ -187,8 +187,8 @@ def rows_of_parts() -> dict[str, list[dict[str, Any]]]:
         method = eval(f"{scheme[:-1]}, parts='coordinates')", {"co": co})
         for count in (1, 2, 3):
             energy = co.Quadratic([1.0] * count + [0.0] * (3 - count))
-            loops = SystemLoops(co.LiePoissonSystem(co.algebras.so(3), energy), method, STEPS[0], None)
-            tables = loops.prepared.tables
+            loops = loops_of_system(co.LiePoissonSystem(co.algebras.so(3), energy), method, STEPS[0])
+            tables = loops.compiled[0].tables
             rows = {path: written(getattr(tables, path)) for path in ("part", "tau", "moment", "section")}
             found.setdefault(name, []).append(rows)
     return found

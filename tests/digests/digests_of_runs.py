@@ -12,10 +12,10 @@ import coadjoint as co
 from coadjoint.analysis.lyapunov import frame_of
 from coadjoint.kernels.tables.tangents import Frame
 from coadjoint.methods.protocol.tangents import tangent_loop
+from coadjoint.runs.loops.loops import loops_of_members
 from coadjoint.runs.run import Run
 from coadjoint.runs.run_setup import RunSetup
 from coadjoint.runs.start import start_of
-from coadjoint.runs.tangent_stretching import energy_loops
 from coadjoint.runs.times import Times
 
 from .schemes_under_test import schemes, serves
@@ -125,7 +125,7 @@ def states_with_tangents() -> Iterator[tuple[str, list[np.ndarray]]]:
             ensemble = x0 * (1.0 - 0.02 * np.arange(MEMBERS)[:, None])
             for x, how in ((x0, "alone"), (ensemble, "an ensemble")):
                 vectors = Frame(frame_of(system.dim, system.dim), 7)
-                loops = energy_loops([system], method, times.h, [tangent_loop(method, system, times.h, vectors)])
+                loops = loops_of_members([system], [tangent_loop(method, system, times.h, vectors)])
                 start = start_of(system, method, x, False)
                 run = Run(system, method, RunSetup(loops, times, start.groups.shape, False, 1), start, None)
                 run.advance()

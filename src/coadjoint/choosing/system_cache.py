@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import Any, TypeVar
 
 from coadjoint.methods.protocol.method import Method
-from coadjoint.runs.loops.loops import SystemLoops
+from coadjoint.runs.loops.loops import Loops, loops_of_system
 from coadjoint.systems.system_checks import System
 
 ResultT = TypeVar("ResultT")
@@ -44,14 +44,14 @@ def cached_for_system(system: System, key: Hashable, compute: Callable[[], Resul
     return result
 
 
-def loops_of(system: System, method: Method, h: float) -> SystemLoops:
+def loops_of(system: System, method: Method, h: float) -> Loops:
     """Return the loops of a scheme that record the energy alone.
 
     They are cached if they depend neither on the step nor on user functions, which may have state.
     """
 
-    def build() -> SystemLoops:
-        return SystemLoops(system, method, h, None, casimirs={})
+    def build() -> Loops:
+        return loops_of_system(system, method, h, casimirs={})
 
     return (
         cached_for_system(system, ("loops", method), build)

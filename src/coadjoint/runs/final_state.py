@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.arrays import Layout, as_c_double
 from coadjoint.kernels.loop import MemberBatch, raise_outcome
 from coadjoint.kernels.tables.recording import schedule_of
-from coadjoint.runs.loops.loops import SystemLoops
+from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.memory_estimate import check_run_memory
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times, is_same_span, is_unchangeable, span_of, times_between
@@ -34,7 +34,7 @@ MAX_CACHED_NUMBERS = 2**16
 class FinalStateRun:
     """Reusable arrays for successive calls of a `PreparedRun`; concurrent calls need separate objects."""
 
-    _loops: SystemLoops
+    _loops: Loops
     _layout: Layout
     _member_batch: MemberBatch | None
     _numbers: NDArray[np.float64]
@@ -100,7 +100,7 @@ class FinalStateRun:
         loops = prepared.loops(times.h)
         # Matrices are projected onto their algebra when they are read.
         matrices = unforced_matrix_system(prepared.system) is not None
-        if not isinstance(loops, SystemLoops) or matrices or loops.rows or prepared.carries:
+        if not isinstance(loops, Loops) or loops.owners is not None or matrices or loops.rows or prepared.carries:
             return
         plan = loops.plan(1, 2, 0, 1)
         check_run_memory(plan.layout, Times(times.t0, times.h, 1, 1), 1)

@@ -13,14 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import unknown_name
-from coadjoint.kernels.interface import limit
-from coadjoint.kernels.loop import MemberBatch
 from coadjoint.kernels.tables.inputs import InputsNotLocated, InputTables
 from coadjoint.methods.protocol.automatic_choices import settled
 from coadjoint.methods.protocol.method import Method
-from coadjoint.runs.loops.batch_loops import in_rounds
-from coadjoint.runs.loops.loops import ExecutionPlan, Loops, SystemLoops, values_of_watch
-from coadjoint.runs.loops.rows import MemberTables, Tables, split_members
+from coadjoint.runs.loops.groups import Group
+from coadjoint.runs.loops.loops import Loops, loops_of_system
 from coadjoint.runs.start import Representation
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
@@ -261,11 +258,13 @@ class InputLoops:
     def __init__(self, inputs: Inputs, method: Method, h: float, representation: Representation) -> None:
         random_values = inputs.random_values()
         self.base, comparison = (
-            SystemLoops(inputs.system_at(values), method, h, representation) for values in random_values
+            loops_of_system(inputs.system_at(values), method, h, representation) for values in random_values
         )
         try:
             self.tables = InputTables(
-                (self.base.prepared, comparison.prepared), (self.base.watch, comparison.watch), random_values
+                (self.base.compiled[0], comparison.compiled[0]),
+                (self.base.watches[0].tables, comparison.watches[0].tables),
+                random_values,
             )
         except InputsNotLocated as reason:
             raise ValueError(f"{method} takes no inputs for {inputs.system.name}: {reason}") from None
@@ -276,67 +275,17 @@ class InputLoops:
 
     def at(self, values: Floats) -> Loops:
         """Return the loops of one call, from the values of `Inputs.read`, (m,) or (members, m)."""
+        tables, (group,) = self.tables, self.base.groups
         try:
-            return CallLoops(self, values)
+            if values.ndim == 1:
+                own, watch = tables.shared(values)
+                return self.base.with_groups([group._replace(tables=own, watch=watch)])
+            if not tables.separate_tables:
+                own, watch, stride = tables.each(values)
+                return self.base.with_groups([group._replace(tables=own, watch=watch, stride=stride)])
+            each = [tables.shared(row) for row in values]
         except OverflowError:
             raise ValueError(
                 "the linear term is too large: a completed square overflows; give smaller inputs"
             ) from None
-
-
-class CallLoops(Loops):
-    """Loops of one call, with its inputs in their tables."""
-
-    def __init__(self, input_loops: InputLoops, values: Floats) -> None:
-        base, tables = input_loops.base, input_loops.tables
-        self._base, self._stride = base, 0
-        self.names, self.accounts, self.corrected_groups = base.names, base.accounts, base.corrected_groups
-        self.size, self.memory, self.block = base.size, base.memory, base.block
-        if values.ndim == 1:
-            self._call_tables = [tables.shared(values)]
-        elif tables.separate_tables:
-            self._call_tables = [tables.shared(row) for row in values]
-        else:
-            *call_tables, self._stride = tables.each(values)
-            self._call_tables = [tuple(call_tables)]
-
-    def plan(self, members: int, points: int, square: int, workers: int) -> ExecutionPlan:
-        """Return the plan of the run; its layout, and batches that share tables, are cached from the last call."""
-        cached = self._base.plan(members, points, square, workers)
-        if len(self._call_tables) == 1 and not self._stride:
-            rounds = [
-                [member_batch.with_tables(*self._call_tables[0]) for member_batch in member_batches]
-                for member_batches in cached.rounds
-            ]
-        else:
-            rounds = self.rounds(members, workers)
-        return ExecutionPlan(cached.key, cached.layout, rounds)
-
-    def rounds(self, members: int, workers: int) -> list[list[MemberBatch]]:
-        """Return the batches of members with individual inputs, in common or in separate tables."""
-        loop = self._base.prepared.name
-        if self._stride:
-            bounds = split_members(0, members, workers, limit("MOST_LANES"))
-            return [[MemberBatch(loop, *self._call_tables[0], first, last, self._stride) for first, last in bounds]]
-        return in_rounds(
-            [MemberBatch(loop, *tables, m, m + 1, base=m) for m, tables in enumerate(self._call_tables)], workers
-        )
-
-    def member_tables(self, watch: Any = None) -> MemberTables:
-        """Return the tables of all members, or those of each member."""
-        loop = self._base.prepared.name
-        if len(self._call_tables) == 1:
-            return [(Tables(loop, self._call_tables[0][0], watch or self._call_tables[0][1], self._stride), None)]
-        return [
-            (Tables(loop, tables, watch or own), np.array([m])) for m, (tables, own) in enumerate(self._call_tables)
-        ]
-
-    def values_at(self, state: Floats, t: float, last: Floats) -> Floats:
-        return values_of_watch(self._call_tables[0][1], self._base.period, state, t, last)  # inputs change no period
-
-    def raised(self) -> BaseException | None:
-        """Return and clear the exception raised by a user function in the loop."""
-        return self._base.raised()
-
-    def initial_groups(self, groups: Floats) -> Floats:
-        return self._base.initial_groups(groups)
+        return self.base.with_groups([Group(np.array([m]), group.loop, *pair) for m, pair in enumerate(each)])

@@ -174,8 +174,9 @@ def _fill(
         if step < failing[m]:
             failing[m] = step
             run.mark_failed(m, step, status_name(result.status[row]), float(result.residual[row]))
-    measured = run.loops.measured_at(result.momenta, moments.t[k])
-    if measured is None:
+    if (measures := run.loops.measured) is not None:
+        measured = measures.at(result.momenta, moments.t[k])
+    else:
         # Multivalued invariants were followed along the run, and are continued from there by whole periods.
         saved = values[k, owners]
         with np.errstate(invalid="ignore"):  # an energy that overflowed

@@ -15,8 +15,8 @@ from coadjoint.kernels.tables.recording import partial_step_schedule
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.execution import failure_text, run_in_threads, status_name
+from coadjoint.runs.loops.groups import rows_of_groups
 from coadjoint.runs.loops.loops import Loops
-from coadjoint.runs.loops.rows import rows_of_member_tables
 from coadjoint.systems.protocol import forces_of, member_of
 
 Floats = NDArray[np.float64]
@@ -147,8 +147,8 @@ class PartialSteps:
         workers: int,
     ) -> list[NDArray[Any]]:
         loops = self.loops
-        member_tables = loops.member_tables(None if watched else self._no_values)
-        rows, filled, member_batches = rows_of_member_tables(member_tables, owners, workers, loops.block)
+        groups_of_loops = loops.groups if watched else [group._replace(watch=self._no_values) for group in loops.groups]
+        rows, filled, member_batches = rows_of_groups(groups_of_loops, owners, workers, loops.block)
         count = loops.tracked if watched else 0
         layout = Layout(Extent(len(rows), 1, momenta.shape[1], groups.shape[1], count, loops.memory))
         saved, state = NamedArrays(layout.saved), NamedArrays(layout.state)

@@ -32,8 +32,7 @@ from coadjoint.runs.derivatives.results import Tangents
 from coadjoint.runs.events import Event, read_events
 from coadjoint.runs.final_state import ENDS_ONLY, FinalStateRun
 from coadjoint.runs.inputs import InputLoops, Inputs
-from coadjoint.runs.loops.batch_loops import BatchLoops
-from coadjoint.runs.loops.loops import Loops, SystemLoops
+from coadjoint.runs.loops.loops import Loops, loops_of_batch, loops_of_system
 from coadjoint.runs.memory_estimate import bytes_of_run
 from coadjoint.runs.one_round import solution_of_one_round, solution_of_short_run
 from coadjoint.runs.output_times import OutputTimes, check_partial_steps, output_times_of, resample
@@ -194,7 +193,7 @@ class PreparedRun:
             unchanged = {id(one) for one in part.distinct} <= {id(one) for one in system.distinct}
             state["_representations"] = tuple(self._representations[m] for m in members.tolist())
             loops = self._loops_by_step.items() if unchanged else ()
-            state["_loops_by_step"] = {h: cast(BatchLoops, loop).selected(members) for h, loop in loops}
+            state["_loops_by_step"] = {h: cast(Loops, loop).selected(members) for h, loop in loops}
         else:
             state["_loops_by_step"] = self._loops_by_step if unchanged else {}
         if isinstance(self._attitude, np.ndarray) and self._attitude.ndim > 2:
@@ -707,11 +706,11 @@ class PreparedRun:
         if self._inputs is not None:
             return InputLoops(self._inputs, self._scheme, h, self._representations[0])
         if is_batch(self.system):
-            return BatchLoops(self.system, self._scheme, h, self._representations)
+            return loops_of_batch(self.system, self._scheme, h, self._representations)
         for known in self._loops_by_step.values():
             if isinstance(known, Loops) and (loops := known.at_step(h)) is not None:
                 return loops
-        return SystemLoops(self.system, self._scheme, h, self._representations[0], compact=True)
+        return loops_of_system(self.system, self._scheme, h, self._representations[0], compact=True)
 
     def observed(self, start: Start) -> Observed | None:
         """Return the quantities to observe during a run, or None."""

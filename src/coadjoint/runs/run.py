@@ -156,9 +156,9 @@ class Run:
             self.state.arrays = self.state.arrays.take(inverse, 0)
             if last == self.times.steps:
                 self.saved = self.saved.take(inverse, 1)
-        if self.loops.measures:
+        if (measured := self.loops.measured) is not None:
             new_points = np.flatnonzero((self.times.saved <= last) & ((self.times.saved > first) | (first == 0)))
-            self.loops.measure(self.times, self.start, self.saved, self.state["worst"], new_points)
+            measured.measure(self.times, self.start, self.saved, self.state["worst"], new_points)
 
     def _advance(self, first: int, last: int, progress: bool) -> None:
         plan = self.plan
@@ -229,8 +229,8 @@ class Run:
         saved_points = int(np.flatnonzero(reached)[-1]) + 1 if reached.any() else 0
         worst, values = self.state["worst"], self.saved["values"]
         worst[:], self.state["status"][:], self.watching = 0.0, 0, False
-        if self.loops.measures:
-            self.loops.measure(self.times, self.start, self.saved, worst, np.arange(saved_points))
+        if (measured := self.loops.measured) is not None:
+            measured.measure(self.times, self.start, self.saved, worst, np.arange(saved_points))
         tenths = np.maximum(0, numbers[:saved_points] - 1) * worst.shape[1] // max(1, self.times.steps)
         with np.errstate(invalid="ignore"):
             for tenth in np.unique(tenths):

@@ -45,7 +45,7 @@ class RunSetup:
         self.schedule = schedule_of(*times[:4], watching, *times[4:6], threads=inside)
         shared = watching, times, times.points, loops.names, loops.accounts, loops.corrected_groups, None, None, None
         self.shared: dict[str, Any] = dict(zip(SHARED, shared, strict=True))
-        special = loops.rows or loops.measures or loops.order is not None or loops.accounts or groups[1]
+        special = loops.rows or loops.measured or loops.order is not None or loops.accounts or groups[1]
         small = self.plan.layout.state.size <= MAX_STATE_NUMBERS
         self.is_one_round = small and workers == 1 and not special and len(self.plan.rounds) == 1
         self._whole_run: Callable[[Any], int] | None = None

@@ -9,16 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.loop import CompiledLoop, MemberBatch
 from coadjoint.kernels.tables.tangents import Frame, stretch_logarithms
 from coadjoint.long_operations import note_progress
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.tangents import tangent_by, tangent_loop
-from coadjoint.runs.loops.batch_loops import in_rounds
-from coadjoint.runs.loops.loops import Loops, SystemLoops, as_rows
-from coadjoint.runs.loops.rows import MemberTables
-from coadjoint.runs.loops.shifted_attitude import uncorrected_groups
+from coadjoint.runs.loops.loops import loops_of_members
 from coadjoint.runs.run import Run
 from coadjoint.runs.run_setup import RunSetup
 from coadjoint.runs.start import Start
@@ -63,9 +59,10 @@ def stretching(
             if not is_batch(system):
                 raise
             raise type(error)(f"member {m} of the batch: {error}") from error
-    if None in prepared:
+    compiled = [loop for loop in prepared if loop is not None]
+    if len(compiled) < len(systems):
         return _step_by_step(system, systems, method, times, start, frame)
-    loops = energy_loops(systems, method, times.h, prepared)
+    loops = loops_of_members(systems, compiled)
     run = Run(system, method, RunSetup(loops, times, start.groups.shape, workers=workers), start)
     logarithms = np.full((times.points, len(start.momenta), len(frame.vectors)), np.nan)
     for point, number in enumerate(times.saved.tolist()):
@@ -87,7 +84,7 @@ def _step_by_step(
     check_available_memory(8 * numbers, f"the states of {short(times.steps)} steps, for tangents in Python,")
     _warn_once(type(method))
     every_step = times.with_saved_steps(np.arange(times.steps + 1))
-    loops = energy_loops(systems, method, times.h, [None] * len(systems))
+    loops = loops_of_members(systems, [method.loop(member, times.h, None) for member in systems])
     run = Run(system, method, RunSetup(loops, every_step, start.groups.shape), start)
     run.advance()
     ends = np.where(run.state["status"] == 0, times.steps, run.state["step"] - 1)
@@ -163,38 +160,3 @@ def _warn_once(scheme: type) -> None:
         RuntimeWarning,
         stacklevel=2,
     )
-
-
-def energy_loops(systems: Sequence[System], method: Method, h: float, prepared: Sequence[CompiledLoop | None]) -> Loops:
-    """Return loops that track the energy only, for one system or one for each member.
-
-    `prepared` are those of `tangent_loop`; None uses the loop without tangent vectors.
-    """
-    loops = [SystemLoops(member, method, h, None, {}, loop) for member, loop in zip(systems, prepared, strict=True)]
-    return loops[0] if len(loops) == 1 else IndividualLoops(loops)
-
-
-class IndividualLoops(Loops):
-    """Loops of members with individual tables, one batch for each member."""
-
-    corrected_groups = staticmethod(uncorrected_groups)
-
-    def __init__(self, members: Sequence[SystemLoops]) -> None:
-        self._members = members
-        self.names, self.size, self.memory = members[0].names, members[0].size, members[0].memory
-
-    def rounds(self, members: int, workers: int) -> list[list[MemberBatch]]:
-        """Return rounds of batches of one member each."""
-        return in_rounds([loops.member_batch(m, m + 1, m) for m, loops in enumerate(self._members)], workers)
-
-    def member_tables(self, watch: Any = None) -> MemberTables:
-        """Return the tables of each member."""
-        return [(loops.member_tables(watch)[0][0], np.array([m])) for m, loops in enumerate(self._members)]
-
-    def raised(self) -> BaseException | None:
-        """Return and clear the exception raised by a user function in the loop of any member."""
-        return next((error for loops in self._members if (error := loops.raised())), None)
-
-    def initial_groups(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the group elements unchanged; none are computed."""
-        return as_rows(groups)

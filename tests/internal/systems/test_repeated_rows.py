@@ -69,8 +69,8 @@ def test_runs_have_the_bits_of_explicit_rows(name, options, monkeypatch):
     systems = lattice(name), explicit(name, monkeypatch)
     x0 = np.random.default_rng(3).standard_normal(systems[0].dim)
     loops = [co.prepare(system, co.Splitting(order=2), 0.05).loops(0.05) for system in systems]
-    assert [loop.prepared.tables.terms.repeated > 0 for loop in loops] == [name not in SHORT_SHARES, False]
-    assert [loop.watch.terms.repeated > 0 for loop in loops] == [True, False]
+    assert [loop.compiled[0].tables.terms.repeated > 0 for loop in loops] == [name not in SHORT_SHARES, False]
+    assert [loop.watches[0].tables.terms.repeated > 0 for loop in loops] == [True, False]
     for threads in (1, 2):
         runs = [
             co.integrate(system, x0, (0.0, 0.3), 0.05, co.Splitting(order=4, **options), threads=threads)
@@ -112,11 +112,11 @@ def test_bytes_of_the_tables_of_a_spin(name, most):
     """All arrays of the Hamiltonian, the invariants, the parts and the loops, each counted once."""
     system = lattice(name)
     loops = co.prepare(system, co.Splitting(order=2), 0.05, watch=False).loops(0.05)
-    parts, found = loops.prepared.parts, {}
+    parts, found = loops.compiled[0].parts, {}
     terms = [term for F in (system.hamiltonian, *system.casimirs.values()) for term in F.terms()]
     for term in terms:
         of_matrix = (term.matrix,) if isinstance(term, RepeatedTerm) else (term.indptr, term.indices, term.values)
         arrays_in((*of_matrix, term.linear), found)
     arrays_in((parts.forms, parts.offset, parts.weights, parts.row, parts.share), found)
-    arrays_in((loops.prepared.tables, loops.watch), found)
+    arrays_in((loops.compiled[0].tables, loops.watches[0].tables), found)
     assert sum(found.values()) <= most * SITES

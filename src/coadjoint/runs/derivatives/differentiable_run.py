@@ -23,7 +23,7 @@ from coadjoint.runs.derivatives.input_derivatives import INPUTS, without_inputs
 from coadjoint.runs.derivatives.run_tables import build_tables
 from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops.execution import sum_in_threads
-from coadjoint.runs.loops.rows import split_members
+from coadjoint.runs.loops.groups import split_members
 from coadjoint.runs.output_times import OutputTimes, check_partial_steps, resample
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import distinct

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.runs.loops.loops import SystemLoops
+from coadjoint.runs.loops.loops import loops_of_system
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.systems.parameter_differences import DISTANCE, NODES, WEIGHTS
 
@@ -29,8 +29,8 @@ class ElementDifferences:
     def at(self, system: Any, x: Floats, t: float, h: float) -> Floats:
         """Return the elements (m, d, d) of a step of a system from states (m, n)."""
         if id(system) not in self._steps:
-            loops = SystemLoops(system, self._method, self._h, self._representation)
-            if loops.shift_corrections:
+            loops = loops_of_system(system, self._method, self._h, self._representation)
+            if any(loops.corrections):
                 raise TypeError(f"attitudes by {self._method} have no derivatives; take Splitting or GaussLegendre")
             # The system is stored with its loops: its number is not used for another one.
             self._steps[id(system)] = system, PartialSteps(system, self._method, loops)

@@ -21,7 +21,7 @@ from coadjoint.runs.derivatives.force_flows import FlowEntry
 from coadjoint.runs.derivatives.forced_steps import ForcedSteps, forced_tables
 from coadjoint.runs.derivatives.input_derivatives import INPUTS, changed_inputs, tables_with_inputs
 from coadjoint.runs.inputs import InputLoops, Inputs
-from coadjoint.runs.loops.loops import SystemLoops
+from coadjoint.runs.loops.loops import loops_of_system
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.systems.force_parameters import force_parameters
 from coadjoint.systems.parameters import parameters_of
@@ -44,7 +44,7 @@ def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inpu
     entries = _flow_entries(run, names)
     attitudes = None if representation is None else AttitudeDerivatives(plain, inner.shift, representation)
     loops: Any = (
-        SystemLoops(plain, run.base, h, representation)
+        loops_of_system(plain, run.base, h, representation)
         if of_plain is None
         else InputLoops(of_plain, run.base, h, representation)
     )

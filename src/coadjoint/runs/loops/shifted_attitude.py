@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -83,14 +85,6 @@ class ShiftCorrection:
             return growth * max(map(abs, momenta.ravel().tolist())) > FINITE_GROWTH
         return growth * float(np.max(np.abs(momenta))) > FINITE_GROWTH
 
-    def __call__(self, start: Start, times: Times, saved: NamedArrays, points: int) -> NDArray[np.float64]:
-        """Return group elements (points, members, d, d) from those saved by the loops."""
-        groups = np.empty((points, *start.groups.shape))
-        if not points:
-            return groups
-        self.fill(groups, start, times, saved.address_of("group"), 0, len(start.groups))
-        return groups
-
     def at(self, start: Start, member: int, elapsed: float, loop_groups: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the group element (d, d) of a member at a time after its start, from that of the loops, (d*d,)."""
         member_start = start._replace(
@@ -110,3 +104,25 @@ class ShiftCorrection:
         if times.elapsed is not None:
             elapsed = np.repeat(times.elapsed[: len(out), None], out.shape[1], axis=1)
         self._compiled_correction.fill(out, loop_groups, start.momenta, start.groups, first, last, schedule, elapsed)
+
+
+def corrected_groups_each(
+    corrections: Sequence[ShiftCorrection | None],
+    owners: NDArray[np.int64] | None,
+    start: Start,
+    times: Times,
+    saved: NamedArrays,
+    points: int,
+) -> NDArray[np.float64]:
+    """Return the group elements (points, members, d, d), each corrected for the shift of its member's H."""
+    members, address = len(start.groups), saved.address_of("group")
+    if owners is None:
+        groups, owners = np.empty((points, *start.groups.shape)), np.zeros(members, dtype=np.int64)
+    else:
+        groups = np.array(uncorrected_groups(start, times, saved, points), order="C")
+    edges = [0, *(np.flatnonzero(np.diff(owners)) + 1).tolist(), members]
+    for first, last in pairwise(edges):
+        correction = corrections[owners[first]]
+        if correction is not None and points:
+            correction.fill(groups, start, times, address, first, last)
+    return groups

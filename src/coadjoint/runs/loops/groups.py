@@ -1,0 +1,177 @@
+"""Members that share tables, and their assignment to the slots of member batches."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.kernels.interface import limit
+from coadjoint.kernels.loop import MemberBatch
+
+Integers = NDArray[np.int64]
+
+
+class Rows(NamedTuple):
+    """The row in each slot, and the member batches of all slots.
+
+    Slots that are not `filled` pad lanes with copies of other rows.
+    """
+
+    rows: Integers
+    filled: NDArray[np.bool_]
+    member_batches: list[MemberBatch]
+
+
+class Group(NamedTuple):
+    """Members of a loop with tables of one structure; `members` are ascending, None all of them.
+
+    With a stride, each member has a column of constants: `tables` and `watch` are those of the first member, with each
+    array of constants (count,) widened to (count, stride). Without a stride all members share them.
+    """
+
+    members: Integers | None
+    loop: str
+    tables: Any
+    watch: Any
+    stride: int = 0
+
+    def rows(self, columns: Integers, workers: int, block: int, begin: int = 0) -> Rows:
+        """Return rows (m,) for these columns of constants, in the given order without a stride.
+
+        Slots count from `begin`. Without a stride, each worker has a batch, in which `block` rows go side by side.
+        """
+        if self.stride:
+            return self._in_columns(columns, begin)
+        count = len(columns)
+        member_batches = [
+            MemberBatch(*self[1:4], first, last, base=first)
+            for first, last in split_members(begin, begin + count, workers, block)
+        ]
+        return Rows(np.arange(count), np.ones(count, dtype=bool), member_batches)
+
+    def _in_columns(self, columns: Integers, begin: int) -> Rows:
+        # Batches begin at blocks of columns; a block holds one row of each column at a time.
+        block = limit("MOST_LANES")
+        column_blocks = self.stride // block
+        order = np.argsort(columns, kind="stable")
+        ascending = columns[order]
+        occurrence = np.arange(len(order)) - np.searchsorted(ascending, ascending)
+        keys, first_rows, positions = np.unique(
+            occurrence * column_blocks + ascending // block, return_index=True, return_inverse=True
+        )
+        rows, filled = np.repeat(order[first_rows], block), np.zeros(len(keys) * block, dtype=bool)
+        slots = positions * block + ascending % block
+        rows[slots], filled[slots] = order, True
+        member_batches, cuts = [], np.flatnonzero((np.diff(keys) != 1) | (keys[1:] % column_blocks == 0)) + 1
+        for low, high in pairwise([0, *cuts.tolist(), len(keys)]):
+            first, column = begin + low * block, int(keys[low]) % column_blocks * block
+            last = begin + int(np.flatnonzero(filled[: high * block])[-1]) + 1
+            member_batches.append(MemberBatch(*self[1:4], first, last, self.stride, first - column))
+        return Rows(rows, filled, member_batches)
+
+
+def rows_of_groups(groups: Sequence[Group], owners: Integers, workers: int, block: int) -> Rows:
+    """Return rows of members in groups, one group after the other; `owners` (m,) holds the member of each row."""
+    parts: list[Rows] = []
+    begin = 0
+    for group in groups:
+        if group.members is None:
+            return group.rows(owners, workers, block)
+        selected = np.flatnonzero(np.isin(owners, group.members))
+        if len(selected):
+            part = group.rows(np.searchsorted(group.members, owners[selected]), workers, block, begin)
+            parts.append(part._replace(rows=selected[part.rows]))
+            begin += len(part.rows)
+    rows, filled = (np.concatenate([part[k] for part in parts]) for k in range(2))
+    return Rows(rows, filled, [member_batch for part in parts for member_batch in part.member_batches])
+
+
+def batches_of_groups(groups: Sequence[Group], members: int, workers: int, block: int) -> list[MemberBatch]:
+    """Return member batches, each of one group, for the members in the order of the groups."""
+    batches: list[MemberBatch] = []
+    first = 0
+    for group in groups:
+        last = members if group.members is None else first + len(group.members)
+        side_by_side = limit("MOST_LANES") if group.stride else block
+        for bounds in split_members(first, last, workers, side_by_side):
+            batches.append(MemberBatch(*group[1:4], *bounds, group.stride, first))
+        first = last
+    return batches
+
+
+def individual_groups(compiled: Sequence[Any], watches: Sequence[Any]) -> list[Group]:
+    """Return a group for each member, from the compiled loops and the watches of all of them."""
+    from coadjoint.kernels.tables.structures import as_structure
+
+    return [
+        Group(np.array([m]), loop.name, as_structure(loop.tables), as_structure(watch.tables))
+        for m, (loop, watch) in enumerate(zip(compiled, watches, strict=True))
+    ]
+
+
+def split_members(first: int, last: int, workers: int, block: int) -> list[tuple[int, int]]:
+    """Split the members first to last - 1 into ranges, one for each worker, that begin at multiples of `block`.
+
+    Examples
+    --------
+    >>> split_members(0, 100, 2, 32)
+    [(0, 64), (64, 100)]
+    """
+    blocks = -(-(last - first) // block)
+    edges = pairwise(min(last, first + blocks * w // workers * block) for w in range(workers + 1))
+    return [(low, high) for low, high in edges if low < high]
+
+
+def groups_of(
+    prepared: Sequence[Any], watches: Sequence[Any], owners: Integers | None = None, in_order: bool = False
+) -> list[Group]:
+    """Group members with tables that differ only in constants, in the order of their first members.
+
+    `prepared` and `watches` are the compiled loops and the watches of the distinct systems, and `owners` (members,) the
+    number of that of each member. The members of a system with so many that they fill the lanes are a group of their
+    own. With `in_order` a group has only members that follow each other.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> from coadjoint.kernels.tables.invariants import watch_tables
+    >>> bodies = [co.systems.rigid_body(inertia=(1, 2, third)) for third in (2.5, 2.75, 2.875)]
+    >>> own = [co.GaussLegendre(2).loop(body, 0.1) for body in bodies]
+    >>> [group.members.tolist() for group in groups_of(own, [watch_tables(b, b.casimirs).tables for b in bodies])]
+    [[0, 1, 2]]
+    """
+    from coadjoint.kernels.tables.structures import as_structure, stacked, structure_of
+
+    block = limit("MOST_LANES")
+    owners = np.arange(len(prepared)) if owners is None else owners
+    counts = np.bincount(owners)
+    owners_by_structure: dict[Hashable, list[int]] = {}
+    for k, (loop, watch) in enumerate(zip(prepared, watches, strict=True)):
+        alone = counts[k] >= block
+        structure = k if alone else (loop.name, structure_of(loop.tables), structure_of(watch))
+        owners_by_structure.setdefault(structure, []).append(k)
+    keys = list(owners_by_structure)
+    key_of_owner = {k: position for position, key in enumerate(keys) for k in owners_by_structure[key]}
+    member_keys = np.array([key_of_owner[k] for k in range(len(prepared))])[owners]
+    edges = [0, *(np.flatnonzero(np.diff(member_keys)) + 1).tolist(), len(member_keys)]
+    sets = (
+        [np.arange(first, last) for first, last in pairwise(edges)]
+        if in_order
+        else [np.flatnonzero(member_keys == position) for position in range(len(keys))]
+    )
+    groups = []
+    for members in sets:
+        key = keys[member_keys[members[0]]]
+        loop = prepared[owners_by_structure[key][0]]
+        if isinstance(key, int):
+            groups.append(Group(members, loop.name, as_structure(loop.tables), as_structure(watches[key])))
+            continue
+        own = owners[members].tolist()
+        tables = as_structure(stacked([prepared[k].tables for k in own]))
+        watch = as_structure(stacked([watches[k] for k in own]))
+        groups.append(Group(members, loop.name, tables, watch, -(-len(members) // block) * block))
+    return sorted(groups, key=lambda group: int(group.members[0]))  # type: ignore[index]
