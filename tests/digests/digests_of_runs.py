@@ -13,8 +13,8 @@ from coadjoint.analysis.lyapunov import frame_of
 from coadjoint.kernels.tables.tangents import Frame
 from coadjoint.methods.protocol.tangents import tangent_loop
 from coadjoint.runs.loops.loops import loops_of_members
+from coadjoint.runs.plan import Plan
 from coadjoint.runs.run import Run
-from coadjoint.runs.run_setup import RunSetup
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import Times
 
@@ -127,7 +127,7 @@ def states_with_tangents() -> Iterator[tuple[str, list[np.ndarray]]]:
                 vectors = Frame(frame_of(system.dim, system.dim), 7)
                 loops = loops_of_members([system], [tangent_loop(method, system, times.h, vectors)])
                 start = start_of(system, method, x, False)
-                run = Run(system, method, RunSetup(loops, times, start.groups.shape, False, 1), start, None)
+                run = Run(Plan(system, method, loops, times, start.groups.shape), start)
                 run.advance()
                 yield f"tangents of {scheme} on {case}, {how}", [run.saved["x"], run.state["memory"]]
 

@@ -14,8 +14,8 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.newton import took_newton
 from coadjoint.methods.suggested_scheme import reference_scheme
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.plan import Plan
 from coadjoint.runs.run import Run
-from coadjoint.runs.run_setup import RunSetup
 from coadjoint.runs.start import with_group
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import distinct
@@ -310,7 +310,7 @@ def short_run(
     start = with_group(system, momenta, False, None, False)
     times = Times(t0, time / steps, steps, save_every)
     note_progress(f"a pilot run of {steps} steps by {type(method).__name__}")
-    run = Run(system, method, RunSetup(loops_of(system, method, times.h), times, start.groups.shape), start)
+    run = Run(Plan(system, method, loops_of(system, method, times.h), times, start.groups.shape), start)
     if advanced:
         run.advance()
     return run

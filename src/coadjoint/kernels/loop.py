@@ -6,7 +6,7 @@ import ctypes
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -48,18 +48,14 @@ class CompiledLoop:
         return raised_by(self.keepalive)
 
 
-class WholeRun(NamedTuple):
+class WholeRun(ctypes.Structure):
     """The arguments of a loop that takes all steps of a run, except its arrays: addresses, and a range of members."""
 
-    tables: int
-    watch: int
-    members: int
-    first: int
-    last: int
-    stride: int
-    extent: int
-    schedule: int
-    stop: int
+    _fields_ = [
+        (name, ctypes.c_int64)
+        for name in ("tables", "watch", "members", "first", "last", "stride", "extent", "schedule", "stop")
+    ]
+    pointed: tuple[Any, ...]
 
 
 class StopFlag:
@@ -130,18 +126,17 @@ class MemberBatch:
         )
         return failed_count if failed_count >= 0 else raise_outcome(failed_count)
 
-    def whole_run(self, layout: Layout, schedule: bytes) -> Callable[[Any], int]:
-        """Return a function that takes all steps of a run, for many calls.
+    def whole_run(self, layout: Layout, schedule: Any) -> Callable[[Any], int]:
+        """Return a function that takes all steps of a run, for many calls; the schedule is a `ctypes` buffer.
 
         Its argument is the address of the arrays in one allocation: the saved ones, then the state. It returns the
         number of failed members, or a negative outcome for `raise_outcome`. If the initial momenta are not all finite,
         all members fail, and their results are not set.
         """
-        schedule_memory = ctypes.create_string_buffer(schedule, len(schedule))
-        pointed = *self._pointed_tables, layout.table, schedule_memory, NEVER_STOPPED.flag
+        pointed = *self._pointed_tables, layout.table, schedule, NEVER_STOPPED.flag
         tables, watch, extent, schedule_address, stop = map(ctypes.addressof, pointed)
         members, first, last, stride = (int(position.value or 0) for position in self._positions)
-        run = as_structure(WholeRun(tables, watch, members, first, last, stride, extent, schedule_address, stop))
+        run = WholeRun(tables, watch, members, first, last, stride, extent, schedule_address, stop)
         run.pointed = pointed, self._members
         return partial(_loop(f"{self._name}_whole"), ctypes.byref(run))
 

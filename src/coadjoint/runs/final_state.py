@@ -12,9 +12,9 @@ import numpy as np
 from numpy import ndarray
 from numpy.typing import NDArray
 
-from coadjoint.kernels.arrays import Layout, as_c_double
-from coadjoint.kernels.loop import MemberBatch, raise_outcome
-from coadjoint.kernels.tables.recording import schedule_of
+from coadjoint.kernels.arrays import as_c_double
+from coadjoint.kernels.loop import raise_outcome
+from coadjoint.kernels.tables.recording import SCHEDULE_BYTES, schedule_of
 from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.memory_estimate import check_run_memory
 from coadjoint.runs.start import momenta_of
@@ -35,8 +35,6 @@ class FinalStateRun:
     """Reusable arrays for successive calls of a `PreparedRun`; concurrent calls need separate objects."""
 
     _loops: Loops
-    _layout: Layout
-    _member_batch: MemberBatch | None
     _numbers: NDArray[np.float64]
     _clear: Callable[[float], None] | None
     _momentum: NDArray[np.float64]
@@ -49,6 +47,7 @@ class FinalStateRun:
         self._is_bounded = self._max_evaluations < math.inf
         self._span: Any = None
         self._h: float | None = None
+        self._whole_run: Callable[[], int] | None = None
         self._advance: Callable[[], int] | None = None
 
     def end(self, x0: Any, t_span: Any) -> NDArray[np.float64] | None:
@@ -87,30 +86,32 @@ class FinalStateRun:
         self._span = self._advance = None
         times = times_between(span_of(t_span), self._prepared.step, ENDS_ONLY)
         if times.h != self._h:
-            self._allocate(times)
-        if self._member_batch is not None and times.steps:
-            whole_run = self._member_batch.whole_run(self._layout, schedule_of(*times[:4], False))
-            self._advance = partial(whole_run, ctypes.byref(as_c_double(self._numbers)))
+            self._h, self._whole_run = times.h, self._allocated(times)
+        if self._whole_run is not None and times.steps:
+            self._schedule.raw = schedule_of(*times[:4], False)
+            self._advance = self._whole_run
         if is_unchangeable(t_span):
             self._span = t_span
 
-    def _allocate(self, times: Times) -> None:
-        """Allocate the arrays for this step, if the run is that of a single vector."""
-        prepared, self._member_batch, self._h = self._prepared, None, times.h
+    def _allocated(self, times: Times) -> Callable[[], int] | None:
+        """Allocate the arrays for runs of a single vector, and return the call of their loop; None for other runs."""
+        prepared = self._prepared
         loops = prepared.loops(times.h)
         # Matrices are projected onto their algebra when they are read.
         matrices = unforced_matrix_system(prepared.system) is not None
         if not isinstance(loops, Loops) or loops.owners is not None or matrices or loops.rows or prepared.carries:
-            return
-        plan = loops.plan(1, 2, 0, 1)
-        check_run_memory(plan.layout, Times(times.t0, times.h, 1, 1), 1)
-        if plan.layout.saved.size + plan.layout.state.size > MAX_CACHED_NUMBERS:
-            return
-        self._loops, self._layout, self._numbers = loops, plan.layout, np.zeros(plan.layout.size)
-        saved, state = plan.layout.saved_in(self._numbers), plan.layout.state_in(self._numbers)
-        ((self._member_batch,),) = plan.rounds
+            return None
+        layout = loops.layout(1, 2, 0)
+        check_run_memory(layout, Times(times.t0, times.h, 1, 1), 1)
+        if layout.size > MAX_CACHED_NUMBERS:
+            return None
+        self._loops, self._numbers = loops, np.zeros(layout.size)
+        saved, state = layout.saved_in(self._numbers), layout.state_in(self._numbers)
         # Accounts follow the coordinates, and start at zero.
         dim = self._shape[0]
         self._clear = state["momenta"].fill if loops.accounts else None
         self._momentum, self._end = state["momenta"][0, :dim], saved["x"][1, 0, :dim]
         self._evaluations = state["evaluations"]
+        self._schedule = ctypes.create_string_buffer(SCHEDULE_BYTES)
+        ((batch,),) = loops.rounds(1, 1)
+        return partial(batch.whole_run(layout, self._schedule), ctypes.byref(as_c_double(self._numbers)))

@@ -279,10 +279,10 @@ class InputLoops:
         try:
             if values.ndim == 1:
                 own, watch = tables.shared(values)
-                return self.base.with_groups([group._replace(tables=own, watch=watch)])
+                return self.base.with_groups([Group(None, group.loop, own, watch)])
             if not tables.separate_tables:
                 own, watch, stride = tables.each(values)
-                return self.base.with_groups([group._replace(tables=own, watch=watch, stride=stride)])
+                return self.base.with_groups([Group(None, group.loop, own, watch, stride)])
             each = [tables.shared(row) for row in values]
         except OverflowError:
             raise ValueError(

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.arrays import Layout, NamedArrays
+from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.runs.loops.execution import status_name
-from coadjoint.runs.memory_estimate import check_run_memory
 from coadjoint.runs.partial_steps import PartialSteps, reject_noise
 from coadjoint.runs.times import Times, accumulated_rounding
 from coadjoint.short_repr import distinct
@@ -118,9 +117,8 @@ def resample(run: Run, moments: OutputTimes) -> None:
     if run.ending is not None:
         times = _with_ending(times, run.ending)
         run.ending = run.ending._replace(points=times.points)
-    layout = Layout(run.plan.layout.extent._replace(points=times.points))
-    check_run_memory(layout, times, members)
-    saved, points = NamedArrays(layout.saved), np.searchsorted(run.times.saved, moments.number)
+    plan = run.plan.with_times(times)
+    saved, points = NamedArrays(plan.layout.saved), np.searchsorted(run.times.saved, moments.number)
     names = ("x", "group", "values")
     source, target = ([arrays[name] for name in names] for arrays in (marked_points, saved))
     for to_array, from_array in zip(target, source, strict=True):
@@ -129,7 +127,7 @@ def resample(run: Run, moments: OutputTimes) -> None:
         saved["x"][-1, 0], saved["values"][-1, 0] = run.ending.x, run.ending.values
     partial = np.flatnonzero(moments.length)
     if len(partial):
-        parts = PartialSteps(run.built_system, run.method, run.loops, run.workers)
+        parts = PartialSteps(run.plan.built_system, run.plan.method, run.loops, run.plan.workers)
         # A failed member has no partial steps within its failed step.
         last = np.where(run.state["status"] == 0, run.times.steps + 1, run.state["step"])
         chunk = max(1, ROWS_PER_CALL // members)
@@ -139,7 +137,7 @@ def resample(run: Run, moments: OutputTimes) -> None:
         late = (moments.ends[:, None] >= last) & (run.state["status"] != 0)
         for array in target:
             array[: len(late)][late] = np.nan
-    run.initial, run.saved, run.times = marked_points["values"][0], saved, times
+    run.initial, run.saved, run.plan = marked_points["values"][0], saved, plan
 
 
 def _with_ending(times: Times, ending: TerminalEvent) -> Times:

@@ -15,14 +15,14 @@ from coadjoint.runs.results.memory_solution import REPORTED_ARRAYS, solution_of_
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import first_point_not_finite
 from coadjoint.runs.start import Start
-from coadjoint.runs.state import RunState
+from coadjoint.runs.state import State
 from coadjoint.runs.times import Times
 
 if TYPE_CHECKING:
     from coadjoint.runs.prepared_run import PreparedRun
 
 STATE_PREFIX = "state."
-"""Prefix of the arrays of a `RunState` among those that are stored."""
+"""Prefix of the arrays of a `State` among those that are stored."""
 NOT_OCCURRED = np.array([-1.0, np.nan])
 """Step and time of an event that has not occurred."""
 
@@ -121,10 +121,7 @@ class PiecewiseRun:
         """Release the saved points in memory; no-op before the first step."""
         run = self.run
         if self.number:
-            run.times = run.times._replace(
-                max_points=self._max_points - run.times.after(self.number).passed % self._max_points
-            )
-            run.release_points()
+            run.release_points(self._max_points - run.times.after(self.number).passed % self._max_points)
 
     @property
     def worst(self) -> NDArray[np.float64]:
@@ -172,9 +169,9 @@ class PiecewiseRun:
                 self._undefined[name] = np.array([self.run.times.saved[first], solution.t[first]])
 
 
-def state_of(stored: Mapping[str, Any]) -> RunState:
-    """Extract the `RunState` from the stored arrays of a run."""
-    return RunState.from_mapping(
+def state_of(stored: Mapping[str, Any]) -> State:
+    """Extract the `State` from the stored arrays of a run."""
+    return State.from_mapping(
         {name[len(STATE_PREFIX) :]: stored[name] for name in stored if name.startswith(STATE_PREFIX)}
     )
 

@@ -34,13 +34,13 @@ from coadjoint.runs.final_state import ENDS_ONLY, FinalStateRun
 from coadjoint.runs.inputs import InputLoops, Inputs
 from coadjoint.runs.loops.loops import Loops, loops_of_batch, loops_of_system
 from coadjoint.runs.memory_estimate import bytes_of_run
-from coadjoint.runs.one_round import solution_of_one_round, solution_of_short_run
+from coadjoint.runs.one_round import solution_of_short_run
 from coadjoint.runs.output_times import OutputTimes, check_partial_steps, output_times_of, resample
 from coadjoint.runs.partial_steps import PartialSteps, noises_of
+from coadjoint.runs.plan import Plan
 from coadjoint.runs.results.observables import Observed, check_observe
 from coadjoint.runs.results.solution import Solution, set_elapsed
 from coadjoint.runs.run import Run, read_progress
-from coadjoint.runs.run_setup import RunSetup
 from coadjoint.runs.start import (
     Representation,
     Start,
@@ -52,7 +52,7 @@ from coadjoint.runs.start import (
     vectors_of,
     with_group,
 )
-from coadjoint.runs.state import RunState
+from coadjoint.runs.state import State
 from coadjoint.runs.times import RecentTimes, Times, read_step
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
@@ -62,7 +62,6 @@ from coadjoint.systems.protocol import among, is_batch, member_of, unforced_matr
 from coadjoint.systems.system_checks import System, check_system
 from coadjoint.validation import FLOAT64, read_bool, read_integer
 
-ONE_VECTOR = 1, 0, 0  # shape of the group elements of a run of one vector without any
 MAX_THREADS_INSIDE = 1024  # most threads that share one member
 UNPICKLED = (
     "_lock",
@@ -74,7 +73,7 @@ UNPICKLED = (
     "_loops_by_step",
     "_derivatives",
     "_recent_times",
-    "_recent_setup",
+    "_recent_plan",
 )
 
 
@@ -132,7 +131,7 @@ class PreparedRun:
         self._final_state_runs: list[FinalStateRun] = []
         self._vector_size = vector_size(self.system)
         self._recent_times = RecentTimes(self.step)
-        self._recent_setup: RunSetup | None = None
+        self._recent_plan: Plan | None = None
         one_vector = self._inputs is None and not self.observe and self._representations[0] is None
         self._plain_shape = (self._vector_size,) if one_vector and self._vector_size is not None else None
 
@@ -158,7 +157,7 @@ class PreparedRun:
             _final_state_runs=[],
             _of_members={},
             _recent_times=RecentTimes(state["step"]),
-            _recent_setup=None,
+            _recent_plan=None,
         )
 
     def among(self, first: int, last: int, threads: int | None = None) -> PreparedRun:
@@ -291,10 +290,12 @@ class PreparedRun:
             and not (t_eval is not None or attitude is not None or progress is not False or events is not None)
             and not inputs
         ):
-            # The short way of the most frequent case, once the setup is cached.
-            setup, times = self._recent_setup, self._recent_times.of(t_span, save_every)
-            if setup is not None and setup.times is times and setup.is_one_round and setup.groups == ONE_VECTOR:
-                solution = solution_of_short_run(self.system, self.method, setup, x0.copy(), began)
+            # The short way of the most frequent case, once the plan is cached.
+            plan, times = self._recent_plan, self._recent_times.of(t_span, save_every)
+            if plan is not None and plan.is_short and plan.times is not times:
+                plan = self._recent_plan = plan.at_times(times) or plan
+            if plan is not None and plan.is_short and plan.times is times:
+                solution = solution_of_short_run(plan, x0.copy(), began)
                 if solution is not None:
                     if self._checks_step:
                         self._check_step(solution)
@@ -634,15 +635,16 @@ class PreparedRun:
         if moments is not None:
             check_partial_steps(self.system, moments)
             times = times.with_saved_steps(moments.marks)
-        if not (progress or events or self.observe or moments is not None):
-            setup, system = self._setup_of(times, start, values)
-            if setup.is_one_round:
-                return solution_of_one_round(system, self.method, setup, start)
-        run = self.begun(times, start, values)
+        plan = self._plan_of(times, start, values)
+        if plan.is_short and start.single and not (progress or events or self.observe or moments is not None):
+            solution = solution_of_short_run(plan, start.momenta[0], time.perf_counter())
+            if solution is not None:
+                return solution
+        run = Run(plan, start)
         observed = self.observed(start)
         try:
             if events:
-                parts = PartialSteps(self.system, self.method, run.loops, run.workers)
+                parts = PartialSteps(self.system, self.method, run.loops, run.plan.workers)
                 EventRun(run, self._watched(events, start.momenta[0], times.t0), parts).advance(progress)
             else:
                 run.advance(progress)
@@ -654,37 +656,37 @@ class PreparedRun:
         return run.solution(observed)
 
     def begun(
-        self, times: Times, start: Start, values: NDArray[np.float64] | None = None, state: RunState | None = None
+        self, times: Times, start: Start, values: NDArray[np.float64] | None = None, state: State | None = None
     ) -> Run:
         """Return the run of `follow` before its first step, or resumed at a state."""
-        setup, system = self._setup_of(times, start, values)
-        return Run(system, self.method, setup, start, state)
+        return Run(self._plan_of(times, start, values), start, state)
 
-    def _setup_of(self, times: Times, start: Start, values: NDArray[np.float64] | None) -> tuple[RunSetup, Any]:
-        """Return the setup and the system of a run, with inputs a function that builds it; the last setup is cached."""
-        setup, groups = self._recent_setup, start.groups.shape
-        if setup is None or setup.groups != groups:
-            setup = self._new_setup(times, groups)
-        elif setup.times is not times:
-            shifted = setup.from_start(times)
+    def _plan_of(self, times: Times, start: Start, values: NDArray[np.float64] | None) -> Plan:
+        """Return the plan of a run; the last one is cached."""
+        plan, groups = self._recent_plan, start.groups.shape
+        if plan is None or plan.groups != groups:
+            plan = self._new_plan(times, groups)
+        elif plan.times is not times:
+            shifted = plan.at_times(times)
             if shifted is None:
-                setup = self._new_setup(times, groups)
+                plan = self._new_plan(times, groups)
             else:
-                setup = self._recent_setup = shifted
+                plan = self._recent_plan = shifted
         if self._inputs is None:
-            return setup, self.system
+            return plan
         loops = self.loops(times.h)
         assert isinstance(loops, InputLoops) and values is not None
-        return setup.with_loops(loops.at(values)), partial(self.system_at, values)
+        return plan.with_loops(loops.at(values), partial(self.system_at, values))
 
-    def _new_setup(self, times: Times, groups: tuple[int, ...]) -> RunSetup:
+    def _new_plan(self, times: Times, groups: tuple[int, ...]) -> Plan:
         loops, workers = self.loops(times.h), min(groups[0], self._threads)
         options = self._watching, workers, min(self._threads // workers, MAX_THREADS_INSIDE)
-        setup = RunSetup(loops.base if isinstance(loops, InputLoops) else loops, times, groups, *options)
+        base = loops.base if isinstance(loops, InputLoops) else loops
+        plan = Plan(self.system, self.method, base, times, groups, *options)
         # The free memory is checked again for each large run.
-        if bytes_of_run(setup.plan.layout, times) <= UNCHECKED_BYTES:
-            self._recent_setup = setup
-        return setup
+        if bytes_of_run(plan.layout, times) <= UNCHECKED_BYTES:
+            self._recent_plan = plan
+        return plan
 
     def _watched(self, events: tuple[Event, ...], x0: NDArray[np.float64], t0: float) -> WatchedEvents:
         """Return the compiled events; those of the last run are cached."""

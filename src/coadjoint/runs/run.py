@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,20 +15,19 @@ from coadjoint.kernels.blas_threads import limited_blas_threads
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import MemberBatch
 from coadjoint.memory import RELEASED_SIZE, release_freed_memory
-from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.loops.execution import failure_text, run_in_threads, status_name
+from coadjoint.runs.loops.loops import Loops
+from coadjoint.runs.plan import Plan
 from coadjoint.runs.progress import progress_bar
 from coadjoint.runs.results.memory_solution import solution_of_run
 from coadjoint.runs.results.observables import Observed
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.run_setup import RunSetup
 from coadjoint.runs.start import Start
-from coadjoint.runs.state import RunState
+from coadjoint.runs.state import State
+from coadjoint.runs.times import Times
 from coadjoint.short_repr import distinct
-from coadjoint.systems.batch import Batch
-from coadjoint.systems.system_checks import System
 from coadjoint.validation import read_bool
 
 SECONDS_BETWEEN_UPDATES = 0.2
@@ -39,15 +37,16 @@ GROWTH = 2.0
 
 
 class Run:
-    """Arrays of one run, from validated states and times, and the loops that fill them.
+    """A plan and a start, the state after some of the steps, and the points saved so far.
 
-    `system` may be a `partial` that builds it lazily. A run with a `state` resumes after its steps; earlier points are
-    not saved again.
+    A run with a `state` resumes after its steps; earlier points are not saved again.
 
     Attributes
     ----------
-    state : RunState
+    state : State
         State after the last step taken.
+    saved : NamedArrays
+        Arrays of the saved points.
     events : RecordedEvents or None
         Crossings found, if events were given.
     ending : TerminalEvent or None
@@ -62,55 +61,42 @@ class Run:
     seconds = 0.0
     failed_count = 0
 
-    def __init__(
-        self,
-        system: System | Batch | partial[System | Batch],
-        method: Method,
-        setup: RunSetup,
-        start: Start,
-        state: RunState | None = None,
-    ) -> None:
+    def __init__(self, plan: Plan, start: Start, state: State | None = None) -> None:
         if state is not None:
-            setup = setup.with_times(setup.times.after(state.number))
-        self._set(system, method, setup, start, NamedArrays(setup.plan.layout.saved))
+            plan = plan.with_times(plan.times.after(state.number))
+        self.plan, self.start = plan, start
+        self.saved, self.failure_reasons = NamedArrays(plan.layout.saved), dict[int, str]()
         if state is None:
-            arrays = NamedArrays(self.plan.layout.state)
-            self.state = RunState(arrays)
-            if self.plan.layout.extent.size == start.momenta.shape[1]:
-                arrays.numbers[arrays.offsets.slices["momenta"]] = start.momenta.ravel()
-            else:
-                # Accounts follow the coordinates, and start at zero.
-                arrays["momenta"][:, : start.momenta.shape[1]] = start.momenta
-            if setup.groups[1]:
-                arrays["groups"][:] = self.loops.initial_groups(start.groups)
+            groups = plan.loops.initial_groups(start.groups) if plan.groups[1] else None
+            self.state = State.of_start(plan.layout, start.momenta, groups)
         else:
-            state.check_fits(self.plan.layout.state)
+            state.check_fits(plan.layout.state)
             self.state = state.copy()
             self.saved.numbers.fill(np.nan)
         if start.momenta.size > RELEASED_SIZE:
             release_freed_memory()  # so that the loops get memory that is not written before it is used
 
-    def _set(self, system: Any, method: Method, setup: RunSetup, start: Start, saved: NamedArrays) -> None:
-        self.system, self.method, self.start = system, method, start
-        self.loops, self.workers, self.watching = setup.loops, setup.workers, setup.watching
-        self.setup, self.times, self.plan, self.saved = setup, setup.times, setup.plan, saved
-        self.failure_reasons: dict[int, str] = {}
-
     @classmethod
-    def of_arrays(
-        cls, system: Any, method: Method, setup: RunSetup, start: Start, saved: NamedArrays, state: RunState
-    ) -> Run:
+    def of_arrays(cls, plan: Plan, start: Start, saved: NamedArrays, state: State) -> Run:
         """Return the run whose loops have filled these arrays."""
         run: Run = object.__new__(cls)
-        run._set(system, method, setup, start, saved)
-        run.state = state
+        run.plan, run.start, run.saved, run.state, run.failure_reasons = plan, start, saved, state, {}
         return run
 
-    def release_points(self) -> None:
-        """Release the saved points, and allocate arrays for those that follow."""
-        setup = self.setup.with_times(self.times.after(self.state.number))
-        self.setup, self.times, self.plan = setup, setup.times, setup.plan
-        self.saved = NamedArrays(setup.plan.layout.saved)
+    @property
+    def times(self) -> Times:
+        """The times of the plan."""
+        return self.plan.times
+
+    @property
+    def loops(self) -> Loops:
+        """The loops of the plan."""
+        return self.plan.loops
+
+    def release_points(self, max_points: int) -> None:
+        """Release the saved points, and allocate arrays for those that follow, so many at most."""
+        self.plan = self.plan.with_times(self.times._replace(max_points=max_points).after(self.state.number))
+        self.saved = NamedArrays(self.plan.layout.saved)
         self.saved.numbers.fill(np.nan)
 
     @property
@@ -118,10 +104,6 @@ class Run:
         """Times at which events ended the runs of members, (members,); NaN where none did."""
         members = len(self.start.momenta)
         return np.full(members, np.nan) if self.events is None else self.events.ends(members)
-
-    def enable_events(self, events: int) -> None:
-        """Enable event detection, with the address of the event tables; these must outlive the run."""
-        self.setup = self.setup.with_events(events)
 
     def close(self, last: NDArray[np.int64]) -> None:
         """Discard points saved after the last steps of members that events have ended."""
@@ -145,7 +127,7 @@ class Run:
         if order is not None:
             self.state.arrays = self.state.arrays.take(order, 0)
         if self.loops.rows:
-            with limited_blas_threads(self.loops.rows, self.workers):
+            with limited_blas_threads(self.loops.rows, self.plan.workers):
                 self._advance(first, last, progress)
         else:
             self._advance(first, last, progress)
@@ -162,10 +144,10 @@ class Run:
 
     def _advance(self, first: int, last: int, progress: bool) -> None:
         plan = self.plan
-        arrays = plan.layout, self.setup.schedule, self.saved, self.state.arrays
+        arrays = plan.layout, plan.schedule, self.saved, self.state.arrays
         if not progress:
             for member_batches in plan.rounds:
-                self.failed_count += run_in_threads(member_batches, (*arrays, first, last), self.loops, self.workers)
+                self.failed_count += run_in_threads(member_batches, (*arrays, first, last), self.loops, plan.workers)
         else:
             with progress_bar((last - first) * len(plan.rounds), progress) as bar:
                 for member_batches in plan.rounds:
@@ -184,18 +166,13 @@ class Run:
         while True:
             target = min(last, done + chunk)
             before = time.perf_counter()
-            failed_count = run_in_threads(member_batches, (*arrays, done, target), self.loops, self.workers)
+            failed_count = run_in_threads(member_batches, (*arrays, done, target), self.loops, self.plan.workers)
             # Steps per second; the clock may not have advanced.
             pace = (target - done) / max(time.perf_counter() - before, 1e-6)
             bar(target - done)
             chunk, done = max(1, min(int(pace * SECONDS_BETWEEN_UPDATES), 1000 * chunk)), target
             if done == last or failed_count == sum(member_batch.count for member_batch in member_batches):
                 return failed_count
-
-    @property
-    def built_system(self) -> System | Batch:
-        """The system, built if it is given as a function."""
-        return self.system() if isinstance(self.system, partial) else self.system
 
     def solution(self, observed: Observed | None) -> Solution:
         """Return the solution, or raise the failure with the partial solution."""
@@ -228,7 +205,7 @@ class Run:
         reached = np.isfinite(x).any(axis=(1, 2))
         saved_points = int(np.flatnonzero(reached)[-1]) + 1 if reached.any() else 0
         worst, values = self.state["worst"], self.saved["values"]
-        worst[:], self.state["status"][:], self.watching = 0.0, 0, False
+        worst[:], self.state["status"][:] = 0.0, 0
         if (measured := self.loops.measured) is not None:
             measured.measure(self.times, self.start, self.saved, worst, np.arange(saved_points))
         tenths = np.maximum(0, numbers[:saved_points] - 1) * worst.shape[1] // max(1, self.times.steps)
@@ -237,7 +214,7 @@ class Run:
                 deviations = np.abs(values[:saved_points][tenths == tenth] - values[0])
                 worst[:, tenth] = np.fmax.reduce(deviations, axis=0, initial=0.0)
         worst[~np.isfinite(x[:saved_points]).any(axis=(0, 2))] = np.nan
-        return solution_of_run(self, saved_points, observed, incomplete="interrupted")
+        return solution_of_run(self, saved_points, observed, incomplete="interrupted", watched=False)
 
     def describe_interrupt(self, stopped: KeyboardInterrupt, observed: Observed | None) -> None:
         """Attach the points saved before an interrupt to it."""
@@ -307,10 +284,12 @@ class Run:
                 residual=residual,
                 partial=partial,
             )
-        reason = failure_text(status, self.method, self.loops, residual)
+        reason = failure_text(status, self.plan.method, self.loops, residual)
         # The step of a run does not affect adaptive schemes.
-        advice = "end t_span before" if self.method.own_steps else f"take a smaller step than {abs(self.times.h):g}"
-        if step > 1 and status != "PARALLEL" and not self.method.own_steps and self._grown(member):
+        advice = (
+            "end t_span before" if self.plan.method.own_steps else f"take a smaller step than {abs(self.times.h):g}"
+        )
+        if step > 1 and status != "PARALLEL" and not self.plan.method.own_steps and self._grown(member):
             advice += (
                 "; if that fails near the same time, the motion itself grows without bound there: end t_span before"
             )

@@ -13,7 +13,7 @@ from coadjoint.kernels.interface import kernel_interface, limit
 from coadjoint.short_repr import short
 
 
-class RunState:
+class State:
     """The state of a run after some of its steps, without the points saved so far.
 
     A run resumed from a copy is bitwise equal to an uninterrupted one with the same system, scheme, times and start.
@@ -26,6 +26,19 @@ class RunState:
     def __init__(self, arrays: NamedArrays, number: int = 0) -> None:
         self.arrays, self.number = arrays, number
 
+    @classmethod
+    def of_start(cls, layout: Layout, momenta: NDArray[np.float64], groups: Any) -> State:
+        """Return the state before the first step, from momenta (members, n) and the group elements of the loops."""
+        arrays = NamedArrays(layout.state)
+        if layout.extent.size == momenta.shape[1]:
+            arrays.numbers[arrays.offsets.slices["momenta"]] = momenta.ravel()
+        else:
+            # Accounts follow the coordinates, and start at zero.
+            arrays["momenta"][:, : momenta.shape[1]] = momenta
+        if layout.extent.square:
+            arrays["groups"][:] = groups
+        return cls(arrays)
+
     @property
     def version(self) -> int:
         """Format version of the arrays; kernels of another version cannot resume from the state."""
@@ -35,7 +48,7 @@ class RunState:
         return self.arrays[name]
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, RunState):
+        if not isinstance(other, State):
             return NotImplemented
         arrays, other_arrays = self.arrays, other.arrays
         return (
@@ -48,9 +61,9 @@ class RunState:
         members = len(self["status"])
         return f"<state of {members} member{'s' if members > 1 else ''} after step {self.number}>"
 
-    def copy(self) -> RunState:
+    def copy(self) -> State:
         """Return a deep copy."""
-        return RunState(self.arrays.copy(), self.number)
+        return State(self.arrays.copy(), self.number)
 
     def to_mapping(self) -> dict[str, Any]:
         """Return "version" and "number", and copies of the arrays, by name."""
@@ -58,7 +71,7 @@ class RunState:
         return {"version": self.version, "number": self.number, **arrays}
 
     @classmethod
-    def from_mapping(cls, mapping: Mapping[str, Any]) -> RunState:
+    def from_mapping(cls, mapping: Mapping[str, Any]) -> State:
         """Restore a state from the mapping of `to_mapping`; ValueError for another version or inconsistent arrays."""
         version, number = (_read_integer(mapping, name) for name in ("version", "number"))
         if version != limit("STATE_VERSION"):

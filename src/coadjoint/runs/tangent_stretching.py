@@ -15,8 +15,8 @@ from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.tangents import tangent_by, tangent_loop
 from coadjoint.runs.loops.loops import loops_of_members
+from coadjoint.runs.plan import Plan
 from coadjoint.runs.run import Run
-from coadjoint.runs.run_setup import RunSetup
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import short
@@ -63,7 +63,7 @@ def stretching(
     if len(compiled) < len(systems):
         return _step_by_step(system, systems, method, times, start, frame)
     loops = loops_of_members(systems, compiled)
-    run = Run(system, method, RunSetup(loops, times, start.groups.shape, workers=workers), start)
+    run = Run(Plan(system, method, loops, times, start.groups.shape, workers=workers), start)
     logarithms = np.full((times.points, len(start.momenta), len(frame.vectors)), np.nan)
     for point, number in enumerate(times.saved.tolist()):
         if number == 0:
@@ -85,7 +85,7 @@ def _step_by_step(
     _warn_once(type(method))
     every_step = times.with_saved_steps(np.arange(times.steps + 1))
     loops = loops_of_members(systems, [method.loop(member, times.h, None) for member in systems])
-    run = Run(system, method, RunSetup(loops, every_step, start.groups.shape), start)
+    run = Run(Plan(system, method, loops, every_step, start.groups.shape), start)
     run.advance()
     ends = np.where(run.state["status"] == 0, times.steps, run.state["step"] - 1)
     logarithms = np.full((times.points, len(start.momenta), len(frame.vectors)), np.nan)

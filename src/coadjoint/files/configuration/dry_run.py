@@ -179,7 +179,7 @@ def plan(configuration: Configuration) -> Plan:
     loops: Any = prepared.loops(times.h)
     preparation_seconds = time.perf_counter() - began
     saved_times = times if output_times is None else times.with_saved_steps(output_times.marks)
-    layout = loops.plan(len(start.momenta), saved_times.points, start.groups.shape[1] ** 2, 1).layout
+    layout = loops.layout(len(start.momenta), saved_times.points, start.groups.shape[1] ** 2)
     memory, points = bytes_of_run(layout, saved_times), saved_times.points
     if output_times is not None:
         # Output times are filled in while the steps from which they are reached are still in memory.

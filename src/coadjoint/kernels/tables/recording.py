@@ -69,6 +69,7 @@ def schedule_of(
     return packer(Schedule)(t0, h, steps, save_every, passed, watching, marked, address_of_marks, 0, 0, events, threads)
 
 
+SCHEDULE_BYTES = len(schedule_of(0.0, 0.0, 0, 1, False))
 SINGLE_STEP_MARK = np.array([1], dtype=np.int64)
 
 

@@ -12,7 +12,6 @@ from coadjoint.kernels.tables.events import EventArrays, FlaggedSteps
 from coadjoint.memory import check_available_memory
 from coadjoint.runs.crossings.crossings import Crossings, MemberFailure, WatchedEvents
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
-from coadjoint.runs.loops.loops import ExecutionPlan
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.progress import progress_bar
 from coadjoint.runs.run import Run
@@ -50,7 +49,7 @@ class EventRun:
         self._packed_members = members
         self._pending: FlaggedSteps | None = None  # flags of steps beyond the current chunk
         self._failed: dict[int, MemberFailure] = {}
-        run.enable_events(self.arrays.address)
+        run.plan = run.plan.with_events(self.arrays.address)
         self._checkpoint = run.state.copy(), self.arrays.copy()  # state before the steps not yet searched
 
     @property
@@ -113,10 +112,10 @@ class EventRun:
         """Redistribute the active members over the lanes once half of them have ended."""
         if not 0 < 2 * len(active) <= self._packed_members:
             return
-        rounds = self.run.loops.rounds_among(active, self.run.workers)
+        plan = self.run.plan
+        rounds = plan.loops.rounds_among(active, plan.workers)
         if rounds is not None:
-            plan = self.run.plan
-            self.run.plan, self._packed_members = ExecutionPlan(plan.key, plan.layout, rounds), len(active)
+            self.run.plan, self._packed_members = plan.with_rounds(rounds), len(active)
 
     def _advance_chunk(self, until: int) -> None:
         """Take the steps up to number `until`, and locate their events."""

@@ -222,12 +222,12 @@ class Trajectory:
     @property
     def workers(self) -> int:
         """Number of threads."""
-        return self._run.workers
+        return self._run.plan.workers
 
     @property
     def threads_inside(self) -> int:
         """Number of threads that may share a member."""
-        return self._run.setup.inside
+        return self._run.plan.inside
 
     @property
     def saved_rows(self) -> Any:

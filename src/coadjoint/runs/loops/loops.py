@@ -37,16 +37,6 @@ BATCHES_PER_ROUND = 8
 GroupCorrection = Callable[[Start, Times, NamedArrays, int], NDArray[np.float64]]
 
 
-class ExecutionPlan:
-    """Array layout and rounds of member batches, shared by runs with equal numbers of members and saved points.
-
-    The batches of a round run concurrently; the rounds run one after the other.
-    """
-
-    def __init__(self, key: tuple[int, ...], layout: Layout, rounds: list[list[MemberBatch]]) -> None:
-        self.key, self.layout, self.rounds = key, layout, rounds
-
-
 class Loops:
     """The compiled loops of a run, and further properties of its system; concurrent runs may share them.
 
@@ -113,7 +103,7 @@ class Loops:
         self.compiled, self.watches = list(compiled), list(watches)
         self.order: NDArray[np.int64] | None = None
         if self.owners is None:
-            # Converted to C structures once for all plans.
+            # Converted to C structures once for all runs.
             tables = as_structure(compiled[0].tables), as_structure(watches[0].tables)
             self.groups = [Group(None, compiled[0].name, *tables)]
         else:
@@ -121,7 +111,7 @@ class Loops:
             self.groups = groups_of(compiled, tables_of_watches, self.owners, self.in_order)
             members = np.concatenate([group.members for group in self.groups if group.members is not None])
             self.order = None if np.array_equal(members, np.arange(len(members))) else members
-        self._plan: ExecutionPlan | None = None
+        self._rounds: tuple[tuple[int, int], list[list[MemberBatch]]] | None = None
         self._base: Loops | None = None
 
     @property
@@ -134,22 +124,26 @@ class Loops:
         """Whether all members share their tables."""
         return self.groups[0].members is None and not self.groups[0].stride
 
-    def plan(self, members: int, points: int, square: int, workers: int) -> ExecutionPlan:
-        """Return the plan of a run; the last one is cached."""
-        key = (members, points, square, workers)
-        plan = self._plan
-        if plan is not None and plan.key == key:
-            return plan
+    def layout(self, members: int, points: int, square: int) -> Layout:
+        """Return the layout of the arrays of a run, with `square` entries of a group element."""
+        return Layout(Extent(members, points, self.size, square, self.tracked, self.memory))
+
+    def rounds(self, members: int, workers: int) -> list[list[MemberBatch]]:
+        """Return the calls of the loops, in rounds that run one after the other; the last ones are cached."""
+        cached = self._rounds
+        if cached is not None and cached[0] == (members, workers):
+            return cached[1]
         if self._base is not None and self.shares_tables:
-            base, (group,) = self._base.plan(*key), self.groups
-            rounds = [[batch.with_tables(group.tables, group.watch) for batch in batches] for batches in base.rounds]
-            layout = base.layout
+            (group,) = self.groups
+            rounds = [
+                [batch.with_tables(group.tables, group.watch) for batch in batches]
+                for batches in self._base.rounds(members, workers)
+            ]
         else:
             batches, size = batches_of_groups(self.groups, members, workers, self.block), BATCHES_PER_ROUND * workers
             rounds = [batches[a : a + size] for a in range(0, len(batches), size)]
-            layout = Layout(Extent(members, points, self.size, square, self.tracked, self.memory))
-        self._plan = ExecutionPlan(key, layout, rounds)
-        return self._plan
+        self._rounds = (members, workers), rounds
+        return rounds
 
     def rounds_among(self, members: NDArray[np.int64], workers: int) -> list[list[MemberBatch]] | None:
         """Return rounds of the given members, ascending, packed side by side; None if they have own tables."""
@@ -162,12 +156,12 @@ class Loops:
 
     def _copy(self, **attributes: Any) -> Loops:
         loops: Loops = object.__new__(type(self))
-        loops.__dict__.update(vars(self), _plan=None, **attributes)
+        loops.__dict__ = {**self.__dict__, "_rounds": None, **attributes}
         return loops
 
     def with_groups(self, groups: Sequence[Group]) -> Loops:
         """Return the loops of the same system with other tables, of the same structure."""
-        return self._copy(groups=list(groups), _base=self)
+        return self._copy(groups=groups, _base=self)
 
     def at_step(self, h: float) -> Loops | None:
         """Return the loops of one system and another step, by the same tables; None if they have to be built again."""
@@ -254,7 +248,7 @@ class Loops:
         """Return the attributes, with the tables in a form that can be pickled."""
         from coadjoint.kernels.pickling import picklable_loop, picklable_tables
 
-        derived = ("compiled", "watches", "groups", "order", "_plan", "_base")
+        derived = ("compiled", "watches", "groups", "order", "_rounds", "_base")
         tables = [picklable_loop(loop) for loop in self.compiled], [picklable_tables(*watch) for watch in self.watches]
         return {name: value for name, value in vars(self).items() if name not in derived} | {"tables": tables}
 

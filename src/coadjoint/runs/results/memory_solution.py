@@ -17,11 +17,10 @@ from coadjoint.systems.protocol import states_of
 
 if TYPE_CHECKING:
     from coadjoint.kernels.arrays import Layout, NamedArrays
-    from coadjoint.methods.protocol.method import Method
     from coadjoint.runs.loops.loops import GroupCorrection
+    from coadjoint.runs.plan import Plan
     from coadjoint.runs.results.observables import Observed
     from coadjoint.runs.run import Run
-    from coadjoint.runs.run_setup import RunSetup
     from coadjoint.systems.batch import Batch
     from coadjoint.systems.system_checks import System
 
@@ -31,10 +30,9 @@ Floats = NDArray[np.float64]
 REPORTED_ARRAYS = ("worst", "status", "evaluations", "iterations")
 # Numbers (8 MB) beyond which a state is large.
 MAX_STATE_NUMBERS = 2**20
-# Fields that are the same for all runs of a setup.
+# Fields that are the same for all runs of a plan.
 SHARED = (
     "watched",
-    "_times",
     "_saved_points",
     "_names",
     "_accounts",
@@ -48,7 +46,7 @@ SHARED = (
 class MemorySolution(Solution):
     """The solution of a run in memory; it does not keep the tables of the run alive.
 
-    Its fields are what all runs of a setup share (`SHARED`), the scheme, the system or a function that builds it, the
+    Its fields are what all runs of a plan share (`SHARED`), the scheme, the system or a function that builds it, the
     start, the arrays of the loops, and the seconds in the loops and in the call.
     """
 
@@ -215,16 +213,24 @@ def solution_of_run(run: Run, saved_points: int, observed: Observed | None, **fi
     state = run.state.arrays
     if state.numbers.size > MAX_STATE_NUMBERS:
         state = state.subset(REPORTED_ARRAYS)
-    own = {
-        "watched": run.watching,
-        "_times": run.times,
-        "_saved_points": saved_points,
-        "events": run.events,
-        "_ending": run.ending,
-        "_initial_values": run.initial,
-        **fields,
-    }
-    solution = solution_of_arrays(run.setup, run.method, run.system, run.start, run.saved, state, run.seconds, own)
+    solution = MemorySolution(
+        {
+            **run.plan.shared,
+            "method": run.plan.method,
+            "_times": run.times,
+            "events": run.events,
+            "_given_system": run.plan.system,
+            "_start": run.start,
+            "_saved": run.saved,
+            "_saved_points": saved_points,
+            "_state": state,
+            "_seconds": run.seconds,
+            "_elapsed": run.seconds,
+            "_ending": run.ending,
+            "_initial_values": run.initial,
+            **fields,
+        }
+    )
     if observed is not None:
         # Observed quantities do not use the accounts that may follow the coordinates.
         series = observed.along(solution.t, solution._points("x"))
@@ -233,42 +239,15 @@ def solution_of_run(run: Run, saved_points: int, observed: Observed | None, **fi
     return solution
 
 
-def solution_of_arrays(
-    setup: RunSetup,
-    method: Method,
-    system: Any,
-    start: Start,
-    saved: NamedArrays,
-    state: NamedArrays,
-    seconds: float,
-    fields: Mapping[str, Any] | None = None,
-) -> MemorySolution:
-    """Return the solution of a run from its setup and its arrays, with further fields; see `solution_of_run`."""
-    return MemorySolution(
-        {
-            **setup.shared,
-            "method": method,
-            "_given_system": system,
-            "_start": start,
-            "_saved": saved,
-            "_state": state,
-            "_seconds": seconds,
-            "_elapsed": seconds,
-            **(fields or {}),
-        }
-    )
-
-
-def solution_of_numbers(
-    setup: RunSetup, method: Method, system: Any, momenta: Floats, numbers: Floats, seconds: float, elapsed: float
-) -> Solution:
+def solution_of_numbers(plan: Plan, momenta: Floats, numbers: Floats, seconds: float, elapsed: float) -> Solution:
     """Return the solution of a run of one vector without a group element, whose arrays are in one allocation."""
     return ShortRunSolution(
         {
-            **setup.shared,
-            "_layout": setup.plan.layout,
-            "method": method,
-            "_given_system": system,
+            **plan.shared,
+            "method": plan.method,
+            "_times": plan.times,
+            "_given_system": plan.system,
+            "_layout": plan.layout,
             "_momenta": momenta,
             "_numbers": numbers,
             "_seconds": seconds,

@@ -1,0 +1,121 @@
+"""The plan of a run: everything that does not depend on its state, made once for many runs."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from coadjoint.kernels.loop import MemberBatch
+from coadjoint.kernels.tables.recording import schedule_of
+from coadjoint.methods.protocol.method import Method
+from coadjoint.runs.loops.loops import Loops
+from coadjoint.runs.memory_estimate import check_run_memory
+from coadjoint.runs.results.memory_solution import MAX_STATE_NUMBERS, SHARED
+from coadjoint.runs.times import Times
+
+
+class Plan:
+    """System, scheme, loops and times of runs whose group elements have one shape; immutable.
+
+    `system` may be a `partial` that builds it lazily. `groups` is the shape of the initial group elements, (members, d,
+    d). `workers` threads advance members, and `inside` share the work of each. ValueError: too little memory.
+
+    Attributes
+    ----------
+    layout : Layout
+        Layout of the saved arrays and of those of the state.
+    rounds : list of list of MemberBatch
+        Calls of the loops: those of a round run concurrently, the rounds one after the other.
+    schedule : bytes
+        The schedule for the loops.
+    shared : dict
+        Fields of solutions that are the same for all runs.
+    events : int
+        Address of the event tables, or 0.
+    is_short : bool
+        Whether a run is one call of a loop in the calling thread, from one vector alone, with a small state.
+    """
+
+    def __init__(
+        self,
+        system: Any,
+        method: Method,
+        loops: Loops,
+        times: Times,
+        groups: tuple[int, ...],
+        watching: bool = False,
+        workers: int = 1,
+        inside: int = 1,
+    ) -> None:
+        self.system, self.method, self.loops, self.times, self.groups = system, method, loops, times, groups
+        self.watching, self.workers, self.inside, self.events = watching, workers, inside, 0
+        members, square = groups[0], groups[1] ** 2
+        self.layout = loops.layout(members, times.points, square)
+        check_run_memory(self.layout, times, members)
+        self.rounds = loops.rounds(members, workers)
+        shared = watching, times.points, loops.names, loops.accounts, loops.corrected_groups, None, None, None
+        self.shared: dict[str, Any] = dict(zip(SHARED, shared, strict=True))
+        special = loops.rows or loops.measured or loops.order is not None or loops.accounts or square
+        self.is_short = members == 1 and not special and self.layout.state.size <= MAX_STATE_NUMBERS
+        self._whole_run: Callable[[Any], int] | None = None
+        self._set_schedule()
+
+    def _set_schedule(self) -> None:
+        t0, h, steps, save_every, passed, marks, *_ = self.times
+        self.schedule = schedule_of(t0, h, steps, save_every, self.watching, passed, marks, self.events, self.inside)
+
+    @property
+    def whole_run(self) -> Callable[[Any], int]:
+        """The function that takes all steps of a run that `is_short`; see `MemberBatch.whole_run`."""
+        if self._whole_run is None:
+            schedule = ctypes.create_string_buffer(self.schedule, len(self.schedule))
+            self._whole_run = self.rounds[0][0].whole_run(self.layout, schedule)
+        return self._whole_run
+
+    @property
+    def built_system(self) -> Any:
+        """The system, built if it is given as a function."""
+        return self.system() if isinstance(self.system, partial) else self.system
+
+    def with_times(self, times: Times) -> Plan:
+        """Return the plan of the same runs for other times."""
+        options = self.groups, self.watching, self.workers, self.inside
+        plan = Plan(self.system, self.method, self.loops, times, *options)
+        return plan.with_events(self.events) if self.events else plan
+
+    def at_times(self, times: Times) -> Plan | None:
+        """Return the plan for other times, with the same arrays and loops; None if these differ."""
+        same = times.h == self.times.h and times.points == self.layout.extent.points
+        if not same or times.marks is not None or self.times.marks is not None:
+            return None
+        plan = self._copy()
+        plan.times = times
+        plan._set_schedule()
+        return plan
+
+    def with_events(self, events: int) -> Plan:
+        """Return the plan of the same runs with the event tables at an address."""
+        plan = self._copy()
+        plan.events = events
+        plan._set_schedule()
+        return plan
+
+    def with_rounds(self, rounds: list[list[MemberBatch]]) -> Plan:
+        """Return the plan with other calls of the loops."""
+        plan = self._copy()
+        plan.rounds = rounds
+        return plan
+
+    def with_loops(self, loops: Loops, system: Any) -> Plan:
+        """Return the plan of another system, for loops that differ in the numbers in their tables only."""
+        plan = self._copy()
+        plan.system, plan.loops, plan.rounds = system, loops, loops.rounds(self.groups[0], self.workers)
+        return plan
+
+    def _copy(self) -> Plan:
+        plan: Plan = object.__new__(Plan)
+        plan.__dict__ = self.__dict__.copy()
+        plan._whole_run = None
+        return plan
