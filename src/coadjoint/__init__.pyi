@@ -65,8 +65,8 @@ from .runs.crossings.section import poincare_section as poincare_section
 from .runs.events import Event as Event
 from .runs.events import RecordedEvents as RecordedEvents
 from .runs.integrate import integrate as integrate
+from .runs.prepare import prepare as prepare
 from .runs.prepared_run import PreparedRun as PreparedRun
-from .runs.prepared_run import prepare as prepare
 from .runs.results.solution import Solution as Solution
 from .runs.stepper import stepper as stepper
 from .systems import forces as forces

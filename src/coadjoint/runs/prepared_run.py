@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import copy
 import math
-import threading
 import time
 from collections.abc import Mapping
-from functools import cached_property, partial
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -15,7 +13,6 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.blas_threads import concurrent_members, matrix_rows
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.long_operations import long_operation
 from coadjoint.memory import UNCHECKED_BYTES
 from coadjoint.methods.forced import effective_scheme
 from coadjoint.methods.protocol.method import Method
@@ -41,6 +38,7 @@ from coadjoint.runs.plan import Plan
 from coadjoint.runs.results.observables import Observed, check_observe
 from coadjoint.runs.results.solution import Solution, set_elapsed
 from coadjoint.runs.run import Run, read_progress
+from coadjoint.runs.run_cache import RunCache
 from coadjoint.runs.start import (
     Representation,
     Start,
@@ -53,9 +51,8 @@ from coadjoint.runs.start import (
     with_group,
 )
 from coadjoint.runs.state import State
-from coadjoint.runs.times import RecentTimes, Times, read_step
+from coadjoint.runs.times import Times, read_step
 from coadjoint.short_repr import short
-from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch, selected
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.protocol import among, is_batch, member_of, unforced_matrix_system
@@ -63,18 +60,6 @@ from coadjoint.systems.system_checks import System, check_system
 from coadjoint.validation import FLOAT64, read_bool, read_integer
 
 MAX_THREADS_INSIDE = 1024  # most threads that share one member
-UNPICKLED = (
-    "_lock",
-    "_checks_step",
-    "_of_members",
-    "_final_state_runs",
-    "_observed",
-    "_events",
-    "_loops_by_step",
-    "_derivatives",
-    "_recent_times",
-    "_recent_plan",
-)
 
 
 class PreparedRun:
@@ -91,7 +76,7 @@ class PreparedRun:
     most_evaluations: float = math.inf
     """Runs with more evaluations are passed from `end` to `run`."""
 
-    _checks_step: bool = False
+    checks_step: bool = False
     """Whether the next run warns of a step that is too large; copies do not."""
 
     def __init__(
@@ -122,16 +107,8 @@ class PreparedRun:
         self._attitude = read_attitude(attitude)
         self.observe = check_observe({} if observe is None else observe)
         self._threads = workers or concurrent_members(matrix_rows(system))
-        self._loops_by_step: dict[float, Loops | InputLoops] = {}
-        self._observed: Observed | None = None
-        self._events: WatchedEvents | None = None
-        self._of_members: dict[int, PreparedRun] = {}
-        self._lock = threading.RLock()
-        # A call removes an entry while it runs, so that concurrent calls never share one.
-        self._final_state_runs: list[FinalStateRun] = []
+        self._cache = RunCache(self.step)
         self._vector_size = vector_size(self.system)
-        self._recent_times = RecentTimes(self.step)
-        self._recent_plan: Plan | None = None
         one_vector = self._inputs is None and not self.observe and self._representations[0] is None
         self._plain_shape = (self._vector_size,) if one_vector and self._vector_size is not None else None
 
@@ -143,22 +120,13 @@ class PreparedRun:
 
         Loops that contain another loop, as those with forces do, are rebuilt in the receiving process.
         """
-        picklable = {h: loops for h, loops in self._loops_by_step.items() if getattr(loops, "is_picklable", False)}
-        return {name: value for name, value in vars(self).items() if name not in UNPICKLED} | {
-            "_loops_by_step": picklable
-        }
+        loops = {h: loops for h, loops in self._cache.loops.items() if getattr(loops, "is_picklable", False)}
+        fields = {name: value for name, value in vars(self).items() if name not in ("_cache", "checks_step")}
+        return {**fields, "loops": loops}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(
-            state,
-            _observed=None,
-            _events=None,
-            _lock=threading.RLock(),
-            _final_state_runs=[],
-            _of_members={},
-            _recent_times=RecentTimes(state["step"]),
-            _recent_plan=None,
-        )
+        loops = state.pop("loops")
+        self.__dict__.update(state, _cache=RunCache(state["step"], loops))
 
     def among(self, first: int, last: int, threads: int | None = None) -> PreparedRun:
         """Return the run of the members `first` to `last` - 1 alone; each is bitwise equal to the member in the whole
@@ -184,23 +152,22 @@ class PreparedRun:
         return self._selected(selected(cast(Batch, self.system), members), members)
 
     def _selected(self, part: Any, members: NDArray[np.int64], threads: int | None = None) -> PreparedRun:
-        system, state = self.system, self.__getstate__()
-        state["system"] = part
+        system, loops = self.system, self._cache.loops
         # Tables hold the number of the noise, which a member keeps.
         unchanged = part is system
+        fields: dict[str, Any] = {"system": part, "_threads": threads or self._threads}
         if is_batch(system):
             unchanged = {id(one) for one in part.distinct} <= {id(one) for one in system.distinct}
-            state["_representations"] = tuple(self._representations[m] for m in members.tolist())
-            loops = self._loops_by_step.items() if unchanged else ()
-            state["_loops_by_step"] = {h: cast(Loops, loop).selected(members) for h, loop in loops}
-        else:
-            state["_loops_by_step"] = self._loops_by_step if unchanged else {}
+            fields["_representations"] = tuple(self._representations[m] for m in members.tolist())
+            loops = {h: cast(Loops, loop).selected(members) for h, loop in loops.items()} if unchanged else {}
         if isinstance(self._attitude, np.ndarray) and self._attitude.ndim > 2:
-            state["_attitude"] = self._attitude[members]
-        state["_threads"] = threads or self._threads
-        selected: PreparedRun = object.__new__(PreparedRun)
-        selected.__setstate__(state)
-        return selected
+            fields["_attitude"] = self._attitude[members]
+        return self._copy(loops if unchanged else {}, **fields)
+
+    def _copy(self, loops: dict[float, Loops | InputLoops], **fields: Any) -> PreparedRun:
+        copied: PreparedRun = object.__new__(PreparedRun)
+        copied.__dict__.update(vars(self), **fields, checks_step=False, _cache=RunCache(self.step, loops))
+        return copied
 
     def of_system(self, system: System) -> PreparedRun:
         """Return the run of another system, prepared in the same way; inputs are dropped."""
@@ -209,9 +176,7 @@ class PreparedRun:
 
     def in_one_thread(self) -> PreparedRun:
         """Return a copy that uses one thread, and whose further loops are its own."""
-        copied = copy.copy(self)
-        copied._threads, copied._loops_by_step = 1, dict(self._loops_by_step)
-        return copied
+        return self._copy(dict(self._cache.loops), _threads=1)
 
     def at_fixed_steps(self, scheme: Method) -> PreparedRun:
         """Return the same run by another scheme; this run itself if it is its own."""
@@ -224,15 +189,16 @@ class PreparedRun:
         """Return the run of one member alone; of a system that members share this run itself."""
         if not is_batch(self.system):
             return self
-        if member not in self._of_members:
+        known = self._cache.of_members
+        if member not in known:
             attitude = self._attitude
             if isinstance(attitude, np.ndarray) and attitude.ndim > 2:
                 attitude = attitude[member]
             options: dict[str, Any] = {"attitude": attitude, "watch": self._watching, "observe": self.observe}
-            self._of_members[member] = PreparedRun(
+            known[member] = PreparedRun(
                 member_of(among(self.system, member, member + 1)), self.method, self.step, threads=1, **options
             )
-        return self._of_members[member]
+        return cast(PreparedRun, known[member])
 
     @suggest_keywords
     def run(
@@ -291,13 +257,14 @@ class PreparedRun:
             and not inputs
         ):
             # The short way of the most frequent case, once the plan is cached.
-            plan, times = self._recent_plan, self._recent_times.of(t_span, save_every)
+            cache = self._cache
+            plan, times = cache.plan, cache.times.of(t_span, save_every)
             if plan is not None and plan.is_short and plan.times is not times:
-                plan = self._recent_plan = plan.at_times(times) or plan
+                plan = cache.plan = plan.at_times(times) or plan
             if plan is not None and plan.is_short and plan.times is times:
                 solution = solution_of_short_run(plan, x0.copy(), began)
                 if solution is not None:
-                    if self._checks_step:
+                    if self.checks_step:
                         self._check_step(solution)
                     return solution
         progress = progress is not False and read_progress(progress)
@@ -306,7 +273,7 @@ class PreparedRun:
         event_list = () if events is None else read_events(events)
         solution = self.follow(times, self.start(x0, attitude, values), progress, values, event_list, moments)
         set_elapsed(solution, time.perf_counter() - began)
-        if self._checks_step:
+        if self.checks_step:
             self._check_step(solution)
         return solution
 
@@ -314,12 +281,12 @@ class PreparedRun:
         """Warn if the step is too large for this run; loops of half a step are those of a copy, and not kept."""
         from coadjoint.runs.step_error import warn_of_large_step
 
-        self._checks_step = False
+        self.checks_step = False
         warn_of_large_step(solution, self.in_one_thread())
 
     def times_of(self, t_span: Any, save_every: Any = 1, t_eval: Any = None) -> tuple[Times, OutputTimes | None]:
         """Validate span, `save_every` and `t_eval`; return the steps of a run, and the output times or None."""
-        times = self._recent_times.of(t_span, save_every)
+        times = self._cache.times.of(t_span, save_every)
         if t_eval is None:
             return times, None
         moments = output_times_of(t_eval, times, save_every, whole_steps=bool(noises_of(self.system)))
@@ -348,9 +315,11 @@ class PreparedRun:
         """
         return {name: parameter.value.copy() for name, parameter in parameters_of_run(self.system).items()}
 
-    @cached_property
+    @property
     def _derivatives(self) -> DifferentiableRun:
-        return DifferentiableRun(self)
+        if self._cache.derivatives is None:
+            self._cache.derivatives = DifferentiableRun(self)
+        return self._cache.derivatives
 
     @property
     def scheme(self) -> Method:
@@ -556,11 +525,11 @@ class PreparedRun:
         ...     x = prepared.end(x, span)
         """
         try:
-            final_run = self._final_state_runs.pop()
+            final_run = self._cache.ends.pop()
         except IndexError:
             final_run = FinalStateRun(self)
         state = final_run.end(x0, t_span)
-        self._final_state_runs.append(final_run)
+        self._cache.ends.append(final_run)
         return self.run(x0, t_span, ENDS_ONLY).x[-1] if state is None else state
 
     @property
@@ -663,7 +632,7 @@ class PreparedRun:
 
     def _plan_of(self, times: Times, start: Start, values: NDArray[np.float64] | None) -> Plan:
         """Return the plan of a run; the last one is cached."""
-        plan, groups = self._recent_plan, start.groups.shape
+        plan, groups = self._cache.plan, start.groups.shape
         if plan is None or plan.groups != groups:
             plan = self._new_plan(times, groups)
         elif plan.times is not times:
@@ -671,7 +640,7 @@ class PreparedRun:
             if shifted is None:
                 plan = self._new_plan(times, groups)
             else:
-                plan = self._recent_plan = shifted
+                plan = self._cache.plan = shifted
         if self._inputs is None:
             return plan
         loops = self.loops(times.h)
@@ -685,23 +654,23 @@ class PreparedRun:
         plan = Plan(self.system, self.method, base, times, groups, *options)
         # The free memory is checked again for each large run.
         if bytes_of_run(plan.layout, times) <= UNCHECKED_BYTES:
-            self._recent_plan = plan
+            self._cache.plan = plan
         return plan
 
     def _watched(self, events: tuple[Event, ...], x0: NDArray[np.float64], t0: float) -> WatchedEvents:
         """Return the compiled events; those of the last run are cached."""
-        with self._lock:
-            if self._events is None or self._events.events != events:
-                self._events = WatchedEvents(self.system, events, x0, t0)
-            return self._events
+        with self._cache.lock:
+            if self._cache.events is None or self._cache.events.events != events:
+                self._cache.events = WatchedEvents(self.system, events, x0, t0)
+            return self._cache.events
 
     def loops(self, h: float) -> Loops | InputLoops:
         """Return the loops of a step or of its negative, built lazily for each direction."""
-        loops = self._loops_by_step.get(h)
+        loops = self._cache.loops.get(h)
         if loops is None:
-            with self._lock:
-                loops = self._loops_by_step.get(h) or self._loops(h)
-                self._loops_by_step[h] = loops
+            with self._cache.lock:
+                loops = self._cache.loops.get(h) or self._loops(h)
+                self._cache.loops[h] = loops
         return loops
 
     def _loops(self, h: float) -> Loops | InputLoops:
@@ -709,7 +678,7 @@ class PreparedRun:
             return InputLoops(self._inputs, self._scheme, h, self._representations[0])
         if is_batch(self.system):
             return loops_of_batch(self.system, self._scheme, h, self._representations)
-        for known in self._loops_by_step.values():
+        for known in self._cache.loops.values():
             if isinstance(known, Loops) and (loops := known.at_step(h)) is not None:
                 return loops
         return loops_of_system(self.system, self._scheme, h, self._representations[0], compact=True)
@@ -718,134 +687,7 @@ class PreparedRun:
         """Return the quantities to observe during a run, or None."""
         if not self.observe:
             return None
-        with self._lock:
-            if self._observed is None:
-                self._observed = Observed(member_of(self.system), self.observe, start.momenta[0])
-        return self._observed
-
-
-@suggest_keywords
-@long_operation("prepare")
-def prepare(
-    system: System | ForcedSystem | Batch,
-    method: Method | str | Mapping[str, Any] | None = None,
-    step: float | None = None,
-    *,
-    accuracy: float | None = None,
-    x0: Any = None,
-    t_span: tuple[float, float] | None = None,
-    attitude: Any = False,
-    watch: bool = True,
-    observe: Mapping[str, Any] | None = None,
-    threads: int | None = None,
-    inputs: Any = None,
-) -> PreparedRun:
-    """Prepare a run once for many short calls: control loops, shooting methods, maps.
-
-    `integrate` does the same preparation in each call. The parameters are those of `integrate`, except the initial
-    state and the times, which are given to each run.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
-        The system.
-    method : Method or None
-        The scheme. The default is that of `integrate`.
-    step : float, optional
-        Size of a step, positive. Give either this or `accuracy`. Loops for backward runs are built at the first such
-        run.
-    accuracy : float, optional
-        Wanted error, as in `integrate`. The step, and without `method` the scheme, are chosen once for a sample of
-        states. Each run is checked by its first step, which is compared with two steps of half the size. The difference
-        may be at most twice as large as along the motions from the sample. If it is larger, scheme and step are chosen
-        again for this run alone, which takes some ms. A motion that is slow at its start, and later faster than all
-        motions from the sample, is not detected.
-    x0 : array_like, shape (n,) or (members, n), optional
-        With `accuracy`: the sample, representative initial states.
-    t_span : (float, float), optional
-        With `accuracy`: the longest run, and its direction.
-    attitude : bool, "coadjoint", or array_like
-        Whether to compute the group element, as in `integrate`. An array is the initial element of every run that is
-        not given another one.
-    watch : bool
-        Compute the energy and every Casimir after every step; otherwise only at the saved points.
-    observe : mapping, optional
-        Name -> `Polynomial` or function of x: further quantities, computed at the saved points.
-    threads : int, optional
-        Number of threads, first for the members of an ensemble, then inside of members of 1024 coordinates or more,
-        such as lattices of spins. The default is one for each core.
-    inputs : True, sequence of int, or mapping, optional
-        Quantities that may change from run to run: coefficients of the linear term of H (such as a field, the weight
-        of a top, the momenta of rotors), and constant torques. Give the coordinates whose coefficients change, or True
-        for all; ``run(..., linear=)`` then takes the values. Or give a mapping from a name for each input to
-        coordinates, or to the label of a `Torque` in ``system.labels``. See docs/control.md.
-
-    Returns
-    -------
-    PreparedRun
-        Its method ``run(x0, t_span, save_every=1)`` returns a `Solution`. Threads may share it. The first run warns of
-        a step that is too large, as `integrate` does; for later ones ask `Solution.step_error`.
-
-    Raises
-    ------
-    ValueError, TypeError
-        For wrong input.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> prepared = co.prepare(co.systems.rigid_body(inertia=(1, 2, 3)), co.Splitting(order=4), step=0.05)
-    >>> sol = prepared.run((0.1, 1.0, 0.1), t_span=(0, 5), save_every=50)
-    >>> sol.t
-    array([0. , 2.5, 5. ])
-    >>> back = prepared.run(sol.x[-1], t_span=(5, 0), save_every=100)
-    >>> bool(abs(back.x[-1] - sol.x[0]).max() < 1e-13)
-    True
-
-    Rotor momenta as inputs of each run:
-
-    >>> steered = co.prepare(co.systems.rigid_body(inertia=(1, 2, 3)), None, step=0.05, inputs={"rotors": (0, 1, 2)})
-    >>> x = (0.1, 1.0, 0.1)
-    >>> for k in range(3):
-    ...     x = steered.run(x, t_span=(0.5 * k, 0.5 * k + 0.5), rotors=(0.0, -0.1 * k, 0.0)).x[-1]
-
-    Scheme and step chosen once for a sample of states:
-
-    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
-    >>> prepared = co.prepare(body, accuracy=1e-9, x0=[(0.1, 1.0, 0.1), (1.0, 0.2, 0.3)], t_span=(0, 20))
-    >>> x0 = (0.4, 0.7, 0.5)
-    >>> bool(abs(prepared.end(x0, (0.0, 20.0)) - body.exact(x0, 20.0)).max() < 1e-9)
-    True
-
-    A thruster torque as an input of each run:
-
-    >>> body = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(co.forces.Torque((0, 0, 0)))
-    >>> pushed = co.prepare(body, None, step=0.125, inputs={"thrusters": "Torque"})
-    >>> pushed.run((0.0, 0.0, 1.0), t_span=(0, 2), thrusters=(0.0, 0.0, -0.5)).x[-1]
-    array([0., 0., 0.])
-    """
-    if (step is None) == (accuracy is None):
-        supplied = "neither" if step is None else "both"
-        raise TypeError(
-            f"prepare was given {supplied} of step and accuracy; give step=, or accuracy= with x0= and t_span="
-        )
-    if step is None:
-        if x0 is None or t_span is None or not (inputs is None or inputs is False):
-            raise TypeError(
-                "accuracy= needs x0=, a sample of states, and t_span=, the longest run, and takes no inputs"
-            )
-        method = None if method is None else read_method(method)
-
-        chosen = shortcut("run_to_accuracy")(
-            system, x0, t_span, cast(float, accuracy), method, attitude, watch, observe, threads
-        )
-        chosen.loops(chosen.signed_step).build_all()
-        return chosen
-    if x0 is not None or t_span is not None:
-        raise TypeError("prepare takes x0= and t_span= with accuracy=; a given step needs neither")
-    prepared = PreparedRun(
-        system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads, inputs=inputs
-    )
-    prepared.loops(prepared.step).build_all()
-    prepared._checks_step = True
-    return prepared
+        with self._cache.lock:
+            if self._cache.observed is None:
+                self._cache.observed = Observed(member_of(self.system), self.observe, start.momenta[0])
+        return self._cache.observed
