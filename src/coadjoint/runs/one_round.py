@@ -53,5 +53,5 @@ def solution_of_short_run(plan: Plan, momenta: NDArray[np.float64], began: float
 
 def _run_of(plan: Plan, momenta: NDArray[np.float64], numbers: NDArray[np.float64], steps: int = 0) -> Run:
     """Return the run of a vector whose arrays are in one allocation."""
-    start, state = start_of_vector(plan.system, momenta), State(plan.layout.state_in(numbers), steps)
+    start, state = start_of_vector(plan.base, momenta), State(plan.layout.state_in(numbers), steps)
     return Run.of_arrays(plan, start, plan.layout.saved_in(numbers), state)

@@ -19,7 +19,7 @@ from coadjoint.runs.times import Times
 class Plan:
     """System, scheme, loops and times of runs whose group elements have one shape; immutable.
 
-    `system` may be a `partial` that builds it lazily. `groups` is the shape of the initial group elements, (members, d,
+    `system` may be a `partial` that builds it lazily, from `base`, that without inputs. `groups` is the shape of the initial group elements, (members, d,
     d). `workers` threads advance members, and `inside` share the work of each. ValueError: too little memory.
 
     Attributes
@@ -49,7 +49,8 @@ class Plan:
         workers: int = 1,
         inside: int = 1,
     ) -> None:
-        self.system, self.method, self.loops, self.times, self.groups = system, method, loops, times, groups
+        self.system, self.base, self.method, self.loops, self.times = system, system, method, loops, times
+        self.groups = groups
         self.watching, self.workers, self.inside, self.events = watching, workers, inside, 0
         members, square = groups[0], groups[1] ** 2
         self.layout = loops.layout(members, times.points, square)
@@ -83,6 +84,7 @@ class Plan:
         """Return the plan of the same runs for other times."""
         options = self.groups, self.watching, self.workers, self.inside
         plan = Plan(self.system, self.method, self.loops, times, *options)
+        plan.base = self.base
         return plan.with_events(self.events) if self.events else plan
 
     def at_times(self, times: Times) -> Plan | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Mapping
 from functools import partial
@@ -38,7 +39,6 @@ from coadjoint.runs.plan import Plan
 from coadjoint.runs.results.observables import Observed, check_observe
 from coadjoint.runs.results.solution import Solution, set_elapsed
 from coadjoint.runs.run import Run, read_progress
-from coadjoint.runs.run_cache import RunCache
 from coadjoint.runs.start import (
     Representation,
     Start,
@@ -51,7 +51,7 @@ from coadjoint.runs.start import (
     with_group,
 )
 from coadjoint.runs.state import State
-from coadjoint.runs.times import Times, read_step
+from coadjoint.runs.times import RecentTimes, Times, read_step
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch, selected
 from coadjoint.systems.forced import ForcedSystem
@@ -60,6 +60,25 @@ from coadjoint.systems.system_checks import System, check_system
 from coadjoint.validation import FLOAT64, read_bool, read_integer
 
 MAX_THREADS_INSIDE = 1024  # most threads that share one member
+
+
+class _Cache:
+    """Loops by their steps, and what the last calls have compiled; a copy of a prepared run begins with an empty one.
+
+    Threads share it; what is built holds its lock. A call removes an entry of `ends` while it runs, so that concurrent
+    calls never share one.
+    """
+
+    def __init__(self, step: float, loops: dict[float, Loops | InputLoops] | None = None) -> None:
+        self.lock = threading.RLock()
+        self.loops: dict[float, Loops | InputLoops] = {} if loops is None else loops
+        self.times = RecentTimes(step)
+        self.plan: Plan | None = None
+        self.ends: list[FinalStateRun] = []
+        self.observed: Observed | None = None
+        self.events: WatchedEvents | None = None
+        self.derivatives: DifferentiableRun | None = None
+        self.of_members: dict[int, PreparedRun] = {}
 
 
 class PreparedRun:
@@ -107,7 +126,7 @@ class PreparedRun:
         self._attitude = read_attitude(attitude)
         self.observe = check_observe({} if observe is None else observe)
         self._threads = workers or concurrent_members(matrix_rows(system))
-        self._cache = RunCache(self.step)
+        self._cache = _Cache(self.step)
         self._vector_size = vector_size(self.system)
         one_vector = self._inputs is None and not self.observe and self._representations[0] is None
         self._plain_shape = (self._vector_size,) if one_vector and self._vector_size is not None else None
@@ -126,7 +145,7 @@ class PreparedRun:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         loops = state.pop("loops")
-        self.__dict__.update(state, _cache=RunCache(state["step"], loops))
+        self.__dict__.update(state, _cache=_Cache(state["step"], loops))
 
     def among(self, first: int, last: int, threads: int | None = None) -> PreparedRun:
         """Return the run of the members `first` to `last` - 1 alone; each is bitwise equal to the member in the whole
@@ -166,7 +185,7 @@ class PreparedRun:
 
     def _copy(self, loops: dict[float, Loops | InputLoops], **fields: Any) -> PreparedRun:
         copied: PreparedRun = object.__new__(PreparedRun)
-        copied.__dict__.update(vars(self), **fields, checks_step=False, _cache=RunCache(self.step, loops))
+        copied.__dict__.update(vars(self), **fields, checks_step=False, _cache=_Cache(self.step, loops))
         return copied
 
     def of_system(self, system: System) -> PreparedRun:
@@ -198,7 +217,7 @@ class PreparedRun:
             known[member] = PreparedRun(
                 member_of(among(self.system, member, member + 1)), self.method, self.step, threads=1, **options
             )
-        return cast(PreparedRun, known[member])
+        return known[member]
 
     @suggest_keywords
     def run(

@@ -180,6 +180,7 @@ class ShortRunSolution(MemorySolution):
     What others are given is made on first use.
     """
 
+    _base: System | Batch
     _layout: Layout
     _momenta: Floats
     _numbers: Floats
@@ -191,7 +192,7 @@ class ShortRunSolution(MemorySolution):
 
     @cached_property
     def _start(self) -> Start:
-        return start_of_vector(self._given_system, self._momenta)
+        return start_of_vector(self._base, self._momenta)
 
     @cached_property
     def _saved(self) -> NamedArrays:
@@ -247,6 +248,7 @@ def solution_of_numbers(plan: Plan, momenta: Floats, numbers: Floats, seconds: f
             "method": plan.method,
             "_times": plan.times,
             "_given_system": plan.system,
+            "_base": plan.base,
             "_layout": plan.layout,
             "_momenta": momenta,
             "_numbers": numbers,
