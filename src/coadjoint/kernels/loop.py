@@ -21,6 +21,9 @@ from coadjoint.program.parts.part import Parts
 # Arguments of a loop: tables, watch, members, first, last, stride; extent, schedule, saved, state, k0, k1, stop. All
 # are passed as C types: conversion by declared argtypes takes half as long as a short call.
 as_int64: Any = ctypes.c_int64
+# Arguments of a loop that takes all steps of a run, as numbers and addresses: tables, watch, members, first, last,
+# stride, extent, schedule, stop.
+WholeRun: Any = ctypes.c_int64 * 9
 
 
 @dataclass(frozen=True)
@@ -46,16 +49,6 @@ class CompiledLoop:
     def raised(self) -> BaseException | None:
         """Return and clear the exception that a function of the user raised in the loop, if any."""
         return raised_by(self.keepalive)
-
-
-class WholeRun(ctypes.Structure):
-    """The arguments of a loop that takes all steps of a run, except its arrays: addresses, and a range of members."""
-
-    _fields_ = [
-        (name, ctypes.c_int64)
-        for name in ("tables", "watch", "members", "first", "last", "stride", "extent", "schedule", "stop")
-    ]
-    pointed: tuple[Any, ...]
 
 
 class StopFlag:

@@ -19,8 +19,9 @@ from coadjoint.runs.times import Times
 class Plan:
     """System, scheme, loops and times of runs whose group elements have one shape; immutable.
 
-    `system` may be a `partial` that builds it lazily, from `base`, that without inputs. `groups` is the shape of the initial group elements, (members, d,
-    d). `workers` threads advance members, and `inside` share the work of each. ValueError: too little memory.
+    `system` may be a `partial` that builds it lazily, from `base`, that without inputs. `groups` is the shape of the
+    initial group elements, (members, d, d). `workers` threads advance members, and `inside` share the work of each.
+    ValueError: too little memory.
 
     Attributes
     ----------
