@@ -18,11 +18,11 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 
 # A change may lower a maximum. One that raises it says in a comment beside the number what users gain for it.
 MAXIMA: dict[str, int] = {
-    "Python files": 599,
-    "Python lines": 90861,
-    "longest file": 850,
-    "classes": 582,
-    "isinstance": 945,
+    "Python files": 598,
+    "Python lines": 90706,
+    "longest file": 712,
+    "classes": 583,  # the attributes of solutions of each source are found in a class of their own
+    "isinstance": 944,
     "files in cycles, with imports inside functions and for types": 78,
     "modules behind integrate": 213,
     "C++ lines": 19171,
