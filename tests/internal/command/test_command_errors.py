@@ -27,6 +27,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("reason", [OSError(28, "No space left on device"), MemoryError(), output.OutputError("full")])
 @pytest.mark.parametrize(
     ("writer", "arguments"),

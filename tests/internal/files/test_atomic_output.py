@@ -56,6 +56,7 @@ THERE = {
 }
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("there", THERE)
 @pytest.mark.parametrize("name", ["file", ".file.writing"])
 def test_existing_entries_are_replaced_not_followed(target, there, name):

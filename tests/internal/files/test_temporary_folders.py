@@ -222,6 +222,7 @@ def obstruct(folder, kind, monkeypatch):
         monkeypatch.setattr(shutil, "rmtree", lambda path, **how: None if path.parent == folder else rmtree(path))
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize(
     "kind", ["pipe", "link", "folder", "without a lock", "file", "file in use", "folder in use", "gone", "running"]
 )

@@ -163,6 +163,7 @@ def with_attributes(names):
     return function
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("name", VARIED)
 def test_whatever_an_object_holds_is_in_its_key(name):
     """As itself, closed over, and inside of another object; made again it has the same key."""

@@ -60,6 +60,7 @@ def installed(monkeypatch, folder, processor, built, asked=None):
         monkeypatch.setenv("COADJOINT_LEVEL", asked)
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
     ("processor", "built", "asked", "taken"),
     [

@@ -320,6 +320,7 @@ def test_every_parameter_of_a_run_is_stored():
     assert set(inputs) == {"system", *OPTIONS} - {"accuracy"}
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("parameter", OPTIONS)
 def test_options_of_runs_are_stored(parameter, tmp_path):
     usual = {"x0": X, "t_span": (0.0, 20.0 if parameter == "events" else 1.5), "step": 0.125, "method": co.Splitting(4)}

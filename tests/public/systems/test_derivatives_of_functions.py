@@ -72,6 +72,7 @@ FUNCTIONS = {name: (inside(name),) * 2 for name in UNARY.split()} | {
 }
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_derivatives_against_complex_steps(name):
     """Values are those of the function up to the order of sums; a complex step has no cancellation."""

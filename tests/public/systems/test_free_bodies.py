@@ -94,6 +94,7 @@ def test_degenerate_cases_and_permuted_axes(name, order):
     np.testing.assert_allclose(A[1], expected_A, rtol=0, atol=1e-10 * size)
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("name", DEGENERATE)
 def test_invariants_hold_at_every_time(name):
     m, x0 = (np.array(values) for values in DEGENERATE[name])

@@ -232,7 +232,7 @@ FUNCTIONS_THAT_ARE_REFUSED = [
 
 
 @pytest.mark.parametrize(("make", "error", "named"), FUNCTIONS_THAT_ARE_REFUSED)
-def test_refusals(make, error, named):
+def test_functions_that_are_refused(make, error, named):
     with refused(error, *named) as refusal:
         make()
     assert "\n" not in str(refusal.value)

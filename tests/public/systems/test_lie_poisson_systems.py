@@ -225,6 +225,7 @@ SYSTEMS = {
 }
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("lead", [(5,), (3, 3), (2, 3, 2), (1,), (0,), (2, 0), (0, 3)])
 def test_each_of_many_states_has_the_bits_that_it_has_alone(name, lead):
