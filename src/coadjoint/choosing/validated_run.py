@@ -15,10 +15,10 @@ from coadjoint.choosing.member_sample import sample_of
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.final_state import ENDS_ONLY
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.memory_solution import most_evaluations
 from coadjoint.runs.results.solution import Solution, with_choice
+from coadjoint.runs.short_runs import ENDS_ONLY
 from coadjoint.runs.start import momenta_of, read_attitude
 from coadjoint.runs.times import accumulated_rounding, span_of
 from coadjoint.short_repr import distinct

@@ -28,17 +28,16 @@ from coadjoint.runs.derivatives.located_trajectory import trajectory_of
 from coadjoint.runs.derivatives.members import PullbackOfMembers, by_member, tangents_of_members
 from coadjoint.runs.derivatives.results import Tangents
 from coadjoint.runs.events import Event, read_events
-from coadjoint.runs.final_state import ENDS_ONLY, FinalStateRun
 from coadjoint.runs.inputs import InputLoops, Inputs
 from coadjoint.runs.loops.loops import Loops, loops_of_batch, loops_of_system
 from coadjoint.runs.memory_estimate import bytes_of_run
-from coadjoint.runs.one_round import solution_of_short_run
 from coadjoint.runs.output_times import OutputTimes, check_partial_steps, output_times_of, resample
 from coadjoint.runs.partial_steps import PartialSteps, noises_of
 from coadjoint.runs.plan import Plan
 from coadjoint.runs.results.observables import Observed, check_observe
 from coadjoint.runs.results.solution import Solution, set_elapsed
 from coadjoint.runs.run import Run, read_progress
+from coadjoint.runs.short_runs import ENDS_ONLY, FinalStateRun, solution_of_short_run
 from coadjoint.runs.start import (
     Representation,
     Start,

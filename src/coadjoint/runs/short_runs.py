@@ -1,9 +1,12 @@
-"""Fast path for the final state of a short run: arrays are reused from call to call."""
+"""The short way of runs that are one call of a loop: of a solution made of the arrays, without a `Run`, and of the
+final state alone, with arrays that are reused from call to call.
+"""
 
 from __future__ import annotations
 
 import ctypes
 import math
+import time
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -17,7 +20,12 @@ from coadjoint.kernels.loop import raise_outcome
 from coadjoint.kernels.tables.recording import SCHEDULE_BYTES, schedule_of
 from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.memory_estimate import check_run_memory
-from coadjoint.runs.start import momenta_of
+from coadjoint.runs.plan import Plan
+from coadjoint.runs.results.memory_solution import solution_of_numbers
+from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.run import Run
+from coadjoint.runs.start import momenta_of, start_of_vector
+from coadjoint.runs.state import State
 from coadjoint.runs.times import Times, is_same_span, is_unchangeable, span_of, times_between
 from coadjoint.systems.protocol import unforced_matrix_system
 from coadjoint.validation import FLOAT64
@@ -66,14 +74,7 @@ class FinalStateRun:
         if self._clear is not None:
             self._clear(0.0)
         self._momentum[...] = x
-        try:
-            failed_count = advance()
-            if failed_count < 0:
-                raise_outcome(failed_count)
-        except BaseException as error:
-            raised = self._loops.raised()
-            raise error if raised is None else raised from None
-        if failed_count:
+        if _advanced(advance, self._loops):
             # The full run fails too; it reports the step, and raises the exceptions of user functions.
             self._loops.raised()
             return None
@@ -115,3 +116,45 @@ class FinalStateRun:
         self._schedule = ctypes.create_string_buffer(SCHEDULE_BYTES)
         ((batch,),) = loops.rounds(1, 1)
         return partial(batch.whole_run(layout, self._schedule), ctypes.byref(as_c_double(self._numbers)))
+
+
+def _advanced(advance: Callable[[], int], loops: Loops) -> int:
+    """Take all steps; return the number of failed members. Exceptions of user functions take precedence over others."""
+    try:
+        failed_count = advance()
+        return failed_count if failed_count >= 0 else raise_outcome(failed_count)
+    except BaseException as error:
+        raised = loops.raised()
+        raise error if raised is None else raised from None
+
+
+def solution_of_short_run(plan: Plan, momenta: NDArray[np.float64], began: float) -> Solution | None:
+    """Return the solution of a run of one vector whose plan `is_short`, from its momenta; it began at `began`.
+
+    None: the momenta are not finite.
+    """
+    layout = plan.layout
+    numbers = np.zeros(layout.size)
+    numbers[layout.momenta] = momenta
+    start_time = time.perf_counter()
+    try:
+        failed_count = _advanced(partial(plan.whole_run, ctypes.byref(as_c_double(numbers))), plan.loops)
+    except KeyboardInterrupt as stopped:
+        _run_of(plan, momenta, numbers).describe_interrupt(stopped, None)
+        raise
+    now = time.perf_counter()
+    if failed_count:
+        if (raised := plan.loops.raised()) is not None:
+            raise raised
+        if not np.isfinite(momenta).all():
+            return None
+        run = _run_of(plan, momenta, numbers, plan.times.steps)
+        run.failed_count, run.seconds = failed_count, now - start_time
+        return run.solution(None)
+    return solution_of_numbers(plan, momenta, numbers, now - start_time, now - began)
+
+
+def _run_of(plan: Plan, momenta: NDArray[np.float64], numbers: NDArray[np.float64], steps: int = 0) -> Run:
+    """Return the run of a vector whose arrays are in one allocation."""
+    start, state = start_of_vector(plan.base, momenta), State(plan.layout.state_in(numbers), steps)
+    return Run.of_arrays(plan, start, plan.layout.saved_in(numbers), state)
