@@ -36,7 +36,7 @@ class Plan:
     events : int
         Address of the event tables, or 0.
     is_short : bool
-        Whether a run is one call of a loop in the calling thread, from one vector alone, with a small state.
+        Whether a run is one call of a loop in the calling thread, from the momenta alone, with a small state.
     """
 
     def __init__(
@@ -60,7 +60,8 @@ class Plan:
         shared = watching, times.points, loops.names, loops.accounts, loops.corrected_groups, None, None, None
         self.shared: dict[str, Any] = dict(zip(SHARED, shared, strict=True))
         special = loops.rows or loops.measured or loops.order is not None or loops.accounts or square
-        self.is_short = members == 1 and not special and self.layout.state.size <= MAX_STATE_NUMBERS
+        small = self.layout.state.size <= MAX_STATE_NUMBERS
+        self.is_short = small and workers == 1 and not special and len(self.rounds) == len(self.rounds[0]) == 1
         self._whole_run: Callable[[Any], int] | None = None
         self._set_schedule()
 
@@ -115,6 +116,7 @@ class Plan:
         """Return the plan of another system, for loops that differ in the numbers in their tables only."""
         plan = self._copy()
         plan.system, plan.loops, plan.rounds = system, loops, loops.rounds(self.groups[0], self.workers)
+        plan.is_short = self.is_short and len(plan.rounds) == len(plan.rounds[0]) == 1
         return plan
 
     def _copy(self) -> Plan:

@@ -58,6 +58,7 @@ from coadjoint.systems.protocol import among, is_batch, member_of, unforced_matr
 from coadjoint.systems.system_checks import System, check_system
 from coadjoint.validation import FLOAT64, read_bool, read_integer
 
+ONE_VECTOR = 1, 0, 0  # shape of the group elements of a run of one vector without any
 MAX_THREADS_INSIDE = 1024  # most threads that share one member
 
 
@@ -277,10 +278,10 @@ class PreparedRun:
             # The short way of the most frequent case, once the plan is cached.
             cache = self._cache
             plan, times = cache.plan, cache.times.of(t_span, save_every)
-            if plan is not None and plan.is_short and plan.times is not times:
-                plan = cache.plan = plan.at_times(times) or plan
-            if plan is not None and plan.is_short and plan.times is times:
-                solution = solution_of_short_run(plan, x0.copy(), began)
+            if plan is not None and plan.is_short and plan.groups == ONE_VECTOR:
+                if plan.times is not times:
+                    plan = cache.plan = plan.at_times(times) or plan
+                solution = solution_of_short_run(plan, x0.copy(), began) if plan.times is times else None
                 if solution is not None:
                     if self.checks_step:
                         self._check_step(solution)
@@ -623,8 +624,10 @@ class PreparedRun:
             check_partial_steps(self.system, moments)
             times = times.with_saved_steps(moments.marks)
         plan = self._plan_of(times, start, values)
-        if plan.is_short and start.single and not (progress or events or self.observe or moments is not None):
-            solution = solution_of_short_run(plan, start.momenta[0], time.perf_counter())
+        if plan.is_short and not (progress or events or self.observe or moments is not None):
+            one_vector = start.single and self._vector_size is not None
+            given = (start.momenta[0], None) if one_vector else (start.momenta, start)
+            solution = solution_of_short_run(plan, given[0], time.perf_counter(), given[1])
             if solution is not None:
                 return solution
         run = Run(plan, start)

@@ -121,26 +121,28 @@ class Run:
 
     def advance(self, progress: bool = False, until: int | None = None) -> None:
         """Take the steps up to number `until`, or all, round by round; an interrupt aborts."""
-        order = self.loops.order
-        first, last = self.state.number, self.times.steps if until is None else until
+        plan, state = self.plan, self.state
+        loops, order = plan.loops, plan.loops.order
+        first, last = state.number, plan.times.steps if until is None else until
         start_time = time.perf_counter()
         if order is not None:
-            self.state.arrays = self.state.arrays.take(order, 0)
-        if self.loops.rows:
-            with limited_blas_threads(self.loops.rows, self.plan.workers):
+            state.arrays = state.arrays.take(order, 0)
+        if loops.rows:
+            with limited_blas_threads(loops.rows, plan.workers):
                 self._advance(first, last, progress)
         else:
             self._advance(first, last, progress)
         self.seconds += time.perf_counter() - start_time
-        self.state.number = last
+        state.number = last
         if order is not None:
             inverse = np.argsort(order)
-            self.state.arrays = self.state.arrays.take(inverse, 0)
-            if last == self.times.steps:
+            state.arrays = state.arrays.take(inverse, 0)
+            if last == plan.times.steps:
                 self.saved = self.saved.take(inverse, 1)
-        if (measured := self.loops.measured) is not None:
-            new_points = np.flatnonzero((self.times.saved <= last) & ((self.times.saved > first) | (first == 0)))
-            measured.measure(self.times, self.start, self.saved, self.state["worst"], new_points)
+        if loops.measured is not None:
+            numbers = plan.times.saved
+            new_points = np.flatnonzero((numbers <= last) & ((numbers > first) | (first == 0)))
+            loops.measured.measure(plan.times, self.start, self.saved, state["worst"], new_points)
 
     def _advance(self, first: int, last: int, progress: bool) -> None:
         plan = self.plan

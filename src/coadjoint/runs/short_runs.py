@@ -24,7 +24,7 @@ from coadjoint.runs.plan import Plan
 from coadjoint.runs.results.memory_solution import solution_of_numbers
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run
-from coadjoint.runs.start import momenta_of, start_of_vector
+from coadjoint.runs.start import Start, momenta_of, start_of_vector
 from coadjoint.runs.state import State
 from coadjoint.runs.times import Times, is_same_span, is_unchangeable, span_of, times_between
 from coadjoint.systems.protocol import unforced_matrix_system
@@ -74,7 +74,7 @@ class FinalStateRun:
         if self._clear is not None:
             self._clear(0.0)
         self._momentum[...] = x
-        if _advanced(advance, self._loops):
+        if _advanced(self._loops, advance):
             # The full run fails too; it reports the step, and raises the exceptions of user functions.
             self._loops.raised()
             return None
@@ -118,29 +118,31 @@ class FinalStateRun:
         return partial(batch.whole_run(layout, self._schedule), ctypes.byref(as_c_double(self._numbers)))
 
 
-def _advanced(advance: Callable[[], int], loops: Loops) -> int:
+def _advanced(loops: Loops, advance: Callable[..., int], *arguments: Any) -> int:
     """Take all steps; return the number of failed members. Exceptions of user functions take precedence over others."""
     try:
-        failed_count = advance()
+        failed_count = advance(*arguments)
         return failed_count if failed_count >= 0 else raise_outcome(failed_count)
     except BaseException as error:
         raised = loops.raised()
         raise error if raised is None else raised from None
 
 
-def solution_of_short_run(plan: Plan, momenta: NDArray[np.float64], began: float) -> Solution | None:
-    """Return the solution of a run of one vector whose plan `is_short`, from its momenta; it began at `began`.
+def solution_of_short_run(
+    plan: Plan, momenta: NDArray[np.float64], began: float, start: Start | None = None
+) -> Solution | None:
+    """Return the solution of a run whose plan `is_short`; without a start, that of one vector with these momenta.
 
-    None: the momenta are not finite.
+    It began at `began`. None: the momenta are not finite.
     """
     layout = plan.layout
     numbers = np.zeros(layout.size)
-    numbers[layout.momenta] = momenta
+    numbers[layout.momenta] = momenta if start is None else momenta.ravel()
     start_time = time.perf_counter()
     try:
-        failed_count = _advanced(partial(plan.whole_run, ctypes.byref(as_c_double(numbers))), plan.loops)
+        failed_count = _advanced(plan.loops, plan.whole_run, ctypes.byref(as_c_double(numbers)))
     except KeyboardInterrupt as stopped:
-        _run_of(plan, momenta, numbers).describe_interrupt(stopped, None)
+        _run_of(plan, start, momenta, numbers).describe_interrupt(stopped, None)
         raise
     now = time.perf_counter()
     if failed_count:
@@ -148,13 +150,15 @@ def solution_of_short_run(plan: Plan, momenta: NDArray[np.float64], began: float
             raise raised
         if not np.isfinite(momenta).all():
             return None
-        run = _run_of(plan, momenta, numbers, plan.times.steps)
+        run = _run_of(plan, start, momenta, numbers, plan.times.steps)
         run.failed_count, run.seconds = failed_count, now - start_time
         return run.solution(None)
-    return solution_of_numbers(plan, momenta, numbers, now - start_time, now - began)
+    return solution_of_numbers(plan, start, momenta, numbers, now - start_time, now - began)
 
 
-def _run_of(plan: Plan, momenta: NDArray[np.float64], numbers: NDArray[np.float64], steps: int = 0) -> Run:
-    """Return the run of a vector whose arrays are in one allocation."""
-    start, state = start_of_vector(plan.base, momenta), State(plan.layout.state_in(numbers), steps)
-    return Run.of_arrays(plan, start, plan.layout.saved_in(numbers), state)
+def _run_of(
+    plan: Plan, start: Start | None, momenta: NDArray[np.float64], numbers: NDArray[np.float64], steps: int = 0
+) -> Run:
+    """Return the run whose arrays are in one allocation."""
+    start = start or start_of_vector(plan.base, momenta)
+    return Run.of_arrays(plan, start, plan.layout.saved_in(numbers), State(plan.layout.state_in(numbers), steps))

@@ -47,7 +47,7 @@ class MemorySolution(Solution):
     """The solution of a run in memory; it does not keep the tables of the run alive.
 
     Its fields are what all runs of a plan share (`SHARED`), the scheme, the system or a function that builds it, the
-    start, the arrays of the loops, and the seconds in the loops and in the call.
+    start, the arrays of the loops or one allocation of both, and the seconds in the loops and in the call.
     """
 
     _given_system: System | Batch | partial[System | Batch]
@@ -58,13 +58,16 @@ class MemorySolution(Solution):
     _corrected_groups: GroupCorrection
     _initial_values: Floats | None
     incomplete = None
-    if TYPE_CHECKING:
+    _layout: Layout
+    _numbers: Floats
 
-        @cached_property
-        def _saved(self) -> NamedArrays: ...
+    @cached_property
+    def _saved(self) -> NamedArrays:
+        return self._layout.saved_in(self._numbers)
 
-        @cached_property
-        def _state(self) -> NamedArrays: ...
+    @cached_property
+    def _state(self) -> NamedArrays:
+        return self._layout.state_in(self._numbers)
 
     @cached_property
     def system(self) -> System | Batch:
@@ -174,33 +177,20 @@ class MemorySolution(Solution):
         return np.asarray(states_of(self._start.system, rows))
 
 
-class ShortRunSolution(MemorySolution):
-    """The solution of a run of one vector without a group element, whose arrays are in one allocation.
-
-    What others are given is made on first use.
-    """
+class SolutionOfVector(MemorySolution):
+    """The solution of a run of one vector without a group element; the start is made of its momenta on first use."""
 
     _base: System | Batch
-    _layout: Layout
     _momenta: Floats
-    _numbers: Floats
-
-    @cached_property
-    def x(self) -> Floats:
-        saved = self._layout.saved
-        return self._numbers[saved.slices["x"]].reshape(saved.shapes["x"])[:, 0]
 
     @cached_property
     def _start(self) -> Start:
         return start_of_vector(self._base, self._momenta)
 
     @cached_property
-    def _saved(self) -> NamedArrays:
-        return self._layout.saved_in(self._numbers)
-
-    @cached_property
-    def _state(self) -> NamedArrays:
-        return self._layout.state_in(self._numbers)
+    def x(self) -> Floats:
+        saved = self._layout.saved
+        return self._numbers[saved.slices["x"]].reshape(saved.shapes["x"])[:, 0]
 
 
 def most_evaluations(solution: Solution) -> float:
@@ -240,19 +230,22 @@ def solution_of_run(run: Run, saved_points: int, observed: Observed | None, **fi
     return solution
 
 
-def solution_of_numbers(plan: Plan, momenta: Floats, numbers: Floats, seconds: float, elapsed: float) -> Solution:
-    """Return the solution of a run of one vector without a group element, whose arrays are in one allocation."""
-    return ShortRunSolution(
-        {
-            **plan.shared,
-            "method": plan.method,
-            "_times": plan.times,
-            "_given_system": plan.system,
-            "_base": plan.base,
-            "_layout": plan.layout,
-            "_momenta": momenta,
-            "_numbers": numbers,
-            "_seconds": seconds,
-            "_elapsed": elapsed,
-        }
-    )
+def solution_of_numbers(
+    plan: Plan, start: Start | None, momenta: Floats, numbers: Floats, seconds: float, elapsed: float
+) -> Solution:
+    """Return the solution of a run whose arrays are in one allocation; without a start, that of one vector."""
+    fields = {
+        **plan.shared,
+        "method": plan.method,
+        "_times": plan.times,
+        "_given_system": plan.system,
+        "_layout": plan.layout,
+        "_numbers": numbers,
+        "_seconds": seconds,
+        "_elapsed": elapsed,
+    }
+    if start is not None:
+        fields["_start"] = start
+        return MemorySolution(fields)
+    fields["_base"], fields["_momenta"] = plan.base, momenta
+    return SolutionOfVector(fields)
