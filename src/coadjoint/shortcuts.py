@@ -1,4 +1,4 @@
-"""Functions of later layers that results and runs call, such as ``sol.plot()``, by name; imported on first use."""
+"""Functions of what is made of runs and solutions, such as ``sol.plot()``, by name; imported on first use."""
 
 from __future__ import annotations
 
@@ -18,9 +18,12 @@ SHORTCUTS = {
     "draw_structure_factor": "coadjoint.pictures.structure_factor:draw_structure_factor",
     "error_at_end": "coadjoint.analysis.end_error:error_at_end",
     "frames_of": "coadjoint.pictures.movie:frames_of",
+    "jvp": "coadjoint.runs.derivatives.of_prepared_runs:jvp",
     "modified_hamiltonian": "coadjoint.analysis.backward_error.modified_hamiltonian:modified_hamiltonian",
+    "parameters_of_run": "coadjoint.runs.derivatives.differentiable_run:parameters_of_run",
     "run_to_accuracy": "coadjoint.choosing.validated_run:SampledRun",
     "table_of": "coadjoint.files.datasets.table:table_of",
+    "vjp": "coadjoint.runs.derivatives.of_prepared_runs:vjp",
     "write_movie": "coadjoint.files.output.movie_file:write_movie",
 }
 """Name -> "module:function"."""

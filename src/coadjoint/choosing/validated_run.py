@@ -151,8 +151,8 @@ class SampledRun(PreparedRun):
             return super().end(x0, t_span)
         return self._run_with_own_choice(x0, t_span)[0].run(x0, t_span, ENDS_ONLY).x[-1]
 
-    @property
-    def _derivatives(self) -> Any:
+    def check_differentiable(self) -> None:
+        """Raise TypeError: the step may change."""
         raise TypeError(
             f"runs prepared with accuracy have no derivatives, since their step may change: prepare with {self.method} "
             f"and step={self.step:g}"

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Mapping
 from functools import partial
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +21,6 @@ from coadjoint.methods.registry import read_method
 from coadjoint.methods.suggested_scheme import default_scheme
 from coadjoint.runs.crossings.crossings import WatchedEvents
 from coadjoint.runs.crossings.event_run import EventRun
-from coadjoint.runs.derivatives.backward import Pullback
-from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, parameters_of_run
-from coadjoint.runs.derivatives.forward import tangents_of_run
-from coadjoint.runs.derivatives.located_trajectory import trajectory_of
-from coadjoint.runs.derivatives.members import PullbackOfMembers, by_member, tangents_of_members
-from coadjoint.runs.derivatives.results import Tangents
 from coadjoint.runs.events import Event, read_events
 from coadjoint.runs.inputs import InputLoops, Inputs
 from coadjoint.runs.loops.loops import Loops, loops_of_batch, loops_of_system
@@ -52,11 +46,18 @@ from coadjoint.runs.start import (
 from coadjoint.runs.state import State
 from coadjoint.runs.times import RecentTimes, Times, read_step
 from coadjoint.short_repr import short
+from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch, selected
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.protocol import among, is_batch, member_of, unforced_matrix_system
 from coadjoint.systems.system_checks import System, check_system
 from coadjoint.validation import FLOAT64, read_bool, read_integer
+
+if TYPE_CHECKING:
+    from coadjoint.runs.derivatives.backward import Pullback
+    from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun
+    from coadjoint.runs.derivatives.members import PullbackOfMembers
+    from coadjoint.runs.derivatives.results import Tangents
 
 ONE_VECTOR = 1, 0, 0  # shape of the group elements of a run of one vector without any
 MAX_THREADS_INSIDE = 1024  # most threads that share one member
@@ -126,7 +127,7 @@ class PreparedRun:
         self._attitude = read_attitude(attitude)
         self.observe = check_observe({} if observe is None else observe)
         self._threads = workers or concurrent_members(matrix_rows(system))
-        self._cache = _Cache(self.step)
+        self.cache = _Cache(self.step)
         self._vector_size = vector_size(self.system)
         one_vector = self._inputs is None and not self.observe and self._representations[0] is None
         self._plain_shape = (self._vector_size,) if one_vector and self._vector_size is not None else None
@@ -139,13 +140,13 @@ class PreparedRun:
 
         Loops that contain another loop, as those with forces do, are rebuilt in the receiving process.
         """
-        loops = {h: loops for h, loops in self._cache.loops.items() if getattr(loops, "is_picklable", False)}
-        fields = {name: value for name, value in vars(self).items() if name not in ("_cache", "checks_step")}
+        loops = {h: loops for h, loops in self.cache.loops.items() if getattr(loops, "is_picklable", False)}
+        fields = {name: value for name, value in vars(self).items() if name not in ("cache", "checks_step")}
         return {**fields, "loops": loops}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         loops = state.pop("loops")
-        self.__dict__.update(state, _cache=_Cache(state["step"], loops))
+        self.__dict__.update(state, cache=_Cache(state["step"], loops))
 
     def among(self, first: int, last: int, threads: int | None = None) -> PreparedRun:
         """Return the run of the members `first` to `last` - 1 alone; each is bitwise equal to the member in the whole
@@ -171,7 +172,7 @@ class PreparedRun:
         return self._selected(selected(cast(Batch, self.system), members), members)
 
     def _selected(self, part: Any, members: NDArray[np.int64], threads: int | None = None) -> PreparedRun:
-        system, loops = self.system, self._cache.loops
+        system, loops = self.system, self.cache.loops
         # Tables hold the number of the noise, which a member keeps.
         unchanged = part is system
         fields: dict[str, Any] = {"system": part, "_threads": threads or self._threads}
@@ -185,7 +186,7 @@ class PreparedRun:
 
     def _copy(self, loops: dict[float, Loops | InputLoops], **fields: Any) -> PreparedRun:
         copied: PreparedRun = object.__new__(PreparedRun)
-        copied.__dict__.update(vars(self), **fields, checks_step=False, _cache=_Cache(self.step, loops))
+        copied.__dict__.update(vars(self), **fields, checks_step=False, cache=_Cache(self.step, loops))
         return copied
 
     def of_system(self, system: System) -> PreparedRun:
@@ -195,7 +196,7 @@ class PreparedRun:
 
     def in_one_thread(self) -> PreparedRun:
         """Return a copy that uses one thread, and whose further loops are its own."""
-        return self._copy(dict(self._cache.loops), _threads=1)
+        return self._copy(dict(self.cache.loops), _threads=1)
 
     def at_fixed_steps(self, scheme: Method) -> PreparedRun:
         """Return the same run by another scheme; this run itself if it is its own."""
@@ -208,7 +209,7 @@ class PreparedRun:
         """Return the run of one member alone; of a system that members share this run itself."""
         if not is_batch(self.system):
             return self
-        known = self._cache.of_members
+        known = self.cache.of_members
         if member not in known:
             attitude = self._attitude
             if isinstance(attitude, np.ndarray) and attitude.ndim > 2:
@@ -276,7 +277,7 @@ class PreparedRun:
             and not inputs
         ):
             # The short way of the most frequent case, once the plan is cached.
-            cache = self._cache
+            cache = self.cache
             plan, times = cache.plan, cache.times.of(t_span, save_every)
             if plan is not None and plan.is_short and plan.groups == ONE_VECTOR:
                 if plan.times is not times:
@@ -305,7 +306,7 @@ class PreparedRun:
 
     def times_of(self, t_span: Any, save_every: Any = 1, t_eval: Any = None) -> tuple[Times, OutputTimes | None]:
         """Validate span, `save_every` and `t_eval`; return the steps of a run, and the output times or None."""
-        times = self._cache.times.of(t_span, save_every)
+        times = self.cache.times.of(t_span, save_every)
         if t_eval is None:
             return times, None
         moments = output_times_of(t_eval, times, save_every, whole_steps=bool(noises_of(self.system)))
@@ -332,13 +333,11 @@ class PreparedRun:
         >>> co.prepare(co.systems.heavy_top(), co.Splitting(), step=0.1).parameters
         {'inertia': array([...]), 'lever': array([...])}
         """
-        return {name: parameter.value.copy() for name, parameter in parameters_of_run(self.system).items()}
+        found = shortcut("parameters_of_run")(self.system)
+        return {name: parameter.value.copy() for name, parameter in found.items()}
 
-    @property
-    def _derivatives(self) -> DifferentiableRun:
-        if self._cache.derivatives is None:
-            self._cache.derivatives = DifferentiableRun(self)
-        return self._cache.derivatives
+    def check_differentiable(self) -> None:
+        """Raise TypeError if runs have no derivatives."""
 
     @property
     def scheme(self) -> Method:
@@ -417,13 +416,9 @@ class PreparedRun:
         >>> sol.x.shape, tangents.x.shape, tangents.rule
         ((5, 3), (5, 3, 3), {'inertia': 'exact'})
         """
-        watched = read_events(events)
-        if by_member(self, x0, watched):
-            self._check_without_inputs()
-            return tangents_of_members(self, x0, t_span, directions, save_every, t_eval, attitude, watched)
-        run = self._derivatives
-        trajectory = trajectory_of(run, x0, t_span, save_every, t_eval, attitude, None, watched, inputs)
-        return tangents_of_run(run, trajectory, directions)
+        options = save_every, t_eval, attitude, events, inputs
+        found: tuple[Solution, Tangents] = shortcut("jvp")(self, x0, t_span, directions, *options)
+        return found
 
     @suggest_keywords
     def vjp(
@@ -488,22 +483,9 @@ class PreparedRun:
         >>> gradient["x0"].shape, gradient["inertia"].shape
         ((3,), (3,))
         """
-        watched = read_events(events)
-        if by_member(self, x0, watched):
-            self._check_without_inputs()
-            found = PullbackOfMembers(self, x0, t_span, save_every, t_eval, attitude, reverse, watched)
-            return found.solution, found
-        run = self._derivatives
-        run.check_reverse(reverse, self.step)
-        trajectory = trajectory_of(run, x0, t_span, save_every, t_eval, attitude, reverse, watched, inputs)
-        return trajectory.solution, Pullback(run, trajectory)
-
-    def _check_without_inputs(self) -> None:
-        if self._inputs is not None:
-            raise TypeError(
-                "members are differentiated one by one if they have systems, steps or events of their own, and then "
-                "without inputs; prepare a run of each member"
-            )
+        options = save_every, t_eval, attitude, reverse, events, inputs
+        found: tuple[Solution, Pullback | PullbackOfMembers] = shortcut("vjp")(self, x0, t_span, *options)
+        return found
 
     @suggest_keywords
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
@@ -544,11 +526,11 @@ class PreparedRun:
         ...     x = prepared.end(x, span)
         """
         try:
-            final_run = self._cache.ends.pop()
+            final_run = self.cache.ends.pop()
         except IndexError:
             final_run = FinalStateRun(self)
         state = final_run.end(x0, t_span)
-        self._cache.ends.append(final_run)
+        self.cache.ends.append(final_run)
         return self.run(x0, t_span, ENDS_ONLY).x[-1] if state is None else state
 
     @property
@@ -653,7 +635,7 @@ class PreparedRun:
 
     def _plan_of(self, times: Times, start: Start, values: NDArray[np.float64] | None) -> Plan:
         """Return the plan of a run; the last one is cached."""
-        plan, groups = self._cache.plan, start.groups.shape
+        plan, groups = self.cache.plan, start.groups.shape
         if plan is None or plan.groups != groups:
             plan = self._new_plan(times, groups)
         elif plan.times is not times:
@@ -661,7 +643,7 @@ class PreparedRun:
             if shifted is None:
                 plan = self._new_plan(times, groups)
             else:
-                plan = self._cache.plan = shifted
+                plan = self.cache.plan = shifted
         if self._inputs is None:
             return plan
         loops = self.loops(times.h)
@@ -675,23 +657,23 @@ class PreparedRun:
         plan = Plan(self.system, self.method, base, times, groups, *options)
         # The free memory is checked again for each large run.
         if bytes_of_run(plan.layout, times) <= UNCHECKED_BYTES:
-            self._cache.plan = plan
+            self.cache.plan = plan
         return plan
 
     def _watched(self, events: tuple[Event, ...], x0: NDArray[np.float64], t0: float) -> WatchedEvents:
         """Return the compiled events; those of the last run are cached."""
-        with self._cache.lock:
-            if self._cache.events is None or self._cache.events.events != events:
-                self._cache.events = WatchedEvents(self.system, events, x0, t0)
-            return self._cache.events
+        with self.cache.lock:
+            if self.cache.events is None or self.cache.events.events != events:
+                self.cache.events = WatchedEvents(self.system, events, x0, t0)
+            return self.cache.events
 
     def loops(self, h: float) -> Loops | InputLoops:
         """Return the loops of a step or of its negative, built lazily for each direction."""
-        loops = self._cache.loops.get(h)
+        loops = self.cache.loops.get(h)
         if loops is None:
-            with self._cache.lock:
-                loops = self._cache.loops.get(h) or self._loops(h)
-                self._cache.loops[h] = loops
+            with self.cache.lock:
+                loops = self.cache.loops.get(h) or self._loops(h)
+                self.cache.loops[h] = loops
         return loops
 
     def _loops(self, h: float) -> Loops | InputLoops:
@@ -699,7 +681,7 @@ class PreparedRun:
             return InputLoops(self._inputs, self._scheme, h, self._representations[0])
         if is_batch(self.system):
             return loops_of_batch(self.system, self._scheme, h, self._representations)
-        for known in self._cache.loops.values():
+        for known in self.cache.loops.values():
             if isinstance(known, Loops) and (loops := known.at_step(h)) is not None:
                 return loops
         return loops_of_system(self.system, self._scheme, h, self._representations[0], compact=True)
@@ -708,7 +690,7 @@ class PreparedRun:
         """Return the quantities to observe during a run, or None."""
         if not self.observe:
             return None
-        with self._cache.lock:
-            if self._cache.observed is None:
-                self._cache.observed = Observed(member_of(self.system), self.observe, start.momenta[0])
-        return self._cache.observed
+        with self.cache.lock:
+            if self.cache.observed is None:
+                self.cache.observed = Observed(member_of(self.system), self.observe, start.momenta[0])
+        return self.cache.observed
