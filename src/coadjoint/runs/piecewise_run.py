@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import reduce
 from typing import TYPE_CHECKING, Any
@@ -11,6 +13,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import codes
+from coadjoint.runs.progress import progress_bar
 from coadjoint.runs.results.memory_solution import REPORTED_ARRAYS, solution_of_run
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import first_point_not_finite
@@ -23,8 +26,23 @@ if TYPE_CHECKING:
 
 STATE_PREFIX = "state."
 """Prefix of the arrays of a `State` among those that are stored."""
+STRETCH_SECONDS, FIRST_STRETCH = 0.25, 64
+"""The clock is read about every 0.25 s, at first after 64 steps."""
+TAKING_INTERVAL, TAKING_RATIO = 10.0, 20
+"""A sink takes a piece after 10 s, or after 20 times the duration of the last time."""
 NOT_OCCURRED = np.array([-1.0, np.nan])
 """Step and time of an event that has not occurred."""
+
+
+class Sink(ABC):
+    """Takes what a run in pieces has saved, such as an archive."""
+
+    @abstractmethod
+    def take(self, run: PiecewiseRun) -> None:
+        """Take the points in memory, ``run.piece()``, and the state, ``run.stored()``; they are released afterwards.
+
+        It is called after step ``run.number``: when memory is full, every ten seconds or less often, and at the end.
+        """
 
 
 class PiecewiseRun:
@@ -100,6 +118,30 @@ class PiecewiseRun:
                 self.run.initial = first.copy()
             else:
                 self.run.initial = first[np.argsort(order)]
+
+    def advance_into(self, sink: Sink, until: int | None = None, progress: bool = False) -> None:
+        """Take the steps up to number `until`, or all, into a sink; also those before an interrupt."""
+        stretch, last = FIRST_STRETCH, self.run.times.steps if until is None else until
+        taken, seconds = time.perf_counter(), 0.0
+        with progress_bar(last - self.number, progress) as bar:
+            while not self.is_over and self.number < last:
+                first, began = self.number, time.perf_counter()
+                target = min(last, self.reach, first + stretch)
+                try:
+                    self.advance(target)
+                except KeyboardInterrupt:
+                    if not self.order_undefined:
+                        sink.take(self)
+                    raise
+                bar(target - first)
+                now = time.perf_counter()
+                stretch = max(1, min(int((target - first) / max(now - began, 1e-6) * STRETCH_SECONDS), 4 * stretch))
+                if target == self.reach or now - taken > max(TAKING_INTERVAL, TAKING_RATIO * seconds):
+                    sink.take(self)
+                    self.release_points()
+                    taken = time.perf_counter()
+                    seconds = taken - now
+        sink.take(self)
 
     def piece(self) -> Solution:
         """Return the points in memory, with drifts and work of all steps so far; then call `release_points`."""

@@ -1,4 +1,4 @@
-"""Runs written to an archive piece by piece, each piece committed atomically."""
+"""Archives as sinks of runs: each piece is committed atomically."""
 
 from __future__ import annotations
 
@@ -23,8 +23,7 @@ from coadjoint.files.datasets.variables import (
     time_coordinate,
     time_variables,
 )
-from coadjoint.runs.piecewise_run import PiecewiseRun
-from coadjoint.runs.progress import progress_bar
+from coadjoint.runs.piecewise_run import PiecewiseRun, Sink
 
 if TYPE_CHECKING:
     from coadjoint.errors import IntegrationError
@@ -41,86 +40,42 @@ FIRST_STEP: str = "archive_first_step"
 SAVE_EVERY: str = "archive_save_every"
 BLOCKS, MIN_STATE_BYTES = 64, 2**24
 """A run has about 64 blocks, if their states take at most a quarter of the archive, or 16 MB."""
-ADVANCE_SECONDS, FIRST_ADVANCE = 0.25, 64
-"""The clock is read about every 0.25 s, at first after 64 steps."""
-COMMIT_INTERVAL, COMMIT_RATIO = 10.0, 20
-"""A piece is committed after 10 s, or after 20 times the duration of the last commit."""
 
 
-class ArchivedRun:
-    """A run and the archive that it writes; parameters as for `PiecewiseRun`, and the time at which its call began."""
+class ArchiveSink(Sink):
+    """An archive that takes the pieces of a run; `began` is the time at which the call of the run began."""
 
-    def __init__(
-        self,
-        store: ArchiveStore,
-        prepared: PreparedRun,
-        times: Times,
-        start: Start,
-        stored: Mapping[str, Any] | None = None,
-        began: float | None = None,
-    ) -> None:
-        self.store, self.run = store, PiecewiseRun(prepared, times, start, store.arrays["time"].chunk[0], stored)
-        self._states = states_of(store.attributes)
+    failure: IntegrationError | None = None
+
+    def __init__(self, store: ArchiveStore, began: float) -> None:
+        self.store, self._began, self._states = store, began, states_of(store.attributes)
         self._seconds, self._elapsed = (float(store.attributes.get(name, 0.0)) for name in ("seconds", "elapsed"))
-        self._began = time.perf_counter() if began is None else began
-        self._commit_seconds = 0.0
-        self._committed = self.run.number
-        self._failure: IntegrationError | None = None
 
-    def advance(self, until: int | None = None, progress: bool = False) -> IntegrationError | None:
-        """Take and commit the steps up to number `until`, or all; return the failure of the run, if any.
-
-        ArchiveUnwritten: the archive could not be written, and holds the last commit.
-        """
-        run, stretch, last = self.run, FIRST_ADVANCE, self.run.run.times.steps if until is None else until
-        last_commit = time.perf_counter()
-        with progress_bar(last - run.number, progress) as bar:
-            while not run.is_over and run.number < last:
-                target, began = min(last, run.reach, run.number + stretch), time.perf_counter()
-                first_number = run.number
-                try:
-                    run.advance(target)
-                except KeyboardInterrupt:
-                    if not run.order_undefined:
-                        self.commit()
-                    raise
-                bar(target - first_number)
-                now = time.perf_counter()
-                pace = (target - first_number) / max(now - began, 1e-6)
-                stretch = max(1, min(int(pace * ADVANCE_SECONDS), 4 * stretch))
-                if target == run.reach or now - last_commit > max(COMMIT_INTERVAL, COMMIT_RATIO * self._commit_seconds):
-                    self.commit()
-                    last_commit = time.perf_counter()
-        self.commit()
-        return self._failure
-
-    def commit(self) -> None:
-        """Commit the steps computed so far."""
-        run, began = self.run, time.perf_counter()
-        if run.number == self._committed:
+    def take(self, run: PiecewiseRun) -> None:
+        """Commit the steps computed so far; ArchiveUnwritten if that fails: the archive holds the last commit."""
+        store = self.store
+        if run.number == store.attributes[STEPS]:
             return
         piece: Solution | None = None
         try:
             piece = run.piece()
             for name, (_, values, _) in growing_variables(piece).items():
-                self.store.write(name, values, (run.first,))
+                store.write(name, values, (run.first,))
             for name, (_, values, _) in summary_variables(piece).items():
-                self.store.write(name, values)
-            self._failure = failure = run.failure(piece) if run.is_over else None
+                store.write(name, values)
+            self.failure = failure = run.failure(piece) if run.is_over else None
             lengths = {"time": run.first + run.points_held}
-            states = self._store_states(lengths)
-            attributes = {**self._attributes(piece, states), **(failure_attributes(failure) if failure else {})}
-            self.store.commit(attributes, lengths, states)
+            states = self._store_states(run, lengths)
+            attributes = {**self._attributes(run, piece, states), **(failure_attributes(failure) if failure else {})}
+            store.commit(attributes, lengths, states)
             self._states = states
         except (OSError, ArchiveError) as reason:
-            was_committed = self.store.attributes.get(STEPS) == run.number
-            raise unwritten_error(self.store, reason, None if was_committed else piece) from reason
-        run.release_points()
-        self._commit_seconds, self._committed = time.perf_counter() - began, run.number
+            was_committed = store.attributes.get(STEPS) == run.number
+            raise unwritten_error(store, reason, None if was_committed else piece) from reason
 
-    def _store_states(self, lengths: Mapping[str, int]) -> list[StoredState]:
+    def _store_states(self, run: PiecewiseRun, lengths: Mapping[str, int]) -> list[StoredState]:
         """Store the state; return the states to retain: those at block starts, and the last of an unfinished run."""
-        run, store = self.run, self.store
+        store = self.store
         blocks = [state for state in self._states if state.about["block"]]
         bytes_of_state = 8 * run.run.state.arrays.numbers.size
         max_state_bytes = max(
@@ -139,11 +94,11 @@ class ArchivedRun:
             blocks.append(self._states[-1])
         return [*blocks, state]
 
-    def _attributes(self, piece: Solution, states: Sequence[StoredState]) -> dict[str, Any]:
+    def _attributes(self, run: PiecewiseRun, piece: Solution, states: Sequence[StoredState]) -> dict[str, Any]:
         stats = piece.stats
         return {
-            STEPS: self.run.number,
-            FINISHED: int(self.run.is_over),
+            STEPS: run.number,
+            FINISHED: int(run.is_over),
             STATES: json.dumps(states),
             "evaluations": stats.evaluations,
             "iterations": stats.iterations,

@@ -4,58 +4,48 @@ from __future__ import annotations
 
 import json
 import platform
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from coadjoint import __version__
-from coadjoint.files.archives.archived_run import FINISHED, STEPS, ArchivedRun
+from coadjoint.files.archives.archived_run import FINISHED, STEPS
 from coadjoint.files.archives.blocks import DONE, FAILED, PENDING, STATUS, Block, lock_file, read_marker, write_marker
 from coadjoint.files.archives.reading import HIDDEN_FOLDER, ArchiveError, open_folder, read_root_in
 from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten
 from coadjoint.files.datasets.export import failure_attributes
 from coadjoint.files.datasets.variables import summary_variables, time_variables
-from coadjoint.runs.piecewise_run import PiecewiseRun
+from coadjoint.runs.piecewise_run import PiecewiseRun, Sink
 from coadjoint.runs.times import times_of
 
 if TYPE_CHECKING:
     from coadjoint.errors import IntegrationError
     from coadjoint.files.archives.stored_arrays import StoredArray
     from coadjoint.runs.prepared_run import PreparedRun
-    from coadjoint.runs.times import Times
 
 BUSY = {"busy": True}
 
 
-class BlockRun(ArchivedRun):
-    """The run of a block of an ensemble, written like that of an archive."""
+class BlockSink(Sink):
+    """The chunks and the marker of a block, which take the pieces of its run; `about` is the head of the marker."""
 
-    def __init__(self, store: ArchiveStore, prepared: PreparedRun, times: Times, block: Block) -> None:
-        marker = read_marker(store.folder, block.number)
-        x0, attitude = (_of_block(store, name, block) for name in ("x0", "attitude0"))
-        start = prepared.start(x0, attitude)
-        rows, stored = store.arrays["time"].chunk[0], None if marker is None else marker.stored
-        self.store, self.block, self.run = store, block, PiecewiseRun(prepared, times, start, rows, stored)
-        self.about: dict[str, Any] = {FINISHED: 0} if marker is None else marker.about
-        self._seconds = float(self.about.get("seconds", 0.0))
-        self._commit_seconds = 0.0
-        self._failure: IntegrationError | None = None
-        self._committed: int = -1 if marker is None else self.run.number
-        if marker is None:
-            self.run.advance(0)
+    failure: IntegrationError | None = None
 
-    def commit(self) -> None:
+    def __init__(self, store: ArchiveStore, block: Block, about: dict[str, Any]) -> None:
+        self.store, self.block, self.about = store, block, about
+        self._seconds = float(about.get("seconds", 0.0))
+
+    def take(self, run: PiecewiseRun) -> None:
         """Commit the steps of the block computed so far."""
-        run, store, block, began = self.run, self.store, self.block, time.perf_counter()
-        if run.number == self._committed:
+        store, block = self.store, self.block
+        if run.number == self.about.get(STEPS):
             return
         piece = run.piece()
         variables = {**time_variables(piece), **summary_variables(piece)}
         for name, (dims, values, _) in variables.items():
             store.write(name, values, (run.first, block.first) if dims[0] == "time" else (block.first,))
-        self._failure = run.failure(piece) if run.is_over else None
+        self.failure = run.failure(piece) if run.is_over else None
         failed = np.asarray(piece.failed)
         status = np.where(failed, FAILED, DONE) if run.is_over else np.full(len(failed), PENDING)
         store.write(STATUS, status, (block.first,))
@@ -71,15 +61,13 @@ class BlockRun(ArchivedRun):
             "first_failed": block.first + int(failed.argmax()) if failed.any() else -1,
             "rows": run.first + run.points_held,
         }
-        if self._failure is not None:
-            self.about |= failure_attributes(self._failure)
+        if self.failure is not None:
+            self.about |= failure_attributes(self.failure)
             # Members are numbered within the block here; the ensemble adds the member that failed.
             failed_members = f" for {failed.sum()} of {len(failed)} members (first: member {failed.argmax()})"
-            self.about["failed_reason"] = str(self._failure).replace(failed_members, "")
+            self.about["failed_reason"] = str(self.failure).replace(failed_members, "")
         write_marker(store.folder, block.number, self.about, run.stored())
         store.check_not_replaced()
-        run.release_points()
-        self._commit_seconds, self._committed = time.perf_counter() - began, run.number
 
 
 def run_block(
@@ -112,11 +100,16 @@ def run_block(
         store = ArchiveStore(path, arrays, attributes, lock, lock_file(block.number), folder)
         times = times_of(_span(attributes), float(attributes["step"]), int(attributes["save_every"]))
         first, last = (block.first, block.last) if all_members else (0, block.last - block.first)
-        run = BlockRun(store, prepared.among(first, last, threads), times, block)
-        if not run.about[FINISHED]:
-            run.advance()
-            run.commit()
-        return run.about
+        of_block, marker = prepared.among(first, last, threads), read_marker(folder, block.number)
+        sink = BlockSink(store, block, {FINISHED: 0} if marker is None else marker.about)
+        x0, attitude = (_of_block(store, name, block) for name in ("x0", "attitude0"))
+        stored = None if marker is None else marker.stored
+        run = PiecewiseRun(of_block, times, of_block.start(x0, attitude), arrays["time"].chunk[0], stored)
+        if marker is None:
+            run.advance(0)
+        if not sink.about[FINISHED]:
+            run.advance_into(sink)
+        return sink.about
     except ArchiveUnwritten:
         raise
     except OSError as reason:

@@ -21,7 +21,7 @@ from coadjoint.files.archives.archived_run import (
     SAVE_EVERY,
     STATES,
     STEPS,
-    ArchivedRun,
+    ArchiveSink,
     first_step,
     new_arrays,
     states_of,
@@ -279,8 +279,9 @@ def _continue_run(
 ) -> Solution:
     try:
         with as_archive_errors(store.path):
-            run = ArchivedRun(store, prepared, times, start, stored, began)
-        failure = run.advance(until, progress)
+            run = PiecewiseRun(prepared, times, start, store.arrays["time"].chunk[0], stored)
+        sink = ArchiveSink(store, began)
+        run.advance_into(sink, until, progress)
     except KeyboardInterrupt as interrupt:
         interrupt.partial = open_archive(store.path, prepared.system)  # type: ignore[attr-defined]
         interrupt.add_note(
@@ -290,9 +291,9 @@ def _continue_run(
     finally:
         store.close()
     archive = open_archive(store.path, prepared.system)
-    if failure is not None:
-        failure.partial = archive
-        raise failure
+    if sink.failure is not None:
+        sink.failure.partial = archive
+        raise sink.failure
     return archive
 
 
