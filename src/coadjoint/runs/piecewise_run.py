@@ -122,7 +122,7 @@ class PiecewiseRun:
     def advance_into(self, sink: Sink, until: int | None = None, progress: bool = False) -> None:
         """Take the steps up to number `until`, or all, into a sink; also those before an interrupt."""
         stretch, last = FIRST_STRETCH, self.run.times.steps if until is None else until
-        taken, seconds = time.perf_counter(), 0.0
+        taken, seconds, when = -1, 0.0, time.perf_counter()
         with progress_bar(last - self.number, progress) as bar:
             while not self.is_over and self.number < last:
                 first, began = self.number, time.perf_counter()
@@ -130,18 +130,19 @@ class PiecewiseRun:
                 try:
                     self.advance(target)
                 except KeyboardInterrupt:
-                    if not self.order_undefined:
+                    if taken != self.number and not self.order_undefined:
                         sink.take(self)
                     raise
                 bar(target - first)
                 now = time.perf_counter()
                 stretch = max(1, min(int((target - first) / max(now - began, 1e-6) * STRETCH_SECONDS), 4 * stretch))
-                if target == self.reach or now - taken > max(TAKING_INTERVAL, TAKING_RATIO * seconds):
+                if target == self.reach or now - when > max(TAKING_INTERVAL, TAKING_RATIO * seconds):
                     sink.take(self)
                     self.release_points()
-                    taken = time.perf_counter()
-                    seconds = taken - now
-        sink.take(self)
+                    taken, when = self.number, time.perf_counter()
+                    seconds = when - now
+        if taken != self.number:
+            sink.take(self)
 
     def piece(self) -> Solution:
         """Return the points in memory, with drifts and work of all steps so far; then call `release_points`."""
