@@ -84,7 +84,7 @@ def test_derivatives_against_complex_steps(name):
     if function is of_complex:
         expected = [np.imag(H.gradient(x + e)) / step for e in steps]
     else:  # central differences of gradients, of order four
-        h = 2.0**-10
+        h = 2.0**-12
         moved = {k: [H.gradient(x + k * h * e) for e in np.eye(3)] for k in (-2, -1, 1, 2)}
         expected = (8 * np.subtract(moved[1], moved[-1]) - np.subtract(moved[2], moved[-2])) / (12 * h)
     np.testing.assert_allclose(H.hessian(x), expected, rtol=1e-13, atol=1e-15 if function is of_complex else 1e-9)
