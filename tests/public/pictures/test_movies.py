@@ -217,7 +217,7 @@ def test_every_kind_that_moves_is_tried():
     assert {name for name in moves if "at" in co.plotting.kinds()[name].options} <= set(MOVING) <= moves
 
 
-@pytest.mark.thinned(1)
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", MOVING)
 def test_frames_are_the_pictures_of_their_times(name, tmp_path, ffmpeg):
     """Whatever the number of frames, and whatever time the picture has; each frame differs from the one before."""

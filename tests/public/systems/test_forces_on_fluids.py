@@ -187,7 +187,7 @@ def rates_of(layer, surface):
     return found
 
 
-@pytest.mark.thinned(1)
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize(("s", "surface", "layer"), CASES, ids=IDS)
 @pytest.mark.parametrize("tau", [0.75, -0.5])
 def test_each_mode_of_the_layer_decays_by_its_own_rate_and_nothing_else_moves(s, surface, layer, tau):
