@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.example_run import run_example
@@ -141,9 +143,10 @@ def _describe(solution: Solution) -> str:
     values = ", ".join(f"{key}={short(value)}" for key, value in (getattr(system, "parameters", None) or {}).items())
     start, end = solution.t_span
     drift = solution.drift()["energy"]
+    sizes = " to ".join(f"{size:.1e}" for size in sorted({np.min(drift.scale), np.max(drift.scale)}))
     return (
         f"{system.name}({values}), {solution.method}, step {solution.step:g}, t from {start:g} to {end:g}; "
-        f"the energy stays within {drift:.1e} of its size {drift.scale:.1e}"
+        f"the energy stays within {drift:.1e} of its size {sizes}"
     )
 
 
