@@ -40,6 +40,8 @@ KERNEL_TESTS = (
     "tests/internal/kernels",
     "tests/public/runs/test_matrix.py",
     "tests/internal/program",
+    "tests/public/runs",
+    "tests/public/events",
     "tests/public/accuracy",
     "tests/public/systems",
     "tests/public/ensembles",
