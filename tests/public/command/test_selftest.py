@@ -22,7 +22,7 @@ def test_every_check_is_a_line(capsys):
 @pytest.mark.long
 def test_checks_that_need_an_extra_are_skipped_by_name():
     done = run_with_the_core(
-        "import runpy; sys.argv = ['coadjoint', 'selftest']; runpy.run_module('coadjoint')", also=CLICK
+        "import runpy; sys.argv = ['coadjoint', 'selftest']; runpy.run_module('coadjoint', run_name='__main__')", also=CLICK
     )
     assert (done.returncode, done.stderr) == (0, "")
     *lines, last = done.stdout.splitlines()

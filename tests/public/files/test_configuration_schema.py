@@ -93,7 +93,7 @@ def test_files_that_are_accepted_are_valid(files, schema, seed):
         if command(files.capsys, "check", "run.toml").status == 0:
             accepted += 1
             assert is_valid(schema, table), table
-    assert 3 <= accepted < 45
+    assert 1 <= accepted < 45
 
 
 def keys_of(value, place=()):
