@@ -13,9 +13,10 @@ from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer, read_list, read_numbers, read_title
 
-# Peak during construction: names and their lookup table; four columns, twice.
+# Peak during construction: names and their lookup table; four columns, three times; and parts of them, up to a size.
 BYTES_PER_DIMENSION = 140
-BYTES_PER_CONSTANT = 90
+BYTES_PER_CONSTANT = 130
+BYTES_OF_PARTS, MAX_BYTES_OF_PARTS = 100, 10**8
 
 
 class Triples(NamedTuple):
@@ -49,7 +50,8 @@ def check_algebra_memory(name: str, dim: int, constants: int) -> None:
     --------
     >>> check_algebra_memory("so(3)", 3, 3)
     """
-    need = BYTES_PER_DIMENSION * dim + BYTES_PER_CONSTANT * constants
+    parts = min(BYTES_OF_PARTS * constants, MAX_BYTES_OF_PARTS)
+    need = BYTES_PER_DIMENSION * dim + BYTES_PER_CONSTANT * constants + parts
     check_available_memory(need, f"{name}, of dimension {short(dim)},", "take a smaller one")
 
 

@@ -21,9 +21,8 @@ def test_every_check_is_a_line(capsys):
 
 @pytest.mark.long
 def test_checks_that_need_an_extra_are_skipped_by_name():
-    done = run_with_the_core(
-        "import runpy; sys.argv = ['coadjoint', 'selftest']; runpy.run_module('coadjoint', run_name='__main__')", also=CLICK
-    )
+    program = "import runpy; sys.argv = ['coadjoint', 'selftest']; runpy.run_module('coadjoint', run_name='__main__')"
+    done = run_with_the_core(program, also=CLICK)
     assert (done.returncode, done.stderr) == (0, "")
     *lines, last = done.stdout.splitlines()
     assert lines[-1] == f'skip  {"cut and resumed":42}  xarray is not installed: pip install "coadjoint[io]"'

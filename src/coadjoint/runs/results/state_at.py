@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
+from coadjoint.memory import check_available_memory
 from coadjoint.runs.partial_steps import noises_of
 from coadjoint.runs.results.unfinished_members import (
     ends_by_events,
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
+COPIES = 4  # of the states: of a piece, of its steps and partial steps, and in order
 MAX_STEPS = 10**7
 """Largest number of steps recomputed by one call."""
 
@@ -123,6 +125,10 @@ def state_at(solution: Solution, t: Any) -> StateAt:
             f"the times lie {sum(last)} steps after saved points, and at most {MAX_STEPS} steps are recomputed; "
             "integrate with t_eval, or with a smaller save_every"
         )
+    numbers = solution.x0.size * (1 if solution.attitude0 is None else 1 + len(solution.attitude0[-1]) ** 2)
+    check_available_memory(
+        COPIES * 8 * len(queries) * (numbers + len(solution.initial)), f"the states at {short(len(queries))} times"
+    )
     order = np.lexsort((direction * queries, before))
     edges = np.searchsorted(before[order], [*pieces, pieces[-1] + 1])
     states = [
