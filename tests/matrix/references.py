@@ -58,7 +58,8 @@ def convergence(system: Any, method: Any, states: np.ndarray, span: Any, order: 
     """Return the order that errors against SciPy show, at most the declared one, that one, and the allowance.
 
     Errors below 1e-10 are small at once, and too small for a slope: the reference has errors of 1e-12. An allowance of
-    half an order or more could not tell two orders apart; then, and if errors are small, it is infinite.
+    half an order or more could not tell two orders apart; then, and if errors are small, it is infinite. It is at least
+    a quarter: orders are whole numbers, and the doubt is that of the term after the first one alone.
     """
     exact, size = exact_end(system, states, *span), float(np.linalg.norm(states))
     finest, ratio = (256, 2.0) if order <= 2 else (96, 2**0.5) if order < 7 else (48, 2**0.25)
@@ -75,7 +76,11 @@ def convergence(system: Any, method: Any, states: np.ndarray, span: Any, order: 
     if len(counts) < 5:
         return order, order, np.inf
     shown, doubt = order_and_doubt(counts, errors, power, 1e-12 * size / errors[-1])
-    return min(order, shown), order, doubt if doubt < 0.5 else np.inf
+    return min(order, shown), order, _allowance(doubt)
+
+
+def _allowance(doubt: float) -> float:
+    return max(doubt, 0.25) if doubt < 0.5 else np.inf
 
 
 def convergence_of_attitude(
@@ -87,7 +92,7 @@ def convergence_of_attitude(
     changes = np.linalg.norm(np.diff(ends, axis=0).reshape(len(ends) - 1, -1), axis=1)
     noise = 4 * len(ends[-1]) * U * counts[-1] * np.linalg.norm(ends[-1]) / changes[-1] if changes[-1] else np.inf
     shown, doubt = order_and_doubt(counts[:-1], np.maximum(changes, U), power, noise)
-    return min(order, shown), order, doubt if doubt < 0.5 else np.inf
+    return min(order, shown), order, _allowance(doubt)
 
 
 def gradient_of(invariant: Any, x: np.ndarray) -> np.ndarray:
