@@ -180,3 +180,16 @@ def test_large_matrices(monkeypatch):
         large.structure_matrix(W)
     with refused(ValueError, "x0"):
         co.MatrixAlgebra("so", 2000).read(np.zeros((2000, 2000)))
+
+
+def test_states_at_many_times_need_memory_for_each_entry(monkeypatch):
+    """Four copies of a state and a coadjoint element, whose entries grow with the square of the dimension."""
+    algebra, times = co.algebras.so(6), np.linspace(0.0, 1.0, 20_001)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(np.linspace(1.0, 2.0, 15)))
+    sol = co.integrate(system, np.linspace(0.1, 1.0, 15), (0.0, 1.0), 0.01, attitude="coadjoint")
+    numbers = 15 + 15**2 + 1 + len(sol.casimirs)
+    limited(monkeypatch, 4 * 8 * numbers * len(times) - 1)
+    with refused(ValueError, "states at 20001 times"):
+        sol.at(times)
+    limited(monkeypatch, 4 * 8 * numbers * len(times))
+    assert sol.at(times).attitude.shape == (20_001, 15, 15)

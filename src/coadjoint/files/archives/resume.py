@@ -280,7 +280,7 @@ def _continue_run(
     try:
         with as_archive_errors(store.path):
             run = PiecewiseRun(prepared, times, start, store.arrays["time"].chunk[0], stored)
-        sink = ArchiveSink(store, began)
+            sink = ArchiveSink(store, began)
         run.advance_into(sink, until, progress)
     except KeyboardInterrupt as interrupt:
         interrupt.partial = open_archive(store.path, prepared.system)  # type: ignore[attr-defined]

@@ -125,10 +125,10 @@ def state_at(solution: Solution, t: Any) -> StateAt:
             f"the times lie {sum(last)} steps after saved points, and at most {MAX_STEPS} steps are recomputed; "
             "integrate with t_eval, or with a smaller save_every"
         )
-    numbers = solution.x0.size * (1 if solution.attitude0 is None else 1 + len(solution.attitude0[-1]) ** 2)
-    check_available_memory(
-        COPIES * 8 * len(queries) * (numbers + len(solution.initial)), f"the states at {short(len(queries))} times"
-    )
+    saved_arrays = [solution.x0, *solution.initial.values()]
+    saved_arrays += [] if solution.attitude0 is None else [solution.attitude0]
+    bytes_of_state = sum(np.asarray(array).nbytes for array in saved_arrays)
+    check_available_memory(COPIES * len(queries) * bytes_of_state, f"the states at {short(len(queries))} times")
     order = np.lexsort((direction * queries, before))
     edges = np.searchsorted(before[order], [*pieces, pieces[-1] + 1])
     states = [
