@@ -19,8 +19,8 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 # A change may lower a maximum. One that raises it says in a comment beside the number what users gain for it.
 MAXIMA: dict[str, int] = {
     "Python files": 598,
-    "Python lines": 90762,
-    "longest file": 696,
+    "Python lines": 90759,
+    "longest file": 695,
     "classes": 584,  # solutions of each source have a class that computes their attributes; sinks of runs
     "isinstance": 943,
     "files in cycles, with imports inside functions and for types": 77,

@@ -16,7 +16,7 @@ from coadjoint.errors import unknown_name
 from coadjoint.kernels.tables.inputs import InputsNotLocated, InputTables
 from coadjoint.methods.protocol.automatic_choices import settled
 from coadjoint.methods.protocol.method import Method
-from coadjoint.runs.loops.groups import Group
+from coadjoint.runs.loops.groups import Group, individual_groups
 from coadjoint.runs.loops.loops import Loops, loops_of_system
 from coadjoint.runs.start import Representation
 from coadjoint.short_repr import short
@@ -288,4 +288,4 @@ class InputLoops:
             raise ValueError(
                 "the linear term is too large: a completed square overflows; give smaller inputs"
             ) from None
-        return self.base.with_groups([Group(np.array([m]), group.loop, *pair) for m, pair in enumerate(each)])
+        return self.base.with_groups(individual_groups((group.loop, *pair) for pair in each))

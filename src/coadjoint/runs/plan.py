@@ -12,7 +12,7 @@ from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.memory_estimate import check_run_memory
-from coadjoint.runs.results.memory_solution import MAX_STATE_NUMBERS, SHARED
+from coadjoint.runs.results.memory_solution import MAX_STATE_NUMBERS
 from coadjoint.runs.times import Times
 
 
@@ -57,8 +57,13 @@ class Plan:
         self.layout = loops.layout(members, times.points, square)
         check_run_memory(self.layout, times, members)
         self.rounds = loops.rounds(members, workers)
-        shared = watching, times.points, loops.names, loops.accounts, loops.corrected_groups, None, None, None
-        self.shared: dict[str, Any] = dict(zip(SHARED, shared, strict=True))
+        self.shared: dict[str, Any] = {
+            "watched": watching,
+            "_saved_points": times.points,
+            "_names": loops.names,
+            "_accounts": loops.accounts,
+            "_corrected_groups": loops.corrected_groups,
+        }
         special = loops.rows or loops.measured or loops.order is not None or loops.accounts or square
         small = self.layout.state.size <= MAX_STATE_NUMBERS
         self.is_short = small and workers == 1 and not special and len(self.rounds) == len(self.rounds[0]) == 1

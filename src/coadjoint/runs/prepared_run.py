@@ -607,9 +607,8 @@ class PreparedRun:
             times = times.with_saved_steps(moments.marks)
         plan = self._plan_of(times, start, values)
         if plan.is_short and not (progress or events or self.observe or moments is not None):
-            one_vector = start.single and self._vector_size is not None
-            given = (start.momenta[0], None) if one_vector else (start.momenta, start)
-            solution = solution_of_short_run(plan, given[0], time.perf_counter(), given[1])
+            given = None if start.single and self._vector_size is not None else start
+            solution = solution_of_short_run(plan, start.momenta.ravel(), time.perf_counter(), given)
             if solution is not None:
                 return solution
         run = Run(plan, start)

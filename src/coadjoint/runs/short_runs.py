@@ -16,8 +16,8 @@ from numpy import ndarray
 from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import as_c_double
-from coadjoint.kernels.loop import raise_outcome
 from coadjoint.kernels.tables.recording import SCHEDULE_BYTES, schedule_of
+from coadjoint.runs.loops.execution import advanced
 from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.memory_estimate import check_run_memory
 from coadjoint.runs.plan import Plan
@@ -74,7 +74,7 @@ class FinalStateRun:
         if self._clear is not None:
             self._clear(0.0)
         self._momentum[...] = x
-        if _advanced(self._loops, advance):
+        if advanced(self._loops, advance):
             # The full run fails too; it reports the step, and raises the exceptions of user functions.
             self._loops.raised()
             return None
@@ -118,29 +118,19 @@ class FinalStateRun:
         return partial(batch.whole_run(layout, self._schedule), ctypes.byref(as_c_double(self._numbers)))
 
 
-def _advanced(loops: Loops, advance: Callable[..., int], *arguments: Any) -> int:
-    """Take all steps; return the number of failed members. Exceptions of user functions take precedence over others."""
-    try:
-        failed_count = advance(*arguments)
-        return failed_count if failed_count >= 0 else raise_outcome(failed_count)
-    except BaseException as error:
-        raised = loops.raised()
-        raise error if raised is None else raised from None
-
-
 def solution_of_short_run(
     plan: Plan, momenta: NDArray[np.float64], began: float, start: Start | None = None
 ) -> Solution | None:
-    """Return the solution of a run whose plan `is_short`; without a start, that of one vector with these momenta.
+    """Return the solution of a run whose plan `is_short`, from momenta (members * n,); without a start, of one vector.
 
     It began at `began`. None: the momenta are not finite.
     """
     layout = plan.layout
     numbers = np.zeros(layout.size)
-    numbers[layout.momenta] = momenta if start is None else momenta.ravel()
+    numbers[layout.momenta] = momenta
     start_time = time.perf_counter()
     try:
-        failed_count = _advanced(plan.loops, plan.whole_run, ctypes.byref(as_c_double(numbers)))
+        failed_count = advanced(plan.loops, plan.whole_run, ctypes.byref(as_c_double(numbers)))
     except KeyboardInterrupt as stopped:
         _run_of(plan, start, momenta, numbers).describe_interrupt(stopped, None)
         raise

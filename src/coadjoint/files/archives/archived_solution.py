@@ -130,8 +130,8 @@ class ArchivedSolution(StoredSolution):
         what = f"{name} of the archive {self.path}"
         check_available_memory(16 * prod(array.shape), what, f"read a part of to_xarray()[{name!r}]")
         values = read_array(self.path, name, array, may_be_missing=self._may_be_missing(name))
-        if array.grows and self._check_last_point is not None:
-            self._check_last_point()
+        if array.grows and (check := self._check_last_point) is not None:
+            check()
         return values
 
     @property
@@ -163,8 +163,7 @@ class ArchivedMembers(ArchivedSolution):
 
     @cached_property
     def _worst(self) -> Floats:
-        latest, earlier = (self._state[name] for name in REPORTED_ARRAYS[:2])
-        worst = larger_deviations(earlier, latest)
+        worst = larger_deviations(self._state["earlier"], self._state[f"{STATE_PREFIX}worst"])
         return worst[0] if self.failed is None else worst
 
     @cached_property

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from coadjoint.kernels.arrays import Layout, NamedArrays
 from coadjoint.kernels.interface import codes, limit
-from coadjoint.kernels.loop import NEVER_STOPPED, MemberBatch, StopFlag
+from coadjoint.kernels.loop import NEVER_STOPPED, MemberBatch, StopFlag, raise_outcome
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.loops import Loops
 
@@ -56,24 +56,32 @@ def run_in_threads(
     `arguments` are those of `MemberBatch.advance` except the last. Exceptions of user functions in `loops` take
     precedence over others.
     """
-    try:
+
+    def advance_all() -> int:
         if workers == 1:
-            failed_count = 0
-            for member_batch in member_batches:
-                failed_count += member_batch.advance(*arguments, NEVER_STOPPED)
-        else:
-            stop = StopFlag()
-            failed_count = sum_in_threads(
-                lambda member_batch: member_batch.advance(*arguments, stop), member_batches, workers, stop
-            )
-    except BaseException as error:
-        raised = loops.raised()
-        if raised is not None:
-            raise raised from None
-        raise error
+            return sum(member_batch.advance(*arguments, NEVER_STOPPED) for member_batch in member_batches)
+        stop = StopFlag()
+        return sum_in_threads(
+            lambda member_batch: member_batch.advance(*arguments, stop), member_batches, workers, stop
+        )
+
+    failed_count = advanced(loops, advance_all)
     if failed_count and (raised := loops.raised()) is not None:
         raise raised
     return failed_count
+
+
+def advanced(loops: Loops, advance: Callable[..., int], *arguments: Any) -> int:
+    """Call a loop, or what calls loops; return the number of failed members, or raise what ended it.
+
+    Exceptions of user functions in the loops take precedence over others.
+    """
+    try:
+        failed_count = advance(*arguments)
+        return failed_count if failed_count >= 0 else raise_outcome(failed_count)
+    except BaseException as error:
+        raised = loops.raised()
+        raise error if raised is None else raised from None
 
 
 def sum_in_threads(

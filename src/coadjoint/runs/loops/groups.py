@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -103,13 +103,13 @@ def batches_of_groups(groups: Sequence[Group], members: int, workers: int, block
     return batches
 
 
-def individual_groups(compiled: Sequence[Any], watches: Sequence[Any]) -> list[Group]:
-    """Return a group for each member, from the compiled loops and the watches of all of them."""
+def individual_groups(members: Iterable[tuple[str, Any, Any]]) -> list[Group]:
+    """Return a group for each member, from its loop and the tables of the loop and of its watch."""
     from coadjoint.kernels.tables.structures import as_structure
 
     return [
-        Group(np.array([m]), loop.name, as_structure(loop.tables), as_structure(watch.tables))
-        for m, (loop, watch) in enumerate(zip(compiled, watches, strict=True))
+        Group(np.array([m]), loop, as_structure(tables), as_structure(watch))
+        for m, (loop, tables, watch) in enumerate(members)
     ]
 
 

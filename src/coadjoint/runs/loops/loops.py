@@ -168,9 +168,11 @@ class Loops:
         from coadjoint.kernels.tables.flow import FlowTables, at_step
         from coadjoint.kernels.tables.structures import as_structure
 
-        (loop, *others), (group, *_) = self.compiled, self.groups
-        tables = at_step(loop.tables, h) if isinstance(loop.tables, FlowTables) and not others else None
-        if tables is None or not self.shares_tables:
+        if not self.shares_tables:
+            return None
+        (loop,), (group,) = self.compiled, self.groups
+        tables = at_step(loop.tables, h) if isinstance(loop.tables, FlowTables) else None
+        if tables is None:
             return None
         return self._copy(
             compiled=[replace(loop, tables=tables)], groups=[group._replace(tables=as_structure(tables))], _base=None
@@ -312,7 +314,10 @@ def loops_of_members(systems: Sequence[System], compiled: Sequence[CompiledLoop]
     """Return loops that track the energy only, given for one system or for each member, in a batch of its own."""
     watches = [_watch_of(system, loop, {}) for system, loop in zip(systems, compiled, strict=True)]
     loops = Loops(systems[0].dim, ["energy"], compiled, watches)
-    return loops if len(systems) == 1 else loops.with_groups(individual_groups(compiled, watches))
+    if len(systems) == 1:
+        return loops
+    pairs = zip(compiled, watches, strict=True)
+    return loops.with_groups(individual_groups((loop.name, loop.tables, watch.tables) for loop, watch in pairs))
 
 
 def _watch_of(system: System, loop: CompiledLoop, tracked: Mapping[str, Any], compact: bool = False) -> CompiledTables:

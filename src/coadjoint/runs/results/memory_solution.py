@@ -30,24 +30,13 @@ Floats = NDArray[np.float64]
 REPORTED_ARRAYS = ("worst", "status", "evaluations", "iterations")
 # Numbers (8 MB) beyond which a state is large.
 MAX_STATE_NUMBERS = 2**20
-# Fields that are the same for all runs of a plan.
-SHARED = (
-    "watched",
-    "_saved_points",
-    "_names",
-    "_accounts",
-    "_corrected_groups",
-    "events",
-    "_ending",
-    "_initial_values",
-)
 
 
 class MemorySolution(Solution):
     """The solution of a run in memory; it does not keep the tables of the run alive.
 
-    Its fields are what all runs of a plan share (`SHARED`), the scheme, the system or a function that builds it, the
-    start, the arrays of the loops or one allocation of both, and the seconds in the loops and in the call.
+    Its fields are what all runs of a plan share (`Plan.shared`), the scheme, the system or a function that builds it,
+    the start, the arrays of the loops or one allocation of both, and the seconds in the loops and in the call.
     """
 
     _given_system: System | Batch | partial[System | Batch]
@@ -56,7 +45,9 @@ class MemorySolution(Solution):
     _seconds: float
     _elapsed: float
     _corrected_groups: GroupCorrection
-    _initial_values: Floats | None
+    _initial_values: Floats | None = None
+    _ending = None
+    events = None
     incomplete = None
     _layout: Layout
     _numbers: Floats
