@@ -43,14 +43,19 @@ INLINE void circular_series(const A& r, A& z, A& s, A& c) {
     c = fma(zz * zz, fma(zz, A(-1.13596475577881948265e-11), high), c);
 }
 
+// ROUND plus the integer nearest to x times a factor, also where rounding is up or down (boundary/rounding.cpp): there
+// the sum alone is off by one.
+template <class A>
+INLINE A nearest_multiple(const A& x, double factor) {
+    const A shifted = fma(x, A(factor), A(ROUND)), rest = fma(x, A(factor), A(ROUND) - shifted);
+    if (__builtin_expect(!any(absolute(rest) > A(HALF)), 1)) return shifted;
+    return shifted + select(rest > A(HALF), A(1.0), select(rest < A(-HALF), A(-1.0), A(0.0)));
+}
+
 // `near` marks lanes that need no reduction; they get the bits of the unreduced formula.
 template <class A>
 INLINE Rotation<A> reduced_rotation(const A& phi, const typename Numbers<A>::Mask& near) {
-    A shifted = fma(phi, A(TWO_OVER_PI), A(ROUND));
-    // Where rounding is up or down (boundary/rounding.cpp), the nearest integer is one less or more.
-    const A rest = fma(phi, A(TWO_OVER_PI), A(ROUND) - shifted);
-    if (__builtin_expect(any(absolute(rest) > A(HALF)), 0))
-        shifted = shifted + select(rest > A(HALF), A(1.0), select(rest < A(-HALF), A(-1.0), A(0.0)));
+    const A shifted = nearest_multiple(phi, TWO_OVER_PI);
     A q = shifted - ROUND;
     A large = fma(-q, A(P1), phi), small = -q * P2;
     A r = large + small;
@@ -152,7 +157,7 @@ struct Growth {
 // with a remainder below 2^-56 r.
 template <class A>
 INLINE Growth<A> growth_by(const A& x) {
-    const A shifted = fma(x, A(LOG2_E), A(ROUND));
+    const A shifted = nearest_multiple(x, LOG2_E);
     const A k = shifted - ROUND;
     const A r = fma(-k, A(LN2_REST), fma(-k, A(LN2), x));
     const A z = r * r, zz = z * z;

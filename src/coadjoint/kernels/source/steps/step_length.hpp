@@ -81,7 +81,7 @@ inline double whole_power_of_two(double whole) {
 
 // 2^a with a relative error below 4e-6, for a from -1000 to 1000.
 inline double near_power_of_two(double a) {
-    const double whole = (a + ROUND) - ROUND, r = (a - whole) * LN2;
+    const double whole = nearest_multiple(a, 1.0) - ROUND, r = (a - whole) * LN2;
     return (1.0 + r * (1.0 + r * (0.5 + r * (1.0 / 6.0 + r * (1.0 / 24.0 + r * (1.0 / 120.0)))))) *
            whole_power_of_two(whole);
 }
