@@ -125,6 +125,7 @@ def _at_roundoff(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]], 
     ``at_round_off`` in ``stages/stagnation.hpp`` is its counterpart for steps in C++.
     """
     component = np.arange(start.shape[1])
+    spacing = 0 if start.dtype == object else np.finfo(start.dtype).smallest_subnormal
     ends: list[NDArray[Any]] = []
     distance, correction = 0 * start, 0 * start
     for sample in range(SAMPLES + 1):
@@ -136,7 +137,7 @@ def _at_roundoff(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]], 
             else:
                 ends.append(points)
                 correction = np.abs(points - before)
-    return bool(np.all(correction <= SAMPLED * (distance + np.abs(start) * (2 * unit))))
+    return bool(np.all(correction <= SAMPLED * (distance + spacing + np.abs(start) * (2 * unit))))
 
 
 @suggest_keywords

@@ -23,6 +23,7 @@ constexpr double SPREAD_NOISE = 0x1p-16;  // of NOISE: 32 roundings of the large
 constexpr int64_t SAMPLES = 8;         // points that differ by roundings, of which few can end alike by chance
 constexpr int64_t SAMPLE_LENGTH = 3;   // iterations from these: round-off spreads from one component to the others
 constexpr double ROUNDING = 0x1p-52;
+constexpr double SPACING_OF_SUBNORMALS = 0x1p-1074;  // their rounding, however small they are
 constexpr double ROUGHEST = 0x1p-8;    // of the size of the stages: larger corrections are not tested for round-off
 constexpr double SAMPLED = 32.0;       // corrections at most so many times their distances are round-off
 constexpr double TRUSTED = 12.0;      // at most so many untested iterations, so that the first test can compare
@@ -247,8 +248,10 @@ NOINLINE bool at_round_off(Unknowns<Layout>& y, const Evaluate& evaluate) {
     std::copy_n(start.at, count, y.points.at);
     evaluate();
     auto round_off = A(0.0) <= A(0.0);
-    for (int64_t k = 0; k < count; ++k)
-        round_off = round_off & (correction.at[k] <= A(SAMPLED) * fma(A(ROUNDING), absolute(start.at[k]), distance.at[k]));
+    for (int64_t k = 0; k < count; ++k) {
+        const A apart = distance.at[k] + A(SPACING_OF_SUBNORMALS);
+        round_off = round_off & (correction.at[k] <= A(SAMPLED) * fma(A(ROUNDING), absolute(start.at[k]), apart));
+    }
     return Layout::every(round_off);
 }
 
