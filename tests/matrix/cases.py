@@ -200,7 +200,10 @@ def case_of(method: str, system: str, options: Options, seed: int) -> tuple[Case
         f"{IMPORTS}{lines}sol = co.integrate(system, x0, span, h, method, **options)\n",
     )
     try:
-        return case, execute(case.lines)
+        space = execute(case.lines)
+        if options["events"] == "terminal":
+            execute("run(events=None)\n", space)  # checks compare with it: the motion must not end after the event
+        return case, space
     except REFUSALS as refusal:
         raise Refused(case) from refusal
 

@@ -57,9 +57,9 @@ def order_and_doubt(counts: Any, errors: Any, power: int, noise: float) -> tuple
 def convergence(system: Any, method: Any, states: np.ndarray, span: Any, order: int, power: int) -> tuple:
     """Return the order that errors against SciPy show, at most the declared one, that one, and the allowance.
 
-    Errors below 1e-10 are small at once, and too small for a slope: the reference has errors of 1e-12. An allowance of
-    half an order or more could not tell two orders apart; then, and if errors are small, it is infinite. It is at least
-    a quarter: orders are whole numbers, and the doubt is that of the term after the first one alone.
+    Errors below 1e-10 are small at once, and too small for a slope: the reference has errors of 1e-12. The allowance is
+    a quarter, since orders are whole numbers. It is infinite if errors are small, or if the doubt, which is that of the
+    term after the first one alone, is not below a quarter.
     """
     exact, size = exact_end(system, states, *span), float(np.linalg.norm(states))
     finest, ratio = (256, 2.0) if order <= 2 else (96, 2**0.5) if order < 7 else (48, 2**0.25)
@@ -80,7 +80,7 @@ def convergence(system: Any, method: Any, states: np.ndarray, span: Any, order: 
 
 
 def _allowance(doubt: float) -> float:
-    return max(doubt, 0.25) if doubt < 0.5 else np.inf
+    return 0.25 if doubt < 0.25 else np.inf
 
 
 def convergence_of_attitude(

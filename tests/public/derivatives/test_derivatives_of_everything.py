@@ -400,6 +400,14 @@ def test_differences_by_an_entry_far_below_the_others_do_not_show_rounding():
     assert np.abs(found[1] - found[0]).max() <= DIFFERENCE_ERROR
 
 
+@pytest.mark.parametrize(
+    "x0", [(-0.883, 0.828, 0.683, 0.774, 0.536, -0.629), (0.781, -0.81, -0.715, -0.819, 0.426, 0.691)], ids=str
+)
+def test_differences_by_entries_that_change_the_parts_are_those_of_the_parts_here(x0):
+    """The parts of this splitting are ordered anew where a moment changes by some 0.01."""
+    assert_derivatives(named("manakov_top"), co.Projected(co.Splitting()), np.array(x0), (0.0, H), H)
+
+
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2)], ids=str)
 def test_derivatives_of_one_step(method):
     """By its state and by its inputs."""

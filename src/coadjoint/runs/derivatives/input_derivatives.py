@@ -128,4 +128,4 @@ def changed_inputs(inputs: Inputs, system: Any, values: Floats, h: float) -> Ite
             other[index] += by
             return inputs.system_at(other, system)
 
-        yield NearbySystems.by(distance, moved)
+        yield NearbySystems(distance, moved)
