@@ -19,13 +19,13 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 # A change may lower a maximum. One that raises it says in a comment beside the number what users gain for it.
 MAXIMA: dict[str, int] = {
     "Python files": 598,
-    "Python lines": 90759,
+    "Python lines": 90749,
     "longest file": 695,
     "classes": 584,  # solutions of each source have a class that computes their attributes; sinks of runs
     "isinstance": 943,
     "files in cycles, with imports inside functions and for types": 77,
     "modules behind integrate": 175,
-    "C++ lines": 19171,
+    "C++ lines": 19181,  # the nearest integer in every direction of rounding, and stages among subnormal numbers
     "test lines": 62000,
     "test files that import internals": 75,
     "public names": 328,

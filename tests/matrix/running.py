@@ -40,17 +40,8 @@ def check_refusal(refused: Refused, method: str, system: str) -> None:
     """Check that a refusal is one line that names the scheme, the system, a force or an option."""
     text = str(refused.__cause__)
     names = [method.replace("(", ".").split(".")[1], system.replace("(", ".").split(".")[2], *co.forces.names()]
-    names += [
-        "attitude",
-        "group element",
-        "representation",
-        "inputs",
-        "t_eval",
-        "batch",
-        "event",
-        "own force",
-        "Lie algebra",
-    ]
+    names += ["attitude", "group element", "representation", "inputs", "t_eval", "batch", "event", "own force"]
+    names.append("Lie algebra")
     if "\n" in text or not any(name in text for name in names):
         raise Disagreement(f"refused without a name: {text!r}\n\n{refused.args[0].lines}") from refused.__cause__
 

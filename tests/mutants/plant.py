@@ -49,6 +49,7 @@ KERNEL_TESTS = (
 )
 CHUNKS = (20, 200, 2000)
 """Numbers of tests of one process: most defects are noticed by the first ones."""
+DIED = "pytest did not end"
 NOTICED, SURVIVED, UNCOVERED, INVALID = "noticed", "SURVIVED", "NOT COVERED", "invalid"
 
 
@@ -177,7 +178,7 @@ class Copy:
             for line in output.splitlines()
             if line[:6] in ("FAILED", "ERROR ")
         ]
-        return names[:1] or [output.strip()[-200:]], True
+        return names[:1] or [DIED], True
 
     def noticed(self, tests: Sequence[str], seconds: float, passes_without: Callable[[Sequence[str]], bool]) -> str:
         """Return the test that notices the planted defect, or an empty string."""
@@ -189,7 +190,7 @@ class Copy:
                 return "no end" if len(remaining) == len(tests) else ""
             if not failed:
                 remaining = remaining[size:]
-            elif passes_without(failed):
+            elif failed == [DIED] or passes_without(failed):
                 return failed[0]
             else:
                 self.unreliable.update(failed)

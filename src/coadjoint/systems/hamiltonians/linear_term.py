@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from functools import cache, cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -72,19 +71,12 @@ def with_linear(system: SystemT, linear: Floats) -> SystemT:
 def with_hamiltonian(system: SystemT, hamiltonian: HamiltonianLike) -> SystemT:
     """Return the system with another bound Hamiltonian; closed form, integrals and parameters are dropped."""
     changed = copy.copy(system)
-    for name in _cached_names(type(system)):
-        vars(changed).pop(name, None)
+    vars(changed).pop("_products_of_field", None)
     fields: dict[str, Any] = {"hamiltonian": hamiltonian, "_exact": None, "_parameters": None, "_integrals": {}}
     for name, value in fields.items():
         if hasattr(system, name):
             object.__setattr__(changed, name, value)
     return changed
-
-
-@cache
-def _cached_names(cls: type) -> list[str]:
-    """Return the names of what a class computes once, which may depend on the Hamiltonian."""
-    return [name for name in dir(cls) if isinstance(getattr(cls, name), cached_property)]
 
 
 def with_placeholders(system: SystemT, coordinates: Sequence[int]) -> SystemT:
