@@ -15,14 +15,8 @@ TOKEN = re.compile(
 )
 # Written with blanks around them: those of templates, pointers and references are not.
 SPACED = {
-    "+": ("sign", "-"),
-    "-": ("sign", "+"),
-    "+=": ("sign", "-="),
-    "-=": ("sign", "+="),
-    "<": ("comparison", "<="),
-    "<=": ("comparison", "<"),
-    ">": ("comparison", ">="),
-    ">=": ("comparison", ">"),
+    **{one: ("sign", other) for one, other in ("+-", "-+", ("+=", "-="), ("-=", "+="))},
+    **{one: ("comparison", one.removesuffix("=") if "=" in one else f"{one}=") for one in ("<", "<=", ">", ">=")},
     "==": ("comparison", "!="),
     "!=": ("comparison", "=="),
     "&&": ("condition", "||"),

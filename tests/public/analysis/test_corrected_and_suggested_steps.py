@@ -43,6 +43,15 @@ def test_the_energy_of_the_output_wanders_less(name):
     assert corrected < (2.0 * better.remaining + 0.05) * plain
 
 
+def test_a_corrector_that_moves_states_far_is_undone_by_its_inverse():
+    """By four times their size: an iteration of one step would end in another solution of its equations."""
+    M = [[0.64, 0.3, 0.16, 0.02, -0.14], [0.3, 0.18, -0.42, -0.11, -0.23], [0.16, -0.42, -0.04, 0.47, 0.31]]
+    M = co.Quadratic(np.array([*M, [0.02, -0.11, 0.47, 1.18, -0.44], [-0.14, -0.23, 0.31, -0.44, 1.64]]))
+    system, x0 = co.LiePoissonSystem(co.algebras.get("A5_30", a=0.5), M, sign=-1), [0.702, -0.672, 0.709, -0.71, -0.881]
+    better = co.make_corrector(system, co.Splitting(order=1, adjoint=True), x0)
+    assert np.abs(better(better.inverse(x0, -0.125), -0.125) - x0).max() < 1e-13
+
+
 @pytest.mark.parametrize(("order", "expected"), [(2, 4), (4, 6)])
 def test_where_the_term_can_be_undone_the_order_is_two_higher(order, expected):
     """Of a spin in a field all brackets are linear, and what is left is along the field."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import combinations_with_replacement
-from math import comb
+from math import ceil, comb
 from typing import Any, cast
 
 import numpy as np
@@ -37,6 +37,9 @@ POINTS_PER_MONOMIAL = 4  # points of the motion for each monomial that is fitted
 # this multiple of the motion of the error term over one radian.
 MAX_DISPLACEMENT = 4.0
 CUTOFFS = tuple(10.0**-k for k in range(10, 0, -1))
+# A step of the corrector's flow moves states by at most this part of their size, so that its iteration finds the way
+# back; the displacement of a useful corrector takes few such steps.
+LARGEST_MOVE, MOST_STEPS = 0.5, 1024
 
 
 class Corrector:
@@ -69,8 +72,11 @@ class Corrector:
     True
     """
 
-    def __init__(self, system: LiePoissonSystem, generator: Polynomial, order: int, remaining: float) -> None:
+    def __init__(
+        self, system: LiePoissonSystem, generator: Polynomial, order: int, remaining: float, speed: float = 0.0
+    ) -> None:
         self.generator, self.order, self.remaining = in_coordinates_of(system, generator), order, remaining
+        self._speed = speed  # of the flow, relative to the size of states
         self._flow = LiePoissonSystem(
             system.algebra, generator, sign=system.sign, name=f"the corrector of {system.name}"
         )
@@ -109,7 +115,8 @@ class Corrector:
             return states
         rows = states.reshape(-1, n)
         # One step of order four over h^p has an error far below the next term, h^(p + 2).
-        run = integrate(self._flow, rows, (0.0, duration), abs(duration), reference_scheme(4), watch=False)
+        steps = min(max(1, ceil(abs(duration) * self._speed / LARGEST_MOVE)), MOST_STEPS)
+        run = integrate(self._flow, rows, (0.0, duration), abs(duration) / steps, reference_scheme(4), watch=False)
         return np.asarray(run.x[-1]).reshape(states.shape)
 
 
@@ -177,10 +184,11 @@ def make_corrector(system: LiePoissonSystem, method: Method | str | Mapping[str,
         factors = -system.sign * (V[used].T @ ((U[:, used].T @ target) / singular[used]))
         coefficients = {next(iter(F.monomials)): float(c) for F, c in zip(basis, factors, strict=True)}
         generator = Polynomial(coefficients, dim=system.dim)
-        if _largest_speed(system, generator, points) <= bound:
+        speed = _largest_speed(system, generator, points)
+        if speed <= bound:
             break
     remaining = float(np.max(np.abs(target + system.sign * (columns @ factors)))) / size
-    return Corrector(system, generator, scheme.order, remaining)
+    return Corrector(system, generator, scheme.order, remaining, speed / np.linalg.norm(points, axis=1).max())
 
 
 def _largest_speed(system: LiePoissonSystem, function: Polynomial, points: Floats) -> float:
