@@ -20,7 +20,7 @@ METHODS = [
     co.GaussLegendre(2),
     co.ModifiedGaussLegendre(2, freeze="gradient"),
     co.RadauEnergy(2),
-    co.Taylor(6),
+    *map(co.Taylor, (2, 6)),
     co.Taylor(tolerance=1e-9),
     co.ReversibleSteps(co.GaussLegendre(2)),
 ]

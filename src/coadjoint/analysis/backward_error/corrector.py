@@ -72,11 +72,10 @@ class Corrector:
     True
     """
 
-    def __init__(
-        self, system: LiePoissonSystem, generator: Polynomial, order: int, remaining: float, speed: float = 0.0
-    ) -> None:
+    _speed = 0.0  # of the flow, relative to the size of states
+
+    def __init__(self, system: LiePoissonSystem, generator: Polynomial, order: int, remaining: float) -> None:
         self.generator, self.order, self.remaining = in_coordinates_of(system, generator), order, remaining
-        self._speed = speed  # of the flow, relative to the size of states
         self._flow = LiePoissonSystem(
             system.algebra, generator, sign=system.sign, name=f"the corrector of {system.name}"
         )
@@ -188,7 +187,9 @@ def make_corrector(system: LiePoissonSystem, method: Method | str | Mapping[str,
         if speed <= bound:
             break
     remaining = float(np.max(np.abs(target + system.sign * (columns @ factors)))) / size
-    return Corrector(system, generator, scheme.order, remaining, speed / np.linalg.norm(points, axis=1).max())
+    corrector = Corrector(system, generator, scheme.order, remaining)
+    corrector._speed = speed / float(np.linalg.norm(points, axis=1).max())
+    return corrector
 
 
 def _largest_speed(system: LiePoissonSystem, function: Polynomial, points: Floats) -> float:
