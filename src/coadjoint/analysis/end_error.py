@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.own_steps import FinerRun, OwnSteps
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.preparation import Preparation
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.rounded_runs import advance_in_turns
 from coadjoint.runs.run import Run
@@ -124,7 +124,7 @@ def _distances(
     points = max(2, min(MAX_SAVED_POINTS, MAX_SAVED_NUMBERS // starts.shape[1]))
     every = -(-finer.steps // points)
     plan = Times(solution.t_span[0], time / finer.steps, finer.steps, every)
-    prepared = PreparedRun(solution.system, finer.method, abs(plan.h), watch=False)
+    prepared = Preparation(solution.system, finer.method, abs(plan.h), watch=False)
     size = max(1, MAX_SAVED_NUMBERS // (points * starts.shape[1]))
     size = len(starts) if is_batch(solution.system) else size
     if advance is not Run.advance:

@@ -22,7 +22,7 @@ from coadjoint.runs.state import State
 from coadjoint.runs.times import Times
 
 if TYPE_CHECKING:
-    from coadjoint.runs.prepared_run import PreparedRun
+    from coadjoint.runs.preparation import Preparation
 
 STATE_PREFIX = "state."
 """Prefix of the arrays of a `State` among those that are stored."""
@@ -55,7 +55,7 @@ class PiecewiseRun:
 
     def __init__(
         self,
-        prepared: PreparedRun,
+        prepared: Preparation,
         times: Times,
         start: Start,
         max_points: int,

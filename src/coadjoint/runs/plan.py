@@ -7,13 +7,19 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from coadjoint import memory
+from coadjoint.kernels.arrays import Layout
 from coadjoint.kernels.loop import MemberBatch
 from coadjoint.kernels.tables.recording import schedule_of
+from coadjoint.memory import UNCHECKED_BYTES, format_bytes
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.loops import Loops
-from coadjoint.runs.memory_estimate import check_run_memory
 from coadjoint.runs.results.memory_solution import MAX_STATE_NUMBERS
 from coadjoint.runs.times import Times
+from coadjoint.short_repr import short
+
+BYTES_PER_NUMBER = 8  # of float64
+BYTES_PER_POINT = 24  # time, number and observed quantities
 
 
 class Plan:
@@ -129,3 +135,28 @@ class Plan:
         plan.__dict__ = self.__dict__.copy()
         plan._whole_run = None
         return plan
+
+
+def bytes_of_run(layout: Layout, times: Times) -> int:
+    """Estimate the memory of a run's arrays, in bytes."""
+    return BYTES_PER_NUMBER * (layout.saved.size + layout.state.size) + BYTES_PER_POINT * times.points
+
+
+def check_run_memory(layout: Layout, times: Times, members: int) -> None:
+    """Raise ValueError if a run's arrays exceed the free memory; suggest a `save_every` that fits, if any."""
+    required = bytes_of_run(layout, times)
+    if required <= UNCHECKED_BYTES:
+        return
+    free = memory.available()
+    if required <= free:
+        return
+    bytes_per_point = BYTES_PER_NUMBER * (layout.saved.size // times.points) + BYTES_PER_POINT
+    points = (free - (required - bytes_per_point * times.points)) // bytes_per_point
+    # The start and the end are always saved.
+    every = -(-times.steps // (points - 1)) if points >= 2 else 0
+    reduction = f"give save_every={every} or more" if times.marks is None else "give fewer times in t_eval"
+    advice = reduction if every else "run fewer members at a time"
+    raise ValueError(
+        f"{short(times.points)} saved points of {members} member{'s' if members > 1 else ''} need about "
+        f"{format_bytes(required)}; this machine has {format_bytes(free)} free; {advice}"
+    )

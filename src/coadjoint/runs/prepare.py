@@ -139,5 +139,5 @@ def prepare(
         system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads, inputs=inputs
     )
     prepared.loops(prepared.step).build_all()
-    prepared.checks_step = True
+    prepared.cache.checks_step = True
     return prepared

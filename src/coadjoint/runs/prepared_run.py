@@ -3,86 +3,38 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Mapping
-from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.blas_threads import concurrent_members, matrix_rows
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.memory import UNCHECKED_BYTES
-from coadjoint.methods.forced import effective_scheme
-from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.registry import read_method
-from coadjoint.methods.suggested_scheme import default_scheme
-from coadjoint.runs.crossings.crossings import WatchedEvents
 from coadjoint.runs.crossings.event_run import EventRun
 from coadjoint.runs.events import Event, read_events
-from coadjoint.runs.inputs import InputLoops, Inputs
-from coadjoint.runs.loops.loops import Loops, loops_of_batch, loops_of_system
-from coadjoint.runs.memory_estimate import bytes_of_run
-from coadjoint.runs.output_times import OutputTimes, check_partial_steps, output_times_of, resample
-from coadjoint.runs.partial_steps import PartialSteps, noises_of
-from coadjoint.runs.plan import Plan
-from coadjoint.runs.results.observables import Observed, check_observe
+from coadjoint.runs.output_times import OutputTimes, check_partial_steps, resample
+from coadjoint.runs.partial_steps import PartialSteps
+from coadjoint.runs.preparation import ONE_VECTOR, Preparation
 from coadjoint.runs.results.solution import Solution, set_elapsed
 from coadjoint.runs.run import Run, read_progress
 from coadjoint.runs.short_runs import ENDS_ONLY, FinalStateRun, solution_of_short_run
 from coadjoint.runs.start import (
-    Representation,
     Start,
-    momenta_of,
-    no_groups,
-    read_attitude,
-    representations_of,
-    vector_size,
-    vectors_of,
-    with_group,
 )
-from coadjoint.runs.state import State
-from coadjoint.runs.times import RecentTimes, Times, read_step
-from coadjoint.short_repr import short
+from coadjoint.runs.times import Times
 from coadjoint.shortcuts import shortcut
-from coadjoint.systems.batch import Batch, selected
-from coadjoint.systems.forced import ForcedSystem
-from coadjoint.systems.protocol import among, is_batch, member_of, unforced_matrix_system
-from coadjoint.systems.system_checks import System, check_system
-from coadjoint.validation import FLOAT64, read_bool, read_integer
+from coadjoint.systems.protocol import among, is_batch, member_of
+from coadjoint.systems.system_checks import System
+from coadjoint.validation import FLOAT64
 
 if TYPE_CHECKING:
     from coadjoint.runs.derivatives.backward import Pullback
-    from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun
     from coadjoint.runs.derivatives.members import PullbackOfMembers
     from coadjoint.runs.derivatives.results import Tangents
 
-ONE_VECTOR = 1, 0, 0  # shape of the group elements of a run of one vector without any
-MAX_THREADS_INSIDE = 1024  # most threads that share one member
 
-
-class _Cache:
-    """Loops by their steps, and what the last calls have compiled; a copy of a prepared run begins with an empty one.
-
-    Threads share it; what is built holds its lock. A call removes an entry of `ends` while it runs, so that concurrent
-    calls never share one.
-    """
-
-    def __init__(self, step: float, loops: dict[float, Loops | InputLoops] | None = None) -> None:
-        self.lock = threading.RLock()
-        self.loops: dict[float, Loops | InputLoops] = {} if loops is None else loops
-        self.times = RecentTimes(step)
-        self.plan: Plan | None = None
-        self.ends: list[FinalStateRun] = []
-        self.observed: Observed | None = None
-        self.events: WatchedEvents | None = None
-        self.derivatives: DifferentiableRun | None = None
-        self.of_members: dict[int, PreparedRun] = {}
-
-
-class PreparedRun:
+class PreparedRun(Preparation):
     """A system, a scheme and a step with everything that does not depend on the initial state; see `prepare`.
 
     It is immutable. Several threads may run it concurrently, since each run has its own arrays.
@@ -95,130 +47,6 @@ class PreparedRun:
 
     most_evaluations: float = math.inf
     """Runs with more evaluations are passed from `end` to `run`."""
-
-    checks_step: bool = False
-    """Whether the next run warns of a step that is too large; copies do not."""
-
-    def __init__(
-        self,
-        system: System | ForcedSystem | Batch,
-        method: Method | str | Mapping[str, Any] | None,
-        step: float,
-        *,
-        attitude: Any = False,
-        watch: bool = True,
-        observe: Mapping[str, Any] | None = None,
-        threads: int | None = None,
-        inputs: Any = None,
-    ) -> None:
-        scheme = default_scheme(system) if method is None else read_method(method)
-        watching = read_bool(watch, "watch")
-        workers = None if threads is None else read_integer(threads, "threads (None is all cores)", floats=True)
-        check_system(system)
-        self._inputs = None if inputs is None or inputs is False else Inputs(system, inputs)
-        if self._inputs is not None:
-            scheme = self._inputs.settled(scheme)
-        self.system: Any = system
-        self.method, self.step = scheme, read_step(step)
-        self._scheme = effective_scheme(system, scheme)
-        # Loops do not track invariants of matrices.
-        self._watching = watching and unforced_matrix_system(system) is None
-        self._representations = representations_of(cast(Any, system), self._scheme, attitude)
-        self._attitude = read_attitude(attitude)
-        self.observe = check_observe({} if observe is None else observe)
-        self._threads = workers or concurrent_members(matrix_rows(system))
-        self.cache = _Cache(self.step)
-        self._vector_size = vector_size(self.system)
-        one_vector = self._inputs is None and not self.observe and self._representations[0] is None
-        self._plain_shape = (self._vector_size,) if one_vector and self._vector_size is not None else None
-
-    def __repr__(self) -> str:
-        return f"<prepared run of {self.system!r} by {self.method}, step {self.step:g}>"
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return everything prepared, so that another process need not derive it again.
-
-        Loops that contain another loop, as those with forces do, are rebuilt in the receiving process.
-        """
-        loops = {h: loops for h, loops in self.cache.loops.items() if getattr(loops, "is_picklable", False)}
-        fields = {name: value for name, value in vars(self).items() if name not in ("cache", "checks_step")}
-        return {**fields, "loops": loops}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        loops = state.pop("loops")
-        self.__dict__.update(state, cache=_Cache(state["step"], loops))
-
-    def among(self, first: int, last: int, threads: int | None = None) -> PreparedRun:
-        """Return the run of the members `first` to `last` - 1 alone; each is bitwise equal to the member in the whole
-        run.
-
-        The tables of a batch are reused. Members with noise keep the noise of their original numbers.
-
-        Parameters
-        ----------
-        first, last : int
-            Range of members of an ensemble.
-        threads : int, optional
-            Number of threads for these members; None keeps that of the whole run.
-
-        Returns
-        -------
-        PreparedRun
-        """
-        return self._selected(among(self.system, first, last), np.arange(first, last), threads)
-
-    def sampled(self, members: NDArray[np.int64]) -> PreparedRun:
-        """Return the run of these members of a batch, from the tables already built; their noise differs."""
-        return self._selected(selected(cast(Batch, self.system), members), members)
-
-    def _selected(self, part: Any, members: NDArray[np.int64], threads: int | None = None) -> PreparedRun:
-        system, loops = self.system, self.cache.loops
-        # Tables hold the number of the noise, which a member keeps.
-        unchanged = part is system
-        fields: dict[str, Any] = {"system": part, "_threads": threads or self._threads}
-        if is_batch(system):
-            unchanged = {id(one) for one in part.distinct} <= {id(one) for one in system.distinct}
-            fields["_representations"] = tuple(self._representations[m] for m in members.tolist())
-            loops = {h: cast(Loops, loop).selected(members) for h, loop in loops.items()} if unchanged else {}
-        if isinstance(self._attitude, np.ndarray) and self._attitude.ndim > 2:
-            fields["_attitude"] = self._attitude[members]
-        return self._copy(loops if unchanged else {}, **fields)
-
-    def _copy(self, loops: dict[float, Loops | InputLoops], **fields: Any) -> PreparedRun:
-        copied: PreparedRun = object.__new__(PreparedRun)
-        copied.__dict__.update(vars(self), **fields, checks_step=False, cache=_Cache(self.step, loops))
-        return copied
-
-    def of_system(self, system: System) -> PreparedRun:
-        """Return the run of another system, prepared in the same way; inputs are dropped."""
-        options: dict[str, Any] = {"attitude": self._attitude, "watch": self._watching, "observe": self.observe}
-        return PreparedRun(system, self.method, self.step, threads=self._threads, **options)
-
-    def in_one_thread(self) -> PreparedRun:
-        """Return a copy that uses one thread, and whose further loops are its own."""
-        return self._copy(dict(self.cache.loops), _threads=1)
-
-    def at_fixed_steps(self, scheme: Method) -> PreparedRun:
-        """Return the same run by another scheme; this run itself if it is its own."""
-        if scheme is self._scheme:
-            return self
-        options: dict[str, Any] = {"attitude": self._attitude, "watch": False, "threads": 1}
-        return PreparedRun(self.system, scheme, self.step, **options)
-
-    def of_member(self, member: int) -> PreparedRun:
-        """Return the run of one member alone; of a system that members share this run itself."""
-        if not is_batch(self.system):
-            return self
-        known = self.cache.of_members
-        if member not in known:
-            attitude = self._attitude
-            if isinstance(attitude, np.ndarray) and attitude.ndim > 2:
-                attitude = attitude[member]
-            options: dict[str, Any] = {"attitude": attitude, "watch": self._watching, "observe": self.observe}
-            known[member] = PreparedRun(
-                member_of(among(self.system, member, member + 1)), self.method, self.step, threads=1, **options
-            )
-        return known[member]
 
     @suggest_keywords
     def run(
@@ -284,7 +112,7 @@ class PreparedRun:
                     plan = cache.plan = plan.at_times(times) or plan
                 solution = solution_of_short_run(plan, x0.copy(), began) if plan.times is times else None
                 if solution is not None:
-                    if self.checks_step:
+                    if self.cache.checks_step:
                         self._check_step(solution)
                     return solution
         progress = progress is not False and read_progress(progress)
@@ -293,7 +121,7 @@ class PreparedRun:
         event_list = () if events is None else read_events(events)
         solution = self.follow(times, self.start(x0, attitude, values), progress, values, event_list, moments)
         set_elapsed(solution, time.perf_counter() - began)
-        if self.checks_step:
+        if self.cache.checks_step:
             self._check_step(solution)
         return solution
 
@@ -301,21 +129,8 @@ class PreparedRun:
         """Warn if the step is too large for this run; loops of half a step are those of a copy, and not kept."""
         from coadjoint.runs.step_error import warn_of_large_step
 
-        self.checks_step = False
+        self.cache.checks_step = False
         warn_of_large_step(solution, self.in_one_thread())
-
-    def times_of(self, t_span: Any, save_every: Any = 1, t_eval: Any = None) -> tuple[Times, OutputTimes | None]:
-        """Validate span, `save_every` and `t_eval`; return the steps of a run, and the output times or None."""
-        times = self.cache.times.of(t_span, save_every)
-        if t_eval is None:
-            return times, None
-        moments = output_times_of(t_eval, times, save_every, whole_steps=bool(noises_of(self.system)))
-        if self.method.own_steps:
-            # Saved points do not alter adaptive steps; save as often as states are wanted, so that partial steps are
-            # short.
-            times = times.refined_times(len(moments.t))
-            moments = output_times_of(t_eval, times)
-        return times, moments
 
     @property
     def parameters(self) -> Mapping[str, NDArray[np.float64]]:
@@ -338,16 +153,6 @@ class PreparedRun:
 
     def check_differentiable(self) -> None:
         """Raise TypeError if runs have no derivatives."""
-
-    @property
-    def scheme(self) -> Method:
-        """The scheme that runs: the prepared one, around which the forces of the system are arranged."""
-        return self._scheme
-
-    @property
-    def representation(self) -> Representation:
-        """Matrices of the group element, (n, d, d), "coadjoint", or None; for a batch those of its first member."""
-        return self._representations[0]
 
     @suggest_keywords
     def jvp(
@@ -533,61 +338,22 @@ class PreparedRun:
         self.cache.ends.append(final_run)
         return self.run(x0, t_span, ENDS_ONLY).x[-1] if state is None else state
 
-    @property
-    def inputs(self) -> Inputs | None:
-        """The prepared inputs."""
-        return self._inputs
+    def of_system(self, system: System, member: int | None = None, threads: int | None = None) -> PreparedRun:
+        """Return the run of another system, or of the system of a member, prepared in the same way without inputs."""
+        attitude = self._attitude
+        if member is not None and isinstance(attitude, np.ndarray) and attitude.ndim > 2:
+            attitude = attitude[member]
+        options: dict[str, Any] = {"attitude": attitude, "watch": self._watching, "observe": self.observe}
+        return PreparedRun(system, self.method, self.step, threads=threads or self._threads, **options)
 
-    @property
-    def takes_inputs(self) -> bool:
-        """Whether runs take inputs."""
-        return self._inputs is not None
-
-    @property
-    def initial_attitude(self) -> Any:
-        """The prepared initial group element, an array, or the argument `attitude` of `prepare`."""
-        return self._attitude
-
-    @property
-    def carries(self) -> bool:
-        """Whether the group element is computed."""
-        return self._representations[0] is not None
-
-    def values_of(self, inputs: Mapping[str, Any]) -> NDArray[np.float64] | None:
-        """Validate the inputs of a run and return their values, (m,) or (members, m); None if none were prepared."""
-        if self._inputs is not None:
-            return self._inputs.read(inputs)
-        if inputs:
-            raise TypeError(
-                f"the run was given {next(iter(inputs))!r}, and it was prepared without inputs; give `prepare` the "
-                "coefficients or torques that may change, such as inputs=True"
-            )
-        return None
-
-    def system_at(self, values: NDArray[np.float64] | None) -> Any:
-        """Return the system of a run with the values from `values_of`."""
-        return self.system if values is None or self._inputs is None else self._inputs.system_of(values)
-
-    def start(self, x0: Any, attitude: Any = None, values: NDArray[np.float64] | None = None) -> Start:
-        """Validate x0 and attitude, as in `run`, with the values of `values_of`; return a start for `follow`."""
-        representation = self._representations[0]
-        if attitude is not None and (representation is None or isinstance(attitude, bool | str)):
-            raise ValueError(
-                "attitude of a run is an initial group element, an array; the representation must be given "
-                f"to `prepare`, as attitude=True or 'coadjoint' (here {short(self._attitude)})"
-            )
-        momenta, single = (
-            momenta_of(self.system, x0) if self._vector_size is None else vectors_of(x0, self._vector_size)
-        )
-        if values is not None and values.ndim > 1:
-            if single:
-                momenta, single = np.tile(momenta, (len(values), 1)), False
-            elif len(momenta) != len(values):
-                raise ValueError(f"x0 has {len(momenta)} members and the inputs have values for {len(values)}")
-        if representation is None:
-            return Start(momenta, no_groups(len(momenta)), None, single, self.system)
-        initial = self._attitude if attitude is None else attitude
-        return with_group(self.system, momenta, single, representation, initial)
+    def of_member(self, member: int) -> PreparedRun:
+        """Return the run of one member alone; of a system that members share this run itself."""
+        if not is_batch(self.system):
+            return self
+        known = self.cache.of_members
+        if member not in known:
+            known[member] = self.of_system(member_of(among(self.system, member, member + 1)), member, threads=1)
+        return cast(PreparedRun, known[member])
 
     def follow(
         self,
@@ -625,71 +391,3 @@ class PreparedRun:
         if moments is not None:
             resample(run, moments)
         return run.solution(observed)
-
-    def begun(
-        self, times: Times, start: Start, values: NDArray[np.float64] | None = None, state: State | None = None
-    ) -> Run:
-        """Return the run of `follow` before its first step, or resumed at a state."""
-        return Run(self._plan_of(times, start, values), start, state)
-
-    def _plan_of(self, times: Times, start: Start, values: NDArray[np.float64] | None) -> Plan:
-        """Return the plan of a run; the last one is cached."""
-        plan, groups = self.cache.plan, start.groups.shape
-        if plan is None or plan.groups != groups:
-            plan = self._new_plan(times, groups)
-        elif plan.times is not times:
-            shifted = plan.at_times(times)
-            if shifted is None:
-                plan = self._new_plan(times, groups)
-            else:
-                plan = self.cache.plan = shifted
-        if self._inputs is None:
-            return plan
-        loops = self.loops(times.h)
-        assert isinstance(loops, InputLoops) and values is not None
-        return plan.with_loops(loops.at(values), partial(self.system_at, values))
-
-    def _new_plan(self, times: Times, groups: tuple[int, ...]) -> Plan:
-        loops, workers = self.loops(times.h), min(groups[0], self._threads)
-        options = self._watching, workers, min(self._threads // workers, MAX_THREADS_INSIDE)
-        base = loops.base if isinstance(loops, InputLoops) else loops
-        plan = Plan(self.system, self.method, base, times, groups, *options)
-        # The free memory is checked again for each large run.
-        if bytes_of_run(plan.layout, times) <= UNCHECKED_BYTES:
-            self.cache.plan = plan
-        return plan
-
-    def _watched(self, events: tuple[Event, ...], x0: NDArray[np.float64], t0: float) -> WatchedEvents:
-        """Return the compiled events; those of the last run are cached."""
-        with self.cache.lock:
-            if self.cache.events is None or self.cache.events.events != events:
-                self.cache.events = WatchedEvents(self.system, events, x0, t0)
-            return self.cache.events
-
-    def loops(self, h: float) -> Loops | InputLoops:
-        """Return the loops of a step or of its negative, built lazily for each direction."""
-        loops = self.cache.loops.get(h)
-        if loops is None:
-            with self.cache.lock:
-                loops = self.cache.loops.get(h) or self._loops(h)
-                self.cache.loops[h] = loops
-        return loops
-
-    def _loops(self, h: float) -> Loops | InputLoops:
-        if self._inputs is not None:
-            return InputLoops(self._inputs, self._scheme, h, self._representations[0])
-        if is_batch(self.system):
-            return loops_of_batch(self.system, self._scheme, h, self._representations)
-        for known in self.cache.loops.values():
-            if isinstance(known, Loops) and (loops := known.at_step(h)) is not None:
-                return loops
-        return loops_of_system(self.system, self._scheme, h, self._representations[0], compact=True)
-
-    def observed(self, start: Start) -> Observed | None:
-        """Return the quantities to observe during a run, or None."""
-        if not self.observe:
-            return None
-        with self.cache.lock:
-            if self.cache.observed is None:
-                self.cache.observed = Observed(member_of(self.system), self.observe, start.momenta[0])
-        return self.cache.observed

@@ -19,8 +19,7 @@ from coadjoint.kernels.arrays import as_c_double
 from coadjoint.kernels.tables.recording import SCHEDULE_BYTES, schedule_of
 from coadjoint.runs.loops.execution import advanced
 from coadjoint.runs.loops.loops import Loops
-from coadjoint.runs.memory_estimate import check_run_memory
-from coadjoint.runs.plan import Plan
+from coadjoint.runs.plan import Plan, check_run_memory
 from coadjoint.runs.results.memory_solution import solution_of_numbers
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import LargeStepWarning, RoundingWarning
 from coadjoint.long_operations import warn_caller
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.preparation import Preparation
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.unfinished_members import ends_by_events
 from coadjoint.runs.rounded_runs import advance_in_turns, advance_up
@@ -112,7 +112,7 @@ class _Measured:
     """Steps of a run at a few points: their errors, changes and rounding, by member and group of coordinates."""
 
     @ignore_overflow
-    def __init__(self, solution: Solution, prepared: PreparedRun | None) -> None:
+    def __init__(self, solution: Solution, prepared: Preparation | None) -> None:
         # An archive need not know its scheme and system; that of a run with inputs has their values.
         described: Any = solution if prepared is None or prepared.takes_inputs else prepared
         method, system = described.method, described.system
@@ -122,7 +122,7 @@ class _Measured:
             raise TypeError(f"{system.name} has random forces, which are defined for whole steps only")
         # Loops of a run with attitudes need elements, and those with inputs their values.
         if prepared is None or prepared.representation is not None or prepared.takes_inputs:
-            prepared = PreparedRun(system, method, solution.step, watch=False, threads=1)
+            prepared = Preparation(system, method, solution.step, watch=False, threads=1)
         self.solution, self.method, self.system = solution, method, system
         self.groups = CoordinateGroups(system)
         self.h = math.copysign(solution.step, solution.t_span[1] - solution.t_span[0])
@@ -357,7 +357,7 @@ class _Measured:
             state, t = path[j : j + 1], t + j * h
         return self._error_of(m, state, t)
 
-    def _of_member(self, m: int) -> PreparedRun:
+    def _of_member(self, m: int) -> Preparation:
         """Return the run of a chosen member in one thread."""
         return self.alone.sampled(np.array([m])) if is_batch(self.system) else self.alone
 
@@ -423,7 +423,7 @@ def _points(
     return points
 
 
-def _run(prepared: PreparedRun, states: Floats, times: Times, advance: Callable[[Run], None] = Run.advance) -> Floats:
+def _run(prepared: Preparation, states: Floats, times: Times, advance: Callable[[Run], None] = Run.advance) -> Floats:
     run = prepared.begun(times, with_group(prepared.system, states, False, None, False))
     advance(run)
     x: Any = run.saved["x"][..., : states.shape[1]]
@@ -437,7 +437,7 @@ def _ratios(errors: Floats, changes: Floats) -> Floats:
     return ratios
 
 
-def warn_of_large_step(solution: Solution, prepared: PreparedRun) -> None:
+def warn_of_large_step(solution: Solution, prepared: Preparation) -> None:
     """Warn if the error of a step is a large part of the change of the state in it, or rounding one of a group."""
     if prepared.method.own_steps or any(force.random for _, force in forces_of(prepared.system)):
         return

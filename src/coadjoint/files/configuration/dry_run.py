@@ -15,7 +15,7 @@ from coadjoint.methods.protocol.method import declared_properties
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.optional_packages import installed
 from coadjoint.runs.events import read_events
-from coadjoint.runs.memory_estimate import bytes_of_run
+from coadjoint.runs.plan import bytes_of_run
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import distinct
 from coadjoint.systems.protocol import is_batch, member_of
