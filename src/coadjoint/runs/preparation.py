@@ -25,7 +25,6 @@ from coadjoint.runs.partial_steps import noises_of
 from coadjoint.runs.plan import Plan, bytes_of_run
 from coadjoint.runs.results.observables import Observed, check_observe
 from coadjoint.runs.run import Run
-from coadjoint.runs.short_runs import FinalStateRun
 from coadjoint.runs.start import (
     Representation,
     Start,
@@ -62,7 +61,7 @@ class _Cache:
         self.loops: dict[float, Loops | InputLoops] = {} if loops is None else loops
         self.times = RecentTimes(step)
         self.plan: Plan | None = None
-        self.ends: list[FinalStateRun] = []
+        self.ends: list[Any] = []
         self.observed: Observed | None = None
         self.events: WatchedEvents | None = None
         self.derivatives: Any = None

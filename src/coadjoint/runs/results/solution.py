@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import NamedValues, suggest_keywords
 from coadjoint.runs.results.drift import Drift, scales_of_invariants
-from coadjoint.runs.results.solution_attributes import SolutionAttributes
+from coadjoint.runs.results.solution_attributes import SolutionAttributes, StateAt
 from coadjoint.runs.results.solution_output import SolutionOutput
 from coadjoint.runs.results.summary import extent_text, table_of_run
 from coadjoint.runs.results.unfinished_members import unfinished_members
@@ -23,7 +23,6 @@ from coadjoint.validation import read_bool
 
 if TYPE_CHECKING:
     from coadjoint.runs.events import TerminalEvent
-    from coadjoint.runs.results.state_at import StateAt
     from coadjoint.runs.start import Start
     from coadjoint.runs.times import Times
 
@@ -312,9 +311,7 @@ class Solution(SolutionOutput):
         True
         """
         if read_bool(by_group, "by_group"):
-            from coadjoint.runs.step_error import step_errors_of_groups
-
-            return NamedValues(step_errors_of_groups(self))
+            return NamedValues(shortcut("step_errors_of_groups")(self))
         return self._step_error
 
     @cached_property
@@ -324,9 +321,8 @@ class Solution(SolutionOutput):
 
     @cached_property
     def _step_error(self) -> float:
-        from coadjoint.runs.step_error import step_error
-
-        return step_error(self)
+        error: float = shortcut("step_error")(self)
+        return error
 
     def _deviations(self, first: int, relative: bool) -> dict[str, Drift]:
         # Balances have the initial values of the invariants.
@@ -463,9 +459,8 @@ class Solution(SolutionOutput):
         >>> sol.at([0.5, 9.99]).energy.shape
         (2,)
         """
-        from coadjoint.runs.results.state_at import state_at
-
-        return state_at(self, t)
+        found: StateAt = shortcut("state_at")(self, t)
+        return found
 
 
 def with_choice(solution: Solution, choice: Any) -> Solution:

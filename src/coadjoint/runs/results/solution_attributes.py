@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,50 @@ class Statistics:
     iterations: int
     seconds: float
     elapsed: float = math.nan
+
+
+class StateAt(NamedTuple):
+    """States at given times, in the shapes of `Solution` at its saved points; without the first axis for a single time.
+
+    Parameters
+    ----------
+    t : float or ndarray, shape (k,)
+        Times.
+    x : ndarray, shape (n,) or (k, n), or with an axis of members before the last
+        Momentum.
+    energy : float or ndarray
+        The Hamiltonian.
+    casimirs : mapping
+        Name -> values.
+    attitude : ndarray or None
+        Group element, if it was computed.
+    """
+
+    t: Any
+    x: Any
+    energy: Any
+    casimirs: Mapping[str, Any]
+    attitude: Any
+
+    def __repr__(self) -> str:
+        times = f"t = {self.t:g}" if np.ndim(self.t) == 0 else f"{len(self.t)} times"
+        parts = {"x": self.x, "energy": self.energy, "casimirs": dict(self.casimirs), "attitude": self.attitude}
+        held = ", ".join(f"{name} {_shown(value)}" for name, value in parts.items() if value is not None)
+        return f"<states at {times}: {held}>"
+
+
+def _shown(value: Any) -> str:
+    """Format a short value for one line; of a large array, its shape."""
+    if isinstance(value, dict):
+        return (
+            "{"
+            + ", ".join(f"{name}: {_shown(entry)}" for name, entry in list(value.items())[:4])
+            + (f", and {len(value) - 4} more}}" if len(value) > 4 else "}")
+        )
+    numbers = np.asarray(value)
+    if numbers.size > 8:
+        return f"of shape {numbers.shape}"
+    return " ".join(np.array2string(numbers, precision=6, separator=", ").split())
 
 
 class SolutionAttributes:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.memory import check_available_memory
 from coadjoint.runs.partial_steps import noises_of
+from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.results.solution_attributes import StateAt
 from coadjoint.runs.results.unfinished_members import (
     ends_by_events,
     last_times,
@@ -22,7 +24,6 @@ from coadjoint.short_repr import distinct, short
 from coadjoint.validation import are_finite, read_numbers
 
 if TYPE_CHECKING:
-    from coadjoint.runs.prepared_run import PreparedRun
     from coadjoint.runs.results.solution import Solution
 
 Floats = NDArray[np.float64]
@@ -30,50 +31,6 @@ Floats = NDArray[np.float64]
 COPIES = 4  # of the states: of a piece, of its steps and partial steps, and in order
 MAX_STEPS = 10**7
 """Largest number of steps recomputed by one call."""
-
-
-class StateAt(NamedTuple):
-    """States at given times, in the shapes of `Solution` at its saved points; without the first axis for a single time.
-
-    Parameters
-    ----------
-    t : float or ndarray, shape (k,)
-        Times.
-    x : ndarray, shape (n,) or (k, n), or with an axis of members before the last
-        Momentum.
-    energy : float or ndarray
-        The Hamiltonian.
-    casimirs : mapping
-        Name -> values.
-    attitude : ndarray or None
-        Group element, if it was computed.
-    """
-
-    t: Any
-    x: Any
-    energy: Any
-    casimirs: Mapping[str, Any]
-    attitude: Any
-
-    def __repr__(self) -> str:
-        times = f"t = {self.t:g}" if np.ndim(self.t) == 0 else f"{len(self.t)} times"
-        parts = {"x": self.x, "energy": self.energy, "casimirs": dict(self.casimirs), "attitude": self.attitude}
-        held = ", ".join(f"{name} {_shown(value)}" for name, value in parts.items() if value is not None)
-        return f"<states at {times}: {held}>"
-
-
-def _shown(value: Any) -> str:
-    """Format a short value for one line; of a large array, its shape."""
-    if isinstance(value, dict):
-        return (
-            "{"
-            + ", ".join(f"{name}: {_shown(entry)}" for name, entry in list(value.items())[:4])
-            + (f", and {len(value) - 4} more}}" if len(value) > 4 else "}")
-        )
-    numbers = np.asarray(value)
-    if numbers.size > 8:
-        return f"of shape {numbers.shape}"
-    return " ".join(np.array2string(numbers, precision=6, separator=", ").split())
 
 
 def state_at(solution: Solution, t: Any) -> StateAt:
@@ -195,8 +152,6 @@ def _where(mask: NDArray[np.bool_], values: Any, otherwise: Any) -> Any:
 
 def _prepared_run(solution: Solution) -> PreparedRun:
     """Return the prepared run of a solution, cached; copies of the solution build their own."""
-    from coadjoint.runs.prepared_run import PreparedRun
-
     prepared: PreparedRun | None = solution.__dict__.get("_prepared_run")
     if prepared is None:
         attitude: Any = {None: False, "coadjoint": "coadjoint"}.get(solution.carried, True)
