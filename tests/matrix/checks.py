@@ -13,7 +13,6 @@ import coadjoint as co
 from .cases import MEMBERS, STEPS, Case, execute, matrices, value_of
 
 Check = Callable[[Case, dict[str, Any]], Iterator[str]]
-DEVIATING = {("decorated_particles", "weights")}  # derivatives that are not those of runs with other values
 AT_STEPS = "[0, 2, 3, 5]", "[0, 3, 6, 12]"
 """Among the times of a case those of steps, and the numbers of these steps."""
 BY_DIFFERENCES = "e = 2.0**-10\n", "(8.0 * (c - b) - (d - a)) / (12.0 * e)"
@@ -417,7 +416,7 @@ def changed_parameters(case: Case, space: dict[str, Any]) -> tuple[dict[str, str
             acting = acting.replace(f"{force}({parameter}=", f"{force}({parameter}=k * e * np.array({changes[key]}) + ")
     name = case.system.removeprefix("co.systems.").partition("(")[0]
     if case.system.startswith("co.systems."):
-        for key in [k for k in known if k in value_of(case.system).parameters and (name, k) not in DEVIATING][:1]:
+        for key in [k for k in known if k in value_of(case.system).parameters][:1]:
             value = np.asarray(known[key])
             step = np.round(0.1 * value * np.cos(1.0 + np.arange(value.size).reshape(value.shape)), 6)
             changes[key] = str(step.tolist())

@@ -146,10 +146,12 @@ def terms_of(G: EnergyDerivative, n: int) -> tuple[Terms, CoefficientMap]:
         indptr = np.searchsorted(np.searchsorted(used, cells // n), np.arange(len(used) + 1))
         table.add_linear(used, np.zeros(len(used)), indptr, cells % n, np.zeros(len(cells)))
     others = [one for one in G.others if one.coordinates]
-    keys = list(dict.fromkeys(one.coordinates for one in others))
-    if keys:
-        coordinates = sorted({k for key in keys for k in key})
-        table.add_polynomial(coordinates, Polynomial(dict.fromkeys((exponents_of(key, n) for key in keys), 1.0)))
+    exponents = [exponents_of(one.coordinates, n) for one in others]
+    place: dict[tuple[int, ...], int] = {}
+    if others:
+        polynomial = Polynomial(dict.fromkeys(exponents, 1.0))
+        table.add_polynomial(sorted({k for one in others for k in one.coordinates}), polynomial)
+        place = {powers: k for k, powers in enumerate(polynomial.monomials)}
     terms = table.table(float)
     weights = len(terms.offset)
     monomials = weights + len(terms.weight)
@@ -158,7 +160,7 @@ def terms_of(G: EnergyDerivative, n: int) -> tuple[Terms, CoefficientMap]:
             [
                 np.searchsorted(used, G.linear),
                 weights + cell,
-                np.array([monomials + keys.index(one.coordinates) for one in others], dtype=np.int64),
+                np.array([monomials + place[powers] for powers in exponents], dtype=np.int64),
             ]
         ),
         np.concatenate(
