@@ -88,7 +88,7 @@ def perform(arguments: Sequence[str] | None, began: float | None = None) -> tupl
 
 
 def _invoke(arguments: list[str], began: float) -> tuple[int, str]:
-    from coadjoint.files.archives.reading import ArchiveError
+    from coadjoint.files.archives.archive import ArchiveError
     from coadjoint.files.configuration.construction import ConfigurationError
     from coadjoint.files.output.output_files import OutputError
 

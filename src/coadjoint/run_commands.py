@@ -95,7 +95,7 @@ def _output_paths(
     movie: str | None = None,
 ) -> list[Path | None]:
     """Validate the paths of archive, dataset, figure and movie, from the options or else those declared in a file."""
-    from coadjoint.files.archives.resume import check_new
+    from coadjoint.files.archives.new_archive import check_new
     from coadjoint.files.configuration.construction import section
     from coadjoint.files.output.movie_file import check_movie
     from coadjoint.files.output.output_files import DATASETS, FIGURES, check_target

@@ -12,16 +12,8 @@ import numpy as np
 import pytest
 import xarray
 
+from coadjoint.files.archives.archive import FORMAT, ROOT_FILE, Archive, ArchiveError, ArchiveMoved, read_root
 from coadjoint.files.archives.folder import ArchiveFolder
-from coadjoint.files.archives.reading import (
-    FORMAT,
-    ROOT_FILE,
-    ArchiveError,
-    ArchiveMoved,
-    read_array,
-    read_root,
-    read_state,
-)
 from coadjoint.files.archives.store import ArchiveStore
 from coadjoint.files.archives.stored_arrays import StoredArray, deserialize_numbers
 from guards import open_descriptors
@@ -75,24 +67,25 @@ def test_xarray_reads_exactly_the_committed_part(store, consolidated):
                 range(10)
             )
             assert found.attrs == {"archive_format": FORMAT, "mood": "calm", "steps": last}
-        assert np.array_equal(read_state(store.path, stored)["momenta"], X[:last])
+        assert np.array_equal(store.read_state(stored)["momenta"], X[:last])
 
 
 def test_readers_see_the_commit_of_their_root(store):
     written(store, 0, 20)
     store.commit({}, {"time": 20})
-    known, _ = read_root(store.path)
+    known = Archive(store.path, *read_root(store.path))
     written(store, 20, 50)
     store.commit({}, {"time": 50})
-    assert np.array_equal(read_array(store.path, "x", known["x"]), X[:20])
-    assert read_array(store.path, "component", known["component"]).tolist() == ["e1", "é2", "e3"]
+    assert np.array_equal(known.read("x"), X[:20])
+    assert known.read("component").tolist() == ["e1", "é2", "e3"]
     (store.path / "x" / "c.1.0").unlink()
     with refused(ArchiveError, "x/c.1.0"):
-        read_array(store.path, "x", known["x"])
-    lost = read_array(store.path, "x", known["x"], may_be_missing=lambda place: place == (1, 0))
+        known.read("x")
+    known.may_be_missing = lambda name, place: place == (1, 0)
+    lost = known.read("x")
     assert np.isnan(lost[16:, :2]).all() and np.array_equal(lost[16:, 2], X[16:20, 2])
     part = [range(3, 15, 4), range(1, 3)]
-    assert np.array_equal(read_array(store.path, "x", known["x"], part), X[3:15:4, 1:3])
+    assert np.array_equal(known.read("x", part), X[3:15:4, 1:3])
 
 
 def test_full_disk_leaves_the_last_commit(store, monkeypatch):
@@ -110,21 +103,21 @@ def test_full_disk_leaves_the_last_commit(store, monkeypatch):
         for write in (lambda: written(store, 20, 30), lambda: store.commit({}, {"time": 30})):
             with pytest.raises(OSError, match="No space left"):
                 write()
-    known, _ = read_root(store.path)
-    assert np.array_equal(read_array(store.path, "x", known["x"]), X[:20])
-    assert np.array_equal(read_state(store.path, stored)["momenta"], X[:20])
+    known = Archive(store.path, *read_root(store.path))
+    assert np.array_equal(known.read("x"), X[:20])
+    assert np.array_equal(store.read_state(stored)["momenta"], X[:20])
     assert not list(store.path.rglob("*.writing"))
 
 
 def test_only_committed_states_remain(store):
     stored = [store.store_state({"k": k}, {"number": k}) for k in range(4)]
-    store.commit({}, {"time": 0}, [stored[1], None, stored[3]])
+    store.commit({}, {"time": 0}, [stored[1], stored[3]])
     files = {name for name in os.listdir(store.path / ".coadjoint") if name.startswith("state-")}
     assert files == {stored[1].file, stored[3].file}
-    assert read_state(store.path, stored[3])["k"] == 3
+    assert store.read_state(stored[3])["k"] == 3
     for one in (stored[0], stored[2]):
         with refused(ArchiveMoved, one.file):
-            read_state(store.path, one)
+            store.read_state(one)
 
 
 def test_length_of_chunks_is_limited(store):
@@ -133,10 +126,10 @@ def test_length_of_chunks_is_limited(store):
     most = store.arrays["x"].max_encoded_bytes
     (store.path / "x" / "c.0.0").write_bytes(bytes(most + 1))
     with refused(ArchiveError, most + 1, most):
-        read_array(store.path, "x", store.arrays["x"])
+        store.read("x")
     (store.path / "x" / "c.0.0").write_bytes(bytes(most))
     with refused(ArchiveError, "checksum"):
-        read_array(store.path, "x", store.arrays["x"])
+        store.read("x")
 
 
 def test_archive_folder_reads_regular_files_only(tmp_path, monkeypatch):
@@ -158,7 +151,6 @@ def test_archive_folder_reads_regular_files_only(tmp_path, monkeypatch):
             folder.read("", "in")
         with refused(ValueError, 10, 9):
             folder.read("in", "file", max_bytes=9)
-        assert [folder.has("in", name) for name in ("file", "pipe", "link", "none")] == [True, False, False, False]
         with monkeypatch.context() as patched:
             patched.setattr("coadjoint.memory.UNCHECKED_BYTES", 0)
             patched.setattr("coadjoint.memory.available", lambda: 19)
@@ -189,7 +181,6 @@ def test_archive_folder_follows_no_links_where_the_system_cannot_refuse_them(tmp
                 with pytest.raises(OSError) as error:
                     read(*place)
                 assert error.value.errno == errno.ELOOP
-            assert not folder.has(*place)
             with pytest.raises(OSError) as error:
                 folder.lock(*place)
             assert error.value.errno == errno.ELOOP
@@ -242,8 +233,8 @@ def test_leftovers_of_killed_processes_are_removed(store):
     written(again, 10, 40)
     again.commit({}, {"time": 40})
     again.close()
-    known, _ = read_root(store.path)
-    assert np.array_equal(read_array(store.path, "x", known["x"]), X[:40]), "chunks that were not committed"
+    known = Archive(store.path, *read_root(store.path))
+    assert np.array_equal(known.read("x"), X[:40]), "chunks that were not committed"
     assert not (store.path / ".coadjoint" / "state-lost.npz").exists()
     for folder in folders:
         left = {name for name in os.listdir(store.path / folder) if "writing" in name}
@@ -290,9 +281,7 @@ def test_descriptors_and_locks_are_released(store, tmp_path, monkeypatch):
     written(again, 10, 20)
     again.commit({}, {"time": 20})
     again.close()
-    assert open_descriptors() == before and np.array_equal(
-        read_array(tmp_path / "there.zarr", "x", again.arrays["x"]), X[:20]
-    )
+    assert open_descriptors() == before and np.array_equal(Archive(again.path, again.arrays, {}).read("x"), X[:20])
 
 
 @pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="descriptors are not listed")

@@ -5,7 +5,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.files.archives import archived_solution, stored_arrays
-from coadjoint.files.archives.reading import ArchiveMoved
+from coadjoint.files.archives.archive import Archive, ArchiveMoved
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from refusals import refused
 from same_runs import check_same
@@ -65,15 +65,15 @@ def test_states_as_large_as_a_chunk(tmp_path, monkeypatch, every, x0):
 def test_opening_during_commits(tmp_path, monkeypatch, commits):
     """The state named by the root may be removed before it is read; the root is then read again, a few times."""
     co.integrate(BODY, X, SPAN, STEP, archive=tmp_path / "run.zarr")
-    read, moved = archived_solution.read_state, []
+    read, moved = Archive.read_state, []
 
-    def gone(path, stored):
+    def gone(self, stored):
         moved.append(stored)
         if len(moved) <= commits:
-            raise ArchiveMoved(f"{path}: the state {stored.file} is missing")
-        return read(path, stored)
+            raise ArchiveMoved(f"{self.path}: the state {stored.file} is missing")
+        return read(self, stored)
 
-    monkeypatch.setattr(archived_solution, "read_state", gone)
+    monkeypatch.setattr(Archive, "read_state", gone)
     if commits < archived_solution.ATTEMPTS:
         assert co.open_archive(tmp_path / "run.zarr").reached == 16 and len(moved) == commits + 1
     else:

@@ -16,10 +16,9 @@ from distributed import Client
 
 import coadjoint as co
 from coadjoint.files.archives import dask_blocks as on_workers
-from coadjoint.files.archives.block_run import BUSY, run_block
-from coadjoint.files.archives.blocks import Block, blocks_of, size_of_blocks
-from coadjoint.files.archives.reading import ArchiveError
-from coadjoint.files.archives.run_in_blocks import WorkerPool, read_worker_pool, run_in_blocks
+from coadjoint.files.archives.archive import ArchiveError, Block, blocks_of
+from coadjoint.files.archives.ensemble import BUSY, WorkerPool, read_worker_pool, run_block, run_in_blocks
+from coadjoint.files.archives.new_archive import size_of_blocks
 from coadjoint.files.archives.store import ArchiveUnwritten
 from coadjoint.runs.prepared_run import PreparedRun
 from guards import open_descriptors
@@ -130,12 +129,6 @@ def test_archive_errors_of_workers_are_raised(tmp_path, error):
     with pytest.raises(error, match="of the worker"):
         ensemble(client, tmp_path / "many.zarr")
     assert client.tries == [0, 1, 2]
-
-
-@pytest.mark.parametrize(("span", "step"), [("[0.0, 2.0]", 0.5), ("[2.0, 0.5]", -0.5), ("[-1.0, -3.0]", -0.5)])
-def test_step_has_the_sign_of_the_span(span, step):
-    store = SimpleNamespace(attributes={"t_span": span})
-    assert on_workers._signed_step(store, SimpleNamespace(step=0.5)) == step
 
 
 @pytest.mark.parametrize("there", [True, False])

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from itertools import product
-from math import prod
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,37 +12,22 @@ from numpy.typing import NDArray
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from coadjoint.files.archives.reading import read_array
-from coadjoint.files.archives.stored_arrays import StoredArray
+from coadjoint.files.archives.archive import Archive
 from coadjoint.files.datasets.named_axes import MEMBER
-from coadjoint.memory import check_available_memory
 from coadjoint.systems.batch import Axis
 
 
 class ArchivedArray(BackendArray):
-    """An array of an archive that is read when indexed; parameters as for `read_array`.
+    """An array of an archive that is read when indexed; with `axes`, these are dimensions in place of the members."""
 
-    With `axes`, these are dimensions in place of the members. `check_last_point` is called when the last of the growing
-    rows has been read, and raises an error if it was replaced since.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        name: str,
-        array: StoredArray,
-        may_be_missing: Callable[[tuple[int, ...]], bool] | None,
-        axes: Mapping[str, Axis] | None = None,
-        check_last_point: Callable[[], None] | None = None,
-    ) -> None:
-        self.path, self.name, self.array, self.may_be_missing = path, name, array, may_be_missing
-        self.check_last_point = check_last_point if array.grows else None
-        self.shape, self.dims, self.dtype = array.shape, array.dims, np.dtype(array.kind)
+    def __init__(self, archive: Archive, name: str, axes: Mapping[str, Axis]) -> None:
+        self.archive, self.name, self.array = archive, name, archive.arrays[name]
+        self.shape, self.dims, self.dtype = self.array.shape, self.array.dims, np.dtype(self.array.kind)
         self._lengths: tuple[int, ...] = ()
-        if axes and MEMBER in array.dims:
-            k, self._lengths = array.dims.index(MEMBER), tuple(axis.length for axis in axes.values())
-            self.shape = (*array.shape[:k], *self._lengths, *array.shape[k + 1 :])
-            self.dims = (*array.dims[:k], *axes, *array.dims[k + 1 :])
+        if axes and MEMBER in self.dims:
+            k, self._lengths = self.dims.index(MEMBER), tuple(axis.length for axis in axes.values())
+            self.shape = (*self.shape[:k], *self._lengths, *self.shape[k + 1 :])
+            self.dims = (*self.dims[:k], *axes, *self.dims[k + 1 :])
 
     def __getitem__(self, key: Any) -> Any:
         part = self._part_of_axes if self._lengths else self._part
@@ -75,12 +58,7 @@ class ArchivedArray(BackendArray):
             for index, size in zip(key, self.array.shape, strict=True)
         ]
         ascending = [index if index.step > 0 else index[::-1] for index in ranges]
-        check_available_memory(
-            16 * prod(map(len, ranges)), f"{self.name} of the archive {self.path}", "read a part of it"
-        )
-        values = read_array(self.path, self.name, self.array, ascending, self.may_be_missing)
-        if self.check_last_point is not None and self.array.shape[0] - 1 in ascending[0]:
-            self.check_last_point()
+        values = self.archive.read(self.name, ascending)
         restored = (
             (slice(None) if chosen_range.step > 0 else slice(None, None, -1)) if isinstance(index, slice) else 0
             for index, chosen_range in zip(key, ranges, strict=True)

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import importlib
-import json
 import logging
 import secrets
 import time
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from distributed import Client, Nanny, Scheduler, SpecCluster, Worker
+from distributed import Client, Nanny, Scheduler, SpecCluster, Worker, wait
 from distributed.security import Security
 
-from coadjoint.files.archives.block_run import BUSY, run_block
-from coadjoint.files.archives.reading import ArchiveError
+from coadjoint.files.archives.archive import ArchiveError, Block
+from coadjoint.files.archives.ensemble import BUSY, run_block
+from coadjoint.files.archives.new_archive import PlannedRun
 from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten
 from coadjoint.private_folders import private_folder
 from coadjoint.runs.progress import progress_bar
 from coadjoint.systems.protocol import is_batch
-
-if TYPE_CHECKING:
-    from coadjoint.files.archives.blocks import Block
-    from coadjoint.runs.prepared_run import PreparedRun
 
 RETRIES = 3
 """Attempts without progress, after losses of workers or of their data, before giving up."""
@@ -33,27 +28,17 @@ SCHEDULER_TIMEOUT = 10.0  # s, for an answer of a scheduler that may be lost
 RETRY_SECONDS = 2.0  # before a block is tried again, whose lock may be that of a lost worker
 
 
-def on_processes(
-    workers: int,
-    store: ArchiveStore,
-    remaining: list[Block],
-    prepared: PreparedRun,
-    threads: int | None,
-    progress: bool,
-) -> None:
-    """Run blocks in processes of this machine, which end with this call."""
-    if not remaining:
-        return
-
-    with local_cluster(min(workers, len(remaining))) as client:
-        on_client(client, store, remaining, prepared, threads, progress)
+def on_processes(workers: int, *arguments: Any) -> None:
+    """Run blocks in processes of this machine, which end with this call; further arguments as for `on_client`."""
+    with local_cluster(workers) as client:
+        on_client(client, *arguments)
 
 
 def on_client(
     client: Any,
     store: ArchiveStore,
     remaining: list[Block],
-    prepared: PreparedRun,
+    planned: PlannedRun,
     threads: int | None,
     progress: bool,
 ) -> None:
@@ -67,7 +52,7 @@ def on_client(
         attempts = 0
         while attempts < RETRIES:
             remaining_before = len(remaining)
-            remaining, failure = _run_round(client, store, remaining, prepared, threads or 1, bar)
+            remaining, failure = _run_round(client, store, remaining, planned, threads or 1, bar)
             if not remaining:
                 return
             if isinstance(failure, ArchiveError | ArchiveUnwritten):
@@ -81,11 +66,12 @@ def on_client(
 
 
 def _run_round(
-    client: Any, store: ArchiveStore, remaining: list[Block], prepared: PreparedRun, threads: int, bar: Any
+    client: Any, store: ArchiveStore, remaining: list[Block], planned: PlannedRun, threads: int, bar: Any
 ) -> tuple[list[Block], BaseException | None]:
     """Submit blocks and wait for them; return the unfinished ones, and the first failure."""
-    archive, token, shared_tables = str(store.path), secrets.token_hex(4), not is_batch(prepared.system)
-    prepared.loops(_signed_step(store, prepared)).build_all()  # built here rather than by each worker
+    archive, token, prepared = str(store.path), secrets.token_hex(4), planned.prepared
+    shared_tables = not is_batch(prepared.system)
+    prepared.loops(planned.times.h).build_all()  # built here rather than by each worker
     try:
         shared_run: Any = client.scatter(prepared, broadcast=True, hash=False) if shared_tables else None
     except (OSError, CancelledError) as lost:
@@ -145,9 +131,8 @@ def _run_round(
 
 def _wait_for_tasks(client: Any, tasks: Any) -> Any:
     """Wait until a task has ended, or for a timeout; return the ended tasks."""
-    distributed: Any = importlib.import_module("distributed")
     try:
-        return distributed.wait(list(tasks), timeout=POLL_SECONDS, return_when="FIRST_COMPLETED").done
+        return wait(list(tasks), timeout=POLL_SECONDS, return_when="FIRST_COMPLETED").done  # type: ignore[no-untyped-call]
     except TimeoutError:
         return set()
 
@@ -179,12 +164,6 @@ def _cluster_lost_error(store: ArchiveStore) -> ArchiveUnwritten:
         f"{store.path}: the scheduler of the cluster is lost; computed blocks are in the archive, and the next call "
         "with this archive continues"
     )
-
-
-def _signed_step(store: ArchiveStore, prepared: PreparedRun) -> float:
-    """Return the step with its sign."""
-    first, last = json.loads(store.attributes["t_span"])
-    return prepared.step if last >= first else -prepared.step
 
 
 LOOPBACK = "127.0.0.1"

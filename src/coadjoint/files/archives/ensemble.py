@@ -1,19 +1,59 @@
-"""Ensembles computed in blocks: `integrate_ensemble`."""
+"""Ensembles computed in blocks: `integrate_ensemble`; an archive is begun or continued, and what is missing is run."""
 
 from __future__ import annotations
 
+import json
+import platform
+import shutil
+import tempfile
+import time
+import warnings
+import weakref
 from collections.abc import Mapping
+from ipaddress import ip_address
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import urlsplit
 
-from coadjoint.files.archives.run_in_blocks import read_worker_pool, run_in_blocks
-from coadjoint.files.datasets.variables import ExtraMetadata, Variables
+import numpy as np
+
+from coadjoint import __version__
+from coadjoint.errors import IntegrationError
+from coadjoint.files.archives.archive import (
+    ACCOUNTS_ATTRIBUTE,
+    BLOCK_SIZE_ATTRIBUTE,
+    FINISHED,
+    FIRST_STEP,
+    HIDDEN_FOLDER,
+    ArchiveError,
+    Block,
+    is_computed,
+    open_folder,
+    read_archive_path,
+    read_head,
+    read_marker,
+    read_root,
+    total_progress,
+)
+from coadjoint.files.archives.archived_solution import closing, open_archive, raise_if_failed
+from coadjoint.files.archives.metadata_checks import CROSSING_PREFIX, RESERVED_NAMES, SERIES_PREFIXES, check_archive
+from coadjoint.files.archives.new_archive import PlannedRun, create_archive
+from coadjoint.files.archives.sinks import BlockSink
+from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten, unwritten_archive
+from coadjoint.files.datasets.named_axes import MEMBER
+from coadjoint.files.datasets.variables import NO_METADATA, TIME, ExtraMetadata, Variables, start_variables
+from coadjoint.files.records.fingerprints import same_fingerprint
+from coadjoint.files.records.required_functions import FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import require_packages
+from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.progress import progress_bar
 from coadjoint.runs.run import read_progress
 from coadjoint.runs.start import combined
+from coadjoint.runs.step_error import warn_of_large_step
+from coadjoint.runs.times import times_of
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
@@ -24,6 +64,85 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from coadjoint.runs.results.solution import Solution
+
+BUSY = {"busy": True}
+IDENTITY_ATTRIBUTES = {
+    "system": "the system",
+    "sign": "the sign of the system",
+    "method": "the scheme",
+    "t_span": "t_span",
+    "step": "the step",
+    "save_every": "save_every",
+    "watch": "watch",
+    "attitude_carried": "the attitude",
+    OBSERVED_ATTRIBUTE: "observe",
+    ACCOUNTS_ATTRIBUTE: "the forces",
+    "coadjoint_version": "the version of coadjoint",
+    FIRST_STEP: "the first step, by a function or a number that is not stored,",
+}
+"""Attributes that an archive must share with a run that continues it, and their names in messages."""
+START_NAMES = {"x0": "x0", "attitude0": "the initial attitude"}
+
+INSECURE_PROTOCOLS = ("tcp", "ws", "ucx", "ucxx")
+"""Dask protocols without authentication."""
+
+
+class WorkerPool(NamedTuple):
+    """Workers of an ensemble: those of a Dask `client`, so many processes on this machine, or (both None) this process.
+
+    `threads` is the number per block; None is one on workers, and otherwise one for each core.
+    """
+
+    client: Any = None
+    workers: int | None = None
+    threads: int | None = None
+
+    @property
+    def worker_count(self) -> int:
+        """Number of workers."""
+        if self.client is not None:
+            return max(1, len(self.client.scheduler_info(n_workers=-1)["workers"]))
+        return self.workers or 1
+
+
+def read_worker_pool(client: Any, workers: Any, threads: Any) -> WorkerPool:
+    """Validate client, workers and threads."""
+    if client is not None and workers is not None:
+        raise TypeError("ensemble was given a client and workers; give only one: workers are processes of this machine")
+    if client is not None:
+        require_packages("ensemble(client=)", "distributed")
+        from distributed import Client
+
+        if not isinstance(client, Client):
+            raise TypeError(f"client is {short(client)}; it must be a distributed.Client")
+        warn_without_tls(client)
+    if workers is not None:
+        require_packages("ensemble(workers=)", "distributed", "cryptography")
+        workers = read_integer(workers, "workers", floats=True)
+    return WorkerPool(client, workers, None if threads is None else read_integer(threads, "threads", floats=True))
+
+
+def warn_without_tls(client: Any) -> None:
+    """Warn if a client reaches its scheduler over a network without TLS."""
+    address = getattr(client.scheduler, "address", "")
+    protocol, _, location = address.partition("://")
+    host = urlsplit(f"//{location}").hostname
+    if protocol not in INSECURE_PROTOCOLS or host is None or is_loopback(host):
+        return
+    warnings.warn(
+        f"the client is connected to {address} without TLS; anyone who reaches it can run code on the workers "
+        "and in this process: start the cluster with TLS credentials and connect by Client(address, security=...)",
+        RuntimeWarning,
+        stacklevel=2,
+    )
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host is an address of this machine that other machines cannot reach."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 @suggest_keywords
@@ -130,8 +249,221 @@ def _along_members(coordinates: Mapping[str, Any], members: int) -> Variables:
     for name, values in coordinates.items():
         if not isinstance(name, str) or not name.isidentifier():
             raise ValueError(f"coordinates has the name {short(name)}; give one of letters, digits and underscores")
+        if name in RESERVED_NAMES or name.startswith((*SERIES_PREFIXES, CROSSING_PREFIX)):
+            raise ValueError(f"coordinates has the name {name!r}, which is reserved")
         numbers = read_numbers(values, f"coordinates[{short(name)}]")
         if numbers.shape != (members,):
             raise ValueError(f"coordinates has {short(numbers)} for {name!r}; give numbers of shape ({members},)")
-        variables[name] = (("member",), numbers, {})
+        variables[name] = ((MEMBER,), numbers, {})
     return variables
+
+
+def run_in_blocks(
+    prepared: PreparedRun,
+    x0: Any,
+    t_span: tuple[float, float],
+    save_every: int,
+    archive: str | Path | None,
+    pool: WorkerPool,
+    *,
+    size: int | None = None,
+    progress: bool = False,
+    about: ExtraMetadata = NO_METADATA,
+) -> Solution:
+    """Run an ensemble in blocks of `size` members; see `coadjoint.ensemble`.
+
+    `prepared` is prepared for all members; `about` has further metadata to write.
+    """
+    planned = PlannedRun(prepared, prepared.times_of(t_span, save_every)[0], prepared.start(x0))
+    if planned.start.single:
+        raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs (members, ...), and integrate takes one")
+    if archive is not None:
+        return _run_unfinished(planned, read_archive_path(archive).absolute(), pool, size, progress, about)
+    folder = tempfile.mkdtemp(prefix="coadjoint-")
+    result: Any = None
+    try:
+        result = _run_unfinished(planned, Path(folder, "ensemble.zarr"), pool, size, progress, about)
+    except (IntegrationError, KeyboardInterrupt) as error:
+        result = getattr(error, "partial", None)
+        raise
+    finally:
+        if result is None:
+            shutil.rmtree(folder, ignore_errors=True)
+        else:
+            weakref.finalize(result, shutil.rmtree, folder, ignore_errors=True)
+    solution: Solution = result
+    return solution
+
+
+def _run_unfinished(
+    planned: PlannedRun, path: Path, pool: WorkerPool, size: int | None, progress: bool, about: ExtraMetadata
+) -> Solution:
+    """Begin or continue the archive, and run its unfinished blocks."""
+    began, prepared, is_new = time.perf_counter(), planned.prepared, not path.exists()
+    if is_new:
+        store = create_archive(planned, path, about, {}, pool.worker_count, size)
+    else:
+        store = ArchiveStore.open_existing(path)
+    with closing(store, prepared.system):
+        if is_new:
+            # A copy, since loops of half a step are not sent to workers.
+            warn_of_large_step(open_archive(path, prepared.system), prepared.in_one_thread())
+        else:
+            check_archive(store)
+            check_same_run(planned, store)
+        remaining = unfinished_blocks(store)
+        if pool.client is None and pool.workers is None:
+            _run_serially(store, remaining, prepared, progress)
+        else:
+            from coadjoint.files.archives.dask_blocks import on_client, on_processes
+
+            if pool.client is not None:
+                on_client(pool.client, store, remaining, planned, pool.threads, progress)
+            elif remaining:
+                on_processes(min(pool.worker_count, len(remaining)), store, remaining, planned, pool.threads, progress)
+        try:
+            finish_ensemble(store, began)
+        except OSError as reason:
+            raise _unwritten(store, reason) from reason
+    return raise_if_failed(open_archive(path, prepared.system))
+
+
+def _run_serially(store: ArchiveStore, remaining: list[Block], prepared: PreparedRun, progress: bool) -> None:
+    """Run blocks in this process, one after the other."""
+    with progress_bar(sum(block.last - block.first for block in remaining), progress, "member") as bar:
+        for block in remaining:
+            try:
+                store.check_not_replaced()
+            except OSError as reason:
+                raise _unwritten(store, reason) from reason
+            if run_block(str(store.path), block, prepared, True, None) == BUSY:
+                raise ArchiveUnwritten(f"{store.path}: another process is still running some members; try again later")
+            bar(block.last - block.first)
+
+
+def _unwritten(store: ArchiveStore, reason: OSError) -> ArchiveUnwritten:
+    """Return the error for an archive that the blocks could not write."""
+    if_replaced, if_not = "the new content of this path was not changed", "the next call with this archive continues"
+    return unwritten_archive(store.path, reason, if_replaced, if_not)
+
+
+def run_block(
+    archive: str, block: Block, prepared: PreparedRun, all_members: bool, threads: int | None
+) -> dict[str, Any]:
+    """Run a block to its end from the state in its marker; return the head of the marker, or ``BUSY`` if it is locked.
+
+    `prepared` is the run of all members (`all_members`) or of those of the block. ArchiveError: the archive is missing,
+    or of another version of the library. ArchiveUnwritten: it cannot be written.
+    """
+    path, host = Path(archive), platform.node()
+    try:
+        store = ArchiveStore(path, *read_root(path), open_folder(path), block.lock_file)
+    except ArchiveError as reason:
+        raise ArchiveError(
+            f"{reason} on the machine {host}; every worker must reach the folder by the same path"
+        ) from None
+    arrays, attributes = store.arrays, store.attributes
+    try:
+        if attributes["coadjoint_version"] != __version__:
+            raise ArchiveError(
+                f"{path}: was begun by coadjoint {attributes['coadjoint_version']}, and the worker on {host} has "
+                f"{__version__}; install the same version everywhere"
+            )
+        if not store.lock():
+            return BUSY
+        times = times_of(json.loads(attributes["t_span"]), float(attributes["step"]), int(attributes["save_every"]))
+        first, last = (block.first, block.last) if all_members else (0, block.last - block.first)
+        x0, attitude = (_start_of(store, name, block) for name in ("x0", "attitude0"))
+        of_block, marker = prepared.among(first, last, threads), read_marker(store.folder, block)
+        head, stored = marker or ({FINISHED: 0}, None)
+        sink = BlockSink(store, block, head)
+        run = PiecewiseRun(of_block, times, of_block.start(x0, attitude), arrays[TIME].chunk[0], stored)
+        if marker is None:
+            run.advance(0)
+        if not head[FINISHED]:
+            run.advance_into(sink)
+        return sink.head
+    except ArchiveUnwritten:
+        raise
+    except OSError as reason:
+        raise ArchiveUnwritten(
+            f"{path}: members {block.first} to {block.last - 1} could not be written on {host} "
+            f"({reason.strerror or reason}); the next call with this archive continues"
+        ) from reason
+    finally:
+        store.close()
+
+
+def _start_of(store: ArchiveStore, name: str, block: Block) -> Any:
+    """Return the initial values of the members of a block, or None if the archive has no such array."""
+    if name not in store.arrays:
+        return None
+    array = store.arrays[name]
+    values = store.read(name, [range(block.first, block.last), *map(range, array.shape[1:])])
+    return values[..., 0] + 1j * values[..., 1] if array.dims[-1] == "part" else values
+
+
+def check_same_run(planned: PlannedRun, store: ArchiveStore) -> None:
+    """Raise ArchiveError if the archive is that of another run, with the first difference."""
+    start_solution, stored = planned.at_start().piece(), store.attributes
+    own = planned.attributes(start_solution)
+    if BLOCK_SIZE_ATTRIBUTE not in stored:
+        raise ArchiveError(f"{store.path}: is the archive of one run, not of an ensemble; give another name")
+    differences = [
+        f"{START_NAMES[name]} differs"
+        for name, (_, values, _) in start_variables(start_solution).items()
+        if not _is_stored(store, name, np.asarray(values))
+    ]
+    fingerprints = [json.loads(attributes[FUNCTIONS_ATTRIBUTE]) for attributes in (stored, own)]
+    differences += [
+        f"the code or the numbers of functions of {name} differ"
+        for name in fingerprints[0].keys() | fingerprints[1].keys()
+        if not same_fingerprint(*(functions.get(name, {}) for functions in fingerprints))
+    ]
+    differences += [f"{what} differs" for key, what in IDENTITY_ATTRIBUTES.items() if own.get(key) != stored.get(key)]
+    if differences:
+        raise ArchiveError(f"{store.path}: is the archive of another ensemble: {differences[0]}; give another name")
+
+
+def _is_stored(store: ArchiveStore, name: str, values: Any) -> bool:
+    """Whether the archive has an array of these bits; it is read chunk by chunk."""
+    if name not in store.arrays or store.arrays[name].shape != values.shape:
+        return False
+    return all(
+        store.chunk(store.folder, name, indices)[inside].tobytes() == np.ascontiguousarray(values[outside]).tobytes()
+        for indices, inside, outside in store.arrays[name].chunks_in(list(map(range, values.shape)))
+    )
+
+
+def unfinished_blocks(store: ArchiveStore) -> list[Block]:
+    """Return the unfinished blocks; those of which committed chunks are lost begin again."""
+    computed, unfinished = [name for name, array in store.arrays.items() if is_computed(name, array)], []
+    for block in store.blocks:
+        head = read_head(store.folder, block)
+        if head is not None:
+            part = {MEMBER: range(block.first, block.last), TIME: range(int(head["rows"]))}
+            if any(True for name in computed for _ in store.lost_chunks(store.folder, name, part)):
+                store.folder.remove(HIDDEN_FOLDER, block.marker)
+                head = None
+        if head is None or not head[FINISHED]:
+            unfinished.append(block)
+    return unfinished
+
+
+def finish_ensemble(store: ArchiveStore, began: float) -> None:
+    """Mark the ensemble as finished in the root, with the time since its call began."""
+    heads, array = store.read_heads(), store.arrays["x0"]
+    attributes = total_progress(heads)
+    attributes["elapsed"] = float(store.attributes.get("elapsed", 0.0)) + time.perf_counter() - began
+    failures = [head for head in heads if head.get("run_failed")]
+    if failures:
+        count, first = sum(head["failed"] for head in heads), failures[0]
+        attributes |= {name: value for name, value in first.items() if name.startswith(("run_failed", "failed_"))}
+        if count:
+            attributes["failed_reason"] = (
+                f"{count} of {array.shape[0]} members failed, the first of them is member {first['first_failed']}: "
+                f"{first['failed_reason']}"
+            )
+    store.commit(attributes, {TIME: store.arrays[TIME].shape[0]})
+    for block in store.blocks:
+        store.folder.remove(HIDDEN_FOLDER, block.lock_file)

@@ -10,39 +10,35 @@ from __future__ import annotations
 
 import json
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from functools import reduce
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.files.archives.archived_run import FINISHED, SAVE_EVERY, STATES, STEPS, states_of
-from coadjoint.files.archives.reading import ArchiveError, StoredState, read_state
+from coadjoint.files.archives.archive import FINISHED, SAVE_EVERY, STATES, STEPS, ArchiveError, StoredState
+from coadjoint.files.archives.new_archive import PlannedRun
 from coadjoint.files.archives.store import ArchiveStore
-from coadjoint.runs.piecewise_run import STATE_PREFIX, PiecewiseRun, larger_deviations
-from coadjoint.runs.times import StepDoesNotDivide, times_between
+from coadjoint.runs.piecewise_run import STATE_PREFIX, larger_deviations
+from coadjoint.runs.times import StepDoesNotDivide, Times, times_between
 from coadjoint.short_repr import distinct
 from coadjoint.validation import read_number
 
-if TYPE_CHECKING:
-    from coadjoint.runs.prepared_run import PreparedRun
-    from coadjoint.runs.start import Start
-    from coadjoint.runs.times import Times
 
-
-def extended_times(store: ArchiveStore, times: Times, prepared: PreparedRun, t_end: Any) -> Times:
+def extended_times(store: ArchiveStore, planned: PlannedRun, t_end: Any) -> Times:
     """Return the times of a run with another end.
 
     The end must be a whole number of steps from the start, and later than the steps already taken.
     """
-    end, attributes = read_number(t_end, "t_end"), store.attributes
+    end, attributes, times, step = read_number(t_end, "t_end"), store.attributes, planned.times, planned.prepared.step
     try:
-        extended = times_between((times.t0, end), prepared.step, attributes[SAVE_EVERY])
+        extended = times_between((times.t0, end), step, attributes[SAVE_EVERY])
     except StepDoesNotDivide:
         # The step of a run that has begun cannot be changed.
         before = times.t0 + math.floor((end - times.t0) / times.h) * times.h
         raise ArchiveError(
-            f"{store.path}: t_end {end!r} is between two steps of {prepared.step!r}; give {before!r} or "
-            f"{before + times.h!r}"
+            f"{store.path}: t_end {end!r} is between two steps of {step!r}; give {before!r} or {before + times.h!r}"
         ) from None
     if extended.steps == times.steps and extended.h == times.h:
         return times
@@ -58,14 +54,14 @@ def extended_times(store: ArchiveStore, times: Times, prepared: PreparedRun, t_e
     return extended
 
 
-def extend_run(store: ArchiveStore, prepared: PreparedRun, times: Times, start: Start) -> None:
-    """Set another end of a run, and return it to the last state that does not depend on the old one."""
-    states = states_of(store.attributes)
+def extend_run(store: ArchiveStore, planned: PlannedRun) -> None:
+    """Set the end of a planned run, and return the run to the last state that does not depend on the old one."""
+    states, times = store.states, planned.times
     # The last state of a finished run depends on the end, unless it has no steps.
     retained = (states[:-1] if store.attributes[FINISHED] else states) or states
     last_state = retained[-1]
-    stored = read_state(store.path, last_state)
-    stored["earlier"] = _worst(store, retained, prepared, times, start)
+    stored = store.read_state(last_state)
+    stored["earlier"] = reduce(larger_deviations, _deviations(store, retained, planned))
     stored[f"{STATE_PREFIX}worst"] = np.zeros_like(stored[f"{STATE_PREFIX}worst"])
     new = store.store_state(stored, {**last_state.about, "block": 1})
     blocks = [state for state in retained[:-1] if state.about["block"]]
@@ -81,38 +77,28 @@ def extend_run(store: ArchiveStore, prepared: PreparedRun, times: Times, start: 
     store.commit(attributes, lengths, [*blocks, new])
 
 
-def _worst(
-    store: ArchiveStore, states: list[StoredState], prepared: PreparedRun, times: Times, start: Start
-) -> NDArray[np.float64]:
-    """Return the largest deviations in each tenth of a longer run, over the steps up to the last given state."""
-    worst: NDArray[np.float64] | None = None
+def _deviations(store: ArchiveStore, states: list[StoredState], planned: PlannedRun) -> Iterator[NDArray[np.float64]]:
+    """Yield the largest deviations in each tenth of a longer run, over the steps up to each state from the last one."""
     previous: dict[str, Any] | None = None
     for state in states:
-        stored = read_state(store.path, state)
+        stored = store.read_state(state)
         first, last = 1 if previous is None else int(previous[f"{STATE_PREFIX}number"]) + 1, state.about["number"]
         deviations = np.zeros_like(stored["earlier"])
-        tenths = [(step - 1) * deviations.shape[1] // times.steps for step in (first, max(first, last))]
+        tenths = [(step - 1) * deviations.shape[1] // planned.times.steps for step in (first, max(first, last))]
         if tenths[0] == tenths[1]:
             deviations[:, tenths[0]] = stored["block"]
         else:
-            deviations = _recompute(store, previous, stored, prepared, times, start)
-        worst = deviations if worst is None else larger_deviations(worst, deviations)
+            deviations = _recompute(store, previous, stored, planned)
+        yield deviations
         previous = stored
-    assert worst is not None
-    return worst
 
 
-def _recompute(
-    store: ArchiveStore, previous: Any, next_state: Any, prepared: PreparedRun, times: Times, start: Start
-) -> NDArray[np.float64]:
+def _recompute(store: ArchiveStore, previous: Any, next_state: Any, planned: PlannedRun) -> NDArray[np.float64]:
     """Recompute the steps between two states; return the largest deviations in each tenth."""
     if previous is not None:
         zeros = np.zeros_like(previous["earlier"])
         previous = {**previous, "earlier": zeros, f"{STATE_PREFIX}worst": zeros}
-    run, last = (
-        PiecewiseRun(prepared, times, start, store.arrays["time"].chunk[0], previous),
-        int(next_state[f"{STATE_PREFIX}number"]),
-    )
+    run, last = planned.in_pieces(store.arrays["time"].chunk[0], previous), int(next_state[f"{STATE_PREFIX}number"])
     while run.number < last:
         run.advance(min(last, run.reach))
         if run.number < last:

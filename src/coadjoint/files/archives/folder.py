@@ -52,15 +52,18 @@ class ArchiveFolder:
             self._descriptor = None
 
     @contextmanager
-    def _at(self, folder: str) -> Iterator[int | None]:
-        """Yield the descriptor of a subfolder, or of this folder for ''; None on platforms without descriptors."""
+    def _at(self, folder: str, file: str = "") -> Iterator[tuple[Path, int | None]]:
+        """Yield the path of a file in a subfolder, or in this folder for '', and the descriptor it is relative to.
+
+        On platforms without descriptors of folders this is None.
+        """
         if not USE_DIR_FD:
             reject_link(self.path / folder, None)
-            yield None
+            yield self.path / folder / file, None
             return
         assert self._descriptor is not None
         if not folder:
-            yield self._descriptor
+            yield Path(file), self._descriptor
             return
         try:
             descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=self._descriptor)
@@ -68,20 +71,16 @@ class ArchiveFolder:
             reject_link(Path(folder), self._descriptor)
             raise
         try:
-            yield descriptor
+            yield Path(file), descriptor
         finally:
             os.close(descriptor)
-
-    def _locate(self, folder: str, file: str) -> Path:
-        return Path(file) if USE_DIR_FD else self.path / folder / file
 
     def read(self, folder: str, file: str, max_bytes: int | None = None, head: int | None = None) -> bytes:
         """Return a file of at most `max_bytes` bytes, or its first `head` bytes.
 
         OSError: missing, unreadable or no regular file; ValueError: too long, or too little memory.
         """
-        with self._at(folder) as inside:
-            path = self._locate(folder, file)
+        with self._at(folder, file) as (path, inside):
 
             def opened(name: str, flags: int) -> int:
                 if not USE_DIR_FD:
@@ -105,35 +104,28 @@ class ArchiveFolder:
 
     def write(self, folder: str, file: str, content: bytes) -> None:
         """Replace a file atomically."""
-        with self._at(folder) as inside:
-            write_atomically(self._locate(folder, file), content, inside)
+        with self._at(folder, file) as (path, inside):
+            write_atomically(path, content, inside)
 
     def make(self, folder: str) -> None:
         """Create a subfolder."""
-        with self._at("") as inside:
-            os.mkdir(self._locate("", folder), dir_fd=inside)
+        with self._at("", folder) as (path, inside):
+            os.mkdir(path, dir_fd=inside)
 
     def names(self, folder: str) -> set[str]:
         """Return the names in a subfolder."""
-        with self._at(folder) as inside:
-            return set(os.listdir(self.path / folder if inside is None else inside))
-
-    def has(self, folder: str, file: str) -> bool:
-        """Whether a regular file of this name exists."""
-        try:
-            return stat.S_ISREG(self.status(folder, file).st_mode)
-        except OSError:
-            return False
+        with self._at(folder) as (path, inside):
+            return set(os.listdir(path if inside is None else inside))
 
     def status(self, folder: str, file: str) -> os.stat_result:
         """Return the status of a file; links are not followed."""
-        with self._at(folder) as inside:
-            return os.stat(self._locate(folder, file), dir_fd=inside, follow_symlinks=False)
+        with self._at(folder, file) as (path, inside):
+            return os.stat(path, dir_fd=inside, follow_symlinks=False)
 
     def remove(self, folder: str, file: str) -> None:
         """Remove a file, if present; links are not followed."""
-        with self._at(folder) as inside, suppress(FileNotFoundError):
-            os.unlink(self._locate(folder, file), dir_fd=inside)
+        with self._at(folder, file) as (path, inside), suppress(FileNotFoundError):
+            os.unlink(path, dir_fd=inside)
 
     def remove_unfinished(self, folder: str) -> None:
         """Remove temporary files left by killed processes."""
@@ -144,14 +136,13 @@ class ArchiveFolder:
     def sync_to_disk(self, folders: Iterable[str]) -> None:
         """Sync the directory entries of some subfolders to disk."""
         for folder in folders:
-            with self._at(folder) as inside:
+            with self._at(folder) as (_, inside):
                 if inside is not None:
                     sync_to_disk(inside)
 
     def lock(self, folder: str, file: str) -> int | None:
         """Lock a file, created if missing; return its descriptor, or None if another process holds the lock."""
-        with self._at(folder) as inside:
-            path = self._locate(folder, file)
+        with self._at(folder, file) as (path, inside):
             try:
                 return open_locked(path, os.O_CREAT, inside)
             except OSError:

@@ -11,19 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError, OneLineError, in_one_line
-from coadjoint.files.archives.archived_run import (
+from coadjoint.files.archives.archive import (
     ACCOUNTS_ATTRIBUTE,
+    BLOCK_SIZE_ATTRIBUTE,
     FINISHED,
     FIRST_STEP,
     SAVE_EVERY,
     STATES,
+    STATUS,
     STEPS,
-    states_of,
+    Archive,
+    ArchiveError,
 )
-from coadjoint.files.archives.blocks import BLOCK_SIZE_ATTRIBUTE, MEMBER, STATUS
-from coadjoint.files.archives.reading import ArchiveError
 from coadjoint.files.archives.stored_arrays import StoredArray
-from coadjoint.files.datasets.named_axes import stored_axes
+from coadjoint.files.datasets.named_axes import MEMBER, stored_axes
 from coadjoint.files.datasets.variables import TIME
 from coadjoint.files.records.entries import Entry, parsed
 from coadjoint.files.records.required_functions import FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE
@@ -58,9 +59,10 @@ def as_archive_errors(path: str | Path) -> Iterator[None]:
         raise ArchiveError(f"{path}: the archive is damaged ({problem})") from reason
 
 
-def check_archive(path: Path, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
+def check_archive(archive: Archive) -> None:
     """Raise `ArchiveError` unless attributes and arrays describe one run, or one ensemble."""
-    with as_archive_errors(path):
+    arrays, attributes = archive.arrays, archive.attributes
+    with as_archive_errors(archive.path):
         entry = Entry(attributes, "attributes")
         for name in TEXT_ATTRIBUTES:
             if not isinstance(attributes[name], str):
@@ -105,7 +107,7 @@ def check_archive(path: Path, arrays: Mapping[str, StoredArray], attributes: Map
             expected = times.total_points
         else:
             entry[SAVE_EVERY].integer(1)
-            expected = _check_states(entry, attributes, times, sizes[TIME])
+            expected = _check_states(entry, archive, times, sizes[TIME])
         if not attributes["between_steps"] and sizes[TIME] != expected:
             raise ValueError(f"there are {sizes[TIME]} saved points after {attributes[STEPS]} steps, not {expected}")
 
@@ -137,14 +139,15 @@ def _check_arrays(arrays: Mapping[str, StoredArray], accounts: list[list[str]]) 
     return sizes
 
 
-def _check_states(entry: Entry, attributes: Mapping[str, Any], times: Times, rows: int) -> int:
+def _check_states(entry: Entry, archive: Archive, times: Times, rows: int) -> int:
     """Validate the stored states; return the expected number of saved points."""
+    attributes = archive.attributes
     for state in parsed(attributes[STATES], STATES).entries():
         file, digest, about = state.entries(3)
         file.text(), digest.text(), about["block"].flag()
         for name in ("number", TIME):
             about[name].integer()
-    states = states_of(attributes)
+    states = archive.states
     numbers = [state.about["number"] for state in states]
     if not states or numbers != sorted(numbers) or numbers[-1] != attributes[STEPS] or states[-1].about[TIME] != rows:
         raise entry[STATES].invalid_error("a list of states, of which the last one is that of the last commit")

@@ -7,12 +7,17 @@ Content of the folder::
     x/zarr.json            the array alone, for readers without consolidated metadata
     .coadjoint/lock        locked while a process writes
     .coadjoint/state-...   numbers and arrays from which the run resumes, `ArchiveStore.store_state`
+    .coadjoint/block-...   of an ensemble: markers of blocks, `ArchiveStore.write_marker`, and their locks
 
 **Replacing the root is the commit**: chunks are written first, then the state, then the root. The root holds the number
 of rows of every array, and the state that belongs to them. Anything else in the folder is ignored: uncommitted rows are
 invisible, and are overwritten on resume. Every file is replaced atomically. So the process may be killed at any moment,
-and a reader always finds arrays of one length without gaps. Several processes may write an archive at once if each
-writes its own chunks and one of them commits.
+and a reader always finds arrays of one length without gaps.
+
+The blocks of an ensemble are written by several processes at once. Blocks have one size, which is the chunk size of all
+arrays along the members, so that no two blocks share a file. A marker is replaced atomically, after all chunks that it
+refers to. A block is done when its marker records it as finished. A damaged marker is ignored: the block is run again,
+with the same bits.
 """
 
 from __future__ import annotations
@@ -23,29 +28,27 @@ import json
 import os
 import secrets
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from coadjoint.files.archives.folder import ArchiveFolder
-from coadjoint.files.archives.reading import (
+from coadjoint.files.archives.archive import (
     FORMAT,
     HIDDEN_FOLDER,
     ROOT_FILE,
-    STATE_PREFIX,
+    STATE_FILE_PREFIX,
     VERSION_ATTRIBUTE,
+    Archive,
     ArchiveError,
+    Block,
     StoredState,
     chunk_file,
-    missing_chunk_error,
     open_folder,
-    read_chunk,
     read_root,
-    read_root_in,
 )
+from coadjoint.files.archives.folder import ArchiveFolder
 from coadjoint.files.archives.stored_arrays import StoredArray, serialize_numbers
 from coadjoint.files.output.atomic_output import LOCK_FILE, rename_when_free
 
@@ -76,64 +79,63 @@ def unwritten_archive(path: Path, reason: OSError | ArchiveError, replaced: str,
     return ArchiveUnwritten(f"{path}: the archive could not be written ({problem}); {ending}")
 
 
-class ArchiveStore:
-    """An archive open for writing, from `create_archive` or `open_existing`; `arrays` and `attributes` are those of the
-    last commit.
-    """
+class ArchiveStore(Archive):
+    """An archive open for writing; `arrays` and `attributes` are those of the last commit."""
 
     def __init__(
         self,
         path: Path,
         arrays: Mapping[str, StoredArray],
         attributes: Mapping[str, Any],
-        lock: int | None,
+        folder: ArchiveFolder,
         lock_file: str = LOCK_FILE,
-        folder: ArchiveFolder | None = None,
     ) -> None:
-        self.path, self.arrays, self.attributes = path, dict(arrays), dict(attributes)
-        self.folder, self._lock, self._lock_file = folder or ArchiveFolder(path), lock, lock_file
+        super().__init__(path, arrays, attributes)
+        self.folder, self._lock_file = folder, lock_file
+        self._lock: int | None = None
         self._touched: set[str] = set()
+
+    def opened(self) -> AbstractContextManager[ArchiveFolder]:
+        """Return the folder, which stays open."""
+        return nullcontext(self.folder)
+
+    def lock(self) -> bool:
+        """Lock the archive, or the block; return whether no other process holds the lock."""
+        self._lock = self.folder.lock(HIDDEN_FOLDER, self._lock_file)
+        return self._lock is not None
 
     @classmethod
     def create_archive(cls, path: Path, arrays: Mapping[str, StoredArray]) -> ArchiveStore:
         """Create an archive in a new folder; it is empty until the first `commit`."""
         path.mkdir()
-        folder = ArchiveFolder(path)
+        store = cls(path, arrays, {VERSION_ATTRIBUTE: FORMAT}, ArchiveFolder(path))
         try:
             for name in (HIDDEN_FOLDER, *arrays):
-                folder.make(name)
-            folder.write(HIDDEN_FOLDER, ROOT_FILE, _json({**GROUP_METADATA, "attributes": {}}))
-            store = cls(path, arrays, {VERSION_ATTRIBUTE: FORMAT}, folder.lock(HIDDEN_FOLDER, LOCK_FILE), folder=folder)
+                store.folder.make(name)
+            store.folder.write(HIDDEN_FOLDER, ROOT_FILE, _json({**GROUP_METADATA, "attributes": {}}))
+            store.lock()
             store._write_arrays(arrays)
         except BaseException:
-            folder.close()
+            store.close()
             raise
         return store
 
     @classmethod
     def open_existing(cls, path: Path) -> ArchiveStore:
         """Open an archive to resume it, and remove leftovers of a killed process; ArchiveError if it is locked."""
-        read_root(path)
-        folder, lock = open_folder(path), None
+        store = cls(path, *read_root(path), open_folder(path))
         try:
-            try:
-                lock = folder.lock(HIDDEN_FOLDER, LOCK_FILE)
-            except OSError as reason:
-                raise unwritable_error(path, reason) from None
-            if lock is None:
+            if not store.lock():
                 raise ArchiveError(f"{path}: another process is writing to this archive; wait until it has ended")
             # Read again: it may have changed before it was locked.
-            store = cls(path, *read_root_in(path, folder), lock, folder=folder)
-            try:
-                for name in ("", HIDDEN_FOLDER, *store.arrays):
-                    folder.remove_unfinished(name)
-                store._write_arrays(store.arrays)
-            except OSError as reason:
+            store.arrays, store.attributes = read_root(path, store.folder)
+            for name in ("", HIDDEN_FOLDER, *store.arrays):
+                store.folder.remove_unfinished(name)
+            store._write_arrays(store.arrays)
+        except BaseException as reason:
+            store.close()
+            if isinstance(reason, OSError):
                 raise unwritable_error(path, reason) from None
-        except BaseException:
-            if lock is not None:
-                os.close(lock)
-            folder.close()
             raise
         return store
 
@@ -144,8 +146,7 @@ class ArchiveStore:
             rename_when_free(lambda: os.rename(self.path, path))
             self.path = path
             self.folder.path = path.absolute()
-            self._lock = self.folder.lock(HIDDEN_FOLDER, self._lock_file)
-            if self._lock is None:
+            if not self.lock():
                 raise BlockingIOError(errno.EAGAIN, "another process is writing to it")
         except BaseException:
             self.close()
@@ -161,27 +162,24 @@ class ArchiveStore:
         if lock is not None:
             os.close(lock)
 
+    def _is_own_lock(self, status: os.stat_result) -> bool:
+        return self._lock is None or os.path.samestat(os.fstat(self._lock), status)
+
     def check_lock(self) -> None:
         """Raise ArchiveReplaced if the lock file was replaced (another process may write); OSError if it is gone."""
-        if self._lock is None:
-            return
         try:
             status = self.folder.status(HIDDEN_FOLDER, self._lock_file)
         except FileNotFoundError:
             raise FileNotFoundError(errno.ENOENT, "it was removed meanwhile") from None
-        if not os.path.samestat(os.fstat(self._lock), status):
+        if not self._is_own_lock(status):
             raise ArchiveReplaced(errno.ESTALE, "its lock file was replaced, so that another process may write to it")
 
     def check_not_replaced(self) -> None:
         """Raise ArchiveReplaced if the path of the archive no longer leads to the folder being written."""
-        if self._lock is None:
-            return
-        try:
-            status = os.stat(self.folder.path / HIDDEN_FOLDER / self._lock_file, follow_symlinks=False)
-        except OSError:
-            status = None
-        if status is None or not os.path.samestat(os.fstat(self._lock), status):
-            raise ArchiveReplaced(errno.ESTALE, "its folder was moved or replaced; the computed part is in the old one")
+        with suppress(OSError):
+            if self._is_own_lock(os.stat(self.folder.path / HIDDEN_FOLDER / self._lock_file, follow_symlinks=False)):
+                return
+        raise ArchiveReplaced(errno.ESTALE, "its folder was moved or replaced; the computed part is in the old one")
 
     def write(self, name: str, values: Any, first: tuple[int, ...] = ()) -> None:
         """Write a region of an array that begins at `first` (0 along the other dimensions), to be committed later.
@@ -192,21 +190,15 @@ class ArchiveStore:
         self.check_lock()
         array, region = self.arrays[name], np.asarray(values)
         begin = (*first, *(0,) * (region.ndim - len(first)))
-        for indices, inside, outside in array.chunks_at(begin, region.shape):
-            key = chunk_file(indices)
+        for indices, inside, outside in array.chunks_in(
+            [range(a, a + n) for a, n in zip(begin, region.shape, strict=True)]
+        ):
             chunk = array.empty()
             if array.grows and inside[0].start > 0:
-                chunk[: inside[0].start] = self.chunk(name, indices)[: inside[0].start]
+                chunk[: inside[0].start] = self.chunk(self.folder, name, indices)[: inside[0].start]
             chunk[inside] = region[outside]
-            self.folder.write(name, key, array.encoded(chunk))
+            self.folder.write(name, chunk_file(indices), array.encoded(chunk))
         self._touched.add(name)
-
-    def chunk(self, name: str, indices: tuple[int, ...]) -> NDArray[Any]:
-        """Return a chunk; ArchiveError if it is missing or damaged."""
-        chunk = read_chunk(self.path, self.folder, name, self.arrays[name], indices)
-        if chunk is None:
-            raise missing_chunk_error(self.path, name, indices)
-        return chunk
 
     def store_state(self, numbers: Mapping[str, Any], about: Mapping[str, Any]) -> StoredState:
         """Write the numbers and arrays from which a run resumes; return the entry for `commit`.
@@ -214,19 +206,30 @@ class ArchiveStore:
         `about` holds plain numbers that can be read without the file.
         """
         self.check_lock()
-        raw, file = serialize_numbers(numbers), f"{STATE_PREFIX}{secrets.token_hex(6)}.npz"
+        raw, file = serialize_numbers(numbers), f"{STATE_FILE_PREFIX}{secrets.token_hex(6)}.npz"
         self.folder.write(HIDDEN_FOLDER, file, raw)
         self._touched.add(HIDDEN_FOLDER)
         return StoredState(file, hashlib.sha256(raw).hexdigest(), dict(about))
 
+    def write_marker(self, block: Block, about: Mapping[str, Any], stored: Mapping[str, Any]) -> None:
+        """Commit a block by its marker, atomically: a line of JSON with checksums, then the numbers."""
+        self.folder.sync_to_disk(self._touched)
+        raw = serialize_numbers(stored)
+        head = json.dumps({"about": dict(about), "bytes": len(raw), "numbers": hashlib.sha256(raw).hexdigest()})
+        line = f"{hashlib.sha256(head.encode()).hexdigest()} {head}\n"
+        self.folder.write(HIDDEN_FOLDER, block.marker, line.encode() + raw)
+        self.folder.sync_to_disk([HIDDEN_FOLDER])
+        self._touched = set()
+        self.check_not_replaced()
+
     def commit(
-        self, attributes: Mapping[str, Any], lengths: Mapping[str, int], states: Iterable[StoredState | None] = ()
+        self, attributes: Mapping[str, Any], lengths: Mapping[str, int], states: Iterable[StoredState] = ()
     ) -> None:
         """Commit everything written so far, atomically.
 
-        `attributes` are merged into those of the root (None removes); `lengths` are the rows along dimensions that
-        grow; states not in `states` are removed. ArchiveReplaced: the lock file was replaced, and nothing is committed;
-        or the folder was moved, and everything is committed in it. OSError: the previous commit stays valid.
+        `attributes` are merged into those of the root; `lengths` are the rows along dimensions that grow; states not in
+        `states` are removed. ArchiveReplaced: the lock file was replaced, and nothing is committed; or the folder was
+        moved, and everything is committed in it. OSError: the previous commit stays valid.
         """
         self.check_lock()
         arrays = {
@@ -234,16 +237,15 @@ class ArchiveStore:
             for name, array in self.arrays.items()
         }
         merged = {**self.attributes, **attributes}
-        merged = {name: value for name, value in merged.items() if value is not None}
         self.folder.sync_to_disk(self._touched)
         changed = {name: array for name, array in arrays.items() if array != self.arrays[name]}
         self.folder.write("", ROOT_FILE, _json(root_content(arrays, merged)))
         self.arrays, self.attributes, self._touched = arrays, merged, set()
         self.folder.sync_to_disk([""])
         self._write_arrays(changed)
-        retained = {state.file for state in states if state is not None}
+        retained = {state.file for state in states}
         for file in self.folder.names(HIDDEN_FOLDER):
-            if file.startswith(STATE_PREFIX) and file not in retained:
+            if file.startswith(STATE_FILE_PREFIX) and file not in retained:
                 # Windows keeps the files that a reader has open; the next commit removes them.
                 with suppress(PermissionError):
                     self.folder.remove(HIDDEN_FOLDER, file)

@@ -27,6 +27,13 @@ CHUNK_BYTES = 2**22
 """Size of a chunk before compression, unless a single row is longer."""
 TYPES = {"f": "float64", "i": "int64", "b": "bool"}
 FILL: dict[str, Any] = {"float64": "NaN", "int64": 0, "bool": False, "string": ""}
+BLOSC = {"typesize": 8, "cname": "zstd", "clevel": 3, "shuffle": "shuffle", "blocksize": 0}
+NUMBER_CODECS: list[dict[str, Any]] = [
+    {"name": "bytes", "configuration": {"endian": "little"}},
+    {"name": "blosc", "configuration": BLOSC},
+]
+CODECS: dict[str, list[dict[str, Any]]] = {"string": [{"name": "vlen-utf8"}], "bool": [{"name": "bytes"}]}
+"""Codecs of other types than numbers, before the checksum."""
 SEPARATOR = "."
 MAX_AXES = 8
 MAX_AXIS_LENGTH, MAX_READ_ROWS = 2**62, 2**16
@@ -58,15 +65,6 @@ class StoredArray(NamedTuple):
 
     def metadata(self) -> dict[str, Any]:
         """Return the Zarr metadata."""
-        numbers = self.kind not in ("string", "bool")
-        codecs: list[dict[str, Any]] = [{"name": "bytes"}]
-        if self.kind == "string":
-            codecs = [{"name": "vlen-utf8"}]
-        elif numbers:
-            codecs = [
-                {"name": "bytes", "configuration": {"endian": "little"}},
-                {"name": "blosc", "configuration": BLOSC},
-            ]
         return {
             "zarr_format": 3,
             "node_type": "array",
@@ -75,7 +73,7 @@ class StoredArray(NamedTuple):
             "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": list(self.chunk)}},
             "chunk_key_encoding": {"name": "default", "configuration": {"separator": SEPARATOR}},
             "fill_value": FILL[self.kind],
-            "codecs": [*codecs, {"name": "crc32c"}],
+            "codecs": [*CODECS.get(self.kind, NUMBER_CODECS), {"name": "crc32c"}],
             "attributes": dict(self.attributes),
             "dimension_names": list(self.dims),
             "storage_transformers": [],
@@ -112,20 +110,11 @@ class StoredArray(NamedTuple):
             raise ValueError(f"the chunk is {short(self.chunk)}, which is too large for the shape {short(self.shape)}")
 
     @property
-    def extent(self) -> list[tuple[int, int]]:
-        """Pairs of array length and chunk length along each axis."""
-        return list(zip(self.shape, self.chunk, strict=True))
-
-    @property
     def max_encoded_bytes(self) -> int | None:
         """Limit on the encoded size of a chunk; None for text."""
         if self.kind == "string":
             return None
         return np.dtype(self.kind).itemsize * prod(self.chunk) + BLOSC_HEADER_BYTES + CHECKSUM_BYTES
-
-    def chunks_at(self, first: tuple[int, ...], shape: tuple[int, ...]) -> Iterator[tuple[tuple[int, ...], Any, Any]]:
-        """Yield the chunks that a region at `first` intersects, as `chunks_in`."""
-        return self.chunks_in([range(a, a + n) for a, n in zip(first, shape, strict=True)])
 
     def chunks_in(self, part: Sequence[range]) -> Iterator[tuple[tuple[int, ...], Any, Any]]:
         """Yield the chunks that intersect ascending ranges of entries: indices, and slices of chunk and part."""
@@ -174,9 +163,6 @@ class StoredArray(NamedTuple):
         return np.frombuffer(content, dtype=kind).reshape(self.chunk).copy()
 
 
-BLOSC = {"typesize": 8, "cname": "zstd", "clevel": 3, "shuffle": "shuffle", "blocksize": 0}
-
-
 def decompress(content: bytes, length: int) -> bytes:
     """Decompress Blosc data to a known length; ValueError if it is damaged or of another length."""
     from numcodecs import Blosc
@@ -211,8 +197,10 @@ def _sum_of(content: bytes) -> bytes:
     return int(google_crc32c.value(content)).to_bytes(4, "little")
 
 
-def chunk_of(dims: tuple[str, ...], shape: tuple[int, ...], rows: int) -> tuple[int, ...]:
+def chunk_of(dims: tuple[str, ...], shape: tuple[int, ...], rows: int, members: int | None = None) -> tuple[int, ...]:
     """Return the chunk shape of an array: all of it, or `rows` rows of one that grows; large ones are split.
+
+    In ensembles, `members` of each block share a chunk, which is not split.
 
     Examples
     --------
@@ -222,9 +210,9 @@ def chunk_of(dims: tuple[str, ...], shape: tuple[int, ...], rows: int) -> tuple[
     (1, 166667, 3)
     """
     grows = dims[0] in GROWING_DIMENSIONS
-    chunk = list(shape)
-    if grows:
-        chunk[0] = rows
+    chunk = [rows, *shape[1:]] if grows else list(shape)
+    if members is not None:
+        return tuple(max(1, members if name == "member" else size) for name, size in zip(dims, chunk, strict=True))
     for axis in range(int(grows), len(chunk)):
         # Split leading axes first: those of members.
         pieces = max(1, -(-8 * prod(chunk) // CHUNK_BYTES))

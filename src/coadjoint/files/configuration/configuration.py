@@ -160,7 +160,7 @@ class Configuration:
         prepared = self.ready()
         metadata = ExtraMetadata(self.swept_coordinates(), {CONFIGURATION: self.text})
         if self.workers is not None:
-            from coadjoint.files.archives.run_in_blocks import read_worker_pool, run_in_blocks
+            from coadjoint.files.archives.ensemble import read_worker_pool, run_in_blocks
 
             pool = read_worker_pool(None, self.workers, self.threads)
             arguments = prepared, self.x0, self.t_span, self.save_every, archive, pool

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import OneLineError, in_one_line
+from coadjoint.files.archives.archive import HIDDEN_FOLDER
 from coadjoint.files.archives.archived_solution import open_archive
-from coadjoint.files.archives.reading import HIDDEN_FOLDER
 from coadjoint.files.datasets.content_checksum import CHECKSUM, checksum_of
 from coadjoint.files.datasets.export import ENDED_ATTRIBUTE, REQUIRED_ATTRIBUTES, events_of_dataset, stored_inputs
 from coadjoint.files.datasets.named_axes import stacked

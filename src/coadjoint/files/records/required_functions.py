@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from coadjoint.files.archives.reading import ArchiveError
+from coadjoint.files.archives.archive import ArchiveError
 from coadjoint.files.records.entries import parsed
 from coadjoint.files.records.fingerprints import fingerprint_of, functions_in, same_fingerprint, system_contents
 from coadjoint.files.records.reconstruction import invariants_of

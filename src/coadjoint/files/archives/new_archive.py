@@ -1,0 +1,206 @@
+"""Creation of archives, of runs and of ensembles, before the first step."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from math import prod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from coadjoint.files.archives.archive import (
+    ACCOUNTS_ATTRIBUTE,
+    BLOCK_SIZE_ATTRIBUTE,
+    DONE,
+    FAILED,
+    FINISHED,
+    FIRST_STEP,
+    PENDING,
+    STATES,
+    STATUS,
+    STEPS,
+    ArchiveError,
+    StoredState,
+    is_computed,
+    read_archive_path,
+)
+from coadjoint.files.archives.store import ArchiveStore
+from coadjoint.files.archives.stored_arrays import TYPES, StoredArray, chunk_of, rows_of_chunk
+from coadjoint.files.datasets.export import attributes_of
+from coadjoint.files.datasets.named_axes import MEMBER
+from coadjoint.files.datasets.variables import (
+    TIME,
+    ExtraMetadata,
+    accounts_of,
+    coordinates_of,
+    start_variables,
+    summary_variables,
+    time_coordinate,
+    time_variables,
+)
+from coadjoint.files.output.atomic_output import PendingOutput, remove_leftovers
+from coadjoint.files.records.required_functions import function_attributes
+from coadjoint.runs.piecewise_run import PiecewiseRun
+
+if TYPE_CHECKING:
+    from coadjoint.runs.prepared_run import PreparedRun
+    from coadjoint.runs.results.solution import Solution
+    from coadjoint.runs.start import Start
+    from coadjoint.runs.times import Times
+
+MAX_STATE_BYTES = 2**22
+"""Limit on the state of a block at one time, for the default block size."""
+MEMBERS_PER_BATCH = 32
+"""Members that the kernels advance side by side."""
+BLOCKS_PER_WORKER = 4  # so that workers of different speed end at about the same time
+STATUS_ATTRIBUTES = {
+    "long_name": "whether the member has been computed to its end",
+    "flag_values": [PENDING, DONE, FAILED],
+    "flag_meanings": "not_computed done failed",
+}
+
+
+class PlannedRun(NamedTuple):
+    """A prepared run of all members, with its times and start."""
+
+    prepared: PreparedRun
+    times: Times
+    start: Start
+
+    def in_pieces(self, max_points: int, stored: Mapping[str, Any] | None = None) -> PiecewiseRun:
+        """Return the run in pieces of so many points, resumed from stored numbers if there are any."""
+        return PiecewiseRun(self.prepared, self.times, self.start, max_points, stored)
+
+    def at_start(self) -> PiecewiseRun:
+        """Return the run before its first step."""
+        run = self.in_pieces(1)
+        run.advance(0)
+        return run
+
+    def first_step(self) -> str:
+        """Return a digest of the state after the first step, which identifies the computation of the run."""
+        run = self.prepared.begun(self.times._replace(max_points=2), self.start)
+        run.advance(until=min(1, self.times.steps))
+        return hashlib.sha256(run.state.arrays.numbers.tobytes()).hexdigest()
+
+    def attributes(self, piece: Solution) -> dict[str, Any]:
+        """Return the attributes that identify the run; `piece` is its solution at the start."""
+        return {
+            **attributes_of(piece),
+            ACCOUNTS_ATTRIBUTE: json.dumps(accounts_of(piece)),
+            **function_attributes(self.prepared, ()),
+            FIRST_STEP: self.first_step(),
+        }
+
+
+def size_of_blocks(members: int, numbers: int, workers: int) -> int:
+    """Return the default block size: several blocks per worker for load balance, full lanes, and limited chunks.
+
+    Examples
+    --------
+    >>> size_of_blocks(1000, 3, 2), size_of_blocks(10, 3, 2), size_of_blocks(1000, 10**6, 2)
+    (128, 2, 1)
+    """
+    fair = -(-members // (BLOCKS_PER_WORKER * workers))
+    if fair > MEMBERS_PER_BATCH:
+        fair = -(-fair // MEMBERS_PER_BATCH) * MEMBERS_PER_BATCH
+    return max(1, min(fair, members, MAX_STATE_BYTES // (8 * max(1, numbers))))
+
+
+def create_archive(
+    planned: PlannedRun,
+    archive: str | Path,
+    metadata: ExtraMetadata,
+    own_attributes: Mapping[str, Any],
+    workers: int | None = None,
+    size: int | None = None,
+) -> ArchiveStore:
+    """Create an archive from which a run can be resumed, before its first step.
+
+    `workers` is given for an ensemble in blocks, of `size` members if that is not None.
+    """
+    target, run = check_new(archive), planned.at_start()
+    piece, points = run.piece(), planned.times.total_points
+    metadata = metadata.with_batch_parameters(piece.system)
+    variables = time_variables(piece)
+    numbers_of_row = max(prod(np.shape(values)[1:]) for _, values, _ in variables.values())
+    variables |= start_variables(piece) | summary_variables(piece) | metadata.coordinates | coordinates_of(piece)
+    rows_stored = run.points_held
+    if workers is not None:
+        members = len(planned.start.momenta)
+        size = min(members, size or size_of_blocks(members, numbers_of_row // members, workers))
+        numbers_of_row, rows_stored = numbers_of_row // members * size, points
+        variables[STATUS] = ((MEMBER,), np.full(members, PENDING), STATUS_ATTRIBUTES)
+        variables |= time_coordinate(planned.times.saved_times)
+    rows = rows_of_chunk(numbers_of_row, points)
+    arrays = {}
+    for name, (dims, values, about) in variables.items():
+        shape = np.shape(values)
+        shape = (rows_stored, *shape[1:]) if dims[0] == TIME else shape
+        kind = TYPES.get(np.asarray(values).dtype.kind, "string")
+        arrays[name] = StoredArray(dims, kind, shape, chunk_of(dims, shape, rows, size), about)
+    attributes = {
+        **planned.attributes(piece),
+        "platform": f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}",
+        FINISHED: int(run.is_over and workers is None),
+        STEPS: 0,
+        **metadata.attributes,
+        **own_attributes,
+    }
+    if metadata.coordinates:
+        attributes["coordinates"] = " ".join(metadata.coordinates)
+
+    def write(store: ArchiveStore) -> None:
+        for name, (_, values, _) in variables.items():
+            if workers is None or not is_computed(name, arrays[name]):
+                store.write(name, values)
+        lengths, states = {TIME: rows_stored}, list[StoredState]()
+        if workers is None:
+            states = [store.store_state(run.stored(), {"number": 0, **lengths, "block": 1})]
+            attributes[STATES] = json.dumps(states)
+        else:
+            attributes[BLOCK_SIZE_ATTRIBUTE] = size
+        store.commit(attributes, lengths, states)
+
+    return _created_in_place(target, arrays, write)
+
+
+def check_new(archive: str | Path) -> Path:
+    """Validate the path of a new archive; ArchiveError if it exists or cannot be created."""
+    target = read_archive_path(archive)
+    try:
+        if os.path.lexists(target):
+            raise ArchiveError(f"{target}: exists; co.resume continues an archive, and a new one needs another name")
+        if not target.parent.is_dir():
+            raise ArchiveError(f"{target}: the folder {target.parent} does not exist; create it first")
+        remove_leftovers(target)
+    except OSError as reason:
+        raise _creation_error(target, reason) from None
+    return target
+
+
+def _created_in_place(
+    target: Path, arrays: Mapping[str, StoredArray], write: Callable[[ArchiveStore], None]
+) -> ArchiveStore:
+    """Return an archive that is written in a hidden folder, then renamed; an interrupt leaves it unlocked."""
+    with ExitStack() as after_failures:
+        try:
+            with PendingOutput(target) as unfinished:
+                store = ArchiveStore.create_archive(unfinished.path, arrays)
+                after_failures.callback(store.close)
+                write(store)
+                store.moved(target)
+        except OSError as reason:
+            raise _creation_error(target, reason) from None
+        after_failures.pop_all()
+    return store
+
+
+def _creation_error(target: Path, reason: OSError) -> ArchiveError:
+    return ArchiveError(f"{target}: cannot be created ({reason.strerror}); give another name")
