@@ -26,7 +26,7 @@ from coadjoint.errors import OneLineError, in_one_line
 from coadjoint.files.archives.folder import ArchiveFolder
 from coadjoint.files.archives.stored_arrays import StoredArray, deserialize_numbers
 from coadjoint.files.datasets.named_axes import MEMBER
-from coadjoint.files.records.entries import Entry, parsed
+from coadjoint.files.records.entries import parsed
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 
@@ -128,7 +128,7 @@ class Archive:
         if BLOCK_SIZE_ATTRIBUTE not in self.attributes:
             return [self.attributes]
         with self.opened() as folder:
-            return [read_head(folder, block) or {} for block in self.blocks]
+            return [read_head(folder, block) for block in self.blocks]
 
     @cached_property
     def heads(self) -> list[dict[str, Any]]:
@@ -246,53 +246,38 @@ def total_progress(heads: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
     return least | {name: sum(head.get(name, 0) for head in heads) for name in ("evaluations", "iterations", "seconds")}
 
 
-def read_head(folder: ArchiveFolder, block: Block) -> dict[str, Any] | None:
-    """Return the progress of a block, from the head of its marker; None if it is missing or damaged."""
+def read_marker(
+    folder: ArchiveFolder, block: Block, only_head: bool = False
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]] | None:
+    """Return the progress of a block, and the numbers from which it resumes; None if missing or damaged."""
     try:
-        line = folder.read(HIDDEN_FOLDER, block.marker, head=MAX_HEAD_BYTES).partition(b"\n")[0]
-        return _parsed_head(line).value["about"]
+        content = folder.read(HIDDEN_FOLDER, block.marker, head=MAX_HEAD_BYTES if only_head else None)
+        line, _, raw = content.partition(b"\n")
+        digest, _, text = line.decode("utf-8").partition(" ")
+        head = parsed(text, "the marker")
+        for name in HEAD_COUNTS:
+            head["about"][name].integer()
+        damaged = hashlib.sha256(text.encode()).hexdigest() != digest or head["about"]["seconds"].number() < 0.0
+        if damaged or not (only_head or hashlib.sha256(raw).hexdigest() == head["numbers"].text()):
+            return None
+        return head.value["about"], {} if only_head else deserialize_numbers(raw)
     except (OSError, ValueError, RecursionError):
         return None
 
 
-def read_marker(folder: ArchiveFolder, block: Block) -> tuple[dict[str, Any], dict[str, NDArray[Any]]] | None:
-    """Return the progress of a block, and the numbers from which it resumes; None if they are missing or damaged."""
-    try:
-        line, _, raw = folder.read(HIDDEN_FOLDER, block.marker).partition(b"\n")
-        head = _parsed_head(line).value
-        damaged = hashlib.sha256(raw).hexdigest() != head.get("numbers")
-        return None if damaged else (head["about"], deserialize_numbers(raw))
-    except (OSError, ValueError, RecursionError):
-        return None
-
-
-def _parsed_head(line: bytes) -> Entry:
-    """Parse the first line of a marker; ValueError if it is damaged."""
-    digest, _, text = line.decode("utf-8").partition(" ")
-    if hashlib.sha256(text.encode()).hexdigest() != digest:
-        raise ValueError("the checksum does not match")
-    head = parsed(text, "the marker")
-    for name in HEAD_COUNTS:
-        head["about"][name].integer()
-    if head["about"]["seconds"].number() < 0.0:
-        raise head["about"]["seconds"].invalid_error("a number from 0 up")
-    return head
+def read_head(folder: ArchiveFolder, block: Block) -> dict[str, Any]:
+    """Return the progress of a block; empty if it has not begun, or its marker is damaged."""
+    return (read_marker(folder, block, only_head=True) or ({}, {}))[0]
 
 
 def read_archive_path(value: Any) -> Path:
-    """Validate the path of an archive.
-
-    Examples
-    --------
-    >>> read_archive_path(3)
-    Traceback (most recent call last):
-    TypeError: archive is 3; it must be the path of a folder, such as 'run.zarr'
-    """
+    """Validate the path of an archive."""
+    hint = f"archive is {short(value)}; it must be the path of a folder, such as 'run.zarr'"
     if not isinstance(value, str | os.PathLike):
-        raise TypeError(f"archive is {short(value)}; it must be the path of a folder, such as 'run.zarr'")
+        raise TypeError(hint)
     path = os.fspath(value)
     if not isinstance(path, str) or not path or "\0" in path:
-        raise ValueError(f"archive is {short(value)}; it must be the path of a folder, such as 'run.zarr'")
+        raise ValueError(hint)
     if max(map(len, Path(path).parts), default=0) > MAX_NAME_LENGTH:
         raise ValueError(f"archive is {short(value)}; its name is too long")
     return Path(path)

@@ -48,11 +48,18 @@ def on_client(
     ArchiveUnwritten: the cluster is lost, or a block cannot be written. ArchiveError: a worker does not see the
     archive, or has another version of the library.
     """
+    planned.prepared.loops(planned.times.h).build_all()  # built here rather than by each worker
     with progress_bar(sum(block.last - block.first for block in remaining), progress, "member") as bar:
         attempts = 0
         while attempts < RETRIES:
             remaining_before = len(remaining)
-            remaining, failure = _run_round(client, store, remaining, planned, threads or 1, bar)
+            try:
+                remaining, failure = _run_round(client, store, remaining, planned, threads or 1, bar)
+            except (OSError, CancelledError) as reason:
+                raise ArchiveUnwritten(
+                    f"{store.path}: the scheduler of the cluster is lost; computed blocks are in the archive, and the "
+                    "next call with this archive continues"
+                ) from reason
             if not remaining:
                 return
             if isinstance(failure, ArchiveError | ArchiveUnwritten):
@@ -68,16 +75,18 @@ def on_client(
 def _run_round(
     client: Any, store: ArchiveStore, remaining: list[Block], planned: PlannedRun, threads: int, bar: Any
 ) -> tuple[list[Block], BaseException | None]:
-    """Submit blocks and wait for them; return the unfinished ones, and the first failure."""
+    """Submit blocks and wait for them; return the unfinished ones, and the first failure.
+
+    OSError or CancelledError: the scheduler is lost.
+    """
     archive, token, prepared = str(store.path), secrets.token_hex(4), planned.prepared
     shared_tables = not is_batch(prepared.system)
-    prepared.loops(planned.times.h).build_all()  # built here rather than by each worker
     try:
         shared_run: Any = client.scatter(prepared, broadcast=True, hash=False) if shared_tables else None
     except (OSError, CancelledError) as lost:
         # A worker that dies while it receives the tables fails this request, but not the cluster.
         if not _scheduler_responds(client):
-            raise _cluster_lost_error(store) from lost
+            raise
         return remaining, lost
 
     def submitted(block: Block, attempt: int) -> Any:
@@ -100,7 +109,7 @@ def _run_round(
                 return [*unfinished, *tasks.values()], failure or lost
             last_response = time.monotonic() if client.status == "running" else last_response
             if time.monotonic() - last_response > SCHEDULER_TIMEOUT:
-                raise _cluster_lost_error(store)
+                raise TimeoutError("the scheduler does not respond")
             locked = []
             for task in ended_tasks:
                 block = tasks.pop(task)
@@ -117,13 +126,8 @@ def _run_round(
                 time.sleep(RETRY_SECONDS)
                 attempts += 1
                 tasks |= {submitted(block, attempts): block for block in locked}
-    except ArchiveUnwritten:
-        raise
-    except (OSError, CancelledError) as reason:
-        # Raised by a lost connection.
-        raise _cluster_lost_error(store) from reason
-    except BaseException:
-        if client.status == "running":
+    except BaseException as error:
+        if client.status == "running" and not isinstance(error, OSError | CancelledError):
             client.cancel(list(tasks), force=True)
         raise
     return unfinished, failure
@@ -157,13 +161,6 @@ def _scheduler_responds(client: Any) -> bool:
     except (OSError, CancelledError):
         return False
     return bool(client.status == "running")
-
-
-def _cluster_lost_error(store: ArchiveStore) -> ArchiveUnwritten:
-    return ArchiveUnwritten(
-        f"{store.path}: the scheduler of the cluster is lost; computed blocks are in the archive, and the next call "
-        "with this archive continues"
-    )
 
 
 LOOPBACK = "127.0.0.1"

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import platform
-import shutil
 import tempfile
 import time
 import warnings
 import weakref
 from collections.abc import Mapping
+from contextlib import suppress
 from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -127,22 +127,17 @@ def warn_without_tls(client: Any) -> None:
     address = getattr(client.scheduler, "address", "")
     protocol, _, location = address.partition("://")
     host = urlsplit(f"//{location}").hostname
-    if protocol not in INSECURE_PROTOCOLS or host is None or is_loopback(host):
+    if protocol not in INSECURE_PROTOCOLS or host in (None, "localhost"):
         return
+    with suppress(ValueError):  # a name
+        if ip_address(host).is_loopback:
+            return
     warnings.warn(
         f"the client is connected to {address} without TLS; anyone who reaches it can run code on the workers "
         "and in this process: start the cluster with TLS credentials and connect by Client(address, security=...)",
         RuntimeWarning,
         stacklevel=2,
     )
-
-
-def is_loopback(host: str) -> bool:
-    """Whether a host is an address of this machine that other machines cannot reach."""
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 @suggest_keywords
@@ -279,18 +274,19 @@ def run_in_blocks(
         raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs (members, ...), and integrate takes one")
     if archive is not None:
         return _run_unfinished(planned, read_archive_path(archive).absolute(), pool, size, progress, about)
-    folder = tempfile.mkdtemp(prefix="coadjoint-")
+    folder = tempfile.TemporaryDirectory(prefix="coadjoint-", ignore_cleanup_errors=True)
     result: Any = None
     try:
-        result = _run_unfinished(planned, Path(folder, "ensemble.zarr"), pool, size, progress, about)
+        result = _run_unfinished(planned, Path(folder.name, "ensemble.zarr"), pool, size, progress, about)
     except (IntegrationError, KeyboardInterrupt) as error:
         result = getattr(error, "partial", None)
         raise
     finally:
+        # The folder exists as long as the solution.
         if result is None:
-            shutil.rmtree(folder, ignore_errors=True)
+            folder.cleanup()
         else:
-            weakref.finalize(result, shutil.rmtree, folder, ignore_errors=True)
+            weakref.finalize(result, folder.cleanup)
     solution: Solution = result
     return solution
 
@@ -440,12 +436,12 @@ def unfinished_blocks(store: ArchiveStore) -> list[Block]:
     computed, unfinished = [name for name, array in store.arrays.items() if is_computed(name, array)], []
     for block in store.blocks:
         head = read_head(store.folder, block)
-        if head is not None:
+        if head:
             part = {MEMBER: range(block.first, block.last), TIME: range(int(head["rows"]))}
             if any(True for name in computed for _ in store.lost_chunks(store.folder, name, part)):
                 store.folder.remove(HIDDEN_FOLDER, block.marker)
-                head = None
-        if head is None or not head[FINISHED]:
+                head = {}
+        if not head.get(FINISHED):
             unfinished.append(block)
     return unfinished
 

@@ -100,13 +100,7 @@ class PlannedRun(NamedTuple):
 
 
 def size_of_blocks(members: int, numbers: int, workers: int) -> int:
-    """Return the default block size: several blocks per worker for load balance, full lanes, and limited chunks.
-
-    Examples
-    --------
-    >>> size_of_blocks(1000, 3, 2), size_of_blocks(10, 3, 2), size_of_blocks(1000, 10**6, 2)
-    (128, 2, 1)
-    """
+    """Return the default block size: several blocks per worker for load balance, full lanes, and limited chunks."""
     fair = -(-members // (BLOCKS_PER_WORKER * workers))
     if fair > MEMBERS_PER_BATCH:
         fair = -(-fair // MEMBERS_PER_BATCH) * MEMBERS_PER_BATCH

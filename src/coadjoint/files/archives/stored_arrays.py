@@ -221,15 +221,7 @@ def chunk_of(dims: tuple[str, ...], shape: tuple[int, ...], rows: int, members: 
 
 
 def rows_of_chunk(numbers: int, rows: int) -> int:
-    """Return the rows of a chunk, if a row of the longest array has this many numbers.
-
-    Short runs get spare rows, since they may be continued.
-
-    Examples
-    --------
-    >>> rows_of_chunk(3, 10**9), rows_of_chunk(3, 11), rows_of_chunk(10**6, 100)
-    (65536, 1024, 1)
-    """
+    """Return the rows of a chunk, if a row of the longest array has this many numbers; short runs get spare rows."""
     return max(1, min(CHUNK_BYTES // (8 * max(1, numbers)), MAX_CHUNK_ROWS, max(MIN_CHUNK_ROWS, rows)))
 
 
@@ -245,14 +237,7 @@ def serialize_numbers(numbers: Mapping[str, Any]) -> bytes:
 
 
 def deserialize_numbers(raw: bytes) -> dict[str, NDArray[Any]]:
-    """Deserialize the arrays of `serialize_numbers`; ValueError if they are damaged, compressed, or longer than their
-    bytes.
-
-    Examples
-    --------
-    >>> deserialize_numbers(serialize_numbers({"step": 3}))
-    {'step': array(3)}
-    """
+    """Deserialize `serialize_numbers`; ValueError if damaged, compressed, or longer than the bytes."""
     try:
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
             files = archive.infolist()
