@@ -50,21 +50,13 @@ Floats = NDArray[np.float64]
 
 
 class ArchivedSolution(StoredSolution):
-    """The solution in an archive as committed when it was opened; arrays are read with all checks of the archive.
-
-    Members advance together, unless it is an `ArchivedEnsemble`.
-    """
+    """The solution in an archive as committed when it was opened; arrays are read with all checks of the archive."""
 
     _in_memory = False
     _archive: Archive
     _given_system: Any
-    _state: Mapping[str, Any]
     _ending = None
     events = None
-
-    def __repr__(self) -> str:
-        state = "finished" if self.finished else f"at step {self.reached} of {self._times.steps}"
-        return f"<archive {self.path}, {state}: {self._arrays['time'].shape[0]} points>"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return open_archive, (self.path, self._given_system)
@@ -135,6 +127,16 @@ class ArchivedSolution(StoredSolution):
         elapsed = float(self.attributes.get("elapsed", np.nan))
         return Statistics(self.reached, evaluations, iterations, float(seconds), elapsed)
 
+
+class ArchivedRun(ArchivedSolution):
+    """The solution in the archive of one run, whose members advance together."""
+
+    _state: Mapping[str, Any]
+
+    def __repr__(self) -> str:
+        state = "finished" if self.finished else f"at step {self.reached} of {self._times.steps}"
+        return f"<archive {self.path}, {state}: {self._arrays['time'].shape[0]} points>"
+
     @cached_property
     def initial(self) -> Mapping[str, Any]:
         values, single = self._state["initial"], self.failed is None
@@ -151,9 +153,6 @@ class ArchivedEnsemble(ArchivedSolution):
 
     All times are present from the beginning; values not computed yet are NaN, and `status` has the progress.
     """
-
-    initial = StoredSolution.initial
-    _worst = StoredSolution._worst
 
     def __repr__(self) -> str:
         return f"<archive {self.path}: {self.progress_text} are computed>"
@@ -186,7 +185,7 @@ def _opened(path: Path, system: Any) -> Solution:
     state = archive.read_state(archive.states[-1])
     with as_archive_errors(path):
         check_reported(state, archive.arrays)
-    return ArchivedSolution(fields | {"_state": {name: state[name] for name in REPORTED_ARRAYS}})
+    return ArchivedRun(fields | {"_state": {name: state[name] for name in REPORTED_ARRAYS}})
 
 
 @suggest_keywords

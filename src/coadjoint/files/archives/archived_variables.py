@@ -60,8 +60,8 @@ class ArchivedArray(BackendArray):
         ascending = [index if index.step > 0 else index[::-1] for index in ranges]
         values = self.archive.read(self.name, ascending)
         restored = (
-            (slice(None) if chosen_range.step > 0 else slice(None, None, -1)) if isinstance(index, slice) else 0
-            for index, chosen_range in zip(key, ranges, strict=True)
+            slice(None, None, 1 if chosen.step > 0 else -1) if isinstance(index, slice) else 0
+            for index, chosen in zip(key, ranges, strict=True)
         )
         return np.asarray(values[tuple(restored)])
 

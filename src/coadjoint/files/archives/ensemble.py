@@ -297,7 +297,7 @@ def _run_unfinished(
     """Begin or continue the archive, and run its unfinished blocks."""
     began, prepared, is_new = time.perf_counter(), planned.prepared, not path.exists()
     if is_new:
-        store = create_archive(planned, path, about, {}, pool.worker_count, size)
+        store = create_archive(planned, path, about, pool.worker_count, size)
     else:
         store = ArchiveStore.open_existing(path)
     with closing(store, prepared.system):

@@ -111,7 +111,6 @@ def create_archive(
     planned: PlannedRun,
     archive: str | Path,
     metadata: ExtraMetadata,
-    own_attributes: Mapping[str, Any],
     workers: int | None = None,
     size: int | None = None,
 ) -> ArchiveStore:
@@ -145,7 +144,6 @@ def create_archive(
         FINISHED: int(run.is_over and workers is None),
         STEPS: 0,
         **metadata.attributes,
-        **own_attributes,
     }
     if metadata.coordinates:
         attributes["coordinates"] = " ".join(metadata.coordinates)

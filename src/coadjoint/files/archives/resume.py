@@ -54,7 +54,8 @@ def archive_run(
         raise ValueError("an archive saves every save_every-th step and has no events; give neither t_eval nor events")
     began = time.perf_counter()
     planned = PlannedRun(prepared, prepared.times_of(t_span, save_every)[0], prepared.start(x0))
-    store = create_archive(planned, archive, about, {SAVE_EVERY: int(save_every)})
+    about = about._replace(attributes={**about.attributes, SAVE_EVERY: int(save_every)})
+    store = create_archive(planned, archive, about)
     return _continue_run(store, planned, None, progress, None, began)
 
 
