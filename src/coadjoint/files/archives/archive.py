@@ -26,7 +26,7 @@ from coadjoint.errors import OneLineError, in_one_line
 from coadjoint.files.archives.folder import ArchiveFolder
 from coadjoint.files.archives.stored_arrays import StoredArray, deserialize_numbers
 from coadjoint.files.datasets.named_axes import MEMBER
-from coadjoint.files.records.entries import parsed
+from coadjoint.files.records.entries import Entry
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 
@@ -191,28 +191,28 @@ class Archive:
                 f"step {steps}, was replaced; open it again"
             )
 
-    def lost_chunks(self, folder: ArchiveFolder, name: str, lengths: Mapping[str, range]) -> Iterator[tuple[int, ...]]:
-        """Yield the chunks of an array that are missing; `lengths` has the entries along some dimensions."""
-        array = self.arrays[name]
-        try:
-            files = folder.names(name)
-        except OSError as reason:
-            raise ArchiveError(f"{self.path}: {name} cannot be read ({reason.strerror})") from None
-        axes = zip(array.dims, array.shape, array.chunk, strict=True)
-        for indices, _, _ in array.chunks_in([lengths.get(dim, range(0, size, step)) for dim, size, step in axes]):
-            if chunk_file(indices) not in files:
-                yield indices
+    def lost_chunks(self, folder: ArchiveFolder) -> Iterator[tuple[str, tuple[int, ...]]]:
+        """Yield the name of the array and the indices of each chunk that was committed and is missing."""
+        for name, array in self.arrays.items():
+            try:
+                files = folder.names(name)
+            except OSError as reason:
+                raise ArchiveError(f"{self.path}: {name} cannot be read ({reason.strerror})") from None
+            corners = [range(0, size, step) for size, step in zip(array.shape, array.chunk, strict=True)]
+            for indices, _, _ in array.chunks_in(corners):
+                if chunk_file(indices) not in files and not self.may_be_missing(name, indices):
+                    yield name, indices
 
     def check_complete(self) -> None:
         """Raise ArchiveError if committed chunks are missing, or the last chunks of growing arrays are damaged."""
         with self.opened() as folder:
-            for name, array in self.arrays.items():
-                for indices in self.lost_chunks(folder, name, {}):
-                    if not self.may_be_missing(name, indices):
-                        raise self._missing_error(name, indices)
-                if array.grows:
-                    first_row = array.shape[0] - array.shape[0] % array.chunk[0]
-                    self.read(name, [range(first_row, array.shape[0]), *map(range, array.shape[1:])])
+            lost = next(self.lost_chunks(folder), None)
+        if lost is not None:
+            raise self._missing_error(*lost)
+        for name, array in self.arrays.items():
+            if array.grows:
+                first_row = array.shape[0] - array.shape[0] % array.chunk[0]
+                self.read(name, [range(first_row, array.shape[0]), *map(range, array.shape[1:])])
 
     def read_state(self, state: StoredState) -> dict[str, NDArray[Any]]:
         """Return the numbers of `ArchiveStore.store_state`; ArchiveError if the file is missing or was changed."""
@@ -254,14 +254,15 @@ def read_marker(
         content = folder.read(HIDDEN_FOLDER, block.marker, head=MAX_HEAD_BYTES if only_head else None)
         line, _, raw = content.partition(b"\n")
         digest, _, text = line.decode("utf-8").partition(" ")
-        head = parsed(text, "the marker")
+        head = json.loads(text)
+        about = head["about"]
         for name in HEAD_COUNTS:
-            head["about"][name].integer()
-        damaged = hashlib.sha256(text.encode()).hexdigest() != digest or head["about"]["seconds"].number() < 0.0
-        if damaged or not (only_head or hashlib.sha256(raw).hexdigest() == head["numbers"].text()):
+            Entry(about[name], name).integer()
+        damaged = hashlib.sha256(text.encode()).hexdigest() != digest or Entry(about["seconds"], "").number() < 0.0
+        if damaged or not (only_head or hashlib.sha256(raw).hexdigest() == head["numbers"]):
             return None
-        return head.value["about"], {} if only_head else deserialize_numbers(raw)
-    except (OSError, ValueError, RecursionError):
+        return about, {} if only_head else deserialize_numbers(raw)
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return None
 
 

@@ -30,7 +30,6 @@ from coadjoint.files.archives.archive import (
     is_computed,
     open_folder,
     read_archive_path,
-    read_head,
     read_marker,
     read_root,
     total_progress,
@@ -304,10 +303,11 @@ def _run_unfinished(
         if is_new:
             # A copy, since loops of half a step are not sent to workers.
             warn_of_large_step(open_archive(path, prepared.system), prepared.in_one_thread())
+            remaining = store.blocks
         else:
             check_archive(store)
             check_same_run(planned, store)
-        remaining = unfinished_blocks(store)
+            remaining = unfinished_blocks(store)
         if pool.client is None and pool.workers is None:
             _run_serially(store, remaining, prepared, progress)
         else:
@@ -433,17 +433,13 @@ def _is_stored(store: ArchiveStore, name: str, values: Any) -> bool:
 
 def unfinished_blocks(store: ArchiveStore) -> list[Block]:
     """Return the unfinished blocks; those of which committed chunks are lost begin again."""
-    computed, unfinished = [name for name, array in store.arrays.items() if is_computed(name, array)], []
-    for block in store.blocks:
-        head = read_head(store.folder, block)
-        if head:
-            part = {MEMBER: range(block.first, block.last), TIME: range(int(head["rows"]))}
-            if any(True for name in computed for _ in store.lost_chunks(store.folder, name, part)):
-                store.folder.remove(HIDDEN_FOLDER, block.marker)
-                head = {}
-        if not head.get(FINISHED):
-            unfinished.append(block)
-    return unfinished
+    blocks, lost = store.blocks, set[int]()
+    for name, indices in store.lost_chunks(store.folder):
+        if is_computed(name, store.arrays[name]):
+            lost.add(indices[store.arrays[name].dims.index(MEMBER)])
+    for number in lost:
+        store.folder.remove(HIDDEN_FOLDER, blocks[number].marker)
+    return [block for block in blocks if block.number in lost or not store.heads[block.number].get(FINISHED)]
 
 
 def finish_ensemble(store: ArchiveStore, began: float) -> None:

@@ -23,6 +23,7 @@ from coadjoint.files.archives.archive import (
     STEPS,
     Archive,
     ArchiveError,
+    is_computed,
 )
 from coadjoint.files.archives.stored_arrays import StoredArray
 from coadjoint.files.datasets.named_axes import MEMBER, stored_axes
@@ -97,7 +98,10 @@ def check_archive(archive: Archive) -> None:
         sizes = _check_arrays(arrays, accounts)
         stored_axes(attributes, sizes.get(MEMBER, 1))
         if BLOCK_SIZE_ATTRIBUTE in attributes:
-            entry[BLOCK_SIZE_ATTRIBUTE].integer(1)
+            size = entry[BLOCK_SIZE_ATTRIBUTE].integer(1)
+            chunks = {a.chunk[a.dims.index(MEMBER)] for name, a in arrays.items() if is_computed(name, a)}
+            if not chunks <= {size}:
+                raise entry[BLOCK_SIZE_ATTRIBUTE].invalid_error("the length of chunks along the members")
             if STATUS not in arrays or MEMBER not in sizes or arrays["x0"].dims[0] != MEMBER:
                 raise ValueError("an array over the members is missing")
             if entry[FINISHED].flag() and attributes[STEPS] != times.steps and "run_failed" not in attributes:
