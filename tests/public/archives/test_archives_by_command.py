@@ -185,7 +185,7 @@ def check_stopped(done, name, what):
             # The pieces of the resumed run end with writes 28, 43, 58 and so on.
             (20, "SIGKILL", 60, "SIGINT"),
             (4, "SIGINT", 61, "SIGTERM"),
-            (44, "SIGTERM", 70, "SIGKILL"),
+            (38, "SIGTERM", 70, "SIGKILL"),
             (10, "SIGHUP", 55, "SIGHUP"),
         ],
     ),
