@@ -9,7 +9,7 @@ import time
 import warnings
 import weakref
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -353,7 +353,10 @@ def run_block(
     """
     path, host = Path(archive), platform.node()
     try:
-        store = ArchiveStore(path, *read_root(path), open_folder(path), block.lock_file)
+        with ExitStack() as opened:
+            folder = opened.enter_context(open_folder(path))
+            store = ArchiveStore(path, *read_root(path, folder), folder, block.lock_file)
+            opened.pop_all()  # the store closes it
     except ArchiveError as reason:
         raise ArchiveError(
             f"{reason} on the machine {host}; every worker must reach the folder by the same path"
