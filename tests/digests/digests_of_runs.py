@@ -11,7 +11,6 @@ import numpy as np
 import coadjoint as co
 from coadjoint.analysis.lyapunov import frame_of
 from coadjoint.kernels.tables.tangents import Frame
-from coadjoint.methods.protocol.tangents import tangent_loop
 from coadjoint.runs.loops.loops import loops_of_members
 from coadjoint.runs.plan import Plan
 from coadjoint.runs.run import Run
@@ -125,7 +124,7 @@ def states_with_tangents() -> Iterator[tuple[str, list[np.ndarray]]]:
             ensemble = x0 * (1.0 - 0.02 * np.arange(MEMBERS)[:, None])
             for x, how in ((x0, "alone"), (ensemble, "an ensemble")):
                 vectors = Frame(frame_of(system.dim, system.dim), 7)
-                loops = loops_of_members([system], [tangent_loop(method, system, times.h, vectors)])
+                loops = loops_of_members([system], [method.tangent_loop(system, times.h, vectors)])
                 start = start_of(system, method, x, False)
                 run = Run(Plan(system, method, loops, times, start.groups.shape), start)
                 run.advance()

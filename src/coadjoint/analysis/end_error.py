@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.protocol.own_steps import FinerRun, OwnSteps
+from coadjoint.methods.protocol.method import FinerRun, Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.preparation import Preparation
 from coadjoint.runs.results.solution import Solution
@@ -102,8 +101,9 @@ def finer_run(method: Method, steps: int, times: float) -> FinerRun:
     The number of steps grows by the factor `times`; if the scheme chooses its own steps, they shrink by it. Its `left`
     is the remaining fraction of the error according to the order.
     """
-    if method.own_steps and isinstance(method, OwnSteps):
-        return method.finer(steps, times)
+    by_own_steps = method.finer(steps, times)
+    if by_own_steps is not None:
+        return by_own_steps
     count = math.ceil(times * (steps + FEW_STEPS))
     return FinerRun(method, count, (steps / count) ** method.order)
 

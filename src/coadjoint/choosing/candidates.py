@@ -11,11 +11,8 @@ from coadjoint.choosing.pilot import Pilot, Trial
 from coadjoint.choosing.system_cache import cached_for_system
 from coadjoint.kernels.interface import limit
 from coadjoint.long_operations import note_progress
-from coadjoint.methods.protocol.automatic_choices import with_compensation
 from coadjoint.methods.protocol.cost_model import MIN_LANE_MEMBERS, Work, newton_work
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.protocol.own_steps import reaching
-from coadjoint.methods.protocol.restored import restored
 from coadjoint.runs.start import momenta_of, representations_of, start_of
 from coadjoint.systems.system_checks import System
 
@@ -37,7 +34,7 @@ class Candidate:
 
     def reaching(self, tolerance: float) -> Candidate:
         """Return the same scheme, with variable steps, for another tolerance."""
-        method = reaching(self.method, self.system, tolerance)
+        method = self.method.reaching(self.system, tolerance)
         return replace(self, method=method, work=_work_of(self.system, method, self.group))
 
     @property
@@ -72,12 +69,12 @@ class Candidate:
         """
         if self.method.symmetric or self.method.properties(self.system).poisson:
             return True
-        invariants = restored(self.method, self.system)
+        invariants = self.method.restored(self.system)
         return invariants is not None and self.system.dim - len(invariants) <= 2
 
     def compensated(self) -> Candidate | None:
         """Return the same scheme with compensated summation; None if the choice is not open."""
-        method = with_compensation(self.method) if self.compensation_open else None
+        method = self.method.with_compensation() if self.compensation_open else None
         if method is None:
             return None
         compensated_work = self.work.compensated

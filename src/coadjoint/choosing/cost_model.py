@@ -10,7 +10,6 @@ from coadjoint.choosing.candidates import Candidate
 from coadjoint.choosing.fitting import MEANINGLESS_ERROR, Fit
 from coadjoint.choosing.pilot import REFERENCE, Growth, Trial
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.protocol.own_steps import OwnSteps
 
 # Divisors that make a cost predicted from related schemes a lower bound: for series, predicted from the nearest order,
 # and for other schemes. The bound is lower still if the related fit was extrapolated far. Series skipped wrongly are
@@ -165,4 +164,4 @@ def _related(first: Method, second: Method) -> bool:
 
 def _is_series(method: Method) -> bool:
     """Test whether a scheme is a series at constant steps: one that could choose its own steps by an error estimate."""
-    return isinstance(method, OwnSteps) and not method.own_steps
+    return method.takes_tolerance and not method.own_steps

@@ -16,7 +16,6 @@ from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.cost_model import Work
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.protocol.own_steps import OwnSteps
 from coadjoint.methods.protocol.step_method import StepMethod
 from coadjoint.methods.protocol.substep_method import SubstepMethod
 from coadjoint.runs.run import Run
@@ -48,7 +47,7 @@ def _is_uncounted(method: Method) -> bool:
         return _is_uncounted(base)
     if isinstance(method, StepMethod):
         plain: Any = StepMethod.work_of_substeps
-    elif isinstance(method, CompiledStepMethod) and not isinstance(method, OwnSteps):
+    elif isinstance(method, CompiledStepMethod):
         if isinstance(method.compiled_step, str) or type(method).operations is not CompiledStepMethod.operations:
             return False
         plain = CompiledStepMethod.work_of_substeps

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from coadjoint.choosing.system_cache import loops_of
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.protocol.newton import took_newton
 from coadjoint.methods.suggested_scheme import reference_scheme
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.plan import Plan
@@ -165,7 +164,7 @@ class Pilot:
             return None
         step_count = steps * len(self.momenta)
         iterations, evaluations = int(run.state["iterations"].sum()), int(run.state["evaluations"].sum())
-        newton = took_newton(method, run.state["memory"])
+        newton = method.took_newton(run.state["memory"])
         return Trial(steps, self.growth_of(run.saved["x"]), iterations / step_count, evaluations / step_count, newton)
 
     def growth_of(self, states: NDArray[np.float64], motion: NDArray[np.float64] | None = None) -> Growth:

@@ -15,7 +15,6 @@ from coadjoint.methods.numerics.orbits import MatrixOrbit, VectorOrbit, orbit_of
 from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.tangents import VariedTangents
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system_checks import System
@@ -67,7 +66,7 @@ SCHEMES = {
 
 
 @dataclass(frozen=True)
-class CommutatorFree(CompiledStepMethod, VariedTangents):
+class CommutatorFree(CompiledStepMethod):
     """Commutator-free Lie group method: explicit, on the coadjoint orbit, preserves every Casimir; no Poisson map.
 
     A step transforms the momentum by exponentials ``exp(h sign D_k)``, each k a combination of gradients of H at stages

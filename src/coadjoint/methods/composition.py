@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.protocol.composed import Composed
-from coadjoint.methods.protocol.composing import Composable, composed
-from coadjoint.methods.protocol.method import Method, Representation, check_base
+from coadjoint.methods.protocol.method import Method, Representation
+from coadjoint.methods.protocol.wrapper import Composed, check_base
+from coadjoint.program.numbers import Number
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.system_checks import System
 from coadjoint.validation import read_finite
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.kernels.tables.tangents import Frame
+    from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
+    from coadjoint.methods.protocol.derivative_tables import DerivativeTables
+    from coadjoint.methods.protocol.step_derivatives import LinearizedStep
+    from coadjoint.program.table import Program
+    from coadjoint.systems.energy_derivatives import EnergyDerivative
 
 MAX_SUM = 1000.0  # of absolute coefficients: states move so much farther, and rounding with them
 MAX_SUBSTEPS = 1000  # of a step; tables of flows stay small
@@ -26,7 +33,7 @@ CUBE_ROOT_OF_2 = 1.2599210498948732  # literal, since ** calls pow of the C libr
 
 
 @dataclass(frozen=True)
-class Composition(Composed, Composable):
+class Composition(Composed):
     """One step of the base at each fraction c_1 h, c_2 h, ... of the step: a higher order from a symmetric base.
 
     Choose it for your own coefficients, or for a base other than `Splitting`, such as `GaussLegendre`. A composition
@@ -77,7 +84,7 @@ class Composition(Composed, Composable):
     @cached_property
     def expanded(self) -> Method:
         """The composition in the form of the family of the base: one table of flows, or substeps."""
-        return composed(self.base, self.coefficients)
+        return self.base.composed(self.coefficients)
 
     @property
     def innermost(self) -> Method:
@@ -86,7 +93,7 @@ class Composition(Composed, Composable):
 
     def composed(self, coefficients: Sequence[float]) -> Method:
         """Return the composition of this composition."""
-        return composed(self.expanded, coefficients)
+        return self.expanded.composed(coefficients)
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop of the base, composed."""
@@ -101,6 +108,42 @@ class Composition(Composed, Composable):
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         return self.expanded.tangent(system, x, t, h)
+
+    def tangent_on(self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]) -> NDArray[Any]:
+        return self.expanded.tangent_on(system, x, t, h, vectors)
+
+    def linearized(self, system: System, x: Any, t: float, h: float) -> LinearizedStep:
+        return self.expanded.linearized(system, x, t, h)
+
+    def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
+        return self.expanded.tangent_loop(system, h, frame)
+
+    @property
+    def differentiable(self) -> bool:
+        """As for the form that is run."""
+        return self.expanded.differentiable
+
+    def derivative_tables(
+        self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]
+    ) -> DerivativeTables:
+        return self.expanded.derivative_tables(system, h, representation, energies)
+
+    def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
+        return self.expanded.formal_step(system, x, h)
+
+    @property
+    def known_to(self) -> float:
+        """As for the form that is run."""
+        return self.expanded.known_to
+
+    def restored(self, system: System) -> Mapping[str, Any] | None:
+        return self.expanded.restored(system)
+
+    def took_newton(self, memory: NDArray[np.float64]) -> bool:
+        return self.expanded.took_newton(memory)
+
+    def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
+        return self.expanded.program(system, group=group, number=number)
 
     def work(self, system: System, group: Representation = None) -> Work:
         return self.expanded.work(system, group)

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.protocol.method import Method, Representation, check_base, declared_properties
+from coadjoint.methods.protocol.method import Method, Representation, declared_properties
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.tangents import tangent_by
-from coadjoint.methods.protocol.wrapper import Wrapper
+from coadjoint.methods.protocol.wrapper import Wrapper, check_base
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.forces.rates import has_matrix_state
@@ -180,7 +179,7 @@ class Forced(Wrapper):
 
         for force in system.forces:
             chain_tangent(force, t)
-        by.append(tangent_by(self.base, plain, y, t, h))
+        by.append(self.base.tangent_by(plain, y, t, h))
         y, derivative = self.base.tangent(plain, y, t, h)
         P = derivative @ P
         for force in reversed(system.forces):

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.numerics.gauss_coefficients import extrapolation, gauss_legendre, node_polynomial
 from coadjoint.methods.numerics.stages import Coefficients
-from coadjoint.methods.protocol.method import has_quadratic_energy
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.numbers import Number
+from coadjoint.systems.protocol import has_quadratic_energy
 from coadjoint.systems.system_checks import System, check_vector_states
 from coadjoint.validation import read_integer
 

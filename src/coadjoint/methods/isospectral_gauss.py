@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre
 from coadjoint.methods.numerics.isospectral_derivatives import LayerDerivatives, StageDerivatives, TwoLayerDerivatives
 from coadjoint.methods.numerics.isospectral_stages import increment_of, of_blocks, stages_of, two_layer_stages
-from coadjoint.methods.protocol.linearized import Linearized
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.substep_method import SubstepMethod
-from coadjoint.methods.protocol.tangents import VariedTangents
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
@@ -32,7 +30,7 @@ MAX_STAGES = 8  # order 16, which rounding limits over any step whose stages con
 
 
 @dataclass(frozen=True)
-class IsospectralGauss(SubstepMethod, Linearized, VariedTangents):
+class IsospectralGauss(SubstepMethod):
     """Isospectral Gauss methods for matrices: Poisson maps that preserve the whole spectrum; implicit, of order 2 s.
 
     ``V_i = 1 + h sum_j a_ij P_j V_j``, ``U_i = 1 - h sum_j a_ij U_j P_j``, ``M_i = V_i W U_i``, ``P_i = stream(M_i)``,

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from coadjoint.methods.numerics.stages import linear_solve
 from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
-from coadjoint.methods.protocol.method import Representation, has_quadratic_energy
+from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.protocol import has_quadratic_energy
 from coadjoint.systems.system_checks import System, check_vector_states
 
 if TYPE_CHECKING:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
-from coadjoint.methods.protocol.linearized import Linearized
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.substep_method import SubstepMethod
@@ -43,7 +42,7 @@ class Line(NamedTuple):
 
 
 @dataclass(frozen=True)
-class LineSplitting(SubstepMethod, Linearized):
+class LineSplitting(SubstepMethod):
     """McLachlan's splitting of the fluid on the torus into lines of modes: an explicit, isospectral Poisson map.
 
     For a prime N the N^2 - 1 modes form N + 1 lines ``{j k}`` through the origin, each of N - 1 modes that commute. H

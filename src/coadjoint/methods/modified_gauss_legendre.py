@@ -8,10 +8,10 @@ from fractions import Fraction
 from coadjoint.methods.gauss_legendre import gauss_tableau, read_stages
 from coadjoint.methods.numerics.gauss_coefficients import node_polynomial
 from coadjoint.methods.numerics.stages import Coefficients
-from coadjoint.methods.protocol.method import has_quadratic_energy
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.numbers import Number
+from coadjoint.systems.protocol import has_quadratic_energy
 from coadjoint.systems.system_checks import System, check_vector_states
 from coadjoint.validation import read_choice
 

@@ -16,10 +16,9 @@ from coadjoint.methods.numerics.projection import (
     project_with_tangent,
     restored_invariants,
 )
-from coadjoint.methods.protocol.method import Method, Representation, check_base
+from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.restored import RestoresInvariants
-from coadjoint.methods.protocol.wrapper import Wrapper
+from coadjoint.methods.protocol.wrapper import Wrapper, check_base
 from coadjoint.program.numbers import Number
 from coadjoint.systems.system_checks import System
 
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Projected(Wrapper, RestoresInvariants):
+class Projected(Wrapper):
     """A scheme with a projection: after each step, energy and polynomial Casimirs get their initial values again.
 
     A step z of the base becomes ``y = z + sum_a lambda_a grad C_a(z)``, where every C_a has the value that it had at

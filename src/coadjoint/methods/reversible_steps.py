@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.numerics.taylor_series import TOO_MANY_STEPS_MESSAGE
-from coadjoint.methods.protocol.method import Method, Representation, check_base
-from coadjoint.methods.protocol.own_steps import SIZE_SAMPLES, FinerRun, OwnSteps
+from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Representation
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.wrapper import Wrapper
+from coadjoint.methods.protocol.wrapper import Wrapper, check_base
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -37,7 +36,7 @@ MAX_STEPS = 10**7
 
 
 @dataclass(frozen=True)
-class ReversibleSteps(Wrapper, OwnSteps):
+class ReversibleSteps(Wrapper):
     """A symmetric scheme whose step length follows the speed of the motion, in a reversible way.
 
     The controller of Hairer and Soederlind: with the speed Q(x) of the motion, step n has the length stride / rho_n,

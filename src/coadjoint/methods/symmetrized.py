@@ -2,27 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from decimal import Context, Decimal
-from typing import Any
-
-import numpy as np
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.composition import Composition
-from coadjoint.methods.numerics.stages import Coefficients
-from coadjoint.methods.protocol.composed import MAX_ORDER, FlowsOfBase
-from coadjoint.methods.protocol.composing import symmetrized
-from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
-from coadjoint.methods.protocol.wrapper import Wrapper
-from coadjoint.program.numbers import Number
-from coadjoint.program.sweeps import Sweep
+from coadjoint.methods.protocol.wrapper import MAX_ORDER
 from coadjoint.short_repr import short
-from coadjoint.systems.system_checks import System
 from coadjoint.validation import read_choice, read_integer
 
 SIDE_STEPS = {"triple": 1, "suzuki": 2}
@@ -74,7 +60,7 @@ def even_order(base: Method, order: int, jump: str = "triple") -> Method:
         raise TypeError(f"base is {short(base)}; give a scheme such as Splitting(order=1)")
     target = read_integer(order, "order", 2, MAX_ORDER)
     read_choice(jump, "jump", SIDE_STEPS)
-    method = base if base.symmetric else symmetrized(base)
+    method = base if base.symmetric else base.symmetrized()
     if target % 2 or target < method.order:
         raise ValueError(f"order is {target}; from {base} it is even, and {method.order} or more")
     for current in range(method.order, target, 2):
@@ -84,85 +70,3 @@ def even_order(base: Method, order: int, jump: str = "triple") -> Method:
         outer = 1.0 / (2 * sides - root)
         method = Composition(method, (*[outer] * sides, 1.0 - 2 * sides * outer, *[outer] * sides))
     return method
-
-
-def _order_of_pair(base: Method) -> int:
-    """Return the order of a step and its adjoint: symmetric, hence even."""
-    return base.order + base.order % 2
-
-
-@dataclass(frozen=True)
-class PairOfFlows(FlowsOfBase):
-    """The sweeps of a scheme over half a step, then in reverse over the other half."""
-
-    offered = False
-    explicit = True
-    symmetric = True
-
-    base: FlowMethod
-
-    def __post_init__(self) -> None:
-        if len(self.base.processor()):
-            raise TypeError(f"{self.base} has a processor, so its adjoint is not a list of sweeps; take another scheme")
-
-    @property
-    def order(self) -> int:
-        """The order of the base, rounded up to an even number."""
-        return _order_of_pair(self.base)
-
-    def properties(self, system: System) -> Properties:
-        """Return the properties of the base."""
-        return self.base.properties(system)
-
-    def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
-        """Return the sweeps of the base and their mirror images; times are mirrored too."""
-        sweeps = list(self.base.sweeps(number))
-        first_half = [Sweep(forward, c / 2, moment / 2, turn) for forward, c, moment, turn in sweeps]
-        # `turn` marks the second sweep of a pair, which is the first in the mirror image.
-        turns = [sweeps[-1].forward, *(sweep.turn for sweep in reversed(sweeps[1:]))]
-        second_half = [
-            Sweep(not forward, c / 2, 1 - moment / 2, turn)
-            for (forward, c, moment, _), turn in zip(reversed(sweeps), turns, strict=True)
-        ]
-        return [*first_half, *second_half]
-
-
-@dataclass(frozen=True)
-class PairOfTableaux(Wrapper, RungeKuttaMethod):
-    """A Runge-Kutta method over half a step, then its adjoint over the other half.
-
-    The adjoint ends where a backward step of the base starts: X_i = x + sum_j (out_j - mix_ij) L_j. It is implicit.
-    """
-
-    offered = False
-    explicit = False
-    symmetric = True
-
-    base: RungeKuttaMethod
-
-    @property
-    def order(self) -> int:
-        """The order of the base, rounded up to an even number."""
-        return _order_of_pair(self.base)
-
-    @property
-    def solver(self) -> str:
-        """``"implicit"``."""
-        return "implicit"
-
-    def properties(self, system: System) -> Properties:
-        """Return the properties of the base, without a group element."""
-        declared = self.base.properties(system)
-        return Properties(poisson=declared.poisson, energy=declared.energy, casimirs=declared.casimirs, attitude="none")
-
-    def coefficients(self, number: Number = float) -> Coefficients:
-        """Return the combined tableau."""
-        node, scale, mix, out = self.base.coefficients(number)
-        s = len(node)
-        both = np.concatenate([mix, 0 * mix], axis=1), np.concatenate([np.stack([out] * s), out - mix], axis=1)
-        return Coefficients(
-            np.concatenate([node / 2, 1 - node / 2]),
-            np.concatenate([scale / 2, scale / 2]),
-            np.concatenate(both),
-            np.concatenate([out, out]),
-        )

@@ -21,7 +21,7 @@ from coadjoint.methods.numerics.projection import (
 )
 from coadjoint.methods.numerics.series_cost import LANES, series_operations
 from coadjoint.methods.numerics.taylor_series import TOO_SHORT_MESSAGE, Dual, advance_by_own_steps, expand, own_step
-from coadjoint.methods.numerics.taylor_tangents import expand_quadratic, has_quadratic_energy
+from coadjoint.methods.numerics.taylor_tangents import expand_quadratic
 from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.cost_model import (
     LANE_SERIES_FACTOR,
@@ -30,11 +30,10 @@ from coadjoint.methods.protocol.cost_model import (
     work_of_operations,
     work_of_own_steps,
 )
-from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.methods.protocol.own_steps import SIZE_SAMPLES, FinerRun, OwnSteps
+from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
-from coadjoint.systems.protocol import has_structure_constants
+from coadjoint.systems.protocol import has_quadratic_energy, has_structure_constants
 from coadjoint.systems.system_checks import System, check_vector_states
 from coadjoint.validation import read_bool, read_integer, read_number
 
@@ -57,7 +56,7 @@ _OPERATIONS: WeakKeyDictionary[System, dict[bool, Operations]] = WeakKeyDictiona
 
 
 @dataclass(frozen=True)
-class Taylor(CompiledStepMethod, OwnSteps):
+class Taylor(CompiledStepMethod):
     """The Taylor series of the motion, and a projection that resets energy and Casimirs to their initial values.
 
     Choose it for accuracy: for a given error it mostly needs the least work, and `choose` then selects it. It is not a
@@ -123,6 +122,7 @@ class Taylor(CompiledStepMethod, OwnSteps):
 
     symmetric = False
     tables_of_any_step = True
+    takes_tolerance = True
     # The series of all coordinates and of all products are in memory at once.
     largest: ClassVar[float] = 10_000
 
@@ -240,9 +240,10 @@ class Taylor(CompiledStepMethod, OwnSteps):
 
         return replace(self, order=min(ORDERS, key=cost), tolerance=bounded)
 
-    def finer(self, steps: int, times: float) -> FinerRun:
-        """Return the same series with a much smaller tolerance."""
-        assert self.tolerance is not None
+    def finer(self, steps: int, times: float) -> FinerRun | None:
+        """Return the same series with a much smaller tolerance; None without one."""
+        if self.tolerance is None:
+            return None
         tolerance = max(self.tolerance / (TOLERANCE_REDUCTION * times), MIN_TOLERANCE)
         finer = replace(self, order=min(self.order + 2, MAX_ORDER), tolerance=tolerance)
         return FinerRun(finer, max(steps, SIZE_SAMPLES), min(0.5, tolerance / self.tolerance))
@@ -250,7 +251,7 @@ class Taylor(CompiledStepMethod, OwnSteps):
     @property
     def fixed_steps(self) -> Taylor:
         """The same series without a tolerance."""
-        return replace(self, tolerance=None)
+        return self if self.tolerance is None else replace(self, tolerance=None)
 
     def next_length(self, system: System, x: NDArray[np.float64], h: float, memory: Any) -> tuple[float, Any]:
         assert self.tolerance is not None

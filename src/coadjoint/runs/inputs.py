@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import unknown_name
 from coadjoint.kernels.tables.inputs import InputsNotLocated, InputTables
-from coadjoint.methods.protocol.automatic_choices import settled
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.groups import Group, individual_groups
 from coadjoint.runs.loops.loops import Loops, loops_of_system
@@ -210,7 +209,7 @@ class Inputs:
     def settled(self, method: Method) -> Method:
         """Return the scheme with its automatic choices made explicit, valid for any linear term."""
         coordinates = np.sort(self._input_indices[self._input_indices < len(self._linear)])
-        return settled(method, self._unforced, coordinates.tolist()) if len(coordinates) else method
+        return method.settled(self._unforced, coordinates.tolist()) if len(coordinates) else method
 
     def system_at(self, values: Floats, of: Any = None) -> Any:
         """Return the system, or another one that differs in its parameters, with these values, (m,).

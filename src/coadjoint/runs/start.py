@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.group_elements import are_rotations, automorphism_violation, group_element_violation
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.protocol.attitude import check_attitude
 from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
@@ -288,5 +287,5 @@ def _read_representation(system: System, method: Method, attitude: Any) -> Repre
             f"{system.name} has no representation for an attitude; give representation=, or use attitude='coadjoint'"
         )
     representation = attitude if isinstance(attitude, str) else np.asarray(system.representation)
-    check_attitude(method, system, representation)
+    method.check_attitude(system, representation)
     return representation

@@ -13,9 +13,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import check_supports, effective_scheme
-from coadjoint.methods.protocol.derivatives import has_derivatives
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.protocol.tangents import tangent_by
 from coadjoint.methods.registry import read_method
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun
 from coadjoint.runs.derivatives.input_derivatives import INPUTS, tables_with_inputs
@@ -282,7 +280,7 @@ class Stepper:
             return StepTangents(tables, n, self.h, prepared.inputs.changing.tolist())
         if prepared.inputs is None:
             return compiled_tangents(scheme, system, self.h)
-        if has_user_functions(system) or not has_derivatives(scheme):
+        if has_user_functions(system) or not scheme.differentiable:
             return None
         return StepTangents(tables_with_inputs(prepared.inputs, scheme, self.h, None, {}), n, self.h)
 
@@ -303,7 +301,7 @@ class Stepper:
             The first two are exact to round-off; differences have about nine digits.
         """
         method, system = self._scheme(self._read_values(inputs))
-        return tangent_by(method, system, *self._read_point(x, t), self.h)
+        return method.tangent_by(system, *self._read_point(x, t), self.h)
 
     def _read_values(self, inputs: Mapping[str, Any]) -> NDArray[np.float64] | None:
         """Validate the inputs of a step; return their values, None if none were prepared."""

@@ -13,7 +13,6 @@ from coadjoint.kernels.tables.tangents import Frame, stretch_logarithms
 from coadjoint.long_operations import note_progress
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.protocol.tangents import tangent_by, tangent_loop
 from coadjoint.runs.loops.loops import loops_of_members
 from coadjoint.runs.plan import Plan
 from coadjoint.runs.run import Run
@@ -54,7 +53,7 @@ def stretching(
     for m, member in enumerate(systems):
         try:
             method.properties(member)
-            prepared.append(tangent_loop(method, member, times.h, frame))
+            prepared.append(method.tangent_loop(member, times.h, frame))
         except (TypeError, ValueError) as error:
             if not is_batch(system):
                 raise
@@ -95,7 +94,7 @@ def _step_by_step(
         failed = _follow(member, method, times, states, frame, logarithms[:, m])
         if failed:
             run.mark_failed(m, failed, "PARALLEL")
-    by = tangent_by(method, systems[0], start.momenta[0], times.t0, times.h)
+    by = method.tangent_by(systems[0], start.momenta[0], times.t0, times.h)
     return Stretching(logarithms, by, run)
 
 

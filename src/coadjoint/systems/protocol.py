@@ -180,3 +180,8 @@ def has_structure_constants(system: Any) -> TypeIs[LiePoissonSystem]:
 def has_compiled_bracket(system: Any) -> bool:
     """Return whether the kernels can evaluate the bracket, from structure constants or a function J."""
     return system.algebra is None or has_structure_constants(system)
+
+
+def has_quadratic_energy(system: Any) -> bool:
+    """Return whether the Hamiltonian is a polynomial of degree at most two that does not depend on time."""
+    return all(term.form is not None for term in system.hamiltonian.terms())

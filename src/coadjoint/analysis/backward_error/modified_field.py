@@ -15,7 +15,6 @@ from coadjoint.analysis.backward_error.modified_field_base import ModifiedField
 from coadjoint.analysis.backward_error.step_series import ExactSystem, check_at_a_point, scale_of_motion
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
-from coadjoint.methods.protocol.formal_step import with_formal_step
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.optional_packages import require_packages
@@ -120,11 +119,10 @@ def _exact(system: System, method: Any, step: Callable[..., Any], order: int) ->
     formal, known_to, declared = step, UNIT_ROUNDOFF, order
     fractions: tuple[float, ...] = (1.0,)
     if isinstance(method, Method):
-        in_series = with_formal_step(method)
-        known_to, fractions, declared = in_series.known_to, method.fractions, method.order
+        known_to, fractions, declared = method.known_to, method.fractions, method.order
 
         def formal(x: npt.NDArray[Any], h: Any) -> npt.NDArray[Any]:
-            return in_series.formal_step(system, x, h)
+            return method.formal_step(system, x, h)
 
     series = exact.series_of(formal, order)
     check_at_a_point(step, exact, series, known_to)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from coadjoint.analysis.backward_error.scheme_terms import (
 )
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
-from coadjoint.methods.protocol.flow_method import flows_of
+from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.optional_packages import require_packages
@@ -268,14 +268,13 @@ def modified_hamiltonian(
     order = read_integer(
         order, "order", 1, MAX_POWER, reason="the words in the free algebra double in number with each power"
     )
-    flows = flows_of(scheme)
-    program = flows.program(system)
+    program = scheme.program(system)
     if system.hamiltonian.timed:
         raise ValueError(
             f"the Hamiltonian of {system.name} depends on time, so no function of x is conserved; "
             "a modified Hamiltonian needs an autonomous system"
         )
-    sweeps, after = exact_sweeps(flows)
+    sweeps, after = exact_sweeps(cast(FlowMethod, scheme.expanded))
     H = polynomial_of(system.hamiltonian)
     if H is None:
         if symbols is not False:

@@ -17,7 +17,6 @@ from coadjoint.analysis.checks.study import Study
 from coadjoint.analysis.checks.subject import Subject
 from coadjoint.analysis.fits import FLOOR_FACTOR
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.protocol.attitude import check_attitude
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.results.solution import Solution
 
@@ -108,7 +107,7 @@ def _affordable(subject: Subject, representation: Any) -> int:
 
 def _supports_attitude(subject: Subject) -> bool:
     try:
-        check_attitude(subject.method, subject.system, subject.system.representation)
+        subject.method.check_attitude(subject.system, subject.system.representation)
     except ValueError:
         return False
     return True

@@ -14,7 +14,6 @@ from coadjoint.analysis.checks.study import ERROR_RATIO, LARGE_ERROR, Study
 from coadjoint.analysis.checks.subject import Subject
 from coadjoint.analysis.fits import FLOOR_FACTOR, Slope, slope
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.protocol.own_steps import OwnSteps
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 MAX_SINGLE_STEPS = 12  # lengths, halved each time: down to 1/4096 of the largest
@@ -179,10 +178,9 @@ def _by_shorter_own_steps(subject: Subject, study: Study) -> tuple[NDArray[np.fl
 
     None for other schemes, and if these steps fail.
     """
-    method = subject.method
-    if not isinstance(method, OwnSteps) or not method.own_steps:
+    finer = subject.method.finer(study.counts[-1], SHORTER)
+    if finer is None:
         return None
-    finer = method.finer(study.counts[-1], SHORTER)
     with_shorter = replace(subject, method=finer.method, _prepared={}, _conditions={}, _tangents={})
     try:
         end = with_shorter.run(subject.states, study.span / finer.steps, finer.steps).x[-1]

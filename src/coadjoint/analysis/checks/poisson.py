@@ -14,10 +14,8 @@ from coadjoint.analysis.fits import Slope, slope_of_defects
 from coadjoint.analysis.poisson_defect import defect_of_tangent
 from coadjoint.errors import IntegrationError
 from coadjoint.long_operations import note_progress
-from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.step_derivatives import AGREEMENT, derivative_of
-from coadjoint.methods.protocol.tangents import tangent_by
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.step_tangents import compiled_tangents
 from coadjoint.systems.protocol import has_structure_constants
@@ -135,7 +133,7 @@ def _directional_defect(subject: Subject, x: NDArray[np.float64], h: float) -> t
     note_progress(f"derivatives of a step along {DIRECTIONS} directions")
     forward = _carried(method, system, x, 0.0, h, _apply_structure(system, x, a))
     back = _carried(method, system, y, h, -h, _apply_structure(system, y, b))
-    exact = tangent_by(method, system, x, 0.0, h) != "differences"
+    exact = method.tangent_by(system, x, 0.0, h) != "differences"
     defect = n * float(np.sqrt(np.mean((b.T @ forward + (a.T @ back).T) ** 2)))
     operations = (max(after.stats.evaluations, MIN_OPERATIONS) + 4) * n
     relative = 64 * UNIT_ROUNDOFF * operations if exact else DIFFERENCE_FLOOR
@@ -150,10 +148,7 @@ def _carried(
     found = None if compiled is None else compiled(x, t, None)
     if found is not None:
         return found
-    form = method.expanded
-    if isinstance(form, FlowMethod):
-        return form.tangent_on(system, x, t, h, vectors)
-    return np.asarray(method.tangent(system, x, t, h)[1] @ vectors)
+    return method.tangent_on(system, x, t, h, vectors)
 
 
 def _apply_structure(system: Any, x: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -203,7 +198,7 @@ def tangent(subject: Subject, x: NDArray[np.float64], h: float) -> Tangent:
     """Return the derivative of a step of length h at x, from time 0, in the most accurate way available."""
     method, system = subject.method, subject.system
     try:
-        by = tangent_by(method, system, x, 0.0, h)
+        by = method.tangent_by(system, x, 0.0, h)
         P = _formula(subject, x, h) if by == "formula" else None
         if P is None:
             P = np.asarray(method.tangent(system, x, 0.0, h)[1], dtype=np.float64)

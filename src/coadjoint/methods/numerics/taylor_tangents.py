@@ -9,11 +9,6 @@ from coadjoint.long_operations import note_progress
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
-def has_quadratic_energy(system: LiePoissonSystem) -> bool:
-    """Return whether the Hamiltonian is a quadratic polynomial."""
-    return all(term.form is not None for term in system.hamiltonian.terms())
-
-
 def expand_quadratic(
     system: LiePoissonSystem, x: NDArray[np.float64], h: float, order: int
 ) -> tuple[list[NDArray[np.float64]], list[NDArray[np.float64]]]:

@@ -9,19 +9,15 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.representation import intertwiner, invariant_form
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.protocol.method import Method, declared_properties
-from coadjoint.systems.system_checks import System
 
 
-def check_attitude(method: Method, system: System, representation: Any) -> None:
-    """Raise ValueError if the scheme cannot preserve the group in this representation, "coadjoint" or (n, d, d).
+def check_attitude(kind: str, scheme: str, system: Any, representation: Any) -> None:
+    """Raise ValueError if a scheme with this kind of `Properties.attitude` cannot preserve the group.
 
     Gauss methods preserve quadratic invariants: the group of a bilinear form, rho_i^T P + P rho_i = 0, and the spatial
     momentum if it is bilinear in g and x, that is if T rho_i = D_(e_i) T for a T of full rank (then K T = T g, K the
     coadjoint matrix). This holds for so(3), but not for so(n), n >= 4, where the momentum g X g^T is quadratic in g.
     """
-    kind = declared_properties(method, system).attitude
-    scheme = type(method).__name__
     if system.algebra is None:
         raise ValueError(f"{system.name} has no Lie algebra and so no group element; integrate it with attitude=False")
     if kind == "none":

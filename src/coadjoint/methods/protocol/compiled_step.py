@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from coadjoint.methods.protocol.method import Representation
-from coadjoint.methods.protocol.restored import RestoresInvariants
 from coadjoint.methods.protocol.substep_method import SubstepMethod
 from coadjoint.systems.system_checks import System
 
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.protocol.cost_model import Operations, Work
 
 
-class CompiledStepMethod(SubstepMethod, RestoresInvariants):
+class CompiledStepMethod(SubstepMethod):
     """A scheme with a step in C++, and the same step in NumPy.
 
     The C++ file derives from ``StepScheme`` of ``steps/step_scheme.hpp``, which documents its inputs. It is in the
@@ -36,10 +35,6 @@ class CompiledStepMethod(SubstepMethod, RestoresInvariants):
         integers, numbers : sequences
         """
         return [], []
-
-    def restored(self, system: System) -> Mapping[str, Any] | None:
-        """Return the invariants that the compiled step restores; by default none, and not the energy either."""
-        return None
 
     def operations(self, system: System) -> Operations | None:
         """Return the operations of a step; None for a scheme that iterates, whose work is counted in evaluations.

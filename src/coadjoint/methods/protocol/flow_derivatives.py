@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from coadjoint.kernels.tables.cotangents import flow_cotangents, with_step
-from coadjoint.methods.protocol.derivatives import ADDED_PART, EXACT, DerivativeTables
+from coadjoint.methods.protocol.derivative_tables import ADDED_PART, EXACT, DerivativeTables
 from coadjoint.program.added_part import CoefficientMap, with_added_part
 from coadjoint.program.provenance import in_parts
 from coadjoint.systems.energy_derivatives import EnergyDerivative

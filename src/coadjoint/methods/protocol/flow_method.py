@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, fields, is_dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -12,15 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.formal.formal_numbers import is_short
-from coadjoint.methods.protocol.composing import Composable
-from coadjoint.methods.protocol.derivatives import CompiledDerivatives, DerivativeTables
-from coadjoint.methods.protocol.formal_step import FormalStep
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.methods.protocol.tangents import CompiledTangents
+from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.wrapper import Composed, Wrapper
 from coadjoint.program.numbers import Number, precision_of
+from coadjoint.program.parts.chosen_parts import ChosenParts
+from coadjoint.program.parts.decompose import BODY_FLOW_CHOICES, check_body_flow_inputs, decompose, decompose_all
+from coadjoint.program.parts.split import NotSplittable
 from coadjoint.program.sweeps import Sweep as Sweep  # re-exported by coadjoint.methods
-from coadjoint.systems.protocol import has_structure_constants
+from coadjoint.systems.hamiltonians.linear_term import with_placeholders
+from coadjoint.systems.protocol import has_structure_constants, unforced
 from coadjoint.systems.system_checks import System
 
 if TYPE_CHECKING:
@@ -28,6 +31,7 @@ if TYPE_CHECKING:
     from coadjoint.kernels.tables.tangents import Frame
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
+    from coadjoint.methods.protocol.derivative_tables import DerivativeTables
     from coadjoint.program.interpreter import Interpreter
     from coadjoint.program.table import Program
     from coadjoint.systems.energy_derivatives import EnergyDerivative
@@ -36,7 +40,7 @@ COEFFICIENT_ERROR = 1e-38  # relative error of published coefficients, which hav
 SUM_TOLERANCE = 2.0**-40  # relative to the sum of absolute coefficients of sweeps; allows coefficients of twelve digits
 
 
-class FlowMethod(FormalStep, CompiledTangents, CompiledDerivatives, Composable):
+class FlowMethod(Method):
     """A scheme that consists of exact flows of parts, given by their order and fractions of the step."""
 
     @property
@@ -69,14 +73,10 @@ class FlowMethod(FormalStep, CompiledTangents, CompiledDerivatives, Composable):
 
     def composed(self, coefficients: Sequence[float]) -> Method:
         """Return the flows of all substeps as one table, in which adjacent flows of the same part are merged."""
-        from coadjoint.methods.protocol.composed import ComposedFlows
-
         return ComposedFlows(self, tuple(coefficients))
 
     def symmetrized(self) -> Method:
         """Return the sweeps of this scheme, followed by their mirror images."""
-        from coadjoint.methods.symmetrized import PairOfFlows
-
         return PairOfFlows(self)
 
     def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
@@ -148,6 +148,8 @@ class FlowMethod(FormalStep, CompiledTangents, CompiledDerivatives, Composable):
     @property
     def known_to(self) -> float:
         """Zero if all coefficients are short fractions, else the rounding error of the published coefficients."""
+        from coadjoint.methods.formal.formal_numbers import is_short
+
         sweeps = [*self.sweeps(Fraction), *self.processor(Fraction)]
         return 0.0 if all(is_short(sweep.coefficient) for sweep in sweeps) else COEFFICIENT_ERROR
 
@@ -175,17 +177,111 @@ class FlowMethod(FormalStep, CompiledTangents, CompiledDerivatives, Composable):
 
         return work_of_flows(self.program(system, group=group), bool(self.compensated))
 
+    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
+        """Return the scheme with the automatic parts of a system fixed; it needs a field `parts`."""
+        if isinstance(self.parts, str) and self.parts in BODY_FLOW_CHOICES:
+            check_body_flow_inputs(system, self.parts, coordinates)
+        automatic = isinstance(self.parts, ChosenParts) or (isinstance(self.parts, str) and self.parts == "auto")
+        if not automatic or not has_structure_constants(system):
+            return self
+        if not is_dataclass(self) or all(field.name != "parts" for field in fields(self)):
+            raise TypeError(f"{self} has no field `parts`, so that automatic parts cannot be fixed; give it this field")
+        self.properties(system)
+        try:
+            choice = decompose(with_placeholders(system, coordinates), self.parts).choice
+        except NotSplittable:
+            return self  # the loop raises the error for a Hamiltonian that does not split
+        return replace(self, parts=replace(choice, linear=tuple(coordinates)))
+
+    def split_jointly(self, systems: Sequence[Any]) -> None:
+        """Split those with structure constants, if the parts are automatic."""
+        if self.parts == "auto":
+            # Hamiltonians that do not split raise later, with the name of the member.
+            with suppress(ValueError):
+                decompose_all([one for one in map(unforced, systems) if has_structure_constants(one)])
+
+
+class FlowsOfBase(Wrapper, FlowMethod):
+    """A flow method with the parts of another one."""
+
+    base: FlowMethod
+
+    @property
+    def parts(self) -> Any:
+        """Those of the base."""
+        return self.base.parts
+
+    @property
+    def compensated(self) -> bool | None:
+        """As for the base."""
+        return self.base.compensated
+
+    @property
+    def rotation(self) -> str:
+        """As for the base."""
+        return self.base.rotation
+
     def with_compensation(self) -> Method | None:
-        """Return the same scheme with compensated sums, if that choice was left open; else None."""
-        return None
+        """Return the flows of the base with compensated sums."""
+        return self._with_compensated_base()
 
 
-def flows_of(method: Method) -> FlowMethod:
-    """Return a scheme as one of flows; raise TypeError if it does not consist of flows."""
-    form = method.expanded
-    if not isinstance(form, FlowMethod):
-        raise TypeError(f"{method} is not made of exact flows, so it has no program; Splitting has one")
-    return form
+@dataclass(frozen=True)
+class ComposedFlows(Composed, FlowsOfBase):
+    """The flows of all substeps, as one table."""
+
+    offered = False
+
+    base: FlowMethod
+    coefficients: tuple[float, ...]
+
+    def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
+        """Return the sweeps of the base, scaled and shifted."""
+        inner = self.base.sweeps(number)
+        result, elapsed = [], number(0)
+        for coefficient in map(number, self.coefficients):
+            result += [
+                Sweep(forward, coefficient * fraction, elapsed + coefficient * moment, turn)
+                for forward, fraction, moment, turn in inner
+            ]
+            elapsed = elapsed + coefficient
+        return result
+
+
+@dataclass(frozen=True)
+class PairOfFlows(FlowsOfBase):
+    """The sweeps of a scheme over half a step, then in reverse over the other half."""
+
+    offered = False
+    explicit = True
+    symmetric = True
+
+    base: FlowMethod
+
+    def __post_init__(self) -> None:
+        if len(self.base.processor()):
+            raise TypeError(f"{self.base} has a processor, so its adjoint is not a list of sweeps; take another scheme")
+
+    @property
+    def order(self) -> int:
+        """The order of the base, rounded up to an even number."""
+        return self.base.order + self.base.order % 2
+
+    def properties(self, system: System) -> Properties:
+        """Return the properties of the base."""
+        return self.base.properties(system)
+
+    def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
+        """Return the sweeps of the base and their mirror images; times are mirrored too."""
+        sweeps = list(self.base.sweeps(number))
+        first_half = [Sweep(forward, c / 2, moment / 2, turn) for forward, c, moment, turn in sweeps]
+        # `turn` marks the second sweep of a pair, which is the first in the mirror image.
+        turns = [sweeps[-1].forward, *(sweep.turn for sweep in reversed(sweeps[1:]))]
+        second_half = [
+            Sweep(not forward, c / 2, 1 - moment / 2, turn)
+            for (forward, c, moment, _), turn in zip(reversed(sweeps), turns, strict=True)
+        ]
+        return [*first_half, *second_half]
 
 
 def _interpreter_of(method: FlowMethod, system: System, number: Number) -> Interpreter:

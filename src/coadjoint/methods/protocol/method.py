@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,13 @@ from coadjoint.systems.system_checks import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.kernels.tables.tangents import Frame
+    from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
+    from coadjoint.methods.protocol.derivative_tables import DerivativeTables
+    from coadjoint.methods.protocol.step_derivatives import LinearizedStep
     from coadjoint.program.table import Program
+    from coadjoint.systems.energy_derivatives import EnergyDerivative
 
 Representation = NDArray[np.float64] | str | None
 
@@ -33,6 +38,15 @@ NO_ERROR_CONTROL = (
 )
 BYTES_PER_CONSTANT = 450  # peak memory per structure constant during the construction of flows
 MAX_PARAMETER_TEXT = 200  # characters of a parameter in a message
+SIZE_SAMPLES = 240  # samples of the size of a motion, at output points that do not affect own steps
+
+
+class FinerRun(NamedTuple):
+    """A more accurate scheme and number of steps, and the remaining fraction of the original error."""
+
+    method: Method
+    steps: int
+    left: float
 
 
 class Method(metaclass=ExplainedCalls):
@@ -40,7 +54,7 @@ class Method(metaclass=ExplainedCalls):
 
     Families implement this protocol from coefficients (`FlowMethod`), a tableau (`RungeKuttaMethod`) or a step
     (`StepMethod`, `CompiledStepMethod`); a user-defined scheme derives from one of them. What only some schemes can do
-    is a capability: a base class in a file of its own in this folder, next to a function that finds it or refuses.
+    has a default that refuses by name, or that returns what holds for the others.
     """
 
     def __new__(cls, *arguments: Any, **parameters: Any) -> Self:
@@ -220,6 +234,56 @@ class Method(metaclass=ExplainedCalls):
         result = derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))
         return result.value, result.derivative
 
+    def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
+        """Return how `tangent` is computed: by "formula", "complex step" or "differences", with about nine digits."""
+        if type(self).tangent is not Method.tangent:
+            return "formula"
+        from coadjoint.methods.protocol.step_derivatives import derivative_of
+
+        return derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64)).by
+
+    def tangent_on(self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]) -> NDArray[Any]:
+        """Return the derivative of a step applied to tangent vectors (n, k)."""
+        return np.asarray(self.tangent(system, x, t, h)[1] @ vectors)
+
+    def linearized(self, system: System, x: Any, t: float, h: float) -> LinearizedStep:
+        """Return a step from a vector, with its derivative as a linear map; by default from its matrix, `tangent`."""
+        from coadjoint.methods.protocol.step_derivatives import DenseStep
+
+        end, matrix = self.tangent(system, x, t, h)
+        return DenseStep(np.asarray(end), np.asarray(matrix))
+
+    def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
+        """Return the loop that carries tangent vectors with the state; None: `tangent` is called for every step.
+
+        The bits of the state do not depend on the vectors. ValueError or TypeError: no support for the system, or a
+        derivative that is not known.
+        """
+        return None
+
+    @property
+    def differentiable(self) -> bool:
+        """Whether there are loops that differentiate whole runs, `derivative_tables`."""
+        return False
+
+    def derivative_tables(
+        self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]
+    ) -> DerivativeTables:
+        """Return the tables of these loops; `energies` are the derivatives of the energy by the parameters wanted."""
+        raise TypeError(f"runs by {self} have no derivatives; take a Splitting or a Runge-Kutta method")
+
+    def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
+        """Return one step as a power series in h; TypeError if it is not known, for the parameters or the system.
+
+        The state x (n,) and the step h consist of formal numbers, whose coefficients are exact polynomials.
+        """
+        raise TypeError(f"a step of {self} is not known as a power series in exact numbers")
+
+    @property
+    def known_to(self) -> float:
+        """Relative error of the coefficients of `formal_step`; 0 if they are exact."""
+        return 0.0
+
     def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
         """Return the table of exact flows that make up a step.
 
@@ -241,9 +305,7 @@ class Method(metaclass=ExplainedCalls):
         TypeError
             The scheme does not consist of flows.
         """
-        from coadjoint.methods.protocol.flow_method import flows_of
-
-        return flows_of(self).program(system, group=group, number=number)
+        raise TypeError(f"{self} is not made of exact flows, so it has no program; Splitting has one")
 
     @abstractmethod
     def work(self, system: System, group: Representation = None) -> Work:
@@ -261,16 +323,73 @@ class Method(metaclass=ExplainedCalls):
         Work
         """
 
+    def restored(self, system: System) -> Mapping[str, Any] | None:
+        """Return the `Polynomial`s and `Quadratic`s that a step restores with the energy, by name; None: no energy."""
+        return None
+
+    def finer(self, steps: int, times: float) -> FinerRun | None:
+        """Return a run with own steps shorter by a factor, for `steps` output points; None if steps are given."""
+        return None
+
+    @property
+    def fixed_steps(self) -> Method:
+        """The scheme itself, or that of the steps that it chooses, with lengths that are given."""
+        if self.own_steps:
+            raise TypeError(
+                f"{self} chooses its own steps, and its runs have no derivatives; define fixed_steps and next_length"
+            )
+        return self
+
+    def next_length(self, system: System, x: NDArray[np.float64], h: float, memory: Any) -> tuple[float, Any]:
+        """Return the length of the next own step, with the sign of h, and the memory for the one after it.
+
+        `memory` is that of the step before, None at the start. For schemes with own steps and `fixed_steps`.
+        """
+        raise NotImplementedError
+
+    takes_tolerance: ClassVar[bool] = False
+    """Whether the scheme can choose its own steps by an estimate of their errors, see `reaching`."""
+
+    def reaching(self, system: System, tolerance: float) -> Method:
+        """Return the scheme of least work with this error of a step, relative to the largest momentum so far."""
+        raise TypeError(f"{self} has no tolerance that could be chosen for an accuracy; give step= in its place")
+
+    def composed(self, coefficients: Sequence[float]) -> Method:
+        """Return the composition of this scheme with these fractions of its step, which `Composition` validates."""
+        raise TypeError(f"{self} cannot be composed")
+
+    def symmetrized(self) -> Method:
+        """Return half a step of this scheme followed by half a step of its adjoint: symmetric, of even order."""
+        raise TypeError(f"the adjoint of {self} is not known as a scheme; take a splitting, or a Runge-Kutta tableau")
+
+    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
+        """Return the same scheme with automatic choices fixed, such as parts; TypeError or ValueError if it cannot be.
+
+        Systems that differ only in the linear term of H at these coordinates then have tables of one structure.
+        """
+        return self
+
+    def split_jointly(self, systems: Sequence[Any]) -> None:
+        """Split the Hamiltonians of many systems together, which is faster than for each loop."""
+
+    def with_compensation(self) -> Method | None:
+        """Return the same scheme with compensated sums, if that choice was left open; else None."""
+        return None
+
+    def took_newton(self, memory: NDArray[np.float64]) -> bool:
+        """Return whether an implicit step of any member of a run, with memory (members, numbers), used Newton."""
+        return False
+
+    def check_attitude(self, system: System, representation: Any) -> None:
+        """Raise ValueError if the scheme cannot preserve the group in this representation, "coadjoint" or (n, d, d)."""
+        from coadjoint.methods.protocol.attitude import check_attitude
+
+        check_attitude(declared_properties(self, system).attitude, type(self).__name__, system, representation)
+
     @classmethod
     def examples(cls) -> Sequence[Method]:
         """Return schemes of this class for the tests; together they cover all its features."""
         return [cls()]
-
-
-def check_base(base: Any, wrapper: str, example: str) -> None:
-    """Raise a TypeError if the base of a wrapper is not a scheme."""
-    if not isinstance(base, Method):
-        raise TypeError(f"the base of {wrapper} is a scheme such as {example}, not {short(base)}")
 
 
 def declared_properties(method: Method, system: System) -> Properties:
@@ -282,8 +401,3 @@ def declared_properties(method: Method, system: System) -> Properties:
             "it must return coadjoint.methods.Properties"
         )
     return declared
-
-
-def has_quadratic_energy(system: System) -> bool:
-    """Return whether the Hamiltonian is a polynomial of degree at most two that does not depend on time."""
-    return all(term.form is not None for term in system.hamiltonian.terms())

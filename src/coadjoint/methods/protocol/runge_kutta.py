@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,10 +13,10 @@ from numpy.typing import NDArray
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.solvers import SOLVERS, Evaluation
 from coadjoint.methods.numerics.stages import Coefficients, Step, begin, read_tableau
-from coadjoint.methods.protocol.derivatives import CompiledDerivatives, DerivativeTables
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.methods.protocol.substep_method import FULL_STEP, SubstepMethod
-from coadjoint.methods.protocol.tangents import CompiledTangents
+from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.substep_method import SubstepMethod
+from coadjoint.methods.protocol.wrapper import Wrapper
 from coadjoint.program.numbers import Number
 from coadjoint.systems.system_checks import System
 from coadjoint.validation import read_choice
@@ -27,10 +28,11 @@ if TYPE_CHECKING:
     from coadjoint.kernels.tables.tangents import Frame
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
+    from coadjoint.methods.protocol.derivative_tables import DerivativeTables
     from coadjoint.systems.energy_derivatives import EnergyDerivative
 
 
-class RungeKuttaMethod(SubstepMethod, CompiledTangents, CompiledDerivatives):
+class RungeKuttaMethod(SubstepMethod):
     """A user-defined Runge-Kutta scheme: a tableau, and a solver for its stages."""
 
     tables_of_any_step = True
@@ -122,8 +124,6 @@ class RungeKuttaMethod(SubstepMethod, CompiledTangents, CompiledDerivatives):
 
     def symmetrized(self) -> Method:
         """Return the tableau of this scheme and its adjoint; not for solvers with a fixed number of iterations."""
-        from coadjoint.methods.symmetrized import PairOfTableaux
-
         if self.solver not in ("explicit", "implicit") or not self._as_written:
             return super().symmetrized()
         return PairOfTableaux(self)
@@ -169,10 +169,6 @@ class RungeKuttaMethod(SubstepMethod, CompiledTangents, CompiledDerivatives):
             memory=scheme_memory(RUNGE_KUTTA_LOOP, tables.tables),
         )
 
-    def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop:
-        """Return the loop without substeps, with tangent vectors."""
-        return self.tangent_loop_of_substeps(system, h, frame, FULL_STEP)
-
     def tangent_loop_of_substeps(
         self, system: System, h: float, frame: Frame, fractions: Sequence[float]
     ) -> CompiledLoop:
@@ -192,12 +188,6 @@ class RungeKuttaMethod(SubstepMethod, CompiledTangents, CompiledDerivatives):
         """Whether the compiled stages are those of `step`."""
         return self._as_written
 
-    def derivative_tables(
-        self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]
-    ) -> DerivativeTables:
-        """Return the tables of the stages and of their derivatives, without substeps."""
-        return self.derivative_tables_of_substeps(system, h, representation, energies, FULL_STEP)
-
     def derivative_tables_of_substeps(
         self,
         system: System,
@@ -209,7 +199,12 @@ class RungeKuttaMethod(SubstepMethod, CompiledTangents, CompiledDerivatives):
         """Return the tables of the stages and of their derivatives, with substeps of these fractions of the step."""
         from coadjoint.methods.protocol.runge_kutta_derivatives import runge_kutta_derivatives
 
+        self.properties(system)
         return runge_kutta_derivatives(self, system, h, representation, energies, fractions)
+
+    def took_newton(self, memory: NDArray[np.float64]) -> bool:
+        """Return whether the first number of the memory of a member is positive."""
+        return bool(np.any(memory[:, :1] > 0.0))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the iterations of a step."""
@@ -246,3 +241,44 @@ class RungeKuttaMethod(SubstepMethod, CompiledTangents, CompiledDerivatives):
             raise TypeError(f"{self} gives no derivatives")
         out = step.coefficients.out
         return step.x + out @ slopes, np.eye(step.x.size) + np.einsum("j,jab->ab", out, derivatives)
+
+
+@dataclass(frozen=True)
+class PairOfTableaux(Wrapper, RungeKuttaMethod):
+    """A Runge-Kutta method over half a step, then its adjoint over the other half.
+
+    The adjoint ends where a backward step of the base starts: X_i = x + sum_j (out_j - mix_ij) L_j. It is implicit.
+    """
+
+    offered = False
+    explicit = False
+    symmetric = True
+
+    base: RungeKuttaMethod
+
+    @property
+    def order(self) -> int:
+        """The order of the base, rounded up to an even number."""
+        return self.base.order + self.base.order % 2
+
+    @property
+    def solver(self) -> str:
+        """``"implicit"``."""
+        return "implicit"
+
+    def properties(self, system: System) -> Properties:
+        """Return the properties of the base, without a group element."""
+        declared = self.base.properties(system)
+        return Properties(poisson=declared.poisson, energy=declared.energy, casimirs=declared.casimirs, attitude="none")
+
+    def coefficients(self, number: Number = float) -> Coefficients:
+        """Return the combined tableau."""
+        node, scale, mix, out = self.base.coefficients(number)
+        s = len(node)
+        both = np.concatenate([mix, 0 * mix], axis=1), np.concatenate([np.stack([out] * s), out - mix], axis=1)
+        return Coefficients(
+            np.concatenate([node / 2, 1 - node / 2]),
+            np.concatenate([scale / 2, scale / 2]),
+            np.concatenate(both),
+            np.concatenate([out, out]),
+        )

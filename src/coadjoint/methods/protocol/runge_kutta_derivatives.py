@@ -6,19 +6,19 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from coadjoint.kernels.tables.cotangents import runge_kutta_cotangents
-from coadjoint.methods.protocol.derivatives import EXACT, DerivativeTables
+from coadjoint.methods.protocol.derivative_tables import EXACT, DerivativeTables
 from coadjoint.program.added_part import CoefficientMap, terms_of
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 
 if TYPE_CHECKING:
-    from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
+    from coadjoint.methods.protocol.substep_method import SubstepMethod
     from coadjoint.systems.system_checks import System
 
 FORWARD, BACKWARD = "runge_kutta_directions", "runge_kutta_cotangents"
 
 
 def runge_kutta_derivatives(
-    method: RungeKuttaMethod,
+    method: SubstepMethod,
     system: System,
     h: float,
     representation: Any,

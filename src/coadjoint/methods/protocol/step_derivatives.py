@@ -1,13 +1,15 @@
-"""Derivatives of steps given as functions, by complex steps or differences."""
+"""Steps with their derivatives: as linear maps, and of functions by complex steps or differences."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
 
 # Second-order terms vanish, and products do not underflow.
 COMPLEX_STEP = 2.0**-300
@@ -73,3 +75,55 @@ def _difference(
     h = DIFFERENCE_STEP * size
     ahead, behind = (np.asarray(function(x + side * h * direction), dtype=np.float64) for side in (1.0, -1.0))
     return np.asarray((ahead - behind) / (2.0 * h))
+
+
+class LinearizedStep(Protocol):
+    """A step and its derivative at a state: `end` is the state (n,) after it."""
+
+    @property
+    def end(self) -> Floats:
+        """State after the step."""
+
+    def tangents(self, rows: Floats) -> Floats:
+        """Return the tangents (k, n) after the step for those before it."""
+
+    def cotangent(self, row: Floats) -> Floats:
+        """Return the cotangent (n,) before the step for that after it."""
+
+
+class DenseStep(NamedTuple):
+    """A step with the matrix (n, n) of its derivative."""
+
+    end: Floats
+    matrix: Floats
+
+    def tangents(self, rows: Floats) -> Floats:
+        """Return the tangents (k, n) after the step."""
+        return np.asarray((self.matrix @ rows.T).T)
+
+    def cotangent(self, row: Floats) -> Floats:
+        """Return the cotangent (n,) before the step."""
+        return np.asarray(row @ self.matrix)
+
+
+class JoinedSteps(NamedTuple):
+    """Several steps, one after the other."""
+
+    steps: Sequence[LinearizedStep]
+
+    @property
+    def end(self) -> Floats:
+        """State after the last step."""
+        return self.steps[-1].end
+
+    def tangents(self, rows: Floats) -> Floats:
+        """Return the tangents (k, n) after the step."""
+        for step in self.steps:
+            rows = step.tangents(rows)
+        return rows
+
+    def cotangent(self, row: Floats) -> Floats:
+        """Return the cotangent (n,) before the step."""
+        for step in reversed(self.steps):
+            row = step.cotangent(row)
+        return row

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.long_operations import note_progress
-from coadjoint.methods.protocol.derivatives import DIFFERENCES, DerivativeTables
-from coadjoint.methods.protocol.linearized import LinearizedStep, linearized
+from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, DerivativeTables
 from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.program.added_part import CoefficientMap
 from coadjoint.systems.parameter_differences import NearbySystems, nearby_systems
 from coadjoint.systems.parameters import Parameter, with_entry_moved
@@ -45,7 +45,7 @@ class ElementSteps(Protocol):
 class StepwiseDerivatives:
     """The derivatives of the steps of a scheme by the state and by the entries of parameters.
 
-    The former is that of `linearized`. The latter are central differences of order 8 of the step in Python, with
+    The former is that of `Method.linearized`. The latter are central differences of order 8 of the step in Python, with
     about twelve digits. With an attitude, `elements` are those of the steps.
     """
 
@@ -56,7 +56,7 @@ class StepwiseDerivatives:
 
     def step(self, x: Floats, t: float, h: float) -> LinearizedStep:
         """Return a step with its derivative by the state."""
-        return linearized(self._method, self._system, x, t, h)
+        return self._method.linearized(self._system, x, t, h)
 
     def element(self, x: Floats, t: float, h: float) -> tuple[Floats, Floats]:
         """Return the element (d, d) of a step, and its derivative (n, d, d) by the state; empty without an attitude."""

@@ -1,16 +1,21 @@
-"""Base class of schemes around another scheme, and what callers do with the base of any of them."""
+"""Base classes of schemes around another scheme, at one step or at several fractions of it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.protocol.tangents import VariedTangents, tangent_by
+from coadjoint.methods.protocol.properties import Properties
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.short_repr import short
 from coadjoint.systems.system_checks import System
 
+MAX_ORDER = 12  # highest order of a composition that is tested, unless that of the base is higher
 
-class Wrapper(VariedTangents):
+
+class Wrapper(Method):
     """A scheme with the attributes of its base, except for those that it overrides."""
 
     base: Method
@@ -46,5 +51,95 @@ class Wrapper(VariedTangents):
         return self.base.largest
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
-        """Return the way of the base."""
-        return tangent_by(self.base, system, x, t, h)
+        """Return the way of the base, if this scheme does not leave it to the default."""
+        own = type(self).tangent is not Method.tangent
+        return self.base.tangent_by(system, x, t, h) if own else super().tangent_by(system, x, t, h)
+
+    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
+        """Return the scheme around the base with its choices fixed."""
+        base = self.base.settled(system, coordinates)
+        return self if base is self.base else self._around(base)
+
+    def split_jointly(self, systems: Sequence[Any]) -> None:
+        """As for the base."""
+        self.base.split_jointly(systems)
+
+    def _around(self, base: Method) -> Method:
+        changed: Method = replace(self, base=base)  # type: ignore[type-var]
+        return changed
+
+    def _with_compensated_base(self) -> Method | None:
+        base = self.base.with_compensation()
+        return None if base is None else self._around(base)
+
+
+class Composed(Wrapper):
+    """A base scheme at fractions of the step; it preserves what the base preserves."""
+
+    base: Method
+    coefficients: tuple[float, ...]
+
+    @property
+    def order(self) -> int:
+        """The order, from the order conditions in the free associative algebra."""
+        return composition_order(self.coefficients, self.base.order)
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the base is symmetric and the coefficients are a palindrome."""
+        return self.base.symmetric and self.coefficients == self.coefficients[::-1]
+
+    @property
+    def fractions(self) -> tuple[float, ...]:
+        """Fractions of all substeps, with compositions in the base multiplied out."""
+        return tuple(c * f for c in self.coefficients for f in self.base.fractions)
+
+    @property
+    def known_to(self) -> float:
+        """The error of the base or of the fractions, whichever is larger; short fractions are exact."""
+        from coadjoint.methods.formal.formal_numbers import is_short
+
+        fraction_error = 0.0 if all(map(is_short, self.coefficients)) else UNIT_ROUNDOFF
+        return max(fraction_error, self.base.known_to)
+
+    def properties(self, system: System) -> Properties:
+        """Return the properties of the base, which a composition shares."""
+        return self.base.properties(system)
+
+    def with_compensation(self) -> Method | None:
+        """Return the composition of the base with compensated sums."""
+        return self._with_compensated_base()
+
+
+def check_base(base: Any, wrapper: str, example: str) -> None:
+    """Raise a TypeError if the base of a wrapper is not a scheme."""
+    if not isinstance(base, Method):
+        raise TypeError(f"the base of {wrapper} is a scheme such as {example}, not {short(base)}")
+
+
+def composition_order(coefficients: Sequence[float], base_order: int) -> int:
+    """Return the order of a composition of a symmetric map of even order p, up to max(12, p).
+
+    The base is exp(h Y_1 + h^(p+1) Y_(p+1) + h^(p+3) Y_(p+3) + ...) in the free associative algebra of the Y's; the
+    product is compared with exp(h Y_1) word by word.
+    """
+    from coadjoint.algebra.exact.free_algebra import Series, exponential, product, unit_series
+
+    highest = max(MAX_ORDER, base_order)
+    letters = [1, *range(base_order + 1, highest + 1, 2)]
+
+    def exponential_of(coefficients: dict[int, float]) -> Series:
+        return exponential([{(d,): coefficients[d]} if d in coefficients else {} for d in range(highest + 1)])
+
+    composed = unit_series(highest)
+    for c in coefficients:
+        composed = product(composed, exponential_of({d: c**d for d in letters}))
+    exact = exponential_of({1: 1.0})
+    scale = max(1.0, max(map(abs, coefficients)))
+    for order in range(base_order + 1, highest + 1):
+        words = composed[order].keys() | exact[order].keys()
+        # Rounding of the coefficients changes a condition by u times the sum of its terms.
+        tolerance = UNIT_ROUNDOFF * 8 * len(coefficients) * scale**order
+        if any(abs(composed[order].get(word, 0.0) - exact[order].get(word, 0.0)) > tolerance for word in words):
+            return order - 1
+    return highest

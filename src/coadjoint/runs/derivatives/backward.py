@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError, unknown_name
-from coadjoint.methods.protocol.derivatives import DerivativeTables
+from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.methods.protocol.step_derivatives import derivative_of
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.forward import read_states

@@ -16,8 +16,7 @@ from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun, advance
 from coadjoint.kernels.tables.tangents import check_differentiable
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import Forced
-from coadjoint.methods.protocol.derivatives import DerivativeTables, Kernel, has_derivatives
-from coadjoint.methods.protocol.own_steps import fixed_steps
+from coadjoint.methods.protocol.derivative_tables import DerivativeTables, Kernel
 from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
 from coadjoint.runs.derivatives.input_derivatives import INPUTS, without_inputs
 from coadjoint.runs.derivatives.run_tables import build_tables
@@ -77,7 +76,7 @@ class DifferentiableRun:
         system = prepared.system
         if is_batch(system):
             raise TypeError(f"runs of a batch have no derivatives: {system!r}; differentiate the run of each member")
-        self.scheme = fixed_steps(prepared.scheme)
+        self.scheme = prepared.scheme.fixed_steps
         # The scheme of the Hamiltonian part.
         self.base = self.scheme.base if isinstance(self.scheme, Forced) else self.scheme
         if self.base.own_steps:
@@ -85,7 +84,7 @@ class DifferentiableRun:
                 f"{self.base} chooses its own steps, and with forces its runs have no derivatives; take a scheme with "
                 "a given step"
             )
-        if has_derivatives(self.base):
+        if self.base.differentiable:
             check_differentiable(unforced(system))
         self.prepared, self.system = prepared, system
         self.parameters: Mapping[str, Parameter] = parameters_of_run(system) if parameters is None else parameters

@@ -14,7 +14,7 @@ from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import StopFlag
 from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun, advance_tables
 from coadjoint.long_operations import note_progress
-from coadjoint.methods.protocol.derivatives import DIFFERENCES, EXACT, DerivativeTables
+from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, EXACT, DerivativeTables
 from coadjoint.methods.protocol.stepwise_derivatives import matrix_of
 from coadjoint.program.added_part import CoefficientMap
 from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives

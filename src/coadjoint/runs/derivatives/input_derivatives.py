@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.inputs import InputsNotLocated, InputTables
 from coadjoint.kernels.tables.invariants import invariants_table
-from coadjoint.methods.protocol.derivatives import EXACT, DerivativeTables, derivative_tables
+from coadjoint.methods.protocol.derivative_tables import EXACT, DerivativeTables
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.program.added_part import CoefficientMap
 from coadjoint.runs.inputs import Inputs
@@ -69,7 +69,7 @@ class _Located:
     ) -> None:
         self._values, self._h = inputs.random_values(), h
         self._pair = [
-            derivative_tables(scheme, inputs.system_at(values), h, representation, energies) for values in self._values
+            scheme.derivative_tables(inputs.system_at(values), h, representation, energies) for values in self._values
         ]
         self.tables = self._pair[0]
         self._watch = invariants_table([], inputs.system.dim).tables

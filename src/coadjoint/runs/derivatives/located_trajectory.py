@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.protocol.own_steps import OwnSteps
+from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.crossings import Crossings
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Stretch, Trajectory
@@ -81,7 +81,6 @@ class LocatedTrajectory(Trajectory):
         numbers = _numbers_of(self.times, moments, self._plain)
         self.t = np.concatenate([self.solution.t[: self._plain], crossing_times])
         if prepared.method.own_steps:
-            assert isinstance(prepared.method, OwnSteps)
             self._take_own_steps(prepared.method)
         else:
             self._take_steps(steps, numbers, crossing_times, reverse)
@@ -109,7 +108,7 @@ class LocatedTrajectory(Trajectory):
         self.elapsed = number * times.h + length
         self.scale = np.full(len(length), abs(times.h))
 
-    def _take_own_steps(self, method: OwnSteps) -> None:
+    def _take_own_steps(self, method: Method) -> None:
         """Repeat the steps of the scheme up to the last output."""
         self.finished, times, start = True, self.times, self.start
         forward, tolerance = np.sign(times.h), SAME_TIME * max(abs(times.t0), abs(times.end), abs(times.h))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError, unknown_name
-from coadjoint.methods.protocol.derivatives import ADDED_PART, DIFFERENCES, EXACT
+from coadjoint.methods.protocol.derivative_tables import ADDED_PART, DIFFERENCES, EXACT
 from coadjoint.runs.derivatives.results import Gradient, Tangents
 from coadjoint.short_repr import short
 from coadjoint.systems.protocol import is_batch, shape_of

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.protocol.derivatives import DerivativeTables, derivative_tables, has_derivatives
+from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.methods.protocol.stepwise_derivatives import (
     StepwiseDerivatives,
     nearby_parameters,
@@ -105,11 +105,11 @@ def _of_scheme(
 ) -> DerivativeTables:
     """Return the tables of the scheme on a system without forces."""
     scheme, representation = run.base, run.representation
-    if has_derivatives(scheme):
+    if scheme.differentiable:
         energies = {name: run.energy(name) for name in names}
         if inputs is not None:
             return tables_with_inputs(inputs, scheme, h, representation, energies)
-        return derivative_tables(scheme, system, h, representation, energies)
+        return scheme.derivative_tables(system, h, representation, energies)
 
     def elements() -> ElementDifferences | None:
         return None if representation is None else ElementDifferences(scheme, h, representation)

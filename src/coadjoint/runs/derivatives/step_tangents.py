@@ -12,7 +12,7 @@ from coadjoint.kernels.functions.compiled_functions import raised_by
 from coadjoint.kernels.loop import StopFlag
 from coadjoint.kernels.tables.cotangents import ForwardRun, advance_tables
 from coadjoint.kernels.tables.structures import as_structure
-from coadjoint.methods.protocol.derivatives import DerivativeTables, derivative_tables, has_derivatives
+from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.derivatives.input_derivatives import INPUTS
 from coadjoint.systems.system_checks import System
@@ -96,9 +96,9 @@ def compiled_tangents(method: Method, system: System, h: float, vectors: Floats 
 
     Functions of the user would have to be compiled: systems with any have none.
     """
-    if has_user_functions(system) or not has_derivatives(method):
+    if has_user_functions(system) or not method.differentiable:
         return None
-    return StepTangents(derivative_tables(method, system, h, None, {}), system.dim, h, vectors=vectors)
+    return StepTangents(method.derivative_tables(system, h, None, {}), system.dim, h, vectors=vectors)
 
 
 def has_user_functions(system: System) -> bool:

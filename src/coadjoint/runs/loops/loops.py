@@ -15,7 +15,6 @@ from coadjoint.kernels.blas_threads import matrix_rows
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import CompiledLoop, MemberBatch
 from coadjoint.memory import RELEASED_SIZE, release_freed_memory
-from coadjoint.methods.protocol.automatic_choices import split_jointly
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.groups import Group, batches_of_groups, groups_of, individual_groups, split_members
 from coadjoint.runs.loops.matrix_invariants import MatrixInvariants
@@ -292,7 +291,7 @@ def loops_of_batch(batch: Batch, method: Method, h: float, representations: Sequ
 
     `representations` holds an array (n, d, d), "coadjoint" or None for each member.
     """
-    split_jointly(method, batch.distinct)
+    method.split_jointly(batch.distinct)
     names = list(batch[0].casimirs)
     compiled: list[CompiledLoop] = []
     watches: list[CompiledTables] = []

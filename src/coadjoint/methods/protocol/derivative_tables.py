@@ -1,0 +1,43 @@
+"""Tables of loops that differentiate whole runs: tangent vectors forward and cotangents backward."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from coadjoint.program.added_part import CoefficientMap
+    from coadjoint.program.parts.part import Parts
+
+EXACT = "exact"
+ADDED_PART = "added part"
+DIFFERENCES = "differences"
+
+Kernel = str | Callable[[Any, Any, int, int], None]
+
+
+class DerivativeTables(NamedTuple):
+    """Tables of a scheme, and the coefficients in them that depend on parameters.
+
+    `tables_at(h)` are those of a step h, or `tables_at(h, values)` with inputs, and `forward` and `backward` names of
+    kernels for them, or functions of tables, run, and the first and last of its members. `keepalive` must live as long
+    as the tables. Derivatives by `coefficient_count` coefficients are mapped to those by the entries of the parameters
+    by `coefficients`, and derivatives by the factors of Casimirs subtracted from the energy, `shift`, by `factors`. The
+    `rules` are those above. `reversible` steps can be undone from their end.
+
+    The coefficients are all entries of the fields `located`, one after the other; if there are none, they are those of
+    the derivative of the energy only. The `parts` are those of a program.
+    """
+
+    tables_at: Callable[..., Any]
+    keepalive: tuple[Any, ...]
+    forward: Kernel
+    backward: Kernel
+    coefficient_count: int
+    coefficients: Mapping[str, CoefficientMap]
+    factors: Mapping[str, CoefficientMap]
+    rules: Mapping[str, str]
+    shift: tuple[Any, ...]
+    reversible: bool
+    located: tuple[str, ...] = ()
+    parts: Parts | None = None
