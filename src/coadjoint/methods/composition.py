@@ -143,6 +143,8 @@ class Composition(Composed):
         return self.expanded.took_newton(memory)
 
     def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
+        if type(self.expanded).program is Method.program:  # refused, by the name of the scheme that was given
+            return super().program(system, group=group, number=number)
         return self.expanded.program(system, group=group, number=number)
 
     def work(self, system: System, group: Representation = None) -> Work:
