@@ -18,16 +18,16 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 
 # A change may lower a maximum. One that raises it says in a comment beside the number what users gain for it.
 MAXIMA: dict[str, int] = {
-    "Python files": 595,
-    "Python lines": 90351,
+    "Python files": 586,
+    "Python lines": 90087,
     "longest file": 512,
-    "classes": 584,  # solutions of each source have a class that computes their attributes; sinks of runs
-    "isinstance": 939,
-    "files in cycles, with imports inside functions and for types": 71,
-    "modules behind integrate": 175,
+    "classes": 576,
+    "isinstance": 910,
+    "files in cycles, with imports inside functions and for types": 53,
+    "modules behind integrate": 162,
     "C++ lines": 19181,  # the nearest integer in every direction of rounding, and stages among subnormal numbers
-    "test lines": 62000,
-    "test files that import internals": 75,
+    "test lines": 61982,
+    "test files that import internals": 74,
     "public names": 328,
 }
 

@@ -263,9 +263,10 @@ def test_refusals():
     driven = co.Separable({i: (lambda y, t: y * t, lambda y, t: t + 0 * y) for i in range(3)})
     shifted, full = co.systems.rigid_body(inertia=(1, 2, 3)), SYSTEMS["so(3), full, body"][0]
     kept = co.modified_hamiltonian(body, coordinates, symbols=True)
-    make, x = co.modified_hamiltonian, [1.0, 2.0, 3.0]
+    make, x, composed = co.modified_hamiltonian, [1.0, 2.0, 3.0], co.Composition(co.GaussLegendre(1), (1.0,))
     for error, named, call in (
-        (TypeError, ["not made of exact flows"], lambda: make(body, co.GaussLegendre(1))),
+        (TypeError, ["GaussLegendre(", "not made of exact flows"], lambda: make(body, co.GaussLegendre(1))),
+        (TypeError, ["Composition(", "not made of exact flows"], lambda: make(body, composed)),
         (TypeError, ["one LiePoissonSystem"], lambda: make(co.batch([body, body]), strang)),
         (TypeError, ["scheme"], lambda: make(body, 0.5)),
         (ValueError, ["'strang'", "Splitting"], lambda: make(body, "strang")),
