@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from coadjoint.kernels import compiling
-from coadjoint.kernels.library import SUFFIX, processor_level
+from coadjoint.kernels.library import SUFFIX, compiler_options, level_options, processor_level
 
 SOURCE = "src/coadjoint/kernels/source"
 
@@ -24,7 +23,7 @@ class Kernels:
     compiler : sequence of str
         The command.
     level : int, optional
-        Of `coadjoint.kernels.compiling.levels`; that of this machine by default.
+        Of `coadjoint.kernels.library.levels`; that of this machine by default.
     tuning : sequence of str, optional
         In place of the options of the level.
     elsewhere : bool
@@ -43,7 +42,7 @@ class Kernels:
         if level is None and not elsewhere:
             level = processor_level()
         source = tree / SOURCE
-        self.flags = compiling.options(compiling.tuning(level, source) if tuning is None else tuning, source)
+        self.flags = compiler_options(level_options(level, source) if tuning is None else tuning, source)
         name = "_kernels" if level is None else f"_kernels_v{level}"
         self.library = str(tree / "src/coadjoint/kernels" / f"{name}{SUFFIX}")
         self.linking = [option for option in tuning or () if option.startswith("-fsanitize")]

@@ -18,8 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from coadjoint.kernels import compiling
-from coadjoint.kernels.library import FOLDER, SUFFIX, built_levels, level_in_use
+from coadjoint.kernels.library import FOLDER, SUFFIX, built_levels, level_in_use, levels
 
 TESTS = Path(__file__).parent
 QEMU = shutil.which("qemu-x86_64") or shutil.which("qemu-x86_64-static")
@@ -41,7 +40,7 @@ def missing() -> str:
         return "only x86-64 has levels"
     if QEMU is None:
         return "qemu-x86_64 is missing: on Debian, `apt-get install qemu-user-static`"
-    if set(built_levels()) != set(compiling.levels()):
+    if set(built_levels()) != set(levels()):
         return "not all levels are built: `make kernels COADJOINT_LEVELS=all`"
     return ""
 

@@ -145,7 +145,7 @@ def _summarize(solution: Solution, written: Sequence[Path]) -> None:
         columns["balance"] = {name: balance[name] if name in balance else math.nan for name in solution.change()}
     click.echo(f"{next(iter(columns))}, over {extent}:")
     names = {name: in_one_line(name, 60) for name in solution.change()}
-    from coadjoint.runs.results.summary import is_driven
+    from coadjoint.runs.results.solution_output import is_driven
 
     if is_driven(solution.system):
         names["energy"] = "energy (driven, so that it changes)"

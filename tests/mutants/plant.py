@@ -29,8 +29,7 @@ from queue import SimpleQueue
 from coverage import CoverageData
 
 from building import Kernels
-from coadjoint.kernels import compiling
-from coadjoint.kernels.library import SUFFIX, processor_level
+from coadjoint.kernels.library import SUFFIX, level_options, processor_level
 from mutants import cpp_defects, python_defects
 from mutants.defect import Defect
 from structure import tracked
@@ -144,7 +143,7 @@ class Copy:
         # By the hash of the source: a defect of the same length within the same second would be read from the cache.
         compileall.compile_dir(folder / "src", quiet=2, invalidation_mode=py_compile.PycInvalidationMode.CHECKED_HASH)
         # Without the optimizations that take most of the time of a build: bits do not depend on them.
-        tuning = ["-O1" if option == "-O3" else option for option in compiling.tuning(processor_level())]
+        tuning = ["-O1" if option == "-O3" else option for option in level_options(processor_level())]
         self.kernels = Kernels(folder, tuning=tuning) if compiled else None
         if self.kernels is not None and (message := self.kernels.build()):
             raise RuntimeError(f"the kernels cannot be built: {message}")

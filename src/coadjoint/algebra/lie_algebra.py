@@ -9,9 +9,15 @@ from typing import Any
 import numpy as np
 
 from coadjoint.algebra.brackets import count_of_brackets, format_brackets, names_in
-from coadjoint.algebra.constants import Triples, parse_brackets, parse_constants, read_basis
+from coadjoint.algebra.constants import (
+    Triples,
+    antisymmetric,
+    check_jacobi,
+    parse_brackets,
+    parse_constants,
+    read_basis,
+)
 from coadjoint.algebra.exact.sparse_sums import Floats
-from coadjoint.algebra.identities import antisymmetric, check_jacobi
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
@@ -393,7 +399,7 @@ class LieAlgebra(Structure, metaclass=Constructors):
         They can be more than ``dim - generic_rank()``, with relations between them (A5,2 has C1 ... C4 for
         three independent ones), or fewer, since Casimirs need not be polynomials (A3,7).
 
-        If the constants round simple fractions (`coadjoint.algebra.exact.rational_constants`), the equations are solved
+        If the constants round simple fractions (`coadjoint.algebra.exact.ranks`), the equations are solved
         exactly and every solution is verified in exact arithmetic. Otherwise singular values decide if they leave a
         clear gap (`coadjoint.algebra.exact.numerical_kernel`), and the coefficients are floats. Direct summands visible
         in the basis are solved separately, equal ones once.

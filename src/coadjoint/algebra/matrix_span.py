@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.constants import check_algebra_memory
 from coadjoint.algebra.exact.elimination import Number, Span, Vector, add_multiple
 from coadjoint.algebra.exact.numbers import exact_number, is_finite, rounded
-from coadjoint.algebra.exact.rational_constants import as_fraction
+from coadjoint.algebra.exact.ranks import as_fraction
 from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Floats
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory

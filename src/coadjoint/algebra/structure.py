@@ -9,17 +9,71 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.constants import Triples
+from coadjoint.algebra.constants import Triples, both_orders
 from coadjoint.algebra.exact.components import strongly_connected
 from coadjoint.algebra.exact.numbers import exact_numbers
 from coadjoint.algebra.exact.ranks import generic_rank
-from coadjoint.algebra.exact.sparse_sums import Integers
-from coadjoint.algebra.sparse_actions import actions, coadjoint_entries, neighbours, structure_operator
+from coadjoint.algebra.exact.sparse_sums import Integers, expand, groups
 from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.validation import not_numbers_error, read_integer, to_array
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator
+
+
+def _actions(triples: Triples, dim: int) -> tuple[Integers, Triples]:
+    """Return the starts (n + 1,) and sorted entries (i, row, column, value) of every D_{e_i}."""
+    both = both_orders(triples)  # (D_{e_i})_jk = c_ji^k
+    order, _ = groups(both.j, both.i, both.k)
+    element = both.j[order]
+    starts = np.searchsorted(element, np.arange(dim + 1)).astype(np.int64)
+    return starts, Triples(element, both.i[order], both.k[order], both.c[order])
+
+
+def coadjoint_entries(
+    starts: Integers, entries: Triples, indices: Integers, coefficients: NDArray[Any]
+) -> tuple[Integers, Integers, NDArray[Any]]:
+    """Return sorted unique rows, columns and values of sum_i u_i D_{e_i}, without exact zeros.
+
+    `starts`, `entries` are from `actions`; `indices`, `coefficients` (m,) are the nonzero u_i.
+    """
+    element, index = expand(starts[indices], starts[indices + 1])
+    constants = exact_numbers(entries.c[index].tolist()) if coefficients.dtype == object else entries.c[index]
+    products = coefficients[element] * constants
+    rows, columns = entries.j[index], entries.k[index]
+    order, first = groups(rows, columns)
+    values = np.add.reduceat(products[order], first) if order.size else products
+    nonzero = np.asarray(values != 0, dtype=bool)
+    representatives = order[first][nonzero]
+    return rows[representatives], columns[representatives], values[nonzero]
+
+
+def _structure_operator(triples: Triples, x: NDArray[np.floating[Any]]) -> LinearOperator:
+    """Return J(x) as a SciPy linear operator."""
+    from scipy.sparse.linalg import LinearOperator
+
+    i, j, k, c = triples
+    entries, n = c * x[k], x.size
+
+    def apply(v: Any) -> Any:
+        flat = np.asarray(v).reshape(n)
+        result = np.zeros(n, dtype=np.result_type(flat.dtype, entries.dtype))
+        np.add.at(result, i, entries * flat[j])
+        np.subtract.at(result, j, entries * flat[i])
+        return result
+
+    return LinearOperator((n, n), matvec=apply, rmatvec=lambda v: -apply(v), dtype=entries.dtype)
+
+
+def _neighbours(triples: Triples, dim: int) -> tuple[Integers, Integers]:
+    """Return, in compressed sparse rows, the sorted j that do not commute with each i; read-only."""
+    first, second = np.concatenate([triples.i, triples.j]), np.concatenate([triples.j, triples.i])
+    order, starts = groups(first, second)
+    first, indices = first[order[starts]], second[order[starts]]
+    indptr = np.searchsorted(first, np.arange(dim + 1)).astype(np.int64)
+    for column in (indptr, indices):
+        column.flags.writeable = False
+    return indptr, indices
 
 
 class Structure:
@@ -167,7 +221,7 @@ class Structure:
         >>> starts.tolist(), entries.c.tolist()
         ([0, 1, 2], [-2.0, 2.0])
         """
-        return actions(self._triples, self._dim)
+        return _actions(self._triples, self._dim)
 
     def coadjoint_entries(self, u: Any) -> tuple[Integers, Integers, NDArray[Any]]:
         """Return the nonzero entries of D_u.
@@ -236,7 +290,7 @@ class Structure:
         point, _ = self._vector(x, "x")
         if point.dtype.kind != "f":
             raise TypeError(f"x must hold real floats, not {point.dtype}: use structure_matrix for other numbers")
-        return structure_operator(self._triples, point)
+        return _structure_operator(self._triples, point)
 
     def generic_rank(self) -> int:
         """Return the rank of J(x) at a generic x; ``dim - rank`` is the number of independent Casimirs.
@@ -288,7 +342,7 @@ class Structure:
 
     @cached_if_small
     def _neighbours(self) -> tuple[Integers, Integers]:
-        return neighbours(self._triples, self._dim)
+        return _neighbours(self._triples, self._dim)
 
     def neighbours(self) -> tuple[Integers, Integers]:
         """Return the noncommuting pairs of basis elements in compressed sparse rows.

@@ -13,8 +13,7 @@ from coadjoint.methods.protocol.method import FinerRun, Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.preparation import Preparation
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.rounded_runs import advance_in_turns
-from coadjoint.runs.run import Run
+from coadjoint.runs.run import Run, advance_in_turns
 from coadjoint.runs.start import momenta_of, with_group
 from coadjoint.runs.step_error import loses_digits
 from coadjoint.runs.times import Times

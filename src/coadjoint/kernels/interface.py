@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
-from coadjoint.algebra.invariants.logarithmic import ANGLE, COSH, HOLD, LOGARITHM, QUOTIENT, SINH, SINH_SQUARED
+from coadjoint.algebra.invariants.invariant import ANGLE, COSH, HOLD, LOGARITHM, QUOTIENT, SINH, SINH_SQUARED
 from coadjoint.kernels.library import kernels
 from coadjoint.program.blocks import CUBIC_HEADER, MOST_SUBSTEPS, Kind
 from coadjoint.program.shifts.group_correction import Turn

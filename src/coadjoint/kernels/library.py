@@ -1,21 +1,45 @@
-"""Selection and loading of the compiled kernels for this processor."""
+"""Compiler options of the kernels, and selection and loading of the compiled kernels for this processor."""
 
 from __future__ import annotations
 
 import ctypes
 import functools
+import json
 import os
 import platform
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from coadjoint.kernels import compiling
 from coadjoint.short_repr import short
 
 FOLDER = Path(__file__).parent
 # The libraries are not Python extension modules: their names do not contain the Python version.
 SUFFIX = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
+SOURCE = FOLDER / "source"
+
+
+def _read_options(source: Path) -> Any:
+    return json.loads((source / "options.json").read_text(encoding="utf-8"))
+
+
+def levels(source: Path = SOURCE) -> tuple[int, ...]:
+    """Return the x86-64 levels that the kernels can be built for, highest first; `source` is the folder of the C++."""
+    return tuple(sorted((int(name.removeprefix("v")) for name in _read_options(source)["levels"]), reverse=True))
+
+
+def level_options(level: int | None, source: Path = SOURCE) -> list[str]:
+    """Return the compiler options of one of `levels`; None is a processor that is not x86-64."""
+    option_lists = _read_options(source)
+    return list(option_lists["elsewhere"] if level is None else option_lists["levels"][f"v{level}"])
+
+
+def compiler_options(tuned: Sequence[str], source: Path = SOURCE) -> list[str]:
+    """Return all compiler options for a source file; `tuned` are those of `level_options`, or a replacement."""
+    # All code of Windows can be moved; Clang refuses the option there.
+    movable = [] if sys.platform == "win32" else ["-fPIC"]
+    return [*_read_options(source)["always"], *tuned, "-DNDEBUG", *movable, f"-I{source}"]
 
 
 def _missing(name: str) -> ImportError:
@@ -39,7 +63,7 @@ def _load(name: str) -> ctypes.CDLL:
 
 
 def processor_level() -> int | None:
-    """Return the highest level of `coadjoint.kernels.compiling` that this processor has; None if it is not x86-64."""
+    """Return the highest level of `levels` that this processor has; None if it is not x86-64."""
     if platform.machine().lower() not in ("x86_64", "amd64"):
         return None
     return int(_load("_processor").processor_level())
@@ -47,7 +71,7 @@ def processor_level() -> int | None:
 
 def built_levels() -> list[int]:
     """Return the levels of the libraries that are built, highest first; empty if the processor is not x86-64."""
-    return [level for level in compiling.levels() if (FOLDER / f"_kernels_v{level}{SUFFIX}").exists()]
+    return [level for level in levels() if (FOLDER / f"_kernels_v{level}{SUFFIX}").exists()]
 
 
 def level_in_use() -> int | None:
@@ -63,7 +87,7 @@ def level_in_use() -> int | None:
                 f"COADJOINT_LEVEL is {short(requested)}, but only x86-64 processors have levels: unset it"
             )
         return None
-    supported, built = [level for level in compiling.levels() if level <= highest], built_levels()
+    supported, built = [level for level in levels() if level <= highest], built_levels()
     usable = [level for level in built if level <= highest]
     can_use = f"this processor can use {_listed(supported)}"
     if requested is not None:

@@ -3,9 +3,9 @@
 from .compiled_steps.step_compiler import compile_step as compile_step
 from .forced import Forced as Forced
 from .gauss_legendre import gauss_tableau as gauss_tableau
+from .numerics.solvers import Coefficients as Coefficients
+from .numerics.solvers import begin as begin
 from .numerics.solvers import iterate_to_stagnation as iterate_to_stagnation
-from .numerics.stages import Coefficients as Coefficients
-from .numerics.stages import begin as begin
 from .protocol.compiled_step import CompiledStepMethod as CompiledStepMethod
 from .protocol.cost_model import Operations as Operations
 from .protocol.cost_model import Work as Work

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.numerics.gauss_coefficients import extrapolation, gauss_legendre, node_polynomial
-from coadjoint.methods.numerics.stages import Coefficients
+from coadjoint.methods.numerics.solvers import Coefficients
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.numbers import Number

@@ -7,7 +7,7 @@ from fractions import Fraction
 
 from coadjoint.methods.gauss_legendre import gauss_tableau, read_stages
 from coadjoint.methods.numerics.gauss_coefficients import node_polynomial
-from coadjoint.methods.numerics.stages import Coefficients
+from coadjoint.methods.numerics.solvers import Coefficients
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.numbers import Number

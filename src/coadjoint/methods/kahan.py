@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.numerics.stages import linear_solve
+from coadjoint.methods.numerics.solvers import linear_solve
 from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties

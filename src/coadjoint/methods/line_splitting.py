@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.numerics.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.substep_method import SubstepMethod
+from coadjoint.methods.splitting import DEFAULT_SCHEMES, SCHEMES
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.streams import Circulants

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.gauss_legendre import read_stages
 from coadjoint.methods.numerics.gauss_coefficients import radau
-from coadjoint.methods.numerics.solvers import iterate_to_stagnation
-from coadjoint.methods.numerics.stages import Coefficients, Step, begin, linear_solve
+from coadjoint.methods.numerics.solvers import Coefficients, Step, begin, iterate_to_stagnation, linear_solve
 from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.protocol.method import Method
-from coadjoint.program.parts.chosen_parts import ChosenParts
+from coadjoint.program.parts.decompose import ChosenParts
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.validation import check_parameters, read_choice

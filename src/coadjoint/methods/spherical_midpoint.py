@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.numerics.solvers import iterate_to_stagnation
-from coadjoint.methods.numerics.stages import Coefficients, Step, begin
+from coadjoint.methods.numerics.solvers import Coefficients, Step, begin, iterate_to_stagnation
 from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties

@@ -11,7 +11,7 @@ from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Kind, kinds, read_picture
 from coadjoint.pictures.style import figure_settings, setting
 from coadjoint.runs.results.solution import Solution, check_solution
-from coadjoint.runs.results.summary import extent_text
+from coadjoint.runs.results.solution_output import extent_text
 from coadjoint.systems.gallery_entry import Picture
 from coadjoint.validation import read_integer, read_list
 

@@ -16,9 +16,8 @@ from coadjoint.pictures.register import CannotShow
 from coadjoint.pictures.style import coordinate
 from coadjoint.runs.results.drift import scales_of_invariants
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.results.solution_output import rotations_of
-from coadjoint.runs.results.summary import is_driven
-from coadjoint.runs.results.unfinished_members import unfinished_members
+from coadjoint.runs.results.solution_attributes import unfinished_members
+from coadjoint.runs.results.solution_output import is_driven, rotations_of
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.evaluation import ignore_overflow

@@ -13,7 +13,7 @@ from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Kind, Paint, kinds, read_picture
 from coadjoint.pictures.style import figure_settings
 from coadjoint.runs.results.solution import check_solution
-from coadjoint.runs.results.summary import extent_text
+from coadjoint.runs.results.solution_output import extent_text
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import Picture
 from coadjoint.validation import read_list, read_number

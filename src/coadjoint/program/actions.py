@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
-from coadjoint.program.block_table import BlockTable, block_table, joined_tables
+from coadjoint.program.block_table import BlockTable, block_table, joined_tables, repeated_block_table
 from coadjoint.program.blocks import CUBIC_HEADER, Kind
 from coadjoint.program.generators import BasisMatrices, check_products
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.program.parts.part import Parts
-from coadjoint.program.repeated_blocks import repeated_block_table
 from coadjoint.program.sparse_rows import layers, order_by, run_starts, starts_of
 
 NOTHING_OMITTED = np.zeros((0, 3), dtype=np.int64)

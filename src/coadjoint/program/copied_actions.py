@@ -6,12 +6,11 @@ import numpy as np
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.actions import Action
-from coadjoint.program.block_table import block_table, joined_tables
+from coadjoint.program.block_table import MIN_REPEATED, block_table, joined_tables
 from coadjoint.program.blocks import Kind
 from coadjoint.program.generators import BasisMatrices
 from coadjoint.program.numbers import roundoff
 from coadjoint.program.parts.part import Parts
-from coadjoint.program.repeated_blocks import MIN_REPEATED
 from coadjoint.program.sparse_rows import SparseRows
 
 # Largest number of parts, each of which is a run of rotations.

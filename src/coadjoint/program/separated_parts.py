@@ -14,8 +14,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.actions import NOTHING_OMITTED
 from coadjoint.program.commutation import Commutation
 from coadjoint.program.parts.part import BodyShare, FunctionShare, Parts
-from coadjoint.program.parts.part_polynomials import sparse_row
-from coadjoint.program.sparse_rows import starts_of
+from coadjoint.program.sparse_rows import sparse_row, starts_of
 from coadjoint.systems.vanishing_products import (
     MAX_MONOMIALS,
     Monomial,

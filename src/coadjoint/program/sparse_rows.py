@@ -1,9 +1,9 @@
-"""Sparse rows, operations on sorted columns, and layers of directed graphs."""
+"""Sparse rows, operations on sorted columns, layers of directed graphs, and cache keys of sparsity patterns."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Integers, distinct, expand
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, values_at
 
+SourceT = TypeVar("SourceT")
+
 # Number of unit rows whose starts are stored in 32 bits.
 MANY_ROWS = 1 << 16
+MAX_PATTERN_SIZE = 64  # coordinates, forms or parts; larger patterns are not cached
 
 
 class SparseRows(NamedTuple):
@@ -72,6 +75,12 @@ class SparseRows(NamedTuple):
 
 
 Rows = SparseRows | RepeatedRows
+
+
+def sparse_row(rows: Any, r: int) -> tuple[list[int], list[Any]]:
+    """Return the coordinates and values of a sparse row."""
+    entries = slice(int(rows.start[r]), int(rows.start[r + 1]))
+    return rows.coordinate[entries].tolist(), rows.value[entries].tolist()
 
 
 def starts_of(counts: Any) -> Integers:
@@ -180,3 +189,35 @@ def layers(count: int, source: Integers, target: Integers) -> Integers:
         np.subtract.at(open_edges, reached, 1)
         current, depth = distinct(reached[open_edges[reached] == 0]), depth + 1
     return layer
+
+
+class Pattern(Generic[SourceT]):
+    """Hashable set of arrays that determine a cached result; equal if the arrays are equal.
+
+    `source` is the object from which the result is computed; the first one is used for all equal patterns.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> Pattern("one", np.array([1, 2])) == Pattern("other", np.array([1, 2]))
+    True
+    >>> Pattern("one", np.array([1, 2])) == Pattern("one", np.array([1, 3]))
+    False
+    """
+
+    def __init__(self, source: SourceT, *columns: NDArray[Any]) -> None:
+        self.source = source
+        self._key = tuple(_content(column) for column in columns)
+        self._hash = hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Pattern) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return self._hash
+
+
+def _content(column: NDArray[Any]) -> tuple[Any, ...]:
+    # The bytes of object arrays (fractions) are addresses, so their values are compared.
+    values = tuple(column.tolist()) if column.dtype == object else column.tobytes()
+    return column.dtype.char, column.shape, values

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.program.numbers import Number, array_of, convert, precision_of
 from coadjoint.program.parts.part import Parts
-from coadjoint.program.pattern_cache import MAX_PATTERN_SIZE, Pattern
+from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE, Pattern
 
 
 class Sweep(NamedTuple):

@@ -19,10 +19,9 @@ from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
 from coadjoint.program.parts.split import NotSplittable
-from coadjoint.program.pattern_cache import MAX_PATTERN_SIZE, Pattern
 from coadjoint.program.rational_rotations import rational_frequencies
 from coadjoint.program.separated_parts import separated_parts
-from coadjoint.program.sparse_rows import SparseRows
+from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE, Pattern, SparseRows
 from coadjoint.program.sweeps import JoinRules, Rows, Swept, rows_of
 from coadjoint.program.term_table import Terms, TermTable
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows

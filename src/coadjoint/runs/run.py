@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.blas_threads import limited_blas_threads
 from coadjoint.kernels.interface import codes
+from coadjoint.kernels.library import kernels
 from coadjoint.kernels.loop import MemberBatch
 from coadjoint.memory import RELEASED_SIZE, release_freed_memory
 from coadjoint.optional_packages import require_packages
@@ -34,6 +37,8 @@ SECONDS_BETWEEN_UPDATES = 0.2
 """Target time between updates of a progress bar, which happen between calls of the compiled loop."""
 GROWTH = 2.0
 """Growth of a state from which on a failure may be that of the motion, which grows without bound in finite time."""
+# Largest number of calls of the compiled loop in a run that is rounded in turns.
+TURNS = 1024
 
 
 class Run:
@@ -330,3 +335,33 @@ def read_progress(progress: Any) -> bool:
     if shown:
         require_packages("progress=True", "tqdm")
     return shown
+
+
+@contextmanager
+def rounding(direction: int) -> Iterator[None]:
+    """Let this thread round up (1) or down (-1) in the block."""
+    if kernels().set_rounding(ctypes.c_int64(direction)):
+        raise RuntimeError("this processor rounds to nearest only")
+    try:
+        yield
+    finally:
+        kernels().set_rounding(ctypes.c_int64(0))
+
+
+def advance_up(run: Run) -> None:
+    """Take all steps of a run in one thread, rounded up."""
+    with rounding(1):
+        run.advance()
+
+
+def advance_in_turns(run: Run, first: int = 1) -> None:
+    """Take all steps of a run in one thread, some of them rounded up and as many down, in turns; `first` up or down.
+
+    Errors that rounding always commits in the same direction then remain, such as those of a small term in a sum, and
+    those of the directions themselves cancel.
+    """
+    steps = run.times.steps
+    turns = min(steps, TURNS)
+    for turn in range(turns):
+        with rounding(first if turn % 2 == 0 else -first):
+            run.advance(until=steps * (turn + 1) // turns)

@@ -12,8 +12,8 @@ from coadjoint.errors import IntegrationError
 from coadjoint.memory import check_available_memory
 from coadjoint.runs.partial_steps import noises_of
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.results.solution_attributes import StateAt
-from coadjoint.runs.results.unfinished_members import (
+from coadjoint.runs.results.solution_attributes import (
+    StateAt,
     ends_by_events,
     last_times,
     members_text,

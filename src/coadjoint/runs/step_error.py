@@ -15,9 +15,8 @@ from coadjoint.long_operations import warn_caller
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.preparation import Preparation
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.results.unfinished_members import ends_by_events
-from coadjoint.runs.rounded_runs import advance_in_turns, advance_up
-from coadjoint.runs.run import Run
+from coadjoint.runs.results.solution_attributes import ends_by_events
+from coadjoint.runs.run import Run, advance_in_turns, advance_up
 from coadjoint.runs.start import momenta_of, vector_size, with_group
 from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import CoordinateGroups

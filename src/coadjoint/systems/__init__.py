@@ -10,8 +10,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.canonical import canonical_state
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.matrices.function_stream import FunctionStream
-from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Weights
+from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, FunctionStream, Weights
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.systems.registry import ready_made, ready_made_systems
 from coadjoint.validation import check_parameters, read_choice

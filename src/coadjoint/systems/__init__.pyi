@@ -37,9 +37,9 @@ from coadjoint.systems.lattices.spin_lattice import spin_lattice as spin_lattice
 from coadjoint.systems.lattices.toda import toda as toda
 from coadjoint.systems.lattices.toda import toda_ring as toda_ring
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.matrices.function_stream import FunctionStream as FunctionStream
 from coadjoint.systems.matrices.streams import Circulants as Circulants
 from coadjoint.systems.matrices.streams import DiagonalSolve as DiagonalSolve
+from coadjoint.systems.matrices.streams import FunctionStream as FunctionStream
 from coadjoint.systems.matrices.streams import Weights as Weights
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.systems.registry import ready_made as ready_made

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.invariants.logarithmic import Forms
+from coadjoint.algebra.invariants.invariant import Forms
 from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.optional_packages import installed
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -49,7 +49,7 @@ class Formula:
 
     Examples
     --------
-    >>> from coadjoint.algebra.invariants.logarithmic import LogarithmicSum
+    >>> from coadjoint.algebra.invariants.invariant import LogarithmicSum
     >>> from coadjoint.algebra.polynomials.polynomial import Polynomial
     >>> Formula(np.log, LogarithmicSum.logarithm(Polynomial.variable(0, 1)).forms())(1.0).item()
     0.0

@@ -21,7 +21,7 @@ from coadjoint.algebra.exact.numbers import exact_number
 from coadjoint.algebra.exact.sparse_sums import expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.systems.hamiltonians.polynomial_arguments import polynomial_arguments
+from coadjoint.systems.hamiltonians.separated_function import polynomial_arguments
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
 from coadjoint.systems.hamiltonians.traced_function import TracingError
 

@@ -8,7 +8,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.algebra.exact.numbers import fits
-from coadjoint.algebra.invariants.logarithmic import LogarithmicSum
+from coadjoint.algebra.invariants.invariant import LogarithmicSum
 from coadjoint.algebra.polynomials.formulas import condition_holds, parse_formula
 from coadjoint.algebra.polynomials.polynomial_format import latex, plain, readable, readable_latex, rounded_if_long
 from coadjoint.algebra.polynomials.quadratic_forms import embedded, linear, quadratic, substituted

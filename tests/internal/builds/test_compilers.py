@@ -13,8 +13,7 @@ import pytest
 
 import coadjoint
 from building import Kernels
-from coadjoint.kernels import compiling
-from coadjoint.kernels.library import built_levels, processor_level
+from coadjoint.kernels.library import built_levels, level_options, processor_level
 
 ROOT = Path(__file__).parents[3]
 # Unrolling fewer orders of series is quicker to build, and must not change bits either.
@@ -100,4 +99,4 @@ def test_compilers_give_the_same_bits(name, level, tmp_path):
 def processor(level: int, zig: bool) -> list[str]:
     """Return the option for a level, for zig's Clang or for other compilers."""
     name = "x86_64" if level == 1 else f"x86_64_v{level}"
-    return [f"-mcpu={name}"] if zig else [option for option in compiling.tuning(level) if option.startswith("-march")]
+    return [f"-mcpu={name}"] if zig else [option for option in level_options(level) if option.startswith("-march")]

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from coadjoint.kernels import compiling
-from coadjoint.kernels.library import processor_level
+from coadjoint.kernels.library import compiler_options, level_options, levels, processor_level
 from long import long_beyond
 
 ROOT = Path(__file__).parents[3]
@@ -65,7 +64,7 @@ def test_levels_are_chosen_by_name(tmp_path):
     sources = {path.name for path in tree.rglob("*.cpp")} - {"processor.cpp"}
     for chosen, names in {
         "v1;v3": ["v1", "v3"],
-        "all": [f"v{level}" for level in compiling.levels()],
+        "all": [f"v{level}" for level in levels()],
         "": [f"v{processor_level()}"],
     }.items():
         assert configured(tree, f"-DCOADJOINT_LEVELS={chosen}")[0] == 0
@@ -129,8 +128,8 @@ def test_options_of_the_build_are_those_of_the_tests(tmp_path):
     tree = copied(tmp_path)
     assert configured(tree, "-DCOADJOINT_LEVELS=all")[0] == 0
     told = commands(tree)
-    for level in compiling.levels():
-        expected = compiling.options(compiling.tuning(level), tree / SOURCES)
+    for level in levels():
+        expected = compiler_options(level_options(level), tree / SOURCES)
         command = told[f"_kernels_v{level}", "flow.cpp"].partition(" -o ")[0].split()[1:]
         # The precompiled header of the build, which tells the compiler nothing else.
         at = next((k for k, option in enumerate(command) if option == "-Winvalid-pch"), None)

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from test_build import COMPILER, needs_levels, needs_tools
 
-from coadjoint.kernels.compiling import SOURCE
-from coadjoint.kernels.library import processor_level
+from coadjoint.kernels.library import SOURCE, processor_level
 
 pytestmark = [needs_tools, needs_levels]
 

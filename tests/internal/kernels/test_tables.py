@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.algebra.invariants import logarithmic
-from coadjoint.algebra.invariants.logarithmic import LogarithmicInvariant
+from coadjoint.algebra.invariants import invariant
+from coadjoint.algebra.invariants.invariant import LogarithmicInvariant
 from coadjoint.kernels.functions.compiled_functions import FormulaFunction
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.tables.inputs import InputsNotLocated, InputTables
@@ -57,7 +57,7 @@ def rounded(function):
 def test_values_have_the_bits_of_the_reading(casimir, monkeypatch):
     """Both do the same operations in the same order, where the reading has correctly rounded functions."""
     functions = {"log": rounded(mpmath.log), "atan2": rounded(mpmath.atan2), "nan": math.nan}
-    monkeypatch.setattr(logarithmic, "math", types.SimpleNamespace(**functions))
+    monkeypatch.setattr(invariant, "math", types.SimpleNamespace(**functions))
     n = casimir.formula.dim
     points = np.random.default_rng(5).normal(size=(100, n))
     # Some of the polynomials vanish there, and with them some of the formulas are undefined.

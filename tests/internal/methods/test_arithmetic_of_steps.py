@@ -11,7 +11,7 @@ import coadjoint as co
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.tables.structures import address
 from coadjoint.methods.numerics.projection import independent
-from coadjoint.methods.numerics.stages import linear_solve
+from coadjoint.methods.numerics.solvers import linear_solve
 from coadjoint.methods.numerics.taylor_series import Dual, PowerSeries, logarithm_of_step, near_log2, near_power_of_two
 from rounding import UNIT_ROUNDOFF as U
 

@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program.parts.offsets_of_squares import ExactSums, ReductionSteps
 from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
-from coadjoint.program.parts.sparse_squares import _Reduction, sparse_squares
-from coadjoint.program.parts.squares import MAX_RATIONAL_SIZE, complete_squares
+from coadjoint.program.parts.squares import (
+    MAX_RATIONAL_SIZE,
+    ExactSums,
+    ReductionSteps,
+    _Reduction,
+    complete_squares,
+    sparse_squares,
+)
 from coadjoint.program.parts.taylor_shares import parts_at, taylor_polynomial
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.systems.hamiltonians.terms import FunctionTerm

@@ -9,12 +9,11 @@ from scipy.sparse import block_diag, diags_array, random_array
 
 import coadjoint as co
 from coadjoint.algebra.exact import sparse_sums
-from coadjoint.program import actions, repeated_blocks
+from coadjoint.program import actions, block_table
 from coadjoint.program.generators import BasisMatrices
 from coadjoint.program.parts.decompose import decompose
-from coadjoint.program.parts.sparse_squares import sparse_squares
 from coadjoint.program.parts.split import split
-from coadjoint.program.parts.squares import complete_squares
+from coadjoint.program.parts.squares import complete_squares, sparse_squares
 from coadjoint.program.shifts.shift import candidate_shifts, quadratic_casimirs
 from coadjoint.program.sparse_rows import SparseRows, layers
 from coadjoint.program.table import build_program
@@ -141,7 +140,7 @@ def test_tables_are_lean():
     assert sum(column.nbytes for column in whole) <= (2 * 4 + 8 + 4 + 8 + 4 + 3 * (4 + 8)) * n + 1000
 
 
-LEAST = repeated_blocks.MIN_REPEATED
+LEAST = block_table.MIN_REPEATED
 CELLS = {
     "so(3)": co.algebras.so(3),
     "sl(2)": co.algebras.sl(2),
@@ -168,7 +167,7 @@ def diagonal_system(cell, copies, changed=None):
 
 def repeated_blocks_of(system, choice):
     parts, matrices = decompose(system, choice).parts, BasisMatrices.coadjoint(system.algebra)
-    return parts, matrices, repeated_blocks.repeated_block_table(matrices, parts.forms)
+    return parts, matrices, block_table.repeated_block_table(matrices, parts.forms)
 
 
 @pytest.mark.parametrize(
@@ -199,5 +198,5 @@ def test_forms_or_hashes_that_do_not_serve_are_taken_one_by_one(monkeypatch):
         co.algebras.copies(SO3, LEAST), co.Quadratic(block_diag([tensor] * LEAST).tocsr()), casimirs={}
     )
     assert repeated_blocks_of(bodies, "auto")[-1] is None  # the forms are no basis elements
-    monkeypatch.setattr(repeated_blocks, "HASH_FACTOR", np.uint64(0))  # different shapes have equal hashes
+    monkeypatch.setattr(block_table, "HASH_FACTOR", np.uint64(0))  # different shapes have equal hashes
     assert repeated_blocks_of(diagonal_system(CELLS["e(3)"], LEAST), "coordinates")[-1] is None

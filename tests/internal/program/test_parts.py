@@ -11,11 +11,10 @@ from scipy.sparse import coo_array
 import coadjoint as co
 from catalogue_cases import EXAMPLES
 from coadjoint.algebra.families.low_dimensional import entries
-from coadjoint.program.commutation import Commutation
+from coadjoint.program.commutation import Commutation, first_fit
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.parts import quadratic_atoms
 from coadjoint.program.parts.decompose import decompose
-from coadjoint.program.parts.few_parts import first_fit
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.parts.split import split
 from coadjoint.program.parts.squares import MAX_RATIONAL_SIZE

@@ -12,14 +12,17 @@ from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
-from coadjoint.program.modified_energy.second_order import part_derivatives, second_order_term
-from coadjoint.program.parts.chosen_parts import ChosenParts
-from coadjoint.program.parts.decompose import best_decomposition, best_decompositions, decompose
-from coadjoint.program.parts.order_of_parts import best_order
+from coadjoint.program.modified_energy.second_order import best_order, part_derivatives, second_order_term
+from coadjoint.program.parts.decompose import ChosenParts, best_decomposition, best_decompositions, decompose
 from coadjoint.program.parts.split import split
 from coadjoint.program.shifts.group_correction import Turn, _cholesky, unshift_tables
-from coadjoint.program.shifts.pencil import singular_factors
-from coadjoint.program.shifts.shift import candidate_shifts, count_parts, quadratic_casimirs, shifted_terms
+from coadjoint.program.shifts.shift import (
+    candidate_shifts,
+    count_parts,
+    quadratic_casimirs,
+    shifted_terms,
+    singular_factors,
+)
 from refusals import refused
 
 U = 2.0**-53

@@ -16,7 +16,7 @@ import numpy as np
 from coadjoint.algebra.exact.elimination import Span
 from coadjoint.algebra.exact.numbers import exact_number, rounded
 from coadjoint.algebra.exact.sparse_sums import Floats
-from coadjoint.algebra.invariants.logarithmic import LOGARITHM, LogarithmicSum
+from coadjoint.algebra.invariants.invariant import LOGARITHM, LogarithmicSum
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.formulas import Number, condition_holds, parse_formula
 from coadjoint.algebra.polynomials.polynomial import Polynomial

@@ -11,7 +11,7 @@ import numpy as np
 from coadjoint.algebra.constants import BYTES_PER_CONSTANT, Triples, check_algebra_memory
 from coadjoint.algebra.exact.sparse_sums import Floats, groups
 from coadjoint.algebra.families.matrix_bases import MAX_REPRESENTATION_NUMBERS
-from coadjoint.algebra.invariants.logarithmic import LogarithmicInvariant
+from coadjoint.algebra.invariants.invariant import LogarithmicInvariant
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.quadratic_forms import casimirs_fit, embedded

@@ -13,7 +13,7 @@ from coadjoint.algebra.constants import read_basis
 from coadjoint.algebra.exact.elimination import Number, Span, Vector, add_multiple, read_vector
 from coadjoint.algebra.exact.numbers import exact_number, rounded
 from coadjoint.algebra.exact.sparse_sums import Floats
-from coadjoint.algebra.invariants.logarithmic import LogarithmicInvariant
+from coadjoint.algebra.invariants.invariant import LogarithmicInvariant
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.quadratic_forms import substituted

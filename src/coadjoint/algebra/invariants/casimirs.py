@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.exact import numerical_kernel, rational_kernel
 from coadjoint.algebra.exact.components import summands
-from coadjoint.algebra.exact.ranks import generic_rank
-from coadjoint.algebra.exact.rational_constants import clear_denominators, rational_constants
+from coadjoint.algebra.exact.ranks import clear_denominators, generic_rank, rational_constants
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.invariants.casimir_equations import Equations, Vector, equations, monomial_count, monomials
 from coadjoint.algebra.polynomials.polynomial import Polynomial

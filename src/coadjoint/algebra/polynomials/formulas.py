@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from coadjoint.algebra.exact.numbers import MAX_DIGITS, Constant, checked, is_finite, quotient, too_large
-from coadjoint.algebra.invariants.logarithmic import LogarithmicSum
+from coadjoint.algebra.invariants.invariant import LogarithmicSum
 from coadjoint.algebra.polynomials.formula_tree import (
     MAX_QUOTED,
     NAME,

@@ -16,8 +16,8 @@ from coadjoint.analysis.fits import growth
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.results.drift import sum_of_absolute_terms
 from coadjoint.runs.results.solution import Solution
-from coadjoint.systems.absolute_terms import sum_of_absolute_terms
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 
 Floats = NDArray[np.float64]

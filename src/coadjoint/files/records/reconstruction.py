@@ -21,9 +21,9 @@ from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces import registry as described
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
-from coadjoint.systems.hamiltonians.parsed_function import ParsedFunction
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.hamiltonians.user_hamiltonian import ParsedFunction
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import System
 

@@ -20,11 +20,11 @@ from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces import registry as described
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, formula_of
-from coadjoint.systems.hamiltonians.parsed_function import ParsedFunction
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import SumOfHamiltonians
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, QuadraticTerm
+from coadjoint.systems.hamiltonians.user_hamiltonian import ParsedFunction
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.protocol import forces_of

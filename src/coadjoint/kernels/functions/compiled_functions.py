@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.invariants.logarithmic import Forms
+from coadjoint.algebra.invariants.invariant import Forms
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.optional_packages import installed, require_packages
 from coadjoint.systems.hamiltonians.traced_function import picklable_function, restored_function

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.optional_packages import MissingPackageError, require_packages
-from coadjoint.systems.matrices.function_stream import FunctionStream
+from coadjoint.systems.matrices.streams import FunctionStream
 
 # W, time, P; matrices in C order.
 CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p)

@@ -20,8 +20,8 @@ from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.structures import ARRAYS, PER_MEMBER_TYPES, SCALARS, as_structure
 from coadjoint.memory import check_available_memory
-from coadjoint.program.parts.offsets_of_squares import ExactSums, ReductionSteps, offsets_of_squares
 from coadjoint.program.parts.part import Parts
+from coadjoint.program.parts.squares import ExactSums, ReductionSteps, offsets_of_squares
 
 Floats = NDArray[np.float64]
 

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.invariants.invariant import Invariant
-from coadjoint.algebra.invariants.logarithmic import LogarithmicInvariant
+from coadjoint.algebra.invariants.invariant import Invariant, LogarithmicInvariant
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
 from coadjoint.kernels.tables.recording import Watch
 from coadjoint.program.term_table import ValueTable

@@ -13,7 +13,7 @@ from coadjoint.kernels.functions.matrix_functions import MatrixFunction
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.tables.compiled import CompiledTables
 from coadjoint.kernels.tables.steps import numeric_step_tables
-from coadjoint.systems.matrices.function_stream import FunctionStream
+from coadjoint.systems.matrices.streams import FunctionStream
 
 ROUTINES: dict[int, str] = {}
 """Addresses -> names of the BLAS routines in tables of this process."""

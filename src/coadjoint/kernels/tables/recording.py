@@ -1,4 +1,4 @@
-"""Tables of saved steps and watched invariants, common to all families of schemes."""
+"""Tables of what loops record: saved steps, watched invariants and events, common to all families of schemes."""
 
 from __future__ import annotations
 
@@ -11,6 +11,11 @@ from numpy.typing import NDArray
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.tables.structures import address, as_structure, packer
 from coadjoint.program.term_table import Terms
+
+ROWS_PER_STEP, SPARE_ROWS = 4, 2**14
+"""Rows that can be recorded: `ROWS_PER_STEP` per step and member, plus `SPARE_ROWS`."""
+STEPS_BACK = 3
+"""Number of past values of each event that a loop keeps."""
 
 
 class Watch(NamedTuple):
@@ -89,3 +94,116 @@ def values_along(watch: Any, points: NDArray[np.float64], times: NDArray[np.floa
     kernels().watch_values(
         ctypes.byref(table), address(x), address(t), *(ctypes.c_int64(size) for size in x.shape), address(out)
     )
+
+
+class EventTables(NamedTuple):
+    """Input and output of a loop for E events; see `source/boundary/tables.hpp`."""
+
+    watch: Watch
+    direction: NDArray[np.int64]
+    left: NDArray[np.int64]
+    limit: NDArray[np.int64]
+    before: NDArray[np.float64]
+    values: NDArray[np.float64]
+    capacity: int
+    recorded: NDArray[np.int64]
+    found: NDArray[np.int64]
+    records: NDArray[np.float64]
+
+
+class FlaggedSteps(NamedTuple):
+    """Rows recorded by the loops, r of them, each a step of a member with a possible crossing.
+
+    `codes` (r, E) are `Crossing` codes of the kernels; `states` (r, n) and `groups` (r, d*d) are those before the step;
+    `before` and `after` (r, E) are the values of the events.
+    """
+
+    members: NDArray[np.int64]
+    steps: NDArray[np.int64]
+    codes: NDArray[np.int64]
+    states: NDArray[np.float64]
+    groups: NDArray[np.float64]
+    before: NDArray[np.float64]
+    after: NDArray[np.float64]
+
+    def with_members(self, members: NDArray[np.int64]) -> FlaggedSteps:
+        """Return the rows with these member numbers, sorted by member and step."""
+        return self._replace(members=members).select(np.lexsort((self.steps, members)))
+
+    def select(self, rows: NDArray[Any]) -> FlaggedSteps:
+        """Return some of the rows, by a mask or by indices."""
+        members, steps, codes = self.members[rows], self.steps[rows], self.codes[rows]
+        states, groups = self.states[rows], self.groups[rows]
+        return FlaggedSteps(members, steps, codes, states, groups, self.before[rows], self.after[rows])
+
+
+class EventArrays:
+    """Arrays with which the loops detect events, for all members in the order of the loops.
+
+    `direction` (E,) is 1 for rising zeros, -1 for falling, 0 for both. `left` (members, E) is the number of crossings
+    after which an event ends the run of a member, 0 if it does not. `size` and `square` are the numbers of a state and
+    of a group element. A loop may take at most `chunk` steps between two calls of `take`. `limit` (members,), the
+    last step of each member, may be set.
+    """
+
+    def __init__(
+        self, watch: Watch, direction: NDArray[np.int64], left: NDArray[np.int64], size: int, square: int, chunk: int
+    ) -> None:
+        members, count = left.shape
+        # A step is recorded at its end or after the next one, by a series once per crossing. Untouched pages of the
+        # allocation take no memory.
+        capacity = ROWS_PER_STEP * members * chunk + SPARE_ROWS
+        self.limit = np.full(members, np.iinfo(np.int64).max)
+        self.tables = EventTables(
+            watch,
+            direction,
+            left,
+            self.limit,
+            np.zeros((members, 2, size + square)),
+            np.zeros((members, STEPS_BACK, count)),
+            capacity,
+            np.zeros(1, dtype=np.int64),
+            np.empty((capacity, 2 + count), dtype=np.int64),
+            np.empty((capacity, size + square + 2 * count)),
+        )
+        self._size, self._square, self._count = size, square, count
+        self._structure: Any = as_structure(self.tables)
+        self.address = ctypes.addressof(self._structure)
+
+    @staticmethod
+    def required_bytes(members: int, count: int, size: int, square: int) -> tuple[int, int]:
+        """Return the bytes needed for the members, and for each step of a chunk."""
+        width = size + square
+        return 8 * members * (2 * width + 4 * count + 1), 8 * ROWS_PER_STEP * members * (width + 3 * count + 2)
+
+    def take(self) -> FlaggedSteps:
+        """Return and clear the rows recorded since the last call, in any order."""
+        count, size, width = self._count, self._size, self._size + self._square
+        rows = int(self.tables.recorded[0])
+        if rows > self.tables.capacity:
+            raise ValueError(
+                f"{rows} crossings were found in the steps of one call; use a smaller step, or fewer events"
+            )
+        self.tables.recorded[0] = 0
+        integers, numbers = self.tables.found[:rows].copy(), self.tables.records[:rows].copy()
+        return FlaggedSteps(
+            integers[:, 0],
+            integers[:, 1],
+            integers[:, 2:],
+            numbers[:, :size],
+            numbers[:, size:width],
+            numbers[:, width : width + count],
+            numbers[:, width + count :],
+        )
+
+    def copy(self) -> list[NDArray[Any]]:
+        """Return copies of the arrays that `restore_arrays` restores to repeat the steps from here."""
+        tables = self.tables
+        return [array.copy() for array in (tables.left, tables.limit, tables.before, tables.values)]
+
+    def restore_arrays(self, copies: list[NDArray[Any]]) -> None:
+        """Restore the arrays from `copy`."""
+        tables = self.tables
+        for array, copied in zip((tables.left, tables.limit, tables.before, tables.values), copies, strict=True):
+            array[...] = copied
+        tables.recorded[0] = 0

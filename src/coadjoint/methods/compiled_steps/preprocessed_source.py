@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from coadjoint.kernels.compiling import SOURCE
+from coadjoint.kernels.library import SOURCE
 
 LINE_MARKER = re.compile(rb'^# \d+ "((?:[^"\\\n]|\\.)*)"([ \d]*)$', re.MULTILINE)
 SYSTEM_HEADER = b"3"

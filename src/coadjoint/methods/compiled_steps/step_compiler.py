@@ -17,8 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from coadjoint.kernels.compiling import options, tuning
-from coadjoint.kernels.library import kernels, level_in_use
+from coadjoint.kernels.library import compiler_options, kernels, level_in_use, level_options
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.compiled_steps.code_cache import cached_library
 from coadjoint.methods.compiled_steps.preprocessed_source import PreprocessedSource, Stamp, stamps_are_final, stamps_of
@@ -137,7 +136,7 @@ def _digest_of_library(source_path: str) -> str:
         return last.digest
     compiler = _compiler()
     executable = os.fsencode(shutil.which(compiler[0]) or compiler[0])
-    command = [*compiler, *options(tuning(settings[0])), "-DCOADJOINT_APART"]
+    command = [*compiler, *compiler_options(level_options(settings[0])), "-DCOADJOINT_APART"]
     version = _run([*compiler, "--version"], source_path).stdout.decode(errors="replace")
     if sys.platform == "win32" and "clang" not in version.lower():
         raise RuntimeError(

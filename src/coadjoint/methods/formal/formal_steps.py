@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.numbers import rational
 from coadjoint.methods.formal.formal_numbers import NODE, FormalNumber, is_short, vector
-from coadjoint.methods.numerics.stages import Coefficients
+from coadjoint.methods.numerics.solvers import Coefficients
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.system_checks import System
 

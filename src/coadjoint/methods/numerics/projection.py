@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.numerics.stages import linear_solve
+from coadjoint.methods.numerics.solvers import linear_solve
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic

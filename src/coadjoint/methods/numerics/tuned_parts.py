@@ -14,10 +14,13 @@ from coadjoint.long_operations import long_operation
 from coadjoint.methods.numerics.short_orbit import ShortOrbit, short_orbit
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.program.modified_energy.modified_series import leading_term
-from coadjoint.program.modified_energy.second_order import NestedBrackets
-from coadjoint.program.parts.chosen_parts import ChosenParts
-from coadjoint.program.parts.decompose import best_decomposition, candidates, decompose
-from coadjoint.program.parts.order_of_parts import IMPROVEMENT_FACTOR, MAX_ORDERED, smallest_order
+from coadjoint.program.modified_energy.second_order import (
+    IMPROVEMENT_FACTOR,
+    MAX_ORDERED,
+    NestedBrackets,
+    smallest_order,
+)
+from coadjoint.program.parts.decompose import ChosenParts, best_decomposition, candidates, decompose
 from coadjoint.program.parts.part import Parts
 from coadjoint.systems.hamiltonians.polynomial_form import polynomial_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem

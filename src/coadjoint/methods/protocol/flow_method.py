@@ -18,8 +18,13 @@ from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.wrapper import Composed, Wrapper
 from coadjoint.program.numbers import Number, precision_of
-from coadjoint.program.parts.chosen_parts import ChosenParts
-from coadjoint.program.parts.decompose import BODY_FLOW_CHOICES, check_body_flow_inputs, decompose, decompose_all
+from coadjoint.program.parts.decompose import (
+    BODY_FLOW_CHOICES,
+    ChosenParts,
+    check_body_flow_inputs,
+    decompose,
+    decompose_all,
+)
 from coadjoint.program.parts.split import NotSplittable
 from coadjoint.program.sweeps import Sweep as Sweep  # re-exported by coadjoint.methods
 from coadjoint.systems.hamiltonians.linear_term import with_placeholders

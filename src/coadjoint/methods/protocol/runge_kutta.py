@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.numerics.solvers import SOLVERS, Evaluation
-from coadjoint.methods.numerics.stages import Coefficients, Step, begin, read_tableau
+from coadjoint.methods.numerics.solvers import SOLVERS, Coefficients, Evaluation, Step, begin, read_tableau
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.substep_method import SubstepMethod

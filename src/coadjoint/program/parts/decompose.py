@@ -14,13 +14,11 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.long_operations import note_progress
 from coadjoint.program.generators import SplittingTooExpensive
-from coadjoint.program.parts.bonds import bonds
-from coadjoint.program.parts.chosen_parts import ChosenParts
-from coadjoint.program.parts.free_bodies import free_bodies
-from coadjoint.program.parts.offsets_of_squares import with_linear_offsets
-from coadjoint.program.parts.order_of_parts import IMPROVEMENT_FACTOR, best_orders
+from coadjoint.program.modified_energy.second_order import IMPROVEMENT_FACTOR, best_orders
+from coadjoint.program.parts.free_bodies import bonds, free_bodies
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.parts.split import NotSplittable, check_splits, split
+from coadjoint.program.parts.squares import with_linear_offsets
 from coadjoint.program.shifts.shift import (
     QuadraticCasimir,
     Shift,
@@ -29,10 +27,12 @@ from coadjoint.program.shifts.shift import (
     quadratic_casimirs,
     shifted_terms,
 )
+from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.hamiltonians.linear_term import linear_of, with_placeholders
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.protocol import has_structure_constants
+from coadjoint.validation import read_integer, read_list, read_number
 
 SEED = 1993  # of the points at which orders are compared, the same on every machine
 SAMPLES = 16  # of these points: the mean of h^2 terms is known to a quarter
@@ -46,6 +46,59 @@ MIN_SHIFTS = 8  # tried whatever they cost
 WORK_PER_CONSTANT = 16  # multiplications per structure constant of a trial, measured
 BODY_FLOW_CHOICES = ("free_body", "bonds")
 """Choices whose first parts rotate momenta by an attitude, not about fixed axes."""
+
+
+@dataclass(frozen=True)
+class ChosenParts:
+    """Explicit choice of parts: those of ``parts="auto"`` after a given shift, in a given order.
+
+    `order` numbers the parts of the shifted Hamiltonian, first applied first, and must be a permutation. `shift` has
+    pairs of a quadratic Casimir's name and a factor c; the parts add up to H - sum c C, which generates the same
+    motion. `linear` lists coordinates whose linear coefficients count as present even if zero, so that systems that
+    differ only in these coefficients have the same parts.
+    """
+
+    order: tuple[int, ...]
+    shift: tuple[tuple[str, float], ...] = ()
+    linear: tuple[int, ...] = ()
+
+    def __repr__(self) -> str:
+        more = f", linear={self.linear}" if self.linear else ""
+        return f"ChosenParts(order={self.order}, shift={self.shift}{more})"
+
+    def __post_init__(self) -> None:
+        order = [
+            read_integer(k, "a part", 0) for k in read_list(self.order, "the order of parts", "give numbers of parts")
+        ]
+        if sorted(order) != list(range(len(order))):
+            raise ValueError(f"the order of parts {short(order)} is not a permutation of 0, 1, ...")
+        object.__setattr__(self, "order", tuple(order))
+        rule = "give pairs of the name of a Casimir and a factor"
+        pairs = [read_list(pair, "a shift", rule) for pair in read_list(self.shift, "the shift", rule)]
+        if any(len(pair) != 2 or not isinstance(pair[0], str) for pair in pairs):
+            raise TypeError(f"the shift is {short(self.shift)}; {rule}")
+        shift = tuple((name, read_number(factor, f"the factor of {short(name)}")) for name, factor in pairs)
+        object.__setattr__(self, "shift", shift)
+        linear = read_list(self.linear, "the linear coefficients that are present", "give coordinates")
+        object.__setattr__(self, "linear", tuple(read_integer(k, "a coordinate", 0) for k in linear))
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any]) -> ChosenParts:
+        """Construct a choice from ``{"order": [...], "shift": {...}, "linear": [...]}``."""
+        unknown = set(mapping) - {"order", "shift", "linear"}
+        if unknown or "order" not in mapping:
+            raise ValueError(
+                f"parts has the keys {short(list(mapping))}; it must have 'order' and may have 'shift' and 'linear'"
+            )
+        shift = mapping.get("shift", {})
+        if not isinstance(shift, Mapping):
+            raise TypeError(f"the shift is {short(shift)}; give a mapping from the name of a Casimir to a factor")
+        return cls(mapping["order"], tuple(shift.items()), mapping.get("linear", ()))
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the mapping accepted by `from_mapping`."""
+        present = {"linear": list(self.linear)} if self.linear else {}
+        return {"order": list(self.order), "shift": dict(self.shift), **present}
 
 
 @dataclass(frozen=True)

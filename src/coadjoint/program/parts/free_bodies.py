@@ -1,24 +1,30 @@
-"""Free rigid bodies as parts: triples of coordinates that span so(3), each with a quadratic energy."""
+"""Parts that rotate momenta by an attitude: free rigid bodies, on triples of coordinates that span so(3), and bonds."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.commutation import Commutation
-from coadjoint.program.parts.few_parts import few_parts
+from coadjoint.algebra.polynomials.quadratic_forms import casimirs_fit, quadratic
+from coadjoint.memory import check_available_memory
+from coadjoint.program.commutation import Commutation, few_parts
 from coadjoint.program.parts.part import BodyShare, Parts
 from coadjoint.program.parts.split import NotSplittable, atoms_of
 from coadjoint.program.sparse_rows import SparseRows
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.terms import PolynomialTerm, QuadraticTerm, Term
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+
+MAX_BONDS = 100_000  # whose tables take about 1 GB
+BYTES_PER_BOND = 8000  # peak memory of building the tables
 
 
 class Triple(NamedTuple):
@@ -39,7 +45,7 @@ def free_bodies(system: LiePoissonSystem) -> Parts:
     two coordinates or more, or the remainder does not split.
     """
     commutation = Commutation(system.algebra)
-    terms = terms_by_degree(system)
+    terms = _terms_by_degree(system)
     position = next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
     form = None if position is None else terms[position].form
     chosen = [] if form is None else _select_triples(system.algebra, form)
@@ -54,13 +60,13 @@ def free_bodies(system: LiePoissonSystem) -> Parts:
     for number, triple in enumerate(chosen):
         triple_of[list(triple.coordinates)] = number
     axes = [fixed_axis(form, triple) for triple in chosen if np.any(form.linear[list(triple.coordinates)] != 0)]
-    remainder = _remainder(form, triple_of)
+    remainder = _remainder_of_bodies(form, triple_of)
     other_terms = [*terms[:position], *([remainder] if remainder is not None else []), *terms[position + 1 :]]
     rest = Parts.concatenate([*axes, atoms_of(system, other_terms, commutation)])
     return Parts.concatenate([body, few_parts(rest, commutation)]) if len(rest) else body
 
 
-def terms_by_degree(system: LiePoissonSystem) -> list[Term]:
+def _terms_by_degree(system: LiePoissonSystem) -> list[Term]:
     """Return the terms of a Hamiltonian, with each polynomial split at degree two."""
     return [piece for term in system.hamiltonian.terms() for piece in _by_degree(term)]
 
@@ -79,7 +85,7 @@ def _by_degree(term: Term) -> Iterable[Term]:
     yield replace(term, polynomial=Polynomial(high))
 
 
-def triples_of(algebra: LieAlgebra) -> list[Triple]:
+def _triples_of(algebra: LieAlgebra) -> list[Triple]:
     """Return the triples of basis elements that span so(3), sorted by coordinates."""
     bracket: dict[tuple[int, int], list[tuple[int, float]]] = {}
     for i, j, k, c in zip(*(column.tolist() for column in algebra.triples), strict=True):
@@ -100,7 +106,7 @@ def triples_of(algebra: LieAlgebra) -> list[Triple]:
 
 def _select_triples(algebra: LieAlgebra, form: QuadraticTerm) -> list[Triple]:
     """Choose commuting triples with a quadratic energy, those with the most entries of M first."""
-    ranked = [(-np.count_nonzero(_block(form, triple)), triple) for triple in triples_of(algebra)]
+    ranked = [(-np.count_nonzero(_block(form, triple)), triple) for triple in _triples_of(algebra)]
     chosen: list[Triple] = []
     start, entries = algebra.actions
     for count, triple in sorted(ranked):
@@ -148,7 +154,7 @@ def fixed_axis(form: QuadraticTerm, triple: Triple) -> Parts:
     return Parts.linear(SparseRows.of_lists([coordinates], [values]), np.ones(1), SparseRows.empty(1), np.array([0, 1]))
 
 
-def _remainder(form: QuadraticTerm, triple_of: Any) -> QuadraticTerm | None:
+def _remainder_of_bodies(form: QuadraticTerm, triple_of: Any) -> QuadraticTerm | None:
     """Return the quadratic term without the bodies; None if it vanishes."""
     remaining = ~((triple_of[form.rows] >= 0) & (triple_of[form.rows] == triple_of[form.indices]))
     linear = np.where(triple_of >= 0, 0.0, form.linear)
@@ -157,3 +163,184 @@ def _remainder(form: QuadraticTerm, triple_of: Any) -> QuadraticTerm | None:
     rows = form.rows[remaining]
     indptr = np.searchsorted(rows, np.arange(len(linear) + 1))
     return QuadraticTerm(indptr, form.indices[remaining], form.values[remaining], linear, form.constant)
+
+
+class Bond(NamedTuple):
+    """The energy strength z.w of two triples with momenta z and w, in units of their scale."""
+
+    first: int
+    second: int
+    strength: float
+
+
+class Bonds(NamedTuple):
+    """Parts that add up to H - sum c C, and the Casimirs C subtracted; None if these have too many terms."""
+
+    parts: Parts
+    shift: tuple[tuple[Polynomial, float], ...] | None
+
+
+def bonds(system: LiePoissonSystem) -> Bonds:
+    """Split a Hamiltonian into exact flows of single bonds and a remainder.
+
+    A bond c z.w couples the momenta z, w of two copies of so(3). Up to Casimirs it equals c |z + w|^2/2, so both
+    momenta rotate about the constant z + w by the angle c tau |z + w|. Bonds without a common momentum commute: edge
+    colouring by first fit makes each colour one part. A field with several components is a rotation about its axis. The
+    remainder is split as with ``"auto"``. Raises NotSplittable if there are no bonds, too many, or the remainder
+    does not split.
+    """
+    commutation = Commutation(system.algebra)
+    terms = _terms_by_degree(system)
+    position = next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
+    form = None if position is None else terms[position].form
+    spins = [] if form is None else _ideals(system.algebra)
+    couplings = _isotropic_couplings(form, spins) if form is not None and spins else []
+    if form is None or position is None or not couplings:
+        raise NotSplittable(
+            "it has no isotropic coupling c z.w between the momenta z, w of two copies of so(3) that are ideals; take "
+            'parts="auto"'
+        )
+    if len(couplings) > MAX_BONDS:
+        raise NotSplittable(
+            f'it has {len(couplings)} bonds; parts="bonds" allows at most {MAX_BONDS}; take parts="auto"'
+        )
+    check_available_memory(
+        BYTES_PER_BOND * len(couplings),
+        f"a splitting of {system.name} into {len(couplings)} bonds",
+        'take parts="auto"',
+    )
+    colour = colours([(bond.first, bond.second) for bond in couplings], len(spins))
+    coloured = _shares(couplings, spins, colour)
+    axes = [triple for triple in spins if np.count_nonzero(form.linear[list(triple.coordinates)]) > 1]
+    remainder = _remainder_of_bonds(form, couplings, spins, axes)
+    other_terms = [*terms[:position], *([remainder] if remainder is not None else []), *terms[position + 1 :]]
+    rest = Parts.concatenate(
+        [*(fixed_axis(form, triple) for triple in axes), atoms_of(system, other_terms, commutation)]
+    )
+    parts = Parts.concatenate([coloured, few_parts(rest, commutation)]) if len(rest) else coloured
+    if not casimirs_fit(3 * len(spins), system.dim):
+        return Bonds(parts, None)
+    casimir = _subtracted_casimir(couplings, spins, system.dim)
+    return Bonds(parts, ((casimir, 1.0),) if casimir.monomials else ())
+
+
+def colours(edges: Sequence[tuple[int, int]], count: int) -> list[int]:
+    """Colour edges by first fit in the order given; needs fewer than twice the largest degree of a node."""
+    used = [0] * count  # bit mask of the colours used at each node
+    assigned = []
+    for i, j in edges:
+        free = ~(used[i] | used[j])
+        bit = free & -free
+        used[i], used[j] = used[i] | bit, used[j] | bit
+        assigned.append(bit.bit_length() - 1)
+    return assigned
+
+
+def _ideals(algebra: LieAlgebra) -> list[Triple]:
+    """Return the triples that span so(3) and commute with all other coordinates."""
+    start, entries = algebra.actions
+    return [
+        triple
+        for triple in _triples_of(algebra)
+        if all(np.isin(entries.j[start[i] : start[i + 1]], triple.coordinates).all() for i in triple.coordinates)
+    ]
+
+
+def _isotropic_couplings(form: QuadraticTerm, spins: Sequence[Triple]) -> list[Bond]:
+    """Return the isotropic couplings, multiples of the identity, between two triples of equal scale."""
+    triple_of, axis = _triple_of_coordinates(spins, len(form.linear))
+    first_triple, second_triple = triple_of[form.rows], triple_of[form.indices]
+    between = np.flatnonzero((first_triple >= 0) & (first_triple < second_triple))
+    order = between[np.lexsort((axis[form.rows[between]], second_triple[between], first_triple[between]))]
+    pair = np.stack([first_triple[order], second_triple[order]], axis=1)
+    begins = np.flatnonzero(np.any(np.diff(pair, axis=0, prepend=-1) != 0, axis=1))
+    counts = np.diff(np.append(begins, len(order)))
+    couplings = []
+    for begin in begins[counts == 3].tolist():
+        entries = order[begin : begin + 3]
+        rows, columns = axis[form.rows[entries]], axis[form.indices[entries]]
+        first, second = pair[begin].tolist()
+        scale = spins[first].scale
+        rounding = 0.0 if scale == (1.0, 1.0, 1.0) else 8 * UNIT_ROUNDOFF  # scales are square roots, hence rounded
+        strengths = form.values[entries] / np.array(scale) ** 2
+        diagonal = np.array_equal(rows, [0, 1, 2]) and np.array_equal(columns, rows)
+        if diagonal and spins[second].scale == scale and np.ptp(strengths) <= rounding * abs(strengths[0]):
+            couplings.append(Bond(first, second, float(strengths[0])))
+    return couplings
+
+
+def _triple_of_coordinates(spins: Sequence[Triple], dim: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the triple of each coordinate (-1 if none), and its index in the triple."""
+    triple_of, axis = np.full(dim, -1), np.full(dim, -1)
+    inside = np.array([triple.coordinates for triple in spins])
+    triple_of[inside], axis[inside] = np.arange(len(spins))[:, None], np.arange(3)
+    return triple_of, axis
+
+
+def _shares(couplings: Sequence[Bond], spins: Sequence[Triple], colour: Sequence[int]) -> Parts:
+    """Build one share per bond, and one part per colour."""
+    order = np.argsort(colour, kind="stable").tolist()
+    ordered = [couplings[k] for k in order]
+    ends = np.array([(spins[b.first].coordinates, spins[b.second].coordinates) for b in ordered])  # (bonds, 2, 3)
+    pairs = np.sort(ends, axis=1).transpose(0, 2, 1)[:, [2, 0, 1, 2]]  # rows of a free body: axes 3, 1, 2, 3
+    count = len(ordered)
+    squares = np.array([np.square(spins[b.first].scale) for b in ordered])
+    strengths = np.array([b.strength for b in ordered])[:, None] * squares
+    values = np.repeat(strengths[:, [0, 1, 2]], 2, axis=1)
+    weights = SparseRows(
+        np.append(0, np.cumsum(np.tile([0, 2, 2, 2], count))),
+        pairs[:, 1:].reshape(-1).astype(np.uint32),
+        values.reshape(-1),
+    )
+    shares = {
+        s: BodyShare(
+            spins[b.first].coordinates,
+            tuple(tuple(v if i == j else 0.0 for j in range(3)) for i, v in enumerate(strengths[s].tolist())),
+            spins[b.first].scale,
+            spins[b.second].coordinates,
+        )
+        for s, b in enumerate(ordered)
+    }
+    begins = np.searchsorted(np.sort(colour), np.arange(max(colour) + 2))
+    return Parts(
+        SparseRows(2 * np.arange(4 * count + 1), pairs.reshape(-1).astype(np.uint32), np.ones(8 * count)),
+        np.zeros(4 * count),
+        weights,
+        4 * np.arange(count + 1),
+        shares,
+        begins,
+        np.zeros(len(begins) - 1, dtype=bool),
+    )
+
+
+def _remainder_of_bonds(
+    form: QuadraticTerm, couplings: Sequence[Bond], spins: Sequence[Triple], axes: Sequence[Triple]
+) -> QuadraticTerm | None:
+    """Return the quadratic term without the bonds and the fixed axes; None if it vanishes."""
+    triple_of, _ = _triple_of_coordinates(spins, len(form.linear))
+    count = len(spins)
+    bonded = np.array([k for b in couplings for k in (b.first * count + b.second, b.second * count + b.first)])
+    first_triple, second_triple = triple_of[form.rows], triple_of[form.indices]
+    remaining = ~((first_triple >= 0) & (second_triple >= 0) & np.isin(first_triple * count + second_triple, bonded))
+    linear = form.linear.copy()
+    linear[[i for triple in axes for i in triple.coordinates]] = 0.0
+    if not np.any(remaining) and not np.any(linear):
+        return None
+    indptr = np.searchsorted(form.rows[remaining], np.arange(len(linear) + 1))
+    return QuadraticTerm(indptr, form.indices[remaining], form.values[remaining], linear, form.constant)
+
+
+def _subtracted_casimir(couplings: Sequence[Bond], spins: Sequence[Triple], dim: int) -> Polynomial:
+    """Return the Casimir subtracted by the bonds: the sum of -c (|z|^2 + |w|^2)/2."""
+    total = np.zeros(len(spins))
+    for bond in couplings:
+        total[[bond.first, bond.second]] -= 0.5 * bond.strength
+    return quadratic(
+        (
+            (i, i, factor * length**2)
+            for triple, factor in zip(spins, total.tolist(), strict=True)
+            for i, length in zip(triple.coordinates, triple.scale, strict=True)
+            if factor != 0.0
+        ),
+        dim,
+    )

@@ -14,6 +14,7 @@ from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomi
 from coadjoint.algebra.polynomials.monomials import Exponents
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
+from coadjoint.program.sparse_rows import sparse_row
 
 # Completed squares may have numerators of thousands of digits; above this size floats are used, as in a run.
 MAX_BITS = 512
@@ -40,12 +41,6 @@ def _linear_angle(ring: ExactPolynomials, parts: Parts, angle: int) -> Exact:
     form = linear_form(ring, *sparse_row(parts.forms, angle))
     weights = linear_form(ring, *sparse_row(parts.weights, angle))
     return form * (weights / 2 + to_rational(parts.offset[angle]))
-
-
-def sparse_row(rows: Any, r: int) -> tuple[list[int], list[Any]]:
-    """Return the coordinates and values of a sparse row."""
-    entries = slice(int(rows.start[r]), int(rows.start[r + 1]))
-    return rows.coordinate[entries].tolist(), rows.value[entries].tolist()
 
 
 def linear_form(ring: ExactPolynomials, coordinates: list[int], values: list[Any]) -> Exact:

@@ -13,8 +13,7 @@ from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.program.commutation import Commutation
 from coadjoint.program.generators import check_products
 from coadjoint.program.parts.part import Parts
-from coadjoint.program.parts.sparse_squares import DENSE_ROW, SparseSquares, sparse_squares
-from coadjoint.program.parts.squares import MAX_RATIONAL_SIZE
+from coadjoint.program.parts.squares import DENSE_ROW, MAX_RATIONAL_SIZE, SparseSquares, sparse_squares
 from coadjoint.program.sparse_rows import Rows, SparseRows, order_by, run_starts, starts_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, values_at

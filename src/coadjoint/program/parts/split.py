@@ -13,13 +13,11 @@ import numpy as np
 from coadjoint.algebra.exact.components import connected
 from coadjoint.algebra.exact.sparse_sums import distinct
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.commutation import Commutation
-from coadjoint.program.parts.few_parts import few_parts
+from coadjoint.program.commutation import Commutation, few_parts
 from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
 from coadjoint.program.parts.quadratic_atoms import check_width, coupled_atoms, quadratic_atoms
-from coadjoint.program.pattern_cache import MAX_PATTERN_SIZE, Pattern
 from coadjoint.program.separated_parts import joined_if_cancelling
-from coadjoint.program.sparse_rows import SparseRows
+from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE, Pattern, SparseRows
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names, in_coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic

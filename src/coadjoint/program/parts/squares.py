@@ -1,21 +1,35 @@
-"""Completed squares: a symmetric matrix as a sum of d_r l_r l_r^T, in rational arithmetic up to a moderate size."""
+"""Completed squares: a symmetric matrix, dense or sparse, as a sum of d_r l_r l_r^T; rational up to a moderate size."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
+from heapq import heapify, heappop, heappush
+from math import isfinite, lcm
+from operator import mul
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.exact.components import connected
+from coadjoint.algebra.exact.numbers import rational
+from coadjoint.algebra.exact.sparse_sums import Integers
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.program.parts.part import NonlinearShare, Parts, PolynomialShare
+from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.hamiltonians.linear_term import PLACEHOLDER_COEFFICIENT
 
 # Single pivots need a diagonal entry of at least this fraction of the largest entry, which bounds the coefficients of
 # the forms (Bunch and Parlett 1971, (1 + sqrt 17)/8).
 MIN_PIVOT_RATIO = Fraction(41, 64)
 # Above this size numerators become too large, and the reduction runs in the number type of its input.
 MAX_RATIONAL_SIZE = 16
+# Mean number of entries per row below which rows are stored sparse.
+DENSE_ROW = 16
+
+Form = dict[int, float]
 
 
 class Squares(NamedTuple):
@@ -60,7 +74,7 @@ def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
         is_single = abs(residual[best, best]) * MIN_PIVOT_RATIO.denominator >= largest * MIN_PIVOT_RATIO.numerator
         local_pivots = [best] if is_single else [row, column]
         completed = _square(residual, best) if is_single else _pair(residual, row, column)
-        new_betas = split_linear(b[active[local_pivots]], [form[local_pivots] for form, _ in completed])
+        new_betas = _split_linear(b[active[local_pivots]], [form[local_pivots] for form, _ in completed])
         for (form, weight), beta in zip(completed, new_betas, strict=True):
             residual = residual - weight * np.multiply.outer(form, form)
             b[active] = b[active] - beta * form
@@ -103,12 +117,12 @@ def _pair(residual: NDArray[Any], i: int, j: int) -> list[tuple[NDArray[Any], An
     return [(first, size), (rest / rest[j], rest[j])]
 
 
-def split_linear(b: Any, forms: Sequence[Any]) -> list[Any]:
+def _split_linear(b: Any, forms: Sequence[Any]) -> list[Any]:
     """Return beta with sum beta_r l_r = b, from the entries of b and the forms at the one or two pivots.
 
     Examples
     --------
-    >>> split_linear([3.0, 1.0], [[1.0, 1.0], [-1.0, 1.0]])
+    >>> _split_linear([3.0, 1.0], [[1.0, 1.0], [-1.0, 1.0]])
     [2.0, -1.0]
     """
     if len(forms) == 1:
@@ -116,3 +130,271 @@ def split_linear(b: Any, forms: Sequence[Any]) -> list[Any]:
     (p0, p1), (m0, m1), (b0, b1) = *forms, b
     determinant = p0 * m1 - p1 * m0
     return [(b0 * m1 - b1 * m0) / determinant, (p0 * b1 - p1 * b0) / determinant]
+
+
+class SparseSquares(NamedTuple):
+    """Forms l_r (sparse), factors d_r and beta_r, and pivots, as in `Squares`."""
+
+    forms: SparseRows
+    weights: NDArray[Any]
+    linear: NDArray[Any]
+    pivots: NDArray[np.int64]
+
+
+def sparse_squares(matrix: SparseRows, linear: NDArray[np.float64]) -> SparseSquares:
+    """Complete the square of linear.x + x.M.x/2 for sparse symmetric M, with the numbers of `complete_squares`."""
+    size = len(linear)
+    if size > MAX_RATIONAL_SIZE and len(matrix.value) < DENSE_ROW * size:
+        return _Reduction(matrix, linear).squares()
+    dense = np.zeros((size, size))
+    dense[matrix.owner, matrix.coordinate] = matrix.value
+    forms, weights, betas, pivots = complete_squares(dense, linear)
+    row, column = np.nonzero(forms != 0)
+    start = np.searchsorted(row, np.arange(len(forms) + 1)).astype(np.int64)
+    return SparseSquares(SparseRows(start, column.astype(np.uint32), forms[row, column]), weights, betas, pivots)
+
+
+class _Reduction:
+    """Residual matrix of `complete_squares`, with the same operations in the same order.
+
+    Rows are dictionaries; heaps give the largest entries.
+    """
+
+    def __init__(self, matrix: SparseRows, linear: NDArray[np.float64]) -> None:
+        self.rows: list[Form] = [{} for _ in linear]
+        owner: Integers = matrix.owner
+        for i, j, value in zip(owner.tolist(), matrix.coordinate.tolist(), matrix.value.tolist(), strict=True):
+            self.rows[i][j] = value
+        self.linear: list[float] = linear.tolist()
+        self.diagonal = [(-abs(row[i]), i) for i, row in enumerate(self.rows) if i in row]
+        self.entries = [(-abs(v), i, j) for i, row in enumerate(self.rows) for j, v in row.items() if i <= j]
+        heapify(self.diagonal)
+        heapify(self.entries)
+        # Each of n pivots rounds an entry three times.
+        self.floor = 4.0 * len(linear) * UNIT_ROUNDOFF * float(np.max(np.abs(matrix.value), initial=0.0))
+
+    def squares(self) -> SparseSquares:
+        forms: list[Form] = []
+        weights: list[float] = []
+        betas: list[float] = []
+        steps: list[tuple[int, int, int]] = []
+        while (pivots := self._pivots()) is not None:
+            completed = self._square(*pivots) if len(pivots) == 1 else self._pair(*pivots)
+            self._eliminate(pivots, completed)
+            new_betas = _split_linear(
+                [self.linear[p] for p in pivots], [[form.get(p, 0.0) for p in pivots] for form, _ in completed]
+            )
+            for (form, weight), beta in zip(completed, new_betas, strict=True):
+                for k, value in form.items() if beta != 0 else ():
+                    self.linear[k] -= beta * value
+                forms.append(form)
+                weights.append(weight)
+                betas.append(beta)
+            steps += [(len(steps), pivots[0], pivots[-1])] * len(completed)
+            for p in pivots:
+                self.linear[p] = 0.0
+        for k, b in enumerate(self.linear):
+            if b != 0:
+                forms.append({k: 1.0})
+                weights.append(0.0)
+                betas.append(b)
+                steps.append((len(steps), k, k))
+        sparse = SparseRows.of_lists(
+            [sorted(form) for form in forms], [[form[k] for k in sorted(form)] for form in forms]
+        )
+        pivoted = np.array(steps, dtype=np.int64).reshape(-1, 3)
+        return SparseSquares(sparse, np.array(weights), np.array(betas), pivoted)
+
+    def _pivots(self) -> tuple[int, ...] | None:
+        """Return the coordinate of the next square, or two coupled ones; None if the residual vanishes."""
+        while self.entries and not self._current(*self.entries[0]):
+            heappop(self.entries)
+        if not self.entries or -self.entries[0][0] <= self.floor:
+            return None
+        largest, i, j = self.entries[0]
+        while self.diagonal and not self._current(*self.diagonal[0], self.diagonal[0][1]):
+            heappop(self.diagonal)
+        if self.diagonal:
+            size, k = self.diagonal[0]
+            if -size * MIN_PIVOT_RATIO.denominator >= -largest * MIN_PIVOT_RATIO.numerator:
+                return (k,)
+        return (i, j)
+
+    def _current(self, size: float, i: int, j: int) -> bool:
+        return -size == abs(self.rows[i].get(j, 0.0)) and size != 0
+
+    def _square(self, i: int) -> list[tuple[Form, float]]:
+        row = self.rows[i]
+        return [({k: value / row[i] for k, value in row.items() if value != 0}, row[i])]
+
+    def _pair(self, i: int, j: int) -> list[tuple[Form, float]]:
+        row_i, row_j = self.rows[i], self.rows[j]
+        sign = 1 if (row_i.get(i, 0.0) + row_j.get(j, 0.0)) * row_i[j] >= 0 else -1
+        along = {k: row_i.get(k, 0.0) + sign * row_j.get(k, 0.0) for k in row_i.keys() | row_j.keys()}
+        size = (along[i] + sign * along[j]) / 4
+        first = {k: value / (2 * size) for k, value in along.items()}
+        rest = {k: row_j.get(k, 0.0) - size * first[j] * first[k] for k in along}
+        second = {k: value / rest[j] for k, value in rest.items()}
+        forms = [(first, size), (second, rest[j])]
+        return [({k: value for k, value in form.items() if value != 0}, weight) for form, weight in forms]
+
+    def _eliminate(self, pivots: tuple[int, ...], completed: list[tuple[Form, float]]) -> None:
+        touched = {k for form, _ in completed for k in form}.difference(pivots)
+        for form, weight in completed:
+            inner = [(k, value) for k, value in form.items() if k in touched]
+            for a, u in inner:
+                row = self.rows[a]
+                for b, v in inner:
+                    row[b] = row.get(b, 0.0) - weight * (u * v)
+        for p in pivots:
+            for k in self.rows[p]:
+                if k != p:
+                    self.rows[k].pop(p, None)
+            self.rows[p] = {}
+        for a in touched:
+            row = self.rows[a]
+            for b in touched:
+                if a <= b and row.get(b):
+                    heappush(self.entries, (-abs(row[b]), a, b))
+            if row.get(a):
+                heappush(self.diagonal, (-abs(row[a]), a))
+
+
+# A new linear term b needs no new squares: the forms l_r do not depend on it, and sum_r beta_r l_r = b.
+class ExactSums(NamedTuple):
+    """Sums over k of factors[r][k] b[coordinates[k]], divided by denominators[r], rounded once."""
+
+    coordinates: tuple[int, ...]
+    factors: tuple[tuple[int, ...], ...]
+    denominators: tuple[int, ...]
+
+    def at(self, b: NDArray[np.float64]) -> list[float]:
+        """Evaluate the sums for finite floats b, correctly rounded; raise OverflowError beyond float64.
+
+        Examples
+        --------
+        >>> ExactSums((0, 1), ((1, -2), (1, 0)), (3, 4)).at(np.array([1.0, 0.25]))
+        [0.16666666666666666, 0.25]
+        """
+        exact = [value.as_integer_ratio() for value in b.take(self.coordinates).tolist()]
+        # Denominators of floats are powers of two, so the largest is a common denominator.
+        common = max([denominator for _, denominator in exact])
+        scaled = [numerator * (common // denominator) for numerator, denominator in exact]
+        return [
+            sum(map(mul, factors, scaled)) / (denominator * common)
+            for factors, denominator in zip(self.factors, self.denominators, strict=True)
+        ]
+
+
+class ReductionSteps(NamedTuple):
+    """Linear terms of squares with forms in floats, by the operations of the reduction in their order.
+
+    Each step has its pivots and its forms (coordinate -> value); `order` gives the position of each among the angles.
+    """
+
+    steps: tuple[tuple[tuple[int, ...], tuple[dict[int, float], ...]], ...]
+    order: tuple[int, ...]
+
+    def at(self, b: NDArray[np.float64]) -> list[float]:
+        """Evaluate the linear terms bitwise as for newly completed squares; raise OverflowError beyond float64."""
+        residual, offsets = b.tolist(), []
+        for pivots, forms in self.steps:
+            betas = _split_linear([residual[p] for p in pivots], [[form.get(p, 0.0) for p in pivots] for form in forms])
+            for beta, form in zip(betas, forms, strict=True):
+                for k, value in form.items():
+                    residual[k] -= beta * value
+            offsets += betas
+        if not all(map(isfinite, offsets)):
+            raise OverflowError("a completed square is too large for float64")
+        return [offsets[position] for position in self.order]
+
+
+def offsets_of_squares(parts: Parts) -> list[tuple[list[int], ExactSums | ReductionSteps]]:
+    """Return (angles, offsets) for each set of coupled coordinates, as functions of the linear term.
+
+    Forms of up to 16 coupled coordinates are exact (`ExactSums`), others floats (`ReductionSteps`). Uncoupled
+    coordinates are omitted: their offset is the coefficient itself.
+    """
+    forms = parts.forms
+    linear = np.ones(len(parts.offset), dtype=bool)
+    for s in parts.nonlinear_shares:
+        linear[parts.row[s] : parts.row[s + 1]] = False
+    owner = forms.owner
+    # The angle of a coordinate that depends on others is no square, but a derivative of products.
+    alone, weights = np.diff(forms.start) == 1, parts.weights
+    own = np.zeros(len(alone), dtype=np.uint32)
+    own[alone] = forms.coordinate[forms.start[:-1][alone]]
+    linear[weights.owner[alone[weights.owner] & (weights.coordinate != own[weights.owner])]] = False
+    angles = np.flatnonzero(linear)
+    entries = np.flatnonzero(linear[owner])
+    # Nodes are the angles, then the coordinates.
+    count, coordinate = len(parts.offset), forms.coordinate[entries].astype(np.int64)
+    label = connected(count + int(coordinate.max(initial=-1)) + 1, owner[entries], count + coordinate)
+    clusters: dict[int, list[int]] = {}
+    for angle in angles.tolist():
+        clusters.setdefault(int(label[angle]), []).append(angle)
+    result: list[tuple[list[int], ExactSums | ReductionSteps]] = []
+    for cluster in clusters.values():
+        rows = [_row(parts, angle) for angle in cluster]
+        coordinates = sorted({k for row in rows for k in row})
+        if len(coordinates) > MAX_RATIONAL_SIZE and parts.pivots is not None:
+            result.append((cluster, _reduced(rows, parts.pivots[cluster])))
+        elif 1 < len(coordinates) <= MAX_RATIONAL_SIZE and len(cluster) <= len(coordinates):
+            result.append((cluster, _inverse(rows, coordinates)))
+    return result
+
+
+def _reduced(rows: list[dict[int, Any]], pivots: NDArray[np.int64]) -> ReductionSteps:
+    """Recover the steps of the reduction from its forms."""
+    steps: dict[int, tuple[tuple[int, ...], list[dict[int, float]]]] = {}
+    inverse = np.argsort(pivots[:, 0], kind="stable")
+    for position in inverse.tolist():
+        step, first, last = pivots[position].tolist()
+        pivot_pair = (first,) if first == last else (first, last)
+        steps.setdefault(step, (pivot_pair, []))[1].append(rows[position])
+    order = np.argsort(inverse).tolist()
+    return ReductionSteps(tuple((pivot_pair, tuple(forms)) for pivot_pair, forms in steps.values()), tuple(order))
+
+
+def with_linear_offsets(parts: Parts, linear: NDArray[np.float64]) -> Parts:
+    """Replace `PLACEHOLDER_COEFFICIENT` (zero coefficients kept as structure) by the linear term, shape (n,), in parts.
+
+    The forms are unchanged; some angles may be identically zero.
+    """
+    offset = parts.offset.copy()
+    for angles, sums in offsets_of_squares(parts):
+        offset[angles] = sums.at(linear)
+    offset[parts.offset == PLACEHOLDER_COEFFICIENT] = 0.0
+    nonlinear_shares = {s: _without_placeholders(share) for s, share in parts.nonlinear_shares.items()}
+    return Parts(parts.forms, offset, parts.weights, parts.row, nonlinear_shares, parts.share, parts.timed)
+
+
+def _without_placeholders(share: NonlinearShare) -> NonlinearShare:
+    if not isinstance(share, PolynomialShare):
+        return share
+    monomials = {e: c for e, c in share.polynomial.monomials.items() if c != PLACEHOLDER_COEFFICIENT}
+    return PolynomialShare(share.coordinates, Polynomial(monomials, dim=share.polynomial.dim))
+
+
+def _row(parts: Parts, angle: int) -> dict[int, Any]:
+    entries = slice(int(parts.forms.start[angle]), int(parts.forms.start[angle + 1]))
+    return dict(zip(parts.forms.coordinate[entries].tolist(), parts.forms.value[entries].tolist(), strict=True))
+
+
+def _inverse(rows: list[dict[int, Any]], coordinates: list[int]) -> ExactSums:
+    """Return beta of sum_r beta_r l_r = b, for linearly independent forms."""
+    from flint import fmpq_mat
+
+    r, m = len(rows), len(coordinates)
+    # [L^T | 1], reduced, is [1 | B] in its first rows, with B L^T = 1.
+    augmented = [
+        [rational(row.get(k, 0)) for row in rows] + [rational(int(i == j)) for j in range(m)]
+        for i, k in enumerate(coordinates)
+    ]
+    reduced, _ = fmpq_mat(m, r + m, [entry for line in augmented for entry in line]).rref()
+    factors, denominators = [], []
+    for a in range(r):
+        exact = [reduced[a, r + j] for j in range(m)]
+        denominators.append(lcm(*(int(value.denominator) for value in exact)))
+        factors.append(tuple(int(value.numerator) * (denominators[-1] // int(value.denominator)) for value in exact))
+    return ExactSums(tuple(coordinates), tuple(factors), tuple(denominators))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import codes
-from coadjoint.kernels.tables.events import EventArrays, FlaggedSteps
+from coadjoint.kernels.tables.recording import EventArrays, FlaggedSteps
 from coadjoint.memory import check_available_memory
 from coadjoint.runs.crossings.crossings import Crossings, MemberFailure, WatchedEvents
 from coadjoint.runs.events import RecordedEvents, TerminalEvent

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from coadjoint.methods.numerics.stages import Coefficients
+from coadjoint.methods.numerics.solvers import Coefficients
 from coadjoint.runs.derivatives.xla_sparse import sparse
-from coadjoint.systems.hamiltonians.jax_function import JaxFunction
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm
+from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
 
 ITERATIONS = 20
 """Function iterations of a step: an error that halves in each of them is then 1e-6 of that of the first guess."""

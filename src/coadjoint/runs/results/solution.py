@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import NamedValues, suggest_keywords
 from coadjoint.runs.results.drift import Drift, scales_of_invariants
-from coadjoint.runs.results.solution_attributes import SolutionAttributes, StateAt
-from coadjoint.runs.results.solution_output import SolutionOutput
-from coadjoint.runs.results.summary import extent_text, table_of_run
-from coadjoint.runs.results.unfinished_members import unfinished_members
+from coadjoint.runs.results.solution_attributes import SolutionAttributes, StateAt, unfinished_members
+from coadjoint.runs.results.solution_output import SolutionOutput, extent_text, table_of_run
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.coordinates import CoordinateGroups

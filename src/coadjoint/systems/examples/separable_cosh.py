@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
-from coadjoint.algebra.invariants.logarithmic import COSH, HOLD, SINH, SINH_SQUARED, Forms
+from coadjoint.algebra.invariants.invariant import COSH, HOLD, SINH, SINH_SQUARED, Forms
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture, points_on_sphere
 from coadjoint.systems.hamiltonians.separable import Separable

@@ -17,8 +17,6 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import MAX_SHOWN_LENGTH, short
 from coadjoint.systems.evaluation import read_point
-from coadjoint.systems.hamiltonians.jax_function import JaxFunction, check_traceable, is_array_of_jax
-from coadjoint.systems.hamiltonians.parsed_function import ParsedFunction
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, Term
@@ -28,7 +26,14 @@ from coadjoint.systems.hamiltonians.traced_function import (
     restored_function,
     traced,
 )
-from coadjoint.systems.hamiltonians.user_hamiltonian import REQUIRED_ATTRIBUTES, check_user_hamiltonian
+from coadjoint.systems.hamiltonians.user_hamiltonian import (
+    REQUIRED_ATTRIBUTES,
+    JaxFunction,
+    ParsedFunction,
+    check_traceable,
+    check_user_hamiltonian,
+    is_array_of_jax,
+)
 from coadjoint.systems.user_functions import (
     MultipleOf,
     all_take_time,

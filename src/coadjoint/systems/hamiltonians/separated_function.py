@@ -1,22 +1,98 @@
-"""Python functions as sums: the summands of a recorded function, by the coordinates that each depends on."""
+"""Recorded functions as sums, by the coordinates of each summand, and as functions of polynomials."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from fractions import Fraction
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from coadjoint.algebra.exact.numbers import is_finite, quotient
 from coadjoint.algebra.polynomials.monomials import exponents_of
-from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.systems.hamiltonians.recorded_polynomials import Monomials, RecordedPolynomials
+from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, Term
 from coadjoint.systems.hamiltonians.traced_function import Graph, Traced, TracedFunction, TracingError, traced
 from coadjoint.systems.user_functions import check_derivative
 
 Pair = tuple[int, int]
+Monomials = dict[tuple[int, ...], Any]
+"""The coordinates of each monomial, with multiplicity, to its coefficient."""
+
+MAX_MONOMIALS = 1000
+"""Of a polynomial that is multiplied out."""
+MAX_COORDINATES = 64  # of a function of polynomials; the search for them takes the third power of their number
+
+
+class RecordedPolynomials:
+    """The monomials of the recorded operations that are polynomials of the coordinates."""
+
+    def __init__(self, recorded: TracedFunction) -> None:
+        self._nodes, self._n = recorded.graph.nodes, len(recorded.variables)
+        self._expanded: dict[int, Monomials | None] = {}
+
+    def monomials(self, node: Traced) -> Monomials | None:
+        """Return the monomials of a node, or None if it is no polynomial of the coordinates, or a large one."""
+        # Earlier nodes come first, so that there is no recursion.
+        needed, pending = set[int](), [node.index]
+        while pending:
+            index = pending.pop()
+            if index not in needed and index not in self._expanded:
+                needed.add(index)
+                pending += [a.index for a in self._nodes[index][1] if isinstance(a, Traced)]
+        for index in sorted(needed):
+            found = self._expand(index)
+            usable = found is not None and len(found) <= MAX_MONOMIALS and all(map(is_finite, found.values()))
+            self._expanded[index] = found if usable else None
+        return self._expanded[node.index]
+
+    def _expand(self, index: int) -> Monomials | None:
+        operation, arguments = self._nodes[index]
+        if operation == "variable":
+            return {(index,): 1} if index < self._n else None
+        if operation not in ("add", "sub", "neg", "mul", "div", "pow"):
+            return None
+        parts: list[Monomials | None] = [
+            self._expanded[a.index] if isinstance(a, Traced) else {(): a} for a in arguments
+        ]
+        if any(part is None for part in parts):
+            return None
+        first, *others = [part for part in parts if part is not None]
+        if operation == "neg":
+            return {key: -value for key, value in first.items()}
+        (second,) = others
+        if operation in ("add", "sub"):
+            total = dict(first)
+            for key, value in second.items():
+                total[key] = total.get(key, 0) + (value if operation == "add" else -value)
+            return total
+        if operation == "mul":
+            return _product(first, second)
+        if isinstance(arguments[1], Traced):
+            return None
+        number = arguments[1]
+        if operation == "div":
+            return {key: quotient(value, number) for key, value in first.items()} if number != 0 else None
+        degree = max(map(len, first), default=0)
+        if number != int(number) or not 0 <= number or degree * number > MAX_DEGREE:
+            return None
+        power: Monomials | None = {(): 1}
+        for _ in range(int(number)):
+            power = None if power is None else _product(power, first)
+        return power
+
+
+def _product(left: Monomials, right: Monomials) -> Monomials | None:
+    if len(left) * len(right) > 16 * MAX_MONOMIALS:
+        return None
+    total: Monomials = {}
+    for first, a in left.items():
+        for second, b in right.items():
+            key = tuple(sorted(first + second))
+            total[key] = total.get(key, 0) + a * b
+    return total if len(total) <= MAX_MONOMIALS and max(map(len, total), default=0) <= MAX_DEGREE else None
 
 
 class NotSeparable(ValueError):
@@ -178,3 +254,79 @@ def _alone(
     timed = recorded.timed and n in needed
     value, gradient, hessian = TracedFunction(graph, variables, total, timed).derivatives()
     return value, gradient, hessian, timed
+
+
+class PolynomialArguments:
+    """A function as F(q_1, ..., q_k, t) of polynomials q in its coordinates.
+
+    >>> arguments = PolynomialArguments(lambda x: 1 / np.sqrt(x[0] ** 2 + x[1] ** 2) + 0.5 * x[0], 2, False)
+    >>> arguments.polynomials
+    (x1^2 + x2^2, 0.5*x1)
+    """
+
+    def __init__(self, value: Callable[..., Any], n: int, timed: bool) -> None:
+        self._recorded = traced(value, n, timed)
+        self._divided: dict[Any, tuple[Any, ...]] = {}
+        by_node = _outermost(self._recorded)
+        self._ends = tuple(by_node)
+        self.polynomials = tuple(
+            Polynomial({exponents_of(key, n): c for key, c in monomials.items() if c != 0}, dim=n)
+            for monomials in by_node.values()
+        )
+
+    def divided(self, term: FunctionTerm, sets: Sequence[Sequence[int]]) -> FunctionTerm:
+        """Return the function with its gradient as one vector for each set of polynomials, which add up to it.
+
+        The coordinates are repeated, once for each set. Raise TracingError if derivatives take too many operations.
+        """
+        key = tuple(map(tuple, sets)), term.hessian is None
+        if key not in self._divided:
+            self._divided[key] = self._functions(*key)
+        value, gradient, hessian = self._divided[key]
+        coordinates = np.tile(term.coordinates, len(sets))
+        return replace(term, coordinates=coordinates, value=value, gradient=gradient, hessian=hessian)
+
+    def _functions(self, sets: Sequence[Sequence[int]], without_hessian: bool) -> tuple[Any, ...]:
+        graph, variables, result, timed = self._recorded
+        n, ends = len(variables), [Traced(graph, index) for index in self._ends]
+        slopes = graph.gradient(result, ends, frozenset(self._ends))
+        gradient: list[Any] = []
+        for numbers in sets:
+            rows = [graph.gradient(ends[k], variables) for k in numbers]
+            gradient += [sum(slopes[k] * row[a] for k, row in zip(numbers, rows, strict=True)) for a in range(n)]
+        value, first = self._recorded.value(), graph.function(gradient, "np.array(({0},))", timed)
+        if without_hessian:
+            return value, first, None
+        # Derivatives by the first of the repeated coordinates.
+        rest = [0] * (len(gradient) - n)
+        curvatures = [entry for one in gradient for entry in (*graph.gradient(one, variables), *rest)]
+        shape = (len(gradient),) * 2
+        return value, first, graph.function(curvatures, f"np.array(({{0}},)).reshape({shape})", timed)
+
+
+@lru_cache(maxsize=256)
+def polynomial_arguments(value: Callable[..., Any], n: int, timed: bool) -> PolynomialArguments | None:
+    """Return the polynomials through which a function depends on its coordinates; None if it cannot be recorded."""
+    if n > MAX_COORDINATES:
+        return None
+    try:
+        return PolynomialArguments(value, n, timed)
+    except TracingError:
+        return None
+
+
+def _outermost(recorded: TracedFunction) -> dict[int, Monomials]:
+    """Return the polynomials that other operations, or the result, take."""
+    polynomials, found = RecordedPolynomials(recorded), dict[int, Monomials]()
+    pending, seen = [recorded.result] if isinstance(recorded.result, Traced) else [], set[int]()
+    while pending:
+        node = pending.pop()
+        if node.index in seen:
+            continue
+        seen.add(node.index)
+        monomials = polynomials.monomials(node)
+        if monomials is None:
+            pending += [a for a in recorded.graph.nodes[node.index][1] if isinstance(a, Traced)]
+        else:
+            found[node.index] = monomials
+    return dict(sorted(found.items()))

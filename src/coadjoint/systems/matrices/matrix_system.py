@@ -18,10 +18,8 @@ from coadjoint.systems.arguments import read_closed_form, read_parameters, read_
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
-from coadjoint.systems.matrices.function_stream import FunctionStream
-from coadjoint.systems.matrices.matrix_energy import MatrixEnergy, check_stream, read_energy
-from coadjoint.systems.matrices.streams import Stream
-from coadjoint.systems.matrices.traces import traces_of, values_of
+from coadjoint.systems.matrices.matrix_invariants import MatrixEnergy, check_stream, read_energy, traces_of, values_of
+from coadjoint.systems.matrices.streams import FunctionStream, Stream
 from coadjoint.validation import check_finite, not_numbers_error, read_integer, read_numbers, read_title, to_array
 
 Matrix = npt.NDArray[Any]

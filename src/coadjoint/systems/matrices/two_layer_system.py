@@ -13,10 +13,9 @@ from coadjoint.algebra.families.matrix_algebra import TRACE_TOLERANCE, MatrixAlg
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.systems.matrices.matrix_energy import MatrixEnergy
+from coadjoint.systems.matrices.matrix_invariants import MatrixEnergy, traces_of
 from coadjoint.systems.matrices.matrix_system import POWERS, MatrixSystem
 from coadjoint.systems.matrices.streams import Stream
-from coadjoint.systems.matrices.traces import traces_of
 from coadjoint.validation import to_array, truncate_title
 
 Matrix = npt.NDArray[Any]
