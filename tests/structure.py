@@ -26,7 +26,7 @@ MAXIMA: dict[str, int] = {
     "files in cycles, with imports inside functions and for types": 52,
     "modules behind integrate": 130,
     "C++ lines": 19181,  # the nearest integer in every direction of rounding, and stages among subnormal numbers
-    "test lines": 61980,
+    "test lines": 61982,
     "test files that import internals": 74,
     "public names": 328,
 }

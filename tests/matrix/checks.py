@@ -232,6 +232,8 @@ def located(case: Case, space: dict[str, Any]) -> Iterator[str]:
     many = chosen["members"] != "one"
     if chosen["events"] == "terminal" and many:
         return  # each member ends at a time of its own
+    if chosen["forces"] != "noise" and not space["method"].own_steps and space["sol"].step_error() > 0.5:
+        return  # a step so long may jump from one solution of its equations to another, and g with it
     which = "systems[m]" if chosen["members"] == "batch" else "system"
     for m in range(MEMBERS if many else 1):
         yield (

@@ -41,7 +41,7 @@ SYSTEMS = {
 METHODS = {
     "plain": co.Splitting(order=2, compensated=False),
     "compensated": co.Splitting(order=4, compensated=True),
-    "rational": co.Splitting(order=2, rotation="rational"),
+    "rational": co.Splitting(order=2, rotation="rational", parts="coordinates"),
 }
 
 
