@@ -112,7 +112,7 @@ class PreparedRun(Preparation):
                     plan = cache.plan = plan.at_times(times) or plan
                 solution = solution_of_short_run(plan, x0.copy(), began) if plan.times is times else None
                 if solution is not None:
-                    if self.cache.checks_step:
+                    if cache.checks_step:
                         self._check_step(solution)
                     return solution
         progress = progress is not False and read_progress(progress)
@@ -330,12 +330,13 @@ class PreparedRun(Preparation):
         >>> for _ in range(1000):
         ...     x = prepared.end(x, span)
         """
+        ends = self.cache.ends
         try:
-            final_run = self.cache.ends.pop()
+            final_run = ends.pop()
         except IndexError:
             final_run = FinalStateRun(self)
         state = final_run.end(x0, t_span)
-        self.cache.ends.append(final_run)
+        ends.append(final_run)
         return self.run(x0, t_span, ENDS_ONLY).x[-1] if state is None else state
 
     def of_system(self, system: System, member: int | None = None, threads: int | None = None) -> PreparedRun:
