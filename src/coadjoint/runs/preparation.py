@@ -130,22 +130,7 @@ class Preparation:
         self.__dict__.update(state, cache=_Cache(state["step"], loops))
 
     def among(self, first: int, last: int, threads: int | None = None) -> Preparation:
-        """Return the run of the members `first` to `last` - 1 alone; each is bitwise equal to the member in the whole
-        run.
-
-        The tables of a batch are reused. Members with noise keep the noise of their original numbers.
-
-        Parameters
-        ----------
-        first, last : int
-            Range of members of an ensemble.
-        threads : int, optional
-            Number of threads for these members; None keeps that of the whole run.
-
-        Returns
-        -------
-        Preparation
-        """
+        """Return the run of the members `first` to `last` - 1 alone, with the bits and the noise of the whole run."""
         return self._selected(among(self.system, first, last), np.arange(first, last), threads)
 
     def sampled(self, members: NDArray[np.int64]) -> Preparation:

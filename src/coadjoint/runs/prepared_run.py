@@ -22,6 +22,7 @@ from coadjoint.runs.short_runs import ENDS_ONLY, FinalStateRun, solution_of_shor
 from coadjoint.runs.start import (
     Start,
 )
+from coadjoint.runs.step_error import warn_of_large_step
 from coadjoint.runs.times import Times
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.protocol import among, is_batch, member_of
@@ -127,8 +128,6 @@ class PreparedRun(Preparation):
 
     def _check_step(self, solution: Solution) -> None:
         """Warn if the step is too large for this run; loops of half a step are those of a copy, and not kept."""
-        from coadjoint.runs.step_error import warn_of_large_step
-
         self.cache.checks_step = False
         warn_of_large_step(solution, self.in_one_thread())
 

@@ -264,7 +264,7 @@ def run_in_blocks(
     progress: bool = False,
     about: ExtraMetadata = NO_METADATA,
 ) -> Solution:
-    """Run an ensemble in blocks of `size` members; see `coadjoint.ensemble`.
+    """Run an ensemble in blocks of `size` members; see `integrate_ensemble`.
 
     `prepared` is prepared for all members; `about` has further metadata to write.
     """

@@ -83,9 +83,8 @@ def resume(
         The folder that ``integrate(..., archive=path)`` has written.
     t_end : float, optional
         A new end, a whole number of steps from the start (up to rounding, as in `integrate`) and later than what was
-        computed. The result is bitwise equal
-        to a run with this end from the beginning. Some steps, usually less than a sixth, are recomputed to find the
-        drifts in each tenth of the new run.
+        computed. The result is bitwise equal to a run with this end from the beginning. Some steps, usually less than
+        a sixth, are recomputed to find the drifts in each tenth of the new run.
     system, observe, events : optional
         Those of the run, if they contain Python functions, which are not stored. They are compared with those with
         which the run began, as far as `coadjoint.files.records.fingerprints` can, and rejected if they differ.
@@ -96,7 +95,7 @@ def resume(
     until : int, optional
         Number of steps after which the run stops again.
     client, workers : optional
-        Workers for an ensemble in blocks, as for `coadjoint.ensemble`; by default this process.
+        Workers for an ensemble in blocks, as for `integrate_ensemble`; by default this process.
 
     Returns
     -------

@@ -13,7 +13,7 @@ from coadjoint.kernels.interface import limit
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.program.describe import action_work, bodies_of, count_series_blocks, share_work
 from coadjoint.program.table import Program
-from coadjoint.systems.protocol import has_structure_constants
+from coadjoint.systems.protocol import has_quadratic_energy, has_structure_constants
 from coadjoint.systems.system_checks import System
 
 # Weights of the cost model, to be adjusted when the compiled loops change. The unit is a flow that rotates one pair of
@@ -140,9 +140,12 @@ def iteration_work(system: System, stages: float, group: Any) -> float:
 
 def _fits_in_registers(system: System) -> bool:
     """Return whether the stages of a system stay in registers."""
-    quadratic = all(term.form is not None for term in system.hamiltonian.terms())
     algebra = system.algebra
-    return quadratic and algebra is not None and (system.dim, 2 * len(algebra.triples[3])) in REGISTER_FIELDS
+    return (
+        has_quadratic_energy(system)
+        and algebra is not None
+        and (system.dim, 2 * len(algebra.triples[3])) in REGISTER_FIELDS
+    )
 
 
 def field_work(system: System) -> tuple[float, int]:

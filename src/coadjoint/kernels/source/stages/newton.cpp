@@ -83,10 +83,8 @@ Outcome<double> Corrected::correct(const Called<bool(double*)>& solve, const Cal
         evaluate();
         each([&](int64_t i, int64_t c, int64_t k) { points(c, i) = known[k]; });
         points.repeat_last(s);
-        for (int64_t k = 0; k < s * m && solved; ++k) {
-            const double apart = distance[k] + SPACING_OF_SUBNORMALS;
-            round_off = round_off && absolute(correction[k]) <= SAMPLED * fma(ROUNDING, absolute(end[k]), apart);
-        }
+        for (int64_t k = 0; k < s * m && solved; ++k)
+            round_off = round_off && absolute(correction[k]) <= most_rounding(end[k], distance[k]);
         return solved && round_off;
     };
     Outcome<double> outcome{false, 0.0, std::numeric_limits<double>::infinity()};

@@ -220,6 +220,12 @@ struct Unknowns {
     }
 };
 
+// The largest correction of a component that is round-off, if samples end at this distance.
+template <class A>
+INLINE A most_rounding(const A& component, const A& distance) {
+    return A(SAMPLED) * fma(A(ROUNDING), absolute(component), distance + A(SPACING_OF_SUBNORMALS));
+}
+
 // Whether corrections that do not fall are round-off of the terms of their components: iterations from points that
 // differ by roundings end about as far apart. The slopes are then those at the points.
 template <class Layout, class Evaluate>
@@ -248,10 +254,8 @@ NOINLINE bool at_round_off(Unknowns<Layout>& y, const Evaluate& evaluate) {
     std::copy_n(start.at, count, y.points.at);
     evaluate();
     auto round_off = A(0.0) <= A(0.0);
-    for (int64_t k = 0; k < count; ++k) {
-        const A apart = distance.at[k] + A(SPACING_OF_SUBNORMALS);
-        round_off = round_off & (correction.at[k] <= A(SAMPLED) * fma(A(ROUNDING), absolute(start.at[k]), apart));
-    }
+    for (int64_t k = 0; k < count; ++k)
+        round_off = round_off & (correction.at[k] <= most_rounding(start.at[k], distance.at[k]));
     return Layout::every(round_off);
 }
 
