@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 from coadjoint import memory
@@ -63,30 +63,32 @@ class Plan:
         self.layout = loops.layout(members, times.points, square)
         check_run_memory(self.layout, times, members)
         self.rounds = loops.rounds(members, workers)
+        special = loops.rows or loops.measured or loops.order is not None or loops.accounts or square
+        small = self.layout.state.size <= MAX_STATE_NUMBERS
+        self.is_short = small and workers == 1 and not special and len(self.rounds) == len(self.rounds[0]) == 1
         self.shared: dict[str, Any] = {
+            "method": method,
             "watched": watching,
+            "_given_system": system,
+            "_base": system,
+            "_times": times,
+            "_layout": self.layout,
             "_saved_points": times.points,
             "_names": loops.names,
             "_accounts": loops.accounts,
             "_corrected_groups": loops.corrected_groups,
         }
-        special = loops.rows or loops.measured or loops.order is not None or loops.accounts or square
-        small = self.layout.state.size <= MAX_STATE_NUMBERS
-        self.is_short = small and workers == 1 and not special and len(self.rounds) == len(self.rounds[0]) == 1
-        self._whole_run: Callable[[Any], int] | None = None
         self._set_schedule()
 
     def _set_schedule(self) -> None:
         t0, h, steps, save_every, passed, marks, *_ = self.times
         self.schedule = schedule_of(t0, h, steps, save_every, self.watching, passed, marks, self.events, self.inside)
 
-    @property
+    @cached_property
     def whole_run(self) -> Callable[[Any], int]:
         """The function that takes all steps of a run that `is_short`; see `MemberBatch.whole_run`."""
-        if self._whole_run is None:
-            schedule = ctypes.create_string_buffer(self.schedule, len(self.schedule))
-            self._whole_run = self.rounds[0][0].whole_run(self.layout, schedule)
-        return self._whole_run
+        schedule = ctypes.create_string_buffer(self.schedule, len(self.schedule))
+        return self.rounds[0][0].whole_run(self.layout, schedule)
 
     @property
     def built_system(self) -> Any:
@@ -97,7 +99,7 @@ class Plan:
         """Return the plan of the same runs for other times."""
         options = self.groups, self.watching, self.workers, self.inside
         plan = Plan(self.system, self.method, self.loops, times, *options)
-        plan.base = self.base
+        plan.base = plan.shared["_base"] = self.base
         return plan.with_events(self.events) if self.events else plan
 
     def at_times(self, times: Times) -> Plan | None:
@@ -106,7 +108,7 @@ class Plan:
         if not same or times.marks is not None or self.times.marks is not None:
             return None
         plan = self._copy()
-        plan.times = times
+        plan.times, plan.shared = times, {**self.shared, "_times": times}
         plan._set_schedule()
         return plan
 
@@ -127,13 +129,14 @@ class Plan:
         """Return the plan of another system, for loops that differ in the numbers in their tables only."""
         plan = self._copy()
         plan.system, plan.loops, plan.rounds = system, loops, loops.rounds(self.groups[0], self.workers)
+        plan.shared = {**self.shared, "_given_system": system}
         plan.is_short = self.is_short and len(plan.rounds) == len(plan.rounds[0]) == 1
         return plan
 
     def _copy(self) -> Plan:
         plan: Plan = object.__new__(Plan)
-        plan.__dict__ = self.__dict__.copy()
-        plan._whole_run = None
+        plan.__dict__ = {**self.__dict__}
+        plan.__dict__.pop("whole_run", None)
         return plan
 
 

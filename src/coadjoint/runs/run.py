@@ -70,7 +70,8 @@ class Run:
         if state is not None:
             plan = plan.with_times(plan.times.after(state.number))
         self.plan, self.start = plan, start
-        self.saved, self.failure_reasons = NamedArrays(plan.layout.saved), dict[int, str]()
+        self.saved = NamedArrays(plan.layout.saved)
+        self.failure_reasons: dict[int, str] = {}
         if state is None:
             groups = plan.loops.initial_groups(start.groups) if plan.groups[1] else None
             self.state = State.of_start(plan.layout, start.momenta, groups)

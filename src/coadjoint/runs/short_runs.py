@@ -16,8 +16,9 @@ from numpy import ndarray
 from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import as_c_double
+from coadjoint.kernels.loop import raise_outcome
 from coadjoint.kernels.tables.recording import SCHEDULE_BYTES, schedule_of
-from coadjoint.runs.loops.execution import advanced
+from coadjoint.runs.loops.execution import raise_reason
 from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.plan import Plan, check_run_memory
 from coadjoint.runs.results.memory_solution import solution_of_numbers
@@ -73,7 +74,13 @@ class FinalStateRun:
         if self._clear is not None:
             self._clear(0.0)
         self._momentum[...] = x
-        if advanced(self._loops, advance):
+        try:
+            failed_count = advance()
+            if failed_count < 0:
+                raise_outcome(failed_count)
+        except BaseException as error:
+            raise_reason(self._loops, error)
+        if failed_count:
             # The full run fails too; it reports the step, and raises the exceptions of user functions.
             self._loops.raised()
             return None
@@ -129,10 +136,13 @@ def solution_of_short_run(
     numbers[layout.momenta] = momenta
     start_time = time.perf_counter()
     try:
-        failed_count = advanced(plan.loops, plan.whole_run, ctypes.byref(as_c_double(numbers)))
-    except KeyboardInterrupt as stopped:
-        _run_of(plan, start, momenta, numbers).describe_interrupt(stopped, None)
-        raise
+        failed_count = plan.whole_run(ctypes.byref(as_c_double(numbers)))
+        if failed_count < 0:
+            raise_outcome(failed_count)
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt):
+            _run_of(plan, start, momenta, numbers).describe_interrupt(error, None)
+        raise_reason(plan.loops, error)
     now = time.perf_counter()
     if failed_count:
         if (raised := plan.loops.raised()) is not None:

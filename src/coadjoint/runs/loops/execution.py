@@ -7,11 +7,11 @@ import os
 import threading
 from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 from coadjoint.kernels.arrays import Layout, NamedArrays
 from coadjoint.kernels.interface import codes, limit
-from coadjoint.kernels.loop import NEVER_STOPPED, MemberBatch, StopFlag, raise_outcome
+from coadjoint.kernels.loop import NEVER_STOPPED, MemberBatch, StopFlag
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.loops import Loops
 
@@ -65,23 +65,19 @@ def run_in_threads(
             lambda member_batch: member_batch.advance(*arguments, stop), member_batches, workers, stop
         )
 
-    failed_count = advanced(loops, advance_all)
+    try:
+        failed_count = advance_all()
+    except BaseException as error:
+        raise_reason(loops, error)
     if failed_count and (raised := loops.raised()) is not None:
         raise raised
     return failed_count
 
 
-def advanced(loops: Loops, advance: Callable[..., int], *arguments: Any) -> int:
-    """Call a loop, or what calls loops; return the number of failed members, or raise what ended it.
-
-    Exceptions of user functions in the loops take precedence over others.
-    """
-    try:
-        failed_count = advance(*arguments)
-        return failed_count if failed_count >= 0 else raise_outcome(failed_count)
-    except BaseException as error:
-        raised = loops.raised()
-        raise error if raised is None else raised from None
+def raise_reason(loops: Loops, error: BaseException) -> NoReturn:
+    """Raise what ended a call of the loops, which raised `error`: exceptions of user functions take precedence."""
+    raised = loops.raised()
+    raise error if raised is None else raised from None
 
 
 def sum_in_threads(

@@ -382,11 +382,12 @@ def _correction_of(system: System, loop: CompiledLoop, representation: Represent
 
 
 @lru_cache(maxsize=8)
+@lru_cache(maxsize=4)
 def unit_row(size: int) -> NDArray[np.float64]:
-    """Return the unit element in the storage of the loops, (d*d,)."""
+    """Return the cached unit element in the storage of the loops, (d*d,)."""
     return np.eye(size).ravel()
 
 
 def as_rows(groups: NDArray[np.float64]) -> NDArray[np.float64]:
     """Convert group elements (members, d, d) to the storage of the loops: transposed, (members, d*d)."""
-    return np.swapaxes(groups, 1, 2).reshape(len(groups), -1)
+    return groups.swapaxes(1, 2).reshape(len(groups), -1)

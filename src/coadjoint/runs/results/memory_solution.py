@@ -198,10 +198,7 @@ def solution_of_run(run: Run, saved_points: int, observed: Observed | None, **fi
     solution = MemorySolution(
         {
             **run.plan.shared,
-            "method": run.plan.method,
-            "_times": run.times,
             "events": run.events,
-            "_given_system": run.plan.system,
             "_start": run.start,
             "_saved": run.saved,
             "_saved_points": saved_points,
@@ -225,18 +222,7 @@ def solution_of_numbers(
     plan: Plan, start: Start | None, momenta: Floats, numbers: Floats, seconds: float, elapsed: float
 ) -> Solution:
     """Return the solution of a run whose arrays are in one allocation; without a start, that of one vector."""
-    fields = {
-        **plan.shared,
-        "method": plan.method,
-        "_times": plan.times,
-        "_given_system": plan.system,
-        "_layout": plan.layout,
-        "_numbers": numbers,
-        "_seconds": seconds,
-        "_elapsed": elapsed,
-    }
     if start is not None:
-        fields["_start"] = start
-        return MemorySolution(fields)
-    fields["_base"], fields["_momenta"] = plan.base, momenta
+        return MemorySolution(dict(plan.shared, _start=start, _numbers=numbers, _seconds=seconds, _elapsed=elapsed))
+    fields = dict(plan.shared, _momenta=momenta, _numbers=numbers, _seconds=seconds, _elapsed=elapsed)
     return SolutionOfVector(fields)
