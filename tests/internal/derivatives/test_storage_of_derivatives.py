@@ -159,16 +159,16 @@ def test_transformations_of_jax_run_once(jax, monkeypatch):
 @pytest.mark.parametrize("most_dense", [0, 2**12])
 def test_sparse_products_are_those_of_the_matrix(jax, monkeypatch, most_dense):
     """Rows of different lengths, an empty one and entries in any order."""
-    from coadjoint.runs.derivatives import xla_sparse
+    from coadjoint.jax import sparse
 
-    monkeypatch.setattr(xla_sparse, "MOST_DENSE", most_dense)
+    monkeypatch.setattr(sparse, "MOST_DENSE", most_dense)
     rng = np.random.default_rng(3)
     dense = rng.standard_normal((5, 7)) * (rng.random((5, 7)) < 0.5)
     dense[2], dense[4, [0, 6]] = 0.0, (1.0, 2.0)
     rows, columns = np.nonzero(dense)
     order, x = rng.permutation(len(rows)), rng.standard_normal(7)
     rows, columns = rows[order], columns[order]
-    matrix = xla_sparse.sparse(rows, columns, jax.numpy.array(dense[rows, columns]), dense.shape)
+    matrix = sparse.sparse(rows, columns, jax.numpy.array(dense[rows, columns]), dense.shape)
     assert (matrix.columns is None) == (most_dense > 0)
     np.testing.assert_allclose(matrix.times(jax.numpy.array(x)), dense @ x, rtol=0, atol=16 * UNIT_ROUNDOFF)
 
@@ -176,7 +176,7 @@ def test_sparse_products_are_those_of_the_matrix(jax, monkeypatch, most_dense):
 @pytest.mark.parametrize("count", [15, 97, 10007])
 def test_segments_of_scans_do_not_change_the_results(jax, count):
     """Prime numbers of steps leave a rest after the segments."""
-    from coadjoint.runs.derivatives import xla_run
+    from coadjoint.jax import xla_run
 
     def total(scan, x):
         carry, ys = scan(lambda x, k: (jax.numpy.cos(x + k), x[0] * k), x, 0.001 * jax.numpy.arange(count))

@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from coadjoint.jax.body_angles import BodyAngles
+from coadjoint.jax.sparse import Sparse, sparse
 from coadjoint.program.blocks import MOST_SUBSTEPS, TAYLOR_DEGREE, Kind
-from coadjoint.runs.derivatives.xla_bodies import BodyAngles
-from coadjoint.runs.derivatives.xla_sparse import Sparse, sparse
 
 Table = Mapping[str, Any]
 

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from coadjoint.jax.sparse import sparse
 from coadjoint.methods.numerics.solvers import Coefficients
-from coadjoint.runs.derivatives.xla_sparse import sparse
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm
 from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
 

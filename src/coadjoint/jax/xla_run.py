@@ -11,16 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from coadjoint.jax.primitives import doubles
+from coadjoint.jax.stage_steps import StageSteps
+from coadjoint.jax.table_steps import TableSteps
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.provenance import monomials_of
 from coadjoint.program.public_table import energy_and_parameters
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.derivatives.jax_primitives import doubles
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
-from coadjoint.runs.derivatives.xla_flows import TableSteps
-from coadjoint.runs.derivatives.xla_stages import StageSteps
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.systems.coefficients import coefficients_of
 from coadjoint.systems.parameters import parameters_at, with_parameters

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from coadjoint.runs.derivatives.xla_sparse import sparse
+from coadjoint.jax.sparse import sparse
 
 # Nodes of the quadrature with five points, and the end; its weights.
 NODES = (*(0.5 * (1.0 + x) for x in np.polynomial.legendre.leggauss(5)[0].tolist()), 1.0)

@@ -94,9 +94,9 @@ def solution(
     if backend not in BACKENDS:
         raise unknown_name("backend", backend, BACKENDS)
     require_packages("co.jax.solution", "jax")
-    from coadjoint.runs.derivatives.jax_primitives import solve
+    from coadjoint.jax.primitives import solve
+    from coadjoint.jax.xla_run import XlaRun
     from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
-    from coadjoint.runs.derivatives.xla_run import XlaRun
 
     compute: Callable[..., Any]
     if backend == "xla":
