@@ -23,10 +23,11 @@ SHORTCUTS = {
     "parameters_of_run": "coadjoint.runs.derivatives.differentiable_run:parameters_of_run",
     "run_to_accuracy": "coadjoint.choosing.validated_run:SampledRun",
     "state_at": "coadjoint.runs.state_at:state_at",
-    "step_error": "coadjoint.runs.step_error:step_error",
-    "step_errors_of_groups": "coadjoint.runs.step_error:step_errors_of_groups",
+    "step_error": "coadjoint.analysis.step_error:step_error",
+    "step_errors_of_groups": "coadjoint.analysis.step_error:step_errors_of_groups",
     "table_of": "coadjoint.files.datasets.table:table_of",
     "vjp": "coadjoint.runs.derivatives.of_prepared_runs:vjp",
+    "warn_of_large_step": "coadjoint.analysis.step_error:warn_of_large_step",
     "write_movie": "coadjoint.files.output.movie_file:write_movie",
 }
 """Name -> "module:function"."""

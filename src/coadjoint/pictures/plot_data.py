@@ -16,7 +16,7 @@ from coadjoint.pictures.register import CannotShow
 from coadjoint.pictures.style import coordinate
 from coadjoint.runs.results.drift import scales_of_invariants
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.results.solution_attributes import unfinished_members
+from coadjoint.runs.results.solution_attributes import member_count, unfinished_members
 from coadjoint.runs.results.solution_output import is_driven, rotations_of
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
@@ -296,7 +296,7 @@ class PlottedRun:
 
 
 def _read_members(solution: Solution, members: Any) -> npt.NDArray[np.int64]:
-    count = 1 if solution.failed is None else len(solution.failed)
+    count = member_count(solution)
     listed = read_list(members, "members", "give numbers of members, such as [0, 3]")
     chosen = [read_integer(m, "a member", 0, count - 1) for m in listed]
     if not chosen or len(chosen) > MAX_MEMBERS or len(set(chosen)) < len(chosen):

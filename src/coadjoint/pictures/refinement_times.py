@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.runs.results.solution_attributes import member_count
 from coadjoint.systems.evaluation import ignore_overflow
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def _divided(t: Floats, parts: npt.NDArray[np.int64]) -> Floats:
 
 def _seconds(run: Solution, intervals: int, points: int) -> float:
     """Estimate the time for computing states at `points` times within `intervals` saved intervals."""
-    members = 1 if run.failed is None else len(run.failed)
+    members = member_count(run)
     # The steps are repeated, with a partial step for each state.
     steps = run.stats.seconds * (1.0 + points / max(1, run.stats.steps))
     point = COST_SECONDS["point"] + COST_SECONDS["state"] * members

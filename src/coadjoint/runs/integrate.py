@@ -15,7 +15,6 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution, set_elapsed, with_choice
 from coadjoint.runs.run import read_progress
 from coadjoint.runs.start import combined
-from coadjoint.runs.step_error import warn_of_large_step
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
@@ -167,7 +166,7 @@ def integrate(
             prepared, x0, t_span, save_every, archive, t_eval=t_eval, progress=progress, events=events
         )
     if choice is None:
-        warn_of_large_step(sol, prepared)
+        prepared.warn_of_large_step(sol)
     if archive is None:
         set_elapsed(sol, time.perf_counter() - began)
     return with_choice(sol, choice)

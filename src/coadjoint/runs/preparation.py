@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping
 from functools import partial
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,11 +39,15 @@ from coadjoint.runs.start import (
 from coadjoint.runs.state import State
 from coadjoint.runs.times import RecentTimes, Times, read_step
 from coadjoint.short_repr import short
+from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch, selected
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.protocol import among, is_batch, member_of, unforced_matrix_system
 from coadjoint.systems.system_checks import System, check_system
 from coadjoint.validation import read_bool, read_integer
+
+if TYPE_CHECKING:
+    from coadjoint.runs.results.solution import Solution
 
 ONE_VECTOR = 1, 0, 0  # shape of the group elements of a run of one vector without any
 MAX_THREADS_INSIDE = 1024  # most threads that share one member
@@ -312,3 +316,7 @@ class Preparation:
             if self.cache.observed is None:
                 self.cache.observed = Observed(member_of(self.system), self.observe, start.momenta[0])
         return self.cache.observed
+
+    def warn_of_large_step(self, solution: Solution) -> None:
+        """Warn if the step is too large for a run of this system, or if rounding is."""
+        shortcut("warn_of_large_step")(solution, self)

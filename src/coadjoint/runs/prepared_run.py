@@ -19,10 +19,7 @@ from coadjoint.runs.preparation import ONE_VECTOR, Preparation
 from coadjoint.runs.results.solution import Solution, set_elapsed
 from coadjoint.runs.run import Run, read_progress
 from coadjoint.runs.short_runs import ENDS_ONLY, FinalStateRun, solution_of_short_run
-from coadjoint.runs.start import (
-    Start,
-)
-from coadjoint.runs.step_error import warn_of_large_step
+from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.protocol import among, is_batch, member_of
@@ -129,7 +126,7 @@ class PreparedRun(Preparation):
     def _check_step(self, solution: Solution) -> None:
         """Warn if the step is too large for this run; loops of half a step are those of a copy, and not kept."""
         self.cache.checks_step = False
-        warn_of_large_step(solution, self.in_one_thread())
+        self.in_one_thread().warn_of_large_step(solution)
 
     @property
     def parameters(self) -> Mapping[str, NDArray[np.float64]]:

@@ -51,7 +51,6 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.progress import progress_bar
 from coadjoint.runs.run import read_progress
 from coadjoint.runs.start import combined
-from coadjoint.runs.step_error import warn_of_large_step
 from coadjoint.runs.times import times_of
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
@@ -302,7 +301,7 @@ def _run_unfinished(
     with closing(store, prepared.system):
         if is_new:
             # A copy, since loops of half a step are not sent to workers.
-            warn_of_large_step(open_archive(path, prepared.system), prepared.in_one_thread())
+            prepared.in_one_thread().warn_of_large_step(open_archive(path, prepared.system))
             remaining = store.blocks
         else:
             check_archive(store)

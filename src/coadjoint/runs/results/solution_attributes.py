@@ -232,12 +232,17 @@ class SolutionAttributes:
     progress_text: str
 
 
+def member_count(solution: Solution) -> int:
+    """Return the number of members, 1 of a single run."""
+    return 1 if solution.failed is None else len(solution.failed)
+
+
 def unfinished_members(solution: Solution) -> NDArray[np.bool_]:
     """Return which members have not been computed to the last saved point, (members,); failed ones are not among them.
 
     Those of a single run are none, since it ends at its last saved point.
     """
-    members = 1 if solution.failed is None else len(solution.failed)
+    members = member_count(solution)
     if solution.failed is None or not solution.incomplete or not len(solution.t):
         return np.zeros(members, dtype=bool)
     if (pending := solution._pending_members) is not None:
@@ -249,8 +254,8 @@ def unfinished_members(solution: Solution) -> NDArray[np.bool_]:
 def ends_by_events(solution: Solution) -> NDArray[np.float64]:
     """Return the times at which events ended the members; NaN where none did, and for a single run."""
     if solution.failed is None or solution.events is None:
-        return np.full(1 if solution.failed is None else len(solution.failed), np.nan)
-    return solution.events.ends(len(solution.failed))
+        return np.full(member_count(solution), np.nan)
+    return solution.events.ends(member_count(solution))
 
 
 def last_times(solution: Solution, unfinished: NDArray[np.bool_], direction: float) -> NDArray[np.float64]:

@@ -10,14 +10,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.analysis.sampled_states import (
+    NUMBERS,
+    sampled_members,
+    sampled_points,
+    states_at,
+    states_in_memory,
+)
 from coadjoint.errors import LargeStepWarning, RoundingWarning
 from coadjoint.long_operations import warn_caller
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.preparation import Preparation
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.results.solution_attributes import ends_by_events
+from coadjoint.runs.results.solution_attributes import ends_by_events, member_count
 from coadjoint.runs.run import Run, advance_in_turns, advance_up
-from coadjoint.runs.start import momenta_of, vector_size, with_group
+from coadjoint.runs.start import with_group
 from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import ignore_overflow
@@ -25,10 +32,6 @@ from coadjoint.systems.protocol import forces_of, is_batch, member_of, rows_of, 
 
 Floats = NDArray[np.float64]
 
-# Largest number of points, and of members, at which the step is repeated.
-POINTS, MEMBERS = 5, 64
-# Largest number of entries of the states that are repeated; at least one state.
-NUMBERS = 2**20
 # Weight of the error of the single fastest step, beside that of the others in the root mean square.
 FASTEST = 0.4
 # Least speed of a passage, relative to the mean speed; below, the steps at the points represent all.
@@ -125,8 +128,8 @@ class _Measured:
         self.solution, self.method, self.system = solution, method, system
         self.groups = CoordinateGroups(system)
         self.h = math.copysign(solution.step, solution.t_span[1] - solution.t_span[0])
-        self.members = members = _members(solution, system)
-        self.points = points = _points(solution, system, members)
+        self.members = members = sampled_members(solution, system)
+        self.points = points = sampled_points(solution, system, members)
         if is_batch(system) and len(members) < len(system):
             prepared = prepared.sampled(members)
         # Rounding is that of this thread.
@@ -298,7 +301,7 @@ class _Measured:
         def speeds(first: int, last: int, stride: int) -> Floats:
             """Speeds between every stride-th saved point, (intervals, members); NaN of members that have ended."""
             states = solution.x[first : last + 1 : stride]
-            states = states.reshape(len(states), -1, states[0].size // max(1, _members_of(solution)))[:, members]
+            states = states.reshape(len(states), -1, states[0].size // max(1, member_count(solution)))[:, members]
             elapsed = np.abs(np.diff(solution.t[first : last + 1 : stride]))[:, None]
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 found = np.linalg.norm(self.scaled(np.diff(states, axis=0), slice(None)), axis=2) / elapsed
@@ -324,7 +327,7 @@ class _Measured:
         """
         solution, prepared, members, h = self.solution, self.prepared, self.members, self.h
         steps = _steps_after(solution, k, h)
-        states = _states_at(solution, members, k)
+        states = states_at(solution, members, k)
         if not 1 < steps <= _most_steps(solution, states.size, h):
             return []
         t = float(solution.t[k])
@@ -348,7 +351,7 @@ class _Measured:
         """Return the error of the fastest step after saved point k of a chosen member, relative to the change in it."""
         solution, h = self.solution, self.h
         t = float(solution.t[k])
-        state = _states_at(solution, self.members[m : m + 1], k)
+        state = states_at(solution, self.members[m : m + 1], k)
         steps = _steps_after(solution, k, h)
         if 1 < steps <= max(STEPS, _most_steps(solution, state.size, h)):
             path = _run(self._of_member(m), state, Times(t, h, steps, 1))[:, 0]
@@ -372,54 +375,10 @@ def _steps_after(solution: Solution, k: int, h: float) -> int:
     return math.ceil(abs(float(solution.t[k + 1] - solution.t[k])) / abs(h) * (1.0 - ROUNDING))
 
 
-def _states_at(solution: Solution, members: NDArray[np.int64], k: int) -> Floats:
-    """Return the momenta of the members at a saved point; of members that have ended or failed, those at the start."""
-    states = np.where(np.isfinite(solution.x[k]), solution.x[k], solution.x0)
-    return momenta_of(solution.system, states)[0][members]
-
-
 def _most_steps(solution: Solution, numbers: int, h: float) -> int:
     """Return the largest number of steps that are repeated from so many numbers: few, or a small part of the run."""
     whole = abs(solution.t_span[1] - solution.t_span[0]) / abs(h)
     return max(min(STEPS, REPEATED // numbers), min(int(PART * whole), NUMBERS // numbers))
-
-
-def _members_of(solution: Solution) -> int:
-    return 1 if solution.failed is None else len(solution.failed)
-
-
-def states_in_memory(solution: Solution) -> bool:
-    """Test whether the states are those of a run or a file; those of archives are not read to check steps."""
-    return solution._in_memory
-
-
-def _members(solution: Solution, system: Any) -> NDArray[np.int64]:
-    """Return the members whose steps are repeated: the first few of each system."""
-    if not is_batch(system):
-        return np.arange(min(1 if solution.failed is None else len(solution.failed), MEMBERS))
-    order = np.argsort(system.owners, kind="stable")
-    owners = system.owners[order]
-    return np.sort(order[np.arange(len(order)) - np.searchsorted(owners, owners) < MEMBERS])
-
-
-def _points(
-    solution: Solution, system: Any, members: NDArray[np.int64]
-) -> list[tuple[float, Floats, NDArray[np.bool_]]]:
-    """Return a few times of a run, the start included, the states (members, n) of some members, and who has one."""
-    size = vector_size(system)
-    start = momenta_of(system, solution.x0)[0] if size is None else np.asarray(solution.x0).reshape(-1, size)
-    start = start if len(start) == 1 else start[members]
-    count = max(1, min(POINTS, NUMBERS // start.size, len(solution.t) - 1))
-    points = [(solution.t_span[0], start, np.ones(len(start), dtype=bool))]
-    if not states_in_memory(solution):
-        return points
-    for k in np.linspace(0, len(solution.t) - 1, count, endpoint=False).astype(int)[1:].tolist():
-        # Members that have ended or failed need some state; their steps are left out.
-        finite = np.isfinite(solution.x[k])
-        states, _ = momenta_of(system, np.where(finite, solution.x[k], solution.x0))
-        held = finite.reshape(_members_of(solution), -1).all(axis=1)
-        points.append((float(solution.t[k]), states[members], held[members]))
-    return points
 
 
 def _run(prepared: Preparation, states: Floats, times: Times, advance: Callable[[Run], None] = Run.advance) -> Floats:
