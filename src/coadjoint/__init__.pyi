@@ -32,6 +32,8 @@ from .analysis.lyapunov import lyapunov as lyapunov
 from .analysis.phase_drift import PhaseDrift as PhaseDrift
 from .analysis.phase_drift import phase_drift as phase_drift
 from .analysis.predicted_drift import predicted_drift as predicted_drift
+from .analysis.section import Section as Section
+from .analysis.section import poincare_section as poincare_section
 from .analysis.suggested_step import suggest_step as suggest_step
 from .analysis.thermal_states import ThermalStates as ThermalStates
 from .analysis.thermal_states import thermal_states as thermal_states
@@ -60,8 +62,6 @@ from .methods.reversible_steps import ReversibleSteps as ReversibleSteps
 from .methods.spherical_midpoint import SphericalMidpoint as SphericalMidpoint
 from .methods.splitting import Splitting as Splitting
 from .methods.taylor import Taylor as Taylor
-from .runs.crossings.section import Section as Section
-from .runs.crossings.section import poincare_section as poincare_section
 from .runs.events import Event as Event
 from .runs.events import RecordedEvents as RecordedEvents
 from .runs.integrate import integrate as integrate

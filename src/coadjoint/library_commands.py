@@ -52,7 +52,7 @@ def _show_system(name: str, json_path: str | None) -> None:
     import json
 
     from coadjoint.files.output.output_files import TEXTS, check_target, write_text
-    from coadjoint.runs.system_summary import summarize_system, system_text
+    from coadjoint.system_summary import summarize_system, system_text
 
     target = None if json_path is None else check_target(json_path, TEXTS)
     summary = summarize_system(name)

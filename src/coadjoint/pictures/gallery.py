@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.methods.suggested_scheme import suggested_scheme
 from coadjoint.optional_packages import require_packages
-from coadjoint.runs.example_run import run_example
+from coadjoint.runs.integrate import integrate
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import Picture
@@ -43,7 +45,6 @@ def decaying_turbulence(N: int = 128, seed: int = 1, end: float = 100.0, step: f
 
     The root mean square of the vorticity is 1. One state per unit of time is saved.
     """
-    from coadjoint.runs.integrate import integrate
     from coadjoint.systems.fluids.sphere_euler import sphere_euler
 
     fluid = sphere_euler(N)
@@ -70,6 +71,48 @@ SCENES = {
     )
 }
 """Scenes by name."""
+
+
+def run_example(name: str) -> Solution:
+    """Run a ready-made system over the span of its gallery entry, by the suggested scheme.
+
+    Parameters
+    ----------
+    name : str
+        One of ``co.systems.names()``.
+
+    Returns
+    -------
+    Solution
+        ``run_example(name).plot()`` is its figure in the gallery.
+
+    Raises
+    ------
+    ValueError
+        Unknown system (the message has the nearest name), or a system without a gallery entry.
+
+    Examples
+    --------
+    >>> run_example("rigid_body").system.parameters
+    {'inertia': (1.0, 2.0, 3.0)}
+    """
+    systems = importlib.import_module("coadjoint.systems")
+    gallery_entry = gallery_entry_of(name)
+    system = systems.get(name, **({} if gallery_entry is None else gallery_entry.parameters))
+    if gallery_entry is None:
+        raise ValueError(
+            f"{name} declares no start, span and step of a run; give @ready_made a GalleryEntry, as docs/gallery.md "
+            "shows"
+        )
+    return integrate(
+        system,
+        gallery_entry.start(),
+        gallery_entry.t_span,
+        gallery_entry.step,
+        suggested_scheme(system),
+        save_every=gallery_entry.save_every,
+        attitude=gallery_entry.attitude,
+    )
 
 
 @dataclass(frozen=True)

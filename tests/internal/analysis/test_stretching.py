@@ -8,8 +8,8 @@ import pytest
 
 import coadjoint as co
 from coadjoint import memory
+from coadjoint.analysis import lyapunov as stretching
 from coadjoint.analysis.lyapunov import frame_of
-from coadjoint.runs import tangent_stretching as stretching
 from refusals import refused
 
 INERTIA, CENTRE = (1.0, 1.75, 2.5), (0.5, 0.25, 1.0)

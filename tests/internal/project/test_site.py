@@ -33,9 +33,9 @@ import coadjoint as co
 from coadjoint.methods import registry
 from coadjoint.methods.suggested_scheme import suggested_scheme
 from coadjoint.pictures import register
+from coadjoint.pictures.gallery import run_example
 from coadjoint.pictures.register import kinds
-from coadjoint.runs.example_run import run_example
-from coadjoint.runs.system_summary import summarize_system
+from coadjoint.system_summary import summarize_system
 from coadjoint.systems.registry import gallery_entry_of
 from long import long_where
 

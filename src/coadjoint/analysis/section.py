@@ -13,6 +13,8 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.events import MAX_CROSSINGS, Event, RecordedEvents
 from coadjoint.runs.integrate import integrate
+from coadjoint.runs.results.solution_attributes import member_count
+from coadjoint.runs.short_runs import ENDS_ONLY
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
@@ -21,9 +23,6 @@ from coadjoint.validation import read_integer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-ENDS_ONLY = 2**53
-"""A `save_every` that saves only the start and the end."""
 
 
 class Section:
@@ -160,4 +159,4 @@ def poincare_section(
     options: Any = {"accuracy": accuracy, "threads": threads, "progress": progress, "events": event}
     sol = integrate(system, x0s, t_span, step, method, save_every=ENDS_ONLY, watch=False, **options)
     assert sol.events is not None
-    return Section(sol.events, 1 if sol.failed is None else len(sol.failed))
+    return Section(sol.events, member_count(sol))
