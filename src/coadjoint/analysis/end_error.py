@@ -15,7 +15,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.preparation import Preparation
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run, advance_in_turns
-from coadjoint.runs.start import momenta_of, with_group
+from coadjoint.runs.start import momenta_of, start_without_groups
 from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import ignore_overflow
@@ -131,7 +131,7 @@ def _distances(
     chunks = [slice(first, first + size) for first in range(0, len(starts), size)]
     distances = []
     for chunk in chunks:
-        run = prepared.begun(plan, with_group(prepared.system, starts[chunk], False, None, False))
+        run = prepared.begun(plan, start_without_groups(prepared.system, starts[chunk]))
         advance(run)
         distances.append(_distances_of(run, groups, ends[chunk]))
     return np.concatenate(distances, axis=1) / (1.0 - finer.left)

@@ -26,11 +26,6 @@ def states_at(solution: Solution, members: NDArray[np.int64], k: int) -> Floats:
     return momenta_of(solution.system, states)[0][members]
 
 
-def states_in_memory(solution: Solution) -> bool:
-    """Test whether the states are those of a run or a file; those of archives are not read to check steps."""
-    return solution._in_memory
-
-
 def sampled_members(solution: Solution, system: Any) -> NDArray[np.int64]:
     """Return the members whose steps are repeated: the first few of each system."""
     if not is_batch(system):
@@ -49,8 +44,8 @@ def sampled_points(
     start = start if len(start) == 1 else start[members]
     count = max(1, min(POINTS, NUMBERS // start.size, len(solution.t) - 1))
     points = [(solution.t_span[0], start, np.ones(len(start), dtype=bool))]
-    if not states_in_memory(solution):
-        return points
+    if not solution._in_memory:
+        return points  # archives are not read to check steps
     for k in np.linspace(0, len(solution.t) - 1, count, endpoint=False).astype(int)[1:].tolist():
         # Members that have ended or failed need some state; their steps are left out.
         finite = np.isfinite(solution.x[k])

@@ -15,7 +15,6 @@ from coadjoint.analysis.sampled_states import (
     sampled_members,
     sampled_points,
     states_at,
-    states_in_memory,
 )
 from coadjoint.errors import LargeStepWarning, RoundingWarning
 from coadjoint.long_operations import warn_caller
@@ -24,7 +23,7 @@ from coadjoint.runs.preparation import Preparation
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import ends_by_events, member_count
 from coadjoint.runs.run import Run, advance_in_turns, advance_up
-from coadjoint.runs.start import with_group
+from coadjoint.runs.start import start_without_groups
 from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import ignore_overflow
@@ -230,7 +229,7 @@ class _Measured:
                 sizes = [np.sum(self.scaled(state, worst) ** 2) for state in known]
                 rest = self.step_count(worst) * mean / (math.sqrt(np.mean(sizes)) or 1.0)
         largest = Worst(float(with_rounding.max()), float(relative[worst]), int(self.members[worst]), rest)
-        if states_in_memory(solution) and len(solution.t) > 1:
+        if solution._in_memory and len(solution.t) > 1:
             passage, closest = self._passages()
             found = [] if passage is None else [(self._error_of_passage(*passage), passage[0])]
             found += self._error_inside(closest)
@@ -382,7 +381,7 @@ def _most_steps(solution: Solution, numbers: int, h: float) -> int:
 
 
 def _run(prepared: Preparation, states: Floats, times: Times, advance: Callable[[Run], None] = Run.advance) -> Floats:
-    run = prepared.begun(times, with_group(prepared.system, states, False, None, False))
+    run = prepared.begun(times, start_without_groups(prepared.system, states))
     advance(run)
     x: Any = run.saved["x"][..., : states.shape[1]]
     x[:, run.state["status"] != 0] = np.nan

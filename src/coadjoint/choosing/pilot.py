@@ -15,7 +15,7 @@ from coadjoint.methods.suggested_scheme import reference_scheme
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.plan import Plan
 from coadjoint.runs.run import Run
-from coadjoint.runs.start import with_group
+from coadjoint.runs.start import start_without_groups
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import distinct
 from coadjoint.systems.system_checks import System
@@ -306,7 +306,7 @@ def short_run(
 
     Unless `advanced`, the run is returned before its first step.
     """
-    start = with_group(system, momenta, False, None, False)
+    start = start_without_groups(system, momenta)
     times = Times(t0, time / steps, steps, save_every)
     note_progress(f"a pilot run of {steps} steps by {type(method).__name__}")
     run = Run(Plan(system, method, loops_of(system, method, times.h), times, start.groups.shape), start)

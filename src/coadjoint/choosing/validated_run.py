@@ -83,7 +83,7 @@ class SampledRun(PreparedRun):
         super().__init__(
             system, self.choice.method, step, attitude=attitude, watch=watch, observe=observe, threads=threads
         )
-        self._options = {"attitude": self._attitude, "watch": watch, "observe": observe, "threads": threads}
+        self._options = {"attitude": self.initial_attitude, "watch": watch, "observe": observe, "threads": threads}
         self._methods, self._time, self.signed_step = method, t1 - t0, math.copysign(step, t1 - t0)
         self._full_step_run = PreparedRun(system, self.choice.method, step, watch=False, threads=1)
         self._half_step_run = PreparedRun(system, self.choice.method, 0.5 * step, watch=False, threads=1)

@@ -55,7 +55,8 @@ class Inputs:
 
     `specification` is True (all coefficients, as the input ``linear``), a sequence of coordinates, or a mapping from
     names to coordinates or to the label of a constant torque. `values` (m,) are the defaults of the system, first the
-    linear term, then the torques; `indices` maps each name to its indices in `values`.
+    linear term, then the torques; `indices` maps each name to its indices in `values`, and `changing` has all of them
+    in this order.
 
     Examples
     --------
@@ -100,9 +101,9 @@ class Inputs:
         self._full_input = next(
             (name for name, target in self.indices.items() if np.array_equal(target, all_indices)), None
         )
-        self._input_indices = np.concatenate([target.ravel() for target in self.indices.values()])
-        if len(np.unique(self._input_indices)) < len(self._input_indices):
-            repeated = int(np.flatnonzero(np.bincount(self._input_indices) > 1)[0])
+        self.changing = np.concatenate([target.ravel() for target in self.indices.values()])
+        if len(np.unique(self.changing)) < len(self.changing):
+            repeated = int(np.flatnonzero(np.bincount(self.changing) > 1)[0])
             raise ValueError(f"inputs name coordinate {repeated} more than once; each coefficient is one input")
 
     def _check_name(self, name: Any, of_linear_term: bool) -> None:
@@ -190,25 +191,20 @@ class Inputs:
         return next((k for k, indices in self._torques.items() if index in indices), None)
 
     @property
-    def changing(self) -> NDArray[np.int64]:
-        """Indices of the values that are inputs, in the order in which they were prepared."""
-        return self._input_indices
-
-    @property
     def in_energy(self) -> NDArray[np.int64]:
         """Coordinates of the linear term that are inputs."""
-        return self._input_indices[self._input_indices < len(self._linear)]
+        return self.changing[self.changing < len(self._linear)]
 
     def random_values(self) -> tuple[Floats, Floats]:
         """Return two arrays of values in which the inputs have reproducible random digits."""
         first, second = self.values.copy(), self.values.copy()
-        digits = 1.0 + np.random.default_rng(SEED).random((2, len(self._input_indices)))
-        first[self._input_indices], second[self._input_indices] = digits
+        digits = 1.0 + np.random.default_rng(SEED).random((2, len(self.changing)))
+        first[self.changing], second[self.changing] = digits
         return first, second
 
     def settled(self, method: Method) -> Method:
         """Return the scheme with its automatic choices made explicit, valid for any linear term."""
-        coordinates = np.sort(self._input_indices[self._input_indices < len(self._linear)])
+        coordinates = np.sort(self.in_energy)
         return method.settled(self._unforced, coordinates.tolist()) if len(coordinates) else method
 
     def system_at(self, values: Floats, of: Any = None) -> Any:

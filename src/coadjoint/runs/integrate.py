@@ -12,8 +12,8 @@ from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.method import NO_ERROR_CONTROL, Method
 from coadjoint.methods.registry import read_method
 from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.progress import read_progress
 from coadjoint.runs.results.solution import Solution, set_elapsed, with_choice
-from coadjoint.runs.run import read_progress
 from coadjoint.runs.start import combined
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 from coadjoint import memory
@@ -89,11 +89,6 @@ class Plan:
         """The function that takes all steps of a run that `is_short`; see `MemberBatch.whole_run`."""
         schedule = ctypes.create_string_buffer(self.schedule, len(self.schedule))
         return self.rounds[0][0].whole_run(self.layout, schedule)
-
-    @property
-    def built_system(self) -> Any:
-        """The system, built if it is given as a function."""
-        return self.system() if isinstance(self.system, partial) else self.system
 
     def with_times(self, times: Times) -> Plan:
         """Return the plan of the same runs for other times."""

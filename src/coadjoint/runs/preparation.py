@@ -29,9 +29,9 @@ from coadjoint.runs.start import (
     Representation,
     Start,
     momenta_of,
-    no_groups,
     read_attitude,
     representations_of,
+    start_without_groups,
     vector_size,
     vectors_of,
     with_group,
@@ -82,6 +82,12 @@ class Preparation:
     ----------
     system, method, step, observe
         The arguments of `prepare`. With inputs, the parts that the method chose for the system are fixed.
+    scheme : Method
+        The scheme that runs: the prepared one, around which the forces of the system are arranged.
+    inputs : Inputs or None
+        The prepared inputs.
+    initial_attitude
+        The prepared initial group element, an array, or the argument `attitude` of `prepare`.
     """
 
     def __init__(
@@ -100,21 +106,21 @@ class Preparation:
         watching = read_bool(watch, "watch")
         workers = None if threads is None else read_integer(threads, "threads (None is all cores)", floats=True)
         check_system(system)
-        self._inputs = None if inputs is None or inputs is False else Inputs(system, inputs)
-        if self._inputs is not None:
-            scheme = self._inputs.settled(scheme)
+        self.inputs = None if inputs is None or inputs is False else Inputs(system, inputs)
+        if self.inputs is not None:
+            scheme = self.inputs.settled(scheme)
         self.system: Any = system
         self.method, self.step = scheme, read_step(step)
-        self._scheme = effective_scheme(system, scheme)
+        self.scheme = effective_scheme(system, scheme)
         # Loops do not track invariants of matrices.
         self._watching = watching and unforced_matrix_system(system) is None
-        self._representations = representations_of(cast(Any, system), self._scheme, attitude)
-        self._attitude = read_attitude(attitude)
+        self._representations = representations_of(cast(Any, system), self.scheme, attitude)
+        self.initial_attitude = read_attitude(attitude)
         self.observe = check_observe({} if observe is None else observe)
         self._threads = workers or concurrent_members(matrix_rows(system))
         self.cache = _Cache(self.step)
         self._vector_size = vector_size(self.system)
-        one_vector = self._inputs is None and not self.observe and self._representations[0] is None
+        one_vector = self.inputs is None and not self.observe and self._representations[0] is None
         self._plain_shape = (self._vector_size,) if one_vector and self._vector_size is not None else None
 
     def __repr__(self) -> str:
@@ -150,8 +156,8 @@ class Preparation:
             unchanged = {id(one) for one in part.distinct} <= {id(one) for one in system.distinct}
             fields["_representations"] = tuple(self._representations[m] for m in members.tolist())
             loops = {h: cast(Loops, loop).selected(members) for h, loop in loops.items()} if unchanged else {}
-        if isinstance(self._attitude, np.ndarray) and self._attitude.ndim > 2:
-            fields["_attitude"] = self._attitude[members]
+        if isinstance(self.initial_attitude, np.ndarray) and self.initial_attitude.ndim > 2:
+            fields["initial_attitude"] = self.initial_attitude[members]
         return self._copy(loops if unchanged else {}, **fields)
 
     def _copy(self, loops: dict[float, Loops | InputLoops], **fields: Any) -> Preparation:
@@ -165,9 +171,9 @@ class Preparation:
 
     def at_fixed_steps(self, scheme: Method) -> Preparation:
         """Return the same run by another scheme; this run itself if it is its own."""
-        if scheme is self._scheme:
+        if scheme is self.scheme:
             return self
-        options: dict[str, Any] = {"attitude": self._attitude, "watch": False, "threads": 1}
+        options: dict[str, Any] = {"attitude": self.initial_attitude, "watch": False, "threads": 1}
         return Preparation(self.system, scheme, self.step, **options)
 
     def times_of(self, t_span: Any, save_every: Any = 1, t_eval: Any = None) -> tuple[Times, OutputTimes | None]:
@@ -184,39 +190,19 @@ class Preparation:
         return times, moments
 
     @property
-    def scheme(self) -> Method:
-        """The scheme that runs: the prepared one, around which the forces of the system are arranged."""
-        return self._scheme
-
-    @property
     def representation(self) -> Representation:
         """Matrices of the group element, (n, d, d), "coadjoint", or None; for a batch those of its first member."""
         return self._representations[0]
 
     @property
-    def inputs(self) -> Inputs | None:
-        """The prepared inputs."""
-        return self._inputs
-
-    @property
     def takes_inputs(self) -> bool:
         """Whether runs take inputs."""
-        return self._inputs is not None
-
-    @property
-    def initial_attitude(self) -> Any:
-        """The prepared initial group element, an array, or the argument `attitude` of `prepare`."""
-        return self._attitude
-
-    @property
-    def carries(self) -> bool:
-        """Whether the group element is computed."""
-        return self._representations[0] is not None
+        return self.inputs is not None
 
     def values_of(self, inputs: Mapping[str, Any]) -> NDArray[np.float64] | None:
         """Validate the inputs of a run and return their values, (m,) or (members, m); None if none were prepared."""
-        if self._inputs is not None:
-            return self._inputs.read(inputs)
+        if self.inputs is not None:
+            return self.inputs.read(inputs)
         if inputs:
             raise TypeError(
                 f"the run was given {next(iter(inputs))!r}, and it was prepared without inputs; give `prepare` the "
@@ -226,7 +212,7 @@ class Preparation:
 
     def system_at(self, values: NDArray[np.float64] | None) -> Any:
         """Return the system of a run with the values from `values_of`."""
-        return self.system if values is None or self._inputs is None else self._inputs.system_of(values)
+        return self.system if values is None or self.inputs is None else self.inputs.system_of(values)
 
     def start(self, x0: Any, attitude: Any = None, values: NDArray[np.float64] | None = None) -> Start:
         """Validate x0 and attitude, as in `run`, with the values of `values_of`; return a start for `follow`."""
@@ -234,7 +220,7 @@ class Preparation:
         if attitude is not None and (representation is None or isinstance(attitude, bool | str)):
             raise ValueError(
                 "attitude of a run is an initial group element, an array; the representation must be given "
-                f"to `prepare`, as attitude=True or 'coadjoint' (here {short(self._attitude)})"
+                f"to `prepare`, as attitude=True or 'coadjoint' (here {short(self.initial_attitude)})"
             )
         momenta, single = (
             momenta_of(self.system, x0) if self._vector_size is None else vectors_of(x0, self._vector_size)
@@ -245,8 +231,8 @@ class Preparation:
             elif len(momenta) != len(values):
                 raise ValueError(f"x0 has {len(momenta)} members and the inputs have values for {len(values)}")
         if representation is None:
-            return Start(momenta, no_groups(len(momenta)), None, single, self.system)
-        initial = self._attitude if attitude is None else attitude
+            return start_without_groups(self.system, momenta, single)
+        initial = self.initial_attitude if attitude is None else attitude
         return with_group(self.system, momenta, single, representation, initial)
 
     def begun(
@@ -266,7 +252,7 @@ class Preparation:
                 plan = self._new_plan(times, groups)
             else:
                 plan = self.cache.plan = shifted
-        if self._inputs is None:
+        if self.inputs is None:
             return plan
         loops = self.loops(times.h)
         assert isinstance(loops, InputLoops) and values is not None
@@ -299,14 +285,14 @@ class Preparation:
         return loops
 
     def _loops(self, h: float) -> Loops | InputLoops:
-        if self._inputs is not None:
-            return InputLoops(self._inputs, self._scheme, h, self._representations[0])
+        if self.inputs is not None:
+            return InputLoops(self.inputs, self.scheme, h, self._representations[0])
         if is_batch(self.system):
-            return loops_of_batch(self.system, self._scheme, h, self._representations)
+            return loops_of_batch(self.system, self.scheme, h, self._representations)
         for known in self.cache.loops.values():
             if isinstance(known, Loops) and (loops := known.at_step(h)) is not None:
                 return loops
-        return loops_of_system(self.system, self._scheme, h, self._representations[0], compact=True)
+        return loops_of_system(self.system, self.scheme, h, self._representations[0], compact=True)
 
     def observed(self, start: Start) -> Observed | None:
         """Return the quantities to observe during a run, or None."""

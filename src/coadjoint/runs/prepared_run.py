@@ -16,8 +16,9 @@ from coadjoint.runs.events import Event, read_events
 from coadjoint.runs.output_times import OutputTimes, check_partial_steps, resample
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.preparation import ONE_VECTOR, Preparation
+from coadjoint.runs.progress import read_progress
 from coadjoint.runs.results.solution import Solution, set_elapsed
-from coadjoint.runs.run import Run, read_progress
+from coadjoint.runs.run import Run
 from coadjoint.runs.short_runs import ENDS_ONLY, FinalStateRun, solution_of_short_run
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
@@ -115,7 +116,7 @@ class PreparedRun(Preparation):
                     return solution
         progress = progress is not False and read_progress(progress)
         times, moments = self.times_of(t_span, save_every, t_eval)
-        values = self.values_of(inputs) if inputs or self._inputs is not None else None
+        values = self.values_of(inputs)
         event_list = () if events is None else read_events(events)
         solution = self.follow(times, self.start(x0, attitude, values), progress, values, event_list, moments)
         set_elapsed(solution, time.perf_counter() - began)
@@ -337,7 +338,7 @@ class PreparedRun(Preparation):
 
     def of_system(self, system: System, member: int | None = None, threads: int | None = None) -> PreparedRun:
         """Return the run of another system, or of the system of a member, prepared in the same way without inputs."""
-        attitude = self._attitude
+        attitude = self.initial_attitude
         if member is not None and isinstance(attitude, np.ndarray) and attitude.ndim > 2:
             attitude = attitude[member]
         options: dict[str, Any] = {"attitude": attitude, "watch": self._watching, "observe": self.observe}

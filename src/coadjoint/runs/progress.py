@@ -7,8 +7,19 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from coadjoint.optional_packages import require_packages
+from coadjoint.validation import read_bool
+
 SECONDS_BETWEEN_LINES = 30.0
 """About a thousand lines in an overnight log."""
+
+
+def read_progress(progress: Any) -> bool:
+    """Validate `progress`; raise if a progress bar cannot be shown."""
+    shown = read_bool(progress, "progress")
+    if shown:
+        require_packages("progress=True", "tqdm")
+    return shown
 
 
 class progress_bar:

@@ -18,7 +18,6 @@ from coadjoint.kernels.interface import codes
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.loop import MemberBatch
 from coadjoint.memory import RELEASED_SIZE, release_freed_memory
-from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.loops.execution import failure_text, run_in_threads, status_name
 from coadjoint.runs.loops.loops import Loops
@@ -31,7 +30,6 @@ from coadjoint.runs.start import Start
 from coadjoint.runs.state import State
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import distinct
-from coadjoint.validation import read_bool
 
 SECONDS_BETWEEN_UPDATES = 0.2
 """Target time between updates of a progress bar, which happen between calls of the compiled loop."""
@@ -328,14 +326,6 @@ def first_point_not_finite(series: Any) -> int | None:
     values = np.asarray(series)
     finite = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     return None if finite.all() else int(np.argmin(finite))
-
-
-def read_progress(progress: Any) -> bool:
-    """Validate `progress`; raise if a progress bar cannot be shown."""
-    shown = read_bool(progress, "progress")
-    if shown:
-        require_packages("progress=True", "tqdm")
-    return shown
 
 
 @contextmanager

@@ -24,7 +24,7 @@ from coadjoint.runs.plan import Plan, check_run_memory
 from coadjoint.runs.results.memory_solution import solution_of_numbers
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run
-from coadjoint.runs.start import Start, momenta_of, start_of_vector
+from coadjoint.runs.start import Start, momenta_of, start_without_groups
 from coadjoint.runs.state import State
 from coadjoint.runs.times import Times, is_same_span, is_unchangeable, span_of, times_between
 from coadjoint.systems.protocol import unforced_matrix_system
@@ -105,8 +105,10 @@ class FinalStateRun:
         prepared = self._prepared
         loops = prepared.loops(times.h)
         # Matrices are projected onto their algebra when they are read.
-        matrices = unforced_matrix_system(prepared.system) is not None
-        if not isinstance(loops, Loops) or loops.owners is not None or matrices or loops.rows or prepared.carries:
+        matrices, groups = unforced_matrix_system(prepared.system), prepared.representation
+        if not isinstance(loops, Loops) or loops.owners is not None or loops.rows:
+            return None
+        if matrices is not None or groups is not None:
             return None
         layout = loops.layout(1, 2, 0)
         check_run_memory(layout, Times(times.t0, times.h, 1, 1), 1)
@@ -159,5 +161,5 @@ def _run_of(
     plan: Plan, start: Start | None, momenta: NDArray[np.float64], numbers: NDArray[np.float64], steps: int = 0
 ) -> Run:
     """Return the run whose arrays are in one allocation."""
-    start = start or start_of_vector(plan.base, momenta)
+    start = start or start_without_groups(plan.base, momenta[None], True)
     return Run.of_arrays(plan, start, plan.layout.saved_in(numbers), State(plan.layout.state_in(numbers), steps))

@@ -52,9 +52,9 @@ class Start(NamedTuple):
         return "coadjoint" if isinstance(self.representation, str) else "representation"
 
 
-def start_of_vector(system: Any, momenta: NDArray[np.float64]) -> Start:
-    """Return the start of one vector without a group element; it is not validated."""
-    return Start(momenta[None], no_groups(1), None, True, system)
+def start_without_groups(system: Any, momenta: NDArray[np.float64], single: bool = False) -> Start:
+    """Return the start of validated momenta (members, n) without group elements."""
+    return Start(momenta, _no_groups(len(momenta)), None, single, system)
 
 
 def start_of(system: System | Batch, method: Method, x0: Any, attitude: Any) -> Start:
@@ -186,7 +186,7 @@ def with_group(
     Otherwise the initial element is the unit element.
     """
     if representation is None:
-        return Start(momenta, no_groups(len(momenta)), None, single, system)
+        return start_without_groups(system, momenta, single)
     size = system.dim if isinstance(representation, str) else representation.shape[1]
     if len(momenta) * size**2 > SMALL_SIZE:
         check_available_memory(
@@ -194,7 +194,7 @@ def with_group(
         )
     initial = read_attitude(attitude)
     if not isinstance(initial, np.ndarray):
-        units = _unit(size) if len(momenta) == 1 else np.tile(_unit(size), (len(momenta), 1, 1))
+        units = unit_groups(size) if len(momenta) == 1 else np.tile(unit_groups(size), (len(momenta), 1, 1))
         return Start(momenta, units, representation, single, system)
     if initial.shape not in ((size, size), (len(momenta), size, size)):
         raise ValueError(
@@ -221,14 +221,14 @@ def _check_elements(system: System | Batch, groups: NDArray[np.float64], represe
 
 
 @lru_cache(maxsize=4)
-def no_groups(members: int) -> NDArray[np.float64]:
+def _no_groups(members: int) -> NDArray[np.float64]:
     """Return the cached group elements of a run without an attitude: an array without entries."""
     return np.zeros((members, 0, 0))
 
 
 @lru_cache(maxsize=4)
-def _unit(size: int) -> NDArray[np.float64]:
-    """Return a cached unit element; starts are read-only, so that runs may share it."""
+def unit_groups(size: int) -> NDArray[np.float64]:
+    """Return the cached unit element, (1, d, d); starts are read-only, so that runs may share it."""
     return np.eye(size)[None]
 
 

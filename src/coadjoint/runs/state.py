@@ -39,11 +39,6 @@ class State:
             arrays["groups"][:] = groups
         return cls(arrays)
 
-    @property
-    def version(self) -> int:
-        """Format version of the arrays; kernels of another version cannot resume from the state."""
-        return limit("STATE_VERSION")
-
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self.arrays[name]
 
@@ -68,7 +63,7 @@ class State:
     def to_mapping(self) -> dict[str, Any]:
         """Return "version" and "number", and copies of the arrays, by name."""
         arrays = {name: self[name].copy() for name in self.arrays.offsets.shapes}
-        return {"version": self.version, "number": self.number, **arrays}
+        return {"version": limit("STATE_VERSION"), "number": self.number, **arrays}
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any]) -> State:

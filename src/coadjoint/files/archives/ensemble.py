@@ -48,8 +48,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.progress import progress_bar
-from coadjoint.runs.run import read_progress
+from coadjoint.runs.progress import progress_bar, read_progress
 from coadjoint.runs.start import combined
 from coadjoint.runs.times import times_of
 from coadjoint.short_repr import short

@@ -52,13 +52,6 @@ class EventRun:
         run.plan = run.plan.with_events(self.arrays.address)
         self._checkpoint = run.state.copy(), self.arrays.copy()  # state before the steps not yet searched
 
-    @property
-    def last(self) -> NDArray[np.int64]:
-        """Last whole step of each member, shape (members,)."""
-        last = np.empty_like(self.arrays.limit)
-        last[self._order] = self.arrays.limit
-        return np.minimum(last, self.run.state.number)
-
     def advance(self, progress: bool = False) -> None:
         """Take steps until all members have ended."""
         run, chunk = self.run, min(FIRST_CHUNK, self._max_chunk)
@@ -74,7 +67,7 @@ class EventRun:
                     break
                 self._repack_members(active)
                 chunk = min(4 * chunk, self._max_chunk)
-        run.close(self.last)
+        run.close(np.minimum(self._limits(), run.state.number))
         self._store_events()
 
     def _store_events(self) -> None:
@@ -179,6 +172,7 @@ class EventRun:
         return last
 
     def _limits(self) -> NDArray[np.int64]:
+        """Return the last whole step that each member may take, (members,)."""
         limits = np.empty_like(self.arrays.limit)
         limits[self._order] = self.arrays.limit
         return limits

@@ -44,7 +44,7 @@ class _Members:
     def each(self) -> Iterator[tuple[PreparedRun, dict[str, Any]]]:
         """Yield the run of each member and its arguments."""
         for m in range(self.count):
-            initial = self._start.groups[m] if self.prepared.carries else None
+            initial = self._start.groups[m] if self.prepared.representation is not None else None
             state = self.solution.x0[m]
             yield (
                 self.prepared.of_member(m),

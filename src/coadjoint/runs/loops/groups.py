@@ -126,9 +126,7 @@ def split_members(first: int, last: int, workers: int, block: int) -> list[tuple
     return [(low, high) for low, high in edges if low < high]
 
 
-def groups_of(
-    prepared: Sequence[Any], watches: Sequence[Any], owners: Integers | None = None, in_order: bool = False
-) -> list[Group]:
+def groups_of(prepared: Sequence[Any], watches: Sequence[Any], owners: Integers, in_order: bool) -> list[Group]:
     """Group members with tables that differ only in constants, in the order of their first members.
 
     `prepared` and `watches` are the compiled loops and the watches of the distinct systems, and `owners` (members,) the
@@ -141,13 +139,13 @@ def groups_of(
     >>> from coadjoint.kernels.tables.invariants import watch_tables
     >>> bodies = [co.systems.rigid_body(inertia=(1, 2, third)) for third in (2.5, 2.75, 2.875)]
     >>> own = [co.GaussLegendre(2).loop(body, 0.1) for body in bodies]
-    >>> [group.members.tolist() for group in groups_of(own, [watch_tables(b, b.casimirs).tables for b in bodies])]
+    >>> watches = [watch_tables(body, body.casimirs).tables for body in bodies]
+    >>> [group.members.tolist() for group in groups_of(own, watches, np.arange(3), in_order=False)]
     [[0, 1, 2]]
     """
     from coadjoint.kernels.tables.structures import as_structure, stacked, structure_of
 
     block = limit("MOST_LANES")
-    owners = np.arange(len(prepared)) if owners is None else owners
     counts = np.bincount(owners)
     owners_by_structure: dict[Hashable, list[int]] = {}
     for k, (loop, watch) in enumerate(zip(prepared, watches, strict=True)):

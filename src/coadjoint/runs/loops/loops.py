@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from coadjoint.memory import RELEASED_SIZE, release_freed_memory
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.groups import Group, batches_of_groups, groups_of, individual_groups, split_members
 from coadjoint.runs.loops.shifted_attitude import ShiftCorrection, corrected_groups_each, uncorrected_groups
-from coadjoint.runs.start import Representation, Start
+from coadjoint.runs.start import Representation, Start, unit_groups
 from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -259,10 +259,11 @@ class Loops:
 
         Those of a shifted H are unit elements, which `corrected_groups` replaces.
         """
+        unit = unit_groups(groups.shape[-1]).ravel()
         if self.owners is None:
-            return as_rows(groups) if self.corrections[0] is None else unit_row(groups.shape[-1])
+            return as_rows(groups) if self.corrections[0] is None else unit
         rows, shifted = np.array(as_rows(groups)), [correction is not None for correction in self.corrections]
-        rows[np.array(shifted)[self.owners]] = unit_row(groups.shape[-1])
+        rows[np.array(shifted)[self.owners]] = unit
         return rows
 
     def values_at(self, state: NDArray[np.float64], t: float, last: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -379,13 +380,6 @@ def _watch_of(system: System, loop: CompiledLoop, tracked: Mapping[str, Any], co
 
 def _correction_of(system: System, loop: CompiledLoop, representation: Representation) -> ShiftCorrection | None:
     return ShiftCorrection(system, loop.shift, representation) if loop.shift and representation is not None else None
-
-
-@lru_cache(maxsize=8)
-@lru_cache(maxsize=4)
-def unit_row(size: int) -> NDArray[np.float64]:
-    """Return the cached unit element in the storage of the loops, (d*d,)."""
-    return np.eye(size).ravel()
 
 
 def as_rows(groups: NDArray[np.float64]) -> NDArray[np.float64]:

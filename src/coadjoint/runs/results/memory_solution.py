@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.keyword_hints import NamedValues
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import Statistics
-from coadjoint.runs.start import Start, start_of_vector
+from coadjoint.runs.start import Start, start_without_groups
 from coadjoint.systems.protocol import states_of
 
 if TYPE_CHECKING:
@@ -176,7 +176,7 @@ class SolutionOfVector(MemorySolution):
 
     @cached_property
     def _start(self) -> Start:
-        return start_of_vector(self._base, self._momenta)
+        return start_without_groups(self._base, self._momenta[None], True)
 
     @cached_property
     def x(self) -> Floats:
