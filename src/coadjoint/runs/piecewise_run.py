@@ -194,10 +194,10 @@ class PiecewiseRun:
         """Return the error of a run that is `is_over`, with its partial solution, or None."""
         if self.run.state["status"].any():
             return self.run.failure(partial)
-        for name, error in (("energy", self.run.energy_error), ("attitude", self.run.attitude_error)):
-            step, when = self._undefined[name].tolist()
+        for name, occurred in self._undefined.items():
+            step, when = occurred.tolist()
             if step >= 0:
-                return error(int(step), when, partial)
+                return self.run.undefined_error(name, int(step), when, partial)
         return None
 
     def _record_undefined(self, solution: Solution) -> None:

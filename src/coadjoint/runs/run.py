@@ -35,6 +35,13 @@ SECONDS_BETWEEN_UPDATES = 0.2
 """Target time between updates of a progress bar, which happen between calls of the compiled loop."""
 GROWTH = 2.0
 """Growth of a state from which on a failure may be that of the motion, which grows without bound in finite time."""
+# Of a point at which the state is finite.
+UNDEFINED = {
+    "energy": "the energy at t = {} is not a finite number, though the state is: the Hamiltonian overflows or is "
+    "undefined there; start elsewhere, or correct its value",
+    "attitude": "the attitude at t = {} is no finite matrix, though the momentum is finite: the group element grows "
+    "until it overflows; take a shorter span, or attitude=False",
+}
 # Largest number of calls of the compiled loop in a run that is rounded in turns.
 TURNS = 1024
 
@@ -235,7 +242,7 @@ class Run:
         solution = solution_of_run(self, self.times.points, None)
         first = first_point_not_finite(solution.energy)
         assert first is not None
-        return self.energy_error(int(self.times.saved[first]), float(solution.t[first]), partial)
+        return self.undefined_error("energy", int(self.times.saved[first]), float(solution.t[first]), partial)
 
     def mark_failed(self, member: int, step: int, status: str, residual: float = np.nan, reason: str = "") -> None:
         """Mark a member as failed in a step, from outside the loops; `reason` replaces the text of the status."""
@@ -250,29 +257,12 @@ class Run:
         """Raise if a group element overflowed although the momentum did not: the factor of a shift may grow."""
         first = first_point_not_finite(solution.attitude)
         if first is not None:
-            raise self.attitude_error(int(self.times.saved[first]), float(solution.t[first]), solution)
+            raise self.undefined_error("attitude", int(self.times.saved[first]), float(solution.t[first]), solution)
 
-    def attitude_error(self, step: int, when: float, partial: Any) -> IntegrationError:
-        """Return the error for a group element that is not finite after a step, at time `when`."""
-        return IntegrationError(
-            f"the attitude at t = {self._shown(when)} is no finite matrix, though the momentum is finite: the group "
-            "element grows until it overflows; take a shorter span, or attitude=False",
-            step=step,
-            time=when,
-            residual=float("nan"),
-            partial=partial,
-        )
-
-    def energy_error(self, step: int, when: float, partial: Any) -> IntegrationError:
-        """Return the error for an energy that is not finite at a finite state, where a function is undefined."""
-        return IntegrationError(
-            f"the energy at t = {self._shown(when)} is not a finite number, though the state is: the Hamiltonian "
-            "overflows or is undefined there; start elsewhere, or correct its value",
-            step=step,
-            time=when,
-            residual=float("nan"),
-            partial=partial,
-        )
+    def undefined_error(self, name: str, step: int, when: float, partial: Any) -> IntegrationError:
+        """Return the error for an "energy" or "attitude" that is not finite after a step, at time `when`."""
+        message = UNDEFINED[name].format(self._shown(when))
+        return IntegrationError(message, step=step, time=when, residual=float("nan"), partial=partial)
 
     def _error(self, member: int, count: int, partial: Any) -> IntegrationError:
         step = int(self.state["step"][member])
@@ -283,26 +273,24 @@ class Run:
         )
         status = status_name(self.state["status"][member])
         if member in self.failure_reasons:
-            return IntegrationError(
-                f"in step {step}, {self.failure_reasons[member]}{members}",
-                step=step,
-                time=when,
-                residual=residual,
-                partial=partial,
-            )
-        reason = failure_text(status, self.plan.method, self.loops, residual)
+            message = f"in step {step}, {self.failure_reasons[member]}{members}"
+        else:
+            reason = failure_text(status, self.plan.method, self.loops, residual)
+            advice = self._advice(member, step, status)
+            message = f"in step {step}, at t = {self._shown(when)}, {reason}{members}; {advice}"
+        return IntegrationError(message, step=step, time=when, residual=residual, partial=partial)
+
+    def _advice(self, member: int, step: int, status: str) -> str:
         # The step of a run does not affect adaptive schemes.
-        advice = (
-            "end t_span before" if self.plan.method.own_steps else f"take a smaller step than {abs(self.times.h):g}"
-        )
-        if step > 1 and status != "PARALLEL" and not self.plan.method.own_steps and self._grown(member):
+        own_steps = self.plan.method.own_steps
+        advice = "end t_span before" if own_steps else f"take a smaller step than {abs(self.times.h):g}"
+        if status == "PARALLEL":
+            return advice + ", or make the vectors orthonormal more often: give a smaller renormalize_every"
+        if step > 1 and not own_steps and self._grown(member):
             advice += (
                 "; if that fails near the same time, the motion itself grows without bound there: end t_span before"
             )
-        message = f"in step {step}, at t = {self._shown(when)}, {reason}{members}; {advice}"
-        if status == "PARALLEL":
-            message += ", or make the vectors orthonormal more often: give a smaller renormalize_every"
-        return IntegrationError(message, step=step, time=when, residual=residual, partial=partial)
+        return advice
 
     def _shown(self, when: float) -> str:
         """Format the time of a step, with the digits that distinguish it from the step before."""

@@ -126,9 +126,9 @@ class FlaggedSteps(NamedTuple):
     before: NDArray[np.float64]
     after: NDArray[np.float64]
 
-    def with_members(self, members: NDArray[np.int64]) -> FlaggedSteps:
-        """Return the rows with these member numbers, sorted by member and step."""
-        return self._replace(members=members).select(np.lexsort((self.steps, members)))
+    def sorted(self) -> FlaggedSteps:
+        """Return the rows sorted by member and step."""
+        return self.select(np.lexsort((self.steps, self.members)))
 
     def select(self, rows: NDArray[Any]) -> FlaggedSteps:
         """Return some of the rows, by a mask or by indices."""

@@ -140,17 +140,14 @@ class EventRun:
             # The first call of `advance` initializes the run, even if it has no steps.
             if run.state.number < target or target == 0:
                 run.advance(until=target)
-            batches.append(self._take_flags())
+            taken = self.arrays.take()
+            batches.append(taken._replace(members=self._order[taken.members]))
             if target == until:
                 self._checkpoint = run.state.copy(), self.arrays.copy()
         flagged = FlaggedSteps(*(np.concatenate(arrays) for arrays in zip(*batches, strict=True)))
-        flagged = flagged.with_members(flagged.members)  # sorted, since threads flag in any order
+        flagged = flagged.sorted()  # threads flag in any order
         self._pending = flagged.select(flagged.steps > until)
         return flagged.select(flagged.steps <= until)
-
-    def _take_flags(self) -> FlaggedSteps:
-        flagged = self.arrays.take()
-        return flagged._replace(members=self._order[flagged.members])
 
     def _record_crossings(self, crossings: Crossings) -> NDArray[np.int64]:
         """Record crossings up to the counts of their events; return the last whole step before each terminal event."""
