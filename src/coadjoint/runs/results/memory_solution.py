@@ -131,7 +131,8 @@ class MemorySolution(Solution):
         start = self._start
         if start.representation is None:
             return None
-        return start.groups[0] if start.single else start.groups
+        # Runs may share the array of a unit element.
+        return start.groups[0].copy() if start.single else start.groups.copy()
 
     @cached_property
     def carried(self) -> str | None:
