@@ -136,19 +136,21 @@ def solution_of_short_run(
     layout = plan.layout
     numbers = np.zeros(layout.size)
     numbers[layout.momenta] = momenta
-    start_time = time.perf_counter()
+    start_time, reason = time.perf_counter(), None
     try:
         failed_count = plan.whole_run(ctypes.byref(as_c_double(numbers)))
         if failed_count < 0:
             raise_outcome(failed_count)
     except BaseException as error:
-        if isinstance(error, KeyboardInterrupt):
-            _run_of(plan, start, momenta, numbers).describe_interrupt(error, None)
-        raise_reason(plan.loops, error)
+        failed_count, reason = 1, error
     now = time.perf_counter()
     if failed_count:
-        if (raised := plan.loops.raised()) is not None:
-            raise raised
+        # Exceptions of user functions take precedence, and may be interrupts.
+        reason = plan.loops.raised() or reason
+        if isinstance(reason, KeyboardInterrupt):
+            _run_of(plan, start, momenta, numbers).describe_interrupt(reason, None)
+        if reason is not None:
+            raise reason
         if not np.isfinite(momenta).all():
             return None
         run = _run_of(plan, start, momenta, numbers, plan.times.steps)
