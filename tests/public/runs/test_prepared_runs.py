@@ -111,7 +111,8 @@ def test_wrong_group_element_of_any_member_is_refused(member, attitude):
 
 def test_group_elements_are_copied():
     for _ in range(2):
-        assert (unit := co.integrate(BODY, X, (0, 1), 0.1, attitude=True).attitude0).tolist() == np.eye(3).tolist()
+        unit = co.integrate(BODY, X, (0, 1), 0.1, attitude=True).attitude0
+        assert np.array_equal(unit, np.eye(3))
         unit[:] = 7.0
     elements = np.stack([np.linalg.matrix_power(QUARTER, m) for m in range(3)])
     x, given = X * np.linspace(1, 2, 3)[:, None], elements.copy()
