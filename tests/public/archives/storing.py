@@ -29,6 +29,10 @@ PRODUCT = co.Polynomial({(1, 1, 0): 2.0})
 FORCES = (co.forces.LinearDamping((0.1, 0.2, 0.3)), co.forces.Torque((0.0, 0.05, 0.1)))
 
 
+# A table of other parts: such members of a batch are run after the others.
+PLATE = co.systems.rigid_body(inertia=(1, 1, 2))
+
+
 def third(x: Any) -> Any:
     return x[..., 2]
 
@@ -52,6 +56,9 @@ RUNS: dict[str, Arguments] = {
     "one matrix": arguments(FLUID, FLUID.random(seed=1, degrees=(1, 1)), 1, co.IsospectralGauss(1), watch=False),
     "members": arguments(BODY, STARTS, -1, co.Splitting(order=4), attitude=True, observe={"x3": third, "q": PRODUCT}),
     "batch": arguments(bodies(), STARTS, -1, attitude="coadjoint"),
+    "interleaved batch": arguments(
+        co.batch([(BODY, PLATE)[m % 2] for m in range(5)]), np.array([*STARTS, *(2.0 * STARTS[:2])]), 1, co.Splitting()
+    ),
     "batch of one state": arguments(bodies(), STARTS[0], 1, co.Taylor(order=8), watch=False),
     "batch with forces": arguments(bodies(*FORCES), STARTS, 1, co.GaussLegendre(1)),
     "batch with noise": arguments(STIRRED, STARTS, 1, save_every=1),

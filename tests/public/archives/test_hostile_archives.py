@@ -185,6 +185,19 @@ def test_missing_chunk_is_named(base, tmp_path, name, kind):
             read()
 
 
+@pytest.mark.parametrize("steps", [7, 1022, 1023, 5000])
+def test_a_damaged_last_chunk_is_noticed(tmp_path, steps):
+    """Also one that is full: the first chunk has 1024 points."""
+    path = tmp_path / "run.zarr"
+    system = co.systems.rigid_body(inertia=(1, 2, 3))
+    co.integrate(system, (0.1, 1.0, 0.3), (0, steps / 8), 1 / 8, archive=path)
+    co.load(path).check_complete()
+    last = max((path / "x").glob("c.*"), key=lambda chunk: int(chunk.name.split(".")[1]))
+    last.write_bytes(last.read_bytes()[:-1])
+    with refused(ValueError, "x/", last.name):
+        co.load(path).check_complete()
+
+
 def test_missing_chunks_of_an_ensemble_are_refused(base, tmp_path):
     """Only chunks of members that are not computed yet are NaN."""
     path, x0 = tmp_path / "many.zarr", np.multiply.outer([1.0, 0.5, 0.2], X)

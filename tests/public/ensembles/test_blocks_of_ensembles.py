@@ -28,6 +28,14 @@ def ensemble(path, x0=X, span=SPAN, size=4, **options):
     return co.integrate_ensemble(BODY, x0, span, STEP, archive=path, members_per_block=size, **options)
 
 
+def test_blocks_of_one_system_have_the_noise_of_their_members():
+    """Equal states, so that members differ by their noise alone."""
+    stirred, states = BODY.with_forces(co.forces.HeatBath(0.1, temperature=0.5, seed=1)), np.tile(X[0], (8, 1))
+    found = co.integrate_ensemble(stirred, states, (0, 1), STEP, members_per_block=3)
+    np.testing.assert_array_equal(found.x, co.integrate(stirred, states, (0, 1), STEP).x)
+    assert len(np.unique(found.x[-1], axis=0)) == 8
+
+
 class Stop:
     """Files of an archive from which on writing fails; the names of those that were written."""
 

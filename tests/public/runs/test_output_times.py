@@ -106,6 +106,32 @@ def test_states_of_failed_steps_are_erased(size):
     assert caught.value.partial.t.tolist() == [0.0]
 
 
+@pytest.mark.parametrize("method", [co.GaussLegendre(2), co.Taylor(order=6)], ids=str)
+def test_failures_backward_are_those_forward(method):
+    """Of x1^2 x2 and of its negative, with output times within the step that fails and after it."""
+    times = np.concatenate([np.arange(0.05, 0.625, 0.1), [0.6251, 0.63, 0.64, 0.7, 0.9, 1.01, 4.1]])
+    found = {}
+    for sense in (1, -1):
+        system = co.LiePoissonSystem(co.systems.riccati().algebra, co.Polynomial({(2, 1, 0): sense}))
+        with pytest.raises(co.IntegrationError) as caught:
+            co.integrate(system, (1.0, 1.0, 0.0), (0, sense * 5.0), 0.125, method, t_eval=sense * times)
+        found[sense] = caught.value
+    forward, backward = found.values()
+    assert forward.step == backward.step and forward.time == -backward.time
+    np.testing.assert_array_equal(forward.partial.t, -backward.partial.t)
+    np.testing.assert_array_equal(forward.partial.x, backward.partial.x)
+    assert np.isfinite(forward.partial.x).all()
+
+
+@pytest.mark.parametrize("x0", [X, np.multiply.outer([1.0, 0.5, 2.0], X)], ids=["one", "members"])
+def test_invariants_at_the_start_are_those_without_output_times(x0):
+    options = (co.systems.rigid_body((1, 2, 3)), x0, (0, 10), 0.2, co.Splitting())
+    found, whole = co.integrate(*options, t_eval=[3.3, 5.5]), co.integrate(*options)
+    for name, value in whole.initial.items():
+        np.testing.assert_array_equal(found.initial[name], value)
+        assert np.array_equal(found.drift()[name].initial, whole.drift()[name].initial)
+
+
 @pytest.mark.parametrize(
     ("times", "words"),
     [

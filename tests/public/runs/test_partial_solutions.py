@@ -69,6 +69,22 @@ def test_interrupted_ensembles_work_on_members_as_far_as_they_ran(t0, sense):
     assert len(cut.plot("components", members=[0, 1]).axes) == 1
 
 
+def test_interrupted_batches_have_the_members_that_ran_in_their_places():
+    """Members are run system by system, here 0, 2, 4, 1, 3: the last one is interrupted."""
+    other = co.systems.rigid_body(inertia=(1.0, 2.0, 2.5))
+    batch, method = co.batch([(BODY, other)[m % 2] for m in range(5)]), Interruptible(19.95, 2.0)
+    states = np.array(X0) * [[0.5], [0.75], [1.0], [4.0], [1.25]]
+
+    def run(system, x0, end):
+        return co.integrate(system, x0, (0, end), 0.1, method, save_every=20, threads=1)
+
+    cut = interrupted(lambda: run(batch, states, 60.0)).partial
+    for m, system in enumerate(batch):
+        alone = run(system, states[m], 20.0 if m == 3 else 60.0)
+        np.testing.assert_array_equal(cut.x[: len(alone.x), m], alone.x)
+    assert np.isnan(cut.x[11:, 3]).all() and len(cut.t) == 31
+
+
 @pytest.mark.parametrize("options", [{}, {"watch": False, "save_every": 7}])
 @pytest.mark.parametrize("sense", [1, -1])
 def test_a_partial_solution_has_the_bits_of_the_whole_run(options, sense):

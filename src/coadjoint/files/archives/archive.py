@@ -211,7 +211,7 @@ class Archive:
             raise self._missing_error(*lost)
         for name, array in self.arrays.items():
             if array.grows:
-                first_row = array.shape[0] - array.shape[0] % array.chunk[0]
+                first_row = max(0, array.shape[0] - 1) // array.chunk[0] * array.chunk[0]
                 self.read(name, [range(first_row, array.shape[0]), *map(range, array.shape[1:])])
 
     def read_state(self, state: StoredState) -> dict[str, NDArray[Any]]:
