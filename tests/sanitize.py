@@ -1,7 +1,8 @@
 """Run tests and random runs on kernels built with sanitizers: `python sanitize.py KIND`.
 
-address: out-of-bounds accesses and undefined behaviour, over the tests of kernels, methods and runs, and 300 random
-runs. threads: data races, over random ensembles and threads that share one member. Building takes some minutes.
+address: out-of-bounds accesses and undefined behaviour, over the tests of kernels, methods, runs and derivatives, and
+300 random runs. threads: data races, over random ensembles and threads that share one member. Building takes some
+minutes.
 """
 
 from __future__ import annotations
@@ -38,9 +39,11 @@ PYTEST = ["-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-m", "not long"
 # Tests that start processes, interrupt them, or build the package are omitted.
 OMITTED = ["--ignore=tests/internal/kernels/test_build.py", "--ignore=tests/public/runs/test_signals_during_runs.py"]
 OMITTED += ["--ignore=tests/public/runs/test_memory_limits.py"]  # sanitizers reserve terabytes of addresses
+TESTED = [f"tests/internal/{name}" for name in ("kernels", "methods", "runs", "derivatives", "files")]
+TESTED += ["tests/public/runs", "tests/public/accuracy", "tests/public/derivatives"]
 COMMANDS = {
     "address": [
-        [*PYTEST, *OMITTED, "-n", "2", "tests/internal", "tests/public/runs", "tests/public/accuracy"],
+        [*PYTEST, *OMITTED, "-n", "2", *TESTED],
         ["-m", "matrix.soak", "1000000", "300", "--limit", "1200", "--jobs", "2"],
     ],
     "threads": [
