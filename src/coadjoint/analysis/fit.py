@@ -17,7 +17,7 @@ from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
-from coadjoint.systems.parameters import is_symmetric_parameter
+from coadjoint.systems.parameters import parameter_of
 from coadjoint.validation import are_finite, read_integer, read_numbers, to_array
 
 Floats = NDArray[np.float64]
@@ -239,7 +239,7 @@ class _Problem(NamedTuple):
                 raise ValueError(f"unknown gives {given.size} numbers of entries of {name}, which has {count}")
             numbers = given.ravel().tolist()
             chosen[name] = np.array([read_integer(k, what, 0, count - 1) for k in numbers], dtype=np.int64)
-            if name in ready.parameters and is_symmetric_parameter(ready.system, name):
+            if name in ready.parameters and parameter_of(ready.system, name).symmetric:
                 symmetric.add(name)
                 chosen[name] = np.unique(np.minimum(chosen[name], _mirror(chosen[name], len(values[name]))))
         unknowns = tuple((name, int(k)) for name, numbers in chosen.items() for k in numbers)

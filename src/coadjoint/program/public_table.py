@@ -132,10 +132,7 @@ def energy_and_parameters(system: Any) -> dict[str, Any]:
             keys[key] = len(keys)
             values.append(float(value))
     for name, parameter in parameters_of(system).items():
-        try:
-            monomials = [one for one in monomials_of(parameter.energy()) if one.coordinates]
-        except ValueError:  # its builder accepts no values near this one
-            continue
+        monomials = [one for one in monomials_of(parameter.energy()) if one.coordinates]
         for one in monomials:
             if keys.setdefault(one.coordinates, len(values)) == len(values):
                 values.append(0.0)

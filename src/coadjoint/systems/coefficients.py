@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -67,18 +67,25 @@ class Monomials(NamedTuple):
 
 
 class Coefficients(NamedTuple):
-    """Coefficients `values` of monomials."""
+    """Coefficients `values` of monomials, complex where an energy is differentiated."""
 
     monomials: Monomials
-    values: Floats
+    values: NDArray[Any]
 
     @classmethod
-    def summed(cls, codes: Integers, values: Floats, others: dict[Key, float]) -> Self:
+    def summed(cls, codes: Integers, values: NDArray[Any], others: Mapping[Key, Any]) -> Self:
         """Construct from codes that may be repeated, whose values are added in their order, and other monomials."""
         distinct, position = np.unique(codes, return_inverse=True)
-        sums = np.bincount(position, values, minlength=len(distinct))
+        sums = np.zeros(len(distinct), dtype=values.dtype)
+        np.add.at(sums, position, values)
         keys = sorted(others, key=lambda key: (len(key), key))
         return cls(Monomials(distinct, tuple(keys)), np.concatenate([sums, [others[key] for key in keys]]))
+
+    @classmethod
+    def of_distinct(cls, codes: Integers, values: NDArray[Any]) -> Self:
+        """Construct from codes that are not repeated."""
+        order = np.argsort(codes, kind="stable")
+        return cls(Monomials(codes[order]), values[order])
 
     def equal(self, other: Coefficients) -> bool:
         """Test whether the monomials and their coefficients are equal."""
@@ -88,21 +95,13 @@ class Coefficients(NamedTuple):
             and np.array_equal(self.values, other.values)
         )
 
-    def at(self, monomials: Monomials) -> Floats:
-        """Return the coefficients of monomials, of which these are some; zero for others."""
-        found = np.zeros(monomials.size)
-        found[monomials.positions(self.monomials)] = self.values
-        return found
+    def without_zeros(self) -> Coefficients:
+        """Return the coefficients that are not zero, with their monomials."""
+        return self.where(self.values != 0.0)
 
     def where(self, chosen: NDArray[np.bool_]) -> Coefficients:
         """Return the chosen monomials with their coefficients."""
         return Coefficients(self.monomials.where(chosen), self.values[chosen])
-
-    def changed_from(self, start: Coefficients) -> Coefficients:
-        """Return the coefficients that differ from those at the start, zero for those that vanish."""
-        monomials = Monomials.joined([start.monomials, self.monomials])
-        values = self.at(monomials)
-        return Coefficients(monomials, values).where(values != start.at(monomials))
 
     def by_key(self) -> dict[Key, float]:
         """Return the coefficients by the coordinates of their monomials."""
@@ -138,18 +137,43 @@ def coefficients_of(system: Any) -> Coefficients:
             i, j, numbers = i[upper], j[upper], term.form.values[upper]
             add(i, j, np.where(i == j, 0.5 * numbers, numbers))
         elif isinstance(term, PolynomialTerm):
-            low = {}
-            for exponents, value in term.polynomial.monomials.items():
-                key = coordinates_of(exponents)
-                if len(key) > 2:
-                    others[key] = others.get(key, 0.0) + float(value)
-                else:
-                    low[(-1, -1, *key)[-2:]] = float(value)
-            first, second = np.array(list(low), dtype=np.int64).reshape(-1, 2).T
-            add(first, second, list(low.values()))
+            numbers = {exponents: float(value) for exponents, value in term.polynomial.monomials.items()}
+            low, high = _by_degree(numbers)
+            codes.append(low[0])
+            values.append(np.asarray(low[1], dtype=np.float64))
+            others |= {key: others.get(key, 0.0) + value for key, value in high.items()}
     return Coefficients.summed(np.concatenate(codes), np.concatenate(values), others)
 
 
 def coordinates_of(exponents: tuple[int, ...]) -> Key:
     """Return the coordinates of a monomial, each as often as its exponent."""
     return tuple(factors_of(exponents))
+
+
+def _by_degree(monomials: Mapping[tuple[int, ...], Any]) -> tuple[tuple[Integers, list[Any]], dict[Key, Any]]:
+    """Return the codes and coefficients of the monomials up to the second degree, and the others."""
+    keys = {coordinates_of(exponents): value for exponents, value in monomials.items()}
+    low = {(-1, -1, *key)[-2:]: value for key, value in keys.items() if len(key) <= 2}
+    first, second = np.array(list(low), dtype=np.int64).reshape(-1, 2).T
+    return (encoded(first, second), list(low.values())), {key: one for key, one in keys.items() if len(key) > 2}
+
+
+def coefficients_in(energy: Any) -> Coefficients:
+    """Return the coefficients of an energy, of any numbers, in one of the forms that `ready_made` accepts."""
+    if isinstance(energy, Coefficients):
+        return energy
+    if isinstance(energy, Mapping):
+        (codes, low), others = _by_degree(energy)
+        return Coefficients.summed(codes, np.array(low), others)
+    return _of_quadratic(*energy)
+
+
+def _of_quadratic(M: Any, linear: Any = (), constant: Any = 0.0) -> Coefficients:
+    M, linear = np.asarray(M), np.asarray(linear)
+    rows, columns = (np.flatnonzero(M),) * 2 if M.ndim == 1 else np.nonzero(np.triu(M))
+    entries, i = M[rows] if M.ndim == 1 else M[rows, columns], np.flatnonzero(linear)
+    none = np.full(1, -1)
+    return Coefficients.of_distinct(
+        np.concatenate([encoded(none, none), encoded(np.full(len(i), -1), i), encoded(rows, columns)]),
+        np.concatenate([[constant], linear[i], np.where(rows == columns, 0.5 * entries, entries)]),
+    )

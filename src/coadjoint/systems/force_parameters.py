@@ -2,46 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import is_dataclass, replace
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.systems.coefficient_derivatives import MAX_REDUCTIONS, RADIUS, SMALL_ENTRY, largest_entry
+from coadjoint.short_repr import short
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
-from coadjoint.systems.parameter_differences import DISTANCE, NODES
+from coadjoint.systems.parameter_differences import (
+    DISTANCE,
+    MOST_DISTANCES,
+    NEARER,
+    NODES,
+    RADIUS,
+    moved_entry,
+    sizes_of_entries,
+)
 
 Floats = NDArray[np.float64]
 
-# Entries of a parameter of which it is tried whether they may change alone.
+# Entries of a parameter of which it is tried whether they may change.
 MAX_TRIED = 16
 
 
 class ForceParameter(NamedTuple):
-    """A parameter of the force at this position: its value, and by how much each entry may change."""
+    """A parameter of the force at this position."""
 
     position: int
     field: str
     value: Floats
-    radii: Floats
 
     @property
     def symmetric(self) -> bool:
         """Whether it is a matrix that must be symmetric."""
-        return self.value.ndim == 2 and self.field == "metric" and np.array_equal(self.value, self.value.T)
-
-    def moved(self, force: Force, value: Floats, index: tuple[int, ...], by: float) -> Force:
-        """Return the force with one entry of the parameter moved; of a symmetric matrix half its mirror image too."""
-        changed = value.copy()
-        if self.symmetric and index[0] != index[1]:
-            changed[index] += 0.5 * by
-            changed[index[::-1]] = changed[index]
-        else:
-            changed[index] += by
-        return with_value(force, self.field, changed)
+        return self.value.ndim == 2 and self.field == "metric"
 
 
 def with_value(force: Any, field: str, value: Floats) -> Force:
@@ -61,38 +59,28 @@ def force_parameters(system: ForcedSystem) -> dict[str, ForceParameter]:
     >>> list(force_parameters(body))
     ['LinearDamping.rate', 'LinearDamping.toward']
     """
+    return {name: one for name, one in force_numbers(system).items() if _may_change(one, system)}
+
+
+def force_numbers(system: ForcedSystem) -> dict[str, ForceParameter]:
+    """Return the real numbers and arrays of them of the forces, also those that cannot change."""
     return {
-        f"{label}.{found.field}": found
+        f"{label}.{field}": ForceParameter(position, field, value)
         for position, (label, force) in enumerate(zip(system.labels, system.forces, strict=True))
-        for found in _numbers_of(position, force, system.system)
+        for field, given in (force.parameters() if is_dataclass(type(force)) else {}).items()
+        if field not in force.selectors and (value := real_numbers(given)) is not None
     }
 
 
 def with_force_values(system: ForcedSystem, plain: Any, values: Mapping[str, Floats]) -> ForcedSystem:
     """Return another Hamiltonian part with the same forces, of which these parameters have other values."""
-    forces, known = list(system.forces), force_parameters(system)
+    forces, known = list(system.forces), force_numbers(system)
     for name, value in values.items():
         forces[known[name].position] = with_value(forces[known[name].position], known[name].field, value)
     return ForcedSystem(plain, forces)
 
 
-def _numbers_of(position: int, force: Force, plain: Any) -> Iterator[ForceParameter]:
-    if not is_dataclass(force):
-        return
-    for field, given in force.parameters().items():
-        value = None if field in force.selectors else _real(given)
-        if value is None:
-            continue
-        largest = largest_entry(value)
-        sizes = np.where(np.abs(value) > SMALL_ENTRY * largest, np.abs(value), largest)
-        for reduction in range(MAX_REDUCTIONS):
-            found = ForceParameter(position, field, value, RADIUS * 0.25**reduction * sizes)
-            if _may_change(found, force, plain):
-                yield found
-                break
-
-
-def _real(given: Any) -> Floats | None:
+def real_numbers(given: Any) -> Floats | None:
     """Return real numbers, not whole ones by type, as an array; None for anything else."""
     try:
         array = np.asarray(given)
@@ -101,14 +89,25 @@ def _real(given: Any) -> Floats | None:
     return array.astype(np.float64) if array.dtype.kind == "f" and array.size else None
 
 
-def _may_change(parameter: ForceParameter, force: Force, plain: Any) -> bool:
-    """Return whether the force is defined at the nodes of the differences that are farthest from the value."""
-    entries = list(np.ndindex(parameter.value.shape))[:MAX_TRIED]
-    try:
-        for entry in entries:
-            farthest = float(NODES[-1]) * DISTANCE * float(parameter.radii[entry])
-            for by in (farthest, -farthest):
-                parameter.moved(force, parameter.value, entry, by).check(plain)
-    except (TypeError, ValueError):
-        return False
-    return True
+def check_may_change(system: ForcedSystem, name: str) -> None:
+    """Raise ValueError for a value that cannot change in both directions, such as zero, where roots have no slope."""
+    one = force_numbers(system)[name]
+    if not _may_change(one, system):
+        raise ValueError(
+            f"{name} cannot be differentiated at {short(one.value.tolist())}: the force accepts no values on both sides"
+        )
+
+
+def _may_change(one: ForceParameter, system: ForcedSystem) -> bool:
+    """Return whether the force is defined at the nodes of some differences that are farthest from the value."""
+    force, farthest = system.forces[one.position], NODES[-1] * DISTANCE * RADIUS * sizes_of_entries(one.value)
+    for scale in NEARER ** np.arange(MOST_DISTANCES):
+        try:
+            for index in islice(np.ndindex(one.value.shape), MAX_TRIED):
+                for by in (scale * farthest[index], -scale * farthest[index]):
+                    moved = moved_entry(one.value, index, float(by), one.symmetric)
+                    with_value(force, one.field, moved).check(system.system)
+        except (TypeError, ValueError):
+            continue
+        return True
+    return False

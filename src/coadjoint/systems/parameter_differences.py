@@ -21,8 +21,30 @@ AT_ZERO = np.array([4 / 5, -2 / 5, 4 / 35, -1 / 70])
 DISTANCE = 2.0**-5
 # The value at zero is within some DISTANCE^7 of the change over a distance. Where it is off by more than this part of
 # it, the form of a step changes between the nodes, such as the order of its parts: nearer ones are taken, a few times.
+# Nearer ones are also taken where values are refused.
 AGREEMENT = 2.0**-23
 NEARER, MOST_DISTANCES = 2.0**-4, 3
+# By how much an entry of a parameter may change, relative to its size; those below some part of the largest one, to
+# the size of that one.
+RADIUS, SMALL_ENTRY = 0.25, 0.125
+
+
+def sizes_of_entries(value: Floats) -> Floats:
+    """Return the sizes of the entries of a parameter; the largest one, or one, for those that are much smaller."""
+    sizes = np.abs(value)
+    largest = float(np.max(sizes)) or 1.0
+    return np.asarray(np.where(sizes > SMALL_ENTRY * largest, sizes, largest))
+
+
+def moved_entry(value: Floats, index: tuple[int, ...], by: float, symmetric: bool) -> Floats:
+    """Return a parameter with one entry moved; half of it and half its mirror image if the matrix is symmetric."""
+    moved = value.copy()
+    if symmetric and index[0] != index[1]:
+        moved[index] += 0.5 * by
+        moved[index[::-1]] = moved[index]
+    else:
+        moved[index] += by
+    return moved
 
 
 class NearbySystems:
@@ -31,44 +53,52 @@ class NearbySystems:
     They are functions of the change, `moved`, and are made on first use: formulas may need none of them.
     """
 
-    def __init__(self, distance: float, moved: Callable[[float], Any]) -> None:
-        self._distance, self._moved = distance, cache(moved)
+    def __init__(self, name: str, distance: float, moved: Callable[[float], Any]) -> None:
+        self._name, self._distance, self._moved = name, distance, cache(moved)
 
     def with_systems(self, changed: Callable[[Any], Any]) -> NearbySystems:
         """Return the systems that a function makes of these."""
-        return NearbySystems(self._distance, lambda by: changed(self._moved(by)))
+        return NearbySystems(self._name, self._distance, lambda by: changed(self._moved(by)))
 
     def difference(self, function: Callable[[Any], Floats]) -> Floats:
-        """Return the derivative of a function of the system by the entry, with about twelve digits."""
+        """Return the derivative of a function of the system by the entry, with about twelve digits.
+
+        Raises ValueError if no values near that of the entry are accepted on both sides.
+        """
         distance, here = self._distance, function(self._moved(0.0))
+        found, refusal = None, None
         for _ in range(MOST_DISTANCES):
-            plus, minus = (
-                np.array([function(self._moved(sign * node * distance)) for node in NODES.tolist()])
-                for sign in (1.0, -1.0)
-            )
+            by, distance = NODES * distance, NEARER * distance
+            try:
+                systems = [[self._moved(shift) for shift in (sign * by).tolist()] for sign in (1.0, -1.0)]
+            except (TypeError, ValueError) as reason:
+                refusal = reason
+                continue
+            plus, minus = (np.array([function(system) for system in side]) for side in systems)
             change = np.tensordot(WEIGHTS, plus - minus, axes=1)
             off = np.max(np.abs(np.tensordot(AT_ZERO, plus + minus, axes=1) - here), initial=0.0)
             rounding = 16.0 * UNIT_ROUNDOFF * np.max(np.abs(here), initial=0.0)
-            found = np.asarray(change / distance)
+            found = np.asarray(change / by[0])
             if not off > AGREEMENT * np.max(np.abs(change), initial=0.0) + rounding:
                 break
-            distance *= NEARER
+        if found is None:
+            raise ValueError(
+                f"{self._name} cannot be differentiated, since values near this one are refused: {refusal}"
+            )
         return found
 
 
-def nearby_systems(radii: Floats, moved: Callable[[tuple[int, ...], float], Any]) -> list[NearbySystems]:
-    """Return the systems for each entry of a parameter; `moved(index, by)` returns that with an entry moved.
-
-    Each entry may change by its radius.
-    """
-    return [NearbySystems(DISTANCE * float(radii[index]), partial(moved, index)) for index in np.ndindex(radii.shape)]
+def nearby_systems(name: str, value: Floats, moved: Callable[[tuple[int, ...], float], Any]) -> list[NearbySystems]:
+    """Return the systems for each entry of a parameter; `moved(index, by)` returns that with an entry moved."""
+    distances = DISTANCE * RADIUS * sizes_of_entries(value)
+    return [NearbySystems(name, float(distances[index]), partial(moved, index)) for index in np.ndindex(value.shape)]
 
 
 class EnergyDifferences:
     """dH/dp of matrix systems, as `EnergyDerivative` for others."""
 
-    def __init__(self, radii: Floats, moved: Callable[[tuple[int, ...], float], Any]) -> None:
-        self.size, self._nearby = radii.size, nearby_systems(radii, moved)
+    def __init__(self, name: str, value: Floats, moved: Callable[[tuple[int, ...], float], Any]) -> None:
+        self.size, self._nearby = value.size, nearby_systems(name, value, moved)
 
     def at(self, x: Floats) -> Floats:
         """Return the derivatives of the energy at states (..., n), shape (..., size)."""

@@ -6,8 +6,9 @@ import importlib
 import pkgutil
 from collections.abc import Callable, Mapping
 from functools import cache
+from inspect import Parameter, signature
 from types import MappingProxyType
-from typing import Any, TypeVar, overload
+from typing import Any, NamedTuple, TypeVar, overload
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
@@ -17,7 +18,18 @@ Builder = TypeVar("Builder", bound=Callable[..., Any])
 
 FOLDERS = ("bodies", "fluids", "lattices", "examples")
 
+
+class DeclaredEnergy(NamedTuple):
+    """A function from parameters, by name, to the energy; it may need `others` of the arguments of the builder."""
+
+    function: Callable[..., Any]
+    parameters: tuple[str, ...]
+    others: tuple[str, ...]
+    symmetric: tuple[str, ...]
+
+
 _REGISTRY: dict[str, Callable[..., Any]] = {}
+_ENERGIES: dict[str, DeclaredEnergy] = {}
 _GALLERY_ENTRIES: dict[str, GalleryEntry] = {}
 
 
@@ -26,11 +38,22 @@ def ready_made(function: Builder) -> Builder: ...
 
 
 @overload
-def ready_made(*, gallery_entry: GalleryEntry) -> Callable[[Builder], Builder]: ...
+def ready_made(
+    *,
+    gallery_entry: GalleryEntry | None = None,
+    energy: Callable[..., Any] | None = None,
+    symmetric: tuple[str, ...] = (),
+) -> Callable[[Builder], Builder]: ...
 
 
 @suggest_keywords
-def ready_made(function: Any = None, *, gallery_entry: GalleryEntry | None = None) -> Any:
+def ready_made(
+    function: Any = None,
+    *,
+    gallery_entry: GalleryEntry | None = None,
+    energy: Callable[..., Any] | None = None,
+    symmetric: tuple[str, ...] = (),
+) -> Any:
     """Register a function that makes a system, under its own name.
 
     Parameters
@@ -39,28 +62,57 @@ def ready_made(function: Any = None, *, gallery_entry: GalleryEntry | None = Non
         The decorated function.
     gallery_entry : GalleryEntry, optional
         Example run and pictures of the system, used by `Solution.plot` and ``coadjoint gallery``.
+    energy : callable, optional
+        The energy as a plain function, by which runs are differentiated: its positional arguments are the parameters,
+        arguments of `function` in arrays of real or complex numbers, and its keyword-only ones are others on which the
+        energy depends, as in the ``parameters`` of the system. It returns the arguments of `Quadratic`, M as (n,) or
+        (n, n), in a tuple, or a mapping from exponents to coefficients, as for `Polynomial`. It is analytic, validates
+        nothing, and may raise ValueError where arguments are tied to each other.
+    symmetric : tuple of str, optional
+        Parameters that must be symmetric where they are matrices.
 
     Returns
     -------
     callable
-        The function itself; with only `gallery_entry`, a decorator.
+        The function itself; without it, a decorator.
 
     Raises
     ------
     TypeError
-        `gallery_entry` is not a `GalleryEntry`.
+        `gallery_entry` is not a `GalleryEntry`, or `energy` is not a function of arguments of `function`.
     """
     if not isinstance(gallery_entry, GalleryEntry | None):
         raise TypeError(f"gallery_entry is {short(gallery_entry)}; give a coadjoint.systems.gallery_entry.GalleryEntry")
+    if energy is not None and not callable(energy):
+        raise TypeError(f"energy is {short(energy)}; give a function of the parameters")
 
     def register(builder: Builder) -> Builder:
         wrapped = suggest_keywords(builder)
         _REGISTRY[wrapped.__name__] = wrapped
         if gallery_entry is not None:
             _GALLERY_ENTRIES[wrapped.__name__] = gallery_entry
+        if energy is not None:
+            _ENERGIES[wrapped.__name__] = _declared(builder, energy, symmetric)
         return wrapped
 
     return register if function is None else register(function)
+
+
+def _declared(builder: Callable[..., Any], energy: Callable[..., Any], symmetric: tuple[str, ...]) -> DeclaredEnergy:
+    """Return the declaration of an energy; raise TypeError unless its arguments are those of the builder."""
+    arguments, known = signature(energy).parameters, signature(builder).parameters
+    others = tuple(name for name, one in arguments.items() if one.kind is Parameter.KEYWORD_ONLY)
+    names = tuple(name for name in arguments if name not in others)
+    unknown = [name for name in arguments if name not in known] + [name for name in symmetric if name not in names]
+    if unknown:
+        raise TypeError(f"energy of {builder.__name__} has {unknown[0]}, which is none of its arguments")
+    return DeclaredEnergy(energy, names, others, tuple(symmetric))
+
+
+def energy_of(name: str) -> DeclaredEnergy | None:
+    """Return the declared energy of a ready-made system; None for any other system, or if it declares none."""
+    ready_made_systems()
+    return _ENERGIES.get(name)
 
 
 def ready_made_systems() -> Mapping[str, Callable[..., Any]]:

@@ -5,84 +5,15 @@ import pytest
 import scipy.sparse
 
 import coadjoint as co
-from coadjoint.systems import parameters
-from coadjoint.systems.coefficient_derivatives import derivatives_by_entries
+from coadjoint.systems import registry
 from coadjoint.systems.coefficients import Coefficients
+from coadjoint.systems.energy_steps import derivative_by_steps
 from coadjoint.systems.parameters import parameter_of, parameters_at, parameters_of, with_parameters
 from refusals import refused
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*principal moment")
 
 TENSOR = ((2.0, 0.3, 0.1), (0.3, 3.0, -0.2), (0.1, -0.2, 4.0))
-OTHER = ((0.5, 0.25, 0.125), (0.0, 0.5, 0.25), (0.75, -0.25, 1.0))
-SQUARE = {"lattice": "square", "shape": (2, 2)}
-VARIANTS = [
-    ("rigid_body", {"inertia": TENSOR}),
-    ("gyrostat", {"inertia": TENSOR, "rotors": (0.1, 0.0, 0.3)}),
-    ("heavy_top", {"inertia": TENSOR, "lever": (0.0, 0.0, 1.0)}),
-    ("kirchhoff_body", {"inertia": TENSOR, "mass": TENSOR}),
-    ("kirchhoff_body", {"coupling": OTHER}),
-    ("kirchhoff_body", {"coupling": np.diag((0.25, 0.5, -0.125)).tolist()}),
-    ("clebsch_body", {"inertia": (2.0, 2.0, 2.0), "inverse_mass": (-1.0, 0.5, 0.0)}),
-    # Entries of M are (b_i - b_j)/(a_i - a_j): poles are near.
-    ("manakov_top", {"a": (1.0, 2.0, 4.5, 5.0), "b": (2.0, 3.0, 1.0, 5.0)}),
-    ("paper_rigid_body", {"masses": (0.0, 1.0, 2.0)}),
-    ("riccati", {"constant": 0.25, "linear": 0.5, "quadratic": -0.125}),
-    ("decorated_particles", {"weights": (1.0, 2.0, 0.5), "external": (0, 0, 0.5, 0.1), "pair": (0, 0, 0.5)}),
-    ("spin_lattice", {"shape": 3, "exchange": (1.0, 2.0), "on_site": TENSOR}),
-    # One field for each of three spins, which happens to be a symmetric matrix.
-    ("spin_lattice", {"shape": 3, "field": TENSOR}),
-    ("spin_lattice", {**SQUARE, "exchange": 0.75, "tensor": TENSOR, "dm": (0.1, 0.2, 0.3)}),
-    ("spin_lattice", {**SQUARE, "tensor": OTHER}),
-]
-
-
-CASES = [
-    (name, given, parameter)
-    for name, given in VARIANTS
-    for parameter in parameters_of(co.systems.get(name, **given))
-    if parameter in co.systems.get(name, **given).parameters
-]
-
-
-def moved(value, index, by, symmetric):
-    changed = value.copy()
-    if symmetric:
-        changed[index] += by / 2
-        changed[index[::-1]] += by / 2
-    else:
-        changed[index] += by
-    return changed if changed.ndim else float(changed)
-
-
-@pytest.mark.thinned(4)
-@pytest.mark.parametrize(("name", "given", "parameter"), CASES, ids=str)
-def test_derivatives_of_energies_agree_with_differences(name, given, parameter):
-    """Of systems built with other values; where a matrix must be symmetric, of the mirrored entry as well."""
-    system = co.systems.get(name, **given)
-    found = parameter_of(system, parameter)
-    states, (value, derivative) = (
-        np.random.default_rng(1).standard_normal((4, system.dim)),
-        (found.value, found.energy()),
-    )
-    assert derivative.size == value.size and derivative.at(states).shape == (4, value.size)
-
-    def energies(index, by):
-        for symmetric in (False, True):
-            try:
-                changed = {**system.parameters, parameter: moved(value, index, by, symmetric)}
-                return np.array([co.systems.get(name, **changed).energy(x) for x in states])
-            except ValueError:
-                assert value.ndim == 2 and not symmetric
-        raise AssertionError
-
-    for column, index in enumerate(np.ndindex(value.shape)):
-        h = 2.0**-10 * max(1.0, abs(float(value[index])))
-        terms = [w * (energies(index, k * h) - energies(index, -k * h)) for k, w in enumerate((45, -9, 1), 1)]
-        difference = sum(terms) / (60 * h)
-        # Of the error, u over 2^-10 is 1e-13, and the sixth power of 2^-10 1e-18 times high derivatives.
-        size = np.max(np.abs([*difference, *energies(index, 0.0), 1.0]))
-        assert np.max(np.abs(derivative.at(states)[:, column] - difference)) <= 1e-10 * size, index
 
 
 @pytest.mark.parametrize(
@@ -151,17 +82,27 @@ def test_small_entries_of_a_tensor_have_exact_derivatives(entry):
     inertia, x = np.array([[1.0, entry, 0.0], [entry, 2.0, 0.0], [0.0, 0.0, 2.5]]), np.array([1.0, -0.5, 0.25])
     omega = np.linalg.solve(inertia, x)
     found = parameter_of(co.systems.rigid_body(inertia.tolist()), "inertia").energy().at(x).reshape(3, 3)
-    # Interpolation amplifies the rounding of the inverse by 80.
-    assert np.abs(found + np.outer(omega, omega) / 2).max() <= 80 * 4 * 2.0**-53 * (omega @ omega)
+    assert np.abs(found + np.outer(omega, omega) / 2).max() <= 8 * 2.0**-53 * (omega @ omega)
 
 
-def derivatives_of(monkeypatch, diagonal, value):
+@pytest.fixture
+def registering(monkeypatch):
+    """Systems that a test registers are unknown after it."""
+    co.systems.names()
+    for name in ("_REGISTRY", "_ENERGIES"):
+        monkeypatch.setattr(registry, name, dict(getattr(registry, name)))
+
+
+def derivatives_of(diagonal, value):
     """Return the derivatives of M = diag(diagonal(p)) at a value, by entries of M and of p."""
 
-    def made(p):
-        return co.LiePoissonSystem(SO3, co.Quadratic(diagonal(np.asarray(p))), name="made", parameters={"p": p})
+    def energy(p):
+        return (np.array(diagonal(p)),)
 
-    monkeypatch.setattr(parameters, "ready_made_systems", lambda: {"made": made})
+    @co.systems.ready_made(energy=energy)
+    def made(p):
+        return co.LiePoissonSystem(SO3, co.Quadratic(*energy(np.asarray(p))), name="made", parameters={"p": p})
+
     found = parameter_of(made(value), "p").energy()
     table = np.zeros((3, np.size(value)))
     table[found.quadratic[:, 0], found.quadratic_entry] = 2.0 * found.quadratic_factor
@@ -184,36 +125,44 @@ def derivatives_of(monkeypatch, diagonal, value):
         (lambda p: [p[0] * (p[1] - 2.0), p[2], 1.0], [1.0, 2.0, 4.0], [[0, 1, 0], [0, 0, 1], [0, 0, 0]]),
     ],
 )
-def test_derivatives_of_coefficients(monkeypatch, diagonal, value, derivatives):
-    found = derivatives_of(monkeypatch, diagonal, value if np.ndim(value) == 0 else np.array(value))
-    np.testing.assert_allclose(found, derivatives, rtol=80 * 2.0**-51, atol=0)
+def test_derivatives_of_coefficients(registering, diagonal, value, derivatives):
+    found = derivatives_of(diagonal, value if np.ndim(value) == 0 else np.array(value))
+    np.testing.assert_allclose(found, derivatives, rtol=4 * 2.0**-53, atol=0)
 
 
-def test_entries_that_only_change_alone_are_differentiated(monkeypatch):
-    """Where one entry may change by some amount, all together may not: their sum is limited."""
+def test_values_at_the_end_of_their_range_have_derivatives(registering):
+    """Schemes that are stepped in Python take differences, for which values on both sides are needed."""
 
-    def limited(p):
-        if p.sum() > 3.25:
-            raise ValueError("too large")
-        return p
+    def energy(stiffness):
+        return (np.array([stiffness, 0.0, 0.0]),)
 
-    found = derivatives_of(monkeypatch, limited, np.array([1.0, 1.0, 1.0]))
-    np.testing.assert_allclose(found, np.eye(3), rtol=2.0**-50, atol=0)
+    @co.systems.ready_made(energy=energy)
+    def at_least_one(stiffness=1.0):
+        if stiffness < 1.0:
+            raise ValueError("too soft")
+        return co.LiePoissonSystem(
+            SO3, co.Quadratic(*energy(stiffness)), name="at_least_one", parameters={"stiffness": stiffness}
+        )
+
+    x = np.array([1.0, 2.0, 3.0])
+    for value in (2.0, 1.0):
+        assert parameter_of(at_least_one(value), "stiffness").energy().at(x).tolist() == [0.5]
+    _, tangents = co.prepare(at_least_one(), co.GaussLegendre(2), 0.125).jvp(x, (0, 1), {"stiffness": 1.0})
+    assert np.any(tangents.x)
+    with refused(ValueError, "stiffness", "too soft"):
+        co.prepare(at_least_one(), co.Kahan(), 0.125).jvp(x, (0, 1), {"stiffness": 1.0})
 
 
-def at_least_one(stiffness=1.0):
-    if stiffness < 1.0:
-        raise ValueError("too soft")
-    H = co.Quadratic((stiffness, 0.0, 0.0))
-    return co.LiePoissonSystem(SO3, H, name="at_least_one", parameters={"stiffness": stiffness})
+def test_energies_have_arguments_of_their_builders(registering):
+    for energy, symmetric in ((lambda p, q: None, ()), (lambda *, q: None, ()), (lambda p: None, ("q",))):
+        with refused(TypeError, "wrong", "q"):
 
+            @co.systems.ready_made(energy=energy, symmetric=symmetric)
+            def wrong(p=1.0):
+                return p
 
-def test_values_at_the_end_of_their_range_are_refused(monkeypatch):
-    monkeypatch.setattr(parameters, "ready_made_systems", lambda: {"at_least_one": at_least_one})
-    system, x = at_least_one(2.0), np.array([1.0, 2.0, 3.0])
-    assert parameter_of(system, "stiffness").energy().at(x) == pytest.approx([0.5], rel=2.0**-50)
-    with refused(ValueError, "stiffness", "at_least_one", "near 1"):
-        parameter_of(at_least_one(), "stiffness").energy()
+    with refused(TypeError, "energy", "3"):
+        co.systems.ready_made(energy=3)
 
 
 QUARTIC = co.Polynomial({(4, 0, 0): 0.25, (0, 2, 0): 0.5, (0, 0, 2): 1.0, (1, 1, 0): 0.1})
@@ -304,23 +253,45 @@ def test_refused_values_are_named():
 
 
 def of(codes, values, others=None):
-    return Coefficients.summed(np.asarray(codes, dtype=np.int64), np.asarray(values, dtype=float), others or {})
+    return Coefficients.summed(np.asarray(codes, dtype=np.int64), np.asarray(values), others or {})
 
 
-@pytest.mark.parametrize("pair", [(0, 1), (0, 16), (3, 19), (5, 18)])
-def test_a_coefficient_of_two_entries_is_differentiated_by_both(pair):
-    """Also if the numbers of both entries share digits."""
+SHARED = [
+    {0: 1.0, 1: 1.0},
+    {0: 1.0, 16: 1.0},
+    {3: 1.0, 19: 1.0},
+    {5: 2.0, 18: -2.0},
+    {0: 1.0, 1: -1.0, 2: -1.0, 3: 1.0},
+]
+
+
+@pytest.mark.parametrize("shared", SHARED, ids=str)
+def test_a_coefficient_of_several_entries_is_differentiated_by_all(shared):
+    """Also if the numbers of the entries share digits, or their changes cancel."""
     value = np.linspace(1.0, 2.0, 20)
 
-    def shared(shifts):
-        entries = value + shifts
-        return of(np.arange(1, 22), [*entries, entries[list(pair)].sum()])
+    def coefficients(entries):
+        return of(np.arange(1, 22), [*entries, sum(factor * entries[k] for k, factor in shared.items())])
 
-    energy, _ = derivatives_by_entries(shared, value)
+    energy = derivative_by_steps(coefficients, value, False)
     at_shared = energy.linear == 20
-    assert energy.linear_entry[at_shared].tolist() == list(pair)
-    np.testing.assert_allclose(energy.linear_factor, 1.0, rtol=2.0**-40)
-    assert len(energy.linear) == 22
+    assert dict(zip(energy.linear_entry[at_shared], energy.linear_factor[at_shared], strict=True)) == shared
+    assert np.all(energy.linear_factor[~at_shared] == 1.0) and len(energy.linear) == 20 + len(shared)
+
+
+def test_entries_of_which_each_has_its_coefficients_are_differentiated_together():
+    value, calls = np.linspace(1.0, 2.0, 100), []
+
+    def coefficients(entries):
+        calls.append(entries)
+        return of(np.arange(1, 201), np.concatenate([1.0 / entries, entries**2]))
+
+    energy = derivative_by_steps(coefficients, value, False)
+    assert len(calls) == 9
+    assert energy.linear.tolist() == [k + 100 * part for k in range(100) for part in (0, 1)]
+    assert energy.linear_entry.tolist() == np.repeat(np.arange(100), 2).tolist()
+    wanted = np.stack([-1.0 / value**2, 2.0 * value], axis=1).ravel()
+    np.testing.assert_allclose(energy.linear_factor, wanted, rtol=4 * 2.0**-53)
 
 
 def test_energies_of_functions_and_of_pieces_have_no_parameters():

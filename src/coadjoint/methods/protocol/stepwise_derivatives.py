@@ -28,7 +28,7 @@ def nearby_parameters(system: Any, parameters: Mapping[str, Parameter]) -> list[
     return [
         nearby
         for name, parameter in parameters.items()
-        for nearby in nearby_systems(parameter.radii(), partial(with_entry_moved, system, name, parameter.value))
+        for nearby in nearby_systems(name, parameter.value, partial(with_entry_moved, system, name, parameter))
     ]
 
 

@@ -15,9 +15,8 @@ from coadjoint.methods.protocol.derivative_tables import EXACT, DerivativeTables
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.program.added_part import CoefficientMap
 from coadjoint.runs.inputs import Inputs
-from coadjoint.systems.coefficient_derivatives import RADIUS
 from coadjoint.systems.energy_derivatives import EnergyDerivative
-from coadjoint.systems.parameter_differences import DISTANCE, NearbySystems
+from coadjoint.systems.parameter_differences import DISTANCE, RADIUS, NearbySystems
 
 Floats = NDArray[np.float64]
 
@@ -128,4 +127,4 @@ def changed_inputs(inputs: Inputs, system: Any, values: Floats, h: float) -> Ite
             other[index] += by
             return inputs.system_at(other, system)
 
-        yield NearbySystems(distance, moved)
+        yield NearbySystems(INPUTS, distance, moved)

@@ -23,7 +23,7 @@ from coadjoint.runs.derivatives.input_derivatives import INPUTS, changed_inputs,
 from coadjoint.runs.inputs import InputLoops, Inputs
 from coadjoint.runs.loops.loops import loops_of_system
 from coadjoint.runs.partial_steps import PartialSteps
-from coadjoint.systems.force_parameters import force_parameters
+from coadjoint.systems.force_parameters import check_may_change, force_numbers
 from coadjoint.systems.parameters import parameters_of
 from coadjoint.systems.protocol import forces_of, unforced
 
@@ -71,9 +71,11 @@ def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inpu
 
 def _flow_entries(run: DifferentiableRun, names: Sequence[str]) -> list[FlowEntry]:
     """Return the entries of parameters by which flows of forces change."""
-    of_forces, found = force_parameters(run.system), []
+    of_forces, found = force_numbers(run.system), []
     by_energy = _using_energy(run)
     for name in names:
+        if name in of_forces:
+            check_may_change(run.system, name)
         moving = (of_forces[name].position,) if name in of_forces else by_energy
         if not moving:
             continue

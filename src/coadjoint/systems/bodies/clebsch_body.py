@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.bodies.heavy_top import rigid_motions
-from coadjoint.systems.bodies.inertia import inverse_inertia, read_vector
+from coadjoint.systems.bodies.inertia import positive_moments, read_vector
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 
 
+def _energy(inverse_mass: npt.NDArray[Any], *, inertia: npt.ArrayLike) -> tuple[npt.NDArray[Any]]:
+    if len(set(np.asarray(inertia).tolist())) > 1:
+        raise ValueError("moments that are not equal tie the coefficients to each other")
+    return (_diagonal_of(inertia, inverse_mass),)
+
+
+def _diagonal_of(inertia: npt.ArrayLike, inverse_mass: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    return np.concatenate([1.0 / np.asarray(inertia), inverse_mass])
+
+
 @ready_made(
+    energy=_energy,
     gallery_entry=GalleryEntry(
         x0=(0.6, 0.4, 1.0, 0.5, 0.3, 0.2),
         t_span=(0.0, 60.0),
@@ -31,7 +43,7 @@ from coadjoint.systems.registry import ready_made
         attitude=True,
         coordinates=("m1", "m2", "m3", "p1", "p2", "p3"),
         quantity="impulses",
-    )
+    ),
 )
 def clebsch_body(
     inertia: npt.ArrayLike = (1.0, 1.0, 1.0), inverse_mass: npt.ArrayLike = (1.0, 1.5, 3.0)
@@ -76,7 +88,7 @@ def clebsch_body(
     Traceback (most recent call last):
     ValueError: inverse_mass is not a Clebsch case: ... the nearest valid values are 0.833333, 1.33333, 1.83333; ...
     """
-    M, moments = inverse_inertia(read_vector(inertia, "inertia"))
+    moments = tuple(positive_moments(read_vector(inertia, "inertia"), "inertia").tolist())
     c = read_vector(inverse_mass, "inverse_mass")
     try:
         integral = _integral([Fraction(v) for v in moments], [Fraction(v) for v in c.tolist()])
@@ -84,7 +96,7 @@ def clebsch_body(
         raise ValueError("products of inertia and inverse_mass leave the range of float64; take other units") from None
     return LiePoissonSystem(
         rigid_motions(),
-        Quadratic(np.concatenate([M, c])),
+        Quadratic(_diagonal_of(moments, c)),
         sign=-1,
         name="clebsch_body",
         parameters={"inertia": moments, "inverse_mass": tuple(c.tolist())},

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.systems.bodies.heavy_top import top_under_gravity
-from coadjoint.systems.bodies.inertia import moments_of, read_vector
+from coadjoint.systems.bodies.heavy_top import energy_under_gravity, top_under_gravity
+from coadjoint.systems.bodies.inertia import read_moment, read_vector
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 
 
+def _energy(equatorial: Any, lever: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    return energy_under_gravity(1.0 / equatorial / np.array((1.0, 1.0, 0.25)), np.array([lever[0], lever[1], 0.0]))
+
+
 @ready_made(
+    energy=_energy,
     gallery_entry=GalleryEntry(
         x0=(0.0, 4.0, 3.0, 0.6, -0.48, 0.64),
         t_span=(0.0, 60.0),
@@ -28,7 +35,7 @@ from coadjoint.systems.registry import ready_made
         attitude=True,
         coordinates=("m1", "m2", "m3", "gamma1", "gamma2", "gamma3"),
         quantity="momentum and vertical",
-    )
+    ),
 )
 def goryachev_chaplygin_top(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0, 0.0)) -> LiePoissonSystem:
     """Return the Goryachev-Chaplygin top: ``I1 = I2 = 4 I3``, the centre of mass in the plane of axes 1 and 2.
@@ -63,10 +70,10 @@ def goryachev_chaplygin_top(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0
     >>> top.vector_field([4.0, 8.0, 3.0, 1.0, 3.0, 4.0])
     array([18., -5., -3.,  1.,  1., -1.])
     """
-    M, size = moments_of(equatorial, "equatorial", (1.0, 1.0, 0.25))
+    size = read_moment(equatorial, "equatorial", 0.25)
     u, v = read_vector(lever, "lever", 2).tolist()
     parameters = {"equatorial": size, "lever": (u, v)}
-    return top_under_gravity(M, np.array([u, v, 0.0]), "goryachev_chaplygin_top", parameters)
+    return top_under_gravity(_energy(**parameters), "goryachev_chaplygin_top", parameters)
 
 
 def goryachev_chaplygin_integral(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0, 0.0)) -> Polynomial:
@@ -96,7 +103,7 @@ def goryachev_chaplygin_integral(equatorial: float = 4.0, lever: npt.ArrayLike =
     >>> goryachev_chaplygin_integral()
     -x1*x6 + 0.25*x1^2*x3 + 0.25*x2^2*x3
     """
-    M, _ = moments_of(equatorial, "equatorial", (1.0, 1.0, 0.25))
+    size = read_moment(equatorial, "equatorial", 0.25)
     u, v = read_vector(lever, "lever", 2).tolist()
     m1, m2, m3, gamma3 = (Polynomial.variable(i, 6) for i in (0, 1, 2, 5))
-    return float(M[0]) * (m3 * (m1**2 + m2**2)) - gamma3 * (u * m1 + v * m2)
+    return 1.0 / size * (m3 * (m1**2 + m2**2)) - gamma3 * (u * m1 + v * m2)

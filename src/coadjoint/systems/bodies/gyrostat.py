@@ -12,9 +12,11 @@ import numpy.typing as npt
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.inertia import (
     axis_of_symmetry,
-    inverse_inertia,
+    inverse_of,
     momentum_along,
+    plain,
     principal,
+    read_inertia,
     read_vector,
     warn_unphysical_inertia,
 )
@@ -34,7 +36,15 @@ from coadjoint.systems.registry import ready_made
 Floats = npt.NDArray[np.float64]
 
 
+def _energy(inertia: npt.NDArray[Any], rotors: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any], Any]:
+    M = inverse_of(inertia, "inertia")
+    rate = (M * rotors).sum(axis=1) if M.ndim == 2 else M * rotors
+    return M, -rate, 0.5 * (rotors * rate).sum()
+
+
 @ready_made(
+    energy=_energy,
+    symmetric=("inertia",),
     gallery_entry=GalleryEntry(
         x0=partial(points_on_sphere, 16),
         t_span=(0.0, 60.0),
@@ -52,7 +62,7 @@ Floats = npt.NDArray[np.float64]
         ),
         components=Picture("components", chosen=(1,)),
         quantity="angular momentum",
-    )
+    ),
 )
 def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (0.25, 0.5, 0.75)) -> LiePoissonSystem:
     """Return a body that carries rotors, ``x' = x cross Omega`` with ``Omega = I^-1 (x - k)``.
@@ -101,24 +111,22 @@ def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (
     >>> s.energy([0.0, 0.0, 2.5])
     0.0
     """
-    M, moments = inverse_inertia(inertia)
-    warn_unphysical_inertia(moments)
-    k = read_vector(rotors, "rotors")
+    moments, k = read_inertia(inertia), read_vector(rotors, "rotors")
     with np.errstate(over="ignore", invalid="ignore"):
-        rate = (M * k).sum(axis=1) if M.ndim == 2 else M * k
-        constant = 0.5 * float((k * rate).sum())
+        M, linear, constant = _energy(moments, k)
+    warn_unphysical_inertia(moments)
     if not math.isfinite(constant):
         raise ValueError(
             f"the energy of the rotors, {short(k.tolist())}, leaves the range of float64; take other units"
         )
-    H = Quadratic(M, linear=-rate, constant=constant)
+    H = Quadratic(M, linear, float(constant))
     axis, m = axis_of_symmetry(M, k), principal(M)
     return LiePoissonSystem(
         rotations(),
         H,
         sign=-1,
         name="gyrostat",
-        parameters={"inertia": moments, "rotors": tuple(k.tolist())},
+        parameters={"inertia": plain(moments), "rotors": tuple(k.tolist())},
         exact=None if axis is None or m is None else partial(_symmetric, m, k, axis),
         integrals=momentum_along(axis, "x", 3),
     )

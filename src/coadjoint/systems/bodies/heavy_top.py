@@ -13,9 +13,11 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.bodies.inertia import (
     axis_of_symmetry,
-    inverse_inertia,
+    inverse_of,
     momentum_along,
+    plain,
     principal,
+    read_inertia,
     read_vector,
     warn_unphysical_inertia,
 )
@@ -27,7 +29,26 @@ from coadjoint.systems.registry import ready_made
 Floats = npt.NDArray[np.float64]
 
 
+def energy_under_gravity(M: npt.NDArray[Any], lever: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Return the matrix and the linear part of the energy of a top, from the inverse inertia, (3,) or (3, 3).
+
+    Examples
+    --------
+    >>> energy_under_gravity(np.array([1.0, 1.0, 2.0]), np.array([1.0, 0.0, 0.0]))[1]
+    array([0., 0., 0., 1., 0., 0.])
+    """
+    matrix = np.zeros((6, 6), dtype=M.dtype)
+    matrix[:3, :3] = M if M.ndim == 2 else np.diag(M)
+    return matrix, np.concatenate([np.zeros(3), lever])
+
+
+def _energy(inertia: npt.NDArray[Any], lever: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    return energy_under_gravity(inverse_of(inertia, "inertia"), lever)
+
+
 @ready_made(
+    energy=_energy,
+    symmetric=("inertia",),
     gallery_entry=GalleryEntry(
         x0=(0.3, 0.2, 3.0, 0.6, 0.0, 0.8),
         t_span=(0.0, 40.0),
@@ -42,7 +63,7 @@ Floats = npt.NDArray[np.float64]
         attitude=True,
         coordinates=("m1", "m2", "m3", "gamma1", "gamma2", "gamma3"),
         quantity="momentum and vertical",
-    )
+    ),
 )
 def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (0.75, 0.5, 1.0)) -> LiePoissonSystem:
     """Return a heavy top, ``m' = m cross Omega + gamma cross lever``, ``gamma' = gamma cross Omega``.
@@ -96,23 +117,22 @@ def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (
     >>> heavy_top(inertia=(2.0, 1.0, 1.0), lever=(3.0, 0.0, 0.0)).integrals
     {'m1': m1}
     """
-    M, moments = inverse_inertia(inertia)
+    moments, w = read_inertia(inertia), read_vector(lever, "lever")
+    energy = _energy(moments, w)
     warn_unphysical_inertia(moments, "e(3)")
-    w = read_vector(lever, "lever")
-    return top_under_gravity(M, w, "heavy_top", {"inertia": moments, "lever": tuple(w.tolist())})
+    return top_under_gravity(energy, "heavy_top", {"inertia": plain(moments), "lever": tuple(w.tolist())})
 
 
-def top_under_gravity(M: Floats, lever: Floats, name: str, parameters: dict[str, Any]) -> LiePoissonSystem:
-    """Return the top on e(3) with inverse inertia M, (3,) or (3, 3), and coefficients `lever` of gamma, with integrals.
+def top_under_gravity(energy: tuple[Floats, Floats], name: str, parameters: dict[str, Any]) -> LiePoissonSystem:
+    """Return the top on e(3) with an energy of `energy_under_gravity`, with its integrals.
 
     Examples
     --------
-    >>> top_under_gravity(np.array([1.0, 1.0, 2.0]), np.array([1.0, 0.0, 0.0]), "top", {}).integrals.keys()
+    >>> energy = energy_under_gravity(np.array([1.0, 1.0, 2.0]), np.array([1.0, 0.0, 0.0]))
+    >>> top_under_gravity(energy, "top", {}).integrals.keys()
     dict_keys(['K'])
     """
-    matrix = np.zeros((6, 6))
-    matrix[:3, :3] = M if M.ndim == 2 else np.diag(M)
-    H = Quadratic(matrix, linear=np.concatenate([np.zeros(3), lever]))
+    H, M, lever = Quadratic(*energy), energy[0][:3, :3], energy[1][3:]
     integrals = momentum_along(axis_of_symmetry(M, lever), "m", 6)
     K = kovalevskaya_integral(M, lever)
     if K is not None:

@@ -18,22 +18,21 @@ from coadjoint.validation import check_finite, read_finite, read_number, read_nu
 MIN_MOMENT = 2.0**-1022  # smallest normal number: below it the inverse overflows
 
 
-def inverse_inertia(inertia: npt.ArrayLike, what: str = "inertia") -> tuple[npt.NDArray[np.float64], Any]:
-    """Return the inverse inertia M, (3,) or (3, 3), and the inertia as a tuple, from principal moments or a tensor.
+def read_inertia(inertia: npt.ArrayLike, what: str = "inertia") -> npt.NDArray[np.float64]:
+    """Return principal moments, (3,), which are positive, or a tensor, (3, 3); `what` is the name in messages.
 
-    `what` is the name in messages. Raises ValueError unless symmetric and positive definite with a finite inverse.
+    Whether a tensor is positive definite is seen by `inverse_of`.
 
     Examples
     --------
-    >>> inverse_inertia((1, 2, 4))
-    (array([1.  , 0.5 , 0.25]), (1.0, 2.0, 4.0))
+    >>> read_inertia((1, 2, 4))
+    array([1., 2., 4.])
     """
     array = read_numbers(inertia, what)
     if array.shape not in ((3,), (3, 3)):
         raise ValueError(f"{what} has shape {array.shape}; give three principal moments, or a symmetric (3, 3)")
     check_finite(array, what)
-    M = 1.0 / positive_moments(array, what) if array.ndim == 1 else inverse_of(array, what)
-    return M, plain(array)
+    return positive_moments(array, what) if array.ndim == 1 else array
 
 
 def plain(array: npt.NDArray[np.float64]) -> Any:
@@ -119,12 +118,12 @@ def positive_moments(moments: npt.NDArray[np.float64], what: str) -> npt.NDArray
     return moments
 
 
-def moments_of(size: float, what: str, ratios: tuple[float, ...] = (1.0,)) -> tuple[npt.NDArray[np.float64], float]:
-    """Return inverse moments with the given ratios (powers of two) to that of `size`, and the validated size."""
+def read_moment(size: float, what: str, least_ratio: float = 1.0) -> float:
+    """Return a positive moment; `least_ratio` is that of the smallest moment to it."""
     value = read_number(size, what)
-    for moment in (value, value * min(ratios)):
+    for moment in (value, value * least_ratio):
         positive_moments(np.array([moment]), what)
-    return 1.0 / value / np.array(ratios), value
+    return value
 
 
 def check_symmetric_matrix(matrix: npt.NDArray[np.float64], what: str) -> None:
@@ -136,12 +135,16 @@ def check_symmetric_matrix(matrix: npt.NDArray[np.float64], what: str) -> None:
         raise ValueError(f"{what} is not symmetric: {matrix[i, j]:g} and {matrix[j, i]:g} at [{i}, {j}] and [{j}, {i}]")
 
 
-def inverse_of(matrix: npt.NDArray[np.float64], what: str) -> npt.NDArray[np.float64]:
-    """Return the inverse of a small positive definite matrix, correctly rounded from rational arithmetic.
+def inverse_of(matrix: npt.NDArray[Any], what: str) -> npt.NDArray[Any]:
+    """Return the inverse of moments, or of a small positive definite matrix, correctly rounded by rational arithmetic.
 
     So it has the same bits on every machine, unlike LAPACK's. Raises ValueError if not symmetric positive definite,
-    or on overflow.
+    or on overflow. An imaginary part is a change, by which the inverse changes to first order.
     """
+    if matrix.ndim == 1:
+        return 1.0 / matrix
+    if matrix.dtype.kind == "c":
+        return with_change(inverse_of(matrix.real, what), matrix.imag)
     check_symmetric_matrix(matrix, what)
     n = len(matrix)
     unit = [[Fraction(int(i == j)) for j in range(n)] for i in range(n)]
@@ -160,6 +163,11 @@ def inverse_of(matrix: npt.NDArray[np.float64], what: str) -> npt.NDArray[np.flo
         return np.array([[float(entry) for entry in row[n:]] for row in q])
     except OverflowError:
         raise ValueError(f"{what} {short(matrix.tolist())} has an inverse that overflows; take larger units") from None
+
+
+def with_change(inverse: npt.NDArray[np.float64], change: npt.NDArray[np.float64]) -> npt.NDArray[np.complex128]:
+    """Return the inverse of a matrix plus i times a small change, to first order, from the inverse of the matrix."""
+    return np.asarray(inverse - 1j * np.einsum("ij,jk,kl->il", inverse, change, inverse))
 
 
 MAX_MAGNITUDE = 1e30

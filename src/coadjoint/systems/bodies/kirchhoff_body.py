@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.bodies.heavy_top import rigid_motions
-from coadjoint.systems.bodies.inertia import inverse_inertia, inverse_of, plain, principal
+from coadjoint.systems.bodies.inertia import inverse_of, plain, principal, read_inertia
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -17,7 +19,21 @@ from coadjoint.validation import read_finite
 Floats = npt.NDArray[np.float64]
 
 
+def _energy(inertia: npt.NDArray[Any], mass: npt.NDArray[Any], coupling: npt.NDArray[Any]) -> tuple[npt.NDArray[Any]]:
+    matrix = np.zeros((6, 6), dtype=np.result_type(inertia, mass, coupling))
+    coupled = coupling.any()
+    for block, values, what in ((slice(0, 3), inertia, "inertia"), (slice(3, 6), mass, "mass")):
+        values = values if coupled else inverse_of(values, what)
+        matrix[block, block] = np.diag(values) if values.ndim == 1 else values
+    if coupled:
+        matrix[:3, 3:], matrix[3:, :3] = coupling, coupling.T
+        matrix = inverse_of(matrix, "the matrix of inertia, coupling and mass")
+    return (matrix,)
+
+
 @ready_made(
+    energy=_energy,
+    symmetric=("inertia", "mass"),
     gallery_entry=GalleryEntry(
         x0=(0.5, 1.5, 1.0, 0.8, 0.1, 0.1),
         t_span=(0.0, 40.0),
@@ -33,7 +49,7 @@ Floats = npt.NDArray[np.float64]
         attitude=True,
         coordinates=("m1", "m2", "m3", "p1", "p2", "p3"),
         quantity="impulses",
-    )
+    ),
 )
 def kirchhoff_body(
     inertia: npt.ArrayLike = (1.0, 2.0, 3.0),
@@ -86,26 +102,20 @@ def kirchhoff_body(
     >>> kirchhoff_body(inertia=(1, 1, 2), mass=(2, 2, 1)).integrals
     {'m3': m3}
     """
-    A, moments = inverse_inertia(inertia)
-    C, masses = inverse_inertia(mass, "mass")
+    moments, masses = read_inertia(inertia), read_inertia(mass, "mass")
     B = read_finite(coupling, "coupling")
     if B.shape != (3, 3):
         raise ValueError(f"coupling has shape {B.shape}; give a finite (3, 3)")
-    matrix = np.zeros((6, 6))
     if B.any():
-        for block, values in ((slice(0, 3), moments), (slice(3, 6), masses)):
-            matrix[block, block] = np.diag(values) if np.ndim(values) == 1 else values
-        matrix[:3, 3:], matrix[3:, :3] = B, B.T
-        matrix = inverse_of(matrix, "the matrix of inertia, coupling and mass")
-    else:
-        matrix[:3, :3], matrix[3:, 3:] = (np.diag(M) if M.ndim == 1 else M for M in (A, C))
+        inverse_of(moments, "inertia"), inverse_of(masses, "mass")  # raise an error that names the block
+    (matrix,) = _energy(moments, masses, B)
     return LiePoissonSystem(
         rigid_motions(),
         Quadratic(matrix),
         sign=-1,
         name="kirchhoff_body",
-        parameters={"inertia": moments, "mass": masses, "coupling": plain(B)},
-        integrals={} if B.any() else _of_revolution(A, C),
+        parameters={"inertia": plain(moments), "mass": plain(masses), "coupling": plain(B)},
+        integrals={} if B.any() else _of_revolution(matrix[:3, :3], matrix[3:, 3:]),
     )
 
 

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.systems.bodies.heavy_top import top_under_gravity
-from coadjoint.systems.bodies.inertia import moments_of, read_vector
+from coadjoint.systems.bodies.heavy_top import energy_under_gravity, top_under_gravity
+from coadjoint.systems.bodies.inertia import read_moment, read_vector
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 
 
+def _energy(equatorial: Any, lever: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    return energy_under_gravity(1.0 / equatorial / np.array((1.0, 1.0, 0.5)), np.array([lever[0], lever[1], 0.0]))
+
+
 @ready_made(
+    energy=_energy,
     gallery_entry=GalleryEntry(
         x0=(1.0, 0.5, 1.5, 0.6, 0.0, 0.8),
         t_span=(0.0, 60.0),
@@ -27,7 +34,7 @@ from coadjoint.systems.registry import ready_made
         attitude=True,
         coordinates=("m1", "m2", "m3", "gamma1", "gamma2", "gamma3"),
         quantity="momentum and vertical",
-    )
+    ),
 )
 def kovalevskaya_top(equatorial: float = 2.0, lever: npt.ArrayLike = (1.0, 0.0)) -> LiePoissonSystem:
     """Return Kovalevskaya's top: a heavy top with ``I1 = I2 = 2 I3``, the centre of mass in the plane of axes 1, 2.
@@ -65,6 +72,7 @@ def kovalevskaya_top(equatorial: float = 2.0, lever: npt.ArrayLike = (1.0, 0.0))
     >>> top.integrals["K"]([2.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     1.0
     """
-    M, moment = moments_of(equatorial, "equatorial", (1.0, 1.0, 0.5))
+    moment = read_moment(equatorial, "equatorial", 0.5)
     u, v = read_vector(lever, "lever", 2).tolist()
-    return top_under_gravity(M, np.array([u, v, 0.0]), "kovalevskaya_top", {"equatorial": moment, "lever": (u, v)})
+    parameters = {"equatorial": moment, "lever": (u, v)}
+    return top_under_gravity(_energy(**parameters), "kovalevskaya_top", parameters)

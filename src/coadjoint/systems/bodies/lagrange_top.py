@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
-from coadjoint.systems.bodies.heavy_top import top_under_gravity
-from coadjoint.systems.bodies.inertia import moments_of, warn_unphysical_inertia
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.systems.bodies.heavy_top import energy_under_gravity, top_under_gravity
+from coadjoint.systems.bodies.inertia import read_moment, warn_unphysical_inertia
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 from coadjoint.validation import read_number
 
 
+def _energy(equatorial: Any, axial: Any, lever: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    moments = np.array([equatorial, equatorial, axial])
+    return energy_under_gravity(1.0 / moments, np.array([0.0, 0.0, lever]))
+
+
 @ready_made(
+    energy=_energy,
     gallery_entry=GalleryEntry(
         x0=(0.0, 0.0, 3.0, 0.8660254037844386, 0.0, 0.5),
         t_span=(0.0, 24.0),
@@ -27,7 +36,7 @@ from coadjoint.validation import read_number
         attitude=True,
         coordinates=("m1", "m2", "m3", "gamma1", "gamma2", "gamma3"),
         quantity="momentum and vertical",
-    )
+    ),
 )
 def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0) -> LiePoissonSystem:
     """Return Lagrange's top: a heavy top with ``I1 = I2`` and the centre of mass on the third axis.
@@ -71,9 +80,11 @@ def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0
     >>> top.integrals
     {'m3': m3}
     """
-    m_equatorial, equatorial_moment = moments_of(equatorial, "equatorial")
-    m_axial, axial_moment = moments_of(axial, "axial")
-    M, lever = np.concatenate([m_equatorial, m_equatorial, m_axial]), read_number(lever, "lever")
-    warn_unphysical_inertia((equatorial_moment, equatorial_moment, axial_moment), "e(3)", "axial")
-    parameters = {"equatorial": equatorial_moment, "axial": axial_moment, "lever": lever}
-    return top_under_gravity(M, np.array([0.0, 0.0, lever]), "lagrange_top", parameters)
+    parameters = {
+        "equatorial": read_moment(equatorial, "equatorial"),
+        "axial": read_moment(axial, "axial"),
+        "lever": read_number(lever, "lever"),
+    }
+    across, along = parameters["equatorial"], parameters["axial"]
+    warn_unphysical_inertia((across, across, along), "e(3)", "axial")
+    return top_under_gravity(_energy(**parameters), "lagrange_top", parameters)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -14,7 +16,13 @@ from coadjoint.systems.registry import ready_made
 from coadjoint.validation import read_finite
 
 
+def _energy(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> tuple[npt.NDArray[Any]]:
+    first, second = planes(len(a))
+    return ((b[first] - b[second]) / (a[first] - a[second]),)
+
+
 @ready_made(
+    energy=_energy,
     gallery_entry=GalleryEntry(
         x0=(1.0, 0.3, 0.2, 0.1, 0.6, 0.5),
         t_span=(0.0, 60.0),
@@ -30,7 +38,7 @@ from coadjoint.validation import read_finite
         ),
         coordinates=lambda dim: ("x12", "x13", "x14", "x23", "x24", "x34") if dim == 6 else (),
         quantity="angular momentum",
-    )
+    ),
 )
 def manakov_top(a: npt.ArrayLike = (1.0, 2.0, 4.0, 7.0), b: npt.ArrayLike = (1.0, 3.0, 2.0, 5.0)) -> LiePoissonSystem:
     """Return Manakov's top on so(n), ``X' = [X, Omega]`` with ``Omega_ij = (b_i - b_j)/(a_i - a_j) x_ij``.
@@ -82,10 +90,10 @@ def manakov_top(a: npt.ArrayLike = (1.0, 2.0, 4.0, 7.0), b: npt.ArrayLike = (1.0
     algebra = rotations(a_values.size)
     first, second = planes(a_values.size)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        denominators, numerators = a_values[first] - a_values[second], b_values[first] - b_values[second]
-        M = numerators / denominators
-    if not denominators.all():
-        i, j = sorted((int(first[denominators == 0][0]), int(second[denominators == 0][0])))
+        (M,) = _energy(a_values, b_values)
+    equal = a_values[first] == a_values[second]
+    if equal.any():
+        i, j = sorted((int(first[equal][0]), int(second[equal][0])))
         raise ValueError(f"a[{i}] and a[{j}] are both {a_values[i]:g}; give different numbers")
     if not np.isfinite(M).all():
         raise ValueError("a quotient (b_i - b_j)/(a_i - a_j) overflows; take smaller b, or a farther apart")

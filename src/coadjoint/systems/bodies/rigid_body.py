@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.systems.bodies.inertia import inverse_inertia, warn_unphysical_inertia
+from coadjoint.systems.bodies.inertia import inverse_of, plain, read_inertia, warn_unphysical_inertia
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -18,7 +18,13 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 
 
+def _energy(inertia: npt.NDArray[Any]) -> tuple[npt.NDArray[Any]]:
+    return (inverse_of(inertia, "inertia"),)
+
+
 @ready_made(
+    energy=_energy,
+    symmetric=("inertia",),
     gallery_entry=GalleryEntry(
         x0=(0.01, 1.0, 0.01),
         t_span=(0.0, 90.0),
@@ -33,7 +39,7 @@ from coadjoint.systems.registry import ready_made
         components=Picture("components", flips=1),
         attitude=True,
         quantity="angular momentum",
-    )
+    ),
 )
 def rigid_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0)) -> LiePoissonSystem:
     """Return the free rigid body, ``x' = x cross (I^-1 x)``, with its exact solution.
@@ -72,9 +78,10 @@ def rigid_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0)) -> LiePoissonSystem:
     >>> s.exact([1.0, 2.0, 4.0], 0.0)
     array([1., 2., 4.])
     """
-    M, moments = inverse_inertia(inertia)
+    moments = read_inertia(inertia)
+    energy = _energy(moments)
     warn_unphysical_inertia(moments)
-    return so3_body(M, sign=-1, name="rigid_body", parameters={"inertia": moments})
+    return so3_body(*energy, sign=-1, name="rigid_body", parameters={"inertia": plain(moments)})
 
 
 def so3_body(M: npt.NDArray[np.float64], *, sign: int, name: str, parameters: dict[str, Any]) -> LiePoissonSystem:

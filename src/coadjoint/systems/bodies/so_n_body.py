@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +11,7 @@ import numpy.typing as npt
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.bodies.inertia import check_symmetric_matrix, plain, warn_negative_mass
+from coadjoint.systems.bodies.inertia import check_symmetric_matrix, plain, warn_negative_mass, with_change
 from coadjoint.systems.closed_forms.manakov_integrals import (
     halves_of_so4,
     inverse_of_form,
@@ -28,7 +29,21 @@ from coadjoint.validation import check_finite, read_numbers
 BYTES_PER_ENTRY = 500  # for a matrix of fractions with its inverse
 
 
+def _energy(inertia: npt.NDArray[Any]) -> tuple[npt.NDArray[Any]]:
+    if inertia.ndim == 1:
+        first, second = planes(len(inertia))
+        return (1.0 / (inertia[first] + inertia[second]),)
+    inverse = inverse_of_form(trace_form(_exact(inertia.real), 1))
+    return (with_change(inverse, trace_form(inertia.imag, 1)) if inertia.dtype.kind == "c" else inverse,)
+
+
+def _exact(matrix: npt.NDArray[np.float64]) -> npt.NDArray[Any]:
+    return np.array([[Fraction(entry) for entry in row] for row in matrix.tolist()], dtype=object)
+
+
 @ready_made(
+    energy=_energy,
+    symmetric=("inertia",),
     gallery_entry=GalleryEntry(
         x0=(1.0, 0.3, 0.2, 0.1, 0.6, 0.5),
         t_span=(0.0, 200.0),
@@ -45,7 +60,7 @@ BYTES_PER_ENTRY = 500  # for a matrix of fractions with its inverse
         ),
         coordinates=lambda dim: ("x12", "x13", "x14", "x23", "x24", "x34") if dim == 6 else (),
         quantity="angular momentum",
-    )
+    ),
 )
 def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem:
     """Return the free rigid body of n dimensions, ``X' = [X, Omega]`` with ``X = Lambda Omega + Omega Lambda``.
@@ -112,7 +127,7 @@ def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem
         first, second = planes(n)
         with np.errstate(over="ignore", divide="ignore"):
             sums = values[first] + values[second]
-            M, a = 1.0 / sums, values**2
+            (M,), a = _energy(values), values**2
         if not (np.isfinite(sums).all() and np.isfinite(M).all()):
             raise ValueError(
                 "sums of two principal values of inertia or their inverses leave the range of float64; change units"
@@ -120,8 +135,7 @@ def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem
     else:
         need = BYTES_PER_ENTRY * algebra.dim**2
         check_available_memory(need, f"the inverse of an inertia of dimension {n}", "give principal values")
-        exact = np.array([[Fraction(entry) for entry in row] for row in values.tolist()], dtype=object)
-        M, a = inverse_of_form(trace_form(exact, 1)), exact @ exact
+        (M,), a = _energy(values), _exact(values) @ _exact(values)
     return LiePoissonSystem(
         algebra,
         Quadratic(M),

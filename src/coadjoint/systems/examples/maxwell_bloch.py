@@ -34,7 +34,12 @@ def _tipping(x: Any) -> Any:
     return np.arctan2(-x[..., 1], -x[..., 2])
 
 
+def _energy(coupling: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    return np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, coupling])
+
+
 @ready_made(
+    energy=_energy,
     gallery_entry=GalleryEntry(
         x0=partial(_portrait, 9),
         t_span=(0.0, 14.0),
@@ -55,7 +60,7 @@ def _tipping(x: Any) -> Any:
         components=Picture("components", chosen=(0,)),
         coordinates=("E", "P", "D"),
         quantity="field",
-    )
+    ),
 )
 def maxwell_bloch(coupling: float = 1.0) -> LiePoissonSystem:
     """Return the Maxwell-Bloch equations of light in two-level atoms: resonant, real and lossless.
@@ -98,7 +103,7 @@ def maxwell_bloch(coupling: float = 1.0) -> LiePoissonSystem:
     coupling = read_positive(coupling, "coupling")
     return LiePoissonSystem(
         catalogue.get("se(2)"),
-        Quadratic(np.array([1.0, 0.0, 0.0]), linear=np.array([0.0, 0.0, coupling])),
+        Quadratic(*_energy(coupling)),
         casimirs={"P^2 + D^2": Polynomial({(0, 2, 0): 1, (0, 0, 2): 1})},
         name="maxwell_bloch",
         parameters={"coupling": coupling},

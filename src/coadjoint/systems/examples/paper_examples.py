@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +24,12 @@ def _three(masses: npt.ArrayLike) -> tuple[float, ...]:
     return tuple(values.tolist())
 
 
+def _energy(masses: npt.NDArray[Any]) -> tuple[npt.NDArray[Any]]:
+    return (masses,)
+
+
 @ready_made(
+    energy=_energy,
     gallery_entry=GalleryEntry(
         x0=(1.0, 1.0, 1.0),
         t_span=(0.0, 20.0),
@@ -32,7 +38,7 @@ def _three(masses: npt.ArrayLike) -> tuple[float, ...]:
         "other: the third component decreases, and the other two grow and decay.",
         pictures=(Picture("coadjoint orbit"),),
         quantity="state",
-    )
+    ),
 )
 def paper_a37(a: float = 2.0, masses: npt.ArrayLike = (1.0, 2.0, 0.01)) -> LiePoissonSystem:
     """Return example 5.1 of the paper: the algebra A3,7 with a diagonal quadratic Hamiltonian.
@@ -70,13 +76,14 @@ def paper_a37(a: float = 2.0, masses: npt.ArrayLike = (1.0, 2.0, 0.01)) -> LiePo
     values, parameter = _three(masses), read_number(a, "a")
     return LiePoissonSystem(
         catalogue.get("A3,7", a=parameter),
-        Quadratic(values),
+        Quadratic(*_energy(np.array(values))),
         name="paper_a37",
         parameters={"a": parameter, "masses": values},
     )
 
 
 @ready_made(
+    energy=_energy,
     gallery_entry=GalleryEntry(
         x0=partial(points_on_sphere, 18),
         t_span=(0.0, 40.0),
@@ -96,7 +103,7 @@ def paper_a37(a: float = 2.0, masses: npt.ArrayLike = (1.0, 2.0, 0.01)) -> LiePo
         ),
         components=Picture("components", chosen=(1,)),
         quantity="angular momentum",
-    )
+    ),
 )
 def paper_rigid_body(masses: npt.ArrayLike = (1.0, 0.5, 1.0 / 3.0)) -> LiePoissonSystem:
     """Return example 5.2 of the paper: the rigid body, ``x' = (M x) cross x``, with its exact solution.
@@ -129,4 +136,4 @@ def paper_rigid_body(masses: npt.ArrayLike = (1.0, 0.5, 1.0 / 3.0)) -> LiePoisso
     array([ 2., -3.,  1.])
     """
     values = _three(masses)
-    return so3_body(np.array(values), sign=+1, name="paper_rigid_body", parameters={"masses": values})
+    return so3_body(*_energy(np.array(values)), sign=+1, name="paper_rigid_body", parameters={"masses": values})

@@ -27,7 +27,12 @@ def _root(sign: float, x: Any) -> Any:
         return np.where(np.abs(w) < 6.0, w, np.nan)
 
 
+def _energy(constant: Any, linear: Any, quadratic: Any) -> tuple[Floats, npt.NDArray[Any]]:
+    return np.zeros(3), np.array([-constant, -linear, quadratic])
+
+
 @ready_made(
+    energy=_energy,
     gallery_entry=GalleryEntry(
         x0=(1.0, 0.5, 0.0),
         t_span=(0.0, 8.0),
@@ -39,7 +44,7 @@ def _root(sign: float, x: Any) -> Any:
             "components", functions={"v": partial(_root, -1.0), "w": partial(_root, 1.0)}, quantity="roots"
         ),
         quantity="state",
-    )
+    ),
 )
 def riccati(constant: float = 1.0, linear: float = 0.0, quadratic: float = 1.0) -> LiePoissonSystem:
     """Return the Riccati equation ``w' = constant + linear w + quadratic w^2``, regularized at its poles.
@@ -78,10 +83,10 @@ def riccati(constant: float = 1.0, linear: float = 0.0, quadratic: float = 1.0) 
     """
     q = [read_number(value, name) for value, name in ((constant, "constant"), (linear, "linear"))]
     q.append(read_number(quadratic, "quadratic"))
-    u = np.array([-q[0], -q[1], q[2]])
+    M, u = _energy(*q)
     return LiePoissonSystem(
         catalogue.get("sl(2)"),
-        Quadratic(np.zeros(3), linear=u),
+        Quadratic(M, u),
         casimirs={"discriminant": Polynomial({(1, 0, 1): 1, (0, 2, 0): 1})},
         name="riccati",
         parameters={"constant": q[0], "linear": q[1], "quadratic": q[2]},

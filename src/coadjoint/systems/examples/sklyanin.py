@@ -22,7 +22,12 @@ from coadjoint.validation import read_finite
 Floats = npt.NDArray[np.float64]
 
 
+def _energy(masses: npt.NDArray[Any]) -> tuple[npt.NDArray[Any]]:
+    return (masses,)
+
+
 @ready_made(
+    energy=_energy,
     gallery_entry=GalleryEntry(
         x0=(1.0, 0.1, 0.9, 0.2),
         t_span=(0.0, 30.0),
@@ -39,7 +44,7 @@ Floats = npt.NDArray[np.float64]
         ),
         coordinates=("x0", "x1", "x2", "x3"),
         quantity="state",
-    )
+    ),
 )
 def sklyanin(
     anisotropy: npt.ArrayLike = (1.0, 2.0, 4.0), masses: npt.ArrayLike = (1.0, 0.5, 2.0, 1.5)
@@ -109,7 +114,7 @@ def sklyanin(
     squares: dict[tuple[int, ...], Any] = {(0, 2, 0, 0): J[0], (0, 0, 2, 0): J[1], (0, 0, 0, 2): J[2]}
     return PoissonSystem(
         structure,
-        Quadratic(M),
+        Quadratic(*_energy(np.array(M))),
         derivative=derivative,
         casimirs={
             "x1^2 + x2^2 + x3^2": Polynomial(dict.fromkeys(squares, 1)),

@@ -11,13 +11,14 @@ import numpy.typing as npt
 
 from coadjoint.algebra.families.phase_space import moments
 from coadjoint.algebra.families.products import copies
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
 from coadjoint.systems.canonical import with_canonical_pairs
 from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.decorated_potential import (
     check_even,
-    energy_polynomial,
+    energy_coefficients,
     polynomial_derivatives,
     potential_energy,
     validate_potential,
@@ -51,7 +52,15 @@ def _centres_and_widths(x: Any, system: Any) -> list[tuple[Any, ...]]:
     return particles
 
 
+def _energy(
+    weights: npt.NDArray[Any], external: npt.NDArray[Any], *, pair: npt.ArrayLike
+) -> dict[tuple[int, ...], Any]:
+    return energy_coefficients(weights, external, np.asarray(pair, dtype=np.float64))
+
+
+# Odd coefficients of a pair potential are zero, so that its entries cannot change.
 @ready_made(
+    energy=_energy,
     gallery_entry=GalleryEntry(
         x0=(-1.0, 0.5, 0.0, 0.5, 1.0, 0.02, 0.0, 0.04, 0.05, 0.0, 0.02),
         t_span=(0.0, 12.0),
@@ -64,7 +73,7 @@ def _centres_and_widths(x: Any, system: Any) -> list[tuple[Any, ...]]:
         ),
         components=Picture("components", chosen=_position_and_width_coordinates, quantity="positions and widths"),
         quantity="state",
-    )
+    ),
 )
 def decorated_particles(
     weights: npt.ArrayLike = (1.0, 1.0), external: Any = (0.0, 0.0, 0.5), pair: Any = (0.0, 0.0, 0.0, 0.0, 0.25)
@@ -126,7 +135,7 @@ def decorated_particles(
         check_even(functions[1], "pair")
     q, p, x20 = np.arange(n), np.arange(n, 2 * n), 2 * n + 1 + 3 * np.arange(n)
     if W is not None and U is not None:
-        H: Any = energy_polynomial(algebra.dim, w, W, U)
+        H: Any = Polynomial(_energy(w, W, pair=U), dim=algebra.dim)
     else:
         kinetic = Quadratic(np.r_[1 / w, np.zeros(n)], linear=np.r_[np.zeros(n), np.full(n, 0.5)])
         chains = [f or polynomial_derivatives(c) for f, c in zip(functions, (W, U), strict=True)]

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
@@ -17,6 +16,7 @@ from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.user_functions import callable_from_compiled, check_derivative
 
 Floats = npt.NDArray[np.float64]
+Numbers = npt.NDArray[Any]
 DerivativeFunctions = tuple[Callable[..., Any], ...]  # a function of one number and its first three derivatives
 
 BYTES_PER_COORDINATE_POWER = 16  # memory of a monomial, for each coordinate
@@ -54,23 +54,25 @@ def check_even(chain: DerivativeFunctions, what: str) -> None:
             raise ValueError(f"{what} is {right:g} at {r} and {left:g} at {-r}; the potential of a pair is even")
 
 
-def energy_polynomial(dim: int, w: Floats, W: Floats, U: Floats) -> Polynomial:
-    """Return H for polynomial potentials, from their coefficients; see `decorated_particles`.
+def energy_coefficients(w: Numbers, W: Numbers, U: Floats) -> dict[tuple[int, ...], Any]:
+    """Return the coefficients of H for polynomial potentials, from theirs; see `decorated_particles`.
 
     Examples
     --------
-    >>> energy_polynomial(6, np.array([1.0]), np.array([0.0, 0.0, 0.5]), np.zeros(1))
+    >>> from coadjoint.algebra.polynomials.polynomial import Polynomial
+    >>> Polynomial(energy_coefficients(np.array([1.0]), np.array([0.0, 0.0, 0.5]), np.zeros(1)))
     0.5*x4 + 0.5*x6 + 0.5*x1^2 + 0.5*x2^2
     """
     n = len(w)
+    dim = 5 * n + 1
     check_available_memory(
         BYTES_PER_COORDINATE_POWER * dim * n * (len(W) + n * len(U) ** 2),
         f"the potentials of {n} particles as a polynomial",
         "give the potentials as functions",
     )
-    total: dict[tuple[int, ...], float] = {}
+    total: dict[tuple[int, ...], Any] = {}
 
-    def add(c: float, *powers: tuple[int, int]) -> None:
+    def add(c: Any, *powers: tuple[int, int]) -> None:
         if c:
             exponents = [0] * dim
             for coordinate, power in powers:
@@ -95,7 +97,7 @@ def energy_polynomial(dim: int, w: Floats, W: Floats, U: Floats) -> Polynomial:
                     slope = (-1) ** j * comb(k - 2, j) * c * k * (k - 1) / 2
                     add(slope * w[b], (a, k - 2 - j), (b, j), (x20[a], 1))
                     add(slope * w[a], (a, k - 2 - j), (b, j), (x20[b], 1))
-    return Polynomial(total, dim=dim)
+    return total
 
 
 def polynomial_derivatives(coefficients: Floats | None) -> DerivativeFunctions:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.systems.coefficients import Coefficients, encoded
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.repeated_rows import MIN_ROWS, RepeatedRows, shapes_of
 from coadjoint.systems.hamiltonians.terms import starts_of_rows
@@ -14,13 +17,35 @@ Integers = npt.NDArray[np.int64]
 Rows = tuple[Integers, npt.NDArray[np.uint32], Floats]
 
 
-def coupled_spins(sites: int, edges: Integers, coupling: Floats, on_site: Floats, linear: Floats | None) -> Quadratic:
+def coupled_spins(sites: int, edges: Integers, coupling: Floats, on_site: Floats, linear: Floats) -> Quadratic:
     """Return the sum of S_i . coupling S_j over edges, S_i . on_site S_i / 2 and linear . S over sites.
 
-    Each matrix is (3, 3), or one for each edge or site.
+    Each matrix is (3, 3), or one for each edge or site, and the linear term (3,), or (sites, 3).
     """
     equal = _equal_rows(sites, edges, coupling, on_site)
-    return Quadratic._of_rows(_rows(sites, edges, coupling, on_site) if equal is None else equal, linear)
+    of_sites = np.broadcast_to(linear, (sites, 3)).ravel() if np.any(linear) else None
+    return Quadratic._of_rows(_rows(sites, edges, coupling, on_site) if equal is None else equal, of_sites)
+
+
+def coefficients_of_spins(
+    sites: int, edges: Integers, coupling: npt.NDArray[Any], on_site: npt.NDArray[Any], linear: npt.NDArray[Any]
+) -> Coefficients:
+    """Return the coefficients of the energy of `coupled_spins`, of real or complex numbers."""
+    (first, second), site = 3 * edges.T, 3 * np.arange(sites)
+    codes, values = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
+
+    def add(i: Integers, j: Integers, numbers: npt.NDArray[Any]) -> None:
+        if np.any(numbers):
+            codes.append(encoded(np.minimum(i, j), np.maximum(i, j)))
+            values.append(np.broadcast_to(numbers, len(j)))
+
+    for a in range(3):
+        add(np.full(sites, -1), site + a, linear[..., a])
+        for b in range(3):
+            add(first + a, second + b, coupling[..., a, b])
+        for b in range(a, 3):
+            add(site + a, site + b, on_site[..., a, b] if a < b else 0.5 * on_site[..., a, b])
+    return Coefficients.of_distinct(np.concatenate(codes), np.concatenate(values))
 
 
 def _equal_rows(sites: int, edges: Integers, coupling: Floats, on_site: Floats) -> RepeatedRows | None:

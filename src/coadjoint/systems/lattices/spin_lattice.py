@@ -16,10 +16,11 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.memory import RELEASED_SIZE, check_available_memory, release_freed_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.spins import precession, total_spins
+from coadjoint.systems.coefficients import Coefficients
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.driven import Driven
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.lattices.coupling_matrix import coupled_spins
+from coadjoint.systems.lattices.coupling_matrix import coefficients_of_spins, coupled_spins
 from coadjoint.systems.lattices.dipolar import dipolar_energy
 from coadjoint.systems.lattices.neighbours import graph
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -28,6 +29,7 @@ from coadjoint.systems.registry import ready_made
 from coadjoint.validation import read_finite, to_array
 
 Floats = npt.NDArray[np.float64]
+Numbers = npt.NDArray[Any]
 
 # Peak during construction, with couplings of each bond or site, and if all are equal.
 BYTES_PER_SPIN, BYTES_PER_EDGE = 500, 200
@@ -65,7 +67,29 @@ def _coordinate_names(dim: int) -> tuple[str, ...]:
     return tuple(f"S{axis + 1}[{site + 1}]" for site in range(dim // 3) for axis in range(3))
 
 
+def _couplings(J: Numbers, T: Numbers, D: Numbers, B: Numbers, K: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+    """Return the matrices of edges, those of sites, and the linear terms, for T and K that are matrices."""
+    return -J[..., None, None] * T + np.einsum("...k,kab->...ab", D, LEVI_CIVITA), -2.0 * K, -B
+
+
+def _energy(
+    exchange: Numbers,
+    tensor: Numbers,
+    dm: Numbers,
+    field: Numbers,
+    on_site: Numbers,
+    *,
+    lattice: Any,
+    shape: Any,
+    periodic: Any,
+) -> Coefficients:
+    T, K = (np.diag(array) if array.ndim == 1 else array for array in (tensor, on_site))
+    return coefficients_of_spins(*graph(lattice, shape, periodic), *_couplings(exchange, T, dm, field, K))
+
+
 @ready_made(
+    energy=_energy,
+    symmetric=("on_site",),
     gallery_entry=GalleryEntry(
         x0=_vortices,
         t_span=(0.0, 36.0),
@@ -78,7 +102,7 @@ def _coordinate_names(dim: int) -> tuple[str, ...]:
         parameters={"lattice": "square", "shape": (EXAMPLE_SIDE, EXAMPLE_SIDE), "tensor": (1.0, 1.0, 0.85)},
         coordinates=_coordinate_names,
         quantity="spin",
-    )
+    ),
 )
 def spin_lattice(
     lattice: Any = "chain",
@@ -167,9 +191,7 @@ def spin_lattice(
         T = np.zeros((3, 3))
     if not len(edges):
         D = np.zeros(3)
-    coupling = -J[..., None, None] * T + np.einsum("...k,kab->...ab", D, LEVI_CIVITA)
-    linear = np.broadcast_to(-B, (sites, 3)).ravel() if np.any(B) else None
-    H: Any = coupled_spins(sites, edges, coupling, -2.0 * K, linear)
+    H: Any = coupled_spins(sites, edges, *_couplings(J, T, D, B, K))
     if driven:
         H = Driven(H, field, sites, 3, "field")
     parameters = None if driven else _plain_parameters(lattice, shape, periodic, exchange, tensor, dm, field, on_site)
@@ -210,7 +232,7 @@ _ALGEBRAS: WeakValueDictionary[int, LieAlgebra] = WeakValueDictionary()
 
 
 def _spins(sites: int) -> LieAlgebra:
-    """Return the algebra of spins, shared by all systems that exist: derivatives by parameters take tens of them."""
+    """Return the algebra of spins, shared by all systems that exist."""
     found = _ALGEBRAS.get(sites)
     if found is None:
         found = _ALGEBRAS[sites] = copies(catalogue.so(3), sites)
