@@ -1,4 +1,4 @@
-"""Commands on the library itself: what it contains, its checks on this machine, the paper, and the gallery."""
+"""Commands on the library itself: what it contains, its checks on this machine, the paper, the gallery, and exports."""
 
 from __future__ import annotations
 
@@ -196,4 +196,32 @@ def draw_gallery(names: tuple[str, ...], out: str) -> None:
     click.echo(f"written: {folder / PAGE}")
 
 
-COMMANDS = (list_systems, list_algebras, list_methods, check_installation, print_schema, reproduce, draw_gallery)
+@click.command("export")
+@click.option("--free-body", is_flag=True, help="The exact step of a free rigid body: one header, C99 and C++11.")
+@click.option("-o", "--out", "path", metavar="PATH", help="Path of the file, .h or .hpp; default: standard output.")
+def export(free_body: bool, path: str | None) -> None:
+    """Write code for programs in other languages, under the MIT License.
+
+    The header has functions for double and float, without allocation; it needs only sqrt.
+    """
+    from coadjoint.files.exports.headers import free_body_header
+    from coadjoint.files.output.output_files import write_header
+
+    if not free_body:
+        raise click.UsageError("export has nothing to write; give --free-body")
+    if path is None:
+        return click.echo(free_body_header(), nl=False)
+    write_header(free_body_header(Path(path).name), path)
+    click.echo(f"written: {path}")
+
+
+COMMANDS = (
+    list_systems,
+    list_algebras,
+    list_methods,
+    check_installation,
+    print_schema,
+    reproduce,
+    draw_gallery,
+    export,
+)

@@ -31,6 +31,7 @@ FIGURES = (".png", ".pdf", ".svg")
 MOVIES = (".mp4", ".gif")
 TEXTS = (".json",)
 PAGES = (".html",)
+HEADERS = (".h", ".hpp")
 REQUIRED_PACKAGES = {
     ".nc": ("xarray", "h5netcdf", "h5py"),
     ".zarr": ("xarray", "zarr"),
@@ -38,12 +39,14 @@ REQUIRED_PACKAGES = {
     ".gif": ("matplotlib", "PIL"),
     ".json": (),
     ".html": (),
+    **dict.fromkeys(HEADERS, ()),
 }
 FORMAT_NAMES = {
     ".nc": "NetCDF",
     ".zarr": "Zarr",
     ".json": "JSON",
     ".html": "a page",
+    **dict.fromkeys(HEADERS, "a header"),
     **dict.fromkeys(FIGURES, "a figure"),
     **dict.fromkeys(MOVIES, "a movie"),
 }
@@ -176,6 +179,11 @@ def write_text(text: str, path: str | Path) -> None:
 def write_page(text: str, path: str | Path) -> None:
     """Write an HTML page to an ``.html`` file, atomically; errors as for `check_target`."""
     _write(text, check_target(path, PAGES))
+
+
+def write_header(text: str, path: str | Path) -> None:
+    """Write a header of C or C++ to a ``.h`` or ``.hpp`` file, atomically; errors as for `check_target`."""
+    _write(text, check_target(path, HEADERS))
 
 
 def _write(text: str, target: Path) -> None:

@@ -1,0 +1,1 @@
+"""Code for programs in other languages."""
