@@ -1,7 +1,7 @@
 """The free rigid body in 60 digits, by Jacobi's elliptic functions and, without them, by Taylor series.
 
-Body convention: x' = x cross w, A' = A hat(w) with w = m x. Whittaker, "Analytical Dynamics", 69: about the axis c that x
-encircles, x = (X_a cn u, X_b sn u, X_c dn u), and the frame of e_c cross x turns about x by an integral of the third kind.
+Body convention: x' = x cross w, A' = A hat(w) with w = m x. Whittaker, "Analytical Dynamics", 69: x encircles an axis
+c, x = (X_a cn u, X_b sn u, X_c dn u), and the frame of e_c cross x turns about x by an integral of the third kind.
 """
 
 from __future__ import annotations

@@ -29,8 +29,9 @@ float versions end in f.
                                                 vector in body axes at the end: R(x + dx) = R(x) exp(hat(G dx)) + ...
 
 Each returns the number of pieces of time in the step: the largest |m[j] - m[k]| |x| |h| / 0.1875 (float: 0.5), rounded
-up. With u = 2^-53 (float: 2^-24), rounding in a piece is at most 3 u |x| in x and 8 u + 8 u angle in R. Beyond 65536
-pieces or 2^30 radians (float: 2^20), and for numbers that are not finite, it returns 0, and all results are NaN.
+up. With u = 2^-53 (float: 2^-24), rounding in a piece is at most 3 u |x| in x and 10 u (1 + angle) in the matrix R.
+Beyond 65536 pieces or 2^30 radians (float: 2^20), and for numbers that are not finite, it returns 0, and all results
+are NaN.
 
 Method: the addition theorem of Weierstrass's elliptic functions, and Lobatto's rule for the angle about the momentum.
 Sines and cosines are computed here: without fused products (-ffp-contract=off) all compilers give the same bits. Do not
@@ -288,7 +289,10 @@ static inline long coadjoint_(body_jacobian)(const coadjoint_real m[3], coadjoin
         }
     }
     for (int i = 0; i < 3; ++i) x[i] = coadjoint_(power)(z[i], kx), r[1 + i] = coadjoint_(power)(r[1 + i], less);
-    for (int i = 0; i < 9 && J; ++i) G[i] = coadjoint_(power)(G[i], less - kx);
+    for (int i = 0; i < 9 && J; ++i) {
+        G[i] = coadjoint_(power)(G[i], less - kx);
+        if (i % 4) J[i] = coadjoint_(power)(J[i], less);
+    }
     return count;
 }
 
