@@ -34,6 +34,7 @@ SECTIONS = {
     "work_against_precision": "Work against precision",
     "automatic_parts": "Automatic parts",
     "free_body": "Free bodies as parts",
+    "exported_body": "The exported header of free bodies",
     "first_result": "The first result",
     "attitude": "The attitude in short calls",
     "short_calls": "Inputs in short calls",

@@ -18,17 +18,17 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 
 # A change may lower a maximum. One that raises it says in a comment beside the number what users gain for it.
 MAXIMA: dict[str, int] = {
-    "Python files": 555,
-    "Python lines": 89645,
+    "Python files": 557,  # the exact step of a free body in C
+    "Python lines": 89708,  # the exact step of a free body in C
     "longest file": 512,
     "classes": 576,
     "isinstance": 907,
     "files in cycles, with imports inside functions and for types": 52,
     "modules behind integrate": 129,
     "C++ lines": 19183,  # the nearest integer in every direction of rounding, and stages among subnormal numbers
-    "test lines": 62215,  # energies of all ready-made systems as formulas: their derivatives are right to 50 digits
+    "test lines": 62963,  # the exact step of a free body in C, against 60 digits
     "test files that import internals": 74,
-    "public names": 328,
+    "public names": 329,  # coadjoint export
 }
 
 

@@ -211,7 +211,11 @@ def export(free_body: bool, path: str | None) -> None:
         raise click.UsageError("export has nothing to write; give --free-body")
     if path is None:
         return click.echo(free_body_header(), nl=False)
-    write_header(free_body_header(Path(path).name), path)
+    try:
+        text = free_body_header(Path(path).name)
+    except ValueError as reason:
+        raise click.UsageError(f"--out: {reason}") from None
+    write_header(text, path)
     click.echo(f"written: {path}")
 
 

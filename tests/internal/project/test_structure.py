@@ -13,6 +13,7 @@ TESTS = ROOT / "tests"
 SPACES = {
     name.removeprefix("co.") for name in re.findall(r"^co\.[a-z]+$", (ROOT / "docs/public_names.txt").read_text(), re.M)
 }
+SPACES.add("h")  # coadjoint.h, which `coadjoint export` writes
 DOCUMENTED = {"_replace", "_asdict", "_fields", "_exit", "_repr_html_", "_idlist"}
 IN_TEXT = re.compile(r"\b(?:from|import) coadjoint\.(\w+)(\.\w+)?|^coadjoint\.(\w+)(\.\w+\.)?")
 

@@ -100,7 +100,7 @@ def test_a_failed_run_writes_what_it_computed(call, name):
 
 REFUSED = {
     "an unknown command": (["rnu"], ("'rnu'", "'run'")),
-    "no command like it": (["zzzzz"], ("'zzzzz'", "algebras, certify, check, gallery, methods, reproduce")),
+    "no command like it": (["zzzzz"], ("'zzzzz'", "algebras, certify, check, export, gallery, methods, reproduce")),
     "no file": (["run"], ("FILE", "--help")),
     "a misspelled option": (["run", "body.toml", "--ot", "x"], ("'--ot'", "'--out'")),
     "options of other commands": (["certify", "--stepps", "3"], ("'--stepps'", "'--steps'")),

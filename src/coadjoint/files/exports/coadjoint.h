@@ -144,8 +144,17 @@ static inline void coadjoint_(sincos)(coadjoint_real t, coadjoint_real *sine, co
 /* One piece of time, of length 1: x_i(s) = (z_i C_j C_k + s a_i C_i z_j z_k)/D with D = s^2 (P(s) - middle) and
    C_i^2 = D + s^2 p_i, and Weierstrass's function s^2 P(s) = 1 + c0 s^4 + c1 s^6 + ... with the roots e_i. */
 struct coadjoint_(piece) {
-    coadjoint_real m[3], a[3], z[3], p[3], e[3], middle, energy2, length2, c0, c1;
+    coadjoint_real m[3], a[3], z[3], w[3], across[3], p[3], e[3], middle, energy, length2, c0, c1;
 };
+
+/* sqrt(1 + x) - 1 by the binomial series: |x| is below 0.024 (float: 0.17). */
+static inline coadjoint_real coadjoint_(root)(coadjoint_real x) {
+    const coadjoint_real first = coadjoint_n(0.5) - x * coadjoint_n(0.125);
+    const coadjoint_real second = coadjoint_n(0.0625) - x * coadjoint_n(0.0390625);
+    const coadjoint_real third = coadjoint_n(0.02734375) - x * coadjoint_n(0.0205078125);
+    const coadjoint_real fourth = coadjoint_n(0.01611328125) - x * coadjoint_n(0.013092041015625);
+    return x * (first + x * x * second + x * x * (x * x) * (third + x * x * fourth));
+}
 
 /* At the time s: the change of the momentum, and the rate of rotation about it, over |x|. Unless d is 0, their
    derivatives by the momentum are d[9] and the gradient. */
@@ -157,23 +166,15 @@ static inline coadjoint_real coadjoint_(point)(const struct coadjoint_(piece) *b
     const coadjoint_real c4 = (2 * c0 * c2 + c1 * c1) * coadjoint_n(0.076923076923076923);
     const coadjoint_real less = s4 * (c0 + s2 * c1 + s4 * (c2 + s2 * c3 + s4 * c4)) - s2 * b->middle; /* D - 1 */
     const coadjoint_real inverse = 1 / (1 + less);
-    coadjoint_real root[3], energy = b->energy2, length2 = 2 * b->length2, rate;
-    for (int i = 0; i < 3; ++i) { /* C_i - 1, by the binomial series */
-        const coadjoint_real x = less + s2 * b->p[i], xx = x * x;
-        const coadjoint_real first = coadjoint_n(0.5) - x * coadjoint_n(0.125);
-        const coadjoint_real second = coadjoint_n(0.0625) - x * coadjoint_n(0.0390625);
-        const coadjoint_real third = coadjoint_n(0.02734375) - x * coadjoint_n(0.0205078125);
-        const coadjoint_real fourth = coadjoint_n(0.01611328125) - x * coadjoint_n(0.013092041015625);
-        root[i] = x * (first + xx * second + xx * xx * (third + xx * fourth));
-    }
-    for (int i = 0; i < 3; ++i) {
-        const int j = (i + 1) % 3, k = (i + 2) % 3;
-        const coadjoint_real along = root[j] + root[k] + root[j] * root[k] - less, across = s * a[i] * (z[j] * z[k]);
-        change[i] = (z[i] * along + (across + across * root[i])) * inverse;
-        energy += m[i] * z[i] * change[i];
-        length2 += z[i] * change[i];
-    }
-    rate = energy / length2;
+    const coadjoint_real u = coadjoint_(root)(less + s2 * b->p[0]), v = coadjoint_(root)(less + s2 * b->p[1]);
+    const coadjoint_real w = coadjoint_(root)(less + s2 * b->p[2]), root[3] = {u, v, w}; /* C_i - 1 */
+    const coadjoint_real along[3] = {v + w + v * w - less, w + u + w * u - less, u + v + u * v - less};
+    coadjoint_real length2, rate;
+    change[0] = (z[0] * along[0] + s * (b->across[0] + b->across[0] * u)) * inverse;
+    change[1] = (z[1] * along[1] + s * (b->across[1] + b->across[1] * v)) * inverse;
+    change[2] = (z[2] * along[2] + s * (b->across[2] + b->across[2] * w)) * inverse;
+    length2 = 2 * b->length2 + coadjoint_(dot)(z, change);
+    rate = (2 * b->energy + coadjoint_(dot)(b->w, change)) / length2;
     if (d) {
         const coadjoint_real by_c0 = s4 * (1 + s4 * (2 * c0 / 3 + 3 * s2 * c1 / 11 + 2 * s4 * c0 * c0 / 13));
         const coadjoint_real by_c1 = s4 * (s2 + s4 * (3 * s2 * c0 / 11 + 2 * s4 * c1 / 13));
@@ -186,10 +187,9 @@ static inline coadjoint_real coadjoint_(point)(const struct coadjoint_(piece) *b
             gradient[l] = (m[l] - rate) * (change[l] + 4 * z[l]);
             for (int i = 0; i < 3; ++i) {
                 const int j = (i + 1) % 3, k = (i + 2) % 3;
-                const coadjoint_real own = i == l ? root[j] + root[k] + root[j] * root[k] - less
-                                                  : s * a[i] * z[3 - i - l] * (1 + root[i]);
+                const coadjoint_real own = i == l ? along[i] : s * a[i] * z[3 - i - l] * (1 + root[i]);
                 const coadjoint_real sum = g[j] * (1 + root[k]) + g[k] * (1 + root[j]) - f;
-                d[3 * i + l] = (own + z[i] * sum + s * a[i] * z[j] * z[k] * g[i] - change[i] * f) * inverse;
+                d[3 * i + l] = (own + z[i] * sum + s * b->across[i] * g[i] - change[i] * f) * inverse;
                 gradient[l] += (m[i] - rate) * z[i] * d[3 * i + l];
             }
             gradient[l] /= length2;
@@ -206,13 +206,14 @@ static inline void coadjoint_(move)(const coadjoint_real *m, const coadjoint_rea
     struct coadjoint_(piece) b;
     coadjoint_real x[3], c[COADJOINT_POINTS][3], d[COADJOINT_POINTS][9], gradient[COADJOINT_POINTS][3];
     coadjoint_real rates[COADJOINT_POINTS], start, u[3], v[3], Q, sine, cosine, whole, length, *change = c[LAST];
-    for (int i = 0; i < 3; ++i) b.m[i] = m[i], b.a[i] = a[i], b.z[i] = z[i];
+    for (int i = 0; i < 3; ++i) b.m[i] = m[i], b.a[i] = a[i], b.z[i] = z[i], b.w[i] = m[i] * z[i];
+    for (int i = 0; i < 3; ++i) b.across[i] = a[i] * (z[(i + 1) % 3] * z[(i + 2) % 3]);
     for (int i = 0; i < 3; ++i) b.p[i] = a[(i + 1) % 3] * a[(i + 2) % 3] * (z[i] * z[i]);
     b.middle = (b.p[0] + b.p[1] + b.p[2]) * coadjoint_n(0.33333333333333333);
-    for (int i = 0; i < 3; ++i) b.e[i] = b.middle - b.p[i], x[i] = m[i] * z[i];
-    b.energy2 = 2 * coadjoint_(dot)(x, z);
+    for (int i = 0; i < 3; ++i) b.e[i] = b.middle - b.p[i];
+    b.energy = coadjoint_(dot)(b.w, z);
     b.length2 = coadjoint_(dot)(z, z);
-    start = b.energy2 / (2 * b.length2);
+    start = b.energy / b.length2;
     b.c0 = coadjoint_(dot)(b.e, b.e) * coadjoint_n(0.1);
     b.c1 = b.e[0] * b.e[1] * b.e[2] * coadjoint_n(0.14285714285714286);
     if (J)

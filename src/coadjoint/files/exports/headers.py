@@ -18,5 +18,5 @@ def free_body_header(name: str = FREE_BODY.name) -> str:
     True
     """
     if not name.isprintable() or any(sign in name for sign in '"\\'):
-        raise ValueError(f"{name!r} is no name of a header; give one without quotes and backslashes")
+        raise ValueError(f"{name!r} cannot be included; give a name without quotes, backslashes and control characters")
     return FREE_BODY.read_text(encoding="utf-8").replace(f'#include "{FREE_BODY.name}"', f'#include "{name}"')

@@ -1,0 +1,94 @@
+"""The exported C header of free bodies beside the usual integrators: time of a step, and errors after 100 turns.
+
+python benchmarks/exported_body.py [--steps N] [--rounds R]
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import NamedTuple
+
+import numpy as np
+from c_programs import build, run
+
+import coadjoint as co
+from coadjoint.files.exports.headers import FREE_BODY
+
+METHODS = {
+    "exact": 0,
+    "exact, float": 1,
+    "exact, with a matrix": 2,
+    "exact, with derivatives": 3,
+    "semi-implicit Euler, explicit gyroscopic term": 5,
+    "semi-implicit Euler, implicit gyroscopic term": 6,
+    "Runge-Kutta of order 4": 7,
+}
+WITHOUT_ERROR = ("exact, with a matrix", "exact, with derivatives")
+INERTIA, START = (1.0, 1.5, 2.5), (0.6, 1.4, 0.5)
+TURNS, STEPS_PER_TURN = 100, (60, 10)
+
+
+class Row(NamedTuple):
+    """Nanoseconds of a step; for each step the error of the momentum over its length, and radians of the attitude."""
+
+    title: str
+    nanoseconds: float
+    errors: list[tuple[float, float]]
+
+
+def measure(steps: int, rounds: int) -> list[Row]:
+    """Return the rows; the programs take turns, and the least time of all rounds counts."""
+    program = build("exported_body", f"-I{FREE_BODY.parent}", "-ffp-contract=off")
+    m, x0 = 1.0 / np.array(INERTIA), np.array(START)
+    turn = 2.0 * np.pi / np.linalg.norm(m * x0)
+    numbers = [repr(float(v)) for v in (*m, *x0)]
+    best = dict.fromkeys(METHODS, np.inf)
+    for _ in range(rounds):
+        for name, code in METHODS.items():
+            nanoseconds, _ = run(program, [str(code), str(steps), repr(turn / STEPS_PER_TURN[0]), *numbers])
+            best[name] = min(best[name], nanoseconds)
+    body, rows = co.systems.rigid_body(INERTIA), []
+    for name, code in METHODS.items():
+        errors = []
+        for count in STEPS_PER_TURN if name not in WITHOUT_ERROR else ():
+            step = float(np.float32(turn / count))
+            _, state = run(program, [str(code), str(TURNS * count), repr(step), *numbers])
+            x, A = body.exact(x0, TURNS * count * step, attitude=True)
+            angle = np.linalg.norm(A - _matrix(state[3:])) / np.sqrt(2.0)  # 2 sin(angle/2)
+            errors.append(
+                (
+                    float(np.linalg.norm(state[:3] - x) / np.linalg.norm(x)),
+                    2.0 * float(np.arcsin(min(1.0, angle / 2.0))),
+                )
+            )
+        rows.append(Row(name, best[name], errors))
+    return rows
+
+
+def _matrix(q: np.ndarray) -> np.ndarray:
+    w, x, y, z = q / np.linalg.norm(q)
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + 2.0 * w * K + 2.0 * K @ K
+
+
+def table(rows: list[Row]) -> str:
+    """Return the rows as a table in Markdown."""
+    heads = [f"errors after {TURNS} turns, {count} steps a turn: momentum, attitude" for count in STEPS_PER_TURN]
+    lines = [f"| | ns a step | {' | '.join(heads)} |", "|---|---|---|---|"]
+    for row in rows:
+        errors = [f"{momentum:.1e}, {attitude:.1e} rad" for momentum, attitude in row.errors] or [""] * len(heads)
+        lines.append(f"| {row.title} | {row.nanoseconds:.0f} | {' | '.join(errors)} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--steps", type=int, default=20_000)
+    parser.add_argument("--rounds", type=int, default=100)
+    given = parser.parse_args()
+    print(table(measure(given.steps, given.rounds)))
+
+
+if __name__ == "__main__":
+    main()
