@@ -182,6 +182,24 @@ def test_too_long_times_are_refused(body, m, h, x, kind):
 
 @pytest.mark.thinned(1)
 @pytest.mark.parametrize("kind", KINDS)
+def test_extreme_numbers_are_refused_or_have_finite_results(body, kind):
+    """Zeros, subnormal and largest numbers, infinities and NaN in every place."""
+    kind, rng = KINDS[kind], np.random.default_rng(1)
+    info = np.finfo(kind)
+    pool = [0.0, -0.0, 1.0, -1.0, 3.3, 1e-20, 1e20, info.max, -info.max, info.tiny, info.smallest_subnormal]
+    refused = 0
+    for _ in range(1000):
+        m, x, h = (rng.choice([*pool, math.inf, math.nan] if rng.random() < 0.1 else pool, n) for n in (3, 3, 1))
+        found = body.call("jacobian", kind, m, h[0], x)
+        result = np.concatenate([found.x, *found.others])
+        assert np.isnan(result).all() if found.pieces == 0 else not np.isnan(result).any()
+        assert found.pieces == 0 or np.isfinite([*m, *x, *h]).all()
+        refused += found.pieces == 0
+    assert 100 < refused < 900
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("kind", KINDS)
 def test_the_longest_time(body, kind):
     for m, h in (((1, 1, 2), 65536), ((1, 1, 1), 2**18 if kind == "float" else 2**28)):
         longest = h * (0.5 if kind == "float" else 0.1875) if m[2] == 2 else h

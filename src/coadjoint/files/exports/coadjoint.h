@@ -35,7 +35,8 @@ are NaN.
 
 Method: the addition theorem of Weierstrass's elliptic functions, and Lobatto's rule for the angle about the momentum.
 Sines and cosines are computed here: without fused products (-ffp-contract=off) all compilers give the same bits. Do not
-compile with -ffast-math. A copy with another file name needs that name in the two includes below. */
+compile with -ffast-math. Names that do not begin with coadjoint_body_ are internal. A copy with another file name needs
+that name in the two includes below. */
 #ifndef COADJOINT_H
 #define COADJOINT_H
 #include <math.h>
@@ -252,7 +253,7 @@ static inline void coadjoint_(move)(const coadjoint_real *m, const coadjoint_rea
     for (int i = 0; i < 3; ++i) z[i] = x[i];
 }
 
-/* J and G may be 0, as in the next function. */
+/* J and G may be 0 together: the next function needs neither. */
 static inline long coadjoint_(body_jacobian)(const coadjoint_real m[3], coadjoint_real h, coadjoint_real x[3],
                                              coadjoint_real r[4], coadjoint_real *J, coadjoint_real *G) {
     coadjoint_real n[3] = {m[0], m[1], m[2]}, a[3], z[3] = {x[0], x[1], x[2]}, length, reach = 0, angle = 0;
