@@ -12,6 +12,7 @@ import pytest
 from mpmath import mp
 
 from c_compilers import compiled, compilers
+from exact_body import exact_motion, taylor_motion
 from exported_body import UNITS, Body, error, exact, exact_derivatives, export_header, matrix_of
 from long import long_between, long_beyond
 
@@ -95,6 +96,14 @@ def test_motion_in_60_digits(body, shape, turns, kind):
     limit = 3.0 if "separatrix" in shape or shape == "middle axis" else 100.0 if kind == "float" else 1000.0
     limit = min(limit, 700.0) if shape == "of both signs" else limit  # 65536 pieces
     check_motion(body, KINDS[kind], m, math.copysign(min(abs(turns), limit), turns) * 2 * np.pi / rate, x)
+
+
+@pytest.mark.parametrize("shape", long_beyond(2, [*SHAPES][::-1]))
+def test_the_60_digits_are_those_of_taylor_series(shape):
+    m, x = SHAPES[shape]
+    with mp.workdps(50):
+        for found, wanted in zip(exact_motion(m, x, 0.7), taylor_motion(m, x, 0.7, steps=20), strict=True):
+            assert error_of(np.array(found), np.array(wanted)) < 1e-45
 
 
 def longest_piece(kind, m, x):
