@@ -6,7 +6,7 @@ import ctypes
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from coadjoint.kernels.interface import codes
 from coadjoint.kernels.library import interruptible_kernels, kernels
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.program.parts.part import Parts
+
+if TYPE_CHECKING:
+    from coadjoint.program.sources import Sources
 
 # Arguments of a loop: tables, watch, members, first, last, stride; extent, schedule, saved, state, k0, k1, stop. All
 # are passed as C types: conversion by declared argtypes takes half as long as a short call.
@@ -34,7 +37,8 @@ class CompiledLoop:
     and factors subtracted from the Hamiltonian, which rotate the group element at output; `memory` is the number of
     scheme memory entries per member. `accounts` are the force and the invariant of each entry after the coordinates of
     a state. `parts` are the parts whose flows the loop computes, if any. `referenced` are the inner loops and tables
-    that the step reads by address, by the index of the address among its integers.
+    that the step reads by address, by the index of the address among its integers. `sources` is a function that returns
+    which coefficients of the energy its constants are multiples of, by the paths of fields, or None if not all are.
     """
 
     name: str
@@ -45,6 +49,7 @@ class CompiledLoop:
     accounts: tuple[tuple[str, str], ...] = ()
     parts: Parts | None = None
     referenced: Mapping[int, Any] = field(default_factory=dict)
+    sources: Callable[[], Sources | None] = lambda: None
 
     def raised(self) -> BaseException | None:
         """Return and clear the exception that a function of the user raised in the loop, if any."""

@@ -119,7 +119,7 @@ def picklable_loop(loop: CompiledLoop) -> dict[str, Any]:
 
 def restored_loop(pickled: Mapping[str, Any]) -> CompiledLoop:
     """Return the compiled loop from the result of `picklable_loop`."""
-    tables, keepalive = restored_tables(pickled["tables"])
+    tables, keepalive, _ = restored_tables(pickled["tables"])
     return CompiledLoop(
         tables=tables, keepalive=keepalive, **{name: pickled[name] for name in pickled if name != "tables"}
     )

@@ -76,6 +76,7 @@ def _separated(algebra: LieAlgebra, parts: Parts, inputs: frozenset[int]) -> Sep
         {**parts.nonlinear_shares, **separated},
         parts.share,
         parts.timed,
+        parts.source,
     )
     result.pivots = None if parts.pivots is None else parts.pivots[angles]
     return SeparatedParts(result, np.array([(row[s] + a, i, k) for s, a, i, k in omitted], dtype=np.int64))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, cast
@@ -16,11 +17,13 @@ from coadjoint.program.actions import NOTHING_OMITTED, Action, build_action
 from coadjoint.program.copied_actions import copied_action
 from coadjoint.program.generators import BasisMatrices, SplittingTooExpensive
 from coadjoint.program.numbers import Number, array_of
-from coadjoint.program.parts.decompose import decompose
+from coadjoint.program.parts.decompose import ChosenParts, decompose
 from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
 from coadjoint.program.parts.split import NotSplittable
 from coadjoint.program.rational_rotations import rational_frequencies
 from coadjoint.program.separated_parts import separated_parts
+from coadjoint.program.shifts.shift import quadratic_casimirs, shifted_terms
+from coadjoint.program.sources import Sources, sources_of_parts
 from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE, Pattern, SparseRows
 from coadjoint.program.sweeps import JoinRules, Rows, Swept, rows_of
 from coadjoint.program.term_table import Terms, TermTable
@@ -81,6 +84,8 @@ class Program:
         Entries (angle, row, column) of generators that `state` omits, since their products cancel.
     shift : tuple of (Polynomial, float)
         Casimirs and factors subtracted from the Hamiltonian; `group` excludes their action on the group element.
+    choice : ChosenParts
+        The order of the parts, and the shift by the names of Casimirs.
     """
 
     system: LiePoissonSystem
@@ -96,6 +101,7 @@ class Program:
     frequency: NDArray[Any]
     omitted: NDArray[np.int64]
     shift: tuple[tuple[Polynomial, float], ...]
+    choice: ChosenParts
 
     @property
     def compact_terms(self) -> Terms:
@@ -151,7 +157,7 @@ def build_program(
             f'parts="{method.parts}" subtracts Casimirs from the energy of {system.name} that have too many terms '
             'for the attitude to be computed; take parts="auto"'
         )
-    table = _term_table(parts)
+    table = term_table(parts)
     state = _state_action(system.algebra, parts, omitted, number)
     zeros = np.broadcast_to(0.0, len(parts.offset))
     frequency = zeros if number is float else array_of(number, zeros)
@@ -171,10 +177,11 @@ def build_program(
         frequency=frequency,
         omitted=omitted,
         shift=decomposition.shift or (),
+        choice=decomposition.choice,
     )
 
 
-def _term_table(parts: Parts) -> TermTable:
+def term_table(parts: Parts) -> TermTable:
     """Collect the shares of all parts, in their order."""
     table = TermTable()
     if isinstance(parts.weights, RepeatedRows) and not parts.nonlinear_shares and len(parts.row) > 1:
@@ -199,6 +206,22 @@ def _term_table(parts: Parts) -> TermTable:
         elif isinstance(share, FunctionShare):
             table.function(share.divided or share.term)
     return table
+
+
+def recorded_sources(program: Program, terms: Terms) -> Callable[[], Sources | None]:
+    """Return a function for the coefficients of H, after the shift, in the constants of a program with these terms.
+
+    It returns None unless all parts are copies of terms of H. The program is not kept.
+    """
+    fixed = program.system, program.parts, program.choice
+    plain = not len(program.omitted) and not program.choice.linear and not np.any(program.frequency)
+
+    def sources() -> Sources | None:
+        system, parts, choice = fixed
+        shifted = shifted_terms(system.hamiltonian.terms(), quadratic_casimirs(system), choice.shift)
+        return sources_of_parts(terms, parts, shifted) if plain else None
+
+    return sources
 
 
 def dual_action(algebra: LieAlgebra, program: Program) -> Action:

@@ -29,6 +29,8 @@ Integers = NDArray[np.int64]
 
 MAX_MONOMIALS = 1 << 14
 """Monomials of the products of a system above which none is left out."""
+CERTAIN = 2.0**-40
+"""Size of a sum, relative to its absolute terms, above which it is certainly not zero."""
 MAX_BRACKETS = 1 << 20
 """Brackets of an algebra above which they are not searched for commuting coordinates."""
 
@@ -211,12 +213,39 @@ def field_products(system: Any) -> FieldProducts | None:
 _FIELD_PRODUCTS: WeakKeyDictionary[Any, FieldProducts | None] = WeakKeyDictionary()
 
 
-def products_without_cancelling(algebra: LieAlgebra, terms: Sequence[Term]) -> FieldProducts | None:
-    """Return `field_products` for the terms of an energy."""
-    products = commuting_products(algebra)
+def without_cancelling(algebra: LieAlgebra, terms: Sequence[Term], coefficients: NDArray[np.float64]) -> Any:
+    """Return for which coefficients (count, k) of terms, as in a `SystemStack`, certainly no products cancel, (k,)."""
+    collected, products, chosen = _candidates(algebra, terms)
+    if not len(chosen):
+        return np.ones(coefficients.shape[1], dtype=bool)
+    forms = [term.form for term in collected.terms if term.form is not None]
+    if len(forms) < len(collected.terms):
+        return np.zeros(coefficients.shape[1], dtype=bool)
+    n, start = algebra.dim + 1, 0
+    row, state, column, constant = (values[chosen] for values in products)
+    empty = np.zeros(0, dtype=np.int64)
+    codes, numbers, factors = [empty], [empty], [np.zeros(0)]
+    for term in forms:
+        owner, entry = expand(term.indptr[column], term.indptr[column + 1])
+        pair = np.sort([state[owner], term.indices[entry].astype(np.int64)], axis=0) + 1
+        linear = np.flatnonzero(term.linear[column] != 0)
+        codes += [(row[owner] * n + pair[0]) * n + pair[1], row[linear] * n**2 + state[linear] + 1]
+        numbers += [start + len(term.linear) + entry, start + column[linear]]
+        factors += [np.asarray(constant[where], dtype=np.float64) for where in (owner, linear)]
+        start += len(term.linear) + len(term.values)
+    _, monomial = np.unique(np.concatenate(codes), return_inverse=True)
+    values = np.concatenate(factors)[:, None] * coefficients[np.concatenate(numbers)]
+    total, size = (np.zeros((int(monomial.max(initial=-1)) + 1, coefficients.shape[1])) for _ in range(2))
+    np.add.at(total, monomial, values)
+    np.add.at(size, monomial, np.abs(values))
+    return np.all(np.abs(total) > CERTAIN * size, axis=0)
+
+
+def _candidates(algebra: LieAlgebra, terms: Sequence[Term]) -> tuple[_Collected, Products, Integers]:
+    """Return the forms of terms, the products of commuting coordinates, and those that may cancel."""
+    collected, products = _Collected(), commuting_products(algebra)
     if not len(products.row):
-        return None
-    collected = _Collected()
+        return collected, products, np.zeros(0, dtype=np.int64)
     for term in terms:
         term.describe_to(collected)
     # A product cancels with another one of its row, and its coordinate is one that a gradient depends on.
@@ -227,6 +256,12 @@ def products_without_cancelling(algebra: LieAlgebra, terms: Sequence[Term]) -> F
     chosen = chosen[np.bincount(products.row[chosen], minlength=algebra.dim)[products.row[chosen]] > 1]
     if all(isinstance(term, QuadraticTerm) for term in collected.terms):
         chosen = chosen[_repeated_monomials(algebra.dim, collected.terms, products, chosen)]
+    return collected, products, chosen
+
+
+def products_without_cancelling(algebra: LieAlgebra, terms: Sequence[Term]) -> FieldProducts | None:
+    """Return `field_products` for the terms of an energy."""
+    collected, products, chosen = _candidates(algebra, terms)
     if not 0 < len(chosen) <= MAX_MONOMIALS:
         return None
     listed = {q: products.at(q) for q in chosen.tolist()}

@@ -315,7 +315,7 @@ def test_functions_of_parts_become_polynomials_in_their_coordinates(coordinates)
     rng = np.random.default_rng(len(coordinates))
     term, x = term_of(drawn_polynomial(rng, len(coordinates), 2), coordinates), rng.uniform(-2.0, 2.0, 5)
     plain = PolynomialShare((1,), co.Polynomial({(0, 1, 0, 0, 0): 1}))
-    given = Parts(*range(4), {7: FunctionShare(term), 2: plain}, *range(4, 6))
+    given = Parts(*range(4), {7: FunctionShare(term), 2: plain}, *range(4, 7))
     made, where = parts_at(given, x, 2), list(coordinates)
     assert [made.forms, made.offset, made.weights, made.row, made.share, made.timed] == list(range(6))
     assert made.nonlinear_shares.keys() == {7, 2} and made.nonlinear_shares[2] is plain

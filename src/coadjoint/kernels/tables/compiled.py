@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +18,18 @@ from coadjoint.kernels.functions.compiled_functions import (
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.user_functions import forms_of, is_called_in_python
 
+if TYPE_CHECKING:
+    from coadjoint.program.sources import Sources
+
 ORDERS = {"value": 0, "gradient": 1, "hessian": 2}
 
 
 class CompiledTables(NamedTuple):
-    """Tables for a compiled loop, and the compiled user functions that must live as long as they do."""
+    """Tables for a compiled loop, compiled functions that must live as long, and their sources as in `CompiledLoop`."""
 
     tables: Any
     keepalive: tuple[Any, ...]
+    sources: Callable[[], Sources | None] = lambda: None
 
 
 def addresses_of(

@@ -10,9 +10,11 @@ import numpy as np
 from coadjoint.algebra.invariants.invariant import Invariant, LogarithmicInvariant
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
 from coadjoint.kernels.tables.recording import Watch
+from coadjoint.program.sources import INDEPENDENT, Multiples, Sources, sources_of, within
 from coadjoint.program.term_table import ValueTable
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
-from coadjoint.systems.hamiltonians.terms import FunctionTerm
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term
+from coadjoint.systems.system_stacks import counts_of
 from coadjoint.systems.user_functions import Formula, takes_time
 
 
@@ -22,7 +24,19 @@ def watch_tables(system: Any, invariants: Mapping[str, Any], compact: bool = Fal
     The cost of a quadratic invariant is proportional to its nonzero entries. `compact` tables, of which only values are
     computed, store rows that repeat once.
     """
-    return invariants_table([("the energy", system.hamiltonian), *invariants.items()], system.dim, compact=compact)
+    found = invariants_table([("the energy", system.hamiltonian), *invariants.items()], system.dim, compact=compact)
+    return found._replace(sources=lambda: _sources_of_watch(system.hamiltonian.terms(), found.tables))
+
+
+def _sources_of_watch(terms: Sequence[Term], watch: Watch) -> Sources | None:
+    """Return the coefficients of H in the constants of a watch of the energy and of other invariants."""
+    if int(watch.first[1]) != len(terms):
+        return None
+    source = np.full(watch.terms.size, INDEPENDENT)
+    source[: len(terms)] = np.arange(len(terms))
+    found = within("terms.", sources_of(watch.terms, source, watch.terms.target, terms))
+    last = np.array([sum(counts_of(terms))])
+    return None if found is None else {**found, "constant": Multiples(np.array([0]), last, np.ones(1))}
 
 
 def balance_tables(system: Any, invariants: Mapping[str, Any], accounts: Sequence[tuple[str, str]]) -> CompiledTables:

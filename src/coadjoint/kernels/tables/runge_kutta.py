@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.tables.compiled import CompiledTables
 from coadjoint.kernels.tables.field import Field, GroupField, field_of, group_of, substeps
+from coadjoint.program.sources import Multiples, Sources, sources_of, within
 from coadjoint.systems.system_checks import System
 
 
@@ -107,6 +108,24 @@ def runge_kutta_tables(
         moment,
     )
     return CompiledTables(tables, keepalive)
+
+
+def sources_of_stages(system: System, tables: RungeKuttaTables) -> Sources | None:
+    """Return the coefficients of H in the constants of the tables."""
+    terms = system.hamiltonian.terms()
+    if system.algebra is None or tables.field.separated or tables.field.terms.size != len(terms):
+        return None
+    found = sources_of(tables.field.terms, np.arange(len(terms)), tables.field.terms.target, terms)
+    sources = within("field.terms.", found)
+    if sources is None or not len(tables.quadratic):
+        return sources
+    form = terms[0].form
+    if len(terms) > 1 or form is None:
+        return None
+    # The dense M is that of the Hessian.
+    position = form.rows * len(form.linear) + form.indices
+    dense = Multiples(position, len(form.linear) + np.arange(len(position)), np.ones(len(position)))
+    return {**sources, "quadratic": dense}
 
 
 def _ratios(fractions: Sequence[float]) -> list[float]:

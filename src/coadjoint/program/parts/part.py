@@ -60,6 +60,8 @@ class BodyShare:
 
 
 NonlinearShare = PolynomialShare | FunctionShare | BodyShare
+COMPUTED = -1
+"""Source of shares that are no copies of a term of H: completed squares, bodies, and other choices of parts."""
 
 
 @dataclass(frozen=True)
@@ -75,8 +77,9 @@ class Parts(Sequence[Part]):
     Part p has the shares share[p] to share[p + 1], share s the angles row[s] to row[s + 1], and each angle one row of
     `forms`. The angle of a linear share is offset + weights.x; rows of `weights` are empty in other shares.
     `nonlinear_shares` maps the other shares to their rules; a part has only shares of free bodies, or none. `timed`
-    marks time-dependent parts. `pivots`, shape (angles, 3), are those of `Squares` for completed squares with forms in
-    floats, -1 for other angles.
+    marks time-dependent parts. `source`, shape (shares,), is the number of the term of H of which a share is a copy: of
+    rows by its coordinates, of monomials, or of a function; COMPUTED if its numbers are found in another way. `pivots`,
+    shape (angles, 3), are those of `Squares` for completed squares with forms in floats, -1 for other angles.
     """
 
     pivots: NDArray[np.int64] | None = None
@@ -90,22 +93,28 @@ class Parts(Sequence[Part]):
         nonlinear_shares: Mapping[int, NonlinearShare],
         share: Integers,
         timed: NDArray[np.bool_],
+        source: Integers | None = None,
     ) -> None:
         self.forms, self.offset, self.weights = forms, offset, weights
         self.row, self.nonlinear_shares, self.share, self.timed = row, nonlinear_shares, share, timed
+        self.source = np.full(len(row) - 1, COMPUTED) if source is None else source
 
     @classmethod
-    def linear(cls, forms: SparseRows, offset: NDArray[Any], weights: Rows, row: Integers) -> Parts:
+    def linear(
+        cls, forms: SparseRows, offset: NDArray[Any], weights: Rows, row: Integers, source: int = COMPUTED
+    ) -> Parts:
         """Construct parts with one linear share each, of the angles row[p] to row[p + 1]."""
         count = len(row) - 1
-        return cls(forms, offset, weights, row, {}, np.arange(count + 1), np.zeros(count, dtype=bool))
+        shares = np.arange(count + 1), np.zeros(count, dtype=bool), np.full(count, source)
+        return cls(forms, offset, weights, row, {}, *shares)
 
     @classmethod
     def single(cls, share: PolynomialShare | FunctionShare, coordinates: Sequence[int], timed: bool = False) -> Parts:
         """Construct one part of one nonlinear share."""
         size, ends = len(coordinates), np.array([0, 1])
         forms = SparseRows.units(np.array(coordinates, dtype=np.int64))
-        return cls(forms, np.zeros(size), SparseRows.empty(size), size * ends, {0: share}, ends, np.array([timed]))
+        rest = size * ends, {0: share}, ends, np.array([timed]), np.zeros(1, dtype=np.int64)
+        return cls(forms, np.zeros(size), SparseRows.empty(size), *rest)
 
     @classmethod
     def concatenate(cls, pieces: Sequence[Parts]) -> Parts:
@@ -127,6 +136,7 @@ class Parts(Sequence[Part]):
             },
             joined_starts([piece.share for piece in pieces]),
             np.concatenate([piece.timed for piece in pieces]),
+            np.concatenate([piece.source for piece in pieces]),
         )
         if any(piece.pivots is not None for piece in pieces):
             placeholders = [np.full((len(piece.offset), 3), -1) for piece in pieces]
@@ -144,7 +154,14 @@ class Parts(Sequence[Part]):
 
     def with_angles(self, offset: NDArray[Any], weights: Rows) -> Parts:
         """Return the same forms with other angles."""
-        return Parts(self.forms, offset, weights, self.row, self.nonlinear_shares, self.share, self.timed)
+        rest = self.row, self.nonlinear_shares, self.share, self.timed, self.source
+        return Parts(self.forms, offset, weights, *rest)
+
+    def of_term(self, number: int) -> Parts:
+        """Return parts of one term as those of the term of this number."""
+        if number:
+            self.source = np.where(self.source == COMPUTED, COMPUTED, number)
+        return self
 
     def __len__(self) -> int:
         return len(self.timed)
@@ -184,6 +201,7 @@ class Parts(Sequence[Part]):
             {new_index[s]: share for s, share in self.nonlinear_shares.items() if s in new_index},
             starts_of(last - first),
             self.timed[chosen],
+            self.source[shares],
         )
         selected.pivots = None if self.pivots is None else self.pivots[angles]
         return selected
@@ -197,9 +215,8 @@ class Parts(Sequence[Part]):
         begins = np.flatnonzero(run_starts(group))
         timed = np.logical_or.reduceat(ordered.timed, begins) if len(begins) else ordered.timed
         share = np.append(ordered.share[begins], ordered.share[-1])
-        joined = Parts(
-            ordered.forms, ordered.offset, ordered.weights, ordered.row, ordered.nonlinear_shares, share, timed
-        )
+        angles = ordered.forms, ordered.offset, ordered.weights, ordered.row
+        joined = Parts(*angles, ordered.nonlinear_shares, share, timed, ordered.source)
         joined.pivots = ordered.pivots
         return joined
 

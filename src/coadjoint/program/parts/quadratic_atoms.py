@@ -170,7 +170,7 @@ def _coupled(term: QuadraticTerm, members: Integers, label: Integers) -> Parts:
     units = SparseRows.units(members)
     if isinstance(weights, RepeatedRows):
         weights = weights.with_target(units.coordinate)
-    return Parts.linear(units, values_at(term.linear, members), weights, row)
+    return Parts.linear(units, values_at(term.linear, members), weights, row, source=0)
 
 
 def _rows_of(term: QuadraticTerm) -> Rows:

@@ -110,15 +110,14 @@ class _Atoms:
 def _atoms(system: LiePoissonSystem, terms: Sequence[Term], commutation: Commutation, separate: bool) -> Parts:
     result: list[Parts] = []
     pieces: dict[int, list[Parts]] = {}
-    for term in terms:
-        number = term.piece
-        atoms = _Atoms(system, commutation, separate and number is None)
+    for number, term in enumerate(terms):
+        atoms = _Atoms(system, commutation, separate and term.piece is None)
         term.describe_to(atoms)
-        parts = atoms.collected[0] if len(atoms.collected) == 1 else Parts.concatenate(atoms.collected)
-        if number is None:
+        parts = Parts.concatenate(atoms.collected).of_term(number)
+        if term.piece is None:
             result.append(parts)
         else:
-            pieces.setdefault(number, []).append(parts)
+            pieces.setdefault(term.piece, []).append(parts)
     for members in pieces.values():
         joined = Parts.concatenate(members)
         result.append(joined.joined(np.zeros(len(joined), dtype=np.int64)))

@@ -366,7 +366,8 @@ def with_linear_offsets(parts: Parts, linear: NDArray[np.float64]) -> Parts:
         offset[angles] = sums.at(linear)
     offset[parts.offset == PLACEHOLDER_COEFFICIENT] = 0.0
     nonlinear_shares = {s: _without_placeholders(share) for s, share in parts.nonlinear_shares.items()}
-    return Parts(parts.forms, offset, parts.weights, parts.row, nonlinear_shares, parts.share, parts.timed)
+    shares = parts.row, nonlinear_shares, parts.share, parts.timed, parts.source
+    return Parts(parts.forms, offset, parts.weights, *shares)
 
 
 def _without_placeholders(share: NonlinearShare) -> NonlinearShare:

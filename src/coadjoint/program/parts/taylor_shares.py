@@ -40,7 +40,8 @@ def parts_at(parts: Parts, x: NDArray[np.float64], degree: int) -> Parts:
             local = taylor_polynomial(share.term, x[coordinates], degree)
             share = PolynomialShare(tuple(coordinates.tolist()), _expanded(local, x, coordinates.tolist()))
         nonlinear_shares[s] = share
-    return Parts(parts.forms, parts.offset, parts.weights, parts.row, nonlinear_shares, parts.share, parts.timed)
+    rest = nonlinear_shares, parts.share, parts.timed, parts.source
+    return Parts(parts.forms, parts.offset, parts.weights, parts.row, *rest)
 
 
 def _expanded(local: dict[tuple[int, ...], float], x: NDArray[np.float64], coordinates: Sequence[int]) -> Polynomial:

@@ -24,6 +24,8 @@ from coadjoint.systems.hamiltonians.terms import QuadraticTerm, Term
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 Shift = tuple[tuple[str, float], ...]
+Rule = tuple[tuple[str, int, float], ...]
+"""Casimirs of a shift, each with a coordinate whose square it removes, and the entry of the Casimir there."""
 Entries = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
 
 MAX_SINGULAR_DIMENSION = 8  # coordinates; above, singular factors, of n^3 for each bisection, are not sought
@@ -134,26 +136,13 @@ def candidate_shifts(
     diagonal = dict(
         zip(quadratic[0].indices[on_diagonal].tolist(), quadratic[0].values[on_diagonal].tolist(), strict=True)
     )
-    holders = _casimirs_by_square(casimirs)
     seen: set[Shift] = {()}
-    edges = parts.forms.start[parts.angle]
-    for first, last in pairwise(edges.tolist()):
-        coordinates = distinct(parts.forms.coordinate[first:last]).tolist()
-        # All coordinates of a part at once, each by the first Casimir with its square (a lattice has one per spin).
-        factors: dict[str, float] = {}
-        for coordinate in coordinates:
-            for name, entry in holders.get(coordinate, [])[:1]:
-                factors.setdefault(name, diagonal.get(coordinate, 0.0) / entry)
-        joint = tuple((name, factor) for name, factor in sorted(factors.items()) if factor)
-        if joint not in seen:
-            seen.add(joint)
-            yield joint
-        for coordinate in coordinates if len(casimirs) <= 4 else []:
-            for name, entry in holders.get(coordinate, []):
-                single: Shift = ((name, diagonal.get(coordinate, 0.0) / entry),)
-                if single[0][1] and single not in seen:
-                    seen.add(single)
-                    yield single
+    for rule in shift_rules(parts, casimirs):
+        factors = [(name, diagonal.get(coordinate, 0.0) / entry) for name, coordinate, entry in rule]
+        shift = tuple((name, factor) for name, factor in factors if factor)
+        if shift not in seen:
+            seen.add(shift)
+            yield shift
     if len(casimirs) == 1 and system.dim <= MAX_SINGULAR_DIMENSION:
         ((name, casimir),) = casimirs.items()
         term = quadratic[0]
@@ -161,6 +150,23 @@ def candidate_shifts(
         for factor in singular_factors(*(_dense_matrix(system.dim, *entries) for entries in matrices)):
             if ((name, factor),) not in seen:
                 yield ((name, factor),)
+
+
+def shift_rules(parts: Parts, casimirs: Mapping[str, QuadraticCasimir]) -> Iterable[Rule]:
+    """Yield rules for shifts after which coordinates have no square."""
+    holders = _casimirs_by_square(casimirs)
+    edges = parts.forms.start[parts.angle]
+    for first, last in pairwise(edges.tolist()):
+        coordinates = distinct(parts.forms.coordinate[first:last]).tolist()
+        # All coordinates of a part at once, each by the first Casimir with its square (a lattice has one per spin).
+        joint: dict[str, tuple[str, int, float]] = {}
+        for coordinate in coordinates:
+            for name, entry in holders.get(coordinate, [])[:1]:
+                joint.setdefault(name, (name, coordinate, entry))
+        yield tuple(rule for _, rule in sorted(joint.items()))
+        for coordinate in coordinates if len(casimirs) <= 4 else []:
+            for name, entry in holders.get(coordinate, []):
+                yield ((name, coordinate, entry),)
 
 
 def _casimirs_by_square(casimirs: Mapping[str, QuadraticCasimir]) -> dict[int, list[tuple[str, float]]]:

@@ -297,7 +297,8 @@ class Loops:
         from coadjoint.kernels.pickling import picklable_loop, picklable_tables
 
         derived = ("compiled", "watches", "groups", "order", "_rounds", "_base")
-        tables = [picklable_loop(loop) for loop in self.compiled], [picklable_tables(*watch) for watch in self.watches]
+        watches = [picklable_tables(watch.tables, watch.keepalive) for watch in self.watches]
+        tables = [picklable_loop(loop) for loop in self.compiled], watches
         return {name: value for name, value in vars(self).items() if name not in derived} | {"tables": tables}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

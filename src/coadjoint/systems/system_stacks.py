@@ -1,0 +1,166 @@
+"""Stacks of systems that differ only in the coefficients of their energies, as one array."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.recorded_invariants import known_or_found_casimirs
+from coadjoint.systems.vanishing_products import without_cancelling
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+MAX_DIMENSION = 1024  # of larger systems, tables of which each takes long, no structures are compared
+
+
+class SystemStack(NamedTuple):
+    """Some of the `systems`: of one algebra, with the same Casimirs, and energies of one structure.
+
+    `numbers` (k,) are their numbers. `coefficients` (count, k) are those of all terms of the energy: of a quadratic
+    term the linear part and the entries of M, of a polynomial those of its monomials, and at the end the constant. The
+    same linear coefficients are zero, no products of the field cancel, and functions are equal. `split` are those of
+    the terms that a scheme reads, from which Casimirs may be subtracted.
+    """
+
+    systems: Sequence[Any]
+    numbers: Integers
+    coefficients: Floats
+    split: Floats
+
+    @property
+    def first(self) -> Any:
+        """The first system."""
+        return self.systems[int(self.numbers[0])]
+
+    @property
+    def size(self) -> int:
+        """Number of systems."""
+        return len(self.numbers)
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The terms of the energy of the first system."""
+        terms: tuple[Term, ...] = self.first.hamiltonian.terms()
+        return terms
+
+    def take(self, members: Integers) -> SystemStack:
+        """Select systems of the stack."""
+        columns = (numbers[:, members] for numbers in (self.coefficients, self.split))
+        return SystemStack(self.systems, self.numbers[members], *columns)
+
+    @classmethod
+    def joined(cls, pieces: Sequence[SystemStack]) -> SystemStack:
+        """Join stacks of systems of one structure, by their numbers."""
+        columns = (np.concatenate(column, axis=-1) for column in zip(*(piece[1:] for piece in pieces), strict=True))
+        joined = cls(pieces[0].systems, *columns)
+        return joined if len(pieces) == 1 else joined.take(np.argsort(joined.numbers))
+
+
+class _Structure:
+    """Visitor that collects the structure of terms, and their coefficients."""
+
+    def __init__(self) -> None:
+        self.key: list[Hashable] = []
+        self.numbers: list[Any] = []
+        self.constant = 0.0
+
+    def quadratic(self, term: QuadraticTerm) -> None:
+        self.key.append((term.piece, term.indptr.tobytes(), term.indices.tobytes()))
+        self.numbers += [term.linear, term.values]
+        self.constant += float(term.constant)
+
+    def polynomial(self, term: PolynomialTerm) -> None:
+        monomials = term.polynomial.monomials
+        self.key.append((term.piece, tuple(monomials)))
+        self.numbers.append([float(value) for value in monomials.values()])
+
+    def function(self, term: FunctionTerm) -> None:
+        functions = term.value, term.gradient, term.hessian
+        self.key.append((term.piece, term.coordinates.tobytes(), *functions, term.scalar, term.timed))
+
+
+def counts_of(terms: Sequence[Term]) -> list[int]:
+    """Return the number of coefficients of each term in a stack."""
+    counts = []
+    for term in terms:
+        structure = _Structure()
+        term.describe_to(structure)
+        counts.append(sum(map(len, structure.numbers)))
+    return counts
+
+
+def stacks_of(systems: Sequence[Any]) -> list[SystemStack]:
+    """Return stacks of at least two of the systems."""
+    known: dict[Hashable, int] = {}
+    members: dict[Hashable, tuple[list[int], list[Any]]] = {}
+    for m, system in enumerate(systems):
+        if type(system) is not LiePoissonSystem or system.dim > MAX_DIMENSION:
+            continue
+        structure = _Structure()
+        for term in system.hamiltonian.terms():
+            term.describe_to(structure)
+        try:
+            key = (*_algebra(system, known), type(system.hamiltonian), *structure.key)
+            chosen, columns = members.setdefault(key, ([], [[] for _ in range(len(structure.numbers) + 1)]))
+        except TypeError:  # functions that have no hash
+            continue
+        chosen.append(m)
+        for column, numbers in zip(columns, (*structure.numbers, (structure.constant,)), strict=True):
+            column.append(numbers)
+    stacks: list[SystemStack] = []
+    for chosen, columns in members.values():
+        if len(chosen) < 2:
+            continue
+        coefficients = np.ascontiguousarray(
+            np.concatenate([np.array(column, dtype=np.float64).T for column in columns])
+        )
+        stack = SystemStack(systems, np.array(chosen), coefficients, coefficients)
+        groups = grouped(_presence(stack))
+        pieces = [stack] if len(groups) == 1 else [stack.take(columns) for _, columns in groups]
+        for piece in pieces:
+            plain = without_cancelling(piece.first.algebra, piece.terms, piece.coefficients)
+            stacks.append(piece if plain.all() else piece.take(np.flatnonzero(plain)))
+    return [stack for stack in stacks if stack.size > 1]
+
+
+def _algebra(system: LiePoissonSystem, known: dict[Hashable, int]) -> tuple[int, int]:
+    """Return the numbers in `known` of what tables depend on: the algebra and the Casimirs of a system."""
+    algebra, casimirs = system.algebra, system._casimirs
+    keys = id(algebra), ("casimirs", id(algebra)) if casimirs is None else tuple(casimirs.items())
+    if keys[0] not in known:  # hashes of equal algebras are equal, and take longer
+        known[keys[0]] = known.setdefault((algebra._copied is None, algebra), len(known))
+    if keys[1] not in known:
+        found = tuple(known_or_found_casimirs(algebra).items()) if casimirs is None else keys[1]
+        known[keys[1]] = known.setdefault(found, len(known))
+    return known[keys[0]], known[keys[1]]
+
+
+def _presence(stack: SystemStack) -> NDArray[np.bool_]:
+    """Return which linear coefficients of quadratic terms are not zero, (k, members)."""
+    starts = np.cumsum([0, *counts_of(stack.terms)]).tolist()
+    rows = [
+        stack.coefficients[start : start + len(term.form.linear)] != 0
+        for start, term in zip(starts, stack.terms, strict=False)
+        if term.form is not None
+    ]
+    return np.concatenate([np.zeros((0, stack.size), dtype=bool), *rows])
+
+
+def grouped(masks: NDArray[np.bool_]) -> list[tuple[bytes, Integers]]:
+    """Return the columns of masks (rows, columns) that are equal, with a key, in the order of the first ones."""
+    packed = np.ascontiguousarray(np.packbits(masks, axis=0).T)
+    if not packed.shape[1]:
+        return [(b"", np.arange(masks.shape[1]))]
+    keys = packed.view(np.dtype((np.void, packed.shape[1])))[:, 0]
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    if len(first) == 1:
+        return [(keys[0].tobytes(), np.arange(len(keys)))]
+    order = np.argsort(inverse, kind="stable")
+    pieces = np.split(order, np.cumsum(np.bincount(inverse))[:-1])
+    return [(keys[first[k]].tobytes(), pieces[k]) for k in np.argsort(first).tolist()]
