@@ -22,6 +22,7 @@ SECTIONS = {
     "first_run_of_a_lattice": "First runs of lattices",
     "fluids": "Fluids",
     "ensembles": "Ensembles",
+    "batches": "Batches beside ensembles",
     "members_of_series": "Ensembles by Taylor series",
     "families": "Families of runs",
     "heat_baths": "Heat baths",

@@ -27,12 +27,15 @@ def states_at(solution: Solution, members: NDArray[np.int64], k: int) -> Floats:
 
 
 def sampled_members(solution: Solution, system: Any) -> NDArray[np.int64]:
-    """Return the members whose steps are repeated: the first few of each system."""
+    """Return the members whose steps are repeated: the first few of each system, or of systems at equal distances."""
     if not is_batch(system):
         return np.arange(min(member_count(solution), MEMBERS))
     order = np.argsort(system.owners, kind="stable")
     owners = system.owners[order]
-    return np.sort(order[np.arange(len(order)) - np.searchsorted(owners, owners) < MEMBERS])
+    count = int(owners[-1]) + 1
+    chosen = np.isin(owners, np.linspace(0, count - 1, min(count, MEMBERS)).astype(np.int64))
+    first = np.arange(len(order)) - np.searchsorted(owners, owners) < max(1, MEMBERS // count)
+    return np.sort(order[chosen & first])
 
 
 def sampled_points(

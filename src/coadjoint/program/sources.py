@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.program.parts.part import COMPUTED, Parts
 from coadjoint.program.term_table import LINEAR, POLYNOMIAL, Terms
-from coadjoint.systems.hamiltonians.terms import PolynomialTerm, Term
+from coadjoint.systems.hamiltonians.terms import Term
 from coadjoint.systems.system_stacks import counts_of
 
 Floats = NDArray[np.float64]
@@ -66,10 +66,10 @@ def sources_of(table: Terms, source: Integers, coordinate: NDArray[Any], terms: 
                 return None
             offset.append(Multiples(rows, starts[t] + own, np.ones(len(rows))))
             weight.append(Multiples(entries, starts[t] + n + found, np.ones(len(entries))))
-        elif isinstance(term, PolynomialTerm):
+        elif (polynomial := getattr(term, "polynomial", None)) is not None:
             number = {
                 tuple((k, e) for k, e in enumerate(exponents) if e): starts[t] + position
-                for position, exponents in enumerate(term.polynomial.monomials)
+                for position, exponents in enumerate(polynomial.monomials)
             }
             offset.append(
                 _listed([(r, number.get(((k, 1),)), 1.0) for r, k in zip(rows.tolist(), own.tolist(), strict=True)])

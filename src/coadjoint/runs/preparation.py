@@ -287,11 +287,11 @@ class Preparation:
     def _loops(self, h: float) -> Loops | InputLoops:
         if self.inputs is not None:
             return InputLoops(self.inputs, self.scheme, h, self._representations[0])
-        if is_batch(self.system):
-            return loops_of_batch(self.system, self.scheme, h, self._representations)
         for known in self.cache.loops.values():
             if isinstance(known, Loops) and (loops := known.at_step(h)) is not None:
                 return loops
+        if is_batch(self.system):
+            return loops_of_batch(self.system, self.scheme, h, self._representations)
         return loops_of_system(self.system, self.scheme, h, self._representations[0], compact=True)
 
     def observed(self, start: Start) -> Observed | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from itertools import product, repeat, zip_longest
+from itertools import product, repeat
 from math import prod
 from typing import Any, NamedTuple
 
@@ -140,9 +140,12 @@ def _difference(first: Any, other: Any) -> str:
         difference = _bracket_difference(first.algebra, other.algebra)
         if difference:
             return difference
-    for own_name, other_name in zip_longest(first.casimirs, other.casimirs):
-        if own_name != other_name and set(first.casimirs) != set(other.casimirs):
-            return f"has the Casimirs {short(list(other.casimirs))} and member 0 has {short(list(first.casimirs))}"
+    # Those of the algebra are made when they are read.
+    if other.algebra is first.algebra is not None and other._casimirs is first._casimirs is None:
+        return ""
+    own_names, other_names = (one._casimirs or one.casimirs for one in (first, other))
+    if own_names.keys() != other_names.keys():
+        return f"has the Casimirs {short(list(other_names))} and member 0 has {short(list(own_names))}"
     return ""
 
 

@@ -133,8 +133,9 @@ def _algebra(system: LiePoissonSystem, known: dict[Hashable, int]) -> tuple[int,
     """Return the numbers in `known` of what tables depend on: the algebra and the Casimirs of a system."""
     algebra, casimirs = system.algebra, system._casimirs
     keys = id(algebra), ("casimirs", id(algebra)) if casimirs is None else tuple(casimirs.items())
-    if keys[0] not in known:  # hashes of equal algebras are equal, and take longer
-        known[keys[0]] = known.setdefault((algebra._copied is None, algebra), len(known))
+    if keys[0] not in known:
+        constants = algebra._copied is None, algebra.dim, *(column.tobytes() for column in algebra.triples)
+        known[keys[0]] = known.setdefault(constants, len(known))
     if keys[1] not in known:
         found = tuple(known_or_found_casimirs(algebra).items()) if casimirs is None else keys[1]
         known[keys[1]] = known.setdefault(found, len(known))

@@ -158,7 +158,7 @@ def filled(tables: Tables, sources: Mapping[str, Any], coefficients: Any, path: 
     """
 
     def item_of(name: str, item: Any) -> Any:
-        if isinstance(item, tuple):
+        if hasattr(item, "_fields"):
             return filled(item, sources, coefficients, f"{path}{name}.")
         if not _varies(tables, name):
             return item

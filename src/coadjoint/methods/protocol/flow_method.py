@@ -23,12 +23,11 @@ from coadjoint.program.parts.decompose import (
     ChosenParts,
     check_body_flow_inputs,
     decompose,
-    decompose_all,
 )
 from coadjoint.program.parts.split import NotSplittable
 from coadjoint.program.sweeps import Sweep as Sweep  # re-exported by coadjoint.methods
 from coadjoint.systems.hamiltonians.linear_term import with_placeholders
-from coadjoint.systems.protocol import has_structure_constants, unforced
+from coadjoint.systems.protocol import has_structure_constants
 from coadjoint.systems.system_checks import System
 
 if TYPE_CHECKING:
@@ -40,6 +39,7 @@ if TYPE_CHECKING:
     from coadjoint.program.interpreter import Interpreter
     from coadjoint.program.table import Program
     from coadjoint.systems.energy_derivatives import EnergyDerivative
+    from coadjoint.systems.system_stacks import SystemStack
 
 COEFFICIENT_ERROR = 1e-38  # relative error of published coefficients, which have at least 40 digits
 SUM_TOLERANCE = 2.0**-40  # relative to the sum of absolute coefficients of sweeps; allows coefficients of twelve digits
@@ -113,9 +113,13 @@ class FlowMethod(Method):
     def _program_loop(self, program: Program, h: float, compact: bool = False) -> CompiledLoop:
         from coadjoint.kernels.loop import CompiledLoop
         from coadjoint.kernels.tables.flow import FLOW_LOOP, flow_tables
+        from coadjoint.program.sources import within
+        from coadjoint.program.table import recorded_sources
 
         tables = flow_tables(program, h, bool(self.compensated), compact)
-        return CompiledLoop(FLOW_LOOP, tables.tables, tables.keepalive, program.shift, parts=program.parts)
+        fixed = FLOW_LOOP, tables.tables, tables.keepalive, program.shift
+        recorded = recorded_sources(program, tables.tables.terms)
+        return CompiledLoop(*fixed, parts=program.parts, sources=lambda: within("terms.", recorded()))
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop:
         """Return the loop over the rows of the table, with tangent vectors."""
@@ -198,12 +202,16 @@ class FlowMethod(Method):
             return self  # the loop raises the error for a Hamiltonian that does not split
         return replace(self, parts=replace(choice, linear=tuple(coordinates)))
 
-    def split_jointly(self, systems: Sequence[Any]) -> None:
-        """Split those with structure constants, if the parts are automatic."""
-        if self.parts == "auto":
-            # Hamiltonians that do not split raise later, with the name of the member.
-            with suppress(ValueError):
-                decompose_all([one for one in map(unforced, systems) if has_structure_constants(one)])
+    def split_jointly(self, systems: Sequence[Any]) -> list[SystemStack]:
+        """Return systems whose parts are chosen alike."""
+        from coadjoint.program.parts.joint_choice import joint_choices
+
+        found: list[SystemStack] = []
+        for stack in super().split_jointly(systems) if self.differentiable else []:
+            # Hamiltonians that do not split, and their functions, raise later, with the number of the member.
+            with suppress(ArithmeticError, TypeError, ValueError):
+                found += joint_choices(stack, self.parts)
+        return found
 
 
 class FlowsOfBase(Wrapper, FlowMethod):

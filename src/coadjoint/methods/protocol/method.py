@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.protocol.step_derivatives import LinearizedStep
     from coadjoint.program.table import Program
     from coadjoint.systems.energy_derivatives import EnergyDerivative
+    from coadjoint.systems.system_stacks import SystemStack
 
 Representation = NDArray[np.float64] | str | None
 
@@ -369,8 +370,14 @@ class Method(metaclass=ExplainedCalls):
         """
         return self
 
-    def split_jointly(self, systems: Sequence[Any]) -> None:
-        """Split the Hamiltonians of many systems together, which is faster than for each loop."""
+    def split_jointly(self, systems: Sequence[Any]) -> list[SystemStack]:
+        """Return those of many systems whose tables differ only in coefficients of H.
+
+        The constants of these tables are found by the `sources` of the loop of the first system of a stack.
+        """
+        from coadjoint.systems.system_stacks import stacks_of
+
+        return stacks_of(systems)
 
     def with_compensation(self) -> Method | None:
         """Return the same scheme with compensated sums, if that choice was left open; else None."""

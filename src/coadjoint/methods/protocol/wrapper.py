@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.system_checks import System
+
+if TYPE_CHECKING:
+    from coadjoint.systems.system_stacks import SystemStack
 
 MAX_ORDER = 12  # highest order of a composition that is tested, unless that of the base is higher
 
@@ -60,9 +63,9 @@ class Wrapper(Method):
         base = self.base.settled(system, coordinates)
         return self if base is self.base else self._around(base)
 
-    def split_jointly(self, systems: Sequence[Any]) -> None:
+    def split_jointly(self, systems: Sequence[Any]) -> list[SystemStack]:
         """As for the base."""
-        self.base.split_jointly(systems)
+        return self.base.split_jointly(systems)
 
     def _around(self, base: Method) -> Method:
         changed: Method = replace(self, base=base)  # type: ignore[type-var]

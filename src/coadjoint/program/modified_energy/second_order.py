@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from itertools import combinations, permutations
 from typing import Any
 
@@ -85,22 +85,21 @@ def _matrix_vector(matrices: Floats, vectors: Floats) -> Floats:
 class Samples:
     """Gradients and Hessians of several sets of parts at points (k, n), computed once to compare many orders.
 
-    The bracket is {F, G} = (grad F)^T J(x) grad G. All algebras must have the same sparsity pattern, and all sets the
-    same number of parts. Raises TypeError if a user function has no second derivatives.
+    The bracket is {F, G} = (grad F)^T J(x) grad G. All sets must have the same number of parts. Raises TypeError if a
+    user function has no second derivatives.
     """
 
-    def __init__(self, algebras: Sequence[LieAlgebra], sets: Sequence[Parts], points: Floats, t: float = 0.0) -> None:
+    def __init__(self, algebra: LieAlgebra, sets: Sequence[Parts], points: Floats, t: float = 0.0) -> None:
         derivatives = part_derivatives(Parts.concatenate(sets), points, t)
         shape = (len(sets), len(sets[0]))
         self._gradients, self._hessians = (array.reshape(*shape, *array.shape[1:]) for array in derivatives)
         count, n = points.shape
-        self._i, self._j, self._k, _ = algebras[0].triples
-        self._c = np.array([algebra.triples.c for algebra in algebras]).reshape(len(sets), 1, 1, -1)
-        flat = np.zeros((n * n, len(sets), count))
-        products = np.moveaxis(self._c[:, 0] * points[:, self._k], -1, 0)
+        self._i, self._j, self._k, self._c = algebra.triples
+        flat = np.zeros((n * n, count))
+        products = (self._c * points[:, self._k]).T
         np.add.at(flat, self._i * n + self._j, products)
         np.subtract.at(flat, self._j * n + self._i, products)
-        self._structure = np.moveaxis(flat, 0, -1).reshape(len(sets), 1, count, n, n)
+        self._structure = flat.T.reshape(count, n, n)
 
     def second_order_terms(self, orders: Sequence[Sequence[int]]) -> Floats:
         """Return H2, shape (sets, orders, k), for orders of parts in a forward sweep.
@@ -161,7 +160,7 @@ class Samples:
 
 def second_order_term(algebra: LieAlgebra, parts: Parts, points: Floats, t: float = 0.0) -> Floats:
     """Return H2 of parts in the order of a forward sweep at points (k, n), shape (k,); see `Samples`."""
-    return Samples([algebra], [parts], points, t).second_order_terms([range(len(parts))])[0, 0]
+    return Samples(algebra, [parts], points, t).second_order_terms([range(len(parts))])[0, 0]
 
 
 class NestedBrackets:
@@ -173,7 +172,7 @@ class NestedBrackets:
 
     def values(self, points: Floats, t: float = 0.0) -> Floats:
         """Return the brackets at points (k, n), shape (parts, pairs, k)."""
-        samples = Samples([self.algebra], [self.parts], points, t)
+        samples = Samples(self.algebra, [self.parts], points, t)
         j, k = np.array(self.pairs).T
         return samples.nested_brackets(j, k)
 
@@ -217,34 +216,21 @@ def best_order(
     Up to five parts are permuted in all ways, up to eight moved one by one as long as that helps; more keep their
     order. The natural order and zero are returned if the term is not available (no second derivatives, or no points).
     """
-    return best_orders([(system, parts)], points, t)[0]
+    return best_orders(system, [parts], points, t)[0]
 
 
 def best_orders(
-    pairs: Sequence[tuple[LiePoissonSystem, Parts]], points: NDArray[np.float64], t: float = 0.0
+    system: LiePoissonSystem, sets: Sequence[Parts], points: NDArray[np.float64], t: float = 0.0
 ) -> list[tuple[tuple[int, ...], float]]:
-    """Return `best_order` of several systems of one dimension, each with its parts."""
-    result = [(tuple(range(len(parts))), 0.0) for _, parts in pairs]
-    batches: dict[Hashable, list[int]] = {}
-    for m, (system, parts) in enumerate(pairs):
-        terms = system.hamiltonian.terms()
-        if len(parts) > 1 and len(points) and _has_hessians(system, terms):
-            pattern = tuple(column.tobytes() for column in system.algebra.triples[:3])
-            quadratic = all(term.form is not None for term in terms)
-            # Many parts are moved one by one, separately for each set.
-            key: Hashable = (len(parts), quadratic, pattern) if len(parts) <= MAX_PERMUTED else m
-            batches.setdefault(key, []).append(m)
-    for members in batches.values():
-        samples = Samples([pairs[m][0].algebra for m in members], [pairs[m][1] for m in members], points, t)
-        for m, best in zip(members, _smallest_orders(samples, result[members[0]][0]), strict=True):
-            result[m] = best
-    return result
-
-
-def _smallest_orders(samples: Samples, natural: tuple[int, ...]) -> list[tuple[tuple[int, ...], float]]:
-    """Return for each set of parts the order with the smallest h^2 term, and its size."""
+    """Return `best_order` of several sets of as many parts."""
+    natural = tuple(range(len(sets[0])))
+    if len(natural) < 2 or not len(points) or not has_hessians(system, system.hamiltonian.terms()):
+        return [(natural, 0.0) for _ in sets]
+    if len(natural) > MAX_PERMUTED and len(sets) > 1:
+        return [best_order(system, parts, points, t) for parts in sets]
+    samples = Samples(system.algebra, sets, points, t)
     if len(natural) > MAX_ORDERED:
-        return [(natural, float(size)) for size in samples.sizes([natural])[:, 0]]
+        return [(natural, float(samples.sizes([natural])[0, 0]))]
     if len(natural) > MAX_PERMUTED:
         return [smallest_order(natural, lambda orders: samples.sizes(orders)[0].tolist())]
     orders = list(permutations(natural))
@@ -286,7 +272,7 @@ def _neighbours(order: tuple[int, ...]) -> list[tuple[int, ...]]:
     return neighbours
 
 
-def _has_hessians(system: LiePoissonSystem, terms: Sequence[Term]) -> bool:
+def has_hessians(system: LiePoissonSystem, terms: Sequence[Term]) -> bool:
     """Return whether the second derivatives of all parts are known; those of functions that are sums are."""
     if all(term.differentiable for term in terms):
         return True

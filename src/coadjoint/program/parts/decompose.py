@@ -38,8 +38,6 @@ SEED = 1993  # of the points at which orders are compared, the same on every mac
 SAMPLES = 16  # of these points: the mean of h^2 terms is known to a quarter
 # Larger dimensions keep the natural order: comparing orders costs n^3 operations.
 MAX_COMPARED_DIMENSION = 24
-# Number of systems compared at once, limited by the processor cache.
-COMPARISON_BATCH = 256
 # Multiplications allowed for trying shifts; above about 100 fully coupled coordinates, only the first are tried.
 MAX_WORK = 1 << 26
 MIN_SHIFTS = 8  # tried whatever they cost
@@ -134,17 +132,14 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
         parts = split(system, choice)
         return Decomposition(parts, (), ChosenParts(tuple(range(len(parts)))))
     if system not in _AUTOMATIC_CACHE:
-        decompose_all([system])
+        _AUTOMATIC_CACHE[system] = best_decomposition(system, sample_points(system.dim))
     return _AUTOMATIC_CACHE[system]
 
 
-def decompose_all(systems: Sequence[LiePoissonSystem]) -> None:
-    """Cache the automatic decompositions of many systems of one dimension at once, which is faster."""
-    missing = [system for system in systems if system not in _AUTOMATIC_CACHE]
-    for k in range(0, len(missing), COMPARISON_BATCH):
-        batch = missing[k : k + COMPARISON_BATCH]
-        for system, decomposition in zip(batch, best_decompositions(batch, _sample_points(batch[0].dim)), strict=True):
-            _AUTOMATIC_CACHE[system] = decomposition
+def remember(system: LiePoissonSystem, candidate: Candidate, order: tuple[int, ...]) -> None:
+    """Cache an automatic decomposition that was chosen together with those of other systems."""
+    choice = ChosenParts(order, candidate.shift)
+    _AUTOMATIC_CACHE[system] = _decomposition(candidate.parts, quadratic_casimirs(system), choice)
 
 
 # Systems are immutable, so decompositions are cached for the lifetime of the system.
@@ -168,31 +163,15 @@ def best_decomposition(system: LiePoissonSystem, points: NDArray[np.float64], t:
     A Casimir that is a sum of terms of H is always subtracted: in other units than those of the points, its flows may
     be the fastest ones, with errors that cancel only in part.
     """
-    return best_decompositions([system], points, t)[0]
-
-
-def best_decompositions(
-    systems: Sequence[LiePoissonSystem], points: NDArray[np.float64], t: float = 0.0
-) -> list[Decomposition]:
-    """Return `best_decomposition` of several systems of one dimension, with all comparisons batched."""
-    candidate_sets = [candidates(system, len(points) > 0) for system in systems]
-    pairs = [
-        (system, candidate.parts)
-        for system, alternatives in zip(systems, candidate_sets, strict=True)
-        for candidate in alternatives
-    ]
-    orders = iter(best_orders(pairs, points, t))
-    result = []
-    for system, alternatives in zip(systems, candidate_sets, strict=True):
-        best, (order, least) = alternatives[0], next(orders)
-        for candidate in alternatives[1:]:
-            other_order, size = next(orders)
-            if _leaves_out(candidate.parts, best.parts) or (
-                size < least * IMPROVEMENT_FACTOR and not _leaves_out(best.parts, candidate.parts)
-            ):
-                best, order, least = candidate, other_order, size
-        result.append(_decomposition(best.parts, quadratic_casimirs(system), ChosenParts(order, best.shift)))
-    return result
+    alternatives = candidates(system, len(points) > 0)
+    orders = best_orders(system, [candidate.parts for candidate in alternatives], points, t)
+    best, (order, least) = alternatives[0], orders[0]
+    for candidate, (other_order, size) in zip(alternatives[1:], orders[1:], strict=True):
+        if _leaves_out(candidate.parts, best.parts) or (
+            size < least * IMPROVEMENT_FACTOR and not _leaves_out(best.parts, candidate.parts)
+        ):
+            best, order, least = candidate, other_order, size
+    return _decomposition(best.parts, quadratic_casimirs(system), ChosenParts(order, best.shift))
 
 
 def _leaves_out(fewer: Parts, more: Parts) -> bool:
@@ -300,7 +279,7 @@ def _decomposition(parts: Parts, casimirs: Mapping[str, QuadraticCasimir], choic
 
 
 @lru_cache(maxsize=32)
-def _sample_points(size: int) -> NDArray[np.float64]:
+def sample_points(size: int) -> NDArray[np.float64]:
     """Return fixed points of unit length, shape (samples, n): the choice must not depend on a state."""
     if size > MAX_COMPARED_DIMENSION:
         return np.zeros((0, size))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,10 @@ from numpy.typing import NDArray
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import MemberBatch
 
+if TYPE_CHECKING:
+    from coadjoint.program.sources import Sources
+
+Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
@@ -126,12 +130,39 @@ def split_members(first: int, last: int, workers: int, block: int) -> list[tuple
     return [(low, high) for low, high in edges if low < high]
 
 
-def groups_of(prepared: Sequence[Any], watches: Sequence[Any], owners: Integers, in_order: bool) -> list[Group]:
+class Columns(NamedTuple):
+    """Systems that differ in coefficients of the energy: those of a loop and of its watch, (count, systems)."""
+
+    sources: tuple[Sources, Sources]
+    coefficients: tuple[Floats, Floats]
+
+    def take(self, columns: Any) -> Columns:
+        """Select systems: by their numbers, or one by its number."""
+        first, second = (numbers[:, columns] for numbers in self.coefficients)
+        return Columns(self.sources, (first, second))
+
+    def tables(self, loop: Any, watch: Any) -> tuple[Any, ...]:
+        """Return the tables of a loop and of its watch, with a column for each system unless it is one."""
+        from coadjoint.kernels.tables.structures import filled
+
+        pairs = zip((loop, watch), self.sources, self.coefficients, strict=True)
+        return tuple(filled(tables, sources, coefficients) for tables, sources, coefficients in pairs)
+
+
+def groups_of(
+    prepared: Sequence[Any],
+    watches: Sequence[Any],
+    owners: Integers,
+    in_order: bool,
+    columns: Sequence[Columns | None] = (),
+    numbers: Integers | None = None,
+) -> list[Group]:
     """Group members with tables that differ only in constants, in the order of their first members.
 
     `prepared` and `watches` are the compiled loops and the watches of the distinct systems, and `owners` (members,) the
-    number of that of each member. The members of a system with so many that they fill the lanes are a group of their
-    own. With `in_order` a group has only members that follow each other.
+    number of that of each member. If a loop has `columns` it is that of several systems, `numbers` (members,) of them.
+    The members of a system with so many that they fill the lanes are a group of their own. With `in_order` a group has
+    only members that follow each other.
 
     Examples
     --------
@@ -146,30 +177,30 @@ def groups_of(prepared: Sequence[Any], watches: Sequence[Any], owners: Integers,
     from coadjoint.kernels.tables.structures import as_structure, stacked, structure_of
 
     block = limit("MOST_LANES")
-    counts = np.bincount(owners)
-    owners_by_structure: dict[Hashable, list[int]] = {}
-    for k, (loop, watch) in enumerate(zip(prepared, watches, strict=True)):
-        alone = counts[k] >= block
-        structure = k if alone else (loop.name, structure_of(loop.tables), structure_of(watch))
-        owners_by_structure.setdefault(structure, []).append(k)
-    keys = list(owners_by_structure)
-    key_of_owner = {k: position for position, key in enumerate(keys) for k in owners_by_structure[key]}
-    member_keys = np.array([key_of_owner[k] for k in range(len(prepared))])[owners]
-    edges = [0, *(np.flatnonzero(np.diff(member_keys)) + 1).tolist(), len(member_keys)]
-    sets = (
-        [np.arange(first, last) for first, last in pairwise(edges)]
-        if in_order
-        else [np.flatnonzero(member_keys == position) for position in range(len(keys))]
-    )
+    numbers = np.zeros(len(owners), dtype=np.int64) if numbers is None else numbers
+    columns = columns or [None] * len(prepared)
+    _, system, counts = np.unique(owners * (numbers.max() + 1) + numbers, return_inverse=True, return_counts=True)
+    alone = counts[system] >= block
+    keys: dict[Hashable, int] = {}
+    key = np.zeros(len(prepared), dtype=np.int64)
+    for k in np.unique(owners[~alone]).tolist():
+        own = (prepared[k].name, structure_of(prepared[k].tables), structure_of(watches[k])) if not columns[k] else k
+        key[k] = keys.setdefault(own, len(keys))
+    member_keys = np.where(alone, len(keys) + system, key[owners])
+    order = np.arange(len(owners)) if in_order else np.argsort(member_keys, kind="stable")
+    cuts = np.flatnonzero(np.diff(member_keys[order])) + 1
     groups = []
-    for members in sets:
-        key = keys[member_keys[members[0]]]
-        loop = prepared[owners_by_structure[key][0]]
-        if isinstance(key, int):
-            groups.append(Group(members, loop.name, as_structure(loop.tables), as_structure(watches[key])))
-            continue
-        own = owners[members].tolist()
-        tables = as_structure(stacked([prepared[k].tables for k in own]))
-        watch = as_structure(stacked([watches[k] for k in own]))
-        groups.append(Group(members, loop.name, tables, watch, -(-len(members) // block) * block))
+    for members in np.split(order, cuts):
+        k = int(owners[members[0]])
+        loop, watch, own_columns = prepared[k].tables, watches[k], columns[k]
+        padded = np.append(members, np.repeat(members[-1:], -len(members) % block))
+        stride = 0 if alone[members[0]] else len(padded)
+        if own_columns is not None:
+            loop, watch = own_columns.take(numbers[padded] if stride else numbers[members[0]]).tables(loop, watch)
+        elif stride:
+            loop, watch = (
+                stacked([tables[o] for o in owners[members].tolist()])
+                for tables in ([p.tables for p in prepared], watches)
+            )
+        groups.append(Group(members, prepared[k].name, as_structure(loop), as_structure(watch), stride))
     return sorted(groups, key=lambda group: int(group.members[0]))  # type: ignore[index]

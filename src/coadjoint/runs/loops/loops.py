@@ -16,7 +16,7 @@ from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import CompiledLoop, MemberBatch
 from coadjoint.memory import RELEASED_SIZE, release_freed_memory
 from coadjoint.methods.protocol.method import Method
-from coadjoint.runs.loops.groups import Group, batches_of_groups, groups_of, individual_groups, split_members
+from coadjoint.runs.loops.groups import Columns, Group, batches_of_groups, groups_of, individual_groups, split_members
 from coadjoint.runs.loops.shifted_attitude import ShiftCorrection, corrected_groups_each, uncorrected_groups
 from coadjoint.runs.start import Representation, Start, unit_groups
 from coadjoint.runs.times import Times
@@ -28,6 +28,7 @@ from coadjoint.systems.system_checks import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.tables.compiled import CompiledTables
+    from coadjoint.systems.system_stacks import SystemStack
 
 UNTRACKED = Quadratic(0.0)
 """Placeholder for an invariant that the loops do not track."""
@@ -85,8 +86,9 @@ class MatrixInvariants:
 class Loops:
     """The compiled loops of a run, and further properties of its system; concurrent runs may share them.
 
-    A run has one loop for each distinct system; `owners` (members,) are the numbers of those of the members, None if
-    there is one system for any number of members. With `in_order` a member keeps its row, which its noise depends on.
+    A run has one loop for each distinct system, or for several of one structure, with `columns`. `owners` (members,)
+    are the numbers of the loops of the members, None if there is one system for any number of members, and `numbers`
+    (members,) those of their columns. With `in_order` a member keeps its row, which its noise depends on.
 
     Attributes
     ----------
@@ -130,7 +132,10 @@ class Loops:
         in_order: bool = False,
         matrices: Any = None,
         rows: int = 0,
+        columns: Sequence[Columns | None] = (),
+        numbers: NDArray[np.int64] | None = None,
     ) -> None:
+        self._columns, self._numbers = columns, numbers
         self.dim, self.names, self.corrections = dim, names, list(corrections)
         self.owners, self.in_order, self.rows = owners, in_order, rows
         self.accounts = compiled[0].accounts
@@ -153,7 +158,8 @@ class Loops:
             self.groups = [Group(None, compiled[0].name, *tables)]
         else:
             tables_of_watches = [watch.tables for watch in watches]
-            self.groups = groups_of(compiled, tables_of_watches, self.owners, self.in_order)
+            among = self.owners, self.in_order, self._columns, self._numbers
+            self.groups = groups_of(compiled, tables_of_watches, *among)
             members = np.concatenate([group.members for group in self.groups if group.members is not None])
             self.order = None if np.array_equal(members, np.arange(len(members))) else members
         self._rounds: tuple[tuple[int, int], list[list[MemberBatch]]] | None = None
@@ -209,19 +215,22 @@ class Loops:
         return self._copy(groups=groups, _base=self)
 
     def at_step(self, h: float) -> Loops | None:
-        """Return the loops of one system and another step, by the same tables; None if they have to be built again."""
+        """Return the loops of another step, by the same tables; None if they must be built again."""
         from coadjoint.kernels.tables.flow import FlowTables, at_step
-        from coadjoint.kernels.tables.structures import as_structure
+        from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
 
-        if not self.shares_tables:
-            return None
-        (loop,), (group,) = self.compiled, self.groups
-        tables = at_step(loop.tables, h) if isinstance(loop.tables, FlowTables) else None
-        if tables is None:
-            return None
-        return self._copy(
-            compiled=[replace(loop, tables=tables)], groups=[group._replace(tables=as_structure(tables))], _base=None
-        )
+        # Tables of stages do not depend on the step.
+        rules: dict[Any, Any] = {FlowTables: at_step, RungeKuttaTables: lambda tables, _: tables}
+        compiled = []
+        for loop in self.compiled:
+            rule = rules.get(type(loop.tables))
+            tables = None if rule is None else rule(loop.tables, h)
+            if tables is None:
+                return None
+            compiled.append(replace(loop, tables=tables))
+        changed = self._copy(_base=None)
+        changed._set_tables(compiled, self.watches)
+        return changed
 
     def selected(self, members: NDArray[np.int64]) -> Loops:
         """Return the loops of these members of a batch, from the tables already built."""
@@ -230,7 +239,24 @@ class Loops:
         compiled, watches, corrections = (
             [parts[k] for k in chosen] for parts in (self.compiled, self.watches, self.corrections)
         )
-        return Loops(self.dim, self.names, compiled, watches, corrections, owners, self.in_order)
+        if self._numbers is None:
+            return Loops(self.dim, self.names, compiled, watches, corrections, owners, self.in_order)
+        numbers, columns = self._numbers[members], [self._columns[k] for k in chosen]
+        for k, one in enumerate(columns):
+            if one is not None:
+                used, numbers[owners == k] = np.unique(numbers[owners == k], return_inverse=True)
+                columns[k] = one.take(used)
+        return Loops(
+            self.dim,
+            self.names,
+            compiled,
+            watches,
+            corrections,
+            owners,
+            self.in_order,
+            columns=columns,
+            numbers=numbers,
+        )
 
     def attitude_may_overflow(self, start: Start, times: Times) -> bool:
         """Whether `corrected_groups` may return infinite elements although those of the loops are finite."""
@@ -339,22 +365,41 @@ def loops_of_batch(batch: Batch, method: Method, h: float, representations: Sequ
 
     `representations` holds an array (n, d, d), "coadjoint" or None for each member.
     """
-    method.split_jointly(batch.distinct)
-    names = list(batch[0].casimirs)
-    compiled: list[CompiledLoop] = []
-    watches: list[CompiledTables] = []
-    corrections: list[ShiftCorrection | None] = []
-    firsts = np.unique(batch.owners, return_index=True)[1].tolist()
-    for m, system in zip(firsts, batch.distinct, strict=True):
+    from coadjoint.kernels.tables.structures import same_numbers
+
+    names, distinct = list(batch[0].casimirs), batch.distinct
+    firsts = np.unique(batch.owners, return_index=True)[1]
+    built: list[tuple[CompiledLoop, CompiledTables, ShiftCorrection | None]] = []
+    columns: list[Columns | None] = []
+    owner, number = np.full(len(distinct), -1), np.zeros(len(distinct), dtype=np.int64)
+
+    def add(k: int, stack: SystemStack | None = None) -> None:
+        system, representation = distinct[k], representations[firsts[k]]
         try:
-            loop = method.loop(system, h, representations[m])
+            loop = method.loop(system, h, representation)
         except (TypeError, ValueError) as error:
-            raise type(error)(f"member {m} of the batch: {error}") from error
-        compiled.append(loop)
-        watches.append(_watch_of(system, loop, {name: system.casimirs[name] for name in names}))
-        corrections.append(_correction_of(system, loop, representations[m]))
-    random = any(force.random for system in batch.distinct for force in getattr(system, "forces", ()))
-    return Loops(batch.dim, ["energy", *names], compiled, watches, corrections, batch.owners, in_order=random)
+            raise type(error)(f"member {firsts[k]} of the batch: {error}") from error
+        watch = _watch_of(system, loop, {name: system.casimirs[name] for name in names})
+        built.append((loop, watch, _correction_of(system, loop, representation)))
+        columns.append(None)
+        owner[k] = len(built) - 1
+        sources = (loop.sources(), watch.sources()) if stack is not None else (None, None)
+        if stack is None or sources[0] is None or sources[1] is None:
+            return
+        found = Columns((sources[0], sources[1]), (stack.split, stack.coefficients))
+        if same_numbers(found.take(0).tables(loop.tables, watch.tables), (loop.tables, watch.tables)):
+            columns[-1] = found
+            owner[stack.numbers], number[stack.numbers] = owner[k], np.arange(stack.size)
+
+    for stack in method.split_jointly(distinct) if representations[0] is None else ():
+        add(int(stack.numbers[0]), stack)
+    for k in np.flatnonzero(owner < 0).tolist():
+        add(k)
+    loops, watches, corrections = zip(*built, strict=True)
+    random = any(force.random for system in distinct for force in getattr(system, "forces", ()))
+    rows = batch.owners
+    fields = batch.dim, ["energy", *names], loops, watches, corrections, owner[rows], random
+    return Loops(*fields, columns=columns, numbers=number[rows])
 
 
 def loops_of_members(systems: Sequence[System], compiled: Sequence[CompiledLoop]) -> Loops:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from fractions import Fraction
-from functools import cached_property
 from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
@@ -22,6 +21,8 @@ from coadjoint.systems.hamiltonians.terms import QuadraticTerm, RepeatedTerm, Te
 from coadjoint.systems.matrix_entries import BYTES_PER_ENTRY, check_symmetric, real_array, sparse_entries
 from coadjoint.systems.product_sums import ProductSums
 from coadjoint.validation import read_finite, read_integer, read_number
+
+UNBOUND = "Quadratic of a number has no dimension yet; call bind(n) first"
 
 
 class Entries(NamedTuple):
@@ -353,7 +354,7 @@ class Quadratic(Summable):
     def as_given(self) -> Entries:
         """Return M, both triangles sorted by rows, and the linear part, bound, with fractions unchanged."""
         if self.dim is None or self._linear is None:
-            raise TypeError("Quadratic of a number has no dimension yet; call bind(n) first")
+            raise TypeError(UNBOUND)
         return Entries(self._rows, self._indices.astype(np.int64), self._entries, self._linear)
 
     def times(self, factor: Coefficient) -> Self:
@@ -467,16 +468,21 @@ class Quadratic(Summable):
 
     def terms(self) -> tuple[Term, ...]:
         """Return the single `QuadraticTerm`; the Hamiltonian must be bound."""
+        if self._terms is None:  # a `cached_property` takes a lock, once for each member of a batch
+            self._terms = self._new_terms()
         return self._terms
 
-    @cached_property
-    def _terms(self) -> tuple[Term, ...]:
+    _terms: tuple[Term, ...] | None = None
+
+    def _new_terms(self) -> tuple[Term, ...]:
         if self._repeated is not None and self._linear is not None:
             linear = self._linear.astype(np.float64, copy=False)
             return (RepeatedTerm(self._repeated, linear, float(self._constant)),)
-        _, _, entries, linear = self.as_given()
-        floats = entries.astype(np.float64, copy=False), linear.astype(np.float64, copy=False)
-        return (QuadraticTerm(self._indptr, self._indices, *floats, float(self._constant)),)
+        if self._sparse is None or self._linear is None:
+            raise TypeError(UNBOUND)
+        starts, columns, entries = self._sparse
+        floats = entries.astype(np.float64, copy=False), self._linear.astype(np.float64, copy=False)
+        return (QuadraticTerm(starts, columns, *floats, float(self._constant)),)
 
     def __repr__(self) -> str:
         if self._scalar is not None:

@@ -1,0 +1,303 @@
+"""Decomposition of many systems at once: those of a stack for which `decompose` makes the same choices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import permutations
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.exact.sparse_sums import Integers
+from coadjoint.program.modified_energy.joint_orders import JointOrders, smallest
+from coadjoint.program.modified_energy.second_order import IMPROVEMENT_FACTOR, MAX_PERMUTED, has_hessians
+from coadjoint.program.parts.decompose import (
+    BODY_FLOW_CHOICES,
+    Candidate,
+    ChosenParts,
+    candidates,
+    remember,
+    sample_points,
+)
+from coadjoint.program.parts.part import COMPUTED, Parts
+from coadjoint.program.parts.split import split
+from coadjoint.program.shifts.shift import (
+    MAX_SINGULAR_DIMENSION,
+    ROUNDING,
+    QuadraticCasimir,
+    Rule,
+    Shift,
+    quadratic_casimirs,
+    shift_rules,
+    shifted_terms,
+)
+from coadjoint.program.sources import Sources, sources_of_parts
+from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE
+from coadjoint.program.table import term_table
+from coadjoint.systems.hamiltonians.terms import Term
+from coadjoint.systems.system_stacks import SystemStack, counts_of, grouped
+from coadjoint.systems.vanishing_products import without_cancelling
+
+Floats = NDArray[np.float64]
+Masks = NDArray[np.bool_]
+
+MAX_RULES = 64  # shifts that are compared for many systems at once
+MAX_STACKED = 4096  # systems compared at once
+
+
+def joint_choices(stack: SystemStack, choice: Any) -> list[SystemStack]:
+    """Return systems by their decompositions, with the coefficients that are split; others are decomposed alone."""
+    system = stack.first
+    if system.dim > MAX_PATTERN_SIZE or getattr(choice, "linear", ()) or choice in BODY_FLOW_CHOICES:
+        return []
+    found: dict[tuple[Any, ...], list[SystemStack]] = {}
+    for first in range(0, stack.size, MAX_STACKED):
+        chunk = stack.take(np.arange(first, min(first + MAX_STACKED, stack.size)))
+        for decision, chosen in _decisions(chunk, choice):
+            found.setdefault(decision, []).append(chosen)
+    return [SystemStack.joined(pieces) for pieces in found.values()]
+
+
+def _decisions(stack: SystemStack, choice: Any) -> list[tuple[tuple[Any, ...], SystemStack]]:
+    """Return members by what was decided; made for all of them at once."""
+    if isinstance(choice, ChosenParts):
+        factors = {name: np.full(stack.size, factor) for name, factor in choice.shift}
+        casimirs = quadratic_casimirs(stack.first)
+        if not factors.keys() <= casimirs.keys() or (factors and _shifted_term(stack.terms) is None):
+            return []  # refused, with the name of the member
+        shifted = _Shifted(stack, casimirs, factors)
+        found = [(key, shifted.chosen(members)) for key, members in grouped(shifted.present)]
+        return [((key,), kept) for key, one in found for kept in _plain(one, casimirs, choice.shift)]
+    if choice == "auto":
+        return _automatic(stack)
+    return [((), stack)]
+
+
+def _plain(stack: SystemStack, casimirs: dict[str, QuadraticCasimir], shift: Shift) -> list[SystemStack]:
+    """Return the systems of which no products cancel after the shift, in a list; an empty one if there are none."""
+    terms = shifted_terms(stack.terms, casimirs, shift)
+    kept = np.flatnonzero(without_cancelling(stack.first.algebra, terms, stack.split))
+    return [stack.take(kept)] if len(kept) else []
+
+
+class _Shifted:
+    """Coefficients of energies after multiples of Casimirs, `factors` (members,) by name, were subtracted.
+
+    They are those of `shifted_terms`, bit for bit. `present` (cells, members) are the entries of M that remain.
+    """
+
+    def __init__(
+        self, stack: SystemStack, casimirs: dict[str, QuadraticCasimir], factors: dict[str, NDArray[Any]]
+    ) -> None:
+        self._stack = stack
+        number = _shifted_term(stack.terms) if factors else None
+        if number is None:
+            self.present: Masks = np.zeros((0, stack.size), dtype=bool)
+            self._totals = None
+            return
+        counts, form = counts_of(stack.terms), stack.terms[number].form
+        assert form is not None
+        n, begin = len(form.linear), sum(counts[:number])
+        self._first, self._last = begin + n, begin + n + len(form.values)
+        own = form.rows * n + form.indices
+        codes = {name: casimirs[name].rows * n + casimirs[name].columns for name in factors}
+        cells = np.unique(np.concatenate([own, *codes.values()]))
+        total = np.zeros((len(cells), stack.size))
+        total[np.searchsorted(cells, own)] = stack.coefficients[self._first : self._last]
+        size = np.abs(total)
+        for name, factor in factors.items():
+            at, subtracted = np.searchsorted(cells, codes[name]), -factor * casimirs[name].values[:, None]
+            total[at] += subtracted
+            size[at] += np.abs(subtracted)
+        self.present, self._totals = np.abs(total) > ROUNDING * size, total
+
+    def chosen(self, members: Integers) -> SystemStack:
+        """Return members with equal `present`."""
+        chosen = self._stack.take(members)
+        if self._totals is None:
+            return chosen
+        entries = self._totals[np.ix_(np.flatnonzero(self.present[:, members[0]]), members)]
+        before, after = chosen.coefficients[: self._first], chosen.coefficients[self._last :]
+        return chosen._replace(split=np.concatenate([before, entries, after]))
+
+
+def _shifted_term(terms: Sequence[Term]) -> int | None:
+    """Return the number of the term from which Casimirs are subtracted."""
+    return next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
+
+
+def _automatic(stack: SystemStack) -> list[tuple[tuple[Any, ...], SystemStack]]:
+    """Make the choices of `best_decomposition` by the same comparisons, for members with the same presence."""
+    system, count = stack.first, stack.size
+    casimirs = quadratic_casimirs(system)
+    parts = split(system, "auto")
+    if np.any(parts.source == COMPUTED):
+        return []
+    number = _shifted_term(stack.terms)
+    rules: list[Rule] = list(shift_rules(parts, casimirs)) if number is not None and len(parts) > 1 else []
+    if len(rules) * max(len(casimirs), 1) > MAX_RULES or _may_be_singular(stack, casimirs, rules):
+        return []
+    factors = [_factors(stack, rule, number) for rule in rules]
+    shifts = [_Shifted(stack, casimirs, by_name) for by_name in factors]
+    # Everything that `candidates` compares: factors that are zero or equal, and entries that remain.
+    table = np.zeros((len(rules), len(casimirs), count))
+    for row, by_name in zip(table, factors, strict=True):
+        for name, values in by_name.items():
+            row[list(casimirs).index(name)] = values
+    equal = [np.all(a == b, axis=0) for k, b in enumerate(table) for a in table[:k]]
+    masks = [np.zeros((0, count), dtype=bool), (table != 0).reshape(-1, count), *(one.present for one in shifts)]
+    if equal:
+        masks.append(np.stack(equal))
+    result = []
+    for key, members in grouped(np.concatenate(masks)):
+        own = stack.take(members)
+        for decision, chosen in _ordered(
+            own,
+            [(rule, {n: f[members] for n, f in by_name.items()}) for rule, by_name in zip(rules, factors, strict=True)],
+            casimirs,
+        ):
+            result.append(((key, *decision), chosen))
+    return result
+
+
+def _may_be_singular(stack: SystemStack, casimirs: dict[str, QuadraticCasimir], rules: Sequence[Rule]) -> bool:
+    """Return whether `candidate_shifts` may seek factors for which a completed square vanishes."""
+    if len(casimirs) != 1 or stack.first.dim > MAX_SINGULAR_DIMENSION or not rules:
+        return False
+    form = stack.terms[_shifted_term(stack.terms) or 0].form
+    return form is not None and bool(np.any(form.rows != form.indices))
+
+
+def _factors(stack: SystemStack, rule: Rule, number: int | None) -> dict[str, NDArray[Any]]:
+    assert number is not None
+    form = stack.terms[number].form
+    assert form is not None
+    begin = sum(counts_of(stack.terms)[:number]) + len(form.linear)
+    diagonal = {int(i): begin + k for k, i in enumerate(form.indices) if form.rows[k] == i}
+    zeros = np.zeros(stack.size)
+    return {name: (stack.coefficients[diagonal[i]] if i in diagonal else zeros) / entry for name, i, entry in rule}
+
+
+class _Alternative(NamedTuple):
+    """A candidate with its coefficients, the terms that are split, and the sources of its parts."""
+
+    candidate: Candidate
+    coefficients: Floats
+    sources: Sources
+
+    @property
+    def parts(self) -> Parts:
+        """The parts of the first system."""
+        return self.candidate.parts
+
+
+def _ordered(
+    stack: SystemStack, rules: Sequence[tuple[Rule, dict[str, NDArray[Any]]]], casimirs: dict[str, QuadraticCasimir]
+) -> list[tuple[tuple[Any, ...], SystemStack]]:
+    """Choose among the candidates of members for which they have the same structure, and their orders."""
+    system, count = stack.first, stack.size
+    points, every, plain = sample_points(system.dim), np.arange(count), np.ones(count, dtype=bool)
+    alternatives = []
+    for _, by_name in rules:
+        shift = tuple((name, float(values[0])) for name, values in by_name.items() if values[0])
+        terms = shifted_terms(stack.terms, casimirs, shift)
+        if np.any(split(system, "auto", terms).source == COMPUTED):
+            return []
+        coefficients = _Shifted(stack, casimirs, {name: by_name[name] for name, _ in shift}).chosen(every).split
+        plain &= without_cancelling(system.algebra, terms, coefficients)
+    if not plain.all():
+        kept = np.flatnonzero(plain)
+        reduced = [(rule, {name: values[kept] for name, values in by_name.items()}) for rule, by_name in rules]
+        return _ordered(stack.take(kept), reduced, casimirs) if len(kept) else []
+    for candidate in candidates(system, len(points) > 0):
+        found = _alternative(stack, candidate, rules, casimirs)
+        if found is None:
+            return []
+        alternatives.append(found)
+    fewest = len(alternatives[0].parts)
+    unordered = fewest < 2 or not len(points) or not has_hessians(system, stack.terms)
+    if not unordered and fewest > MAX_PERMUTED:
+        return []
+    sized = (
+        [JointOrders(system.algebra, one.parts, one.sources, one.coefficients, points).sizes() for one in alternatives]
+        if not unordered
+        else [(np.zeros((1, count)), np.zeros((1, count))) for _ in alternatives]
+    )
+    best, clear = np.zeros(count, dtype=np.int64), np.ones(count, dtype=bool)
+    order, least, error, decided = smallest(*sized[0])
+    clear &= decided
+    for k in range(1, len(alternatives)):
+        other_order, size, other_error, decided = smallest(*sized[k])
+        clear &= decided
+        always, never = (np.zeros(count, dtype=bool) for _ in range(2))
+        for b in range(k):
+            own = best == b
+            always[own] = _leaves_out(alternatives[k], alternatives[b])[own]
+            never[own] = _leaves_out(alternatives[b], alternatives[k])[own]
+        bound = least * IMPROVEMENT_FACTOR
+        with np.errstate(invalid="ignore"):  # infinite sizes, which are not clear
+            decided = np.abs(size - bound) > other_error + error
+        clear &= always | never | decided | (size + least + error == 0)
+        taken = always | ((size < bound) & ~never)
+        best[taken], order[taken] = k, other_order[taken]
+        least, error = np.where(taken, size, least), np.where(taken, other_error, error)
+    orders = [tuple(range(fewest))] if unordered else list(permutations(range(fewest)))
+    result = []
+    for b, o in sorted({*zip(best[clear].tolist(), order[clear].tolist(), strict=True)}):
+        members = np.flatnonzero(clear & (best == b) & (order == o))
+        if members[0] == 0:
+            remember(system, alternatives[b].candidate, orders[o])
+        result.append(((b, o), stack.take(members)._replace(split=alternatives[b].coefficients[:, members])))
+    return result
+
+
+def _alternative(
+    stack: SystemStack,
+    candidate: Candidate,
+    rules: Sequence[tuple[Rule, dict[str, NDArray[Any]]]],
+    casimirs: dict[str, QuadraticCasimir],
+) -> _Alternative | None:
+    """Return a candidate of the first system for all of them; None if its parts are no copies of terms."""
+    by_name: dict[str, NDArray[Any]] = {}
+    if candidate.shift:
+        for _, factors in rules:
+            shift = tuple((name, float(values[0])) for name, values in factors.items() if values[0])
+            if shift == candidate.shift:
+                by_name = {name: factors[name] for name, _ in shift}
+                break
+        else:
+            return None
+    coefficients = _Shifted(stack, casimirs, by_name).chosen(np.arange(stack.size)).split
+    terms = shifted_terms(stack.terms, casimirs, candidate.shift)
+    sources = sources_of_parts(term_table(candidate.parts).table(), candidate.parts, terms)
+    return None if sources is None else _Alternative(candidate, coefficients, sources)
+
+
+def _leaves_out(fewer: _Alternative, more: _Alternative) -> Masks:
+    """Return for each member whether parts are other ones with some angles left out."""
+    count = fewer.coefficients.shape[1]
+    if len(fewer.parts.offset) >= len(more.parts.offset):
+        return np.zeros(count, dtype=bool)
+    values = [_angles(one) for one in (fewer, more)]
+    held = np.ones(count, dtype=bool)
+    for key, numbers in values[0]:
+        equal = np.zeros(count, dtype=bool)
+        for other, others in values[1]:
+            if key == other:
+                equal |= np.all(numbers == others, axis=0)
+        held &= equal
+    return held
+
+
+def _angles(one: _Alternative) -> list[tuple[Any, Floats]]:
+    """Return the angles of an alternative: their coordinates and columns, and their numbers (1 + k, members)."""
+    forms, weights = one.parts.forms, one.parts.weights
+    offset = one.sources["offset"].at(one.parts.offset, one.coefficients)
+    weight = one.sources["weight"].at(weights.value, one.coefficients)
+    found = []
+    for k in range(len(offset)):
+        entries = slice(int(weights.start[k]), int(weights.start[k + 1]))
+        key = int(forms.coordinate[k]), tuple(weights.coordinate[entries].tolist())
+        found.append((key, np.concatenate([offset[k : k + 1], weight[entries]])))
+    return found

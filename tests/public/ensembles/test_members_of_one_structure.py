@@ -1,0 +1,263 @@
+"""Members that differ in coefficients of their energies, which share one table: they have the bits of runs alone."""
+
+import pickle
+import tracemalloc
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+STEP, SPAN, MEMBERS = 1.0 / 64.0, (0.0, 0.5), 6
+METHODS = {
+    "auto": co.Splitting(order=4),
+    "coordinates": co.Splitting(order=2, parts="coordinates"),
+    "composition": co.Composition(co.Splitting(order=2), (0.75, -0.5, 0.75)),
+    "gauss": co.GaussLegendre(2),
+    "frozen": co.ModifiedGaussLegendre(stages=1),
+    "explicit": co.ExplicitRungeKutta(),
+    "taylor": co.Taylor(order=8),
+    "midpoint": co.SphericalMidpoint(),
+}
+
+
+def varied(value, rng):
+    """A parameter with its numbers changed by up to ten per cent; anything else unchanged."""
+    if isinstance(value, float):
+        return value * (1.0 + 0.1 * rng.random())
+    if not isinstance(value, tuple | list | np.ndarray) or np.asarray(value).dtype != np.float64:
+        return value
+    return np.asarray(value) * (1.0 + 0.1 * rng.random(np.shape(value)))
+
+
+def members_of(name):
+    """The default system and others of other parameters, as far as its builder accepts them."""
+    rng, first = np.random.default_rng(7), co.systems.get(name)
+    systems = [first]
+    for _ in range(3 * MEMBERS):
+        try:
+            systems.append(co.systems.get(name, **{p: varied(v, rng) for p, v in (first.parameters or {}).items()}))
+        except (TypeError, ValueError):
+            continue
+        if len(systems) == MEMBERS:
+            break
+    return systems
+
+
+def assert_as_alone(systems, method, states=None, whole=None, members=None, **options):
+    """Compare the members of a batch with runs of them alone, bit for bit."""
+    if states is None:
+        states = 0.3 * np.random.default_rng(len(systems)).standard_normal((len(systems), systems[0].dim))
+    if whole is None:
+        whole = co.prepare(co.batch(systems), method, STEP, **options).run(states, SPAN, save_every=4)
+    for m, one in enumerate(systems):
+        if members is not None and m not in members:
+            continue
+        alone = co.prepare(one, method, STEP, **options).run(states[m], SPAN, save_every=4)
+        assert np.array_equal(whole.x[:, m], alone.x), m
+        assert np.array_equal(whole.energy[:, m], alone.energy), m
+        for label, values in alone.casimirs.items():
+            assert np.array_equal(whole.casimirs[label][:, m], values), (m, label)
+    return whole
+
+
+@pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning", "ignore::coadjoint.RoundingWarning")
+@pytest.mark.parametrize("name", co.systems.names())
+def test_ready_made_systems_of_several_parameters(name):
+    systems = members_of(name)
+    if not isinstance(systems[0], co.LiePoissonSystem) or systems[0].dim > 64 or len(systems) == 1:
+        pytest.skip("no Lie-Poisson system with parameters that vary")
+    try:
+        co.batch(systems)
+    except ValueError:
+        pytest.skip("its parameters change the structure")
+    compared = 0
+    for label in ("auto", "gauss"):
+        try:
+            assert_as_alone(systems, METHODS[label])
+        except ValueError as refused:
+            assert "cannot be used" in str(refused)
+            continue
+        except co.IntegrationError:  # the motion of a member has no bound, or the step is too large
+            continue
+        compared += 1
+    assert compared
+
+
+def bodies(count, seed=1):
+    rng = np.random.default_rng(seed)
+    return [co.systems.rigid_body(np.sort(rng.uniform(1.0, 1.9, 3))) for _ in range(count)]
+
+
+def tops(count, seed=1):
+    rng = np.random.default_rng(seed)
+    return [co.systems.heavy_top(np.sort(rng.uniform(1.0, 1.9, 3)), lever=rng.standard_normal(3)) for _ in range(count)]
+
+
+def polynomials(count):
+    """With coefficients in the linear, the quadratic and higher terms, and a constant."""
+    return [
+        co.LiePoissonSystem(
+            co.algebras.so(3),
+            co.Polynomial(
+                {
+                    (2, 0, 0): 0.5 + 0.01 * k,
+                    (0, 3, 0): 0.1,
+                    (0, 0, 2): 0.2,
+                    (0, 1, 0): 0.3 * k + 0.1,
+                    (0, 0, 0): 0.1 + k,
+                }
+            ),
+        )
+        for k in range(count)
+    ]
+
+
+def coupled(count):
+    """Completed squares, whose forms depend on the coefficients in another way."""
+    M = np.array([[1.0, 0.2, 0.1], [0.2, 0.6, 0.0], [0.1, 0.0, 0.3]])
+    return [co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M * (1.0 + 0.1 * k))) for k in range(count)]
+
+
+def constants(count):
+    """Linear parts that are zero for some, and constants of the energy."""
+    return [
+        co.LiePoissonSystem(
+            co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25], linear=[0.0, float(k % 3), 0.1], constant=float(k))
+        )
+        for k in range(count)
+    ]
+
+
+def sums(count):
+    """Two pieces with functions that are equal."""
+    pieces = co.Separable({0: (np.cos, lambda x: -np.sin(x), lambda x: -np.cos(x))})
+    return [
+        co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([0.5, 0.6 + 0.1 * k, 0.7]) + pieces) for k in range(count)
+    ]
+
+
+FAMILIES = {"bodies": bodies, "tops": tops, "polynomials": polynomials, "coupled": coupled, "constants": constants}
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("method", METHODS)
+def test_schemes_of_all_kinds(method, family):
+    try:
+        assert_as_alone(FAMILIES[family](MEMBERS), METHODS[method])
+    except ValueError as refused:
+        assert "needs" in str(refused) or "cannot be used" in str(refused)
+
+
+@pytest.mark.parametrize("method", ["auto", "gauss"])
+def test_functions_that_are_equal_are_shared(method):
+    pytest.importorskip("numba")
+    assert_as_alone(sums(3), METHODS[method])
+
+
+@pytest.mark.parametrize("parts", ["auto", "coordinates", ((0, 3), (1, 4), (2, 5)), "tuned"])
+def test_choices_of_parts(parts):
+    systems = tops(MEMBERS)
+    if parts == "tuned":
+        parts = co.Splitting.tuned(systems[0], (0.1, 1.0, 0.1, 0.3, 0.0, 1.0)).parts
+    try:
+        assert_as_alone(systems, co.Splitting(order=2, parts=parts))
+    except ValueError as refused:
+        assert "parts" in str(refused)
+
+
+def mixed():
+    """Members of several structures in turn, one of them so often that it fills the lanes, and some repeated."""
+    kinds = [[*bodies(5), *bodies(4, 2)], polynomials(4), coupled(3), constants(4)]
+    systems = [kind[k] for k in range(9) for kind in kinds if k < len(kind)]
+    return [*systems, systems[0], systems[3], *[systems[1]] * 40, *bodies(33, 3), systems[2]]
+
+
+@pytest.mark.parametrize("method", ["auto", "gauss"])
+def test_mixed_structures_blocks_threads_and_pickled_runs(method, tmp_path, no_fsync):
+    systems = [co.LiePoissonSystem(co.algebras.so(3), one.hamiltonian) for one in mixed()]
+    states = 0.3 * np.random.default_rng(5).standard_normal((len(systems), 3))
+    prepared = co.prepare(co.batch(systems), METHODS[method], STEP, threads=1)
+    whole = prepared.run(states, SPAN, save_every=4)
+    assert_as_alone(systems, METHODS[method], states, whole, range(0, len(systems), 7))
+    again = pickle.loads(pickle.dumps(prepared)).run(states, SPAN, save_every=4)
+    threaded = co.prepare(co.batch(systems), METHODS[method], STEP, threads=3).run(states, SPAN, save_every=4)
+    assert np.array_equal(again.x, whole.x) and np.array_equal(threaded.x, whole.x)
+    assert np.array_equal(again.energy, whole.energy) and np.array_equal(threaded.energy, whole.energy)
+    blocks = co.integrate_ensemble(
+        co.batch(systems),
+        states,
+        SPAN,
+        STEP,
+        METHODS[method],
+        save_every=4,
+        archive=tmp_path / "a",
+        members_per_block=17,
+    )
+    assert np.array_equal(np.asarray(blocks.x), whole.x) and np.array_equal(np.asarray(blocks.energy), whole.energy)
+    back = prepared.run(whole.x[-1], SPAN[::-1], save_every=4)
+    alone = co.prepare(systems[7], METHODS[method], STEP).run(whole.x[-1, 7], SPAN[::-1], save_every=4)
+    assert np.array_equal(back.x[:, 7], alone.x)
+
+
+def test_choices_that_rounding_decides_are_those_of_each_member():
+    """Orders and shifts that tie exactly, or nearly, among members whose choices are clear."""
+    ties = [(1.0, 1.0, 2.0), (1.0, 2.0, 2.0), (1.5, 1.5, 1.5), (1.0, 1.0 + 2e-16, 2.0), (1.0, 1.0 + 1e-9, 2.0)]
+    clear = [(1.0, 1.5, 2.0), (2.0, 1.5, 1.0), (1.5, 1.0, 2.0), (1.0, 2.0, 2.5)]
+    assert_as_alone([co.systems.rigid_body(one) for one in [*ties, *clear, *ties[::-1]]], METHODS["auto"])
+    assert_as_alone([co.systems.heavy_top(one, lever=(0, 0, 1)) for one in [*ties, *clear]], METHODS["auto"])
+
+
+def test_products_that_cancel_for_some_members():
+    """An isotropic mass of a body in a fluid: a product of the field cancels, in other members it does not."""
+    masses = [(1.5, 2.5, 2.0), (2.0, 2.0, 2.0), (1.5, 2.5, 2.25), (2.0, 2.0, 3.0), (1.5, 2.75, 2.0)]
+    systems = [co.systems.kirchhoff_body(inertia=(1.0, 2.0, 3.0), mass=mass) for mass in masses]
+    for method in ("auto", "gauss"):
+        assert_as_alone(systems, METHODS[method])
+
+
+def test_a_member_that_fails_leaves_the_others():
+    systems = [
+        co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(3, 0, 0): scale, (0, 2, 0): 1.0}), name=f"{scale:g}")
+        for scale in (0.1, 0.2, 1e200, 0.3)
+    ]
+    states = np.full((4, 3), 0.5)
+    states[2] *= 1e80
+    prepared = co.prepare(co.batch(systems), METHODS["gauss"], STEP)
+    with pytest.raises(co.IntegrationError) as failed:
+        prepared.run(states, SPAN, save_every=4)
+    whole = failed.value.partial
+    assert whole.failed.tolist() == [False, False, True, False]
+    assert_as_alone(systems, METHODS["gauss"], states, whole, [0, 1, 3])
+
+
+def test_members_with_noise_keep_their_numbers():
+    noise = co.forces.HeatBath(alpha=0.1, temperature=0.1, seed=3)
+    systems = [one.with_forces(noise) for one in bodies(5)]
+    states = np.random.default_rng(2).standard_normal((5, 3))
+    whole = co.prepare(co.batch(systems), METHODS["auto"], STEP).run(states, SPAN)
+    repeated = co.prepare(co.batch([systems[3]] * 5), METHODS["auto"], STEP).run(np.tile(states[3], (5, 1)), SPAN)
+    assert np.array_equal(repeated.x[:, 3], whole.x[:, 3])
+
+
+def test_attitudes_of_members():
+    systems = tops(4)
+    states = 0.3 * np.random.default_rng(4).standard_normal((4, 6))
+    whole = co.prepare(co.batch(systems), METHODS["auto"], STEP, attitude=True).run(states, SPAN)
+    for m, one in enumerate(systems):
+        alone = co.prepare(one, METHODS["auto"], STEP, attitude=True).run(states[m], SPAN)
+        assert np.array_equal(whole.x[:, m], alone.x) and np.array_equal(whole.attitude[:, m], alone.attitude)
+
+
+@pytest.mark.parametrize("method", ["auto", "gauss"])
+def test_memory_of_a_prepared_batch(method):
+    """A member takes a column of constants, not tables of its own."""
+    count = 2000
+    systems = co.batch(bodies(count))
+    co.prepare(co.batch(bodies(3, 4)), METHODS[method], STEP)
+    tracemalloc.start()
+    prepared = co.prepare(systems, METHODS[method], STEP)
+    used, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert prepared.system is systems
+    assert used < 2500 * count and peak < 5000 * count, (used, peak)
