@@ -14,10 +14,11 @@ from coadjoint.errors import IntegrationError
 from coadjoint.pictures.refinement_times import coarse_times, fastest_turn, times_between
 from coadjoint.pictures.register import CannotShow
 from coadjoint.pictures.style import coordinate
+from coadjoint.runs.results.body_motion import rotations_of
 from coadjoint.runs.results.drift import scales_of_invariants
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import member_count, unfinished_members
-from coadjoint.runs.results.solution_output import is_driven, rotations_of
+from coadjoint.runs.results.solution_output import is_driven
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.evaluation import ignore_overflow
@@ -130,7 +131,9 @@ class PlottedRun:
 
     @cached_property
     def rotation(self) -> Floats | None:
-        """Attitude as rotation matrices (members, k, 3, 3): the group element or its first block, or None."""
+        """Rotation matrices (members, k, 3, 3): attitudes of states, group elements or their first block, or None."""
+        if getattr(self.unforced, "has_attitude", False):
+            return None if self.unforced.bodies else self.unforced.attitudes(self.x)
         A = self.attitude
         if A is None:
             return None

@@ -16,6 +16,8 @@ from coadjoint.systems.evaluation import ignore_overflow, read_point, vectorized
 from coadjoint.systems.forces.base import Force
 from coadjoint.validation import read_list, read_number, read_numbers, to_array, truncate_title
 
+OF_BODIES = ("state", "attitudes", "positions", "velocities", "angular_velocity", "angular_momentum", "momentum")
+"""Methods of systems of bodies, which these have with forces as well."""
 MAX_FORCES_TEXT = 240  # characters of the forces in a representation; longer lists are cut
 
 
@@ -75,6 +77,12 @@ class ForcedSystem:
             # the kernels compute the energy of matrices from their stream
             raise ValueError(f"the energy of {system.name} is a user function; forces need a system without energy=")
         self.system, self.forces = system, forces
+
+    def __getattr__(self, name: str) -> Any:
+        # Copies and pickles look attributes up before there is a system.
+        if name in OF_BODIES and "system" in vars(self):
+            return getattr(self.system, name)
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     def with_forces(self, *forces: Force) -> ForcedSystem:
         """Return the system with further forces after the present ones.

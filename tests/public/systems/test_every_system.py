@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 from brackets import U, bracket, rational_points
+from scipy.spatial.transform import Rotation
 
 import coadjoint as co
 from command import command
@@ -84,6 +85,11 @@ def start_of(system, seed=1):
     x = rng.uniform(0.3, 1.2, system.dim) * rng.choice([-1.0, 1.0], system.dim)
     if system.name == "satellite":
         x[6:9] *= 3.0
+    if hasattr(system, "positions"):  # of bodies: attitudes that are rotations, and centres apart
+        k = len(system.masses)
+        turned = Rotation.from_quat(x[: 4 * k].reshape(k, 4)).as_matrix()
+        r, v, omega = x[4 * k : 13 * k].reshape(3, k, 3)
+        x = system.state(r + 4.0 * np.arange(k)[:, None], v, turned, omega)
     if hasattr(system, "shape"):
         x = system.to_vector(system.algebra.projected(system.from_vector(x)))
     return x

@@ -6,11 +6,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.runs.results.solution_attributes import SolutionAttributes, members_text
+from coadjoint.runs.results.body_motion import BodyMotion
 from coadjoint.short_repr import distinct, html_table
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.protocol import member_of
@@ -19,60 +16,16 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray
     from matplotlib.figure import Figure
-    from scipy.spatial.transform import Rotation
 
     from coadjoint.runs.results.solution import Solution
     from coadjoint.runs.results.solution_attributes import Statistics
 
-ORTHOGONALITY = 1e-6
-"""Largest deviation from orthogonality of attitudes that are taken for rotations."""
 MAX_CASIMIRS_SHOWN = 4
 """Number of Casimirs shown, largest drift first."""
 
 
-class SolutionOutput(SolutionAttributes):
+class SolutionOutput(BodyMotion):
     """Base class of `Solution` with its conversions, figures and movies."""
-
-    @property
-    def rotation(self) -> Rotation:
-        """The attitude as rotations of SciPy, from the body to space: the group element, or its first block.
-
-        Returns
-        -------
-        scipy.spatial.transform.Rotation
-            One rotation for each saved time; for an ensemble one for each time and member, (k * members,), the members
-            at the first time first.
-
-        Raises
-        ------
-        TypeError
-            The run has no attitude, or the attitude is not a rotation in three dimensions.
-        ValueError
-            Members have no attitude at some times.
-
-        Examples
-        --------
-        >>> import coadjoint as co
-        >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
-        >>> sol = co.integrate(body, (1.0, 0, 0), t_span=(0, 1), step=0.1, attitude=True)
-        >>> sol.rotation[-1].as_rotvec().round(12)
-        array([1., 0., 0.])
-        """
-        from scipy.spatial.transform import Rotation
-
-        A = rotations_of(self.attitude if self.carried == "representation" else None)
-        if A is None:
-            raise TypeError(
-                f"the run of {self.system.name} has no attitude that is a rotation in three dimensions; integrate a "
-                "body or a top with attitude=True"
-            )
-        lost = np.atleast_1d(~np.isfinite(A).all(axis=(0, -1, -2)))
-        if lost.any():
-            raise ValueError(
-                f"attitudes of {members_text(lost)} are missing at some times, since these have not run so "
-                "far, have failed, or were ended by events; take Rotation.from_matrix of attitude[:, m] of the others"
-            )
-        return Rotation.from_matrix(A.reshape(-1, 3, 3))
 
     @suggest_keywords
     def to_xarray(self) -> xarray.Dataset:
@@ -213,18 +166,6 @@ class SolutionOutput(SolutionAttributes):
         rate = shortcut("check_speed")(fps, target)
         shortcut("write_movie")(shortcut("frames_of")(self, picture, frames, size), target, rate)
         return target
-
-
-def rotations_of(attitude: Any) -> NDArray[np.float64] | None:
-    """Return group elements (..., d, d), or their first block in SE(3), as rotation matrices (..., 3, 3), or None."""
-    if attitude is None or attitude.shape[-1] not in (3, 4) or np.iscomplexobj(attitude):
-        return None
-    A = np.asarray(attitude)[..., :3, :3]
-    ends = np.stack([A[0], A[-1]])
-    with np.errstate(all="ignore"):
-        products = ends @ np.swapaxes(ends, -1, -2)
-    finite = products[np.isfinite(products).all(axis=(-1, -2))]  # members that have failed are not tested
-    return A if np.abs(finite - np.eye(3)).max(initial=0.0) < ORTHOGONALITY else None
 
 
 def is_driven(system: Any) -> bool:

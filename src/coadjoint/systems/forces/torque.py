@@ -10,6 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
+from coadjoint.systems.forces.attitude_torque import (
+    attitude_arguments,
+    check_attitude,
+    sample_state,
+    torque_on_state,
+    torque_shape,
+)
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.forces.rates import check_state, has_matrix_state, read_state, sample_states, state_vector
 from coadjoint.systems.user_functions import SAMPLE_TIME, takes_time
@@ -35,12 +42,15 @@ class Torque(Force):
     torque : (n,) or (N, N) array_like, or callable
         The torque, or a function of ``t``, of ``x``, or of ``(x, t)`` that returns it, shape (n,). A function of one
         argument is a function of time if that argument is named ``t``. For a `MatrixSystem` the torque and x are
-        matrices (N, N), and the torque lies in the algebra.
+        matrices (N, N), and the torque lies in the algebra. For systems with attitudes in their states, such as
+        ``co.systems.body``, also a function of ``(x, A)`` or ``(x, A, t)``: x is the state and A the attitude from the
+        body to space, (3, 3), of k bodies (k, 3, 3); it returns the torque in the frame of the body, (3,) or (k, 3).
 
     Raises
     ------
     ValueError, TypeError
-        Values that are not finite or of the wrong shape, or a function of other arguments.
+        Values that are not finite or of the wrong shape, a function of other arguments, or one of the attitude for a
+        system without attitudes in its state.
 
     Examples
     --------
@@ -48,6 +58,17 @@ class Torque(Force):
     >>> body = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(co.forces.Torque((0, 0, 0.5)))
     >>> co.integrate(body, (0.0, 0.0, 1.0), t_span=(0, 2), step=0.125).x[-1]
     array([0., 0., 2.])
+
+    A spring and a damper that point the body at rest in space, with the rotation vector of small angles:
+
+    >>> def pointing(x, A):
+    ...     error = np.array([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]])
+    ...     return -0.5 * error - x[:3]
+    >>> body = co.systems.body(inertia=(1, 2, 2.5)).with_forces(co.forces.Torque(pointing))
+    >>> x0 = body.state(angular_velocity=(0.3, 0.0, 0.0))
+    >>> sol = co.integrate(body, x0, t_span=(0, 40), step=0.05)
+    >>> bool(sol.rotation[-1].magnitude() < 1e-6)
+    True
     """
 
     torque: Any
@@ -61,7 +82,9 @@ class Torque(Force):
             object.__setattr__(self, "torque", read_state(self.torque, "the torque"))
 
     def _arguments(self) -> str:
-        """Return the arguments of the function: "t", "x" or "x, t"."""
+        """Return the arguments of the function: "t", "x", "x, t", "x, A" or "x, A, t"."""
+        if (of_attitude := attitude_arguments(self.torque)) is not None:
+            return of_attitude
         if takes_time(self.torque, "the torque"):
             return "x, t"
         try:
@@ -74,11 +97,15 @@ class Torque(Force):
         if not callable(self.torque):
             check_state(self.torque, "the torque", system)
             return
-        arguments, n, failure = self._arguments(), system.dim, ""
-        for x in sample_states(system):
+        arguments, shape, failure = self._arguments(), (system.dim,), ""
+        samples = sample_states(system)
+        if "A" in arguments:
+            check_attitude(system)
+            shape, samples = torque_shape(system), [sample_state(x, system) for x in samples]
+        for x in samples:
             try:
                 with np.errstate(all="ignore"):
-                    value = self.torque(*_call_arguments(arguments, x, SAMPLE_TIME))
+                    value = self.torque(*_call_arguments(arguments, x, SAMPLE_TIME, system))
             except (ArithmeticError, ValueError, TypeError, IndexError) as reason:  # possibly outside its domain
                 failure = in_one_line(str(reason), 200)
                 continue
@@ -86,8 +113,8 @@ class Torque(Force):
                 system.read(value, "the value of the torque")
                 return
             torque = read_numbers(value, "the value of the torque")
-            if torque.shape != (n,):
-                raise ValueError(f"the torque returns shape {torque.shape}; {system.name} needs ({n},)")
+            if torque.shape != shape:
+                raise ValueError(f"the torque returns shape {torque.shape}; {system.name} needs {shape}")
             return
         raise ValueError(f"the torque fails at every sample point ({failure}); correct the function")
 
@@ -97,7 +124,13 @@ class Torque(Force):
         if has_matrix_state(system):
             torque = self.torque(*_call_arguments(self._arguments(), system.from_vector(x), t))
             return np.asarray(system.to_vector(torque))
-        return np.asarray(self.torque(*_call_arguments(self._arguments(), x, t)))
+        function, arguments = self._on_state(system)
+        return np.asarray(function(*_call_arguments(arguments, x, t)))
+
+    def _on_state(self, system: Any) -> tuple[Any, str]:
+        """Return the contribution to x' as a function, and its arguments: "t", "x" or "x, t"."""
+        arguments = self._arguments()
+        return torque_on_state(self.torque, arguments, system) if "A" in arguments else (self.torque, arguments)
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         if not callable(self.torque):
@@ -119,9 +152,12 @@ class Torque(Force):
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         if callable(self.torque):
-            return reader.function(self.torque, self._arguments())
+            return reader.function(*self._on_state(system))
         return reader.constant(state_vector(self.torque, system))
 
 
-def _call_arguments(arguments: str, x: Any, t: Any) -> tuple[Any, ...]:
+def _call_arguments(arguments: str, x: Any, t: Any, system: Any = None) -> tuple[Any, ...]:
+    if "A" in arguments:
+        A = system.attitudes(x)
+        return (x, A, t) if "t" in arguments else (x, A)
     return {"t": (t,), "x": (x,), "x, t": (x, t)}[arguments]

@@ -1,0 +1,219 @@
+"""Several rigid bodies in space, with a potential of their positions and attitudes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.systems.bodies.attitude_algebra import (
+    PER_BODY,
+    axis_products,
+    bodies_algebra,
+    central_coordinate,
+    momentum_in_space,
+)
+from coadjoint.systems.bodies.body_inertia import BodyInertia, read_inertias
+from coadjoint.systems.bodies.body_systems import BodiesSystem
+from coadjoint.systems.bodies.inertia import read_in_range
+from coadjoint.systems.forces.attitude_torque import SAMPLE_ATTITUDE
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
+from coadjoint.systems.hamiltonians.attitude_potential import attitude_potential, check_potential
+from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.registry import ready_made
+from coadjoint.systems.user_functions import evaluate, sample_points
+from coadjoint.validation import read_finite
+
+Floats = npt.NDArray[np.float64]
+
+
+ROD_TORQUE = 2.0**-30
+"""Largest torque along a rod, relative to the derivatives of the potential, that is taken for their rounding."""
+
+
+def _tumbling() -> Floats:
+    """Return two bodies apart that spin about axes near their middle ones."""
+    return bodies().state([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]], angular_velocities=[[0.01, 0.5, 0.01], [1.0, 0.01, 0.2]])
+
+
+@ready_made(
+    gallery_entry=GalleryEntry(
+        x0=_tumbling,
+        t_span=(0.0, 90.0),
+        step=0.05,
+        caption="Two free bodies: the angular momentum of each, as seen from its body, moves on a sphere; that of the "
+        "asymmetric body flips between the poles of its middle axis, that of the symmetric one moves on a circle.",
+        pictures=(
+            Picture(
+                "directions",
+                vectors={"first body": (0, 1, 2), "second body": (12, 13, 14)},
+                title="angular momenta in the body frames",
+            ),
+        ),
+        components=Picture("components", chosen=(0, 1, 2), quantity="angular momentum of the first body"),
+        quantity="state",
+    )
+)
+def bodies(
+    inertias: Any = ((1.0, 2.0, 2.5), (1.0, 1.0, 1.5)),
+    masses: npt.ArrayLike = (1.0, 1.0),
+    potential: Callable[..., Any] | None = None,
+    gradient: Callable[..., Any] | None = None,
+) -> BodiesSystem:
+    """Return k rigid bodies in space with any potential V(r, A) of their positions and attitudes.
+
+    Choose it for molecules, magnets, tethered or docking spacecraft, or one body in a field of force; for mutual
+    gravity see `gravitating_bodies`. Each body has the state (L, X, Y, Z) of `body`; the momenta and positions of the
+    centres are canonical pairs in space beside it, so that orbits and rotations may have any ratio of sizes. Sign -1,
+    ``H = sum of L . I^-1 L / 2 + |p|^2/(2 m) + V``. Positions and attitudes commute, so V is one exact kick.
+
+    Parameters
+    ----------
+    inertias : sequence of k (3,) or (3, 3)
+        Principal moments or inertia tensor of each body, in its own frame (mass times length squared). The moment along
+        a rod is zero, and so are those of a point.
+    masses : (k,)
+        Masses, positive.
+    potential : callable, optional
+        Pure function of ``(r, A)`` that returns the energy: positions (k, 3) in space, and attitudes (k, 3, 3) from
+        each body to space, so that ``r[i] + A[i] @ b`` is the point b of body i. Numba compiles it. By default the
+        bodies are free.
+    gradient : callable, optional
+        Function of the same arguments that returns the pair of derivatives by r, (k, 3), and by A, (k, 3, 3), of
+        independent entries. Without it the operations of `potential` are recorded and differentiated, as those of a
+        `Hamiltonian`.
+
+    Returns
+    -------
+    BodiesSystem
+        State: (L, X, Y, Z) of each body, all p, all r, and 1, together 18 k + 1 numbers; ``state(positions=,
+        velocities=, attitudes=, angular_velocities=)`` makes it, and ``positions(x)``, ``velocities(x)``,
+        ``attitudes(x)``, ``angular_velocity(x, frame=)``, ``angular_momentum(x, frame=)`` read it. Solutions have
+        ``positions``, ``velocities``, ``rotation``, ``angular_velocity`` and ``angular_momentum``. Casimirs: z, which
+        is 1, and the products of the axes of at most 64 bodies. Integrals of free bodies: the total momentum and
+        angular momentum in space. A potential is not stored in ``parameters``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Arguments of wrong shapes, moments or masses that no body has, or a potential that is no function of (r, A),
+        cannot be differentiated, contradicts its gradient, or turns a rod about its axis or a point.
+
+    Warns
+    -----
+    UserWarning
+        A principal moment exceeds the sum of the other two, which is impossible for a body.
+
+    Examples
+    --------
+    A spring from a point of a body to the end of a rod:
+
+    >>> import coadjoint as co
+    >>> def spring(r, A):
+    ...     ends = r[0] + A[0, :, 0] - r[1] + A[1, :, 2]
+    ...     return 0.5 * (ends * ends).sum()
+    >>> pair = co.systems.bodies([(1, 2, 2.5), (2, 2, 0)], [1.0, 2.0], potential=spring)
+    >>> x0 = pair.state([[0, 0, 0], [3, 0, 0]], angular_velocities=[[0, 0.1, 0], [0.2, 0, 0]])
+    >>> sol = co.integrate(pair, x0, (0, 1), 0.01, co.Splitting(order=4, parts="free_body"))
+    >>> sol.positions.shape, bool(sol.drift()["energy"] < 1e-8)
+    ((101, 2, 3), True)
+    """
+    found, m = read_inertias(inertias), read_masses(masses, inertias)
+    check_potential(potential, gradient)
+    V = None if potential is None else attitude_potential(potential, gradient, None, len(found))
+    if V is not None:
+        V = V.bind(PER_BODY * len(found))
+        _check_rods(V, found)
+    parameters = None
+    if V is None:
+        parameters = {**inertial_parameters(found, m), "potential": None, "gradient": None}
+    return system_of_bodies("bodies", found, m, V, parameters, conserving=V is None)
+
+
+def system_of_bodies(
+    name: str,
+    inertias: tuple[BodyInertia, ...],
+    masses: Floats,
+    potential: Hamiltonian | None,
+    parameters: Mapping[str, Any] | None,
+    *,
+    conserving: bool,
+) -> BodiesSystem:
+    """Return the system of bodies with a potential of the entries of all attitudes, then of all positions.
+
+    `conserving`: whether the total momentum and angular momentum in space are integrals.
+    """
+    count = len(inertias)
+    algebra = bodies_algebra(count)
+    body = np.arange(PER_BODY * count).reshape(count, PER_BODY)
+    r = np.arange((PER_BODY + 3) * count, (PER_BODY + 6) * count)
+    pieces: list[tuple[Any, Any]] = []
+    kinetic = _kinetic_energy(inertias, masses, algebra.dim)
+    if potential is not None:
+        axes = body[:, 3:].ravel()
+        pieces.append(((*axes.tolist(), *r.tolist()), potential))
+    H = kinetic + SplitHamiltonian(pieces) if pieces else kinetic
+    return BodiesSystem(
+        inertias,
+        masses,
+        algebra,
+        H,
+        sign=-1,
+        casimirs={"z": central_coordinate(algebra.dim), **axis_products(count, algebra.dim)},
+        name=name,
+        parameters=parameters,
+        integrals=momentum_in_space(count, algebra.dim) if conserving else {},
+    )
+
+
+def _check_rods(potential: Hamiltonian, inertias: tuple[BodyInertia, ...]) -> None:
+    """Raise ValueError if a potential has a torque along a rod or on a point, which has no moment of inertia there."""
+    for y in sample_points(PER_BODY * len(inertias)):
+        y[: 9 * len(inertias)] = np.tile(SAMPLE_ATTITUDE.ravel(), len(inertias))
+        slope = evaluate(potential.gradient, y, False)
+        if isinstance(slope, Exception):
+            continue
+        for k, inertia in enumerate(inertias):
+            axes, slopes = (array[9 * k : 9 * k + 9].reshape(3, 3) for array in (y, slope))
+            torque, size = np.cross(axes, slopes).sum(axis=0), float(np.abs(slopes).sum())
+            turned = 0.0 if inertia.rotating is None else np.abs(torque - inertia.rotating @ torque).max()
+            if turned > ROD_TORQUE * size:
+                raise ValueError(
+                    f"potential has a torque on body {k} where inertias[{k}] is zero: about the axis of a rod, or on a "
+                    "point; give a potential that does not depend on this rotation, or the body a moment there"
+                )
+
+
+def _kinetic_energy(inertias: tuple[BodyInertia, ...], masses: Floats, dim: int) -> Quadratic:
+    entries: list[tuple[int, int, float]] = []
+    for k, inertia in enumerate(inertias):
+        inverse = np.diag(inertia.inverse) if inertia.inverse.ndim == 1 else inertia.inverse
+        begin = PER_BODY * k
+        entries += [(begin + i, begin + j, float(inverse[i, j])) for i, j in zip(*np.nonzero(inverse), strict=True)]
+    begin = PER_BODY * len(inertias)
+    entries += [(begin + i, begin + i, 1.0 / m) for i, m in enumerate(np.repeat(masses, 3).tolist())]
+    rows, columns = (np.array([entry[k] for entry in entries], dtype=np.int64) for k in (0, 1))
+    values = np.array([entry[2] for entry in entries])
+    return Quadratic.from_entries(dim, rows, columns, values, np.zeros(dim), 0.0)
+
+
+def read_masses(masses: Any, inertias: Any) -> Floats:
+    """Validate one positive mass for each body."""
+    m = read_finite(masses, "masses")
+    if m.shape != (len(inertias),):
+        raise ValueError(f"masses has shape {m.shape}, and inertias {len(inertias)} bodies; give one mass for each")
+    for k, value in enumerate(m.tolist()):
+        read_in_range(value, f"masses[{k}]")
+    return m
+
+
+def inertial_parameters(inertias: tuple[BodyInertia, ...], masses: Floats) -> dict[str, Any]:
+    """Return inertias and masses as plain numbers; moments as tensors where another body has one."""
+    given = [inertia.given for inertia in inertias]
+    if len({np.ndim(one) for one in given}) > 1:
+        given = [tuple(map(tuple, inertia.tensor.tolist())) for inertia in inertias]
+    return {"inertias": tuple(given), "masses": tuple(masses.tolist())}

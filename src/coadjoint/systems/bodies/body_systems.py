@@ -1,0 +1,330 @@
+"""Systems of bodies in space: states from attitudes and velocities, and attitudes, velocities and momenta of states."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.systems.bodies.attitude_algebra import PER_BODY
+from coadjoint.systems.bodies.body_inertia import BodyInertia
+from coadjoint.systems.bodies.body_states import (
+    FRAMES,
+    check_rods,
+    read_angular_velocities,
+    read_attitudes,
+    read_vectors,
+)
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.validation import read_choice, read_numbers
+
+Floats = npt.NDArray[np.float64]
+
+
+class _Bodies(LiePoissonSystem):
+    """Base class of systems of bodies: `inertias` of each body, and `bodies`, the axis of bodies in arrays, if any."""
+
+    inertias: tuple[BodyInertia, ...]
+    bodies: tuple[int, ...] = ()
+
+    def _set(self, **fields: Any) -> None:
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def has_attitude(self) -> bool:
+        """Whether the attitudes are part of the state."""
+        return self.dim > 3
+
+    def _rows(self, x: Any) -> Floats:
+        """Return (L, X, Y, Z) of each body, (..., bodies, 4, 3)."""
+        states = self._states(x)
+        if not self.has_attitude:
+            return states[..., None, None, :]
+        count = len(self.inertias)
+        return states[..., : PER_BODY * count].reshape(*states.shape[:-1], count, 4, 3)
+
+    def _states(self, x: Any) -> Floats:
+        states = read_numbers(x, "x")
+        if states.shape[-1:] != (self.dim,):
+            raise ValueError(f"x has shape {states.shape}; {self.name} needs (..., {self.dim})")
+        return states
+
+    def _of_bodies(self, array: Floats, axes: int) -> Floats:
+        """Return an array with an axis of bodies before the last `axes`, without it for a single body."""
+        return array if self.bodies else array.reshape(*array.shape[: -axes - 1], *array.shape[array.ndim - axes :])
+
+    def attitudes(self, x: npt.ArrayLike) -> Floats:
+        """Return the attitudes of states (..., dim), from the body to space.
+
+        Parameters
+        ----------
+        x : (..., dim)
+            States.
+
+        Returns
+        -------
+        ndarray, shape (..., 3, 3) or (..., k, 3, 3)
+
+        Raises
+        ------
+        TypeError
+            The system has no attitude in its state.
+        """
+        if not self.has_attitude:
+            raise TypeError(f"the state of {self.name} has no attitude; make it with attitude=True")
+        return self._of_bodies(self._rows(x)[..., 1:, :], 2)
+
+    def angular_momentum(self, x: npt.ArrayLike, frame: str = "body") -> Floats:
+        """Return the angular momentum of each body about its centre of mass.
+
+        Parameters
+        ----------
+        x : (..., dim)
+            States.
+        frame : {"body", "space"}
+            Frame of the components.
+
+        Returns
+        -------
+        ndarray, shape (..., 3) or (..., k, 3)
+        """
+        return self._in_frame(self._rows(x)[..., 0, :], x, frame)
+
+    def angular_velocity(self, x: npt.ArrayLike, frame: str = "body") -> Floats:
+        """Return the angular velocity of each body, in radians per time; zero along a rod.
+
+        Parameters
+        ----------
+        x : (..., dim)
+            States.
+        frame : {"body", "space"}
+            Frame of the components.
+
+        Returns
+        -------
+        ndarray, shape (..., 3) or (..., k, 3)
+        """
+        inverse = np.stack([_matrix(inertia.inverse) for inertia in self.inertias])
+        return self._in_frame(np.einsum("kij,...kj->...ki", inverse, self._rows(x)[..., 0, :]), x, frame)
+
+    def momentum(self, angular_velocity: npt.ArrayLike) -> Floats:
+        """Return the angular momentum in the body frame for an angular velocity in the body frame.
+
+        Parameters
+        ----------
+        angular_velocity : (..., 3) or (..., k, 3)
+            In radians per time.
+
+        Returns
+        -------
+        ndarray, of the same shape
+
+        Raises
+        ------
+        ValueError
+            The wrong shape, or an angular velocity along a rod, which has no momentum there.
+        """
+        omega = read_numbers(angular_velocity, "angular_velocity")
+        if omega.shape[-len(self.bodies) - 1 :] != (*self.bodies, 3):
+            raise ValueError(
+                f"angular_velocity has shape {omega.shape}; give (..., {', '.join(map(str, (*self.bodies, 3)))})"
+            )
+        return self._of_bodies(self._momentum(omega if self.bodies else omega[..., None, :], "angular_velocity"), 1)
+
+    def _momentum(self, omega: Floats, what: str) -> Floats:
+        tensors = np.stack([inertia.tensor for inertia in self.inertias])
+        return np.einsum("kij,...kj->...ki", tensors, check_rods(omega, self.inertias, what))
+
+    def _in_frame(self, vectors: Floats, x: Any, frame: str) -> Floats:
+        if read_choice(frame, "frame", FRAMES) == "space":
+            if not self.has_attitude:
+                raise TypeError(f"the state of {self.name} has no attitude; only the body frame is known")
+            vectors = np.einsum("...kij,...kj->...ki", self._rows(x)[..., 1:, :], vectors)
+        return self._of_bodies(vectors, 1)
+
+
+class BodySystem(_Bodies):
+    """One body; `body` makes it."""
+
+    def __init__(self, inertia: BodyInertia, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self._set(inertias=(inertia,))
+
+    @suggest_keywords
+    def state(
+        self,
+        attitude: Any = None,
+        angular_velocity: npt.ArrayLike = (0.0, 0.0, 0.0),
+        *,
+        scalar_first: bool = False,
+        degrees: bool = False,
+        frame: str = "body",
+    ) -> Floats:
+        """Return the state of a body with an attitude and an angular velocity.
+
+        Parameters
+        ----------
+        attitude : (3, 3), (4,) or scipy.spatial.transform.Rotation, optional
+            From the body to space: a matrix, a rotation, or a unit quaternion; by default that of space.
+        angular_velocity : (3,)
+            In radians per time.
+        scalar_first : bool
+            Whether a quaternion is (w, x, y, z) instead of (x, y, z, w).
+        degrees : bool
+            Whether the angular velocity is in degrees per time.
+        frame : {"body", "space"}
+            Frame of the angular velocity.
+
+        Returns
+        -------
+        ndarray, shape (dim,) or (members, dim)
+            With an axis of members if an argument has one before the stated shape.
+
+        Raises
+        ------
+        TypeError, ValueError
+            Wrong shapes, no rotation, an angular velocity along a rod, or an attitude for a system without one.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.body((1.0, 2.0, 2.5))
+        >>> x0 = body.state([0.0, 0.0, 0.0, 1.0], angular_velocity=(180.0, 0.0, 90.0), degrees=True)
+        >>> body.angular_momentum(x0).round(4)
+        array([3.1416, 0.    , 3.927 ])
+        """
+        if attitude is not None and not self.has_attitude:
+            raise TypeError(f"attitude was given, but the state of {self.name} has none; make it with attitude=True")
+        A = None
+        if self.has_attitude:
+            A = read_attitudes(np.eye(3) if attitude is None else attitude, "attitude", (), scalar_first)
+        omega = read_angular_velocities(angular_velocity, "angular_velocity", A, (), frame, degrees)
+        L = self._momentum(omega[..., None, :], "angular_velocity")
+        if A is None:
+            return L[..., 0, :]
+        return _joined(np.concatenate(_over_members((L, 2), (A, 2)), axis=-2))
+
+
+class BodiesSystem(_Bodies):
+    """Several bodies with their centres in space; `bodies` and `gravitating_bodies` make it."""
+
+    def __init__(self, inertias: tuple[BodyInertia, ...], masses: Floats, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self._set(inertias=inertias, masses=masses, bodies=(len(inertias),))
+
+    masses: Floats
+
+    def positions(self, x: npt.ArrayLike) -> Floats:
+        """Return the positions of the centres of mass in space.
+
+        Parameters
+        ----------
+        x : (..., dim)
+            States.
+
+        Returns
+        -------
+        ndarray, shape (..., k, 3)
+        """
+        return self._centres(x, PER_BODY + 3)
+
+    def velocities(self, x: npt.ArrayLike) -> Floats:
+        """Return the velocities of the centres of mass in space.
+
+        Parameters
+        ----------
+        x : (..., dim)
+            States.
+
+        Returns
+        -------
+        ndarray, shape (..., k, 3)
+        """
+        return self._centres(x, PER_BODY) / self.masses[:, None]
+
+    def _centres(self, x: Any, begin: int) -> Floats:
+        states, count = self._states(x), len(self.inertias)
+        return states[..., begin * count : (begin + 3) * count].reshape(*states.shape[:-1], count, 3).copy()
+
+    @suggest_keywords
+    def state(
+        self,
+        positions: npt.ArrayLike,
+        velocities: npt.ArrayLike | None = None,
+        attitudes: Any = None,
+        angular_velocities: npt.ArrayLike | None = None,
+        *,
+        scalar_first: bool = False,
+        degrees: bool = False,
+        frame: str = "body",
+    ) -> Floats:
+        """Return the state of k bodies at positions in space, with attitudes and velocities.
+
+        Parameters
+        ----------
+        positions : (k, 3)
+            Of the centres of mass, in space.
+        velocities : (k, 3), optional
+            Of the centres, in space; zero by default.
+        attitudes : k of (3, 3), (4,) or scipy.spatial.transform.Rotation, optional
+            From each body to space, as an array, a list, or a Rotation of length k; by default those of space.
+        angular_velocities : (k, 3), optional
+            In radians per time; zero by default.
+        scalar_first : bool
+            Whether quaternions are (w, x, y, z) instead of (x, y, z, w).
+        degrees : bool
+            Whether the angular velocities are in degrees per time.
+        frame : {"body", "space"}
+            Frame of the angular velocities: that of each body, or space.
+
+        Returns
+        -------
+        ndarray, shape (dim,) or (members, dim)
+            With an axis of members if an argument has one before the stated shape.
+
+        Raises
+        ------
+        TypeError, ValueError
+            Wrong shapes, no rotations, or an angular velocity along a rod.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> pair = co.systems.gravitating_bodies(masses=(3.0, 1.0))
+        >>> x0 = pair.state([[0, 0, 0], [4, 0, 0]], velocities=[[0, -0.25, 0], [0, 0.75, 0]])
+        >>> pair.velocities(x0)[1]
+        array([0.  , 0.75, 0.  ])
+        """
+        shape, bodies = (*self.bodies, 3), self.bodies
+        still = np.zeros(shape)
+        r = read_vectors(positions, "positions", shape)
+        v = still if velocities is None else read_vectors(velocities, "velocities", shape)
+        given = np.tile(np.eye(3), (*bodies, 1, 1)) if attitudes is None else attitudes
+        A = read_attitudes(given, "attitudes", bodies, scalar_first)
+        turning = still if angular_velocities is None else angular_velocities
+        omega = read_angular_velocities(turning, "angular_velocities", A, bodies, frame, degrees)
+        L = self._momentum(omega, "angular_velocities")
+        L, A, r, p = _over_members((L[..., None, :], 3), (A, 3), (r, 2), (v * self.masses[:, None], 2))
+        parts = np.concatenate([L, A], axis=-2).reshape(*r.shape[:-2], -1), _joined(p), _joined(r)
+        return np.concatenate([*parts, np.ones((*r.shape[:-2], 1))], axis=-1)
+
+
+def _joined(array: Floats) -> Floats:
+    """Return the last two axes as one."""
+    return array.reshape(*array.shape[:-2], -1)
+
+
+def _over_members(*parts: tuple[Floats, int]) -> list[Floats]:
+    """Return arrays with the same axis of members before their last axes, where any has one."""
+    members = {array.shape[0] for array, axes in parts if array.ndim > axes}
+    if len(members) > 1:
+        raise ValueError(f"the arguments of state are for {' and '.join(map(str, sorted(members)))} members")
+    shape = tuple(members)
+    return [np.broadcast_to(array, (*shape, *array.shape[array.ndim - axes :])) for array, axes in parts]
+
+
+def _matrix(inverse: Floats) -> Floats:
+    return np.diag(inverse) if inverse.ndim == 1 else inverse

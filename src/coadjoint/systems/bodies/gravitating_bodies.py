@@ -1,0 +1,148 @@
+"""Rigid bodies of any shapes under their mutual gravity, to second order in their sizes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.short_repr import short
+from coadjoint.systems.bodies.bodies import inertial_parameters, read_masses, system_of_bodies
+from coadjoint.systems.bodies.body_inertia import read_inertias
+from coadjoint.systems.bodies.body_systems import BodiesSystem
+from coadjoint.systems.bodies.inertia import read_in_range
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
+from coadjoint.systems.hamiltonians.mutual_gravity import mutual_gravity
+from coadjoint.systems.registry import ready_made
+from coadjoint.validation import is_integer
+
+Floats = npt.NDArray[np.float64]
+
+ORDERS = (0, 2)
+"""Orders of the expansion in the sizes that are implemented."""
+
+
+PRIMARY, SECONDARY = (0.38, 0.39, 0.42), (0.0010, 0.0013, 0.0014)
+DISTANCE, LIBRATION = 3.0, 0.4
+
+
+def _binary() -> Floats:
+    """Return a moon on a circle around a fast rotator, turned from the direction of its planet by 0.4."""
+    masses = np.array([1.0, 0.01])
+    rate = np.sqrt(masses.sum() / DISTANCE**3)
+    pair = gravitating_bodies((PRIMARY, SECONDARY), masses)
+    r = DISTANCE * np.array([-masses[1], masses[0]]) / masses.sum()
+    zero, c, s = np.zeros(2), np.cos(LIBRATION), np.sin(LIBRATION)
+    turned = [np.eye(3), [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]]
+    return pair.state(
+        np.stack([r, zero, zero], axis=1),
+        np.stack([zero, rate * r, zero], axis=1),
+        turned,
+        [[0.01, 0.0, 1.0], [0.0, 0.0, rate]],
+    )
+
+
+def _libration(x: Any) -> Any:
+    """Return the angle of the first axis of the second body to the line of the centres, in the plane of the orbit."""
+    apart = x[..., 33:36] - x[..., 30:33]
+    along = x[..., 15] * apart[..., 0] + x[..., 18] * apart[..., 1]
+    across = x[..., 15] * apart[..., 1] - x[..., 18] * apart[..., 0]
+    return -np.degrees(np.arctan2(across, along))
+
+
+def _relative(component: int) -> Any:
+    """Return the function of states for a component of the relative position of two bodies."""
+    return lambda x: x[..., 33 + component] - x[..., 30 + component]
+
+
+@ready_made(
+    gallery_entry=GalleryEntry(
+        x0=_binary,
+        t_span=(0.0, 200.0),
+        step=0.1,
+        parameters={"inertias": (PRIMARY, SECONDARY), "masses": (1.0, 0.01)},
+        caption="A binary asteroid: a moon on a circle around a fast rotator. Its long axis librates about the line of "
+        "the centres; right, its path around the primary, which the oblateness of the primary turns slowly.",
+        pictures=(
+            Picture(
+                "phase portrait",
+                across=_relative(0),
+                up=_relative(1),
+                labels=("$r_1$", "$r_2$"),
+                equal=True,
+                title="relative orbit",
+            ),
+        ),
+        components=Picture(
+            "components", functions={"libration": _libration}, quantity="angle of the moon [degrees]"
+        ),
+        quantity="state",
+    )
+)
+def gravitating_bodies(
+    inertias: Any = ((1.0, 2.0, 2.5), (1.0, 1.0, 1.5)),
+    masses: npt.ArrayLike = (3.0, 1.0),
+    G: float = 1.0,
+    order: int = 2,
+) -> BodiesSystem:
+    """Return rigid bodies under their mutual gravity: the full problem of two or more bodies, orbits and rotations.
+
+    Choose it for binary asteroids, planets with moons, or a satellite and its planet where the orbit feels the
+    rotation. For a satellite about a point alone, all in the body frame, see `satellite`. As `bodies`, with ``V = -G
+    sum over pairs of m_i m_j/s + (m_j (tr I_i - 3 u . I_i u) + m_i (tr I_j - 3 u . I_j u))/(2 s^3)``, s the distance
+    of the centres and u its direction: MacCullagh's expansion to the second moments of both bodies. It is computed from
+    the anisotropic parts of the inertias alone, so that torques do not lose digits. Terms of fourth order, such as that
+    of both second moments together, are about (size/s)^4 of the leading one.
+
+    Parameters
+    ----------
+    inertias : sequence of k (3,) or (3, 3)
+        Principal moments or inertia tensor of each body, in its own frame (mass times length squared). The moment along
+        a rod is zero, and so are those of a point.
+    masses : (k,)
+        Masses, positive.
+    G : float
+        Gravitational constant, positive; 6.6743e-11 in SI units.
+    order : {2, 0}
+        Order of the expansion in the sizes of the bodies; of order 0 they attract each other as points.
+
+    Returns
+    -------
+    BodiesSystem
+        As from `bodies`. Integrals: the total momentum ``"total p1"``, ... and angular momentum ``"total L1"``, ... in
+        space. Their spins about an axis of symmetry are constant as well.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Arguments of wrong shapes, moments or masses that no body has, `G` that is not positive, or another order.
+
+    Warns
+    -----
+    UserWarning
+        A principal moment exceeds the sum of the other two, which is impossible for a body.
+
+    Notes
+    -----
+    MacCullagh (1855); Maciejewski, Celest. Mech. Dyn. Astron. 63, 1 (1995), for the full two-body problem. With
+    ``Splitting(parts="free_body")`` the parts are the free bodies, one kick, and straight paths of the centres.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> pair = co.systems.gravitating_bodies(masses=(3.0, 1.0))
+    >>> x0 = pair.state([[-1, 0, 0], [3, 0, 0]], [[0, -0.25, 0], [0, 0.75, 0]], angular_velocities=[[0, 0, 0.3]] * 2)
+    >>> sol = co.integrate(pair, x0, (0, 10), 0.05, co.Splitting(order=4, parts="free_body"))
+    >>> bool(sol.drift()["energy"] < 1e-6), sol.rotation.as_matrix().shape
+    (True, (402, 3, 3))
+    """
+    found, m = read_inertias(inertias), read_masses(masses, inertias)
+    gravity = read_in_range(G, "G")
+    if not is_integer(order) or order not in ORDERS:
+        raise ValueError(f"order is {short(order)}; mutual gravity is implemented to order 0 or 2 in the sizes")
+    anisotropic = np.stack([inertia.anisotropic * (order > 0) for inertia in found])
+    parameters = {**inertial_parameters(found, m), "G": gravity, "order": int(order)}
+    return system_of_bodies(
+        "gravitating_bodies", found, m, mutual_gravity(m, anisotropic, gravity), parameters, conserving=True
+    )

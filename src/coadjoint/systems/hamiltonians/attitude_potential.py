@@ -1,0 +1,57 @@
+"""Potentials V(r, A) of positions and attitudes as functions of the coordinates that they depend on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from coadjoint.short_repr import short
+from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
+from coadjoint.systems.user_functions import callable_from_compiled, check_arguments
+
+
+def attitude_potential(
+    potential: Callable[..., Any], gradient: Callable[..., Any] | None, hessian: Callable[..., Any] | None, count: int
+) -> Hamiltonian:
+    """Return V(r, A) of `count` bodies as a function of the entries of A, (count, 3, 3), then of r, (count, 3).
+
+    `gradient` returns the derivatives by r and by A, and `hessian` is a function of all entries. Raises TypeError for
+    functions of other arguments.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> attitude_potential(lambda r, A: r[0, 2] + A[0, 1, 2], None, None, 1).bind(12).gradient(np.zeros(12))
+    array([0., 0., 0., 0., 0., 1., 0., 0., 0., 0., 0., 1.])
+    """
+    check_arguments(potential, "potential", "r, A")
+    energy, axes = callable_from_compiled(potential), 9 * count
+
+    def value(y: Any) -> Any:
+        return energy(y[axes:].reshape(count, 3), y[:axes].reshape(count, 3, 3))
+
+    if gradient is None:
+        return Hamiltonian(value)
+    check_arguments(gradient, "gradient", "r, A")
+    slopes = callable_from_compiled(gradient)
+
+    def derivative(y: Any) -> Any:
+        by_r, by_A = slopes(y[axes:].reshape(count, 3), y[:axes].reshape(count, 3, 3))
+        result = 0.0 * y
+        for k in range(count):
+            for i in range(3):
+                result[axes + 3 * k + i] = by_r[k, i]
+                for j in range(3):
+                    result[9 * k + 3 * i + j] = by_A[k, i, j]
+        return result
+
+    return Hamiltonian(value, derivative, hessian)
+
+
+def check_potential(potential: Any, gradient: Any) -> None:
+    """Raise TypeError unless a potential is a function or None, and its gradient belongs to one."""
+    if potential is None and gradient is not None:
+        raise TypeError("gradient was given without potential; give both, or neither for free bodies")
+    for value, what in ((potential, "potential"), (gradient, "gradient")):
+        if value is not None and (isinstance(value, type) or not callable(value)):
+            raise TypeError(f"{what} is {short(value)}; give a function of (r, A), or None")
