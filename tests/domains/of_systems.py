@@ -64,8 +64,26 @@ def on_a_lattice(lattice, shape, **others):
     return co.systems.spin_lattice(lattice, (2,) * axes if axes > 1 and shape == 3 else shape, **others)
 
 
+def spring(r, A):
+    return ((r[0] + A[0, :, 2] - r[1]) ** 2).sum() / 2
+
+
+def spring_slopes(r, A):
+    ends = r[0] + A[0, :, 2] - r[1]
+    by_r, by_A = np.zeros((2, 3)), np.zeros((2, 3, 3))
+    by_r[0], by_r[1], by_A[0, :, 2] = ends, -ends, ends
+    return by_r, by_A
+
+
+PAIR = vector(((1.0, 2.0, 2.5), (1.0, 1.25, 1.5)), positive(), [FULL, (1, 1, 1)], [(2, 2, 0), np.eye(3)]).plus(
+    [(1, 1, 1), (0, 0, 0)], outside=((FULL,), ((1, 2, 0), (1, 1, 1)), ((0, 0, 1), (1, 1, 1)), (SKEWED, FULL))
+)
+TWO_MASSES = vector((1.0, 0.5), positive(least=1e-30, most=1e30))
+
 # By the name of the parameter, where systems share it.
 SHARED = {
+    "inertias": PAIR,
+    "G": positive(least=1e-30, most=1e30),
     "N": whole(2, 4096, usual=5, tried=6),
     "surface": choice("sphere", "torus"),
     "inertia": INERTIA,
@@ -79,6 +97,12 @@ SHARED = {
     "stiffness": positive(1.0),
 }
 OWN = {
+    "bodies": {
+        "potential": Domain((spring, None), (cosine, "r[0]", 1.0, True, [], spring_slopes), "potential"),
+        "gradient": Domain((None, spring_slopes), (cosine, spring, 1.0, True, []), "gradient|potential"),
+    },
+    "gravitating_bodies": {"order": one_of(2, 0)},
+    "body": {"attitude": flag(usual=True), "inertia": INERTIA.plus((2.0, 2.0, 0.0), outside=((0, 0, 0), (0, 0, 1)))},
     "clebsch_body": {
         "inertia": vector((1.0, 1.0, 1.0), positive(), (3, 3, 3), (0.001,) * 3),
         "inverse_mass": vector((1.0, 1.5, 3.0), real(), (-1, 0, 2)),
@@ -172,5 +196,6 @@ OWN = {
         ),
     },
 }  # fmt: skip
+OWN["bodies"]["masses"] = OWN["gravitating_bodies"]["masses"] = TWO_MASSES
 SYSTEMS = {name: case_of(getattr(co.systems, name), SHARED, **OWN.get(name, {})) for name in co.systems.names()}
 SYSTEMS["spin_lattice"] = Case(on_a_lattice, SYSTEMS["spin_lattice"].domains)

@@ -2,9 +2,12 @@
 
 from typing import Any
 
+from coadjoint.systems.bodies.bodies import bodies as bodies
+from coadjoint.systems.bodies.body import body as body
 from coadjoint.systems.bodies.clebsch_body import clebsch_body as clebsch_body
 from coadjoint.systems.bodies.double_spherical_pendulum import double_spherical_pendulum as double_spherical_pendulum
 from coadjoint.systems.bodies.goryachev_chaplygin_top import goryachev_chaplygin_top as goryachev_chaplygin_top
+from coadjoint.systems.bodies.gravitating_bodies import gravitating_bodies as gravitating_bodies
 from coadjoint.systems.bodies.gyrostat import gyrostat as gyrostat
 from coadjoint.systems.bodies.heavy_top import heavy_top as heavy_top
 from coadjoint.systems.bodies.kirchhoff_body import kirchhoff_body as kirchhoff_body
@@ -52,6 +55,8 @@ __all__ = [
     "PolynomialTerm",
     "QuadraticTerm",
     "Weights",
+    "bodies",
+    "body",
     "canonical_state",
     "clebsch_body",
     "decorated_particles",
@@ -59,6 +64,7 @@ __all__ = [
     "fluid_triad",
     "get",
     "goryachev_chaplygin_top",
+    "gravitating_bodies",
     "gyrostat",
     "heavy_top",
     "kirchhoff_body",

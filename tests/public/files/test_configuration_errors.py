@@ -392,7 +392,7 @@ HOSTILE = {
     "long folder": (OWN + f'[output]\nfigure = "{"a/" * 10**5}.png"', "output.figure: a/a"),
     "file name with NUL": (OWN + '[output]\nfile = "a\\u0000.nc"', "output.file: a?.nc: cannot be written"),
     "a parameter called name": (NAMED.replace("a = 2.0", "a = 2.0, name = 1"), "algebra.parameters.name: no "),
-    "a parameter of no system": (ready("rigid_body", "body").replace("inertia", "name"), "system: unknown "),
+    "a parameter of no system": (ready("rigid_body", "no_body").replace("inertia", "name"), "system: unknown "),
     "a size beyond float64": (
         swept(f'"initial.x" = {{sphere = {HEXADECIMAL}}}', "samples = 2\nseed = 1"), "sweep.over.initial.x.sphere: "),
     "an orbit of huge exponents": (

@@ -98,6 +98,7 @@ OTHERS = {
     ("vlasov_moments", "potential"): {"potential": "1/4*x20 + 0.1*x20^2"},
     ("separable_cosh", "algebra"): {"algebra": "sl(2)"},
     ("separable_cosh", "constants"): {"algebra": "A3,7", "constants": {"a": 0.5}},
+    ("gravitating_bodies", "order"): {"order": 0},
     ("sphere_euler", "rotation"): {"N": 4, "rotation": 0.75},
 }  # fmt: skip
 OTHERS |= {(name, "surface"): {"N": 5, "surface": "torus"} for name in ("reduced_mhd", "passive_scalar")}

@@ -126,7 +126,10 @@ def bodies(
     check_potential(potential, gradient)
     V = None if potential is None else attitude_potential(potential, gradient, None, len(found))
     if V is not None:
-        V = V.bind(PER_BODY * len(found))
+        try:
+            V = V.bind(PER_BODY * len(found))
+        except (TypeError, ValueError) as reason:
+            raise type(reason)(f"potential: {reason}") from reason
         _check_rods(V, found)
     parameters = None
     if V is None:

@@ -77,8 +77,8 @@ def check_rods(omega: Floats, inertias: tuple[BodyInertia, ...], what: str) -> F
         if np.abs(omega[..., k, :] - turning).max() > ROD_VELOCITY * np.abs(omega[..., k, :]).max():
             name = "a rod, about its axis" if inertia.tensor.any() else "a point"
             raise ValueError(
-                f"{what} of body {k} is {short(omega[..., k, :].tolist())}, where its moment of inertia is zero, as that "
-                f"of {name}; give an angular velocity without this component"
+                f"{what} of body {k} is {short(omega[..., k, :].tolist())}, where its moment of inertia is zero, like "
+                f"that of {name}; give an angular velocity without this component"
             )
         result[..., k, :] = turning
     return result

@@ -74,9 +74,7 @@ def _relative(component: int) -> Any:
                 title="relative orbit",
             ),
         ),
-        components=Picture(
-            "components", functions={"libration": _libration}, quantity="angle of the moon [degrees]"
-        ),
+        components=Picture("components", functions={"libration": _libration}, quantity="angle of the moon [degrees]"),
         quantity="state",
     )
 )

@@ -60,19 +60,34 @@ def torque_on_state(torque: Callable[..., Any], arguments: str, system: Any) -> 
     if not system.bodies:
 
         def of_body(x: Any) -> Any:
-            return _on_body(x, function(x, x[3:12].reshape(3, 3)))
+            result = 0.0 * x
+            result[:3] = function(x, x[3:12].reshape(3, 3))
+            return result
 
         def of_body_in_time(x: Any, t: Any) -> Any:
-            return _on_body(x, function(x, x[3:12].reshape(3, 3), t))
+            result = 0.0 * x
+            result[:3] = function(x, x[3:12].reshape(3, 3), t)
+            return result
 
         return (of_body_in_time, "x, t") if arguments == "x, A, t" else (of_body, "x")
     count = system.bodies[0]
+    end = PER_BODY * count
 
     def of_bodies(x: Any) -> Any:
-        return _on_bodies(x, function(x, _attitudes(x, count)), count)
+        torques = function(x, np.ascontiguousarray(x[:end].reshape(count, 4, 3)[:, 1:, :]))
+        result = 0.0 * x
+        for k in range(count):
+            for i in range(3):
+                result[PER_BODY * k + i] = torques[k, i]
+        return result
 
     def of_bodies_in_time(x: Any, t: Any) -> Any:
-        return _on_bodies(x, function(x, _attitudes(x, count), t), count)
+        torques = function(x, np.ascontiguousarray(x[:end].reshape(count, 4, 3)[:, 1:, :]), t)
+        result = 0.0 * x
+        for k in range(count):
+            for i in range(3):
+                result[PER_BODY * k + i] = torques[k, i]
+        return result
 
     return (of_bodies_in_time, "x, t") if arguments == "x, A, t" else (of_bodies, "x")
 
@@ -83,24 +98,3 @@ def sample_state(x: NDArray[Any], system: Any) -> NDArray[Any]:
     count = len(system.inertias)
     y[: PER_BODY * count].reshape(count, 4, 3)[:, 1:] = SAMPLE_ATTITUDE
     return y
-
-
-@callable_from_compiled
-def _on_body(x: Any, torque: Any) -> Any:
-    result = 0.0 * x
-    result[:3] = torque
-    return result
-
-
-@callable_from_compiled
-def _on_bodies(x: Any, torque: Any, count: Any) -> Any:
-    result = 0.0 * x
-    for k in range(count):
-        for i in range(3):
-            result[PER_BODY * k + i] = torque[k, i]
-    return result
-
-
-@callable_from_compiled
-def _attitudes(x: Any, count: Any) -> Any:
-    return np.ascontiguousarray(x[: PER_BODY * count].reshape(count, 4, 3)[:, 1:, :])

@@ -97,7 +97,8 @@ class Torque(Force):
         if not callable(self.torque):
             check_state(self.torque, "the torque", system)
             return
-        arguments, shape, failure = self._arguments(), (system.dim,), ""
+        arguments, failure = self._arguments(), ""
+        shape: tuple[int, ...] = (system.dim,)
         samples = sample_states(system)
         if "A" in arguments:
             check_attitude(system)

@@ -1,0 +1,532 @@
+"""Bodies with attitudes and positions: closed forms, DOP853 in quaternions, invariants, states and refusals."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+from scipy.special import ellipj, ellipk
+
+import coadjoint as co
+from refusals import refused
+
+S = co.systems
+EXACT_BODIES = "free_body"
+SHAPES = ((0.2, 0.4, 0.5), ((0.4, 0.05, -0.025), (0.05, 0.6, 0.1), (-0.025, 0.1, 0.8)))
+MASSES = (3.0, 1.5)
+TURNED = Rotation.from_rotvec([[0.3, -0.2, 0.9], [1.1, 0.4, -0.5]])
+PLACES, SPEEDS = [[-1.0, 0.5, 0.0], [3.0, 0.0, 0.5]], [[0.0, -0.25, 0.05], [0.1, 0.75, 0.0]]
+SPINS = [[0.1, 0.3, 0.2], [-0.2, 0.1, 0.4]]
+
+
+def splitting(order):
+    return co.Splitting(order=order, parts=EXACT_BODIES)
+
+
+def pair_of_bodies():
+    """Return two asymmetric bodies on an eccentric orbit, and their state."""
+    pair = S.gravitating_bodies(SHAPES, MASSES)
+    return pair, pair.state(PLACES, SPEEDS, TURNED, SPINS)
+
+
+def tensor_of(shape):
+    return np.diag(shape) if np.ndim(shape) == 1 else np.array(shape)
+
+
+def force_and_torque(r, A, I, m, G):
+    """MacCullagh's force on a body, and the torque on it in space, of another one at -r (positions from that one)."""
+    (I1, I2), (m1, m2) = (A[k] @ I[k] @ A[k].T for k in (0, 1)), m
+    s, u = np.linalg.norm(r), r / np.linalg.norm(r)
+    force = -G * m1 * m2 * u / s**2
+    for inertia, other in ((I1, m2), (I2, m1)):
+        along = u @ inertia @ u
+        force -= 1.5 * G * other / s**4 * ((np.trace(inertia) - 5 * along) * u + 2 * inertia @ u)
+    return force, [3 * G * other / s**3 * np.cross(u, inertia @ u) for inertia, other in ((I1, m2), (I2, m1))]
+
+
+def newton_and_euler(pair, x0, t_end):
+    """Return the state at the end, by DOP853 in quaternions and angular velocities, without this library."""
+    I, m, G = [tensor_of(shape) for shape in SHAPES], np.array(MASSES), 1.0
+
+    def slope(t, y):
+        r, v, q, omega = (part.reshape(2, -1) for part in np.split(y, [6, 12, 20]))
+        A = Rotation.from_quat(q).as_matrix()
+        force, torques = force_and_torque(r[1] - r[0], A, I, m, G)
+        turning = [np.linalg.solve(I[k], A[k].T @ torques[k] - np.cross(omega[k], I[k] @ omega[k])) for k in (0, 1)]
+        dq = [0.5 * np.r_[q[k, 3] * omega[k] + np.cross(q[k, :3], omega[k]), -q[k, :3] @ omega[k]] for k in (0, 1)]
+        return np.concatenate([v.ravel(), -force / m[0], force / m[1], *dq, *turning])
+
+    start = [pair.positions(x0), pair.velocities(x0), Rotation.from_matrix(pair.attitudes(x0)).as_quat()]
+    y0 = np.concatenate([*(part.ravel() for part in start), pair.angular_velocity(x0).ravel()])
+    y = solve_ivp(slope, (0.0, t_end), y0, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+    r, v, q, omega = (part.reshape(2, -1) for part in np.split(y, [6, 12, 20]))
+    return pair.state(r, v, Rotation.from_quat(q / np.linalg.norm(q, axis=1)[:, None]), omega)
+
+
+def test_two_bodies_by_dop853_in_quaternions():
+    """Orders 2 and 4, and the trajectory over several orbits to 1e-11."""
+    pair, x0 = pair_of_bodies()
+    t_end = 30.0  # two orbits and a half, three turns of the bodies
+    wanted = newton_and_euler(pair, x0, t_end)
+    for order, steps in ((2, (960, 1920)), (4, (480, 960))):
+        coarse, fine = (
+            np.abs(co.integrate(pair, x0, (0, t_end), t_end / n, splitting(order)).x[-1] - wanted).max() for n in steps
+        )
+        assert np.log2(coarse / fine) == pytest.approx(order, abs=0.2), (order, coarse, fine)
+    sol = co.integrate(pair, x0, (0, t_end), 0.02, splitting(8))
+    assert np.abs(sol.x[-1] - wanted).max() < 3e-11
+    assert np.abs(sol.rotation[-2:].as_matrix() - pair.attitudes(wanted)).max() < 3e-11
+    np.testing.assert_array_equal(sol.positions[0], PLACES)
+
+
+@pytest.mark.parametrize("parts", ["auto", EXACT_BODIES])
+def test_invariants_of_two_bodies(parts):
+    """Axes, momentum and angular momentum in space to rounding; the energy to the order of the scheme."""
+    pair, x0 = pair_of_bodies()
+    sol = co.integrate(pair, x0, (0, 200), 0.02, co.Splitting(order=4, parts=parts), observe=pair.integrals)
+    drift = sol.drift()
+    assert drift.pop("energy") < 1e-8 and max(map(float, drift.values())) < 1e-12
+    assert len(drift) == 13 and len(sol.observed) == 6
+    for name, values in sol.observed.items():
+        assert np.abs(values - values[0]).max() < 1e-12, name
+    x, m = sol.x, np.array(MASSES)[:, None]
+    r, p = sol.positions, m * sol.velocities
+    total = np.cross(r, p).sum(axis=1) + pair.angular_momentum(x, frame="space").sum(axis=1)
+    np.testing.assert_allclose(total, np.stack([sol.observed[f"total L{k}"] for k in (1, 2, 3)], axis=1), atol=1e-13)
+    np.testing.assert_allclose(p.sum(axis=1), np.stack([sol.observed[f"total p{k}"] for k in (1, 2, 3)], axis=1))
+
+
+def kepler_position(a, e, n, t):
+    """The position on an ellipse from its pericentre, by Kepler's equation."""
+    E = brentq(lambda E: E - e * np.sin(E) - n * t, n * t - 1, n * t + 1, xtol=1e-15)
+    return a * np.array([np.cos(E) - e, np.sqrt(1 - e * e) * np.sin(E), 0.0])
+
+
+@pytest.mark.parametrize("order", [0, 2])
+def test_two_spheres_are_keplers_problem(order):
+    """Also of any shape to order 0; the spin of a ball is constant."""
+    shapes = ((0.3, 0.3, 0.3), (0.7, 0.7, 0.7)) if order else SHAPES
+    pair, (m1, m2), G = S.gravitating_bodies(shapes, (2.0, 0.5), G=0.8, order=order), (2.0, 0.5), 0.8
+    mu, a, e = G * (m1 + m2), 2.0, 0.4
+    n, r, v = np.sqrt(mu / a**3), a * (1 - e), np.sqrt(mu / a * (1 + e) / (1 - e))
+    shares = np.array([-m2, m1])[:, None] / (m1 + m2)
+    drifting = np.array([0.1, -0.2, 0.3])
+    x0 = pair.state(shares * [r, 0, 0], shares * [0, v, 0] + drifting, angular_velocities=SPINS)
+    sol = co.integrate(pair, x0, (0, 20), 0.02, splitting(8), save_every=100)
+    for t, (first, second) in zip(sol.t, sol.positions, strict=True):
+        np.testing.assert_allclose(second - first, kepler_position(a, e, n, t), rtol=0, atol=1e-10)
+        np.testing.assert_allclose((m1 * first + m2 * second) / (m1 + m2), t * drifting, rtol=0, atol=1e-12)
+    if order:
+        np.testing.assert_allclose(sol.angular_velocity, np.broadcast_to(SPINS, sol.angular_velocity.shape), rtol=1e-13)
+
+
+def symmetric_masses(seed):
+    """Return masses at points and their opposites, whose third moments vanish."""
+    rng = np.random.default_rng(seed)
+    points, weights = rng.uniform(-0.5, 0.5, (5, 3)), rng.uniform(0.5, 1.5, 5)
+    return np.concatenate([points, -points]), np.concatenate([weights, weights])
+
+
+def inertia_of(points, weights):
+    return np.einsum("a,ab->", weights, points**2) * np.eye(3) - np.einsum("a,ai,aj->ij", weights, points, points)
+
+
+def test_the_potential_is_the_limit_of_sums_over_point_masses():
+    """MacCullagh: what is left out is smaller by the fourth power of the distance, and to order 0 by the second."""
+    (b1, w1), (b2, w2) = symmetric_masses(1), symmetric_masses(2)
+    A = TURNED.as_matrix()
+    u = np.array([2.0, -1.0, 2.0]) / 3.0
+
+    def whole(s):
+        ends = (b1 @ A[0].T)[:, None] - (s * u + b2 @ A[1].T)[None]
+        return -(w1[:, None] * w2 / np.linalg.norm(ends, axis=-1)).sum()
+
+    for order, power in ((0, 2), (2, 4)):
+        pair = S.gravitating_bodies([inertia_of(b1, w1), inertia_of(b2, w2)], [w1.sum(), w2.sum()], order=order)
+        missing = [pair.energy(pair.state([[0, 0, 0], s * u], attitudes=A)) / whole(s) - 1 for s in (10.0, 20.0)]
+        assert np.log2(abs(missing[0] / missing[1])) == pytest.approx(power, abs=0.1)
+
+
+def pendulum(amplitude, rate, t):
+    """The angle of a pendulum, phi'' = -rate^2 sin(phi), that starts at rest at an angle."""
+    k = np.sin(amplitude / 2) ** 2
+    sn, *_ = ellipj(ellipk(k) + rate * t, k)
+    return 2 * np.arcsin(np.sin(amplitude / 2) * sn)
+
+
+def orbiting(inertia, mass, distance, angle):
+    """Return a satellite on a circle around the Earth, in SI units, its first axis turned from the radius."""
+    earth, G = 5.9722e24, 6.6743e-11
+    pair = S.gravitating_bodies([(0, 0, 0), inertia], [earth, mass], G=G)
+    # The gradient of gravity adds 1e-16 to the rate of the orbit.
+    n = np.sqrt(G * earth / distance**3)
+    turned = Rotation.from_rotvec([[0, 0, 0], [0, 0, angle]])
+    omega = [[0, 0, 0], [0, 0, n]]
+    return pair, pair.state([[0, 0, 0], [distance, 0, 0]], [[0, 0, 0], [0, n * distance, 0]], turned, omega), n
+
+
+def pitch_of(sol):
+    r, A = sol.positions[:, 1] - sol.positions[:, 0], sol.rotation.as_matrix()[1::2]
+    return np.arctan2(A[:, 1, 0] * r[:, 0] - A[:, 0, 0] * r[:, 1], A[:, 0, 0] * r[:, 0] + A[:, 1, 0] * r[:, 1])
+
+
+@pytest.mark.parametrize("amplitude, orbits, order", [(1e-3, 3, 4), (0.5, 3, 8), (0.5, 100, 8)])
+def test_pitch_of_a_cubesat(amplitude, orbits, order):
+    """0.03 kg m^2 at 7e6 m: the libration of a pendulum, to 1e-6 degrees after 100 orbits."""
+    inertia = np.array([0.0065, 0.0325, 0.034])
+    sat, x0, n = orbiting(inertia, 4.0, 7e6, amplitude)
+    rate = n * np.sqrt(3 * (inertia[1] - inertia[0]) / inertia[2])
+    period = 2 * np.pi / n
+    sol = co.integrate(sat, x0, (0, orbits * period), period / 256, splitting(order), save_every=128)
+    wanted = pendulum(2 * amplitude, rate, sol.t) / 2
+    assert np.degrees(np.abs(pitch_of(sol) - wanted).max()) < (1e-6 if order == 8 else 2e-5)
+    if amplitude < 0.01:  # the closed form of small angles
+        np.testing.assert_allclose(pitch_of(sol), amplitude * np.cos(rate * sol.t), rtol=0, atol=1e-5 * amplitude)
+
+
+def test_torques_of_gravity_do_not_see_the_isotropic_part():
+    """With 1e16 times the anisotropic part: no digit is lost."""
+    small = np.array([1.0, 2.0, 3.0])
+    torques = []
+    for isotropic in (0.0, 2.0**53):
+        pair = S.gravitating_bodies([small + isotropic, (0, 0, 0)], [1.0, 1e3])
+        x = pair.state([[0, 0, 0], [9.0, 2.0, 4.0]], attitudes=TURNED)
+        torques.append(pair.vector_field(x)[:3])
+    if (small + 2.0**53 - 2.0**53 == small).all():
+        np.testing.assert_allclose(torques[1], torques[0], rtol=1e-14)
+    ball = S.gravitating_bodies([(0.7, 0.7, 0.7), (0, 0, 0)], [1.0, 1e3])
+    assert not ball.vector_field(ball.state([[0, 0, 0], [9.0, 2.0, 4.0]], attitudes=TURNED))[:3].any()
+
+
+def aim(x, A, t):
+    """A spring and a damper toward an attitude that turns, and a disturbance."""
+    error = np.array([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]])
+    return -0.5 * error - x[:3] + 0.1 * np.array([np.sin(t), 0.0, np.cos(2 * t)])
+
+
+def test_a_controller_by_dop853():
+    inertia, first = np.array([1.0, 2.0, 2.5]), Rotation.from_rotvec([1.0, 0.5, -0.3])
+    free = S.body(inertia)
+    sat = free.with_forces(co.forces.Torque(aim))
+    x0 = sat.state(first, angular_velocity=(0.3, 0.1, 0.0))
+
+    def slope(t, y):
+        q, L = y[:4], y[4:]
+        omega, A = L / inertia, Rotation.from_quat(q).as_matrix()
+        dq = 0.5 * np.r_[q[3] * omega + np.cross(q[:3], omega), -q[:3] @ omega]
+        return np.r_[dq, np.cross(L, omega) + aim(np.r_[L, A.ravel()], A, t)]
+
+    y = solve_ivp(slope, (0, 20), np.r_[first.as_quat(), x0[:3]], method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+    wanted = np.r_[y[4:], Rotation.from_quat(y[:4]).as_matrix().ravel()]
+    errors = [np.abs(co.integrate(sat, x0, (0, 20), h, splitting(2)).x[-1] - wanted).max() for h in (0.05, 0.025)]
+    assert errors[1] < 2e-6 and errors[0] / errors[1] == pytest.approx(4, abs=0.1)
+    field = sat.vector_field(x0, 0.5) - free.vector_field(x0)
+    np.testing.assert_allclose(field, np.r_[aim(x0, free.attitudes(x0), 0.5), np.zeros(9)], rtol=0, atol=1e-15)
+    members = np.stack([x0, sat.state(angular_velocity=(0.0, 0.2, 0.1))])
+    many = co.integrate(sat, members, (0, 2), 0.05, splitting(2))
+    for k, one in enumerate(members):
+        np.testing.assert_array_equal(many.x[:, k], co.integrate(sat, one, (0, 2), 0.05, splitting(2)).x)
+    assert many.angular_velocity.shape == (41, 2, 3) and len(many.rotation) == 82
+
+
+def test_torques_of_several_bodies_and_of_the_attitude_alone():
+    def damping(x, A):
+        return -0.2 * x[:24].reshape(2, 12)[:, :3] + 0.01 * A[:, 2, :]
+
+    free, x0 = pair_of_bodies()
+    pair = free.with_forces(co.forces.Torque(damping))
+    change = pair.vector_field(x0) - free.vector_field(x0)
+    L, A = free.angular_momentum(x0), free.attitudes(x0)
+    np.testing.assert_allclose(change[:24].reshape(2, 4, 3)[:, 0], -0.2 * L + 0.01 * A[:, 2], rtol=0, atol=1e-15)
+    assert np.abs(change).sum() == pytest.approx(np.abs(change[:24].reshape(2, 4, 3)[:, 0]).sum(), abs=1e-14)
+    sol = co.integrate(pair, x0, (0, 5), 0.05, splitting(2))
+    finer = co.integrate(pair, x0, (0, 5), 0.0125, splitting(2))
+    assert np.abs(sol.x[-1] - finer.x[-1]).max() < 1e-3
+    assert np.linalg.norm(sol.angular_momentum[-1]) < 0.8 * np.linalg.norm(sol.angular_momentum[0])
+
+
+def test_torques_of_the_attitude_are_refused_without_one():
+    torque = co.forces.Torque(aim)
+    for system in (S.rigid_body(), S.heavy_top(), S.body(attitude=False)):
+        with refused(TypeError, "attitude", system.name, "co.systems.body"):
+            system.with_forces(torque)
+    with refused(ValueError, "(2, 3)", "gravitating_bodies"):
+        pair_of_bodies()[0].with_forces(co.forces.Torque(lambda x, A: x[:3]))
+    with refused(TypeError, "(x, A, t, gain)", "(x, A, t)"):
+        co.forces.Torque(lambda x, A, t, gain: x[:3])
+    given = co.forces.Torque(lambda x, A, gain=2.0: gain * A[2])
+    np.testing.assert_allclose(given.field(S.body(), S.body().state(), 0.0)[:3], [0.0, 0.0, 2.0])
+
+
+@pytest.mark.parametrize("inertia", [(1.0, 2.0, 2.5), SHAPES[1], (1.0, 1.0, 0.5), (2.0, 2.0, 0.0), (0.7, 0.7, 0.7)])
+def test_a_free_body_turns_its_axes_exactly(inertia):
+    """In one part, for any step; by any splitting to its order."""
+    system = S.body(inertia)
+    x0 = system.state(TURNED[0], (0.3, -0.2, 0.0 if inertia[-1] == 0.0 else 0.4))
+    wanted = system.exact(x0, 10.0)
+    sol = co.integrate(system, x0, (0, 10), 0.5, splitting(2))
+    np.testing.assert_allclose(sol.x[-1], wanted, rtol=0, atol=2e-14)
+    np.testing.assert_allclose(co.integrate(system, x0, (0, 10), 0.02, co.Splitting(order=4)).x[-1], wanted, atol=1e-6)
+    np.testing.assert_allclose(system.exact(system.exact(x0, 3.0), 7.0), wanted, rtol=0, atol=1e-13)
+    for name, F in system.integrals.items():
+        assert F(wanted) == pytest.approx(F(x0), abs=1e-14), name
+    with refused(TypeError, "attitude"):
+        system.exact(x0, 1.0, attitude=True)
+
+
+def test_a_rod_in_a_field_is_a_spherical_pendulum():
+    """The axis of a rod in a uniform field, against its own equation; its momentum has no component along it."""
+    rod = S.bodies([(2.0, 2.0, 0.0)], [1.0], potential=lambda r, A: -1.5 * A[0, 2, 2] + 0.5 * (r * r).sum())
+    x0 = rod.state([[0.3, 0.0, 0.0]], None, [Rotation.from_rotvec([1.0, 0.2, 0.3])], [[0.4, -0.3, 0.0]])
+    sol = co.integrate(rod, x0, (0, 10), 0.01, splitting(6))
+    assert np.abs(sol.angular_momentum[..., 2]).max() < 1e-14
+
+    def slope(t, y):  # I (n'' + |n'|^2 n) = the part of the field across n
+        n, v = y[:3], y[3:]
+        field = np.array([0.0, 0.0, 1.5]) / 2.0
+        return np.r_[v, field - (field @ n) * n - (v @ v) * n]
+
+    axis = rod.attitudes(x0)[0, :, 2]
+    start = np.r_[axis, np.cross(rod.angular_velocity(x0, frame="space")[0], axis)]
+    y = solve_ivp(slope, (0, 10), start, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+    np.testing.assert_allclose(rod.attitudes(sol.x[-1])[0, :, 2], y[:3], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(sol.positions[-1], [[0.3 * np.cos(10), 0, 0]], rtol=0, atol=1e-9)
+
+
+def spring(r, A):
+    ends = r[0] + A[0, :, 0] - r[1] - A[1, :, 2]
+    return 0.5 * (ends * ends).sum() ** 2 + A[0, 1, 1] * r[1, 2]
+
+
+def spring_slopes(r, A):
+    by_r, by_A = np.zeros((2, 3)), np.zeros((2, 3, 3))
+    ends = r[0] + A[0, :, 0] - r[1] - A[1, :, 2]
+    pull = 2.0 * (ends * ends).sum() * ends
+    by_r[0], by_r[1] = pull, -pull
+    by_A[0, :, 0], by_A[1, :, 2] = pull, -pull
+    by_r[1, 2] += A[0, 1, 1]
+    by_A[0, 1, 1] += r[1, 2]
+    return by_r, by_A
+
+
+def test_potentials_with_and_without_gradients():
+    """The same motion; one kick; and the potential does not move the states of points."""
+    pairs = [S.bodies(SHAPES, MASSES, spring), S.bodies(SHAPES, MASSES, spring, gradient=spring_slopes)]
+    x0 = pairs[0].state(PLACES, SPEEDS, TURNED, SPINS)
+    runs = [co.integrate(pair, x0, (0, 2), 0.005, splitting(4)) for pair in pairs]
+    np.testing.assert_allclose(runs[1].x[-1], runs[0].x[-1], rtol=0, atol=1e-11)
+    assert runs[0].drift()["energy"] < 1e-6 and pairs[0].parameters is None and not pairs[0].integrals
+    assert "H in 3 parts" in str(splitting(2).describe(pairs[0]))
+    A = np.array(TURNED.as_matrix())
+    kinetic = S.bodies(SHAPES, MASSES).energy(x0)
+    assert pairs[1].energy(x0) == pytest.approx(kinetic + spring(np.array(PLACES), A), rel=1e-14)
+
+
+def test_wrong_potentials_are_refused():
+    with refused(TypeError, "gradient", "potential"):
+        S.bodies(gradient=spring_slopes)
+    with refused(TypeError, "potential", "(r, A)"):
+        S.bodies(potential=lambda r: 1.0)
+    with refused(ValueError, "potential", "contradicts"):
+        S.bodies(SHAPES, MASSES, spring, gradient=lambda r, A: (r, A))
+    with refused(ValueError, "potential", "body 0", "rod"):
+        S.bodies([(2, 2, 0), (1, 1, 1)], MASSES, lambda r, A: A[0, 2, 0] * r[0, 0])
+    with refused(TypeError, "potential", "gradient="):
+        S.bodies(potential=lambda r, A: abs(r[0, 0]))
+
+
+def test_states_from_matrices_rotations_and_quaternions():
+    pair = S.gravitating_bodies(SHAPES, MASSES)
+    wanted = pair.state(PLACES, SPEEDS, TURNED, SPINS)
+    quaternions, matrices = TURNED.as_quat(), TURNED.as_matrix()
+    for given, options in (
+        (matrices, {}),
+        (list(TURNED), {}),
+        ([TURNED[0], matrices[1]], {}),
+        ([matrices[0], TURNED[1]], {}),
+        (quaternions, {}),
+        (quaternions[:, [3, 0, 1, 2]], {"scalar_first": True}),
+    ):
+        np.testing.assert_allclose(pair.state(PLACES, SPEEDS, given, SPINS, **options), wanted, rtol=0, atol=4e-16)
+    space = np.einsum("kij,kj->ki", matrices, SPINS)
+    for given, options in (
+        (np.degrees(SPINS), {"degrees": True}),
+        (space, {"frame": "space"}),
+        (np.degrees(space), {"frame": "space", "degrees": True}),
+    ):
+        found = pair.state(PLACES, SPEEDS, TURNED, given, **options)
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=2e-15)
+    np.testing.assert_array_equal(pair.positions(wanted), PLACES)
+    np.testing.assert_allclose(pair.velocities(wanted), SPEEDS, rtol=1e-15, atol=1e-17)
+    np.testing.assert_allclose(pair.angular_velocity(wanted), SPINS, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(pair.angular_velocity(wanted, frame="space"), space, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(pair.momentum(SPINS), pair.angular_momentum(wanted), rtol=0, atol=1e-15)
+    many = pair.state(np.stack([PLACES] * 3), SPEEDS, matrices, SPINS)
+    np.testing.assert_array_equal(many, [wanted] * 3)
+    resting = pair.state(PLACES)
+    assert not pair.angular_momentum(resting).any() and (pair.attitudes(resting) == np.eye(3)).all()
+    body = S.body(SHAPES[0])
+    one = body.state(TURNED[0], SPINS[0])
+    np.testing.assert_array_equal(one, body.state(matrices[0], SPINS[0]))
+    assert body.attitudes(one).shape == (3, 3) and body.angular_velocity(one).shape == (3,)
+    np.testing.assert_array_equal(body.momentum([SPINS[0]] * 4), [one[:3]] * 4)
+    np.testing.assert_array_equal(S.body(attitude=False).state(angular_velocity=(1, 2, 4)), [1.0, 4.0, 10.0])
+    # Rounded matrices become rotations to the last digits.
+    A = body.attitudes(body.state(matrices[0].round(8)))
+    assert np.abs(A @ A.T - np.eye(3)).max() < 1e-15 and np.abs(A - matrices[0]).max() < 2e-8
+
+
+def test_wrong_states_are_refused():
+    body, pair = S.body(), S.gravitating_bodies()
+    reflection, rod = np.diag([1.0, 1.0, -1.0]), S.body((2, 2, 0))
+    for error, words, call in (
+        (ValueError, ("attitude", "no rotation"), lambda: body.state(reflection)),
+        (ValueError, ("attitude", "no rotation"), lambda: body.state(2 * np.eye(3))),
+        (ValueError, ("attitude", "norm 2"), lambda: body.state([0, 0, 0, 2.0])),
+        (ValueError, ("attitude", "(3,)"), lambda: body.state([0, 0, 1.0])),
+        (ValueError, ("attitude", "nan"), lambda: body.state(np.full((3, 3), np.nan))),
+        (TypeError, ("attitude", "attitude=True"), lambda: S.body(attitude=False).state(np.eye(3))),
+        (ValueError, ("frame", "attitude"), lambda: S.body(attitude=False).state(frame="space")),
+        (ValueError, ("angular_velocity", "(2,)"), lambda: body.state(angular_velocity=(1, 0))),
+        (ValueError, ("angular_velocity", "inf"), lambda: body.state(angular_velocity=(1, 0, np.inf))),
+        (ValueError, ("frame", "inertial"), lambda: body.state(frame="inertial")),
+        (TypeError, ("degrees",), lambda: body.state(degrees="yes")),
+        (ValueError, ("angular_velocity", "rod"), lambda: rod.state(angular_velocity=(1, 0, 1e-3))),
+        (ValueError, ("angular_velocity", "rod"), lambda: rod.momentum((0, 0, 1))),
+        (ValueError, ("positions", "(3,)"), lambda: pair.state([0, 0, 0])),
+        (ValueError, ("velocities", "(3, 3)"), lambda: pair.state(PLACES, np.eye(3))),
+        (ValueError, ("attitudes", "(3, 3)"), lambda: pair.state(PLACES, attitudes=np.eye(3))),
+        (ValueError, ("2 and 3 members",), lambda: pair.state(np.zeros((2, 2, 3)), np.zeros((3, 2, 3)))),
+        (ValueError, ("x", "(3,)", "37"), lambda: pair.positions([1.0, 2.0, 3.0])),
+        (TypeError, ("body", "attitude"), lambda: S.body(attitude=False).attitudes(np.ones(3))),
+        (ValueError, ("inertia", "point"), lambda: S.body((0, 0, 0))),
+        (ValueError, ("inertia[2]", "rod", "1 and 2"), lambda: S.body((1, 2, 0))),
+        (ValueError, ("inertias[1]", "(2,)"), lambda: S.bodies([(1, 1, 1), (1, 2)])),
+        (ValueError, ("masses", "(3,)", "2"), lambda: S.bodies(masses=(1, 2, 3))),
+        (ValueError, ("order", "4"), lambda: S.gravitating_bodies(order=4)),
+    ):  # fmt: skip
+        with refused(error, *words):
+            call()
+
+
+def test_impossible_bodies_warn_by_number():
+    with pytest.warns(UserWarning, match=r"inertias\[1\]"):
+        S.gravitating_bodies([(1, 1, 1), (1, 1, 3)])
+
+
+def test_solutions_of_members_and_of_batches():
+    pair, x0 = pair_of_bodies()
+    heavier = S.gravitating_bodies(SHAPES, (4.0, 2.0))
+    members = np.stack([x0, heavier.state(PLACES, SPEEDS, TURNED, SPINS)])
+    many = co.integrate(co.batch([pair, heavier]), members, (0, 1), 0.1, splitting(2))
+    assert many.positions.shape == many.velocities.shape == many.angular_velocity.shape == (11, 2, 2, 3)
+    np.testing.assert_allclose(many.velocities[0], [SPEEDS] * 2, rtol=0, atol=1e-15)
+    assert len(many.rotation) == 44 and many.angular_momentum.shape == (11, 2, 2, 3)
+    one = co.integrate(heavier, members[1], (0, 1), 0.1, splitting(2))
+    np.testing.assert_array_equal(one.positions, many.positions[:, 1])
+    toda = S.toda(3)
+    run = co.integrate(toda, np.ones(toda.dim), (0, 1), 0.1)
+    for name in ("positions", "velocities", "angular_velocity", "angular_momentum", "rotation"):
+        with refused(TypeError, "toda"):
+            getattr(run, name)
+
+
+def test_stored_runs_have_the_motion_of_bodies(tmp_path):
+    pair, x0 = pair_of_bodies()
+    sol = co.integrate(pair, x0, (0, 1), 0.1, splitting(2))
+    again = co.results.rebuild(sol.to_xarray())
+    archived = co.integrate(pair, x0, (0, 1), 0.1, splitting(2), archive=tmp_path / "run.zarr")
+    for found in (again, archived):
+        for name in ("positions", "velocities", "angular_velocity", "angular_momentum"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(sol, name))
+        np.testing.assert_array_equal(found.rotation.as_matrix(), sol.rotation.as_matrix())
+
+
+def test_contact_is_an_event_and_states_are_found_between_steps():
+    """Two balls fall on each other from rest."""
+    pair = S.gravitating_bodies([(0.4, 0.4, 0.4)] * 2, (1.0, 1.0))
+    x0 = pair.state([[-1.0, 0, 0], [1.0, 0, 0]])
+
+    def gap(x):
+        return np.sqrt(((x[33:36] - x[30:33]) ** 2).sum()) - 0.5
+
+    sol = co.integrate(pair, x0, (0, 4), 0.01, splitting(6), events=co.Event(gap, terminal=True))
+    eta = np.arccos(np.sqrt(0.25))
+    wanted = np.sqrt(2.0**3 / (2 * 2.0)) * (eta + np.sqrt(0.25) * np.sin(eta))
+    assert sol.t_span[1] == pytest.approx(wanted, abs=1e-9)
+    at = sol.at(0.123).x
+    np.testing.assert_allclose(at, co.integrate(pair, x0, (0, 0.123), 0.123 / 12, splitting(6)).x[-1], atol=1e-9)
+
+
+def test_derivatives_of_runs_of_bodies():
+    """By the state, forward and backward, and by masses and inertias of free bodies."""
+    pair, x0 = pair_of_bodies()
+    ready = co.prepare(pair, splitting(4), 0.05)
+    rng = np.random.default_rng(3)
+    d, w = rng.standard_normal((2, 37))
+    _, tangents = ready.jvp(x0, (0, 1), {"x0": d[:, None]})
+    moved = [ready.run(x0 + h * d, (0, 1)).x[-1] for h in (1e-5, -1e-5)]
+    np.testing.assert_allclose(tangents.x[-1][:, 0], (moved[0] - moved[1]) / 2e-5, rtol=0, atol=1e-6)
+    _, pullback = ready.vjp(x0, (0, 1), save_every=20)
+    assert pullback(np.stack([0.0 * w, w]))["x0"] @ d == pytest.approx(w @ tangents.x[-1][:, 0], rel=1e-11)
+    for system, start in ((S.bodies(SHAPES[:1] * 2, MASSES), x0), (S.body(SHAPES[1]), x0[:12])):
+        prepared = co.prepare(system, splitting(2), 0.05)
+        for name in set(system.parameters) - {"potential", "gradient", "attitude"}:
+            value = np.array(system.parameters[name])
+            direction = value * rng.uniform(0.5, 1.0)
+            _, found = prepared.jvp(start, (0, 1), {name: direction[..., None]})
+            ends = [
+                co.integrate(
+                    S.get(system.name, **(system.parameters | {name: value + h * direction})),
+                    start,
+                    (0, 1),
+                    0.05,
+                    splitting(2),
+                ).x[-1]
+                for h in (1e-5, -1e-5)
+            ]
+            np.testing.assert_allclose(found.x[-1][:, 0], (ends[0] - ends[1]) / 2e-5, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "system",
+    [
+        S.rigid_body(SHAPES[1]),
+        S.gyrostat((1.0, 2.0, 2.5), (0.3, -0.2, 0.5)),
+        S.heavy_top(SHAPES[0], (0.1, 0.2, 0.9)),
+        S.kovalevskaya_top(),
+        S.kirchhoff_body(),
+        S.satellite(),
+    ],
+    ids=lambda system: system.name,
+)
+def test_angular_velocities_of_classical_bodies(system):
+    """A' = A hat(Omega), by differences of the attitude."""
+    x0 = np.array([0.3, -0.2, 0.5, 0.6, 0.0, 0.8, 3.0, 1.0, -2.0, 1.0])[: system.dim]
+    if system.name == "satellite":
+        x0[3:6] *= 50.0
+    h = 1e-3
+    sol = co.integrate(system, x0, (0, 2 * h), h, co.Splitting(order=6), attitude=True)
+    A = sol.attitude[:, 1:4, 1:4] if system.name == "satellite" else sol.attitude[:, :3, :3]
+    hat = A[1].T @ (A[2] - A[0]) / (2 * h)
+    np.testing.assert_allclose(sol.angular_velocity[1], [hat[2, 1], hat[0, 2], hat[1, 0]], rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(sol.angular_momentum, sol.x[:, :3])
+
+
+def test_a_satellite_in_its_own_frame_is_the_same_motion():
+    """The classical form beside positions in space, with a planet that is heavy."""
+    inertia, mass, gravity = (1.0, 2.0, 2.5), 2.0, 1.5
+    classical = S.satellite(inertia, mass, gravity)
+    pair = S.gravitating_bodies([(0, 0, 0), inertia], [1e14, mass], G=gravity / 1e14)
+    A, r, v, omega = TURNED[0].as_matrix(), np.array([5.0, 1.0, 0.5]), np.array([0.1, 0.5, 0.1]), np.array(SPINS[0])
+    first = np.eye(5)
+    first[1:4, 1:4] = A
+    x0 = np.r_[np.array(inertia) * omega, mass * A.T @ v, A.T @ r, 1.0]
+    sol = co.integrate(classical, x0, (0, 5), 0.01, co.Splitting(order=6), attitude=first)
+    x0 = pair.state([[0, 0, 0], r], [[0, 0, 0], v], [np.eye(3), A], [[0, 0, 0], omega])
+    found = co.integrate(pair, x0, (0, 5), 0.01, splitting(6))
+    turned = sol.attitude[-1][1:4, 1:4]
+    np.testing.assert_allclose(found.rotation[-1].as_matrix(), turned, rtol=0, atol=1e-10)
+    apart = found.positions[-1, 1] - found.positions[-1, 0]
+    np.testing.assert_allclose(apart, turned @ sol.x[-1, 6:9], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.angular_velocity[-1, 1], sol.angular_velocity[-1], rtol=0, atol=1e-10)
