@@ -8,6 +8,22 @@ distance = np.sqrt(1 - height**2)
 x0 = {factor}np.stack([distance * np.cos(angle), distance * np.sin(angle), height], axis=-1)"""
 
 STARTS = {
+    "bodies": """\
+x0 = system.state(
+    positions=[[0, 0, 0], [4, 0, 0]],
+    angular_velocities=[[0.01, 0.5, 0.01], [1.0, 0.01, 0.2]],
+)""",
+    "gravitating_bodies": """\
+masses = np.array([1.0, 0.01])
+rate = np.sqrt(masses.sum() / 3.0**3)  # of a circle
+r = 3.0 * np.array([-masses[1], masses[0]]) / masses.sum()
+zero, c, s = np.zeros(2), np.cos(0.4), np.sin(0.4)
+x0 = system.state(
+    positions=np.stack([r, zero, zero], axis=1),
+    velocities=np.stack([zero, rate * r, zero], axis=1),
+    attitudes=[np.eye(3), [[c, -s, 0], [s, c, 0], [0, 0, 1]]],
+    angular_velocities=[[0.01, 0, 1], [0, 0, rate]],
+)""",
     "gyrostat": SPHERE.format(count=16, factor=""),
     "lorenz_1960": SPHERE.format(count=14, factor="") + " * (1, 1, 0.5**0.5)",
     "matrix_body": """\

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.runs.results.solution_attributes import SolutionAttributes, members_text
-from coadjoint.systems.bodies.classical_bodies import classical_motion
 from coadjoint.systems.protocol import is_batch, members_of, unforced
 
 if TYPE_CHECKING:
@@ -17,6 +16,21 @@ if TYPE_CHECKING:
 
 ORTHOGONALITY = 1e-6
 """Largest deviation from orthogonality of attitudes that are taken for rotations."""
+
+CLASSICAL_BODIES = frozenset(
+    (
+        "clebsch_body",
+        "goryachev_chaplygin_top",
+        "gyrostat",
+        "heavy_top",
+        "kirchhoff_body",
+        "kovalevskaya_top",
+        "lagrange_top",
+        "rigid_body",
+        "satellite",
+    )
+)
+"""Systems whose first three coordinates are an angular momentum in the frame of the body, with sign -1."""
 
 
 class BodyMotion(SolutionAttributes):
@@ -157,7 +171,34 @@ class BodyMotion(SolutionAttributes):
 
 def _reader(system: Any, name: str) -> Callable[[Any], Any] | None:
     """Return the function of states by this name of a system, or of a classical body; None if there is none."""
-    return getattr(system, name, None) or classical_motion(system, name)
+    return getattr(system, name, None) or _classical_motion(system, name)
+
+
+def _classical_motion(system: Any, name: str) -> Callable[[Any], NDArray[np.float64]] | None:
+    """Return the function of states for "angular_velocity" or "angular_momentum" of a classical body; else None.
+
+    The angular velocity is the derivative of the energy by the momentum.
+
+    Examples
+    --------
+    >>> from coadjoint.systems.bodies.gyrostat import gyrostat
+    >>> velocity = _classical_motion(gyrostat((1.0, 2.0, 2.5), rotors=(0.0, 0.0, 2.0)), "angular_velocity")
+    >>> velocity([1.0, 1.0, 1.0])
+    array([ 1. ,  0.5, -0.4])
+    """
+    if system.name not in CLASSICAL_BODIES:
+        return None
+
+    def momentum(x: Any) -> NDArray[np.float64]:
+        return np.asarray(x)[..., :3]
+
+    def velocity(x: Any) -> NDArray[np.float64]:
+        states = np.asarray(x)
+        rows = states.reshape(-1, system.dim)
+        slopes = np.array([system.hamiltonian.gradient(row)[:3] for row in rows])
+        return slopes.reshape(*states.shape[:-1], 3)
+
+    return {"angular_momentum": momentum, "angular_velocity": velocity}.get(name)
 
 
 def rotations_of(attitude: Any) -> NDArray[np.float64] | None:

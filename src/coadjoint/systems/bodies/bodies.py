@@ -18,7 +18,7 @@ from coadjoint.systems.bodies.attitude_algebra import (
 from coadjoint.systems.bodies.body_inertia import BodyInertia, read_inertias
 from coadjoint.systems.bodies.body_systems import BodiesSystem
 from coadjoint.systems.bodies.inertia import read_in_range
-from coadjoint.systems.forces.attitude_torque import SAMPLE_ATTITUDE
+from coadjoint.systems.forces.torque import SAMPLE_ATTITUDE
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.attitude_potential import attitude_potential, check_potential
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
@@ -124,7 +124,7 @@ def bodies(
     """
     found, m = read_inertias(inertias), read_masses(masses, inertias)
     check_potential(potential, gradient)
-    V = None if potential is None else attitude_potential(potential, gradient, None, len(found))
+    V = None if potential is None else attitude_potential(potential, gradient, len(found))
     if V is not None:
         try:
             V = V.bind(PER_BODY * len(found))
