@@ -75,6 +75,15 @@ def spring_slopes(r, A):
     return by_r, by_A
 
 
+def spring_curvatures(r, A):
+    result = np.zeros((24, 24))
+    for k in range(3):
+        for i, one in ((18 + k, 1.0), (21 + k, -1.0), (3 * k + 2, 1.0)):
+            for j, other in ((18 + k, 1.0), (21 + k, -1.0), (3 * k + 2, 1.0)):
+                result[i, j] = one * other
+    return result
+
+
 PAIR = vector(((1.0, 2.0, 2.5), (1.0, 1.25, 1.5)), positive(), [FULL, (1, 1, 1)], [(2, 2, 0), np.eye(3)]).plus(
     [(1, 1, 1), (0, 0, 0)], outside=((FULL,), ((1, 2, 0), (1, 1, 1)), ((0, 0, 1), (1, 1, 1)), (SKEWED, FULL))
 )
@@ -98,8 +107,9 @@ SHARED = {
 }
 OWN = {
     "bodies": {
-        "potential": Domain((spring, None), (cosine, "r[0]", 1.0, True, [], spring_slopes), "potential"),
-        "gradient": Domain((None, spring_slopes), (cosine, spring, 1.0, True, []), "gradient|potential"),
+        "potential": Domain((spring,), (None, cosine, "r[0]", 1.0, True, [], spring_slopes), "potential"),
+        "gradient": Domain((spring_slopes,), (cosine, spring, 1.0, True, []), "gradient|potential"),
+        "hessian": Domain((None, spring_curvatures), (cosine, spring, 1.0, True, []), "hessian|potential"),
     },
     "gravitating_bodies": {"order": one_of(2, 0)},
     "body": {"attitude": flag(usual=True), "inertia": INERTIA.plus((2.0, 2.0, 0.0), outside=((0, 0, 0), (0, 0, 1)))},

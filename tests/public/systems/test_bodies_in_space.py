@@ -325,6 +325,8 @@ def test_potentials_with_and_without_gradients():
 def test_wrong_potentials_are_refused():
     with refused(TypeError, "gradient", "potential"):
         S.bodies(gradient=spring_slopes)
+    with refused(TypeError, "hessian", "gradient"):
+        S.bodies(potential=spring, hessian=spring_slopes)
     with refused(TypeError, "potential", "(r, A)"):
         S.bodies(potential=lambda r: 1.0)
     with refused(ValueError, "potential", "contradicts"):
@@ -469,9 +471,12 @@ def test_derivatives_of_runs_of_bodies():
     np.testing.assert_allclose(tangents.x[-1][:, 0], (moved[0] - moved[1]) / 2e-5, rtol=0, atol=1e-6)
     _, pullback = ready.vjp(x0, (0, 1), save_every=20)
     assert pullback(np.stack([0.0 * w, w]))["x0"] @ d == pytest.approx(w @ tangents.x[-1][:, 0], rel=1e-11)
+    given = co.prepare(S.bodies(SHAPES, MASSES, spring, spring_slopes), splitting(2), 0.05)
+    with refused(TypeError, "hessian="):
+        given.jvp(x0, (0, 1), {"x0": d[:, None]})
     for system, start in ((S.bodies(SHAPES[:1] * 2, MASSES), x0), (S.body(SHAPES[1]), x0[:12])):
         prepared = co.prepare(system, splitting(2), 0.05)
-        for name in set(system.parameters) - {"potential", "gradient", "attitude"}:
+        for name in set(system.parameters) - {"potential", "gradient", "hessian", "attitude"}:
             value = np.array(system.parameters[name])
             direction = value * rng.uniform(0.5, 1.0)
             _, found = prepared.jvp(start, (0, 1), {name: direction[..., None]})

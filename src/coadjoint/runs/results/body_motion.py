@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.runs.results.solution_attributes import SolutionAttributes, members_text
+from coadjoint.runs.results.solution_attributes import SolutionAttributes, member_count, members_text
 from coadjoint.systems.protocol import is_batch, members_of, unforced
 
 if TYPE_CHECKING:
@@ -150,7 +150,7 @@ class BodyMotion(SolutionAttributes):
                 f"the run of {self.system.name} has no attitude that is a rotation in three dimensions; integrate a "
                 "body or a top with attitude=True"
             )
-        members = 1 if self.failed is None else len(self.failed)
+        members = member_count(self)  # type: ignore[arg-type]
         lost = ~np.isfinite(A.reshape(len(A), members, -1)).all(axis=(0, -1))
         if lost.any():
             raise ValueError(

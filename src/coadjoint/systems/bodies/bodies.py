@@ -63,6 +63,7 @@ def bodies(
     masses: npt.ArrayLike = (1.0, 1.0),
     potential: Callable[..., Any] | None = None,
     gradient: Callable[..., Any] | None = None,
+    hessian: Callable[..., Any] | None = None,
 ) -> BodiesSystem:
     """Return k rigid bodies in space with any potential V(r, A) of their positions and attitudes.
 
@@ -85,7 +86,10 @@ def bodies(
     gradient : callable, optional
         Function of the same arguments that returns the pair of derivatives by r, (k, 3), and by A, (k, 3, 3), of
         independent entries. Without it the operations of `potential` are recorded and differentiated, as those of a
-        `Hamiltonian`.
+        `Hamiltonian`, and so are second derivatives.
+    hessian : callable, optional
+        Function of the same arguments that returns the second derivatives, (12 k, 12 k), by the entries of A in the
+        order A[0, 0, 0], A[0, 0, 1], ..., then those of r. Needed with `gradient` for derivatives of runs.
 
     Returns
     -------
@@ -123,8 +127,8 @@ def bodies(
     ((101, 2, 3), True)
     """
     found, m = read_inertias(inertias), read_masses(masses, inertias)
-    check_potential(potential, gradient)
-    V = None if potential is None else attitude_potential(potential, gradient, len(found))
+    check_potential(potential, gradient, hessian)
+    V = None if potential is None else attitude_potential(potential, gradient, hessian, len(found))
     if V is not None:
         try:
             V = V.bind(PER_BODY * len(found))
@@ -133,7 +137,7 @@ def bodies(
         _check_rods(V, found)
     parameters = None
     if V is None:
-        parameters = {**inertial_parameters(found, m), "potential": None, "gradient": None}
+        parameters = {**inertial_parameters(found, m), "potential": None, "gradient": None, "hessian": None}
     return system_of_bodies("bodies", found, m, V, parameters, conserving=V is None)
 
 

@@ -9,15 +9,17 @@ from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.user_functions import callable_from_compiled, check_arguments
 
 
-def attitude_potential(potential: Callable[..., Any], gradient: Callable[..., Any] | None, count: int) -> Hamiltonian:
+def attitude_potential(
+    potential: Callable[..., Any], gradient: Callable[..., Any] | None, hessian: Callable[..., Any] | None, count: int
+) -> Hamiltonian:
     """Return V(r, A) of `count` bodies as a function of the entries of A, (count, 3, 3), then of r, (count, 3).
 
-    `gradient` returns the derivatives by r and by A.
+    `gradient` returns the derivatives by r and by A, and `hessian` those of all entries, (12 count, 12 count).
 
     Examples
     --------
     >>> import numpy as np
-    >>> attitude_potential(lambda r, A: r[0, 2] + A[0, 1, 2], None, 1).bind(12).gradient(np.zeros(12))
+    >>> attitude_potential(lambda r, A: r[0, 2] + A[0, 1, 2], None, None, 1).bind(12).gradient(np.zeros(12))
     array([0., 0., 0., 0., 0., 1., 0., 0., 0., 0., 0., 1.])
     """
     energy, axes = callable_from_compiled(potential), 9 * count
@@ -39,13 +41,22 @@ def attitude_potential(potential: Callable[..., Any], gradient: Callable[..., An
                     result[9 * k + 3 * i + j] = by_A[k, i, j]
         return result
 
-    return Hamiltonian(value, derivative)
+    if hessian is None:
+        return Hamiltonian(value, derivative)
+    curvatures = callable_from_compiled(hessian)
+
+    def second(y: Any) -> Any:
+        return curvatures(y[axes:].reshape(count, 3), y[:axes].reshape(count, 3, 3))
+
+    return Hamiltonian(value, derivative, second)
 
 
-def check_potential(potential: Any, gradient: Any) -> None:
-    """Raise TypeError unless a potential is a function or None, and its gradient belongs to one."""
+def check_potential(potential: Any, gradient: Any, hessian: Any) -> None:
+    """Raise TypeError unless each is None or a function of (r, A), and each derivative has the one before."""
     if potential is None and gradient is not None:
         raise TypeError("gradient was given without potential; give both, or neither for free bodies")
-    for value, what in ((potential, "potential"), (gradient, "gradient")):
+    if gradient is None and hessian is not None:
+        raise TypeError("hessian was given without gradient; give both, or neither to derive them from potential")
+    for value, what in ((potential, "potential"), (gradient, "gradient"), (hessian, "hessian")):
         if value is not None:
             check_arguments(value, what, "r, A")
