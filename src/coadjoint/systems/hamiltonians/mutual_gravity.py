@@ -24,24 +24,23 @@ def mutual_gravity(masses: Floats, anisotropic: Floats, gravity: float) -> Hamil
     axes = 9 * count
 
     def value(y: Any) -> Any:
-        total = 0.0 * y[0]
+        total, R, w = 0.0 * y[0], 0.0 * y[:3], 0.0 * y[:3]
         for i in range(count):
             for j in range(i):
                 square = 0.0 * y[0]
                 for a in range(3):
-                    square += (y[axes + 3 * i + a] - y[axes + 3 * j + a]) ** 2
+                    R[a] = y[axes + 3 * i + a] - y[axes + 3 * j + a]
+                    square += R[a] * R[a]
                 s = np.sqrt(square)
                 total -= G * m[i] * m[j] / s
                 for one, other in ((i, j), (j, i)):
                     form = 0.0 * y[0]
                     for b in range(3):
-                        for c in range(3):
-                            w_b, w_c = 0.0 * y[0], 0.0 * y[0]
-                            for a in range(3):
-                                R = y[axes + 3 * i + a] - y[axes + 3 * j + a]
-                                w_b += y[9 * one + 3 * a + b] * R
-                                w_c += y[9 * one + 3 * a + c] * R
-                            form += w_b * D[one, b, c] * w_c
+                        w[b] = 0.0
+                        for a in range(3):
+                            w[b] += y[9 * one + 3 * a + b] * R[a]
+                    for b in range(3):
+                        form += w[b] * (D[one, b, 0] * w[0] + D[one, b, 1] * w[1] + D[one, b, 2] * w[2])
                     total += 1.5 * G * m[other] * form / (square * square * s)
         return total
 
@@ -142,4 +141,6 @@ def mutual_gravity(masses: Floats, anisotropic: Floats, gravity: float) -> Hamil
                         result[axes + 3 * j + a, axes + 3 * i + b] -= block[a, b]
         return result
 
-    return Hamiltonian(value, gradient, hessian)
+    energy = Hamiltonian(value, gradient, hessian)
+    energy.dim = 12 * count  # bound without a check of the derivatives, which takes minutes for 200 bodies
+    return energy
