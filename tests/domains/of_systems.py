@@ -111,7 +111,7 @@ OWN = {
         "gradient": Domain((spring_slopes,), (cosine, spring, 1.0, True, []), "gradient|potential"),
         "hessian": Domain((None, spring_curvatures), (cosine, spring, 1.0, True, []), "hessian|potential"),
     },
-    "gravitating_bodies": {"order": one_of(2, 0)},
+    "gravitating_bodies": {"order": one_of(2, 0, 4)},
     "body": {"attitude": flag(usual=True), "inertia": INERTIA.plus((2.0, 2.0, 0.0), outside=((0, 0, 0), (0, 0, 1)))},
     "clebsch_body": {
         "inertia": vector((1.0, 1.0, 1.0), positive(), (3, 3, 3), (0.001,) * 3),

@@ -58,6 +58,7 @@ OTHERS = {
     "heavy top, full": S.heavy_top(FULL, (0.3, -0.4, 0.8)),
     "gyrostat, full": S.gyrostat(FULL, (0.3, -0.4, 0.8)),
     "body in a fluid": S.kirchhoff_body(FULL, FULL[::-1, ::-1], [[0.2, 0.5, -0.1], [0.0, -0.3, 0.4], [0.3, 0.1, 0.25]]),
+    "asteroids to fourth order": S.gravitating_bodies(((0.3, 0.4, 0.5), FULL / 8), (1.5, 0.5), 0.8, 4),
     "satellite of revolution": S.satellite((2.0, 2.0, 1.0), 1.5, 0.8),
     "body of five dimensions": S.so_n_body((1.0, 0.5, 2.0, 1.5, 0.75)),
     "paper, other parameters": S.paper_a37(-0.5, (0.7, -0.4, 1.1)),

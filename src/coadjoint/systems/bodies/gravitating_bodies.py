@@ -1,4 +1,4 @@
-"""Rigid bodies of any shapes under their mutual gravity, to second order in their sizes."""
+"""Rigid bodies of any shapes under their mutual gravity, to second or fourth order in their sizes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from coadjoint.validation import is_integer
 
 Floats = npt.NDArray[np.float64]
 
-ORDERS = (0, 2)
+ORDERS = (0, 2, 4)
 """Orders of the expansion in the sizes that are implemented."""
 
 
@@ -90,8 +90,9 @@ def gravitating_bodies(
     rotation. For a satellite about a point alone, all in the body frame, see `satellite`. As `bodies`, with ``V = -G
     sum over pairs of m_i m_j/s + (m_j (tr I_i - 3 u . I_i u) + m_i (tr I_j - 3 u . I_j u))/(2 s^3)``, s the distance
     of the centres and u its direction: MacCullagh's expansion to the second moments of both bodies. It is computed from
-    the anisotropic parts of the inertias alone, so that torques do not lose digits. Terms of fourth order, such as that
-    of both second moments together, are about (size/s)^4 of the leading one.
+    the anisotropic parts of the inertias alone, so that torques do not lose digits. To order 4 the bodies are
+    homogeneous ellipsoids of these inertias: terms of both second moments together, and of fourth moments, are added.
+    Terms that are left out are about (size/s)^4 of the leading one to order 2, and (size/s)^6 to order 4.
 
     Parameters
     ----------
@@ -102,8 +103,8 @@ def gravitating_bodies(
         Masses, positive.
     G : float
         Gravitational constant, positive; 6.6743e-11 in SI units.
-    order : {2, 0}
-        Order of the expansion in the sizes of the bodies; of order 0 they attract each other as points.
+    order : {2, 4, 0}
+        Order of the expansion in the sizes of the bodies; to order 0 they attract each other as points.
 
     Returns
     -------
@@ -123,7 +124,8 @@ def gravitating_bodies(
 
     Notes
     -----
-    MacCullagh (1855); Maciejewski, Celest. Mech. Dyn. Astron. 63, 1 (1995), for the full two-body problem. With
+    MacCullagh (1855); Maciejewski, Celest. Mech. Dyn. Astron. 63, 1 (1995), for the full two-body problem. The fourth
+    moments of an ellipsoid are 5/(7 m) times the products of its second moments. With
     ``Splitting(parts="free_body")`` the parts are the free bodies, one kick, and straight paths of the centres.
 
     Examples
@@ -138,9 +140,9 @@ def gravitating_bodies(
     found, m = read_inertias(inertias), read_masses(masses, inertias)
     gravity = read_in_range(G, "G")
     if not is_integer(order) or order not in ORDERS:
-        raise ValueError(f"order is {short(order)}; mutual gravity is implemented to order 0 or 2 in the sizes")
+        raise ValueError(f"order is {short(order)}; mutual gravity is implemented to order 0, 2 or 4 in the sizes")
     anisotropic = np.stack([inertia.anisotropic * (order > 0) for inertia in found])
     parameters = {**inertial_parameters(found, m), "G": gravity, "order": int(order)}
     return system_of_bodies(
-        "gravitating_bodies", found, m, mutual_gravity(m, anisotropic, gravity), parameters, conserving=True
+        "gravitating_bodies", found, m, mutual_gravity(m, anisotropic, gravity, int(order)), parameters, conserving=True
     )

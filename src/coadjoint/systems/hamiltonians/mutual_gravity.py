@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
+from coadjoint.systems.hamiltonians.mutual_gravity_fourth import fourth_order_terms
+from coadjoint.systems.user_functions import callable_from_compiled
 
 Floats = npt.NDArray[np.float64]
 
 
-def mutual_gravity(masses: Floats, anisotropic: Floats, gravity: float) -> Hamiltonian:
+def mutual_gravity(masses: Floats, anisotropic: Floats, gravity: float, order: int = 2) -> Hamiltonian:
     """Return ``V = -G sum of (m_i m_j/s - 3 (m_j w_i.D_i w_i + m_i w_j.D_j w_j)/(2 s^5))`` over pairs of bodies.
 
     s is the distance of the centres and w_i their difference in the frame of body i; D = I - tr(I)/3, (k, 3, 3), is
     the anisotropic part of the inertia. ``tr(I) - 3 u.Iu = -3 u.Du`` for a unit vector u: this is MacCullagh's formula
     without the difference of large terms, so that a torque is as accurate as D. The coordinates are the entries of the
-    attitudes, (k, 3, 3), then the positions, (k, 3).
+    attitudes, (k, 3, 3), then the positions, (k, 3). For order 4 see `fourth_order_terms`.
     """
     m, D, G, count = masses, anisotropic, gravity, len(masses)
     axes = 9 * count
@@ -141,6 +144,16 @@ def mutual_gravity(masses: Floats, anisotropic: Floats, gravity: float) -> Hamil
                         result[axes + 3 * j + a, axes + 3 * i + b] -= block[a, b]
         return result
 
-    energy = Hamiltonian(value, gradient, hessian)
+    functions = value, gradient, hessian
+    if order == 4:
+        pairs = zip(functions, fourth_order_terms(masses, anisotropic, gravity), strict=True)
+        functions = tuple(_sum(first, second) for first, second in pairs)  # type: ignore[assignment]
+    energy = Hamiltonian(*functions)
     energy.dim = 12 * count  # bound without a check of the derivatives, which takes minutes for 200 bodies
     return energy
+
+
+def _sum(first: Callable[..., Any], second: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the sum of two functions, which compiled functions can call."""
+    one, other = callable_from_compiled(first), callable_from_compiled(second)
+    return lambda y: one(y) + other(y)
