@@ -89,9 +89,17 @@ def of_matrix(x, inertia):
     return (X**2 / sums).sum() / 2
 
 
+def free_bodies(x, inertias, masses, potential, gradient, hessian):
+    k = len(masses)
+    spins = sum(body(x[12 * i : 12 * i + 3], inertias[i]) for i in range(k))
+    return spins + sum((x[12 * k + 3 * i : 12 * k + 3 * i + 3] ** 2).sum() / masses[i] / 2 for i in range(k))
+
+
 # The energy of the state by the parameters, and other arguments of the system.
 FORMULAS = {
     "rigid_body": body,
+    "body": lambda x, inertia, attitude: body(x[:3], inertia),
+    "bodies": free_bodies,
     "gyrostat": lambda x, inertia, rotors: body(x - rotors, inertia),
     "heavy_top": lambda x, inertia, lever: body(x[:3], inertia) + lever @ x[3:],
     "kovalevskaya_top": lambda x, equatorial, lever: top(x, equatorial, lever, 2),
@@ -120,6 +128,9 @@ VARIANTS = [
     ("sphere_euler", {"N": 5, "rotation": 0.5}),
     ("rigid_body", {"inertia": TENSOR}),
     ("gyrostat", {"inertia": TENSOR}),
+    ("body", {"inertia": TENSOR}),
+    ("body", {"inertia": (1.0, 2.0, 2.5), "attitude": False}),
+    ("bodies", {"inertias": (TENSOR, TENSOR, (1.0, 1.0, 1.0)), "masses": (1.0, 2.0, 0.5)}),
     ("heavy_top", {"inertia": TENSOR, "lever": (0.0, 0.0, 1.0)}),
     ("kirchhoff_body", {"inertia": TENSOR, "mass": TENSOR, "coupling": COUPLING}),
     ("kirchhoff_body", {"coupling": np.diag((0.25, 0.5, -0.125)).tolist()}),

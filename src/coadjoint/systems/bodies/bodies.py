@@ -15,7 +15,7 @@ from coadjoint.systems.bodies.attitude_algebra import (
     central_coordinate,
     momentum_in_space,
 )
-from coadjoint.systems.bodies.body_inertia import BodyInertia, read_inertias
+from coadjoint.systems.bodies.body_inertia import BodyInertia, inverse_of_moving, read_inertias
 from coadjoint.systems.bodies.body_systems import BodiesSystem
 from coadjoint.systems.bodies.inertia import read_in_range
 from coadjoint.systems.forces.torque import SAMPLE_ATTITUDE
@@ -35,12 +35,26 @@ ROD_TORQUE = 2.0**-30
 """Largest torque along a rod, relative to the derivatives of the potential, that is taken for their rounding."""
 
 
+def _energy(inertias: npt.NDArray[Any], masses: npt.NDArray[Any]) -> tuple[npt.NDArray[Any]]:
+    """Return the matrix of the energy of free bodies, by its diagonal if all inertias are moments."""
+    count = len(inertias)
+    M = np.zeros((18 * count + 1,) * (inertias.ndim - 1), dtype=np.result_type(inertias, masses))
+    for k, inertia in enumerate(inertias):
+        inverse = inverse_of_moving(inertia)
+        # Entries of a tensor are differentiated one by one, as if it were not symmetric.
+        M[(slice(PER_BODY * k, PER_BODY * k + 3),) * M.ndim] = 0.5 * (inverse + inverse.T)
+    p = np.arange(PER_BODY * count, (PER_BODY + 3) * count)
+    M[(p,) * M.ndim] = 1.0 / np.repeat(masses, 3)
+    return (M,)
+
+
 def _tumbling() -> Floats:
     """Return two bodies apart that spin about axes near their middle ones."""
     return bodies().state([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]], angular_velocities=[[0.01, 0.5, 0.01], [1.0, 0.01, 0.2]])
 
 
 @ready_made(
+    energy=_energy,
     gallery_entry=GalleryEntry(
         x0=_tumbling,
         t_span=(0.0, 90.0),
@@ -56,7 +70,7 @@ def _tumbling() -> Floats:
         ),
         components=Picture("components", chosen=(0, 1, 2), quantity="angular momentum of the first body"),
         quantity="state",
-    )
+    ),
 )
 def bodies(
     inertias: Any = ((1.0, 2.0, 2.5), (1.0, 1.0, 1.5)),

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.systems.bodies.attitude_algebra import PER_BODY, attitude_algebra, axis_products, momentum_in_space
-from coadjoint.systems.bodies.body_inertia import read_body_inertia
+from coadjoint.systems.bodies.body_inertia import inverse_of_moving, read_body_inertia
 from coadjoint.systems.bodies.body_systems import BodySystem
 from coadjoint.systems.bodies.rigid_body import rotations
 from coadjoint.systems.closed_forms.closed_form import reject_attitude, start_and_times
@@ -22,7 +22,22 @@ from coadjoint.validation import read_bool
 Floats = npt.NDArray[np.float64]
 
 
+def _energy(inertia: npt.NDArray[Any], *, attitude: bool) -> tuple[npt.NDArray[Any]]:
+    return (_in_state(inverse_of_moving(inertia), attitude),)
+
+
+def _in_state(M: npt.NDArray[Any], attitude: bool) -> npt.NDArray[Any]:
+    """Return the matrix of the energy from the inverse inertia, (3,) or (3, 3)."""
+    if not attitude:
+        return M
+    matrix = np.zeros((PER_BODY,) * M.ndim, dtype=M.dtype)
+    matrix[tuple(slice(0, 3) for _ in M.shape)] = M
+    return matrix
+
+
 @ready_made(
+    energy=_energy,
+    symmetric=("inertia",),
     gallery_entry=GalleryEntry(
         x0=(0.01, 1.0, 0.01, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
         t_span=(0.0, 90.0),
@@ -32,7 +47,7 @@ Floats = npt.NDArray[np.float64]
         pictures=(Picture("body axis", axis=1, up=(6, 7, 8), vertical="second axis of space"),),
         components=Picture("components", chosen=(6, 7, 8), quantity="second axis of space, seen from the body"),
         quantity="state",
-    )
+    ),
 )
 def body(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), attitude: bool = True) -> BodySystem:
     """Return a rigid body with its attitude in the state: a satellite, a gyroscope, a rod.
@@ -88,12 +103,10 @@ def body(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), attitude: bool = True) -> Bod
     if not parameters["attitude"]:
         exact: Any = partial(exact_solution, M, -1)
         return BodySystem(found, rotations(), Quadratic(M), parameters=parameters, exact=exact, **named)
-    energy = np.zeros((PER_BODY, PER_BODY) if M.ndim == 2 else PER_BODY)
-    energy[tuple(slice(0, 3) for _ in M.shape)] = M
     return BodySystem(
         found,
         attitude_algebra(),
-        Quadratic(energy),
+        Quadratic(_in_state(M, attitude=True)),
         casimirs=axis_products(1, PER_BODY),
         integrals=momentum_in_space(1, PER_BODY),
         parameters=parameters,

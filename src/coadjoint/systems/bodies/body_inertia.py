@@ -74,6 +74,22 @@ def read_inertias(inertias: Any) -> tuple[BodyInertia, ...]:
     return tuple(read_body_inertia(entry, f"inertias[{k}]") for k, entry in enumerate(listed))
 
 
+def inverse_of_moving(inertia: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the inverse of moments, zero where they are, or of a tensor, which is not that of a rod; also complex.
+
+    Examples
+    --------
+    >>> inverse_of_moving(np.array([2.0, 2.0, 0.0]))
+    array([0.5, 0.5, 0. ])
+    """
+    if inertia.ndim == 2:
+        return inverse_of(inertia, "inertia")
+    inverse = np.zeros_like(inertia)
+    moving = inertia.real != 0.0
+    inverse[moving] = 1.0 / inertia[moving]
+    return inverse
+
+
 def _inverse_moments(moments: Floats, what: str) -> tuple[Floats, Floats | None]:
     zero = np.flatnonzero(moments == 0.0)
     if not len(zero):
