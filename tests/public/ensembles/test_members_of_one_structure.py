@@ -61,7 +61,7 @@ def assert_as_alone(systems, method, states=None, whole=None, members=None, **op
     return whole
 
 
-@pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning", "ignore::coadjoint.RoundingWarning")
+@pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning", "ignore::coadjoint.RoundingWarning", "ignore:inertia")
 @pytest.mark.parametrize("name", co.systems.names())
 def test_ready_made_systems_of_several_parameters(name):
     systems = members_of(name)
