@@ -29,7 +29,6 @@ from coadjoint.validation import FLOAT64
 
 if TYPE_CHECKING:
     from coadjoint.runs.derivatives.backward import Pullback
-    from coadjoint.runs.derivatives.members import PullbackOfMembers
     from coadjoint.runs.derivatives.results import Tangents
 
 
@@ -218,8 +217,9 @@ class PreparedRun(Preparation):
         >>> sol.x.shape, tangents.x.shape, tangents.rule
         ((5, 3), (5, 3, 3), {'inertia': 'exact'})
         """
-        options = save_every, t_eval, attitude, events, inputs
-        found: tuple[Solution, Tangents] = shortcut("jvp")(self, x0, t_span, directions, *options)
+        given: dict[str, Any] = {"x0": x0, "t_span": t_span, "save_every": save_every, "t_eval": t_eval}
+        given |= {"attitude": attitude, "events": read_events(events), "inputs": inputs}
+        found: tuple[Solution, Tangents] = shortcut("jvp")(self, directions, **given)
         return found
 
     @suggest_keywords
@@ -234,7 +234,7 @@ class PreparedRun(Preparation):
         reverse: str = "exact",
         events: Any = None,
         **inputs: Any,
-    ) -> tuple[Solution, Pullback | PullbackOfMembers]:
+    ) -> tuple[Solution, Pullback]:
         """Integrate, and return a function for gradients by the initial state and all parameters (reverse mode).
 
         The steps are differentiated backward, from checkpoints between which they are repeated. A gradient costs a few
@@ -285,8 +285,9 @@ class PreparedRun(Preparation):
         >>> gradient["x0"].shape, gradient["inertia"].shape
         ((3,), (3,))
         """
-        options = save_every, t_eval, attitude, reverse, events, inputs
-        found: tuple[Solution, Pullback | PullbackOfMembers] = shortcut("vjp")(self, x0, t_span, *options)
+        given: dict[str, Any] = {"x0": x0, "t_span": t_span, "save_every": save_every, "t_eval": t_eval}
+        given |= {"attitude": attitude, "events": read_events(events), "inputs": inputs}
+        found: tuple[Solution, Pullback] = shortcut("vjp")(self, reverse, **given)
         return found
 
     @suggest_keywords

@@ -16,8 +16,8 @@ from coadjoint.methods.forced import check_supports, effective_scheme
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun
-from coadjoint.runs.derivatives.input_derivatives import INPUTS, tables_with_inputs
-from coadjoint.runs.derivatives.step_tangents import StepTangents, compiled_tangents, has_user_functions
+from coadjoint.runs.derivatives.input_derivatives import INPUTS
+from coadjoint.runs.derivatives.step_tangents import StepTangents, compiled_tangents
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import momenta_of
@@ -278,11 +278,7 @@ class Stepper:
             assert prepared.inputs is not None
             tables = DifferentiableRun(prepared).tables(self.h, (INPUTS,))
             return StepTangents(tables, n, self.h, prepared.inputs.changing.tolist())
-        if prepared.inputs is None:
-            return compiled_tangents(scheme, system, self.h)
-        if has_user_functions(system) or not scheme.differentiable:
-            return None
-        return StepTangents(tables_with_inputs(prepared.inputs, scheme, self.h, None, {}), n, self.h)
+        return compiled_tangents(scheme, system, self.h, inputs=prepared.inputs)
 
     @ignore_overflow
     def tangent_by(self, x: Any, t: float = 0.0, **inputs: Any) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import Any
 
@@ -60,13 +60,17 @@ class NearbySystems:
         """Return the systems that a function makes of these."""
         return NearbySystems(self._name, self._distance, lambda by: changed(self._moved(by)))
 
-    def difference(self, function: Callable[[Any], Floats]) -> Floats:
+    def centre(self) -> Any:
+        """Return the system with the unchanged entry."""
+        return self._moved(0.0)
+
+    def difference(self, function: Callable[[Any], Floats], here: Floats) -> Floats:
         """Return the derivative of a function of the system by the entry, with about twelve digits.
 
-        Raises ValueError if no values near that of the entry are accepted on both sides.
+        `here` is the function of the unchanged system. Raises ValueError if no values near that of the entry are
+        accepted on both sides.
         """
-        distance, here = self._distance, function(self._moved(0.0))
-        found, refusal = None, None
+        distance, found, refusal = self._distance, None, None
         for _ in range(MOST_DISTANCES):
             by, distance = NODES * distance, NEARER * distance
             try:
@@ -88,6 +92,12 @@ class NearbySystems:
         return found
 
 
+def differences(nearby: Sequence[NearbySystems], function: Callable[[Any], Floats]) -> list[Floats]:
+    """Return the derivatives of a function by entries of parameters of one system."""
+    here = function(nearby[0].centre()) if nearby else np.zeros(0)
+    return [one.difference(function, here) for one in nearby]
+
+
 def nearby_systems(name: str, value: Floats, moved: Callable[[tuple[int, ...], float], Any]) -> list[NearbySystems]:
     """Return the systems for each entry of a parameter; `moved(index, by)` returns that with an entry moved."""
     distances = DISTANCE * RADIUS * sizes_of_entries(value)
@@ -102,5 +112,4 @@ class EnergyDifferences:
 
     def at(self, x: Floats) -> Floats:
         """Return the derivatives of the energy at states (..., n), shape (..., size)."""
-        columns = [nearby.difference(lambda system: np.asarray(system.energy(x))) for nearby in self._nearby]
-        return np.stack(columns, axis=-1)
+        return np.stack(differences(self._nearby, lambda system: np.asarray(system.energy(x))), axis=-1)

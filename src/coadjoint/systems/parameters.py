@@ -243,7 +243,7 @@ def _of_matrix_builder(system: Any, values: Mapping[str, Floats]) -> dict[str, P
         def moved(index: tuple[int, ...], by: float) -> Any:
             return builder(**{**arguments, name: _plain(moved_entry(value, index, by, False))})
 
-        return Parameter(value, cast(Any, partial(EnergyDifferences, name, value, moved)))
+        return Parameter(value, cache(cast(Any, partial(EnergyDifferences, name, value, moved))))
 
     found = {name: real_numbers(given) for name, given in arguments.items()}
     return {name: parameter(name, value) for name, value in found.items() if value is not None}

@@ -14,7 +14,7 @@ from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, Derivative
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.program.added_part import CoefficientMap
-from coadjoint.systems.parameter_differences import NearbySystems, nearby_systems
+from coadjoint.systems.parameter_differences import NearbySystems, differences, nearby_systems
 from coadjoint.systems.parameters import Parameter, with_entry_moved
 
 if TYPE_CHECKING:
@@ -73,8 +73,7 @@ class StepwiseDerivatives:
         def turned(system: Any) -> Floats:
             return np.zeros((0, 0)) if self._elements is None else self._elements.at(system, x[None], t, h)[0]
 
-        rows = [nearby.difference(after) for nearby in self._nearby]
-        of_element = [nearby.difference(turned) for nearby in self._nearby]
+        rows, of_element = differences(self._nearby, after), differences(self._nearby, turned)
         return np.array(rows).reshape(len(rows), len(x)), np.array(of_element)
 
     @np.errstate(over="ignore", invalid="ignore")

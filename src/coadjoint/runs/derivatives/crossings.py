@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.invariants.invariant import Invariant
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.methods.protocol.step_derivatives import derivative_of
 from coadjoint.runs.crossings.crossings import WatchedEvents
-from coadjoint.runs.derivatives.observed import function_of_rows
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.parameter_differences import NODES, WEIGHTS
-from coadjoint.systems.protocol import coordinates_of
+from coadjoint.systems.protocol import coordinates_of, states_of, unforced_matrix_system
+from coadjoint.systems.user_functions import takes_time
 
 if TYPE_CHECKING:
     from coadjoint.runs.derivatives.located_trajectory import LocatedTrajectory
@@ -95,3 +99,23 @@ def _gradient(system: Any, g: Any, x: Floats, t: float) -> Floats:
     if isinstance(g, int | np.integer):
         return np.asarray(np.eye(len(x))[g])
     return np.asarray(derivative_of(function_of_rows(system, g, t), x).derivative[0])
+
+
+def function_of_rows(system: Any, quantity: Any, t: float) -> Callable[[NDArray[Any]], NDArray[Any]]:
+    """Return a quantity at a time as a function of a row of numbers, of which matrices are projected."""
+    if isinstance(quantity, Quadratic):
+        quantity = quantity.bind(system.dim).value
+        time_argument: tuple[float, ...] = ()
+    else:
+        is_function = not isinstance(quantity, Polynomial | Invariant)
+        time_argument = (t,) if is_function and takes_time(quantity, "observe") else ()
+
+    matrices = unforced_matrix_system(system)
+
+    def of_row(row: NDArray[Any]) -> NDArray[Any]:
+        state = states_of(system, row)
+        if matrices is not None:
+            state = matrices.algebra.projected(matrices.from_vector(row))
+        return np.ravel(quantity(state, *time_argument))
+
+    return of_row

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
+from operator import methodcaller
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.forces.double_bracket import DoubleBracketDamping
 from coadjoint.systems.forces.orbit_flow import OrbitFlow
-from coadjoint.systems.parameter_differences import NearbySystems
+from coadjoint.systems.parameter_differences import NearbySystems, differences
 
 Floats = NDArray[np.float64]
 
@@ -43,9 +43,9 @@ class Half(NamedTuple):
         return numbered[::-1] if self.second else numbered
 
     @property
-    def start(self) -> float:
-        """Time at which the flows begin."""
-        return self.t + 0.5 * self.h if self.second else self.t
+    def span(self) -> tuple[float, float]:
+        """Time at which the flows begin, and their length."""
+        return self.t + 0.5 * self.h if self.second else self.t, 0.5 * self.h
 
 
 class _Member(NamedTuple):
@@ -58,11 +58,6 @@ class _Member(NamedTuple):
         """Return the parameters on which the flow of force j depends."""
         return {entry.name: entry.part for entry in self.entries if j in entry.forces}
 
-    def flow(self, j: int, force: Force, x: Floats, half: Half) -> FlowOfForce | OrbitFlow:
-        """Return the flow of force j with its derivative."""
-        flow = self.orbit_flow(j, force, x, half)
-        return flow_of_force(force, self.system.system, x, half.start, 0.5 * half.h) if flow is None else flow
-
     def orbit_flow(self, j: int, force: Force, x: Floats, half: Half) -> OrbitFlow | None:
         """Return the flow of force j by sparse products, if there is a formula for it and for all parameters."""
         if not isinstance(force, DoubleBracketDamping):
@@ -70,48 +65,34 @@ class _Member(NamedTuple):
         fields = force.scalings()
         if not all(isinstance(one, EnergyDerivative) or one in fields for one in self.parts(j).values()):
             return None
-        return force.orbit_flow(self.system.system, x, half.start, 0.5 * half.h)
-
-    def after(self, j: int, force: Force, x: Floats, half: Half) -> Any:
-        """Return the state after the flow of force j, the same as that of `flow`."""
-        flow = self.orbit_flow(j, force, x, half)
-        return force.flow(self.system.system, x, half.start, 0.5 * half.h) if flow is None else flow.end
+        return force.orbit_flow(self.system.system, x, *half.span)
 
     def changes(self, wanted: NDArray[np.bool_], j: int, x: Floats, half: Half) -> list[tuple[int, Floats]]:
         """Return the derivatives of the flow of force j by the wanted entries, with their numbers."""
 
         def after(system: ForcedSystem) -> Floats:
-            return np.asarray(system.forces[j].flow(system.system, x, half.start, 0.5 * half.h), dtype=np.float64)
+            return np.asarray(system.forces[j].flow(system.system, x, *half.span), dtype=np.float64)
 
-        return [
-            (number, entry.nearby.difference(after))
-            for number, entry in enumerate(self.entries)
-            if wanted[number] and j in entry.forces
-        ]
+        numbers = [n for n, entry in enumerate(self.entries) if wanted[n] and j in entry.forces]
+        return list(zip(numbers, differences([self.entries[n].nearby for n in numbers], after), strict=True))
 
 
 class ForceFlows:
     """Half flows of the members `first` to `last` - 1 of a system with forces; noise is that of their numbers."""
 
     def __init__(self, system: ForcedSystem, entries: Sequence[FlowEntry], first: int, last: int) -> None:
-        def numbered(one: ForcedSystem, member: int) -> ForcedSystem:
-            return one.numbered_from(member)
-
         self._members = [
-            _Member(
-                numbered(system, m),
-                [one._replace(nearby=one.nearby.with_systems(partial(numbered, member=m))) for one in entries],
-            )
-            for m in range(first, last)
+            _Member(numbered(system), [one._replace(nearby=one.nearby.with_systems(numbered)) for one in entries])
+            for numbered in (methodcaller("numbered_from", m) for m in range(first, last))
         ]
-        self._count = len(entries)
 
     def apply(self, x: Floats, half: Half) -> Floats:
         """Return the states (members, n) after half flows of the forces."""
         after = []
         for member, state in zip(self._members, x, strict=True):
             for j, force in half.order(member.system.forces):
-                state = member.after(j, force, state, half)
+                flow = member.orbit_flow(j, force, state, half)
+                state = force.flow(member.system.system, state, *half.span) if flow is None else flow.end
             after.append(np.asarray(state, dtype=np.float64))
         return np.array(after)
 
@@ -121,7 +102,7 @@ class ForceFlows:
         states, tangents = [], []
         for member, state, rows in zip(self._members, x, dx, strict=True):
             for j, force in half.order(member.system.forces):
-                flow = flow_of_force(force, member.system.system, state, half.start, 0.5 * half.h)
+                flow = flow_of_force(force, member.system.system, state, *half.span)
                 rows = flow.tangents(rows)
                 for number, change in member.changes(directed, j, state, half):
                     rows = rows + directions[:, number, None] * change
@@ -132,11 +113,12 @@ class ForceFlows:
 
     def pull(self, x: Floats, of_x: Floats, half: Half, by_entries: Floats) -> Floats:
         """Return the cotangents (members, n) before the flows; derivatives by entries (members, entries) are added."""
-        before, every = [], np.ones(self._count, dtype=bool)
+        before, every = [], np.ones(by_entries.shape[1], dtype=bool)
         for member, state, row, total in zip(self._members, x, of_x, by_entries, strict=True):
             flows: list[tuple[int, Floats, FlowOfForce | OrbitFlow]] = []
             for j, force in half.order(member.system.forces):
-                flow = member.flow(j, force, state, half)
+                known = member.orbit_flow(j, force, state, half)
+                flow = flow_of_force(force, member.system.system, state, *half.span) if known is None else known
                 flows.append((j, state, flow))
                 state = flow.end
             for j, start, flow in reversed(flows):

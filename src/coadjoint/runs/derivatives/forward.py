@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import IntegrationError, unknown_name
+from coadjoint.errors import unknown_name
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
+from coadjoint.program.added_part import CoefficientMap
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.input_derivatives import INPUTS
-from coadjoint.runs.derivatives.results import Tangents
+from coadjoint.runs.derivatives.results import Tangents, overflow
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.energy_gradients import gradients_at
@@ -32,8 +33,8 @@ class Directions:
 
     def __init__(self, run: DifferentiableRun, trajectory: Trajectory, given: Mapping[str, Any]) -> None:
         members, n, d = trajectory.members, trajectory.n, trajectory.side
-        single = trajectory.start.single
-        shapes: dict[str, tuple[int, ...]] = {"x0": trajectory.start_shape}
+        single, shape = trajectory.start.single, shape_of(trajectory.start.system)
+        shapes: dict[str, tuple[int, ...]] = {"x0": shape if single else (members, *shape)}
         if d:
             shapes["attitude0"] = (d, d) if single else (members, d, d)
         shapes |= {name: parameter.value.shape for name, parameter in run.parameters.items()}
@@ -48,12 +49,8 @@ class Directions:
             if name not in shapes:
                 raise unknown_name("direction of this run", name, shapes)
             what, shape = f"the direction {name}", shapes[name]
-            array = read_states(run.system, value, what) if name == "x0" else read_numbers(value, what)
-            if array.shape != shape and array.shape[:-1] != shape:
-                raise ValueError(
-                    f"the direction {name} has the shape {array.shape}; it must be {shape}, or with a last axis of "
-                    "directions"
-                )
+            array = read_like(trajectory.solution.x if name == "x0" else None, value, what)
+            check_shape(name, array, shape)
             if not np.isfinite(array).all():
                 raise ValueError(f"the direction {name} contains NaN or infinity; every number must be finite")
             counts[name] = array.shape[-1] if array.ndim > len(shape) else None
@@ -75,7 +72,12 @@ class Directions:
             array = arrays[name]
             return array[None] if self.single else np.moveaxis(array, -1, 0)
 
-        x0 = self._states(run.system, rows("x0")).reshape(self.count, members, n)
+        matrices = unforced_matrix_system(run.system)
+        if matrices is None:
+            x0 = rows_of(run.system, rows("x0"))
+        else:  # these must be in the algebra
+            x0 = matrices.read(rows("x0").reshape(-1, *shape_of(run.system)), "the direction x0")
+        x0 = np.asarray(x0).reshape(self.count, members, n)
         self.x0 = np.ascontiguousarray(np.moveaxis(x0, 0, 1))
         groups = rows("attitude0").reshape(self.count, members, d, d) if d else np.zeros((self.count, members, 0, 0))
         self.attitude0 = np.ascontiguousarray(np.moveaxis(groups, 0, 1))
@@ -97,44 +99,27 @@ class Directions:
         """Names of the parameters with directions, and `INPUTS` if there are directions of inputs."""
         return [*self.parameters, *([] if self.inputs is None else [INPUTS])]
 
-    @staticmethod
-    def _states(system: Any, directions: Any) -> Floats:
-        """Return directions of states (..., *shape) as rows; matrices must be in the algebra."""
-        matrices = unforced_matrix_system(system)
-        if matrices is not None:
-            return matrices.read(directions.reshape(-1, *shape_of(system)), "the direction x0")
-        return np.asarray(rows_of(system, directions))
-
     def of_coefficients(self, tables: DerivativeTables) -> Floats:
         """Return the directions of the coefficients of the tables, (count, their number), or of each member."""
-        total = np.zeros((self.count, tables.coefficient_count))
-        for name, directions in self.parameters.items():
-            total += tables.coefficients[name].of_coefficients(directions, tables.coefficient_count)
+        total = self.along(tables.coefficients, tables.coefficient_count)
         if self.inputs is None:
             return total
         rows = self.inputs.reshape(-1, self.inputs.shape[-1])
         by_inputs = tables.coefficients[INPUTS].of_coefficients(rows, tables.coefficient_count)
         return total + by_inputs.reshape(*self.inputs.shape[:-1], tables.coefficient_count)
 
-    def of_factors(self, tables: DerivativeTables) -> Floats:
-        """Return the directions of the factors of subtracted Casimirs, (count, their number)."""
-        total = np.zeros((self.count, len(tables.shift)))
+    def along(self, maps: Mapping[str, CoefficientMap], number: int) -> Floats:
+        """Return the directions (count, number) of numbers that maps give for the entries of the parameters."""
+        total = np.zeros((self.count, number))
         for name, directions in self.parameters.items():
-            total += tables.factors[name].of_coefficients(directions, len(tables.shift))
+            total += maps[name].of_coefficients(directions, number)
         return total
 
 
-class OutputTangents(NamedTuple):
-    """Tangents of the states (points, members, count, n) and the attitudes (..., d, d) of a run along directions."""
-
-    directions: Directions
-    tables: DerivativeTables
-    of_x: Floats
-    of_attitudes: Floats | None
-
-
-def tangents_of_outputs(run: DifferentiableRun, trajectory: Trajectory, given: Mapping[str, Any]) -> OutputTangents:
-    """Return the tangents of the states and the attitudes of a run along directions."""
+def tangents_of_outputs(
+    run: DifferentiableRun, trajectory: Trajectory, given: Mapping[str, Any]
+) -> tuple[Directions, Floats, Floats | None]:
+    """Return the tangents (points, members, count, n) of the states and (..., d, d) of the attitudes of a run."""
     directions = Directions(run, trajectory, given)
     # Parameters without a direction need no added part.
     tables = run.tables(trajectory.times.h, directions.names)
@@ -145,9 +130,9 @@ def tangents_of_outputs(run: DifferentiableRun, trajectory: Trajectory, given: M
     attitudes = run.attitudes(tables)
     of_x, of_groups = _tangents_at_outputs(trajectory, tables, directions, attitudes is not None and attitudes.shifted)
     if attitudes is None:
-        return OutputTangents(directions, tables, of_x, None)
+        return directions, of_x, None
     _, groups = trajectory.outputs
-    factors = directions.of_factors(tables)
+    factors = directions.along(tables.factors, len(tables.shift))
     for m in range(trajectory.members):
         of_groups[:, m] = attitudes.tangents(
             trajectory.start.momenta[m],
@@ -159,15 +144,16 @@ def tangents_of_outputs(run: DifferentiableRun, trajectory: Trajectory, given: M
             factors,
             of_groups[:, m],
         )
-    return OutputTangents(directions, tables, of_x, of_groups)
+    return directions, of_x, of_groups
 
 
 def tangents_of_run(
     run: DifferentiableRun, trajectory: Trajectory, given: Mapping[str, Any]
 ) -> tuple[Solution, Tangents]:
     """Return the solution of a run and its tangents along directions."""
-    directions, tables, of_x, of_attitudes = tangents_of_outputs(run, trajectory, given)
+    directions, of_x, of_attitudes = tangents_of_outputs(run, trajectory, given)
     solution, (x, _) = trajectory.solution, trajectory.outputs
+    rules = run.tables(trajectory.times.h, directions.names).rules
     of_energy = np.einsum("pmi,pmki->pmk", gradients_at(trajectory.system, x, trajectory.t), of_x)
     for name, of_entries in directions.parameters.items():
         of_energy += run.energy(name).at(x) @ of_entries.T
@@ -194,7 +180,7 @@ def tangents_of_run(
         attitude=None if of_attitudes is None else shaped(of_attitudes),
         energy=shaped(of_energy),
         events=events,
-        rule={name: tables.rules[name] for name in directions.names},
+        rule={name: rules[name] for name in directions.names},
     )
     for name, series in (("x", of_x), ("attitude", of_attitudes), ("energy", of_energy)):
         if series is None:
@@ -202,15 +188,8 @@ def tangents_of_run(
         finite = np.isfinite(series).all(axis=tuple(range(1, series.ndim)))
         if not finite.all():
             first = int(np.argmin(finite))
-            raise IntegrationError(
-                f"the derivative of {name} overflows at t = {trajectory.t[first]:g}: small changes grow beyond all "
-                "numbers; take a shorter span",
-                step=int(trajectory.steps[trajectory.point[first]]),
-                time=float(trajectory.t[first]),
-                residual=float("nan"),
-                partial=solution,
-                derivatives=tangents,
-            )
+            time, step = float(trajectory.t[first]), int(trajectory.steps[trajectory.point[first]])
+            raise overflow(f"of {name} overflows at t = {time:g}", step, time, solution, tangents)
     return solution, tangents
 
 
@@ -218,16 +197,16 @@ def _flat(given: Any, run: DifferentiableRun) -> dict[str, Any]:
     """Return directions by name, with those of inputs as "inputs.name"."""
     if not isinstance(given, Mapping):
         raise TypeError(f"directions is {short(given)}; give a mapping from names to arrays")
-    found = {name: value for name, value in given.items() if name != INPUTS or run.inputs is None}
-    if run.inputs is not None and INPUTS in given:
-        if not isinstance(given[INPUTS], Mapping):
-            raise TypeError(
-                f"the direction inputs is {short(given[INPUTS])}; give a mapping from names of inputs to arrays"
-            )
-        for name, value in given[INPUTS].items():
-            if name not in run.inputs.indices:
-                raise unknown_name("input of this run", name, run.inputs.indices)
-            found[f"{INPUTS}.{name}"] = value
+    found = dict(given)
+    if run.inputs is None:
+        return found
+    of_inputs = found.pop(INPUTS, {})
+    if not isinstance(of_inputs, Mapping):
+        raise TypeError(f"the direction inputs is {short(of_inputs)}; give a mapping from names of inputs to arrays")
+    for name, value in of_inputs.items():
+        if name not in run.inputs.indices:
+            raise unknown_name("input of this run", name, run.inputs.indices)
+        found[f"{INPUTS}.{name}"] = value
     return found
 
 
@@ -261,9 +240,15 @@ def _tangents_at_outputs(
     return of_x, np.swapaxes(of_groups, 3, 4)
 
 
-def read_states(system: Any, given: Any, what: str) -> Any:
-    """Return numbers in the form of states, which are complex for some matrices."""
-    matrices = unforced_matrix_system(system)
-    if matrices is not None and matrices.complex and len(shape_of(system)) > 1:
-        return to_array(given, what, "iufc").astype(np.complex128)
-    return read_numbers(given, what)
+def check_shape(name: str, direction: Any, shape: tuple[int, ...]) -> None:
+    """Raise ValueError if an array has the shape neither of a direction nor of several ones."""
+    if shape not in (direction.shape, direction.shape[:-1]):
+        raise ValueError(
+            f"the direction {name} has the shape {direction.shape}; it must be {shape}, or with a last axis of "
+            "directions"
+        )
+
+
+def read_like(series: Any, given: Any, what: str) -> Any:
+    """Return numbers that may be complex if those of a series are, as some matrices."""
+    return to_array(given, what, "iufc").astype(np.complex128) if np.iscomplexobj(series) else read_numbers(given, what)

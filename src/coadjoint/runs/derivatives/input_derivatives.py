@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -36,18 +37,17 @@ def tables_with_inputs(
     Derivatives by inputs, with the name `INPUTS`, are those of the computed map. `energies` are the derivatives of the
     energy by other parameters.
     """
-    found = _Located(inputs, scheme, h, representation, energies)
-    if not found.tables.located:
-        return _Located(inputs, scheme, h, representation, {**energies, INPUTS: by_linear(inputs)}).tables_at_values()
+    tables, at = _located(inputs, scheme, h, representation, energies)
+    if not tables.located:
+        return _located(inputs, scheme, h, representation, {**energies, INPUTS: by_linear(inputs)})[0]
     try:
-        triplets = list(found.at(h).derivatives(found.tables.located, len(inputs.values)))
+        triplets = list(at(h).derivatives(tables.located, len(inputs.values)))
     except InputsNotLocated as reason:
         raise TypeError(
             f'{scheme} has no derivatives by inputs for {inputs.system.name}: {reason}; take parts="auto"'
         ) from None
     changing = set(inputs.changing.tolist())
     by_inputs = CoefficientMap.of_triplets([one for one in triplets if one[1] in changing])
-    tables = found.tables_at_values()
     return tables._replace(
         coefficients={**tables.coefficients, INPUTS: by_inputs},
         factors={**tables.factors, INPUTS: CoefficientMap.of_triplets(())},
@@ -55,44 +55,31 @@ def tables_with_inputs(
     )
 
 
-class _Located:
-    """Tables of two systems that differ in the inputs, by which the inputs are located for each step."""
+def _located(
+    inputs: Inputs,
+    scheme: Method,
+    h: float,
+    representation: Representation,
+    energies: Mapping[str, EnergyDerivative],
+) -> tuple[DerivativeTables, Callable[[float], InputTables]]:
+    """Return tables with inputs, and those of two systems by which the inputs are located for each step."""
+    two = inputs.random_values()
+    pair = [scheme.derivative_tables(inputs.system_at(values), h, representation, energies) for values in two]
+    watch = invariants_table([], inputs.system.dim).tables
 
-    def __init__(
-        self,
-        inputs: Inputs,
-        scheme: Method,
-        h: float,
-        representation: Representation,
-        energies: Mapping[str, EnergyDerivative],
-    ) -> None:
-        self._values, self._h = inputs.random_values(), h
-        self._pair = [
-            scheme.derivative_tables(inputs.system_at(values), h, representation, energies) for values in self._values
-        ]
-        self.tables = self._pair[0]
-        self._watch = invariants_table([], inputs.system.dim).tables
-        self._by_step: dict[float, InputTables] = {}
+    # Those of the whole step, and of the last other one.
+    @lru_cache(2)
+    def at(step: float) -> InputTables:
+        first, second = (CompiledLoop("", one.tables_at(step), parts=one.parts) for one in pair)
+        return InputTables((first, second), (watch, watch), two)
 
-    def at(self, step: float) -> InputTables:
-        """Return the tables of a step; those of the whole step are cached, and those of the last other one."""
-        found = self._by_step.get(step)
-        if found is None:
-            first, second = (CompiledLoop("", one.tables_at(step), parts=one.parts) for one in self._pair)
-            found = InputTables((first, second), (self._watch, self._watch), self._values)
-            self._by_step = {h: one for h, one in self._by_step.items() if h == self._h} | {step: found}
-        return found
+    def tables_at(step: float, values: Floats) -> Any:
+        located = at(step)
+        structure, _ = located.shared(values)
+        structure.owner = located
+        return structure
 
-    def tables_at_values(self) -> DerivativeTables:
-        """Return the tables with inputs."""
-
-        def tables_at(step: float, values: Floats) -> Any:
-            located = self.at(step)
-            structure, _ = located.shared(values)
-            structure.owner = located
-            return structure
-
-        return self.tables._replace(tables_at=tables_at)
+    return pair[0]._replace(tables_at=tables_at), at
 
 
 def by_linear(inputs: Inputs) -> EnergyDerivative:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import unknown_name
-from coadjoint.runs.derivatives.backward import Pullback
-from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory
+from coadjoint.runs.derivatives.backward import Pullback, read_cotangents
+from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.forward import tangents_of_outputs
 from coadjoint.runs.output_times import check_partial_steps
 from coadjoint.runs.prepared_run import PreparedRun
@@ -92,23 +92,17 @@ class ParametrizedRun:
 
     def solve(self, values: Mapping[str, Floats], for_gradient: bool) -> list[Floats]:
         """Integrate; `for_gradient` caches the trajectory for `gradients`."""
-        if for_gradient:
-            solution = self._pullback(values).solution
-        else:
-            t_span, save_every, t_eval = self._times
-            attitude = values.get("attitude0")
-            solution = self._run_at(values).prepared.run(
-                values["x0"], t_span, save_every, t_eval=t_eval, attitude=attitude
-            )
+        run = self._run_at(values).prepared.run
+        solution = self._pullback(values).solution if for_gradient else run(**self._at(values).keywords)
         return [one for one in (solution.x, solution.attitude) if one is not None]
 
     def tangents(self, values: Mapping[str, Floats], directions: Mapping[str, Floats]) -> list[Floats]:
         """Return the tangents of the outputs; directions and tangents have a first axis for several of them."""
         run = self._run_at(values)
-        trajectory = Trajectory(run, values["x0"], *self._times, values.get("attitude0"), None)
+        trajectory = Trajectory(run, self._at(values), None)
         given = {name: np.moveaxis(direction, 0, -1) for name, direction in directions.items()}
-        found = tangents_of_outputs(run, trajectory, given)
-        series = [found.of_x] if found.of_attitudes is None else [found.of_x, found.of_attitudes]
+        _, of_x, of_attitudes = tangents_of_outputs(run, trajectory, given)
+        series = [of_x] if of_attitudes is None else [of_x, of_attitudes]
         first = [np.moveaxis(one, 2, 0) for one in series]
         return [one[:, :, 0] for one in first] if trajectory.start.single else first
 
@@ -123,13 +117,17 @@ class ParametrizedRun:
         pullback, parameters = self._pullback(values), [name for name in wanted if name in self._shapes]
         found = []
         for of_x, *of_attitude in zip(*cotangents, strict=True):
-            gradient = pullback.gradient(of_x, next(iter(of_attitude), None), None, None, parameters, by_member)
+            given = read_cotangents(pullback.solution, of_x, next(iter(of_attitude), None))
+            gradient = pullback.gradient(given, parameters, by_member)
             found.append([gradient[name] for name in wanted])
         return [np.array(one) for one in zip(*found, strict=True)]
 
     def prepared_at(self, values: Mapping[str, Floats]) -> PreparedRun:
         """Return the prepared run at values of parameters."""
         return self._run_at(values).prepared
+
+    def _at(self, values: Mapping[str, Floats]) -> Arguments:
+        return Arguments(values["x0"], *self._times, values.get("attitude0"))
 
     def _run_at(self, values: Mapping[str, Floats]) -> DifferentiableRun:
         """Return the run at values of parameters."""
@@ -152,7 +150,7 @@ class ParametrizedRun:
         if last is not None and last[0] == key:
             return last[1]
         run = self._run_at(values)
-        pullback = Pullback(run, Trajectory(run, values["x0"], *self._times, values.get("attitude0"), "exact"))
+        pullback = Pullback(run, Trajectory(run, self._at(values), "exact"))
         self._last_pullback = key, pullback
         return pullback
 

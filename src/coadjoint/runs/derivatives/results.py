@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.errors import IntegrationError
 from coadjoint.short_repr import record_repr
 
 Floats = NDArray[np.float64]
@@ -73,3 +74,15 @@ class Gradient(Mapping[str, Any]):
         for group in (value for value in self.values() if isinstance(value, Mapping)):
             arrays |= group
         return f"<gradient by {', '.join(f'{name} {np.shape(value)}' for name, value in arrays.items())}>"
+
+
+def overflow(what: str, step: int, time: float, solution: Any, derivatives: Any) -> IntegrationError:
+    """Return the error of derivatives that are not finite."""
+    return IntegrationError(
+        f"the derivative {what}: small changes grow beyond all numbers; take a shorter span",
+        step=step,
+        time=time,
+        residual=float("nan"),
+        partial=solution,
+        derivatives=derivatives,
+    )

@@ -15,8 +15,7 @@ from coadjoint.methods.protocol.stepwise_derivatives import (
     nearby_parameters,
     stepwise_derivatives,
 )
-from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
-from coadjoint.runs.derivatives.element_differences import ElementDifferences
+from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives, ElementDifferences
 from coadjoint.runs.derivatives.force_flows import FlowEntry
 from coadjoint.runs.derivatives.forced_steps import ForcedSteps, forced_tables
 from coadjoint.runs.derivatives.input_derivatives import INPUTS, changed_inputs, tables_with_inputs
@@ -31,6 +30,9 @@ if TYPE_CHECKING:
     from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun
 
 Floats = NDArray[np.float64]
+
+NONE = np.zeros(0)
+"""Values of no inputs."""
 
 
 def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inputs: bool) -> DerivativeTables:
@@ -49,23 +51,24 @@ def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inpu
         else InputLoops(of_plain, run.base, h, representation)
     )
 
-    def steps_at(step: float, *values: Floats) -> ForcedSteps:
-        system, moved, of_step = run.system, list(entries), loops
+    def entries_at(values: Floats) -> list[FlowEntry]:
+        if inputs is None:
+            return entries
+        at_values = partial(inputs.system_at, values)
+        moved = [one._replace(nearby=one.nearby.with_systems(at_values)) for one in entries]
+        return moved + (_flow_entries_of_inputs(run, inputs, values, h) if by_inputs else [])
+
+    def steps_at(step: float, values: Floats = NONE) -> ForcedSteps:
+        system, of_step = run.system if inputs is None else inputs.system_at(values), loops
         inner_values: tuple[Floats, ...] = ()
-        if inputs is not None:
-            at_values = partial(inputs.system_at, values[0])
-            system, moved = at_values(), [one._replace(nearby=one.nearby.with_systems(at_values)) for one in moved]
-            moved += _flow_entries_of_inputs(run, inputs, values[0], h) if by_inputs else []
         if of_plain is not None:
-            inner_values = (values[0][: len(of_plain.values)],)
+            inner_values = (values[: len(of_plain.values)],)
             of_step = loops.at(*inner_values)
         structure = inner.tables_at(step, *inner_values)
         parts = PartialSteps(unforced(system), run.base, of_step)
-        return ForcedSteps(system, inner, structure, parts, moved, attitudes)
+        return ForcedSteps(system, inner, structure, parts, entries_at(values), attitudes)
 
-    every = list(entries)
-    if by_inputs and inputs is not None:
-        every += _flow_entries_of_inputs(run, inputs, inputs.values, h)
+    every = entries_at(NONE if inputs is None else inputs.values)
     return forced_tables(inner, steps_at, every, [*names, *([INPUTS] if by_inputs else [])])
 
 

@@ -1,0 +1,128 @@
+"""Stretches of steps to be differentiated: the arrays of the kernels for them, and the calls of these."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.kernels.functions.compiled_functions import raised_by
+from coadjoint.kernels.interface import limit
+from coadjoint.kernels.loop import StopFlag
+from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun, advance_tables
+from coadjoint.methods.protocol.derivative_tables import DerivativeTables, Kernel
+from coadjoint.runs.loops.execution import sum_in_threads
+from coadjoint.runs.loops.groups import split_members
+
+Floats = NDArray[np.float64]
+
+ONE = np.ones(1, dtype=np.int64)
+"""The mark of a single step."""
+
+
+class Stretch(NamedTuple):
+    """Steps k0 + 1 to k1 of all members, from t0 + k0 h, and the unfinished states from which they start.
+
+    Step k is number `before` + k of the run; None for a single step that is none of them. If `undone`, the states are
+    those at the end, from which the steps are undone.
+    """
+
+    t0: float
+    h: float
+    k0: int
+    k1: int
+    momenta: Floats
+    errors: Floats
+    groups: Floats
+    group_errors: Floats
+    undone: bool = False
+    before: int | None = 0
+
+    @classmethod
+    def of_step(cls, t0: float, h: float, momenta: Floats, groups: Floats, before: int | None = None) -> Stretch:
+        """Return a single step from finished states."""
+        return cls(t0, h, 0, 1, momenta, np.zeros_like(momenta), groups, np.zeros_like(groups), before=before)
+
+    def forward(
+        self,
+        tangents: Floats,
+        group_tangents: Floats,
+        coefficients: Floats,
+        *,
+        marks: NDArray[np.int64] = ONE,
+        threads: int = 1,
+    ) -> ForwardRun:
+        """Return the run of a kernel with tangents (members, count, n) and (members, count, d, d), which it overwrites.
+
+        `coefficients` are (count, their number), or with a first axis of members.
+        """
+        return ForwardRun(
+            **self._common(marks),
+            carried=tangents.shape[1],
+            at_points=np.zeros((len(marks), *tangents.shape)),
+            at_groups=np.zeros((len(marks), *group_tangents.shape)),
+            tangents=tangents,
+            group_tangents=group_tangents,
+            coefficients=coefficients,
+            threads=threads,
+        )
+
+    def backward(
+        self,
+        at_points: Floats,
+        at_groups: Floats,
+        cotangents: Floats,
+        group_cotangents: Floats,
+        coefficients: Floats,
+        *,
+        marks: NDArray[np.int64] = ONE,
+        threads: int = 1,
+    ) -> BackwardRun:
+        """Return the run of a kernel with cotangents (members, n) and (members, d, d), which it overwrites.
+
+        Those at the marks are added; derivatives by coefficients (members, their number) are added to `coefficients`.
+        """
+        return BackwardRun(
+            **self._common(marks),
+            group_errors=self.group_errors,
+            at_points=np.ascontiguousarray(at_points),
+            at_groups=np.ascontiguousarray(at_groups),
+            cotangents=cotangents,
+            group_cotangents=group_cotangents,
+            coefficients=coefficients,
+            undone=self.undone,
+            threads=threads,
+        )
+
+    def _common(self, marks: NDArray[np.int64]) -> dict[str, Any]:
+        names = ("t0", "h", "k0", "k1", "momenta", "errors", "groups")
+        fields = {name: getattr(self, name) for name in names}
+        members, size = self.momenta.shape
+        sizes = {"members": members, "size": size, "square": self.groups[0].size, "marked": len(marks)}
+        return {**fields, **sizes, "marks": marks}
+
+
+def carry(tables: DerivativeTables, structure: Any, run: Any, first: int, last: int, workers: int = 1) -> bool:
+    """Carry the vectors of the members `first` to `last` - 1; return whether all linear equations were solved.
+
+    A compiled kernel is called on threads, and a function for some members at once.
+    """
+    kernel: Kernel = tables.backward if hasattr(run, "cotangents") else tables.forward
+    lanes, stop = limit("MOST_LANES"), StopFlag()
+    if not isinstance(kernel, str):
+        for start in range(first, last, lanes):
+            kernel(structure, run, start, min(start + lanes, last))
+        return True
+    name = kernel
+
+    def unsolved(members: tuple[int, int]) -> int:
+        return not advance_tables(name, structure, run, *members, stop)
+
+    if workers == 1 or last - first <= lanes:
+        count = unsolved((first, last))
+    else:
+        count = sum_in_threads(unsolved, split_members(first, last, workers, lanes), workers, stop)
+    if (raised := raised_by(tables.keepalive)) is not None:
+        raise raised
+    return not count
