@@ -171,7 +171,8 @@ class Trajectory:
         self.stretches = [self._integrated(step, distance) for step in range(0, max(1, times.steps), distance)]
         if self.reverse == "reversible":
             self.stretches = [self._integrated(times.steps, 0)._replace(k0=0, undone=True)]
-        self.steps, self.started = times.saved, times.t0 + times.saved * times.h
+        self.steps = times.saved
+        self.started = times.t0 + self.steps * times.h
         self.states, self.groups = self._run.saved["x"].copy(), self._elements()
 
     def _locate(self, number: NDArray[np.int64], length: Floats) -> None:

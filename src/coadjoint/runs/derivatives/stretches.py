@@ -108,21 +108,19 @@ def carry(tables: DerivativeTables, structure: Any, run: Any, first: int, last: 
 
     A compiled kernel is called on threads, and a function for some members at once.
     """
-    kernel: Kernel = tables.backward if hasattr(run, "cotangents") else tables.forward
-    lanes, stop = limit("MOST_LANES"), StopFlag()
-    if not isinstance(kernel, str):
+    name: Kernel = tables.backward if hasattr(run, "cotangents") else tables.forward
+    stop, lanes = StopFlag(), limit("MOST_LANES")
+    if callable(name):
         for start in range(first, last, lanes):
-            kernel(structure, run, start, min(start + lanes, last))
+            name(structure, run, start, min(start + lanes, last))
         return True
-    name = kernel
-
-    def unsolved(members: tuple[int, int]) -> int:
-        return not advance_tables(name, structure, run, *members, stop)
-
     if workers == 1 or last - first <= lanes:
-        count = unsolved((first, last))
+        solved = advance_tables(name, structure, run, first, last, stop)
     else:
-        count = sum_in_threads(unsolved, split_members(first, last, workers, lanes), workers, stop)
+        ranges = split_members(first, last, workers, lanes)
+        solved = not sum_in_threads(
+            lambda some: not advance_tables(name, structure, run, *some, stop), ranges, workers, stop
+        )
     if (raised := raised_by(tables.keepalive)) is not None:
         raise raised
-    return not count
+    return solved
