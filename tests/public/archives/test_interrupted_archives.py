@@ -197,3 +197,21 @@ def test_interrupt_in_a_commit(tmp_path, no_fsync, expected, file):
     assert not partial.finished and 0 < partial.reached < 3200 and partial.reached == co.open_archive(path).reached
     check_archive_prefix(path, expected)
     check_same(co.resume(path), expected)
+
+
+def test_an_energy_that_was_undefined_before_a_resumption_is_an_error(tmp_path):
+    def energy(x, t):
+        return np.nan if 0.95 < t < 1.05 else 0.5 * (x[0] ** 2 + x[1] ** 2 / 2 + x[2] ** 2 / 3)
+
+    def gradient(x, t):
+        return np.array([x[0], x[1] / 2, x[2] / 3])
+
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(energy, gradient))
+    path, method = tmp_path / "run.zarr", co.GaussLegendre(2)
+    with pytest.raises(co.IntegrationError) as whole:
+        co.integrate(system, X, (0, 10), 0.1, method)
+    co.integrate(system, X, (0, 0.5), 0.1, method, archive=path)
+    assert not co.resume(path, 10.0, system=system, until=50).finished
+    with pytest.raises(co.IntegrationError) as resumed:
+        co.resume(path, system=system)
+    assert (str(resumed.value), resumed.value.step) == (str(whole.value), whole.value.step)

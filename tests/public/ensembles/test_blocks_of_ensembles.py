@@ -159,7 +159,9 @@ def test_chunks_without_a_marker_are_overwritten(tmp_path, monkeypatch):
     check_same(ensemble(path, span=LONG), long_run())
 
 
-@pytest.mark.parametrize("what", ["marker", "numbers", "no marker", "chunk", "folder"])
+@pytest.mark.parametrize(
+    "what", ["marker", "numbers", "no marker", "energy/c.0.1", "drift/c.1.0.0", "failed/c.1", "folder"]
+)
 def test_damaged_blocks_are_computed_again(tmp_path, monkeypatch, what):
     path = tmp_path / "many.zarr"
     ensemble(path)
@@ -171,8 +173,8 @@ def test_damaged_blocks_are_computed_again(tmp_path, monkeypatch, what):
         file.write_bytes(file.read_bytes()[:-1] + b"x")
     elif what == "no marker":
         file.unlink()
-    elif what == "chunk":
-        (path / "energy" / "c.0.1").unlink()
+    elif "/" in what:
+        (path / what).unlink()
     else:
         for chunk in (path / "x").glob("c.*"):
             chunk.unlink()

@@ -234,3 +234,12 @@ def test_coordinates_have_the_values_that_were_given():
     dataset = co.integrate(batch, (0.1, 1.0, 0.2), SPAN, STEP).to_xarray()
     for name, wanted in values.items():
         assert dataset[name].values.tolist() == wanted
+
+
+@pytest.mark.parametrize("dims", [("run", "a", "b"), ("b", "run", "a"), ("b", "a", "run")], ids=str)
+def test_dimensions_of_states_in_any_order(dims):
+    """All of one length, so that their order alone tells them apart."""
+    family = co.batch(lambda a, b: co.systems.rigid_body((1, 2, a + b)), a=[2.0, 2.25], b=[0.25, 0.5])
+    x0 = xarray.DataArray(np.random.default_rng(0).standard_normal((2, 2, 2, 3)), dims=(*dims, "component"))
+    begun = co.integrate(family, x0, (0, 1), 0.1).to_xarray().x.isel(time=0)
+    np.testing.assert_array_equal(begun.transpose(*dims, "component"), x0)

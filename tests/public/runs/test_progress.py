@@ -12,6 +12,7 @@ import termios
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import coadjoint as co
@@ -85,3 +86,14 @@ def test_unwritable_log_does_not_fail_the_run(monkeypatch, stream):
     monkeypatch.setattr(sys, "stderr", log)
     sol = co.integrate(BODY, X, (0, 1), 0.125, progress=True)
     assert sol.x.tobytes() == co.integrate(BODY, X, (0, 1), 0.125).x.tobytes()
+
+
+def test_failed_members_leave_the_others_under_a_bar():
+    """The iteration does not converge for the second one."""
+    found = {}
+    for progress in (False, True):
+        with pytest.raises(co.IntegrationError) as failed:
+            co.integrate(BODY, [X, (1e9, 2e8, 1e8)], (0, 200), 0.1, co.GaussLegendre(2), progress=progress)
+        found[progress] = failed.value.partial.x
+    assert np.isfinite(found[True][:, 0]).all()
+    np.testing.assert_equal(found[True], found[False])

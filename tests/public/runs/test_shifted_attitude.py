@@ -95,19 +95,19 @@ def test_rotations_stay_orthogonal_over_long_times(name):
     assert np.abs(g.T @ g - np.eye(len(g))).max() <= 3 * 20 * 8 * len(g) * U
 
 
-@pytest.mark.parametrize("sense", [1.0, -1.0])
+@pytest.mark.parametrize(("sense", "end"), [(1.0, 1000), (-1.0, 1000), (1.0, -1000), (-1.0, -1000)])
 @pytest.mark.parametrize("factors", [(1.0,), (1.0, 1e-6), (1e-6, 1.0)], ids=str)
-def test_overflowing_attitude_is_an_error(factors, sense):
+def test_overflowing_attitude_is_an_error(factors, sense, end):
     """The momentum stays bounded; the group element is a boost that grows until it overflows."""
     g = co.algebras.get("so(2,1)")
     # The Casimir is x1^2 - x2^2 - x3^2.
     M = sense * (np.diag([1.0, -1.0, -1.0]) + np.diag([1e-3, 0.0, 0.0]))
     systems = [co.LiePoissonSystem(g, co.Quadratic(f * M)) for f in factors]
     system, x0 = (co.batch(systems) if len(factors) > 1 else systems[0]), np.array([0.1, 1.0, 0.2])
-    near = co.integrate(system, x0, (0, 10), 0.1, attitude=True, save_every=10)
+    near = co.integrate(system, x0, (0, end / 100), 0.1, attitude=True, save_every=10)
     assert np.isfinite(near.attitude).all()
     with refused(co.IntegrationError, "attitude at t = ", "shorter span") as raised:
-        co.integrate(system, x0, (0, 1000), 0.1, attitude=True, save_every=10)
+        co.integrate(system, x0, (0, end), 0.1, attitude=True, save_every=10)
     partial = raised.value.partial
     sound = np.isfinite(partial.attitude).reshape(len(partial.t), -1).all(axis=1)
     assert np.isfinite(partial.x).all() and sound[:11].all() and not sound[-1]
