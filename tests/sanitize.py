@@ -49,7 +49,7 @@ COMMANDS = {
     "threads": [
         # The sanitizer does not know the threads of a forked process.
         [*PYTEST, "-k", "not forked", "tests/public/ensembles/test_threads_inside.py"],
-        ["-m", "matrix.soak", "2000000", "200", "--threads"],
+        ["-m", "matrix.soak", "2000000", "200", "--threads", "--limit", "1200"],
     ],
 }
 
