@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.runs.results.solution_attributes import SolutionAttributes, member_count, members_text
-from coadjoint.systems.energy_gradients import gradients_at
 from coadjoint.systems.protocol import is_batch, members_of, unforced
 
 if TYPE_CHECKING:
@@ -194,6 +193,8 @@ def _classical_motion(system: Any, name: str) -> Callable[[Any], NDArray[np.floa
         return np.asarray(x)[..., :3]
 
     def velocity(x: Any) -> NDArray[np.float64]:
+        from coadjoint.systems.energy_gradients import gradients_at
+
         states = np.asarray(x, dtype=np.float64)
         rows = states.reshape(1, -1, system.dim)
         return gradients_at(system, rows, np.zeros(1))[0, :, :3].reshape(*states.shape[:-1], 3)
