@@ -18,10 +18,10 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 
 # A change may lower a maximum. One that raises it says in a comment beside the number what users gain for it.
 MAXIMA: dict[str, int] = {
-    "Python files": 570,  # systems of a batch are prepared together; bodies in space
-    "Python lines": 92186,  # bodies with attitudes and positions, mutual gravity, torques that see attitudes
+    "Python files": 569,  # systems of a batch are prepared together; bodies in space
+    "Python lines": 92147,  # bodies with attitudes and positions, mutual gravity, torques that see attitudes
     "longest file": 512,
-    "classes": 587,  # systems of bodies, whose states are attitudes and velocities
+    "classes": 588,  # the base of systems whose bracket is given by constants or by a function
     "isinstance": 907,
     "files in cycles, with imports inside functions and for types": 52,  # motions of bodies
     "modules behind integrate": 130,  # motions of bodies

@@ -20,8 +20,14 @@ from coadjoint.methods.numerics.projection import (
     restored_invariants,
 )
 from coadjoint.methods.numerics.series_cost import LANES, series_operations
-from coadjoint.methods.numerics.taylor_series import TOO_SHORT_MESSAGE, Dual, advance_by_own_steps, expand, own_step
-from coadjoint.methods.numerics.taylor_tangents import expand_quadratic
+from coadjoint.methods.numerics.taylor_series import (
+    TOO_SHORT_MESSAGE,
+    Dual,
+    advance_by_own_steps,
+    expand,
+    expand_quadratic,
+    own_step,
+)
 from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.cost_model import (
     LANE_SERIES_FACTOR,

@@ -1,7 +1,8 @@
-"""Systems with forces: damping, torques and noise in addition to the Hamiltonian."""
+"""What systems have in common, and systems with forces: damping, torques and noise in addition to the Hamiltonian."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -14,11 +15,175 @@ from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
 from coadjoint.systems.evaluation import ignore_overflow, read_point, vectorized_over_states
 from coadjoint.systems.forces.base import Force
+from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
 from coadjoint.validation import read_list, read_number, read_numbers, to_array, truncate_title
 
 OF_BODIES = ("state", "attitudes", "positions", "velocities", "angular_velocity", "angular_momentum", "momentum")
 """Methods of systems of bodies, which these have with forces as well."""
 MAX_FORCES_TEXT = 240  # characters of the forces in a representation; longer lists are cut
+
+
+class System(ABC):
+    """The equations ``x' = sign * J(x) grad H(x)``; a subclass gives J."""
+
+    sign: int
+    name: str
+    hamiltonian: HamiltonianLike
+    _parameters: dict[str, Any] | None
+    _exact: Callable[..., Any] | None
+
+    @property
+    @abstractmethod
+    def dim(self) -> int:
+        """Number n of coordinates."""
+
+    @abstractmethod
+    def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
+        """Return the structure matrix J(x), dense.
+
+        Parameters
+        ----------
+        x : (n,)
+            The state.
+
+        Returns
+        -------
+        ndarray, shape (n, n)
+        """
+
+    def _product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return J(x) u."""
+        return self.structure_matrix(x) @ u
+
+    @abstractmethod
+    def _product_derivative(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return the derivative of J(x) u by x, at constant u; raise TypeError if it is unknown."""
+
+    def _field(self, x: npt.NDArray[Any], t: Any) -> npt.NDArray[Any]:
+        """Return J(x) grad H(x, t)."""
+        return self._product(x, self.hamiltonian.gradient(x, t))
+
+    @property
+    def parameters(self) -> dict[str, Any] | None:
+        """Parameters for which ``co.systems.get(name, **parameters)`` makes this system again, or None (a copy)."""
+        return None if self._parameters is None else dict(self._parameters)
+
+    @property
+    def closed_form(self) -> Callable[..., Any] | None:
+        """The given function ``exact(x0, t, attitude)``, or None."""
+        return self._exact
+
+    @vectorized_over_states
+    @ignore_overflow
+    def vector_field(self, x: npt.ArrayLike, t: Any = 0.0) -> npt.NDArray[Any]:
+        """Return ``sign * J(x) grad H(x, t)``, without a matrix if the structure constants are known.
+
+        Parameters
+        ----------
+        x : (n,) or (..., n)
+            One state or several, of floats, complex numbers or Python objects (fractions, multiprecision numbers).
+        t : float or (k,)
+            The time, or one for each entry of the first axis of several states.
+
+        Returns
+        -------
+        ndarray, shape (n,) or (..., n)
+            Bit-identical to separate calls for each state.
+        """
+        return self.sign * self._field(read_point(x, self.dim), t)
+
+    @vectorized_over_states
+    @ignore_overflow
+    def energy(self, x: npt.ArrayLike, t: Any = 0.0) -> Any:
+        """Return H(x, t).
+
+        Parameters
+        ----------
+        x : (n,) or (..., n)
+            One state or several.
+        t : float or (k,)
+            The time, or one for each entry of the first axis of several states.
+
+        Returns
+        -------
+        float, or a number of the type of x, or ndarray of the shape (...)
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(2, 4, 4))
+        >>> body.energy([[1.0, 0.0, 0.0], [1.0, 2.0, 4.0]])
+        array([0.25, 2.75])
+        """
+        return self.hamiltonian.value(read_point(x, self.dim), t)
+
+    @ignore_overflow
+    def jacobian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return the derivative of the vector field, dense.
+
+        Parameters
+        ----------
+        x : (n,)
+            The state.
+        t : float
+            The time.
+
+        Returns
+        -------
+        ndarray, shape (n, n)
+
+        Raises
+        ------
+        TypeError
+            The Hamiltonian has no second derivatives, or the derivative of J was not given.
+        """
+        y = read_point(x, self.dim)
+        bracket_part = self._product_derivative(y, self.hamiltonian.gradient(y, t))
+        return self.sign * (bracket_part + self.structure_matrix(y) @ self.hamiltonian.hessian(y, t))
+
+    def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
+        """Return the closed-form solution, if known.
+
+        Parameters
+        ----------
+        x0 : (n,)
+            The state at time zero.
+        t : float or (k,)
+            One time, or several.
+        attitude : bool or (d, d)
+            Also return the group element; an array is its initial value (True: the unit matrix).
+
+        Returns
+        -------
+        ndarray, shape (n,) or (k, n)
+            With `attitude` the pair of this and the group elements, shape (d, d) or (k, d, d).
+
+        Raises
+        ------
+        TypeError
+            No closed form is known.
+        """
+        return require_closed_form(self._exact, self.name)(x0, t, attitude)
+
+    def with_forces(self, *forces: Force) -> ForcedSystem:
+        """Return the system with damping, torques or noise; runs record the resulting changes of invariants.
+
+        Parameters
+        ----------
+        *forces : Force
+            One or more of ``co.forces``, in the order in which their flows are applied.
+
+        Returns
+        -------
+        ForcedSystem
+            For `integrate`, `prepare` and `stepper`.
+        """
+        return ForcedSystem(self, forces)
+
+    def _repr_html_(self) -> str:
+        from coadjoint.systems.description import system_table
+
+        return system_table(self)
 
 
 @suggest_keywords

@@ -16,11 +16,9 @@ from coadjoint.algebra.representation import check_representation
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.systems.arguments import read_closed_form, read_layout, read_name, read_parameters, read_sign
-from coadjoint.systems.closed_forms.closed_form import require_closed_form
 from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of
-from coadjoint.systems.evaluation import ignore_overflow, read_point, scatter, vectorized_over_states
-from coadjoint.systems.forced import ForcedSystem
-from coadjoint.systems.forces.base import Force
+from coadjoint.systems.evaluation import read_point, scatter
+from coadjoint.systems.forced import System
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
@@ -34,7 +32,7 @@ BYTES_PER_CONSTANT = 120  # both orders of every bracket, and temporaries of J(x
 
 @suggest_keywords
 @dataclass(frozen=True, init=False, repr=False, eq=False)
-class LiePoissonSystem:
+class LiePoissonSystem(System):
     """The generalized Euler equations ``x' = sign * J(x) grad H(x)`` on the dual of a Lie algebra.
 
     Use it if the bracket is linear in x. All schemes support it, and explicit splitting preserves all its Casimirs. For
@@ -155,7 +153,6 @@ class LiePoissonSystem:
 
     @property
     def dim(self) -> int:
-        """Number n of coordinates."""
         return self.algebra.dim
 
     @property
@@ -175,19 +172,9 @@ class LiePoissonSystem:
         return all_in_coordinates_of(self, self._integrals)
 
     @property
-    def parameters(self) -> dict[str, Any] | None:
-        """Parameters for which ``co.systems.get(name, **parameters)`` makes this system again, or None (a copy)."""
-        return None if self._parameters is None else dict(self._parameters)
-
-    @property
     def layout(self) -> dict[str, Any]:
         """Lattice and shape of sites, for pictures (a copy); empty if not given."""
         return dict(self._layout)
-
-    @property
-    def closed_form(self) -> Callable[..., Any] | None:
-        """The given function ``exact(x0, t, attitude)``, or None."""
-        return self._exact
 
     @cached_if_small
     def _brackets(self) -> tuple[npt.NDArray[Any], ...]:
@@ -220,133 +207,20 @@ class LiePoissonSystem:
         rows, factors, states, constants = self._brackets
         return scatter(rows, np.abs(constants * x[states] * u[factors]), self.dim)
 
-    @vectorized_over_states
-    @ignore_overflow
-    def vector_field(self, x: npt.ArrayLike, t: Any = 0.0) -> npt.NDArray[Any]:
-        """Return ``sign * J(x) grad H(x, t)``, from the sparse structure constants.
-
-        Parameters
-        ----------
-        x : (n,) or (..., n)
-            One state or several, of floats, complex numbers or Python objects (fractions, multiprecision numbers).
-        t : float or (k,)
-            The time, or one for each entry of the first axis of several states.
-
-        Returns
-        -------
-        ndarray, shape (n,) or (..., n)
-            Bit-identical to separate calls for each state.
-        """
-        y = read_point(x, self.dim)
-        gradient = self.hamiltonian.gradient(y, t)
-        own = None if y.dtype == object else field_products(self)
+    def _field(self, x: npt.NDArray[Any], t: Any) -> npt.NDArray[Any]:
+        gradient = self.hamiltonian.gradient(x, t)
+        own = None if x.dtype == object else field_products(self)
         if own is None:
-            return self.sign * self._product(y, gradient)
+            return self._product(x, gradient)
         rows, states, columns, constants = self._products_of_field
-        whole = np.concatenate([gradient, own.partial_components(y, t)])
-        return self.sign * scatter(rows, constants * y[states] * whole[columns], self.dim)
-
-    @vectorized_over_states
-    @ignore_overflow
-    def energy(self, x: npt.ArrayLike, t: Any = 0.0) -> Any:
-        """Return H(x, t).
-
-        Parameters
-        ----------
-        x : (n,) or (..., n)
-            One state or several.
-        t : float or (k,)
-            The time, or one for each entry of the first axis of several states.
-
-        Returns
-        -------
-        float, or a number of the type of x, or ndarray of the shape (...)
-
-        Examples
-        --------
-        >>> import coadjoint as co
-        >>> body = co.systems.rigid_body(inertia=(2, 4, 4))
-        >>> body.energy([[1.0, 0.0, 0.0], [1.0, 2.0, 4.0]])
-        array([0.25, 2.75])
-        """
-        return self.hamiltonian.value(read_point(x, self.dim), t)
+        whole = np.concatenate([gradient, own.partial_components(x, t)])
+        return scatter(rows, constants * x[states] * whole[columns], self.dim)
 
     def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
-        """Return the structure matrix J(x), dense.
-
-        Parameters
-        ----------
-        x : (n,)
-            The state.
-
-        Returns
-        -------
-        ndarray, shape (n, n)
-        """
         return self.algebra.structure_matrix(read_point(x, self.dim))
 
-    @ignore_overflow
-    def jacobian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
-        """Return the derivative of the vector field, ``sign * (D_(grad H) + J(x) H'')``, dense.
-
-        Parameters
-        ----------
-        x : (n,)
-            The state.
-        t : float
-            The time.
-
-        Returns
-        -------
-        ndarray, shape (n, n)
-
-        Raises
-        ------
-        TypeError
-            The Hamiltonian has no second derivatives.
-        """
-        y = read_point(x, self.dim)
-        bracket_part = self.algebra.coadjoint(self.hamiltonian.gradient(y, t))
-        return self.sign * (bracket_part + self.algebra.structure_matrix(y) @ self.hamiltonian.hessian(y, t))
-
-    def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
-        """Return the closed-form solution, if known.
-
-        Parameters
-        ----------
-        x0 : (n,)
-            The state at time zero.
-        t : float or (k,)
-            One time, or several.
-        attitude : bool or (d, d)
-            Also return the group element; an array is its initial value (True: the unit matrix).
-
-        Returns
-        -------
-        ndarray, shape (n,) or (k, n)
-            With `attitude` the pair of this and the group elements, shape (d, d) or (k, d, d).
-
-        Raises
-        ------
-        TypeError
-            No closed form is known.
-        """
-        return require_closed_form(self._exact, self.name)(x0, t, attitude)
-
-    def with_forces(self, *forces: Force) -> ForcedSystem:
-        """Return the system with damping, torques or noise; runs record the resulting changes of invariants.
-
-        Parameters
-        ----------
-        *forces : Force
-            One or more of ``co.forces``, in the order in which their flows are applied.
-
-        Returns
-        -------
-        ForcedSystem
-            For `integrate`, `prepare` and `stepper`.
-        """
-        return ForcedSystem(self, forces)
+    def _product_derivative(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return self.algebra.coadjoint(u)
 
     def __repr__(self) -> str:
         algebra = self.algebra.name or f"an algebra of dimension {self.dim}"
@@ -364,8 +238,3 @@ class LiePoissonSystem:
         if isinstance(self.hamiltonian, Quadratic) and np.linalg.eigvalsh(self.hamiltonian.hessian(np.zeros(3)))[0] > 0:
             hint = ", a rigid body backward in time; take sign=-1, or co.systems.rigid_body"
         return f": x' = cross(grad H, x){hint}"
-
-    def _repr_html_(self) -> str:
-        from coadjoint.systems.description import system_table
-
-        return system_table(self)

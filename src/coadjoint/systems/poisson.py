@@ -14,11 +14,9 @@ from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.arguments import read_closed_form, read_name, read_parameters, read_sign
-from coadjoint.systems.closed_forms.closed_form import require_closed_form
 from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of
-from coadjoint.systems.evaluation import ignore_overflow, read_point, vectorized_over_states
-from coadjoint.systems.forced import ForcedSystem
-from coadjoint.systems.forces.base import Force
+from coadjoint.systems.evaluation import read_point
+from coadjoint.systems.forced import System
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.recorded_invariants import read_casimirs
 from coadjoint.systems.user_functions import check_derivative, sample_points, takes_time
@@ -29,7 +27,7 @@ BYTES_PER_PRODUCT = 40  # peak, while J(x) is checked
 
 @suggest_keywords
 @dataclass(frozen=True, init=False, repr=False, eq=False)
-class PoissonSystem:
+class PoissonSystem(System):
     """The system ``x' = sign * J(x) grad H(x)`` with any skew-symmetric function J.
 
     Use it for brackets that are not linear in x (Lotka-Volterra, nonholonomic systems; J need not satisfy the Jacobi
@@ -85,7 +83,7 @@ class PoissonSystem:
     structure_function: Callable[..., Any]
     hamiltonian: HamiltonianLike
     sign: int
-    dim: int
+    _dim: int
     derivative_function: Callable[..., Any] | None
     name: str
     _casimirs: dict[str, Any]
@@ -120,7 +118,7 @@ class PoissonSystem:
         )
         set_field = object.__setattr__
         set_field(self, "sign", read_sign(sign))
-        set_field(self, "dim", n)
+        set_field(self, "_dim", n)
         set_field(self, "hamiltonian", as_hamiltonian(hamiltonian, self.dim))
         set_field(self, "structure_function", structure_matrix)
         set_field(self, "derivative_function", derivative)
@@ -158,95 +156,25 @@ class PoissonSystem:
                 f"{J[j, i]:g}; their sum must be zero"
             )
 
-    def _product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        return self.structure_matrix(x) @ u
-
     def _absolute_product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return np.abs(self.structure_matrix(x)) @ np.abs(u)
+
+    @property
+    def dim(self) -> int:
+        return self._dim
 
     @property
     def casimirs(self) -> dict[str, Any]:
         """Name to `Polynomial` or `Invariant` (a copy)."""
         return all_in_coordinates_of(self, self._casimirs)
 
-    @property
-    def parameters(self) -> dict[str, Any] | None:
-        """Parameters for which ``co.systems.get(name, **parameters)`` makes this system again, or None (a copy)."""
-        return None if self._parameters is None else dict(self._parameters)
-
-    @property
-    def closed_form(self) -> Callable[..., Any] | None:
-        """The given function ``exact(x0, t, attitude)``, or None."""
-        return self._exact
-
     def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
-        """Return the structure matrix J(x), shape (n, n)."""
         return np.asarray(self.structure_function(read_point(x, self.dim)))
 
-    @vectorized_over_states
-    @ignore_overflow
-    def vector_field(self, x: npt.ArrayLike, t: Any = 0.0) -> npt.NDArray[Any]:
-        """Return ``sign * J(x) grad H(x, t)``, shape (n,).
-
-        Parameters
-        ----------
-        x : (n,) or (..., n)
-            One state or several.
-        t : float or (k,)
-            The time, or one for each entry of the first axis of several states.
-
-        Returns
-        -------
-        ndarray, shape (n,) or (..., n)
-            Bit-identical to separate calls for each state.
-        """
-        y = read_point(x, self.dim)
-        return self.sign * self._product(y, self.hamiltonian.gradient(y, t))
-
-    @vectorized_over_states
-    @ignore_overflow
-    def energy(self, x: npt.ArrayLike, t: Any = 0.0) -> Any:
-        """Return H(x, t) of one state or several; see `LiePoissonSystem.energy`."""
-        return self.hamiltonian.value(read_point(x, self.dim), t)
-
-    @ignore_overflow
-    def jacobian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
-        """Return the derivative of the vector field, shape (n, n).
-
-        Parameters
-        ----------
-        x : (n,)
-            The state.
-        t : float
-            The time.
-
-        Returns
-        -------
-        ndarray, shape (n, n)
-
-        Raises
-        ------
-        TypeError
-            The derivative of J, or the second derivatives of H, were not given.
-        """
+    def _product_derivative(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
         if self.derivative_function is None:
             raise TypeError(f"the derivative of J is unknown for {self.name}; give derivative=")
-        y = read_point(x, self.dim)
-        bracket_part = np.einsum("ijk,j->ik", np.asarray(self.derivative_function(y)), self.hamiltonian.gradient(y, t))
-        return self.sign * (bracket_part + self.structure_matrix(y) @ self.hamiltonian.hessian(y, t))
-
-    def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
-        """Return the closed-form solution, if known; see `LiePoissonSystem.exact`."""
-        return require_closed_form(self._exact, self.name)(x0, t, attitude)
-
-    def with_forces(self, *forces: Force) -> ForcedSystem:
-        """Return the system with forces; see `LiePoissonSystem.with_forces`."""
-        return ForcedSystem(self, forces)
+        return np.einsum("ijk,j->ik", np.asarray(self.derivative_function(x)), u)
 
     def __repr__(self) -> str:
         return f"<{self.name}: {self.hamiltonian!r}, J a function of x, sign={self.sign:+d}>"
-
-    def _repr_html_(self) -> str:
-        from coadjoint.systems.description import system_table
-
-        return system_table(self)
