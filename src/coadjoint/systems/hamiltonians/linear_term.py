@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -69,9 +70,11 @@ def with_linear(system: SystemT, linear: Floats) -> SystemT:
 
 
 def with_hamiltonian(system: SystemT, hamiltonian: HamiltonianLike) -> SystemT:
-    """Return the system with another bound Hamiltonian; closed form, integrals and parameters are dropped."""
+    """Return the system with another bound Hamiltonian; closed form, integrals, parameters and caches are dropped."""
     changed = copy.copy(system)
-    vars(changed).pop("_products_of_field", None)
+    for name in list(vars(changed)):
+        if isinstance(getattr(type(system), name, None), cached_property):
+            del vars(changed)[name]
     fields: dict[str, Any] = {"hamiltonian": hamiltonian, "_exact": None, "_parameters": None, "_integrals": {}}
     for name, value in fields.items():
         if hasattr(system, name):
