@@ -2,7 +2,8 @@
 
 python benchmarks/batches.py [--members M ...] [--rounds R] [--steps N]
 
-Each time is that of the processor, for `prepare` and the first run together; the median of the rounds counts.
+Each time is that of the processor, for `prepare` and the first run together, and for a later gradient by the initial
+states and all parameters; the median of the rounds counts.
 """
 
 from __future__ import annotations
@@ -40,14 +41,19 @@ CASES: dict[str, tuple[Callable[[float, int], list[co.LiePoissonSystem]], Any]] 
 }
 
 
-def seconds(system: Any, method: Any, states: np.ndarray, span: tuple[float, float]) -> tuple[float, float]:
-    """Return the processor times of `prepare` and of the first run."""
+def seconds(system: Any, method: Any, states: np.ndarray, span: tuple[float, float]) -> tuple[float, float, float]:
+    """Return the processor times of `prepare`, of the first run and of the second gradient."""
     gc.collect()
     began = time.process_time()
     prepared = co.prepare(system, method, STEP, threads=1)
     ready = time.process_time()
     prepared.run(states, span)
-    return ready - began, time.process_time() - ready
+    ran = time.process_time()
+    for _ in range(2):
+        again = time.process_time()
+        solution, pullback = prepared.vjp(states, span)
+        pullback(solution.x)
+    return ready - began, ran - ready, time.process_time() - again
 
 
 def bytes_for_each(systems: co.Batch, method: Any) -> float:
@@ -67,8 +73,9 @@ def main() -> None:
     options = parser.parse_args()
     span = (0.0, options.steps * STEP)
     print(f"{options.steps} steps, all saved; medians of {options.rounds} rounds\n")
-    print("| | members | batch: prepare, run (us for each member) | ensemble | ratio | bytes for each member |")
-    print("|---|---|---|---|---|---|")
+    columns = ["", "members", "batch: prepare, run (us for each member)", "ensemble", "ratio"]
+    print(f"| {' | '.join([*columns, 'gradients: batch, ensemble, ratio', 'bytes for each member'])} |")
+    print("|---|---|---|---|---|---|---|")
     for name, (systems_of, method) in CASES.items():
         for members in options.members:
             found = []
@@ -79,18 +86,22 @@ def main() -> None:
                 one = systems_of(first + 1e-7, 1)[0]
                 found.append((seconds(one, method, states, span), seconds(batch, method, states, span)))
             found = found[1:]  # the first calls import, and touch the memory
-            ratio = statistics.median(sum(own) / sum(whole) for whole, own in found)
-            prepare, run, whole = (
+            ratio = statistics.median(sum(own[:2]) / sum(whole[:2]) for whole, own in found)
+            of_gradient = statistics.median(own[2] / whole[2] for whole, own in found)
+            prepare, run, whole, gradient, of_ensemble = (
                 statistics.median(times) / members * 1e6
                 for times in (
                     [own[0] for _, own in found],
                     [own[1] for _, own in found],
-                    [sum(ensemble) for ensemble, _ in found],
+                    [sum(ensemble[:2]) for ensemble, _ in found],
+                    [own[2] for _, own in found],
+                    [ensemble[2] for ensemble, _ in found],
                 )
             )
             held = bytes_for_each(co.batch(systems_of(2.0, members)), method)
             print(
-                f"| {name} | {members} | {prepare:.1f}, {run:.1f} | {whole:.1f} | {ratio:.2f} | {held:.0f} |",
+                f"| {name} | {members} | {prepare:.1f}, {run:.1f} | {whole:.1f} | {ratio:.2f} "
+                f"| {gradient:.1f}, {of_ensemble:.1f}, {of_gradient:.2f} | {held:.0f} |",
                 flush=True,
             )
 

@@ -66,8 +66,8 @@ class AddedPart(NamedTuple):
     """A program with one more part, the last one, which moves nothing.
 
     `rows` and `terms` are those of all parts, `share` the end of the added one; `state` and `group` contain the
-    generators of its angles. `counts` are the numbers of offsets, weights and coefficients of the program and of the
-    added part.
+    generators of its angles, and `coefficients` are those of `terms_of`. `counts` are the numbers of offsets, weights
+    and coefficients of the program and of the added part.
     """
 
     rows: Rows
@@ -78,6 +78,11 @@ class AddedPart(NamedTuple):
     group: Action | None
     coefficients: CoefficientMap
     counts: NDArray[np.int64]
+
+    def split(self, coefficients: CoefficientMap, sizes: Mapping[str, int]) -> dict[str, CoefficientMap]:
+        """Assign to coefficients of `terms_of` the numbers of those of all terms, by parameters of these sizes."""
+        to = starts_of(self.counts.sum(axis=0))[:-1] + self.counts[0]
+        return _moved(coefficients, starts_of(self.counts[1]), to).split(sizes)
 
     def renumbered(self, coefficients: CoefficientMap) -> CoefficientMap:
         """Assign to coefficients of the program the numbers of those of all terms."""
@@ -117,7 +122,7 @@ def with_added_part(
         angles=len(target),
         state=extended(program.state, BasisMatrices.coadjoint(system.algebra)),
         group=of_group,
-        coefficients=_moved(coefficients, starts_of(counts[1]), starts_of(counts.sum(axis=0))[:-1] + counts[0]),
+        coefficients=coefficients,
         counts=counts,
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +70,7 @@ class _Cache:
         self.events: WatchedEvents | None = None
         self.derivatives: Any = None
         self.of_members: dict[int, Any] = {}
+        self.in_columns: list[tuple[NDArray[np.int64], Any]] | None = None
         self.checks_step = False  # whether the next run warns of a step that is too large
 
 
@@ -139,15 +140,15 @@ class Preparation:
         loops = state.pop("loops")
         self.__dict__.update(state, cache=_Cache(state["step"], loops))
 
-    def among(self, first: int, last: int, threads: int | None = None) -> Preparation:
+    def among(self, first: int, last: int, threads: int | None = None) -> Self:
         """Return the run of the members `first` to `last` - 1 alone, with the bits and the noise of the whole run."""
         return self._selected(among(self.system, first, last), np.arange(first, last), threads)
 
-    def sampled(self, members: NDArray[np.int64]) -> Preparation:
+    def sampled(self, members: NDArray[np.int64]) -> Self:
         """Return the run of these members of a batch, from the tables already built; their noise differs."""
         return self._selected(selected(cast(Batch, self.system), members), members)
 
-    def _selected(self, part: Any, members: NDArray[np.int64], threads: int | None = None) -> Preparation:
+    def _selected(self, part: Any, members: NDArray[np.int64], threads: int | None = None) -> Self:
         system, loops = self.system, self.cache.loops
         # Tables hold the number of the noise, which a member keeps.
         unchanged = part is system
@@ -160,12 +161,12 @@ class Preparation:
             fields["initial_attitude"] = self.initial_attitude[members]
         return self._copy(loops if unchanged else {}, **fields)
 
-    def _copy(self, loops: dict[float, Loops | InputLoops], **fields: Any) -> Preparation:
-        copied: Preparation = object.__new__(Preparation)
+    def _copy(self, loops: dict[float, Loops | InputLoops], **fields: Any) -> Self:
+        copied = object.__new__(type(self))
         copied.__dict__.update(vars(self), **fields, cache=_Cache(self.step, loops))
         return copied
 
-    def in_one_thread(self) -> Preparation:
+    def in_one_thread(self) -> Self:
         """Return a copy that uses one thread, and whose further loops are its own."""
         return self._copy(dict(self.cache.loops), _threads=1)
 
@@ -193,6 +194,9 @@ class Preparation:
     def representation(self) -> Representation:
         """Matrices of the group element, (n, d, d), "coadjoint", or None; for a batch those of its first member."""
         return self._representations[0]
+
+    def check_differentiable(self) -> None:
+        """Raise TypeError if runs have no derivatives."""
 
     @property
     def takes_inputs(self) -> bool:

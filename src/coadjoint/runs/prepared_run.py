@@ -147,9 +147,6 @@ class PreparedRun(Preparation):
         found = shortcut("parameters_of_run")(self.system)
         return {name: parameter.value.copy() for name, parameter in found.items()}
 
-    def check_differentiable(self) -> None:
-        """Raise TypeError if runs have no derivatives."""
-
     @suggest_keywords
     def jvp(
         self,

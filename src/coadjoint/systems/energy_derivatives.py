@@ -114,6 +114,13 @@ class EnergyDerivative(NamedTuple):
             others=tuple(one for piece in moved for one in piece.others),
         )
 
+    @property
+    def monomials(self) -> tuple[Any, ...]:
+        """The monomials without their factors; energies of the same ones have tables of one structure."""
+        columns = (self.linear, self.linear_entry, self.quadratic, self.quadratic_entry)
+        others = (one[:2] for one in self.others)
+        return self.size, *(column.tobytes() for column in columns), *others
+
     def along(self, x: Floats, w: Floats) -> Floats:
         """Return the derivatives of dH/dp at a state (n,) along w, shape (size,)."""
         total = np.zeros(self.size)

@@ -340,6 +340,67 @@ def test_members_of_a_batch_have_the_bits_of_single_runs(systems, method):
         assert all(np.array_equal(gradient[name][m], value) for name, value in found.items() if name != "attitude0")
 
 
+def _tops(rng, count):
+    """Heavy tops of several structures: the order of parts depends on the moments, and some are symmetric."""
+    thirds = [2.0, *(1.5 + rng.random(count - 1))]
+    return [co.systems.heavy_top((1.0, 2.0, third), lever=rng.uniform(-1.0, 1.0, 3)) for third in thirds]
+
+
+def _full(rng, count):
+    """Bodies whose parts are squares, with a linear term."""
+    roots = rng.uniform(-0.5, 0.5, (count, 3, 3)) + np.eye(3)
+    energies = [co.Quadratic(root @ root.T, linear=rng.uniform(-0.5, 0.5, 3)) for root in roots]
+    return [co.LiePoissonSystem(co.algebras.so(3), energy, sign=-1) for energy in energies]
+
+
+def _quartic(rng, count):
+    powers = (4, 0, 0, 0, 0, 0), (0, 2, 0, 0, 0, 0), (0, 0, 0, 2, 0, 0), (0, 0, 1, 0, 1, 0)
+    energies = [co.Polynomial(dict(zip(powers, rng.uniform(0.5, 1.0, 4), strict=True))) for _ in range(count)]
+    return [co.LiePoissonSystem(co.algebras.so(4), energy) for energy in energies]
+
+
+def _lattices(rng, count):
+    return [co.systems.spin_lattice("chain", (3,), exchange=exchange) for exchange in rng.uniform(0.5, 1.5, count)]
+
+
+@pytest.mark.parametrize("count", [3, 19], ids=["few", "more than lanes"])
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.Splitting(compensated=True), co.GaussLegendre(2)])
+@pytest.mark.parametrize("systems_of", [_tops, _full, _quartic, _lattices])
+def test_members_that_are_differentiated_together_have_the_bits_of_single_runs(systems_of, method, count):
+    """Backward in time, between steps, with members that share a system, and by the energy."""
+    rng = np.random.default_rng(count)
+    different = systems_of(rng, count)
+    systems = [*different, different[1]]
+    x0, span, options = rng.uniform(0.2, 0.9, (count + 1, systems[0].dim)), (1.0, 0.5), {"t_eval": (0.9, 0.66, 0.5)}
+    ready = co.prepare(co.batch(systems), method, H)
+    directions = {name: rng.standard_normal((*v.shape, 2)) for name, v in [("x0", x0), *ready.parameters.items()]}
+    sol, tangents = ready.jvp(x0, span, directions, **options)
+    weights = {name: rng.standard_normal(value.shape) for name, value in outputs(sol).items()}
+    gradient = ready.vjp(x0, span, **options)[1](**weights)
+    assert gradient.rule == tangents.rule
+    for m, system in enumerate(systems):
+        single = co.prepare(system, method, H)
+        alone, one = single.jvp(x0[m], span, {name: value[m] for name, value in directions.items()}, **options)
+        assert np.array_equal(sol.x[:, m], alone.x)
+        assert all(np.array_equal(value, outputs(tangents)[name][:, m]) for name, value in outputs(one).items())
+        found = single.vjp(x0[m], span, **options)[1](**{name: value[:, m] for name, value in weights.items()})
+        assert all(np.array_equal(gradient[name][m], value) for name, value in found.items())
+
+
+def test_a_member_of_a_batch_whose_derivatives_overflow_leaves_those_of_the_others():
+    """One member grows without bound along its direction; the others are those of a batch without it."""
+    plane = co.algebras.get("A2,1")
+    fields = [co.LiePoissonSystem(plane, co.Quadratic([0.0, 0.0], linear=(k, 0.0))) for k in (1, 2, 3)]
+    ready, x0 = co.prepare(co.batch(fields), co.Splitting(), H), np.full((3, 2), 0.5)
+    directions = {"x0": np.array([(0.0, 1.0), (0.0, 1e300), (0.0, 1.0)])}
+    with pytest.raises(co.IntegrationError) as raised:
+        ready.jvp(x0, (0.0, -16.0), directions)
+    found = raised.value.derivatives.x
+    for m in (0, 2):
+        alone = co.prepare(fields[m], co.Splitting(), H).jvp(x0[m], (0.0, -16.0), {"x0": directions["x0"][m]})[1]
+        assert np.array_equal(found[:, m], alone.x)
+
+
 def test_members_of_an_ensemble_have_the_noise_of_their_numbers():
     """Also beyond the number that a loop takes at a time; gradients by shared parameters are sums over members."""
     base, _ = plain("A3,7")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from coadjoint.program.added_part import CoefficientMap
     from coadjoint.program.parts.part import Parts
+    from coadjoint.systems.energy_derivatives import EnergyDerivative
 
 EXACT = "exact"
 ADDED_PART = "added part"
@@ -25,6 +26,9 @@ class DerivativeTables(NamedTuple):
     by `coefficients`, and derivatives by the factors of Casimirs subtracted from the energy, `shift`, by `factors`. The
     `rules` are those above. `reversible` steps can be undone from their end.
 
+    Systems that differ in coefficients share tables: `of_members` are the `coefficients` of each, and `tables_at`
+    gives a list. `maps(energies)` are the `coefficients` for energies of the same monomials with other factors.
+
     The coefficients are all entries of the fields `located`, one after the other; if there are none, they are those of
     the derivative of the energy only. The `parts` are those of a program.
     """
@@ -40,4 +44,6 @@ class DerivativeTables(NamedTuple):
     shift: tuple[Any, ...]
     reversible: bool
     located: tuple[str, ...] = ()
+    maps: Callable[[Mapping[str, EnergyDerivative]], Mapping[str, CoefficientMap]] | None = None
+    of_members: Sequence[Mapping[str, CoefficientMap]] = ()
     parts: Parts | None = None

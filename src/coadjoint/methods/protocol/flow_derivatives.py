@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from coadjoint.kernels.tables.cotangents import flow_cotangents, with_step
 from coadjoint.methods.protocol.derivative_tables import ADDED_PART, EXACT, DerivativeTables
-from coadjoint.program.added_part import CoefficientMap, with_added_part
+from coadjoint.program.added_part import CoefficientMap, terms_of, with_added_part
 from coadjoint.program.provenance import in_parts
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 
@@ -33,15 +33,24 @@ def flow_derivatives(
     """
     program = method.program(system, group=representation)
     found = {name: in_parts(program, G) for name, G in energies.items()}
-    coefficients = {name: pair[0] for name, pair in found.items() if pair is not None}
     factors = {name: pair[1] for name, pair in found.items() if pair is not None}
     others = [name for name, pair in found.items() if pair is None]
     added = None
     if others:
-        G = EnergyDerivative.joined([energies[name] for name in others])
-        added = with_added_part(program, method, system, representation, G)
-        coefficients = {name: added.renumbered(one) for name, one in coefficients.items()}
-        coefficients |= added.coefficients.split({name: energies[name].size for name in others})
+        added = with_added_part(program, method, system, representation, _joined(energies, others))
+
+    def numbered(in_own: Mapping[str, CoefficientMap], in_added: CoefficientMap | None) -> dict[str, CoefficientMap]:
+        if added is None or in_added is None:
+            return dict(in_own)
+        sizes = {name: energies[name].size for name in others}
+        return {name: added.renumbered(one) for name, one in in_own.items()} | added.split(in_added, sizes)
+
+    def maps(of_other: Mapping[str, EnergyDerivative]) -> dict[str, CoefficientMap]:
+        pairs = ((name, in_parts(program, G)) for name, G in of_other.items() if name not in others)
+        in_added = terms_of(_joined(of_other, others), system.dim)[1] if others else None
+        return numbered({name: pair[0] for name, pair in pairs if pair is not None}, in_added)
+
+    in_own = {name: pair[0] for name, pair in found.items() if pair is not None}
     built = flow_cotangents(program, system, representation, h, method.compensates, added)
     terms = built.tables.base.terms
 
@@ -55,11 +64,16 @@ def flow_derivatives(
         forward=FORWARD,
         backward=BACKWARD,
         coefficient_count=len(terms.offset) + len(terms.weight) + len(terms.coefficient),
-        coefficients=coefficients,
+        coefficients=numbered(in_own, None if added is None else added.coefficients),
         factors={name: factors.get(name, empty) for name in energies},
         rules={name: ADDED_PART if name in others else EXACT for name in energies},
         shift=program.shift,
         reversible=True,
         located=COEFFICIENTS,
+        maps=maps,
         parts=program.parts,
     )
+
+
+def _joined(energies: Mapping[str, EnergyDerivative], names: Sequence[str]) -> EnergyDerivative:
+    return EnergyDerivative.joined([energies[name] for name in names])

@@ -27,6 +27,11 @@ def runge_kutta_derivatives(
 ) -> DerivativeTables:
     """Return the tables of a method with substeps; derivatives by parameters are those of the computed map."""
     added, coefficients = terms_of(EnergyDerivative.joined(list(energies.values())), system.dim)
+    sizes = {name: energy.size for name, energy in energies.items()}
+
+    def maps(of_other: Mapping[str, EnergyDerivative]) -> Mapping[str, CoefficientMap]:
+        return terms_of(EnergyDerivative.joined([of_other[name] for name in energies]), system.dim)[1].split(sizes)
+
     loop = method.loop_of_substeps(system, h, representation, fractions)
     built = runge_kutta_cotangents(loop, system, added)
     return DerivativeTables(
@@ -35,9 +40,10 @@ def runge_kutta_derivatives(
         forward=FORWARD,
         backward=BACKWARD,
         coefficient_count=len(added.offset) + len(added.weight) + len(added.coefficient),
-        coefficients=coefficients.split({name: energy.size for name, energy in energies.items()}),
+        coefficients=coefficients.split(sizes),
         factors=dict.fromkeys(energies, CoefficientMap.of_triplets(())),
         rules=dict.fromkeys(energies, EXACT),
         shift=(),
         reversible=False,
+        maps=maps,
     )

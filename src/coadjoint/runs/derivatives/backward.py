@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from coadjoint.runs.derivatives.input_derivatives import INPUTS
 from coadjoint.runs.derivatives.results import Gradient, overflow
 from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.energy_gradients import gradients_at
-from coadjoint.systems.protocol import rows_of, states_of
+from coadjoint.systems.protocol import is_batch, member_of, rows_of, states_of
 
 Floats = NDArray[np.float64]
 
@@ -162,14 +163,19 @@ class Pullback:
                 of_x[trajectory.crossings.rows, 0] += rows_of(run.system, given.events["x"])
             of_times = of_times + self._of_moments(trajectory.crossings, states, given.observed)
             trajectory.crossings.pull(of_times, of_x, of_attitude, of_energy)
-        sizes = {name: one.value.size for name, one in run.parameters.items() if name in wanted}
+        by_member = by_member or is_batch(run.system)
+        shapes = {name: one.value.shape for name, one in run.parameters.items() if name in wanted}
+        if is_batch(run.system):
+            shapes = {name: shape[1:] for name, shape in shapes.items()}
         if INPUTS in wanted and run.inputs is not None:
-            sizes[INPUTS] = len(run.inputs.values)
-        totals = {name: np.zeros((members, size)) for name, size in sizes.items()}
+            shapes[INPUTS] = (len(run.inputs.values),)
+        totals = {name: np.zeros((members, prod(shape))) for name, shape in shapes.items()}
         if of_energy.any():
             of_x += of_energy[..., None] * gradients_at(trajectory.system, states, trajectory.t)
             for name, total in totals.items():
-                total += np.einsum("pm,pmj->mj", of_energy, run.energy(name).at(states))
+                for some, energy in run.energies(name, members):
+                    weights = np.ascontiguousarray(of_energy[:, some])
+                    total[some] += np.einsum("pm,pmj->mj", weights, energy.at(states[:, some]))
         attitudes = run.attitudes(tables)
         of_x0, of_A0, of_groups = np.zeros((members, trajectory.n)), np.zeros(groups.shape[1:]), np.zeros(groups.shape)
         if attitudes is not None and of_attitude is not None:
@@ -188,10 +194,10 @@ class Pullback:
         states0 = states_of(run.system, of_x0)
         values: dict[str, Any] = {"x0": states0[0] if trajectory.start.single else states0}
         for name, total in totals.items():
-            by_coefficients, entries = tables.coefficients[name], total.shape[1]
-            shape = (entries,) if name == INPUTS else run.parameters[name].value.shape
+            by_coefficients, entries, shape = tables.coefficients[name], total.shape[1], shapes[name]
             if by_member or name == INPUTS:
-                total += [by_coefficients.of_entries(row, entries) for row in coefficients]
+                maps = [one[name] for one in tables.of_members] or [by_coefficients] * members
+                total += [one.of_entries(row, entries) for one, row in zip(maps, coefficients, strict=True)]
                 values[name] = total.reshape(members, *shape)
             else:
                 sums = total.sum(axis=0) + by_coefficients.of_entries(coefficients.sum(axis=0), entries)
@@ -220,7 +226,7 @@ class Pullback:
         for name, given in observed.items():
             cotangents, quantity = self._trajectory.with_members(given), self._run.prepared.observe[name]
             for k, m in np.ndindex(states.shape[:2]):
-                function = function_of_rows(self._run.system, quantity, float(times[k]))
+                function = function_of_rows(member_of(self._run.system, m), quantity, float(times[k]))
                 total[k, m] += np.ravel(cotangents[k, m]) @ derivative_of(function, states[k, m]).derivative
         return total
 

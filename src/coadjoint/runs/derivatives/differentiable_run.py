@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -15,9 +15,10 @@ from coadjoint.kernels.tables.tangents import check_differentiable
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
+from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
 from coadjoint.runs.derivatives.input_derivatives import INPUTS, by_linear, without_inputs
-from coadjoint.runs.derivatives.run_tables import build_tables
+from coadjoint.runs.derivatives.run_tables import build_tables, tables_of_members
 from coadjoint.runs.derivatives.stretches import ONE, Stretch, carry
 from coadjoint.runs.output_times import OutputTimes, check_partial_steps, resample
 from coadjoint.runs.results.solution import Solution
@@ -35,8 +36,9 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-# Numbers of the states of a stretch of steps of a member: they stay in the cache.
+# Numbers of the states of a stretch of steps of the members in lanes: they stay in the cache.
 NUMBERS_OF_STRETCH = 2**15
+SIDE_BY_SIDE = 8  # members in the widest vectors
 # Steps of a stretch below which the allocations of a call take longer than its steps.
 STEPS_OF_STRETCH = 16
 # Largest memory of the first states of stretches, above which these are longer, and of states for stretches of
@@ -66,13 +68,12 @@ class Arguments(NamedTuple):
 class DifferentiableRun:
     """A prepared run with the derivative of the energy by its parameters, and the tables of its scheme.
 
-    `parameters` replace those of its system. Raises TypeError for what cannot be differentiated.
+    `parameters` replace those of its system. The members of a batch have tables of one structure
+    (`differ_in_columns`), and parameters with an axis of members. Raises TypeError for what cannot be differentiated.
     """
 
     def __init__(self, prepared: PreparedRun, parameters: Mapping[str, Parameter] | None = None) -> None:
         system = prepared.system
-        if is_batch(system):
-            raise TypeError(f"runs of a batch have no derivatives: {system!r}; differentiate the run of each member")
         self.scheme = prepared.scheme.fixed_steps
         # The scheme of the Hamiltonian part.
         self.base = self.scheme.base if isinstance(self.scheme, Forced) else self.scheme
@@ -88,19 +89,29 @@ class DifferentiableRun:
         self.representation, self.inputs = prepared.representation, prepared.inputs
         self._tables: dict[Any, DerivativeTables] = {}
 
-    def energy(self, name: str) -> EnergyDerivative:
+    def energy(self, name: str, member: int = 0) -> EnergyDerivative:
         """Return the derivative of the energy by a parameter, or by the inputs for `INPUTS`."""
         if name == INPUTS and self.inputs is not None:
             return by_linear(self.inputs)
-        energy = self.parameters[name].energy()
+        of_member = parameters_of(self.system[member]) if is_batch(self.system) else self.parameters
+        energy = of_member[name].energy()
         return energy if self.inputs is None else without_inputs(energy, self.inputs)
+
+    def energies(self, name: str, members: int) -> list[tuple[slice, EnergyDerivative]]:
+        """Return the derivatives of the energy by a parameter, each with its members."""
+        if is_batch(self.system):
+            return [(slice(m, m + 1), self.energy(name, m)) for m in range(members)]
+        return [(slice(0, members), self.energy(name))]
 
     def tables(self, h: float, names: Iterable[str]) -> DerivativeTables:
         """Return the tables of the scheme for a step, with the parameters of these names, `INPUTS` for the inputs."""
         chosen = frozenset(names)
         if (h, chosen) not in self._tables:
-            self._tables[h, chosen] = build_tables(
-                self, h, [name for name in self.parameters if name in chosen], INPUTS in chosen
+            named = [name for name in self.parameters if name in chosen]
+            self._tables[h, chosen] = (
+                tables_of_members(self, h, named)
+                if is_batch(self.system)
+                else build_tables(self, h, named, INPUTS in chosen)
             )
         return self._tables[h, chosen]
 
@@ -167,7 +178,7 @@ class Trajectory:
         """Take whole steps, in stretches."""
         self.times, self._run = times, prepared.begun(times, self.start, self.values)
         self.workers, self.threads_inside = self._run.plan.workers, self._run.plan.inside
-        distance = self._stretch_length() if self.reverse == "exact" else max(1, times.steps)
+        distance = self._stretch_length(prepared.scheme) if self.reverse == "exact" else max(1, times.steps)
         self.stretches = [self._integrated(step, distance) for step in range(0, max(1, times.steps), distance)]
         if self.reverse == "reversible":
             self.stretches = [self._integrated(times.steps, 0)._replace(k0=0, undone=True)]
@@ -189,10 +200,12 @@ class Trajectory:
         self._run.advance(until=last)
         return Stretch(self.times.t0, self.times.h, step, last, momenta, errors, groups, group_errors)
 
-    def _stretch_length(self) -> int:
+    def _stretch_length(self, scheme: Method) -> int:
         steps, numbers = self.times.steps, self.n + self.side**2
-        length, bytes_of_each = max(1, NUMBERS_OF_STRETCH // numbers), 16 * numbers * self.members
         lanes = min(self.members, limit("MOST_LANES"))
+        # Where a stretch of an implicit scheme begins may alter the last bits, which do not depend on other members.
+        side_by_side = min(lanes, SIDE_BY_SIDE) if scheme.explicit and not is_batch(self.system) else 1
+        length, bytes_of_each = max(1, NUMBERS_OF_STRETCH // (numbers * side_by_side)), 16 * numbers * self.members
         length = max(length, min(STEPS_OF_STRETCH, BYTES_OF_CHECKPOINTS // (8 * numbers * lanes)))
         length = max(length, -(-steps * bytes_of_each // BYTES_OF_CHECKPOINTS))
         check_available_memory(
@@ -238,6 +251,15 @@ class Trajectory:
         assert stretch.before is not None
         return (self.steps > stretch.before + stretch.k0) & (self.steps <= stretch.before + stretch.k1)
 
+    def _structures(self, tables: DerivativeTables, h: float) -> Iterator[tuple[int, int, Any]]:
+        """Yield ranges of members that share tables, with these."""
+        if tables.of_members:
+            yield from ((m, m + 1, one) for m, one in enumerate(tables.tables_at(h)))
+        elif self.values is None or self.values.ndim == 1:
+            yield 0, self.members, tables.tables_at(h, *(() if self.values is None else (self.values,)))
+        else:
+            yield from ((m, m + 1, tables.tables_at(h, one)) for m, one in enumerate(self.values))
+
     def _marks(self, stretch: Stretch) -> NDArray[np.int64]:
         if stretch.before is None:
             return ONE
@@ -245,14 +267,10 @@ class Trajectory:
 
     def _carry(self, tables: DerivativeTables, run: ForwardRun | BackwardRun) -> None:
         """Carry the vectors of all members, each with its inputs, on the threads of the run."""
-        values, solved = self.values, True
-        if values is None or values.ndim == 1:
-            structure = tables.tables_at(run.h, *(() if values is None else (values,)))
-            solved = carry(tables, structure, run, 0, self.members, self.workers)
-        else:
-            for m in range(self.members):
-                own = run._replace(coefficients=run.coefficients[m]) if run.coefficients.ndim == 3 else run
-                solved = solved and carry(tables, tables.tables_at(run.h, values[m]), own, m, m + 1, self.workers)
+        solved = True
+        for first, last, structure in self._structures(tables, run.h):
+            own = run._replace(coefficients=run.coefficients[first]) if run.coefficients.ndim == 3 else run
+            solved = solved and carry(tables, structure, own, first, last, self.workers)
         if not solved:
             begin, end = distinct(run.t0 + run.k0 * run.h, run.t0 + run.k1 * run.h)
             raise IntegrationError(

@@ -18,7 +18,7 @@ from coadjoint.runs.derivatives.results import Tangents, overflow
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.energy_gradients import gradients_at
-from coadjoint.systems.protocol import rows_of, shape_of, states_of, unforced_matrix_system
+from coadjoint.systems.protocol import is_batch, rows_of, shape_of, states_of, unforced_matrix_system
 from coadjoint.validation import read_numbers, to_array
 
 Floats = NDArray[np.float64]
@@ -27,7 +27,8 @@ Floats = NDArray[np.float64]
 class Directions:
     """Directions of the initial states, the initial attitudes, the parameters and the inputs, `count` of each.
 
-    `x0` is (members, count, n), `attitude0` (members, count, d, d), and each of `parameters` (count, entries). `inputs`
+    `x0` is (members, count, n), `attitude0` (members, count, d, d), and each of `parameters` (count, entries), or of a
+    batch (members, count, entries). `inputs`
     are None without a direction, or those of all values, (count, values) or (members, count, values).
     """
 
@@ -81,7 +82,12 @@ class Directions:
         self.x0 = np.ascontiguousarray(np.moveaxis(x0, 0, 1))
         groups = rows("attitude0").reshape(self.count, members, d, d) if d else np.zeros((self.count, members, 0, 0))
         self.attitude0 = np.ascontiguousarray(np.moveaxis(groups, 0, 1))
-        self.parameters = {name: rows(name).reshape(self.count, -1) for name in run.parameters if name in arrays}
+        by_system = (members,) if is_batch(run.system) else ()
+        self.parameters = {
+            name: np.moveaxis(rows(name).reshape(self.count, *by_system, -1), 0, -2)
+            for name in run.parameters
+            if name in arrays
+        }
         directed = {name: one for name, one in trajectory.inputs.items() if f"{INPUTS}.{name}" in arrays}
         self.inputs: Floats | None = None
         if directed and trajectory.values is not None:
@@ -101,6 +107,9 @@ class Directions:
 
     def of_coefficients(self, tables: DerivativeTables) -> Floats:
         """Return the directions of the coefficients of the tables, (count, their number), or of each member."""
+        if tables.of_members:
+            each = enumerate(tables.of_members)
+            return np.stack([self.along(maps, tables.coefficient_count, m) for m, maps in each])
         total = self.along(tables.coefficients, tables.coefficient_count)
         if self.inputs is None:
             return total
@@ -108,11 +117,11 @@ class Directions:
         by_inputs = tables.coefficients[INPUTS].of_coefficients(rows, tables.coefficient_count)
         return total + by_inputs.reshape(*self.inputs.shape[:-1], tables.coefficient_count)
 
-    def along(self, maps: Mapping[str, CoefficientMap], number: int) -> Floats:
+    def along(self, maps: Mapping[str, CoefficientMap], number: int, member: Any = ...) -> Floats:
         """Return the directions (count, number) of numbers that maps give for the entries of the parameters."""
         total = np.zeros((self.count, number))
         for name, directions in self.parameters.items():
-            total += maps[name].of_coefficients(directions, number)
+            total += maps[name].of_coefficients(directions[member], number)
         return total
 
 
@@ -156,7 +165,9 @@ def tangents_of_run(
     rules = run.tables(trajectory.times.h, directions.names).rules
     of_energy = np.einsum("pmi,pmki->pmk", gradients_at(trajectory.system, x, trajectory.t), of_x)
     for name, of_entries in directions.parameters.items():
-        of_energy += run.energy(name).at(x) @ of_entries.T
+        each = of_entries if is_batch(run.system) else [of_entries]
+        for (some, energy), directions_of_some in zip(run.energies(name, trajectory.members), each, strict=True):
+            of_energy[:, some] += energy.at(x[:, some]) @ directions_of_some.T
     if run.inputs is not None and directions.inputs is not None:
         at = run.inputs.in_energy
         of_inputs = np.broadcast_to(directions.inputs, (trajectory.members, *directions.inputs.shape[-2:]))

@@ -1,14 +1,16 @@
 """Derivatives of prepared runs: `PreparedRun.jvp` and `PreparedRun.vjp`.
 
-Members of batches, with events, or with own steps are differentiated each by a run of its own.
+Members of batches whose tables have one structure are differentiated together. All others, and those with events or
+own steps, are differentiated each by a run of its own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.derivative_tables import ADDED_PART, DIFFERENCES, EXACT
@@ -17,9 +19,11 @@ from coadjoint.runs.derivatives.differentiable_run import Arguments, Differentia
 from coadjoint.runs.derivatives.forward import check_shape, tangents_of_run
 from coadjoint.runs.derivatives.located_trajectory import LocatedTrajectory
 from coadjoint.runs.derivatives.results import Gradient, Tangents
+from coadjoint.runs.derivatives.run_tables import differ_in_columns
+from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
-from coadjoint.systems.protocol import is_batch, shape_of
+from coadjoint.systems.protocol import forces_of, is_batch, shape_of
 from coadjoint.validation import read_choice, to_array
 
 if TYPE_CHECKING:
@@ -31,24 +35,27 @@ REVERSES = ("exact", "reversible")
 def jvp(prepared: PreparedRun, directions: Mapping[str, Any], **arguments: Any) -> tuple[Solution, Tangents]:
     """Return the solution and its derivatives along directions; see `PreparedRun.jvp`."""
     given = Arguments(**arguments)
-    if _by_member(prepared, given):
-        return _tangents_of_members(prepared, given, directions)
-    run = _derivatives_of(prepared)
-    return tangents_of_run(run, _trajectory(run, given, None), directions)
+    return (_tangents_of_members if _by_member(prepared, given) else _tangents)(prepared, given, directions)
 
 
 def vjp(prepared: PreparedRun, reverse: str, **arguments: Any) -> tuple[Solution, Pullback]:
     """Return the solution and a function for gradients; see `PreparedRun.vjp`."""
     given = Arguments(**arguments)
-    if _by_member(prepared, given):
-        pullback: Pullback = PullbackOfMembers(prepared, given, reverse)
-    else:
-        run = _derivatives_of(prepared)
-        undone = read_choice(reverse, "reverse", REVERSES) == "reversible"
-        if undone and (prepared.method.own_steps or not run.tables(prepared.step, run.parameters).reversible):
-            raise TypeError(f'{prepared.method} has no steps that can be undone; take reverse="exact"')
-        pullback = Pullback(run, _trajectory(run, given, reverse))
+    pullback = (PullbackOfMembers if _by_member(prepared, given) else _pullback)(prepared, given, reverse)
     return pullback.solution, pullback
+
+
+def _tangents(prepared: PreparedRun, given: Arguments, directions: Mapping[str, Any]) -> tuple[Solution, Tangents]:
+    run = _derivatives_of(prepared)
+    return tangents_of_run(run, _trajectory(run, given, None), directions)
+
+
+def _pullback(prepared: PreparedRun, given: Arguments, reverse: str) -> Pullback:
+    run = _derivatives_of(prepared)
+    undone = read_choice(reverse, "reverse", REVERSES) == "reversible"
+    if undone and (prepared.method.own_steps or not run.tables(prepared.step, run.parameters).reversible):
+        raise TypeError(f'{prepared.method} has no steps that can be undone; take reverse="exact"')
+    return Pullback(run, _trajectory(run, given, reverse))
 
 
 def _derivatives_of(prepared: PreparedRun) -> DifferentiableRun:
@@ -72,8 +79,11 @@ def _trajectory(run: DifferentiableRun, given: Arguments, reverse: str | None) -
 
 
 def _by_member(prepared: PreparedRun, given: Arguments) -> bool:
-    """Return whether the members of a run are differentiated one by one: their steps or times differ."""
+    """Return whether members are differentiated in several runs: their structure, steps or times differ."""
     several = is_batch(prepared.system)
+    if several and not (given.events or prepared.method.own_steps):
+        pieces = [len(members) for members, _ in _in_columns(prepared)]
+        several = pieces != [len(prepared.system)] or cast(Loops, prepared.loops(prepared.step)).order is not None
     if given.events or prepared.method.own_steps:
         several = several or np.ndim(given.x0) > len(shape_of(prepared.system))
     if several and prepared.takes_inputs:
@@ -84,24 +94,50 @@ def _by_member(prepared: PreparedRun, given: Arguments) -> bool:
     return several
 
 
-def _runs(prepared: PreparedRun, given: Arguments) -> tuple[Solution, list[tuple[PreparedRun, dict[str, Any]]]]:
-    """Return the solution of all members, and the run of each with its arguments."""
+class _Piece(NamedTuple):
+    """Members of a run that are differentiated together, by their numbers or the number of one, and their own run."""
+
+    members: Any
+    run: PreparedRun
+    given: Arguments
+
+
+def _pieces(prepared: PreparedRun, given: Arguments) -> tuple[Solution, list[_Piece]]:
+    """Return the solution of all members, and the pieces."""
     solution, start = prepared.run(**given.keywords), prepared.start(given.x0, given.attitude)
-    attitudes: Any = [None] * len(solution.x0) if prepared.representation is None else start.groups
-    each = zip(solution.x0, attitudes, strict=True)
-    arguments = [given._replace(x0=x0, attitude=attitude).keywords for x0, attitude in each]
-    return solution, [(prepared.of_member(m), one) for m, one in enumerate(arguments)]
+    attitudes: Any = None if prepared.representation is None else start.groups
+
+    def piece(members: Any, run: PreparedRun) -> _Piece:
+        attitude = None if attitudes is None else attitudes[members]
+        return _Piece(members, run, given._replace(x0=solution.x0[members], attitude=attitude))
+
+    together = [] if given.events or prepared.method.own_steps else _in_columns(prepared)
+    alone = np.setdiff1d(np.arange(len(solution.x0)), np.concatenate([np.zeros(0, int), *(one for one, _ in together)]))
+    pieces = [piece(members, run) for members, run in together]
+    return solution, [*pieces, *(piece(m, prepared.of_member(m)) for m in alone.tolist())]
+
+
+def _in_columns(prepared: PreparedRun) -> list[tuple[NDArray[np.int64], PreparedRun]]:
+    """Return the members of a batch that differ in coefficients of one set of tables, and the run of these."""
+    if not is_batch(prepared.system) or forces_of(prepared.system):
+        return []
+    cache = prepared.cache
+    if cache.in_columns is None:
+        loops = cast(Loops, prepared.loops(prepared.step))
+        parts = [(members, prepared.sampled(members)) for members in loops.in_columns]
+        cache.in_columns = [(members, run) for members, run in parts if differ_in_columns(run)]
+    return cache.in_columns
 
 
 def _tangents_of_members(prepared: PreparedRun, given: Arguments, directions: Any) -> tuple[Solution, Tangents]:
     """Return the solution of all members, and the tangents of each, side by side."""
-    solution, runs = _runs(prepared, given)
-    count, points, parameters = len(runs), len(solution.t), prepared.parameters
+    solution, pieces = _pieces(prepared, given)
+    count, points, parameters = len(solution.x0), len(solution.t), prepared.parameters
     if not isinstance(directions, Mapping):
         raise TypeError(f"directions is {short(directions)}; give a mapping from names to arrays")
     leading: dict[str, Any] = {}
     for name, value in directions.items():
-        shape = (count, *shape_of(runs[0][0].system)) if name == "x0" else None
+        shape = (count, *shape_of(prepared.system)) if name == "x0" else None
         if name in parameters and is_batch(prepared.system):
             shape = parameters[name].shape
         if shape is None and name != "attitude0":
@@ -115,16 +151,21 @@ def _tangents_of_members(prepared: PreparedRun, given: Arguments, directions: An
             )
         leading[name] = array
 
-    def of_member(m: int) -> Tangents:
-        single, arguments = runs[m]
-        of_each = {name: leading[name][m] if name in leading else value for name, value in directions.items()}
-        return single.jvp(directions=of_each, **arguments)[1]
+    def of_piece(piece: _Piece) -> Tangents:
+        of_each = {
+            name: leading[name][piece.members] if name in leading else value for name, value in directions.items()
+        }
+        return _tangents(piece.run, piece.given, of_each)[1]
 
-    found, error = _of_each(of_member, count)
-    ended = ~np.isnan(solution.events.ends(count)) if solution.events is not None else np.zeros(count)
+    found, error = _of_each(of_piece, pieces)
+    ended = ~np.isnan(solution.events.ends(count)) if solution.events is not None else np.zeros(count, dtype=bool)
 
     def stacked(name: str) -> Any:
-        return np.stack([_padded(getattr(one, name), points, e) for one, e in zip(found, ended, strict=True)], axis=1)
+        parts = [
+            _padded(getattr(one, name), points, bool(np.any(ended[piece.members])))
+            for piece, one in zip(pieces, found, strict=True)
+        ]
+        return _beside(pieces, parts, count, axis=1)
 
     crossings = {}
     if solution.events is not None:
@@ -146,8 +187,8 @@ class PullbackOfMembers(Pullback):
 
     def __init__(self, prepared: PreparedRun, given: Arguments, reverse: str) -> None:
         self._prepared = prepared
-        self._solution, runs = _runs(prepared, given)
-        self._pullbacks = [single.vjp(reverse=reverse, **arguments)[1] for single, arguments in runs]
+        self._solution, self._pieces = _pieces(prepared, given)
+        self._pullbacks = [_pullback(piece.run, piece.given, reverse) for piece in self._pieces]
 
     @property
     def solution(self) -> Solution:
@@ -156,9 +197,9 @@ class PullbackOfMembers(Pullback):
     def _of_all(self, given: Cotangents) -> Gradient:
         solution, prepared, events = self._solution, self._prepared, self._solution.events
 
-        def of_member(m: int) -> Gradient:
-            pullback = self._pullbacks[m]
-            mine = None if events is None else events.member == m
+        def of_piece(part: tuple[_Piece, Pullback]) -> Gradient:
+            piece, pullback = part
+            mine = None if events is None else events.member == piece.members
 
             def at_points(series: Any) -> Any:
                 """Return the cotangents at the points of the member: zero at a crossing that has ended it."""
@@ -166,9 +207,10 @@ class PullbackOfMembers(Pullback):
                     return None
                 points, crossings = len(pullback.solution.t), pullback.solution.events
                 if crossings is None or np.isnan(crossings.ends(1)[0]):
-                    return series[:, m]
+                    return series[:, piece.members]
                 # The last point of the member is its crossing, which the ensemble does not have.
-                return np.concatenate([series[: points - 1, m], np.zeros_like(series[:1, m])])
+                own = series[:, piece.members]
+                return np.concatenate([own[: points - 1], np.zeros_like(own[:1])])
 
             return pullback._of_all(
                 Cotangents(
@@ -180,12 +222,12 @@ class PullbackOfMembers(Pullback):
                 )
             )
 
-        found, error = _of_each(of_member, len(self._pullbacks))
+        found, error = _of_each(of_piece, list(zip(self._pieces, self._pullbacks, strict=True)))
         values = {}
         # Members of a batch may have further parameters, or others of the same name.
         parameters = [name for name in found[0] if name in prepared.parameters]
         for name in [*(name for name in ("x0", "attitude0") if name in found[0]), *parameters]:
-            stacked = np.stack([one[name] for one in found])
+            stacked = _beside(self._pieces, [one[name] for one in found], len(solution.x0), axis=0)
             summed = name in parameters and not is_batch(prepared.system)
             values[name] = stacked.sum(axis=0) if summed else stacked
         gradient = Gradient(values, _rules(found, parameters))
@@ -194,12 +236,22 @@ class PullbackOfMembers(Pullback):
         return gradient
 
 
-def _of_each(of_member: Callable[[int], Any], count: int) -> tuple[list[Any], IntegrationError | None]:
-    """Return the derivatives of all members, and the first error of those whose derivatives overflow."""
+def _beside(pieces: Sequence[_Piece], parts: Sequence[Any], count: int, axis: int) -> Any:
+    """Return arrays of pieces as one, with an axis of all members."""
+    shape = list(np.shape(parts[0]))
+    shape[axis : axis + (np.ndim(pieces[0].members) > 0)] = [count]
+    total = np.empty(shape, dtype=parts[0].dtype)
+    for piece, part in zip(pieces, parts, strict=True):
+        total[(slice(None),) * axis + (piece.members,)] = part
+    return total
+
+
+def _of_each(of_piece: Callable[[Any], Any], pieces: Sequence[Any]) -> tuple[list[Any], IntegrationError | None]:
+    """Return the derivatives of all pieces, and the first error of those whose derivatives overflow."""
     found, error = [], None
-    for m in range(count):
+    for piece in pieces:
         try:
-            found.append(of_member(m))
+            found.append(of_piece(piece))
         except IntegrationError as raised:
             if raised.derivatives is None:
                 raise

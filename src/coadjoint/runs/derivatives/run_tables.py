@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.tables.structures import as_structure, filled
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.methods.protocol.stepwise_derivatives import (
     StepwiseDerivatives,
     nearby_parameters,
     stepwise_derivatives,
 )
+from coadjoint.program.sources import within
 from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives, ElementDifferences
 from coadjoint.runs.derivatives.force_flows import FlowEntry
 from coadjoint.runs.derivatives.forced_steps import ForcedSteps, forced_tables
@@ -28,6 +30,7 @@ from coadjoint.systems.protocol import forces_of, unforced
 
 if TYPE_CHECKING:
     from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun
+    from coadjoint.runs.preparation import Preparation
 
 Floats = NDArray[np.float64]
 
@@ -70,6 +73,32 @@ def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inpu
 
     every = entries_at(NONE if inputs is None else inputs.values)
     return forced_tables(inner, steps_at, every, [*names, *([INPUTS] if by_inputs else [])])
+
+
+def differ_in_columns(prepared: Preparation) -> bool:
+    """Return whether the members of a batch differ in coefficients of one set of tables, also those of derivatives."""
+    loops: Any = prepared.loops(prepared.step)
+    if prepared.representation is not None or loops.columns_of_members is None or loops.order is not None:
+        return False
+    each = [[one.energy().monomials for one in parameters_of(member).values()] for member in prepared.system.distinct]
+    return all(one == each[0] for one in each)
+
+
+def tables_of_members(run: DifferentiableRun, h: float, names: Sequence[str]) -> DerivativeTables:
+    """Return the tables of the members of a batch, which differ in columns."""
+    systems, columns = run.system.systems, cast(Any, run.prepared.loops(run.prepared.step)).columns_of_members
+    energies = [{name: run.energy(name, m) for name in names} for m in range(len(systems))]
+    tables = run.base.derivative_tables(systems[0], h, None, energies[0])
+    assert tables.maps is not None
+    sources = within("base.", columns.sources[0])
+    assert sources is not None
+
+    @cache
+    def tables_at(step: float) -> list[Any]:
+        shared = tables.tables_at(step)
+        return [as_structure(filled(shared, sources, column)) for column in columns.coefficients[0].T]
+
+    return tables._replace(tables_at=tables_at, of_members=[tables.maps(one) for one in energies])
 
 
 def _flow_entries(run: DifferentiableRun, names: Sequence[str]) -> list[FlowEntry]:

@@ -166,6 +166,21 @@ class Loops:
         self._base: Loops | None = None
 
     @property
+    def in_columns(self) -> list[NDArray[np.int64]]:
+        """The members of each loop that serves several systems of a batch."""
+        if self.owners is None or self._numbers is None:
+            return []
+        found = [np.flatnonzero(self.owners == k) for k, one in enumerate(self._columns) if one is not None]
+        return [members for members in found if len(members) > 1]
+
+    @property
+    def columns_of_members(self) -> Columns | None:
+        """The coefficients of each member if all have the tables of one loop; None otherwise."""
+        if self._numbers is None or len(self.compiled) > 1 or self._columns[0] is None:
+            return None
+        return self._columns[0].take(self._numbers)
+
+    @property
     def tracked(self) -> int:
         """Number of values tracked for each member."""
         return len(self.names) * (2 if self.accounts else 1)
