@@ -202,10 +202,13 @@ class Inputs:
         first[self.changing], second[self.changing] = digits
         return first, second
 
-    def settled(self, method: Method) -> Method:
-        """Return the scheme with its automatic choices made explicit, valid for any linear term."""
-        coordinates = np.sort(self.in_energy)
-        return method.settled(self._unforced, coordinates.tolist()) if len(coordinates) else method
+    def settled(self, method: Method, system: Any = None) -> Method:
+        """Return the scheme with its automatic choices made explicit, valid for any linear term.
+
+        The choices are those for the system, or for another one that differs in its parameters.
+        """
+        coordinates, plain = np.sort(self.in_energy), self._unforced if system is None else unforced(system)
+        return method.settled(plain, coordinates.tolist()) if len(coordinates) else method
 
     def system_at(self, values: Floats, of: Any = None) -> Any:
         """Return the system, or another one that differs in its parameters, with these values, (m,).

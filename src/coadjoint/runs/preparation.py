@@ -108,6 +108,7 @@ class Preparation:
         workers = None if threads is None else read_integer(threads, "threads (None is all cores)", floats=True)
         check_system(system)
         self.inputs = None if inputs is None or inputs is False else Inputs(system, inputs)
+        self.given_method = scheme  # whose parts may depend on the system
         if self.inputs is not None:
             scheme = self.inputs.settled(scheme)
         self.system: Any = system

@@ -195,6 +195,18 @@ def test_derivatives_by_torques_that_are_inputs(scheme):
                        values=values)  # fmt: skip
 
 
+EVERY_SCHEME = [scheme for name in co.methods.names() for scheme in getattr(co, name).examples()]
+OF_FIELDS = ("IsospectralGauss", "LineSplitting")
+WITH_STEPS = [one for one in EVERY_SCHEME if not one.own_steps and type(one).__name__ not in OF_FIELDS]
+
+
+@pytest.mark.parametrize("scheme", WITH_STEPS, ids=str)
+def test_every_scheme_is_differentiated_by_inputs_and_parameters(scheme):
+    """With automatic parts, which are fixed for all inputs but follow the parameters of the system."""
+    options = {"inputs": {"rotors": (0, 2)}, "values": {"rotors": np.array([0.1, 0.2])}}
+    assert_derivatives(BODY, scheme, X3, (0.25, 0.25 + 3 * H), H, **options)
+
+
 class Spring(co.forces.Force):
     """A force of the user without formula, parameters and complex numbers."""
 

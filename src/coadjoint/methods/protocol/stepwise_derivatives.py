@@ -46,12 +46,19 @@ class StepwiseDerivatives:
     """The derivatives of the steps of a scheme by the state and by the entries of parameters.
 
     The former is that of `Method.linearized`. The latter are central differences of order 8 of the step in Python, with
-    about twelve digits. With an attitude, `elements` are those of the steps.
+    about twelve digits, by the scheme that `method_of` returns for a system. With an attitude, `elements` are those of
+    the steps.
     """
 
     def __init__(
-        self, method: Method, system: Any, nearby: Sequence[NearbySystems], elements: ElementSteps | None = None
+        self,
+        method: Method,
+        system: Any,
+        nearby: Sequence[NearbySystems],
+        elements: ElementSteps | None = None,
+        method_of: Callable[[Any], Method] | None = None,
     ) -> None:
+        self._method_of: Callable[[Any], Method] = (lambda _: method) if method_of is None else method_of
         self._method, self._system, self._nearby, self._elements = method, system, nearby, elements
 
     def step(self, x: Floats, t: float, h: float) -> LinearizedStep:
@@ -68,7 +75,7 @@ class StepwiseDerivatives:
         """Return the derivatives (entries, n) of a step and (entries, d, d) of its element by entries of parameters."""
 
         def after(system: Any) -> Floats:
-            return np.asarray(self._method.step(system, x, t, h), dtype=np.float64)
+            return np.asarray(self._method_of(system).step(system, x, t, h), dtype=np.float64)
 
         def turned(system: Any) -> Floats:
             return np.zeros((0, 0)) if self._elements is None else self._elements.at(system, x[None], t, h)[0]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.tables.structures import as_structure, filled
+from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.methods.protocol.stepwise_derivatives import (
     StepwiseDerivatives,
@@ -154,11 +155,15 @@ def _of_scheme(
         steps = StepwiseDerivatives(scheme, system, nearby, elements())
         return stepwise_derivatives(lambda: steps, sizes)
 
+    as_given = run.prepared.given_method.fixed_steps
+    as_given = as_given.base if isinstance(as_given, Forced) else as_given
+
     def steps_at(values: Floats) -> StepwiseDerivatives:
         at_values = [one.with_systems(partial(inputs.system_at, values)) for one in nearby]
         if by_inputs:
             at_values += changed_inputs(inputs, system, values, h)
-        return StepwiseDerivatives(scheme, inputs.system_at(values), at_values, elements())
+        here = inputs.system_at(values)
+        return StepwiseDerivatives(scheme, here, at_values, elements(), partial(inputs.settled, as_given))
 
     tables = stepwise_derivatives(steps_at, sizes | ({INPUTS: len(inputs.changing)} if by_inputs else {}))
     if by_inputs:
