@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.tables.structures import as_structure, filled
-from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.methods.protocol.stepwise_derivatives import (
     StepwiseDerivatives,
@@ -156,7 +155,6 @@ def _of_scheme(
         return stepwise_derivatives(lambda: steps, sizes)
 
     as_given = run.prepared.given_method.fixed_steps
-    as_given = as_given.base if isinstance(as_given, Forced) else as_given
 
     def steps_at(values: Floats) -> StepwiseDerivatives:
         at_values = [one.with_systems(partial(inputs.system_at, values)) for one in nearby]
