@@ -105,6 +105,9 @@ def start_text(system: Any, rng: np.random.Generator, members: int) -> str:
     basis = list(getattr(system.algebra, "basis", ()))
     if "z" in basis:
         states[..., basis.index("z")] = 1.0  # that of the canonical brackets
+    if hasattr(system, "positions"):  # of bodies so far apart that they do not collide
+        far = 4.0 * np.arange(len(system.masses))
+        states[..., -1 - 3 * len(far) : -1 : 3] += far
     return numbers_of(states)
 
 

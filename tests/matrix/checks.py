@@ -315,7 +315,7 @@ def corrected(case: Case, space: dict[str, Any]) -> Iterator[str]:
         # Over so short a way that it moves little: as a step of order 4 it is a Poisson map up to a small term.
         f"{one}way = (span[1] - span[0]) / abs(span[1] - span[0]) * min(h, 0.25)\n"
         "better, size = co.make_corrector(one, method, x), np.linalg.norm(x)\n"
-        "while np.linalg.norm(better.inverse(x, way) - x) > 0.1 * size:\n    way /= 2\n"
+        "while np.linalg.norm(better.inverse(x, way) - x) > 0.05 * size:\n    way /= 2\n"
         "start = better.inverse(x, way)\n"
         "P = np.stack([(8 * (better(start + e, way) - better(start - e, way)) - better(start + 2 * e, way)"
         " + better(start - 2 * e, way)) / (12 * 2.0**-9) for e in 2.0**-9 * np.eye(len(x))], 1)\n"

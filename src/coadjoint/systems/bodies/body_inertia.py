@@ -16,7 +16,7 @@ from coadjoint.systems.bodies.inertia import (
     positive_moments,
     warn_unphysical_inertia,
 )
-from coadjoint.validation import check_finite, read_list, read_numbers
+from coadjoint.validation import check_finite, is_real, read_list, read_numbers
 
 Floats = npt.NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def read_inertias(inertias: Any) -> tuple[BodyInertia, ...]:
     """Validate the inertia of each of several bodies, with the number of the one that is wrong."""
     rule = "give one inertia for each body, such as [(1, 2, 2.5), (1, 1, 1)]"
     listed = read_list(inertias, "inertias", rule)
-    if not listed or any(np.ndim(entry) == 0 for entry in listed):
+    if not listed or any(map(is_real, listed)):
         raise ValueError(f"inertias is {short(inertias)}; {rule}")
     return tuple(read_body_inertia(entry, f"inertias[{k}]") for k, entry in enumerate(listed))
 
