@@ -22,7 +22,7 @@ from coadjoint.program.blocks import MOST_SUBSTEPS, TAYLOR_DEGREE, Kind
 Table = Mapping[str, Any]
 
 # Version of the table of a splitting that is read, as docs/table.md describes it.
-VERSION = 2
+VERSION = 3
 DEPENDENT = ("offset", "weight", "coefficient_of_monomial")
 
 
@@ -157,6 +157,33 @@ class Part:
         return x
 
 
+class _Shift:
+    """The Casimirs that are subtracted from the coefficients of the energy, with factors that may follow these."""
+
+    def __init__(self, table: Table) -> None:
+        monomials = {tuple(key): k for k, key in enumerate(table["energy"]["monomials"])}
+        self._own = [] if table["bodies"] else table["shift"]
+        number, cells, values = [], [], []
+        for k, shift in enumerate(self._own):
+            for exponents, c in zip(shift["exponents"], shift["coefficients"], strict=True):
+                number.append(k)
+                cells.append(monomials[tuple(np.repeat(np.arange(len(exponents)), exponents).tolist())])
+                values.append(float(c))
+        self._number, self._cells = (np.array(column, dtype=np.int64) for column in (number, cells))
+        self._values = np.array(values)
+        removed = [k for k, shift in enumerate(self._own) if shift["monomial"] is not None]
+        at = [cells.index(self._own[k]["monomial"], number.index(k)) for k in removed]
+        self._removed, self._at = np.array(removed, dtype=np.int64), np.array(at, dtype=np.int64)
+
+    def subtracted(self, energy: Any) -> Any:
+        """Return the coefficients after the Casimirs were subtracted."""
+        if not self._own:
+            return jnp.asarray(energy)
+        energy, factor = jnp.asarray(energy), jnp.array([shift["factor"] for shift in self._own])
+        factor = factor.at[self._removed].set(energy[self._cells[self._at]] / self._values[self._at])
+        return energy.at[self._cells].add(-factor[self._number] * self._values)
+
+
 class TableSteps:
     """Steps of a splitting, from its table.
 
@@ -169,19 +196,29 @@ class TableSteps:
                 f"the table has the version {table['version']}; this reader knows versions up to {VERSION}"
             )
         self.table = table
+        self.shift = _Shift(table)
         self.parts = [Part(table, p) for p in range(len(table["share"]) - 1)]
         sections = [range(*table["section"][k : k + 2].tolist()) for k in range(3)]
         self.first_rows, self.step_rows, self.finish_rows = sections
 
+    def in_bodies(self) -> list[int]:
+        """Return the coefficients of the energy in the weights of free bodies, of which constants are made."""
+        table, own = self.table, self.table["provenance"]["weight"]
+        edges = table["entry"][table["term_row"]]
+        share = np.searchsorted(edges, own["index"], side="right") - 1
+        found: list[int] = own["monomial"][np.isin(share, table["bodies"])].tolist()
+        return found
+
     def constants(self, energy: Any) -> Any:
         """Return the constants of the parts for coefficients of the energy, those of `table["energy"]`."""
-        table, numbers = self.table, []
-        change = None if energy is None else energy - table["energy"]["coefficients"]
-        for name in DEPENDENT:
-            values, source = jnp.asarray(table[name]), table["provenance"][name]
-            if change is not None and len(source["index"]):
-                values = values.at[source["index"]].add(source["factor"] * change[source["monomial"]])
-            numbers.append(values)
+        numbers = [jnp.asarray(self.table[name]) for name in DEPENDENT]
+        if energy is not None:
+            rest = self.shift.subtracted(energy)
+            grown = rest - self.shift.subtracted(self.table["energy"]["coefficients"])
+            for k, name in enumerate(DEPENDENT):
+                own, more = self.table["provenance"][name], self.table["growth"][name]
+                numbers[k] = numbers[k].at[own["index"]].set(own["factor"] * rest[own["monomial"]])
+                numbers[k] = numbers[k].at[more["index"]].add(more["factor"] * grown[more["monomial"]])
         joined = jnp.concatenate(numbers)
         return [part.angles.constants(joined) for part in self.parts]
 
@@ -214,11 +251,11 @@ class TableSteps:
 def _angles(table: Table, first: int, last: int) -> Angles:
     """Return the angles of the terms `first` to `last` - 1, which are one part."""
     n, rows = int(table["dim"]), slice(int(table["term_row"][first]), int(table["term_row"][last]))
-    may_change = [set(table["provenance"][name]["index"].tolist()) for name in DEPENDENT]
+    may_change = {*table["provenance"]["offset"]["index"].tolist(), *table["growth"]["offset"]["index"].tolist()}
     starts = np.cumsum([0, *(len(table[name]) for name in DEPENDENT)])
     found: list[tuple[int, int, float, tuple[int, ...]]] = []
     for row in range(rows.start, rows.stop):
-        if table["offset"][row] or row in may_change[0]:
+        if table["offset"][row] or row in may_change:
             found.append((row - rows.start, row, 1.0, ()))
         for e in range(table["entry"][row], table["entry"][row + 1]):
             found.append((row - rows.start, int(starts[1] + e), 1.0, (int(table["column"][e]),)))

@@ -88,7 +88,7 @@ class XlaRun:
                 "they are of JAX, by implicit Runge-Kutta methods"
             )
         self._steps = TableSteps(table)
-        return table
+        return {**table, "fixed": [*table["fixed"], *self._steps.in_bodies()]}
 
     # The coefficients of the energy.
 

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact.sparse_sums import Integers, expand
+from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.program.added_part import CoefficientMap
-from coadjoint.program.term_table import LINEAR, POLYNOMIAL
+from coadjoint.program.parts.part import COMPUTED
+from coadjoint.program.sources import powers_of, products_of
+from coadjoint.program.term_table import LINEAR
 from coadjoint.systems.coefficients import Key, encoded
 from coadjoint.systems.energy_derivatives import EnergyDerivative, Monomial
 
@@ -30,11 +32,13 @@ class Changes(NamedTuple):
 
 
 class _Places:
-    """Coefficients of the parts of a program that are functions of coordinates, by the coordinates of monomials.
+    """Coefficients of the parts of a program by the monomials of the energy, after Casimirs were subtracted.
 
-    `rows` has the row of the angle of each coordinate, -1 if there is none or several; `entries` are those of `codes`,
+    The angle of a coordinate is a row of one share: its offset is the coefficient of x_i, and its weights are those of
+    x_i x_j. `rows` has the row of each coordinate, -1 if there is none or several; `entries` are those of `codes`,
     row * n + column, which are sorted. `monomials` has the numbers of monomials, -1 if there are several. Rows whose
-    products are omitted are not listed: they cancel only for the coefficients as they are.
+    products are omitted are not listed: they cancel only for the coefficients as they are. `copied` are the
+    coefficients of shares that are copies of terms of the energy; others, as of completed squares, contain more.
     """
 
     def __init__(self, program: Program) -> None:
@@ -46,25 +50,27 @@ class _Places:
         rows = rows[np.diff(forms.start)[rows] == 1]
         omitted = program.omitted[:, 0]
         rows = rows[(forms.value[forms.start[rows]] == 1.0) & ~np.isin(rows, omitted)]
-        coordinate = forms.coordinate[forms.start[rows]]
+        coordinate = forms.coordinate[forms.start[rows]].astype(np.int64)
         self._rows = np.full(self._n, -1, dtype=np.int64)
         self._rows[coordinate] = rows
         self._rows[np.bincount(coordinate, minlength=self._n) > 1] = -1
-        owner, entries = expand(terms.entry[rows].astype(np.int64), terms.entry[rows + 1].astype(np.int64))
-        codes = rows[owner] * self._n + terms.column[entries]
+        entries, row, column = products_of(terms, rows, rows)
+        codes = row * self._n + column
         order = np.argsort(codes)
         self._codes, self._entries = codes[order], entries[order]
         self._numbers: dict[Key, int] = {}
-        for k in np.flatnonzero(terms.kind == POLYNOMIAL).tolist():
-            for monomial in range(int(terms.monomial[k]), int(terms.monomial[k + 1])):
-                factors = slice(int(terms.factor[monomial]), int(terms.factor[monomial + 1]))
-                targets = terms.target[terms.factor_row[factors]].tolist()
-                powers = zip(targets, terms.exponent[factors].tolist(), strict=True)
-                key = tuple(sorted(i for i, e in powers for _ in range(e)))
-                known = key in self._numbers or np.isin(terms.factor_row[factors], omitted).any()
-                self._numbers[key] = -1 if known else monomial
+        number = np.searchsorted(terms.factor, np.flatnonzero(np.isin(terms.factor_row, omitted)), side="right") - 1
+        without = {*number.tolist()}
+        for monomial, powers in powers_of(terms, np.ones(terms.size, dtype=bool)):
+            key = tuple(i for i, e in powers for _ in range(e))
+            self._numbers[key] = -1 if key in self._numbers or monomial in without else monomial
         low = [(-1, *key)[-2:] for key in self._numbers if len(key) in (1, 2)]
         self._low = encoded(*np.array(low, dtype=np.int64).reshape(-1, 2).T)
+        copied = program.parts.source != COMPUTED
+        of_rows = np.repeat(copied, np.diff(terms.row).astype(np.int64))
+        of_weights = np.repeat(of_rows, np.diff(terms.entry).astype(np.int64))
+        of_monomials = np.repeat(copied, np.diff(terms.monomial).astype(np.int64))
+        self.copied = np.concatenate([of_rows, of_weights, of_monomials])
 
     def of_coordinates(self, i: Integers) -> Integers:
         """Return the coefficients that monomials x_i change; -1 where this takes a search by `find`."""
@@ -119,6 +125,11 @@ class Provenance:
             for key in by_key:
                 if by_key[key]:
                     self._casimirs.setdefault(key, []).append((number, by_key))
+
+    @property
+    def copied(self) -> NDArray[np.bool_]:
+        """Which coefficients are copies, as multiples, of those of the energy."""
+        return self.places.copied
 
     def changes(self, key: Key) -> Changes | None:
         """Return what changes with the coefficient of a monomial; None if it belongs to no part.

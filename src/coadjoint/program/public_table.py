@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.program.actions import Action, run_blocks
 from coadjoint.program.blocks import Kind
 from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.provenance import Provenance, monomials_of
+from coadjoint.program.sources import products_of
 from coadjoint.program.sparse_rows import starts_of
 from coadjoint.program.table import Program
 from coadjoint.program.term_table import Terms
 from coadjoint.systems.coefficients import Key, coefficients_of
 from coadjoint.systems.parameters import parameters_of
 
-VERSION = 2
+VERSION = 3
 """Increased if a reader of the previous version would read a table wrongly."""
 
 RENAMED_COLUMNS = {"kind": "term_kind", "row": "term_row", "coefficient": "coefficient_of_monomial"}
@@ -29,6 +32,9 @@ PUBLIC_COLUMNS = tuple(name for name in Terms._fields if name not in ("size", "r
 
 DEPENDENT = ("offset", "weight", "coefficient_of_monomial")
 """Arrays that depend on the energy, in the order of `CoefficientMap`."""
+
+_Row = tuple[int, int, float]
+"""Index of a number, the number of a coefficient, and a factor."""
 
 
 def mapping_of(program: Program) -> dict[str, Any]:
@@ -45,14 +51,6 @@ def mapping_of(program: Program) -> dict[str, Any]:
         "frequency": np.array(program.frequency),
         **{RENAMED_COLUMNS.get(name, name): getattr(terms, name) for name in PUBLIC_COLUMNS},
         **_blocks("state", program.state, program),
-        "shift": [
-            {
-                "factor": factor,
-                "exponents": [list(map(int, exponents)) for exponents in casimir.monomials],
-                "coefficients": list(casimir.monomials.values()),
-            }
-            for casimir, factor in program.shift
-        ],
         "functions": sorted(int(k) for k in program.functions),
         "bodies": sorted(program.parts.bodies),
         **_provenance(program),
@@ -151,29 +149,73 @@ def energy_and_parameters(system: Any) -> dict[str, Any]:
 
 
 def _provenance(program: Program) -> dict[str, Any]:
-    """Return the coefficients of the energy, the numbers that depend on them, and the parameters."""
+    """Return the coefficients of the energy, the numbers that depend on them, the Casimirs, and the parameters."""
     described = energy_and_parameters(program.system)
-    found = Provenance(program)
-    monomials = described["energy"]["monomials"]
-    changes = dict(enumerate(found.changes_of([tuple(key) for key in monomials])))
-    terms = program.terms
-    starts = starts_of(np.array([len(one) for one in (terms.offset, terms.weight, terms.coefficient)]))
-    dependent: dict[str, list[tuple[int, int, float]]] = {name: [] for name in (*DEPENDENT, "shift")}
-    for monomial, change in changes.items():
-        if change is None:
+    casimirs = [
+        {tuple(factors_of(exponents)): float(c) for exponents, c in one.monomials.items()} for one, _ in program.shift
+    ]
+    known = [tuple(key) for key in described["energy"]["monomials"]]
+    keys: list[Key] = [*dict.fromkeys([*known, *(key for casimir in casimirs for key in casimir)])]
+    values = np.append(described["energy"]["coefficients"], np.zeros(len(keys) - len(known)))
+    rest, number = values.copy(), {key: k for k, key in enumerate(keys)}
+    for casimir, (_, factor) in zip(casimirs, program.shift, strict=True):
+        for key, c in casimir.items() if not program.parts.bodies else ():
+            rest[number[key]] -= factor * c
+    places = Provenance(program)
+    multiples, growth = ({name: list[_Row]() for name in DEPENDENT} for _ in range(2))
+    removed: dict[int, int] = {}
+    of_bodies = _weights_of_bodies(program)
+    fixed = []
+    constants = [program.terms.offset, program.terms.weight, program.terms.coefficient]
+    starts = starts_of(np.array([len(one) for one in constants])).tolist()
+    for monomial, (key, change) in enumerate(zip(keys, places.changes_of(keys), strict=True)):
+        if change is None or change.shifts:
+            by = (
+                [k for k, _ in change.shifts if program.shift[k][1] == values[monomial] / casimirs[k][key]]
+                if change
+                else []
+            )
+            removed |= dict.fromkeys(by, monomial)
+            multiples["weight"] += [(position, monomial, factor) for position, factor in of_bodies.get(key, ())]
+            if not by and key not in of_bodies:
+                fixed.append(monomial)
             continue
-        for number, factor in change.coefficients:
-            kind = int(np.searchsorted(starts[1:], number, side="right"))
-            dependent[DEPENDENT[kind]].append((number - int(starts[kind]), monomial, factor))
-        dependent["shift"] += [(number, monomial, factor) for number, factor in change.shifts]
+        for position, factor in change.coefficients:
+            kind = bisect_right(starts, position, hi=len(constants)) - 1
+            at = position - starts[kind]
+            exact = places.copied[position] and constants[kind][at] == factor * rest[monomial]
+            (multiples if exact else growth)[DEPENDENT[kind]].append((at, monomial, factor))
     return {
         **described,
-        "provenance": {name: _columns(rows) for name, rows in dependent.items()},
-        "fixed": [monomial for monomial, change in changes.items() if change is None],
+        "energy": {"monomials": [list(key) for key in keys], "coefficients": values},
+        "provenance": {name: _columns(rows) for name, rows in multiples.items()},
+        "growth": {name: _columns(rows) for name, rows in growth.items()},
+        "fixed": fixed,
+        "shift": [
+            {
+                "factor": factor,
+                "monomial": removed.get(k),
+                "exponents": [list(map(int, exponents)) for exponents in casimir.monomials],
+                "coefficients": list(casimir.monomials.values()),
+            }
+            for k, (casimir, factor) in enumerate(program.shift)
+        ],
     }
 
 
-def _columns(rows: Sequence[tuple[int, int, float]]) -> dict[str, NDArray[Any]]:
+def _weights_of_bodies(program: Program) -> dict[Key, list[tuple[int, float]]]:
+    """Return the weights of free bodies, which are entries of M, by their monomials, with their factors."""
+    found: dict[Key, list[tuple[int, float]]] = {}
+    for share, body in program.parts.bodies.items():
+        if body.other is None:
+            rows = np.arange(*program.terms.row[share : share + 2].tolist())
+            coordinates = program.parts.forms.coordinate[program.parts.forms.start[rows]].astype(np.int64)
+            for entry, i, j in zip(*map(np.ndarray.tolist, products_of(program.terms, rows, coordinates)), strict=True):
+                found.setdefault((min(i, j), max(i, j)), []).append((entry, 2.0 if i == j else 1.0))
+    return found
+
+
+def _columns(rows: Sequence[_Row]) -> dict[str, NDArray[Any]]:
     index, monomial, factor = zip(*sorted(rows), strict=True) if rows else ((), (), ())
     return {
         "index": np.array(index, dtype=np.int64),

@@ -56,8 +56,7 @@ def sources_of(table: Terms, source: Integers, coordinate: NDArray[Any], terms: 
         own = coordinate[rows].astype(np.int64)
         if np.any(np.bincount(own) > 1):
             return None
-        at, entries = expand(table.entry[rows].astype(np.int64), table.entry[rows + 1].astype(np.int64))
-        row, column = own[at], table.column[entries].astype(np.int64)
+        entries, row, column = products_of(table, rows, own)
         if (form := term.form) is not None:
             n = len(form.linear)
             codes, wanted = form.rows * n + form.indices, row * n + column
@@ -76,7 +75,7 @@ def sources_of(table: Terms, source: Integers, coordinate: NDArray[Any], terms: 
             )
             pairs = zip(entries.tolist(), row.tolist(), column.tolist(), strict=True)
             weight.append(_listed([(e, number.get(_pair(i, j)), 2.0 if i == j else 1.0) for e, i, j in pairs]))
-            coefficient.append(_listed([(m, number.get(key), 1.0) for m, key in _monomials(table, source == t)]))
+            coefficient.append(_listed([(m, number.get(key), 1.0) for m, key in powers_of(table, source == t)]))
     fields = {"offset": offset, "weight": weight, "coefficient": coefficient}
     return {name: Multiples(*map(np.concatenate, zip(*found, strict=True))) for name, found in fields.items()}
 
@@ -106,7 +105,7 @@ def _pair(i: int, j: int) -> tuple[tuple[int, int], ...]:
     return ((i, 2),) if i == j else ((min(i, j), 1), (max(i, j), 1))
 
 
-def _monomials(table: Terms, chosen: NDArray[np.bool_]) -> list[tuple[int, tuple[tuple[int, int], ...]]]:
+def powers_of(table: Terms, chosen: NDArray[np.bool_]) -> list[tuple[int, tuple[tuple[int, int], ...]]]:
     """Return the monomials of some terms of a table, with their exponents by coordinate."""
     found = []
     for k in np.flatnonzero(chosen & (table.kind == POLYNOMIAL)).tolist():
@@ -115,3 +114,9 @@ def _monomials(table: Terms, chosen: NDArray[np.bool_]) -> list[tuple[int, tuple
             targets = table.target[table.factor_row[factors]].tolist()
             found.append((monomial, tuple(sorted(zip(targets, table.exponent[factors].tolist(), strict=True)))))
     return found
+
+
+def products_of(table: Terms, rows: Integers, coordinate: Integers) -> tuple[Integers, Integers, Integers]:
+    """Return the weights of rows, with the coordinates of the product in the energy that each is a derivative of."""
+    owner, entries = expand(table.entry[rows].astype(np.int64), table.entry[rows + 1].astype(np.int64))
+    return entries, coordinate[owner], table.column[entries].astype(np.int64)

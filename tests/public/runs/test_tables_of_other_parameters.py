@@ -1,0 +1,209 @@
+"""Tables at other parameters, by the reader of `docs/table.md` alone: those of the library, bit for bit."""
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from refusals import refused
+
+PAGE = Path(__file__).parents[3] / "docs" / "table.md"
+C1 = 1 / (2 - 2 ** (1 / 3))
+SCHEMES = {
+    "1": co.Splitting(order=1),
+    "2": co.Splitting(order=2),
+    "4": co.Splitting(order=4),
+    "coordinates": co.Splitting(order=2, parts="coordinates"),
+    "rational": co.Splitting(order=2, rotation="rational"),
+    "processed": co.Splitting(scheme="blanes_casas_murua6"),
+    "free_body": co.Splitting(order=2, parts="free_body"),
+    "bonds": co.Splitting(order=2, parts="bonds"),
+    "composition": co.Composition(co.Splitting(order=2), (C1, 1 - 2 * C1, C1)),
+}
+TENSOR = ((2.0, 0.1, 0.2), (0.1, 2.3, -0.3), (0.2, -0.3, 2.6))
+E3 = co.algebras.e(3)
+# The last three coordinates commute, so that their monomials share a part.
+POLYNOMIAL = {
+    (0, 0, 0, 2, 1, 0): 0.3,
+    (0, 0, 0, 0, 1, 1): -0.2,
+    (0, 0, 0, 0, 0, 4): 0.1,
+    (1, 0, 0, 0, 0, 0): 0.4,
+    (0, 2, 0, 0, 0, 0): 0.5,
+}
+
+
+# Squares, shifts, several components, and energies that are no arguments of a builder.
+OTHERS = {
+    "a tensor": lambda: co.systems.rigid_body(TENSOR),
+    "a top with a tensor": lambda: co.systems.heavy_top(TENSOR),
+    "a coupled body": lambda: co.systems.kirchhoff_body(coupling=np.diag([0.1, 0.2, 0.3])),
+    "a chain": lambda: co.systems.spin_lattice("chain", 4, field=(0.1, 0.2, 0.3), on_site=(0.0, 0.0, 0.4)),
+    "a lattice": lambda: co.systems.spin_lattice("square", (3, 3), dm=(0.1, 0.2, 0.3), field=(0.0, 0.0, 0.2)),
+    "a diagonal": lambda: co.LiePoissonSystem(E3, co.Quadratic([1.0, 0.6, 0.3, 0.2, 0.4, 0.1], [0.1, 0, 0, 0.2, 0, 1])),
+    "a matrix": lambda: co.LiePoissonSystem(
+        co.algebras.so(4), co.Quadratic(np.diag([1.0, 0.7, 0.5, 0.4, 0.2, 0.9]) + 0.1)
+    ),
+    "a polynomial": lambda: co.LiePoissonSystem(E3, co.Polynomial(POLYNOMIAL)),
+}
+
+
+@pytest.fixture(scope="module")
+def page():
+    """The functions of the page."""
+    known: dict = {}
+    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    for code in (block for block in blocks if "def run" in block or "def with_coefficients" in block):
+        assert len(code.splitlines()) <= 100
+        exec(code, known)
+    return known
+
+
+def rebuilt(system, table, name, value):
+    """The system with another value of a parameter of its table; None if it refuses this value."""
+    H, parameter = system.hamiltonian, table["parameters"][name]
+    try:
+        if name in (system.parameters or {}):
+            return co.systems.get(system.name, **{**system.parameters, name: value if value.ndim else float(value)})
+        if name == "coefficients":
+            keys = [table["energy"]["monomials"][k] for k in parameter["monomial"]]
+            energy = co.Polynomial(
+                {tuple(np.bincount(k, minlength=system.dim)): c for k, c in zip(keys, value, strict=True)}
+            )
+        elif name == "M":
+            energy = co.Quadratic(value, H.gradient(np.zeros(system.dim)))
+        else:
+            energy = co.Quadratic(H.hessian(np.zeros(system.dim)), value)
+        return co.LiePoissonSystem(system.algebra, energy, sign=system.sign, casimirs=system.casimirs)
+    except (TypeError, ValueError):
+        return None
+
+
+def draws(parameter):
+    """Other values of a parameter: all numbers changed, and then some zeros replaced, each alone."""
+    rng, value = np.random.default_rng(17), parameter["value"].reshape(parameter["shape"])
+    symmetric = value.ndim == 2 and np.array_equal(value, value.T)
+    factor = rng.uniform(0.97, 1.03, value.shape)
+    yield value * (0.5 * (factor + factor.T) if symmetric else factor)
+    zeros = np.argwhere(value == 0.0)
+    for index in map(tuple, zeros[rng.permutation(len(zeros))[:3]]):
+        other = value.copy()
+        other[index] = 0.01
+        if symmetric:
+            other[index[::-1]] = 0.01
+        yield other
+
+
+def energy_in(table, other):
+    """The coefficients of another table in the order of the first one, which has all of them."""
+    found = dict(zip(map(tuple, other["energy"]["monomials"]), other["energy"]["coefficients"].tolist(), strict=True))
+    known = [tuple(key) for key in table["energy"]["monomials"]]
+    assert all(key in known for key, value in found.items() if value)
+    return np.array([found.get(key, 0.0) for key in known])
+
+
+def differences(found, wanted):
+    """The names of the entries that differ; parameters and what depends on them are described at other values."""
+    described = {"parameters", "energy", "provenance", "growth", "fixed", "shift"}
+    factors = [[(shift["factor"], shift["exponents"]) for shift in table["shift"]] for table in (found, wanted)]
+    different = {name for name in wanted.keys() - described if not np.array_equal(found[name], wanted[name])}
+    return different | ({"shift"} if factors[0] != factors[1] else set())
+
+
+def program_of(scheme, system):
+    """The table of a scheme with the group element; None if the system has no such parts."""
+    try:
+        return scheme.program(system, group="coadjoint")
+    except (TypeError, ValueError):
+        return None
+
+
+def with_parts(scheme, program, shift):
+    """The scheme with the parts of a program, and other factors of the Casimirs."""
+    if isinstance(scheme, co.Composition):
+        return co.Composition(with_parts(scheme.base, program, shift), scheme.coefficients)
+    if scheme.parts != "auto":
+        return scheme
+    factors = {name: one["factor"] for (name, _), one in zip(program.choice.shift, shift, strict=True)}
+    return dataclasses.replace(scheme, parts={"order": program.choice.order, "shift": factors})
+
+
+@pytest.mark.thinned(3)
+@pytest.mark.filterwarnings("ignore:.*principal moment", "ignore:inertia")
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("name", [*co.systems.names(), *OTHERS])
+def test_tables_at_other_parameters_are_those_of_the_library(page, name, scheme):
+    system, scheme = OTHERS[name]() if name in OTHERS else co.systems.get(name), SCHEMES[scheme]
+    program = program_of(scheme, system)
+    if program is None:
+        return
+    table = program.to_mapping()
+    assert differences(page["with_coefficients"](table, table["energy"]["coefficients"]), table) == set()
+    for label, parameter in table["parameters"].items():
+        for value in draws(parameter):
+            changed = rebuilt(system, table, label, value)
+            other = None if changed is None else program_of(scheme, changed)
+            if other is None:
+                continue
+            automatic = other.to_mapping()
+            energy = energy_in(table, automatic)
+            if parameter["linear"]:
+                own = page["coefficients"](table, {label: value})
+                assert np.array_equal(own, energy)
+            try:
+                found = page["with_coefficients"](table, energy)
+            except ValueError as refusal:
+                assert "fixed" in str(refusal)
+                # It is no excuse: the rules alone do not give the table of the changed system.
+                rules = {**table, "fixed": [], "growth": {}}
+                assert differences(page["with_coefficients"](rules, energy), automatic), (label, value)
+                continue
+            wanted = with_parts(scheme, program, found["shift"]).program(changed, group="coadjoint").to_mapping()
+            assert differences(found, wanted) == set(), (label, value)
+            # With the same choice of parts, also the factors are those that the library chooses.
+            numbers = {*table["provenance"], "shift"}
+            if len(found["shift"]) == len(automatic["shift"]) and not differences(table, automatic) - numbers:
+                assert differences(found, automatic) == set(), (label, value)
+
+
+def test_the_library_chooses_the_factors_of_shifts_by_the_rules_of_the_page(page):
+    tables = [co.Splitting().program(co.systems.rigid_body((1.0, i, 3.0))).to_mapping() for i in (2.0, 2.1)]
+    assert [shift["monomial"] is not None for shift in tables[0]["shift"]] == [True]
+    found = page["with_coefficients"](tables[0], energy_in(*tables))
+    assert found["shift"][0]["factor"] == tables[1]["shift"][0]["factor"] != tables[0]["shift"][0]["factor"]
+    assert differences(found, tables[1]) == set()
+    # A factor that was given as a number stays, and the coefficient that it would remove is fixed.
+    given = co.Splitting(parts={"order": (0, 1, 2), "shift": {"|x|^2": 0.2}}).program(co.systems.rigid_body())
+    given = given.to_mapping()
+    assert given["shift"][0]["monomial"] is None and given["fixed"] == []
+
+
+def test_what_depends_otherwise_is_said_by_name(page):
+    table = co.Splitting(parts="coordinates").program(co.systems.rigid_body(TENSOR)).to_mapping()
+    monomials = table["energy"]["monomials"]
+    assert [0, 1] in [monomials[k] for k in table["fixed"]]
+    grown = {name for name, own in table["growth"].items() if own["index"].size}
+    assert grown == {"weight"}
+    for monomial, named in ((table["growth"]["weight"]["monomial"][0], "weight"), (monomials.index([0, 1]), "[0, 1]")):
+        energy = table["energy"]["coefficients"].copy()
+        energy[monomial] *= 1.1
+        with refused(ValueError, named):
+            page["with_coefficients"](table, energy)
+
+
+def test_numbers_of_completed_squares_grow_with_coefficients():
+    """The last square has the weight M_ii minus what the others have taken."""
+    M, scheme, tables = np.array([[1.0, 0.25, 0.0], [0.25, 0.5, 0.125], [0.0, 0.125, 0.75]]), SCHEMES["coordinates"], []
+    for _ in range(2):
+        tables.append(scheme.program(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M))).to_mapping())
+        own = tables[0]["growth"]["weight"]
+        (monomial,) = set(own["monomial"].tolist())
+        i = tables[0]["energy"]["monomials"][monomial][0]
+        M = M.copy()
+        M[i, i] += 2.0**-10
+    grown = tables[0]["weight"].copy()
+    grown[own["index"]] += own["factor"] * 2.0**-11  # of the coefficient M_ii / 2
+    assert np.allclose(grown, tables[1]["weight"], rtol=2.0**-48, atol=0.0)
+    assert not np.array_equal(tables[0]["weight"], tables[1]["weight"])
