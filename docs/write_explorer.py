@@ -1,28 +1,30 @@
 """Write the tables of the explorer: ``python docs/write_explorer.py FOLDER`` writes ``tables.json``.
 
 For every system and scheme the tables that the compiled loops read, and the watched invariants, at the first values of
-the sliders; and for every entry that depends on them, its terms: multiples of the sources of the system. The terms of
-flows are those of the public table (``provenance``), and the others are found by trial values; all are then compared
-with the tables of the library at other values, bit for bit.
+the sliders; and for every entry that depends on them, the coefficient of the energy that it is a multiple of, which the
+tables record, as a formula of the sliders. All are compared with the tables of the library at other values, bit for
+bit.
 """
 
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from explorer_systems import SHOWN, Shown, Values, evaluate
+from explorer_formulas import energy_formulas, evaluate
+from explorer_systems import SHOWN, Shown, Values
 
 import coadjoint as co
 from coadjoint.kernels.interface import interface_text
+from coadjoint.program.sources import INDEPENDENT, Sources, sources_of, within
+from coadjoint.program.term_table import Terms
 from coadjoint.runs.loops.loops import loops_of_system
 
-VERSION = 1
+VERSION = 2
 # Name in the page, code of the scheme, and its title.
 SCHEMES = (
     ("splitting2", "co.Splitting(order=2)", "Splitting, order 2"),
@@ -31,7 +33,8 @@ SCHEMES = (
     ("gauss", "co.GaussLegendre(stages=2)", "Gauss-Legendre, 2 stages"),
     ("taylor", "co.Taylor()", "Taylor, order 16"),
 )
-FACTORS = (1.0, -1.0, 2.0, -2.0, 0.5, -0.5)
+# Fields with the brackets of the algebra.
+BRACKETS = (".state.constants", ".field.constant")
 CHECKED = 12  # values of the sliders at which all tables are compared
 STEPS = (1.0, 0.37)
 
@@ -54,11 +57,6 @@ def tables_of(shown: Shown, scheme: str, values: Values, h: float) -> tuple[dict
     if "tables.step" in found and isinstance(found["tables.step"], np.ndarray):
         found["tables.step"] = np.zeros(1, dtype=np.int64)  # an address of this process
     return found, loops
-
-
-def is_float(value: Any) -> bool:
-    """Return whether a field has numbers that may depend on sliders."""
-    return isinstance(value, np.ndarray) and value.dtype == np.float64
 
 
 def trial(shown: Shown, random: np.random.Generator) -> Values:
@@ -86,58 +84,63 @@ def first_values(shown: Shown) -> Values:
     return {slider.name: slider.value for slider in shown.sliders}
 
 
-def terms_of(entry: np.ndarray, sources: np.ndarray) -> list[list[float]] | None:
-    """Return an entry as multiples of one or two sources, given the values of both in some trials."""
-    singles = [(k, f) for k in range(len(sources)) for f in FACTORS]
-    for k, f in singles:
-        if np.array_equal(f * sources[k], entry):
-            return [[k, f]]
-    for (j, f), (k, g) in itertools.combinations(singles, 2):
-        if np.array_equal(f * sources[j] + g * sources[k], entry):
-            return [[j, f], [k, g]]
-    return None
-
-
-def moved(shown: Shown, scheme: str, base: dict[str, Any], random: np.random.Generator) -> dict[str, Any]:
-    """Return by path the entries that depend on the sliders, each with its terms; raise if one is no such sum."""
-    trials = [trial(shown, random) for _ in range(3)]
-    tables = [tables_of(shown, scheme, values, STEPS[0])[0] for values in trials]
-    sources = np.array([[evaluate(source, values) for values in trials] for source in shown.sources])
+def recorded(loop: Any, terms: Any) -> Sources:
+    """Return the sources of the constants of a loop, whose tables of functions begin with the terms of the energy."""
+    sources = loop.sources()
+    if sources is not None:
+        return sources
     found: dict[str, Any] = {}
-    for path, value in base.items():
-        if not is_float(value):
-            continue
-        columns = np.array([table[path] for table in tables])
-        if columns.shape[1:] != value.shape:
-            raise ValueError(f"{shown.name}, {scheme}: the size of {path} depends on the sliders: give parts")
-        for index in np.flatnonzero((columns != value).any(axis=0)).tolist():
-            terms = terms_of(columns[:, index], sources)
-            if terms is None:
-                raise ValueError(f"{shown.name}, {scheme}: {path}[{index}] is no sum of two sources; add one")
-            found.setdefault(path, []).append([index, terms])
+    for path, table in functions_in(loop.tables):
+        source = np.where(np.arange(table.size) < len(terms), np.arange(table.size), INDEPENDENT)
+        found |= within(path, sources_of(table, source, table.target, terms)) or {}
     return found
 
 
-def moved_value(terms: list[list[float]], sources: list[float]) -> float:
-    """Return the sum of the terms, as the page computes it."""
-    total = terms[0][1] * sources[int(terms[0][0])]
-    for k, factor in terms[1:]:
-        total += factor * sources[int(k)]
-    return total
+def functions_in(table: Any, path: str = "") -> Iterator[tuple[str, Terms]]:
+    """Yield the tables of functions inside of a table, by path."""
+    for name, value in zip(table._fields, table, strict=True):
+        if isinstance(value, Terms):
+            yield f"{path}{name}.", value
+        elif hasattr(value, "_fields"):
+            yield from functions_in(value, f"{path}{name}.")
+
+
+def moved(shown: Shown, system: Any, loops: Any, base: dict[str, Any]) -> dict[str, Any]:
+    """Return by path the entries that depend on the sliders, each with a factor and a formula."""
+    terms, energy = system.hamiltonian.terms(), energy_formulas(shown)
+    formulas: list[tuple[str, float] | None] = []
+    for term in terms:
+        form = term.form
+        keys = [(i,) for i in range(system.dim)] + [
+            (min(i, j), max(i, j)) for i, j in zip(form.rows, form.indices, strict=True)
+        ]
+        formulas += [(energy[key], 2.0 if len({*key}) < len(key) else 1.0) if key in energy else None for key in keys]
+    formulas.append((energy[()], 1.0) if () in energy else None)
+    found: dict[str, Any] = {}
+    for name, loop in (("tables.", loops.compiled[0]), ("watch.", loops.watches[0])):
+        for path, multiples in within(name, recorded(loop, terms)).items():
+            for index, number, factor in zip(*map(np.ndarray.tolist, multiples), strict=True):
+                if (formula := formulas[number]) is not None:
+                    found.setdefault(path, []).append([index, formula[0], factor * formula[1]])
+    if shown.brackets:
+        unit = evaluate(shown.brackets, first_values(shown))
+        for path in (path for path in base if path.endswith(BRACKETS)):
+            at = np.flatnonzero(base[path]).tolist()
+            found[path] = [[index, shown.brackets, base[path][index] / unit] for index in at]
+    return found
 
 
 def check(shown: Shown, scheme: str, base: dict[str, Any], moves: dict[str, Any], values: Values) -> None:
     """Raise ValueError if the moved tables are not those of the library."""
     expected, _ = tables_of(shown, scheme, values, STEPS[1])
-    sources = [evaluate(source, values) for source in shown.sources]
     for path, value in base.items():
         if path == "tables.tau":
             value = value * STEPS[1]  # the base has the step 1
         elif path == "tables.step" and not isinstance(value, np.ndarray):
             value = STEPS[1]
         value = np.array(value)
-        for index, terms in moves.get(path, ()):
-            value[index] = moved_value(terms, sources)
+        for index, formula, factor in moves.get(path, ()):
+            value[index] = factor * evaluate(formula, values)
         if not np.array_equal(value, expected[path]):
             raise ValueError(f"{shown.name}, {scheme}: {path} is {value}, not {expected[path]}, for {values}")
 
@@ -153,22 +156,28 @@ def entry(shown: Shown, random: np.random.Generator) -> dict[str, Any]:
     """Return everything that the page needs of a system."""
     schemes = {}
     invariants: list[str] = []
+    sources: dict[str, int] = {}
+    system = shown.build(first_values(shown))
     for name, scheme, _ in SCHEMES:
         scheme = code_of(scheme, shown)
         base, loops = tables_of(shown, scheme, first_values(shown), STEPS[0])
-        moves = moved(shown, scheme, base, random)
+        moves = moved(shown, system, loops, base)
         for k in range(CHECKED):
             check(shown, scheme, base, moves, on_grid(shown, random) if k % 2 else trial(shown, random))
         fields = {path: written(value) for path, value in base.items()}
         schemes[name] = {"code": scheme, "loop": loops.compiled[0].name}
-        schemes[name] |= {"fields": fields, "moves": moves}
+        numbered = {
+            path: [[index, sources.setdefault(formula, len(sources)), factor] for index, formula, factor in entries]
+            for path, entries in moves.items()
+        }
+        schemes[name] |= {"fields": fields, "moves": numbered}
         invariants = loops.names
     return {
         "title": shown.title,
         "text": shown.text,
         "code": shown.code,
         "sliders": [vars(slider) for slider in shown.sliders],
-        "sources": shown.sources,
+        "sources": list(sources),
         "x0": shown.x0,
         "coordinates": shown.coordinates,
         "invariants": invariants,

@@ -10,8 +10,8 @@ export interface Slider {
   step: number;
 }
 
-// An entry that depends on the sliders: its index, and its terms, each a source and a factor.
-type Move = [number, Array<[number, number]>];
+// An entry that depends on the sliders: its index, a source and a factor.
+type Move = [number, number, number];
 
 export interface Scheme {
   code: string;
@@ -64,7 +64,7 @@ export interface Tables {
   systems: Record<string, System>;
 }
 
-export const VERSION = 1;
+export const VERSION = 2;
 
 export type Values = Record<string, number>;
 
@@ -93,11 +93,7 @@ export function fieldsOf(tables: Tables, system: System, scheme: Scheme, values:
     fields[path] = typeof value === "number" ? value : Array.isArray(value) ? value : tables.arrays[value[""]];
   for (const [path, moves] of Object.entries(scheme.moves)) {
     const numbers = Array.from(fields[path] as number[]);
-    for (const [index, [first, ...rest]] of moves) {
-      let total = first[1] * sources[first[0]];
-      for (const [k, factor] of rest) total += factor * sources[k];
-      numbers[index] = total;
-    }
+    for (const [index, source, factor] of moves) numbers[index] = factor * sources[source];
     fields[path] = numbers;
   }
   if (scheme.loop === "flow_advance") {

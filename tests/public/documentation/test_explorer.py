@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from explorer_systems import SHOWN, WAVES, evaluate
+from explorer_formulas import Formula, energy_formulas, evaluate
+from explorer_systems import SHOWN, WAVES
 from write_explorer import SCHEMES, check, code_of, entry, first_values, moved, rows_of_parts, shared, tables_of
 
 import coadjoint as co
@@ -35,14 +36,14 @@ def test_tables_at_other_values_are_those_of_the_library(shown, random):
     json.dumps(shared({shown.name: written}))
 
 
-def test_wrong_terms_are_found(random):
+def test_wrong_factors_are_found():
     (shown,) = (shown for shown in SHOWN if shown.name == "rigid_body")
     scheme = code_of("co.Splitting(order=2)", shown)
-    base, _ = tables_of(shown, scheme, first_values(shown), 1.0)
-    moves = moved(shown, scheme, base, random)
+    base, loops = tables_of(shown, scheme, first_values(shown), 1.0)
+    moves = moved(shown, shown.build(first_values(shown)), loops, base)
     values = {"I1": 1.25, "I2": 1.75, "I3": 2.25}
     check(shown, scheme, base, moves, values)
-    moves["watch.terms.weight"][1][1][0][1] = -2.0
+    moves["watch.terms.weight"][1][2] = -2.0
     with pytest.raises(ValueError, match=r"watch\.terms\.weight is .* not"):
         check(shown, scheme, base, moves, values)
 
@@ -77,6 +78,30 @@ def test_labels_of_drawings_are_those_of_the_coordinates():
 def test_formulas_of_sources():
     assert evaluate("0.5 I1 /", {"I1": 4.0}) == 0.125
     assert evaluate("2 a - 3 *", {"a": 5.0}) == -9.0
+
+
+def test_formulas_are_evaluated_in_the_order_of_their_operations(random):
+    def function(a, b):
+        return [3 - a, a - 3, (a + b) * a / 7, 1 / (b * b) - 0.1, -(a + 0 * b) / 1.5, 0 - b * 1, (0 + a) * 0.3]
+
+    values = dict(zip("ab", random.uniform(0.5, 2.0, 2).tolist(), strict=True))
+    found = function(Formula("a"), Formula("b"))
+    assert [evaluate(one.text, values) for one in found] == function(**values)
+    assert (0 * Formula("a"), Formula("a") * 0, 0 / Formula("a")) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("shown", SHOWN, ids=lambda shown: shown.name)
+def test_formulas_of_energies_are_those_of_the_systems(shown, random):
+    """By numbers with many digits, at which squares are rounded: to rounding, since the library may use fractions."""
+    values = {slider.name: random.uniform(slider.low, slider.high) for slider in shown.sliders}
+    x = random.normal(size=(4, len(shown.x0)))
+    energies, formulas = [shown.build(one).energy(x) for one in (first_values(shown), values)], energy_formulas(shown)
+    change = sum(
+        (evaluate(text, values) - evaluate(text, first_values(shown))) * np.prod(x[:, list(key)], axis=1)
+        for key, text in formulas.items()
+    )
+    assert np.allclose(energies[1] - energies[0], change, rtol=0, atol=2.0**-46)
+    assert bool(formulas) == bool(shown.sliders)
 
 
 def test_flows_of_a_typed_algebra_are_those_of_its_splitting():

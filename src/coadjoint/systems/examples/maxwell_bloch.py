@@ -35,7 +35,7 @@ def _tipping(x: Any) -> Any:
 
 
 def _energy(coupling: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    return np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, coupling])
+    return np.array([1.0, 0.0, 0.0]), np.append(np.zeros(2), coupling)
 
 
 @ready_made(
