@@ -17,7 +17,7 @@ from jax import lax
 
 from coadjoint.jax.body_angles import BodyAngles
 from coadjoint.jax.sparse import Sparse, sparse
-from coadjoint.program.blocks import MOST_SUBSTEPS, TAYLOR_DEGREE, Kind
+from coadjoint.program.blocks import MOST_SUBSTEPS, RULES, TAYLOR_DEGREE, Kind
 
 Table = Mapping[str, Any]
 
@@ -306,9 +306,8 @@ def _layer(table: Table, blocks: Sequence[int], n: int, count: int) -> Layer:
         angle[inside] = table["state_angle"][entries][0]
         mean[inside], square[inside] = table["state_mean"][b], table["state_lambda"][b]
         nilpotent[inside] = kind != Kind.SCALE and table["state_lambda"][b] == 0.0
-        degree[inside] = {Kind.SCALE: 0, Kind.SHEAR: 1}.get(kind, 2)
-        if kind == Kind.SERIES:
-            degree[inside] = table["state_degree"][b]
+        powers = RULES[Kind(kind)].degree
+        degree[inside] = table["state_degree"][b] if powers is None else powers
         own = {(int(i), int(i)): -float(table["state_mean"][b]) for i in inside if table["state_mean"][b]}
         places = zip(table["state_row"][entries].tolist(), table["state_column"][entries].tolist(), strict=True)
         for place, value in zip(places, table["state_value"][entries].tolist(), strict=True):

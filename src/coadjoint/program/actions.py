@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.program.block_table import BlockTable, block_table, joined_tables, repeated_block_table
-from coadjoint.program.blocks import CUBIC_HEADER, Kind
+from coadjoint.program.blocks import RULES, Kind
 from coadjoint.program.generators import BasisMatrices, check_products
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.program.parts.part import Parts
@@ -103,9 +104,9 @@ def _sharing_labels(blocks: BlockTable) -> Integers:
     label = np.zeros(len(blocks.kind), dtype=np.int64)
     with_entries = blocks.entries > 0
     label[with_entries] = np.flatnonzero(with_entries)
-    for kind, count in ((Kind.SCALE, 1), (Kind.ROTATE, 1), (Kind.PLANE, 4)):
+    for kind in (Kind.SCALE, Kind.ROTATE, Kind.PLANE):
         members = np.flatnonzero(blocks.kind == kind)
-        for column in range(count):
+        for column in range(RULES[kind].header):
             values, inverse = np.unique(blocks.constants[blocks.constant_begin[members] + column], return_inverse=True)
             _, label[members] = np.unique(label[members] * len(values) + inverse, return_inverse=True)
     return label
@@ -204,33 +205,26 @@ def _empty_action(size: int, parts: int, number: Number) -> Action:
 
 def run_blocks(action: Action, run: int, q: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
     """Return the blocks of a run at its angle number q, as (coordinates, matrix); all but shears share one matrix."""
-    kind, repeat = action.kind[run], int(action.repeat[run])
+    kind, repeat = Kind(action.kind[run]), int(action.repeat[run])
     width, index, constant = int(action.width[run]), int(action.position[run]), int(action.constant[run])
-    constants = action.constants
+    constants, rule = action.constants, RULES[kind]
     first = index + q * repeat * width
     coordinates = action.indices[first : first + repeat * width].astype(np.int64).reshape(repeat, width)
-    matrix = np.full((width, width), 0 * constants[constant], dtype=constants.dtype)
-    if kind == Kind.SHEAR:
-        matrices = [matrix.copy() for _ in range(repeat)]
-        for b, each in enumerate(matrices):
-            each[0, 1] = constants[constant + q * repeat + b]
-        return list(zip(coordinates, matrices, strict=True))
-    if kind == Kind.SCALE:
-        matrix[0, 0] = constants[constant + q]
-    elif kind == Kind.ROTATE:
-        matrix[1, 0] = constants[constant + q]
-        matrix[0, 1] = -matrix[1, 0]
-    elif kind == Kind.PLANE:
-        mean, half, upper, lower = constants[constant + 4 * q : constant + 4 * q + 4]
-        matrix[:] = [[mean + half, upper], [lower, mean - half]]
-    else:
-        count = int(action.entries[run])
-        header = CUBIC_HEADER if kind == Kind.CUBIC else 1
-        starts = action.indices[index + width : index + 2 * width + 1].astype(np.int64)
-        rows = np.repeat(np.arange(width), np.diff(starts))
-        columns = action.indices[index + 2 * width + 1 :][:count]
-        matrix[rows, columns] = constants[constant + header :][:count]
-    return [(each, matrix) for each in coordinates]
+    own = repeat if kind == Kind.SHEAR else 1
+    matrices = np.full((own, width, width), 0 * constants[constant], dtype=constants.dtype)
+    for b, matrix in enumerate(matrices):
+        if rule.matrix is not None:
+            begin = constant + rule.header * (q * own + b)
+            for place, value in zip(
+                np.ndindex(width, width), chain(*rule.matrix(*constants[begin:][: rule.header])), strict=True
+            ):
+                matrix[place] = value
+        else:
+            starts = action.indices[index + width : index + 2 * width + 1].astype(np.int64)
+            columns = action.indices[index + 2 * width + 1 :][: int(action.entries[run])]
+            values = constants[constant + rule.header :][: len(columns)]
+            matrix[np.repeat(np.arange(width), np.diff(starts)), columns] = values
+    return [(each, matrices[b % own]) for b, each in enumerate(coordinates)]
 
 
 def run_entries(action: Action, run: int, q: int) -> dict[tuple[int, int], Any]:

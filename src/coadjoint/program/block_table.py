@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
-from coadjoint.program.blocks import CUBIC_HEADER, Block, Kind, larger_block, wide_series
+from coadjoint.program.blocks import RULES, Block, Kind, larger_block, wide_series
 from coadjoint.program.generators import BasisMatrices, Components, Generators, components_of
 from coadjoint.program.numbers import roundoff
 from coadjoint.program.sparse_rows import SparseRows, joined_starts, starts_of
@@ -254,7 +254,7 @@ def _block(table: BlockTable, b: int) -> Block:
     if not count:
         return Block(kind, tuple(index), tuple(constants))
     rows = np.repeat(np.arange(width), np.diff(index[width : 2 * width + 1])).tolist()
-    header = CUBIC_HEADER if kind == Kind.CUBIC else 1
+    header = RULES[kind].header
     values = [constants[first : first + count] for first in range(header, len(constants), count)]
     entries = tuple(zip(rows, index[2 * width + 1 :], *values, strict=True))
     return Block(kind, tuple(index[:width]), tuple(constants[:header]), entries, int(table.degree[b]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from decimal import Context, Decimal
 from enum import IntEnum
 from fractions import Fraction
@@ -14,12 +15,11 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 
 
 class Kind(IntEnum):
-    """Closed form of exp(theta D) - 1 on a block.
+    """Closed form of exp(theta D) - 1 on a block; `RULES` has the forms.
 
-    SCALE: one coordinate, expm1(theta d). ROTATE: (0, -w; w, 0). PLANE: any other 2 x 2 matrix, by the entire functions
-    sinh(sqrt z)/sqrt z and cosh(sqrt z) - 1, so without a case distinction on the discriminant. SHEAR: D^2 = 0, no
-    coordinate both source and target. CUBIC: D^3 = lam D, two terms (Rodrigues' formula in any basis). SERIES: a finite
-    sum if D is nilpotent, else the truncated Taylor series in substeps with abs(theta) norm1(D) <= 1.
+    SCALE: one coordinate. ROTATE: (0, -w; w, 0). PLANE: any other 2 x 2 matrix. SHEAR: D^2 = 0, no coordinate both
+    source and target. CUBIC: D^3 = lam D (Rodrigues' formula in any basis). SERIES: a finite sum if D is nilpotent,
+    else the truncated Taylor series in substeps with abs(theta) norm1(D) <= 1.
     """
 
     SCALE = 0
@@ -30,11 +30,53 @@ class Kind(IntEnum):
     SERIES = 5
 
 
+class Rule(NamedTuple):
+    """What is stored of a block of one kind, and its closed form.
+
+    There are `header` constants before the values of entries. `matrix` makes the rows of D of them, None where D is
+    given by entries. `mean` and `square` are functions of D and the first constant: with N = D - mean and N^3 = square
+    N, exp(theta D) = e^(theta mean) (1 + s theta N + c theta^2 N^2), s = sinh(w)/w and c = (cosh(w) - 1)/w^2 for w^2 =
+    square theta^2 of either sign, so without a case distinction. Only for CUBIC is N^2 no multiple of one, `square`. N
+    has the powers up to `degree`; a series has its own degree and norm instead.
+    """
+
+    header: int
+    matrix: Callable[..., Any] | None
+    mean: Callable[[NDArray[Any], Any], Any]
+    square: Callable[[NDArray[Any], Any], Any]
+    degree: int | None
+
+
+def _zero(D: NDArray[Any], first: Any) -> Any:
+    return abs(0 * D[0, 0])
+
+
+def _half(D: NDArray[Any]) -> Any:
+    return (D[0, 0] - D[1, 1]) / 2
+
+
+# Number of constants of a CUBIC block before the values of its entries.
+CUBIC_HEADER = 6
+
+RULES: Mapping[Kind, Rule] = {
+    Kind.SCALE: Rule(1, lambda d: [[d]], lambda D, _: D[0, 0], _zero, 0),
+    Kind.ROTATE: Rule(1, lambda w: [[0 * w, -w], [w, 0 * w]], _zero, lambda D, _: -(D[1, 0] ** 2), 2),
+    Kind.PLANE: Rule(
+        4,
+        lambda mean, half, upper, lower: [[mean + half, upper], [lower, mean - half]],
+        lambda D, _: (D[0, 0] + D[1, 1]) / 2,
+        lambda D, _: _half(D) * _half(D) + D[0, 1] * D[1, 0],
+        2,
+    ),
+    Kind.SHEAR: Rule(1, lambda d: [[0 * d, d], [0 * d, 0 * d]], _zero, _zero, 1),
+    Kind.CUBIC: Rule(CUBIC_HEADER, None, _zero, lambda _, lam: lam, 2),
+    Kind.SERIES: Rule(1, None, _zero, _zero, None),
+}
+"""The closed forms in Python; C++ has them once more, by kind, in `flows/blocks.hpp` and `flows/sparse_blocks.hpp`."""
+
 # Degree of the Taylor series in a substep of norm <= 1. The remainder, 1/21! = 2e-20, has one sign and must not
 # accumulate over the steps.
 TAYLOR_DEGREE = 20
-# Number of constants of a CUBIC block before the values of its entries.
-CUBIC_HEADER = 6
 # Above this size one column is tested before whole matrix products are formed.
 MAX_SQUARED_SIZE = 64
 MOST_SUBSTEPS = 4096

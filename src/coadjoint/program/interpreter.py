@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.program.actions import Action, run_blocks, run_entries
-from coadjoint.program.blocks import FEW_SUBSTEPS, MOST_SUBSTEPS, Kind
+from coadjoint.program.blocks import FEW_SUBSTEPS, MOST_SUBSTEPS, RULES, Kind
 from coadjoint.program.body_flow import FlowState, apply_body_flow, largest_of, substep_count
 from coadjoint.program.numbers import array_of, elementary, roundoff
 from coadjoint.program.rational_rotations import rational_angle, rational_angle_series
@@ -212,30 +212,17 @@ class Interpreter:
 
         Arrays are the first factors: mpmath prints an array that is the second one, for an error that is caught.
         """
-        kind = action.kind[run]
-        f = self.functions
-        if kind == Kind.SCALE:
-            return local * f.expm1(angle * block[0, 0])
-        if kind == Kind.ROTATE:
-            phi = angle * block[1, 0]
-            swapped = np.array([-local[1], local[0]], dtype=local.dtype)
-            return swapped * f.sin(phi) - local * (2 * f.sin(phi / 2) ** 2)
-        if kind == Kind.SHEAR:
-            return (block @ local) * angle
-        if kind == Kind.PLANE:
-            mean = (block[0, 0] + block[1, 1]) / 2
-            traceless = block - mean * np.eye(2, dtype=int)
-            s, c = self._entire_pair(angle**2 * (traceless @ traceless)[0, 0])
-            scale = f.exp(angle * mean)
-            # If both are large, expm1(mean) = -1 + ... has lost digits, which a product with cosh would amplify.
-            diagonal = f.expm1(angle * mean) + scale * c
-            return local * diagonal + (traceless @ local) * (scale * angle * s)
-        moved = block @ local
-        if kind == Kind.CUBIC:
-            lam = action.constants[action.constant[run]]
-            s, c = self._entire_pair(angle**2 * lam)
-            return moved * (angle * s) + (block @ moved) * (c / lam)
-        return self._series(angle, action.constants[action.constant[run]], int(action.degree[run]), block, local)
+        f, rule, first = self.functions, RULES[Kind(action.kind[run])], action.constants[action.constant[run]]
+        if rule.degree is None:
+            return self._series(angle, first, int(action.degree[run]), block, local)
+        mean, square = rule.mean(block, first), rule.square(block, first)
+        s, c = self._entire_pair(angle**2 * square)
+        moved = np.tensordot(block, local, axes=1) - local * mean
+        if action.kind[run] == Kind.CUBIC:
+            return moved * (angle * s) + (block @ moved) * (c / square)
+        scale = f.exp(angle * mean)
+        # If both are large, expm1(mean) = -1 + ... has lost digits, which a product with cosh would amplify.
+        return local * (f.expm1(angle * mean) + scale * c) + moved * (scale * angle * s)
 
     def _series(self, angle: Any, norm: Any, degree: int, block: NDArray[Any], vectors: NDArray[Any]) -> Any:
         reach = abs(angle) * norm

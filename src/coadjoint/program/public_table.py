@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.program.actions import Action, run_blocks
-from coadjoint.program.blocks import Kind
+from coadjoint.program.blocks import RULES, Kind
 from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.provenance import Provenance, monomials_of
 from coadjoint.program.sources import products_of
@@ -83,7 +83,9 @@ def _blocks(name: str, action: Action, program: Program) -> dict[str, Any]:
                     lengths.append(len(cells))
                     kinds.append(int(action.kind[run]))
                     degrees.append(int(action.degree[run]))
-                    constants.append(_constants(action, run, D))
+                    first, rule = action.constants[int(action.constant[run])], RULES[Kind(action.kind[run])]
+                    norm = first if rule.degree is None else 0 * first
+                    constants.append((rule.mean(D, first), rule.square(D, first), norm))
         count.append(len(kinds))
     columns: Sequence[Any] = list(zip(*entries, strict=True)) or [()] * 5
     numbers: Sequence[Any] = list(zip(*constants, strict=True)) or [()] * 3
@@ -98,22 +100,6 @@ def _blocks(name: str, action: Action, program: Program) -> dict[str, Any]:
     return {f"{name}_{label}": np.array(column, dtype=np.int64) for label, column in integers.items()} | {
         f"{name}_{label}": _numbers(program.number, column) for label, column in others.items()
     }
-
-
-def _constants(action: Action, run: int, D: NDArray[Any]) -> tuple[Any, Any, Any]:
-    """Return `mean` and `lambda` of (D - mean)^3 = lambda (D - mean), and the norm of a series that does not end."""
-    kind, zero = action.kind[run], abs(0 * D[0, 0])
-    if kind == Kind.SCALE:
-        return D[0, 0], zero, zero
-    if kind == Kind.ROTATE:
-        return zero, -(D[1, 0] ** 2), zero
-    if kind == Kind.PLANE:
-        half = (D[0, 0] - D[1, 1]) / 2
-        return (D[0, 0] + D[1, 1]) / 2, half * half + D[0, 1] * D[1, 0], zero
-    first = action.constants[int(action.constant[run])]
-    if kind == Kind.CUBIC:
-        return zero, first, zero
-    return zero, zero, first if kind == Kind.SERIES else zero
 
 
 def _numbers(number: Number, values: Sequence[Any]) -> NDArray[Any]:
