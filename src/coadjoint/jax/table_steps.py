@@ -214,11 +214,9 @@ class TableSteps:
         numbers = [jnp.asarray(self.table[name]) for name in DEPENDENT]
         if energy is not None:
             rest = self.shift.subtracted(energy)
-            grown = rest - self.shift.subtracted(self.table["energy"]["coefficients"])
             for k, name in enumerate(DEPENDENT):
-                own, more = self.table["provenance"][name], self.table["growth"][name]
+                own = self.table["provenance"][name]
                 numbers[k] = numbers[k].at[own["index"]].set(own["factor"] * rest[own["monomial"]])
-                numbers[k] = numbers[k].at[more["index"]].add(more["factor"] * grown[more["monomial"]])
         joined = jnp.concatenate(numbers)
         return [part.angles.constants(joined) for part in self.parts]
 
@@ -251,7 +249,7 @@ class TableSteps:
 def _angles(table: Table, first: int, last: int) -> Angles:
     """Return the angles of the terms `first` to `last` - 1, which are one part."""
     n, rows = int(table["dim"]), slice(int(table["term_row"][first]), int(table["term_row"][last]))
-    may_change = {*table["provenance"]["offset"]["index"].tolist(), *table["growth"]["offset"]["index"].tolist()}
+    may_change = {*table["provenance"]["offset"]["index"].tolist()}
     starts = np.cumsum([0, *(len(table[name]) for name in DEPENDENT)])
     found: list[tuple[int, int, float, tuple[int, ...]]] = []
     for row in range(rows.start, rows.stop):

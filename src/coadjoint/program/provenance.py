@@ -116,7 +116,7 @@ class Provenance:
     """The numbers of a program that depend on the coefficient of a monomial of the energy."""
 
     def __init__(self, program: Program) -> None:
-        self.places = _Places(program)
+        self._program, self.places = program, _Places(program)
         self._found: dict[Key, Changes | None] = {}
         # Casimirs that were subtracted, by their monomials.
         self._casimirs: dict[Key, list[tuple[int, dict[Key, float]]]] = {}
@@ -125,11 +125,6 @@ class Provenance:
             for key in by_key:
                 if by_key[key]:
                     self._casimirs.setdefault(key, []).append((number, by_key))
-
-    @property
-    def copied(self) -> NDArray[np.bool_]:
-        """Which coefficients are copies, as multiples, of those of the energy."""
-        return self.places.copied
 
     def changes(self, key: Key) -> Changes | None:
         """Return what changes with the coefficient of a monomial; None if it belongs to no part.
@@ -154,6 +149,22 @@ class Provenance:
             for key, found in zip(keys, numbers.tolist(), strict=True)
         ]
 
+    def multiples_of(self, keys: Sequence[Key]) -> list[Changes | None]:
+        """Return the coefficients that are multiples of those of monomials, after Casimirs were subtracted.
+
+        Of a monomial that a shift has removed, the factor of the shift. None for monomials on which other coefficients
+        depend, as those of completed squares.
+        """
+        of_bodies, copied = _weights_of_bodies(self._program), self.places.copied
+        found = []
+        for key, change in zip(keys, self.changes_of(keys), strict=True):
+            if change is None and key in of_bodies:
+                change = Changes(of_bodies[key], [])
+            elif change is not None and not all(copied[number] for number, _ in change.coefficients):
+                change = None
+            found.append(change)
+        return found
+
     def _changes(self, key: Key) -> Changes | None:
         if not key:
             return Changes([], [])
@@ -170,6 +181,20 @@ class Provenance:
             else:
                 return Changes(changes, [(number, 1.0 / by_key[key])])
         return None
+
+
+def _weights_of_bodies(program: Program) -> dict[Key, list[tuple[int, float]]]:
+    """Return the weights of free bodies, which are entries of M, by their monomials, with their factors."""
+    found: dict[Key, list[tuple[int, float]]] = {}
+    terms, forms = program.terms, program.parts.forms
+    for share, body in program.parts.bodies.items():
+        if body.other is None:
+            rows = np.arange(*terms.row[share : share + 2].tolist())
+            entries, i, j = products_of(terms, rows, forms.coordinate[forms.start[rows]].astype(np.int64))
+            for entry, pair in zip(entries.tolist(), np.sort([i, j], axis=0).T.tolist(), strict=True):
+                number = len(terms.offset) + entry
+                found.setdefault(tuple(pair), []).append((number, 2.0 if pair[0] == pair[1] else 1.0))
+    return found
 
 
 def in_parts(program: Program, G: EnergyDerivative) -> tuple[CoefficientMap, CoefficientMap] | None:

@@ -14,7 +14,6 @@ from coadjoint.program.actions import Action, run_blocks
 from coadjoint.program.blocks import RULES, Kind
 from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.provenance import Provenance, monomials_of
-from coadjoint.program.sources import products_of
 from coadjoint.program.sparse_rows import starts_of
 from coadjoint.program.table import Program
 from coadjoint.program.term_table import Terms
@@ -147,35 +146,29 @@ def _provenance(program: Program) -> dict[str, Any]:
     for casimir, (_, factor) in zip(casimirs, program.shift, strict=True):
         for key, c in casimir.items() if not program.parts.bodies else ():
             rest[number[key]] -= factor * c
-    places = Provenance(program)
-    multiples, growth = ({name: list[_Row]() for name in DEPENDENT} for _ in range(2))
+    multiples: dict[str, list[_Row]] = {name: [] for name in DEPENDENT}
     removed: dict[int, int] = {}
-    of_bodies = _weights_of_bodies(program)
-    fixed = []
+    fixed: list[int] = []
     constants = [program.terms.offset, program.terms.weight, program.terms.coefficient]
     starts = starts_of(np.array([len(one) for one in constants])).tolist()
-    for monomial, (key, change) in enumerate(zip(keys, places.changes_of(keys), strict=True)):
-        if change is None or change.shifts:
-            by = (
-                [k for k, _ in change.shifts if program.shift[k][1] == values[monomial] / casimirs[k][key]]
-                if change
-                else []
-            )
-            removed |= dict.fromkeys(by, monomial)
-            multiples["weight"] += [(position, monomial, factor) for position, factor in of_bodies.get(key, ())]
-            if not by and key not in of_bodies:
-                fixed.append(monomial)
-            continue
-        for position, factor in change.coefficients:
+    for monomial, found in enumerate(Provenance(program).multiples_of(keys)):
+        rows: list[tuple[int, int, float]] = []
+        for position, by in [] if found is None or found.shifts else found.coefficients:
             kind = bisect_right(starts, position, hi=len(constants)) - 1
-            at = position - starts[kind]
-            exact = places.copied[position] and constants[kind][at] == factor * rest[monomial]
-            (multiples if exact else growth)[DEPENDENT[kind]].append((at, monomial, factor))
+            rows.append((kind, position - starts[kind], by))
+        if found is not None and found.shifts:
+            ((k, _),) = found.shifts
+            follows = program.shift[k][1] == values[monomial] / casimirs[k][keys[monomial]]
+            removed |= {k: monomial} if follows else {}
+        else:  # monomials of several terms have other coefficients in each
+            follows = found is not None and all(constants[kind][at] == by * rest[monomial] for kind, at, by in rows)
+            for kind, at, by in rows if follows else ():
+                multiples[DEPENDENT[kind]].append((at, monomial, by))
+        fixed += [] if follows else [monomial]
     return {
         **described,
         "energy": {"monomials": [list(key) for key in keys], "coefficients": values},
         "provenance": {name: _columns(rows) for name, rows in multiples.items()},
-        "growth": {name: _columns(rows) for name, rows in growth.items()},
         "fixed": fixed,
         "shift": [
             {
@@ -187,18 +180,6 @@ def _provenance(program: Program) -> dict[str, Any]:
             for k, (casimir, factor) in enumerate(program.shift)
         ],
     }
-
-
-def _weights_of_bodies(program: Program) -> dict[Key, list[tuple[int, float]]]:
-    """Return the weights of free bodies, which are entries of M, by their monomials, with their factors."""
-    found: dict[Key, list[tuple[int, float]]] = {}
-    for share, body in program.parts.bodies.items():
-        if body.other is None:
-            rows = np.arange(*program.terms.row[share : share + 2].tolist())
-            coordinates = program.parts.forms.coordinate[program.parts.forms.start[rows]].astype(np.int64)
-            for entry, i, j in zip(*map(np.ndarray.tolist, products_of(program.terms, rows, coordinates)), strict=True):
-                found.setdefault((min(i, j), max(i, j)), []).append((entry, 2.0 if i == j else 1.0))
-    return found
 
 
 def _columns(rows: Sequence[_Row]) -> dict[str, NDArray[Any]]:

@@ -330,6 +330,10 @@ def test_parameters_that_change_the_parts_are_refused():
     f = co.jax.solution(ready, (0, 1), backend="xla")
     with refused(ValueError, "M ", "parts"):
         f(X0, M=np.eye(3))
+    # The constants of a free body are made of its moments when the run is prepared.
+    f = co.jax.solution(prepared((1.0, 2.0, 2.5), co.Splitting(parts="free_body")), (0, 1), backend="xla")
+    with refused(ValueError, "inertia", "parts"):
+        f(X0, inertia=np.array([1.0, 2.0, 2.6]))
 
 
 @pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit], ids=["at once", "jit"])

@@ -106,7 +106,7 @@ def energy_in(table, other):
 
 def differences(found, wanted):
     """The names of the entries that differ; parameters and what depends on them are described at other values."""
-    described = {"parameters", "energy", "provenance", "growth", "fixed", "shift"}
+    described = {"parameters", "energy", "provenance", "fixed", "shift"}
     factors = [[(shift["factor"], shift["exponents"]) for shift in table["shift"]] for table in (found, wanted)]
     different = {name for name in wanted.keys() - described if not np.array_equal(found[name], wanted[name])}
     return different | ({"shift"} if factors[0] != factors[1] else set())
@@ -157,7 +157,7 @@ def test_tables_at_other_parameters_are_those_of_the_library(page, name, scheme)
             except ValueError as refusal:
                 assert "fixed" in str(refusal)
                 # It is no excuse: the rules alone do not give the table of the changed system.
-                rules = {**table, "fixed": [], "growth": {}}
+                rules = {**table, "fixed": []}
                 assert differences(page["with_coefficients"](rules, energy), automatic), (label, value)
                 continue
             wanted = with_parts(scheme, program, found["shift"]).program(changed, group="coadjoint").to_mapping()
@@ -180,30 +180,11 @@ def test_the_library_chooses_the_factors_of_shifts_by_the_rules_of_the_page(page
     assert given["shift"][0]["monomial"] is None and given["fixed"] == []
 
 
-def test_what_depends_otherwise_is_said_by_name(page):
-    table = co.Splitting(parts="coordinates").program(co.systems.rigid_body(TENSOR)).to_mapping()
-    monomials = table["energy"]["monomials"]
-    assert [0, 1] in [monomials[k] for k in table["fixed"]]
-    grown = {name for name, own in table["growth"].items() if own["index"].size}
-    assert grown == {"weight"}
-    for monomial, named in ((table["growth"]["weight"]["monomial"][0], "weight"), (monomials.index([0, 1]), "[0, 1]")):
+def test_coefficients_of_completed_squares_are_refused_by_name(page):
+    table = SCHEMES["coordinates"].program(co.systems.rigid_body(TENSOR)).to_mapping()
+    assert sorted(table["fixed"]) == list(range(6)) and not len(table["provenance"]["weight"]["index"])
+    for monomial, key in enumerate(table["energy"]["monomials"]):
         energy = table["energy"]["coefficients"].copy()
         energy[monomial] *= 1.1
-        with refused(ValueError, named):
+        with refused(ValueError, key):
             page["with_coefficients"](table, energy)
-
-
-def test_numbers_of_completed_squares_grow_with_coefficients():
-    """The last square has the weight M_ii minus what the others have taken."""
-    M, scheme, tables = np.array([[1.0, 0.25, 0.0], [0.25, 0.5, 0.125], [0.0, 0.125, 0.75]]), SCHEMES["coordinates"], []
-    for _ in range(2):
-        tables.append(scheme.program(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M))).to_mapping())
-        own = tables[0]["growth"]["weight"]
-        (monomial,) = set(own["monomial"].tolist())
-        i = tables[0]["energy"]["monomials"][monomial][0]
-        M = M.copy()
-        M[i, i] += 2.0**-10
-    grown = tables[0]["weight"].copy()
-    grown[own["index"]] += own["factor"] * 2.0**-11  # of the coefficient M_ii / 2
-    assert np.allclose(grown, tables[1]["weight"], rtol=2.0**-48, atol=0.0)
-    assert not np.array_equal(tables[0]["weight"], tables[1]["weight"])
