@@ -157,33 +157,6 @@ class Part:
         return x
 
 
-class _Shift:
-    """The Casimirs that are subtracted from the coefficients of the energy, with factors that may follow these."""
-
-    def __init__(self, table: Table) -> None:
-        monomials = {tuple(key): k for k, key in enumerate(table["energy"]["monomials"])}
-        self._own = [] if table["bodies"] else table["shift"]
-        number, cells, values = [], [], []
-        for k, shift in enumerate(self._own):
-            for exponents, c in zip(shift["exponents"], shift["coefficients"], strict=True):
-                number.append(k)
-                cells.append(monomials[tuple(np.repeat(np.arange(len(exponents)), exponents).tolist())])
-                values.append(float(c))
-        self._number, self._cells = (np.array(column, dtype=np.int64) for column in (number, cells))
-        self._values = np.array(values)
-        removed = [k for k, shift in enumerate(self._own) if shift["monomial"] is not None]
-        at = [cells.index(self._own[k]["monomial"], number.index(k)) for k in removed]
-        self._removed, self._at = np.array(removed, dtype=np.int64), np.array(at, dtype=np.int64)
-
-    def subtracted(self, energy: Any) -> Any:
-        """Return the coefficients after the Casimirs were subtracted."""
-        if not self._own:
-            return jnp.asarray(energy)
-        energy, factor = jnp.asarray(energy), jnp.array([shift["factor"] for shift in self._own])
-        factor = factor.at[self._removed].set(energy[self._cells[self._at]] / self._values[self._at])
-        return energy.at[self._cells].add(-factor[self._number] * self._values)
-
-
 class TableSteps:
     """Steps of a splitting, from its table.
 
@@ -196,7 +169,7 @@ class TableSteps:
                 f"the table has the version {table['version']}; this reader knows versions up to {VERSION}"
             )
         self.table = table
-        self.shift = _Shift(table)
+        self.after_shift = _after_shift(table)
         self.parts = [Part(table, p) for p in range(len(table["share"]) - 1)]
         sections = [range(*table["section"][k : k + 2].tolist()) for k in range(3)]
         self.first_rows, self.step_rows, self.finish_rows = sections
@@ -213,7 +186,7 @@ class TableSteps:
         """Return the constants of the parts for coefficients of the energy, those of `table["energy"]`."""
         numbers = [jnp.asarray(self.table[name]) for name in DEPENDENT]
         if energy is not None:
-            rest = self.shift.subtracted(energy)
+            rest = self.after_shift(energy)
             for k, name in enumerate(DEPENDENT):
                 own = self.table["provenance"][name]
                 numbers[k] = numbers[k].at[own["index"]].set(own["factor"] * rest[own["monomial"]])
@@ -244,6 +217,29 @@ class TableSteps:
         # A loop, since XLA would otherwise join flows into one, and compute their sines again for each use.
         flow = jax.checkpoint(lambda x, row: (lax.switch(row[0], flows, row[1] * h, x), None), prevent_cse=False)
         return lax.scan(flow, x, (parts, self.table["coefficient"][list(rows)]))[0]
+
+
+def _after_shift(table: Table) -> Callable[[Any], Any]:
+    """Return the function that subtracts Casimirs, whose factors may follow coefficients, from those of the energy."""
+    monomials = {tuple(key): k for k, key in enumerate(table["energy"]["monomials"])}
+    shifts = [] if table["bodies"] else table["shift"]
+    found = [
+        (k, monomials[tuple(np.repeat(np.arange(len(exponents)), exponents).tolist())], float(c))
+        for k, shift in enumerate(shifts)
+        for exponents, c in zip(shift["exponents"], shift["coefficients"], strict=True)
+    ]
+    number, cells, values = (np.array([one[column] for one in found]) for column in range(3))
+    removed = np.flatnonzero([cell == shifts[k]["monomial"] for k, cell, _ in found])
+
+    def after_shift(energy: Any) -> Any:
+        energy = jnp.asarray(energy)
+        if not found:
+            return energy
+        factor = jnp.array([shift["factor"] for shift in shifts])
+        factor = factor.at[number[removed]].set(energy[cells[removed]] / values[removed])
+        return energy.at[cells].add(-factor[number] * values)
+
+    return after_shift
 
 
 def _angles(table: Table, first: int, last: int) -> Angles:

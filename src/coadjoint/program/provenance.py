@@ -31,17 +31,23 @@ class Changes(NamedTuple):
     shifts: list[tuple[int, float]]
 
 
-class _Places:
-    """Coefficients of the parts of a program by the monomials of the energy, after Casimirs were subtracted.
+def with_factors(numbers: Sequence[int]) -> list[tuple[int, float]]:
+    """Return the coefficients that a monomial changes, of those that `of_pairs` returns, with their factors."""
+    return [(number, 2.0 if -2 in numbers else 1.0) for number in numbers if number >= 0]
+
+
+class Provenance:
+    """The coefficients of the parts of a program by the monomials of the energy, after Casimirs were subtracted.
 
     The angle of a coordinate is a row of one share: its offset is the coefficient of x_i, and its weights are those of
     x_i x_j. `rows` has the row of each coordinate, -1 if there is none or several; `entries` are those of `codes`,
-    row * n + column, which are sorted. `monomials` has the numbers of monomials, -1 if there are several. Rows whose
-    products are omitted are not listed: they cancel only for the coefficients as they are. `copied` are the
-    coefficients of shares that are copies of terms of the energy; others, as of completed squares, contain more.
+    row * n + column, which are sorted. `numbers` has those of monomials, -1 if there are several. Rows whose products
+    are omitted are not listed: they cancel only for the coefficients as they are. `copied` are the coefficients of
+    shares that are copies of terms of the energy; others, as of completed squares, contain more.
     """
 
     def __init__(self, program: Program) -> None:
+        self._program = program
         self._n, terms, forms = program.state.size, program.terms, program.parts.forms
         self._weights, self._monomials = len(terms.offset), len(terms.offset) + len(terms.weight)
         linear = terms.kind == LINEAR
@@ -59,8 +65,8 @@ class _Places:
         order = np.argsort(codes)
         self._codes, self._entries = codes[order], entries[order]
         self._numbers: dict[Key, int] = {}
-        number = np.searchsorted(terms.factor, np.flatnonzero(np.isin(terms.factor_row, omitted)), side="right") - 1
-        without = {*number.tolist()}
+        factors = np.flatnonzero(np.isin(terms.factor_row, omitted))
+        without = {*(np.searchsorted(terms.factor, factors, side="right") - 1).tolist()}
         for monomial, powers in powers_of(terms, np.ones(terms.size, dtype=bool)):
             key = tuple(i for i, e in powers for _ in range(e))
             self._numbers[key] = -1 if key in self._numbers or monomial in without else monomial
@@ -70,7 +76,15 @@ class _Places:
         of_rows = np.repeat(copied, np.diff(terms.row).astype(np.int64))
         of_weights = np.repeat(of_rows, np.diff(terms.entry).astype(np.int64))
         of_monomials = np.repeat(copied, np.diff(terms.monomial).astype(np.int64))
-        self.copied = np.concatenate([of_rows, of_weights, of_monomials])
+        self._copied = np.concatenate([of_rows, of_weights, of_monomials])
+        self._found: dict[Key, Changes | None] = {}
+        # Casimirs that were subtracted, by their monomials.
+        self._casimirs: dict[Key, list[tuple[int, dict[Key, float]]]] = {}
+        for number, (casimir, _) in enumerate(program.shift):
+            by_key = {tuple(factors_of(exponents)): float(c) for exponents, c in casimir.monomials.items()}
+            for key in by_key:
+                if by_key[key]:
+                    self._casimirs.setdefault(key, []).append((number, by_key))
 
     def of_coordinates(self, i: Integers) -> Integers:
         """Return the coefficients that monomials x_i change; -1 where this takes a search by `find`."""
@@ -106,26 +120,6 @@ class _Places:
             return None
         return None if found[0] < 0 else with_factors(found)
 
-
-def with_factors(numbers: Sequence[int]) -> list[tuple[int, float]]:
-    """Return the coefficients that a monomial changes, of those that `_Places` returns, with their factors."""
-    return [(number, 2.0 if -2 in numbers else 1.0) for number in numbers if number >= 0]
-
-
-class Provenance:
-    """The numbers of a program that depend on the coefficient of a monomial of the energy."""
-
-    def __init__(self, program: Program) -> None:
-        self._program, self.places = program, _Places(program)
-        self._found: dict[Key, Changes | None] = {}
-        # Casimirs that were subtracted, by their monomials.
-        self._casimirs: dict[Key, list[tuple[int, dict[Key, float]]]] = {}
-        for number, (casimir, _) in enumerate(program.shift):
-            by_key = {tuple(factors_of(exponents)): float(c) for exponents, c in casimir.monomials.items()}
-            for key in by_key:
-                if by_key[key]:
-                    self._casimirs.setdefault(key, []).append((number, by_key))
-
     def changes(self, key: Key) -> Changes | None:
         """Return what changes with the coefficient of a monomial; None if it belongs to no part.
 
@@ -142,8 +136,8 @@ class Provenance:
         i, j = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
         linear, quadratic = (i < 0) & (j >= 0), i >= 0
         numbers = np.full((len(keys), 2), -1, dtype=np.int64)
-        numbers[linear, 0] = self.places.of_coordinates(j[linear])
-        numbers[quadratic] = self.places.of_pairs(i[quadratic], j[quadratic])
+        numbers[linear, 0] = self.of_coordinates(j[linear])
+        numbers[quadratic] = self.of_pairs(i[quadratic], j[quadratic])
         return [
             self.changes(key) if found[0] < 0 else Changes(with_factors(found), [])
             for key, found in zip(keys, numbers.tolist(), strict=True)
@@ -155,12 +149,12 @@ class Provenance:
         Of a monomial that a shift has removed, the factor of the shift. None for monomials on which other coefficients
         depend, as those of completed squares.
         """
-        of_bodies, copied = _weights_of_bodies(self._program), self.places.copied
+        of_bodies = _weights_of_bodies(self._program)
         found = []
         for key, change in zip(keys, self.changes_of(keys), strict=True):
             if change is None and key in of_bodies:
                 change = Changes(of_bodies[key], [])
-            elif change is not None and not all(copied[number] for number, _ in change.coefficients):
+            elif change is not None and not all(self._copied[number] for number, _ in change.coefficients):
                 change = None
             found.append(change)
         return found
@@ -168,13 +162,13 @@ class Provenance:
     def _changes(self, key: Key) -> Changes | None:
         if not key:
             return Changes([], [])
-        if (found := self.places.find(key)) is not None:
+        if (found := self.find(key)) is not None:
             return Changes(found, [])
         for number, by_key in self._casimirs.get(key, ()):
             changes: list[tuple[int, float]] = []
             for other, c in by_key.items():
                 if other != key:
-                    rest = self.places.find(other)
+                    rest = self.find(other)
                     if rest is None:
                         break
                     changes += [(index, -c / by_key[key] * by) for index, by in rest]
@@ -205,7 +199,7 @@ def in_parts(program: Program, G: EnergyDerivative) -> tuple[CoefficientMap, Coe
     """
     provenance = Provenance(program)
     i, j = np.sort(G.quadratic, axis=1).T
-    linear, quadratic = provenance.places.of_coordinates(G.linear), provenance.places.of_pairs(i, j)
+    linear, quadratic = provenance.of_coordinates(G.linear), provenance.of_pairs(i, j)
     searched = np.concatenate([linear, quadratic[:, 0]]) < 0
     changed: list[tuple[int, int, float]] = []
     shifts: list[tuple[int, int, float]] = []
