@@ -174,10 +174,45 @@ def test_the_library_chooses_the_factors_of_shifts_by_the_rules_of_the_page(page
     found = page["with_coefficients"](tables[0], energy_in(*tables))
     assert found["shift"][0]["factor"] == tables[1]["shift"][0]["factor"] != tables[0]["shift"][0]["factor"]
     assert differences(found, tables[1]) == set()
-    # A factor that was given as a number stays, and the coefficient that it would remove is fixed.
-    given = co.Splitting(parts={"order": (0, 1, 2), "shift": {"|x|^2": 0.2}}).program(co.systems.rigid_body())
-    given = given.to_mapping()
-    assert given["shift"][0]["monomial"] is None and given["fixed"] == []
+
+
+def test_factors_that_were_given_are_numbers(page):
+    """0.25 removes the second square, as the library chooses; the next number does so to rounding, and 0.2 does not."""
+    for factor, parts, monomial, fixed in (
+        (0.25, 2, 1, []),
+        (np.nextafter(0.25, 1.0), 2, None, [1]),
+        (0.2, 3, None, []),
+    ):
+        scheme = co.Splitting(parts={"order": tuple(range(parts)), "shift": {"|x|^2": factor}})
+        table = scheme.program(co.systems.rigid_body()).to_mapping()
+        assert ([shift["monomial"] for shift in table["shift"]], table["fixed"]) == ([monomial], fixed)
+
+
+FOLLOWED = {
+    ("rigid_body", "2"): "inertia",
+    ("rigid_body", "free_body"): "inertia",
+    ("a tensor", "free_body"): "inertia",
+    ("heavy_top", "free_body"): "inertia lever",
+    ("heavy_top", "4"): "inertia lever",
+    ("a top with a tensor", "2"): "lever",
+    ("gyrostat", "2"): "inertia rotors",
+    ("kirchhoff_body", "processed"): "inertia mass",
+    ("spin_lattice", "composition"): "exchange field",
+    ("toda", "2"): "M linear",
+    ("bodies", "coordinates"): "inertias masses",
+    ("a diagonal", "coordinates"): "M linear",
+    ("a polynomial", "2"): "coefficients",
+}
+
+
+@pytest.mark.filterwarnings("ignore:.*principal moment", "ignore:inertia")
+def test_parameters_that_tables_follow():
+    for (name, scheme), parameters in FOLLOWED.items():
+        system = OTHERS[name]() if name in OTHERS else co.systems.get(name)
+        table = SCHEMES[scheme].program(system).to_mapping()
+        for parameter in map(table["parameters"].get, parameters.split()):
+            moved = parameter["monomial"][parameter["derivative"] != 0.0]
+            assert len(moved) and not np.isin(moved, table["fixed"]).any(), (name, scheme)
 
 
 def test_coefficients_of_completed_squares_are_refused_by_name(page):
