@@ -223,3 +223,7 @@ def test_coefficients_of_completed_squares_are_refused_by_name(page):
         energy[monomial] *= 1.1
         with refused(ValueError, key):
             page["with_coefficients"](table, energy)
+    # The last square has the weight M_33, as long as M_12 is larger.
+    M = np.array([[0.0, 1.0, 0.3], [1.0, 0.0, 0.0], [0.3, 0.0, 0.2]])
+    table = SCHEMES["coordinates"].program(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M))).to_mapping()
+    assert 0.2 in table["weight"] and table["energy"]["monomials"].index([2, 2]) in table["fixed"]
