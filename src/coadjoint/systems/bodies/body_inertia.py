@@ -38,11 +38,16 @@ class BodyInertia(NamedTuple):
     @property
     def anisotropic(self) -> Floats:
         """The tensor without its isotropic part: the trace is zero, and the moments of a ball vanish exactly."""
-        result = self.tensor.copy()
-        for i in range(3):
-            a, b, c = (self.tensor[j, j] for j in (i, (i + 1) % 3, (i + 2) % 3))
-            result[i, i] = ((a - b) + (a - c)) / 3.0
-        return result
+        return np.asarray(anisotropic_part(self.tensor), dtype=np.float64)
+
+
+def anisotropic_part(tensor: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return a tensor without its isotropic part, real or complex, from differences of its moments."""
+    result = tensor.copy()
+    for i in range(3):
+        a, b, c = (tensor[j, j] for j in (i, (i + 1) % 3, (i + 2) % 3))
+        result[i, i] = ((a - b) + (a - c)) / 3.0
+    return result
 
 
 def read_body_inertia(inertia: Any, what: str = "inertia") -> BodyInertia:
