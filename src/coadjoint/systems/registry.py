@@ -10,6 +10,8 @@ from inspect import Parameter, signature
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar, overload
 
+import numpy as np
+
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import GalleryEntry
@@ -31,6 +33,8 @@ class DeclaredEnergy(NamedTuple):
 _REGISTRY: dict[str, Callable[..., Any]] = {}
 _ENERGIES: dict[str, DeclaredEnergy] = {}
 _GALLERY_ENTRIES: dict[str, GalleryEntry] = {}
+_UNITS: dict[str, str] = {}
+UNIT_TOLERANCE = 1e-6  # deviation of a coordinate from 1 that is taken for rounding
 
 
 @overload
@@ -43,6 +47,7 @@ def ready_made(
     gallery_entry: GalleryEntry | None = None,
     energy: Callable[..., Any] | None = None,
     symmetric: tuple[str, ...] = (),
+    unit: str = "",
 ) -> Callable[[Builder], Builder]: ...
 
 
@@ -53,6 +58,7 @@ def ready_made(
     gallery_entry: GalleryEntry | None = None,
     energy: Callable[..., Any] | None = None,
     symmetric: tuple[str, ...] = (),
+    unit: str = "",
 ) -> Any:
     """Register a function that makes a system, under its own name.
 
@@ -70,6 +76,9 @@ def ready_made(
         nothing, and may raise ValueError where arguments are tied to each other.
     symmetric : tuple of str, optional
         Parameters that must be symmetric where they are matrices.
+    unit : str, optional
+        A Casimir that is a coordinate and must be 1 in every initial state, such as the central one beside canonical
+        pairs.
 
     Returns
     -------
@@ -93,6 +102,8 @@ def ready_made(
             _GALLERY_ENTRIES[wrapped.__name__] = gallery_entry
         if energy is not None:
             _ENERGIES[wrapped.__name__] = _declared(builder, energy, symmetric)
+        if unit:
+            _UNITS[wrapped.__name__] = unit
         return wrapped
 
     return register if function is None else register(function)
@@ -113,6 +124,29 @@ def energy_of(name: str) -> DeclaredEnergy | None:
     """Return the declared energy of a ready-made system; None for any other system, or if it declares none."""
     ready_made_systems()
     return _ENERGIES.get(name)
+
+
+def check_unit_coordinate(system: Any, x0: Any) -> None:
+    """Raise ValueError if a coordinate of x0 must be 1 in this ready-made system, and is not; shapes are not checked.
+
+    Examples
+    --------
+    >>> from coadjoint.systems.bodies.satellite import satellite
+    >>> check_unit_coordinate(satellite(), [0, 0, 0, 0, 1, 0, 1, 0, 0, 0])
+    Traceback (most recent call last):
+    ValueError: x0[..., 9] is 0, and z of satellite must be 1; ...
+    """
+    casimir = system.casimirs.get(_UNITS[system.name]) if system.name in _UNITS else None
+    states = None if casimir is None else np.asarray(x0)
+    if casimir is None or states is None or states.dtype.kind not in "fiu" or states.shape[-1:] != (system.dim,):
+        return
+    coordinate = int(np.argmax(np.abs(casimir.gradient(np.zeros(system.dim)))))
+    wrong = ~(np.abs(states[..., coordinate] - 1.0) <= UNIT_TOLERANCE)
+    if wrong.any():
+        raise ValueError(
+            f"x0[..., {coordinate}] is {states[..., coordinate][wrong].flat[0]:g}, and {_UNITS[system.name]} of "
+            f"{system.name} must be 1; set this coordinate, by which positions and momenta are canonical pairs, to 1"
+        )
 
 
 def ready_made_systems() -> Mapping[str, Callable[..., Any]]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.long_operations import note_progress
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.system_checks import System
 
 Floats = NDArray[np.float64]
@@ -103,13 +104,19 @@ def _integrated(system: System, x: Floats, t: float, tolerance: float) -> Floats
 
 
 def natural_time(system: System, x: Floats) -> float:
-    """Return the time in which the state, or its velocity, changes by its own size; 0 at an equilibrium."""
+    """Return the time in which the state, a group of its coordinates, or its velocity changes by its own size.
+
+    0 at an equilibrium.
+    """
     velocity = np.asarray(system.vector_field(x, 0.0), dtype=np.float64)
     speed, size = float(np.linalg.norm(velocity)), float(np.linalg.norm(x))
-    if not speed > 64 * UNIT_ROUNDOFF * size or size == 0.0:
+    groups = CoordinateGroups(system)
+    pairs = zip([speed, *groups.norms(velocity).tolist()], [size, *groups.norms(x).tolist()], strict=True)
+    rates = [fast / extent for fast, extent in pairs if extent > 0.0 and fast > 64 * UNIT_ROUNDOFF * extent]
+    if not rates:
         return 0.0
     dt = 2.0**-20 * size / speed
     change = np.asarray(system.vector_field(x + dt * velocity, 0.0), dtype=np.float64) - velocity
-    rates = [speed / size, float(np.linalg.norm(change)) / (dt * speed)]
+    rates.append(float(np.linalg.norm(change)) / (dt * speed))
     fastest = max((rate for rate in rates if np.isfinite(rate)), default=0.0)
     return 1.0 / fastest if fastest else 0.0

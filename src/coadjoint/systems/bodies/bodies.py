@@ -54,6 +54,7 @@ def _tumbling() -> Floats:
 
 
 @ready_made(
+    unit="z",
     energy=_energy,
     gallery_entry=GalleryEntry(
         x0=_tumbling,

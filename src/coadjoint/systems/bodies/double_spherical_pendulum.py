@@ -25,6 +25,7 @@ def _swinging() -> npt.NDArray[np.float64]:
 
 
 @ready_made(
+    unit="z",
     gallery_entry=GalleryEntry(
         x0=_swinging,
         t_span=(0.0, 20.0),

@@ -57,6 +57,7 @@ def _relative(component: int) -> Any:
 
 
 @ready_made(
+    unit="z",
     gallery_entry=GalleryEntry(
         x0=_binary,
         t_span=(0.0, 200.0),

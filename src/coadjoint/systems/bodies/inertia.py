@@ -55,7 +55,7 @@ def read_vector(values: npt.ArrayLike, what: str, n: int = 3) -> npt.NDArray[np.
 
 
 def principal(M: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
-    """Return the diagonal of an inverse inertia, or None if it is not diagonal.
+    """Return the diagonal of an inertia or its inverse, or None if it is not diagonal.
 
     Examples
     --------

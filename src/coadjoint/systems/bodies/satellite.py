@@ -13,7 +13,8 @@ from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.families.products import semidirect
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.systems.bodies.inertia import read_in_range, warn_unphysical_inertia
+from coadjoint.systems.bodies.body_inertia import read_body_inertia
+from coadjoint.systems.bodies.inertia import principal, read_in_range
 from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
 from coadjoint.systems.closed_forms.kepler import kepler
 from coadjoint.systems.closed_forms.spins import rotate_about
@@ -23,7 +24,6 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
-from coadjoint.validation import read_finite
 
 Floats = npt.NDArray[np.float64]
 
@@ -44,6 +44,7 @@ def _pitch(x: Any) -> Any:
 
 
 @ready_made(
+    unit="z",
     gallery_entry=GalleryEntry(
         x0=_librating,
         t_span=(0.0, 300.0),
@@ -73,8 +74,8 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
 
     Parameters
     ----------
-    inertia : (3,)
-        Principal moments of inertia, positive (mass length^2). The body frame is that of the principal axes.
+    inertia : (3,) or (3, 3)
+        Principal moments of inertia, or the inertia tensor in the body frame (mass length^2), positive.
     mass : float
         Mass of the satellite, positive.
     gravity : float
@@ -93,7 +94,7 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
     Raises
     ------
     TypeError, ValueError
-        Not three positive moments, or `mass` or `gravity` is not positive.
+        `inertia` has another shape, or is not symmetric and positive, or `mass` or `gravity` is not positive.
 
     Warns
     -----
@@ -111,32 +112,34 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
     >>> system.vector_field([0, 0, 0, 0, 2.0, 0, 1.0, 0, 0, 1]) + 0.0  # a circular Kepler orbit
     array([ 0.,  0.,  0., -2.,  0.,  0.,  0.,  1.,  0.,  0.])
     """
-    moments = read_finite(inertia, "inertia")
-    if moments.shape != (3,):
-        raise ValueError(f"inertia has shape {moments.shape}; give three principal moments")
-    arguments = (
-        *((f"inertia[{i}]", value) for i, value in enumerate(moments.tolist())),
-        ("mass", mass),
-        ("gravity", gravity),
-    )
-    first, second, third, mass, gravity = (read_in_range(value, what) for what, value in arguments)
-    principal = (first, second, third)
-    warn_unphysical_inertia(principal, None)
-    rotations = [((i,), Quadratic(1 / principal[i])) for i in range(3)]
-    H = SplitHamiltonian(
-        [*rotations, ((3, 4, 5), Quadratic(1 / mass)), ((6, 7, 8), _potential(principal, mass, gravity))]
-    )
+    found = read_body_inertia(inertia)
+    for i, moment in enumerate(np.diag(found.tensor).tolist()):
+        read_in_range(moment, f"inertia[{i}]" if np.ndim(found.given) == 1 else f"inertia[{i}, {i}]")
+    if found.rotating is not None:
+        raise ValueError("inertia is that of a rod; give a body with three positive principal moments")
+    mass, gravity = read_in_range(mass, "mass"), read_in_range(gravity, "gravity")
+    moments, along = principal(found.tensor), principal(found.inverse)
+    free_flight = ((3, 4, 5), Quadratic(1 / mass))
+    if moments is None or along is None:
+        potential = _potential_of_tensor(tuple(map(tuple, found.tensor.tolist())), mass, gravity)
+        rotation = np.zeros((10, 10))
+        rotation[:3, :3] = found.inverse
+        H: Any = Quadratic(rotation) + SplitHamiltonian([free_flight, ((6, 7, 8), potential)])
+        moments = np.arange(3.0)
+    else:
+        first, second, third = moments.tolist()
+        potential = _potential((first, second, third), mass, gravity)
+        rotations = [((i,), Quadratic(value)) for i, value in enumerate(along.tolist())]
+        H = SplitHamiltonian([*rotations, free_flight, ((6, 7, 8), potential)])
     return LiePoissonSystem(
         _algebra(),
         H,
         sign=-1,
         casimirs={"z": Polynomial.variable(9, 10), "|total L|^2": _total_momentum_squared()},
         name="satellite",
-        parameters={"inertia": principal, "mass": mass, "gravity": gravity},
-        exact=partial(_spherical_motion, first, mass, gravity) if first == second == third else None,
-        integrals={
-            f"L{k + 1}": Polynomial.variable(k, 10) for k in range(3) if principal[k - 1] == principal[(k + 1) % 3]
-        },
+        parameters={"inertia": found.given, "mass": mass, "gravity": gravity},
+        exact=partial(_spherical_motion, float(moments[0]), mass, gravity) if np.ptp(moments) == 0.0 else None,
+        integrals={f"L{k + 1}": Polynomial.variable(k, 10) for k in range(3) if moments[k - 1] == moments[(k + 1) % 3]},
     )
 
 
@@ -201,6 +204,21 @@ def _potential(moments: tuple[float, float, float], mass: float, gravity: float)
         return result
 
     return Hamiltonian(value, gradient, hessian)
+
+
+@lru_cache(maxsize=64)
+def _potential_of_tensor(inertia: tuple[tuple[float, ...], ...], mass: float, gravity: float) -> Hamiltonian:
+    """Return V for an inertia tensor; its derivatives are those of its recorded operations."""
+    (a, f, g), (_, b, h), (_, _, c) = inertia
+    trace = a + b + c
+
+    def value(r: Any) -> Any:
+        square = r[0] ** 2 + r[1] ** 2 + r[2] ** 2
+        mixed = f * r[0] * r[1] + g * r[0] * r[2] + h * r[1] * r[2]
+        along = (a * r[0] ** 2 + b * r[1] ** 2 + c * r[2] ** 2 + 2 * mixed) / square
+        return -gravity * (mass + (trace - 3 * along) / (2 * square)) / np.sqrt(square)
+
+    return Hamiltonian(value)
 
 
 def _spherical_motion(inertia: float, mass: float, gravity: float, x0: Any, t: Any, attitude: Any = False) -> Floats:

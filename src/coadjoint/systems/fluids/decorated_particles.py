@@ -60,6 +60,7 @@ def _energy(
 
 # Odd coefficients of a pair potential are zero, so that its entries cannot change.
 @ready_made(
+    unit="z",
     energy=_energy,
     gallery_entry=GalleryEntry(
         x0=(-1.0, 0.5, 0.0, 0.5, 1.0, 0.02, 0.0, 0.04, 0.05, 0.0, 0.02),
