@@ -180,6 +180,15 @@ class Inputs:
             "value for each member"
         )
 
+    def check_not_square(self, members: int) -> None:
+        """Raise ValueError if the values of members, for one state, are a square matrix: a quotient by a tensor is one."""
+        if all(indices.shape == (members,) for indices in self.indices.values()):
+            name, n = next(iter(self.indices)), self.system.dim
+            raise ValueError(
+                f"{name} has the shape ({members}, {members}), which may be a matrix or values for {members} members, "
+                f"and x0 is one state; give one value, ({members},), or x0 for each member, ({members}, {n})"
+            )
+
     @property
     def of_hamiltonian(self) -> Inputs | None:
         """The inputs of the Hamiltonian part, whose values are the first ones; None if all inputs are torques."""

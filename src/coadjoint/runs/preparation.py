@@ -232,6 +232,8 @@ class Preparation:
         )
         if values is not None and values.ndim > 1:
             if single:
+                assert self.inputs is not None
+                self.inputs.check_not_square(len(values))
                 momenta, single = np.tile(momenta, (len(values), 1)), False
             elif len(momenta) != len(values):
                 raise ValueError(f"x0 has {len(momenta)} members and the inputs have values for {len(values)}")

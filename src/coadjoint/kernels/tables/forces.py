@@ -201,8 +201,8 @@ def _matrices(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:
         return [0], [], ()
     integers, numbers, owners = stream_tables(system)
     kind = next(iter(system.algebra.parts))[2]
-    signs = [system.energy_sign, -1 if kind.conjugate else 1]
-    return [*integers, int(system.complex), int(not system.algebra.skew), *signs], numbers, owners
+    integers += [int(system.complex), int(not system.algebra.skew), -1 if kind.conjugate else 1]
+    return integers, [system.energy_factor, *numbers], owners
 
 
 def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> CompiledLoop:

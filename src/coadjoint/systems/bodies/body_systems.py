@@ -202,6 +202,11 @@ class BodySystem(_Bodies):
         if self.has_attitude:
             A = read_attitudes(np.eye(3) if attitude is None else attitude, "attitude", (), scalar_first)
         omega = read_angular_velocities(angular_velocity, "angular_velocity", A, (), frame, degrees)
+        if np.shape(angular_velocity) == (3, 3) and (A is None or A.ndim == 2):
+            raise ValueError(
+                "angular_velocity has shape (3, 3), which may be a matrix or values for 3 members; give one, (3,), or "
+                "an attitude for each member, (3, 3, 3)"
+            )
         L = self._momentum(omega[..., None, :], "angular_velocity")
         if A is None:
             return L[..., 0, :]

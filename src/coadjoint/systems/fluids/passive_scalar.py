@@ -52,7 +52,8 @@ def passive_scalar(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
     Returns
     -------
     TwoLayerSystem
-        States (2, N, N): Theta and W. Energy tr(W* L^-1 W)/2. Casimirs tr Theta^k, tr W Theta^k and tr W^k.
+        States (2, N, N): Theta and W. Energy: the integral of |u|^2/2 over the surface. Casimirs tr Theta^k, tr W Theta^k
+        and tr W^k.
 
     Notes
     -----
@@ -65,10 +66,12 @@ def passive_scalar(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
     ((2, 7, 7), True)
     """
     ideal = ideal_fluid(N, surface)
-    return TwoLayerSystem(
+    system = TwoLayerSystem(
         ideal.algebra,
         ideal.stream,  # type: ignore[arg-type]
         energy_sign=-1,
         name="passive_scalar",
         parameters={"N": ideal.algebra.N, "surface": surface},
     )
+    system.energy_unit = ideal.energy_unit
+    return system

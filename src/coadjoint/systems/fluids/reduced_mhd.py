@@ -60,7 +60,8 @@ def reduced_mhd(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
     Returns
     -------
     TwoLayerSystem
-        States (2, N, N): Theta and W. Energy ``(tr(W* L^-1 W) + tr(Theta* L Theta))/2``. Casimirs tr Theta^k and
+        States (2, N, N): Theta and W. Energy: the integral of (|u|^2 + |b|^2)/2 over the surface,
+        ``(tr(W* L^-1 W) + tr(Theta* L Theta))/2`` times `energy_unit`. Casimirs tr Theta^k and
         tr W Theta^k, of which k = 1 is the cross helicity.
 
     Notes
@@ -75,7 +76,7 @@ def reduced_mhd(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
     ((2, 7, 7), ['tr Theta^2', 'tr W Theta'])
     """
     ideal = ideal_fluid(N, surface)
-    return TwoLayerSystem(
+    system = TwoLayerSystem(
         ideal.algebra,
         ideal.stream,  # type: ignore[arg-type]
         inverse_of(ideal.stream),  # type: ignore[arg-type]
@@ -83,6 +84,8 @@ def reduced_mhd(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
         name="reduced_mhd",
         parameters={"N": ideal.algebra.N, "surface": surface},
     )
+    system.energy_unit = ideal.energy_unit
+    return system
 
 
 def ideal_fluid(N: int, surface: str) -> MatrixSystem:

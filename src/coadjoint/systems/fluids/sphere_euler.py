@@ -47,13 +47,13 @@ class SphereEuler(FluidSystem):
     planetary : (N, N) array
         The matrix of 2 rotation sin(latitude), -2 rotation S_3.
     scale : float
-        Integrals over the sphere are traces over its square: the kinetic energy of the relative motion is
-        ``<stream(V), V>`` of ``V = relative(W)``, times -1/2, over ``scale^2``.
+        Integrals over the sphere are traces over its square.
     """
 
     def __init__(self, N: int, rotation: float) -> None:
         stream = DiagonalSolve(*laplacian(N), factor=-1.0)
         self.rotation, self.scale = rotation, scale(N)
+        self.energy_unit = self.scale**-2
         self.planetary = -2.0 * rotation * generators(N)[2]
         self.planetary.flags.writeable = False
         super().__init__(
@@ -188,6 +188,12 @@ class SphereEuler(FluidSystem):
         field = np.asarray(values)[..., ::north, ::east]
         return self.from_grid(field, points, float(second[::east][0]))
 
+    def energy(self, x: Any, t: float = 0.0) -> Any:
+        """Return the kinetic energy of the relative motion, of matrices (..., N, N) or of vectors."""
+        V = self.relative(x)
+        value = 0.5 * self.energy_factor * self.algebra.pairing(self.slope_of(V), V)
+        return float(value) if np.ndim(value) == 0 else value
+
     @property
     def area(self) -> float:
         return 4 * pi
@@ -308,8 +314,8 @@ def sphere_euler(N: int = 32, rotation: float = 0.0) -> SphereEuler:
     Returns
     -------
     SphereEuler
-        With `to_grid`, `modes`, initial states. Energy tr(W* L^-1 W)/2 - tr(F* W)/2: up to a constant the kinetic
-        energy of the relative motion times ``scale^2``. Casimirs tr W^k.
+        With `to_grid`, `modes`, initial states. The energy is the kinetic energy of the relative motion, the integral
+        of |u|^2/2 over the sphere: tr(V* L^-1 V)/(2 scale^2) of V = W - F. Casimirs tr W^k.
 
     Notes
     -----

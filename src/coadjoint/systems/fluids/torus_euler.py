@@ -273,7 +273,7 @@ def torus_euler(N: int = 33) -> TorusEuler:
     Returns
     -------
     TorusEuler
-        With grids, modes and initial states. Energy ``sum |w_n|^2 / |n|^2 / 2`` times N^3/(4 pi)^2.
+        With grids, modes and initial states. The energy is the integral of |u|^2/2, ``4 pi^2 sum |w_n|^2 / |n|^2 / 2``.
 
     Notes
     -----
@@ -296,6 +296,8 @@ def torus_euler(N: int = 33) -> TorusEuler:
     # along the diagonal d the phase of mode n1 advances by 2 n1 from entry to entry
     spectrum = np.empty((N, N))
     spectrum[:, (2 * np.arange(N)) % N] = by_mode
-    return TorusEuler(
+    system = TorusEuler(
         MatrixAlgebra("su", N), Circulants(spectrum), energy_sign=-1, name="torus_euler", parameters={"N": N}
     )
+    system.energy_unit = 64.0 * pi**4 / N**3  # of integrals over the torus
+    return system

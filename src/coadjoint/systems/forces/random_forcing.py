@@ -22,13 +22,14 @@ class RandomForcing(OnLayer):
 
     The real and the imaginary part of every mode of the band have independent Wiener processes, with equal shares of
     the energy: the noise is isotropic. Its flow is exact in distribution.
-    The mean of the energy, as returned by ``system.energy``, grows at `energy_rate`; that of
-    ``tr W^2 = sum of |W_ij|^2`` grows at twice that times the mean eigenvalue of minus the Laplacian over the band.
+    The mean of the energy grows at `energy_rate`, in the unit of ``sol.energy`` and of the sum of ``energy_spectrum``:
+    the integral of |u|^2/2 over the surface, for every N. The mean of the enstrophy grows at that rate times the mean
+    eigenvalue of minus the Laplacian over the components of the band.
 
     Parameters
     ----------
     energy_rate : float
-        Mean rate of energy input (energy/time), not negative.
+        Mean rate of energy input, not negative: of the integral of |u|^2/2, per time.
     band : (float, float)
         Lowest and highest degree l, or wave number ``|n|``, inclusive.
     seed : int
@@ -102,7 +103,7 @@ class RandomForcing(OnLayer):
                 candidates = candidates[: modes.N // 2]
             scales = modes.scales(d, candidates)
             numbers.append(candidates[(self.band[0] <= scales) & (scales <= self.band[1])])
-            energies.append(system.energy_sign * stream_values(stream, modes, d, numbers[d]))
+            energies.append(system.energy_factor * stream_values(stream, modes, d, numbers[d]))
             components += (2 if d or waves else 1) * len(numbers[d])
         if not components:
             raise ValueError(f"band of RandomForcing is {self.band}; {system.name} has no {modes.scale} in it")

@@ -49,7 +49,7 @@ class MatrixEnergy:
         """Return the derivatives with respect to the numbers of a state, projected on the algebra."""
         system = self._system
         P = system.stream_of(system.matrices(x), t)
-        return system.energy_sign * system.to_vector(system.algebra.dual(P))
+        return system.energy_factor * system.to_vector(system.algebra.dual(P))
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
         """Return the second derivatives; raise TypeError if the stream is a nonlinear function."""
@@ -59,7 +59,7 @@ class MatrixEnergy:
                 f"the stream of {system.name} is a function that is not linear; its derivative is not known"
             )
         rows = system.algebra.projected(system.from_vector(np.eye(self.dim)))
-        return system.energy_sign * system.to_vector(system.algebra.dual(system.slope_of(rows, t))).T
+        return system.energy_factor * system.to_vector(system.algebra.dual(system.slope_of(rows, t))).T
 
     def terms(self) -> tuple[Any, ...]:
         """Return no terms: the kernels evaluate the stream."""

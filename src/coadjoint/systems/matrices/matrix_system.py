@@ -88,6 +88,8 @@ class MatrixSystem:
     sign = 1
     representation = None
     second_stream: Stream | None = None
+    energy_unit: float = 1.0
+    """Energy of ``<P, W>/2 = 1``."""
 
     def __init__(
         self,
@@ -144,6 +146,11 @@ class MatrixSystem:
 
     def __repr__(self) -> str:
         return f"<{self.name} on {self.algebra}>"
+
+    @property
+    def energy_factor(self) -> float:
+        """Factor of the energy before ``<P, W>/2``: its sign, in the unit of the energy."""
+        return self.energy_sign * self.energy_unit
 
     @property
     def integrals(self) -> dict[str, Any]:
@@ -208,13 +215,13 @@ class MatrixSystem:
         """Return H of matrices (..., N, N) or of vectors."""
         W, pairing = self.matrices(x), self.algebra.pairing
         if self.energy_function is None:
-            value = 0.5 * self.energy_sign * pairing(self.slope_of(W, t), W)
+            value = 0.5 * self.energy_factor * pairing(self.slope_of(W, t), W)
         else:
             time_argument = (t,) if self.timed else ()
             flat = [self.energy_function(part, *time_argument) for part in W.reshape(-1, *self.algebra.shape)]
             value = np.array(flat, dtype=np.float64).reshape(W.shape[:-2])
         if self.linear is not None:
-            value = value + self.energy_sign * pairing(self.linear, W)
+            value = value + self.energy_factor * pairing(self.linear, W)
         return float(value) if np.ndim(value) == 0 else value
 
     def structure_matrix(self, x: Any) -> Floats:
@@ -222,7 +229,7 @@ class MatrixSystem:
         check_available_memory(8 * 8 * self.dim**2, f"the structure matrix of {self.name}, of {self.dim} numbers,")
         units = self.algebra.projected(self.from_vector(np.eye(self.dim)))
         columns = self.algebra.bracket(self.algebra.dual(units), self.matrices(x))
-        return self.energy_sign * self.to_vector(columns).T
+        return self.to_vector(columns).T / self.energy_factor
 
     def casimirs_at(self, x: Any) -> dict[str, Any]:
         """Return the traces of powers of matrices (..., N, N), or of vectors.

@@ -28,7 +28,7 @@ class TwoLayerEnergy(MatrixEnergy):
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
         system = self._system
         gradient = system.stream_of(system.matrices(x))[..., ::-1, :, :]
-        return system.energy_sign * system.to_vector(gradient)
+        return system.energy_factor * system.to_vector(gradient)
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
         return np.stack([self.gradient(unit) for unit in np.eye(self.dim)], axis=1)
@@ -156,7 +156,7 @@ class TwoLayerSystem(MatrixSystem):
         """Return H of states (..., 2, N, N)."""
         X = self.matrices(x)
         gradient = self.stream_of(X)[..., ::-1, :, :]
-        value = 0.5 * self.energy_sign * np.sum(np.conj(gradient) * X, axis=(-3, -2, -1)).real
+        value = 0.5 * self.energy_factor * np.sum(np.conj(gradient) * X, axis=(-3, -2, -1)).real
         return float(value) if value.ndim == 0 else value
 
     def spectrum(self, x: Any) -> Floats:
@@ -166,7 +166,7 @@ class TwoLayerSystem(MatrixSystem):
     def structure_matrix(self, x: Any) -> Floats:
         check_available_memory(8 * 8 * self.dim**2, f"the structure matrix of {self.name}, of {self.dim} numbers,")
         gradients = self.algebra.projected(self.from_vector(np.eye(self.dim)))[..., ::-1, :, :]
-        return self.energy_sign * self.to_vector(self.bracket(gradients, self.matrices(x))).T
+        return self.to_vector(self.bracket(gradients, self.matrices(x))).T / self.energy_factor
 
     def generic_rank(self) -> int:
         """Return the rank of J at a generic state; each Casimir of the algebra gives two of the layers."""

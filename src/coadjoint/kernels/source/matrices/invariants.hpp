@@ -22,14 +22,14 @@ template <class T>
 struct InvariantsOf final : MatrixInvariants {
     const int64_t n, square, layers;
     const bool general;
-    const double sign, sign_of_trace;
+    const double factor, sign_of_trace;
     const T* const constant;
     Stream<T> stream;
     std::vector<T> Y;
 
-    InvariantsOf(const int64_t* whole, const double* numbers)
-        : n(whole[0]), square(n * n), layers(whole[1]), general(whole[7]), sign(double(whole[8])),
-          sign_of_trace(double(whole[9])),
+    InvariantsOf(const int64_t* whole, double energy_factor, const double* numbers)
+        : n(whole[0]), square(n * n), layers(whole[1]), general(whole[7]), factor(energy_factor),
+          sign_of_trace(double(whole[8])),
           constant(whole[4] ? reinterpret_cast<const T*>(numbers) : nullptr), stream(whole, numbers), Y(layers * square) {}
 
     int64_t count() const override { return 1 + layers; }
@@ -45,7 +45,7 @@ struct InvariantsOf final : MatrixInvariants {
             energy += 0.5 * pairing(y, of);
             if (constant) energy += 0.5 * pairing(constant + l * square, of);
         }
-        values[0] = sign * energy;
+        values[0] = factor * energy;
         for (int64_t l = 0; l < layers; ++l) values[1 + l] = sign_of_trace * trace(X, X + l * square);
         return true;
     }
@@ -86,12 +86,13 @@ struct InvariantsOf final : MatrixInvariants {
 };
 
 // The integers are those that a stream reads, with size zero if the state is not a matrix, then whether entries are
-// complex, whether matrices are not skew-Hermitian, the sign of the energy, and that of the trace: -1 for -i W.
+// complex, whether matrices are not skew-Hermitian, and the sign of the trace: -1 for -i W. The first number is the
+// factor of the energy; the others are those of the stream.
 inline std::unique_ptr<MatrixInvariants> matrix_invariants(const int64_t* whole, const double* numbers) {
     std::unique_ptr<MatrixInvariants> found;
     if (!whole[0]) return found;
-    if (whole[6]) found.reset(new InvariantsOf<Complex>(whole, numbers));
-    else found.reset(new InvariantsOf<double>(whole, numbers));
+    if (whole[6]) found.reset(new InvariantsOf<Complex>(whole, numbers[0], numbers + 1));
+    else found.reset(new InvariantsOf<double>(whole, numbers[0], numbers + 1));
     return found;
 }
 
