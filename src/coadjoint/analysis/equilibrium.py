@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.analysis.orbit import Orbit, Tangents, second_variation, tangents_of
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import record_repr
@@ -68,6 +69,7 @@ class Equilibrium:
 
 @suggest_keywords
 @ignore_overflow
+@long_operation("equilibrium")
 def equilibrium(system: Any, x0: ArrayLike, relax: str = "down") -> Equilibrium:
     """Return an equilibrium on the coadjoint orbit of a state, with its frequencies and its stability.
 
@@ -125,6 +127,7 @@ def equilibrium(system: Any, x0: ArrayLike, relax: str = "down") -> Equilibrium:
     direction = DIRECTIONS[read_choice(relax, "relax", tuple(DIRECTIONS))]
     orbit = Orbit(system)
     x = _critical_point(system, orbit, start, direction)
+    note_progress("frequencies")
     tangents = tangents_of(system, x)
     linearized = np.asarray(system.jacobian(x), dtype=np.float64)
     eigenvalues = np.linalg.eigvals(tangents.basis.T @ linearized @ tangents.basis)
@@ -166,14 +169,17 @@ def _validated(system: Any, x0: ArrayLike) -> Floats:
 def _critical_point(system: Any, orbit: Orbit, x: Floats, direction: float) -> Floats:
     """Relax by steps of the double-bracket flow, then by Newton's method; a direction of zero is Newton's alone."""
     length, last, reference, scale = 0.0, np.inf, _sizes(orbit, x), _field_scale(system, orbit, x)
-    for count in range(MAX_DESCENTS + MAX_NEWTON):
+    # Descents take time in proportion to the nonzero structure constants, Newton's method to the third power of n.
+    descents = max(MAX_DESCENTS, len(x))
+    for count in range(descents + MAX_NEWTON):
         gradient = np.asarray(system.hamiltonian.gradient(x, 0.0), dtype=np.float64)
         field = orbit.product(x, gradient)
         residual = float(np.max(np.abs(field)))
         stagnant = residual >= 0.5 * last and residual <= STAGNANT * scale
         if residual <= ROUNDS * UNIT_ROUNDOFF * scale or stagnant:
             return x
-        if direction and count < MAX_DESCENTS and residual > NEWTON_FROM * scale:
+        note_progress(f"a state, now with the residual {residual:.1e}")
+        if direction and count < descents and residual > NEWTON_FROM * scale:
             length = min(2.0 * length or np.inf, MAX_ANGLE / orbit.norm(field))
             slope = float(field @ field)
             x, length = _searched(system, orbit, x, direction * field, length, slope, direction)
@@ -183,7 +189,7 @@ def _critical_point(system: Any, orbit: Orbit, x: Floats, direction: float) -> F
         _check_bounded(system, reference, _sizes(orbit, x), direction)
     raise RuntimeError(
         f"no equilibrium of {system.name} was found from x0: the residual is {residual:.1e} after "
-        f"{MAX_DESCENTS + MAX_NEWTON} iterations; start nearer to one"
+        f"{descents + MAX_NEWTON} iterations; start nearer to one"
     )
 
 
@@ -268,6 +274,7 @@ def _has_positive_sum(matrices: list[Floats]) -> bool:
         return np.asarray(sum(shifts, start=matrices[0]))
 
     def height(multipliers: Any) -> float:
+        note_progress("the stability")
         return -float(np.linalg.eigvalsh(total(multipliers))[0])
 
     multipliers = np.zeros(len(matrices) - 1)

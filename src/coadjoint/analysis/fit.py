@@ -9,9 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.analysis.measured_quantities import Quantities
 from coadjoint.analysis.undetermined import check_determined
 from coadjoint.errors import IntegrationError, unknown_name
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.long_operations import warn_caller
 from coadjoint.memory import check_available_memory
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
@@ -22,6 +24,7 @@ from coadjoint.validation import are_finite, read_integer, read_numbers, to_arra
 
 Floats = NDArray[np.float64]
 OUTPUTS = ("x", "attitude")
+CONTRADICTION = 2.9e-7  # probability of a sum of squares above which a warning is given: that of five deviations
 FIRST_STEP = 1000.0  # in standard deviations: the first step is not limited by their scale
 # Peak memory, in arrays of the size of the Jacobian.
 COPIES = 10
@@ -44,6 +47,8 @@ class Fit:
         Of the unknowns, for measurements with independent normal errors of the given `sigma`.
     residuals : ndarray
         Measured minus fitted values, divided by their standard deviations.
+    degrees_of_freedom : int
+        The measured numbers, three for each rotation, less the unknowns: the expected sum of squares of `residuals`.
     solution : Solution
         The fitted run.
     """
@@ -52,6 +57,7 @@ class Fit:
     unknowns: tuple[tuple[str, int], ...]
     covariance: Floats
     residuals: Floats
+    degrees_of_freedom: int
     solution: Solution
 
     def standard_deviation(self, name: str) -> Floats:
@@ -64,7 +70,8 @@ class Fit:
     def __repr__(self) -> str:
         names = ", ".join(dict.fromkeys(name for name, _ in self.unknowns))
         total = float(np.sum(self.residuals**2))
-        return f"<fit of {names}: {len(self.unknowns)} unknowns, sum of squares of the residuals {total:.4g}>"
+        text = f"{len(self.unknowns)} unknowns, sum of squares of the residuals {total:.4g}"
+        return f"<fit of {names}: {text} for {self.degrees_of_freedom} degrees of freedom>"
 
 
 @suggest_keywords
@@ -95,7 +102,9 @@ def fit(
     t_span, save_every, t_eval
         As in `PreparedRun.run`; the measurements are those of the saved times.
     measured : mapping
-        "x" of shape (k, n) or (k, members, n), "attitude" of shape (k, d, d) or (k, members, d, d), or both.
+        "x" of shape (k, n) or (k, members, n), "attitude" of shape (k, d, d) or (k, members, d, d), the
+        "angular_velocity" or "angular_momentum" of a body in its own frame as solutions have it, such as gyroscopes
+        measure, and quantities of ``prepare(observe=...)`` by name, (k,) or (k, members).
     unknown : mapping
         The names to fit, "x0", "attitude0" or names of ``ready.parameters``: True for all entries, or the numbers of
         the unknown ones (of an array of several axes, in C order). Entries of "x0" and "attitude0" are those of all
@@ -118,8 +127,17 @@ def fit(
     TypeError
         For runs without derivatives, batches, or values that are not numbers.
 
+    Warns
+    -----
+    UserWarning
+        The sum of squares of the residuals is so large that `sigma` or the model is wrong: its probability is less than
+        that of five standard deviations.
+
     Notes
     -----
+    Angular velocities, momenta and observed quantities are differentiated by central differences at the states, along
+    the exact tangents of these.
+
     The residuals of attitudes are the entries of ``attitude - measured``, divided by ``sqrt(2) sigma``. If an attitude
     is multiplied by a small rotation, the sum of their squares is that of the rotation vector divided by sigma. So the
     sum over a run has a chi-squared distribution of three degrees of freedom for each attitude, and n for each state,
@@ -136,6 +154,13 @@ def fit(
     >>> found.values["inertia"].round(8).tolist()
     [1.0, 2.0, 2.5]
 
+    The rates of a gyroscope:
+
+    >>> rates = {"angular_velocity": measured["x"] / (1.0, 2.0, 2.5)}
+    >>> found = co.fit(guess, x0, (0, 10), rates, {"inertia": (0, 2), "x0": True}, sigma={"angular_velocity": 0.01})
+    >>> found.values["inertia"].round(6).tolist()
+    [1.0, 2.0, 2.5]
+
     Several trajectories, as `identify` takes them:
 
     >>> starts = [(1.0, 0.2, 0.5), (0.1, 1.0, 0.4)]
@@ -146,7 +171,8 @@ def fit(
     from scipy.optimize import least_squares
 
     problem = _Problem.of(ready, x0, attitude, ParametrizedRun(ready, t_span, save_every, t_eval, "co.fit"), unknown)
-    weights = _weights(measured, sigma, problem.outputs())
+    problem = problem.measuring(ready, measured)
+    weights = _weights(measured, sigma, problem.outputs(), Quantities.names_of(ready))
     targets = {name: read_numbers(measured[name], f"measured {name}") for name in weights}
 
     numbers = sum(target.size for target in targets.values())
@@ -190,7 +216,28 @@ def fit(
     parameters = {name: value for name, value in moved.items() if name not in ("x0", "attitude0")}
     run = problem.run.prepared_at(parameters)
     solution = run.run(moved["x0"], t_span, save_every, t_eval=t_eval, attitude=moved.get("attitude0"))
-    return Fit(moved, problem.unknowns, root @ root.T, -residuals_of(problem.outputs()), solution)
+    final = -residuals_of(problem.outputs())
+    freedom = sum(weights[name].size // _redundancy(name, weights[name]) for name in weights) - len(start)
+    _warn_of_contradiction(float(final @ final), freedom)
+    return Fit(moved, problem.unknowns, root @ root.T, final, freedom, solution)
+
+
+def _redundancy(name: str, weights: Floats) -> int:
+    """Return how many entries of measured values are one number: three, of a rotation in three dimensions."""
+    return 3 if name == "attitude" and weights.shape[-1] == 3 else 1
+
+
+def _warn_of_contradiction(squares: float, freedom: int) -> None:
+    """Warn if residuals with independent normal errors have such a sum of squares hardly ever."""
+    from scipy.special import gammaincc
+
+    if freedom > 0 and gammaincc(0.5 * freedom, 0.5 * squares) < CONTRADICTION:
+        warn_caller(
+            f"the residuals contradict sigma: the sum of their squares is {squares:.4g} for {freedom} degrees of "
+            "freedom, where as many are expected; the errors are larger than sigma, the measured values are not those "
+            "that they are named for, or the model is wrong, and the covariance holds for none of these",
+            UserWarning,
+        )
 
 
 class _Problem(NamedTuple):
@@ -203,6 +250,15 @@ class _Problem(NamedTuple):
     symmetric: frozenset[str]
     generators: Floats
     unknowns: tuple[tuple[str, int], ...]
+    quantities: Quantities | None = None
+
+    def measuring(self, ready: PreparedRun, measured: Any) -> _Problem:
+        """Return the problem with the measured functions of the states among its outputs."""
+        known = Quantities.names_of(ready)
+        names = [name for name in measured if name in known] if isinstance(measured, Mapping) else []
+        if not names:
+            return self
+        return self._replace(quantities=Quantities(ready, names, self.run.saved_times, self.values["x0"]))
 
     @classmethod
     def of(cls, ready: PreparedRun, x0: Any, attitude: Any, run: ParametrizedRun, unknown: Any) -> _Problem:
@@ -295,9 +351,10 @@ class _Problem(NamedTuple):
         return np.tensordot(coordinates, self.generators, 1)
 
     def outputs(self, z: Floats | None = None) -> dict[str, Floats]:
-        """Return states and attitudes at the saved times."""
+        """Return states, attitudes and measured quantities at the saved times."""
         values = self.values if z is None else self.moved(z)
-        return dict(zip(OUTPUTS, self.run.solve(values, False), strict=False))
+        found = dict(zip(OUTPUTS, self.run.solve(values, False), strict=False))
+        return found if self.quantities is None else found | self.quantities.values(found["x"], values)
 
     def tangents(self, z: Floats) -> dict[str, Floats]:
         """Return their derivatives by z, with a first axis of unknowns."""
@@ -314,10 +371,14 @@ class _Problem(NamedTuple):
                     by_member[first + k, m] = change @ starts[m]
             else:
                 for k, unit in enumerate(np.eye(len(numbers)), first):
-                    self._moved_entries(name, unit, direction[k])
+                    self._moved_entries(name, unit, direction[k, ...])
             first += len(numbers)
             directions[name] = direction
-        return dict(zip(OUTPUTS, self.run.tangents(moved, directions), strict=False))
+        found = dict(zip(OUTPUTS, self.run.tangents(moved, directions), strict=False))
+        if self.quantities is None:
+            return found
+        x = self.run.solve(moved, False)[0]
+        return found | self.quantities.tangents(x, found["x"], moved, directions)
 
 
 def _mirror(numbers: NDArray[np.int64], size: int) -> NDArray[np.int64]:
@@ -326,14 +387,16 @@ def _mirror(numbers: NDArray[np.int64], size: int) -> NDArray[np.int64]:
     return j * size + i
 
 
-def _weights(measured: Any, sigma: Any, outputs: Mapping[str, Floats]) -> dict[str, Floats]:
+def _weights(
+    measured: Any, sigma: Any, outputs: Mapping[str, Floats], quantities: tuple[str, ...]
+) -> dict[str, Floats]:
     """Return the factors of the residuals; raise an error for measurements that do not match the run."""
     if not isinstance(measured, Mapping) or not measured or not isinstance(sigma, Mapping):
-        raise TypeError('measured and sigma must be mappings from "x" or "attitude" to numbers')
+        raise TypeError('measured and sigma must be mappings from names, such as "x" or "attitude", to numbers')
     weights = {}
     for name, value in measured.items():
         if name not in outputs:
-            raise unknown_name("measured value of this run", name, outputs)
+            raise unknown_name("measured value of this run", name, (*outputs, *quantities))
         array, shape = read_numbers(value, f"measured {name}"), outputs[name].shape
         if array.shape != shape or not are_finite(array):
             raise ValueError(f"measured {name} has the shape {array.shape}; it must be {shape}, of finite numbers")

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.exact.components import summands
 from coadjoint.systems.evaluation import scatter
 
 Floats = NDArray[np.float64]
@@ -61,11 +62,18 @@ class Tangents(NamedTuple):
 
 
 def tangents_of(system: Any, x: Floats) -> Tangents:
-    """Return the tangent space of the orbit of x, from a singular value decomposition of J(x)."""
+    """Return the tangent space of the orbit of x, from singular value decompositions of J(x) on direct summands."""
     P = system.sign * np.asarray(system.structure_matrix(x), dtype=np.float64)
-    left, sizes, _ = np.linalg.svd(P)
-    basis = left[:, sizes > RANK_TOLERANCE * sizes[0]] if sizes[0] > 0.0 else left[:, :0]
-    return Tangents(P, basis, np.linalg.inv(basis.T @ P @ basis))
+    found = [(rows, *np.linalg.svd(P[np.ix_(rows, rows)])[:2]) for rows, _ in summands(system.algebra.triples, len(P))]
+    smallest = RANK_TOLERANCE * max(sizes[0] for _, _, sizes in found)
+    kept = [(rows, left[:, sizes > smallest]) for rows, left, sizes in found]
+    rank = sum(left.shape[1] for _, left in kept)
+    basis, inverse, first = np.zeros((len(P), rank)), np.zeros((rank, rank)), 0
+    for rows, left in kept:
+        columns = slice(first, first := first + left.shape[1])
+        basis[rows, columns] = left
+        inverse[columns, columns] = np.linalg.inv(left.T @ P[np.ix_(rows, rows)] @ left)
+    return Tangents(P, basis, inverse)
 
 
 def second_variation(system: Any, x: Floats, function: Any, tangents: Tangents) -> Floats:

@@ -163,7 +163,7 @@ def test_states_at_any_time_use_the_inputs_of_the_run(way):
     x, before, linear = numbers("e(3)", 6, 3)
     ready = co.prepare(system("e(3)", before), co.GaussLegendre(2), STEP, inputs=(3, 4, 5))
     times, given = 0.25 + way * np.array([0.0, 0.1, 0.55, 1.0]), linear[:, 3:].copy()
-    together = ready.run(x, (0.25, 0.25 + way), 4, linear=given)
+    together = ready.run(np.tile(x, (3, 1)), (0.25, 0.25 + way), 4, linear=given)
     given[:] = 7.0
     found = together.at(times)
     for m in range(3):

@@ -49,7 +49,8 @@ class ParametrizedRun:
             check_partial_steps(prepared.system, moments)
         self._run.tables(times.h, ())  # raises TypeError for a scheme without derivatives
         self._times: tuple[Any, Any, Any] = (t_span, save_every, t_eval)
-        self._points = len(times.saved_times if moments is None else moments.t)
+        self.saved_times: Floats = times.saved_times if moments is None else moments.t
+        self._points = len(self.saved_times)
         group = prepared.representation
         self._side = 0 if group is None else prepared.system.dim if isinstance(group, str) else group.shape[-1]
         self._shapes = {name: parameter.value.shape for name, parameter in self._run.parameters.items()}

@@ -161,7 +161,7 @@ class BodyMotion(SolutionAttributes):
 
     def _of_bodies(self, name: str, what: str) -> NDArray[np.float64]:
         """Return what the system of each member reads from its states, over times (and members)."""
-        functions = [_reader(unforced(one), name) for one in members_of(self.system)]
+        functions = [reader_of(unforced(one), name) for one in members_of(self.system)]
         if None in functions:
             raise TypeError(f"the states of {self.system.name} have no {what}")
         if not is_batch(self.system):
@@ -169,7 +169,7 @@ class BodyMotion(SolutionAttributes):
         return np.stack([read(self.x[:, m]) for m, read in enumerate(functions)], axis=1)  # type: ignore[misc]
 
 
-def _reader(system: Any, name: str) -> Callable[[Any], Any] | None:
+def reader_of(system: Any, name: str) -> Callable[[Any], Any] | None:
     """Return the function of states by this name of a system, or of a classical body; None if there is none."""
     return getattr(system, name, None) or _classical_motion(system, name)
 
