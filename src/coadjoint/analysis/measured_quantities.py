@@ -78,7 +78,9 @@ class Quantities:
         moving = {name: one for name, one in direction.items() if name in parameters_of(self._system) and one.any()}
         if not self._motions or not moving:
             return {}
-        length = DISTANCE * min(float(np.abs(parameters[name]).max() / np.abs(one).max()) for name, one in moving.items())
+        length = DISTANCE * min(
+            float(np.abs(parameters[name]).max() / np.abs(one).max()) for name, one in moving.items()
+        )
         length = length or DISTANCE
         changed = (
             {name: parameters[name] + side * length * one for name, one in moving.items()} for side in (1.0, -1.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,24 +9,19 @@ import numpy.typing as npt
 
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow
-from coadjoint.systems.fluids.sphere_euler import SphereEuler, sphere_euler
-from coadjoint.systems.fluids.torus_euler import torus_euler
+from coadjoint.systems.fluids.reduced_mhd import fluid_of as fluid_of_system
+from coadjoint.systems.fluids.sphere_euler import SphereEuler
 from coadjoint.systems.matrices.fluid_system import FluidSystem, large_scales
 
 Floats = npt.NDArray[np.float64]
 
-SURFACES: dict[str, Callable[[int], FluidSystem]] = {"sphere": sphere_euler, "torus": torus_euler}
-
 
 def fluid_of(drawn: PlottedRun) -> FluidSystem:
     """Return the fluid system of a run (of two fields, that of the vorticity); raise CannotShow for other systems."""
-    system = drawn.unforced
-    if isinstance(system, FluidSystem):
-        return system
-    parameters = getattr(system, "parameters", None) or {}
-    if len(getattr(system, "shape", ())) == 3 and parameters.get("surface") in SURFACES:
-        return SURFACES[parameters["surface"]](system.algebra.N)
-    raise CannotShow(f"{system.name} has no vorticity to show; sphere_euler and torus_euler have")
+    found = fluid_of_system(drawn.unforced)
+    if found is None:
+        raise CannotShow(f"{drawn.unforced.name} has no vorticity to show; sphere_euler and torus_euler have")
+    return found
 
 
 def surface_of(fluid: FluidSystem) -> str:
@@ -35,7 +29,8 @@ def surface_of(fluid: FluidSystem) -> str:
 
     Examples
     --------
-    >>> surface_of(torus_euler(5))
+    >>> import coadjoint as co
+    >>> surface_of(co.systems.torus_euler(5))
     'torus'
     """
     return "sphere" if isinstance(fluid, SphereEuler) else "torus"

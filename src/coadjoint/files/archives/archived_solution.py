@@ -33,6 +33,7 @@ from coadjoint.files.archives.store import ArchiveStore
 from coadjoint.files.datasets.export import stored_inputs
 from coadjoint.files.datasets.named_axes import MEMBER, coordinate_variables, label_of, stored_axes, unstacked
 from coadjoint.files.datasets.stored_solution import StoredSolution
+from coadjoint.files.datasets.vorticity_variables import with_vorticity
 from coadjoint.keyword_hints import NamedValues, suggest_keywords
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.piecewise_run import STATE_PREFIX, larger_deviations
@@ -74,7 +75,7 @@ class ArchivedSolution(StoredSolution):
         variables = {name: (self._arrays[name].dims, self._read_entire(name)) for name in names}
         return stored_inputs(xarray.Dataset(variables, attrs=self.attributes), self._given_system, events)
 
-    def to_xarray(self) -> xarray.Dataset:
+    def to_xarray(self, grid: Any = None) -> xarray.Dataset:
         import xarray
 
         from coadjoint.files.archives.archived_variables import ArchivedArray, variable
@@ -95,7 +96,8 @@ class ArchivedSolution(StoredSolution):
                 variables[label_of(name, axes)] = variable(ArchivedArray(self._archive, name, axes))
         variables |= coordinate_variables(axes)
         coordinates = [name for name in [*coordinates, *coordinate_variables(axes)] if name in variables]
-        return xarray.Dataset(variables, attrs=own).set_coords(coordinates)
+        dataset = xarray.Dataset(variables, attrs=own).set_coords(coordinates)
+        return dataset if grid is None else with_vorticity(dataset, self, grid)
 
     def _read_entire(self, name: str) -> NDArray[Any]:
         return self._archive.read(name)

@@ -24,6 +24,7 @@ from coadjoint.files.datasets.variables import (
     summary_variables,
     time_variables,
 )
+from coadjoint.files.datasets.vorticity_variables import vorticity_variables
 from coadjoint.files.records.entries import Entry, as_value_errors, parsed
 from coadjoint.files.records.records import record_of, system_of
 from coadjoint.files.records.stored_events import event_record, events_of, not_stored, variables_of
@@ -47,7 +48,7 @@ ENDED_ATTRIBUTE = "ended_after"
 
 
 @suggest_keywords
-def dataset_of(solution: Solution) -> xarray.Dataset:
+def dataset_of(solution: Solution, grid: Any = None) -> xarray.Dataset:
     """Return a solution as a dataset whose attributes make it repeatable.
 
     Variables over ``time`` (and ``member`` for an ensemble): ``x`` over ``component`` (matrices over ``row`` and
@@ -55,7 +56,7 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
     ``observed_<name>``, ``attitude`` over ``row`` and ``column``; ``drift`` over ``invariant`` and ``tenth`` of the
     run, replaced for systems with forces by ``change``, ``balance``, and ``work`` over ``account``; ``x0``,
     ``attitude0``, and ``event_...`` of crossings. Numbers in which the systems of a batch differ are coordinates, such
-    as ``swept_inertia_2``; a batch with named axes has these as dimensions in place of ``member``. Names, units and
+    as ``swept_inertia_2``; fluids have `vorticity` on a grid, and of two fields `carried`; a batch with named axes has these as dimensions in place of ``member``. Names, units and
     dimensions follow the CF conventions. Attributes: version, system and method (JSON), step, times, and the names of
     functions that cannot be stored.
 
@@ -63,6 +64,8 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
     ----------
     solution : Solution
         From `integrate`, or the `partial` solution of an `IntegrationError`.
+    grid
+        As for `Solution.to_xarray`.
 
     Returns
     -------
@@ -85,7 +88,9 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
     variables = {**time_variables(solution), **summary_variables(solution), **start_variables(solution)}
     if solution.events is not None:
         variables |= variables_of(solution.events)
-    coordinates = {**parameters_of(solution.system), **coordinates_of(solution)}
+    fields, of_grid = vorticity_variables(solution, grid)
+    variables |= fields
+    coordinates = {**parameters_of(solution.system), **coordinates_of(solution), **of_grid}
     return with_checksum(unstacked(xarray.Dataset(variables, coordinates, attributes_of(solution))))
 
 

@@ -19,6 +19,7 @@ from coadjoint.files.datasets.content_checksum import CHECKSUM, checksum_of
 from coadjoint.files.datasets.export import ENDED_ATTRIBUTE, REQUIRED_ATTRIBUTES, events_of_dataset, stored_inputs
 from coadjoint.files.datasets.named_axes import stacked
 from coadjoint.files.datasets.stored_solution import StoredSolution
+from coadjoint.files.datasets.vorticity_variables import with_vorticity
 from coadjoint.files.output.file_validation import check_hdf5, check_zarr
 from coadjoint.keyword_hints import NamedValues, suggest_keywords
 from coadjoint.memory import check_available_memory
@@ -54,8 +55,9 @@ class LoadedSolution(StoredSolution):
     def __reduce__(self) -> tuple[Any, ...]:
         return solution_of_dataset, (self.path, self.dataset, self._given_system)
 
-    def to_xarray(self) -> xarray.Dataset:
-        return self.dataset.copy()
+    def to_xarray(self, grid: Any = None) -> xarray.Dataset:
+        dataset = self.dataset.copy()
+        return dataset if grid is None else with_vorticity(dataset, self, grid)
 
     def inputs(self, events: Any = ()) -> dict[str, Any]:
         return stored_inputs(self._stacked, self._given_system, events)

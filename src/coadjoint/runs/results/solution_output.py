@@ -28,15 +28,37 @@ class SolutionOutput(BodyMotion):
     """Base class of `Solution` with its conversions, figures and movies."""
 
     @suggest_keywords
-    def to_xarray(self) -> xarray.Dataset:
+    def to_xarray(self, grid: Any = None) -> xarray.Dataset:
         """Return the run as an xarray dataset, with everything needed to repeat it.
+
+        Parameters
+        ----------
+        grid : (int, int) or bool, optional
+            Of a fluid: the numbers of latitudes and longitudes (on the torus, of points along both sides) at which the
+            dataset has the vorticity; False for none, True for those of ``system.grid()``. By default True for fields
+            of at most 128 MB, where the package that evaluates spherical harmonics is installed.
 
         Returns
         -------
         xarray.Dataset
-            Variables over ``time`` (and ``member``), to be written as NetCDF or Zarr.
+            Variables over ``time`` (and ``member``), to be written as NetCDF or Zarr. Runs of fluids have also
+            ``vorticity`` over ``latitude`` and ``longitude`` in degrees, or ``eastward`` and ``northward``, relative to
+            the rotating sphere; runs of two fields ``carried`` as well.
+
+        Raises
+        ------
+        TypeError
+            `grid` is a shape, and the system has no vorticity.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> fluid = co.systems.sphere_euler(N=8)
+        >>> sol = co.integrate(fluid, fluid.random(seed=1, degrees=(1, 3)), (0, 1), 0.1)
+        >>> sol.to_xarray(grid=(19, 36)).vorticity.sel(latitude=10, longitude=90).sizes
+        Frozen({'time': 11})
         """
-        return shortcut("dataset_of")(self)
+        return shortcut("dataset_of")(self, grid)
 
     @suggest_keywords
     def to_pandas(self) -> pd.DataFrame:

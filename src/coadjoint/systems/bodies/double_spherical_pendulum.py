@@ -45,7 +45,7 @@ def _swinging() -> npt.NDArray[np.float64]:
         components=Picture("components", chosen=(2, 5), quantity="height of the rods' ends"),
         coordinates=("q1", "q2", "q3", "q4", "q5", "q6", "p1", "p2", "p3", "p4", "p5", "p6", "z"),
         quantity="state",
-    )
+    ),
 )
 def double_spherical_pendulum(
     masses: npt.ArrayLike = (1.0, 1.0), lengths: npt.ArrayLike = (1.0, 1.0), gravity: float = 1.0

@@ -77,7 +77,7 @@ def _relative(component: int) -> Any:
         ),
         components=Picture("components", functions={"libration": _libration}, quantity="angle of the moon [degrees]"),
         quantity="state",
-    )
+    ),
 )
 def gravitating_bodies(
     inertias: Any = ((1.0, 2.0, 2.5), (1.0, 1.0, 1.5)),

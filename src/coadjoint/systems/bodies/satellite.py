@@ -62,7 +62,7 @@ def _pitch(x: Any) -> Any:
         ),
         components=Picture("components", functions={"pitch": _pitch}, quantity="angle of the radius [degrees]"),
         quantity="state",
-    )
+    ),
 )
 def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gravity: float = 1.0) -> LiePoissonSystem:
     """Return a rigid satellite in a central gravity field: orbit, rotation, and the gravity gradient that couples them.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,13 +11,13 @@ import numpy.typing as npt
 from coadjoint.systems.fluids.sphere_euler import sphere_euler
 from coadjoint.systems.fluids.torus_euler import torus_euler
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.matrices.fluid_system import FluidSystem
 from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse, Stream
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 from coadjoint.systems.registry import ready_made
 from coadjoint.validation import read_choice
 
-SURFACES: dict[str, Callable[..., MatrixSystem]] = {"sphere": sphere_euler, "torus": torus_euler}
+SURFACES: dict[str, Callable[..., FluidSystem]] = {"sphere": sphere_euler, "torus": torus_euler}
 
 
 def _two_vortices() -> npt.NDArray[np.complex128]:
@@ -88,7 +89,7 @@ def reduced_mhd(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
     return system
 
 
-def ideal_fluid(N: int, surface: str) -> MatrixSystem:
+def ideal_fluid(N: int, surface: str) -> FluidSystem:
     """Return the fluid on a surface without a second field.
 
     Examples
@@ -97,6 +98,22 @@ def ideal_fluid(N: int, surface: str) -> MatrixSystem:
     'torus_euler'
     """
     return SURFACES[read_choice(surface, "surface", SURFACES)](N)
+
+
+def fluid_of(system: Any) -> FluidSystem | None:
+    """Return the fluid of a system, of two fields that of the vorticity; None for other systems.
+
+    Examples
+    --------
+    >>> fluid_of(reduced_mhd(5, "torus"))
+    <torus_euler on su(5)>
+    """
+    if isinstance(system, FluidSystem):
+        return system
+    surface = (getattr(system, "parameters", None) or {}).get("surface")
+    return (
+        ideal_fluid(system.algebra.N, surface) if isinstance(system, TwoLayerSystem) and surface in SURFACES else None
+    )
 
 
 def inverse_of(stream: Stream) -> Stream:
