@@ -181,7 +181,7 @@ class Inputs:
         )
 
     def check_not_square(self, members: int) -> None:
-        """Raise ValueError if the values of members, for one state, are a square matrix: a quotient by a tensor is one."""
+        """Raise ValueError if the values of members, for one state, are square, as a vector over a tensor is."""
         if all(indices.shape == (members,) for indices in self.indices.values()):
             name, n = next(iter(self.indices)), self.system.dim
             raise ValueError(

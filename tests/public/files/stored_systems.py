@@ -92,9 +92,7 @@ def start(system):
     """Return an initial state of a system, or one for each system of a batch."""
     if isinstance(system, co.LiePoissonSystem | co.MatrixSystem | co.ForcedSystem | co.PoissonSystem):
         x = state_of(system) if is_matrix(system) else np.cos(np.arange(1.0, system.dim + 1.0))
-        if "z" in getattr(system, "casimirs", {}) and not is_matrix(
-            system
-        ):  # the coordinate that is 1 where positions and momenta are canonical
+        if not is_matrix(system) and "z" in system.casimirs:  # positions and momenta are canonical where it is 1
             x[np.argmax(abs(system.casimirs["z"].gradient(0 * x)))] = 1.0
         return x
     return np.array([start(one) for one in system])

@@ -53,10 +53,11 @@ def dataset_of(solution: Solution, grid: Any = None) -> xarray.Dataset:
 
     Variables over ``time`` (and ``member`` for an ensemble): ``x`` over ``component`` (matrices over ``row`` and
     ``column``, complex ones also over ``part``, real and imaginary), ``energy``, ``casimir_<name>``,
-    ``observed_<name>``, ``attitude`` over ``row`` and ``column``; ``drift`` over ``invariant`` and ``tenth`` of the
-    run, replaced for systems with forces by ``change``, ``balance``, and ``work`` over ``account``; ``x0``,
-    ``attitude0``, and ``event_...`` of crossings. Numbers in which the systems of a batch differ are coordinates, such
-    as ``swept_inertia_2``; fluids have `vorticity` on a grid, and of two fields `carried`; a batch with named axes has these as dimensions in place of ``member``. Names, units and
+    ``observed_<name>``, ``attitude`` over ``row`` and ``column``; of fluids ``vorticity`` on a grid; ``drift`` over
+    ``invariant`` and ``tenth`` of the run, replaced for systems with forces by ``change``, ``balance``, and ``work``
+    over ``account``; ``x0``, ``attitude0``, and ``event_...`` of crossings. Numbers in which the systems of a batch
+    differ are coordinates, such as ``swept_inertia_2``; a batch with named axes has these as dimensions in place of
+    ``member``. Names, units and
     dimensions follow the CF conventions. Attributes: version, system and method (JSON), step, times, and the names of
     functions that cannot be stored.
 

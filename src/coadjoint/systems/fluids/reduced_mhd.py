@@ -110,10 +110,8 @@ def fluid_of(system: Any) -> FluidSystem | None:
     """
     if isinstance(system, FluidSystem):
         return system
-    surface = (getattr(system, "parameters", None) or {}).get("surface")
-    return (
-        ideal_fluid(system.algebra.N, surface) if isinstance(system, TwoLayerSystem) and surface in SURFACES else None
-    )
+    surface = (system.parameters or {}).get("surface") if isinstance(system, TwoLayerSystem) else None
+    return ideal_fluid(system.algebra.N, surface) if surface in SURFACES else None
 
 
 def inverse_of(stream: Stream) -> Stream:
