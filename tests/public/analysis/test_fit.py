@@ -1,6 +1,7 @@
 """Fits of parameters and initial values, against Euler's equations by SciPy and the scatter of noisy fits."""
 
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -237,3 +238,109 @@ def test_trial_steps_outside_of_the_parameters_are_shortened():
     measured = {"x": body().run(X0, (0.0, 4.0), 4).x}
     found = co.fit(ready, X0, (0.0, 4.0), measured, {"inertia": (1, 2)}, 4, sigma={"x": SIGMA})
     np.testing.assert_allclose(found.values["inertia"], INERTIA, rtol=1e-8)
+
+
+GYRO = {"angular_velocity": 0.002}
+
+
+def bodies_with_rates():
+    """A body, a top, a gyrostat, and bodies with attitudes in their states; each with a state."""
+    S = co.systems
+    free, orbiting = S.body((1.0, 1.7, 2.6)), S.satellite_on_orbit(((1, 0.1, 0), (0.1, 1.7, 0.2), (0, 0.2, 2.6)), 0.8)
+    tensor = S.rigid_body([[1.0, 0.1, 0.2], [0.1, 2.0, 0.3], [0.2, 0.3, 2.5]])
+    return {
+        "tensor": (tensor, X0),
+        "top": (S.heavy_top((1.0, 1.7, 2.6), (0.1, 0.2, 1.0)), np.array([0.5, 0.2, 1.0, 0.6, 0.0, 0.8])),
+        "gyrostat": (S.gyrostat((1.0, 1.7, 2.6), (0.1, 0.2, 1.0)), X0),
+        "body": (free, free.state(angular_velocity=(0.3, 0.2, 0.5))),
+        "orbit": (orbiting, orbiting.state(angular_velocity=(0.3, 0.2, 0.5))),
+    }
+
+
+@pytest.mark.parametrize("name", bodies_with_rates())
+def test_gyroscopes_determine_what_they_measure(name):
+    """The fit of exact rates is exact, and its covariance is that of differences of runs."""
+    system, x0 = bodies_with_rates()[name]
+    ready = co.prepare(system, SCHEME, step=0.05)
+    rates = ready.run(x0, (0, 8), 4).angular_velocity
+    # A symmetric matrix has entries 0 to 2, 4, 5 and 8; the first sets the unit of momentum.
+    shape = np.shape(system.parameters["inertia"])
+    inertia = (1, 2) if shape == (3,) else (4, 8)
+    unknown = {"inertia": inertia, "x0": (0, 1)}
+    moved = co.prepare(
+        co.systems.get(system.name, **{**system.parameters, "inertia": nearby(system)}), SCHEME, step=0.05
+    )
+    guess = x0 + 0.01 * np.eye(len(x0))[0]
+    found = co.fit(moved, guess, (0, 8), {"angular_velocity": rates}, unknown, 4, sigma=GYRO)
+    np.testing.assert_allclose(found.values["inertia"], system.parameters["inertia"], atol=1e-8)
+    np.testing.assert_allclose(found.values["x0"], x0, atol=1e-8)
+
+    def run(z):
+        changed = np.array(system.parameters["inertia"], dtype=float)
+        changed.ravel()[list(inertia)] += z[:2]
+        start = x0 + np.r_[z[2:], np.zeros(len(x0) - 2)]
+        other = co.systems.get(system.name, **{**system.parameters, "inertia": changed})
+        return co.prepare(other, SCHEME, step=0.05).run(start, (0, 8), 4).angular_velocity.ravel() / 0.002
+
+    J = np.array([(run(1e-5 * unit) - run(-1e-5 * unit)) / 2e-5 for unit in np.eye(4)]).T
+    np.testing.assert_allclose(found.covariance @ (J.T @ J), np.eye(4), atol=2e-5)
+
+
+def nearby(system):
+    inertia = np.array(system.parameters["inertia"], dtype=float)
+    return inertia + (0.02 * np.eye(3)[1] if inertia.ndim == 1 else 0.02 * np.diag([0, 1, 0]))
+
+
+def test_observed_quantities_and_several_trajectories():
+    """By functions and polynomials of the state, together with states."""
+    square = co.Polynomial({(2, 0, 0): 1.0})
+    observe = {"product": lambda x: x[0] * x[1], "square": square}
+    starts = np.array([X0, (0.1, 1.0, 0.4)])
+    exact = co.integrate(co.systems.rigid_body(INERTIA), starts, (0, 10), 0.05, SCHEME, save_every=4, observe=observe)
+    ready = co.prepare(co.systems.rigid_body((1.0, 1.95, 2.6)), SCHEME, 0.05, observe=observe)
+    measured = {**exact.observed, "x": exact.x}
+    for names in (("product", "square"), ("product", "x")):
+        chosen, sigma = {name: measured[name] for name in names}, dict.fromkeys(names, 0.1)
+        found = co.fit(ready, starts * 1.01, (0, 10), chosen, {"inertia": (1, 2), "x0": True}, 4, sigma=sigma)
+        np.testing.assert_allclose(found.values["inertia"], INERTIA, atol=1e-7)
+        np.testing.assert_allclose(found.values["x0"], starts, atol=1e-7)
+
+
+@pytest.mark.parametrize("factor", [1.0, 2.0])
+def test_residuals_that_contradict_sigma_are_reported(factor):
+    """On both sides: of 123 numbers, twice as large errors have 354 squares too many, 23 standard deviations."""
+    body, rng = co.systems.rigid_body(INERTIA), np.random.default_rng(7)
+    exact = co.integrate(body, X0, (0, 10), 0.05, SCHEME, save_every=5).angular_velocity
+    rates = {"angular_velocity": exact + 0.002 * factor * rng.standard_normal(exact.shape)}
+    ready = co.prepare(co.systems.rigid_body((1.0, 1.9, 2.6)), SCHEME, 0.05)
+    with warnings.catch_warnings(record=True) as noticed:
+        warnings.simplefilter("always")
+        found = co.fit(ready, X0, (0, 10), rates, {"inertia": (1, 2), "x0": True}, 5, sigma=GYRO)
+    assert found.degrees_of_freedom == 123 - 5 and "118 degrees of freedom" in repr(found)
+    assert [("contradict sigma" in str(one.message)) for one in noticed] == [True] * (factor > 1.0)
+
+
+def test_rates_given_as_momenta_are_reported():
+    """Of the moments 1, 1.8 and 2.4: the fit has other moments, and residuals far above sigma."""
+    body = co.systems.rigid_body((1.0, 1.8, 2.4))
+    sol = co.integrate(body, (1.0, 0.6, 0.3), (0, 10), 0.05, SCHEME, save_every=4)
+    ready = co.prepare(body, SCHEME, 0.05)
+    with pytest.warns(UserWarning, match="contradict sigma"):
+        co.fit(
+            ready,
+            sol.angular_velocity[0],
+            (0, 10),
+            {"x": sol.angular_velocity},
+            {"inertia": (1, 2)},
+            4,
+            sigma={"x": 0.002},
+        )
+
+
+def test_scalar_parameters_are_fitted():
+    orbiting = co.systems.satellite_on_orbit((1.0, 1.7, 2.6), 0.8)
+    x0 = orbiting.state(angular_velocity=(0.3, 0.2, 0.5))
+    exact = co.integrate(orbiting, x0, (0, 8), 0.05, SCHEME, save_every=4)
+    ready = co.prepare(co.systems.satellite_on_orbit((1.0, 1.7, 2.6), 0.82), SCHEME, 0.05)
+    found = co.fit(ready, x0, (0, 8), {"x": exact.x}, {"mean_motion": True}, 4, sigma={"x": 0.01})
+    assert found.values["mean_motion"] == pytest.approx(0.8, abs=1e-9)

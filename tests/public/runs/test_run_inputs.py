@@ -175,6 +175,27 @@ def test_states_at_any_time_use_the_inputs_of_the_run(way):
         assert abs(own.energy[-1] - own.energy[0]) < 0.1 * STEP**2 < np.abs(own.energy[0] - found.energy[0, m - 1])
 
 
+def test_a_quotient_by_a_tensor_is_no_ensemble():
+    """One value for three coordinates and values for three members have the same shape with x0 for each member only."""
+    tensor, k, x = np.array([[1.0, 0.1, 0.2], [0.1, 1.8, 0.3], [0.2, 0.3, 2.4]]), np.array([0.1, 0.2, 0.3]), np.ones(3)
+    body = co.systems.rigid_body(tensor)
+    ready = co.prepare(body, co.GaussLegendre(2), 0.1, inputs=True)
+    step = co.stepper(body, co.GaussLegendre(2), 0.1, inputs=True)
+    pushed = body.with_forces(co.forces.Torque((0, 0, 0)))
+    torque = co.prepare(pushed, None, 0.1, inputs={"torque": "Torque"})
+    calls = (
+        (lambda x: ready.run(x, (0, 1), linear=-k / tensor), "linear"),
+        (lambda x: ready.jvp(x, (0, 1), {"x0": x}, linear=-k / tensor), "linear"),
+        (lambda x: step(x, linear=-k / tensor), "linear"),
+        (lambda x: torque.run(x, (0, 1), torque=-k / tensor), "torque"),
+    )
+    for call, name in calls:
+        with refused(ValueError, f"{name} has the shape (3, 3)", "one state", "(3,)"):
+            call(x)
+        call(np.ones((3, 3)))
+    assert ready.run(x, (0, 1), linear=np.ones((4, 3))).x.shape == (11, 4, 3)
+
+
 def test_names_of_parameters_are_no_names_of_the_linear_term():
     satellite = co.systems.gyrostat(inertia=(1, 2, 3), rotors=(0, 0, 0.5))
     with refused(ValueError, "'rotors'", "gyrostat", "linear term"):
