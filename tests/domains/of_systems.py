@@ -155,8 +155,12 @@ OWN = {
     },
     "maxwell_bloch": {"coupling": positive()},
     "satellite": {
-        "inertia": vector((1.0, 2.0, 2.5), positive(), (0.001,) * 3, (1, 1, 1)).plus(outside=(np.eye(3),)),
+        "inertia": INERTIA.plus((0.001,) * 3),
         "mass": positive(100.0),
+    },
+    "satellite_on_orbit": {
+        "mean_motion": positive(least=1e-30, most=1e30),
+        "eccentricity": real(0.0).plus(0.5, outside=(1.0, -0.1, 1.5)),
     },
     "separable_cosh": {
         "algebra": Domain(
