@@ -160,7 +160,7 @@ OWN = {
     },
     "satellite_on_orbit": {
         "mean_motion": positive(least=1e-30, most=1e30),
-        "eccentricity": real(0.0).plus(0.5, outside=(1.0, -0.1, 1.5)),
+        "eccentricity": not_negative(0.0).plus(0.5, outside=(1.0, 1.5)),
     },
     "separable_cosh": {
         "algebra": Domain(

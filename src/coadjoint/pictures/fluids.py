@@ -10,7 +10,6 @@ import numpy.typing as npt
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow
 from coadjoint.systems.fluids.reduced_mhd import fluid_of as fluid_of_system
-from coadjoint.systems.fluids.sphere_euler import SphereEuler
 from coadjoint.systems.matrices.fluid_system import FluidSystem, large_scales
 
 Floats = npt.NDArray[np.float64]
@@ -22,18 +21,6 @@ def fluid_of(drawn: PlottedRun) -> FluidSystem:
     if found is None:
         raise CannotShow(f"{drawn.unforced.name} has no vorticity to show; sphere_euler and torus_euler have")
     return found
-
-
-def surface_of(fluid: FluidSystem) -> str:
-    """Return "sphere" or "torus".
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> surface_of(co.systems.torus_euler(5))
-    'torus'
-    """
-    return "sphere" if isinstance(fluid, SphereEuler) else "torus"
 
 
 def vorticity_of(state: Any) -> npt.NDArray[Any]:

@@ -54,19 +54,6 @@ def test_the_vorticity_is_on_a_grid(name, members, tmp_path):
     assert rebuilt.to_xarray().vorticity.identical(data.vorticity)
 
 
-def test_large_fields_are_written_for_a_given_grid_only():
-    """Those of 2^27 bytes are the largest: 5 points of N + 1 times 2 N numbers are 80 N (N + 1) bytes."""
-    small, large = (S.torus_euler(N) for N in (9, 11))
-    fields = {fluid.algebra.N: run(fluid, fluid) for fluid in (small, large)}
-    from coadjoint.files.datasets import vorticity_variables
-
-    limit = 8 * 3 * 9 * 9
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(vorticity_variables, "MAX_DEFAULT_BYTES", limit)
-        assert "vorticity" in fields[9].to_xarray() and "vorticity" not in fields[11].to_xarray()
-        assert fields[11].to_xarray(grid=True).vorticity.shape == (3, 11, 11)
-
-
 def test_archives_have_it_for_a_given_grid(tmp_path):
     W = TORUS.random(seed=1, degrees=(1, 2))
     sol = co.integrate(TORUS, W, (0, 1), 0.1, co.IsospectralGauss(), archive=tmp_path / "run.zarr")

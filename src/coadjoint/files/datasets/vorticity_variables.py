@@ -14,7 +14,6 @@ from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import installed
 from coadjoint.short_repr import short
 from coadjoint.systems.fluids.reduced_mhd import fluid_of
-from coadjoint.systems.fluids.sphere_euler import SphereEuler
 from coadjoint.systems.matrices.fluid_system import FluidSystem
 from coadjoint.systems.protocol import is_batch, unforced
 
@@ -39,7 +38,7 @@ def vorticity_variables(solution: Solution, grid: Any) -> tuple[Variables, Varia
         if grid is None or grid is False:
             return {}, {}
         raise TypeError(f"grid is {short(grid)}, and {solution.system.name} has no vorticity on a grid; omit it")
-    on_sphere = isinstance(fluid, SphereEuler)
+    on_sphere = fluid.surface == "sphere"
     if grid is False or (grid is None and on_sphere and not installed("ducc0")):
         return {}, {}
     shape = None if grid is None or grid is True else grid

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.pictures.fluids import fluid_of, surface_of, vorticity_of
+from coadjoint.pictures.fluids import fluid_of, vorticity_of
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.style import colour, legend, plain_axes, thickness
@@ -34,7 +34,7 @@ def energy_by_scale(drawn: PlottedRun) -> Paint:
 
     def paint(axes: Any) -> None:
         for line, i in enumerate(largest):
-            label = f"${LETTER[surface_of(fluid)]} = {scales[i]:g}$"
+            label = f"${LETTER[fluid.surface]} = {scales[i]:g}$"
             axes.plot(drawn.t[times], shares[:, i], color=colour(line), linewidth=thickness(0.9), label=label)
         axes.set(xlabel="time $t$", ylabel="share of the energy", title=f"energy by scale{drawn.of_member}")
         axes.set_ylim(0.0, None)

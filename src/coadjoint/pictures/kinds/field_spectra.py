@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.pictures.fluids import fluid_of, surface_of, vorticity_of
+from coadjoint.pictures.fluids import fluid_of, vorticity_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.style import colour, legend, plain_axes, thickness
@@ -44,7 +44,7 @@ def field_spectra(drawn: PlottedRun, at: float = 1.0) -> Paint:
                 scales, values = points[name, j]
                 label = f"{name}, $t$ = {drawn.t[j]:.4g}"
                 axes.plot(scales, np.where(values > 0.0, values, np.nan), color=colour(line), label=label, **style)
-        axes.set(xscale="log", xlabel=AXIS_LABELS[surface_of(fluid)])
+        axes.set(xscale="log", xlabel=AXIS_LABELS[fluid.surface])
         axes.set(ylabel="energy and enstrophy", title=f"spectra of energy and enstrophy{drawn.of_member}")
         top = max(float(values.max()) for _, values in points.values())
         if top > 0.0:  # a fluid at rest has no logarithms

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.fluids import fluid_of, part_on_grid, surface_of
+from coadjoint.pictures.fluids import fluid_of, part_on_grid
 from coadjoint.pictures.kinds.sphere_field import on_grid
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.projections import PROJECTIONS, Projection
@@ -35,7 +35,7 @@ GRID_SPACING = 30.0
 
 def _is_low(drawn: PlottedRun) -> bool:
     """Whether the picture is low: maps of the sphere are, squares of the torus are not."""
-    return surface_of(fluid_of(drawn)) == "sphere"
+    return fluid_of(drawn).surface == "sphere"
 
 
 @kind("vorticity", low=_is_low, moves=True)
@@ -69,7 +69,7 @@ def vorticity(
     middle = read_number(centre[0], "longitude of centre"), read_number(centre[1], "latitude of centre")
     if part == "carried" and len(drawn.unforced.shape) != 3:
         raise CannotShow(f"{drawn.unforced.name} carries no second field; reduced_mhd and passive_scalar do")
-    surface, k = surface_of(fluid), drawn.index_at(at)
+    surface, k = fluid.surface, drawn.index_at(at)
 
     def on_fluid_grid(system: Any, state: Any) -> Floats:
         return part_on_grid(fluid, state, part, _shape(fluid.algebra.N, surface))

@@ -110,8 +110,9 @@ def fluid_of(system: Any) -> FluidSystem | None:
     """
     if isinstance(system, FluidSystem):
         return system
-    surface = (system.parameters or {}).get("surface") if isinstance(system, TwoLayerSystem) else None
-    return ideal_fluid(system.algebra.N, surface) if surface in SURFACES else None
+    surface = (getattr(system, "parameters", None) or {}).get("surface")
+    has_two_fields = len(getattr(system, "shape", ())) == 3 and surface in SURFACES
+    return ideal_fluid(system.algebra.N, surface) if has_two_fields else None
 
 
 def inverse_of(stream: Stream) -> Stream:

@@ -66,6 +66,7 @@ class SphereEuler(FluidSystem):
             parameters={"N": N, "rotation": rotation},
         )
 
+    surface = "sphere"
     states_by_name = (*FluidSystem.states_by_name, "rossby_haurwitz", "zonal_jet")
 
     rossby_haurwitz = sphere_states.rossby_haurwitz

@@ -32,6 +32,7 @@ class TorusEuler(FluidSystem):
     right, y up and vorticity positive counterclockwise. W is ``-i N/(4 pi) sum of w_n T_n``.
     """
 
+    surface = "torus"
     states_by_name = (*FluidSystem.states_by_name, "zonal_jet")
 
     def zonal_jet(

@@ -26,6 +26,9 @@ class FluidSystem(MatrixSystem):
     `zonal_jet`, ...) describe the vorticity relative to a rotating sphere and return ``absolute(W)``.
     """
 
+    surface: str
+    """"sphere" or "torus"."""
+
     states_by_name: tuple[str, ...] = ("random", "blobs", "patches", "from_file")
     """Methods that return a state, available by name in configuration files."""
 

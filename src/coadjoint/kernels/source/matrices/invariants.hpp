@@ -86,8 +86,7 @@ struct InvariantsOf final : MatrixInvariants {
 };
 
 // The integers are those that a stream reads, with size zero if the state is not a matrix, then whether entries are
-// complex, whether matrices are not skew-Hermitian, and the sign of the trace: -1 for -i W. The first number is the
-// factor of the energy; the others are those of the stream.
+// complex, whether they are not skew-Hermitian, and the sign of the trace. The first number is the factor of the energy.
 inline std::unique_ptr<MatrixInvariants> matrix_invariants(const int64_t* whole, const double* numbers) {
     std::unique_ptr<MatrixInvariants> found;
     if (!whole[0]) return found;
