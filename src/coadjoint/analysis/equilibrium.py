@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.analysis.orbit import Orbit, Tangents, second_variation, tangents_of
+from coadjoint.analysis.orbit import Orbit, ScaledSystem, Tangents, second_variation, tangents_of, units_of
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
@@ -123,8 +123,18 @@ def equilibrium(system: Any, x0: ArrayLike, relax: str = "down") -> Equilibrium:
     >>> co.equilibrium(body, (0, 1, 0)).stability
     'unstable'
     """
-    start = _validated(system, x0)
+    x0 = _validated(system, x0)
     direction = DIRECTIONS[read_choice(relax, "relax", tuple(DIRECTIONS))]
+    units = units_of(system, x0)
+    found = _studied(ScaledSystem(system, units) if (units != 1.0).any() else system, x0 / units, direction)
+    x = units * found.x
+    residual = float(np.max(np.abs(system.vector_field(x))))
+    return replace(found, x=x, energy=float(system.energy(x)), residual=residual)
+
+
+def _studied(system: Any, start: Floats, direction: float) -> Equilibrium:
+    """Return the equilibrium in the units of the system."""
+    _check_regular(system, start)
     orbit = Orbit(system)
     x = _critical_point(system, orbit, start, direction)
     note_progress("frequencies")
@@ -138,8 +148,7 @@ def equilibrium(system: Any, x0: ArrayLike, relax: str = "down") -> Equilibrium:
     stability = "unstable" if growth else "undecided"
     if not growth and _is_definite(system, orbit, x, tangents):
         stability = "stable"
-    residual = float(np.max(np.abs(system.vector_field(x))))
-    return Equilibrium(x, float(system.energy(x)), frequencies, growth, stability, residual)
+    return Equilibrium(x, 0.0, frequencies, growth, stability, 0.0)
 
 
 def _validated(system: Any, x0: ArrayLike) -> Floats:
@@ -154,6 +163,10 @@ def _validated(system: Any, x0: ArrayLike) -> Floats:
     if system.hamiltonian.timed:
         raise TypeError(f"the Hamiltonian of {system.name} depends on time, so that it has no equilibria")
     system.hamiltonian.hessian(x, 0.0)  # raises TypeError without second derivatives
+    return np.asarray(x, dtype=np.float64)
+
+
+def _check_regular(system: Any, x: Floats) -> None:
     rank, generic = tangents_of(system, x).basis.shape[1], system.algebra.generic_rank()
     if rank < generic:
         raise ValueError(
@@ -163,7 +176,6 @@ def _validated(system: Any, x0: ArrayLike) -> Floats:
         )
     if generic == 0:
         raise ValueError(f"the coadjoint orbits of {system.name} are points, and every state is an equilibrium")
-    return np.asarray(x, dtype=np.float64)
 
 
 def _critical_point(system: Any, orbit: Orbit, x: Floats, direction: float) -> Floats:

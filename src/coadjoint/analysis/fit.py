@@ -170,6 +170,8 @@ def fit(
     """
     from scipy.optimize import least_squares
 
+    if not isinstance(measured, Mapping) or not measured or not isinstance(sigma, Mapping):
+        raise TypeError('measured and sigma must be mappings from names, such as "x" or "attitude", to numbers')
     problem = _Problem.of(ready, x0, attitude, ParametrizedRun(ready, t_span, save_every, t_eval, "co.fit"), unknown)
     problem = problem.measuring(ready, measured)
     weights = _weights(measured, sigma, problem.outputs(), Quantities.names_of(ready))
@@ -252,10 +254,10 @@ class _Problem(NamedTuple):
     unknowns: tuple[tuple[str, int], ...]
     quantities: Quantities | None = None
 
-    def measuring(self, ready: PreparedRun, measured: Any) -> _Problem:
+    def measuring(self, ready: PreparedRun, measured: Mapping[str, Any]) -> _Problem:
         """Return the problem with the measured functions of the states among its outputs."""
         known = Quantities.names_of(ready)
-        names = [name for name in measured if name in known] if isinstance(measured, Mapping) else []
+        names = [name for name in measured if name in known]
         if not names:
             return self
         return self._replace(quantities=Quantities(ready, names, self.run.saved_times, self.values["x0"]))
@@ -388,11 +390,9 @@ def _mirror(numbers: NDArray[np.int64], size: int) -> NDArray[np.int64]:
 
 
 def _weights(
-    measured: Any, sigma: Any, outputs: Mapping[str, Floats], quantities: tuple[str, ...]
+    measured: Mapping[str, Any], sigma: Mapping[str, Any], outputs: Mapping[str, Floats], quantities: tuple[str, ...]
 ) -> dict[str, Floats]:
     """Return the factors of the residuals; raise an error for measurements that do not match the run."""
-    if not isinstance(measured, Mapping) or not measured or not isinstance(sigma, Mapping):
-        raise TypeError('measured and sigma must be mappings from names, such as "x" or "attitude", to numbers')
     weights = {}
     for name, value in measured.items():
         if name not in outputs:

@@ -7,12 +7,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.exact.components import summands
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import scatter
 
 Floats = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-10  # singular values of J(x) below this, relative to the largest, are zero
+SPREAD = 256.0  # ratio of sizes of groups of coordinates from which each has its own unit
 MAX_DEGREE = 40  # of the series of an exponential, whose substeps have norms of at most one
 NEGLIGIBLE = 2.0**-60  # of the state: the series of an exponential ends there, below round-off
 
@@ -51,6 +55,60 @@ class Orbit:
                     break
             x = x + change
         return x
+
+
+class ScaledSystem:
+    """A system in coordinates y = x / units, in which groups of coordinates of very different sizes have the size one.
+
+    It has what the study of orbits needs; Casimirs are not among it.
+    """
+
+    def __init__(self, system: Any, units: Floats) -> None:
+        i, j, k, c = system.algebra.triples
+        constants = Triples(i, j, k, c * (units[k] / units[i] / units[j]))
+        self.algebra = LieAlgebra._from_valid(
+            constants, system.dim, system.algebra.basis, system.algebra.name, None, {}
+        )
+        self.name, self.dim, self.sign, self.units, self._system = system.name, system.dim, system.sign, units, system
+        self.hamiltonian = ScaledFunction(system.hamiltonian, units, True)
+        integrals = {name: one for name, one in system.integrals.items() if hasattr(one, "hessian")}
+        self.integrals = {name: ScaledFunction(one, units, False) for name, one in integrals.items()}
+
+    def energy(self, y: Floats) -> Any:
+        return self._system.energy(self.units * y)
+
+    def vector_field(self, y: Floats) -> Floats:
+        return np.asarray(self._system.vector_field(self.units * y) / self.units)
+
+    def jacobian(self, y: Floats) -> Floats:
+        return np.asarray(self._system.jacobian(self.units * y) / self.units[:, None] * self.units)
+
+    def structure_matrix(self, y: Floats) -> Floats:
+        return np.asarray(self._system.structure_matrix(self.units * y) / self.units[:, None] / self.units)
+
+
+class ScaledFunction:
+    """Derivatives of a Hamiltonian, `timed`, or of an integral in coordinates y = x / units."""
+
+    def __init__(self, function: Any, units: Floats, timed: bool) -> None:
+        self._function, self._units, self._time = function, units, (0.0,) if timed else ()
+
+    def gradient(self, y: Floats, t: float = 0.0) -> Floats:
+        return np.asarray(self._units * self._function.gradient(self._units * y, *self._time))
+
+    def hessian(self, y: Floats, t: float = 0.0) -> Floats:
+        curvature = np.asarray(self._function.hessian(self._units * y, *self._time))
+        return np.asarray(self._units[:, None] * curvature * self._units)
+
+
+def units_of(system: Any, x: Floats) -> Floats:
+    """Return powers of two as units of the coordinates: sizes of their groups in x if these differ much, else one."""
+    groups = CoordinateGroups(system)
+    sizes = groups.norms(x)
+    found = sizes[sizes > 0.0]
+    if not found.size or found.max() < SPREAD * found.min():
+        return np.ones(len(x))
+    return np.asarray(np.exp2(np.round(np.log2(np.where(sizes > 0.0, sizes, 1.0))))[groups.labels])
 
 
 class Tangents(NamedTuple):

@@ -109,10 +109,13 @@ def test_pitch_on_a_circle_is_a_pendulum():
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2), (2, 1, 0)])
-def test_libration_frequencies_and_stability(order):
-    """Pitch: 3 n^2 (I2 - I1)/I3. Roll and yaw: a quartic. Stable if the smallest moment is along the radius."""
-    n = 0.9
-    inertia = np.array([1.0, 1.8, 2.4])[list(order)]
+@pytest.mark.parametrize(("n", "size"), [(0.9, 1.0), (RATE, 0.015), (1e-6, 1e8), (1e5, 1e-9)])
+def test_libration_frequencies_and_stability(order, n, size):
+    """Pitch: 3 n^2 (I2 - I1)/I3. Roll and yaw: a quartic. Stable if the smallest moment is along the radius.
+
+    Momenta of 1e-14 to 1e6 beside axes of length one.
+    """
+    inertia = size * np.array([1.0, 1.8, 2.4])[list(order)]
     satellite = S.satellite_on_orbit(inertia, n)
     found = co.equilibrium(satellite, satellite.state(angular_velocity=(0, 0, n)), relax="none")
     a, b, c = inertia

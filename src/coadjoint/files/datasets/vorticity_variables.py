@@ -90,6 +90,7 @@ def _coordinates(on_sphere: bool, rows: Floats, columns: Floats) -> Variables:
         }
     named = (("latitude", rows, "degrees_north"), ("longitude", columns, "degrees_east"))
     return {
-        name: ((name,), np.degrees(values), {"standard_name": name, "long_name": name, "units": units})
+        # Rounded, so that whole degrees are found by their labels.
+        name: ((name,), np.round(np.degrees(values), 12), {"standard_name": name, "long_name": name, "units": units})
         for name, values, units in named
     }
