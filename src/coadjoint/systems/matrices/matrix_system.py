@@ -50,7 +50,8 @@ class MatrixSystem:
         A constant matrix of the algebra that is added to P.
     energy : callable, optional
         H without the term of `linear`, a function of a matrix (and the time, if the stream is): ``energy_sign P`` is
-        its gradient in the pairing of the algebra. By default ``H = energy_sign (<P, W>/2 + <linear, W>)``.
+        its gradient in the pairing of the algebra. By default ``H = energy_sign (<P, W>/2 + <linear, W>)``, times
+        `energy_unit`, which is 1 but for fluids.
     energy_sign : {1, -1}
         Sign of the energy.
     name : str
