@@ -1,4 +1,7 @@
 // Elements of the settings: sliders, lists and fields, each with its label.
+import { numberIn } from "./state";
+
+const LARGEST = 1e6; // of the numbers in fields
 
 export function element<K extends keyof HTMLElementTagNameMap>(
   name: K, properties: Partial<HTMLElementTagNameMap[K]> = {}, ...children: Array<Node | string>
@@ -59,19 +62,20 @@ export function button(label: string, pressed: () => void, className = ""): HTML
   return made;
 }
 
-// Fields of numbers that are read when one of them is left, or by Enter; with names above them if given.
+// Fields of numbers that are read when one of them is left, or by Enter; with names above them if given. What is no number
+// is marked and refused with a reason, and the run keeps the value before.
 export function numbers(
-  labels: string[], values: number[], changed: (values: number[]) => void, names: string[] = [],
+  labels: string[], values: number[], changed: (values: number[]) => void, refused: (reason: string) => void,
+  names: string[] = [],
 ): HTMLDivElement {
   const inputs = labels.map((label, k) => {
     const input = element("input", { type: "text", inputMode: "decimal", value: String(Number(values[k].toPrecision(6))) });
     input.setAttribute("aria-label", label);
     input.title = label;
     input.addEventListener("change", () => {
-      const value = Number(input.value);
-      const valid = input.value.trim() !== "" && Number.isFinite(value) && Math.abs(value) < 1e6;
+      const value = numberIn(input.value), valid = Math.abs(value) < LARGEST;
       input.setAttribute("aria-invalid", String(!valid));
-      if (!valid) return;
+      if (!valid) return refused(`${label} is “${input.value}”; type a number between −10⁶ and 10⁶. The runs keep ${values[k]}.`);
       changed(values.map((old, i) => (i === k ? value : old)));
     });
     return names.length ? element("div", {}, element("span", { className: "name", ariaHidden: "true" }, names[k]), input) : input;

@@ -8,7 +8,7 @@ import { Kernels } from "./kernels";
 import { buildPanel } from "./panel";
 import { drawErrors, drawSection } from "./plots";
 import { drawScene, picked } from "./scene";
-import { FIRST_TURN, read, written } from "./state";
+import { FIRST_TURN, firstChoice, read, written } from "./state";
 import { checked, type Tables } from "./tables";
 import { applyTheme, colors, toggleTheme } from "./theme";
 
@@ -63,9 +63,7 @@ class Page {
     addEventListener("hashchange", () => {
       const text = location.hash.slice(1);
       if (text === written(app.tables, app.choice)) return;
-      app.choice = read(app.tables, text);
-      app.restart();
-      this.rebuild();
+      this.open(text);
     });
     addEventListener("keydown", (event) => {
       const typing = (event.target as HTMLElement).closest("input, select, button, summary, a");
@@ -73,8 +71,26 @@ class Page {
       event.preventDefault();
       at("play").click();
     });
-    this.rebuild();
+    this.open(location.hash.slice(1));
     requestAnimationFrame((time) => this.frame(time));
+  }
+
+  // The choice of an address, and what of it is not taken.
+  private open(text: string): void {
+    const { app } = this, refused: string[] = [];
+    app.choice = read(app.tables, text, refused);
+    this.rebuild();
+    if (refused.length && !app.problem) this.refuse(`The address has values that are not taken: ${refused.join(", ")}.`);
+  }
+
+  private refuse(reason: string): void {
+    message.textContent = reason;
+  }
+
+  // What an algebra that is not run would copy or store; its reason is shown instead.
+  private whenValid(action: () => void): void {
+    if (this.app.problem) this.refuse(`${this.app.problem} Nothing is copied.`);
+    else action();
   }
 
   private plot(text: string): { figure: HTMLElement; canvas: HTMLCanvasElement; caption: HTMLElement } {
@@ -93,12 +109,13 @@ class Page {
         this.changed();
       },
       rebuilt: () => this.rebuild(),
-      copyScript: () => this.copy(this.script(), "The script is in the clipboard."),
-      download: () => this.save(),
-      copyLink: () => {
+      copyScript: () => this.whenValid(() => this.copy(this.script(), "The script is in the clipboard.")),
+      download: () => this.whenValid(() => this.save()),
+      copyLink: () => this.whenValid(() => {
         this.store();
         this.copy(location.href, "The link is in the clipboard.");
-      },
+      }),
+      refused: (reason) => this.refuse(reason),
     }));
     this.changed();
   }
@@ -124,6 +141,7 @@ class Page {
   }
 
   private store(): void {
+    if (this.app.problem) return;
     const text = written(this.app.tables, this.app.choice);
     history.replaceState(null, "", text ? `#${text}` : location.pathname + location.search);
   }
@@ -227,6 +245,14 @@ class Page {
     return (1000 * (times.length - 1)) / (times[times.length - 1] - times[0]);
   }
 
+  // Without runs nothing is shown of those before.
+  private clear(): void {
+    const canvases = this.cards.flatMap(({ scene, body }) => [scene, body]);
+    for (const canvas of [...canvases, this.energy.canvas, this.casimirs.canvas, this.section.canvas])
+      canvas.getContext("2d")!.clearRect(0, 0, canvas.width, canvas.height);
+    for (const { readout } of this.cards) readout.textContent = "";
+  }
+
   private draw(): void {
     const { app, palette } = this, matrix = camera(app.choice.turn);
     for (const [k, track] of app.tracks.entries()) {
@@ -241,7 +267,7 @@ class Page {
       const text = track.failure || `Step ${track.step} · errors: energy ${power(track.energy.now)}${casimirs}${turned}`;
       if (readout.textContent !== text) readout.textContent = text;
     }
-    if (!app.tracks.length) return;
+    if (!app.tracks.length) return this.clear();
     drawErrors(this.energy.canvas, app.tracks.map((track) => track.energy), palette);
     if (app.hasCasimirs) drawErrors(this.casimirs.canvas, app.tracks.map((track) => track.casimirs), palette);
     const { section } = app.view;
@@ -261,7 +287,7 @@ async function main(): Promise<void> {
     fetched("kernels.wasm").then((answer) => Kernels.load(answer)),
     fetched("tables.json").then(async (answer) => checked((await answer.json()) as Tables)),
   ]);
-  const page = new Page(new App(kernels, tables, read(tables, location.hash.slice(1))));
+  const page = new Page(new App(kernels, tables, firstChoice(tables)));
   Object.assign(window, { explorer: page }); // for tests
 }
 

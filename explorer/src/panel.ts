@@ -9,6 +9,7 @@ export interface Actions {
   copyScript: () => void;
   download: () => void;
   copyLink: () => void;
+  refused: (reason: string) => void;
 }
 
 // Structure constants of [e1, e2], [e2, e3] and [e3, e1], and a step at which both schemes run for long.
@@ -53,7 +54,7 @@ function typed(app: App, actions: Actions): Node[] {
     numbers(labels, values, (next) => {
       store(next);
       actions.rebuilt();
-    });
+    }, actions.refused);
   const brackets = ["[e₁, e₂]", "[e₂, e₃]", "[e₃, e₁]"].map((name, pair) =>
     element("label", {}, `${name} in e₁, e₂, e₃`,
       fields([1, 2, 3].map((k) => `${name}, e${k}`), algebra.constants.slice(3 * pair, 3 * pair + 3), (values) => {
@@ -79,7 +80,7 @@ function start(app: App, actions: Actions): Node {
   const fields = numbers(app.coordinates, app.choice.x0, (values) => {
     app.choice.x0 = values;
     actions.rebuilt();
-  }, app.coordinates.map(subscripted));
+  }, actions.refused, app.coordinates.map(subscripted));
   const about = app.view.kind === "sphere" ? "Click on the sphere, or type:" : "Type:";
   if (app.choice.x0.length <= MANY) return group("Initial state", element("p", { className: "about" }, about), fields);
   return element("details", {}, element("summary", {}, "Initial state"), element("p", { className: "about" }, about), fields);

@@ -27,7 +27,7 @@ export function firstChoice(tables: Tables, name = "rigid_body", algebra = FIRST
   const system = tables.systems[name];
   return {
     system: name,
-    schemes: ["splitting2", "rk4"],
+    schemes: ["splitting4", "rk4"], // of the same order
     step: system?.step ?? 1.5,
     rate: 60,
     values: Object.fromEntries((system?.sliders ?? []).map((slider) => [slider.name, slider.value])),
@@ -36,6 +36,9 @@ export function firstChoice(tables: Tables, name = "rigid_body", algebra = FIRST
     turn: [...FIRST_TURN],
   };
 }
+
+// The number that a text is; NaN if it is none.
+export const numberIn = (text: string) => (text.trim() ? Number(text) : NaN);
 
 const list = (numbers: number[]) => numbers.map(String).join(",");
 
@@ -59,21 +62,25 @@ export function written(tables: Tables, choice: Choice): string {
   return found.toString();
 }
 
-// A choice from an address; what cannot be read is as at first.
-export function read(tables: Tables, text: string): Choice {
+// A choice from an address; what cannot be read is as at first, and is added to `refused`.
+export function read(tables: Tables, text: string, refused: string[] = []): Choice {
   const given = new URLSearchParams(text);
-  const name = given.get("system") ?? "rigid_body";
-  const choice = firstChoice(tables, name in tables.systems || name === TYPED ? name : "rigid_body");
-  const number = (label: string, usual: number, low: number, high: number) => {
-    const value = given.has(label) ? Number(given.get(label)) : usual;
-    return Number.isFinite(value) && value >= low && value <= high ? value : usual;
+  const known = (label: string, names: string[], usual: string) => {
+    const value = given.get(label) ?? usual;
+    if (names.includes(value)) return value;
+    refused.push(`${label}=${value}`);
+    return usual;
   };
-  const numbers = (label: string, usual: number[]) => {
-    const values = given.get(label)?.split(",").map((item) => (item.trim() ? Number(item) : NaN)) ?? usual;
-    return values.length === usual.length && values.every(Number.isFinite) ? values : usual;
+  const choice = firstChoice(tables, known("system", [...Object.keys(tables.systems), TYPED], "rigid_body"));
+  const numbers = (label: string, usual: number[], low = -Infinity, high = Infinity) => {
+    const values = given.get(label)?.split(",").map(numberIn) ?? usual;
+    if (values.length === usual.length && values.every((x) => Number.isFinite(x) && x >= low && x <= high)) return values;
+    refused.push(`${label}=${given.get(label)}`);
+    return usual;
   };
+  const number = (label: string, usual: number, low: number, high: number) => numbers(label, [usual], low, high)[0];
   for (const [k, label] of ["a", "b"].entries())
-    if (tables.schemes.some((scheme) => scheme.name === given.get(label))) choice.schemes[k] = given.get(label)!;
+    choice.schemes[k] = known(label, tables.schemes.map((scheme) => scheme.name), choice.schemes[k]);
   choice.step = number("h", choice.step, MIN_STEP, MAX_STEP);
   choice.rate = number("rate", choice.rate, MIN_RATE, MAX_RATE);
   for (const slider of tables.systems[choice.system]?.sliders ?? [])

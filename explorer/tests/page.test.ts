@@ -39,12 +39,32 @@ test("an address contains all of a choice", () => {
   }
 });
 
-test("what cannot be read in an address is as at first", () => {
+test("the first schemes have one order, and the splitting keeps the energy better from a hundred steps on", () => {
+  for (const name of NAMES) {
+    const one = app(name);
+    assert.deepEqual(one.choice.schemes, ["splitting4", "rk4"]);
+    for (const code of one.choice.schemes.map((scheme) => one.schemeCode(scheme))) assert.match(code, /order=4|ExplicitRungeKutta\(\)/);
+    for (const steps of [100, 1000]) {
+      while (one.steps < steps) one.take(10);
+      const [first, second] = one.tracks.map((track) => track.energy.most);
+      assert.ok(first < second, `${name}: after ${steps} steps ${first} and ${second}`);
+    }
+  }
+});
+
+test("what cannot be read in an address is as at first, and named", () => {
   const wrong = [
     "system=none", "h=-3", "h=", "h=1e9", "h=0.001", "rate=0", "rate=1e9", "a=euler", "p.I1=x", "p.I1=0.5", "p.I1=1.7", "turn=1", "turn=1,y",
     "x=1,2", "x=1,,2", "x=1,2,NaN",
   ];
-  for (const text of wrong) assert.deepEqual(read(tables, text), firstChoice(tables), text);
+  for (const text of [...wrong, "x=abc", "x=1,2,abc"]) {
+    const refused: string[] = [];
+    assert.deepEqual(read(tables, text, refused), firstChoice(tables), text);
+    assert.deepEqual(refused, [text]);
+  }
+  const taken: string[] = [];
+  read(tables, "system=heavy_top&h=0.1&a=taylor&x=1,2,3,0,0,1&turn=0.1,0.2", taken);
+  assert.deepEqual(taken, []);
 });
 
 test("a run takes as many steps a second as chosen, and one after the other", () => {

@@ -167,6 +167,45 @@ def check_address(browser: Browser, base: str, wrong: list[str]) -> None:
             wrong.append("brackets without the Jacobi identity are not refused")
 
 
+def check_refusals(browser: Browser, base: str, wrong: list[str]) -> None:
+    """Type what is no number, and brackets without the Jacobi identity: nothing is run, shown or copied of them."""
+    with opened(browser, base, "", wrong) as tab:
+        for text in ("abc", "", "1e7", "1,5"):
+            tab.get_by_label("x1", exact=True).fill(text)
+            tab.keyboard.press("Enter")
+            shown = tab.inner_text("#message")
+            if "x1" not in shown or f"“{text}”" not in shown or tab.evaluate("explorer.app.choice.x0[0]") != 0.05:
+                wrong.append(f"{text!r} as a state shows {shown!r}")
+    with opened(browser, base, "x=abc&h=0.1", wrong) as tab:
+        shown = tab.inner_text("#message")
+        if "x=abc" not in shown or "h=" in shown or tab.evaluate("explorer.app.choice.step") != 0.1:
+            wrong.append(f"the address x=abc shows {shown!r}")
+    with opened(browser, base, "system=algebra", wrong) as tab:
+        tab.context.grant_permissions(["clipboard-read", "clipboard-write"])
+        tab.get_by_role("button", name="Copy link").click()
+        tab.wait_for_timeout(200)
+        before = tab.evaluate("location.href")
+        tab.get_by_label("[e₁, e₂], e1").fill("1")
+        tab.keyboard.press("Enter")
+        tab.wait_for_timeout(400)
+        for name in ("Copy as Python", "Download data", "Copy link"):
+            tab.get_by_role("button", name=name).click()
+            if "Jacobi" not in (shown := tab.inner_text("#message")) or "Nothing is copied" not in shown:
+                wrong.append(f"{name} of brackets without the Jacobi identity shows {shown!r}")
+        after = tab.evaluate("navigator.clipboard.readText()"), tab.evaluate("location.href")
+        if after != (before, before):
+            wrong.append(f"brackets without the Jacobi identity are copied: {after}")
+        pixels = sum(len(tab.evaluate(COLOR_POINTS, ["canvas.scene", k, None])) for k in (0, 1))
+        texts = "".join(tab.locator(".readout").all_inner_texts())
+        if tab.evaluate("explorer.app.tracks.length") or pixels or texts:
+            wrong.append(f"runs go on without the Jacobi identity: {pixels} pixels, {texts!r}")
+        tab.get_by_label("[e₁, e₂], e1").fill("0")
+        tab.keyboard.press("Enter")
+        tab.wait_for_timeout(200)
+        if tab.inner_text("#message") or tab.evaluate("explorer.app.tracks.length") != 2:
+            wrong.append("valid brackets do not run again")
+
+
 def check_file(browser: Browser, folder: Path, wrong: list[str]) -> None:
     """Opened as a file, from which browsers load no modules, the page names a server."""
     tab = browser.new_page()
@@ -499,6 +538,7 @@ def main() -> int:
         check_file(browser, folder, wrong)
         check_numbers(browser, base, wrong)
         check_address(browser, base, wrong)
+        check_refusals(browser, base, wrong)
         check_keys_and_clicks(browser, base, wrong)
         check_drift(browser, base, wrong)
         check_drawings(browser, base, wrong)

@@ -15,7 +15,8 @@ from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import record_repr
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.protocol import forces_of, has_structure_constants
+from coadjoint.systems.protocol import has_structure_constants
+from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_choice, read_finite
 
 Floats = NDArray[np.float64]
@@ -152,8 +153,7 @@ def _studied(system: Any, start: Floats, direction: float) -> Equilibrium:
 
 
 def _validated(system: Any, x0: ArrayLike) -> Floats:
-    if forces_of(system):
-        raise TypeError(f"{system.name} has forces; equilibrium takes the Hamiltonian part, system.system")
+    check_one_system(system)
     if not has_structure_constants(system) or not hasattr(system.algebra, "generic_rank"):
         raise TypeError(f"{system.name} has no structure constants; equilibrium needs a LiePoissonSystem")
     x = read_finite(x0, "x0")

@@ -18,6 +18,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.start import read_attitude
 from coadjoint.short_repr import short
 from coadjoint.systems.parameters import parameter_of
 from coadjoint.validation import are_finite, read_integer, read_numbers, to_array
@@ -275,7 +276,7 @@ class _Problem(NamedTuple):
         if ready.representation is not None:
             initial = ready.initial_attitude if attitude is None else attitude
             side = run.output_shapes(state.shape)[1][-1]
-            start = np.eye(side) if isinstance(initial, bool | str) else read_numbers(initial, "attitude")
+            start = np.eye(side) if isinstance(initial, bool | str) else read_attitude(initial, ready.system)
             shape = (*state.shape[:-1], side, side)
             if start.shape not in (shape, shape[-2:]):
                 raise ValueError(f"attitude has the shape {start.shape}; it must be {shape}")

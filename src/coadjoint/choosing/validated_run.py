@@ -73,7 +73,7 @@ class SampledRun(PreparedRun):
             raise ValueError(f"t_span is {[t0, t1]}; a prepared run needs a time longer than 0")
         momenta, _ = momenta_of(system, sample)
         states = sample_of(cast(System, system), momenta, t0, t1 - t0)
-        attitude = read_attitude(attitude)
+        attitude = read_attitude(attitude, system)
         # Runs may have another number of members than the sample, so stacked initial group elements are not passed on.
         self._attitude_option = True if np.ndim(attitude) == 3 else attitude
         self.choice: Choice = choose(

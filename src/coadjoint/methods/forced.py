@@ -139,6 +139,10 @@ class Forced(Wrapper):
         broken_by = tuple(f"{name}: {', '.join(labels)}" for name, preserved, labels in broken if preserved and labels)
         return Properties(False, False, "none" if breaking else inner.casimirs, inner.attitude, broken_by)
 
+    def check_attitude(self, system: Any, representation: Any) -> None:
+        """Raise the error of the base, which moves the group element, for the Hamiltonian part."""
+        self.base.check_attitude(system.system, representation)
+
     def compiled(self, system: Any, h: float, representation: Representation) -> CompiledLoop:
         """Return a loop with a step of the loop of the base in each step."""
         from coadjoint.kernels.tables.forces import forced_loop

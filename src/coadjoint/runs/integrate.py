@@ -83,8 +83,9 @@ def integrate(
         `t_span` and for each step or time of `t_eval`, has the state at that end.
     attitude : bool, "coadjoint", or array_like
         Whether to compute the group element as well. True: in the representation of the system, from the unit matrix.
-        An array of shape (d, d): the same, from this initial element (for so(n) a rotation). "coadjoint": as the
-        coadjoint matrix K, with K x constant.
+        An array of shape (d, d): the same, from this initial element (for so(n) a rotation); of bodies and tops it may
+        be a SciPy Rotation or a unit quaternion (x, y, z, w) as well (``Rotation.from_quat(q, scalar_first=True)`` for
+        another order). "coadjoint": as the coadjoint matrix K, with K x constant.
     watch : bool
         Compute the energy and every Casimir after every step; otherwise only at the saved points. For matrices it is
         always the saved points.

@@ -117,7 +117,7 @@ class Preparation:
         # Loops do not track invariants of matrices.
         self._watching = watching and unforced_matrix_system(system) is None
         self._representations = representations_of(cast(Any, system), self.scheme, attitude)
-        self.initial_attitude = read_attitude(attitude)
+        self.initial_attitude = read_attitude(attitude, self.system)
         self.observe = check_observe({} if observe is None else observe)
         self._threads = workers or concurrent_members(matrix_rows(system))
         self.cache = _Cache(self.step)

@@ -72,7 +72,7 @@ class PreparedRun(Preparation):
         t_eval : array_like, shape (k,), optional
             Save the states at these times instead, as in `integrate`.
         attitude : array_like, shape (d, d) or (members, d, d), optional
-            Initial group element of this run, instead of the prepared one.
+            Initial group element of this run, instead of the prepared one; also a rotation, as in `integrate`.
         progress : bool
             Show a progress bar.
         events : Event or sequence of Event, optional

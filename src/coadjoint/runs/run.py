@@ -138,12 +138,14 @@ class Run:
         start_time = time.perf_counter()
         if order is not None:
             state.arrays = state.arrays.take(order, 0)
-        if loops.rows:
-            with limited_blas_threads(loops.rows, plan.workers):
+        try:
+            if loops.rows:
+                with limited_blas_threads(loops.rows, plan.workers):
+                    self._advance(first, last, progress)
+            else:
                 self._advance(first, last, progress)
-        else:
-            self._advance(first, last, progress)
-        self.seconds += time.perf_counter() - start_time
+        finally:  # the solution so far of an interrupted run has its time
+            self.seconds += time.perf_counter() - start_time
         state.number = last
         if order is not None:
             inverse = np.argsort(order)

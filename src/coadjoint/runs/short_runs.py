@@ -148,7 +148,9 @@ def solution_of_short_run(
         # Exceptions of user functions take precedence, and may be interrupts.
         reason = plan.loops.raised() or reason
         if isinstance(reason, KeyboardInterrupt):
-            _run_of(plan, start, momenta, numbers).describe_interrupt(reason, None)
+            stopped = _run_of(plan, start, momenta, numbers)
+            stopped.seconds = now - start_time
+            stopped.describe_interrupt(reason, None)
         if reason is not None:
             raise reason
         if not np.isfinite(momenta).all():

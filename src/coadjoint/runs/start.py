@@ -22,6 +22,7 @@ from coadjoint.systems.protocol import (
     unforced,
     unforced_matrix_system,
 )
+from coadjoint.systems.rotations import expected_elements, group_elements
 from coadjoint.systems.system_checks import System, check_system
 from coadjoint.validation import FLOAT64, SMALL_SIZE, are_finite, read_numbers
 
@@ -172,9 +173,18 @@ def combined(system: Any, x0: Any) -> tuple[Any, Any]:
     return with_state_axes(system, new), states.reshape(members, *shape)
 
 
-def read_attitude(attitude: Any) -> Any:
-    """Return a flag or a name unchanged, and group elements as a new array."""
-    return attitude if isinstance(attitude, bool | np.bool_ | str) else read_numbers(attitude, "attitude")
+def read_attitude(attitude: Any, system: System | Batch) -> Any:
+    """Return a flag or a name unchanged, and group elements, rotations or quaternions as a new array of elements."""
+    if isinstance(attitude, bool | np.bool_ | str):
+        return attitude
+    return group_elements(attitude, *_size_and_kind(system))
+
+
+def _size_and_kind(system: System | Batch) -> tuple[int, bool]:
+    """Return the size of the representation's matrices, and whether they are rotations with translations."""
+    representation = member_of(system).representation
+    size = 0 if representation is None else np.shape(representation)[-1]
+    return size, size == 4 and not np.asarray(representation)[:, 3].any()
 
 
 def with_group(
@@ -192,13 +202,15 @@ def with_group(
         check_available_memory(
             8 * (len(momenta) + 2) * size**2, f"the group elements of {len(momenta)} members, {size} x {size},"
         )
-    initial = read_attitude(attitude)
+    initial = read_attitude(attitude, system)
     if not isinstance(initial, np.ndarray):
         units = unit_groups(size) if len(momenta) == 1 else np.tile(unit_groups(size), (len(momenta), 1, 1))
         return Start(momenta, units, representation, single, system)
     if initial.shape not in ((size, size), (len(momenta), size, size)):
+        shape = (size,) if isinstance(representation, str) else _size_and_kind(system)
         raise ValueError(
-            f"attitude has the shape {initial.shape}; the representation of {system.name} needs ({size}, {size})"
+            f"attitude has the shape {initial.shape}; the representation of {system.name} needs "
+            f"{expected_elements(*shape)}"
         )
     if not are_finite(initial):
         raise ValueError("attitude contains NaN or infinity; every entry must be finite")

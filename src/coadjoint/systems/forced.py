@@ -151,7 +151,7 @@ class System(ABC):
         t : float or (k,)
             One time, or several.
         attitude : bool or (d, d)
-            Also return the group element; an array is its initial value (True: the unit matrix).
+            Also return the group element; an array, or a rotation as in `integrate`, is its initial value.
 
         Returns
         -------

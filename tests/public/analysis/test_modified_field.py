@@ -267,6 +267,7 @@ def test_a_step_that_branches_is_not_read_in_series():
     known = co.modified_field(system, co.GaussLegendre(1), 4)
     x = np.array([[0.5, 0.25, -1.0]])
     np.testing.assert_allclose(found.values(x), known.values(x), atol=1e-14)
+    assert np.array_equal(found.values(x[0].tolist()), found.values(x)[:, 0])
 
 
 @pytest.mark.thinned(8)

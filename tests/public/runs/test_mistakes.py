@@ -90,6 +90,16 @@ MISTAKES = {
     "linear too long": (lambda: co.Quadratic([1, 2, 3], linear=[1] * 6), "M", "linear", "6"),
     "M not symmetric": (lambda: co.Quadratic([[1, 2], [3, 4]]), "M[0, 1] = 2", "M[1, 0] = 3"),
     "a formula of how many": (lambda: co.Polynomial("x1^2"), "x1^2", "dim="),
+    "a formula that ends with a power": (lambda: co.Polynomial("0.5*x1^^2"), "0.5*x1^^2", "'^2'"),
+    "a random field of which": (lambda: co.systems.sphere_euler(N=4).random(), "random", "seed"),
+    "a list as a solution": (lambda: co.results.dataset_of([]), "solution", "[]", "integrate"),
+    "a text as a dataset": (lambda: co.results.mark_failed("x", None), "'x'", "dataset"),
+    "a modified field at a text": (lambda: co.modified_field(BODY, "Splitting", 3).values("x"), "x", "numbers"),
+    "a modified field at two numbers": (
+        lambda: co.modified_field(BODY, "Splitting", 3).values((1.0, 2.0)),
+        "(2,)",
+        "(3,)",
+    ),
     "no signs of products": (lambda: co.Polynomial("0.5 x1^2", dim=3), "0.5 x1^2", "x1^2"),
     "a wrong gradient": (
         lambda: with_energy(co.Hamiltonian(lambda x: x[0] ** 2, lambda x: np.array([x[0], 0, 0]))),

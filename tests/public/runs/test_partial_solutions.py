@@ -26,6 +26,7 @@ def test_text_summary_and_picture_of_an_interrupted_run(cut):
     partial, stated = cut
     assert partial.incomplete == "interrupted" and len(partial.t) > 1
     assert stated in repr(partial) and stated in partial._repr_html_()
+    assert 0.0 < partial.stats.seconds <= partial.stats.elapsed and " 0 s" not in partial._repr_html_()
     assert stated in " ".join(partial.plot(["components"]).get_suptitle().split())
 
 

@@ -191,3 +191,14 @@ def test_the_compiled_loops_refuse_it_by_name():
         co.integrate(body(4), np.ones((4, 3)), (0, 1), 0.1, Isospectral())
     with refused(TypeError, "system is"):
         co.integrate(object(), skew(4), (0, 1), 0.1, Isospectral())
+
+
+def test_the_dataset_of_a_class_of_ones_own_names_it():
+    """Its class cannot be stored: the numbers are, and what repeats the run says so."""
+    sol = co.integrate(OwnBody(), (0.1, 1.0, 0.1), (0, 1), 0.1, co.Splitting())
+    dataset = sol.to_xarray()
+    assert np.array_equal(dataset.x.values, sol.x) and "OwnBody" in dataset.attrs["not_stored"]
+    with refused(ValueError, "own body", "OwnBody"):
+        co.results.rebuild(dataset)
+    repeated = co.integrate(**co.results.solution_inputs(dataset, system=OwnBody()))
+    assert np.array_equal(repeated.x, sol.x)

@@ -89,6 +89,11 @@ def parse_polynomial(
     return value if isinstance(value, Polynomial) else Polynomial({(0,) * dim: value})
 
 
+def check_syntax(text: str) -> None:
+    """Raise the ValueError of a formula that cannot be parsed, whatever its names mean."""
+    parse_tree(text, lambda name: Coordinate(0), FUNCTIONS, NOTATION)
+
+
 def parse_formula(text: str, parameters: Mapping[str, Number], dim: int, letter: str = "x") -> Formula:
     """Parse a formula of the catalogue in exact arithmetic; `letter` is that of the coordinates.
 

@@ -439,6 +439,9 @@ def _names_if_special(names: tuple[str, ...]) -> tuple[str, ...] | None:
 def read_dimension(text: str, dim: int | None, basis: Sequence[str] | None) -> int:
     """Return the number of coordinates of a text, from `dim` or the names in `basis`."""
     if basis is None and dim is None:
+        from coadjoint.algebra.polynomials.formulas import check_syntax
+
+        check_syntax(text)
         raise ValueError(f"{short(text)} does not determine the number of coordinates; give dim= or basis=")
     names = () if basis is None else read_list(basis, "basis", "give a list of names")
     if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):

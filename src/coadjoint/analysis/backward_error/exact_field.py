@@ -57,7 +57,7 @@ class ExactField(ModifiedField):
     def _table(self) -> ProductSum:
         return Polynomial.side_by_side([F for term in self.terms.values() for F in term])
 
-    def values(self, x: Floats) -> npt.NDArray[np.float64]:
+    def _values(self, x: Floats) -> npt.NDArray[np.float64]:
         return self._table.along(x).reshape(len(x), self.order, -1).transpose(1, 0, 2)
 
     @property

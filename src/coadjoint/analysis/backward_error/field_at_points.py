@@ -45,11 +45,11 @@ class FieldAtPoints(ModifiedField):
         """Power k -> f_k as a function of a state."""
 
         def term(k: int) -> Callable[[npt.ArrayLike], Floats]:
-            return lambda x: self.values(self._read_states(x)[0])[k].reshape(np.shape(x))
+            return lambda x: self.values(x)[k]
 
         return MappingProxyType({k: term(k) for k in range(self.order)})
 
-    def values(self, x: Floats) -> npt.NDArray[np.float64]:
+    def _values(self, x: Floats) -> npt.NDArray[np.float64]:
         return np.stack([self.at(state)[0] for state in x], axis=1)
 
     def at(self, x: npt.ArrayLike) -> tuple[Floats, Floats]:

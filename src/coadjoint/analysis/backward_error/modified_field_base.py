@@ -43,9 +43,24 @@ class ModifiedField(ABC):
     def terms(self) -> Mapping[int, Any]:
         """Power k -> f_k: n polynomials, or a function of a state."""
 
+    def values(self, x: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Return f_0, f_1, ... at one state or many.
+
+        Parameters
+        ----------
+        x : (n,) or (m, n)
+            The states.
+
+        Returns
+        -------
+        ndarray, shape (order, n) or (order, m, n)
+        """
+        states, shape = self._read_states(x)
+        return self._values(states).reshape(self.order, *shape)
+
     @abstractmethod
-    def values(self, x: Floats) -> npt.NDArray[np.float64]:
-        """Return f_k at states (m, n), shape (order, m, n)."""
+    def _values(self, x: Floats) -> npt.NDArray[np.float64]:
+        """Return f_k at validated states (m, n), shape (order, m, n)."""
 
     @abstractmethod
     def keeps(self, invariant: Any) -> int | None:
@@ -87,7 +102,7 @@ class ModifiedField(ABC):
         states, shape = self._read_states(x)
         step = read_number(h, "h")
         total = np.zeros_like(states)
-        for term in reversed(self.values(states)):
+        for term in reversed(self._values(states)):
             total = total * step + term
         return total.reshape(shape)
 
@@ -117,7 +132,7 @@ class ModifiedField(ABC):
         states, shape = self._read_states(x)
         step = read_number(h, "h")
         self._check_energy()
-        values = self.values(states)
+        values = self._values(states)
         result = np.empty((*states.shape, self.system.dim))
         for m, state in enumerate(states):
             slope = np.asarray(self.system.hamiltonian.gradient(state))

@@ -18,6 +18,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
+from coadjoint.files.output.file_validation import decode_texts
 from coadjoint.short_repr import short
 
 GROWING_DIMENSIONS = ("time", "crossing")
@@ -175,20 +176,6 @@ def decompress(content: bytes, length: int) -> bytes:
         return bytes(Blosc().decode(content))
     except (RuntimeError, ValueError, TypeError) as reason:
         raise ValueError(f"a chunk of the archive is damaged: {in_one_line(str(reason), 100)}") from None
-
-
-def decode_texts(content: bytes, count: int) -> list[str]:
-    """Decode a known number of vlen-utf8 texts; ValueError if they are damaged."""
-    texts, end = [], 4
-    if int.from_bytes(content[:4], "little") != count or 4 * count > len(content):
-        raise ValueError("a chunk of the archive is damaged: it has another number of texts")
-    for _ in range(count):
-        begin = end + 4
-        end = begin + int.from_bytes(content[end:begin], "little")
-        texts.append(content[begin:end].decode("utf-8"))
-    if end != len(content):
-        raise ValueError("a chunk of the archive is damaged: its texts have other lengths")
-    return texts
 
 
 def _sum_of(content: bytes) -> bytes:

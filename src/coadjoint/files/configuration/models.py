@@ -88,7 +88,7 @@ class InitialTable(Table):
     parameters: dict[str, Any] = {}
     """The further keys beside `kind`."""
     attitude: Attitude = False
-    """Whether the group element (attitude) is computed: true, "coadjoint", or its initial matrix (no unit)."""
+    """Whether the group element (attitude) is computed: true, "coadjoint", or its start: a matrix or a quaternion."""
 
     @model_validator(mode="before")
     @classmethod

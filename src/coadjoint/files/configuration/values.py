@@ -81,9 +81,9 @@ def union_schema(*schemas: dict[str, Any]) -> dict[str, Any]:
 
 
 def _attitude(value: Any) -> Any:
-    if not (isinstance(value, bool) or value == "coadjoint" or _depth(value) == 2):
+    if not (isinstance(value, bool) or value == "coadjoint" or _depth(value) in (1, 2)):
         raise ValueError(
-            f"must be true, false, 'coadjoint' or a matrix, the initial group element, not "
+            "must be true, false, 'coadjoint', or the initial group element, a matrix or a quaternion, not "
             f"{short(value, MAX_SHOWN_LENGTH)}"
         )
     return value
@@ -139,7 +139,7 @@ TERM = {
 }
 FORMULA = union_schema({"type": "string"}, {"type": "array", "items": {**TERM, "maxItems": 2}})
 FILE = {"type": "string", "pattern": r"\.npy$"}
-ANY_ATTITUDE = union_schema({"type": "boolean"}, {"const": "coadjoint"}, list_schema(2))
+ANY_ATTITUDE = union_schema({"type": "boolean"}, {"const": "coadjoint"}, list_schema(1), list_schema(2))
 
 Name = Annotated[str, AfterValidator(_name)]
 Number = Annotated[Any, _numbers(0), nested_schema(0)]

@@ -32,14 +32,13 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods import registry
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import Event
+from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.times import times_of
 from coadjoint.short_repr import short
 from coadjoint.systems.protocol import as_vector_system
 
 if TYPE_CHECKING:
     import xarray
-
-    from coadjoint.runs.results.solution import Solution
 
 REQUIRED_ATTRIBUTES = ("system", "method", "step", "save_every", "watch", "attitude_carried", "t_span", "steps")
 
@@ -86,6 +85,8 @@ def dataset_of(solution: Solution, grid: Any = None) -> xarray.Dataset:
     require_packages("a dataset of a solution", "xarray")
     import xarray
 
+    if not isinstance(solution, Solution):
+        raise TypeError(f"solution is {short(solution)}; it must be a Solution, such as co.integrate returns")
     variables = {**time_variables(solution), **summary_variables(solution), **start_variables(solution)}
     if solution.events is not None:
         variables |= variables_of(solution.events)
@@ -166,6 +167,7 @@ def mark_failed(dataset: xarray.Dataset, error: IntegrationError) -> xarray.Data
     >>> mark_failed(xarray.Dataset(), error).attrs["failed_step"]
     3
     """
+    _attributes(dataset)
     return with_checksum(dataset.assign_attrs(**failure_attributes(error)))
 
 
@@ -232,11 +234,17 @@ def _check_registered(description: Any) -> None:
         description = description.get("base")
 
 
-def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = None) -> dict[str, Any]:
-    """Return the arguments of `solution_inputs`, without its check of the initial coadjoint matrix."""
+def _attributes(dataset: Any) -> Mapping[Any, Any]:
+    """Return the attributes of a dataset; TypeError if it is something else."""
     attributes = getattr(dataset, "attrs", None)
     if not isinstance(attributes, Mapping):
         raise TypeError(f"{short(dataset)} is no xarray dataset; give one read by xarray")
+    return attributes
+
+
+def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = None) -> dict[str, Any]:
+    """Return the arguments of `solution_inputs`, without its check of the initial coadjoint matrix."""
+    attributes = _attributes(dataset)
     missing = [key for key in REQUIRED_ATTRIBUTES if key not in attributes]
     if missing:
         raise ValueError(f"the dataset has no attribute {missing[0]!r}; it was not written by coadjoint")

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.files.archives.stored_arrays import decode_texts
 from coadjoint.memory import UNCHECKED_BYTES, check_available_memory
 from coadjoint.short_repr import short
 
@@ -226,3 +225,17 @@ def _decompress(content: bytes, compressor: str, inside: int, outside: int) -> b
 
         content = bytes(numcodecs.get_codec({"id": compressor}).decode(content[: len(content) - outside]))
     return content[: len(content) - inside]
+
+
+def decode_texts(content: bytes, count: int) -> list[str]:
+    """Decode a known number of vlen-utf8 texts; ValueError if they are damaged."""
+    texts, end = [], 4
+    if int.from_bytes(content[:4], "little") != count or 4 * count > len(content):
+        raise ValueError("a chunk of the archive is damaged: it has another number of texts")
+    for _ in range(count):
+        begin = end + 4
+        end = begin + int.from_bytes(content[end:begin], "little")
+        texts.append(content[begin:end].decode("utf-8"))
+    if end != len(content):
+        raise ValueError("a chunk of the archive is damaged: its texts have other lengths")
+    return texts

@@ -57,15 +57,18 @@ def record_of(system: System | Batch) -> dict[str, Any]:
     if isinstance(system, ForcedSystem):
         return _forced_record(system)
     ready_made = importlib.import_module("coadjoint.systems").names()
-    if system.parameters is not None and system.name in ready_made:
-        functions = [f"{system.name}: {key}" for key, value in system.parameters.items() if callable(value)]
+    parameters = getattr(system, "parameters", None)
+    if parameters is not None and system.name in ready_made:
+        functions = [f"{system.name}: {key}" for key, value in parameters.items() if callable(value)]
         if functions:
             return {"name": system.name, "not_stored": functions}
-        return {"name": system.name, "parameters": {key: _plain(value) for key, value in system.parameters.items()}}
+        return {"name": system.name, "parameters": {key: _plain(value) for key, value in parameters.items()}}
     if isinstance(system, MatrixSystem):
         return matrix_record(system)
     if not isinstance(system, LiePoissonSystem):
-        return {"name": system.name, "not_stored": [f"structure matrix: {_function_name(system.structure_function)}"]}
+        function = getattr(system, "structure_function", None)
+        source = f"class {type(system).__qualname__}" if function is None else _function_name(function)
+        return {"name": system.name, "not_stored": [f"structure matrix: {source}"]}
     hamiltonian, missing = _hamiltonian_record(system.hamiltonian)
     casimirs, algebra_casimirs = system.casimirs, system.algebra.casimirs_known
     functions_only = [

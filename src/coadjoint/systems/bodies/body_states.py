@@ -10,12 +10,11 @@ import numpy.typing as npt
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.body_inertia import BodyInertia
+from coadjoint.systems.rotations import ORTHOGONALITY, is_rotation, matrices_of_quaternions
 from coadjoint.validation import read_bool, read_choice, read_finite
 
 Floats = npt.NDArray[np.float64]
 
-ORTHOGONALITY = 1e-6
-"""Largest deviation from a rotation or a unit quaternion that is taken for rounding of the argument, and removed."""
 ROD_VELOCITY = 64 * UNIT_ROUNDOFF
 """Largest angular velocity along a rod, relative to the whole, that is taken for rounding."""
 FRAMES = ("body", "space")
@@ -35,15 +34,15 @@ def read_attitudes(attitude: Any, what: str, bodies: tuple[int, ...], scalar_fir
     A list may mix matrices, SciPy rotations and quaternions.
     """
     scalar_first = read_bool(scalar_first, "scalar_first")
-    if isinstance(attitude, list | tuple) and bodies and any(map(_is_rotation, attitude)):
+    if isinstance(attitude, list | tuple) and bodies and any(map(is_rotation, attitude)):
         attitude = np.stack([read_attitudes(one, f"{what}[{k}]", (), scalar_first) for k, one in enumerate(attitude)])
-    if _is_rotation(attitude):
+    if is_rotation(attitude):
         attitude = attitude.as_matrix()
     array = read_finite(attitude, what)
     tail = bodies
     # Four numbers are a quaternion: no shape of matrices ends with 4.
     if array.shape[-1:] == (4,):
-        array = _matrices_of(array, what, scalar_first)
+        array = matrices_of_quaternions(array, what, scalar_first)
     if array.shape[-len(tail) - 2 :] != (*tail, 3, 3) or array.ndim > len(tail) + 3:
         count = f"{bodies[0]} of them" if bodies else "one"
         raise ValueError(
@@ -82,25 +81,6 @@ def check_rods(omega: Floats, inertias: tuple[BodyInertia, ...], what: str) -> F
             )
         result[..., k, :] = turning
     return result
-
-
-def _is_rotation(value: Any) -> bool:
-    return hasattr(value, "as_matrix")
-
-
-def _matrices_of(quaternions: Floats, what: str, scalar_first: bool) -> Floats:
-    norms = np.sqrt((quaternions**2).sum(axis=-1))
-    wrong = np.abs(norms - 1.0) > ORTHOGONALITY
-    if wrong.any():
-        raise ValueError(f"{what} has a quaternion of norm {norms[wrong].flat[0]:g}; give unit quaternions")
-    unit = quaternions / norms[..., None]
-    w, x, y, z = np.moveaxis(unit if scalar_first else np.roll(unit, 1, axis=-1), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def _orthogonal(A: Floats, what: str) -> Floats:

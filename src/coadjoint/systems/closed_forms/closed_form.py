@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.short_repr import short
+from coadjoint.systems.rotations import expected_elements, group_elements
 from coadjoint.validation import read_finite
 
 Floats = npt.NDArray[np.float64]
@@ -51,7 +52,7 @@ def reject_attitude(attitude: Any, name: str) -> None:
 
 
 def initial_group_element(attitude: Any, size: int) -> Floats:
-    """Return the group element at time zero: the identity, or the array given as `attitude`.
+    """Return the group element at time zero: the identity, or the one given as `attitude`.
 
     Examples
     --------
@@ -61,9 +62,9 @@ def initial_group_element(attitude: Any, size: int) -> Floats:
     """
     if isinstance(attitude, bool | np.bool_):
         return np.eye(size)
-    first = read_finite(attitude, "attitude")
+    first = read_finite(group_elements(attitude, size), "attitude")
     if first.shape != (size, size):
-        raise ValueError(f"attitude has shape {first.shape}; give True or a finite ({size}, {size})")
+        raise ValueError(f"attitude has shape {first.shape}; give True or a finite {expected_elements(size)}")
     return first
 
 

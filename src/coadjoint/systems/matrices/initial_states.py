@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.errors import in_one_line
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.vorticity_files import read_field
 from coadjoint.validation import read_finite, read_integer, read_number, read_positive
@@ -26,6 +27,7 @@ DEFAULT_DEGREES = (2, 10)
 """First and last degree of a random field by default."""
 
 
+@suggest_keywords
 def random(
     system: FluidSystem,
     seed: int,
@@ -88,6 +90,7 @@ def random(
     return system.absolute(system.from_modes(_scaled(system, modes * factors[system.degrees], energy, enstrophy)))
 
 
+@suggest_keywords
 def blobs(system: FluidSystem, places: Any, strengths: Any, widths: Any) -> Complexes:
     """Return the state of round blobs of vorticity, diffused point vortices.
 
@@ -125,6 +128,7 @@ def blobs(system: FluidSystem, places: Any, strengths: Any, widths: Any) -> Comp
     return system.absolute(system.from_modes(modes))
 
 
+@suggest_keywords
 def patches(system: FluidSystem, places: Any, radii: Any, vorticities: Any, *, edge: float | None = None) -> Complexes:
     """Return the state of round patches of constant vorticity.
 
@@ -168,6 +172,7 @@ def patches(system: FluidSystem, places: Any, radii: Any, vorticities: Any, *, e
     return system.absolute(system.from_modes(modes))
 
 
+@suggest_keywords
 def from_file(
     system: FluidSystem, path: str | Path, *, variable: str | None = None, select: Mapping[str, int] | None = None
 ) -> Complexes:

@@ -1,0 +1,140 @@
+"""Initial attitudes given as matrices, SciPy rotations and quaternions start the same run."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import coadjoint as co
+from refusals import refused
+
+EPS = np.finfo(float).eps
+STEP, SPAN, SCHEME = 0.1, (0.0, 1.0), co.Splitting(order=2)
+MEMBERS = 5
+TURNS = Rotation.from_rotvec(np.random.default_rng(5).normal(size=(MEMBERS, 3)))
+# Tops have matrices of four rows: a rotation with a translation, which starts at zero.
+BODIES = [
+    (name, size)
+    for name in co.systems.names()
+    if np.shape(system := co.systems.get(name).representation)[-1:] in ((3,), (4,))
+    for size in np.shape(system)[-1:]
+    if size == 3 or not np.asarray(system)[:, 3].any()
+]
+SO3 = ("gyrostat", "paper_rigid_body", "rigid_body")
+
+
+def elements(size, matrices):
+    """Return rotation matrices as group elements."""
+    found = np.broadcast_to(np.eye(size), (*matrices.shape[:-2], size, size)).copy()
+    found[..., :3, :3] = matrices
+    return found
+
+
+def rotates(name, size):
+    """Whether the group of a system has all rotations."""
+    system = co.systems.get(name)
+    try:
+        co.stepper(system, SCHEME, STEP).both(np.ones(system.dim), elements(size, TURNS[0].as_matrix()))
+    except ValueError:
+        return False
+    return True
+
+
+ROTATING = [(name, size) for name, size in BODIES if rotates(name, size)]
+
+
+def test_bodies_and_tops_are_among_them():
+    names = {name for name, _ in ROTATING}
+    assert {*SO3, "heavy_top", "lagrange_top", "kirchhoff_body"} <= names and "so_n_body" not in names
+
+
+@pytest.mark.parametrize(("name", "size"), ROTATING)
+def test_every_form_starts_the_same_run(name, size):
+    """A rotation is its matrix, bit for bit; a quaternion is the same one to rounding, for one member and several."""
+    system = co.systems.get(name)
+    x0 = np.linspace(0.3, 1.0, system.dim)
+
+    def run(attitude, members=()):
+        return co.integrate(
+            system, np.tile(x0, (*members, 1)) if members else x0, SPAN, STEP, SCHEME, attitude=attitude
+        )
+
+    for turn, members in ((TURNS[0], ()), (TURNS, (MEMBERS,))):
+        expected = run(elements(size, turn.as_matrix()), members)
+        assert np.array_equal(run(turn, members).attitude, expected.attitude)
+        if not members or size == 3:
+            quaternion = run(turn.as_quat(), members)
+            # A unit quaternion has an error of 2 eps, its nine entries of 8; the flow is linear in the attitude.
+            assert np.abs(quaternion.attitude - expected.attitude).max() <= 64 * EPS * np.abs(expected.attitude).max()
+            negative = run(-turn.as_quat(), members)
+            assert np.array_equal(negative.attitude, quaternion.attitude)
+    mixed = [TURNS[0], *elements(size, TURNS[1:].as_matrix())]
+    assert np.array_equal(run(mixed, (MEMBERS,)).attitude, run(TURNS, (MEMBERS,)).attitude)
+
+
+def test_every_function_reads_them(tmp_path):
+    """Prepared runs, steppers, choices, closed forms, fits and configuration files read one attitude alike."""
+    body, x0, turn = co.systems.rigid_body(inertia=(1, 2, 3)), (0.1, 1.0, 0.2), TURNS[1]
+    matrix, quaternion = turn.as_matrix(), turn.as_quat()
+    expected = co.integrate(body, x0, SPAN, STEP, SCHEME, attitude=matrix)
+    for given in (turn, quaternion, list(quaternion)):
+        prepared = co.prepare(body, SCHEME, STEP, attitude=given)
+        later = co.prepare(body, SCHEME, STEP, attitude=True)
+        for sol in (prepared.run(x0, SPAN), later.run(x0, SPAN, attitude=given)):
+            assert np.abs(sol.attitude - expected.attitude).max() <= 64 * EPS
+        _, group = co.stepper(body, SCHEME, STEP).both(x0, given)
+        assert np.abs(group - expected.attitude[1]).max() <= 64 * EPS
+        _, exact = body.exact(x0, 1.0, attitude=given)
+        assert np.abs(exact - body.exact(x0, 1.0, attitude=matrix)[1]).max() <= 64 * EPS
+        chosen = co.choose(body, x0, SPAN, 1e-6, attitude=given)
+        assert chosen.step == co.choose(body, x0, SPAN, 1e-6, attitude=matrix).step
+        sampled = co.prepare(body, accuracy=1e-6, x0=x0, t_span=SPAN, attitude=given).run(x0, SPAN)
+        assert np.abs(sampled.attitude[0] - matrix).max() <= 64 * EPS
+        measured, sigma = {"attitude": expected.attitude}, {"attitude": 1e-3}
+        fitted = co.fit(later, x0, SPAN, measured, {"x0": True}, sigma=sigma, attitude=given)
+        assert np.abs(fitted.values["x0"] - x0).max() < 1e-9
+    ensemble = co.prepare(body, SCHEME, STEP, attitude=TURNS)
+    last = ensemble.run([x0] * MEMBERS, SPAN).attitude[:, -1]
+    assert np.array_equal(last, co.integrate(body, x0, SPAN, STEP, SCHEME, attitude=TURNS[-1]).attitude)
+
+
+def test_what_is_no_rotation_is_refused_with_the_forms():
+    body, top, other = (co.systems.get(name) for name in ("rigid_body", "heavy_top", "so_n_body"))
+
+    def run(system, attitude):
+        co.integrate(system, np.ones(system.dim), SPAN, STEP, SCHEME, attitude=attitude)
+
+    for error, words, system, attitude in (
+        (ValueError, ["attitude", "norm 1.41421", "unit"], body, (1.0, 1.0, 0.0, 0.0)),
+        (ValueError, ["attitude", "norm nan"], body, (np.nan, 0.0, 0.0, 0.0)),
+        (ValueError, ["attitude", "(3,)", "(3, 3)", "quaternion", "Rotation"], body, (1.0, 0.0, 0.0)),
+        (ValueError, ["attitude", f"({MEMBERS}, 3, 3)", "Rotation"], body, TURNS),
+        (ValueError, ["attitude", "(2, 4)", "(4, 4)", "Rotation"], top, np.zeros((2, 4))),
+        (ValueError, ["attitude", "(3, 3)", "(4, 4)"], other, TURNS[0]),
+        (ValueError, ["attitude", "(4,)", "(4, 4)"], other, TURNS[0].as_quat()),
+        (TypeError, ["attitude", "'x'"], body, [TURNS[0], "x"]),
+    ):
+        with refused(error, *words):
+            run(system, attitude)
+    with refused(ValueError, "attitude", "(2,)", "quaternion"):
+        body.exact((1, 0, 0), 1.0, attitude=(1.0, 0.0))
+    run(body, (1.0 + 0.9e-6, 0.0, 0.0, 0.0))
+    with refused(ValueError, "norm"):
+        run(body, (1.0 + 1.1e-6, 0.0, 0.0, 0.0))
+
+
+def test_a_refused_attitude_names_the_scheme_of_the_user():
+    """A system with forces is integrated by the scheme of the user, whose name the message has."""
+    body, refusing = co.systems.rigid_body(), set()
+    driven = body.with_forces(co.forces.LinearDamping(0.1))
+    for name in co.methods.names():
+        for method in getattr(co, name).examples():
+            try:
+                co.integrate(body, (1, 0.1, 0.1), SPAN, STEP, method, attitude=True)
+            except ValueError as error:
+                if "group element" in str(error):
+                    refusing.add(name)
+                    with refused(ValueError, str(error)):
+                        co.integrate(driven, (1, 0.1, 0.1), SPAN, STEP, method, attitude=True)
+            except TypeError:
+                continue
+    assert "Kahan" in refusing and len(refusing) > 1
