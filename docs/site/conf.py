@@ -26,6 +26,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.mathjax",
     "sphinx_design",
+    "sphinx_copybutton",
 ]
 root_doc = "index"
 exclude_patterns = ["README.md", "extra"]
@@ -34,6 +35,11 @@ suppress_warnings = ["config.cache"]
 
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 4
+# Only the code of examples is copied, without prompts and results.
+copybutton_prompt_text = r">>> |\.\.\. "
+copybutton_prompt_is_regexp = True
+copybutton_exclude = ".linenos, .gp"
+
 mathjax3_config = {"options": {"enableMenu": False}}
 
 default_role = "py:obj"

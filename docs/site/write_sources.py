@@ -46,8 +46,9 @@ def write(folder: Path, explorer: Path | None) -> None:
     pages["api.md"] = linked(pages["api.md"], targets)
     pages["schemes.md"] = with_schemes(pages["schemes.md"], set(pages))
     for page in SITE.glob("*.md"):
-        text = with_sentences(pages[page.name], pages)
-        pages[page.name] = SYSTEMS.sub(lambda comment: "\n".join(thumbnails(comment[1], "systems/")), text)
+        pages[page.name] = with_sentences(pages[page.name], pages)
+    for path, text in pages.items():
+        pages[path] = SYSTEMS.sub(lambda comment: "\n".join(thumbnails(comment[1], "systems/")), text)
     for path, text in pages.items():
         write_if_changed(folder / path, with_explorer(text, path) if explorer else text)
     copy_explorer(explorer, folder / "extra")

@@ -128,6 +128,24 @@ def versions(tab: Page, base: str, page: str) -> list[str]:
     return [] if set(found) == expected else [f"the menu of versions leads to {found}"]
 
 
+def code_faults(tab: Page) -> list[str]:
+    """Return the lines of code that are wider than their place, and what the first button copies."""
+    wide = tab.evaluate(
+        """[...document.querySelectorAll('article pre')]
+        .filter(p => p.offsetParent && p.scrollWidth > p.clientWidth + 1)
+        .map(p => p.textContent.split('\\n').reduce((a, b) => (b.length > a.length ? b : a)))"""
+    )
+    found = [f"code of {len(line)} letters scrolls sideways: {line}" for line in wide]
+    button = tab.query_selector("article .doctest button.copybtn, article .highlight-python button.copybtn")
+    if button is not None:
+        tab.context.grant_permissions(["clipboard-read", "clipboard-write"])
+        button.evaluate("button => button.click()")
+        copied = tab.evaluate("navigator.clipboard.readText()")
+        if not copied.strip() or ">>>" in copied:
+            found.append(f"the button of an example copies {copied!r}")
+    return found
+
+
 def links(tab: Page, base: str) -> set[str]:
     """Return the pages of the site that the text of a page links."""
     selected = "article a[href]"
@@ -167,6 +185,9 @@ def main() -> int:
                         if page in PAGES:
                             wrong += [f"{name}: {fault}" for fault in compared(name, reduced(tab), given.write)]
         count = len(PAGES) + len(OTHERS)
+        for path in sorted(given.folder.glob("*.html")):
+            with opened(browser, base, path.stem, WINDOWS[0], "light", wrong) as tab:
+                wrong += [f"{path.stem}: {fault}" for fault in code_faults(tab)]
         explorer = given.folder / "explorer"  # has tests of its own
         for file in sorted(path for path in given.folder.rglob("*.html") if explorer not in path.parents):
             prose, page = Prose(file), file.relative_to(given.folder).with_suffix("").as_posix()

@@ -9,7 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.group_elements import are_rotations, automorphism_violation, group_element_violation
+from coadjoint.algebra.group_elements import (
+    are_rotations,
+    automorphism_violation,
+    expected_elements,
+    group_element_violation,
+    group_elements,
+)
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -22,7 +28,6 @@ from coadjoint.systems.protocol import (
     unforced,
     unforced_matrix_system,
 )
-from coadjoint.systems.rotations import expected_elements, group_elements
 from coadjoint.systems.system_checks import System, check_system
 from coadjoint.validation import FLOAT64, SMALL_SIZE, are_finite, read_numbers
 
@@ -207,10 +212,9 @@ def with_group(
         units = unit_groups(size) if len(momenta) == 1 else np.tile(unit_groups(size), (len(momenta), 1, 1))
         return Start(momenta, units, representation, single, system)
     if initial.shape not in ((size, size), (len(momenta), size, size)):
-        shape = (size,) if isinstance(representation, str) else _size_and_kind(system)
         raise ValueError(
             f"attitude has the shape {initial.shape}; the representation of {system.name} needs "
-            f"{expected_elements(*shape)}"
+            f"{expected_elements(size, _size_and_kind(system) == (size, True))}"
         )
     if not are_finite(initial):
         raise ValueError("attitude contains NaN or infinity; every entry must be finite")

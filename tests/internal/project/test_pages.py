@@ -77,6 +77,17 @@ def test_schema_file_is_up_to_date(api):
     assert api.written_schema() == written, "run python docs/write_api.py"
 
 
+def test_installation_is_the_same_everywhere():
+    """The library is installed from its folder, before anything else is shown."""
+    paths = ROOT / "README.md", ROOT / "docs/installing.md", ROOT / "docs/site/index.md"
+    readme, installing, first = (path.read_text(encoding="utf-8") for path in paths)
+    [block] = re.findall(r"```sh\n(pip install .*?)```", readme, re.DOTALL)
+    assert block in installing and block.splitlines()[1].split("#")[0] in first
+    assert readme.index(block) < readme.index("explorer") < min(readme.index("<img"), readme.index("!["))
+    for page in (*PAGES, *paths):
+        assert not re.search(r"pip install coadjoint\b", page.read_text(encoding="utf-8")), page
+
+
 @pytest.mark.thinned(1)
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_links_are_valid(page):

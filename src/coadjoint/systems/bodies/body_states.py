@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.group_elements import ORTHOGONALITY, is_rotation, matrices_of_quaternions
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.body_inertia import BodyInertia
-from coadjoint.systems.rotations import ORTHOGONALITY, is_rotation, matrices_of_quaternions
 from coadjoint.validation import read_bool, read_choice, read_finite
 
 Floats = npt.NDArray[np.float64]
