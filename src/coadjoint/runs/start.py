@@ -178,14 +178,14 @@ def combined(system: Any, x0: Any) -> tuple[Any, Any]:
     return with_state_axes(system, new), states.reshape(members, *shape)
 
 
-def read_attitude(attitude: Any, system: System | Batch) -> Any:
+def read_attitude(attitude: Any, system: Any) -> Any:
     """Return a flag or a name unchanged, and group elements, rotations or quaternions as a new array of elements."""
     if isinstance(attitude, bool | np.bool_ | str):
         return attitude
     return group_elements(attitude, *_size_and_kind(system))
 
 
-def _size_and_kind(system: System | Batch) -> tuple[int, bool]:
+def _size_and_kind(system: Any) -> tuple[int, bool]:
     """Return the size of the representation's matrices, and whether they are rotations with translations."""
     representation = member_of(system).representation
     size = 0 if representation is None else np.shape(representation)[-1]

@@ -17,7 +17,7 @@ from paper_page import FIGURES, paper_page
 from picture_pages import picture_code, picture_pages
 from reference_pages import reference_pages
 from scheme_pages import scheme_pages, text_of
-from system_pages import code, system_pages, thumbnails, write_notebooks
+from system_pages import GROUPS, code, system_pages, thumbnails, write_notebooks
 from write_sources import (
     SYSTEMS,
     URLS,
@@ -293,6 +293,7 @@ def test_sections_show_first_sentences_and_systems():
     assert re.search(r"```\{toctree\}\n:hidden:\n\ngallery\nfree_body\n.*```\n", text, re.DOTALL)
     assert first_sentence("# T\n\nOf `a.b`, 1.5 and\n[c](d.md). Next.\n") == "Of `a.b`, 1.5 and [c](d.md)."
     groups = {page: SYSTEMS.findall(text) for page, text in pages.items() if SYSTEMS.search(text)}
+    assert groups.pop("gallery.md") == list(GROUPS)
     assert groups == {"rigid_bodies.md": ["bodies"], "spin_systems.md": ["lattices"], "ideal_fluids.md": ["fluids"]}
     lattices = re.findall(r":link: systems/(\w+)\n", "\n".join(thumbnails("lattices", "systems/")))
     assert lattices == ["spin_lattice", "toda", "toda_ring"]
